@@ -23,7 +23,7 @@ REPLY_SIZE = 4 + 4 * 49
 
 def measure(rounds: int, calls: int) -> dict[str, float]:
     """Rates, 99th percentiles and their ratio."""
-    gs = codec.tcp_request(Call("gs"))
+    gs = codec.encode_tcp_request(Call("gs"))
     daemon = [sys.executable, "-m", "nserver_emu", "--port", "0"]
     with start_echo(len(gs), REPLY_SIZE) as echo_port, started(daemon) as line:
         echo = Pinger(echo_port, gs, REPLY_SIZE)

@@ -1,7 +1,7 @@
-"""Other people's filters on the benchmark's one step: sixteen scalar updates, given all that is dear.
+"""The same sixteen scalar updates by filterpy and Stone-Soup, given everything that is expensive.
 
-Rules: each is handed F, Q, the mean moved and sixteen linear readings with their H, and gives a belief back. What can
-be made beforehand is made beforehand.
+Each is handed F, Q, the predicted mean and sixteen linear readings with their H, and returns a belief. What can be made
+beforehand is made beforehand.
 """
 
 from __future__ import annotations
@@ -20,16 +20,15 @@ from localization.filters.belief import Belief, Floats
 
 
 class Linear(NamedTuple):
-    """A step that is linear already: the belief before it, where it leads, F, Q, and n readings (n,) of variance (n,)
-    by H (n, 3)."""
+    """A linear step: the belief before it, the predicted mean, F, Q; n readings z of variance R (n,) by H (n, 3)."""
 
     before: Belief
-    moved: Floats
-    by_pose: Floats
-    process_cov: Floats
-    readings: Floats
-    variance: Floats
-    jacobian: Floats
+    predicted: Floats
+    F: Floats
+    Q: Floats
+    z: Floats
+    R: Floats
+    H: Floats
 
 
 class FilterPy:
@@ -37,16 +36,16 @@ class FilterPy:
 
     def __init__(self, given: Linear) -> None:
         self._filter, self._given = KalmanFilter(dim_x=3, dim_z=1), given
-        self._updates = list(zip(given.readings, given.variance, given.jacobian[:, None, :], strict=True))
+        self._updates = list(zip(given.z, given.R, given.H[:, None, :], strict=True))
 
     def step(self) -> Belief:
-        """Predict and correct."""
+        """Predict, and update sixteen times."""
         kalman, given = self._filter, self._given
         kalman.x, kalman.P = given.before.mean, given.before.cov
-        kalman.predict(F=given.by_pose, Q=given.process_cov)
-        kalman.x = given.moved
-        for reading, variance, row in self._updates:
-            kalman.update(reading, R=variance, H=row)
+        kalman.predict(F=given.F, Q=given.Q)
+        kalman.x = given.predicted
+        for z, R, H in self._updates:
+            kalman.update(z, R=R, H=H)
         return Belief(kalman.x, kalman.P)
 
 
@@ -65,16 +64,16 @@ class StoneSoup:
     def __init__(self, given: Linear) -> None:
         self._given, self._updater = given, KalmanUpdater(None)
         self._detections = []
-        for reading, variance, row in zip(given.readings, given.variance, given.jacobian, strict=True):
-            model = Row(ndim_state=3, mapping=(0,), noise_covar=np.array([[variance]]))
-            model.by_state = row[None]
-            self._detections.append(Detection(np.array([[reading]]), measurement_model=model))
+        for z, R, H in zip(given.z, given.R, given.H, strict=True):
+            model = Row(ndim_state=3, mapping=(0,), noise_covar=np.array([[R]]))
+            model.by_state = H[None]
+            self._detections.append(Detection(np.array([[z]]), measurement_model=model))
 
     def step(self) -> Belief:
-        """Predict and correct."""
+        """Predict, and update sixteen times."""
         given = self._given
-        cov = given.by_pose @ given.before.cov @ given.by_pose.T + given.process_cov
-        state = GaussianStatePrediction(given.moved[:, None], cov)
+        cov = given.F @ given.before.cov @ given.F.T + given.Q
+        state = GaussianStatePrediction(given.predicted[:, None], cov)
         for detection in self._detections:
             after = self._updater.update(SingleHypothesis(state, detection))
             state = GaussianStatePrediction(after.state_vector, after.covar)

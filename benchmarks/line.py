@@ -35,7 +35,7 @@ from nclient.protocol.wire_state import serial_wire_state
 TARGET_RATIO, TARGET_SHARE = 0.5, 0.95
 BAUD, BITS_PER_BYTE = 38400, 10
 GS = Call("gs")
-REQUEST = codec.line_request(GS, serial_wire_state(N150))
+REQUEST = codec.encode_serial_request(GS, serial_wire_state(N150))
 REPLY_SIZE = 48
 """An N150's state packet in its frame."""
 PACED_CALLS = 100

@@ -50,8 +50,8 @@ def crowd(robots: int, setup: RobotSetup, places_for: int = 0) -> Simulation:
     starts = np.array([(x, y) for y in places for x in places])[:robots]
     simulation = Simulation(room(half_in, WALLS, starts, 15.0 + N150.body.radius_in), seed=1)
     for number, (x, y) in enumerate(starts.tolist()):
-        simulation.add_robot(number + 1, StartPose(x, y, 2.4 * number, 2.4 * number), setup=setup, awake=False)
-    simulation.wake()
+        simulation.add_robot(number + 1, StartPose(x, y, 2.4 * number, 2.4 * number), setup=setup, powered=False)
+    simulation.power_on()
     return simulation
 
 

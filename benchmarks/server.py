@@ -23,8 +23,8 @@ CONNECT_REPLY_SIZE = 8
 
 def measure(rounds: int, calls: int) -> dict[str, float]:
     """Rates, 99th percentiles and their ratio."""
-    gs = codec.tcp_request(Call("gs"))
-    connect = codec.tcp_request(Call("connect_robot", (1, 1)))
+    gs = codec.encode_tcp_request(Call("gs"))
+    connect = codec.encode_tcp_request(Call("connect_robot", (1, 1)))
     daemon = [sys.executable, "-m", "nserver_emu", "--port", "0", "--limit-rate", "0"]
     with start_echo(len(gs), REPLY_SIZE) as echo_port, started(daemon) as line:
         sides = {

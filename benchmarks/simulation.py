@@ -25,9 +25,9 @@ import numpy as np
 from peer import INSTALL, SPEED_IN_S, TURN_RAD_S, peer
 from scenes import WALLS, alone, crowd, roam
 
-from nserver_emu.garbage import NEW_OBJECTS
+from nserver_emu.server.garbage_collection import GC_THRESHOLD
 from nserver_emu.simulation.acoustics import Polaroid
-from nserver_emu.simulation.multi_robot import SPAN_PS, near
+from nserver_emu.simulation.multi_robot import SPAN_PS, candidate_pairs
 from nserver_emu.simulation.noise import IDEAL, MEASURED, NOISY, SETUPS, RobotSetup
 from nserver_emu.simulation.sonar import DEFAULT_ORDER
 from worlds.geometry import FloatArray
@@ -128,7 +128,7 @@ def bunched(robots: int, setup: RobotSetup) -> Result:
         "robots": robots,
         "setup": setup.name,
         "compiled": NEAREST_OBSTACLE.run is not None,
-        "near_others": len({row for pair in near(crew, SPAN_PS) for row in pair}),
+        "near_others": len({row for pair in candidate_pairs(crew, SPAN_PS) for row in pair}),
         "stopped": sum(not robot.moving[0] for robot in crew),
         "times_real_time": round(simulated_s / sum(late_s), 2),
         "fastest": round(8 * CROWD_DT_S / min(late_s), 2),
@@ -214,7 +214,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--growth", action="store_true", help="print the table of README.md and nothing else")
     parser.add_argument("--json", action="store_true", help="print JSON")
     options = parser.parse_args(arguments)
-    gc.set_threshold(NEW_OBJECTS)
+    gc.set_threshold(GC_THRESHOLD)
     if options.growth:
         print(growth(options.rounds))
         return 0

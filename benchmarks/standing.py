@@ -19,7 +19,6 @@ import numpy as np
 from localization.experiments.live_trial import SCENARIOS, START_STD, Scenario
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import Floats, difference, independent
-from localization.filters.odometry import pose_of
 from localization.filters.registry import METHODS, make
 from localization.live.localizer import Localizer
 from localization.live.sensor_input import FiringSchedule
@@ -60,7 +59,7 @@ def stood(scenario: Scenario, seed: int, at_s: Sequence[float], method: str = "e
         for until_s in at_s:
             while estimate.clock_s < start_s + until_s:
                 estimate = localizer.update(robot.refresh())
-            pose = pose_of(estimate.belief)
+            pose = estimate.belief.pose
             off = difference(pose.mean, truth)
             found.append((float(off @ np.linalg.solve(pose.cov, off)), float(np.hypot(off[0], off[1]))))
     return np.array(found)

@@ -33,11 +33,11 @@ from typing import NamedTuple
 
 from nclient.protocol import codec
 from nclient.protocol.commands import Call
-from nserver_emu.garbage import seldom_sought
 from nserver_emu.server.config import SimulationConfig
 from nserver_emu.server.daemon import LOOPBACK, Daemon
+from nserver_emu.server.garbage_collection import rare_collection
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.viewer.server import served
+from nserver_emu.viewer.server import serve_viewer
 from worlds.world import StartPose
 
 TARGET_SHARE, PICTURES_A_SECOND = 0.05, 20.0
@@ -104,14 +104,14 @@ async def running() -> AsyncIterator[tuple[Metered, str]]:
     daemon = Metered(Emulator(SimulationConfig(start=START).simulation()), speed=None)
     port = await daemon.listen(LOOPBACK, 0)
     stop = asyncio.Event()
-    async with served(daemon, LOOPBACK, 0) as lines:
+    async with serve_viewer(daemon, LOOPBACK, 0) as lines:
         serving = asyncio.create_task(daemon.serve(stop))
         _, writer = await asyncio.open_connection(LOOPBACK, port)
         for call in (Call("connect_robot", (1, 0)), Call("vm", ROUND_AND_ROUND)):
-            writer.write(codec.tcp_request(call))
-        with seldom_sought():
+            writer.write(codec.encode_tcp_request(call))
+        with rare_collection():
             yield daemon, lines[0].split()[-1]
-        if daemon.emulator.simulation.robots[1].still((0,)):
+        if daemon.emulator.simulation.robots[1].is_still((0,)):
             raise RuntimeError("the robot stood: nothing was measured")
         writer.close()
         stop.set()

@@ -143,6 +143,7 @@ def _run_all(readers: list[Reader], limits: Limits, jobs: int) -> bool:
     from fuzz.reader import input_folder
     from fuzz.runner import FOUND, shared_status
 
+    # Create shared resources before forking: the folder for inputs, and the figures of each reader.
     input_folder()
     for log in FOUND.glob(".*.log"):
         log.unlink()
@@ -151,9 +152,11 @@ def _run_all(readers: list[Reader], limits: Limits, jobs: int) -> bool:
     statuses = {reader.name: shared_status() for reader in readers}
     try:
         while waiting or running:
+            # 1. Start readers up to the number of jobs.
             while waiting and len(running) < jobs:
                 reader = waiting.pop(0)
                 running[_fork(_supervise, reader, statuses[reader.name], limits)] = reader
+            # 2. Report the next one that ends.
             pid, exit_status = os.wait()
             reader = running.pop(pid)
             has_findings |= _report(reader, statuses[reader.name], exit_status, started_s)
@@ -177,6 +180,7 @@ def _supervise(reader: Reader, status: Status, limits: Limits) -> int:
         seconds = limits.seconds - (time.monotonic() - started_s)
         if remaining <= 0 or (status.executions and seconds < _MIN_S):
             return 0
+        # Guided processes are restarted, because atheris accumulates memory.
         inputs = min(remaining, GUIDED_INPUTS) if limits.is_guided else remaining
         _, exit_status = os.waitpid(_fork(_run, reader, status, limits, inputs, max(seconds, _MIN_S)), 0)
         if exit_status:

@@ -65,8 +65,8 @@ def _allow_parser() -> argparse.ArgumentParser:
 def _network(data: bytes) -> None:
     text = data.decode("utf-8", "replace")
     allowlist.is_loopback(text)
-    allowed = allowlist.access_of(_allow_parser().parse_args([f"--allow={text}"]))
-    allowed.admits("192.168.1.7")
+    allowed = allowlist.allowlist_from_options(_allow_parser().parse_args([f"--allow={text}"]))
+    allowed.allows("192.168.1.7")
     allowlist.warning("0.0.0.0", allowed)
 
 

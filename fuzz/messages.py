@@ -19,8 +19,8 @@ from nserver_emu.control.cli import format_result, parse_response
 from nserver_emu.control.commands import COMMANDS, answer_line
 from nserver_emu.server.inprocess import open_address
 from nserver_emu.server.link import FaultController
-from nserver_emu.viewer.localization import published
-from nserver_emu.viewer.messages import CALLS, CONTROLS, BadMessage, from_page
+from nserver_emu.viewer.localization import parse_estimate
+from nserver_emu.viewer.messages import CALLS, CONTROLS, InvalidMessage, parse_message
 
 _PLAN = 'seed = 1\n[[rule]]\ndo = "drop"\nevery = 10\n'
 _WORLD = "[[wall]]\npoints_in = [[-90, -90], [90, -90]]\n"
@@ -70,21 +70,23 @@ _server = functools.lru_cache(maxsize=1)(FakeServer)
 
 def _control(data: bytes) -> None:
     """Every line has an answer of one line; a rejected line changes nothing."""
+    # Do not let the server write files.
     if b"save" in data or b"\\u" in data:
         return
     answer = answer_line(_server(), data)
     if answer.count(b"\n") != 1:
         raise AssertionError("the answer is not one line")
+    # A command that succeeded may have changed the server: use a new one for the next line.
     if json.loads(answer)["ok"]:
         _server.cache_clear()
 
 
 def _message(data: bytes) -> None:
-    json.dumps(from_page(data.decode()), allow_nan=False)
+    json.dumps(parse_message(data.decode()), allow_nan=False)
 
 
 def _published(data: bytes) -> None:
-    json.dumps(published(data.decode()), allow_nan=False)
+    json.dumps(parse_estimate(data.decode()), allow_nan=False)
 
 
 def _answer(data: bytes) -> None:
@@ -148,10 +150,10 @@ def _published_seeds() -> list[bytes]:
 _TREE = any_of(mutate_json, mutate_json, mutate_json, mutate_bytes)
 
 READERS = (
-    Reader("viewer_messages", "messages from the viewer page", _utf8_only(_message), (BadMessage,), _message_seeds,
+    Reader("viewer_messages", "messages from the viewer page", _utf8_only(_message), (InvalidMessage,), _message_seeds,
            _TREE),
-    Reader("published", "messages from publishing localizers", _utf8_only(_published), (BadMessage,), _published_seeds,
-           _TREE),
+    Reader("published", "messages from publishing localizers", _utf8_only(_published), (InvalidMessage,),
+           _published_seeds, _TREE),
     Reader("publish_answers", "answers to published messages", parse_answer, (ValueError,),
            lambda: [b'{"waypoints": [[1, 2], [3.5, 4]], "set": 2}', b'{"waypoints": null, "set": 0}'], _TREE,
            max_size=1024),

@@ -20,12 +20,14 @@ from fuzz.reader import Mutator
 
 _T = TypeVar("_T")
 
+# Numbers at the limits of integers and floats, of their text form, and of common checks.
 NUMBERS = (
     b"0", b"-1", b"1", b"nan", b"inf", b"-inf", b"1e400", b"-1e400", b"1e308", b"5e-324", b"1e-9", b"1e5", b"1e9",
     b"255", b"256", b"65535", b"65536", b"2147483647",
     b"2147483648", b"-2147483649", b"9223372036854775808", b"1" + b"0" * 400,
     b"7" * 5000, b"0x" + b"f" * 300, b"0x" + b"f" * 3600, b"1_000", b"0.1", b"1979-05-27T07:32:00Z",
 )  # fmt: skip
+# Texts that parsers and formatters handle differently: empty, nested, not ASCII, unpaired surrogates.
 TEXTS = (
     b'""', b"''", b'" "', rb'"\n\t"', b'"x"',
     b"true", b"false", b"[]", b"{}", b"[[]]", b"[" * 1500, b"]" * 1500, b"{a=" * 400,
@@ -33,7 +35,9 @@ TEXTS = (
     b'"' + b"a" * 300 + b'"', "ﬁ²½".encode(), b"\r",
     b"\\",
 )  # fmt: skip
+# Quoted texts, words and numbers, blanks, single characters.
 _TOKEN = re.compile(rb'"[^"\n]*"|\'[^\'\n]*\'|[\w.+-]+|\s+|.', re.DOTALL)
+# The same limits as JSON values.
 _VALUES: tuple[Any, ...] = (
     None, True, False, 0, -1, 1, 2, 255, 2**31, -(2**31) - 1, 2**63, 10**400, 0.5, 1e308, -1e308, 5e-324,
     float("nan"), float("inf"), float("-inf"), "", " ", "\n\t", "\x85", "x",
@@ -151,6 +155,7 @@ def _edit(value: Any, rng: Random) -> Any:
     """Return a tree with one random change; the other branches are shared with the original."""
     if not _has_children(value) or random_below(12, rng) == 0:
         return _replacement(value, rng)
+    # Copy only the nodes on the path to the change.
     parent = value.copy()
     key = choose([*parent] if isinstance(parent, dict) else range(len(parent)), rng)
     if _has_children(parent[key]) and random_below(6, rng):

@@ -99,6 +99,7 @@ class Run:
         starts.mkdir(exist_ok=True)
         for seed in self._seeds():
             (starts / hashlib.sha1(seed).hexdigest()).write_bytes(seed)
+        # 1. Options of libFuzzer: limits per input, no size ramp-up, no handling of signals, no output.
         options = {
             "artifact_prefix": f"{FOUND}/{self.reader.name}-", "max_len": self.reader.max_size, "timeout": MAX_HANG_S,
             "rss_limit_mb": MAX_MEMORY_MB, "len_control": 0, "reload": 0, "handle_int": 0, "handle_term": 0,
@@ -112,6 +113,7 @@ class Run:
                 return bytes(atheris.Mutate(data, max_size))
             return self.reader.mutate(data, rng)[:max_size]
 
+        # 2. New inputs are stored in the first folder; those of the second are only read.
         arguments = [f"-{name}={value}" for name, value in options.items()]
         atheris.Setup([sys.argv[0], *arguments, str(self.corpus), str(starts)], self.run_input, custom_mutator=mutate)
         atheris.Fuzz()
@@ -119,6 +121,7 @@ class Run:
     def blind(self) -> None:
         """Mutate seeds and corpus at random, without coverage. Does not return: the process ends with the run."""
         self._isolate()
+        # Each process of a reader has another seed, and repeats its inputs when run again.
         rng = Random(self.status.executions)
         inputs = [*self._seeds(), *(path.read_bytes() for path in sorted(self.corpus.glob("*")))]
         gc.freeze()
@@ -153,6 +156,7 @@ class Run:
         self.status.seconds = self._seconds_before + seconds
         if not self.is_guided:
             faulthandler.dump_traceback_later(2 * MAX_HANG_S, exit=True)
+        # The run is complete after its inputs or its time, whichever comes first.
         progress = max(self._inputs / self._max_inputs, seconds / self._max_seconds)
         if not self._is_warm and (progress >= 1.0 or (progress >= WARM_UP and self._inputs >= MIN_WARM_INPUTS)):
             self._is_warm = True
@@ -178,6 +182,7 @@ class Run:
 
     def _save_finding(self, error: Exception, data: bytes) -> None:
         """Store the shortest input of each kind of error: exception type and line of this project."""
+        # The last line of this project tells errors of the same type apart.
         frames = [(frame.filename, frame.lineno) for frame in traceback.extract_tb(error.__traceback__)
                   if "site-packages" not in frame.filename]  # fmt: skip
         kind = (type(error).__name__, *frames[-1:])

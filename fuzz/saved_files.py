@@ -16,14 +16,13 @@ from fuzz.mutation import any_of, mutate_bytes, mutate_json
 from fuzz.reader import Reader, input_file
 from localization.live import saved_estimate
 from nclient.errors import EstimateFileError, NomadError, RecordingError, SnapshotError
-from nclient.protocol.codec import line_request, tcp_request
+from nclient.protocol.codec import encode_serial_request, encode_tcp_request
 from nclient.protocol.commands import Call
 from nclient.protocol.types import MODELS
 from nclient.protocol.wire_state import serial_wire_state
-from nclient.recording.format import FORMAT, IN, OUT, VERSION, Entry, as_object, read_recording
-from nclient.recording.readable import lines_of
+from nclient.recording.format import FORMAT, IN, OUT, VERSION, Entry, as_object, format_entry, read_recording
 from nclient.recording.recorder import TCP, FrameDecoder
-from nclient.recording.replayer import LOOSE, Player, load_exchanges, state_before
+from nclient.recording.replayer import LOOSE, Player, find_state_reply, load_exchanges
 from nserver_emu.persistence import snapshot
 from nserver_emu.persistence.recording import Beginning, header
 from nserver_emu.persistence.replay import replay
@@ -39,11 +38,12 @@ MAX_STEPS: Final = 100
 def _recording(data: bytes) -> None:
     recording = read_recording(input_file(data, ".log"))
     for entry in recording.entries:
-        for _ in lines_of(entry, with_bytes=True):
+        for _ in format_entry(entry, with_bytes=True):
             pass
+    # Each connection can be replayed on its own.
     for name in recording.connections():
         script = load_exchanges(recording, name)
-        state_before(script, 0)
+        find_state_reply(script, 0)
         player = Player(script, LOOSE)
         for entry in recording.entries:
             if entry.kind == OUT and entry.connection == name:
@@ -67,6 +67,7 @@ def _steps(entries: object) -> Iterator[float]:
 
 def _snapshot(data: bytes) -> None:
     emulator = _emulator()
+    # Reset the emulator afterwards, also after a partial restore that failed.
     before = {part: getattr(emulator, part) for part in snapshot.KEPT}
     try:
         snapshot.restore(emulator, input_file(data, ".snapshot"))
@@ -99,7 +100,7 @@ def _client_recording(wire: str, model: str) -> bytes:
     calls = ([] if line else [Call("connect_robot", (1, 7))]) + [Call("vm", (10, 0, 0)), Call("get_sn"), Call("st")]
     entries = [Entry(0.0, "open", "1", more={"wire": wire, "model": model})]
     for number, call in enumerate(calls):
-        request = line_request(call, serial_wire_state(MODELS[model])) if line else tcp_request(call)
+        request = encode_serial_request(call, serial_wire_state(MODELS[model])) if line else encode_tcp_request(call)
         robot.send(request)
         entries.append(Entry(0.1 * number, OUT, "1", request, tuple(follower.to_robot(request))))
         reply = robot.receive()
@@ -123,7 +124,7 @@ def _server_recording(pace: SimulationClock, steps: list[list[float]]) -> bytes:
     session = Session(emulator.answer, "127.0.0.1:1")
     entries = [Entry(0.0, "open", session.name, more={"wire": TCP, "model": "n150"})]
     for number, call in enumerate((Call("connect_robot", (1, 7)), Call("vm", (50, 0, 90)), Call("gs"), Call("st"))):
-        request = tcp_request(call)
+        request = encode_tcp_request(call)
         entries.append(Entry(float(number), OUT, session.name, request, more={"steps": steps} if steps else {}))
         for dt_s, count in steps:
             for _ in range(int(count)):

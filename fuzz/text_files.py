@@ -120,6 +120,7 @@ def _toml(
     name: str, description: str, read: Callable[[bytes], object], error: type[Exception],
     seeds: Callable[[], Iterable[bytes]], *words: str,
 ) -> Reader:  # fmt: skip
+    # Keywords are inserted more often than bytes are changed: most byte changes are syntax errors.
     own = (*_TOML, *(word.encode() for word in words))
     words_first = any_of(word_mutator(*own), word_mutator(*own), mutate_bytes)
     return Reader(name, description, read, (error,), seeds, words_first)

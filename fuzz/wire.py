@@ -29,7 +29,7 @@ from nclient.protocol.serial_framing import HOST_LIMIT, SerialFramer, build_fram
 from nclient.protocol.tcp_framing import TcpFramer, reply_bounds, request_bounds
 from nclient.protocol.types import MODELS, N150, N200, SCOUT
 from nclient.protocol.wire_state import serial_wire_state
-from nclient.recording.readable import told
+from nclient.recording.format import format_frame
 from nclient.recording.recorder import LINES, FrameDecoder
 from nclient.robot import Robot
 from nclient.transports.stream import Deadline
@@ -82,6 +82,7 @@ def _tcp_requests(data: bytes) -> None:
 def _feed(session: Session | SerialSession, parts: list[bytes]) -> None:
     for part in parts:
         session.receive(part)
+        # A session answers some requests at a time: continue until it has answered all of this part.
         while session.ready:
             session.process_requests(100)
 
@@ -97,6 +98,7 @@ def _line_requests(data: bytes) -> None:
     model = _LINE_MODELS[data[1] % 3] if len(data) > 1 else N150
     session = SerialSession(lambda _call, _visit: NAK, 1, model, lambda: next(clock) * 0.05)
     _feed(session, split(data[0] if data else 0, data[2:]))
+    # Incomplete frames are given up after some time.
     for _ in range(_MAX_TICKS):
         session.tick()
         session.process_requests(100)
@@ -113,6 +115,7 @@ def _line_replies(data: bytes) -> None:
     kind = data[1] % 4 if len(data) > 1 else 0
     model, clock = (N150, SCOUT, N200, N200)[kind], itertools.count()
     parts = split(data[0] if data else 0, data[2:])
+    # Over TCP an N200 sends a handshake (kind 3); otherwise its mask is the reply to ct (kind 2).
     handshake = _line_handshake() if kind == 2 else []
     backend = DirectBackend(FixedStream([*handshake, *parts]), model, hello=kind == 3, clock=lambda: next(clock) * 0.01)
     _make_calls(backend, data[1] >> 2 if len(data) > 1 else 0)
@@ -127,6 +130,7 @@ def _make_calls(backend: Backend, first: int) -> None:
             robot.execute(call)
         except RobotRefused:
             continue
+        # Formatting must work for every state that a reply can produce.
         list(state_text.lines(robot.state, ()))
 
 
@@ -174,7 +178,7 @@ def _frames(kind: int, parts: list[bytes]) -> list[object]:
     if kind == 0:
         line = SerialFramer(HOST_LIMIT)
         return [*(frame for part in parts for frame in line.receive(part)), *line.expire()]
-    tcp = TcpFramer((request_bounds, reply_bounds)[kind - 1], gives_up=kind == 1)
+    tcp = TcpFramer((request_bounds, reply_bounds)[kind - 1], drop_after_loss=kind == 1)
     return [frame for part in parts for frame in tcp.receive(part)]
 
 
@@ -183,11 +187,12 @@ def _captures(data: bytes) -> None:
     kind = data[0] if data else 0
     follower = FrameDecoder(LINES[kind % 3], _LINE_MODELS[kind // 3 % 3])
     at = 1
+    # The highest bit of the byte is the direction, the others are the length.
     while at < len(data):
         size = data[at] & 127
         turn = data[at + 1 : at + 1 + size]
         for found in follower.to_host(turn) if data[at] > 127 else follower.to_robot(turn):
-            told(found)
+            format_frame(found)
         at += 1 + size
     json.dumps(follower.clock_s)
 

@@ -1,9 +1,9 @@
-"""AsyncRobot: Robot's methods by the same names, each to be awaited, run on one thread of its own.
+"""AsyncRobot: the methods of Robot as coroutines, executed by one thread per robot.
 
     state = await robot.refresh()
 
-Rules: no method is written twice: each is made of Robot's by `_awaitable`, which keeps its signature. A wait that is
-cancelled leaves the exchange to end by its own deadline; the next call goes out after it, and the robot stays usable.
+Each method is derived from that of Robot by `_awaitable`, which preserves its signature. If an awaiting task is
+cancelled, its exchange still ends by its own deadline; the next call is sent after it, and the robot stays usable.
 """
 
 from __future__ import annotations
@@ -28,32 +28,36 @@ R = TypeVar("R")
 def _awaitable(
     method: Callable[Concatenate[Robot, P], R],
 ) -> Callable[Concatenate[AsyncRobot, P], Coroutine[Any, Any, R]]:
-    """The method as one to be awaited."""
+    """Return the method as a coroutine function."""
 
     @wraps(method)
     async def call(self: AsyncRobot, /, *args: P.args, **kwargs: P.kwargs) -> R:
-        return await self._on_its_thread(partial(method, self._robot, *args, **kwargs))
+        return await self._run(partial(method, self._robot, *args, **kwargs))
 
     return call
 
 
 class AsyncRobot:
-    """A robot for asyncio. Made by nclient.connect_async; leaving its `async with` stops the robot and disconnects."""
+    """A connected robot for asyncio, made by `nclient.connect_async`.
+
+    Leaving its `async with` block stops the robot and disconnects.
+    """
 
     def __init__(self, robot: Robot, thread: ThreadPoolExecutor) -> None:
         self._robot = robot
         self._thread = thread
-        self._left = False
+        self._disconnected = False
 
     @classmethod
-    async def open(cls, opens: Callable[[], Robot]) -> AsyncRobot:
-        """Connect on a new thread, which is then the robot's."""
+    async def open(cls, open_robot: Callable[[], Robot]) -> AsyncRobot:
+        """Connect in a new thread, which then executes all methods of the robot."""
         thread = ThreadPoolExecutor(1, "nomad-robot")
-        connecting = thread.submit(opens)
+        connecting = thread.submit(open_robot)
         try:
             return cls(await asyncio.wrap_future(connecting), thread)
         except BaseException:
-            connecting.add_done_callback(_drop)
+            # The caller was cancelled: the thread may still connect, and the robot then has no owner.
+            connecting.add_done_callback(_disconnect_unowned)
             thread.shutdown(wait=False)
             raise
 
@@ -63,28 +67,28 @@ class AsyncRobot:
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        await self._leave(partial(self._robot.__exit__, kind, error, trace))
+        await self._finish(partial(self._robot.__exit__, kind, error, trace))
 
     async def disconnect(self) -> None:
-        """End the conversation; the robot is not told to stop. Twice is fine. C: disconnect_robot"""
-        await self._leave(self._robot.disconnect)
+        """Close the connection; the robot is not stopped. May be called twice. C: disconnect_robot"""
+        await self._finish(self._robot.disconnect)
 
-    async def _leave(self, leaves: Callable[[], None]) -> None:
-        """Do it after all that is under way, cancelled or not, and end the thread."""
-        if not self._left:
-            self._left = True
-            leaving = self._thread.submit(leaves)
+    async def _finish(self, disconnect: Callable[[], None]) -> None:
+        """Disconnect after all submitted calls, cancelled or not, and end the thread."""
+        if not self._disconnected:
+            self._disconnected = True
+            disconnecting = self._thread.submit(disconnect)
             self._thread.shutdown(wait=False)
-            await asyncio.shield(asyncio.wrap_future(leaving))
+            await asyncio.shield(asyncio.wrap_future(disconnecting))
 
-    async def _on_its_thread(self, call: Callable[[], R]) -> R:
-        if self._left:
+    async def _run(self, call: Callable[[], R]) -> R:
+        if self._disconnected:
             raise ConnectionLost("this robot was disconnected; connect again")
         return await asyncio.wrap_future(self._thread.submit(call))
 
     @property
     def state(self) -> RobotState:
-        """What is known after the last exchange; asks nobody and waits for nobody."""
+        """The state after the last exchange; sends nothing and never waits."""
         return self._robot.state
 
     @property
@@ -94,12 +98,12 @@ class AsyncRobot:
 
     @property
     def closed(self) -> bool:
-        """Whether the conversation is over."""
+        """True if the connection is over."""
         return self._robot.closed
 
     @property
     def link(self) -> LinkStatistics | None:
-        """What the link has been through; None of an Nserver, but with reconnect=."""
+        """Statistics of the link. None over TCP without `reconnect=` in the address."""
         return self._robot.link
 
     drive = _awaitable(Robot.drive)
@@ -173,7 +177,7 @@ class AsyncRobot:
     control_time = _awaitable(Robot.control_time)
 
 
-def _drop(connecting: Future[Robot]) -> None:
-    """Nobody waits any more for what was being connected."""
+def _disconnect_unowned(connecting: Future[Robot]) -> None:
+    """Disconnect a robot whose caller was cancelled while it was being connected."""
     if not connecting.cancelled() and connecting.exception() is None:
         connecting.result().disconnect()

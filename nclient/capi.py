@@ -13,13 +13,13 @@
         print("stopped at", State[34], State[35], "tenths of an inch")
         disconnect_robot(1)
 
-Rules: as the C library does it. Nothing is raised, nothing printed: a call gives TRUE, or FALSE where it was refused
-or the link is lost (`last_error` says why); the code of a refusal stands in State[44]. Numbers are in wire units, cut
-off to integers as by C, and on a robot's own line brought to the nearest that it can carry. A list stands for a C
-array or pointer and is filled in place. One program, one thread, one robot. The settings in capitals are this
-module's: assign them by `capi.`, since an import with * only copies names.
-The direct library's connect_robot(1, MODEL_N150, "/dev/ttyUSB0", 38400) talks to a robot on its own line: bumper bits
-as they come (State[33] is 0xF00000 at rest), a NAK for done, State[0], [42] and [44] left alone.
+As in the C library nothing is raised and nothing printed: a call returns TRUE, or FALSE if it was refused or the link
+is lost (`last_error` has the reason); State[44] has the code of a refusal. Numbers are in wire units, truncated to
+integers as in C, and clamped on a serial line to what it can carry. A list stands for a C array or pointer and is
+filled in place. One program, one thread, one robot. The settings in capitals are module variables: assign them as
+`capi.NAME`, since an import with * only copies them.
+connect_robot(1, MODEL_N150, "/dev/ttyUSB0", 38400), as in the direct library, opens a robot's serial line: bumper bits
+as they come (State[33] is 0xF00000 at rest), a NAK is a success, State[0], [42] and [44] are left alone.
 """
 
 from __future__ import annotations
@@ -71,19 +71,19 @@ __all__ = [
 TRUE, FALSE = 1, 0
 MODEL_N200, MODEL_N150, MODEL_SCOUT = N200.number, N150.number, SCOUT.number
 ROTATION_CONSTANT = WHEEL_IN_PER_DEG
-"""Inches that a Scout's wheel travels for each degree of turn."""
+"""Inches that a wheel of a Scout travels per degree of turn."""
 
 SERVER_MACHINE_NAME = ""
-"""Host of the server, or host:port; or an address, nserver://lab:7654/1 or sim:thesis_room, whose robot is the one that
-connect_robot asks for. When empty NOMAD_ROBOT's address, as for C programs; this machine where that is not set."""
+"""Host of the server, host:port, or an address such as nserver://lab:7654/1 or sim:thesis_room, whose robot number must
+agree with that of connect_robot. If empty, the address of NOMAD_ROBOT as for C programs, else this machine."""
 SERV_TCP_PORT = 7019
-"""Port of the server, where its name brings none."""
+"""Port of the server, if its name has none."""
 ANSWER_TIMEOUT_S: float | None = None
-"""How long an answer may take, in seconds; None: 5 for a server, on a robot's own line as the C library waits."""
+"""Maximum time for a reply in seconds; None: 5 over TCP, on a serial line as in the C library."""
 
 State: list[int] = [0] * STATE_SIZE
 Smask: list[int] = list(EVERYTHING.smask)
-"""The mask that ct sends; 44 numbers. connect_robot sets all on and position data off."""
+"""The mask that ct sends, 44 numbers. connect_robot switches everything on and position data off."""
 Laser: list[int] = [0] * (1 + 2 * MAX_LASER_READINGS)
 
 Ints = Sequence[int]
@@ -91,37 +91,48 @@ Out = MutableSequence[Any]
 _PACKET_HEAD = 4
 _NO_SUCH_MODES = frozenset({6, 7, 8})
 _NAK = Reply("nak")
-"""What the C library takes for done."""
+"""The C library takes it for success."""
 
 _backend: Backend | None = None
-_held = ClientState()
+_client_state = ClientState()
 _error: NomadError | None = None
 
 
 def last_error() -> NomadError | None:
-    """Why the last call that failed did; the C library has nothing like it."""
+    """Return the error of the last call that failed; the C library has no such function."""
     return _error
 
 
-# connecting
+# -- connecting -------------------------------------------------------------------------------------------------------
 
 
 def connect_robot(robot_id: int, model: int | None = None, dev: str = "", conn: int = 0) -> int:
-    """Connect to a robot of the server, anew where one is connected: the server's port, or FALSE.
+    """Connect to a robot, after disconnecting from the last one.
 
-    With a model: to a robot on its own line, as the direct library does. `dev` and `conn`: a device (/dev/ttyUSB0) and
-    its baud rate, or a host and its TCP port; then TRUE or FALSE.
+    Parameters
+    ----------
+    robot_id
+        Number of the robot on the server.
+    model
+        MODEL_N200, MODEL_N150 or MODEL_SCOUT: open the robot's serial line, as the direct library does.
+    dev, conn
+        With a model: a device (/dev/ttyUSB0) and its baud rate, or a host and its TCP port.
+
+    Returns
+    -------
+    int
+        The server's port, TRUE on a serial line, or FALSE.
     """
     return _connect(robot_id, line=None if model is None else (int(model), dev, int(conn)))
 
 
 def create_robot(robot_id: int) -> int:
-    """Make a robot of that number and connect to it: the server's port, or FALSE."""
+    """Create a robot of that number and connect to it; return the server's port, or FALSE."""
     return _connect(robot_id, create=True)
 
 
 def disconnect_robot(robot_id: int) -> int:
-    """End the connection."""
+    """Disconnect."""
     global _backend
     del robot_id
     open_backend, _backend = _backend, None
@@ -132,7 +143,7 @@ def disconnect_robot(robot_id: int) -> int:
 
 
 def server_is_running() -> int:
-    """Whether somebody takes connections at SERVER_MACHINE_NAME and SERV_TCP_PORT."""
+    """Return TRUE if a server accepts connections at SERVER_MACHINE_NAME and SERV_TCP_PORT."""
     return int(is_listening(SERVER_MACHINE_NAME, int(SERV_TCP_PORT)))
 
 
@@ -142,25 +153,25 @@ def quit_server() -> int:
 
 
 def real_robot() -> int:
-    """Pass the commands to the real robot."""
+    """Send commands to the real robot."""
     return _send("real_robot")
 
 
 def simulated_robot() -> int:
-    """Pass the commands to the simulation."""
+    """Send commands to the simulation."""
     return _send("simulated_robot")
 
 
-# motion
+# -- motion -----------------------------------------------------------------------------------------------------------
 
 
 def ac(t_ac: int, s_ac: int, r_ac: int) -> int:
-    """Accelerations of translation, steering, turret."""
+    """Set the accelerations of translation, steering and turret."""
     return _send("ac", t_ac, s_ac, r_ac)
 
 
 def sp(t_sp: int, s_sp: int, r_sp: int) -> int:
-    """Speeds that pr uses."""
+    """Set the speeds of pr."""
     return _send("sp", t_sp, s_sp, r_sp)
 
 
@@ -170,7 +181,7 @@ def pr(t_pr: int, s_pr: int, r_pr: int) -> int:
 
 
 def pa(t_pa: int, s_pa: int, r_pa: int) -> int:
-    """Absolute positions: only on a N200's own line; for a server refused by the client, without a word to it."""
+    """Move each axis to an absolute position: only on an N200's serial line, refused by the client elsewhere."""
     if _backend is not None and _backend.wire_state.line:
         return _send("pa", t_pa, s_pa, r_pa)
     return _refuse("pa", "clients of an Nserver do not send it")
@@ -182,9 +193,9 @@ def vm(t_vm: int, s_vm: int, r_vm: int) -> int:
 
 
 def mv(t_mode: int, t_mv: int, s_mode: int, s_mv: int, r_mode: int, r_mv: int) -> int:
-    """Each axis in a mode of its own: 0 leave, 1 velocity, 2 relative, 3 limp, 4 acceleration, 5 speed.
+    """Command each axis in its own mode: 0 leave, 1 velocity, 2 relative, 3 limp, 4 acceleration, 5 speed.
 
-    Modes 6, 7 and 8 are refused by the client itself, without a word to the server.
+    Modes 6, 7 and 8 are refused by the client, and not sent.
     """
     if not _NO_SUCH_MODES.isdisjoint((int(t_mode), int(s_mode), int(r_mode))):
         return _refuse("mv", "clients of an Nserver do not send modes 6, 7 and 8")
@@ -192,22 +203,22 @@ def mv(t_mode: int, t_mv: int, s_mode: int, s_mv: int, r_mode: int, r_mv: int) -
 
 
 def RIGHT(trans: int, steer: int) -> int:
-    """Velocity of a Scout's right wheel (1/10 in/s) for a translation and a steering (1/10 deg/s)."""
+    """Return the velocity of a Scout's right wheel (1/10 in/s) for a translation and a steering (1/10 deg/s)."""
     return trans + int(steer * ROTATION_CONSTANT)
 
 
 def LEFT(trans: int, steer: int) -> int:
-    """Velocity of a Scout's left wheel (1/10 in/s) for a translation and a steering (1/10 deg/s)."""
+    """Return the velocity of a Scout's left wheel (1/10 in/s) for a translation and a steering (1/10 deg/s)."""
     return trans - int(steer * ROTATION_CONSTANT)
 
 
 def scout_vm(trans: int, steer: int) -> int:
-    """vm for a Scout, by translation and steering."""
+    """Send vm to a Scout, by translation and steering."""
     return vm(RIGHT(trans, steer), LEFT(trans, steer), 0)
 
 
 def scout_pr(trans: int, steer: int) -> int:
-    """pr for a Scout, by translation and steering."""
+    """Send pr to a Scout, by translation and steering."""
     return pr(RIGHT(trans, steer), LEFT(trans, steer), 0)
 
 
@@ -217,146 +228,146 @@ def st() -> int:
 
 
 def lp() -> int:
-    """Let the motors go limp."""
+    """Switch the motors off."""
     return _send("lp")
 
 
 def zr() -> int:
-    """Turn to the bumper's zero."""
+    """Turn steering and turret to the bumper's zero."""
     return _send("zr")
 
 
 def ws(t_ws: int, s_ws: int, r_ws: int, timeout: int) -> int:
-    """Wait until the axes with a flag are still, or so many seconds."""
+    """Wait until the axes with a flag are still, at most `timeout` seconds."""
     return _send("ws", t_ws, s_ws, r_ws, timeout)
 
 
 def dp(x: int, y: int) -> int:
-    """Set what the encoders say of the position."""
+    """Set the position of the encoders."""
     return _send("dp", x, y)
 
 
 def da(th: int, tu: int) -> int:
-    """Set what the encoders say of steering and turret."""
+    """Set the angles of the encoders."""
     return _send("da", th, tu)
 
 
 def place_robot(x: int, y: int, th: int, tu: int) -> int:
-    """Put the robot, and what its encoders say, somewhere."""
+    """Place the robot and its encoders."""
     return _send("place_robot", x, y, th, tu)
 
 
-# configuration
+# -- settings ---------------------------------------------------------------------------------------------------------
 
 
 def ct() -> int:
-    """Send Smask: which sensors and numbers State holds from now on."""
-    return _send("ct", Smask[0], *[int(bool(wanted)) for wanted in Smask[1:SLOTS]])
+    """Send Smask: the sensors and numbers that State has from now on."""
+    return _send("ct", Smask[0], *[int(bool(flag)) for flag in Smask[1:SLOTS]])
 
 
 def conf_ir(history: int, order: Ints) -> int:
-    """History and firing order (int[16]) of the infrareds."""
+    """Set history and firing order (int[16]) of the infrareds."""
     return _send("conf_ir", history, *order[:16])
 
 
 def conf_sn(rate: int, order: Ints) -> int:
-    """Firing rate (4 ms steps) and order (int[16], 255 ends it) of the sonars."""
+    """Set firing rate (4 ms steps) and order (int[16], 255 ends it) of the sonars."""
     return _send("conf_sn", rate, *order[:16])
 
 
 def conf_cp(mode: int) -> int:
-    """Compass off, on, or calibrating."""
+    """Set the compass: 0 off, 1 on, 2 calibrate."""
     return _send("conf_cp", mode)
 
 
 def conf_ls(mode: int, threshold: int, width: int, num_data: int, processing: int) -> int:
-    """Mode and numbers of the laser."""
+    """Set mode and parameters of the laser."""
     return _send("conf_ls", mode, threshold, width, num_data, processing)
 
 
 def conf_tm(timeout: int) -> int:
-    """Stop the motion when no command comes for so many seconds."""
+    """Set the motion timeout in seconds: the robot stops if no command arrives for that long."""
     return _send("conf_tm", timeout)
 
 
 def conf_sg(threshold: int, min_points: int, gap: int) -> int:
-    """How laser points become line segments."""
+    """Set how laser points are combined to line segments."""
     return _send("conf_sg", threshold, min_points, gap)
 
 
 def conf_ser(port: int, baud: int) -> int:
-    """Speed of another serial port: exists on the robot's own line only."""
+    """Set the speed of another serial port; on a serial line only."""
     return _send("conf_ser", port, baud)
 
 
-# questions
+# -- queries ----------------------------------------------------------------------------------------------------------
 
 
 def gs() -> int:
-    """The whole State."""
+    """Query the whole State."""
     return _send("gs")
 
 
 def get_ir() -> int:
-    """Infrareds: State[1] to State[16]."""
+    """Query the infrareds: State[1] to State[16]."""
     return _send("get_ir")
 
 
 def get_sn() -> int:
-    """Sonars: State[17] to State[32]."""
+    """Query the sonars: State[17] to State[32]."""
     return _send("get_sn")
 
 
 def get_rc() -> int:
-    """Position and angles: State[34] to State[37]."""
+    """Query position and angles: State[34] to State[37]."""
     return _send("get_rc")
 
 
 def get_rv() -> int:
-    """Velocities: State[38] to State[40]."""
+    """Query the velocities: State[38] to State[40]."""
     return _send("get_rv")
 
 
 def get_ra() -> int:
-    """Accelerations, in the place of the velocities: State[38] to State[40]."""
+    """Query the accelerations, in the slots of the velocities: State[38] to State[40]."""
     return _send("get_ra")
 
 
 def get_cp() -> int:
-    """Compass: State[43]."""
+    """Query the compass: State[43]."""
     return _send("get_cp")
 
 
 def get_ls() -> int:
-    """Laser."""
+    """Query the laser: Laser."""
     return _send("get_ls")
 
 
 def get_sg() -> int:
-    """Line segments of the laser, in Laser."""
+    """Query the laser's line segments: Laser."""
     return _send("get_sg")
 
 
 def get_bp() -> int:
-    """Bumpers: State[33]."""
+    """Query the bumpers: State[33]."""
     return _send("get_bp")
 
 
 def get_rpx(robot_pos: Out) -> int:
-    """Where all robots are: filled with n and n times x, y, heading."""
+    """Query all robots: robot_pos is filled with n and n times x, y, heading."""
     return _fill(robot_pos, _values("get_rpx"))
 
 
 def get_robot_conf(conf: Out) -> int:
-    """A pose clicked in the server's window: filled with x, y, steering, turret."""
+    """Query a pose clicked in the server's window: conf is filled with x, y, steering, turret."""
     return _fill(conf, _values("get_robot_conf"))
 
 
-# position data, clock, battery
+# -- position data, clock, battery ------------------------------------------------------------------------------------
 
 
 def posDataRequest(posRequest: int) -> int:
-    """Ask for position data: the sum of 1 infrared, 2 sonar, 4 bumper, 8 laser, 16 compass. FALSE for other bits."""
+    """Select position data: the sum of 1 infrared, 2 sonar, 4 bumper, 8 laser, 16 compass. FALSE for other bits."""
     if int(posRequest) not in range(sum(Position) + 1):
         return _refuse("posDataRequest", f"{posRequest} is no sum of 1, 2, 4, 8, 16")
     Smask[0] = int(posRequest)
@@ -364,73 +375,73 @@ def posDataRequest(posRequest: int) -> int:
 
 
 def posDataCheck() -> int:
-    """The position data that is asked for."""
+    """Return the selected position data."""
     return Smask[0]
 
 
 def posInfraredRingGet(posData: Out) -> int:
-    """Filled with the position data of the sixteen infrareds, each a list of nine numbers.
+    """Fill posData with the position data of the sixteen infrareds, each a list of nine numbers.
 
-    The nine, here and below: x, y, steer, turret, v_trans, v_steer, v_turret, time of the pose, time of the reading.
+    These are x, y, steer, turret, v_trans, v_steer, v_turret, time of the pose, time of the reading.
     """
     return _fill(posData, [_stamp(key) for key in INFRARED_KEYS])
 
 
 def posInfraredGet(posData: Out, infraredNumber: int) -> int:
-    """Filled with the nine numbers of one infrared."""
+    """Fill posData with the nine numbers of one infrared."""
     return _fill(posData, _stamp(f"ir_{infraredNumber}") if infraredNumber in range(16) else None)
 
 
 def posSonarRingGet(posData: Out) -> int:
-    """Filled with the position data of the sixteen sonars, each a list of nine numbers."""
+    """Fill posData with the position data of the sixteen sonars, each a list of nine numbers."""
     return _fill(posData, [_stamp(key) for key in SONAR_KEYS])
 
 
 def posSonarGet(posData: Out, sonarNumber: int) -> int:
-    """Filled with the nine numbers of one sonar."""
+    """Fill posData with the nine numbers of one sonar."""
     return _fill(posData, _stamp(f"sonar_{sonarNumber}") if sonarNumber in range(16) else None)
 
 
 def posBumperGet(posData: Out) -> int:
-    """Filled with the nine numbers of the bumpers."""
+    """Fill posData with the nine numbers of the bumpers."""
     return _fill(posData, _stamp("bumper"))
 
 
 def posLaserGet(posData: Out) -> int:
-    """Filled with the nine numbers of the laser."""
+    """Fill posData with the nine numbers of the laser."""
     return _fill(posData, _stamp("laser"))
 
 
 def posCompassGet(posData: Out) -> int:
-    """Filled with the nine numbers of the compass."""
+    """Fill posData with the nine numbers of the compass."""
     return _fill(posData, _stamp("compass"))
 
 
 def posTimeGet() -> int:
-    """The robot's clock in milliseconds when it last told it."""
-    return _held.clock or 0
+    """Return the robot's clock in milliseconds, as last received."""
+    return _client_state.clock or 0
 
 
 def voltCpuGet() -> float:
-    """Volts of the computer's battery when the robot last told them."""
-    return volts(_held.volts[0], CPU_RANGE_V) if _held.volts else 0.0
+    """Return the voltage of the computer's battery, as last received."""
+    return volts(_client_state.volts[0], CPU_RANGE_V) if _client_state.volts else 0.0
 
 
 def voltMotorGet() -> float:
-    """Volts of the motors' battery when the robot last told them."""
-    return volts(_held.volts[1], MOTOR_RANGE_V) if _held.volts else 0.0
+    """Return the voltage of the motors' battery, as last received."""
+    return volts(_client_state.volts[1], MOTOR_RANGE_V) if _client_state.volts else 0.0
 
 
-# speech, special packets, the arm
+# -- speech, special packets, the arm ---------------------------------------------------------------------------------
 
 
 def tk(talk: str) -> int:
-    """Say a text."""
+    """Speak a text."""
     return int(_reply("tk", talk) is not None)
 
 
 def special_request(user_send_buffer: Ints, user_receive_buffer: Out) -> int:
-    """Send a user packet, whole (length low, length high, serial, type, bytes); filled with the one that answers."""
+    """Send a whole packet (length low, length high, serial, type, bytes) and fill the receive buffer with the reply."""
     if len(user_send_buffer) < _PACKET_HEAD:
         return _refuse("special_request", "a packet starts with its length (two bytes), serial and type")
     length = user_send_buffer[0] | user_send_buffer[1] << 8
@@ -438,23 +449,23 @@ def special_request(user_send_buffer: Ints, user_receive_buffer: Out) -> int:
 
 
 def arm_zr(override: int) -> int:
-    """Zero the arm: its result, or FALSE."""
+    """Zero the arm; return its result, or FALSE."""
     return _arm("arm_zr", override)[0]
 
 
 def arm_ws(lift: int, grip: int, timeout: int, time_remain: Out) -> int:
-    """Wait until the arm is still: its result, or FALSE; time_remain[0] is what is left of the timeout."""
+    """Wait until the arm is still; return its result, or FALSE. time_remain[0] is the rest of the timeout."""
     result, remaining = _arm("arm_ws", lift, grip, timeout)
     _fill(time_remain, [remaining])
     return result
 
 
 def arm_mv(l_mode: int, l_v: int, g_mode: int, g_v: int) -> int:
-    """Move lift and grip of the arm: its result, or FALSE."""
+    """Move lift and grip of the arm; return its result, or FALSE."""
     return _arm("arm_mv", l_mode, l_v, g_mode, g_v)[0]
 
 
-# the world and its windows
+# -- the world and its windows ----------------------------------------------------------------------------------------
 
 
 def add_obstacle(obs: Ints) -> int:
@@ -463,22 +474,22 @@ def add_obstacle(obs: Ints) -> int:
 
 
 def delete_obstacle(obs: Ints) -> int:
-    """Take a polygon away: n, x1, y1 .. xn, yn."""
+    """Remove a polygon: n, x1, y1 .. xn, yn."""
     return _send("delete_obstacle", *_polygon(obs))
 
 
 def move_obstacle(obs: Out, dx: int, dy: int) -> int:
-    """Shift a polygon; obs is filled with where it is then."""
+    """Shift a polygon; obs is filled with its new corners."""
     return _fill(obs, _values("move_obstacle", *_polygon(obs), dx, dy))
 
 
 def new_world() -> int:
-    """Take all obstacles away."""
+    """Remove all obstacles."""
     return _send("new_world")
 
 
 def predict_sensors(x: int, y: int, th: int, tu: int, state: Out, laser: Out) -> int:
-    """What the sensors would read elsewhere: state[1] to state[32] and the laser vector are filled."""
+    """Predict the readings of the sensors at another pose: fill state[1] to state[32] and the laser vector."""
     reply = _reply("predict_sensors", x, y, th, tu)
     if reply is None:
         return FALSE
@@ -489,9 +500,9 @@ def predict_sensors(x: int, y: int, th: int, tu: int, state: Out, laser: Out) ->
 def motion_check(
     type: int, a1: float, a2: float, a3: float, a4: float, a5: float, a6: float, a7: float, collide: Out
 ) -> int:
-    """Whether a line (type 0: x1 y1 x2 y2) or an arc (type 1: x1 y1 angle1 angle2 radius xc yc) hits something.
+    """Check a line (type 0: x1 y1 x2 y2) or an arc (type 1: x1 y1 angle1 angle2 radius xc yc) for collisions.
 
-    1 when it does, and collide is filled with x, y and the inward normal in radians; 0 when not, or on error.
+    Returns 1 if there is one, and fills collide with x, y and the inward normal in radians; 0 if not, or on error.
     """
     numbers = (a1, a2, a3, a4) if type == MOTION_LINE else (a1, a2, a3, a4, a5, a6, a7)
     reply = _reply("motion_check", type, *[1000 * number for number in numbers])
@@ -513,7 +524,7 @@ def draw_line(x_1: int, y_1: int, x_2: int, y_2: int, mode: int) -> int:
 
 
 def draw_arc(x_0: int, y_0: int, w: int, h: int, th1: int, th2: int, mode: int) -> int:
-    """Draw an arc of the ellipse in a box."""
+    """Draw an arc of the ellipse in a bounding box."""
     return _send("draw_arc", x_0, y_0, w, h, th1, th2, mode)
 
 
@@ -563,45 +574,49 @@ def refresh_laser_sensor() -> int:
 
 
 def refresh_client_graphics() -> int:
-    """Redraw what clients have drawn."""
+    """Redraw the drawings of clients."""
     return _send("refresh_client_graphics")
 
 
-# our own simulation; Nclient.h has none of these
+# -- simulations of this project; Nclient.h has none of these ---------------------------------------------------------
 
 
 def sim_truth(truth: Out) -> int:
-    """Filled with the eight numbers of sim_truth: 1, ms, x, y (1/1000 in), heading, turret (1/1000 deg), seed, id."""
+    """Fill truth with eight numbers: 1, ms, x, y (1/1000 in), heading, turret (1/1000 deg), seed, id."""
     return _fill(truth, _values("sim_truth"))
 
 
 def sim_control(verb: int, value: int) -> int:
-    """Simulated time: 1 pause, 2 resume, 3 speed x 10, 4 step by ms."""
+    """Control simulated time: 1 pause, 2 resume, 3 speed x 10, 4 step by ms."""
     return _send("sim_control", verb, value)
 
 
+# -- helpers ----------------------------------------------------------------------------------------------------------
+
+
 def _connect(robot_id: int, *, create: bool = False, line: tuple[int, str, int] | None = None) -> int:
-    global _backend, _error, _held
+    global _backend, _error, _client_state
     if _backend is not None:
         disconnect_robot(robot_id)
     try:
-        wanted = ConnectOptions(ANSWER_TIMEOUT_S, int(robot_id), create)
+        options = ConnectOptions(ANSWER_TIMEOUT_S, int(robot_id), create)
         if line is None:
-            _backend = open_machine(SERVER_MACHINE_NAME, int(SERV_TCP_PORT), wanted)
+            _backend = open_machine(SERVER_MACHINE_NAME, int(SERV_TCP_PORT), options)
         else:
-            _backend = open_line(*line, wanted)
+            _backend = open_line(*line, options)
     except NomadError as error:
         _error = error
         return FALSE
+    # What the C library sets on connecting: the mask in force, and the state that came with it.
     Smask[:] = (_backend.wire_state.mask if _backend.wire_state.model.sends_mask else EVERYTHING).smask
-    _held = ClientState()
+    _client_state = ClientState()
     if _backend.greeting is not None:
-        _hold(_backend.greeting)
+        _apply(_backend.greeting)
     return _backend.port
 
 
 def _reply(name: str, *args: Any) -> Reply | None:
-    """The answer to a call; None, and the reason kept, where there is none."""
+    """Return the reply to a call; None if it failed, with the error in `_error`."""
     global _error
     if _backend is None:
         _error = ConnectionLost(f"{name}: connect_robot first")
@@ -612,14 +627,14 @@ def _reply(name: str, *args: Any) -> Reply | None:
     except NomadError as error:
         _error = error
         if isinstance(error, RobotRefused) and error.code is not None:
-            _hold(Reply("error", values=(error.code,)))
+            _apply(Reply("error", values=(error.code,)))
         return _NAK if isinstance(error, RobotRefused) and error.is_nak else None
-    _hold(reply)
+    _apply(reply)
     return reply
 
 
 def _send(name: str, *args: float) -> int:
-    """A call of integers: TRUE, or FALSE."""
+    """Send a command with integer arguments; return TRUE or FALSE."""
     return int(_reply(name, *[int(number) for number in args]) is not None)
 
 
@@ -629,20 +644,20 @@ def _values(name: str, *args: float) -> Sequence[int] | None:
 
 
 def _arm(name: str, *args: int) -> tuple[int, int]:
-    """Result and rest of the time out of the arm's packet."""
+    """Return result and rest of the timeout from the arm's packet."""
     data = bytes(value & 255 for value in _values(name, *args) or ())[_PACKET_HEAD:]
     return int.from_bytes(data[:4], "little", signed=True), int.from_bytes(data[4:8], "little")
 
 
-def _hold(reply: Reply) -> None:
-    _held.apply_reply(reply)
-    State[:] = [old if value is None else value for old, value in zip(State, _held.slots, strict=True)]
-    if _held.laser is not None:
-        Laser[: len(_held.laser)] = _held.laser
+def _apply(reply: Reply) -> None:
+    _client_state.apply_reply(reply)
+    State[:] = [old if value is None else value for old, value in zip(State, _client_state.slots, strict=True)]
+    if _client_state.laser is not None:
+        Laser[: len(_client_state.laser)] = _client_state.laser
 
 
 def _fill(target: Out, values: Sequence[Any] | None) -> int:
-    """Put the numbers where the C pointer points: what lies behind them stays. FALSE where there are none."""
+    """Write values to the start of a C array; FALSE if there are none."""
     if values is None:
         return FALSE
     target[: len(values)] = values
@@ -650,7 +665,7 @@ def _fill(target: Out, values: Sequence[Any] | None) -> int:
 
 
 def _stamp(key: str) -> list[int]:
-    return list(_held.stamps.get(key, NO_STAMP))
+    return list(_client_state.stamps.get(key, NO_STAMP))
 
 
 def _polygon(obs: Ints) -> Ints:

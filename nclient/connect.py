@@ -28,22 +28,29 @@ from typing import Any, Final
 from nclient.aio import AsyncRobot
 from nclient.backends.base import Backend, LinkStatistics
 from nclient.backends.direct import DirectBackend
-from nclient.backends.keep_alive import Feeding
+from nclient.backends.keep_alive import KeepAlive
 from nclient.backends.nserver import DEFAULT_TIMEOUT_S, NserverBackend
-from nclient.backends.wrappers import POLL_S, Beside, BumperStop, Capped, Reconnecting, Retrying
+from nclient.backends.wrappers import (
+    POLL_S,
+    BumperStop,
+    ReconnectingBackend,
+    RetryingBackend,
+    SimulationBackendMux,
+    SpeedLimiter,
+)
 from nclient.errors import AddressError, ConnectionLost
 from nclient.faults.frames import Injector, LineLanguage, TcpLanguage
 from nclient.faults.inject import FaultyLine, FaultyStream
 from nclient.faults.plan import require_rules_for
 from nclient.protocol.types import MODELS, Model
 from nclient.recording.format import Recording, read_recording
-from nclient.recording.recorder import HANDSHAKE_FIRST, TCP, ProgramsRecording, Recorded
+from nclient.recording.recorder import HANDSHAKE_FIRST, TCP, ClientRecording, RecordingTarget
 from nclient.recording.replayer import STRICT, Player, RecordedConnection, ReplayPeer, load_exchanges
 from nclient.robot import Robot
 from nclient.transports import memory, serial, tcp
 from nclient.transports.memory import MemoryStream
 from nclient.transports.stream import ByteStream
-from nclient.url import SCHEMES, Address, known_schemes, parse_address, split_address
+from nclient.url import SCHEMES, Address, available_schemes, parse_address, split_address
 
 DEFAULT_ADDRESS: Final = "nserver://localhost:7019/1"
 VARIABLE: Final = "NOMAD_ROBOT"
@@ -106,7 +113,7 @@ class Connector:
         self.plan_injector: Injector | None = None
         self._injector = injector
         self._create = options.create
-        self._recorder: ProgramsRecording | None = None
+        self._recorder: ClientRecording | None = None
         self._recording: Recording | None = None
         self._replayed: RecordedConnection | None = None
         self._replays = 0
@@ -135,20 +142,20 @@ class Connector:
         try:
             # 2. Recovery. Reconnecting is the inner one: a retry may find the link open again.
             if options.reconnect:
-                backend = Reconnecting(backend, self.open_session, options.reconnect)
+                backend = ReconnectingBackend(backend, self.open_session, options.reconnect)
             if options.retries:
-                backend = Retrying(backend, options.retries)
+                backend = RetryingBackend(backend, options.retries)
             # 3. Safety. Keep-alive polls often enough for the bumper stop inside it to see a hit.
             if options.bumper_stop:
                 backend = BumperStop(backend)
             if options.tm_s and self._needs_keep_alive(backend):
                 interval_s = POLL_S if options.bumper_stop else float("inf")
-                backend = Feeding(backend, options.tm_s, feeds=bool(options.feed), at_least_every_s=interval_s)
+                backend = KeepAlive(backend, options.tm_s, feeds=bool(options.feed), at_least_every_s=interval_s)
             # 4. Speed limits, outermost: no other layer commands a speed.
             if options.max_turn_deg_s:
-                backend = Capped(backend, max_turn_deg_s=options.max_turn_deg_s)
+                backend = SpeedLimiter(backend, max_turn_deg_s=options.max_turn_deg_s)
             if options.max_speed_in_s:
-                backend = Capped(backend, max_speed_in_s=options.max_speed_in_s)
+                backend = SpeedLimiter(backend, max_speed_in_s=options.max_speed_in_s)
         except BaseException:
             backend.close()
             raise
@@ -164,7 +171,7 @@ class Connector:
         if self.wire != TCP and isinstance(transport, MemoryStream) and self.address.scheme not in SCHEMES:
             # A simulated robot on its serial line: the simulation itself answers what no robot can.
             simulation = self._start_tcp(transport.beside())
-            return Beside(self.start_session(stream, hello=False), simulation)
+            return SimulationBackendMux(self.start_session(stream, hello=False), simulation)
         return self.start_session(stream)
 
     def open_stream(self) -> ByteStream:
@@ -227,7 +234,7 @@ class Connector:
             if self.address.options.record:
                 if self._recorder is None:
                     self._recorder = self._open_recorder(Path(self.address.options.record))
-                stream = self._recorder.around(stream)
+                stream = self._recorder.wrap(stream)
             if injector := self._current_injector():
                 greets = self.wire == HANDSHAKE_FIRST and self.model.sends_mask
                 language = TcpLanguage(wide=False) if self.wire == TCP else LineLanguage(greets)
@@ -237,13 +244,13 @@ class Connector:
             raise
         return stream
 
-    def _open_recorder(self, path: Path) -> ProgramsRecording:
-        header = Recorded(self.address.stripped_text, self.wire, self.model)
+    def _open_recorder(self, path: Path) -> ClientRecording:
+        header = RecordingTarget(self.address.stripped_text, self.wire, self.model)
         if self.address.in_process:
             # Simulated time: entries carry the robot's clock, so that the same run gives the same file.
-            return ProgramsRecording(path, header)
+            return ClientRecording(path, header)
         start_s = time.monotonic()
-        return ProgramsRecording(path, header, lambda: time.monotonic() - start_s, datetime.now(UTC))
+        return ClientRecording(path, header, lambda: time.monotonic() - start_s, datetime.now(UTC))
 
     def _current_injector(self) -> Callable[[], Injector] | None:
         plan = self.address.options.faults
@@ -445,4 +452,4 @@ def _address_of(name: str) -> str | None:
         return os.environ.get(VARIABLE) or None
     # "lab:7654" is a host with its port, whatever schemes there are.
     has_port = name.partition(":")[2].isdecimal()
-    return name if not has_port and split_address(name).scheme in known_schemes() else None
+    return name if not has_port and split_address(name).scheme in available_schemes() else None

@@ -29,10 +29,10 @@ from typing import Final, NamedTuple
 
 from nclient.backends.base import Backend
 from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused, WireError
-from nclient.protocol.commands import COMMANDS, Call, Command, on_line
-from nclient.protocol.types import CPU_RANGE_V, MOTOR_RANGE_V, model_named, volts
+from nclient.protocol.commands import COMMANDS, Call, Command, exists_on_serial
+from nclient.protocol.types import CPU_RANGE_V, MOTOR_RANGE_V, get_model, volts
 from nclient.robot import Robot
-from nclient.state import NOTHING_IN, RobotState
+from nclient.state import NO_ECHO_IN, RobotState
 
 
 class Grade(IntEnum):
@@ -101,9 +101,9 @@ def sonars(states: Sequence[RobotState]) -> list[Finding]:
         name = f"sonar {number}"
         if always(readings, number, DEAD_IN):
             findings.append(fail(name, "reads 0 always: dead", "look after its cable and transducer"))
-        elif stuck(readings, number, (DEAD_IN, NOTHING_IN)):
+        elif stuck(readings, number, (DEAD_IN, NO_ECHO_IN)):
             findings.append(_stuck(name, readings[0][number], " in"))
-    silent = [number for number in range(RING) if always(readings, number, NOTHING_IN)]
+    silent = [number for number in range(RING) if always(readings, number, NO_ECHO_IN)]
     if len(silent) == RING:
         return [warn("sonars", "none hears anything", "is the ring off (conf_sn turns it on), or the hall empty?")]
     alone = [number for number in silent if _neighbours_hear(readings, number)]
@@ -186,7 +186,7 @@ def stuck(readings: Readings, number: int, limits: tuple[int, ...]) -> bool:
 
 def _neighbours_hear(readings: Readings, number: int) -> bool:
     sides = ((number - 1) % RING, (number + 1) % RING)
-    return all(any(DEAD_IN < reading[side] < NOTHING_IN for reading in readings) for side in sides)
+    return all(any(DEAD_IN < reading[side] < NO_ECHO_IN for reading in readings) for side in sides)
 
 
 def _stuck(name: str, value: int, unit: str) -> Finding:
@@ -229,7 +229,7 @@ class DiagnosticData:
     """
 
     model: str = ""
-    on_line: bool = False
+    is_serial: bool = False
     states: list[RobotState] = field(default_factory=list)
     latencies: list[float] = field(default_factory=list)
     losses: list[str] = field(default_factory=list)
@@ -283,12 +283,12 @@ class Diagnostics:
             chart.states.append(state)
             chart.latencies.append(now_s - asked_s)
             chart.elapsed_s = now_s - start_s
-            if chart.on_line or state.raw[0]:
+            if chart.is_serial or state.raw[0]:
                 self._sleep(max(0.0, interval_s - (now_s - asked_s)))
 
     def _question(self, chart: DiagnosticData) -> None:
         for row in _QUESTIONS:
-            if row.name not in _NOT_THE_ROBOTS and self._has(row, chart.on_line):
+            if row.name not in _NOT_THE_ROBOTS and self._has(row, chart.is_serial):
                 chart.answers[row.name] = self._answer(row)
 
     def _answer(self, row: Command) -> str:
@@ -306,7 +306,7 @@ class Diagnostics:
         """Whether this model has what the question asks for. Nserver answers for the compass of a N150, too."""
         model = self._robot.model
         if line:
-            return on_line(row, model)
+            return exists_on_serial(row, model)
         lacks = {"get_ir": not model.has_infrared, "get_cp": not model.has_turret,
                  "get_ls": not model.has_laser, "get_sg": not model.has_laser}
         return not lacks.get(row.name, False)
@@ -337,7 +337,7 @@ def report(chart: DiagnosticData) -> list[Finding]:
     findings += _line_faults(chart)
     findings += [_firmware(chart), motion(chart.states), clock(chart.states, chart.elapsed_s)]
     findings += sonars(chart.states)
-    if model_named(chart.model).has_infrared:
+    if get_model(chart.model).has_infrared:
         findings += infrareds(chart.states)
     return [*findings, bumpers(chart.states), *batteries(chart.states[-1])]
 

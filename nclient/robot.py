@@ -1,35 +1,57 @@
-"""Robot: a method a command, in plain verbs and named units, whatever is at the other end.
+"""Robot: one method per command, in plain verbs and units, for every kind of connection.
 
-    robot.drive(translation_m_s=0.2, steering_deg_s=-5)    the unit stands in the keyword; what is not given is 0
-    state = robot.refresh()                                motion, configuration and questions give the RobotState
+    robot.drive(translation_m_s=0.2, steering_deg_s=-5)    the keyword names the unit; what is not given is 0
+    state = robot.refresh()                                motions, settings and queries return the RobotState
 
-Rules: thin: units in, a Call, the state out; the C name in the docstring. Two units of one quantity at once are a
-TypeError. Every method may raise ConnectionLost, ReplyTimeout and RobotRefused (errors.py says what is left after).
-A Scout has no turret: drive, move and their kin turn translation and steering into its wheels (scout_vm's arithmetic).
+Each docstring names the function of Nclient.h ("C: vm"). Every method may raise ConnectionLost, ReplyTimeout and
+RobotRefused; methods with a quantity raise TypeError if it is given in two units, and ValueError if it is not finite.
+Inches per second are `_in_s`, metres `_m_s`, degrees `_deg_s`, radians `_rad_s`; angles are counter-clockwise positive.
+A Scout has no turret and two wheels: translation and steering of `drive`, `move` and settings are converted to them.
 """
 
 from __future__ import annotations
 
 import contextlib
 import math
+import os
+import threading
 from collections.abc import Iterable
 from types import TracebackType
-from typing import NamedTuple, Self
+from typing import Any, Final, Literal, NamedTuple, Self
 
-from nclient.errors import BumperHit, ConnectionLost, ReplyTimeout, RobotRefused
+from nclient.backends.base import Backend, LinkStatistics
+from nclient.errors import BumperHit, ConnectionLost, ReplyTimeout, RobotRefused, WireError
+from nclient.protocol.client_state import ClientState
 from nclient.protocol.commands import Call
-from nclient.protocol.types import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE, SONAR_RATE_STEP_S, Mask, Position
-from nclient.robot_world import RobotWorld
-from nclient.state import WHEEL_IN_PER_DEG, RobotState
-from nclient.units import AxisCommand, firing_order, tenths_of
+from nclient.protocol.replies import Reply
+from nclient.protocol.requests import MOTION_ARC, MOTION_LINE
+from nclient.protocol.types import (
+    DEFAULT_SONAR_ORDER,
+    DEFAULT_SONAR_RATE,
+    SONAR_RATE_STEP_S,
+    Mask,
+    Model,
+    Position,
+    rad_from_tenths,
+    tenths_from_rad,
+    unwrap_word,
+)
+from nclient.state import WHEEL_IN_PER_DEG, Pose, RobotState, Truth, snapshot
+from nclient.units import AxisCommand, Points, firing_order, points_tenths, tenths_of
 
-RING = range(16)
-_HEAD = 4
-_LEAVE = AxisCommand()
+RING: Final = range(16)
+_PACKET_HEAD: Final = 4
+"""Bytes of a special packet before its data: length (two bytes), serial number, type."""
+_LEAVE: Final = AxisCommand()
+_TIME_VERBS: Final = {"pause": 1, "resume": 2, "speed": 3, "step": 4}
+_TIME_SCALES: Final = {"speed": 10, "step": 1000}
+"""sim_control takes tenths of a factor, and milliseconds."""
+_NOT_IN_STATE: Final = frozenset({"get_ra"})
+"""Its reply has accelerations where the state has velocities; the C library overwrites them, `Robot` does not."""
 
 
 class Accelerations(NamedTuple):
-    """What get_ra answers: inches and degrees a second squared; a Scout's are its right and left wheel's, and 0."""
+    """The reply to get_ra, in inches and degrees per second squared; of a Scout right wheel, left wheel, 0."""
 
     translation_in_s2: float
     steering_deg_s2: float
@@ -37,14 +59,69 @@ class Accelerations(NamedTuple):
 
 
 class ArmAnswer(NamedTuple):
-    """What the arm says after waiting: a result, and what is left of the timeout."""
+    """The arm's reply: its result, and the rest of the timeout in the arm's unit."""
 
     result: int
     remaining: int
 
 
-class Robot(RobotWorld):
-    """A robot, connected. Made by nclient.connect; leaving its `with` block stops the robot and disconnects."""
+class Arc(NamedTuple):
+    """A circular path: start point, start and end angle, radius, centre; inches and radians."""
+
+    x_in: float
+    y_in: float
+    from_rad: float
+    to_rad: float
+    radius_in: float
+    centre_x_in: float
+    centre_y_in: float
+
+
+class Collision(NamedTuple):
+    """The point where a path first touches an obstacle, and the direction of the normal away from it."""
+
+    x_in: float
+    y_in: float
+    normal_rad: float
+
+
+class RobotPlace(NamedTuple):
+    """Position and heading of one of the server's robots."""
+
+    x_in: float
+    y_in: float
+    heading_rad: float
+
+
+class Prediction(NamedTuple):
+    """Predicted readings: infrareds 0..15, sonars in inches, the laser vector in 1/10 inch."""
+
+    infrareds: tuple[int, ...]
+    sonars_in: tuple[int, ...]
+    laser: tuple[int, ...]
+
+
+class SimulatedTime(NamedTuple):
+    """The clock of a simulation in seconds, its speed (0: as fast as possible), and True if it is paused."""
+
+    time_s: float
+    factor: float
+    paused: bool
+
+
+class Robot:
+    """A connected robot, made by `nclient.connect`. Leaving its `with` block stops the robot and disconnects.
+
+    Methods may be called from several threads; exchanges do not overlap.
+    """
+
+    def __init__(self, backend: Backend) -> None:
+        self._backend = backend
+        self._client_state = ClientState()
+        self._lock = threading.RLock()
+        if backend.greeting is not None:
+            self._client_state.apply_reply(backend.greeting)
+        self._state = snapshot(self._client_state, backend.wire_state.model)
 
     def __enter__(self) -> Self:
         return self
@@ -53,6 +130,7 @@ class Robot(RobotWorld):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         try:
+            # A lost link is no news here: the robot stops by its motion timeout.
             with contextlib.suppress(ConnectionLost, ReplyTimeout):
                 self.stop()
         except (RobotRefused, BumperHit):
@@ -61,11 +139,44 @@ class Robot(RobotWorld):
         finally:
             self.disconnect()
 
+    @property
+    def model(self) -> Model:
+        """The robot's model, as the address or the recording names it."""
+        return self._backend.wire_state.model
+
+    @property
+    def closed(self) -> bool:
+        """True if the connection is over; every method then raises ConnectionLost."""
+        return self._backend.closed
+
+    @property
+    def link(self) -> LinkStatistics | None:
+        """Statistics of the link; print them for a summary. None over TCP without `reconnect=` in the address."""
+        return self._backend.link
+
+    @property
+    def state(self) -> RobotState:
+        """The state after the last exchange; sends nothing and never waits."""
+        return self._state
+
+    def execute(self, call: Call) -> Reply:
+        """Execute a command of `nclient.protocol.commands` in wire units and return its reply."""
+        with self._lock:
+            try:
+                reply = self._backend.execute(call)
+            except RobotRefused as refusal:
+                if refusal.code is not None:
+                    self._apply(Reply("error", values=(refusal.code,)))
+                raise
+            if call.name not in _NOT_IN_STATE:
+                self._apply(reply)
+            return reply
+
     def disconnect(self) -> None:
-        """End the conversation; the robot is not told to stop. Twice is fine. C: disconnect_robot"""
+        """Close the connection; the robot is not stopped. May be called twice. C: disconnect_robot"""
         self._backend.close()
 
-    # motion
+    # -- motion -------------------------------------------------------------------------------------------------------
 
     def drive(
         self,
@@ -77,8 +188,23 @@ class Robot(RobotWorld):
         turret_deg_s: float | None = None,
         turret_rad_s: float | None = None,
     ) -> RobotState:
-        """Drive each axis at a velocity until told otherwise; an axis that is not named stands still. C: vm"""
-        return self._axes(
+        """Drive each axis at a velocity until the next motion command; an axis that is not given stands. C: vm
+
+        Parameters
+        ----------
+        translation_in_s, translation_m_s
+            Velocity along the steering direction, in steps of 0.1 in/s.
+        steering_deg_s, steering_rad_s
+            Turn rate of the steering, of a Scout of its body, in steps of 0.1 deg/s.
+        turret_deg_s, turret_rad_s
+            Turn rate of the turret.
+
+        Raises
+        ------
+        RobotRefused
+            If a Scout gets a turn rate of the turret.
+        """
+        return self._command_axes(
             "vm",
             tenths_of(translation_in_s=translation_in_s, translation_m_s=translation_m_s),
             tenths_of(steering_deg_s=steering_deg_s, steering_rad_s=steering_rad_s),
@@ -95,8 +221,23 @@ class Robot(RobotWorld):
         turret_deg: float | None = None,
         turret_rad: float | None = None,
     ) -> RobotState:
-        """Move each axis by a distance, all at once, at the speeds of set_speeds; returns at once. C: pr"""
-        return self._axes(
+        """Move all axes by distances, at the speeds of `set_speeds`; does not wait for the end. C: pr
+
+        Parameters
+        ----------
+        translation_in, translation_m
+            Distance along the steering direction, negative backwards, in steps of 0.1 in.
+        steering_deg, steering_rad
+            Angle of the steering, of a Scout of its body, in steps of 0.1 deg.
+        turret_deg, turret_rad
+            Angle of the turret.
+
+        Raises
+        ------
+        RobotRefused
+            If a Scout gets an angle of the turret.
+        """
+        return self._command_axes(
             "pr",
             tenths_of(translation_in=translation_in, translation_m=translation_m),
             tenths_of(steering_deg=steering_deg, steering_rad=steering_rad),
@@ -113,8 +254,11 @@ class Robot(RobotWorld):
         turret_deg: float | None = None,
         turret_rad: float | None = None,
     ) -> RobotState:
-        """Move each axis to a position, 0 where not named; only an N200 can. C: pa"""
-        return self._ask(
+        """Move each axis to an absolute encoder position, 0 where not given; only on an N200's serial line. C: pa
+
+        Units as in `move`. Raises RobotRefused for other models and for servers.
+        """
+        return self._command(
             "pa",
             tenths_of(translation_in=translation_in, translation_m=translation_m),
             tenths_of(steering_deg=steering_deg, steering_rad=steering_rad),
@@ -124,11 +268,16 @@ class Robot(RobotWorld):
     def drive_axes(
         self, translation: AxisCommand = _LEAVE, steering: AxisCommand = _LEAVE, turret: AxisCommand = _LEAVE
     ) -> RobotState:
-        """Command each axis in a mode of its own; a Scout's are right wheel, left wheel, none. C: mv
+        """Command each axis in its own mode. C: mv
 
-        With nothing named it changes nothing: old programs ping a robot like that.
+        Without arguments it changes nothing, which old programs use as a ping.
+
+        Parameters
+        ----------
+        translation, steering, turret
+            From `AxisCommand`; of a Scout right wheel, left wheel, none.
         """
-        return self._ask("mv", *translation, *steering, *turret)
+        return self._command("mv", *translation, *steering, *turret)
 
     def drive_wheels(
         self,
@@ -138,10 +287,10 @@ class Robot(RobotWorld):
         right_m_s: float | None = None,
         left_m_s: float | None = None,
     ) -> RobotState:
-        """Drive a Scout's wheels at velocities; RobotRefused for another model. C: vm"""
+        """Drive the wheels of a Scout at velocities. Raises RobotRefused for other models. C: vm"""
         self._require_wheels("vm")
         right = tenths_of(right_in_s=right_in_s, right_m_s=right_m_s)
-        return self._ask("vm", right, tenths_of(left_in_s=left_in_s, left_m_s=left_m_s), 0)
+        return self._command("vm", right, tenths_of(left_in_s=left_in_s, left_m_s=left_m_s), 0)
 
     def move_wheels(
         self,
@@ -151,33 +300,43 @@ class Robot(RobotWorld):
         right_m: float | None = None,
         left_m: float | None = None,
     ) -> RobotState:
-        """Move a Scout's wheels by distances; RobotRefused for another model. C: pr"""
+        """Move the wheels of a Scout by distances. Raises RobotRefused for other models. C: pr"""
         self._require_wheels("pr")
         right = tenths_of(right_in=right_in, right_m=right_m)
-        return self._ask("pr", right, tenths_of(left_in=left_in, left_m=left_m), 0)
+        return self._command("pr", right, tenths_of(left_in=left_in, left_m=left_m), 0)
 
     def stop(self) -> RobotState:
-        """Stop and hold. C: st"""
-        return self._ask("st")
+        """Stop all axes and hold them. C: st"""
+        return self._command("st")
 
     def release(self) -> RobotState:
-        """Let the motors go limp. C: lp"""
-        return self._ask("lp")
+        """Switch the motors off, so that the robot can be pushed. C: lp"""
+        return self._command("lp")
 
     def zero(self) -> RobotState:
-        """Turn steering and turret to the bumper's zero; position and angles then read 0. Takes a while. C: zr"""
-        return self._ask("zr")
+        """Turn steering and turret to the bumper's zero and set position and angles to 0; may take 120 s. C: zr"""
+        return self._command("zr")
 
     def wait_until_still(
         self, timeout_s: float = 20, *, translation: bool = True, steering: bool = True, turret: bool = True
     ) -> RobotState:
-        """The state when the named axes are still, or after the timeout, which stops nothing. C: ws
+        """Wait until the selected axes are still. A timeout stops nothing and raises nothing. C: ws
 
-        `timeout_s`: of the robot's time, rounded up to whole seconds; on a robot's own line at most 255.
+        Parameters
+        ----------
+        timeout_s
+            Maximum wait in seconds of the robot's time, rounded up to whole seconds.
+        translation, steering, turret
+            The axes to wait for.
+
+        Returns
+        -------
+        RobotState
+            The state at the end; `moving` is True after a timeout.
         """
-        return self._ask("ws", int(translation), int(steering), int(turret), _whole_seconds(timeout_s))
+        return self._command("ws", int(translation), int(steering), int(turret), _whole_seconds(timeout_s))
 
-    # configuration
+    # -- settings -----------------------------------------------------------------------------------------------------
 
     def set_speeds(
         self,
@@ -189,8 +348,11 @@ class Robot(RobotWorld):
         turret_deg_s: float | None = None,
         turret_rad_s: float | None = None,
     ) -> RobotState:
-        """Set the speeds of `move`; an axis that is not named gets 0. A Scout's wheels both get translation's. C: sp"""
-        return self._limits(
+        """Set the speeds of `move`; an axis that is not given gets 0. C: sp
+
+        Both wheels of a Scout get the speed of translation; RobotRefused if another one is given.
+        """
+        return self._set_axes(
             "sp",
             tenths_of(translation_in_s=translation_in_s, translation_m_s=translation_m_s),
             tenths_of(steering_deg_s=steering_deg_s, steering_rad_s=steering_rad_s),
@@ -207,8 +369,11 @@ class Robot(RobotWorld):
         turret_deg_s2: float | None = None,
         turret_rad_s2: float | None = None,
     ) -> RobotState:
-        """Set the accelerations; an axis that is not named gets 0. A Scout's wheels both get translation's. C: ac"""
-        return self._limits(
+        """Set the accelerations; an axis that is not given gets 0. C: ac
+
+        Both wheels of a Scout get the acceleration of translation; RobotRefused if another one is given.
+        """
+        return self._set_axes(
             "ac",
             tenths_of(translation_in_s2=translation_in_s2, translation_m_s2=translation_m_s2),
             tenths_of(steering_deg_s2=steering_deg_s2, steering_rad_s2=steering_rad_s2),
@@ -223,8 +388,8 @@ class Robot(RobotWorld):
         x_m: float | None = None,
         y_m: float | None = None,
     ) -> RobotState:
-        """Set what the encoders say of the position, 0 where not named; the robot stays where it is. C: dp"""
-        return self._ask("dp", tenths_of(x_in=x_in, x_m=x_m), tenths_of(y_in=y_in, y_m=y_m))
+        """Set the position of the encoders, 0 where not given; the robot does not move. C: dp"""
+        return self._command("dp", tenths_of(x_in=x_in, x_m=x_m), tenths_of(y_in=y_in, y_m=y_m))
 
     def set_angles(
         self,
@@ -234,13 +399,21 @@ class Robot(RobotWorld):
         turret_deg: float | None = None,
         turret_rad: float | None = None,
     ) -> RobotState:
-        """Set what the encoders say of the angles, 0 where not named; nothing turns. C: da"""
+        """Set the angles of the encoders, 0 where not given; nothing turns. C: da"""
         steering = tenths_of(steering_deg=steering_deg, steering_rad=steering_rad)
-        return self._ask("da", steering, tenths_of(turret_deg=turret_deg, turret_rad=turret_rad))
+        return self._command("da", steering, tenths_of(turret_deg=turret_deg, turret_rad=turret_rad))
 
     def set_timeout(self, timeout_s: float) -> RobotState:
-        """Have the robot stop when no command comes for so many seconds (rounded up); 0 never. C: conf_tm"""
-        return self._ask("conf_tm", _whole_seconds(timeout_s))
+        """Set the motion timeout: the robot stops if no command arrives for that long. C: conf_tm
+
+        From then on the program is responsible: the connection's keep-alive ends.
+
+        Parameters
+        ----------
+        timeout_s
+            Seconds, rounded up to whole ones; 0 switches the timeout off.
+        """
+        return self._command("conf_tm", _whole_seconds(timeout_s))
 
     def select_sensors(
         self,
@@ -252,14 +425,21 @@ class Robot(RobotWorld):
         compass: bool = True,
         laser: bool = True,
     ) -> RobotState:
-        """Say which sensors the states carry from now on; the others keep what they read last. C: ct
+        """Select the sensors whose readings replies carry; others keep their last reading. C: ct
 
-        `motion`: pose and velocities. What position_data asked for stays asked.
+        Parameters
+        ----------
+        infrareds, sonars
+            Numbers of sensors, 0..15.
+        bumpers, compass, laser
+            True to include them.
+        motion
+            True to include pose and velocities.
         """
         position = self._backend.wire_state.mask.position
-        seen = [int(number in frozenset(wanted)) for wanted in (infrareds, sonars) for number in RING]
-        mask = Mask((position, *seen, int(bumpers), *[int(motion)] * 7, 1, int(laser), int(compass)))
-        return self._ask("ct", *mask.smask)
+        rings = [int(number in frozenset(selected)) for selected in (infrareds, sonars) for number in RING]
+        mask = Mask((position, *rings, int(bumpers), *[int(motion)] * 7, 1, int(laser), int(compass)))
+        return self._command("ct", *mask.smask)
 
     def position_data(
         self,
@@ -270,134 +450,413 @@ class Robot(RobotWorld):
         laser: bool = False,
         compass: bool = False,
     ) -> RobotState:
-        """Say for which sensors the states carry position stamps (RobotState.stamps) from now on. C: posDataRequest"""
-        wanted = zip((infrareds, sonars, bumpers, laser, compass), Position, strict=True)
-        bits = sum(bit for asked, bit in wanted if asked)
-        return self._ask("ct", *self._backend.wire_state.mask.with_position(bits).smask)
+        """Select the sensors whose readings get position stamps (`RobotState.stamps`). C: posDataRequest"""
+        selected = zip((infrareds, sonars, bumpers, laser, compass), Position, strict=True)
+        bits = sum(bit for is_selected, bit in selected if is_selected)
+        return self._command("ct", *self._backend.wire_state.mask.with_position(bits).smask)
 
     def configure_sonars(
         self, *, rate: int | None = None, interval_s: float | None = None, order: Iterable[int] = DEFAULT_SONAR_ORDER
     ) -> RobotState:
-        """Set the sonars' firing and restart the ring: its first sensor fires at the clock of the answer. C: conf_sn
+        """Set rate and order of the sonars. The first one then fires at the clock of the reply. C: conf_sn
 
-        `rate` in steps of 4 ms between sensors, or `interval_s` in seconds (to the nearest step), 15 = 60 ms where
-        neither is given; `order`: sensors 0..15 as they fire, none of them: off. Raises ValueError for others.
+        Parameters
+        ----------
+        rate
+            Interval between two firings in steps of 4 ms; default 15 (60 ms).
+        interval_s
+            The same in seconds, rounded to a step; not both.
+        order
+            At most 16 sensors 0..15; none of them switches the sonars off.
+
+        Raises
+        ------
+        TypeError
+            If rate and interval are given.
+        ValueError
+            If the order is not valid.
         """
         if rate is not None and interval_s is not None:
             raise TypeError("rate or interval_s, not both")
         if interval_s is not None:
             rate = round(interval_s / SONAR_RATE_STEP_S)
-        return self._ask("conf_sn", DEFAULT_SONAR_RATE if rate is None else rate, *firing_order(order))
+        return self._command("conf_sn", DEFAULT_SONAR_RATE if rate is None else rate, *firing_order(order))
 
     def configure_infrareds(self, *, history: int = 1, order: Iterable[int] = DEFAULT_SONAR_ORDER) -> RobotState:
-        """Set how many readings an infrared averages (10 at most) and the firing order. C: conf_ir"""
-        return self._ask("conf_ir", history, *firing_order(order))
+        """Set the number of readings that an infrared averages (1..10), and the firing order. C: conf_ir"""
+        return self._command("conf_ir", history, *firing_order(order))
 
     def configure_compass(self, mode: int) -> RobotState:
-        """Set the compass: 0 off, 1 on, 2 calibrating. C: conf_cp"""
-        return self._ask("conf_cp", mode)
+        """Set the mode of the compass: 0 off, 1 on, 2 calibrate. C: conf_cp"""
+        return self._command("conf_cp", mode)
 
     def configure_laser(
         self, mode: int, *, threshold: int = 20, width: int = 20, num_data: int = 20, processing: int = 4
     ) -> RobotState:
-        """Set the laser: mode 51 points, 33 lines (with bit 0 clear it is off), how many columns count (0: all).
+        """Set the mode of the laser. C: conf_ls
 
-        threshold, width and processing are the camera's; in a simulation they have no effect. C: conf_ls
+        Parameters
+        ----------
+        mode
+            51 points, 33 lines; with bit 0 clear the laser is off.
+        num_data
+            Number of camera columns that count, 0 for all.
+        threshold, width, processing
+            Settings of the camera; without effect in a simulation.
         """
-        return self._ask("conf_ls", mode, threshold, width, num_data, processing)
+        return self._command("conf_ls", mode, threshold, width, num_data, processing)
 
     def configure_segments(self, threshold: int, min_points: int, gap: int) -> RobotState:
-        """Set how laser points become line segments. C: conf_sg"""
-        return self._ask("conf_sg", threshold, min_points, gap)
+        """Set how laser points are combined to line segments. C: conf_sg"""
+        return self._command("conf_sg", threshold, min_points, gap)
 
     def configure_serial_port(self, port: int, baud: int) -> RobotState:
-        """Set the speed of another serial port of the robot; exists on the robot's own line only. C: conf_ser"""
-        return self._ask("conf_ser", port, baud)
+        """Set the speed of another serial port of the robot; on a serial line only. C: conf_ser"""
+        return self._command("conf_ser", port, baud)
 
-    # questions
+    # -- queries ------------------------------------------------------------------------------------------------------
 
     def refresh(self) -> RobotState:
-        """Ask for the whole state. C: gs"""
-        return self._ask("gs")
+        """Query the whole state. C: gs"""
+        return self._command("gs")
 
     def read_infrareds(self) -> RobotState:
-        """Ask for the infrareds. C: get_ir"""
-        return self._ask("get_ir")
+        """Query the infrareds. C: get_ir"""
+        return self._command("get_ir")
 
     def read_sonars(self) -> RobotState:
-        """Ask for the sonars. C: get_sn"""
-        return self._ask("get_sn")
+        """Query the sonars. C: get_sn"""
+        return self._command("get_sn")
 
     def read_pose(self) -> RobotState:
-        """Ask for position and angles. C: get_rc"""
-        return self._ask("get_rc")
+        """Query position and angles of the encoders. C: get_rc"""
+        return self._command("get_rc")
 
     def read_velocities(self) -> RobotState:
-        """Ask for the velocities. C: get_rv"""
-        return self._ask("get_rv")
+        """Query the velocities. C: get_rv"""
+        return self._command("get_rv")
 
     def read_accelerations(self) -> Accelerations:
-        """Ask for the accelerations; the state holds none. C: get_ra"""
+        """Query the accelerations, which the state does not have. C: get_ra"""
         slots = self.execute(Call("get_ra")).slots
         return Accelerations(*[slots.get(slot, 0) / 10 for slot in (38, 39, 40)])
 
     def read_compass(self) -> RobotState:
-        """Ask for the compass. C: get_cp"""
-        return self._ask("get_cp")
+        """Query the compass. C: get_cp"""
+        return self._command("get_cp")
 
     def read_laser(self) -> RobotState:
-        """Ask for the laser. C: get_ls"""
-        return self._ask("get_ls")
+        """Query the laser. C: get_ls"""
+        return self._command("get_ls")
 
     def read_bumpers(self) -> RobotState:
-        """Ask for the bumpers. C: get_bp"""
-        return self._ask("get_bp")
+        """Query the bumpers. C: get_bp"""
+        return self._command("get_bp")
 
     def read_segments(self) -> RobotState:
-        """Ask for the laser's line segments. C: get_sg"""
-        return self._ask("get_sg")
+        """Query the laser's line segments. C: get_sg"""
+        return self._command("get_sg")
 
-    # speech, special packets, the arm
+    # -- speech, special packets, the arm -----------------------------------------------------------------------------
 
     def say(self, text: str) -> None:
-        """Say a text, Latin-1, at most 255 characters. C: tk"""
-        self._values("tk", text)
+        """Speak a text, Latin-1, at most 255 characters. C: tk"""
+        self._query("tk", text)
 
     def send_packet(self, packet_type: int, data: bytes = b"") -> bytes:
-        """Send a user packet; the data of the packet that answers. C: special_request"""
-        values = self._values("special_request", packet_type, *data, at_least=_HEAD)
-        return bytes(value & 255 for value in values[_HEAD:])
+        """Send a special packet and return the data of the packet that replies. C: special_request"""
+        values = self._query("special_request", packet_type, *data, at_least=_PACKET_HEAD)
+        return bytes(value & 255 for value in values[_PACKET_HEAD:])
 
     def arm_zero(self, override: bool = False) -> int:
-        """Zero the arm; its result. C: arm_zr"""
-        return self._arm("arm_zr", int(override)).result
+        """Zero the arm and return its result. C: arm_zr"""
+        return self._query_arm("arm_zr", int(override)).result
 
     def arm_wait(self, *, lift: bool = True, grip: bool = True, timeout: int = 0) -> ArmAnswer:
-        """Wait until the arm is still; `timeout` in the arm's own unit. C: arm_ws"""
-        return self._arm("arm_ws", int(lift), int(grip), timeout)
+        """Wait until the arm is still; `timeout` in the arm's unit. C: arm_ws"""
+        return self._query_arm("arm_ws", int(lift), int(grip), timeout)
 
     def arm_move(self, *, lift_mode: int = 0, lift_value: int = 0, grip_mode: int = 0, grip_value: int = 0) -> int:
-        """Move the arm, in its own modes and units; its result. C: arm_mv"""
-        return self._arm("arm_mv", lift_mode, lift_value, grip_mode, grip_value).result
+        """Move the arm, in its own modes and units, and return its result. C: arm_mv"""
+        return self._query_arm("arm_mv", lift_mode, lift_value, grip_mode, grip_value).result
 
-    def _arm(self, name: str, *args: int) -> ArmAnswer:
-        data = bytes(value & 255 for value in self._values(name, *args, at_least=_HEAD + 4)[_HEAD:])
+    # -- the server's robots and world; a real robot's serial line has none of these ----------------------------------
+
+    def connect_robot(self, robot_id: int) -> RobotState:
+        """Switch this connection to another robot of the server. C: connect_robot
+
+        Raises RobotRefused if there is none of that number; nserver then keeps the current robot.
+        """
+        with self._lock:
+            self.execute(Call("connect_robot", (robot_id, os.getpid())))
+            return self._command("gs")
+
+    def create_robot(self, robot_id: int) -> RobotState:
+        """Create a robot of that number and switch to it. C: create_robot"""
+        with self._lock:
+            self.execute(Call("create_robot", (robot_id, os.getpid())))
+            return self._command("gs")
+
+    def place(self, pose: Pose) -> None:
+        """Place the robot and its encoders at a pose. C: place_robot
+
+        Raises RobotRefused if it would touch an obstacle there.
+        """
+        self._query("place_robot", *_pose_tenths(pose))
+
+    def read_robots(self) -> tuple[RobotPlace, ...]:
+        """Query position and heading of all robots. C: get_rpx"""
+        count, *numbers = self._query("get_rpx", at_least=1)
+        if len(numbers) != 3 * count:
+            raise WireError(f"get_rpx: {count} robots with {len(numbers)} numbers")
+        triples = zip(numbers[::3], numbers[1::3], numbers[2::3], strict=True)
+        return tuple(RobotPlace(x / 10, y / 10, rad_from_tenths(heading)) for x, y, heading in triples)
+
+    def ask_pose(self) -> Pose:
+        """Wait for a pose clicked in the server's window; without window the robot's pose. C: get_robot_conf"""
+        x, y, steering, turret = self._query("get_robot_conf", at_least=4)
+        return Pose(x / 10, y / 10, rad_from_tenths(steering), rad_from_tenths(turret))
+
+    def add_obstacle(self, *, corners_in: Points | None = None, corners_m: Points | None = None) -> None:
+        """Add a polygon of at most ten corners (x, y), counter-clockwise. C: add_obstacle"""
+        self._query("add_obstacle", *_polygon(corners_in, corners_m))
+
+    def delete_obstacle(self, *, corners_in: Points | None = None, corners_m: Points | None = None) -> None:
+        """Remove the polygon with these corners. C: delete_obstacle"""
+        self._query("delete_obstacle", *_polygon(corners_in, corners_m))
+
+    def move_obstacle(
+        self,
+        *,
+        corners_in: Points | None = None,
+        shift_in: tuple[float, float] | None = None,
+        corners_m: Points | None = None,
+        shift_m: tuple[float, float] | None = None,
+    ) -> tuple[tuple[float, float], ...]:
+        """Shift the polygon with these corners and return its new corners in inches. C: move_obstacle"""
+        shift = points_tenths(None if shift_in is None else [shift_in], None if shift_m is None else [shift_m])
+        _, *moved = self._query("move_obstacle", *_polygon(corners_in, corners_m), *shift, at_least=1)
+        return tuple((x / 10, y / 10) for x, y in zip(moved[::2], moved[1::2], strict=True))
+
+    def clear_world(self) -> None:
+        """Remove all obstacles; marked walls stay. C: new_world"""
+        self._query("new_world")
+
+    def predict_sensors(self, pose: Pose) -> Prediction:
+        """Predict the readings of the sensors at another pose. C: predict_sensors"""
+        reply = self.execute(Call("predict_sensors", _pose_tenths(pose)))
+        return Prediction(reply.values[1:17], reply.values[17:33], reply.laser or (0,))
+
+    def check_motion(
+        self, *, line_in: Points | None = None, line_m: Points | None = None, arc: Arc | None = None
+    ) -> Collision | None:
+        """Find the first collision of a path. C: motion_check
+
+        Parameters
+        ----------
+        line_in, line_m
+            Start and end point (x, y) of a straight path.
+        arc
+            A circular path instead.
+
+        Returns
+        -------
+        Collision or None
+            None if the path is free.
+        """
+        # The doubles of the C call are taken to be tenths of an inch as all its lengths, sent in thousandths.
+        args: tuple[float, ...]
+        if arc is None:
+            args = (MOTION_LINE, *[1000 * number for number in points_tenths(line_in, line_m)])
+        else:
+            x, y, radius, *centre = [10000 * inches for inches in arc[:2] + arc[4:]]
+            args = (MOTION_ARC, x, y, 1000 * arc.from_rad, 1000 * arc.to_rad, radius, *centre)
+        hit, x_hit, y_hit, normal = self._query("motion_check", *args, at_least=4)
+        return Collision(x_hit / 1000, y_hit / 1000, normal / 1e6) if hit else None
+
+    def use_real_robot(self) -> None:
+        """Send commands to the real robot from now on. C: real_robot"""
+        self._query("real_robot")
+
+    def use_simulated_robot(self) -> None:
+        """Send commands to the simulation from now on. C: simulated_robot"""
+        self._query("simulated_robot")
+
+    def quit_server(self) -> None:
+        """End the server. Raises RobotRefused unless its setup allows it. C: quit_server"""
+        self._query("quit_server")
+
+    # -- the server's window ------------------------------------------------------------------------------------------
+
+    def draw_robot(self, pose: Pose, mode: int = 1) -> None:
+        """Draw a robot. C: draw_robot
+
+        Parameters
+        ----------
+        pose
+            The pose to draw it at.
+        mode
+            1 black XOR, 2 the same with an arrow that stays, 3 black, above 3 colour mode - 3, XOR.
+        """
+        self._query("draw_robot", *_pose_tenths(pose), mode)
+
+    def draw_line(self, *, points_in: Points | None = None, points_m: Points | None = None, mode: int = 1) -> None:
+        """Draw a line between two points. C: draw_line
+
+        Parameters
+        ----------
+        points_in, points_m
+            Start and end point (x, y).
+        mode
+            1 black, 2 black XOR, above 2 colour mode - 2, XOR.
+        """
+        self._query("draw_line", *points_tenths(points_in, points_m), mode)
+
+    def draw_arc(
+        self,
+        *,
+        box_in: tuple[float, float, float, float] | None = None,
+        box_m: tuple[float, float, float, float] | None = None,
+        angles_rad: tuple[float, float] = (0.0, math.tau),
+        mode: int = 1,
+    ) -> None:
+        """Draw an arc of an ellipse. C: draw_arc
+
+        Parameters
+        ----------
+        box_in, box_m
+            Bounding box of the ellipse: x, y, width, height.
+        angles_rad
+            Start and end angle.
+        mode
+            As in `draw_line`.
+        """
+        box = points_tenths(_halves(box_in), _halves(box_m))
+        self._query("draw_arc", *box, *[tenths_from_rad(angle) for angle in angles_rad], mode)
+
+    def redraw_all(self) -> None:
+        """Redraw everything. C: refresh_all"""
+        self._query("refresh_all")
+
+    def redraw_all_traces(self) -> None:
+        """Redraw both traces. C: refresh_all_traces"""
+        self._query("refresh_all_traces")
+
+    def redraw_actual_trace(self) -> None:
+        """Redraw the trace of the actual robot. C: refresh_actual_trace"""
+        self._query("refresh_actual_trace")
+
+    def redraw_encoder_trace(self) -> None:
+        """Redraw the trace of the encoder robot. C: refresh_encoder_trace"""
+        self._query("refresh_encoder_trace")
+
+    def redraw_all_sensors(self) -> None:
+        """Redraw all sensors. C: refresh_all_sensors"""
+        self._query("refresh_all_sensors")
+
+    def redraw_bumper_sensor(self) -> None:
+        """Redraw the bumpers. C: refresh_bumper_sensor"""
+        self._query("refresh_bumper_sensor")
+
+    def redraw_infrared_sensor(self) -> None:
+        """Redraw the infrareds. C: refresh_infrared_sensor"""
+        self._query("refresh_infrared_sensor")
+
+    def redraw_sonar_sensor(self) -> None:
+        """Redraw the sonars. C: refresh_sonar_sensor"""
+        self._query("refresh_sonar_sensor")
+
+    def redraw_laser_sensor(self) -> None:
+        """Redraw the laser. C: refresh_laser_sensor"""
+        self._query("refresh_laser_sensor")
+
+    def redraw_client_graphics(self) -> None:
+        """Redraw the drawings of clients. C: refresh_client_graphics"""
+        self._query("refresh_client_graphics")
+
+    # -- simulations of this project ----------------------------------------------------------------------------------
+
+    def truth(self) -> Truth:
+        """Query the ground truth of a simulation. Wire name: sim_truth
+
+        Raises RobotRefused (error 1 or 4) if the other end is no simulation of this project.
+        """
+        _, time_ms, x, y, heading, turret, seed, robot_id = self._query("sim_truth", at_least=8)
+        angles = (math.radians(heading / 1000), math.radians(turret / 1000))
+        return Truth(x / 1000, y / 1000, *angles, time_s=unwrap_word(time_ms) / 1000, seed=seed, robot_id=robot_id)
+
+    def is_simulated(self) -> bool:
+        """Return True if the other end is a simulation of this project, by sending sim_truth.
+
+        A server of the 1990s does not have that command: it refuses it, or leaves it unanswered and the connection
+        is closed after the timeout.
+        """
+        with contextlib.suppress(RobotRefused):
+            self.truth()
+            return True
+        return False
+
+    def control_time(self, verb: Literal["pause", "resume", "speed", "step"], value: float = 0.0) -> SimulatedTime:
+        """Control the time of a simulation. Wire name: sim_control
+
+        Parameters
+        ----------
+        verb
+            "pause", "resume", "step" or "speed".
+        value
+            For "step" seconds; for "speed" a multiple of real time, 0 for as fast as possible.
+
+        Raises
+        ------
+        RobotRefused
+            If the server does not allow it.
+        ValueError
+            For another verb.
+        """
+        if verb not in _TIME_VERBS:
+            raise ValueError(f"a verb is one of {', '.join(_TIME_VERBS)}, not {verb!r}")
+        number = round(value * _TIME_SCALES.get(verb, 0))
+        _, time_ms, speed, paused = self._query("sim_control", _TIME_VERBS[verb], number, at_least=4)
+        return SimulatedTime(time_ms / 1000, speed / 10, bool(paused))
+
+    # -- exchanges ----------------------------------------------------------------------------------------------------
+
+    def _apply(self, reply: Reply) -> None:
+        self._client_state.apply_reply(reply)
+        self._state = snapshot(self._client_state, self._backend.wire_state.model)
+
+    def _command(self, name: str, *args: Any) -> RobotState:
+        """Execute a command by its C name and return the state after it."""
+        with self._lock:
+            self.execute(Call(name, args))
+            return self._state
+
+    def _query(self, name: str, *args: Any, at_least: int = 0) -> tuple[int, ...]:
+        """Execute a command by its C name and return the numbers of its reply."""
+        values = self.execute(Call(name, args)).values
+        if len(values) < at_least:
+            raise WireError(f"{name}: the reply has {len(values)} numbers, expected {at_least}")
+        return values
+
+    def _query_arm(self, name: str, *args: int) -> ArmAnswer:
+        data = bytes(value & 255 for value in self._query(name, *args, at_least=_PACKET_HEAD + 4)[_PACKET_HEAD:])
         return ArmAnswer(int.from_bytes(data[:4], "little", signed=True), int.from_bytes(data[4:8], "little"))
 
-    def _axes(self, name: str, translation: int, steering: int, turret: int) -> RobotState:
+    def _command_axes(self, name: str, translation: int, steering: int, turret: int) -> RobotState:
+        """Command all axes; of a Scout its wheels, with the arithmetic of scout_vm."""
         if self.model.has_turret:
-            return self._ask(name, translation, steering, turret)
-        self._refuse_turret(name, turret)
+            return self._command(name, translation, steering, turret)
+        self._refuse_axis(name, turret)
         turn = int(steering * WHEEL_IN_PER_DEG)
-        return self._ask(name, translation + turn, translation - turn, 0)
+        return self._command(name, translation + turn, translation - turn, 0)
 
-    def _limits(self, name: str, translation: int, steering: int, turret: int) -> RobotState:
+    def _set_axes(self, name: str, translation: int, steering: int, turret: int) -> RobotState:
         if self.model.has_turret:
-            return self._ask(name, translation, steering, turret)
-        self._refuse_turret(name, turret or steering)
-        return self._ask(name, translation, translation, 0)
+            return self._command(name, translation, steering, turret)
+        self._refuse_axis(name, turret or steering)
+        return self._command(name, translation, translation, 0)
 
-    def _refuse_turret(self, name: str, value: int) -> None:
+    def _refuse_axis(self, name: str, value: int) -> None:
         if value:
             raise RobotRefused(name, None, f"a {self.model.name} has no such axis")
 
@@ -410,3 +869,20 @@ def _whole_seconds(seconds: float) -> int:
     if not 0 <= seconds < math.inf:
         raise ValueError(f"timeout_s is 0 or more seconds, not {seconds}")
     return math.ceil(seconds)
+
+
+def _pose_tenths(pose: Pose) -> tuple[int, int, int, int]:
+    x, y = tenths_of(x_in=pose.x_in), tenths_of(y_in=pose.y_in)
+    return x, y, tenths_of(steering_rad=pose.steering_rad), tenths_of(turret_rad=pose.turret_rad)
+
+
+def _polygon(corners_in: Points | None, corners_m: Points | None) -> tuple[int, ...]:
+    numbers = points_tenths(corners_in, corners_m)
+    return len(numbers) // 2, *numbers
+
+
+def _halves(box: Iterable[float] | None) -> Points | None:
+    if box is None:
+        return None
+    x, y, width, height = box
+    return [(x, y), (width, height)]

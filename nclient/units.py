@@ -1,10 +1,9 @@
-"""What a program asks for, in the unit that stands in the keyword, turned into the wire's tenths.
+"""Quantities of programs, with the unit in the keyword, converted to the tenths of the wire.
 
     tenths_of(translation_in_s=2.5)  25        tenths_of(steering_rad=math.pi)  1800
-    tenths_of(x_in=None, x_m=0.3)    118       two units of one quantity at once are a TypeError
+    tenths_of(x_in=None, x_m=0.3)    118       two units of one quantity are a TypeError
 
-Rules: a keyword's ending is its unit; pure numbers, no robot. The nearest tenth is taken; a number that is none (nan,
-inf) is a ValueError.
+Values are rounded to the nearest tenth; nan and inf are a ValueError.
 """
 
 from __future__ import annotations
@@ -22,30 +21,42 @@ _UNIT_OF = {
     "deg": 1.0, "deg_s": 1.0, "deg_s2": 1.0,
     "rad": math.degrees(1), "rad_s": math.degrees(1), "rad_s2": math.degrees(1),
 }  # fmt: skip
-"""Inches or degrees in one of each."""
+"""Inches or degrees per unit, by the ending of a keyword."""
 
 Points = Sequence[tuple[float, float]]
-"""Corners (x, y) of a line or a polygon."""
+"""Points (x, y) of a line or a polygon."""
 
 
 def tenths_of(*, default: int = 0, **quantity: float | None) -> int:
-    """Tenths of the one quantity that is given (not None); `default` when none is.
+    """Return one quantity in tenths of an inch or degree.
 
-    Raises TypeError when more than one is given, ValueError when it is no finite number.
+    Parameters
+    ----------
+    default
+        The result if no value is given.
+    **quantity
+        The same quantity in several units, at most one of them not None; the ending of a keyword is its unit.
+
+    Raises
+    ------
+    TypeError
+        If more than one value is given.
+    ValueError
+        If the value is not finite.
     """
-    given = [(name, value) for name, value in quantity.items() if value is not None]
-    if not given:
+    values = [(name, value) for name, value in quantity.items() if value is not None]
+    if not values:
         return default
-    if len(given) > 1:
-        raise TypeError(f"one of {', '.join(quantity)}, not {' and '.join(name for name, _ in given)}")
-    ((name, value),) = given
+    if len(values) > 1:
+        raise TypeError(f"one of {', '.join(quantity)}, not {' and '.join(name for name, _ in values)}")
+    ((name, value),) = values
     if not math.isfinite(value):
         raise ValueError(f"{name} is a finite number, not {value}")
     return tenths(value * _UNIT_OF[name.partition("_")[2]])
 
 
 def points_tenths(points_in: Points | None, points_m: Points | None) -> tuple[int, ...]:
-    """x1, y1, x2, y2 ... in tenths of an inch. Raises TypeError unless exactly one of the two is given."""
+    """Return x1, y1, x2, y2 ... in tenths of an inch. Raises TypeError unless exactly one argument is not None."""
     if (points_in is None) == (points_m is None):
         raise TypeError("points in inches (..._in) or in metres (..._m): one of them")
     if points_in is not None:
@@ -54,9 +65,17 @@ def points_tenths(points_in: Points | None, points_m: Points | None) -> tuple[in
 
 
 def firing_order(order: Iterable[int]) -> tuple[int, ...]:
-    """A firing order as the wire has it: sixteen numbers, 255 after the last sensor that fires.
+    """Return a firing order in wire format: sixteen numbers, filled up with 255.
 
-    Raises ValueError for more than sixteen, or for a sensor that is not 0..15.
+    Parameters
+    ----------
+    order
+        At most 16 sensors, 0..15.
+
+    Raises
+    ------
+    ValueError
+        If the order is longer or has other numbers.
     """
     numbers = tuple(order)
     if len(numbers) > _RING or any(number not in range(_RING) for number in numbers):
@@ -68,7 +87,7 @@ _RING, _END = 16, 255
 
 
 class AxisMode(IntEnum):
-    """What mv does with an axis."""
+    """Mode of an axis in mv."""
 
     LEAVE = 0
     VELOCITY = 1
@@ -79,11 +98,11 @@ class AxisMode(IntEnum):
 
 
 class AxisCommand(NamedTuple):
-    """One axis' part of Robot.drive_axes: leave it, velocity, relative, limp, acceleration or speed."""
+    """Command of one axis for `Robot.drive_axes`; without arguments the axis is left alone."""
 
     mode: AxisMode = AxisMode.LEAVE
     value: int = 0
-    """Tenths of an inch or a degree, a second or a second squared where the mode says so."""
+    """Tenths of an inch or degree, per second for velocities and speeds, per second squared for accelerations."""
 
     @classmethod
     def velocity(
@@ -94,7 +113,7 @@ class AxisCommand(NamedTuple):
         deg_s: float | None = None,
         rad_s: float | None = None,
     ) -> AxisCommand:
-        """Go at this velocity until told otherwise."""
+        """Return the command to keep this velocity until the next one."""
         return cls(AxisMode.VELOCITY, tenths_of(at_in_s=in_s, at_m_s=m_s, at_deg_s=deg_s, at_rad_s=rad_s))
 
     @classmethod
@@ -106,12 +125,12 @@ class AxisCommand(NamedTuple):
         by_deg: float | None = None,
         by_rad: float | None = None,
     ) -> AxisCommand:
-        """Go this far."""
+        """Return the command to move by this distance or angle."""
         return cls(AxisMode.RELATIVE, tenths_of(by_in=by_in, by_m=by_m, by_deg=by_deg, by_rad=by_rad))
 
     @classmethod
     def limp(cls) -> AxisCommand:
-        """Let the motor go."""
+        """Return the command to switch the motor off."""
         return cls(AxisMode.LIMP)
 
     @classmethod
@@ -123,7 +142,7 @@ class AxisCommand(NamedTuple):
         deg_s2: float | None = None,
         rad_s2: float | None = None,
     ) -> AxisCommand:
-        """Set how fast the axis gains speed."""
+        """Return the command to set the acceleration."""
         return cls(AxisMode.ACCELERATION, tenths_of(to_in_s2=in_s2, to_m_s2=m_s2, to_deg_s2=deg_s2, to_rad_s2=rad_s2))
 
     @classmethod
@@ -135,5 +154,5 @@ class AxisCommand(NamedTuple):
         deg_s: float | None = None,
         rad_s: float | None = None,
     ) -> AxisCommand:
-        """Set the speed that relative motions of the axis go at."""
+        """Return the command to set the speed of relative motions."""
         return cls(AxisMode.SPEED, tenths_of(at_in_s=in_s, at_m_s=m_s, at_deg_s=deg_s, at_rad_s=rad_s))

@@ -19,11 +19,11 @@ from typing import Any, Final, NamedTuple
 from urllib.parse import SplitResult, parse_qsl, unquote, unquote_plus, urlsplit
 
 from nclient.backends.keep_alive import DEFAULT_TIMEOUT_S
-from nclient.backends.wrappers import DEFAULT_RETRIES, LONGEST_PAUSE_S
+from nclient.backends.wrappers import DEFAULT_RETRIES, MAX_PAUSE_S
 from nclient.common.hints import suggest
 from nclient.errors import AddressError, NomadError
 from nclient.faults.plan import Plan, load_plan
-from nclient.protocol.types import N150, Model, model_named
+from nclient.protocol.types import N150, Model, get_model
 from nclient.recording.recorder import HANDSHAKE_FIRST, SERIAL, TCP
 from nclient.recording.replayer import ORDERS
 from nclient.transports import memory
@@ -167,14 +167,14 @@ class Option:
 
 OPTIONS: Final[tuple[Option, ...]] = (
     Option("timeout_s", seconds, _REMOTE),
-    Option("model", model_named, _REMOTE),
+    Option("model", get_model, _REMOTE),
     Option("baud", baud, _SERIAL_PORT),
     Option("checks", flag, _SERIAL_PROTOCOL),
     Option("order", one_of(ORDERS), _REPLAY),
     Option("connection", file_name, _REPLAY),
     Option("record", file_name),
     Option("faults", fault_plan),
-    Option("reconnect", seconds_or_zero, _REMOTE, LONGEST_PAUSE_S, _SERIAL_PROTOCOL),
+    Option("reconnect", seconds_or_zero, _REMOTE, MAX_PAUSE_S, _SERIAL_PROTOCOL),
     Option("retries", count, _SERIAL_PROTOCOL, DEFAULT_RETRIES, _SERIAL_PROTOCOL),
     Option("bumper_stop", flag),
     # Where time runs by itself, a robot has to stop when its program dies; a simulation waits for its client instead.
@@ -340,7 +340,7 @@ def parse_address(text: str) -> Address:
     values = {option.name: option.default for option in options if raw.scheme in option.default_for}
     values |= raw.parse_options({option.name: option.parse for option in options}, ignore_unknown=is_foreign)
     if is_foreign:
-        values["model"] = model_named(raw.options.get("robot", N150.name))
+        values["model"] = get_model(raw.options.get("robot", N150.name))
 
     # 3. Place: host and port, device, or file.
     place = {} if is_foreign else _parse_place(raw, scheme)
@@ -351,13 +351,13 @@ def parse_address(text: str) -> Address:
     )  # fmt: skip
 
 
-def known_schemes() -> tuple[str, ...]:
+def available_schemes() -> tuple[str, ...]:
     """Return all address schemes, sorted."""
     return tuple(sorted({*SCHEMES, *memory.schemes()}))
 
 
 def _unknown_scheme(raw: RawAddress) -> AddressError:
-    schemes = known_schemes()
+    schemes = available_schemes()
     name = raw.scheme or raw.text.partition("/")[0].lower()
     hint = suggest(name, schemes, before="", after=":? ")
     return AddressError(

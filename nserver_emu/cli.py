@@ -1,11 +1,11 @@
-"""`nserver`: the command line of the daemon. Reads options, builds the simulation, hands both to the daemon.
+"""`nserver`: the command line of the daemon. Reads options, builds the simulation, and runs the daemon.
 
     nserver [options] [WORLD] [robot.setup] [world.setup]       the original's -help -noisy -port n work as well
-    nserver ctl COMMAND                                         says one thing to a daemon that runs (ctl.py)
-    nserver help [ctl]                                          what either takes
+    nserver ctl COMMAND                                         sends a command to a running daemon (control/cli.py)
+    nserver help [ctl]                                          help on either
 
-Rules: one line on stdout that a program can read, `listening nserver HOST:PORT`; everything else goes to stderr.
-Exit codes are those of nclient.common.exit_codes.
+Programs read `listening KIND ADDRESS` lines from stdout; everything else goes to stderr. Exit codes are those of
+nclient.common.exit_codes.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from nclient.common import process
-from nclient.common.allowlist import access_of, warning
+from nclient.common.allowlist import allowlist_from_options, warning
 from nclient.common.arguments import Parser
 from nclient.common.exit_codes import ExitCode
 from nclient.errors import NomadError, SnapshotError
@@ -31,11 +31,10 @@ from nclient.recording.format import read_recording
 from nserver_emu import logs
 from nserver_emu.control import cli
 from nserver_emu.control.options import controlled, may_have_faults
-from nserver_emu.garbage import seldom_sought
 from nserver_emu.gateway import run as real_options
 from nserver_emu.gateway.gateway import Gateway, RealRobotProxy
 from nserver_emu.gateway.run import connected, model_of, run_gateway
-from nserver_emu.legacy_setup import OldSetup, read_setups
+from nserver_emu.legacy_setup import LegacySetup, read_setups
 from nserver_emu.options import DEFAULT_PORT, nserver_parser, read_options
 from nserver_emu.persistence.autosave import SaveFile, autosaved
 from nserver_emu.persistence.options import settle
@@ -46,27 +45,28 @@ from nserver_emu.server.config import MODEL_NAMES, SimulationConfig, robot_place
 from nserver_emu.server.connection import MAX_REQUESTS_PER_TURN
 from nserver_emu.server.context import Allowed, SimulationClock
 from nserver_emu.server.daemon import Daemon, stop_on_signals
+from nserver_emu.server.garbage_collection import rare_collection
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.limits import limits_of, make_room
 from nserver_emu.server.link import FaultController
 from nserver_emu.server.serial_lines import at_port, open_lines
-from nserver_emu.service import STOPPING, Manager, announced
-from nserver_emu.viewer.options import viewed
+from nserver_emu.service import STOPPING, ServiceManager, announced
+from nserver_emu.viewer.options import running_viewer
 from worlds.io import load_world, world_names
 from worlds.raycast import load_compiled
 
 log = logging.getLogger(__name__)
 
 CONTROL = "ctl"
-"""Instead of options: what follows is for a daemon that runs (ctl.py)."""
+"""First word of a command for a running daemon."""
 HELP = "help"
-"""Instead of options: to be told what there is."""
+"""First word of a request for help."""
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run the daemon until SIGINT or SIGTERM, or until a client that may ends it; the exit code."""
+    """Run the daemon until SIGINT or SIGTERM, or until an authorized client ends it; return the exit code."""
     process.ensure_std_streams()
-    words = _asked_for_help(sys.argv[1:] if argv is None else argv)
+    words = _help_as_option(sys.argv[1:] if argv is None else argv)
     run = _daemon if words[:1] != [CONTROL] else lambda words: cli.main(words[1:])
     try:
         code = run(words)
@@ -76,8 +76,8 @@ def main(argv: list[str] | None = None) -> int:
     return code
 
 
-def _asked_for_help(words: list[str]) -> list[str]:
-    """`help` as the option; any other words as they are."""
+def _help_as_option(words: list[str]) -> list[str]:
+    """Replace `help` by --help; return any other words unchanged."""
     if words[:1] != [HELP]:
         return words
     if words[1:2] not in ([], [CONTROL]):
@@ -88,7 +88,7 @@ def _asked_for_help(words: list[str]) -> list[str]:
 def _daemon(words: list[str]) -> int:
     parser = nserver_parser()
     options = read_options(parser, words)
-    logs.begin(options)
+    logs.configure(options)
     settle(parser, options)
     try:
         if options.list_worlds:
@@ -98,9 +98,9 @@ def _daemon(words: list[str]) -> int:
             return _replay(options.replay)
         return asyncio.run(_serve(options))
     except NomadError as error:
-        logs.tell_failure(options, error)
+        logs.log_failure(options, error)
         return ExitCode.USAGE if error.usage else ExitCode.FAILED
-    except KeyboardInterrupt:  # not while it serves: that ends as it should (stop_on_signals)
+    except KeyboardInterrupt:  # before it serves: afterwards stop_on_signals handles it
         return ExitCode.INTERRUPTED
 
 
@@ -114,7 +114,7 @@ async def _serve(options: argparse.Namespace) -> int:
 
 
 async def _serve_with(
-    proxies: Mapping[int, RealRobotProxy], setups: OldSetup, options: argparse.Namespace, faults: FaultController
+    proxies: Mapping[int, RealRobotProxy], setups: LegacySetup, options: argparse.Namespace, faults: FaultController
 ) -> int:
     port = next((port for port in (options.port, setups.port) if port is not None), DEFAULT_PORT)
     beginning = _beginning(options, setups.robot or model_of(proxies) or MODEL_NAMES[0])
@@ -124,7 +124,7 @@ async def _serve_with(
         log.warning("paused, and no client can resume: --allow-control lets them")
     gateway = Gateway(emulator, proxies, shadow=options.shadow, wrap=real_options.speed_limiter(options))
     daemon = Daemon(emulator, emulator.clock.factor, gateway if proxies else emulator, faults)
-    daemon.admission = AdmissionControl(limits := limits_of(options), access_of(options))
+    daemon.admission = AdmissionControl(limits := limits_of(options), allowlist_from_options(options))
     make_room(limits.connections + (limits.page_connections if options.viewer else 0))
     daemon.places |= real_options.line_addresses(options)
     stop = asyncio.Event()
@@ -146,31 +146,31 @@ async def _serve_with(
 async def _run(
     daemon: Daemon, gateway: Gateway, options: argparse.Namespace, stop: asyncio.Event, file: SaveFile | None
 ) -> None:
-    """Open what else there is, say where all of it is, and serve to the end."""
+    """Open lines, control socket and page, print their addresses, and serve until the end."""
     lines = await open_lines(daemon, options)
-    manager = Manager(os.environ)
+    manager = ServiceManager(os.environ)
     async with (
         controlled(daemon, options) as control,
-        viewed(daemon, options) as page,
+        running_viewer(daemon, options) as page,
         run_gateway(gateway, daemon, options.shadow_every),
         autosaved(file, options.autosave),
     ):
         for line in (f"listening nserver {at_port(options.bind, daemon.emulator.port)}", *lines, *control, *page):
-            logs.tell(line)
-        with seldom_sought():
+            logs.print_line(line)
+        with rare_collection():
             async with announced(manager):
-                with contextlib.suppress(asyncio.CancelledError):  # Ctrl-C, where a loop has no signal handlers
+                with contextlib.suppress(asyncio.CancelledError):  # Ctrl-C, where an event loop has no signal handlers
                     await daemon.serve(stop, lambda: _end(manager, file))
 
 
-def _end(manager: Manager, file: SaveFile | None) -> None:
-    manager.tell(STOPPING)
+def _end(manager: ServiceManager, file: SaveFile | None) -> None:
+    manager.notify(STOPPING)
     if file:
         file.save()
 
 
 def _beginning(options: argparse.Namespace, robot: str) -> Beginning:
-    """The simulation as the options say, or as a snapshot has it."""
+    """Return the configuration of the simulation: from the options, or from a snapshot."""
     (model, start), *others = robot_placements(options.robot or [robot], options.start or (), options.robots)
     setting = SimulationConfig(
         options.world, model, start, options.seed, options.noisy, options.setup or "", tuple(others), options.model_file
@@ -182,7 +182,7 @@ def _beginning(options: argparse.Namespace, robot: str) -> Beginning:
 
 
 def _replay(path: Path) -> int:
-    """Ask a fresh emulator what a recording asked; FAILED where it says something else."""
+    """Repeat the requests of a recording on a new emulator; return FAILED if a reply differs."""
     recording = read_recording(path)
     if recording.cut:
         log.warning("--replay: %s", recording.cut)
@@ -198,7 +198,7 @@ def _now() -> str:
 
 
 def _saved_on_signal(emulator: Emulator, path: Path | None) -> SaveFile | None:
-    """The file of --save, if there is one; SIGUSR1 writes it, where the system has that signal."""
+    """Return the file of --save, if any; SIGUSR1 writes it, on systems with that signal."""
     if path is None:
         return None
     file = SaveFile(emulator, path)
@@ -224,10 +224,10 @@ def _list_worlds() -> None:
 
 
 def whole_parser() -> Parser:
-    """The parser with `nserver ctl` and `nserver help` as subcommands: for completion. It reads no words itself."""
+    """Return the parser with `nserver ctl` and `nserver help` as subcommands, for shell completion."""
     parser = nserver_parser()
     first = parser.add_subparsers()
-    cli.add_commands(first.add_parser(CONTROL, help="say something to a daemon that runs"))
-    asking = first.add_parser(HELP, help="show what there is", add_help=False)
+    cli.add_commands(first.add_parser(CONTROL, help="send a command to a running daemon"))
+    asking = first.add_parser(HELP, help="show help", add_help=False)
     asking.add_argument("about", nargs="?", choices=[CONTROL])
     return parser

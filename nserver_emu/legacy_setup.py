@@ -1,13 +1,12 @@
-"""The original's robot.setup and world.setup, as far as their keys are known. Text in, a value out.
+"""Reader of the original's robot.setup and world.setup.
 
     [section]            ; a comment
     key = value value \\
           value          a backslash at the end joins the next line
 
-Keys are case-sensitive, the last of two wins, unknown ones are left alone. No sample of either file survives, so what
-is known is little: [server] port; [robot] type; [laser] calibration (8 numbers) and offset (2). What the laser's ten
-numbers mean no source tells: they are checked and kept, and have no effect; `unused` says so to whoever gave them. Our
-own TOML files are the real format.
+Keys are case-sensitive, the last of two entries applies, unknown keys are ignored. No sample of either file survives;
+documented are [server] port, [robot] type, [laser] calibration (8 numbers) and offset (2). The meaning of the laser's
+ten numbers is not documented: they are checked and have no effect, which `unused` reports. New files use TOML.
 """
 
 from __future__ import annotations
@@ -18,19 +17,19 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
-from nclient.common.files import read_data
+from nclient.common.files import read_binary
 from nclient.errors import AddressError, SetupFileError
-from nclient.protocol.types import model_named
+from nclient.protocol.types import get_model
 
 CALIBRATION_NUMBERS: Final = 8
 OFFSET_NUMBERS: Final = 2
-MOST_BYTES: Final = 1 << 20
-"""More than any setup by hand; a larger file is something else."""
+MAX_BYTES: Final = 1 << 20
+"""More than any handwritten setup; a larger file is something else."""
 
 
 @dataclass(frozen=True, slots=True)
-class OldSetup:
-    """What old setup files say; None where they do not. The laser's numbers are kept as they stand, without effect."""
+class LegacySetup:
+    """Settings of old setup files; None where a file has none. The laser's numbers have no effect."""
 
     port: int | None = None
     robot: str | None = None
@@ -39,29 +38,29 @@ class OldSetup:
 
     @property
     def unused(self) -> tuple[str, ...]:
-        """The keys that were given and have no effect."""
+        """Keys that are present and have no effect."""
         given = {"[laser] calibration": self.laser_calibration, "[laser] offset": self.laser_offset}
         return tuple(key for key, numbers in given.items() if numbers is not None)
 
 
 @dataclass(slots=True)
 class Entry:
-    """The words behind a key, and the line on which the key stands."""
+    """The values of a key, and its line number."""
 
     line: int
     words: list[str] = field(default_factory=list)
 
 
-def read_setups(paths: Iterable[Path]) -> OldSetup:
-    """What these files say together, the later ones above the earlier. Raises SetupFileError."""
-    setup = OldSetup()
+def read_setups(paths: Iterable[Path]) -> LegacySetup:
+    """Read setup files; later ones override earlier ones. Raises SetupFileError."""
+    setup = LegacySetup()
     for path in paths:
-        setup = _understood(setup, _parsed_file(path), str(path))
+        setup = _with_entries(setup, _parsed_file(path), str(path))
     return setup
 
 
 def parse_setup(text: str, file: str = "setup") -> Mapping[tuple[str, str], Entry]:
-    """The entries of a setup file by section and key; `file` is what errors call it. Raises SetupFileError."""
+    """Parse a setup file into entries by section and key; `file` is its name in errors. Raises SetupFileError."""
     entries: dict[tuple[str, str], Entry] = {}
     section = ""
     for number, line in _joined(text):
@@ -81,7 +80,7 @@ def parse_setup(text: str, file: str = "setup") -> Mapping[tuple[str, str], Entr
 
 
 def _joined(text: str) -> Iterator[tuple[int, str]]:
-    """The lines with those that a backslash joins in one, and the number on which each begins; comments go first."""
+    """Yield line numbers and lines without comments; lines that end in a backslash are joined with the next."""
     whole, first = "", 0
     for number, line in enumerate(text.splitlines(), start=1):
         first = first or number
@@ -96,12 +95,12 @@ def _joined(text: str) -> Iterator[tuple[int, str]]:
 
 
 def _parsed_file(path: Path) -> Mapping[tuple[str, str], Entry]:
-    data = read_data(path, MOST_BYTES, SetupFileError)
+    data = read_binary(path, MAX_BYTES, SetupFileError)
     return parse_setup(data.decode("latin-1"), str(path))
 
 
-def _understood(setup: OldSetup, entries: Mapping[tuple[str, str], Entry], file: str) -> OldSetup:
-    """The setup with what the known keys of a file say."""
+def _with_entries(setup: LegacySetup, entries: Mapping[tuple[str, str], Entry], file: str) -> LegacySetup:
+    """Return the setup with the settings of one more file."""
     if entry := entries.get(("server", "port")):
         setup = replace(setup, port=_port(entry, file))
     if entry := entries.get(("robot", "type")):
@@ -122,7 +121,7 @@ def _port(entry: Entry, file: str) -> int:
 
 def _robot(entry: Entry, file: str) -> str:
     try:
-        return model_named(" ".join(entry.words)).name
+        return get_model(" ".join(entry.words)).name
     except AddressError as error:
         raise SetupFileError(f"{file}, line {entry.line}: {error}") from None
 

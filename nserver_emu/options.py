@@ -1,8 +1,8 @@
-"""What the words after `nserver` mean: its options, the original's spelling of some, and what is wrong usage.
+"""Options of `nserver`, the original's spelling of some of them, and the checks for wrong usage.
 
-    read_options(parser, words) ──> options, ready to serve by; or the parser says what is wrong, and exit code 2
+    read_options(parser, words) ──> options; or an error message and exit code 2
 
-Rules: no file is opened here but to see whether it is there. A room's own options are in the room (`add_options`).
+Files are only checked for existence here. Options of a package are defined in the package (`add_options`).
 """
 
 from __future__ import annotations
@@ -34,32 +34,33 @@ Number = TypeVar("Number", int, float)
 DEFAULT_PORT = 7019
 MAX_SPEED = "max"
 SETUP_SUFFIX = ".setup"
-MOST_SETUPS = 2
+MAX_SETUPS = 2
 OLD_OPTIONS = ("help", "noisy", "port")
-"""What the original took after a single dash, by as few first letters as one likes."""
+"""Options that the original accepted after a single dash, abbreviated to any number of letters."""
 
 
 def nserver_parser() -> Parser:
-    """Every option that there is."""
+    """Return the parser with all options."""
     parser = Parser(
         prog="nserver",
         description="An Nserver for Nomad robots: a simulated robot that old and new client programs connect to.",
         epilog="example: nserver thesis_room --noisy --seed 1 --start 0,0,0,0; "
-        "nserver ctl --help: what can be said to one that runs",
+        "nserver ctl --help: commands for a running daemon",
     )
     parser.add_argument("files", nargs="*", metavar="WORLD | SETUP",
                         help=f"a shipped world or a TOML file (default: {DEFAULT_WORLD}; see --list-worlds); and the "
-                        "original's robot.setup and world.setup, read for the keys that are known")
-    parser.add_argument("--port", type=_port, help=f"default {DEFAULT_PORT}; 0 takes a free one")
+                        "original's robot.setup and world.setup, of which the documented keys are read")
+    parser.add_argument("--port", type=_port,
+                        help=f"TCP port to listen on (default {DEFAULT_PORT}; 0 takes a free one)")
     parser.add_argument("--bind", type=_host, default=LOOPBACK, metavar="HOST",
                         help=f"address to listen on (default {LOOPBACK}; the protocol has no authentication)")
     _add_robots(parser)
     _add_time(parser)
-    _add_keeping(parser)
+    _add_persistence(parser)
     _add_setup(parser)
-    for room in (serial_lines, real_options, control_options, allowlist, limits, viewer_options):
-        room.add_options(parser)
-    parser.add_argument("--list-worlds", action="store_true", help="name the shipped worlds and stop")
+    for package in (serial_lines, real_options, control_options, allowlist, limits, viewer_options):
+        package.add_options(parser)
+    parser.add_argument("--list-worlds", action="store_true", help="list the shipped worlds and exit")
     logs.add_options(parser)
     parser.add_argument("--version", action="version", version=f"nserver {version()}")
     return parser
@@ -70,53 +71,56 @@ def _add_robots(parser: Parser) -> None:
                         help=f"the robot's model: {', '.join(MODEL_NAMES)} or one of --model-file (default "
                         f"{MODEL_NAMES[0]}); once more for robot 2, and so on")
     parser.add_argument("--robots", type=_robot_count, default=1, metavar="N",
-                        help="how many robots, numbers 1 to N; clients find the second at nserver://HOST/2")
+                        help="number of robots (default 1), numbered 1 to N; clients find the second at nserver://HOST/2")
     parser.add_argument("--model-file", type=Path, metavar="FILE",
-                        help="a TOML file of models that override or add to the known ones")
+                        help="read a TOML file of models that override or extend the built-in ones")
     parser.add_argument("--start", action="append", metavar="X,Y,STEER,TURRET",
-                        help="start pose in inches and degrees; once more for robot 2, and so on")
-    parser.add_argument("--seed", type=_seed, default=0, help="seed of all noise (default 0)")
+                        help="set the start pose in inches and degrees; repeat it for robot 2, and so on")
+    parser.add_argument("--seed", type=_seed, default=0, help="set the seed of all noise (default 0)")
 
 
 def _add_time(parser: Parser) -> None:
     parser.add_argument("--speed", type=_speed, default=1.0, metavar="X",
-                        help=f"simulated seconds a second, {MIN_TIME_FACTOR} to {MAX_TIME_FACTOR:.0f}, or {MAX_SPEED} "
-                        "(default 1)")
-    parser.add_argument("--paused", action="store_true", help="let time stand until a client resumes it")
+                        help=f"run at X simulated seconds per second: {MIN_TIME_FACTOR} to {MAX_TIME_FACTOR:.0f}, or "
+                        f"{MAX_SPEED} (default 1)")
+    parser.add_argument("--paused", action="store_true",
+                        help="start with simulated time paused, until a client resumes it")
     parser.add_argument("--lockstep", type=_lockstep, metavar="DT",
-                        help="let DT simulated seconds pass when a client asks something, and none else")
-    parser.add_argument("--allow-control", action="store_true", help="let clients pause, step and speed up the time")
-    parser.add_argument("--allow-quit", action="store_true", help="let clients end the server")
+                        help="advance simulated time by DT seconds per client request, and only then")
+    parser.add_argument("--allow-control", action="store_true",
+                        help="allow clients to pause, step and speed up simulated time")
+    parser.add_argument("--allow-quit", action="store_true", help="allow clients to end the server")
 
 
-def _add_keeping(parser: Parser) -> None:
-    parser.add_argument("--restore", type=Path, metavar="FILE", help="go on where a saved simulation was, at the pace "
-                        "that it had unless --speed, --paused or --lockstep say another; world, robots, seed and setup "
-                        "are its own; with --save of the same file it begins anew where that is not there yet")
+def _add_persistence(parser: Parser) -> None:
+    parser.add_argument("--restore", type=Path, metavar="FILE",
+                        help="continue a saved simulation with its world, robots, seed and setup, at its pace unless "
+                        "--speed, --paused or --lockstep is given; with --save of the same file start a new one if the "
+                        "file does not exist")
     autosave.add_options(parser)
     parser.add_argument("--record", type=Path, metavar="FILE",
-                        help="write down all that is said, with what it takes to have it said again")
+                        help="record all traffic to FILE, with everything --replay needs")
     parser.add_argument("--replay", type=Path, metavar="FILE",
-                        help="ask what a recording asked once more, compare every byte, and stop; world, robots, seed "
-                        "and setup are its own")
+                        help="repeat the requests of a recording, compare every byte of the replies, and exit; world, "
+                        "robots, seed and setup are the recording's")
 
 
 def _add_setup(parser: Parser) -> None:
     parser.add_argument("--setup", type=_setup, metavar="KIND | FILE.toml",
-                        help="how real: ideal (default), noisy (ramps, noise of motion and sonars), measured (sonars "
-                        "like a Polaroid ring, compass errs too), worn (wheels that err the same way every time); or a "
-                        "file made from one of them, such as the two lines: base = \"measured\", sonar.dead = [3, 11] "
-                        "(every key is in docs/setups.md)")
+                        help="select the noise: ideal (default), noisy (ramps, noise of motion and sonars), measured "
+                        "(acoustics of a Polaroid ring, compass error), worn (systematic wheel errors); or a file "
+                        "based on one of them, such as the two lines: base = \"measured\", sonar.dead = [3, 11] (all "
+                        "keys are in docs/setups.md)")
     parser.add_argument("--noisy", action="store_true", help="the same as --setup noisy")
 
 
 def read_options(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
-    """The options that these words are, with the world, the old setup files (`setups`) and `keeps_pace` sorted out."""
+    """Parse the words; add `world`, the old setup files (`setups`) and `keeps_pace` to the options."""
     words = [_as_value(as_long_option(word)) for word in words]
     options: argparse.Namespace = parser.parse_args(words)
     options.world, options.setups = _sorted_files(parser, options.files)
     _refuse_unknown_models(parser, options)
-    _refuse_what_contradicts(parser, options, words)
+    _refuse_contradictions(parser, options, words)
     serial_lines.refuse(parser, options)
     real_options.refuse(parser, options)
     viewer_options.refuse(parser, options)
@@ -127,15 +131,15 @@ def read_options(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
 
 
 def _refuse_unknown_models(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
-    """Wrong usage, where no file could know the model."""
+    """Report a model that neither the built-in ones nor a model file can have."""
     for name in options.robot or ():
         if options.model_file is None and name.lower() not in MODEL_NAMES:
             hint = suggest(name.lower(), MODEL_NAMES)
             parser.error(f"argument --robot: no model {name!r}; there are {', '.join(MODEL_NAMES)}{hint}")
 
 
-def _refuse_what_contradicts(parser: argparse.ArgumentParser, options: argparse.Namespace, words: list[str]) -> None:
-    """Wrong usage, where one option would be dropped without a word."""
+def _refuse_contradictions(parser: argparse.ArgumentParser, options: argparse.Namespace, words: list[str]) -> None:
+    """Report options that would be ignored beside another."""
     if options.noisy and options.setup not in (None, NOISY.name):
         parser.error(f"argument --noisy: it is --setup {NOISY.name}, and --setup says {options.setup}: leave one out")
     if options.lockstep and restore_options.said(parser, words, ["speed"]):
@@ -143,7 +147,7 @@ def _refuse_what_contradicts(parser: argparse.ArgumentParser, options: argparse.
 
 
 def as_long_option(word: str) -> str:
-    """-noisy, -p: an option of the original by its first letters, as the long one that it is now."""
+    """Return the long form of an abbreviated option of the original, such as -noisy or -p."""
     letters = word[1:]
     if not word.startswith("-") or not letters.isalpha():
         return word
@@ -151,10 +155,10 @@ def as_long_option(word: str) -> str:
 
 
 def _sorted_files(parser: argparse.ArgumentParser, files: list[str]) -> tuple[str, list[Path]]:
-    """The world among the files, and the old setup files: those that are called so, or are there and no TOML."""
+    """Return the world and the old setup files: those with their suffix, or that exist and are no TOML."""
     setups = [name for name in files if _is_setup(name)]
     worlds = [name for name in files if not _is_setup(name)]
-    if len(worlds) > 1 or len(setups) > MOST_SETUPS:
+    if len(worlds) > 1 or len(setups) > MAX_SETUPS:
         parser.error(f"one world and two setup files at most, not {' '.join(files)}")
     return (worlds[0] if worlds else DEFAULT_WORLD), [Path(name) for name in setups]
 
@@ -165,7 +169,7 @@ def _is_setup(name: str) -> bool:
 
 
 def _as_value(word: str) -> str:
-    """Coordinates such as -5,3 are a value: argparse takes what begins with a minus and is no number for an option."""
+    """Protect coordinates such as -5,3, which argparse takes for an option, with a blank."""
     return f" {word}" if re.match(r"-[\d.][^,]*,", word) else word
 
 
@@ -177,8 +181,8 @@ def _speed(text: str) -> float | None:
 
 
 def _lockstep(text: str) -> float:
-    wanted = f"a step is more than 0 and at most {MAX_LOCKSTEP_S:.0f} s"
-    return _number(text, float, (sys.float_info.min, MAX_LOCKSTEP_S), wanted)
+    expected = f"a step is more than 0 and at most {MAX_LOCKSTEP_S:.0f} s"
+    return _number(text, float, (sys.float_info.min, MAX_LOCKSTEP_S), expected)
 
 
 def _robot_count(text: str) -> int:
@@ -194,7 +198,7 @@ def _seed(text: str) -> int:
 
 
 def _setup(text: str) -> str:
-    """The name of a setup, or a file, which is read later."""
+    """Return the name of a setup, or of a file, which is read later."""
     if text not in SETUPS and not text.endswith(SUFFIX):
         raise argparse.ArgumentTypeError(
             f"no setup {text!r}; there are {', '.join(SETUPS)}, and files that end in {SUFFIX}"
@@ -209,11 +213,11 @@ def _host(text: str) -> str:
     return text
 
 
-def _number(text: str, kind: Callable[[str], Number], bounds: tuple[float, float], wanted: str) -> Number:
+def _number(text: str, kind: Callable[[str], Number], bounds: tuple[float, float], expected: str) -> Number:
     try:
         number = kind(text)
     except ValueError:
-        raise argparse.ArgumentTypeError(f"{wanted}, not {text!r}") from None
+        raise argparse.ArgumentTypeError(f"{expected}, not {text!r}") from None
     if not bounds[0] <= number <= bounds[1]:
-        raise argparse.ArgumentTypeError(f"{wanted}, not {text}")
+        raise argparse.ArgumentTypeError(f"{expected}, not {text}")
     return number

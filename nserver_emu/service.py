@@ -1,11 +1,11 @@
-"""What a daemon tells the service manager that started it, as sd_notify(3) has it: a datagram to NOTIFY_SOCKET.
+"""Notification of a service manager, as sd_notify(3) specifies it: datagrams to NOTIFY_SOCKET.
 
-    READY=1      all doors are open             WATCHDOG=1    the loop goes round, twice within WATCHDOG_USEC
-    STOPPING=1   told to end                    nothing       where no service manager asked for it
+    READY=1      all ports are open             WATCHDOG=1    the event loop runs; sent twice within WATCHDOG_USEC
+    STOPPING=1   the daemon ends                nothing       where no service manager started the daemon
 
-Rules: the watchdog is fed by the loop that serves the clients, so that a loop that hangs is seen. Nothing said here can
-fail the daemon, nor is it waited for: what a manager does not take now, since its queue is full or it is begun anew, is
-told again the next time. That is logged once, until it listens again.
+The watchdog message comes from the event loop that serves the clients, so that a blocked loop is detected. Notification
+never waits and never fails the daemon: what the manager does not accept, because its queue is full or it restarts, is
+sent again later. This is logged once, until it accepts messages again.
 """
 
 from __future__ import annotations
@@ -24,56 +24,63 @@ READY: Final = "READY=1"
 STOPPING: Final = "STOPPING=1"
 WATCHDOG: Final = "WATCHDOG=1"
 _US_PER_S: Final = 1e6
-_AGAIN_S: Final = 1.0
-"""How soon what was not taken is told again, where no watchdog is fed."""
+_RETRY_S: Final = 1.0
+"""Interval at which unaccepted messages are repeated where there is no watchdog."""
 
 
-class Manager:
-    """Whoever started us. `environment`: NOTIFY_SOCKET, a path or @abstract; WATCHDOG_USEC, for WATCHDOG_PID or all."""
+class ServiceManager:
+    """The service manager that started the daemon.
+
+    Parameters
+    ----------
+    environment : NOTIFY_SOCKET, a path or @abstract name; WATCHDOG_USEC, for process WATCHDOG_PID or for all.
+    """
 
     def __init__(self, environment: Mapping[str, str]) -> None:
-        self._place = environment.get("NOTIFY_SOCKET", "")
-        meant = environment.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
-        asked = environment.get("WATCHDOG_USEC", "")
-        self.feed_s = int(asked) / _US_PER_S / 2 if self._place and meant and asked.isdecimal() else 0.0
-        """How often the watchdog is fed; 0: there is none."""
-        self._owed: list[str] = []
-        self._listens = True
+        self._address = environment.get("NOTIFY_SOCKET", "")
+        is_for_us = environment.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
+        timeout_us = environment.get("WATCHDOG_USEC", "")
+        has_watchdog = bool(self._address) and is_for_us and timeout_us.isdecimal()
+        self.feed_s = int(timeout_us) / _US_PER_S / 2 if has_watchdog else 0.0
+        """Interval of watchdog messages; 0 without a watchdog."""
+        self._unsent: list[str] = []
+        self._accepts = True
 
     @property
-    def again_s(self) -> float:
-        """How soon there is something to tell; 0: never."""
-        return self.feed_s or (_AGAIN_S if self._owed else 0.0)
+    def interval_s(self) -> float:
+        """Seconds to the next message; 0: none."""
+        return self.feed_s or (_RETRY_S if self._unsent else 0.0)
 
     def feed(self) -> None:
-        """Tell what is owed, and that the loop goes round."""
-        self.tell(*self._owed, *([WATCHDOG] if self.feed_s else []))
+        """Repeat unsent messages, and send the watchdog message."""
+        self.notify(*self._unsent, *([WATCHDOG] if self.feed_s else []))
 
-    def tell(self, *words: str) -> None:
-        """Say this, one a line; what is not taken is owed, but for WATCHDOG, which is out of date then."""
-        if not self._place:
+    def notify(self, *messages: str) -> None:
+        """Send messages, one per line; unaccepted ones are sent again later, except WATCHDOG."""
+        if not self._address:
             return
-        self._owed = [word for word in words if word != WATCHDOG]
+        self._unsent = [message for message in messages if message != WATCHDOG]
+        # An abstract socket is written with @ in the variable and with a zero byte in the address.
+        address = self._address.replace("@", "\0", 1) if self._address[0] == "@" else self._address
         try:
-            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as teller:
-                teller.setblocking(False)
-                teller.sendto("\n".join(words).encode(), self._place.replace("@", "\0", 1) if self._place[0] == "@"
-                              else self._place)
+            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
+                sender.setblocking(False)
+                sender.sendto("\n".join(messages).encode(), address)
         except OSError as error:
-            if self._listens:
-                log.warning("the service manager at %s does not listen: %s; it is told again", self._place, error)
-            self._listens = False
+            if self._accepts:
+                log.warning("the service manager at %s does not listen: %s; trying again", self._address, error)
+            self._accepts = False
             return
-        if not self._listens:
-            log.warning("the service manager at %s listens again", self._place)
-        self._listens, self._owed = True, []
+        if not self._accepts:
+            log.warning("the service manager at %s listens again", self._address)
+        self._accepts, self._unsent = True, []
 
 
 @contextlib.asynccontextmanager
-async def announced(manager: Manager) -> AsyncIterator[None]:
-    """The daemon is ready; while it lasts, the watchdog is fed."""
-    manager.tell(READY)
-    feeding = asyncio.create_task(_feed(manager)) if manager.again_s else None
+async def announced(manager: ServiceManager) -> AsyncIterator[None]:
+    """Report that the daemon is ready, and feed the watchdog meanwhile."""
+    manager.notify(READY)
+    feeding = asyncio.create_task(_feed(manager)) if manager.interval_s else None
     try:
         yield
     finally:
@@ -83,7 +90,7 @@ async def announced(manager: Manager) -> AsyncIterator[None]:
                 await feeding
 
 
-async def _feed(manager: Manager) -> None:
-    while manager.again_s:
+async def _feed(manager: ServiceManager) -> None:
+    while manager.interval_s:
         manager.feed()
-        await asyncio.sleep(manager.again_s)
+        await asyncio.sleep(manager.interval_s)

@@ -30,7 +30,7 @@ import numpy as np
 from nclient.common.hints import suggest
 from nclient.errors import WorldFileError
 from worlds.geometry import FloatArray, lengths, polygon_segments, polyline_segments
-from worlds.schema import SHORTEST_IN, Table, read_text, require_outline, toml_of
+from worlds.schema import SHORTEST_IN, Table, parse_toml, read_text, require_outline
 from worlds.world import AT_ORIGIN, Path, Point, Polygon, StartPose, World
 
 SHIPPED: Final = FilePath(__file__).resolve().parent
@@ -68,7 +68,7 @@ def read_world_text(name_or_path: str | PathLike[str]) -> tuple[str, FilePath]:
 def parse_world(text: str, file: str, name: str) -> World:
     """The world that the text of a file describes; `file` is what errors call it, `name` what it is called
     unless it says so itself. Raises WorldFileError."""
-    values = toml_of(text, file)
+    values = parse_toml(text, file)
     top = Table(file, "", values)
     top.allow(("name", "title", "room", "wall", "obstacle", "start", "path"))
     if not any(values.get(key) for key in ("room", "wall", "obstacle")):

@@ -30,7 +30,7 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from nclient.errors import WorldFileError
-from worlds.schema import Table, read_text, toml_of
+from worlds.schema import Table, parse_toml, read_text
 
 SONARS: Final = 16
 """Sonars in a ring, number i at i x 22.5 degrees from the front."""
@@ -142,7 +142,7 @@ def _spreads(table: Table) -> Iterator[tuple[str, Any]]:
 def load_calibration(path: Path, name: str) -> Calibration:
     """The calibration of the model `name` in a model file. Raises WorldFileError, also where there is none of it."""
     text = read_text(path)
-    values = toml_of(text, str(path))
+    values = parse_toml(text, str(path))
     names = []
     for model in Table(str(path), "", values).tables("model"):
         names.append(model.text("name", ""))

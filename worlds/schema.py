@@ -215,9 +215,9 @@ def read_text(path: Path) -> str:
     return files.read_text(path, MOST_BYTES, WorldFileError)
 
 
-def toml_of(text: str, file: str) -> dict[str, Any]:
+def parse_toml(text: str, file: str) -> dict[str, Any]:
     """What it holds; `file` is what errors call it. Raises WorldFileError."""
-    return files.toml_of(text, file, WorldFileError)
+    return files.parse_toml(text, file, WorldFileError)
 
 
 def require_outline(table: Table, key: str, corners: tuple[Point, ...]) -> None:

@@ -7,10 +7,11 @@ import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from docs.generate import c_table, commands, exit_codes, from_c, limits, protocol, setups
+from docs.generate import c_table, commands, exit_codes, from_c, layers, limits, protocol, setups
 
 ROOT = Path(__file__).parents[2]
 PAGES: dict[str, Callable[[], dict[str, Iterator[str]]]] = {
+    "docs/architecture.md": layers.blocks,
     "docs/commands.md": commands.blocks,
     "docs/exit-codes.md": exit_codes.blocks,
     "docs/from-c.md": from_c.blocks,

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from nclient.protocol.commands import ALL, COMMANDS, Call, Command
 from nclient.protocol.replies import Reply
-from nclient.protocol.types import EVERYTHING, model_named
+from nclient.protocol.types import EVERYTHING, get_model
 from nclient.protocol.wire_state import tcp_wire_state
 from nserver_emu.server.context import Allowed
 from nserver_emu.server.handlers.graphics import REFRESHERS
@@ -60,7 +60,7 @@ def support(row: Command, model: str, emulator: Emulator | None = None) -> Suppo
     if row.tcp_type is None:
         return Support.NOT_OVER_TCP
     asked = emulator or _emulator(model, Allowed())
-    visit = ConnectionContext(tcp_wire_state(model_named(model)), robot_id=1)
+    visit = ConnectionContext(tcp_wire_state(get_model(model)), robot_id=1)
     answer = asked.answer(Call(row.name, examples(row)), visit)
     if not isinstance(answer, Reply) or answer.kind != "error":
         idle = row.name in REFRESHERS or (row.name == "ac" and not _ramps(asked))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from nclient.recording.format import LONGEST_LINE
+from nclient.recording.format import MAX_LINE
 from nserver_emu.server.limits import SNAPSHOT_BYTES, TABLE
 from worlds.schema import MOST_BYTES
 
@@ -25,4 +25,4 @@ def _files() -> Iterator[str]:
     yield from ("| file | maximum size |", "|---|---|")
     yield f"| world, setup, model, calibration | {MOST_BYTES >> 20} MiB |"
     yield f"| snapshot | {SNAPSHOT_BYTES >> 20} MiB; `--save` writes no larger file |"
-    yield f"| recording | unlimited, read line by line; a line up to {LONGEST_LINE >> 20} Mi characters |"
+    yield f"| recording | unlimited, read line by line; a line up to {MAX_LINE >> 20} Mi characters |"

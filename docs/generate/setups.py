@@ -6,7 +6,8 @@ from collections.abc import Iterator
 from math import degrees
 from typing import Final
 
-from nserver_emu.simulation.noise import KEYS, POLAROID, RAY, SETUPS, Key, RobotSetup
+from nserver_emu.simulation.noise import KEYS, POLAROID, RAY, SETUPS, RobotSetup
+from nserver_emu.simulation.settings import Key
 from nserver_emu.simulation.sonar import SonarNoise
 from worlds.robots import SONARS
 

@@ -38,7 +38,7 @@ from localization.filters.calibration import CalibratingFilter
 from localization.filters.sonar_cone import ConeSonar
 from localization.filters.sonar_ray import WIRE_SONAR
 from localization.live.assumptions import add_map_option, resolve_robot_model, resolve_world, taken
-from localization.live.localizer import Fit
+from localization.live.localizer import Consistency
 from localization.navigation.recovery import StallDetector
 from nclient import Robot
 from nclient.common.exit_codes import ExitCode
@@ -131,7 +131,7 @@ def run(options: argparse.Namespace) -> int:
     check_writable(options.out)
     robot, simulated = open_robot(options.address)
     sonars = taken(options.sonars, simulated, options.address)
-    fit = Fit(sonars.rays)
+    fit = Consistency(sonars.rays)
     if sonars.line():
         print(sonars.line(), file=sys.stderr if options.json else sys.stdout, flush=True)
     with robot:
@@ -143,12 +143,12 @@ def run(options: argparse.Namespace) -> int:
     found, laps = made
     if not options.json:
         print(f"{table(found)}\n{_verdict(found, fit, laps)}")
-    if not fit.good:
+    if not fit.is_good:
         if options.json:
             print(fit.line(), file=sys.stderr)
         return ExitCode.UNFIT
     if options.json:
-        print(json.dumps({**asdict(found), "nis": fit.nis, "refused_share": fit.refused_share, "laps": laps,
+        print(json.dumps({**asdict(found), "nis": fit.nis, "refused_share": fit.refused_fraction, "laps": laps,
                           "known_too_little": missing(found), "within_noise_of_zero": noise_in(found)}),
               flush=True)  # fmt: skip
     if options.out:
@@ -164,7 +164,7 @@ def _write(path: Path, text: str) -> None:
         raise OutputFileError(describe_write_error(path, error)) from error
 
 
-def _drive(robot: Robot, world: World, options: argparse.Namespace, fit: Fit) -> tuple[Calibration, int] | str:
+def _drive(robot: Robot, world: World, options: argparse.Namespace, fit: Consistency) -> tuple[Calibration, int] | str:
     """What was found, and in how many laps each way; why not, where it was given up."""
     state = robot.refresh()
     start = options.start or (state.x_in, state.y_in, state.steering_rad)
@@ -175,7 +175,7 @@ def _drive(robot: Robot, world: World, options: argparse.Namespace, fit: Fit) ->
     first = _tasks(world, body.radius_in, start, square, options)
     again = tasks(square, (first.corner.x_in, first.corner.y_in), 1, options.spins)[1:]
     rounds = Rounds(again, 1 if options.laps is not None else MOST_LAPS,
-                    lambda: not (fit.good and missing(calibration_in(method.belief))))  # fmt: skip
+                    lambda: not (fit.is_good and missing(calibration_in(method.belief))))  # fmt: skip
     driver = Driver(first.tasks, options.speed, math.radians(options.turn_speed), rounds.more)
     obstruction, told_s = StallDetector(options.speed), state.clock_s or 0.0
     began_s = told_s
@@ -218,10 +218,10 @@ def _tasks(
     return _First([*way_to((corner.x_in, corner.y_in), here, world, radius_in), *rest], corner)
 
 
-def _verdict(found: Calibration, fit: Fit, laps: int) -> str:
+def _verdict(found: Calibration, fit: Consistency, laps: int) -> str:
     """How far it is to be believed, in words."""
     short = missing(found)
-    if not short or not fit.good:
+    if not short or not fit.is_good:
         return fit.line()
     told = f"after {laps} laps each way: {', '.join(short)} could be known better: more --laps, or a larger room"
     return f"{told}\n{fit.line()}"

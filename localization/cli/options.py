@@ -29,9 +29,9 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig
-from localization.filters.belief import Belief, independent
+from localization.filters.belief import POSE, Belief, independent
 from localization.filters.health import HealthStatus
-from localization.filters.odometry import LARGEST, POSE, OdometryNoise, with_parameters
+from localization.filters.odometry import MAX_STATE, OdometryNoise, with_parameters
 from localization.filters.registry import METHODS
 from localization.filters.sonar_cone import ConeSonar
 from localization.filters.sonar_ray import WIRE_SONAR
@@ -130,8 +130,8 @@ def noise(text: str) -> OdometryNoise:
 def constants(text: str) -> tuple[float, ...]:
     """Standard deviations of the encoders' own errors."""
     stds = tuple(numbers(text, text.count(",") + 1))
-    if len(stds) > LARGEST - POSE or min(stds) < 0:
-        raise argparse.ArgumentTypeError(f"one to {LARGEST - POSE} numbers of 0 or more, not {text!r}")
+    if len(stds) > MAX_STATE - POSE or min(stds) < 0:
+        raise argparse.ArgumentTypeError(f"one to {MAX_STATE - POSE} numbers of 0 or more, not {text!r}")
     return stds
 
 
@@ -179,7 +179,7 @@ def resumed_belief(options: argparse.Namespace, world: World, state: RobotState)
         raise EstimateFileError("--start begins anew and --resume goes on: give one of them")
     old = saved_estimate.load(options.resume)
     pose = np.array([state.x_in, state.y_in, state.steering_rad])
-    now = EncoderPose(state.clock_s or 0.0, pose, state.turret_rad)
+    now = EncoderPose.of(state.clock_s or 0.0, pose, state.turret_rad)
     held = resume_belief(old, map_signature(world, options.body), now, options.odometry_noise, options.moved_std)
     known = len(held.mean) - POSE
     return with_parameters(held, options.scale_std[known:])
@@ -203,8 +203,8 @@ def keep(
         return
     if estimate.health.status is HealthStatus.LOST:
         raise EstimateFileError(f"{options.save}: not written, the estimate is lost: {estimate.health.reason}")
-    encoders = EncoderPose(estimate.clock_s, np.array(odometry), turret_rad)
-    known = Belief(estimate.belief.mean[:LARGEST], estimate.belief.cov[:LARGEST, :LARGEST])
+    encoders = EncoderPose.of(estimate.clock_s, np.array(odometry), turret_rad)
+    known = Belief(estimate.belief.mean[:MAX_STATE], estimate.belief.cov[:MAX_STATE, :MAX_STATE])
     saved_estimate.save(options.save, Kept(map_signature(world, options.body), encoders, known))
 
 
@@ -303,7 +303,7 @@ def prepare_localization(robot: Robot, simulated: bool, world: World, options: a
     if sonars.line():
         print(sonars.line(), file=sys.stderr if options.json else sys.stdout, flush=True)
     sonar = WIRE_SONAR if sonars.rays else ConeSonar()
-    known = LocalizationConfig(world.walls, BODIES[options.body], options.odometry_noise, sonar, errs=errs)
+    known = LocalizationConfig(world.walls, BODIES[options.body], options.odometry_noise, sonar, calibration=errs)
     return LocalizationSetup(belief, known, sonars)
 
 

@@ -43,7 +43,7 @@ import numpy as np
 
 from localization.experiments.figure_trial import Figure, course_of, run
 from localization.experiments.results import Outcome, joined, outcome_of
-from nclient.common.files import write_whole
+from nclient.common.files import write_atomic
 from nclient.errors import ExtraMissing, NomadError, OutputFileError
 
 Item = TypeVar("Item")
@@ -150,7 +150,7 @@ class Kept:
     def put(self, path: Path, result: Mapping[str, Any]) -> None:
         """Keep a result there. Raises OutputFileError where that cannot be."""
         self._folder.mkdir(parents=True, exist_ok=True)
-        write_whole(path, json.dumps(result) + "\n", OutputFileError)
+        write_atomic(path, json.dumps(result) + "\n", OutputFileError)
 
 
 CODE: Final = ("localization", "nclient", "nserver_emu", "worlds")

@@ -12,7 +12,7 @@ a batch nor the number of processes changes a result, and two figures with the s
 Whether a filter is as good as it says: NEES, the band it must keep, and the bound no filter can beat.
 
 Rules: pure functions on arrays; knows errors, covariances and Jacobians, not the runs they come from.
-NIS needs no truth and is the filter's own: ekf.innovation_squared.
+NIS needs no truth and is the filter's own: ekf.update_ring.
 
 One figure driven by a batch of seeds at once: true robots, their sonars, their filters, step by step.
 
@@ -35,23 +35,27 @@ import numpy.typing as npt
 
 from localization.filters.base import THESIS_ODOMETRY
 from localization.filters.belief import Belief, Floats, add, chi_square_quantile, independent
-from localization.filters.ekf import correct, innovation_squared
-from localization.filters.odometry import OdometryNoise, move, predict, step_variance, transition
+from localization.filters.ekf import update_ring
+from localization.filters.odometry import (
+    OdometryNoise,
+    move,
+    predict,
+    process_covariance,
+    step_jacobians,
+    step_variance,
+)
 from localization.filters.sonar_ray import (
     IDEAL_SONAR,
-    Beams,
     RaySonar,
+    SonarRing,
     WallMap,
-    meet,
-    observe,
-    range_jacobian,
-    rays,
-    ring,
-    sight,
+    observe_ring,
+    ranges_from,
     wall_map,
 )
 from localization.navigation.speed import ControlGains, next_step, reached
 from worlds.io import load_world
+from worlds.raycast import NO_WALL
 from worlds.robots import N150
 
 WAYPOINT_RADIUS_IN: Final = 0.25
@@ -107,13 +111,18 @@ class Course:
     start: Floats
     goals_in: Floats
     walls: WallMap
-    beams: Beams
+    body: SonarRing
     gains: ControlGains
     filtered: bool = True
     start_std: tuple[float, float, float] = START_STD
     noise: OdometryNoise = NOISE
     sonar: RaySonar = IDEAL_SONAR
     waypoint_radius_in: float = WAYPOINT_RADIUS_IN
+
+    @property
+    def angles_rad(self) -> Floats:
+        """Angle of each sonar from the heading, (n,): the turret turns with the steering."""
+        return np.asarray(self.body.sonar_angles_rad, dtype=np.float64)
 
     @property
     def length_in(self) -> float:
@@ -140,7 +149,7 @@ def course_of(figure: Figure) -> Course:
         start=np.array([path.start.x_in, path.start.y_in, path.start.steering_rad]),
         goals_in=np.array(path.goals_in, dtype=np.float64),
         walls=wall_map(world.walls),
-        beams=ring(N150),
+        body=N150,
         gains=figure.gains,
         filtered=figure.filtered,
     )
@@ -252,7 +261,7 @@ def run(course: Course, seeds: Sequence[int], tick: Callable[[int], None] = lamb
     batch = _start(course, seeds)
     history: list[Batch] = []
     steps = np.zeros(len(seeds), dtype=np.intp)
-    chance = step_errors(seeds, len(course.beams.directions))
+    chance = step_errors(seeds, len(course.body.sonar_angles_rad))
     for motion_error, sonar_error in islice(chance, course.most_steps):
         driving = batch.leg < len(course.goals_in)
         if not driving.any():
@@ -295,8 +304,8 @@ def _advance(course: Course, batch: Batch, motion_error: Floats, sonar_error: Fl
     if course.filtered:
         readings, gain = _sound(course, truth, sonar_error)
         belief, nis, used = _correct(course, belief, readings)
-        _, by_pose, process_cov = transition(batch.truth, step, course.noise)
-        bound = bound_step(bound, by_pose, process_cov, gain)
+        F, G = step_jacobians(batch.truth, step)
+        bound = bound_step(bound, F, process_covariance(G, step, course.noise), gain)
     arrived = driving & reached(belief.mean, goals, course.waypoint_radius_in)
     return Batch(truth, belief, bound, batch.leg + arrived, nis, used)
 
@@ -304,19 +313,16 @@ def _advance(course: Course, batch: Batch, motion_error: Floats, sonar_error: Fl
 def _sound(course: Course, truth: Floats, sonar_error: Floats) -> tuple[Floats, Floats]:
     """The readings (n, 16) the sonars make at the truth (n, 3), and what a perfect filter could gain from all beams
     that meet a wall: information (n, 3, 3)."""
-    aimed = rays(truth[:, None, :], course.beams)
-    met = meet(aimed, course.walls)
-    lines = course.walls.lines[met]
-    seen = sight(aimed, lines)
-    variance = course.sonar.variance(seen.ranges_in)
-    telling = np.where((met >= 0)[..., None], range_jacobian(seen, lines), 0.0)
-    gain = information(telling, np.where(met >= 0, variance, 1.0))
-    return seen.ranges_in + np.sqrt(variance) * sonar_error, gain
+    expected = ranges_from(truth, course.angles_rad, course.body, course.walls)
+    seen = expected.row != NO_WALL
+    variance = course.sonar.variance(expected.range_in)
+    H = np.where(seen[..., None], np.stack(expected.H, axis=-1), 0.0)
+    gain = information(H, np.where(seen, variance, 1.0))
+    return expected.range_in + np.sqrt(variance) * sonar_error, gain
 
 
 def _correct(course: Course, belief: Belief, readings_in: Floats) -> tuple[Belief, Floats, Indices]:
     """Beliefs corrected by readings (n, 16): the beliefs, the NIS (n,) of the correction and the beams used (n,)."""
-    observation = observe(belief, course.beams, readings_in, course.walls, course.sonar)
-    corrected = correct(belief, observation)
-    nis = innovation_squared(belief, corrected, observation)
+    observation = observe_ring(belief, course.angles_rad, readings_in, course.body, course.walls, course.sonar)
+    corrected, nis = update_ring(belief, observation)
     return corrected, nis, observation.used.sum(axis=-1)

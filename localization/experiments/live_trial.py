@@ -70,7 +70,7 @@ START_STD: Final = (0.2, 0.2, 0.01)
 QUIET: Final = OdometryNoise(translation_std=0.05, rotation_std=0.05, drift_std=0.002)
 """How the true motion strays from the encoders', in the figures' model."""
 EXACT_RAYS: Final = RaySonar(
-    relative_std=0.0, floor_std_in=0.02, rounding_var_in2=1.0 / 12.0, lowest_in=6.0, highest_in=255.0
+    range_std_relative=0.0, range_std_floor_in=0.02, rounding_var_in2=1.0 / 12.0, lowest_in=6.0, highest_in=255.0
 )
 """Rays without noise, read in whole inches."""
 SCALE, BAD = 1, 2

@@ -1,12 +1,9 @@
-"""The seam between the live localizer and its method: what each method must have.
+"""The interface of a filter, and what every filter is configured with.
 
-    move(step)      the encoders told of a step          hear(sonar, turret, reading)    an echo, at this very instant
-    belief          what is held to be true              ahead(step)                     the same a step on, not taken
+    predict(distance, turn)          the encoders reported a step      predicted(distance, turn)    the same, not taken
+    update(sonar, turret, reading)   an echo, at this instant          belief, health               the estimate
 
-Rules: a method is made from what is known beforehand and a first belief (table.make); one with chance in it is handed
-a seed. No robot, no clock, no map file. Echoes come in order of time, each with the filter at its instant.
-
-What a filter knows beforehand: the map, the robot's ring, and how motion and sonars err. Values, nothing else.
+Filters are made by name (registry.make_filter). Echoes come in order of time, each after the prediction to its instant.
 """
 
 from __future__ import annotations
@@ -16,7 +13,7 @@ from typing import Final, NamedTuple, Protocol, runtime_checkable
 
 import numpy.typing as npt
 
-from localization.filters.belief import Belief, Floats
+from localization.filters.belief import Belief
 from localization.filters.health import FilterHealth
 from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeModel, ConeSonar
@@ -24,75 +21,87 @@ from localization.filters.sonar_ray import STRICT, WIRE_SONAR, Gate, RayModel, R
 from localization.filters.update import MeasurementModel, UpdateResult
 from worlds.robots import IDEAL_CALIBRATION, Calibration
 
+THESIS_ODOMETRY: Final = OdometryNoise()
+"""Noise of the encoders in the experiments."""
+
 
 class Filter(Protocol):
-    """A belief about a robot, kept up to date."""
+    """An estimate of a robot's state."""
 
     @property
     def belief(self) -> Belief:
-        """Mean (n,) and covariance (n, n), n >= 3: a pose and what else is found out (systematic)."""
+        """Mean (n,) and covariance (n, n), n >= 3: a pose, then parameters."""
         ...
 
     @property
     def health(self) -> FilterHealth:
-        """How far it can be believed."""
+        """Status of the estimate."""
         ...
 
-    def move(self, step: Floats) -> None:
-        """The encoders told of a step (2,): inches rolled, radians turned."""
+    def predict(self, distance_in: float, turn_rad: float) -> None:
+        """Predict the belief after a step that the encoders report, inches and radians."""
         ...
 
-    def ahead(self, step: Floats) -> Belief:
-        """The belief after such a step, which is not taken."""
+    def predicted(self, distance_in: float, turn_rad: float) -> Belief:
+        """Return the belief after such a step, without taking it."""
         ...
 
-    def hear(self, sonar: int, turret_offset_rad: float, reading_in: float) -> UpdateResult:
-        """A reading of sonar number `sonar`, the turret being turned by so much against the heading."""
+    def update(self, sonar: int, turret_offset_rad: float, reading_in: float) -> UpdateResult:
+        """Correct the belief by a reading of sonar number `sonar`, the turret turned by so much against the heading."""
         ...
 
 
 class Place(NamedTuple):
-    """Where the robot may be, and the share of all that is believed."""
+    """A pose at which the robot may be, and its probability."""
 
     belief: Belief
-    share: float
+    probability: float
 
 
 @runtime_checkable
 class Searching(Protocol):
-    """What a method has besides that may hold several places for possible."""
+    """A filter that may consider several poses at once."""
 
     @property
     def places(self) -> tuple[Place, ...]:
-        """The likeliest first; none while it has no idea."""
+        """The poses, the most probable first; none while searching."""
         ...
 
 
 @runtime_checkable
 class Smoothing(Protocol):
-    """What a method has besides that looks back: readings since then have their say about where the robot was."""
+    """A filter that also estimates a past state from all readings since."""
 
     @property
     def lag(self) -> int:
-        """How many moves back it looks."""
+        """Number of predictions that it looks back."""
         ...
 
     def smoothed(self) -> Belief:
-        """The belief over the state `lag` moves ago (at the first, where there were fewer), its readings included."""
+        """Return the belief over the state `lag` predictions ago (the first, where there were fewer)."""
         ...
-
-
-THESIS_ODOMETRY: Final = OdometryNoise()
-"""What the experiments take the encoders to miss."""
 
 
 @dataclass(frozen=True, slots=True)
 class LocalizationConfig:
-    """Walls (m, 4) in inches, the robot's ring, and how motion and sonars err.
+    """Map, robot, sensor and noise models of a filter.
 
-    `clearance_in`: no wall is nearer to the robot's axis than this: its radius, or a little less.
-    `errs`: what this very robot gets wrong every time; its sonars are corrected by that, its wheels are the belief's.
-    The kind of `sonar` says how readings are taken in (filters.hearing); the gate is for rays alone.
+    Attributes
+    ----------
+    walls
+        (m, 4) segments, rows x1 y1 x2 y2 in inches.
+    body
+        The robot's ring of sonars.
+    odometry
+        Noise of the encoders.
+    sonar
+        Noise of the sonars; its type decides the measurement model.
+    gate
+        Conditions for a beam to be used, for rays only.
+    clearance_in
+        No wall is nearer to the robot's axis than this: its radius, or slightly less.
+    calibration
+        Systematic errors of this robot: its sonars are corrected by them; its wheels are part of the belief.
     """
 
     walls: npt.ArrayLike
@@ -101,13 +110,13 @@ class LocalizationConfig:
     sonar: RaySonar | ConeSonar = WIRE_SONAR
     gate: Gate = STRICT
     clearance_in: float = 9.0
-    errs: Calibration = IDEAL_CALIBRATION
+    calibration: Calibration = IDEAL_CALIBRATION
 
 
 def measurement_model(
     walls: npt.ArrayLike, body: SonarRing, sonar: RaySonar | ConeSonar, gate: Gate = STRICT
 ) -> MeasurementModel:
-    """How sonars of this model are understood."""
+    """Return the measurement model for sonars of this type."""
     if isinstance(sonar, ConeSonar):
         return ConeModel(walls, body, sonar)
     return RayModel(walls, body, sonar, gate)

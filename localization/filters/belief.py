@@ -1,53 +1,138 @@
-"""What a filter holds to be true: a mean and how far it may be off.
+"""Gaussian beliefs over states, and the chi-square distribution of their squared errors.
 
-Rules: values only, never changed in place; no motion, no measurement, no gain.
-States are arrays (..., n), n >= 3: x_in, y_in, heading_rad, then whatever a filter adds (a bias, a scale).
-Leading dimensions are seeds, hypotheses or particles. The heading wraps here (`wrap_angle`, `wrapped`) and nowhere
-else: states are added and subtracted by `add` and `difference` only.
+A state x (..., n), n >= 3, is x_in, y_in, heading_rad, then what a filter adds (a scale, an offset). Leading dimensions
+are seeds, hypotheses or particles. Headings wrap here only: states are added and subtracted by `add` and `difference`.
 
-The chi-square distribution: how large a squared, normalised error may be before it says something is wrong.
-
-Rules: scalars, standard library only (the filter must not need scipy).
-chi_square_cdf(x, k) = P(k/2, x/2), the lower regularised incomplete gamma function, by its power series below
-x = k + 2 and by the continued fraction above (Abramowitz and Stegun 6.5.29 and 6.5.31); the quantile by bisection.
+The formulas of the filter (odometry, update, sonar_ray) are written once, element by element, on `Number`: a float for
+one live robot, an array for many robots at once. `cos`, `sin`, `sqrt`, `exp`, `hypot`, `clip`, `wrap_angle`
+and `choose` accept either.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Final
+from typing import Any, Final, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 Floats = npt.NDArray[np.float64]
+Number = TypeVar("Number", float, Floats)
+"""One value: a float, or an array of any shape with a value for each robot."""
 
 HEADING: Final = 2
-"""Where in a state the heading stands."""
+"""Index of the heading in a state."""
+POSE: Final = 3
+"""Coordinates of the pose, with which every state begins."""
 
-_TURN: Final = 2.0 * np.pi
+_TURN: Final = 2.0 * math.pi
+
+
+def cos(angle_rad: Number) -> Number:
+    """Return the cosine."""
+    return math.cos(angle_rad) if isinstance(angle_rad, float) else np.cos(angle_rad)
+
+
+def sin(angle_rad: Number) -> Number:
+    """Return the sine."""
+    return math.sin(angle_rad) if isinstance(angle_rad, float) else np.sin(angle_rad)
+
+
+def sqrt(value: Number) -> Number:
+    """Return the square root."""
+    return math.sqrt(value) if isinstance(value, float) else np.sqrt(value)
+
+
+def exp(value: Number) -> Number:
+    """Return the exponential."""
+    return math.exp(value) if isinstance(value, float) else np.exp(value)
+
+
+def hypot(x: Number, y: Number) -> Number:
+    """Return sqrt(x^2 + y^2)."""
+    return math.hypot(x, y) if isinstance(x, float) else np.hypot(x, y)
+
+
+def clip(value: Number, low: float, high: float) -> Number:
+    """Return the value, or the limit that it exceeds."""
+    return min(max(value, low), high) if isinstance(value, float) else np.clip(value, low, high)
+
+
+def wrap_angle(angle_rad: Number) -> Number:
+    """Return the same direction within [-pi, pi]; angles already there are returned to the bit."""
+    if isinstance(angle_rad, float):
+        return angle_rad - _TURN * round(angle_rad / _TURN)
+    return angle_rad - _TURN * np.rint(angle_rad / _TURN)
+
+
+def choose(condition: Any, value: Any, other: Any) -> Any:
+    """Return `value` where the condition holds, else `other`: bool and numbers, or arrays."""
+    if isinstance(condition, np.ndarray):
+        return np.where(condition, value, other)
+    return value if condition else other
 
 
 @dataclass(frozen=True, slots=True)
 class Belief:
-    """A gaussian over states: `mean` (..., n) and covariance `cov` (..., n, n), inches and radians."""
+    """Gaussian over states: `mean` x (..., n) and covariance `cov` P (..., n, n), inches and radians.
+
+    Arrays are never changed in place.
+    """
 
     mean: Floats
     cov: Floats
 
     @property
     def std(self) -> Floats:
-        """The standard deviation of each coordinate, (..., n)."""
+        """Standard deviation of each coordinate, (..., n)."""
         std: Floats = np.sqrt(np.diagonal(self.cov, axis1=-2, axis2=-1))
         return std
 
+    @property
+    def pose(self) -> Belief:
+        """The marginal belief over the pose, (..., 3)."""
+        return Belief(self.mean[..., :POSE], self.cov[..., :POSE, :POSE])
+
+
+def unpack(belief: Belief) -> tuple[list[Any], list[list[Any]]]:
+    """Return x and P of a belief element by element, as the formulas of the filter take them.
+
+    Returns
+    -------
+    tuple of lists
+        x, n elements, and P, n rows of n: floats for a single belief (n,), (n, n), arrays (...) for many (..., n).
+    """
+    if belief.mean.ndim == 1:
+        return belief.mean.tolist(), belief.cov.tolist()
+    return list(np.moveaxis(belief.mean, -1, 0)), [list(row) for row in np.moveaxis(belief.cov, (-2, -1), (0, 1))]
+
+
+def pack(x: Sequence[Any], P: Sequence[Sequence[Any]]) -> Belief:
+    """Return the belief with the elements x and P: the inverse of `unpack`."""
+    if isinstance(x[0], float):
+        return Belief(np.array(x), np.array(P))
+    n = len(x)
+    elements = np.stack(np.broadcast_arrays(*x, *(element for row in P for element in row)), axis=-1)
+    return Belief(elements[..., :n], elements[..., n:].reshape(*elements.shape[:-1], n, n))
+
 
 def independent(mean: npt.ArrayLike, std: npt.ArrayLike) -> Belief:
-    """A belief whose coordinates err independently.
+    """Return a belief whose coordinates have independent errors.
 
-    `mean` (..., n) and `std` (n,) or (..., n), inches and radians. Raises ValueError if a std is negative.
+    Parameters
+    ----------
+    mean
+        (..., n), inches and radians.
+    std
+        (n,) or (..., n), inches and radians.
+
+    Raises
+    ------
+    ValueError
+        A standard deviation is negative.
     """
     center = np.array(mean, dtype=np.float64)
     spread = np.broadcast_to(np.asarray(std, dtype=np.float64), center.shape)
@@ -56,47 +141,48 @@ def independent(mean: npt.ArrayLike, std: npt.ArrayLike) -> Belief:
     return Belief(add(center, np.zeros_like(center)), spread[..., None] ** 2 * np.eye(center.shape[-1]))
 
 
-def part(states: Floats, index: int) -> Floats:
-    """Coordinate `index` of states (..., n), of shape (...).
+def component(states: Floats, index: int) -> Floats:
+    """Return coordinate `index` of states (..., n), of shape (...).
 
-    For a single state that is a numpy scalar, not an array without dimensions: arithmetic takes a fifth of the time.
+    Of a single state that is a numpy scalar, not an array without dimensions: arithmetic takes a fifth of the time.
     """
     values: Floats = states[..., index][()]
     return values
 
 
-def wrap_angle(angle_rad: Floats) -> Floats:
-    """The same direction within [-pi, pi]; angles already there are returned to the bit. Any shape."""
-    wrapped: Floats = angle_rad - _TURN * np.rint(angle_rad / _TURN)
-    return wrapped
-
-
-def wrapped(angle_rad: float) -> float:
-    """`wrap_angle` of a single number, to the bit."""
-    return angle_rad - _TURN * round(angle_rad / _TURN)
-
-
 def add(state: Floats, change: Floats) -> Floats:
-    """`state` (..., n) moved by `change` (..., n), its heading wrapped."""
+    """Return `state` (..., n) plus `change` (..., n), its heading wrapped."""
     total: Floats = state + change
     if total.ndim == 1:
-        total[HEADING] = wrapped(total.item(HEADING))
+        total[HEADING] = wrap_angle(total.item(HEADING))
     else:
         total[..., HEADING] = wrap_angle(total[..., HEADING])
     return total
 
 
 def difference(state: Floats, origin: Floats) -> Floats:
-    """What must be added to `origin` (..., n) to come to `state` (..., n): the heading the short way round."""
+    """Return what must be added to `origin` (..., n) to give `state` (..., n): the heading by the shorter turn."""
     return add(state, -origin)
 
 
-_SMALLEST_TERM: Final = 1e-16
+# The chi-square distribution, with the standard library only: the filter must not need scipy.
+
+_MIN_TERM: Final = 1e-16
 """Terms this small against the sum no longer change a double."""
 
 
 def chi_square_cdf(value: float, dof: float) -> float:
-    """The probability that a chi-square variable of `dof` > 0 degrees of freedom is at most `value`."""
+    """Return the probability that a chi-square variable of `dof` > 0 degrees of freedom is at most `value`.
+
+    Notes
+    -----
+    P(dof / 2, value / 2), the lower regularised incomplete gamma function: the power series 6.5.29 below
+    value = dof + 2, the continued fraction 6.5.31 above.
+
+    References
+    ----------
+    Abramowitz and Stegun, Handbook of Mathematical Functions, 6.5.
+    """
     if dof <= 0:
         raise ValueError(f"degrees of freedom must be positive, not {dof}")
     if value <= 0:
@@ -104,18 +190,26 @@ def chi_square_cdf(value: float, dof: float) -> float:
     shape, point = 0.5 * dof, 0.5 * value
     scale = math.exp(shape * math.log(point) - point - math.lgamma(shape))
     if point < shape + 1.0:
-        return scale * _series(shape, point)
-    return 1.0 - scale * _fraction(shape, point)
+        return scale * _gamma_series(shape, point)
+    return 1.0 - scale * _gamma_fraction(shape, point)
 
 
 @lru_cache(maxsize=256)
 def chi_square_quantile(probability: float, dof: float) -> float:
-    """The value a chi-square variable of `dof` degrees of freedom stays below with `probability` in (0, 1)."""
+    """Return the value that a chi-square variable of `dof` degrees of freedom stays below with `probability`.
+
+    Raises
+    ------
+    ValueError
+        The probability is not in (0, 1).
+    """
     if not 0.0 < probability < 1.0:
         raise ValueError(f"a probability must lie between 0 and 1, not at {probability}")
+    # 1. An interval that contains the quantile.
     low, high = 0.0, max(1.0, dof)
     while chi_square_cdf(high, dof) < probability:
         low, high = high, 2.0 * high
+    # 2. Bisection down to neighbouring doubles.
     while True:
         middle = 0.5 * (low + high)
         if middle in (low, high):
@@ -126,24 +220,24 @@ def chi_square_quantile(probability: float, dof: float) -> float:
             high = middle
 
 
-def _series(shape: float, point: float) -> float:
-    """Sum of point^n / (shape (shape + 1) ... (shape + n)); converges fast for point < shape + 1."""
+def _gamma_series(shape: float, point: float) -> float:
+    """Return the sum of point^n / (shape (shape + 1) ... (shape + n)); converges fast for point < shape + 1."""
     term = total = 1.0 / shape
     divisor = shape
-    while term > total * _SMALLEST_TERM:
+    while term > total * _MIN_TERM:
         divisor += 1.0
         term *= point / divisor
         total += term
     return total
 
 
-def _fraction(shape: float, point: float) -> float:
-    """The continued fraction of the upper incomplete gamma function, evaluated from the front (Lentz)."""
+def _gamma_fraction(shape: float, point: float) -> float:
+    """Return the continued fraction of the upper incomplete gamma function, evaluated from the front (Lentz)."""
     partial = point + 1.0 - shape
     ratio, growth = 1.0 / partial, math.inf
     total = ratio
     change, index = 0.0, 0
-    while abs(change - 1.0) > _SMALLEST_TERM * 4:
+    while abs(change - 1.0) > _MIN_TERM * 4:
         index += 1
         factor = index * (shape - index)
         partial += 2.0

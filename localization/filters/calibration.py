@@ -1,33 +1,19 @@
-"""Where a sonar looks, told by what it hears at all: a wall that is met head-on just inside the cone, or just not.
+"""A filter that estimates the systematic errors of wheels and sonars while it localizes: one long state.
 
-A range hardly depends on the angle under which a smooth wall is met, so ranges alone say little of how the ring is
-mounted. Which wall is heard does: each is heard over as many degrees as the cone is wide, about its own normal. So for
-a normal prior N(0, s^2) of the axis, off from where it is thought to look,
-
-    posterior(off) ~ N(off; 0, s^2) p(reading | off)        p: bad readings and all that the cone may hear there
-
-is worked out at some offs, and what is left of it is its mean and its variance (assumed density). Rules: pure; one
-reading, one axis; what it means for a state is filters.calibrating's to say.
-
-A filter that finds out what wheels and sonars get wrong every time, while it localizes: one long state.
-
-    0..5     pose, way_scale, turn_scale, drift                      (systematic)
+    0..5     pose, distance_scale, turn_scale, drift                 (odometry)
     6        range offset of all sonars: readings less ranges, inches
-    7        ring turn: the ring stands turned by this against the turret, radians
-    8..23    what each sonar reads more than that, inches
+    7        ring turn: angle of the ring against the turret, radians
+    8..23    own offset of each sonar, inches
 
-A range grows by the offsets one for one, and by the ring's turn as by the heading: only where the turn puts the ring,
-not where the robot then drives. So the ring's turn is told from the heading by driving, one sonar's offset from
-another's by turning the ring, the offset of all from the way by walls on both sides. Of a real ring, whose ranges
-hardly depend on the angle, its turn is told by which walls its sonars hear at all (aim).
-
-Rules: a Filter (filters.method). What a reading may be of is a sense's to say; mixture of hypotheses as in mixture.py,
-with derivatives by the longer state.
+A range grows by the offsets one for one, and by the turn of the ring as by the heading: only the direction of the ring
+changes, not that in which the robot then drives. So driving separates the ring's turn from the heading, turning the
+ring one sonar's offset from another's, and walls on both sides the common offset from the position. Ranges of a real
+ring hardly depend on the angle: which walls its sonars detect at all shows its turn (`ConeAim`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import exp, pi, radians, sqrt
 from typing import Final, NamedTuple
@@ -36,35 +22,67 @@ import numpy as np
 import numpy.typing as npt
 
 from localization.filters.base import LocalizationConfig, measurement_model
-from localization.filters.belief import HEADING, Belief, Floats, add, chi_square_quantile
+from localization.filters.belief import HEADING, POSE, Belief, Floats, chi_square_quantile, pack, unpack, wrap_angle
 from localization.filters.health import FilterHealth, IntegrityMonitor
-from localization.filters.odometry import LARGEST, POSE, move_states, step_jacobians, step_variance
+from localization.filters.odometry import MAX_STATE, predict_state
 from localization.filters.reflectors import reflectors
 from localization.filters.sonar_cone import ConeSensor, ConeSonar, EchoCandidate, SonarMount
 from localization.filters.sonar_ray import RaySonar, SonarRing, wall_map
-from localization.filters.update import INFORMATIVE, MeasurementModel, Refusal, UpdateResult, refusal_of
+from localization.filters.update import (
+    INFORMATIVE,
+    MeasurementModel,
+    Refusal,
+    UpdateResult,
+    add_outer,
+    linear,
+    pda_update,
+    refusal_of,
+)
 from worlds.robots import SONARS
 
+OFFSET: Final = MAX_STATE
+RING_TURN: Final = OFFSET + 1
+OWN: Final = RING_TURN + 1
+SIZE: Final = OWN + SONARS
+
+PARAMETER_STDS: Final = (0.05, 0.05, 0.003, 2.0, radians(5.0), *(0.5,) * SONARS)
+"""Prior standard deviations: wheels 5 % off, 3 mrad an inch, sonars 2 in, the ring 5 degrees."""
+GATE_PROBABILITY: Final = 0.999
+_LOOSE_IN2: Final = 16.0
+"""Added to the variance of rays for the model's own gate, which knows the pose only."""
+_INSIDE_IN: Final = 1e-3
+"""A corrected reading stays this much within the limits."""
+
+# 1. The direction of a sonar, by what it detects at all.
+
 EDGE_STD_RAD: Final = radians(0.5)
-"""How sharp the rim of a cone is taken to be."""
+"""Blur of the edge of a cone."""
 NODES: Final = np.arange(-3.0, 3.01, 0.5)
-"""Where the posterior is worked out, in standard deviations."""
+"""Offsets at which the posterior is evaluated, in standard deviations."""
 _WEIGHTS: Final = np.exp(-0.5 * NODES * NODES) / np.exp(-0.5 * NODES * NODES).sum()
 _VARIANCE: Final = float(_WEIGHTS @ (NODES * NODES))
 _SPACING: Final = 0.5
-_FROM_THE_ENDS: Final = [6, 0, 12, *(at for at in range(1, 12) if at != 6)]
+_ENDS_FIRST: Final = [6, 0, 12, *(at for at in range(1, 12) if at != 6)]
+"""Order of evaluation: the middle, both ends, the rest."""
 NARROW_RAD: Final = radians(1.0)
-"""With an axis known so well nothing is heard in the middle of both ends only: a cone is wider than that."""
-ALIKE: Final = 0.01
+"""With an axis known this well nothing lies between both ends only: a cone is wider."""
+SIMILAR: Final = 0.01
+"""Likelihoods that differ by this fraction of the largest say nothing."""
 
 
-class Look(NamedTuple):
-    """A reading and what is believed of the sonar before it.
+class AimReading(NamedTuple):
+    """A reading, and the belief about the direction of its sonar.
 
-    pose          of the robot                     sonar, offset_rad    its number; the ring against the heading
-    std_rad       of the heading and ring, together
-    reading_in    less the sonar's own offset; at or above the model's highest: nothing was heard
-    spread_in2    variance of ranges by all but the reading's own noise
+    Attributes
+    ----------
+    pose, sonar, offset_rad
+        Pose of the robot, number of the sonar, angle of the ring against the heading.
+    std_rad
+        Standard deviation of heading and ring together.
+    reading_in
+        Less the sonar's own offset; at or above the highest: nothing was detected.
+    variance_in2
+        Variance of the range by all but the noise of the reading.
     """
 
     pose: tuple[float, float, float]
@@ -72,185 +90,196 @@ class Look(NamedTuple):
     offset_rad: float
     std_rad: float
     reading_in: float
-    spread_in2: float
+    variance_in2: float
 
 
-class Aiming:
-    """The sonars of a body in a map."""
+class ConeAim:
+    """Estimate the direction of a cone's axis from which walls it detects.
 
-    def __init__(self, walls: npt.ArrayLike, body: SonarRing, model: ConeSonar) -> None:
-        self._listener = ConeSensor(reflectors(wall_map(walls).segments), model)
-        self._body, self._model = body, model
+    A smooth wall is detected over as many degrees as the cone is wide, about its normal, and the range hardly depends
+    on the angle within them. For a normal prior N(0, s^2) of the axis the posterior
 
-    def after(self, look: Look) -> tuple[float, float]:
-        """How far off the axis looks after it, radians, and the variance of that as a share of what it was."""
-        edge_rad = max(EDGE_STD_RAD, _SPACING * look.std_rad)
-        direction_rad = look.offset_rad + self._body.sonar_angles_rad[look.sonar]
+        posterior(offset) ~ N(offset; 0, s^2) p(reading | offset)
+
+    is evaluated at NODES and replaced by its mean and variance (assumed density filtering).
+    """
+
+    def __init__(self, walls: npt.ArrayLike, body: SonarRing, sonar: ConeSonar) -> None:
+        self._sensor = ConeSensor(reflectors(wall_map(walls).segments), sonar)
+        self._body, self._sonar = body, sonar
+
+    def posterior(self, reading: AimReading) -> tuple[float, float]:
+        """Return the mean offset of the axis, radians, and its variance as a fraction of the prior one."""
+        blur_rad = max(EDGE_STD_RAD, _SPACING * reading.std_rad)
+        direction_rad = reading.offset_rad + self._body.sonar_angles_rad[reading.sonar]
         likelihood = np.empty(len(NODES))
-        known: dict[int, float] = {}
-        for count, at in enumerate(_FROM_THE_ENDS):
-            ear = SonarMount(direction_rad + float(NODES[at]) * look.std_rad, self._body.sonar_ring_radius_in)
-            likelihood[at] = _likelihood(self._listener.hear(look.pose, edge_rad, ear), known, self._model, look)
-            if count == 2 and look.std_rad < NARROW_RAD and _alike(likelihood[_FROM_THE_ENDS[:3]]):
+        densities: dict[int, float] = {}
+        for count, at in enumerate(_ENDS_FIRST):
+            offset_rad = float(NODES[at]) * reading.std_rad
+            mount = SonarMount(direction_rad + offset_rad, self._body.sonar_ring_radius_in)
+            candidates = self._sensor.candidates(reading.pose, blur_rad, mount)
+            likelihood[at] = _likelihood(candidates, densities, self._sonar, reading)
+            if count == 2 and reading.std_rad < NARROW_RAD and _is_flat(likelihood[_ENDS_FIRST[:3]]):
                 return 0.0, 1.0
         posterior = _WEIGHTS * likelihood
         posterior /= posterior.sum()
         mean = float(posterior @ NODES)
-        return mean * look.std_rad, float(posterior @ np.square(NODES - mean)) / _VARIANCE
+        return mean * reading.std_rad, float(posterior @ np.square(NODES - mean)) / _VARIANCE
 
 
-def _alike(likelihood: Floats) -> bool:
-    """Whether nothing is told."""
-    return float(likelihood.max() - likelihood.min()) <= ALIKE * float(likelihood.max())
+def _is_flat(likelihood: Floats) -> bool:
+    """Return True if the likelihoods say nothing."""
+    return float(likelihood.max() - likelihood.min()) <= SIMILAR * float(likelihood.max())
 
 
-def _likelihood(heard: list[EchoCandidate], known: dict[int, float], model: ConeSonar, look: Look) -> float:
-    """p(reading | what may be heard); `known`: densities by reflector, which hold for all offs alike."""
-    good = 1.0 - model.outlier_probability
-    if look.reading_in >= model.highest_in:
-        return 1.0 - good * sum([found.probability for found in heard])
-    total, any_of = 0.0, 0.0
-    for found in heard:
-        density = known.get(found.which)
+def _likelihood(
+    candidates: list[EchoCandidate], densities: dict[int, float], sonar: ConeSonar, reading: AimReading
+) -> float:
+    """Return p(reading | candidates). `densities` caches those by reflector, which hold for all offsets."""
+    inlier = 1.0 - sonar.outlier_probability
+    if reading.reading_in >= sonar.highest_in:
+        return 1.0 - inlier * sum([candidate.probability for candidate in candidates])
+    total, detected = 0.0, 0.0
+    for candidate in candidates:
+        density = densities.get(candidate.reflector)
         if density is None:
-            variance, off_in = look.spread_in2 + model.variance_at(found.range_in), look.reading_in - found.range_in
-            known[found.which] = density = exp(-0.5 * off_in * off_in / variance) / sqrt(2.0 * pi * variance)
-        total += found.probability * density
-        any_of += found.probability
-    return good * total + model.bad_density * (1.0 - good * any_of)
+            S = reading.variance_in2 + sonar.variance_at(candidate.range_in)
+            innovation = reading.reading_in - candidate.range_in
+            densities[candidate.reflector] = density = exp(-0.5 * innovation * innovation / S) / sqrt(2.0 * pi * S)
+        total += candidate.probability * density
+        detected += candidate.probability
+    return inlier * total + sonar.outlier_density * (1.0 - inlier * detected)
 
 
-OFFSET: Final = LARGEST
-RING_TURN: Final = OFFSET + 1
-OWN: Final = RING_TURN + 1
-SIZE: Final = OWN + SONARS
-
-CONSTANTS_STD: Final = (0.05, 0.05, 0.003, 2.0, radians(5.0), *(0.5,) * SONARS)
-"""What is taken for possible beforehand: wheels 5 % off, 3 mrad an inch, sonars 2 in, the ring 5 degrees."""
-GATE_PROBABILITY: Final = 0.999
-_LOOSE_IN2: Final = 16.0
-_INSIDE_IN: Final = 1e-3
+# 2. The filter.
 
 
 class CalibratingFilter:
-    """See the head of this file. `start`: the belief over states (n,) at the start, 3 <= n <= 6: `stds` is of all
-    constants, those that it has already are its own."""
+    """Extended Kalman filter over the long state; see the head of this file.
 
-    def __init__(self, known: LocalizationConfig, start: Belief, stds: tuple[float, ...] = CONSTANTS_STD) -> None:
+    Parameters
+    ----------
+    start
+        Belief over states (n,), 3 <= n <= 6: the pose, and odometry parameters with standard deviations of their own.
+    stds
+        Prior standard deviations of all parameters, as in PARAMETER_STDS.
+    """
+
+    def __init__(self, config: LocalizationConfig, start: Belief, stds: tuple[float, ...] = PARAMETER_STDS) -> None:
         size = len(start.mean)
-        self.belief = Belief(np.zeros(SIZE), np.diag(np.append(np.zeros(POSE), stds) ** 2))
-        self.belief.mean[:size] = start.mean
-        self.belief.cov[:size, :size] = start.cov
-        self._odometry = known.odometry
-        self._lowest_in, self._highest_in = known.sonar.lowest_in, known.sonar.highest_in
-        self._variance: Callable[[Floats], Floats] = known.sonar.variance
-        self._sense = _tolerant(known.walls, known)
-        self._aiming = None
-        if isinstance(known.sonar, ConeSonar):
-            self._aiming = Aiming(known.walls, known.body, known.sonar)
-        self._watch = IntegrityMonitor()
+        prior = Belief(np.zeros(SIZE), np.diag(np.append(np.zeros(POSE), stds) ** 2))
+        prior.mean[:size] = start.mean
+        prior.cov[:size, :size] = start.cov
+        self._x, self._P = unpack(prior)
+        self._odometry, self._sonar = config.odometry, config.sonar
+        self._variance: Callable[[float], float] = config.sonar.variance_at
+        self._model = _tolerant(config)
+        self._aim = None
+        if isinstance(config.sonar, ConeSonar):
+            self._aim = ConeAim(config.walls, config.body, config.sonar)
+        self._monitor = IntegrityMonitor()
         self._threshold = chi_square_quantile(GATE_PROBABILITY, 1)
 
     @property
+    def belief(self) -> Belief:
+        """Belief over the long state (SIZE,)."""
+        return pack(self._x, self._P)
+
+    @property
     def health(self) -> FilterHealth:
-        """How far it can be believed."""
-        return self._watch.health(self.belief)
+        """Health of the estimate."""
+        return self._monitor.health(self.belief)
 
-    def move(self, step: Floats) -> None:
-        """The encoders told of a step (2,)."""
-        self.belief = self.ahead(step)
+    def predict(self, distance_in: float, turn_rad: float) -> None:
+        """Predict the belief after a step that the encoders report."""
+        predict_state(self._x, self._P, distance_in, turn_rad, self._odometry)
 
-    def ahead(self, step: Floats) -> Belief:
-        """The belief after such a step, which is not taken."""
-        belief = self.belief
-        mean, by_state = belief.mean.copy(), np.eye(SIZE)
-        by_state[:LARGEST, :LARGEST], by_step = step_jacobians(mean[:LARGEST], step)
-        mean[:LARGEST] = move_states(mean[:LARGEST], step)
-        cov = by_state @ belief.cov @ by_state.T
-        cov[:POSE, :POSE] += (by_step * step_variance(step, self._odometry)) @ by_step.T
-        return Belief(mean, 0.5 * (cov + cov.T))
+    def predicted(self, distance_in: float, turn_rad: float) -> Belief:
+        """Return the belief after such a step, without taking it."""
+        x, P = self._x.copy(), [row.copy() for row in self._P]
+        predict_state(x, P, distance_in, turn_rad, self._odometry)
+        return pack(x, P)
 
-    def hear(self, sonar: int, turret_offset_rad: float, reading_in: float) -> UpdateResult:
-        """A reading of sonar number `sonar`, the turret being turned by so much against the heading."""
-        judgement = self._hear(sonar, turret_offset_rad, reading_in)
-        if judgement.refusal in INFORMATIVE:
-            self._watch.look(judgement)
-        return judgement
+    def update(self, sonar: int, turret_offset_rad: float, reading_in: float) -> UpdateResult:
+        """Correct the belief by a reading."""
+        result = self._update(sonar, turret_offset_rad, reading_in)
+        if result.refusal in INFORMATIVE:
+            self._monitor.add(result)
+        return result
 
-    def _hear(self, sonar: int, turret_offset_rad: float, reading_in: float) -> UpdateResult:
-        if reading_in > self._lowest_in:
-            self._aim(sonar, turret_offset_rad, reading_in)
-        if not self._lowest_in < reading_in < self._highest_in:
+    def _update(self, sonar: int, turret_offset_rad: float, reading_in: float) -> UpdateResult:
+        lowest_in, highest_in = self._sonar.lowest_in, self._sonar.highest_in
+        # 1. The direction of the sonar, by what it detects.
+        if reading_in > lowest_in:
+            self._correct_aim(sonar, turret_offset_rad, reading_in)
+        if not lowest_in < reading_in < highest_in:
             return UpdateResult(Refusal.LIMIT, 0.0, 0.0, 1.0)
-        mean = self.belief.mean
-        range_in = float(np.clip(reading_in - mean[OFFSET] - mean[OWN + sonar], self._lowest_in + _INSIDE_IN,
-                                 self._highest_in - _INSIDE_IN))  # fmt: skip
-        sensed = self._sense.sense(self._looking(), sonar, turret_offset_rad + float(mean[RING_TURN]), range_in)
-        heard = sensed.candidates
-        if heard is None:
-            return UpdateResult(sensed.refusal, 0.0, 0.0, 1.0)
-        by_state = np.zeros((len(heard.ranges_in), SIZE))
-        by_state[:, :POSE] = heard.jacobian
-        by_state[:, RING_TURN] = heard.jacobian[:, HEADING]
-        by_state[:, [OFFSET, OWN + sonar]] = 1.0
-        pull = by_state @ self.belief.cov
-        spread = (pull * by_state).sum(axis=-1) + self._variance(heard.ranges_in)
-        innovation = range_in - heard.ranges_in
-        nis = innovation * innovation / spread
-        if not heard.outlier_probability and nis[0] > self._threshold:
-            return UpdateResult(Refusal.GATE, float(innovation[0]), float(nis[0]), 1.0)
-        return self._absorb(heard.probability, heard.outlier_probability, heard.bad_density, pull, spread, innovation)
-
-    def _absorb(
-        self, probability: Floats, outlier_probability: float, bad_density: float, pull: Floats, spread: Floats,
-        innovation: Floats,
-    ) -> UpdateResult:  # fmt: skip
-        """Probabilistic data association (mixture.py): the first two moments of all hypotheses."""
-        good, nis = 1.0 - outlier_probability, innovation * innovation / spread
-        weight = good * probability * np.exp(-0.5 * nis) / np.sqrt(2.0 * np.pi * spread)
-        bad = bad_density * (1.0 - good * probability.sum())
-        total = weight.sum() + bad
-        share, outlier_probability = weight / total, float(bad / total)
-        moves = pull * (innovation / spread)[:, None]
-        change = share @ moves
-        away = moves - change
-        cov = self.belief.cov - (pull * (share / spread)[:, None]).T @ pull
-        cov += (away * share[:, None]).T @ away + outlier_probability * np.outer(change, change)
-        self.belief = Belief(add(self.belief.mean, change), 0.5 * (cov + cov.T))
-        best = int(np.argmax(share))
-        return UpdateResult(
-            refusal_of(outlier_probability), float(innovation[best]), float(nis[best]), outlier_probability
+        # 2. The reading less the offsets, and its hypotheses from where the ring looks.
+        x, P = self._x, self._P
+        offset_in = x[OFFSET] + x[OWN + sonar]
+        range_in = min(max(reading_in - offset_in, lowest_in + _INSIDE_IN), highest_in - _INSIDE_IN)
+        found = self._model.associate(x[:POSE], self._pose_cov(), sonar, turret_offset_rad + x[RING_TURN], range_in)
+        if found.refusal is not Refusal.NONE:
+            return UpdateResult(found.refusal, 0.0, 0.0, 1.0)
+        # 3. Their derivatives by the long state.
+        association = found._replace(
+            H=[_long_derivative(H, sonar) for H in found.H],
+            R=[self._variance(expected_in) for expected_in in found.ranges_in],
         )
+        # 4. The gate of rays, which have no outliers, and the update.
+        if not association.outlier_probability:
+            (first,) = linear(x, P, range_in, association, association.R)
+            if first.nis > self._threshold:
+                return UpdateResult(Refusal.GATE, first.innovation, first.nis, 1.0)
+        done = pda_update(x, P, range_in, association)
+        outlier = done.outlier_probability
+        return UpdateResult(refusal_of(outlier), done.innovation_in, done.nis, outlier)
 
-    def _aim(self, sonar: int, turret_offset_rad: float, reading_in: float) -> None:
-        """What is heard at all tells where the sonar looks: heading and ring together."""
-        mean, cov = self.belief.mean, self.belief.cov
-        pull = cov[:, HEADING] + cov[:, RING_TURN]
-        variance = float(pull[HEADING] + pull[RING_TURN])
-        if self._aiming is None or variance <= 0.0:
+    def _correct_aim(self, sonar: int, turret_offset_rad: float, reading_in: float) -> None:
+        """Correct heading and ring turn together by what the sonar detects."""
+        x, P = self._x, self._P
+        # The direction is x[HEADING] + x[RING_TURN]: its covariance with the state, and its variance.
+        PHt = [row[HEADING] + row[RING_TURN] for row in P]
+        variance = PHt[HEADING] + PHt[RING_TURN]
+        if self._aim is None or variance <= 0.0:
             return
-        offset = [OFFSET, OWN + sonar]
-        read_in = reading_in if reading_in >= self._highest_in else reading_in - float(mean[offset].sum())
-        spread_in2 = float(cov[0, 0] + cov[1, 1] + cov[np.ix_(offset, offset)].sum())
-        x, y, heading = mean[:POSE].tolist()
-        ring_rad = turret_offset_rad + float(mean[RING_TURN])
-        off_rad, share = self._aiming.after(Look((x, y, heading), sonar, ring_rad, sqrt(variance), read_in, spread_in2))
-        gain = pull / variance
-        self.belief = Belief(add(mean, gain * off_rad), cov - np.outer(gain, pull) * (1.0 - share))
+        own = OWN + sonar
+        is_limit = reading_in >= self._sonar.highest_in
+        corrected_in = reading_in if is_limit else reading_in - x[OFFSET] - x[own]
+        variance_in2 = P[0][0] + P[1][1] + P[OFFSET][OFFSET] + 2.0 * P[OFFSET][own] + P[own][own]
+        ring_rad = turret_offset_rad + x[RING_TURN]
+        reading = AimReading((x[0], x[1], x[HEADING]), sonar, ring_rad, sqrt(variance), corrected_in, variance_in2)
+        offset_rad, fraction = self._aim.posterior(reading)
+        K = [value / variance for value in PHt]
+        for i, gain in enumerate(K):
+            x[i] += gain * offset_rad
+        x[HEADING] = wrap_angle(x[HEADING])
+        add_outer(P, -variance * (1.0 - fraction), K)
 
-    def _looking(self) -> Belief:
-        """The belief over where the robot is and where its ring looks: the heading as uncertain as both together."""
-        cov = self.belief.cov[:POSE, :POSE].copy()
-        by_ring = self.belief.cov[: RING_TURN + 1, RING_TURN]
-        cov[HEADING, HEADING] += by_ring[RING_TURN] + 2.0 * by_ring[HEADING]
-        cov[:HEADING, HEADING] += by_ring[:HEADING]
-        cov[HEADING, :HEADING] += by_ring[:HEADING]
-        return Belief(self.belief.mean[:POSE], cov)
+    def _pose_cov(self) -> list[list[float]]:
+        """Return the covariance of the pose with the direction of the ring in place of the heading."""
+        P = self._P
+        cov = [row[:POSE] for row in P[:POSE]]
+        cov[HEADING][HEADING] += P[RING_TURN][RING_TURN] + 2.0 * P[HEADING][RING_TURN]
+        for index in range(HEADING):
+            cov[index][HEADING] += P[index][RING_TURN]
+            cov[HEADING][index] += P[index][RING_TURN]
+        return cov
 
 
-def _tolerant(walls: npt.ArrayLike, known: LocalizationConfig) -> MeasurementModel:
-    """A sense whose own gate, which knows poses only, leaves room for the offsets; ours is taken afterwards."""
-    sonar: RaySonar | ConeSonar = known.sonar
+def _long_derivative(H: Sequence[float], sonar: int) -> list[float]:
+    """Return a derivative by the pose as one by the long state."""
+    by_x, by_y, by_heading = H
+    derivative = [0.0] * SIZE
+    derivative[:POSE] = by_x, by_y, by_heading
+    derivative[RING_TURN] = by_heading
+    derivative[OFFSET] = derivative[OWN + sonar] = 1.0
+    return derivative
+
+
+def _tolerant(config: LocalizationConfig) -> MeasurementModel:
+    """Return a measurement model whose gate leaves room for the offsets; the filter gates afterwards."""
+    sonar: RaySonar | ConeSonar = config.sonar
     if isinstance(sonar, RaySonar):
         sonar = replace(sonar, rounding_var_in2=sonar.rounding_var_in2 + _LOOSE_IN2)
-    return measurement_model(walls, known.body, sonar, known.gate)
+    return measurement_model(config.walls, config.body, sonar, config.gate)

@@ -1,118 +1,120 @@
-"""Kalman filters as methods: prediction by the encoders, one echo at a time through a hearing.
+"""The Kalman filter that `nomad localize` runs: extended, iterated or unscented, one sonar reading at a time.
 
-    extended    systematic.predict, updates.linear           iterated    systematic.predict, updates.iterated
-    unscented   sigma_points.predict, updates.unscented
+    predict(step)      x, P by the encoders        odometry.predict_state, or ukf.predict_state
+    update(reading)    x, P by a reading           update.MeasurementUpdate: Kalman gain in update.kalman_gain
 
-Rules: holds a belief and hands out new ones; all arithmetic is the prediction's and the hearing's. A watch looks on and
-says DEGRADED where what is heard does not fit; LOST is said by a filter alone that looks at other places (finder).
-
-The extended Kalman filter: the correction by many readings at once.
-
-Rules: pure; no map, no sensor, no gate, no clock. Which beams may correct is settled before (observation.Observation).
-Leading dimensions are independent filters.
-
-    correct   K = P H' (H P H' + R)^-1, the gain   mean' = mean + K innovation
-              P' = (I - K H) P (I - K H)' + K R K'   (Joseph: symmetric, never negative, whatever rounding does to K)
-
-R is diagonal, so with A = H' R^-1 H the matrix inversion lemma gives K = M H' R^-1, M = (I + P A)^-1 P: one system as
-large as the state instead of one as large as the ring. Then K H = M A and K R K' = M A M'.
+`update_ring` applies the same Kalman update to whole rings of many robots at once, for the experiments.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache
 
 import numpy as np
 
-from localization.filters.belief import Belief, Floats, add, difference
+from localization.filters.belief import HEADING, Belief, Floats, pack, unpack, wrap_angle
 from localization.filters.health import FilterHealth, IntegrityMonitor
-from localization.filters.odometry import OdometryNoise, predict
+from localization.filters.odometry import OdometryNoise, predict_state
+from localization.filters.sonar_ray import Observation
 from localization.filters.update import (
     INFORMATIVE,
     CorrelatedReadings,
+    Covariance,
     MeasurementUpdate,
-    Observation,
     Refusal,
+    State,
     UpdateResult,
+    kalman_update,
 )
 
-Predict = Callable[[Belief, Floats, OdometryNoise], Belief]
-"""The belief after a step (2,) that the encoders tell."""
+Prediction = Callable[[State, Covariance, float, float, OdometryNoise], None]
+"""Predicts x and P after a step (distance, turn), in place."""
 
 
 class KalmanFilter:
-    """A gaussian belief over poses, or longer states."""
+    """Gaussian filter over poses, or states with odometry parameters.
+
+    Parameters
+    ----------
+    belief
+        Belief before the first step, over states (n,), 3 <= n <= 6.
+    measurement
+        The measurement model and the rule of correction.
+    odometry
+        Noise of the encoders.
+    prediction
+        The prediction step: extended by default.
+    """
 
     def __init__(
-        self, belief: Belief, hearing: MeasurementUpdate, odometry: OdometryNoise, prediction: Predict = predict
+        self,
+        belief: Belief,
+        measurement: MeasurementUpdate,
+        odometry: OdometryNoise,
+        prediction: Prediction = predict_state,
     ) -> None:
-        self.belief = belief
-        self._hearing = hearing
+        self._x, self._P = unpack(belief)
+        self._measurement = measurement
         self._odometry = odometry
         self._predict = prediction
-        self._watch = IntegrityMonitor()
-        self._repeats = CorrelatedReadings()
+        self._monitor = IntegrityMonitor()
+        self._correlated = CorrelatedReadings()
+
+    @property
+    def belief(self) -> Belief:
+        """The present belief, mean (n,) and covariance (n, n)."""
+        return pack(self._x, self._P)
 
     @property
     def health(self) -> FilterHealth:
-        return self._watch.health(self.belief)
+        """Health of the estimate; a filter that considers one pose only never reports LOST."""
+        return self._monitor.health(self.belief)
 
-    def move(self, step: Floats) -> None:
-        self.belief = self._predict(self.belief, step, self._odometry)
-        self._repeats.move(step)
+    def predict(self, distance_in: float, turn_rad: float) -> None:
+        """Predict the belief after a step that the encoders report."""
+        self._predict(self._x, self._P, distance_in, turn_rad, self._odometry)
+        self._correlated.move(distance_in, turn_rad)
 
-    def ahead(self, step: Floats) -> Belief:
-        return self._predict(self.belief, step, self._odometry)
+    def predicted(self, distance_in: float, turn_rad: float) -> Belief:
+        """Return the belief after such a step, without taking it."""
+        x, P = self._x.copy(), [row.copy() for row in self._P]
+        self._predict(x, P, distance_in, turn_rad, self._odometry)
+        return pack(x, P)
 
-    def hear(self, sonar: int, turret_offset_rad: float, reading_in: float) -> UpdateResult:
-        times = self._repeats.before(sonar, turret_offset_rad) + 1
-        heard = self._hearing.hear(self.belief, sonar, turret_offset_rad, reading_in, times)
-        self.belief = heard.belief
-        if heard.judgement.refusal is Refusal.NONE:
-            self._repeats.take(sonar, turret_offset_rad)
-        if heard.judgement.refusal in INFORMATIVE:
-            self._watch.look(heard.judgement)
-        return heard.judgement
-
-
-def correct(belief: Belief, observation: Observation) -> Belief:
-    """The belief after an observation of n beams; any state of three coordinates or more."""
-    weighted = (observation.jacobian / observation.variance[..., None]).swapaxes(-1, -2)
-    gained = weighted @ observation.jacobian
-    identity = _identity(belief.mean.shape[-1])
-    spread = np.linalg.solve(identity + belief.cov @ gained, belief.cov)
-    learned = spread @ gained
-    cov = _around(identity - learned, belief.cov) + learned @ spread.swapaxes(-1, -2)
-    change = spread @ (weighted @ observation.innovation[..., None])
-    return Belief(add(belief.mean, change[..., 0]), _symmetric(cov))
+    def update(self, sonar: int, turret_offset_rad: float, reading_in: float) -> UpdateResult:
+        """Correct the belief by a reading of a sonar that fired at this very pose."""
+        count = self._correlated.count(sonar, turret_offset_rad) + 1
+        result = self._measurement.apply(self._x, self._P, sonar, turret_offset_rad, reading_in, count).result
+        if result.refusal is Refusal.NONE:
+            self._correlated.record(sonar, turret_offset_rad)
+        if result.refusal in INFORMATIVE:
+            self._monitor.add(result)
+        return result
 
 
-def innovation_squared(before: Belief, after: Belief, observation: Observation) -> Floats:
-    """NIS (...): innovation' S^-1 innovation of a correction from `before` to `after`.
+def update_ring(belief: Belief, observation: Observation) -> tuple[Belief, Floats]:
+    """Correct beliefs (..., 3) by the n independent readings of a ring taken at one instant.
 
-    As many degrees of freedom as beams used. S^-1 innovation = R^-1 (innovation - H K innovation), and K innovation is
-    what the correction added, so nothing is inverted.
+    The readings are linearised at the mean before all of them and applied one after another, which is the update by the
+    whole vector, without the inverse of an (n, n) matrix.
+
+    Returns
+    -------
+    tuple
+        The beliefs, and the NIS (...) of the whole vector, with as many degrees of freedom as readings used.
+
+    References
+    ----------
+    Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation (2001), sequential processing
+    of measurements.
     """
-    change = difference(after.mean, before.mean)
-    rest = observation.innovation - (observation.jacobian @ change[..., None])[..., 0]
-    nis: Floats = (observation.innovation * rest / observation.variance).sum(axis=-1)
-    return nis
-
-
-def _around(factor: Floats, cov: Floats) -> Floats:
-    product: Floats = factor @ cov @ factor.swapaxes(-1, -2)
-    return product
-
-
-def _symmetric(cov: Floats) -> Floats:
-    """Rounding leaves the two halves of a covariance a few bits apart; their mean."""
-    mean: Floats = 0.5 * (cov + cov.swapaxes(-1, -2))
-    return mean
-
-
-@lru_cache(maxsize=8)
-def _identity(size: int) -> Floats:
-    identity = np.eye(size)
-    identity.setflags(write=False)
-    return identity
+    x, P = unpack(Belief(np.zeros_like(belief.mean), belief.cov))  # x: the change of the mean
+    nis: Floats = np.zeros(belief.mean.shape[:-1])
+    for beam in range(observation.innovation.shape[-1]):
+        H = [observation.H[..., beam, index] for index in range(observation.H.shape[-1])]
+        # The innovation of this reading after those before it, in the linear model.
+        innovation = observation.innovation[..., beam] - sum(h * change for h, change in zip(H, x, strict=True))
+        nis = nis + kalman_update(x, P, H, observation.R[..., beam], innovation)
+    updated = pack([before + change for before, change in zip(np.moveaxis(belief.mean, -1, 0), x, strict=True)], P)
+    updated.mean[..., HEADING] = wrap_angle(updated.mean[..., HEADING])
+    return updated, nis

@@ -1,36 +1,14 @@
-"""Where a robot may be that nobody knows the place of: all poses that explain the echoes of the last few seconds.
+"""Global localization: a filter that detects when it is lost, and finds the robot again.
 
-    1  coarse    every free cell and heading, a ring of echoes each: likelihoods out of the atlas
-    2  peaks     the best, and the best that is not near a better one, and so on
-    3  refine    each peak as a gaussian as wide as a cell, moved and corrected by the same echoes (filters.hearing)
+    tracking     one hypothesis under an IntegrityMonitor. Where it is suspicious, a search looks for another pose that
+                 explains the last echoes better. One that does is compared with it by the echoes from then on
+                 (SequentialTest): elsewhere and better --> LOST, searching; nearby and better: the estimate moves
+    searching    echoes are collected for a ring and a half, then search() --> several hypotheses, or one
+    choosing     each hypothesis is a Kalman filter; improbable ones are dropped as driving tells them apart; one left,
+                 with more than MIN_CERTAINTY --> tracking
 
-Symmetry stays: as many hypotheses come out as the map has places that look alike, each with its weight. Rules: pure, no
-chance; echoes come with where the encoders stood.
-
-Two places or three, held against each other by what is heard from now on: a sequential test (Wald 1945).
-
-    nats(side)  +=  ln( (1 - BAD_SHARE) p(reading | side) + BAD_SHARE p(reading | bad) )
-
-A rival is the best of all places on a map, so the echoes that chose it say nothing for it: among so many some place
-fits any two dozen echoes better than the right one, a few of them bad. Those heard afterwards do. While an estimate is
-right, the likelihood ratio of any rival chosen before has a mean of 1 at every echo, so it comes to exceed e^n with a
-chance of e^-n at most, however often it is looked at (Ville 1939). That holds if bad echoes are no more than what is
-taken for bad; so more are than by a filter that knows its place.
-
-The estimate may have slipped off a little and a place near it be right: that one has its say too, or a third place
-could win because both are wrong. Rules: pure; each rival is a belief of its own that moves and hears.
-
-A filter that knows when it is lost, and finds itself again: one estimate, or several while places look alike.
-
-    tracking     one hypothesis; a watch looks on, and where that has doubts a search looks whether another place
-                 explains the last echoes better. One that does is held against it by the echoes heard from then on
-                 (contest); elsewhere and right: ── LOST ──> searching, near by and right: the estimate is set right
-    searching    echoes are collected for a ring and a half, then search ──> several hypotheses, or one
-    choosing     each hypothesis is a filter of its own; the unlikely are dropped as driving tells them apart; one left
-                 (more than SURE of all) ──> tracking
-
-It begins tracking where it is told a place, searching where it is told none. Rules: no robot, no clock; whoever drives
-reads `verdict` and `hypotheses` and decides what to do meanwhile (stand, turn, drive on slowly).
+It begins with tracking from a given belief, with searching from none. The caller reads `health` and `hypotheses` and
+decides what to do meanwhile (stand, turn, drive on slowly). No part of it is random.
 """
 
 from __future__ import annotations
@@ -45,35 +23,54 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from localization.filters.base import Place
-from localization.filters.belief import HEADING, Belief, Floats, add, difference, independent
+from localization.filters.belief import HEADING, POSE, Belief, Floats, add, difference, independent, pack, unpack
 from localization.filters.health import FilterHealth, HealthStatus, IntegrityMonitor
-from localization.filters.odometry import POSE, OdometryNoise, move, predict, step_between, with_parameters, with_pose
-from localization.filters.range_table import CELL_IN, DIRECTIONS, RangeTable
-from localization.filters.update import CorrelatedReadings, MeasurementUpdate, Refusal, UpdateResult
+from localization.filters.odometry import (
+    OdometryNoise,
+    move,
+    predict,
+    predict_state,
+    step_between,
+    with_parameters,
+    with_pose,
+)
+from localization.filters.range_table import CELL_IN, DIRECTIONS, OUTLIER_PROBABILITY, RangeTable
+from localization.filters.update import (
+    RANGE_SPAN_IN,
+    CorrelatedReadings,
+    MeasurementUpdate,
+    Refusal,
+    UpdateResult,
+)
+
+LOWEST_IN, NOTHING_IN = 6.0, 255.0
+"""Limits: "no nearer", which says little, and "nothing", which contradicts an expected echo."""
+
+# 1. The search: all poses that explain the last echoes.
 
 CELL_STD_IN: Final = 2.0
-"""How far a reading may be off what the middle of its cell would hear: a cell's half diagonal, and its heading's."""
-HEADINGS: Final = DIRECTIONS
-CLIMB_IN, CLIMB_RAD = 2.5 * CELL_IN, 0.35
-"""Peaks nearer than this to a better one are its slopes."""
-NEAR_IN, NEAR_RAD = CLIMB_IN, 0.5
-"""A heading slips by as much as a cone is wide, 25 degrees: an echo is heard over all of it."""
-MOST_PEAKS: Final = 40
+"""Difference of a reading from that in the middle of its cell: half a diagonal, and half a cell of heading."""
+PEAK_DISTANCE_IN, PEAK_DISTANCE_RAD = 2.5 * CELL_IN, 0.35
+"""A pose nearer than this to a better one belongs to the same peak."""
+SLIP_IN, SLIP_RAD = PEAK_DISTANCE_IN, 0.5
+"""An estimate may have slipped by this: a heading by the width of the cone, 25 degrees, over which an echo stays."""
+MAX_PEAKS: Final = 40
+MAX_CANDIDATES: Final = 20_000
+"""Poses among which peaks are looked for."""
+MAX_PEAK_NATS: Final = 25.0
+"""A peak this much less likely than the best is no candidate."""
 REFINED_STD: Final = (0.6 * CELL_IN, 0.6 * CELL_IN, 0.06)
+"""Standard deviations of a peak before it is refined: of a cell."""
 SAME_SQUARED: Final = 16.27
-"""A place within this squared distance of a belief, by its spread, is the believed one: chi-square of 3, 99.9 %."""
-WORTH_KEEPING: Final = 1e-4
-"""Hypotheses with less than this share are dropped."""
-BAD_SHARE, SPAN_IN = 0.3, 249.0
-"""What is taken for bad at this stage: more than by a filter that knows its place, for people may stand about."""
-
-
-NEAREST_IN, NOTHING_IN = 6.0, 255.0
-"""Limits: "no nearer", which says little, and "nothing", which speaks against what ought to be heard."""
+"""A pose within this squared distance of a belief is the same: chi-square of 3 degrees of freedom, 99.9 %."""
+SAME_IN, SAME_RAD = CELL_IN, 0.15
+"""Refined hypotheses nearer than this are one."""
+MIN_WEIGHT: Final = 1e-4
+"""Hypotheses with less weight than this, against the best, are dropped."""
 
 
 class EchoRecord(NamedTuple):
-    """An echo, and where the encoders stood (3,) when it was heard, in any frame that is the same for all clues."""
+    """An echo, and the pose of the encoders (3,) at its instant, in any frame that is common to all records."""
 
     encoders: Floats
     sonar_rad: float
@@ -84,101 +81,110 @@ class EchoRecord(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Hypothesis:
-    """A place the robot may be at: a belief over its pose at the last clue, and its share of all that is believed."""
+    """A pose at which the robot may be, as a belief at the last record, and its probability."""
 
     belief: Belief
-    share: float
-
-
-def search(
-    clues: Sequence[EchoRecord], atlas: RangeTable, hearing: MeasurementUpdate, odometry: OdometryNoise
-) -> list[Hypothesis]:
-    """All places that explain the clues, the likeliest first; none where there is no clue or no floor."""
-    return merged(_weighed(clues, atlas, hearing, odometry))
+    probability: float
 
 
 class Alternatives(NamedTuple):
-    """Beliefs over the pose at the last clue that a search holds against one: the best place near it and the best
-    elsewhere, None where none was found; and by how many nats the better of the two explains the clues better than the
-    belief itself, -inf where there is none."""
+    """Beliefs over the pose at the last record that explain the echoes, against a given one.
+
+    Attributes
+    ----------
+    near, elsewhere
+        The best one near the given belief, and the best elsewhere; None where none was found.
+    lead_nats
+        Log likelihood of the better of the two less that of the given belief; -inf without any.
+    """
 
     near: Belief | None
     elsewhere: Belief | None
     lead_nats: float
 
 
+def search(
+    records: Sequence[EchoRecord], table: RangeTable, measurement: MeasurementUpdate, odometry: OdometryNoise
+) -> list[Hypothesis]:
+    """Return all poses that explain the records, the most probable first; none without records or floor.
+
+    A symmetric map gives as many hypotheses as it has places that look alike.
+    """
+    return merged(_explanations(records, table, measurement, odometry))
+
+
 def alternatives(
-    here: Belief, clues: Sequence[EchoRecord], atlas: RangeTable, hearing: MeasurementUpdate, odometry: OdometryNoise
+    given: Belief,
+    records: Sequence[EchoRecord],
+    table: RangeTable,
+    measurement: MeasurementUpdate,
+    odometry: OdometryNoise,
 ) -> Alternatives:
-    """What else explains the clues. Near is within the spread of the belief `here`, or as far off as it may slip."""
-    wide = Belief(here.mean[:POSE], here.cov[:POSE, :POSE] + np.diag(np.square(REFINED_STD)))
+    """Return what else explains the records. Near is within the standard deviation of the belief, or a slip from it."""
+    wide = Belief(given.mean[:POSE], given.cov[:POSE, :POSE] + np.diag(np.square(REFINED_STD)))
     information = np.linalg.inv(wide.cov)
     best: dict[bool, tuple[Belief, float]] = {}
-    for place, score in _weighed(clues, atlas, hearing, odometry):
-        off = difference(place.mean, wide.mean)
-        near = bool(off @ information @ off <= SAME_SQUARED) or _may_slip(off)
+    for belief, score in _explanations(records, table, measurement, odometry):
+        offset = difference(belief.mean, wide.mean)
+        near = bool(offset @ information @ offset <= SAME_SQUARED) or _may_have_slipped(offset)
         if near not in best or score > best[near][1]:
-            best[near] = place, score
-    lead = max((score for _, score in best.values()), default=-inf) - _led(wide, clues, hearing, odometry)[1]
+            best[near] = belief, score
+    lead = max((score for _, score in best.values()), default=-inf) - _replayed(wide, records, measurement, odometry)[1]
     near_by, elsewhere = (best[near][0] if near in best else None for near in (True, False))
     return Alternatives(near_by, elsewhere, lead)
 
 
-def _weighed(
-    clues: Sequence[EchoRecord], atlas: RangeTable, hearing: MeasurementUpdate, odometry: OdometryNoise
-) -> list[tuple[Belief, float]]:
-    """Beliefs of all places that explain the clues, each with its log likelihood."""
-    places = atlas.places_in
-    if not clues or not len(places):
-        return []
-    poses, score = _coarse(clues, atlas, places)
-    return [_refined(peak, clues, hearing, odometry) for peak in _peaks(poses, score)]
-
-
-def merged(weighed: Sequence[tuple[Belief, float]]) -> list[Hypothesis]:
-    """Hypotheses of beliefs with their log likelihoods: those at the same place are one, the unlikely none."""
-    ranked = sorted(weighed, key=lambda pair: -pair[1])
+def merged(weighted: Sequence[tuple[Belief, float]]) -> list[Hypothesis]:
+    """Return hypotheses from beliefs with their log likelihoods: one for each pose, without the improbable."""
+    ranked = sorted(weighted, key=lambda pair: -pair[1])
     best = ranked[0][1] if ranked else -inf
-    kept: list[tuple[Belief, float]] = []
+    chosen: list[tuple[Belief, float]] = []
     for belief, score in ranked:
         weight = float(np.exp(score - best))
-        if weight < WORTH_KEEPING:
+        if weight < MIN_WEIGHT:
             break
-        if not any(_same(belief, other) for other, _ in kept):
-            kept.append((belief, weight))
-    total = sum(weight for _, weight in kept)
-    return [Hypothesis(belief, weight / total) for belief, weight in kept]
+        if not any(_is_same(belief, other) for other, _ in chosen):
+            chosen.append((belief, weight))
+    total = sum(weight for _, weight in chosen)
+    return [Hypothesis(belief, weight / total) for belief, weight in chosen]
 
 
-def _same(one: Belief, other: Belief) -> bool:
-    off = difference(one.mean, other.mean)
-    return bool(np.hypot(off[0], off[1]) < CELL_IN and abs(off[HEADING]) < 0.15)
+def _explanations(
+    records: Sequence[EchoRecord], table: RangeTable, measurement: MeasurementUpdate, odometry: OdometryNoise
+) -> list[tuple[Belief, float]]:
+    """Return beliefs over all poses that explain the records, each with its log likelihood."""
+    places = table.places_in
+    if not records or not len(places):
+        return []
+    # 1. The likelihood of every free cell and heading, from the table.  2. Its peaks.  3. Each refined by the filter.
+    poses, score = _coarse(records, table, places)
+    return [_replayed(independent(peak, REFINED_STD), records, measurement, odometry) for peak in _peaks(poses, score)]
 
 
-def _coarse(clues: Sequence[EchoRecord], atlas: RangeTable, places: Floats) -> tuple[Floats, Floats]:
-    """All poses (n, 3) of the grid at the last clue, and their log likelihoods (n,)."""
-    turns = np.arange(HEADINGS) * (2.0 * np.pi / HEADINGS)
-    poses = np.empty((len(places) * HEADINGS, 3))
-    poses[:, :2] = np.repeat(places, HEADINGS, axis=0)
-    poses[:, HEADING] = np.tile(turns, len(places))
+def _coarse(records: Sequence[EchoRecord], table: RangeTable, places: Floats) -> tuple[Floats, Floats]:
+    """Return all poses (n, 3) of the grid at the last record, and their log likelihoods (n,)."""
+    headings = np.arange(DIRECTIONS) * (2.0 * np.pi / DIRECTIONS)
+    poses = np.empty((len(places) * DIRECTIONS, 3))
+    poses[:, :2] = np.repeat(places, DIRECTIONS, axis=0)
+    poses[:, HEADING] = np.tile(headings, len(places))
     score = np.zeros(len(poses))
-    floor = BAD_SHARE / SPAN_IN
-    for clue in clues:
-        there = _carried(poses, clues[-1].encoders, clue.encoders)
-        if clue.reading_in <= NEAREST_IN:
+    inlier = 1.0 - OUTLIER_PROBABILITY
+    for record in records:
+        if record.reading_in <= LOWEST_IN:
             continue
-        ranges, chances = atlas.look_up(there, clue.sonar_rad)
+        there = _displaced(poses, records[-1].encoders, record.encoders)
+        ranges, probability = table.look_up(there, record.sonar_rad)
+        if record.reading_in >= NOTHING_IN:
+            score += np.log(1.0 - inlier * probability)
+            continue
         variance = CELL_STD_IN**2 + (0.01 * ranges) ** 2
-        if clue.reading_in >= NOTHING_IN:
-            score += np.log(1.0 - (1.0 - BAD_SHARE) * chances)
-            continue
-        hit = chances * np.exp(-0.5 * (clue.reading_in - ranges) ** 2 / variance) / np.sqrt(2.0 * np.pi * variance)
-        score += np.log((1.0 - BAD_SHARE) * hit + floor)
+        hit = probability * np.exp(-0.5 * (record.reading_in - ranges) ** 2 / variance)
+        score += np.log(inlier * hit / np.sqrt(2.0 * np.pi * variance) + OUTLIER_PROBABILITY / RANGE_SPAN_IN)
     return poses, score
 
 
-def _carried(poses: Floats, last: Floats, then: Floats) -> Floats:
-    """Where poses (n, 3) were when the encoders stood at `then`, being at `last` now."""
+def _displaced(poses: Floats, last: Floats, then: Floats) -> Floats:
+    """Return where poses (n, 3) were when the encoders stood at `then`, being at `last` now."""
     back = difference(then, last)
     turn = poses[:, HEADING] - last[HEADING]
     cos, sin = np.cos(turn), np.sin(turn)
@@ -190,53 +196,52 @@ def _carried(poses: Floats, last: Floats, then: Floats) -> Floats:
 
 
 def _peaks(poses: Floats, score: Floats) -> list[Floats]:
-    """The best poses (3,), none on the slope of a better one."""
+    """Return the best poses (3,), one for each peak."""
     order = np.argsort(score)[::-1]
-    order = order[score[order] > score[order[0]] - 25.0][:20_000]
-    left = poses[order]
+    order = order[score[order] > score[order[0]] - MAX_PEAK_NATS][:MAX_CANDIDATES]
+    rest = poses[order]
     found: list[Floats] = []
-    while len(left) and len(found) < MOST_PEAKS:
-        peak = left[0]
+    while len(rest) and len(found) < MAX_PEAKS:
+        peak = rest[0]
         found.append(peak)
-        off = difference(left, np.broadcast_to(peak, left.shape))
-        near = (np.hypot(off[:, 0], off[:, 1]) < CLIMB_IN) & (np.abs(off[:, HEADING]) < CLIMB_RAD)
-        left = left[~near]
+        offset = difference(rest, np.broadcast_to(peak, rest.shape))
+        distance = np.hypot(offset[:, 0], offset[:, 1])
+        rest = rest[~((distance < PEAK_DISTANCE_IN) & (np.abs(offset[:, HEADING]) < PEAK_DISTANCE_RAD))]
     return found
 
 
-def _may_slip(off: Floats) -> bool:
-    return bool(np.hypot(off[0], off[1]) < NEAR_IN and abs(off[HEADING]) < NEAR_RAD)
-
-
-def _refined(
-    peak: Floats, clues: Sequence[EchoRecord], hearing: MeasurementUpdate, odometry: OdometryNoise
+def _replayed(
+    last: Belief, records: Sequence[EchoRecord], measurement: MeasurementUpdate, odometry: OdometryNoise
 ) -> tuple[Belief, float]:
-    """A peak, as wide as a cell, led along the clues."""
-    return _led(independent(peak, REFINED_STD), clues, hearing, odometry)
+    """Return a belief, moved back to the first record and filtered along all of them, and its log likelihood."""
+    start = _displaced(last.mean[None, :], records[-1].encoders, records[0].encoders)[0]
+    x, P = unpack(Belief(add(start, np.zeros(POSE)), last.cov))
+    score, before = 0.0, records[0].encoders
+    for record in records:
+        distance_in, turn_rad = step_between(before, record.encoders).tolist()
+        predict_state(x, P, distance_in, turn_rad, odometry)
+        score += log(measurement.apply(x, P, record.sonar, record.turret_offset_rad, record.reading_in).likelihood)
+        before = record.encoders
+    return pack(x, P), score
 
 
-def _led(
-    last: Belief, clues: Sequence[EchoRecord], hearing: MeasurementUpdate, odometry: OdometryNoise
-) -> tuple[Belief, float]:
-    """A belief carried from the last clue to the first and led along all of them: what it is then, and how likely all
-    that was heard is by it, as a logarithm."""
-    start = _carried(last.mean[None, :], clues[-1].encoders, clues[0].encoders)[0]
-    belief = Belief(add(start, np.zeros(3)), last.cov)
-    score, before = 0.0, clues[0].encoders
-    for clue in clues:
-        belief = predict(belief, step_between(before, clue.encoders), odometry)
-        heard = hearing.hear(belief, clue.sonar, clue.turret_offset_rad, clue.reading_in)
-        belief, before = heard.belief, clue.encoders
-        score += log(heard.likelihood)
-    return belief, score
+def _is_same(one: Belief, other: Belief) -> bool:
+    offset = difference(one.mean, other.mean)
+    return bool(np.hypot(offset[0], offset[1]) < SAME_IN and abs(offset[HEADING]) < SAME_RAD)
 
 
-SURE_NATS: Final = 12.0
-"""A side that leads all others by so much has won: wrongly in one contest of 160,000."""
+def _may_have_slipped(offset: Floats) -> bool:
+    return bool(np.hypot(offset[0], offset[1]) < SLIP_IN and abs(offset[HEADING]) < SLIP_RAD)
+
+
+# 2. The sequential test between an estimate and its alternatives.
+
+DECISION_NATS: Final = 12.0
+"""A side that leads all others by so much has won: wrongly in one test of 160,000."""
 
 
 class Side(Enum):
-    """Who is right: the estimate, a place near it, or one elsewhere."""
+    """The sides of a test: the estimate, a pose near it, or one elsewhere."""
 
     HERE = "here"
     NEAR = "near"
@@ -244,212 +249,270 @@ class Side(Enum):
 
 
 class SequentialTest:
-    """See the head of this file. Rivals are None where there is none; the estimate itself is its filter's to keep."""
+    """Compare an estimate with one or two alternatives by the echoes from now on.
+
+        nats(side)  +=  ln( (1 - OUTLIER_PROBABILITY) p(reading | side) + OUTLIER_PROBABILITY p(reading | outlier) )
+
+    An alternative is the best of all poses on a map, so the echoes that selected it are no evidence for it: among so
+    many poses some fit any two dozen echoes better than the right one. Echoes from then on are. While the estimate is
+    right, the likelihood ratio of any alternative has a mean of 1 at every echo, so it ever exceeds e^n with a
+    probability of e^-n at most, if outliers are no more frequent than assumed.
+
+    The estimate may have slipped a little and a pose near it be right: without that side a third pose could win because
+    both others are wrong.
+
+    Parameters
+    ----------
+    near, elsewhere
+        The alternatives, None where there is none. The estimate itself is filtered by the caller.
+
+    References
+    ----------
+    Wald, Sequential tests of statistical hypotheses (1945); Ville, Etude critique de la notion de collectif (1939).
+    """
 
     def __init__(
-        self, near: Belief | None, elsewhere: Belief | None, hearing: MeasurementUpdate, odometry: OdometryNoise
+        self,
+        near: Belief | None,
+        elsewhere: Belief | None,
+        measurement: MeasurementUpdate,
+        odometry: OdometryNoise,
     ) -> None:
-        self._hearing, self._odometry = hearing, odometry
-        alternatives = {Side.NEAR: near, Side.ELSEWHERE: elsewhere}
-        self._rivals = {side: belief for side, belief in alternatives.items() if belief is not None}
-        self._nats = dict.fromkeys((Side.HERE, *self._rivals), 0.0)
-        self.heard = 0
-        """Echoes so far."""
+        self._measurement, self._odometry = measurement, odometry
+        beliefs = {Side.NEAR: near, Side.ELSEWHERE: elsewhere}
+        self._beliefs = {side: belief for side, belief in beliefs.items() if belief is not None}
+        self._nats = dict.fromkeys((Side.HERE, *self._beliefs), 0.0)
+        self.echoes = 0
+        """Number of echoes so far."""
 
     def belief(self, side: Side) -> Belief:
-        """What a rival believes by now. Raises KeyError for a side that is no rival of this contest."""
-        return self._rivals[side]
+        """Return the belief of an alternative.
+
+        Raises
+        ------
+        KeyError
+            This test has no such alternative.
+        """
+        return self._beliefs[side]
 
     @property
     def winner(self) -> Side | None:
-        """Who leads all others by SURE_NATS; None while nobody does."""
-        return max(self._nats, key=self._nats.__getitem__) if self.lead_nats >= SURE_NATS else None
+        """The side that leads all others by DECISION_NATS; None while there is none."""
+        return max(self._nats, key=self._nats.__getitem__) if self.lead_nats >= DECISION_NATS else None
 
     @property
     def lead_nats(self) -> float:
-        """By how much the first leads the second."""
+        """Lead of the first side over the second."""
         second, first = sorted(self._nats.values())[-2:]
         return first - second
 
-    def move(self, step: Floats) -> None:
-        """The encoders told of a step (2,)."""
-        self._rivals = {side: predict(belief, step, self._odometry) for side, belief in self._rivals.items()}
+    def predict(self, distance_in: float, turn_rad: float) -> None:
+        """Predict all alternatives after a step that the encoders report."""
+        step = np.array((distance_in, turn_rad))
+        self._beliefs = {side: predict(belief, step, self._odometry) for side, belief in self._beliefs.items()}
 
-    def hear(self, clue: EchoRecord, likelihood: float) -> None:
-        """An echo, and how well the estimate explained it."""
-        self.heard += 1
-        self._nats[Side.HERE] += _weight(clue.reading_in, likelihood)
-        for side, belief in self._rivals.items():
-            heard = self._hearing.hear(belief, clue.sonar, clue.turret_offset_rad, clue.reading_in)
-            self._rivals[side] = heard.belief
-            self._nats[side] += _weight(clue.reading_in, heard.likelihood)
-
-
-def _weight(reading_in: float, likelihood: float) -> float:
-    """In nats, what an echo so likely says."""
-    bad = 1.0 if reading_in >= NOTHING_IN else 1.0 / SPAN_IN
-    return log((1.0 - BAD_SHARE) * likelihood + BAD_SHARE * bad)
+    def update(self, record: EchoRecord, likelihood: float) -> None:
+        """Take an echo into account, and its likelihood given the estimate."""
+        self.echoes += 1
+        self._nats[Side.HERE] += _evidence(record.reading_in, likelihood)
+        for side, belief in self._beliefs.items():
+            self._beliefs[side], outcome = self._measurement.updated(
+                belief, record.sonar, record.turret_offset_rad, record.reading_in
+            )
+            self._nats[side] += _evidence(record.reading_in, outcome.likelihood)
 
 
-CLUES: Final = 24
-"""Echoes that a search looks at: a ring and a half, so that a missed or a bad one is not missed much."""
-SURE: Final = 0.99
-"""Share from which one hypothesis is the estimate."""
-BETTER_NATS: Final = 12.0
-"""By so much another place must explain the last echoes better, for a doubted one to be held against it."""
+def _evidence(reading_in: float, likelihood: float) -> float:
+    """Return the evidence of an echo of this likelihood, in nats."""
+    outlier = 1.0 if reading_in >= NOTHING_IN else 1.0 / RANGE_SPAN_IN
+    return log((1.0 - OUTLIER_PROBABILITY) * likelihood + OUTLIER_PROBABILITY * outlier)
+
+
+# 3. The filter.
+
+MAX_RECORDS: Final = 24
+"""Echoes that a search uses: a ring and a half, so that a missing or bad one matters little."""
+MIN_CERTAINTY: Final = 0.99
+"""Probability from which one hypothesis is the estimate."""
+MIN_LEAD_NATS: Final = 12.0
+"""By so much another pose must explain the last echoes better to be tested against the estimate."""
 FOUND_STD: Final = (0.5, 0.5, 0.03)
-"""How much less is known of a place that was found than its few echoes say: they chose it, and count for that."""
-NOWHERE_STD: Final = (1000.0, 1000.0, 3.0)
-"""How uncertain a belief is that knows nothing: inches and radians."""
+"""Added to a pose that a search found: its echoes selected it, so they say less of it than they seem to."""
+UNKNOWN_STD: Final = (1000.0, 1000.0, 3.0)
+"""Standard deviations of a belief that knows nothing: inches and radians."""
 
 
 class GlobalLocalizer:
-    """See the head of this file. `ears`: the direction of each sonar on the turret, radians."""
+    """Extended Kalman filter that detects when it is lost, and searches the map; see the head of this file.
+
+    Parameters
+    ----------
+    belief
+        Belief before the first step; None to begin with a search.
+    table
+        Returns the range table of the map, built when first needed.
+    sonar_angles_rad
+        Direction of each sonar on the turret.
+    parameter_stds
+        Standard deviations of the odometry parameters of a pose that was found.
+    """
 
     def __init__(
         self,
         belief: Belief | None,
-        hearing: MeasurementUpdate,
+        measurement: MeasurementUpdate,
         odometry: OdometryNoise,
-        atlas: Callable[[], RangeTable],
-        ears: Sequence[float],
-        constants: tuple[float, ...] = (),
-        watch: IntegrityMonitor | None = None,
+        table: Callable[[], RangeTable],
+        sonar_angles_rad: Sequence[float],
+        parameter_stds: tuple[float, ...] = (),
+        monitor: IntegrityMonitor | None = None,
     ) -> None:
-        self._hearing, self._odometry, self._ears, self._constants = hearing, odometry, ears, constants
-        self._draw_atlas = atlas
-        self._atlas: RangeTable | None = None
-        self._watch = watch or IntegrityMonitor()
-        self._encoders, self._repeats = np.zeros(3), CorrelatedReadings()
-        self._clues: deque[EchoRecord] = deque(maxlen=CLUES)
-        self._fresh = 0
-        self._contest: SequentialTest | None = None
-        self._why = "nothing was told of the place"
+        self._measurement, self._odometry = measurement, odometry
+        self._sonar_angles_rad, self._parameter_stds = sonar_angles_rad, parameter_stds
+        self._build_table = table
+        self._built: RangeTable | None = None
+        self._monitor = monitor or IntegrityMonitor()
+        self._encoders, self._correlated = np.zeros(POSE), CorrelatedReadings()
+        self._records: deque[EchoRecord] = deque(maxlen=MAX_RECORDS)
+        self._new_records = 0
+        self._test: SequentialTest | None = None
+        self._reason = "the start is unknown"
         self.hypotheses: list[Hypothesis] = [] if belief is None else [Hypothesis(belief, 1.0)]
-        """Where the robot may be, the likeliest first; none while searching."""
+        """Where the robot may be, the most probable first; none while searching."""
 
     @property
     def belief(self) -> Belief:
-        """The likeliest hypothesis; as good as nothing while searching."""
+        """The most probable hypothesis; while searching, one that knows nothing."""
         if self.hypotheses:
             return self.hypotheses[0].belief
-        return with_parameters(Belief(np.zeros(3), np.diag(np.square(NOWHERE_STD))), self._constants)
+        return with_parameters(Belief(np.zeros(POSE), np.diag(np.square(UNKNOWN_STD))), self._parameter_stds)
 
     @property
     def places(self) -> tuple[Place, ...]:
-        """Where the robot may be."""
-        return tuple(Place(known.belief, known.share) for known in self.hypotheses)
+        """All hypotheses."""
+        return tuple(Place(hypothesis.belief, hypothesis.probability) for hypothesis in self.hypotheses)
 
     @property
     def health(self) -> FilterHealth:
-        """How far that can be believed."""
+        """Health of the estimate."""
         if not self.hypotheses:
-            return FilterHealth(HealthStatus.LOST, f"searching: {self._why}")
+            return FilterHealth(HealthStatus.LOST, f"searching: {self._reason}")
         if len(self.hypotheses) > 1:
-            count = len(self.hypotheses)
-            return FilterHealth(
-                HealthStatus.LOST, f"{count} places look alike, the likeliest with {self.hypotheses[0].share:.0%}"
-            )
-        return self._watch.health(self.belief)
+            best = self.hypotheses[0].probability
+            reason = f"{len(self.hypotheses)} places look alike, the likeliest with {best:.0%}"
+            return FilterHealth(HealthStatus.LOST, reason)
+        return self._monitor.health(self.belief)
 
-    def move(self, step: Floats) -> None:
-        """The encoders told of a step (2,)."""
+    def predict(self, distance_in: float, turn_rad: float) -> None:
+        """Predict all hypotheses after a step that the encoders report."""
+        step = np.array((distance_in, turn_rad))
         self._encoders = move(self._encoders, step)
-        self._repeats.move(step)
+        self._correlated.move(distance_in, turn_rad)
         self.hypotheses = [
-            Hypothesis(predict(known.belief, step, self._odometry), known.share) for known in self.hypotheses
+            Hypothesis(predict(hypothesis.belief, step, self._odometry), hypothesis.probability)
+            for hypothesis in self.hypotheses
         ]
-        if self._contest:
-            self._contest.move(step)
+        if self._test:
+            self._test.predict(distance_in, turn_rad)
 
-    def ahead(self, step: Floats) -> Belief:
-        """The belief after such a step, which is not taken."""
-        return predict(self.belief, step, self._odometry)
+    def predicted(self, distance_in: float, turn_rad: float) -> Belief:
+        """Return the belief after such a step, without taking it."""
+        return predict(self.belief, np.array((distance_in, turn_rad)), self._odometry)
 
-    def hear(self, sonar: int, turret_offset_rad: float, reading_in: float) -> UpdateResult:
-        """A reading: every hypothesis takes it in; those it speaks against lose their share."""
-        direction = turret_offset_rad + self._ears[sonar]
-        self._clues.append(EchoRecord(self._encoders, direction, sonar, turret_offset_rad, reading_in))
-        self._fresh += 1
+    def update(self, sonar: int, turret_offset_rad: float, reading_in: float) -> UpdateResult:
+        """Correct every hypothesis by a reading, and reweight them."""
+        # 1. Record the echo; without a hypothesis it serves the search.
+        direction = turret_offset_rad + self._sonar_angles_rad[sonar]
+        self._records.append(EchoRecord(self._encoders, direction, sonar, turret_offset_rad, reading_in))
+        self._new_records += 1
         if not self.hypotheses:
             return self._search()
-        times = self._repeats.before(sonar, turret_offset_rad) + 1
-        heard = [
-            self._hearing.hear(known.belief, sonar, turret_offset_rad, reading_in, times) for known in self.hypotheses
+        # 2. Correct every hypothesis.
+        count = self._correlated.count(sonar, turret_offset_rad) + 1
+        outcomes = [
+            self._measurement.updated(hypothesis.belief, sonar, turret_offset_rad, reading_in, count)
+            for hypothesis in self.hypotheses
         ]
-        judgement = heard[0].judgement
-        if judgement.refusal is Refusal.NONE:
-            self._repeats.take(sonar, turret_offset_rad)
-        if len(heard) == 1:
-            self.hypotheses = [Hypothesis(heard[0].belief, 1.0)]
-            self._look_on(self._clues[-1], heard[0].likelihood, judgement)
-            return judgement
-        known = zip(self.hypotheses, heard, strict=True)
-        self.hypotheses = merged([(new.belief, log(old.share) + log(new.likelihood)) for old, new in known])
-        if self.hypotheses[0].share > SURE:
+        result = outcomes[0][1].result
+        if result.refusal is Refusal.NONE:
+            self._correlated.record(sonar, turret_offset_rad)
+        # 3. One hypothesis: monitor it. Several: weigh them by the likelihood of the reading.
+        if len(outcomes) == 1:
+            belief, outcome = outcomes[0]
+            self.hypotheses = [Hypothesis(belief, 1.0)]
+            self._watch(self._records[-1], outcome.likelihood, result)
+            return result
+        self.hypotheses = merged(
+            [
+                (belief, log(before.probability) + log(outcome.likelihood))
+                for before, (belief, outcome) in zip(self.hypotheses, outcomes, strict=True)
+            ]
+        )
+        if self.hypotheses[0].probability > MIN_CERTAINTY:
             self.hypotheses = [Hypothesis(self.hypotheses[0].belief, 1.0)]
-            self._watch.reset()
-        return judgement
+            self._monitor.reset()
+        return result
 
-    def _look_on(self, clue: EchoRecord, likelihood: float, judgement: UpdateResult) -> None:
-        """Watch one estimate; lost, it is given up."""
-        if clue.reading_in <= NEAREST_IN:
+    def _watch(self, record: EchoRecord, likelihood: float, result: UpdateResult) -> None:
+        """Monitor the one hypothesis; give it up once it is lost."""
+        if record.reading_in <= LOWEST_IN:
             return
-        limit = judgement.refusal is Refusal.LIMIT
-        self._watch.hear(likelihood, self._map.density(clue.reading_in), None if limit else judgement)
-        if self._contest:
-            self._contest.hear(clue, likelihood)
-            self._decide(self._contest)
-        if self._watch.lost:
-            self._give_up(self._watch.reason)
-        elif self._watch.doubtful and not self._contest and self._fresh >= CLUES // 2:
-            self._doubt()
+        is_limit = result.refusal is Refusal.LIMIT
+        self._monitor.add_evidence(likelihood, self._table.density(record.reading_in), None if is_limit else result)
+        if self._test:
+            self._test.update(record, likelihood)
+            self._decide(self._test)
+        if self._monitor.is_lost:
+            self._give_up(self._monitor.reason)
+        elif self._monitor.is_suspicious and not self._test and self._new_records >= MAX_RECORDS // 2:
+            self._look_for_alternatives()
 
-    def _doubt(self) -> None:
-        """Look for places that explain more; one that does is heard along from now on."""
-        self._fresh = 0
-        found = alternatives(self.belief, list(self._clues), self._map, self._hearing, self._odometry)
-        if found.lead_nats >= BETTER_NATS:
-            near, elsewhere = (place and with_pose(_wider(place), self.belief) for place in found[:2])
-            self._contest = SequentialTest(near, elsewhere, self._hearing, self._odometry)
+    def _look_for_alternatives(self) -> None:
+        """Search for poses that explain more; test those that do against the estimate."""
+        self._new_records = 0
+        found = alternatives(self.belief, list(self._records), self._table, self._measurement, self._odometry)
+        if found.lead_nats >= MIN_LEAD_NATS:
+            near, elsewhere = (belief and with_pose(_widened(belief), self.belief) for belief in found[:2])
+            self._test = SequentialTest(near, elsewhere, self._measurement, self._odometry)
 
-    def _decide(self, contest: SequentialTest) -> None:
-        """End a contest that is won, or has lasted long enough."""
-        winner = contest.winner
+    def _decide(self, test: SequentialTest) -> None:
+        """End a test that is decided, or has lasted long enough."""
+        winner = test.winner
         if winner is Side.ELSEWHERE:
-            self._give_up(f"another place explains what is heard better, by e^{contest.lead_nats:.0f}")
+            self._give_up(f"another place explains the readings better, by e^{test.lead_nats:.0f}")
         elif winner is Side.NEAR:
-            self.hypotheses = [Hypothesis(contest.belief(Side.NEAR), 1.0)]
-            self._watch.reset()
-        if winner is not None or contest.heard >= CLUES // 2:
-            self._contest = None
+            self.hypotheses = [Hypothesis(test.belief(Side.NEAR), 1.0)]
+            self._monitor.reset()
+        if winner is not None or test.echoes >= MAX_RECORDS // 2:
+            self._test = None
 
-    def _give_up(self, why: str) -> None:
-        """Begin the search, with what is heard from now on."""
-        self._why = why
-        self._watch.reset()
-        self._contest = None
+    def _give_up(self, reason: str) -> None:
+        """Begin a search, with the echoes from now on."""
+        self._reason = reason
+        self._monitor.reset()
+        self._test = None
         self.hypotheses = []
-        self._fresh = 0
+        self._new_records = 0
 
     def _search(self) -> UpdateResult:
-        if self._fresh >= CLUES:
-            self._fresh = CLUES // 2
-            found = search(list(self._clues), self._map, self._hearing, self._odometry)
+        if self._new_records >= MAX_RECORDS:
+            self._new_records = MAX_RECORDS // 2
+            found = search(list(self._records), self._table, self._measurement, self._odometry)
             self.hypotheses = [
-                Hypothesis(with_parameters(_wider(place.belief), self._constants), place.share) for place in found
+                Hypothesis(with_parameters(_widened(place.belief), self._parameter_stds), place.probability)
+                for place in found
             ]
-            self._watch.reset()
+            self._monitor.reset()
         return UpdateResult(Refusal.LIMIT, 0.0, 0.0, 1.0)
 
     @property
-    def _map(self) -> RangeTable:
-        """Drawn when first needed."""
-        if self._atlas is None:
-            self._atlas = self._draw_atlas()
-        return self._atlas
+    def _table(self) -> RangeTable:
+        """The range table, built when first needed."""
+        if self._built is None:
+            self._built = self._build_table()
+        return self._built
 
 
-def _wider(belief: Belief) -> Belief:
-    """A belief over a pose, by FOUND_STD wider."""
+def _widened(belief: Belief) -> Belief:
+    """Return a belief over a pose, FOUND_STD wider."""
     return Belief(belief.mean, belief.cov + np.diag(np.square(FOUND_STD)))

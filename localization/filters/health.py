@@ -1,14 +1,15 @@
-"""Whether an estimate can be believed, judged by what is heard: OK, DEGRADED, LOST, and why.
+"""Health of an estimate, judged by its readings: OK, DEGRADED or LOST, and the reason.
 
-    evidence    for each reading ln( p(reading | estimate) / p(reading | anywhere in the map) ): above 0 it speaks for
-                the estimate, below against it. A robot somewhere else hears what could be heard anywhere
-    LOST        the evidence has fallen by `lost_nats` from the highest it ever stood at: a CUSUM test (Page 1954)
-    doubtful    it has fallen by `doubt_nats`, or little is explained: worth looking for a place that explains more
-    DEGRADED    the matched share or the NIS of the last readings, or the estimate's own spread, is beyond its bound
+    evidence        for each reading ln( p(reading | estimate) / p(reading | anywhere on the map) ): above 0 it supports
+                    the estimate, below 0 it contradicts it
+    LOST            the evidence has fallen by `lost_nats` from its maximum: a CUSUM test
+    suspicious      it has fallen by `suspicious_nats`, or few readings are explained: worth a search for another pose
+    DEGRADED        the matched fraction or the NIS of the last readings, or the standard deviation, is beyond its limit
 
-The CUSUM decides between two hypotheses, here or anywhere. Were readings independent, a false alarm would come about
-once in exp(lost_nats) of them; they are not, where a place hides its walls, so the bound is chosen higher.
-Rules: pure; numbers of readings in, a verdict out; no filter, no robot.
+The CUSUM test decides between two hypotheses, here or anywhere. Of independent readings a false alarm would come once
+in exp(lost_nats); they are not independent where an unmapped object hides a wall, so the limit is higher.
+
+References: Page, Continuous inspection schemes (1954).
 """
 
 from __future__ import annotations
@@ -17,14 +18,14 @@ from collections import deque
 from dataclasses import dataclass
 from enum import Enum
 from math import hypot, log, sqrt
-from typing import Final, NamedTuple, Protocol
+from typing import Final, NamedTuple
 
 from localization.filters.belief import Belief, chi_square_quantile
-from localization.filters.update import MOSTLY_BAD
+from localization.filters.update import OUTLIER_THRESHOLD, UpdateResult
 
 
 class HealthStatus(Enum):
-    """How far an estimate can be believed."""
+    """Degree to which an estimate can be trusted."""
 
     OK = "OK"
     DEGRADED = "DEGRADED"
@@ -32,123 +33,131 @@ class HealthStatus(Enum):
 
 
 class FilterHealth(NamedTuple):
-    """How far, and why in words; "" where all is well."""
+    """Status of an estimate, and the reason in words; "" where it is OK."""
 
     status: HealthStatus
     reason: str
 
 
-class Judged(Protocol):
-    """What a filter made of a range; filters.method.Judgement has it."""
-
-    @property
-    def outlier_probability(self) -> float: ...
-    @property
-    def nis(self) -> float: ...
-
-
 @dataclass(frozen=True, slots=True)
-class Bounds:
-    """What is beyond belief.
+class HealthLimits:
+    """Limits of the monitor.
 
-    lost_nats         fall of the evidence that says lost; one reading takes or gives most_bad_nats, most_good_nats
-    doubt_nats        fall from which it is worth asking whether another place explains more
-    window            readings that share and NIS are looked at over
-    least_matched     share of them that is explained
-    nis_probability   with which the window's NIS stays in its bound
-    most_std_in       spread of the position along its worst direction
+    Attributes
+    ----------
+    lost_nats
+        Fall of the evidence that means LOST.
+    suspicious_nats
+        Fall from which a search for a better pose is worth its time.
+    max_loss_nats, max_gain_nats
+        One reading lowers or raises the evidence by this at most.
+    window
+        Number of readings for the matched fraction and the NIS.
+    min_matched
+        Least fraction of them that must be explained.
+    nis_probability
+        Probability with which the NIS of the window of a consistent filter stays below its limit.
+    max_std_in
+        Largest standard deviation of the position, along its worst direction.
     """
 
     lost_nats: float = 45.0
-    doubt_nats: float = 15.0
-    most_bad_nats: float = 4.0
-    most_good_nats: float = 4.0
+    suspicious_nats: float = 15.0
+    max_loss_nats: float = 4.0
+    max_gain_nats: float = 4.0
     window: int = 48
-    least_matched: float = 0.35
+    min_matched: float = 0.35
     nis_probability: float = 0.999
-    most_std_in: float = 3.0
+    max_std_in: float = 3.0
 
 
 HEALTHY: Final = FilterHealth(HealthStatus.OK, "")
 
 
 class IntegrityMonitor:
-    """Looks on while a filter hears; see the head of this file."""
+    """Judge an estimate by the outcomes of its readings."""
 
-    def __init__(self, bounds: Bounds | None = None) -> None:
-        self.bounds = bounds or Bounds()
+    def __init__(self, limits: HealthLimits | None = None) -> None:
+        self.limits = limits or HealthLimits()
         self._fall = 0.0
-        self._matched: deque[float] = deque(maxlen=self.bounds.window)
-        self._nis: deque[float] = deque(maxlen=self.bounds.window)
+        self._matched: deque[float] = deque(maxlen=self.limits.window)
+        self._nis: deque[float] = deque(maxlen=self.limits.window)
 
     @property
-    def lost(self) -> bool:
-        """Whether the evidence alone says LOST."""
-        return self._fall >= self.bounds.lost_nats
+    def is_lost(self) -> bool:
+        """True if the evidence alone means LOST."""
+        return self._fall >= self.limits.lost_nats
 
     @property
     def fall_nats(self) -> float:
-        """How far the evidence has fallen from its highest."""
+        """Fall of the evidence from its maximum."""
         return self._fall
 
     def reset(self) -> None:
-        """A new estimate begins."""
+        """Begin with a new estimate."""
         self._fall = 0.0
         self._matched.clear()
         self._nis.clear()
 
-    def hear(self, likelihood: float, anywhere: float, judged: Judged | None) -> None:
-        """A reading: how the estimate explains it, how the map as a whole does, and what the filter made of it, where
-        it was a range."""
-        evidence = log(likelihood / anywhere)
-        self._fall = max(0.0, self._fall - max(-self.bounds.most_bad_nats, min(self.bounds.most_good_nats, evidence)))
-        if judged is not None:
-            self.look(judged)
+    def add_evidence(self, likelihood: float, anywhere: float, result: UpdateResult | None) -> None:
+        """Take note of a reading.
 
-    def look(self, judged: Judged) -> None:
-        """A range, and what the filter made of it: all that a filter can tell which knows no other place."""
-        self._matched.append(1.0 - judged.outlier_probability)
-        if judged.outlier_probability < MOSTLY_BAD:
-            self._nis.append(judged.nis)
+        Parameters
+        ----------
+        likelihood, anywhere
+            Density of the reading given the estimate, and given a pose anywhere on the map.
+        result
+            Its outcome, where it was a range.
+        """
+        evidence = max(-self.limits.max_loss_nats, min(self.limits.max_gain_nats, log(likelihood / anywhere)))
+        self._fall = max(0.0, self._fall - evidence)
+        if result is not None:
+            self.add(result)
+
+    def add(self, result: UpdateResult) -> None:
+        """Take note of the outcome of a range; all that a filter can report that considers one pose only."""
+        self._matched.append(1.0 - result.outlier_probability)
+        if result.outlier_probability < OUTLIER_THRESHOLD:
+            self._nis.append(result.nis)
 
     @property
-    def doubtful(self) -> bool:
-        """Whether it is worth asking if another place explains more: the evidence falls, or little is explained."""
-        return self._fall >= self.bounds.doubt_nats or self._share() < self.bounds.least_matched
+    def is_suspicious(self) -> bool:
+        """True if a search for a better pose is worth its time."""
+        return self._fall >= self.limits.suspicious_nats or self._matched_fraction() < self.limits.min_matched
 
     @property
     def reason(self) -> str:
         """Why the estimate would be given up."""
-        return f"what is heard fits anywhere better than here, by e^{self._fall:.0f}"
+        return f"readings fit anywhere on the map better than here, by e^{self._fall:.0f}"
 
     def health(self, belief: Belief) -> FilterHealth:
-        """What is to be thought of the estimate now."""
-        bounds = self.bounds
-        if self.lost:
+        """Return the health of the estimate now."""
+        limits = self.limits
+        if self.is_lost:
             return FilterHealth(HealthStatus.LOST, self.reason)
+        # 1. The larger eigenvalue of the covariance of the position.
         (xx, xy), (_, yy) = belief.cov[:2, :2].tolist()
-        spread = sqrt(0.5 * (xx + yy) + hypot(0.5 * (xx - yy), xy))
-        if spread > bounds.most_std_in:
-            return FilterHealth(HealthStatus.DEGRADED, f"the position is known to {spread:.1f} in only")
-        if len(self._matched) < bounds.window:
+        std = sqrt(0.5 * (xx + yy) + hypot(0.5 * (xx - yy), xy))
+        if std > limits.max_std_in:
+            return FilterHealth(HealthStatus.DEGRADED, f"the position is known to {std:.1f} in only")
+        # 2. The outcomes of the last readings, once there are enough.
+        if len(self._matched) < limits.window:
             return HEALTHY
-        matched = self._share()
-        if matched < bounds.least_matched:
-            return FilterHealth(
-                HealthStatus.DEGRADED, f"only {matched:.0%} of the last {bounds.window} echoes are explained"
-            )
-        return self._nis_verdict()
+        matched = self._matched_fraction()
+        if matched < limits.min_matched:
+            reason = f"only {matched:.0%} of the last {limits.window} echoes are explained"
+            return FilterHealth(HealthStatus.DEGRADED, reason)
+        return self._nis_health()
 
-    def _share(self) -> float:
-        """How many of the window's echoes are explained; all, until it is full."""
-        full = len(self._matched) == self.bounds.window
-        return sum(self._matched) / self.bounds.window if full else 1.0
+    def _matched_fraction(self) -> float:
+        """Return the fraction of the window that is explained; 1 until the window is full."""
+        full = len(self._matched) == self.limits.window
+        return sum(self._matched) / self.limits.window if full else 1.0
 
-    def _nis_verdict(self) -> FilterHealth:
+    def _nis_health(self) -> FilterHealth:
         count, total = len(self._nis), sum(self._nis)
-        bound = chi_square_quantile(self.bounds.nis_probability, count) if count else 0.0
-        if total <= bound:
+        limit = chi_square_quantile(self.limits.nis_probability, count) if count else 0.0
+        if total <= limit:
             return HEALTHY
-        return FilterHealth(
-            HealthStatus.DEGRADED, f"innovations are {total / count:.1f} times as large as they should be, squared"
-        )
+        reason = f"squared innovations are {total / count:.1f} times as large as they should be"
+        return FilterHealth(HealthStatus.DEGRADED, reason)

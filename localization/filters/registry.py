@@ -1,4 +1,4 @@
-"""The table of methods: by name, what makes each from what is known beforehand and a first belief."""
+"""The filters by name, and what makes each from a configuration and a first belief."""
 
 from __future__ import annotations
 
@@ -10,67 +10,66 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from localization.filters import update as updates
+from localization.filters import ukf
 from localization.filters.base import Filter, LocalizationConfig, measurement_model
-from localization.filters.belief import Belief
+from localization.filters.belief import POSE, Belief
 from localization.filters.calibration import CalibratingFilter
 from localization.filters.ekf import KalmanFilter
 from localization.filters.global_localization import GlobalLocalizer
-from localization.filters.odometry import LARGEST, POSE, with_parameters
+from localization.filters.odometry import MAX_STATE, with_parameters
 from localization.filters.particles import (
     ConeLikelihood,
     Likelihood,
     MonteCarlo,
     ParticleFilter,
     RayLikelihood,
-    drawn_from,
+    draw_particles,
 )
 from localization.filters.range_table import RangeTable, build_range_table
 from localization.filters.smoother import FixedLagSmoother
 from localization.filters.sonar_cone import ConeSonar
 from localization.filters.sonar_ray import STRICT, Gate, RaySonar, SonarRing
-from localization.filters.ukf import predict as unscented_predict
-from localization.filters.update import MeasurementUpdate
+from localization.filters.update import MeasurementUpdate, Rule, iterated, linear
 
-Maker = Callable[[LocalizationConfig, Belief, int], Filter]
-"""Makes a filter from what is known, the belief at the first state, and a seed, which methods without chance ignore."""
-
-
-def _extended(known: LocalizationConfig, belief: Belief, _seed: int) -> Filter:
-    return KalmanFilter(belief, _hearing(known), known.odometry)
+Factory = Callable[[LocalizationConfig, Belief, int], Filter]
+"""Makes a filter from a configuration, the belief at the first state, and a seed for methods that draw samples."""
 
 
-def _iterated(known: LocalizationConfig, belief: Belief, _seed: int) -> Filter:
-    return KalmanFilter(belief, _hearing(known, updates.iterated), known.odometry)
+def _extended(config: LocalizationConfig, belief: Belief, _seed: int) -> Filter:
+    return KalmanFilter(belief, _measurement(config), config.odometry)
 
 
-def _unscented(known: LocalizationConfig, belief: Belief, _seed: int) -> Filter:
-    return KalmanFilter(belief, _hearing(known, updates.unscented), known.odometry, unscented_predict)
+def _iterated(config: LocalizationConfig, belief: Belief, _seed: int) -> Filter:
+    return KalmanFilter(belief, _measurement(config, iterated), config.odometry)
 
 
-def _smoother(known: LocalizationConfig, belief: Belief, _seed: int) -> Filter:
-    return FixedLagSmoother(belief, _hearing(known), known.odometry)
+def _unscented(config: LocalizationConfig, belief: Belief, _seed: int) -> Filter:
+    return KalmanFilter(belief, _measurement(config, ukf.unscented), config.odometry, ukf.predict_state)
 
 
-def _particles(known: LocalizationConfig, belief: Belief, seed: int) -> Filter:
-    chance = np.random.default_rng(seed)
+def _smoother(config: LocalizationConfig, belief: Belief, _seed: int) -> Filter:
+    return FixedLagSmoother(belief, _measurement(config), config.odometry)
+
+
+def _particles(config: LocalizationConfig, belief: Belief, seed: int) -> Filter:
+    rng = np.random.default_rng(seed)
     parameters = MonteCarlo()
-    states = drawn_from(belief, parameters.particles, chance)
-    return ParticleFilter(states, likelihood_of(known), known.odometry, chance, parameters)
+    states = draw_particles(belief, parameters.particles, rng)
+    return ParticleFilter(states, likelihood_of(config), config.odometry, rng, parameters)
 
 
-def _offsets(known: LocalizationConfig, belief: Belief, _seed: int) -> Filter:
-    """Of the wheels' constants it finds out those that the belief has."""
-    return CalibratingFilter(known, with_parameters(belief, (0.0,) * (LARGEST - len(belief.mean))))
+def _offsets(config: LocalizationConfig, belief: Belief, _seed: int) -> Filter:
+    """Estimate the odometry parameters that the belief has; the others are certain to be 0."""
+    return CalibratingFilter(config, with_parameters(belief, (0.0,) * (MAX_STATE - len(belief.mean))))
 
 
-def _finder(known: LocalizationConfig, belief: Belief, _seed: int) -> Filter:
-    return finder(known, belief)
+def _finder(config: LocalizationConfig, belief: Belief, _seed: int) -> Filter:
+    return finder(config, belief)
 
 
 FINDER: Final = "finder"
-"""The one that may begin without a belief."""
-METHODS: Final[Mapping[str, Maker]] = MappingProxyType(
+"""The method that can begin without a belief."""
+METHODS: Final[Mapping[str, Factory]] = MappingProxyType(
     {
         "ekf": _extended,
         "iekf": _iterated,
@@ -85,46 +84,50 @@ METHODS: Final[Mapping[str, Maker]] = MappingProxyType(
 DEFAULT_METHOD: Final = "ekf"
 
 
-def make(method: str, known: LocalizationConfig, belief: Belief, seed: int = 0) -> Filter:
-    """The filter of a name in METHODS. Raises ValueError for any other name."""
+def make(method: str, config: LocalizationConfig, belief: Belief, seed: int = 0) -> Filter:
+    """Return a new filter of a name in METHODS.
+
+    Raises
+    ------
+    ValueError
+        No such name.
+    """
     if method not in METHODS:
         raise ValueError(f"no method {method!r}; there are {', '.join(METHODS)}")
-    return METHODS[method](known, belief, seed)
+    return METHODS[method](config, belief, seed)
 
 
-def finder(known: LocalizationConfig, belief: Belief | None, constants: tuple[float, ...] = ()) -> GlobalLocalizer:
-    """The method that finds itself again, and that may begin with no belief at all; `constants` as in systematic."""
-    stds = constants if belief is None else tuple(belief.std[POSE:].tolist())
+def finder(
+    config: LocalizationConfig, belief: Belief | None, parameter_stds: tuple[float, ...] = ()
+) -> GlobalLocalizer:
+    """Return the filter that localizes globally; without a belief it begins with a search.
 
-    def atlas() -> RangeTable:
-        walls = np.asarray(known.walls, dtype=np.float64).tobytes()
-        return _drawn(walls, Ring(known.body.sonar_ring_radius_in, ()), known.sonar, known.clearance_in)
+    `parameter_stds` are of the odometry parameters, where there is no belief that has them.
+    """
+    stds = parameter_stds if belief is None else tuple(belief.std[POSE:].tolist())
 
-    return GlobalLocalizer(belief, _hearing(known), known.odometry, atlas, known.body.sonar_angles_rad, stds)
+    def table() -> RangeTable:
+        walls = np.asarray(config.walls, dtype=np.float64).tobytes()
+        return _table(walls, _Ring(config.body.sonar_ring_radius_in, ()), config.sonar, config.clearance_in)
+
+    return GlobalLocalizer(belief, _measurement(config), config.odometry, table, config.body.sonar_angles_rad, stds)
 
 
-class Ring(NamedTuple):
-    """What an atlas wants to know of a body: which sonar it is does not count there."""
+class _Ring(NamedTuple):
+    """A body as far as a range table depends on it: not on the angle of each sonar."""
 
     sonar_ring_radius_in: float
     sonar_angles_rad: tuple[float, ...]
 
 
 @lru_cache(maxsize=4)
-def _drawn(walls: bytes, body: Ring, sonar: RaySonar | ConeSonar, clearance_in: float) -> RangeTable:
-    """Drawn once for all robots of a process that know the same map: many trials are driven in the same few worlds."""
+def _table(walls: bytes, body: _Ring, sonar: RaySonar | ConeSonar, clearance_in: float) -> RangeTable:
+    """Return the range table of a map; built once for all robots of a process."""
     return build_range_table(np.frombuffer(walls).reshape(-1, 4), body, sonar, clearance_in)
 
 
-def _hearing(known: LocalizationConfig, rule: updates.Rule = updates.linear) -> MeasurementUpdate:
-    return update_for(known.walls, known.body, known.sonar, known.gate, rule)
-
-
-def likelihood_of(known: LocalizationConfig) -> Likelihood:
-    """How particles are weighed with sonars of this kind."""
-    if isinstance(known.sonar, ConeSonar):
-        return ConeLikelihood(known.walls, known.body, known.sonar)
-    return RayLikelihood(known.walls, known.body, known.sonar)
+def _measurement(config: LocalizationConfig, rule: Rule = linear) -> MeasurementUpdate:
+    return update_for(config.walls, config.body, config.sonar, config.gate, rule)
 
 
 def update_for(
@@ -132,7 +135,14 @@ def update_for(
     body: SonarRing,
     sonar: RaySonar | ConeSonar,
     gate: Gate = STRICT,
-    rule: updates.Rule = updates.linear,
+    rule: Rule = linear,
 ) -> MeasurementUpdate:
-    """How sonars of this model are taken in."""
+    """Return the measurement update for sonars of this type."""
     return MeasurementUpdate(measurement_model(walls, body, sonar, gate), rule)
+
+
+def likelihood_of(config: LocalizationConfig) -> Likelihood:
+    """Return the likelihood of particles for sonars of this type."""
+    if isinstance(config.sonar, ConeSonar):
+        return ConeLikelihood(config.walls, config.body, config.sonar)
+    return RayLikelihood(config.walls, config.body, config.sonar)

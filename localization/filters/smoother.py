@@ -1,15 +1,6 @@
-"""A fixed-lag smoother: the extended Kalman filter, and where the robot was a while ago by all that was heard since.
+"""A fixed-lag smoother: the extended Kalman filter, and the pose of a while ago by all readings since.
 
-    belief        the filter's, of now: a smoother knows no more of the present than a filter does
-    smoothed()    of the state `lag` moves ago; with an echo a move, as the localizer has it, `lag` echoes ago
-
-Backwards over the last moves (Rauch, Tung, Striebel 1965), from the present belief, k filtered, k+1- predicted:
-
-    G = P_k F' P_k+1-^-1     mean_k^s = mean_k + G (mean_k+1^s - mean_k+1-)     P_k^s = P_k + G (P_k+1^s - P_k+1-) G'
-
-(with the pseudo-inverse: a coordinate that is certain stays so.)
-
-For maps, surveys and ground truth of what has been driven; whoever steers needs the present. Rules: as KalmanFilter's.
+For maps, surveys and ground truth; control needs the present pose, of which a smoother knows no more than a filter.
 """
 
 from __future__ import annotations
@@ -25,11 +16,11 @@ from localization.filters.odometry import OdometryNoise, step_jacobians
 from localization.filters.update import MeasurementUpdate
 
 LAG: Final = 32
-"""Two rings of sixteen: some two seconds."""
+"""Steps that the smoother looks back, one for each reading: two rings of sixteen, about two seconds."""
 
 
-class Knot(NamedTuple):
-    """A move: the belief it began with, what it was predicted to become, and G, how one answers to the other."""
+class Step(NamedTuple):
+    """One prediction: the filtered belief before it, the predicted belief, and the smoother gain between them."""
 
     filtered: Belief
     predicted: Belief
@@ -37,32 +28,56 @@ class Knot(NamedTuple):
 
 
 class FixedLagSmoother(KalmanFilter):
-    """See the head of this file. Raises ValueError for a lag below 1."""
+    """The extended Kalman filter, which also smooths.
 
-    def __init__(self, belief: Belief, hearing: MeasurementUpdate, odometry: OdometryNoise, lag: int = LAG) -> None:
-        super().__init__(belief, hearing, odometry)
+    Parameters
+    ----------
+    lag
+        Number of predictions to look back.
+
+    Raises
+    ------
+    ValueError
+        A lag below 1.
+    """
+
+    def __init__(self, belief: Belief, measurement: MeasurementUpdate, odometry: OdometryNoise, lag: int = LAG) -> None:
+        super().__init__(belief, measurement, odometry)
         if lag < 1:
-            raise ValueError(f"a smoother looks back 1 move or more, not {lag}")
-        self._knots: deque[Knot] = deque(maxlen=lag)
+            raise ValueError(f"the lag of a smoother must be at least 1 step, not {lag}")
+        self._steps: deque[Step] = deque(maxlen=lag)
         self.lag = lag
 
-    def move(self, step: Floats) -> None:
-        before = self.belief
-        super().move(step)
-        by_state, _ = step_jacobians(before.mean, step)
-        gain = before.cov @ by_state.T @ np.linalg.pinv(self.belief.cov, hermitian=True)
-        self._knots.append(Knot(before, self.belief, gain))
+    def predict(self, distance_in: float, turn_rad: float) -> None:
+        """Predict, and store what smoothing needs.
+
+        C = P_k F' P_k+1|k^-1, with the pseudo-inverse: a coordinate that is certain stays so.
+        """
+        filtered = self.belief
+        super().predict(distance_in, turn_rad)
+        predicted = self.belief
+        F, _ = step_jacobians(filtered.mean, np.array((distance_in, turn_rad)))
+        gain = filtered.cov @ F.T @ np.linalg.pinv(predicted.cov, hermitian=True)
+        self._steps.append(Step(filtered, predicted, gain))
 
     def smoothed(self) -> Belief:
-        """The belief over the state `lag` moves ago (at the first, where there were fewer), its readings included."""
-        later = self.belief
-        for knot in reversed(self._knots):
-            later = _smoothed(knot, later)
-        return later
+        """Return the belief over the state `lag` predictions ago (the first, where there were fewer), smoothed."""
+        belief = self.belief
+        for step in reversed(self._steps):
+            belief = smooth(step, belief)
+        return belief
 
 
-def _smoothed(knot: Knot, later: Belief) -> Belief:
-    """The belief before a move, the one after it being known as `later`."""
-    mean = add(knot.filtered.mean, knot.gain @ difference(later.mean, knot.predicted.mean))
-    cov = knot.filtered.cov + knot.gain @ (later.cov - knot.predicted.cov) @ knot.gain.T
+def smooth(step: Step, later: Belief) -> Belief:
+    """Return the smoothed belief before a prediction from the smoothed belief `later`, after it.
+
+    x_k^s = x_k + C (x_k+1^s - x_k+1|k)        P_k^s = P_k + C (P_k+1^s - P_k+1|k) C'
+
+    References
+    ----------
+    Rauch, Tung, Striebel, Maximum likelihood estimates of linear dynamic systems (1965).
+    """
+    C = step.gain
+    mean = add(step.filtered.mean, C @ difference(later.mean, step.predicted.mean))
+    cov = step.filtered.cov + C @ (later.cov - step.predicted.cov) @ C.T
     return Belief(mean, 0.5 * (cov + cov.T))

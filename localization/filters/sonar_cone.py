@@ -1,72 +1,84 @@
-"""What a sonar with a cone may bring back: of each wall and vertex how far, and how likely it is heard first.
+"""The cone model of a sonar: all reflectors of the map that may return its first echo, each with its probability.
 
-A ray model asks what stands on the axis. A real transducer hears everything within some 12 degrees of it, and of a
-smooth wall only what is met head-on. So a wall's echo tells the perpendicular distance, wherever in the cone that lies,
-and a vertex's the distance to it:
+A Polaroid transducer receives from some 12 degrees to either side of its axis, and from a smooth wall only what meets
+it at a right angle. So the echo of a wall is its perpendicular distance, wherever in the cone the foot of the
+perpendicular lies, and the echo of a vertex the distance to it:
 
-    face at p     p = (x, y) + ring Rot(theta) direction
-    wall          range = |normal . (p - corner)|          heard where the foot lies on the wall and within the cone
-    vertex        range = |vertex - p|                     heard within the cone
+    face      p = (x, y) + ring radius (cos, sin)(heading + direction)
+    wall      range = |normal . (p - corner)|       detected if the foot is on the wall and within the cone
+    vertex    range = |vertex - p|                  detected if within the cone
 
-How likely each is heard follows from its level (datasheet decibels), from the rim of the cone, which the uncertain
-heading makes soft, and from what is nearer: the first echo counts. Rules: pure functions on arrays, leading dimensions
-are poses; no belief is changed here, no reading looked at.
+The probability of each detection follows from its level (decibels, from the data sheet), from the edge of the cone,
+which the uncertain heading blurs, and from nearer reflectors: the first echo counts.
 
-What one sonar of one robot may hear out of its cone, in plain numbers: what cone does for many poses in arrays.
-
-Most reflectors are far out of the cone; looked through one by one they cost half a microsecond each, and only the few
-that are left are worked out. Rules: pure; cone.cone_returns is the same for any number of poses and its witness. What
-each number means is told there.
-
-A sonar as a cone: all that it may hear, each with its chance, and bad readings.
+The formulas (`to_wall`, `to_vertex`, `detection_probability`, `range_jacobian`) are here once, for numbers and arrays.
+`ConeSensor` applies them to one pose and loops over few reflectors; `expected_echoes` to many poses in arrays.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from math import atan2, cos, exp, hypot, log, pi, radians, sin, sqrt
-from typing import Final, NamedTuple
+from math import atan2, cos, log, pi, radians, sin, sqrt
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from localization.filters.belief import HEADING, Belief, Floats, wrap_angle, wrapped
-from localization.filters.odometry import POSE
+from localization.filters.belief import (
+    HEADING,
+    Floats,
+    Number,
+    choose,
+    clip,
+    exp,
+    hypot,
+    wrap_angle,
+)
 from localization.filters.reflectors import Reflectors, reflectors
 from localization.filters.sonar_ray import RangeNoise, SonarRing, wall_map
-from localization.filters.update import Association, Hypotheses, Refusal
+from localization.filters.update import Association, Covariance, Refusal, State
 from worlds.raycast import WallIndex, cast_rays
 
 Indices = npt.NDArray[np.intp]
-Complexes = npt.NDArray[np.complex128]
+Mask = npt.NDArray[np.bool_]
 
 FOOT_STD_IN: Final = 0.5
-"""How softly a wall ends: a foot this far beyond its end is heard in one of six cries."""
-LEAST_ANGLE_STD_RAD: Final = 1e-3
-SHORT_IN: Final = 0.05
-"""How far before a reflector the way to it may be blocked and still count as free: its own walls meet there."""
-NEVER: Final = 1e-3
-"""Returns less likely than this are not looked for."""
+"""Blur of the ends of a wall: a foot this far beyond an end is detected by one ping of six."""
+MIN_ANGLE_STD_RAD: Final = 1e-3
+"""Least blur of the edge of the cone."""
+CLEARANCE_IN: Final = 0.05
+"""The path to a reflector is clear if blocked this little before it: its own walls meet there."""
+MIN_PROBABILITY: Final = 1e-3
+"""Less probable detections are left out."""
 LOGISTIC_SLOPE: Final = 1.702
-"""With it a logistic curve is nowhere off the normal distribution by more than 0.0095 (Camilli 1994)."""
-_SLACK: Final = 1e-6
-"""What rounding may take away, inches or radians."""
-NEVER_BELOW: Final = log(1.0 / NEVER - 1.0) / LOGISTIC_SLOPE
-"""What is so many standard deviations out of reach has a chance of NEVER at most."""
+"""A logistic curve of this slope is nowhere off the normal distribution by more than 0.0095 (Camilli 1994)."""
+MAX_SIGMAS: Final = log(1.0 / MIN_PROBABILITY - 1.0) / LOGISTIC_SLOPE
+"""What is so many standard deviations out of reach has MIN_PROBABILITY at most."""
+_ROUNDING: Final = 1e-6
+"""Margin for rounding, inches or radians."""
+_MIN_RANGE_IN: Final = 1e-9
+"""Stands for a range of 0 where it is divided by."""
 
 
 @dataclass(frozen=True, slots=True)
 class ConeSonar(RangeNoise):
-    """A Polaroid ring by its datasheet, and what is believed of its bad readings.
+    """Parameters of a Polaroid ring by its data sheet, and of its outliers.
 
-    cone_rad                      whole angle of the cone
-    relative_std to highest_in    as range_noise says
-    margin_db, margin_std_db      how much louder than just audible a wall close by is met head-on; its spread
-    rim_loss_db                   lost at the rim of the cone, out and back
-    way_loss_db_in                lost an inch of range
-    square_loss_db, edge_loss_db  lost at a square corner; at any other vertex
-    bad_share                     of readings that no reflector of the map explains: spread evenly over all ranges
+    Attributes
+    ----------
+    cone_rad
+        Whole angle of the cone.
+    margin_db, margin_std_db
+        Level of a near wall at a right angle above the threshold of detection; its standard deviation.
+    cone_loss_db
+        Loss at the edge of the cone, out and back.
+    range_loss_db_in
+        Loss for each inch of range.
+    square_loss_db, edge_loss_db
+        Loss at a square corner; at any other vertex.
+    outlier_probability
+        Fraction of readings that no reflector of the map explains: spread evenly over all ranges.
     """
 
     rounding_var_in2: float = 1.0 / 12.0
@@ -75,305 +87,358 @@ class ConeSonar(RangeNoise):
     cone_rad: float = radians(25.0)
     margin_db: float = 30.0
     margin_std_db: float = 2.0
-    rim_loss_db: float = 12.0
-    way_loss_db_in: float = 0.1
+    cone_loss_db: float = 12.0
+    range_loss_db_in: float = 0.1
     square_loss_db: float = 3.0
     edge_loss_db: float = 15.0
     outlier_probability: float = 0.1
 
     @property
-    def bad_density(self) -> float:
-        """Probability density of a bad reading, per inch."""
+    def outlier_density(self) -> float:
+        """Probability density of an outlier, per inch."""
         return 1.0 / (self.highest_in - self.lowest_in)
 
 
-class Returns(NamedTuple):
-    """What k reflectors may send back: `ranges_in` (..., k), their derivative by the pose `jacobian` (..., k, 3), and
-    the `probability` (..., k) that the reading is this one's; 0 where it cannot be."""
-
-    ranges_in: Floats
-    jacobian: Floats
-    probability: Floats
-
-
 class SonarMount(NamedTuple):
-    """A sonar on the robot: the direction of its axis in the robot's frame, and the radius of its ring."""
+    """A sonar on the robot: the direction of its axis from the heading, and the radius of its ring."""
 
     direction_rad: float
     ring_in: float
 
 
-def cone_returns(
-    poses: Floats, heading_std_rad: Floats, ear: SonarMount, around: Reflectors, model: ConeSonar
-) -> Returns:
-    """What a sonar at poses (..., 3), their headings uncertain by (...) radians, may hear of all reflectors."""
-    if poses.ndim == 1:
-        alone = cone_returns(poses[None], heading_std_rad, ear, around, model)
-        return Returns(*(part[0] for part in alone))
-    axis, arm, ways = _ways(poses, ear, around)
-    probability = _first_heard(ways.ranges_in, _heard(axis, heading_std_rad, ways, around, model, around.walls))
-    toward = ways.toward.view(np.float64).reshape(*ways.toward.shape, 2)
-    return Returns(ways.ranges_in, _by_pose(toward, arm), probability)
+# The formulas, for one number or an array.
 
 
-def cone_chances(
-    poses: Floats, heading_std_rad: Floats, ear: SonarMount, around: Reflectors, model: ConeSonar
-) -> tuple[Floats, Floats]:
-    """Ranges and probabilities (n, j) of `cone_returns` at poses (n, 3): of those j reflectors alone that are heard
-    from any of them."""
-    near = _within_reach(poses, heading_std_rad, ear, around, model)
-    axis, _, ways = _ways(poses, ear, near)
-    heard = _heard(axis, heading_std_rad, ways, near, model, around.walls)
-    which = heard.any(axis=0)
-    ranges = ways.ranges_in[:, which]
-    return ranges, _first_heard(ranges, heard[:, which])
+def to_wall(
+    x: Number, y: Number, corner_x: Number, corner_y: Number, normal_x: Number, normal_y: Number
+) -> tuple[Number, Number, Number, Number]:
+    """Return range, unit vector (two numbers) and foot of the perpendicular from (x, y) to a wall.
 
-
-def expected(poses: Floats, ear: SonarMount, around: Reflectors, which: Indices) -> tuple[Floats, Floats]:
-    """Ranges (..., k) of the reflectors numbered `which` (k,), heard or not, and their derivatives (..., k, 3), from
-    poses (..., k, 3), one each, or (..., 1, 3), one for all."""
-    axis = poses[..., HEADING] + ear.direction_rad
-    arm = ear.ring_in * np.stack((np.cos(axis), np.sin(axis)), axis=-1)
-    way = np.concatenate((around.corners, around.vertices))[which] - poses[..., :2] - arm
-    walls = which < len(around.walls)
-    normals = np.zeros((len(which), 2))
-    normals[walls] = around.normals[which[walls]]
-    height = (way * normals).sum(axis=-1)
-    ranges = np.where(walls, np.abs(height), np.hypot(way[..., 0], way[..., 1]))
-    to_vertices = way / np.maximum(ranges, 1e-9)[..., None]
-    toward = np.where(walls[:, None], np.where(height < 0.0, -1.0, 1.0)[..., None] * normals, to_vertices)
-    return ranges, _by_pose(toward, arm)
-
-
-def _by_pose(toward: Floats, arm: Floats) -> Floats:
-    """The derivative (..., k, 3) of ranges towards unit vectors (..., k, 2) from the end of arms (..., k or 1, 2)."""
-    jacobian = np.empty((*toward.shape[:-1], 3))
-    jacobian[..., :2] = -toward
-    jacobian[..., 2] = toward[..., 0] * arm[..., 1] - toward[..., 1] * arm[..., 0]
-    return jacobian
-
-
-def _within_reach(
-    poses: Floats, heading_std_rad: Floats, ear: SonarMount, around: Reflectors, model: ConeSonar
-) -> Reflectors:
-    """Those reflectors that may lie in the cone from any of the poses (n, 3): seen from the middle of all, a direction
-    is off by no more than the headings differ, and to a vertex by the angle that all poses are seen under besides."""
-    middle = np.append(poses[:, :2].mean(axis=0), poses[0, HEADING])
-    headings = np.abs(wrap_angle(poses[:, HEADING] - middle[HEADING])).max()
-    axis = middle[HEADING] + ear.direction_rad
-    about = np.hypot(*(poses[:, :2] - middle[:2]).T).max() + 2.0 * ear.ring_in * np.sin(0.5 * headings)
-    widest = 0.5 * model.cone_rad + NEVER_BELOW * max(float(np.max(heading_std_rad)), LEAST_ANGLE_STD_RAD) + headings
-    face = middle[:2] + ear.ring_in * np.array([np.cos(axis), np.sin(axis)])
-    offset = face - around.corners
-    height, foot = (offset * around.normals).sum(axis=-1), (offset * around.along).sum(axis=-1)
-    normal = np.arctan2(around.normals[:, 1], around.normals[:, 0]) + np.where(height < 0.0, 0.0, np.pi)
-    reach = about + NEVER_BELOW * FOOT_STD_IN + _SLACK
-    walls = (np.abs(height) <= about) | (np.abs(wrap_angle(normal - axis)) <= widest + _SLACK)
-    walls &= (foot >= -reach) & (foot <= around.lengths + reach)
-    way = around.vertices - face
-    wider = np.arcsin(np.minimum(about / np.maximum(np.hypot(way[:, 0], way[:, 1]), 1e-9), 1.0))
-    wider[np.hypot(way[:, 0], way[:, 1]) <= about] = np.pi
-    vertices = np.abs(wrap_angle(np.arctan2(way[:, 1], way[:, 0]) - axis)) <= widest + wider + _SLACK
-    return around.some(walls, vertices)
-
-
-class _Ways(NamedTuple):
-    """From faces (...), complex numbers, to all k reflectors: `toward` (..., k), unit vectors as complex numbers,
-    `ranges_in` (..., k), and `feet_in` (..., m), how far along each wall its foot lies."""
-
-    faces: Complexes
-    toward: Complexes
-    ranges_in: Floats
-    feet_in: Floats
-
-
-def _ways(poses: Floats, ear: SonarMount, around: Reflectors) -> tuple[Floats, Floats, _Ways]:
-    """The axes (...) of the sonar, its arms (..., 1, 2), and the ways from its face."""
-    axis = poses[..., HEADING] + ear.direction_rad
-    arm = ear.ring_in * np.stack((np.cos(axis), np.sin(axis)), axis=-1)
-    face = poses[..., :2] + arm
-    faces = face[..., 0] + 1j * face[..., 1]
-    count = len(around.walls)
-    toward = np.empty((*faces.shape, around.count), dtype=np.complex128)
-    ranges = np.empty(toward.shape)
-    parts = around.along, around.corners, around.vertices
-    along, corners, vertices = (part[:, 0] + 1j * part[:, 1] for part in parts)
-    seen = (faces[..., None] - corners) * along.conj()
-    np.abs(seen.imag, out=ranges[..., :count])
-    np.multiply(np.where(seen.imag < 0.0, 1.0, -1.0), 1j * along, out=toward[..., :count])
-    way = vertices - faces[..., None]
-    np.abs(way, out=ranges[..., count:])
-    np.divide(way, np.maximum(ranges[..., count:], 1e-9), out=toward[..., count:])
-    return axis, arm[..., None, :], _Ways(faces, toward, ranges, seen.real)
-
-
-def _heard(
-    axis: Floats, heading_std_rad: Floats, ways: _Ways, around: Reflectors, model: ConeSonar, walls_in: Floats
-) -> Floats:
-    """The chance (..., k) that each is heard, were there no other: 0 where it is no more than NEVER, or where one of
-    the walls (m', 4) stands before it.
-
-    What is so far out of the cone, or beyond the end of its wall, is left out first: most of all.
+    The foot is the distance along the wall from its corner; the wall's direction is its normal turned to the right.
     """
-    count, half = len(around.walls), 0.5 * model.cone_rad
-    softness = np.maximum(heading_std_rad, LEAST_ANGLE_STD_RAD)
-    widest = np.minimum(half + NEVER_BELOW * softness + 1e-9, np.pi)
-    facing = ways.toward * np.exp(-1j * axis)[..., None]
-    able = facing.real >= np.cos(widest)[..., None] - 1e-12
-    reach = NEVER_BELOW * FOOT_STD_IN
-    able[..., :count] &= (ways.feet_in > -reach) & (ways.feet_in < around.lengths + reach)
-    at = np.nonzero(able)
-    poses, which = at[:-1], at[-1]
-    share = np.angle(facing[at]) / half
-    reflected = np.zeros(around.count)
-    reflected[count:] = np.where(around.square, model.square_loss_db, model.edge_loss_db)
-    loss = model.rim_loss_db * share * share + model.way_loss_db_in * ways.ranges_in[at] + reflected[which]
-    chance = _chance_below((half - half * np.abs(share)) / np.broadcast_to(softness, axis.shape)[poses])
-    chance *= _chance_below((model.margin_db - loss) / model.margin_std_db)
-    walls = which < count
-    foot = ways.feet_in[(*(index[walls] for index in poses), which[walls])]
-    on_wall = _chance_below(foot / FOOT_STD_IN)
-    chance[walls] *= on_wall * _chance_below((around.lengths[which[walls]] - foot) / FOOT_STD_IN)
-    likely = chance > NEVER
-    at = tuple(index[likely] for index in at)
-    heard = np.zeros(able.shape)
-    heard[at] = chance[likely] * _free(ways.faces[at[:-1]], ways.toward[at], ways.ranges_in[at], walls_in)
-    return heard
+    from_x, from_y = x - corner_x, y - corner_y
+    height = from_x * normal_x + from_y * normal_y
+    side = choose(height < 0.0, 1.0, -1.0)
+    return abs(height), side * normal_x, side * normal_y, from_x * normal_y - from_y * normal_x
 
 
-def _chance_below(sigmas: Floats) -> Floats:
-    """The chance that a normal variable stays below so many standard deviations, by a logistic curve."""
-    chance: Floats = 1.0 / (1.0 + np.exp(np.clip(-LOGISTIC_SLOPE * sigmas, -300.0, 300.0)))
-    return chance
+def to_vertex(x: Number, y: Number, vertex_x: Number, vertex_y: Number) -> tuple[Number, Number, Number]:
+    """Return range and unit vector (two numbers) from (x, y) to a vertex."""
+    to_x, to_y = vertex_x - x, vertex_y - y
+    range_in = hypot(to_x, to_y)
+    divisor = choose(range_in > _MIN_RANGE_IN, range_in, _MIN_RANGE_IN)
+    return range_in, to_x / divisor, to_y / divisor
 
 
-def _free(faces: Complexes, toward: Complexes, ranges_in: Floats, walls: Floats) -> Floats:
-    """1 where nothing stands between faces (n,) and what lies at `ranges_in` (n,) towards (n,), else 0."""
-    if not len(faces):
-        return np.zeros(0)
-    face, way = (numbers.view(np.float64).reshape(-1, 2) for numbers in (faces, toward))
-    met, _ = cast_rays(face, way, walls)
-    free: Floats = (met >= ranges_in - SHORT_IN).astype(np.float64)
-    return free
+def range_jacobian(toward_x: Number, toward_y: Number, arm_x: Number, arm_y: Number) -> tuple[Number, Number, Number]:
+    """Return H, the derivative by the pose of a range along a unit vector from the end of an arm."""
+    return -toward_x, -toward_y, toward_x * arm_y - toward_y * arm_x
 
 
-def _first_heard(ranges_in: Floats, heard: Floats) -> Floats:
-    """The chance (..., k) that a return is heard and none that is nearer."""
-    order = np.argsort(ranges_in, axis=-1)
-    by_range = np.take_along_axis(heard, order, axis=-1)
-    silence = np.cumprod(1.0 - by_range, axis=-1)
-    first = by_range.copy()
-    first[..., 1:] *= silence[..., :-1]
-    probability = np.empty_like(first)
-    np.put_along_axis(probability, order, first, axis=-1)
-    return probability
+def normal_cdf(sigmas: Number) -> Number:
+    """Return the probability that a normal variable stays below so many standard deviations, by a logistic curve."""
+    return 1.0 / (1.0 + exp(clip(-LOGISTIC_SLOPE * sigmas, -300.0, 300.0)))
 
 
-_SLACK_SINGLE_CONE: Final = 1e-9
+def foot_probability(foot: Number, length: Number) -> Number:
+    """Return the probability that the foot of a perpendicular lies on a wall of this length."""
+    return normal_cdf(foot / FOOT_STD_IN) * normal_cdf((length - foot) / FOOT_STD_IN)
+
+
+def detection_probability(
+    off_axis_rad: Number, range_in: Number, loss_db: Number, blur_rad: Number, sonar: ConeSonar
+) -> Number:
+    """Return the probability that a reflector is detected, if no other is nearer.
+
+    Parameters
+    ----------
+    off_axis_rad
+        Its angle from the axis of the cone.
+    loss_db
+        Loss at the reflector itself.
+    blur_rad
+        Standard deviation of the edge of the cone: that of the heading.
+    """
+    half = 0.5 * sonar.cone_rad
+    ratio = off_axis_rad / half
+    # 1. The level: less at the edge of the cone, with the range, and by the reflector.
+    total_db = sonar.cone_loss_db * ratio * ratio + sonar.range_loss_db_in * range_in + loss_db
+    # 2. Within the cone, and loud enough.
+    return normal_cdf((half - abs(off_axis_rad)) / blur_rad) * normal_cdf(
+        (sonar.margin_db - total_db) / sonar.margin_std_db
+    )
+
+
+# One sonar at one pose.
 
 
 class EchoCandidate(NamedTuple):
-    """A reflector that may be heard: its number, range, the derivative by the pose, and the chance that it is heard."""
+    """A reflector that may return the first echo: its number, range, derivative by the pose, and probability."""
 
-    which: int
+    reflector: int
     range_in: float
-    jacobian: tuple[float, float, float]
+    H: tuple[float, float, float]
     probability: float
 
 
 class ConeSensor:
-    """A model of cones in a map."""
+    """The sonars of one model on a map."""
 
-    def __init__(self, around: Reflectors, model: ConeSonar) -> None:
-        self._model, self._first = model, WallIndex(around.walls).nearest
-        self._walls = list(
-            enumerate(zip(*(part.tolist() for part in (around.corners, around.normals, around.lengths)), strict=True))
-        )
-        losses = [model.square_loss_db if square else model.edge_loss_db for square in around.square.tolist()]
-        self._vertices = list(enumerate(zip(around.vertices.tolist(), losses, strict=True), start=len(around.walls)))
+    def __init__(self, around: Reflectors, sonar: ConeSonar) -> None:
+        self._sonar, self._index = sonar, WallIndex(around.walls)
+        walls = np.concatenate((around.corners, around.normals, around.lengths[:, None]), axis=1)
+        losses = np.where(around.square, sonar.square_loss_db, sonar.edge_loss_db)
+        self._walls = list(enumerate(walls.tolist()))
+        self._vertices = list(enumerate(np.column_stack((around.vertices, losses)).tolist(), start=len(around.walls)))
 
-    def hear(self, pose: tuple[float, float, float], heading_std_rad: float, ear: SonarMount) -> list[EchoCandidate]:
-        """What a sonar may hear from a pose, in the order of the reflectors."""
-        model = self._model
-        axis = pose[2] + ear.direction_rad
+    def candidates(
+        self, pose: tuple[float, float, float], heading_std_rad: float, mount: SonarMount
+    ) -> list[EchoCandidate]:
+        """Return what a sonar may detect from a pose, in the order of the reflectors."""
+        # 1. The face of the sonar, its axis, and the widest angle at which anything is detected.
+        axis = pose[2] + mount.direction_rad
         axis_x, axis_y = cos(axis), sin(axis)
-        arm_x, arm_y = ear.ring_in * axis_x, ear.ring_in * axis_y
+        arm_x, arm_y = mount.ring_in * axis_x, mount.ring_in * axis_y
         x, y = pose[0] + arm_x, pose[1] + arm_y
-        half, softness = 0.5 * model.cone_rad, max(heading_std_rad, LEAST_ANGLE_STD_RAD)
-        widest = half + NEVER_BELOW * softness
-        least_cosine = cos(widest) - _SLACK_SINGLE_CONE if widest < pi else -2.0
-        heard = []
-        for which, range_in, to_x, to_y, on_wall, lost_db in self._within(x, y, axis_x, axis_y, least_cosine):
-            off = wrapped(atan2(to_y, to_x) - axis)
-            loss_db = model.rim_loss_db * (off / half) ** 2 + model.way_loss_db_in * range_in + lost_db
-            loud = _below((model.margin_db - loss_db) / model.margin_std_db)
-            chance = on_wall * _below((half - abs(off)) / softness) * loud
-            if chance > NEVER and self._first(x, y, to_x, to_y)[0] >= range_in - SHORT_IN:
-                heard.append((range_in, which, (-to_x, -to_y, to_x * arm_y - to_y * arm_x), chance))
-        silence, found = 1.0, []
-        for range_in, which, jacobian, chance in sorted(heard):
-            if chance * silence:
-                found.append(EchoCandidate(which, range_in, jacobian, chance * silence))
-            silence *= 1.0 - chance
+        blur = max(heading_std_rad, MIN_ANGLE_STD_RAD)
+        widest = 0.5 * self._sonar.cone_rad + MAX_SIGMAS * blur
+        min_cosine = cos(widest) - 1e-9 if widest < pi else -2.0
+        # 2. Each reflector in the cone: its probability, and whether the path to it is clear.
+        detected = []
+        for reflector, range_in, to_x, to_y, on_wall, loss_db in self._in_cone(x, y, axis_x, axis_y, min_cosine):
+            off_axis = wrap_angle(atan2(to_y, to_x) - axis)
+            probability = on_wall * detection_probability(off_axis, range_in, loss_db, blur, self._sonar)
+            if probability > MIN_PROBABILITY and self._index.nearest(x, y, to_x, to_y)[0] >= range_in - CLEARANCE_IN:
+                detected.append((range_in, reflector, range_jacobian(to_x, to_y, arm_x, arm_y), probability))
+        # 3. The first echo: no nearer reflector was detected.
+        undetected, found = 1.0, []
+        for range_in, reflector, H, probability in sorted(detected):
+            if probability * undetected:
+                found.append(EchoCandidate(reflector, range_in, H, probability * undetected))
+            undetected *= 1.0 - probability
         return sorted(found)
 
-    def _within(
-        self, x: float, y: float, axis_x: float, axis_y: float, least_cosine: float
+    def _in_cone(
+        self, x: float, y: float, axis_x: float, axis_y: float, min_cosine: float
     ) -> list[tuple[int, float, float, float, float, float]]:
-        """Of reflectors that may lie in the cone: number, range, direction, chance that a foot is on its wall, loss."""
-        far = NEVER_BELOW * FOOT_STD_IN
+        """Return number, range, direction, probability that the foot is on the wall, and loss, of the near axis."""
+        reach = MAX_SIGMAS * FOOT_STD_IN
         found = []
-        for which, ((corner_x, corner_y), (normal_x, normal_y), length) in self._walls:
-            off_x, off_y = x - corner_x, y - corner_y
-            height, foot = off_x * normal_x + off_y * normal_y, off_x * normal_y - off_y * normal_x
-            if not -far < foot < length + far:
-                continue
-            side = 1.0 if height < 0.0 else -1.0
-            if side * (normal_x * axis_x + normal_y * axis_y) > least_cosine:
-                on_wall = _below(foot / FOOT_STD_IN) * _below((length - foot) / FOOT_STD_IN)
-                found.append((which, abs(height), side * normal_x, side * normal_y, on_wall, 0.0))
-        for which, ((vertex_x, vertex_y), lost_db) in self._vertices:
-            way_x, way_y = vertex_x - x, vertex_y - y
-            range_in = hypot(way_x, way_y)
-            if way_x * axis_x + way_y * axis_y >= least_cosine * range_in:
-                divisor = max(range_in, 1e-9)
-                found.append((which, range_in, way_x / divisor, way_y / divisor, 1.0, lost_db))
+        for number, (corner_x, corner_y, normal_x, normal_y, length) in self._walls:
+            range_in, to_x, to_y, foot = to_wall(x, y, corner_x, corner_y, normal_x, normal_y)
+            if -reach < foot < length + reach and to_x * axis_x + to_y * axis_y > min_cosine:
+                found.append((number, range_in, to_x, to_y, foot_probability(foot, length), 0.0))
+        for number, (vertex_x, vertex_y, loss_db) in self._vertices:
+            range_in, to_x, to_y = to_vertex(x, y, vertex_x, vertex_y)
+            if to_x * axis_x + to_y * axis_y >= min_cosine:
+                found.append((number, range_in, to_x, to_y, 1.0, loss_db))
         return found
 
 
-def _below(sigmas: float) -> float:
-    """cone's logistic curve, of one number."""
-    return 1.0 / (1.0 + exp(min(max(-LOGISTIC_SLOPE * sigmas, -300.0), 300.0)))
-
-
 class ConeModel:
-    """Each reading is the first echo out of a cone, or a bad one, with probabilities."""
+    """Measurement model of sonars whose reading is the first echo out of a cone, or an outlier."""
 
-    def __init__(self, walls: npt.ArrayLike, body: SonarRing, model: ConeSonar) -> None:
-        self._around, self._body, self._model = reflectors(wall_map(walls).segments), body, model
-        self._listener = ConeSensor(self._around, model)
+    def __init__(self, walls: npt.ArrayLike, body: SonarRing, sonar: ConeSonar) -> None:
+        self._around, self._body, self._sonar = reflectors(wall_map(walls).segments), body, sonar
+        self._sensor = ConeSensor(self._around, sonar)
 
-    def sense(self, belief: Belief, sonar: int, turret_offset_rad: float, reading_in: float) -> Association:
-        model = self._model
-        if reading_in <= model.lowest_in:
+    def associate(
+        self, x: State, P: Covariance, sonar: int, turret_offset_rad: float, reading_in: float
+    ) -> Association:
+        """Return a hypothesis for each reflector that may return the first echo."""
+        noise = self._sonar
+        if reading_in <= noise.lowest_in:
             return Association(Refusal.LIMIT, 1.0)
-        ear = SonarMount(turret_offset_rad + self._body.sonar_angles_rad[sonar], self._body.sonar_ring_radius_in)
-        x, y, heading = belief.mean[:POSE].tolist()
-        returns = self._listener.hear((x, y, heading), sqrt(belief.cov[HEADING, HEADING]), ear)
-        if reading_in >= model.highest_in:
-            heard = sum([found.probability for found in returns])
-            return Association(Refusal.LIMIT, 1.0 - (1.0 - model.outlier_probability) * heard)
-        if not returns:
-            return Association(Refusal.NO_WALL, model.bad_density)
-        which, ranges, jacobian, probability = zip(*returns, strict=True)
-        candidates = Hypotheses(
-            np.array(ranges),
-            np.array(jacobian),
-            np.array([model.variance_at(range_in) for range_in in ranges]),
-            np.array([model.constant_at(range_in) for range_in in ranges]),
-            np.array(probability),
-            partial(expected, ear=ear, around=self._around, which=np.array(which)),
-            model.outlier_probability,
-            model.bad_density,
+        mount = SonarMount(turret_offset_rad + self._body.sonar_angles_rad[sonar], self._body.sonar_ring_radius_in)
+        candidates = self._sensor.candidates((x[0], x[1], x[HEADING]), sqrt(P[HEADING][HEADING]), mount)
+        if reading_in >= noise.highest_in:  # "nothing": the probability that nothing was detected
+            detected = sum([candidate.probability for candidate in candidates])
+            return Association(Refusal.LIMIT, 1.0 - (1.0 - noise.outlier_probability) * detected)
+        if not candidates:
+            return Association(Refusal.NO_WALL, noise.outlier_density)
+        numbers, ranges, H, probability = zip(*candidates, strict=True)
+        return Association(
+            Refusal.NONE,
+            1.0,
+            ranges,
+            H,
+            [noise.variance_at(range_in) for range_in in ranges],
+            [noise.constant_variance_at(range_in) for range_in in ranges],
+            probability,
+            partial(ranges_to, mount=mount, around=self._around, numbers=np.array(numbers)),
+            noise.outlier_probability,
+            noise.outlier_density,
         )
-        return Association(Refusal.NONE, 1.0, candidates)
+
+
+# Many poses, in arrays.
+
+
+class ExpectedEchoes(NamedTuple):
+    """Expected echoes of k reflectors, walls first.
+
+    Attributes
+    ----------
+    ranges_in
+        (..., k) inches.
+    H
+        (..., k, 3) derivative of the range by the pose.
+    probability
+        (..., k) that the first echo is of this reflector; 0 where it cannot be.
+    """
+
+    ranges_in: Floats
+    H: Floats
+    probability: Floats
+
+
+class _Geometry(NamedTuple):
+    """Faces (..., 1), axis (..., 1) and arm of a sonar; ranges and unit vectors (..., k); feet (..., m)."""
+
+    x: Floats
+    y: Floats
+    axis: Floats
+    arm_x: Floats
+    arm_y: Floats
+    ranges_in: Floats
+    to_x: Floats
+    to_y: Floats
+    feet_in: Floats
+
+
+def expected_echoes(
+    poses: Floats, heading_std_rad: Floats, mount: SonarMount, around: Reflectors, sonar: ConeSonar
+) -> ExpectedEchoes:
+    """Return the expected echoes of all reflectors at poses (..., 3), their headings uncertain by (...) radians."""
+    if poses.ndim == 1:
+        alone = expected_echoes(poses[None], heading_std_rad, mount, around, sonar)
+        return ExpectedEchoes(*(part[0] for part in alone))
+    seen = _geometry(poses, mount, around)
+    probability = _first_echo(seen.ranges_in, _detected(seen, heading_std_rad, around, sonar, around.walls))
+    return ExpectedEchoes(seen.ranges_in, _stacked(seen.to_x, seen.to_y, seen.arm_x, seen.arm_y), probability)
+
+
+def echo_probabilities(
+    poses: Floats, heading_std_rad: Floats, mount: SonarMount, around: Reflectors, sonar: ConeSonar
+) -> tuple[Floats, Floats]:
+    """Return ranges and probabilities (n, j) of `expected_echoes` at poses (n, 3), of those j reflectors alone that are
+    detected from any of them."""
+    near = _within_reach(poses, heading_std_rad, mount, around, sonar)
+    seen = _geometry(poses, mount, near)
+    detected = _detected(seen, heading_std_rad, near, sonar, around.walls)
+    which = detected.any(axis=0)
+    ranges = seen.ranges_in[:, which]
+    return ranges, _first_echo(ranges, detected[:, which])
+
+
+def ranges_to(poses: Floats, mount: SonarMount, around: Reflectors, numbers: Indices) -> tuple[Floats, Floats]:
+    """Return ranges (..., k) of the reflectors of these numbers (k,), detected or not, and H (..., k, 3).
+
+    From poses (..., k, 3), one each, or (..., 1, 3), one for all.
+    """
+    # 1. The face of the sonar at each pose, and its arm.
+    axis = poses[..., HEADING] + mount.direction_rad
+    arm_x, arm_y = (np.broadcast_to(mount.ring_in * part, (*axis.shape[:-1], len(numbers)))
+                    for part in (np.cos(axis), np.sin(axis)))  # fmt: skip
+    x, y = poses[..., 0] + arm_x, poses[..., 1] + arm_y
+    # 2. Walls and vertices, each into its columns.
+    ranges, to_x, to_y = np.empty(x.shape), np.empty(x.shape), np.empty(x.shape)
+    walls = numbers < len(around.walls)
+    wall, vertex = numbers[walls], numbers[~walls] - len(around.walls)
+    at = np.s_[..., walls]
+    ranges[at], to_x[at], to_y[at], _ = to_wall(x[at], y[at], *around.corners[wall].T, *around.normals[wall].T)
+    at = np.s_[..., ~walls]
+    ranges[at], to_x[at], to_y[at] = to_vertex(x[at], y[at], *around.vertices[vertex].T)
+    return ranges, _stacked(to_x, to_y, arm_x, arm_y)
+
+
+def _stacked(to_x: Floats, to_y: Floats, arm_x: Floats, arm_y: Floats) -> Floats:
+    """Return `range_jacobian` as one array (..., k, 3)."""
+    return np.stack(np.broadcast_arrays(*range_jacobian(to_x, to_y, arm_x, arm_y)), axis=-1)
+
+
+def _geometry(poses: Floats, mount: SonarMount, around: Reflectors) -> _Geometry:
+    """Return the perpendiculars to all walls and the lines to all vertices from the faces at poses (..., 3)."""
+    axis = poses[..., HEADING, None] + mount.direction_rad
+    arm_x, arm_y = mount.ring_in * np.cos(axis), mount.ring_in * np.sin(axis)
+    x, y = poses[..., 0, None] + arm_x, poses[..., 1, None] + arm_y
+    *walls, feet = to_wall(x, y, *around.corners.T, *around.normals.T)
+    vertices = to_vertex(x, y, *around.vertices.T)
+    ranges, to_x, to_y = (np.concatenate(pair, axis=-1) for pair in zip(walls, vertices, strict=True))
+    return _Geometry(x, y, axis, arm_x, arm_y, ranges, to_x, to_y, feet)
+
+
+def _within_reach(
+    poses: Floats, heading_std_rad: Floats, mount: SonarMount, around: Reflectors, sonar: ConeSonar
+) -> Reflectors:
+    """Return the reflectors that may lie in the cone from any of the poses (n, 3).
+
+    From the middle of all poses a direction differs by no more than the headings do, and that to a vertex besides by
+    the angle under which it sees all poses.
+    """
+    # 1. The middle pose, how far the faces are from its own, and the widest angle from its axis.
+    middle = np.append(poses[:, :2].mean(axis=0), poses[0, HEADING])
+    headings = np.abs(wrap_angle(poses[:, HEADING] - middle[HEADING])).max()
+    about = np.hypot(*(poses[:, :2] - middle[:2]).T).max() + 2.0 * mount.ring_in * np.sin(0.5 * headings)
+    widest = 0.5 * sonar.cone_rad + MAX_SIGMAS * max(float(np.max(heading_std_rad)), MIN_ANGLE_STD_RAD) + headings
+    seen = _geometry(middle, mount, around)
+    off_axis = np.abs(wrap_angle(np.arctan2(seen.to_y, seen.to_x) - seen.axis))
+    # 2. Walls: near, or in the widened cone with the foot on them.
+    count = len(around.walls)
+    reach = about + MAX_SIGMAS * FOOT_STD_IN + _ROUNDING
+    walls = (seen.ranges_in[:count] <= about) | (off_axis[:count] <= widest + _ROUNDING)
+    walls &= (seen.feet_in >= -reach) & (seen.feet_in <= around.lengths + reach)
+    # 3. Vertices: in the cone widened by the angle under which they see all poses.
+    ranges = seen.ranges_in[count:]
+    parallax = np.arcsin(np.minimum(about / np.maximum(ranges, _MIN_RANGE_IN), 1.0))
+    parallax[ranges <= about] = np.pi
+    return around.some(walls, off_axis[count:] <= widest + parallax + _ROUNDING)
+
+
+def _detected(
+    seen: _Geometry, heading_std_rad: Floats, around: Reflectors, sonar: ConeSonar, walls_in: Floats
+) -> Floats:
+    """Return the probability (..., k) that each is detected, if it were the only one.
+
+    It is 0 up to MIN_PROBABILITY, and where one of the walls (m', 4) blocks the path.
+    """
+    # 1. Leave out what is clearly outside of the cone or beyond the end of its wall: most of all.
+    count, half = len(around.walls), 0.5 * sonar.cone_rad
+    blur = np.maximum(heading_std_rad, MIN_ANGLE_STD_RAD)[..., None]
+    widest = np.minimum(half + MAX_SIGMAS * blur + 1e-9, np.pi)
+    able: Mask = seen.to_x * np.cos(seen.axis) + seen.to_y * np.sin(seen.axis) >= np.cos(widest) - 1e-12
+    reach = MAX_SIGMAS * FOOT_STD_IN
+    able[..., :count] &= (seen.feet_in > -reach) & (seen.feet_in < around.lengths + reach)
+    # 2. The probability of the others, pair by pair of pose and reflector.
+    at = np.nonzero(able)
+    poses, which = at[:-1], at[-1]
+    loss_db = np.zeros(around.count)
+    loss_db[count:] = np.where(around.square, sonar.square_loss_db, sonar.edge_loss_db)
+    to_x, to_y, ranges = seen.to_x[at], seen.to_y[at], seen.ranges_in[at]
+    off_axis = wrap_angle(np.arctan2(to_y, to_x) - seen.axis[..., 0][poses])
+    blurs = np.broadcast_to(blur[..., 0], seen.axis.shape[:-1])[poses]
+    probability = detection_probability(off_axis, ranges, loss_db[which], blurs, sonar)
+    walls = which < count
+    feet = seen.feet_in[(*(index[walls] for index in poses), which[walls])]
+    probability[walls] *= foot_probability(feet, around.lengths[which[walls]])
+    # 3. A clear path.
+    likely = probability > MIN_PROBABILITY
+    at = tuple(index[likely] for index in at)
+    faces = np.stack((seen.x[..., 0][at[:-1]], seen.y[..., 0][at[:-1]]), axis=-1)
+    detected = np.zeros(able.shape)
+    if len(faces):
+        blocked_in, _ = cast_rays(faces, np.stack((to_x[likely], to_y[likely]), axis=-1), walls_in)
+        detected[at] = np.where(blocked_in >= ranges[likely] - CLEARANCE_IN, probability[likely], 0.0)
+    return detected
+
+
+def _first_echo(ranges_in: Floats, detected: Floats) -> Floats:
+    """Return the probability (..., k) that each is detected and none that is nearer."""
+    order = np.argsort(ranges_in, axis=-1)
+    by_range = np.take_along_axis(detected, order, axis=-1)
+    undetected = np.cumprod(1.0 - by_range, axis=-1)
+    first = by_range.copy()
+    first[..., 1:] *= undetected[..., :-1]
+    probability: Any = np.empty_like(first)
+    np.put_along_axis(probability, order, first, axis=-1)
+    return np.asarray(probability, dtype=np.float64)

@@ -24,12 +24,12 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from localization.live.localizer import Echo, Fit
+from localization.live.localizer import Consistency, Echo
 from nclient.connect import address_or_default
 from nclient.errors import AddressError, WorldFileError
 from nclient.url import parse_address, split_address
 from worlds.io import DEFAULT_WORLD, load_world
-from worlds.schema import read_text, toml_of
+from worlds.schema import parse_toml, read_text
 from worlds.world import World
 
 SIMULATION: Final = "sim"
@@ -91,7 +91,7 @@ def sonar_model_of_address(address: str) -> bool | None:
     if not setup.endswith(".toml"):
         return setup not in RING_SETUPS
     try:
-        values = toml_of(read_text(Path(setup)), setup)
+        values = parse_toml(read_text(Path(setup)), setup)
     except WorldFileError:
         return None
     sonar = values.get("sonar", {})
@@ -103,9 +103,9 @@ def hint(sonars: Taken, echoes: Iterable[Echo]) -> str:
     """What to say where the guess does not fit what was heard; "" where it does, or was none."""
     if not sonars.line():
         return ""
-    fit = Fit(sonars.rays)
+    fit = Consistency(sonars.rays)
     fit.add(echoes)
-    return "" if fit.good or fit.taken + fit.refused < FEWEST else fit.line()
+    return "" if fit.is_good or fit.used + fit.refused < FEWEST else fit.line()
 
 
 def add_map_option(parser: argparse.ArgumentParser, known: str = "") -> None:

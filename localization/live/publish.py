@@ -54,7 +54,8 @@ def message(
         "waypoints": [list(point) for point in waypoints], "passed": moment.passed,
         "trust": estimate.health.status.value, "reason": estimate.health.reason,
         "places": [
-            {"pose": place.belief.mean[:3].tolist(), "share": place.share} for place in estimate.places[:MOST_PLACES]
+            {"pose": place.belief.mean[:3].tolist(), "share": place.probability}
+            for place in estimate.places[:MOST_PLACES]
         ],
     }  # fmt: skip
 

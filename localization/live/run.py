@@ -23,7 +23,7 @@ from localization.filters.health import HealthStatus
 from localization.filters.update import Refusal
 from localization.live.assumptions import AS_CONES, Taken, hint
 from localization.live.localizer import Echo, Estimate
-from localization.live.sensor_input import LONGEST_GAP_S
+from localization.live.sensor_input import MAX_GAP_S
 from nclient.robot import Robot
 
 MOST_PLACES = 4
@@ -150,7 +150,7 @@ class Run:
             "reason": last.estimate.health.reason,
             "lost_share": sum(moment.lost for moment in self.moments) / len(self.moments),
             "places": [
-                {"pose": place.belief.mean[:3].tolist(), "share": place.share} for place in last.estimate.places
+                {"pose": place.belief.mean[:3].tolist(), "share": place.probability} for place in last.estimate.places
             ],
             "estimate": [float(value) for value in last.estimate.pose],
             "truth": list(last.truth) if last.truth else None,
@@ -189,9 +189,9 @@ class Run:
             lines.append(f"stopped: {self.stopped}")
         if result["hint"]:
             lines.append(result["hint"])
-        if self.longest_gap_s > LONGEST_GAP_S:
+        if self.longest_gap_s > MAX_GAP_S:
             lines.append(
-                f"states came up to {self.longest_gap_s:.1f} s apart: the filter wants them within {LONGEST_GAP_S} s; "
+                f"states came up to {self.longest_gap_s:.1f} s apart: the filter wants them within {MAX_GAP_S} s; "
                 "let the time run slower"
             )
         return "\n".join(lines)
@@ -208,7 +208,7 @@ def _told(estimate: Estimate) -> str:
     text = f"{estimate.health.status.value}: {estimate.health.reason}"
     if len(estimate.places) < 2:
         return text
-    places = [(*place.belief.mean[:3].tolist(), place.share) for place in estimate.places[:MOST_PLACES]]
+    places = [(*place.belief.mean[:3].tolist(), place.probability) for place in estimate.places[:MOST_PLACES]]
     return f"{text}: " + ", ".join(
         f"({x:.1f}, {y:.1f}) in {math.degrees(heading):.0f} deg {share:.0%}" for x, y, heading, share in places
     )

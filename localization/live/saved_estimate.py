@@ -29,10 +29,10 @@ from typing import Any, Final, NamedTuple, NoReturn
 
 import numpy as np
 
-from localization.filters.belief import HEADING, Belief, Floats, add, difference
-from localization.filters.odometry import LARGEST, POSE, OdometryNoise
+from localization.filters.belief import HEADING, POSE, Belief, Floats, add, difference
+from localization.filters.odometry import MAX_STATE, OdometryNoise
 from localization.live.sensor_input import EncoderPose
-from nclient.common.files import read_text, write_whole
+from nclient.common.files import read_text, write_atomic
 from nclient.errors import EstimateFileError
 from worlds.world import World
 
@@ -195,7 +195,7 @@ def save(path: Path, kept: Kept) -> None:
         "mean": kept.belief.mean.tolist(),
         "cov": kept.belief.cov.tolist(),
     }
-    write_whole(path, json.dumps(values, indent=1) + "\n", EstimateFileError)
+    write_atomic(path, json.dumps(values, indent=1) + "\n", EstimateFileError)
 
 
 def load(path: Path) -> Kept:
@@ -211,14 +211,14 @@ def load(path: Path) -> Kept:
         _fail(path, key, "is missing" if key in KEYS else "unknown key")
     site = MapSignature(*(_text(path, key, values[key]) for key in MapSignature._fields))
     clock_s, turret_rad = _numbers(path, "clock_s", values, ()), _numbers(path, "turret_rad", values, ())
-    encoders = EncoderPose(float(clock_s), _numbers(path, "encoders", values, (POSE,)), float(turret_rad))
+    encoders = EncoderPose.of(float(clock_s), _numbers(path, "encoders", values, (POSE,)), float(turret_rad))
     return Kept(site, encoders, _belief(path, values))
 
 
 def _belief(path: Path, values: dict[str, Any]) -> Belief:
     size = len(values["mean"]) if isinstance(values["mean"], list) else 0
-    if not POSE <= size <= LARGEST:
-        _fail(path, "mean", f"expected {POSE} to {LARGEST} numbers")
+    if not POSE <= size <= MAX_STATE:
+        _fail(path, "mean", f"expected {POSE} to {MAX_STATE} numbers")
     mean, cov = _numbers(path, "mean", values, (size,)), _numbers(path, "cov", values, (size, size))
     if not np.allclose(cov, cov.T) or np.linalg.eigvalsh(cov)[0] < SMALLEST_EIGENVALUE:
         _fail(path, "cov", "is no covariance: expected it symmetric, and no variance below 0")

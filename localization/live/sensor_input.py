@@ -1,26 +1,8 @@
-"""What a robot tells the filter: its clock, where its encoders are, and the last reading of each sonar. Values, pure.
+"""Inputs of the live filter from a robot's state: corrected readings, instants of new echoes, past encoder poses.
 
-    RobotState ──> retold: a calibration's, without some sonars, with bad readings ──> Localizer.update
-
-A robot that is known to err: what it tells as a faultless one would, and what is left to find out of its wheels.
-
-    readings    less their sonars' offsets; limits stay limits      turret    turned as the ring really stands
-    wheels      the filter's constants (systematic) begin at what was found, as uncertain as that is
-
-Rules: pure; what it errs is worlds.robots's.
-
-Which echo is new: State shows the last reading of each sonar and says of none when it was taken.
-
-    conf_sn restarts the ring at the clock of its answer; entry k of the order fires k intervals later, and round again
-
-So order and clock tell which sonar fired when, on every line, stamps or not. Rules: pure; no robot, no filter. An echo
-is handed out once, and only while its sonar cannot have fired again. `CLOCK_STEP_S`: a robot's clock goes in steps,
-so an instant is taken as past only a step later.
-
-Where the encoders were at any recent instant, by interpolation between the states that were polled.
-
-Rules: encoder poses only, in the encoders' own frame; no filter. Between two polls the robot is taken to have gone
-evenly; beyond them nothing is made up.
+RobotState --> corrected (calibration) --> Localizer.update
+FiringSchedule    the sonar and instant of each echo that a state shows for the first time
+PoseHistory       the encoders at that instant, by interpolation between polled states
 """
 
 from __future__ import annotations
@@ -32,14 +14,14 @@ from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
-from localization.filters.belief import HEADING, Belief, Floats, add, difference, wrapped
-from localization.filters.odometry import POSE, with_parameters
+from localization.filters.belief import HEADING, POSE, Belief, Floats, wrap_angle
+from localization.filters.odometry import with_parameters
 from nclient.protocol.types import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE, SONAR_RATE_STEP_S
 from worlds.robots import IDEAL_CALIBRATION, Calibration
 
 
 class SensorInput(Protocol):
-    """What the filter wants of a robot's state; nclient's RobotState has it. Seconds, inches, radians."""
+    """The part of a robot's state that the filter uses; nclient's RobotState has it. Seconds, inches, radians."""
 
     @property
     def clock_s(self) -> float | None: ...
@@ -57,7 +39,7 @@ class SensorInput(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class SensorData:
-    """The same, no longer as the robot said it."""
+    """A `SensorInput` with values of its own."""
 
     clock_s: float | None
     x_in: float
@@ -67,48 +49,56 @@ class SensorData:
     sonars_in: tuple[float, ...]
 
 
-def with_readings(told: SensorInput, sonars_in: tuple[float, ...], turret_rad: float | None = None) -> SensorData:
-    """It with other readings of the sonars, and with the ring turned to `turret_rad` where that is given."""
-    turret = told.turret_rad if turret_rad is None else turret_rad
-    return SensorData(told.clock_s, told.x_in, told.y_in, told.steering_rad, turret, sonars_in)
+def with_readings(state: SensorInput, sonars_in: tuple[float, ...], turret_rad: float | None = None) -> SensorData:
+    """Return a state with other sonar readings and, if given, another turret angle."""
+    turret = state.turret_rad if turret_rad is None else turret_rad
+    return SensorData(state.clock_s, state.x_in, state.y_in, state.steering_rad, turret, sonars_in)
 
+
+# Calibration.
 
 LOWEST_IN: Final = 6
 HIGHEST_IN: Final = 255
 _INSIDE_IN: Final = 1e-3
+"""A corrected reading stays this much within the limits."""
 
 
-def of(told: SensorInput, errs: Calibration) -> SensorInput:
-    """What a robot tells, without what its sonars are known to get wrong."""
-    if errs is IDEAL_CALIBRATION:
-        return told
-    sonars = tuple(_range_in(read, off) for read, off in zip(told.sonars_in, errs.offsets_in, strict=True))
-    return with_readings(told, sonars, told.turret_rad + errs.turned_rad)
+def corrected(state: SensorInput, calibration: Calibration) -> SensorInput:
+    """Return a state without the systematic errors of its sonars and of the mounting of their ring."""
+    if calibration is IDEAL_CALIBRATION:
+        return state
+    pairs = zip(state.sonars_in, calibration.offsets_in, strict=True)
+    sonars = tuple(_corrected_reading(reading_in, offset_in) for reading_in, offset_in in pairs)
+    return with_readings(state, sonars, state.turret_rad + calibration.turned_rad)
 
 
-def with_wheels(pose: Belief, errs: Calibration) -> Belief:
-    """A belief over poses (3,) with the constants of such wheels; those of a faultless robot change nothing."""
-    if errs is IDEAL_CALIBRATION:
+def with_wheels(pose: Belief, calibration: Calibration) -> Belief:
+    """Return a belief over poses (3,) extended by calibrated odometry parameters; unchanged for a faultless robot."""
+    if calibration is IDEAL_CALIBRATION:
         return pose
-    spread = errs.spread
-    longer = with_parameters(pose, (spread.way_scale, spread.turn_scale, spread.drift_rad_in))
-    longer.mean[POSE:] = np.array([errs.way_scale - 1.0, errs.turn_scale - 1.0, errs.drift_rad_in])
-    return longer
+    spread = calibration.spread
+    belief = with_parameters(pose, (spread.way_scale, spread.turn_scale, spread.drift_rad_in))
+    belief.mean[POSE:] = calibration.way_scale - 1.0, calibration.turn_scale - 1.0, calibration.drift_rad_in
+    return belief
 
 
-def _range_in(reading_in: float, offset_in: float) -> float:
-    """A reading at a limit says nothing of the range, and goes on saying it."""
+def _corrected_reading(reading_in: float, offset_in: float) -> float:
+    """Return a reading less its offset; a limit is no range and stays as it is."""
     if not LOWEST_IN < reading_in < HIGHEST_IN:
         return reading_in
     return min(max(reading_in - offset_in, LOWEST_IN + _INSIDE_IN), HIGHEST_IN - _INSIDE_IN)
 
 
+# New echoes.
+
 CLOCK_STEP_S = 0.0164
+"""Step of a robot's clock: an instant is past for certain only one step later."""
 _TINY = 1e-9
+"""Rounding of a number of intervals."""
 
 
 class FiringTime(NamedTuple):
-    """A sonar that fired, and when by the robot's clock."""
+    """A sonar that fired, and the instant by the robot's clock."""
 
     sonar: int
     instant_s: float
@@ -116,7 +106,20 @@ class FiringTime(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class FiringSchedule:
-    """A ring restarted at `start_s` of the robot's clock. `order`: sonar numbers, each at most once."""
+    """Instants at which the sonars of a ring fire.
+
+    conf_sn restarts the ring at the clock of its answer; entry k of the order fires k intervals later, and so on in
+    turn. A state shows the last reading of each sonar without its instant; order and clock tell which are new.
+
+    Attributes
+    ----------
+    start_s
+        Clock of the restart.
+    rate
+        Interval between two sonars, in units of the command.
+    order
+        Sonar numbers, each at most once.
+    """
 
     start_s: float
     rate: int = DEFAULT_SONAR_RATE
@@ -133,35 +136,53 @@ class FiringSchedule:
         return self.interval_s * len(self.order)
 
     def readable(self, after_s: float, now_s: float) -> list[FiringTime]:
-        """Firings later than `after_s` whose echoes a state of clock `now_s` shows for certain, in order of time."""
-        since_start = (after_s - self.start_s) / self.interval_s
-        first = max(0, math.floor(since_start + _TINY) + 1) if after_s >= self.start_s else 0
+        """Return the firings later than `after_s` whose echoes a state of clock `now_s` certainly shows, in order.
+
+        An echo is readable until its sonar may have fired again.
+        """
+        interval_s, start_s, order = self.interval_s, self.start_s, self.order
+        # 1. The first that is later than `after_s`, and not yet overwritten.
+        since_start = (after_s - start_s) / interval_s
+        first = max(0, math.floor(since_start + _TINY) + 1) if after_s >= start_s else 0
         overwritten_s = now_s + CLOCK_STEP_S - self.round_s
-        first = max(first, math.floor((overwritten_s - self.start_s) / self.interval_s + _TINY) + 1)
-        last = math.floor((now_s - CLOCK_STEP_S - self.start_s) / self.interval_s + _TINY)
-        return [
-            FiringTime(self.order[k % len(self.order)], self.start_s + k * self.interval_s)
-            for k in range(first, last + 1)
-        ]
+        first = max(first, math.floor((overwritten_s - start_s) / interval_s + _TINY) + 1)
+        # 2. The last that is certainly past.
+        last = math.floor((now_s - CLOCK_STEP_S - start_s) / interval_s + _TINY)
+        return [FiringTime(order[k % len(order)], start_s + k * interval_s) for k in range(first, last + 1)]
 
 
-LONGEST_GAP_S = 0.5
-"""Beyond this the way between two states is no single arc any more, and the estimate gets too sure of itself."""
-REMEMBERED_S = 2.0
-"""Longer than a ring takes, so that every echo still readable has its pose."""
+# Past encoder poses.
+
+MAX_GAP_S = 0.5
+"""Beyond this, the path between two states is no single arc any more, and the estimate becomes overconfident."""
+HISTORY_S = 2.0
+"""Longer than a ring takes, so that every readable echo has its pose."""
 
 
 class EncoderPose(NamedTuple):
-    """The encoders at an instant: `pose` (3,) x_in, y_in, heading of the steering; the turret's angle beside it."""
+    """The encoders at an instant: position, heading of the steering, angle of the turret."""
 
     clock_s: float
-    pose: Floats
+    x_in: float
+    y_in: float
+    heading_rad: float
     turret_rad: float
+
+    @classmethod
+    def of(cls, clock_s: float, pose: Floats, turret_rad: float) -> EncoderPose:
+        """Return the encoders at a pose (3,)."""
+        x, y, heading = pose.tolist()
+        return cls(clock_s, x, y, heading, turret_rad)
+
+    @property
+    def pose(self) -> Floats:
+        """x_in, y_in and heading in radians, (3,)."""
+        return np.array(self[1 : 2 + HEADING])
 
     @property
     def turret_offset_rad(self) -> float:
-        """Turret less steering: where the ring's front looks, seen from the heading."""
-        return self.turret_rad - float(self.pose[HEADING])
+        """Turret less steering: the direction of the ring's front from the heading."""
+        return self.turret_rad - self.heading_rad
 
 
 class PoseHistory:
@@ -172,22 +193,22 @@ class PoseHistory:
 
     @property
     def last_two(self) -> tuple[EncoderPose, EncoderPose]:
-        """The last one added and the one before it; of one alone it is both."""
+        """The last two poses, earlier first; of a single one, it twice."""
         return self._poses[max(len(self._poses) - 2, 0)], self._poses[-1]
-
-    def add(self, pose: EncoderPose) -> None:
-        """A pose later than all others; the oldest are forgotten."""
-        self._poses.append(pose)
-        while len(self._poses) > 2 and self._poses[1].clock_s < pose.clock_s - REMEMBERED_S:
-            self._poses.popleft()
 
     @property
     def latest(self) -> EncoderPose:
-        """The last one added."""
+        """The last pose."""
         return self._poses[-1]
 
+    def add(self, pose: EncoderPose) -> None:
+        """Append a pose later than all others; drop those older than HISTORY_S."""
+        self._poses.append(pose)
+        while len(self._poses) > 2 and self._poses[1].clock_s < pose.clock_s - HISTORY_S:
+            self._poses.popleft()
+
     def at(self, instant_s: float) -> EncoderPose:
-        """The pose at an instant; the nearest there is where it lies before or after all of them."""
+        """Return the pose at an instant, interpolated; before or after all poses, the nearest."""
         later = None
         for earlier in reversed(self._poses):
             if earlier.clock_s < instant_s:
@@ -197,7 +218,14 @@ class PoseHistory:
 
 
 def _between(earlier: EncoderPose, later: EncoderPose, instant_s: float) -> EncoderPose:
-    share = (instant_s - earlier.clock_s) / (later.clock_s - earlier.clock_s)
-    turned = wrapped(later.turret_rad - earlier.turret_rad)
-    pose = add(earlier.pose, share * difference(later.pose, earlier.pose))
-    return EncoderPose(instant_s, pose, earlier.turret_rad + share * turned)
+    """Interpolate linearly, angles by the shorter turn."""
+    clock_s, x, y, heading, turret = earlier
+    later_s, later_x, later_y, later_heading, later_turret = later
+    fraction = (instant_s - clock_s) / (later_s - clock_s)
+    return EncoderPose(
+        instant_s,
+        x + fraction * (later_x - x),
+        y + fraction * (later_y - y),
+        wrap_angle(heading + fraction * wrap_angle(later_heading - heading)),
+        turret + fraction * wrap_angle(later_turret - turret),
+    )

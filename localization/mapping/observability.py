@@ -24,21 +24,11 @@ import numpy.typing as npt
 
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import HEADING, Floats
-from localization.filters.odometry import OdometryNoise, step_jacobian, step_variance
+from localization.filters.odometry import OdometryNoise, process_covariance, step_jacobians
 from localization.filters.reflectors import Reflectors, reflectors
-from localization.filters.sonar_cone import ConeSonar, SonarMount, cone_returns
-from localization.filters.sonar_ray import (
-    STRICT,
-    RaySonar,
-    SonarRing,
-    WallMap,
-    meet,
-    range_jacobian,
-    rays,
-    ring,
-    sight,
-    wall_map,
-)
+from localization.filters.sonar_cone import ConeSonar, SonarMount, expected_echoes
+from localization.filters.sonar_ray import RaySonar, SonarRing, WallMap, ranges_from, wall_map
+from localization.filters.update import Refusal
 from worlds.robots import SONARS
 
 HEADINGS: Final = 4
@@ -76,11 +66,11 @@ def compute_observability(known: LocalizationConfig, places: Floats, speed_in_s:
 def _driven(odometry: OdometryNoise, information: Floats, way_in: float, way_rad: float) -> Floats:
     """P (n, 3, 3) after ROUNDS of `way_in` in a direction, each of which tells `information` (n, 3, 3)."""
     step = np.array([way_in, 0.0])
-    by_pose, by_step = step_jacobian(np.array([0.0, 0.0, way_rad]), step)
-    lost = (by_step * step_variance(step, odometry)) @ by_step.T
+    F, G = step_jacobians(np.array([0.0, 0.0, way_rad]), step)
+    lost = process_covariance(G, step, odometry)
     cov: Floats = np.tile(np.diag(np.square(START_STD)), (len(information), 1, 1))
     for _ in range(ROUNDS):
-        known: Floats = np.asarray(np.linalg.inv(by_pose @ cov @ by_pose.T + lost), dtype=np.float64) + information
+        known: Floats = np.asarray(np.linalg.inv(F @ cov @ F.T + lost), dtype=np.float64) + information
         cov = np.asarray(np.linalg.inv(known), dtype=np.float64)
         cov = 0.5 * (cov + cov.swapaxes(-1, -2))
     return cov
@@ -106,26 +96,22 @@ def _of_round(known: LocalizationConfig, places: Floats, heading_rad: float) -> 
 
 
 def _of_rays(poses: Floats, body: SonarRing, sonar: RaySonar, walls: WallMap) -> Floats:
-    aimed = rays(poses[:, None, :], ring(body))
-    met = meet(aimed, walls)
-    lines = walls.lines[met]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        seen = sight(aimed, lines)
-        slope = range_jacobian(seen, lines)
-        steep = np.abs(seen.cos_incidence) >= STRICT.min_cos_incidence
-        told = steep & (met >= 0) & (seen.ranges_in > sonar.lowest_in) & (seen.ranges_in < sonar.highest_in)
-        weight = np.where(told, 1.0 / sonar.variance(seen.ranges_in), 0.0)
-    return _added(np.where(told[..., None], slope, 0.0), weight)
+    angles_rad = np.asarray(body.sonar_angles_rad, dtype=np.float64)
+    beams = ranges_from(poses, angles_rad, body, walls)
+    used = (beams.refusal == Refusal.NONE) & (beams.range_in > sonar.lowest_in) & (beams.range_in < sonar.highest_in)
+    weight = np.where(used, 1.0 / sonar.variance(beams.range_in), 0.0)
+    return _added(np.where(used[..., None], np.stack(beams.H, axis=-1), 0.0), weight)
 
 
 def _of_cones(poses: Floats, body: SonarRing, model: ConeSonar, around: Reflectors) -> Floats:
     total = np.zeros((len(poses), 3, 3))
     spread: npt.NDArray[np.float64] = np.full(len(poses), _HEADING_STD_RAD)
     for angle in body.sonar_angles_rad:
-        heard = cone_returns(poses, spread, SonarMount(angle, body.sonar_ring_radius_in), around, model)
-        told = (heard.ranges_in > model.lowest_in) & (heard.ranges_in < model.highest_in)
-        chance = (1.0 - model.outlier_probability) * np.where(told, heard.probability, 0.0)
-        total += _added(heard.jacobian, chance / model.variance(heard.ranges_in))
+        mount = SonarMount(angle, body.sonar_ring_radius_in)
+        echoes = expected_echoes(poses, spread, mount, around, model)
+        is_range = (echoes.ranges_in > model.lowest_in) & (echoes.ranges_in < model.highest_in)
+        probability = (1.0 - model.outlier_probability) * np.where(is_range, echoes.probability, 0.0)
+        total += _added(echoes.H, probability / model.variance(echoes.ranges_in))
     return total
 
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from math import degrees
 from typing import Any, Final
 
-from localization.filters.belief import wrapped
+from localization.filters.belief import wrap_angle
 from localization.live.run import Pose
 from nclient.common.process import TerminatedBySignal
 from nclient.errors import NomadError
@@ -149,7 +149,7 @@ def _pose(pose: Pose | None) -> dict[str, float] | None:
 
 def _degrees(heading_rad: float) -> float:
     """From -180 to 180, of encoders and of estimates alike."""
-    return degrees(wrapped(heading_rad))
+    return degrees(wrap_angle(heading_rad))
 
 
 def _step(step: Step) -> dict[str, Any]:

@@ -56,7 +56,7 @@ from typing import Any, Final
 from localization.missions import settings as arguments
 from localization.missions.mission import Condition, Mission
 from localization.missions.settings import LEAST_S, LONGEST_S, Point, Settings, settings_in
-from nclient.common.files import read_text, toml_of
+from nclient.common.files import parse_toml, read_text
 from nclient.common.hints import suggest
 from nclient.common.process import TerminatedBySignal
 from nclient.errors import MissionFileError, NomadError, WorldFileError
@@ -298,7 +298,7 @@ def load_mission(path: str | PathLike[str]) -> MissionSpec:
 
 def parse_list(text: str, file: str) -> MissionSpec:
     """The mission that a text in TOML says; `file` is what errors call it. Raises MissionFileError."""
-    values = toml_of(text, file, MissionFileError)
+    values = parse_toml(text, file, MissionFileError)
     try:
         top = Table(file, "", values)
         top.allow(_TOP, ("fence",))

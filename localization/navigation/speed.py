@@ -50,7 +50,7 @@ import numpy.typing as npt
 
 from localization.filters.belief import HEADING, Floats, add, difference, wrap_angle
 from localization.filters.odometry import move, step_between
-from localization.live.sensor_input import LONGEST_GAP_S
+from localization.live.sensor_input import MAX_GAP_S
 from worlds.geometry import nearest_points
 
 
@@ -110,7 +110,7 @@ class Pace:
         """The share of its speed, above 0 and at most 1, that may be driven at after a state of this clock."""
         self._clocks.append(clock_s)
         longest_s = max((after - before for before, after in pairwise(self._clocks)), default=0.0)
-        return 1.0 if longest_s <= LONGEST_GAP_S else LONGEST_GAP_S / longest_s
+        return 1.0 if longest_s <= MAX_GAP_S else MAX_GAP_S / longest_s
 
 
 class PoseSmoother:

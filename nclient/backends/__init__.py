@@ -1,1 +1,1 @@
-"""Who answers a call: one file for each language a robot speaks."""
+"""Backends execute calls: one module per protocol, and wrappers that add recovery, safety and limits."""

@@ -1,26 +1,14 @@
-"""Questions and answers on a robot's line, which numbers neither: whose answer is it that comes?
+"""A session with a robot on its serial line, which is never free of errors.
 
-    owed:  gs get_rv pr          a get_rv comes: it is that one's, the gs is lost; a gs comes: the gs was only late
+    ct, or the handshake of an N200 over TCP -> command -> its reply, a NAK, or silence -> command ...
 
-Rules: a robot answers in the order in which it was asked, and a line never changes an order. So a frame is laid to
-the earliest question of its type that is still owed an answer, and whatever was asked before that is lost; the last
-question has its answer when nothing is owed any more. Bytes and types only; what they mean is direct.py's.
+`SerialLink` decides which request a frame answers, `DirectBackend` encodes, decodes and validates,
+`send_emergency_stop` sends st before anything else is known of the robot.
 
-A robot on its own line: the direct language over a stream of bytes, which is never clean.
-
-    ct, or the hello of a N200 over TCP ──> command ──> the answer of its type, a NAK, or silence ──> command ...
-
-Rules: a command goes out once, after the input was emptied. A bad answer or none is ReplyTimeout, and the
-conversation stays usable, as with the C library. But a late answer is never taken for another command's
-(docs/decisions/017): while an answer of a command's type is owed, a question of another type is asked first, and
-once that is answered nothing of before can come. What a model's line does not have is refused here and not sent.
-
-st as the very first bytes of a conversation on a robot's line: before its hello, its mask, or anything else.
-
-    open ──> st ──> a frame of st's type with a good checksum, whatever it holds ──> hello, ct, gs ...
-
-Rules: the bytes of st are the same for every model and mask, and so is the type of its answer: a robot that cannot be
-understood can still be stopped. Nothing is known of the robot here, and nothing is learned but what the frame holds.
+A command is sent once, after the input was cleared. A missing or corrupt reply is a ReplyTimeout, and the session
+continues, as in the C library. A late reply is never taken for that of another command (docs/decisions/017): while
+a reply of a command's type is outstanding, a request of another type is sent first; once that is answered, nothing
+older can arrive.
 """
 
 from __future__ import annotations
@@ -29,167 +17,229 @@ import contextlib
 import time
 from collections.abc import Callable
 from functools import lru_cache
+from typing import Final
 
-from nclient.backends.base import LinkStatistics, in_pieces, is_wait
-from nclient.backends.validation import Plausibility
+from nclient.backends.base import LinkStatistics, is_wait, split_wait
+from nclient.backends.validation import ReplyValidator
 from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused, WireError
 from nclient.protocol import codec
 from nclient.protocol.client_state import HANDSHAKE_SIZE, apply_handshake, read_handshake
-from nclient.protocol.codec import BYTE_HIGHEST
-from nclient.protocol.commands import NAK_TYPE, Call, Command, on_line
+from nclient.protocol.codec import MAX_BYTE
+from nclient.protocol.commands import NAK_TYPE, Call, Command, exists_on_serial
 from nclient.protocol.decode import guess_model, model_mismatch_hint
 from nclient.protocol.replies import LINE_STATE, Reply
-from nclient.protocol.serial_framing import SMALLEST_FRAME, SerialFrame, SerialFramer
+from nclient.protocol.serial_framing import MIN_FRAME, SerialFrame, SerialFramer
 from nclient.protocol.types import EVERYTHING, N150, Model
 from nclient.protocol.wire_state import DEFAULT_LASER_MODE, LINES, WireState, serial_wire_state
 from nclient.transports.stream import ByteStream, Deadline
 
-GAP_S = 0.25
-"""Silence within an answer after which no more of it comes: bytes are 0.3 ms apart, a radio modem's bursts 0.1 s."""
-QUIET_S = 2.0
-"""Silence after which a late answer comes no more, where there is no other way to know."""
-_LONGEST_QUIET_S = 10.0
-_FLUSHES = 64
-"""Pieces of input thrown away before a question; a line that babbles on is asked all the same."""
+GAP_S: Final = 0.25
+"""Silence after which a frame is not continued: bytes are 0.3 ms apart, the bursts of a radio modem 0.1 s."""
+QUIET_S: Final = 2.0
+"""Silence after which no late reply arrives any more."""
+MAX_DRAIN_S: Final = 10.0
+"""Time after which waiting for silence is given up."""
+MAX_CLEAR_READS: Final = 64
+"""Reads that clear the input before a request; on a line that never stops sending, the request is sent nevertheless."""
+QUICK_S: Final = 1.0
+"""Default time for a reply that a robot gives at once."""
+HANDSHAKE_S: Final = 5.0
+STOP_ATTEMPTS: Final = 3
+"""Times that st is sent before a session is given up for a new one."""
+_CT_ATTEMPTS: Final = 3
+_PROBES: Final = ("get_ra", "get_rv", "get_rc", "get_bp", "get_sn")
+"""Requests that every model answers, each with a reply type of its own; shortest reply first."""
+_FORMAT_COMMANDS: Final = ("ct", "conf_ls")
+"""Commands that change the format of the replies after them, in the order in which they are repeated."""
+_URGENT: Final = frozenset({"st", "lp"})
+_NO_REPLY: Final = Reply("none")
+_LINE_MODE: Final = 33
+_PIXEL_MODE: Final = DEFAULT_LASER_MODE
 
 
-class Line:
-    """One end of a line. `clock`: seconds, of which every wait and every latency is."""
+class SerialLink:
+    """Requests and replies on a serial line, which has no sequence numbers.
 
-    def __init__(self, stream: ByteStream, link: LinkStatistics, clock: Callable[[], float] = time.monotonic) -> None:
+        outstanding:  gs get_rv pr      a get_rv arrives: it answers get_rv, and gs is lost
+                                        a gs arrives: it was late, and get_rv may still come
+
+    A robot replies in the order of the requests, and a line does not reorder. So a frame answers the earliest
+    outstanding request of its type, and every request before that is lost.
+
+    Parameters
+    ----------
+    stream
+        The line.
+    statistics
+        Counts of the link.
+    clock
+        Seconds; all waiting and all latencies use it.
+    """
+
+    def __init__(
+        self, stream: ByteStream, statistics: LinkStatistics, clock: Callable[[], float] = time.monotonic
+    ) -> None:
         self._stream = stream
-        self._link = link
+        self._statistics = statistics
         self._clock = clock
         self._framer = SerialFramer()
-        self._owed: list[int] = []
-        self._asked_s = 0.0
+        self._outstanding: list[int] = []
+        """Types of the outstanding replies, oldest first."""
+        self._sent_s = 0.0
 
     def deadline(self, seconds: float) -> Deadline:
-        """So many seconds from now."""
+        """Return the deadline that many seconds from now."""
         return Deadline.after(seconds, self._clock)
 
-    def owes(self, frame_type: int | None) -> bool:
-        """Whether an answer of this type may still come late."""
-        return frame_type in self._owed
+    def expects(self, frame_type: int | None) -> bool:
+        """Return True if a reply of this type may still arrive late."""
+        return frame_type in self._outstanding
 
-    def ask(self, frame_type: int, request: bytes, patience_s: float) -> SerialFrame:
-        """Send a question and give the frame that answers it, or a NAK. Raises ReplyTimeout and ConnectionLost.
+    def request(self, frame_type: int, request: bytes, timeout_s: float) -> SerialFrame:
+        """Send a request and return the frame of its reply, or a NAK.
 
-        Nothing of this type should be owed: else its late answer is waited for and dropped first.
+        Parameters
+        ----------
+        frame_type
+            Type of the reply. None of this type should be outstanding: a late one would be waited for and dropped.
+        request
+            The encoded request.
+        timeout_s
+            Maximum time for the reply in seconds.
+
+        Raises
+        ------
+        ReplyTimeout
+            At the deadline, or earlier at a gap after bytes that are no frame.
+        ConnectionLost
+            If the line is closed.
         """
-        self.empty_input()
-        self._owed.append(frame_type)
-        self._link.exchanges += 1
-        self._asked_s = self._clock()
+        self.clear_input()
+        self._outstanding.append(frame_type)
+        self._statistics.exchanges += 1
+        self._sent_s = self._clock()
         self._stream.send(request)
         try:
-            return self._answer(patience_s)
+            return self._receive_reply(timeout_s)
         finally:
-            self._count()
+            self._update_statistics()
 
-    def took(self) -> None:
-        """The last answer is believed: count it, and the time that it took."""
-        self._link.took(self._clock() - self._asked_s)
+    def record_latency(self) -> None:
+        """Count the last reply as accepted, with the time it took."""
+        self._statistics.record_latency(self._clock() - self._sent_s)
 
     def send(self, frame_type: int, request: bytes) -> None:
-        """Send something whose answer nobody waits for, and which stays owed."""
-        self._owed.append(frame_type)
+        """Send a request without waiting; its reply stays outstanding."""
+        self._outstanding.append(frame_type)
         self._stream.send(request)
 
-    def receive_bare(self, size: int, deadline: Deadline) -> bytes:
-        """So many bytes that are no frame; as many as there are at the deadline."""
+    def receive_raw(self, size: int, deadline: Deadline) -> bytes:
+        """Return that many bytes that are no frame, or fewer at the deadline."""
         data = b""
-        try:
+        with contextlib.suppress(ReplyTimeout):
             while len(data) < size:
                 data += self._stream.receive(deadline)
-        except ReplyTimeout:
-            pass
         return data[:size]
 
-    def empty_input(self) -> None:
-        """Take what has come, so that it answers nothing that is asked from now on."""
+    def clear_input(self) -> None:
+        """Read and drop what has arrived, so that it does not answer the next request."""
         try:
-            for _ in range(_FLUSHES):
+            for _ in range(MAX_CLEAR_READS):
                 for frame in self._framer.receive(self._stream.receive(self.deadline(0))):
-                    self._is_awaited(frame)
-                    self._link.strays += 1
+                    self._matches_last_request(frame)
+                    self._statistics.strays += 1
         except ReplyTimeout:
             pass
         self._framer.clear()
-        self._count()
+        self._update_statistics()
 
-    def wait_for_quiet(self) -> None:
-        """Wait until what is late comes no more; then nothing is owed. Raises ReplyTimeout on a line that babbles."""
-        limit = self.deadline(_LONGEST_QUIET_S)
+    def drain(self) -> None:
+        """Wait until nothing arrives any more; then no reply is outstanding.
+
+        Raises
+        ------
+        ReplyTimeout
+            If the line does not become quiet.
+        """
+        limit = self.deadline(MAX_DRAIN_S)
         while limit.remaining():
             try:
                 self._stream.receive(self.deadline(QUIET_S))
             except ReplyTimeout:
-                self._owed.clear()
+                self._outstanding.clear()
                 return
         raise ReplyTimeout("the line is never quiet")
 
     def close(self) -> None:
-        """Let the stream go."""
+        """Close the stream."""
         self._stream.close()
 
-    def _answer(self, patience_s: float) -> SerialFrame:
-        """The frame that answers the last question. Raises ReplyTimeout at the deadline, or at a gap behind rubbish."""
-        deadline, over = self.deadline(patience_s), False
-        while not over:
-            rubbish = self._framer.skipped_bytes + self._framer.pending
-            wait = self.deadline(min(GAP_S, deadline.remaining())) if rubbish >= SMALLEST_FRAME else deadline
+    def _receive_reply(self, timeout_s: float) -> SerialFrame:
+        """Return the frame that answers the last request."""
+        deadline, is_over = self.deadline(timeout_s), False
+        while not is_over:
+            # After bytes that could have been a frame, a gap means that the rest of it is lost.
+            unframed = self._framer.skipped_bytes + self._framer.pending
+            wait = self.deadline(min(GAP_S, deadline.remaining())) if unframed >= MIN_FRAME else deadline
             try:
                 frames = self._framer.receive(self._stream.receive(wait))
             except ReplyTimeout:
-                frames, over = self._framer.expire(), True
+                frames, is_over = self._framer.expire(), True
             for frame in frames:
-                if self._is_awaited(frame):
+                if self._matches_last_request(frame):
                     return frame
-                self._link.strays += 1
-        raise ReplyTimeout(f"{rubbish} bytes came and no answer" if rubbish else f"no answer within {patience_s:g} s")
+                self._statistics.strays += 1
+        raise ReplyTimeout(
+            f"{unframed} bytes came and no answer" if unframed else f"no answer within {timeout_s:g} s"
+        )
 
-    def _is_awaited(self, frame: SerialFrame) -> bool:
-        """Lay a frame to the earliest question that it can answer; whether that is the last one.
+    def _matches_last_request(self, frame: SerialFrame) -> bool:
+        """Match a frame to the earliest request that it can answer; return True if that is the last one.
 
-        While others are owed, a NAK may be any's, and counts as nobody's.
+        A NAK does not name its request, so that it counts only if no other reply is outstanding.
         """
-        if frame.type in self._owed:
-            del self._owed[: self._owed.index(frame.type) + 1]
-        elif frame.type == NAK_TYPE and len(self._owed) == 1:
-            self._owed.clear()
+        if frame.type in self._outstanding:
+            del self._outstanding[: self._outstanding.index(frame.type) + 1]
+        elif frame.type == NAK_TYPE and len(self._outstanding) == 1:
+            self._outstanding.clear()
         else:
             return False
-        return not self._owed
+        return not self._outstanding
 
-    def _count(self) -> None:
-        """Take over what the framer has counted."""
-        framer, link = self._framer, self._link
-        link.frames += framer.frames
-        link.skipped_bytes += framer.skipped_bytes
-        link.checksum_errors += framer.bad_checksums
+    def _update_statistics(self) -> None:
+        """Move the framer's counts to the statistics."""
+        framer, statistics = self._framer, self._statistics
+        statistics.frames += framer.frames
+        statistics.skipped_bytes += framer.skipped_bytes
+        statistics.checksum_errors += framer.bad_checksums
         framer.frames = framer.skipped_bytes = framer.bad_checksums = 0
 
 
-QUICK_S = 1.0
-"""How long a host waits for what a robot answers at once."""
-HELLO_S = 5.0
-_GREETINGS = 3
-_PROBES = ("get_ra", "get_rv", "get_rc", "get_bp", "get_sn")
-"""Questions that every model answers, each with a type of its own, the shortest first."""
-_SHAPING = ("ct", "conf_ls")
-"""Commands that change the shape of the answers after them."""
-_AT_ONCE = frozenset({"st", "lp"})
-_NO_ANSWER = Reply("none")
-_LINE_MODE, _PIXEL_MODE = 33, DEFAULT_LASER_MODE
-
-
 class DirectBackend:
-    """A conversation with a robot on its own line. `hello`: it says eleven bytes first (a N200 over TCP).
+    """A session with a robot on its serial line.
 
-    `timeout_s`: for what is answered at once, 1 s where None; zr 120 s, ws its own time more, special packets 30 s.
-    `checks`: answers that cannot be true count as corrupt. `clock`: seconds, by which all waiting goes, that of a
-    simulation too. Raises ReplyTimeout or ConnectionLost when greeting fails.
+    Parameters
+    ----------
+    stream
+        The line; closed if connecting fails.
+    model
+        The robot's model, which decides the format of replies.
+    hello
+        True if the robot sends its handshake first: an N200 over TCP.
+    timeout_s
+        Maximum time for a reply that a robot gives at once, default 1 s; zr (120 s), ws and special packets (30 s)
+        have time of their own.
+    checks
+        True to treat implausible replies as corrupt.
+    link
+        Statistics to count in.
+    clock
+        Seconds for all waiting, those of a simulation too.
+
+    Raises
+    ------
+    ReplyTimeout, RobotRefused, ConnectionLost
+        If connecting fails.
     """
 
     def __init__(
@@ -204,18 +254,20 @@ class DirectBackend:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.timeout_s = QUICK_S if timeout_s is None else timeout_s
-        self._link = link or LinkStatistics()
-        self._line = Line(stream, self._link, clock)
+        self._statistics = link or LinkStatistics()
+        self._line = SerialLink(stream, self._statistics, clock)
         self._wire_state = serial_wire_state(model)
-        self._plausible = Plausibility(model) if checks else None
-        self._shaped: dict[str, Call] = {}
-        self._doubtful_shapes: set[str] = set()
-        self._laser_mode_said = False
-        self._understood = False
-        self._over: str | None = None
+        self._validator = ReplyValidator(model) if checks else None
+        self._format_calls: dict[str, Call] = {}
+        """The last ct and conf_ls that were sent."""
+        self._unconfirmed: set[str] = set()
+        """Those of them whose effect is uncertain, since no reply confirmed it."""
+        self._laser_mode_is_certain = False
+        self._decoded_any = False
+        self._closed_because: str | None = None
         try:
             if hello:
-                self._adopt_hello()
+                self._receive_handshake()
             self._greeting = None if hello else self._send_mask()
         except BaseException:
             self._finish("connecting failed")
@@ -223,33 +275,35 @@ class DirectBackend:
 
     @property
     def wire_state(self) -> WireState:
-        """Model, mask and laser mode of this conversation."""
+        """Return model, sensor mask and laser mode."""
         return self._wire_state
 
     @property
     def greeting(self) -> Reply | None:
-        """The state that a N200 answered to its mask; the others are not asked anything."""
+        """Return the state that an N200 answers to its mask; other models are not asked for one."""
         return self._greeting
 
     @property
     def port(self) -> int:
-        """What connect_robot of the C library gives back."""
+        """Return 1, as connect_robot of the C library does."""
         return 1
 
     @property
     def closed(self) -> bool:
-        """Whether the conversation is over."""
-        return self._over is not None
+        """Return True if the session is over."""
+        return self._closed_because is not None
 
     @property
     def link(self) -> LinkStatistics:
-        """What the line has been through."""
-        return self._link
+        """Return the statistics of the line."""
+        return self._statistics
 
     def execute(self, call: Call) -> Reply:
-        """The answer to a call. Raises ReplyTimeout, RobotRefused, WireError and stays usable, or ConnectionLost."""
-        if self._over is not None:
-            raise ConnectionLost(f"{call.name}: {self._over}; connect again")
+        """Send a command and return its reply. Raises as `Backend.execute`."""
+        if self._closed_because is not None:
+            raise ConnectionLost(f"{call.name}: {self._closed_because}; connect again")
+
+        # 1. Commands that a serial line has under other names, or in pieces.
         row = codec.find_command(call.name)
         if row.name == "place_robot":
             x, y, steering, turret = call.args
@@ -257,211 +311,246 @@ class DirectBackend:
             return self.execute(Call("da", (steering, turret)))
         if row.name == "disconnect_robot":
             self.close()
-            return _NO_ANSWER
-        if is_wait(call) and call.args[3] > BYTE_HIGHEST:
-            return in_pieces(call, BYTE_HIGHEST, self.execute)
-        self._refuse(row)
-        request = _request(call, self._wire_state.model)
+            return _NO_REPLY
+        if is_wait(call) and call.args[3] > MAX_BYTE:
+            return split_wait(call, MAX_BYTE, self.execute)
+
+        # 2. One exchange, once no older reply can be taken for this one.
+        self._require_exists_on_serial(row)
+        request = _encode(call, self._wire_state.model)
         try:
-            self._settle(row, request)
-            return self._ask(row, call, request)
+            self._resynchronize(row, request)
+            return self._request(row, call, request)
         except ConnectionLost as error:
             self._finish(str(error))
-            raise ConnectionLost(f"{row.name}: {self._over}") from error
+            raise ConnectionLost(f"{row.name}: {self._closed_because}") from error
 
     def close(self) -> None:
-        """Leave; there is no word for it. What is in `execute` on another thread gets ConnectionLost."""
+        """Close the line, which needs no message; an `execute` in another thread ends with ConnectionLost."""
         self._finish("this side closed the line")
 
-    def _finish(self, why: str) -> None:
-        if self._over is None:
-            self._over = why
+    def _finish(self, reason: str) -> None:
+        if self._closed_because is None:
+            self._closed_because = reason
             self._line.close()
 
     # one exchange
 
-    def _refuse(self, row: Command) -> None:
-        """What this model's line does not have is not sent."""
+    def _require_exists_on_serial(self, row: Command) -> None:
+        """Raise RobotRefused for a command that the serial line of this model does not have."""
         model = self._wire_state.model
         if row.line_type is None:
             raise RobotRefused(row.name, None, "exists only on an Nserver, not on a robot's own line")
-        if not on_line(row, model):
+        if not exists_on_serial(row, model):
             raise RobotRefused(row.name, None, f"a {model.name} does not have it on its own line")
 
-    def _ask(self, row: Command, call: Call, request: bytes) -> Reply:
-        undo = self._agree(call)
-        frame = self._exchange(row, request, self._patience_s(row, call))
+    def _request(self, row: Command, call: Call, request: bytes) -> Reply:
+        revert = self._update_format(call)
+        frame = self._exchange(row, request, self._reply_timeout_s(row, call))
         if frame.type == NAK_TYPE:
-            self._link.naks += 1
-            self._line.took()
-            undo()
+            self._statistics.naks += 1
+            self._line.record_latency()
+            revert()
             raise RobotRefused(row.name, None)
-        reply = self._believed(row, frame)
-        self._doubtful_shapes.discard(row.name)
-        self._line.took()
+        reply = self._decode_valid(row, frame)
+        self._unconfirmed.discard(row.name)
+        self._line.record_latency()
         return reply
 
-    def _exchange(self, row: Command, request: bytes, patience_s: float) -> SerialFrame:
+    def _exchange(self, row: Command, request: bytes, timeout_s: float) -> SerialFrame:
         assert row.line_type is not None
         try:
-            return self._line.ask(row.line_type, request, patience_s)
+            return self._line.request(row.line_type, request, timeout_s)
         except ReplyTimeout as error:
-            raise self._failed(f"{row.name}: {error}") from None
+            raise self._no_reply(f"{row.name}: {error}") from None
 
-    def _believed(self, row: Command, frame: SerialFrame) -> Reply:
-        """The reply in a frame. Raises ReplyTimeout for one that does not fit, or that cannot be true."""
+    def _decode_valid(self, row: Command, frame: SerialFrame) -> Reply:
+        """Return the reply in a frame. Raises ReplyTimeout if it does not fit the command or is implausible."""
         try:
-            reply = self._read(frame)
+            reply = self._decode(frame)
         except WireError as error:
-            self._link.misfits += 1
-            self._doubtful_shapes.update(self._shaped)
-            why = f"{row.name} was answered by what does not fit it: {error}"
-            raise self._failed(why + self._of_another_model(row, frame)) from None
-        doubt = self._plausible.doubt(reply) if self._plausible else ""
-        if doubt:
-            self._link.implausible += 1
-            raise self._failed(f"{row.name}: the answer cannot be true, {doubt}; checks=0 turns such checks off")
-        self._understood = True
+            self._statistics.misfits += 1
+            self._unconfirmed.update(self._format_calls)
+            reason = f"{row.name}: the reply does not fit the command: {error}"
+            raise self._no_reply(reason + self._hint_for(row, frame)) from None
+        inconsistency = self._validator.find_inconsistency(reply) if self._validator else ""
+        if inconsistency:
+            self._statistics.implausible += 1
+            raise self._no_reply(
+                f"{row.name}: the answer cannot be true, {inconsistency}; checks=0 turns such checks off"
+            )
+        self._decoded_any = True
         return reply
 
-    def _read(self, frame: SerialFrame) -> Reply:
-        """The reply. A laser that an earlier client left in another mode shows by the length, until conf_ls is said."""
+    def _decode(self, frame: SerialFrame) -> Reply:
+        """Decode a frame.
+
+        An earlier client may have left the laser in another mode. Until conf_ls is sent, the length of a reply
+        shows which.
+        """
         try:
-            return codec.read_line_reply(frame, self._wire_state)
+            return codec.decode_serial_reply(frame, self._wire_state)
         except WireError:
-            if self._laser_mode_said or "conf_ls" in self._shaped or not self._wire_state.model.has_laser:
+            if (
+                self._laser_mode_is_certain
+                or "conf_ls" in self._format_calls
+                or not self._wire_state.model.has_laser
+            ):
                 raise
             other = self._wire_state.copy()
-            other.note_laser_mode(_PIXEL_MODE if other.laser_width == LINES else _LINE_MODE)
+            other.set_laser_mode(_PIXEL_MODE if other.laser_width == LINES else _LINE_MODE)
             with contextlib.suppress(WireError):
-                reply = codec.read_line_reply(frame, other)
+                reply = codec.decode_serial_reply(frame, other)
                 self._wire_state = other
                 return reply
             raise
 
-    def _of_another_model(self, row: Command, frame: SerialFrame) -> str:
-        """A hint, where nothing was understood yet and the answer looks like another model's."""
-        like = guess_model(frame.data) if row.line_reply is LINE_STATE and not self._understood else None
-        if like is None or like is self._wire_state.model:
+    def _hint_for(self, row: Command, frame: SerialFrame) -> str:
+        """Return a hint if no reply was decoded yet and this one looks like another model's."""
+        model = guess_model(frame.data) if row.line_reply is LINE_STATE and not self._decoded_any else None
+        if model is None or model is self._wire_state.model:
             return ""
         return "; " + model_mismatch_hint(self._wire_state.model, frame.data)
 
-    def _failed(self, why: str) -> ReplyTimeout:
-        self._link.timeouts += 1
-        return ReplyTimeout(why)
+    def _no_reply(self, reason: str) -> ReplyTimeout:
+        self._statistics.timeouts += 1
+        return ReplyTimeout(reason)
 
-    def _patience_s(self, row: Command, call: Call) -> float:
-        own_s = float(call.args[3]) if row.name == "ws" else 0.0
-        return own_s + (self.timeout_s if row.line_timeout_s <= QUICK_S else max(self.timeout_s, row.line_timeout_s))
+    def _reply_timeout_s(self, row: Command, call: Call) -> float:
+        wait_s = float(call.args[3]) if row.name == "ws" else 0.0
+        return wait_s + (self.timeout_s if row.line_timeout_s <= QUICK_S else max(self.timeout_s, row.line_timeout_s))
 
-    # before it
+    # before an exchange
 
-    def _settle(self, row: Command, request: bytes) -> None:
-        """See to it that no answer owed to an earlier command can pass for this one's, and what shape answers have."""
+    def _resynchronize(self, row: Command, request: bytes) -> None:
+        """Make sure that no outstanding reply can be taken for the next one, and that its format is certain."""
         assert row.line_type is not None
-        if self._line.owes(row.line_type) and row.name in _AT_ONCE:
+        # 1. A stop is sent at once; its second copy, after the flush, has the reply that is evaluated.
+        if self._line.expects(row.line_type) and row.name in _URGENT:
             self._line.send(row.line_type, request)
-        self._see_off(row, row)
-        for name in sorted(self._doubtful_shapes - {row.name}, key=_SHAPING.index):
-            again, shaping = self._shaped[name], codec.find_command(name)
-            self._see_off(shaping, row)
-            self._ask(shaping, again, _request(again, self._wire_state.model))
+        # 2. Outstanding replies of this type.
+        self._flush_pending_reply(row, row)
+        # 3. Repeat ct and conf_ls where it is uncertain whether the robot received them.
+        for name in sorted(self._unconfirmed - {row.name}, key=_FORMAT_COMMANDS.index):
+            call, format_row = self._format_calls[name], codec.find_command(name)
+            self._flush_pending_reply(format_row, row)
+            self._request(format_row, call, _encode(call, self._wire_state.model))
 
-    def _see_off(self, row: Command, wanted: Command) -> None:
-        """While an answer like this row's is owed, ask something of a type that is not; after that none can come."""
-        if self._line.owes(row.line_type):
-            self._line.empty_input()
-        if not self._line.owes(row.line_type):
+    def _flush_pending_reply(self, row: Command, for_row: Command) -> None:
+        """Exchange something of another type while a reply like this row's is outstanding; then none can come."""
+        if self._line.expects(row.line_type):
+            self._line.clear_input()
+        if not self._line.expects(row.line_type):
             return
         probes = (codec.find_command(name) for name in _PROBES)
-        probe = next((probe for probe in probes if not self._line.owes(probe.line_type)), None)
+        probe = next((probe for probe in probes if not self._line.expects(probe.line_type)), None)
         try:
             if probe is None:
-                self._line.wait_for_quiet()
+                self._line.drain()
             else:
-                self._exchange(probe, _request(Call(probe.name), self._wire_state.model), self.timeout_s)
-                self._line.took()
+                self._exchange(probe, _encode(Call(probe.name), self._wire_state.model), self.timeout_s)
+                self._line.record_latency()
         except ReplyTimeout as error:
             raise ReplyTimeout(
-                f"{wanted.name} was held back, since a late answer could have passed for its own: {error}"
+                f"{for_row.name} was not sent, since a late reply could be taken for its own: {error}"
             ) from None
 
-    # what is agreed
+    # connecting, and the format of replies
 
     def _send_mask(self) -> Reply | None:
-        """ct to a N200; N150 and Scout have a fixed mask and are told nothing."""
+        """Send ct to an N200 and return its reply; N150 and Scout have a fixed mask."""
         if not self._wire_state.model.sends_mask:
             return None
         mask = Call("ct", EVERYTHING.smask)
-        for _ in range(_GREETINGS - 1):
+        for _ in range(_CT_ATTEMPTS - 1):
             with contextlib.suppress(ReplyTimeout, RobotRefused):
                 return self.execute(mask)
         try:
             return self.execute(mask)
         except ReplyTimeout as error:
-            raise ReplyTimeout(f"{error}; {self._is_it_another()}") from None
+            raise ReplyTimeout(f"{error}; {self._mismatch_hint()}") from None
         except RobotRefused:
-            raise RobotRefused("ct", None, f"NAK; {self._is_it_another()}") from None
+            raise RobotRefused("ct", None, f"NAK; {self._mismatch_hint()}") from None
 
-    def _is_it_another(self) -> str:
+    def _mismatch_hint(self) -> str:
         return model_mismatch_hint(self._wire_state.model)
 
-    def _adopt_hello(self) -> None:
-        data = self._line.receive_bare(HANDSHAKE_SIZE, self._line.deadline(HELLO_S))
+    def _receive_handshake(self) -> None:
+        data = self._line.receive_raw(HANDSHAKE_SIZE, self._line.deadline(HANDSHAKE_S))
         if len(data) < HANDSHAKE_SIZE:
             raise ReplyTimeout(
-                f"a N200 says {HANDSHAKE_SIZE} bytes first, and {len(data)} came; {self._is_it_another()}"
+                f"an n200 sends {HANDSHAKE_SIZE} bytes first, and {len(data)} came; {self._mismatch_hint()}"
             )
         apply_handshake(read_handshake(data), self._wire_state)
-        self._laser_mode_said = True
-        self._shaped["ct"] = Call("ct", self._wire_state.mask.smask)
+        self._laser_mode_is_certain = True
+        self._format_calls["ct"] = Call("ct", self._wire_state.mask.smask)
 
-    def _agree(self, call: Call) -> Callable[[], None]:
-        """A call is about to go out: what it changes, it may change though no answer comes. How to take it back."""
-        if self._plausible:
-            self._plausible.note(call)
-        if call.name not in _SHAPING:
-            return _nothing
-        before, shaped = self._wire_state.copy(), dict(self._shaped)
+    def _update_format(self, call: Call) -> Callable[[], None]:
+        """Update the format of replies before a call is sent, which may take effect even if no reply arrives.
+
+        Returns a function that reverts the change, for a call that was refused.
+        """
+        if self._validator:
+            self._validator.update_from_request(call)
+        if call.name not in _FORMAT_COMMANDS:
+            return lambda: None
+        before, calls = self._wire_state.copy(), dict(self._format_calls)
         codec.update_from_request(call, self._wire_state)
-        self._shaped[call.name] = call
-        self._doubtful_shapes.add(call.name)
+        self._format_calls[call.name] = call
+        self._unconfirmed.add(call.name)
 
-        def undo() -> None:
-            self._wire_state, self._shaped = before, shaped
-            self._doubtful_shapes.discard(call.name)
+        def revert() -> None:
+            self._wire_state, self._format_calls = before, calls
+            self._unconfirmed.discard(call.name)
 
-        return undo
+        return revert
 
 
 @lru_cache(maxsize=256)
-def _request(call: Call, model: Model) -> bytes:
-    """Programs ask the same few things again and again; on a line their bytes hang on the model alone."""
-    return codec.line_request(call, serial_wire_state(model))
+def _encode(call: Call, model: Model) -> bytes:
+    """Return the bytes of a request, cached: programs repeat the same few, and the bytes depend on the model alone."""
+    return codec.encode_serial_request(call, serial_wire_state(model))
 
 
-def _nothing() -> None:
-    """Nothing was agreed."""
-
-
-ATTEMPTS = 3
-"""How often st is said before the conversation is given up for a new one."""
-
-
-def say_stop(
-    stream: ByteStream, patience_s: float, clock: Callable[[], float], told: Callable[[], object]
+def send_emergency_stop(
+    stream: ByteStream, timeout_s: float, clock: Callable[[], float], on_sent: Callable[[], object]
 ) -> SerialFrame:
-    """The frame that answers st; `told` is called for each st said. Raises ReplyTimeout, ConnectionLost."""
+    """Send st as the first bytes of a session, before handshake and mask.
+
+    The bytes of st and the type of its reply are the same for every model and mask: a robot can be stopped even if
+    its replies cannot be decoded.
+
+    Parameters
+    ----------
+    stream
+        A newly opened line.
+    timeout_s
+        Maximum time for each of at most three replies, in seconds.
+    clock
+        Seconds.
+    on_sent
+        Called before each st.
+
+    Returns
+    -------
+    SerialFrame
+        A frame of st's reply type with a valid checksum.
+
+    Raises
+    ------
+    ReplyTimeout, ConnectionLost
+        If no such frame arrives.
+    """
     line_type = codec.find_command("st").line_type
     assert line_type is not None
-    request = codec.line_request(Call("st"), serial_wire_state(N150))
-    for _ in range(ATTEMPTS):
-        told()
-        line = Line(stream, LinkStatistics(), clock)  # a new one: the late answer to an earlier st is one to this
+    request = codec.encode_serial_request(Call("st"), serial_wire_state(N150))
+    for _ in range(STOP_ATTEMPTS):
+        on_sent()
+        link = SerialLink(stream, LinkStatistics(), clock)  # a new one, for which a late reply to an earlier st counts
         try:
-            frame = line.ask(line_type, request, patience_s)
+            frame = link.request(line_type, request, timeout_s)
         except ReplyTimeout:
             continue
         if frame.type != NAK_TYPE:
             return frame
-    raise ReplyTimeout(f"st was not answered within {patience_s:g} s, {ATTEMPTS} times")
+    raise ReplyTimeout(f"st was not answered within {timeout_s:g} s, {STOP_ATTEMPTS} times")

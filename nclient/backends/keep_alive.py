@@ -1,11 +1,11 @@
-"""A backend that keeps a robot's time-out fed: a program that lives may sleep, one that is gone leaves a robot at rest.
+"""Keep-alive of the robot's motion timeout (conf_tm): the robot stops if its program dies, not if its program sleeps.
 
-    connecting ──> conf_tm tm_s ──> nothing said for tm_s / 3 ──> gs, on a thread of its own ──> ...
+    connecting -> conf_tm tm_s -> no request for tm_s / 3 -> gs, sent by a thread -> ...
 
-Rules: one exchange at a time: calls and the feeder share a lock, and a feeder that finds it taken has nothing to do.
-What the feeder meets (the link lost, a bumper hit) is raised by the next call. A program that sends conf_tm itself
-takes the time-out over: it is fed no more. It feeds only where time runs by itself. ws, during which nothing can be
-said, is asked in pieces shorter than the time-out. A robot that was switched off and on is given its time-out again.
+Calls and the thread share a lock; a thread that finds it taken has nothing to do. An error in the thread (a lost link,
+a bumper hit) is raised by the next call. A program that sends conf_tm itself takes over, and keep-alive ends. A ws,
+during which no request is possible, is split into pieces shorter than the timeout. A robot that was restarted gets its
+timeout again.
 """
 
 from __future__ import annotations
@@ -13,23 +13,39 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from typing import Final
 
-from nclient.backends.base import Backend, Wrapper, in_pieces, is_wait
+from nclient.backends.base import Backend, Wrapper, is_wait, split_wait
 from nclient.errors import NomadError, ReplyTimeout, RobotRefused
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 
-DEFAULT_TIMEOUT_S = 5
-SHORTEST_TIMEOUT_S = 2
-"""A robot counts whole seconds: one of them is too few to say ws within."""
-_SHARE = 3
+DEFAULT_TIMEOUT_S: Final = 5
+MIN_TIMEOUT_S: Final = 2
+"""The robot counts whole seconds: one is too short to split a ws."""
+_INTERVALS_PER_TIMEOUT: Final = 3
+"""A request that is lost, and one after it, still leave time for a third."""
 _SPEED_SLOT, _REAL_TIME = 0, 10
-_SHORTEST_INTERVAL_S = 0.005
-_GS = Call("gs")
+_MIN_INTERVAL_S: Final = 0.005
+_GS: Final = Call("gs")
 
 
-class Feeding(Wrapper):
-    """Sets the time-out at once. `feeds`: whether to feed it; `at_least_every_s`: ask that often whatever it is."""
+class KeepAlive(Wrapper):
+    """Set the motion timeout at once, and keep it from expiring while the program is alive.
+
+    Parameters
+    ----------
+    inner
+        The backend to wrap.
+    timeout_s
+        Motion timeout in whole seconds, 2 to 255.
+    feeds
+        False to set the timeout only.
+    at_least_every_s
+        Maximum interval between two requests, for wrappers that need fresh replies.
+    clock
+        Seconds.
+    """
 
     def __init__(
         self,
@@ -42,97 +58,102 @@ class Feeding(Wrapper):
     ) -> None:
         super().__init__(inner)
         self._timeout_s = timeout_s
-        self._interval_s = min(timeout_s / _SHARE, at_least_every_s)
+        self._interval_s = min(timeout_s / _INTERVALS_PER_TIMEOUT, at_least_every_s)
         self._clock = clock
         self._lock = threading.Lock()
-        self._over = threading.Event()
-        self._met: NomadError | None = None
-        self._factor = 1.0
+        self._closed = threading.Event()
+        self._pending_error: NomadError | None = None
+        self._speed = 1.0
+        """Robot time per real time; 0 if its time stands still between exchanges."""
         self._robot_ms = 0
         self._greeting = inner.greeting
-        self._said_s = clock()
-        self._ours = self._set(inner)
-        self._thread = threading.Thread(target=self._feed, name="nomad-feeder", daemon=True)
-        if feeds and self._ours:
+        self._last_request_s = clock()
+        self._active = self._set_timeout(inner)
+        """False if the other end has no motion timeout, or the program controls it."""
+        self._thread = threading.Thread(target=self._run, name="nomad-keep-alive", daemon=True)
+        if feeds and self._active:
             self._thread.start()
 
     @property
     def greeting(self) -> Reply | None:
-        """The state that came with connecting, at the latest with the time-out."""
+        """Return the state received while connecting, or else with the timeout."""
         return self._greeting
 
     def execute(self, call: Call) -> Reply:
-        """The answer; or what the feeder met since the last call."""
+        """Send a command and return its reply. Raises as the inner backend, or an error of the thread first."""
         with self._lock:
-            if self._met is not None:
-                met, self._met = self._met, None
-                raise met
-            if self._ours and is_wait(call):
-                return in_pieces(call, self._timeout_s // 2, self._say)
+            if self._pending_error is not None:
+                error, self._pending_error = self._pending_error, None
+                raise error
+            if self._active and is_wait(call):
+                return split_wait(call, self._timeout_s // 2, self._request)
             if call.name == "conf_tm":
-                self._ours = False
-            return self._say(call)
+                self._active = False
+            return self._request(call)
 
     def close(self) -> None:
-        """End the feeder and close the backend inside."""
-        self._over.set()
+        """End the thread and close the inner backend."""
+        self._closed.set()
         if self._thread.is_alive() and self._thread is not threading.current_thread():
             self._thread.join(1.0)
         self._inner.close()
 
-    def beat(self) -> float:
-        """What the feeder does: ask, where nothing was said for long. Seconds until it may be needed again."""
-        interval_s = max(_SHORTEST_INTERVAL_S, self._interval_s / max(1.0, self._factor))
-        left_s = self._said_s + interval_s - self._clock()
+    def poll(self) -> float:
+        """Send gs if there was no request for an interval; return the seconds until the next poll. For the thread."""
+        # 1. Time since the last request, in robot time.
+        interval_s = max(_MIN_INTERVAL_S, self._interval_s / max(1.0, self._speed))
+        left_s = self._last_request_s + interval_s - self._clock()
         if left_s > 0:
             return left_s
+        # 2. A call in progress is a request, too.
         if not self._lock.acquire(blocking=False):
             return interval_s
+        # 3. The next call raises what goes wrong here, except for a lost reply: the next poll repeats that.
         try:
-            if self._ours and self._factor and self._met is None:
-                self._say(_GS)
+            if self._active and self._speed and self._pending_error is None:
+                self._request(_GS)
         except ReplyTimeout as error:
-            self._met = error if self._inner.closed else None
+            self._pending_error = error if self._inner.closed else None
         except NomadError as error:
-            self._met = error
+            self._pending_error = error
         finally:
             self._lock.release()
         return interval_s
 
-    def _feed(self) -> None:
+    def _run(self) -> None:
         left_s = self._interval_s
-        while not self._over.wait(left_s):
-            left_s = self.beat()
+        while not self._closed.wait(left_s):
+            left_s = self.poll()
 
-    def _set(self, inner: Backend) -> bool:
-        """Set the time-out; whether the other end has one."""
+    def _set_timeout(self, inner: Backend) -> bool:
+        """Send conf_tm; return False if the other end has no motion timeout."""
         try:
             reply = inner.execute(Call("conf_tm", (self._timeout_s,)))
         except RobotRefused:
             return False
-        self._note(reply)
+        self._update_speed(reply)
         if self._greeting is None:
             self._greeting = reply
         return True
 
-    def _say(self, call: Call) -> Reply:
+    def _request(self, call: Call) -> Reply:
         reply = self._inner.execute(call)
-        self._said_s = self._clock()
-        self._note(reply)
+        self._last_request_s = self._clock()
+        self._update_speed(reply)
         if reply.clock is not None:
-            self._watch(reply.clock)
+            self._detect_restart(reply.clock)
         return reply
 
-    def _watch(self, robot_ms: int) -> None:
-        """A clock that began anew is a robot that was switched off and on, and has forgotten its time-out."""
-        if robot_ms < self._robot_ms and self._ours:
+    def _detect_restart(self, robot_ms: int) -> None:
+        """Set the timeout again if the robot's clock went back: it was restarted."""
+        if robot_ms < self._robot_ms and self._active:
             try:
                 self._inner.execute(Call("conf_tm", (self._timeout_s,)))
             except (ReplyTimeout, RobotRefused):
-                return  # the next answer tells it again
+                return  # `_robot_ms` is unchanged, so that the next reply is a new attempt
         self._robot_ms = robot_ms
 
-    def _note(self, reply: Reply) -> None:
+    def _update_speed(self, reply: Reply) -> None:
         speed = reply.slots.get(_SPEED_SLOT)
         if speed is not None:
-            self._factor = speed / _REAL_TIME
+            self._speed = speed / _REAL_TIME

@@ -1,11 +1,11 @@
-"""An Nserver: its language over a stream of bytes. One request, one reply, in order.
+"""A session with an Nserver over TCP: one request, one reply, in order.
 
-    connect_robot ──> ct, all masks on ──> calls ... ──> disconnect_robot
+    connect_robot -> ct, everything on -> calls ... -> disconnect_robot
 
-Rules: an answer is never taken for another call's. After a time-out, a stream that ended, or an answer that does not
-fit its call (ConnectionLost, caused by the WireError), the conversation is closed and says why from then on. After a
-refusal it goes on. An exchange that was interrupted from outside (Ctrl-C) leaves a reply owed: it is read and dropped
-before the next one's, so that a program can still stop its robot.
+A reply is never taken for that of another call. After a timeout, a lost connection, or a reply that does not fit its
+call the session is closed, and later calls report why; after a refusal it continues. An exchange that is interrupted
+(Ctrl-C) leaves a reply outstanding, which is read and dropped before the next one: the program can still stop its
+robot.
 """
 
 from __future__ import annotations
@@ -25,35 +25,58 @@ from nclient.protocol.types import EVERYTHING, N150, Model
 from nclient.protocol.wire_state import WireState, tcp_wire_state
 from nclient.transports.stream import ByteStream, Deadline
 
-DEFAULT_TIMEOUT_S = 5.0
-"""How long a server may take to answer."""
-ORDINARY_S = 1.0
-"""Commands that the robot itself answers within this are given the time-out that was set; the others their own."""
-CLICK_S = 120.0
+DEFAULT_TIMEOUT_S: Final = 5.0
+"""Maximum time for a reply."""
+ORDINARY_S: Final = 1.0
+"""Commands that a robot answers within this time have the session's timeout, slower ones their own."""
+CLICK_S: Final = 120.0
 """get_robot_conf may wait for a click in the server's window."""
-SPEED_SLOT, REAL_TIME = 0, 10
-_NO_ANSWER = Reply("none")
-_REFUSED_PORT: Final = {
+SPEED_SLOT: Final = 0
+REAL_TIME: Final = 10
+"""State[0] of a server whose time runs as fast as real time."""
+_NO_REPLY: Final = Reply("none")
+_PORT_0_MEANS: Final = {
     "connect_robot": "the server has no robot number {}",
     "create_robot": "the server makes no robot number {}: no room for one more, or no more are made (nserver -v)",
 }
-"""What port 0 means."""
+"""Reasons for port 0 in the replies of the commands that connect."""
+_REJECTED_HINT: Final = " Does it accept this machine (--allow, --limit-connections)?"
+"""A server that rejects a connection closes it without a message."""
+_NO_NSERVER_HINT: Final = (
+    ". Is it an Nserver that answers there? Its port is 7019; a robot's own line is robotd://HOST:PORT"
+)
+"""For a first reply that no Nserver would send."""
 
-_request = lru_cache(maxsize=256)(codec.tcp_request)
-"""Programs ask the same few things again and again."""
+_encode = lru_cache(maxsize=256)(codec.encode_tcp_request)
+"""Cached: programs repeat the same few requests."""
 
-_TURNED_AWAY: Final = " Does it let this machine in (--allow, --limit-connections)?"
-"""A server that turns a newcomer away says nothing: it only closes."""
-
-_NO_NSERVER: Final = ". Is it an Nserver that answers there? Its port is 7019; a robot's own line is robotd://HOST:PORT"
-"""What answers to a first call, and is none of an Nserver's answers."""
 
 class NserverBackend:
-    """A conversation with an Nserver about one robot; connects at once (`create`: to a robot that it then makes).
+    """A session with an Nserver about one robot. Connects at once.
 
-    `timeout_s`: how long it may take to answer (zr 120 s, ws its own time-out more, special packets 30 s). Raises
-    ConnectionLost, ReplyTimeout, or RobotRefused where there is no robot of that number; the stream is then closed.
-    `link`: to count in, which is for those who ask for it: nearly nothing goes wrong over TCP.
+    Parameters
+    ----------
+    stream
+        The connection; closed if connecting fails.
+    robot_id
+        Number of the robot on the server.
+    model
+        The robot's model; the protocol does not transmit it.
+    timeout_s
+        Maximum time for a reply; ws, zr and special packets have time of their own.
+    create
+        True to create the robot first.
+    pid
+        Process id sent to the server, default that of this process.
+    link
+        Statistics to count in; None counts nothing.
+
+    Raises
+    ------
+    ConnectionLost, ReplyTimeout
+        If the server closes the connection or does not reply.
+    RobotRefused
+        If the server has no robot of that number.
     """
 
     def __init__(
@@ -74,12 +97,14 @@ class NserverBackend:
         self._stream = stream
         self._wire_state = tcp_wire_state(model)
         self._framer = TcpFramer(reply_bounds, wide=False)
-        self._owed = 0
+        self._outstanding = 0
+        """Replies that are still to come."""
         self._slowness = 1.0
-        self._over: str | None = None
+        """Real time per server time, at least 1."""
+        self._closed_because: str | None = None
         try:
-            joining = Call("create_robot" if create else "connect_robot", (robot_id, self._pid))
-            self._port = self.execute(joining).values[0]
+            connecting = Call("create_robot" if create else "connect_robot", (robot_id, self._pid))
+            self._port = self.execute(connecting).values[0]
             self._greeting = self.execute(Call("ct", EVERYTHING.smask))
         except BaseException:
             self._finish("connecting failed")
@@ -87,125 +112,129 @@ class NserverBackend:
 
     @property
     def wire_state(self) -> WireState:
-        """Mask, laser shape and model of this conversation."""
+        """Return model, sensor mask and laser mode."""
         return self._wire_state
 
     @property
     def greeting(self) -> Reply:
-        """The state that came with connecting."""
+        """Return the state received while connecting."""
         return self._greeting
 
     @property
     def port(self) -> int:
-        """The port that the server takes connections on, as it said when connecting."""
+        """Return the port on which the server accepts connections, as it replied to connect_robot."""
         return self._port
 
     @property
     def closed(self) -> bool:
-        """Whether the conversation is over."""
-        return self._over is not None
+        """Return True if the session is over."""
+        return self._closed_because is not None
 
     @property
     def link(self) -> LinkStatistics | None:
-        """Exchanges, their latencies and what wrappers add, where one was given to count in."""
+        """Return the statistics of the link, None if nothing is counted."""
         return self._link
 
     def execute(self, call: Call) -> Reply:
-        """The answer to a call. Raises as Backend.execute says."""
-        if self._over is not None:
-            raise ConnectionLost(f"{call.name}: {self._over}; connect again")
+        """Send a command and return its reply. Raises as `Backend.execute`."""
+        # 1. Reject what cannot be sent.
+        if self._closed_because is not None:
+            raise ConnectionLost(f"{call.name}: {self._closed_because}; connect again")
         row = codec.find_command(call.name)
         if row.tcp_type is None:
             raise RobotRefused(call.name, None, "exists only on a robot's own line")
-        request = _request(call)
+        request = _encode(call)
+
+        # 2. Exchange. The request may change the format of its own reply (ct, conf_ls).
         codec.update_from_request(call, self._wire_state)
         if not row.has_tcp_reply:
-            return self._leave(request)
-        exchange = self._exchange if self._link is None else self._counted
-        reply = self._answer_of(row, exchange(call, request, self._patience_s(row, call)))
-        self._judge(call, reply)
+            return self._disconnect(request)
+        exchange = self._exchange if self._link is None else self._counted_exchange
+        frame = exchange(call, request, self._reply_timeout_s(row, call))
+
+        # 3. Decode, and raise what the server refused.
+        reply = self._decode(row, frame)
+        self._evaluate(call, reply)
         return reply
 
     def close(self) -> None:
-        """Say goodbye, unless an answer is outstanding, and leave."""
-        if self._over is None and not self._owed:
+        """Send disconnect_robot, unless a reply is outstanding, and close the connection."""
+        if self._closed_because is None and not self._outstanding:
             self.execute(Call("disconnect_robot", (self.robot_id, self._pid)))
         self._finish("this side closed the connection")
 
-    def _exchange(self, call: Call, request: bytes, patience_s: float) -> TcpFrame:
-        """The frame that answers. `_owed` rises first: too high ends in a time-out, too low in a mistake."""
+    def _exchange(self, call: Call, request: bytes, timeout_s: float) -> TcpFrame:
+        """Send a request and return the frame of its reply."""
         sent = False
-        self._owed += 1
+        # Counted before sending: a count too high ends in a timeout, one too low in a reply of the wrong call.
+        self._outstanding += 1
         try:
             self._stream.send(request)
             sent = True
-            return self._next_answer(Deadline.after(patience_s))
+            return self._next_reply(Deadline.after(timeout_s))
         except ReplyTimeout as error:
             self._finish(f"{call.name} was not answered, and a late answer must not be taken for another's")
             raise ReplyTimeout(
-                f"{call.name}, with {patience_s:g} s to answer: {error}; the connection was closed"
+                f"{call.name}, with {timeout_s:g} s to answer: {error}; the connection was closed"
             ) from None
         except WireError as error:
-            self._finish(f"{call.name} was answered by what makes no sense")
-            hint = _NO_NSERVER if call.name in _REFUSED_PORT else ""
+            self._finish(f"{call.name} was answered by a malformed reply")
+            hint = _NO_NSERVER_HINT if call.name in _PORT_0_MEANS else ""
             raise ConnectionLost(f"{call.name}: {error}; the connection was closed{hint}") from error
         except ConnectionLost as error:
             self._finish(str(error))
-            hint = _TURNED_AWAY if call.name in _REFUSED_PORT else ""
-            raise ConnectionLost(f"{call.name}: {self._over}{hint}") from error
+            hint = _REJECTED_HINT if call.name in _PORT_0_MEANS else ""
+            raise ConnectionLost(f"{call.name}: {self._closed_because}{hint}") from error
         finally:
             if not sent:
                 self._finish(f"{call.name} was cut off while it was sent")
 
-    def _counted(self, call: Call, request: bytes, patience_s: float) -> TcpFrame:
+    def _counted_exchange(self, call: Call, request: bytes, timeout_s: float) -> TcpFrame:
         assert self._link is not None
         self._link.exchanges += 1
-        asked_s = time.monotonic()
+        start_s = time.monotonic()
         try:
-            frame = self._exchange(call, request, patience_s)
+            frame = self._exchange(call, request, timeout_s)
         except ReplyTimeout:
             self._link.timeouts += 1
             raise
         self._link.frames += 1
-        self._link.took(time.monotonic() - asked_s)
+        self._link.record_latency(time.monotonic() - start_s)
         return frame
 
-    def _next_answer(self, deadline: Deadline) -> TcpFrame:
-        """The last of the answers that are owed. Raises WireError when what comes is none, or too much."""
+    def _next_reply(self, deadline: Deadline) -> TcpFrame:
+        """Return the last outstanding reply and drop those before it. Raises WireError for more or other bytes."""
         while True:
             frames = self._framer.receive(self._stream.receive(deadline))
             for frame in frames:
                 if not isinstance(frame, TcpFrame):
                     raise WireError(frame.reason)
-                self._owed -= 1
-                if self._owed == 0 and frame is frames[-1] and not self._framer.pending:
+                self._outstanding -= 1
+                if self._outstanding == 0 and frame is frames[-1] and not self._framer.pending:
                     return frame
-            if self._owed <= 0:
-                raise WireError("more was answered than was asked")
+            if self._outstanding <= 0:
+                raise WireError("more replies came than requests were sent")
 
-    def _answer_of(self, row: Command, frame: TcpFrame) -> Reply:
+    def _decode(self, row: Command, frame: TcpFrame) -> Reply:
         try:
-            return codec.read_tcp_reply(row, frame, self._wire_state)
+            return codec.decode_tcp_reply(row, frame, self._wire_state)
         except WireError as error:
-            self._finish(f"{row.name} was answered by what does not fit it")
+            self._finish(f"{row.name} was answered by a reply that does not fit it")
             raise ConnectionLost(f"{row.name}: {error}; the connection was closed") from error
 
-    def _judge(self, call: Call, reply: Reply) -> None:
-        """Raise what the other end refused; remember how fast its time runs."""
+    def _evaluate(self, call: Call, reply: Reply) -> None:
+        """Raise RobotRefused for a refusal; record which robot is connected and how fast its time runs."""
         if reply.kind == "error":
             raise RobotRefused(call.name, reply.values[0])
-        if call.name in _REFUSED_PORT:
-            self._connected(call, reply.values[0])
+        if call.name in _PORT_0_MEANS:
+            if not reply.values[0]:
+                raise RobotRefused(call.name, None, _PORT_0_MEANS[call.name].format(call.args[0]))
+            self.robot_id = call.args[0]
         elif reply.slots.get(SPEED_SLOT, 0) > 0:
             self._slowness = max(1.0, REAL_TIME / reply.slots[SPEED_SLOT])
 
-    def _connected(self, call: Call, port: int) -> None:
-        if not port:
-            raise RobotRefused(call.name, None, _REFUSED_PORT[call.name].format(call.args[0]))
-        self.robot_id = call.args[0]
-
-    def _patience_s(self, row: Command, call: Call) -> float:
-        """How long to wait: motions are waited for in the server's time, which may run slower than ours."""
+    def _reply_timeout_s(self, row: Command, call: Call) -> float:
+        """Return the maximum time for a reply; motions take server time, which may run slower than real time."""
         if row.name == "ws":
             return self.timeout_s + float(max(0, call.args[3])) * self._slowness
         if row.name == "get_robot_conf":
@@ -214,16 +243,16 @@ class NserverBackend:
             return max(self.timeout_s, row.line_timeout_s * self._slowness)
         return self.timeout_s
 
-    def _leave(self, request: bytes) -> Reply:
+    def _disconnect(self, request: bytes) -> Reply:
         try:
             self._stream.send(request)
         except ConnectionLost:
-            pass  # gone already, which is where we were going
+            pass  # disconnected already
         finally:
             self._finish("this side disconnected")
-        return _NO_ANSWER
+        return _NO_REPLY
 
-    def _finish(self, why: str) -> None:
-        if self._over is None:
-            self._over = why
+    def _finish(self, reason: str) -> None:
+        if self._closed_because is None:
+            self._closed_because = reason
             self._stream.close()

@@ -25,7 +25,7 @@ from nclient.common.arguments import Parser
 from nclient.common.exit_codes import ExitCode
 from nclient.protocol.commands import BY_NAME
 from nclient.protocol.types import MODELS
-from nclient.url import known_schemes
+from nclient.url import available_schemes
 
 PROGRAMS, WORDS = "nomad.programs", "nomad.words"
 """Entry points: a program's whole parser by its name; the words that a metavar stands for."""
@@ -54,7 +54,7 @@ def run(options: argparse.Namespace) -> int:
 def words_of_metavars() -> dict[str, tuple[str, ...]]:
     """What stands for itself where a metavar names it, such as WORLD: the worlds that are shipped."""
     found = {point.name: tuple(point.load()()) for point in entry_points(group=WORDS)}
-    addresses = [_BEFORE_A_COLON.get(scheme, (f"{scheme}:",)) for scheme in known_schemes()]
+    addresses = [_BEFORE_A_COLON.get(scheme, (f"{scheme}:",)) for scheme in available_schemes()]
     simulated = [f"sim:{world}" for world in found.get("WORLD", ())]
     return {"PART": tuple(PARTS), "COMMAND": tuple(BY_NAME), "call": tuple(BY_NAME), "MODEL": tuple(MODELS),
             "ADDRESS": (*(word for words in addresses for word in words), *simulated)} | found  # fmt: skip

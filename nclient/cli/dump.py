@@ -18,13 +18,12 @@ import json
 from collections.abc import Iterator
 from pathlib import Path
 
-from nclient.cli.serving import tell
+from nclient.cli.serving import print_message
 from nclient.common.exit_codes import ExitCode
 from nclient.errors import RecordingError
 from nclient.protocol.codec import find_command
-from nclient.protocol.types import MODELS, N150, model_named
-from nclient.recording.format import IN, OUT, Entry, Recording, read_recording
-from nclient.recording.readable import lines_of
+from nclient.protocol.types import MODELS, N150, get_model
+from nclient.recording.format import IN, OUT, Entry, Recording, format_entry, read_recording
 from nclient.recording.recorder import LINES, FrameDecoder
 
 _PIECE = 4096
@@ -54,10 +53,10 @@ def run(options: argparse.Namespace) -> int:
         if options.json:
             _print_objects(entry)
         else:
-            for line in lines_of(entry, options.bytes):
+            for line in format_entry(entry, options.bytes):
                 print(line)
     if recording.cut:
-        tell(recording.cut)
+        print_message(recording.cut)
     return ExitCode.FAILED if recording.cut else ExitCode.DONE
 
 
@@ -67,7 +66,7 @@ def _captured(options: argparse.Namespace) -> Recording:
         data = options.file.read_bytes()
     except OSError as error:
         raise RecordingError(f"{options.file}: cannot be read ({error.strerror})") from error
-    follower = FrameDecoder(options.line, model_named(options.model))
+    follower = FrameDecoder(options.line, get_model(options.model))
     follow, kind = (follower.to_host, IN) if options.from_robot else (follower.to_robot, OUT)
     pieces = [data[k : k + _PIECE] for k in range(0, len(data), _PIECE)]
     entries = tuple(Entry(0.0, kind, "", piece, tuple(follow(piece))) for piece in pieces)

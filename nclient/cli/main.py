@@ -24,7 +24,7 @@ from typing import Any, Protocol
 from nclient.common import process
 from nclient.common.arguments import Parser
 from nclient.common.exit_codes import ExitCode, in_short
-from nclient.common.hints import nearest, remedy, version
+from nclient.common.hints import closest_match, install_hint, version
 from nclient.common.process import TerminatedBySignal, handle_termination_signals
 from nclient.errors import NomadError
 
@@ -147,7 +147,7 @@ def summary(point: EntryPoint) -> str:
 
 
 def _unknown(name: str, commands: dict[str, EntryPoint]) -> str:
-    near = nearest(name, (*commands, HELP))
+    near = closest_match(name, (*commands, HELP))
     hint = f"did you mean {near}?" if near else f"there are: {', '.join(sorted(commands))}"
     return f"no command {name!r}; {hint}"
 
@@ -155,7 +155,7 @@ def _unknown(name: str, commands: dict[str, EntryPoint]) -> str:
 def _unloadable(name: str, error: ImportError) -> str:
     if not isinstance(error, ModuleNotFoundError):
         return f"the command {name!r} cannot be loaded: {error}"
-    return f"the command {name!r} needs {error.name}, which is not installed: {remedy(error.name or '')}"
+    return f"the command {name!r} needs {error.name}, which is not installed: {install_hint(error.name or '')}"
 
 
 def _complain(message: str) -> int:

@@ -1,9 +1,9 @@
-"""What commands that let others in have in common: the door's options, and one visitor after the other.
+"""Common parts of commands that accept connections: options, listener, idle limit, one client after another.
 
-    visitors(door, ...) ──> talk(peer, turn)      turn.over(): he said nothing for too long, and another wants to
+    serve_clients(listener, ...) ──> serve(stream, session)      session.should_end(): idle, and another client waits
 
-Rules: one line on stdout when the door is open, `listening NAME HOST:PORT` or `listening NAME PATH`; everything else
-goes to stderr. Loopback unless told otherwise: what speaks to a robot asks nobody who he is.
+stdout gets one line when the listener is open, `listening NAME HOST:PORT` or `listening NAME PATH`; messages go to
+stderr. The default is loopback only, because the robot protocols have no authentication.
 """
 
 from __future__ import annotations
@@ -13,53 +13,73 @@ import contextlib
 import math
 import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Final
 
+from nclient.backends.nserver import CLICK_S, ORDINARY_S
 from nclient.common import allowlist
 from nclient.common.arguments import seconds
-from nclient.common.idle import NONE, SILENT_S, IdleTimer
-from nclient.transports.listener import Door, TcpDoor, TerminalDoor
+from nclient.protocol.commands import BY_NAME
+from nclient.protocol.types import Model
+from nclient.recording.replayer import RequestKey, RequestReader
+from nclient.transports.listener import Listener, PtyListener, TcpListener
 from nclient.transports.stream import ByteStream
 
 LOOPBACK = "127.0.0.1"
-LOOK_S = 0.2
-"""How often one looks who else has come."""
+POLL_INTERVAL_S = 0.2
+"""Interval of checks for other clients."""
+DEFAULT_IDLE_LIMIT_S: Final = 5.0
+"""Default idle limit: the motion timeout that connect() sets, after which a robot without its program stops."""
+NO_LIMIT: Final = 0.0
+"""Idle limit of a client that may be idle forever."""
 
 
-def add_door(parser: argparse.ArgumentParser) -> None:
-    """--listen, --link, --bind, --allow, --limit-silent, --once."""
-    where = parser.add_mutually_exclusive_group(required=True)
-    where.add_argument("--listen", type=_port, metavar="PORT", help="let others in at a TCP port; 0 takes a free one")
-    where.add_argument("--link", type=Path, metavar="PATH", help="... or at a pseudo-terminal that PATH is a link to")
-    parser.add_argument("--bind", default=LOOPBACK, metavar="HOST", help=f"address of the port (default {LOOPBACK})")
+# -- options and listener ---------------------------------------------------------------------------------------------
+
+
+def add_listener_options(parser: argparse.ArgumentParser) -> None:
+    """Add --listen, --link, --bind, --allow, --limit-silent and --once."""
+    place = parser.add_mutually_exclusive_group(required=True)
+    place.add_argument("--listen", type=_port, metavar="PORT", help="listen on this TCP port; 0 takes a free one")
+    place.add_argument("--link", type=Path, metavar="PATH", help="create a pseudo-terminal, with PATH as a link to it")
+    parser.add_argument("--bind", default=LOOPBACK, metavar="HOST", help=f"listen on this address (default {LOOPBACK})")
     allowlist.add_options(parser)
-    parser.add_argument("--limit-silent", type=seconds, default=SILENT_S, metavar="S",
-                        help="seconds: a visitor who says nothing and waits for nothing; he makes room for another who "
-                        f"has something to say (default {SILENT_S:g}; {NONE:g}: no limit)")
-    parser.add_argument("--once", action="store_true", help="end when the first visitor leaves")
+    parser.add_argument("--limit-silent", type=seconds, default=DEFAULT_IDLE_LIMIT_S, metavar="S",
+                        help="disconnect a client that is idle for S seconds when another client waits with a request "
+                        f"(default {DEFAULT_IDLE_LIMIT_S:g}; {NO_LIMIT:g}: no limit)")
+    parser.add_argument("--once", action="store_true", help="exit when the first client disconnects")
 
 
 @contextlib.contextmanager
-def open_door(options: argparse.Namespace, name: str, may: str = allowlist.DRIVES) -> Iterator[Door]:
-    """The door that the options ask for, announced; SIGTERM and SIGHUP close it as Ctrl-C does.
+def open_listener(options: argparse.Namespace, name: str, may: str = allowlist.DRIVES) -> Iterator[Listener]:
+    """Open the listener that the options select and announce it; SIGTERM and SIGHUP close it as Ctrl-C does.
 
-    `may`: what those who come in may do, for the warning where it is open to the network.
+    Parameters
+    ----------
+    options
+        Parsed options of `add_listener_options`.
+    name
+        Name of the command in the announcement.
+    may
+        What clients may do, for the warning about listening on the network.
     """
-    door: Door = _port_door(options, may) if options.link is None else TerminalDoor(options.link)
+    listener: Listener = _open_port(options, may) if options.link is None else PtyListener(options.link)
     try:
-        with _ended_by_signals():
-            print(f"listening {name} {door.name}", flush=True)
-            yield door
+        with _signals_as_interrupts():
+            print(f"listening {name} {listener.name}", flush=True)
+            yield listener
     finally:
-        door.close()
+        listener.close()
 
 
 @contextlib.contextmanager
-def _ended_by_signals() -> Iterator[None]:
-    """They are as Ctrl-C; a command runs on the main thread, which gets the signals."""
-    names = [name for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]  # Windows has no SIGHUP
+def _signals_as_interrupts() -> Iterator[None]:
+    """Raise KeyboardInterrupt at SIGTERM and SIGHUP within this block."""
+    # Windows has no SIGHUP.
+    names = [name for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
     before = {name: signal.signal(getattr(signal, name), signal.default_int_handler) for name in names}
     try:
         yield
@@ -68,63 +88,160 @@ def _ended_by_signals() -> Iterator[None]:
             signal.signal(getattr(signal, name), handler)
 
 
-def _port_door(options: argparse.Namespace, may: str) -> TcpDoor:
-    rule = allowlist.access_of(options)
-    told: set[str] = set()
+def _open_port(options: argparse.Namespace, may: str) -> TcpListener:
+    allowed = allowlist.allowlist_from_options(options)
+    reported: set[str] = set()
 
-    def turned_away(host: str, reason: str) -> None:
-        if reason not in told:
-            told.add(reason)
-            tell(f"{host}: turned away: {reason} (of further ones nothing is said)")
+    def report_rejection(host: str, reason: str) -> None:
+        if reason not in reported:
+            reported.add(reason)
+            print_message(f"{host}: rejected: {reason} (further ones are not reported)")
 
-    door = TcpDoor(options.bind, options.listen,
-                   lambda host, at: "" if rule.admits(host, at) else allowlist.NOT_ALLOWED, turned_away)
-    if open_to := allowlist.warning(options.bind, rule, may):
-        tell(open_to)
-    return door
+    def refusal(host: str, at: str) -> str:
+        return "" if allowed.allows(host, at) else allowlist.NOT_ALLOWED
 
-
-class Turn:
-    """One visitor's time. `silence`: his; `wanted`: whether another has something to say; `made_room`: it was over."""
-
-    def __init__(
-        self, limit_s: float, wanted: Callable[[], bool], clock: Callable[[], float] = time.monotonic
-    ) -> None:
-        self.silence = IdleTimer(limit_s, clock)
-        self._limit_s, self._wanted, self._clock = limit_s, wanted, clock
-        self._looked_s = -math.inf
-        self._is_wanted = False
-        self.made_room = False
-
-    def over(self, at_rest: bool) -> bool:
-        """Whether another's turn has come, which is told. `at_rest`: nothing of this one's is left to be read."""
-        if self._clock() - self._looked_s >= LOOK_S:
-            self._looked_s, self._is_wanted = self._clock(), self._wanted()
-        if not (at_rest and self._is_wanted and self.silence.expired):
-            return False
-        tell(f"a visitor who said nothing for {self._limit_s:g} s makes room for another (--limit-silent)")
-        self.made_room = True
-        return True
-
-
-def visitors(door: Door, options: argparse.Namespace, talk: Callable[[ByteStream, Turn], None]) -> None:
-    """Talk with one after the other, for ever or (--once) until one leaves by himself."""
-    while True:
-        peer = door.peer()
-        try:
-            talk(peer, turn := Turn(options.limit_silent, door.wanted))
-        finally:
-            peer.close()
-        if options.once and not turn.made_room:
-            return
-
-
-def tell(text: str) -> None:
-    """A line for whoever watches."""
-    print(f"nomad: {text}", file=sys.stderr, flush=True)
+    listener = TcpListener(options.bind, options.listen, refusal, report_rejection)
+    if warning := allowlist.warning(options.bind, allowed, may):
+        print_message(warning)
+    return listener
 
 
 def _port(text: str) -> int:
     if not (text.isascii() and text.isdecimal()) or int(text) > 65535:
         raise argparse.ArgumentTypeError(f"a port is 0 to 65535, not {text}")
     return int(text)
+
+
+# -- idle clients -----------------------------------------------------------------------------------------------------
+
+
+class IdleTimer:
+    """Idle time of a client; a client that waits for a slow reply (ws, zr) is not idle.
+
+    Parameters
+    ----------
+    limit_s
+        Idle time after which the timer expires, or NO_LIMIT.
+    clock
+        Returns seconds.
+    """
+
+    def __init__(self, limit_s: float, clock: Callable[[], float]) -> None:
+        self._limit_s, self._clock = limit_s, clock
+        self._expires_s = clock() + limit_s
+        self._waiting = False
+
+    def request_received(self, reply_s: float = 0.0) -> None:
+        """Restart the timer at data from the client; the reply may take `reply_s` besides the usual latency."""
+        self._expires_s = max(self._expires_s, self._clock() + self._limit_s + reply_s)
+        self._waiting = self._waiting or reply_s > 0
+
+    def reply_received(self) -> None:
+        """Restart the timer at the reply to a slow request; other replies do not count as activity."""
+        if self._waiting:
+            self._waiting = False
+            self._expires_s = self._clock() + self._limit_s
+
+    @property
+    def expired(self) -> bool:
+        """Return True if the client was idle for longer than the limit."""
+        return self._limit_s != NO_LIMIT and self._clock() >= self._expires_s
+
+
+class IdleMonitor:
+    """Updates an IdleTimer from forwarded traffic; each direction may be called from a thread of its own.
+
+    Parameters
+    ----------
+    timer
+        The client's timer.
+    line
+        Protocol, one of `recorder.LINES`.
+    model
+        Model of the robot.
+    """
+
+    def __init__(self, timer: IdleTimer, line: str, model: Model) -> None:
+        self._timer = timer
+        self._reader = RequestReader(line, model)
+        self._lock = threading.Lock()
+
+    def to_robot(self, data: bytes) -> None:
+        """Process bytes from the client."""
+        with self._lock:
+            self._timer.request_received(max(map(_reply_time_s, self._reader.receive(data)), default=0.0))
+
+    def to_host(self, data: bytes) -> None:
+        """Process bytes from the robot; only a valid frame counts as a reply."""
+        with self._lock:
+            if not all(frame.error for frame in self._reader.tap.to_host(data)):
+                self._timer.reply_received()
+
+
+def _reply_time_s(request: RequestKey) -> float:
+    """Return the maximum time of a slow reply, 0 for a command with an immediate reply."""
+    if request.name == "ws":
+        return float(max(0, request.args[-1]))
+    if request.name == "get_robot_conf":
+        return CLICK_S
+    row = BY_NAME.get(request.name)
+    return row.line_timeout_s if row and row.line_timeout_s > ORDINARY_S else 0.0
+
+
+# -- clients, one after another ---------------------------------------------------------------------------------------
+
+
+class ClientSession:
+    """Limits of one client's connection.
+
+    Parameters
+    ----------
+    limit_s
+        Idle limit, or NO_LIMIT.
+    has_waiting_client
+        Returns True if another client has sent a request.
+    clock
+        Returns seconds.
+    """
+
+    def __init__(
+        self, limit_s: float, has_waiting_client: Callable[[], bool], clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self.idle_timer = IdleTimer(limit_s, clock)
+        self._limit_s, self._has_waiting_client, self._clock = limit_s, has_waiting_client, clock
+        self._polled_s = -math.inf
+        self._client_waits = False
+        self.was_idle = False
+
+    def should_end(self, at_rest: bool) -> bool:
+        """Return True, with a message, if the client is idle and another one waits.
+
+        `at_rest` is False while there is data of this client to process.
+        """
+        # Checking for other clients is a system call for each: not at every turn.
+        if self._clock() - self._polled_s >= POLL_INTERVAL_S:
+            self._polled_s, self._client_waits = self._clock(), self._has_waiting_client()
+        if not (at_rest and self._client_waits and self.idle_timer.expired):
+            return False
+        print_message(f"a client idle for {self._limit_s:g} s was disconnected for another one (--limit-silent)")
+        self.was_idle = True
+        return True
+
+
+def serve_clients(
+    listener: Listener, options: argparse.Namespace, serve: Callable[[ByteStream, ClientSession], None]
+) -> None:
+    """Serve one client after another, forever or, with --once, until one disconnects by itself."""
+    while True:
+        stream = listener.accept()
+        try:
+            serve(stream, session := ClientSession(options.limit_silent, listener.has_pending_request))
+        finally:
+            stream.close()
+        if options.once and not session.was_idle:
+            return
+
+
+def print_message(text: str) -> None:
+    """Print a message to stderr."""
+    print(f"nomad: {text}", file=sys.stderr, flush=True)

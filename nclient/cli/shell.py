@@ -32,7 +32,7 @@ from prompt_toolkit.document import Document
 from prompt_toolkit.history import FileHistory, History, InMemoryHistory
 
 from nclient.cli import state_text
-from nclient.cli.serving import tell
+from nclient.cli.serving import print_message
 from nclient.cli.shell_help import candidates, hint, parse
 from nclient.cli.shell_session import Session
 from nclient.common.exit_codes import ExitCode
@@ -168,13 +168,13 @@ class PlainReader:
                 readline.write_history_file(self._history)
 
 
-LOOK_S = 0.5
+POLL_INTERVAL_S = 0.5
 
 
 class StatusPoller:
     """The line below. `every_s`: seconds between two looks; 0: never looks, shows what commands brought."""
 
-    def __init__(self, session: Session, every_s: float = LOOK_S) -> None:
+    def __init__(self, session: Session, every_s: float = POLL_INTERVAL_S) -> None:
         self._session = session
         self._every_s = every_s
         self._trouble = ""
@@ -242,7 +242,7 @@ def run(options: argparse.Namespace) -> int:
     with session.robot:
         if lines is not None:
             return _do_all(session, lines, name)
-        watcher = StatusPoller(session, 0.0 if connector.address.in_process else LOOK_S)
+        watcher = StatusPoller(session, 0.0 if connector.address.in_process else POLL_INTERVAL_S)
         keys = reader(lambda: session.wire_state, watcher.line, options.history or default_history(os.environ))
         try:
             return converse(session, keys, watcher)
@@ -279,7 +279,7 @@ def _do_one(session: Session, text: str) -> None:
         print()
         _halt_if_moving(session)
     except NomadError as error:
-        tell(str(error))
+        print_message(str(error))
 
 
 def _halt_if_moving(session: Session) -> None:
@@ -287,7 +287,7 @@ def _halt_if_moving(session: Session) -> None:
         if session.robot.refresh().moving:
             print(session.halt())
     except NomadError as error:
-        tell(str(error))
+        print_message(str(error))
 
 
 def _do_all(session: Session, lines: Iterable[str], name: str) -> int:
@@ -314,7 +314,7 @@ def _do_lines(session: Session, lines: Iterable[str], name: str) -> int:
 
 
 def _failed(name: str, number: int, error: NomadError) -> int:
-    tell(f"{name}:{number}: {error}")
+    print_message(f"{name}:{number}: {error}")
     return ExitCode.FAILED
 
 

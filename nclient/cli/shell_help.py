@@ -32,7 +32,7 @@ from typing import Final, NamedTuple
 from nclient.cli import state_text
 from nclient.errors import ShellError
 from nclient.protocol.codec import serial_argument_bounds
-from nclient.protocol.commands import BY_NAME, COMMANDS, Argument, Command, on_line
+from nclient.protocol.commands import BY_NAME, COMMANDS, Argument, Command, exists_on_serial
 from nclient.protocol.requests import FLAG_WORD
 from nclient.protocol.types import MODELS, Model
 from nclient.protocol.wire_state import WireState
@@ -238,7 +238,7 @@ def parameters(row: Command) -> tuple[Parameter, ...]:
     found: list[Parameter] = []
     for argument in row.arguments:
         name, numbered = re.subn(r"_\d+$", "", argument.name)
-        if row.beside is not None and row.beside[0] in ("pid", "mask") and name in ("pid", "Smask"):
+        if row.extra_arguments is not None and row.extra_arguments[0] in ("pid", "mask") and name in ("pid", "Smask"):
             continue
         if numbered and found and found[-1].name == name:
             found[-1] = found[-1]._replace(length=found[-1].length + 1)
@@ -254,7 +254,7 @@ def usage(row: Command) -> str:
 
 def available(row: Command, wire_state: WireState) -> bool:
     """Whether the command exists where these terms hold: over TCP, or on that model's own line."""
-    return on_line(row, wire_state.model) if wire_state.line else row.tcp_type is not None
+    return exists_on_serial(row, wire_state.model) if wire_state.line else row.tcp_type is not None
 
 
 def help_lines(name: str, wire_state: WireState) -> Iterator[str]:
@@ -283,7 +283,7 @@ def summaries(wire_state: WireState) -> dict[str, str]:
 
 
 def _where(row: Command) -> str:
-    models = [model.name for model in MODELS.values() if on_line(row, model)]
+    models = [model.name for model in MODELS.values() if exists_on_serial(row, model)]
     lines = f"on the own line of {', '.join(models)}" if models else "on no robot's own line"
     return f"{'over TCP' if row.tcp_type is not None else 'not over TCP'}, {lines}"
 

@@ -61,21 +61,21 @@ def call_of(order: ParsedCommand, wire_state: WireState, smask: Sequence[int], p
     row = _row(order.name, wire_state)
     call = Call(row.name, _arguments(row, order.values, smask, pid))
     if not wire_state.line:
-        codec.tcp_request(call)
+        codec.encode_tcp_request(call)
     elif beyond := describe_serial_overflow(call):
         raise WireError(beyond)
     return call
 
 
-def no_command(name: str, beside: Iterable[str] = ()) -> str:
+def describe_unknown_command(name: str, beside: Iterable[str] = ()) -> str:
     """That there is no such command, and which was probably meant; `beside`: what else may have been."""
-    return f"{codec.no_command(name, (*OWN, *beside))}; help lists them all"
+    return f"{codec.describe_unknown_command(name, (*OWN, *beside))}; help lists them all"
 
 
 def _row(name: str, wire_state: WireState) -> Command:
     row = BY_NAME.get(name)
     if row is None:
-        raise ShellError(no_command(name, ARRAYS))
+        raise ShellError(describe_unknown_command(name, ARRAYS))
     if not available(row, wire_state):
         there = f"on the own line of a {wire_state.model.name}" if wire_state.line else "over TCP"
         raise ShellError(f"there is no {name} {there}; help {name} says where there is")
@@ -93,7 +93,7 @@ def _arguments(row: Command, values: tuple[Value, ...], smask: Sequence[int], pi
     if any(number != int(number) for number in numbers):
         raise ShellError(f"{row.name}: whole numbers are wanted (tenths, as in C), not {_shown(values)}")
     whole = tuple(map(int, numbers))
-    return (*whole, pid) if row.beside is not None and row.beside[0] == "pid" else whole
+    return (*whole, pid) if row.extra_arguments is not None and row.extra_arguments[0] == "pid" else whole
 
 
 def _mask(values: tuple[Value, ...], smask: Sequence[int]) -> tuple[int, ...]:
@@ -145,7 +145,7 @@ def _shown(values: tuple[Value, ...]) -> str:
 
 
 WAIT_S = 60
-LOOK_S = 0.05
+POLL_INTERVAL_S = 0.05
 """Between two looks at the robot's clock, where time runs by itself."""
 _MOST_STILL_LOOKS = 400
 """Looks at a clock that stands, before sleeping is given up."""
@@ -266,7 +266,7 @@ class Session:
     def _let_time_run(self, left_s: float) -> None:
         """Where time passes with what is asked there is nothing to wait for."""
         if self.wire_state.line or self.robot.state.speed_factor:
-            self._sleep(min(left_s, LOOK_S))
+            self._sleep(min(left_s, POLL_INTERVAL_S))
 
     def _quit(self, values: tuple[Value, ...]) -> Iterator[str]:
         del values
@@ -300,7 +300,7 @@ def _check_own(order: ParsedCommand) -> None:
         case "help":
             for word in map(str, values):
                 if word not in BY_NAME and word not in OWN:
-                    raise ShellError(f"help: {no_command(word)}")
+                    raise ShellError(f"help: {describe_unknown_command(word)}")
         case "state":
             state_text.check(map(str, values))
         case "wait" | "sleep" if values or name == "sleep":

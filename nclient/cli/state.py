@@ -24,7 +24,7 @@ from nclient.common.exit_codes import ExitCode
 from nclient.connect import Connector, address_or_default
 from nclient.errors import AddressError, ShellError
 from nclient.robot import Robot
-from nclient.url import known_schemes, parse_address
+from nclient.url import available_schemes, parse_address
 
 EVERY_S = 1.0
 _HOME_AND_CLEAR = "\x1b[H\x1b[J"
@@ -84,7 +84,7 @@ def _sorted_words(words: list[str]) -> tuple[str | None, list[str]]:
     try:
         state_text.check(parts)
     except ShellError as error:
-        schemes = ", ".join(f"{scheme}:" for scheme in known_schemes())
+        schemes = ", ".join(f"{scheme}:" for scheme in available_schemes())
         raise AddressError(f"{error}; an address begins with one of {schemes}") from None
     return (addresses[0] if addresses else None), parts
 

@@ -18,8 +18,8 @@ from nclient.common.hints import suggest
 from nclient.errors import ShellError
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
-from nclient.protocol.types import unwrapped_word
-from nclient.state import NOTHING_IN, RobotState
+from nclient.protocol.types import unwrap_word
+from nclient.state import NO_ECHO_IN, RobotState
 
 _SECTOR_DEG = 22.5
 _WIDTH = 11
@@ -29,7 +29,7 @@ def line(state: RobotState) -> str:
     """What matters while one drives, in one line."""
     parts = [_pose(state), moving(state)]
     nearest = min(range(16), key=lambda number: state.sonars_in[number])
-    if 0 < state.sonars_in[nearest] < NOTHING_IN:
+    if 0 < state.sonars_in[nearest] < NO_ECHO_IN:
         parts.append(f"nearest {state.sonars_in[nearest]} in at {_SECTOR_DEG * nearest:g} deg")
     if state.touching:
         parts.append(f"BUMPER {' '.join(map(str, state.bumpers))}")
@@ -70,7 +70,7 @@ def as_object(state: RobotState) -> dict[str, Any]:
         "x_in": state.x_in, "y_in": state.y_in, "steering_deg": state.steering_deg, "turret_deg": state.turret_deg,
         "translation_in_s": state.translation_in_s, "steering_deg_s": state.steering_deg_s,
         "turret_deg_s": state.turret_deg_s, "moving": state.moving,
-        "sonars_in": [None if reading >= NOTHING_IN else reading for reading in state.sonars_in],
+        "sonars_in": [None if reading >= NO_ECHO_IN else reading for reading in state.sonars_in],
         "infrareds": list(state.infrareds) if state.model.has_infrared else None,
         "bumpers": list(state.bumpers), "compass_deg": state.compass_deg,
         "cpu_v": None if battery is None else round(battery.cpu_v, 3),
@@ -99,7 +99,7 @@ def _motors(state: RobotState) -> str:
 
 
 def _sonar(state: RobotState) -> str:
-    readings = " ".join("  -" if reading >= NOTHING_IN else f"{reading:3}" for reading in state.sonars_in)
+    readings = " ".join("  -" if reading >= NO_ECHO_IN else f"{reading:3}" for reading in state.sonars_in)
     return f"{readings}  in, counter-clockwise from ahead; - heard nothing"
 
 
@@ -192,7 +192,7 @@ def _truth(reply: Reply) -> Iterator[str]:
     _, time_ms, x, y, heading, turret, seed, robot = reply.values
     yield (
         f"in truth x {x / 1000:.3f} in  y {y / 1000:.3f} in  heading {heading / 1000:.3f} deg  "
-        f"turret {turret / 1000:.3f} deg | {unwrapped_word(time_ms) / 1000:.3f} s | robot {robot}, seed {seed}"
+        f"turret {turret / 1000:.3f} deg | {unwrap_word(time_ms) / 1000:.3f} s | robot {robot}, seed {seed}"
     )
 
 
@@ -216,7 +216,7 @@ def _robots(reply: Reply) -> Iterator[str]:
 
 def _prediction(reply: Reply) -> Iterator[str]:
     yield f"infrared    {' '.join(f'{reading:3}' for reading in reply.values[1:17])}"
-    sonars = ("  -" if reading >= NOTHING_IN else f"{reading:3}" for reading in reply.values[17:33])
+    sonars = ("  -" if reading >= NO_ECHO_IN else f"{reading:3}" for reading in reply.values[17:33])
     yield f"sonar       {' '.join(sonars)}  in"
 
 

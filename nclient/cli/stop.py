@@ -19,8 +19,8 @@ from collections import Counter
 from collections.abc import Callable
 
 from nclient.backends.base import Backend
-from nclient.backends.direct import QUICK_S, say_stop
-from nclient.cli.serving import tell
+from nclient.backends.direct import QUICK_S, send_emergency_stop
+from nclient.cli.serving import print_message
 from nclient.common.arguments import seconds
 from nclient.common.exit_codes import ExitCode
 from nclient.connect import Connector, address_or_default
@@ -53,7 +53,7 @@ def run(options: argparse.Namespace) -> int:
     """Stop it; the exit code."""
     connector = Connector(parse_address(address_or_default(options.address)))
     if options.address is None:
-        tell(f"stopping {connector.address.text}")
+        print_message(f"stopping {connector.address.text}")
     opens = connector.open_session if connector.wire == TCP else _on_line(connector)
     return Stopping(opens, time.monotonic, time.sleep).run(options.patience)
 
@@ -88,7 +88,7 @@ class StopFirst:
         """A conversation with a robot that has answered st. Raises as say_stop and `talks`."""
         stream = self._opens()
         try:
-            self.answers.append(say_stop(stream, self._patience_s, self._clock, self._tell).data)
+            self.answers.append(send_emergency_stop(stream, self._patience_s, self._clock, self._tell).data)
             return self._talks(stream)
         except BaseException:
             stream.close()
@@ -153,7 +153,7 @@ class Stopping:
         text = str(error)
         self._troubles[text] += 1
         if self._troubles[text] == 1:
-            tell(text)
+            print_message(text)
 
     def _hang_up(self) -> None:
         if self._robot is not None:

@@ -23,7 +23,7 @@ from nclient.errors import WireError
 from nclient.protocol import codec
 from nclient.protocol.commands import BY_NAME, Call, Command
 from nclient.protocol.decode import WIRES, WireDecoder
-from nclient.protocol.types import EVERYTHING, MODELS, Mask, model_named
+from nclient.protocol.types import EVERYTHING, MODELS, Mask, get_model
 from nclient.protocol.wire_state import serial_wire_state
 
 _DEFAULTS = {"line": "tcp", "model": "n150"}
@@ -118,12 +118,12 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _encode(options: argparse.Namespace) -> int:
-    model = model_named(options.model)
+    model = get_model(options.model)
     for call in _calls(options):
         if options.line == "serial":
-            print(codec.line_request(call, serial_wire_state(model)).hex())
+            print(codec.encode_serial_request(call, serial_wire_state(model)).hex())
         else:
-            print(codec.tcp_request(call, wide=options.line == "tcp64").hex())
+            print(codec.encode_tcp_request(call, wide=options.line == "tcp64").hex())
     return ExitCode.DONE
 
 
@@ -137,7 +137,7 @@ def _calls(options: argparse.Namespace) -> Iterator[Call]:
     if row.name == "place_robot" and options.line == "serial" and len(args) == 4:
         yield from (Call("dp", args[:2]), Call("da", args[2:]))
         return
-    yield Call(row.name, _with_beside(row.beside[0], args, options) if row.beside else args)
+    yield Call(row.name, _with_beside(row.extra_arguments[0], args, options) if row.extra_arguments else args)
 
 
 def _with_beside(name: str, args: tuple[float, ...], options: argparse.Namespace) -> tuple[float, ...]:
@@ -154,11 +154,11 @@ def _with_beside(name: str, args: tuple[float, ...], options: argparse.Namespace
 
 
 def _decode(options: argparse.Namespace) -> int:
-    transcript = WireDecoder(options.line, model_named(options.model))
+    transcript = WireDecoder(options.line, get_model(options.model))
     if options.mask:
-        transcript.wire_state.note_mask(options.mask)
+        transcript.wire_state.set_mask(options.mask)
     if options.laser_mode is not None:
-        transcript.wire_state.note_laser_mode(options.laser_mode)
+        transcript.wire_state.set_laser_mode(options.laser_mode)
     if options.call:
         transcript.expect(_row(options.call).name)
     found = transcript.request(options.hex) if options.to == "robot" else transcript.reply(options.hex)
@@ -169,7 +169,7 @@ def _decode(options: argparse.Namespace) -> int:
 
 
 def _dump(options: argparse.Namespace) -> int:
-    transcript = WireDecoder(options.line, model_named(options.model))
+    transcript = WireDecoder(options.line, get_model(options.model))
     for line in sys.stdin.buffer:
         print(json.dumps(transcript.read(line.decode("utf-8", "replace"))), flush=True)
     return ExitCode.DONE
@@ -177,7 +177,7 @@ def _dump(options: argparse.Namespace) -> int:
 
 def _row(name: str) -> Command:
     if name not in BY_NAME:
-        raise WireError(f"{codec.no_command(name)}; {_LIST}")
+        raise WireError(f"{codec.describe_unknown_command(name)}; {_LIST}")
     return BY_NAME[name]
 
 

@@ -1,1 +1,1 @@
-"""Helpers shared by all packages: files, hints, argument parsing, exit codes, signals, allow lists."""
+"""Helpers of all packages: files, hints, argument parsing, exit codes, signals, allow lists."""

@@ -1,8 +1,8 @@
-"""Who may connect, by address: `--allow ADDRESS[/BITS]`, as often as needed; for all that let others in. Pure.
+"""Network addresses that may connect: option `--allow ADDRESS[/BITS]` of all servers.
 
-Rules: without a rule, whoever reaches the port; with one, these networks and this machine itself, by whichever of its
-addresses. What is no address (a socket of the machine's own) is this machine. An IPv4 address that came by IPv6 is the
-IPv4 address.
+Without the option every address may connect; with it the listed networks, and always this machine, by any of its
+addresses. A peer name that is no IP address (a Unix socket) is on this machine. An IPv4 address mapped to IPv6 counts
+as the IPv4 address.
 """
 
 from __future__ import annotations
@@ -15,46 +15,49 @@ from typing import Final
 Network = ipaddress.IPv4Network | ipaddress.IPv6Network
 LOOPBACK_NAME: Final = "localhost"
 NOT_ALLOWED: Final = "that address is not allowed (--allow)"
-"""Why somebody is turned away."""
+"""Reason for rejecting a connection."""
 DRIVES: Final = "may drive the robots"
-"""What most ports are for."""
+"""What a client of most ports may do, for the warning."""
 
 
 @dataclass(frozen=True, slots=True)
-class Access:
-    """The networks that are let in; none: everybody."""
+class Allowlist:
+    """Networks that may connect; none for all."""
 
     allowed: tuple[Network, ...] = ()
 
-    def admits(self, host: str, at: str = "") -> bool:
-        """Whether who comes from this address may; `at`: the one of ours that he came to."""
-        if not self.allowed or is_this_machine(host, at):
+    def allows(self, host: str, at: str = "") -> bool:
+        """Return True if `host` may connect; `at` is the local address that it connected to."""
+        if not self.allowed or is_same_machine(host, at):
             return True
+        # A scope such as %eth0 is no part of the address.
         address = ipaddress.ip_address(host.partition("%")[0])
         mapped = getattr(address, "ipv4_mapped", None) or address
         return any(mapped in network for network in self.allowed)
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """The option of this room."""
+    """Add --allow."""
     parser.add_argument("--allow", action="append", type=_network, default=[], metavar="ADDRESS[/BITS]",
-                        help="let in who comes from there, and from this machine, and nobody else; once more for "
-                        "another (default: whoever reaches the port)")
+                        help="accept connections only from this address or network; repeatable; this machine is "
+                        "always accepted (default: accept all)")
 
 
-def access_of(options: argparse.Namespace) -> Access:
-    """What the options say."""
-    return Access(tuple(options.allow))
+def allowlist_from_options(options: argparse.Namespace) -> Allowlist:
+    """Return the allowlist of parsed options."""
+    return Allowlist(tuple(options.allow))
 
 
-def is_this_machine(host: str, at: str) -> bool:
-    """Whether who comes from the address `host` to our `at` is on this machine: the system sends nothing of others that
-    says it comes from where it goes to."""
+def is_same_machine(host: str, at: str) -> bool:
+    """Return True if a connection from `host` to the local address `at` comes from this machine.
+
+    The kernel drops packets from elsewhere whose source is a local address, so that equal addresses are proof.
+    """
     return not host or host == at or is_loopback(host)
 
 
 def is_loopback(host: str) -> bool:
-    """Whether nobody from another machine is or comes in at this address."""
+    """Return True if the address or name is reachable from this machine only."""
     try:
         address = ipaddress.ip_address(host)
     except ValueError:
@@ -62,14 +65,25 @@ def is_loopback(host: str) -> bool:
     return (getattr(address, "ipv4_mapped", None) or address).is_loopback
 
 
-def warning(host: str, access: Access, may: str = DRIVES) -> str:
-    """What to say of listening on this address, and of what those who come may do; empty on loopback."""
+def warning(host: str, allowlist: Allowlist, may: str = DRIVES) -> str:
+    """Return a warning about listening on an address; "" on loopback.
+
+    Parameters
+    ----------
+    host
+        Address to listen on.
+    allowlist
+        Addresses that may connect.
+    may
+        What clients may do, such as DRIVES.
+    """
     if is_loopback(host):
         return ""
-    who = f"whoever comes from {', '.join(map(str, access.allowed))}" if access.allowed else "anybody who reaches it"
-    remedy = "" if access.allowed else " --allow ADDRESS/BITS lets in fewer;"
-    return (f"open to the network at {host}: the protocol has no authentication and no encryption, and {who} {may};"
-            f"{remedy} ssh -L brings a port on loopback elsewhere (docs/limits.md)")
+    networks = ", ".join(map(str, allowlist.allowed))
+    clients = f"any client from {networks}" if allowlist.allowed else "any client that reaches it"
+    remedy = "" if allowlist.allowed else " --allow ADDRESS/BITS restricts the addresses;"
+    return (f"open to the network at {host}: the protocol has no authentication and no encryption, and {clients} {may};"
+            f"{remedy} ssh -L forwards a port on loopback to another machine (docs/limits.md)")
 
 
 def _network(text: str) -> Network:

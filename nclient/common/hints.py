@@ -1,14 +1,4 @@
-"""Did you mean ...? The end of a message about a word that is unknown: the known one that looks most like it.
-
-Rules: pure, and on the ground floor, so that every command line and every reader of files says it the same way. How
-like a word has to be is decided here alone: nobody who asks can have it otherwise.
-
-What this is called where it is installed, and of which version.
-
-Which extra of this distribution brings a module: for the one error where a module is missing.
-
-Rules: read off the installed distribution's own metadata, so that pyproject.toml is the only list of extras.
-"""
+"""Hints in error messages: the most similar word, the extra that installs a missing module; the package's version."""
 
 from __future__ import annotations
 
@@ -20,28 +10,28 @@ from importlib import metadata
 from importlib.metadata import PackageNotFoundError, requires
 from typing import Final
 
-LIKENESS = 0.6
-"""How like it has to be, 0 to 1 (difflib's ratio), to be worth a question."""
-_LIKENESS_OF_TWO = 0.5
-"""The same of words of two letters, as many of C's names are: one right letter is half of such a one."""
-_LEAST_OF_A_BEGINNING = 3
-"""Letters with which the only known word that begins so is meant, however much longer it is."""
+SIMILARITY = 0.6
+"""Minimum similarity of a suggestion, 0 to 1 (difflib's ratio)."""
+_SIMILARITY_OF_TWO = 0.5
+"""Minimum for words of two letters, as many C names have: one equal letter is half of the word."""
+_MIN_PREFIX = 3
+"""Letters of an abbreviation from which on it suggests the only word that begins with it."""
 
 
-def nearest(word: str, known: Iterable[str]) -> str:
-    """The known word that looks most like this one, or the only one that begins with it; "" where none does."""
-    words = list(known)
-    alike = get_close_matches(word, words, n=1, cutoff=_LIKENESS_OF_TWO if len(word) == 2 else LIKENESS)
-    if alike:
-        return alike[0]
-    longer = [known_word for known_word in words if known_word.startswith(word)]
-    return longer[0] if len(word) >= _LEAST_OF_A_BEGINNING and len(longer) == 1 else ""
+def closest_match(word: str, candidates: Iterable[str]) -> str:
+    """Return the candidate most similar to a word, or the only one that begins with it; "" if there is none."""
+    words = list(candidates)
+    similar = get_close_matches(word, words, n=1, cutoff=_SIMILARITY_OF_TWO if len(word) == 2 else SIMILARITY)
+    if similar:
+        return similar[0]
+    longer = [candidate for candidate in words if candidate.startswith(word)]
+    return longer[0] if len(word) >= _MIN_PREFIX and len(longer) == 1 else ""
 
 
-def suggest(word: str, known: Iterable[str], before: str = "; ", after: str = "?") -> str:
-    """`; did you mean WORD?` with the nearest known word; "" where none is near."""
-    near = nearest(word, known)
-    return f"{before}did you mean {near}{after}" if near else ""
+def suggest(word: str, candidates: Iterable[str], before: str = "; ", after: str = "?") -> str:
+    """Return `; did you mean CANDIDATE?` with the most similar candidate; "" if there is none."""
+    match = closest_match(word, candidates)
+    return f"{before}did you mean {match}{after}" if match else ""
 
 
 DISTRIBUTION: Final = "nomad-nserver"
@@ -49,30 +39,35 @@ DISTRIBUTION: Final = "nomad-nserver"
 
 @functools.cache
 def version() -> str:
-    """As its metadata have it, which are read once: they hold the whole README."""
+    """Return the installed version. Cached, because reading the metadata reads the whole README."""
     return metadata.version(DISTRIBUTION)
 
 
 _GROUPS = frozenset({"all", "dev", "bench"})
-"""Extras that bring others, or nothing that the commands want."""
+"""Extras that consist of others, or have nothing that a command needs."""
 _REQUIREMENT = re.compile(r"""(?P<name>[\w.-]+).*extra == ["'](?P<extra>[\w-]+)["']""")
 
 
-def remedy(module: str) -> str:
-    """What installs the module: `pip install 'nomad-nserver[EXTRA]'`."""
-    return f"pip install '{DISTRIBUTION}[{extra_of(module) or 'all'}]'"
+def install_hint(module: str) -> str:
+    """Return the command that installs a module: `pip install 'nomad-nserver[EXTRA]'`."""
+    return f"pip install '{DISTRIBUTION}[{find_extra(module) or 'all'}]'"
 
 
-def extra_of(module: str) -> str:
-    """The extra that brings a module; "" where none does, or where this was not installed as a distribution."""
-    wanted = _plain(module.partition(".")[0])
+def find_extra(module: str) -> str:
+    """Return the extra that installs a module; "" if there is none, or the package is not installed.
+
+    Extras are read from the installed metadata, so that pyproject.toml is the only list of them.
+    """
+    wanted = _normalize(module.partition(".")[0])
     try:
-        texts = requires(DISTRIBUTION) or []
+        requirements = requires(DISTRIBUTION) or []
     except PackageNotFoundError:
         return ""
-    found = filter(None, map(_REQUIREMENT.match, texts))
-    return next((one["extra"] for one in found if _plain(one["name"]) == wanted and one["extra"] not in _GROUPS), "")
+    matches = filter(None, map(_REQUIREMENT.match, requirements))
+    return next(
+        (one["extra"] for one in matches if _normalize(one["name"]) == wanted and one["extra"] not in _GROUPS), ""
+    )
 
 
-def _plain(name: str) -> str:
+def _normalize(name: str) -> str:
     return re.sub(r"[-_.]+", "-", name).lower()

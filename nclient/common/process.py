@@ -1,14 +1,8 @@
-"""Signals that end a command: it is left in order, as by Ctrl-C, so that its robot stops and its report is written.
+"""Process environment of the commands: termination signals, standard streams, broken pipes.
 
-Rules: SIGTERM, and SIGHUP where there is one (the terminal was closed), become `Left`, a SystemExit with the code of
-each in the table of exit codes; the first counts, and no further one disturbs the leaving (Ctrl-C does). What was
-ignored from the start, as SIGHUP under nohup, stays ignored. Signals belong to the main thread, on which commands run.
-
-stdout and stderr as a command finds them: closed, on a full disk, or read by somebody who has gone.
-
-Rules: a command that is started without one of them has /dev/null there, for the first file or socket to be opened
-would else take its number, and be written to by whatever prints. What could not be printed is told in a line, as of any
-file that cannot be written.
+SIGTERM, and SIGHUP when the terminal is closed, raise `TerminatedBySignal` in the main thread, so that a command stops
+its robot and writes its report as after Ctrl-C. The first signal counts, later ones are ignored (Ctrl-C is not).
+Signals that were ignored at the start, as SIGHUP under nohup, stay ignored.
 """
 
 from __future__ import annotations
@@ -27,11 +21,20 @@ from nclient.common.exit_codes import ExitCode
 from nclient.common.files import describe_write_error
 
 _CODES = {"SIGTERM": ExitCode.TERMINATED, "SIGHUP": ExitCode.HUNG_UP}
+_STANDARD_STREAMS = (0, 1, 2)
 _OUTPUTS = (1, 2)
 
 
 class TerminatedBySignal(SystemExit):
-    """A signal ends the command. `signal_name`: which."""
+    """A signal ends the command.
+
+    Attributes
+    ----------
+    signal_name
+        SIGTERM or SIGHUP.
+    exit_code
+        Exit code for that signal.
+    """
 
     def __init__(self, signal_name: str) -> None:
         self.signal_name = signal_name
@@ -41,71 +44,89 @@ class TerminatedBySignal(SystemExit):
 
 @contextlib.contextmanager
 def handle_termination_signals() -> Iterator[None]:
-    """Within this block the signals raise Left; on another thread than the main one nothing is changed."""
+    """Raise TerminatedBySignal at SIGTERM and SIGHUP within this block; no effect outside of the main thread."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
+    # 1. Find the signals that exist here (Windows has no SIGHUP) and are not ignored.
     present = [signal.Signals(getattr(signal, name)) for name in _CODES if hasattr(signal, name)]
     before = {number: signal.getsignal(number) for number in present}
-    ours = [number for number in present if before[number] not in (signal.SIG_IGN, None)]
+    handled = [number for number in present if before[number] not in (signal.SIG_IGN, None)]
     terminals = [output for output in _OUTPUTS if os.isatty(output)]
 
-    def leave(number: int, frame: FrameType | None) -> NoReturn:
+    def terminate(number: int, frame: FrameType | None) -> NoReturn:
         del frame
-        for other in ours:
+        for other in handled:
             signal.signal(other, signal.SIG_IGN)
-        _let_go(terminals)
+        _redirect_closed_terminals(terminals)
         raise TerminatedBySignal(signal.Signals(number).name)
 
-    for number in ours:
-        signal.signal(number, leave)
+    # 2. Install the handler for the duration of the block.
+    for number in handled:
+        signal.signal(number, terminate)
     try:
         yield
     finally:
-        for number in ours:
+        for number in handled:
             signal.signal(number, before[number])
 
 
-def _let_go(terminals: list[int]) -> None:
-    """Let nothing be written to a terminal that was closed: the error would stand in the way of the leaving."""
+def _redirect_closed_terminals(terminals: list[int]) -> None:
+    """Redirect output to a closed terminal to /dev/null: a write error would interrupt the cleanup."""
     for output in terminals:
         if not os.isatty(output):
-            nowhere = os.open(os.devnull, os.O_WRONLY)
-            os.dup2(nowhere, output)
-            os.close(nowhere)
-
-
-_STANDARD = (0, 1, 2)
+            null = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(null, output)
+            os.close(null)
 
 
 def ensure_std_streams() -> None:
-    """Put /dev/null where stdin, stdout or stderr were closed when the command was started."""
-    for number in _STANDARD:
+    """Open /dev/null as stdin, stdout and stderr where the command was started without them.
+
+    Otherwise the next file or socket would get their number, and print would write to it.
+    """
+    for number in _STANDARD_STREAMS:
         try:
             os.fstat(number)
         except OSError:
-            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free, which is this one
+            # Takes the lowest free number, which is this one.
+            os.open(os.devnull, os.O_RDWR)
     sys.stdout = sys.stdout or os.fdopen(1, "w", closefd=False)
     sys.stderr = sys.stderr or os.fdopen(2, "w", closefd=False)
 
 
 def handle_broken_pipe(error: OSError, command: str) -> ExitCode:
-    """What a command ends with whose stdout gave it this error, which is told. Raises another's error again."""
+    """Return the exit code for a write error on stdout, and report it on stderr.
+
+    Parameters
+    ----------
+    error
+        The error that ended the command.
+    command
+        Name of the command for the message.
+
+    Raises
+    ------
+    OSError
+        `error` again, if stdout can be written to and so is not the cause.
+    """
     if isinstance(error, BrokenPipeError):
-        _let_go_outputs()
+        _discard_stdout()
         return ExitCode.READER_GONE
     try:
-        print(flush=True)  # what was written last may be lost already; one more line is refused as well
-    except OSError as again:
-        _let_go_outputs()
-        print(f"{command}: {describe_write_error(Path('stdout'), again)}", file=sys.stderr)
+        # The failed write was buffered; if stdout is the cause, another line fails as well.
+        print(flush=True)
+    except OSError as stdout_error:
+        _discard_stdout()
+        print(f"{command}: {describe_write_error(Path('stdout'), stdout_error)}", file=sys.stderr)
         return ExitCode.FAILED
     raise error
 
 
-def _let_go_outputs() -> None:
-    """Keep the interpreter from flushing what is left once more as it ends."""
+def _discard_stdout() -> None:
+    """Redirect stdout to /dev/null, so that the interpreter's flush at exit does not fail again."""
     try:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    except (OSError, ValueError):  # stdout is no file of the system
+    except (OSError, ValueError):
+        # stdout is not a file of the operating system.
         return

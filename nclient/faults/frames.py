@@ -369,7 +369,7 @@ class RuleState:
             return None
         self._number += 1
         self.tally[SEEN] += 1
-        if not rule.when.strikes(self._number, self.chance.random()):
+        if not rule.when.matches(self._number, self.chance.random()):
             return None
         fault = rule.faults[0] if len(rule.faults) == 1 else self.chance.choice(rule.faults)
         if not isinstance(fault, Noise):

@@ -39,10 +39,10 @@ from enum import Enum
 from pathlib import Path
 from typing import Any, ClassVar, Final
 
-from nclient.common.files import read_text, toml_of
+from nclient.common.files import parse_toml, read_text
 from nclient.common.hints import suggest
 from nclient.errors import FaultPlanError
-from nclient.protocol.codec import no_command
+from nclient.protocol.codec import describe_unknown_command
 from nclient.protocol.commands import BY_NAME
 
 BIT, BYTE = "bit", "byte"
@@ -272,7 +272,7 @@ class When:
         """Whether the rule is in force so long after the plan began."""
         return self.from_s <= elapsed_s < self.until_s
 
-    def strikes(self, number: int, draw: float) -> bool:
+    def matches(self, number: int, draw: float) -> bool:
         """Whether it strikes the frame of that number, counted from 1; `draw`: chance, 0 to below 1."""
         if self.every is not None:
             return number % self.every == 0
@@ -362,7 +362,7 @@ def _check_command(rule: str, command: str) -> None:
     if row is not None and row.packet_type is not None:
         raise FaultPlanError(f"rule {rule!r}: command: on the wire {command} is a special_request; write that")
     if row is None and command != GREETING:
-        raise FaultPlanError(f"rule {rule!r}: command: {no_command(command, [GREETING])}")
+        raise FaultPlanError(f"rule {rule!r}: command: {describe_unknown_command(command, [GREETING])}")
 
 
 def _check_line(rule: str, line: str) -> None:
@@ -395,7 +395,7 @@ def read_plan(path: Path) -> str:
 
 def parse_plan(text: str, file: str = "plan") -> Plan:
     """The plan that a text says; `file` is what errors call it. Raises FaultPlanError."""
-    top = toml_of(text, file, FaultPlanError)
+    top = parse_toml(text, file, FaultPlanError)
     try:
         _allow(top, ("seed", "rule"))
         tables = top.get("rule", [])

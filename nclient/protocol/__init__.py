@@ -1,9 +1,11 @@
-"""What bytes mean, in both languages and both ways. No socket, no clock; the one room that knows construct and struct.
+"""The two wire protocols without I/O: Nserver over TCP, and the robot's own serial line.
 
-commands > requests, replies                 THE table: a row a command; the layouts of what is asked and answered
-           fields | line_fields > runs       the pieces of those, over TCP and on a robot's own line; layouts runs them
-language > tcp_frame | serial_frame          calls and replies to bytes and back; whole frames in a stream
-terms > mask, models, hello                  what two ends have agreed; bounds, likeness: what cannot have been meant
-state > stamps, units                        what a client holds, and where tenths become radians
-decode                                       frames in readable form
+    commands > requests, replies      the command table: one row per command, with the layouts of request and reply
+    fields                            construct classes that these layouts are made of
+    codec > tcp_framing, serial_framing    calls and replies to bytes and back; whole frames in a byte stream
+    wire_state > types                state that both ends share (mask, laser mode); masks, models, stamps, units
+    client_state                      State vector, laser, stamps and clock as the client stores them
+    decode                            traffic to dictionaries, for `nomad wire decode`, dump, recordings and viewer
+
+This package alone imports construct and struct.
 """

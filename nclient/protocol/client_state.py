@@ -1,16 +1,16 @@
-"""What a client holds after the replies it has had: the State vector, Laser, position stamps, clock, battery.
+"""Sensor data and pose as the client stores them: the State vector, laser, position stamps, clock, battery.
 
-    0 speed | 1-16 infrared | 17-32 sonar | 33 bumper | 34-37 x y steer turret | 38-40 velocities
+    0 speed | 1-16 infrared | 17-32 sonar | 33 bumper | 34-37 x y steering turret | 38-40 velocities
     41 motors | 42 laser mode | 43 compass | 44 error        (PROTOCOL.md, section 3)
 
-Rules: as the C client does it. A state reply over TCP fills 0..43 and clears 44; the robot's own line never
-touches 0, 42, 44; an error puts its code in 44 and leaves the rest; a prediction is held nowhere.
+Replies are stored as the C client does: a state reply over TCP fills 0..43 and clears 44; the serial line never
+writes 0, 42 and 44; an error reply writes its code to 44 and nothing else; a prediction is not stored.
 
-The eleven bare bytes that a N200 sends first when it is reached over TCP: mask and laser mode in force.
+Also here: the handshake, eleven bytes without a frame that a N200 sends first when it is reached over TCP.
 
-    b0 b1 b2 b3 b4 | bit 0 = compass | bit 0 = laser, position-data bits x 2 | laser mode | 3 that nobody reads
+    b0 b1 b2 b3 b4 | bit 0 = compass | bit 0 = laser, position-data bits x 2 | laser mode | 3 unused
 
-Rules: no frame, no checksum; the host adopts both. As on the line, Smask[41] is not sent and reads 1.
+It reports the mask and laser mode in force. As on the serial line, Smask[41] is not sent and reads 1.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _UNSIGNED = 0xFFFFFFFF
 
 
 def zero_extend(reply: Reply) -> Reply:
-    """The reply as a 64-bit C client reads it: each word without its sign, -200 as 4294967096."""
+    """Return the reply as a 64-bit C client reads it: words without sign, so that -200 becomes 4294967096."""
     return replace(
         reply,
         slots={slot: value & _UNSIGNED for slot, value in reply.slots.items()},
@@ -43,7 +43,13 @@ def zero_extend(reply: Reply) -> Reply:
 
 
 class ClientState:
-    """The client's memory. `wide`: what a 64-bit C client holds, who sees -200 as 4294967096."""
+    """The values that a client stores from replies, None where no reply has set one.
+
+    Parameters
+    ----------
+    wide
+        True to store values as a 64-bit C client does (`zero_extend`).
+    """
 
     def __init__(self, wide: bool = False) -> None:
         self.slots: list[int | None] = [None] * STATE_SIZE
@@ -54,20 +60,24 @@ class ClientState:
         self._wide = wide
 
     def apply_reply(self, reply: Reply) -> None:
-        """Take in one reply, in the order they came."""
+        """Store the values of one reply; call it for every reply, in order."""
         if self._wide:
             reply = zero_extend(reply)
+        # 1. Errors set State[44] only; NAK and prediction change nothing.
         if reply.kind == "error":
             self.slots[ERROR_SLOT] = reply.values[0]
         if reply.kind in ("error", "nak", "prediction"):
             return
+        # 2. State slots that the reply carries. A whole state reply, the usual one, is copied in one go.
         if len(reply.slots) == STATE_SIZE:
             self.slots[:] = map(reply.slots.__getitem__, range(STATE_SIZE))
         else:
             for slot, value in reply.slots.items():
                 self.slots[slot] = value
+        # 3. C clients store 0 in State[44] after a TCP state reply, whatever its word 44 holds.
         if LAST_TCP_SLOT in reply.slots:
             self.slots[ERROR_SLOT] = 0
+        # 4. Everything else is overwritten only where the reply has it.
         self.stamps.update(reply.stamps)
         self.laser = reply.laser if reply.laser is not None else self.laser
         self.clock = reply.clock if reply.clock is not None else self.clock
@@ -79,37 +89,50 @@ _LAYOUT = Struct("common" / Bytes(5), "compass" / Int8ub, "laser" / Int8ub, "mod
 
 
 class Handshake(NamedTuple):
-    """What the robot says of itself: the mask its state packets follow, and its laser mode."""
+    """Mask and laser mode that a N200 reports first over TCP."""
 
     mask: Mask
     laser_mode: int
 
 
 def read_handshake(data: bytes) -> Handshake:
-    """The hello that these eleven bytes are. Raises WireError for any other number of bytes."""
+    """Parse the eleven bytes of a handshake.
+
+    Raises
+    ------
+    WireError
+        For any other number of bytes.
+    """
     try:
-        found = requests.parse(_LAYOUT, data)
+        fields = requests.parse(_LAYOUT, data)
     except ConstructError:
         raise WireError(f"a hello has {HANDSHAKE_SIZE} bytes, not {len(data)}") from None
-    as_ct = (*found.common, found.laser & 1, found.compass & 1 | found.laser & 0x3E)
-    return Handshake(mask_from_line(as_ct), found.mode)
+    # Bytes 5 and 6 of a serial ct request: laser, then compass and position-data bits.
+    as_ct = (*fields.common, fields.laser & 1, fields.compass & 1 | fields.laser & 0x3E)
+    return Handshake(mask_from_line(as_ct), fields.mode)
 
 
-def build_handshake(hello: Handshake) -> bytes:
-    """The eleven bytes of a hello. Raises WireError when the laser mode is no byte."""
-    smask = hello.mask.smask
+def build_handshake(handshake: Handshake) -> bytes:
+    """Return the eleven bytes of a handshake.
+
+    Raises
+    ------
+    WireError
+        If the laser mode does not fit in a byte.
+    """
+    smask = handshake.mask.smask
     try:
         return requests.build(_LAYOUT, {
-            "common": bytes(hello.mask.line_bytes()[:5]),
+            "common": bytes(handshake.mask.line_bytes()[:5]),
             "compass": smask[COMPASS_SLOT],
-            "laser": smask[LASER_SLOT] | hello.mask.position << 1,
-            "mode": hello.laser_mode,
+            "laser": smask[LASER_SLOT] | handshake.mask.position << 1,
+            "mode": handshake.laser_mode,
         })
     except ConstructError as error:
         raise WireError(f"a hello cannot carry this: {error}") from None
 
 
-def apply_handshake(hello: Handshake, wire_state: WireState) -> None:
-    """What a hello changes for the replies that follow it."""
-    wire_state.note_mask(hello.mask)
-    wire_state.note_laser_mode(hello.laser_mode)
+def apply_handshake(handshake: Handshake, wire_state: WireState) -> None:
+    """Set mask and laser mode of the connection to those of the handshake."""
+    wire_state.set_mask(handshake.mask)
+    wire_state.set_laser_mode(handshake.laser_mode)

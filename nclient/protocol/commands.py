@@ -1,9 +1,9 @@
-"""THE table: every command once. Client, emulator, mirror, wire tool, documentation and tests read it.
+"""The command table: every command once, for client, server, C library, command line, documentation and tests.
 
     a row   C name | Robot's method | type over TCP, type on the line | arguments | reply there and there | models
 
-Rules: a new command is a new row here, and nowhere a second list of commands. `ALL` (models) means that every
-model's own line has it. Lengths 1/10 inch, angles 1/10 degree, as on the wire.
+To add a command, add a row. `ALL` (models) means that the command exists on every model's serial line.
+Lengths are 1/10 inch and angles 1/10 degree, as on the wire.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ NOT_N200 = ALL - N200
 
 
 class Argument(NamedTuple):
-    """One number of a call: its name, and how it goes over TCP and on the robot's own line."""
+    """An argument of a command: its name, and its field over TCP and on the serial line."""
 
     name: str
     tcp: Construct = WORD
@@ -55,9 +55,9 @@ class Argument(NamedTuple):
 
 
 class Call(NamedTuple):
-    """A command with its arguments: flat integers in the order of the C call (the text of tk a string).
+    """A command with its arguments: a flat tuple of integers in the order of the C call (a string for tk).
 
-    Three calls carry more than the C call names: connect_robot its pid (last), ct the 44 numbers of Smask,
+    Some calls have arguments that the C call does not: connect_robot its pid (last), ct the 44 numbers of Smask,
     special_request its packet type (first).
     """
 
@@ -67,32 +67,32 @@ class Call(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """A row of the table."""
+    """A row of the command table."""
 
     name: str
-    """The C name."""
+    """C name."""
     method: str
-    """The Robot method that makes the call."""
+    """Method of `Robot` that sends the command."""
     summary: str
     arguments: tuple[Argument, ...]
     tcp_type: int | None
     tcp_request: Construct
     tcp_words: tuple[int, int]
-    """Fewest and most words of a request."""
+    """Minimum and maximum words of a request."""
     tcp_reply: ReplyShape
     line_type: int | None
     line_request: Construct
     line_reply: ReplyShape
     line_models: frozenset[str]
-    """The models on whose own line the command exists."""
+    """Models with this command on their serial line."""
     line_timeout_s: float
-    """How long a host waits for the answer there (ws adds its own timeout)."""
-    beside: tuple[str, slice] | None
-    """Name and place of the arguments that the C call does not have."""
+    """Time that a host waits for the reply on the serial line in seconds (ws adds its own timeout)."""
+    extra_arguments: tuple[str, slice] | None
+    """Name and place of arguments that the C call does not have."""
     packet_type: int | None
     has_tcp_reply: bool
     any_length: bool
-    """Whether the number of arguments varies."""
+    """True if the number of arguments varies."""
 
 
 def _row(
@@ -106,6 +106,7 @@ def _row(
 ) -> Command:
     arguments = tuple(arguments)
     count = len(arguments)
+    # Plain words are parsed in one call of struct.
     plain = all(argument.tcp is WORD for argument in arguments)
     tcp = Words(count) if plain else Fields(*[a.name / a.tcp for a in arguments])
     fields: dict[str, Any] = {
@@ -114,7 +115,7 @@ def _row(
         "line_request": Fields(*[a.name / a.line for a in arguments]),
         "line_models": ALL,
         "line_timeout_s": 1.0,
-        "beside": None,
+        "extra_arguments": None,
         "packet_type": None,
         "has_tcp_reply": True,
         "any_length": False,
@@ -173,11 +174,11 @@ def _drawing(name: str, tcp_type: int, what: str) -> Command:
 
 COMMANDS: tuple[Command, ...] = (
     _row("create_robot", "create_robot", (101, None), _signed("robot_id", "pid"), (shape.SIMPLE, shape.LINE_STATE),
-         "make a robot of that number and connect to it", beside=("pid", slice(1, 2))),
+         "make a robot of that number and connect to it", extra_arguments=("pid", slice(1, 2))),
     _row("connect_robot", "connect_robot", (102, None), _signed("robot_id", "pid"), (shape.SIMPLE, shape.LINE_STATE),
-         "connect to a robot; the answer is a port, 0 for no such robot", beside=("pid", slice(1, 2))),
+         "connect to a robot; the answer is a port, 0 for no such robot", extra_arguments=("pid", slice(1, 2))),
     _row("disconnect_robot", "disconnect", (103, None), _signed("robot_id", "pid"), (shape.SIMPLE, shape.LINE_STATE),
-         "end the connection; there is no answer", beside=("pid", slice(1, 2)), has_tcp_reply=False),
+         "end the connection; there is no answer", extra_arguments=("pid", slice(1, 2)), has_tcp_reply=False),
     # motion
     _row("ac", "set_accelerations", (10, 1), _unsigned("translation", "steering", "turret"), _STATE,
          "set the accelerations of the axes"),
@@ -185,7 +186,7 @@ COMMANDS: tuple[Command, ...] = (
          "set the speeds that pr and pa use"),
     _row("pr", "move", (13, 3), _AXES, _STATE, "move each axis by a distance, all at once"),
     _row("pa", "move_to", (14, 4), _AXES, _STATE, "move each axis to a position (N200)", line_models=N200),
-    _row("vm", "drive", (12, 5), _AXES, _STATE, "drive each axis at a velocity until told otherwise"),
+    _row("vm", "drive", (12, 5), _AXES, _STATE, "drive each axis at a velocity until the next command"),
     _row("mv", "drive_axes", (43, 43), _MODES, _STATE, "command each axis in a mode of its own"),
     _row("st", "stop", (17, 9), (), _STATE, "stop and hold"),
     _row("lp", "release", (18, 10), (), _STATE, "let the motors go limp"),
@@ -197,9 +198,9 @@ COMMANDS: tuple[Command, ...] = (
     _row("da", "set_angles", (38, 30), _signed("steering", "turret"), _STATE,
          "set what the encoders say of the angles"),
     # configuration
-    _row("ct", "select_sensors", (16, 6), _SMASK, _STATE, "say which sensors and numbers the replies carry",
+    _row("ct", "select_sensors", (16, 6), _SMASK, _STATE, "select the sensors and numbers in replies",
          tcp_request=TcpMask(), tcp_words=(7, 7), line_request=LineMask(), line_models=N200,
-         beside=("mask", slice(0, 44))),
+         extra_arguments=("mask", slice(0, 44))),
     _row("conf_ir", "configure_infrareds", (22, 14), (Argument("history", line=HISTORY_BYTE), *_ORDER), _STATE,
          "set the infrareds' history and firing order", line_models=N200),
     _row("conf_sn", "configure_sonars", (23, 15), (*_bytes("rate"), *_ORDER), _STATE,
@@ -217,7 +218,7 @@ COMMANDS: tuple[Command, ...] = (
          "set how laser points become line segments", line_models=N200),
     _row("conf_ser", "configure_serial_port", (None, 35), (*_bytes("port"), *_unsigned("baud")), _STATE,
          "set the speed of another serial port of the robot", line_models=NOT_N200),
-    # questions
+    # queries
     _row("gs", "refresh", (15, 7), (), _STATE, "ask for the state"),
     _row("get_ir", "read_infrareds", (27, 19), (), (shape.INFRARED, shape.LINE_INFRARED), "ask for the infrareds",
          line_models=N200),
@@ -244,7 +245,7 @@ COMMANDS: tuple[Command, ...] = (
     _row("special_request", "send_packet", (300, 128), (Argument("packet_type"),), _SPECIAL,
          "send a user packet; the answer is one too", tcp_request=ByteWords(_PACKET),
          tcp_words=(4, 4 + MAX_PACKET_DATA), line_request=_PACKET, line_timeout_s=30.0,
-         beside=("packet_type", slice(0, 1)), any_length=True),
+         extra_arguments=("packet_type", slice(0, 1)), any_length=True),
     # the world and its windows (an Nserver only)
     _row("place_robot", "place", (41, None), _POSE, _SIMPLE, "put the robot, and what its encoders say, somewhere"),
     _row("add_obstacle", "add_obstacle", (50, None), _signed("n"), _SIMPLE, "add a polygon to the world",
@@ -279,7 +280,7 @@ COMMANDS: tuple[Command, ...] = (
     _row("real_robot", "use_real_robot", (71, None), (), _SIMPLE, "pass the commands to the real robot"),
     _row("simulated_robot", "use_simulated_robot", (74, None), (), _SIMPLE, "pass the commands to the simulation"),
     _row("quit_server", "quit_server", (70, None), (), _SIMPLE, "end the server, if its setup allows it"),
-    # ours (PROTOCOL.md, section 5)
+    # additions of this project (PROTOCOL.md, section 5)
     _row("sim_truth", "truth", (1000, None), (), (shape.TRUTH, shape.LINE_STATE),
          "ask a simulation where the actual robot is"),
     _row("sim_control", "control_time", (1001, None), _signed("verb", "value"), (shape.CONTROL, shape.LINE_STATE),
@@ -299,8 +300,9 @@ REPLY_TYPES: dict[ReplyShape, int] = {
     shape.BUMPER: 87, shape.CONFIGURATION: 88, shape.CLICKED_CONFIGURATION: 88, shape.VELOCITY: 89,
     shape.ERROR: ERROR_TYPE, shape.SPECIAL: 300, shape.TRUTH: 1000, shape.CONTROL: 1001,
 }
-"""The type we put on a reply over TCP, by its layout. Clients look only for ERROR_TYPE."""
+"""Type of a reply over TCP by layout. Clients only check for ERROR_TYPE."""
 
+# Maximum sizes: a stamp has 9 words, a laser block a count and up to 4 words per reading.
 _STAMP_WORDS = 9
 _LASER_WORDS = 1 + 4 * MAX_LASER_READINGS
 _STATE_WORDS = 45 + _LASER_WORDS + 35 * _STAMP_WORDS + 3
@@ -309,9 +311,9 @@ MAX_REPLY_WORDS = {
     85: _LASER_WORDS + _STAMP_WORDS + 1, 86: 2 + _STAMP_WORDS, 87: 2 + _STAMP_WORDS, 88: 4, 89: 3, 90: 3,
     ERROR_TYPE: 1, 300: 4 + MAX_PACKET_DATA, 1000: 8, 1001: 4,
 }
-"""The most words a reply of each type can carry; types 81 and 90 exist in old servers."""
+"""Maximum words of a reply by type; types 81 and 90 exist in old servers."""
 
 
-def on_line(row: Command, model: Model) -> bool:
-    """Whether the command exists on that model's own line."""
+def exists_on_serial(row: Command, model: Model) -> bool:
+    """Return True if the command exists on this model's serial line."""
     return row.line_type is not None and model.name in row.line_models

@@ -1,18 +1,16 @@
-"""A recorded conversation, line by line, as plain dictionaries: what `nomad wire dump` prints.
+"""Recorded traffic as plain dictionaries, one per line: the output of `nomad wire decode`.
 
-    > hex    to the robot   {"to": "robot", "call": C name, "args": [...]}  with pid, mask or packet_type beside
+    > hex    to the robot   {"to": "robot", "call": C name, "args": [...]}, and pid, mask or packet_type where sent
     < hex    from it        {"to": "host", "reply": kind, "State": [45], "Laser", "positions", "clock", "volt_cpu",
-                             "volt_motor"}  as the client holds them after it, and what the reply alone says
-    anything else           {"error": what is wrong}, also an empty line or a comment; nothing changes by it
+                             "volt_motor"}, as the client stores them after it, and values that only this reply has
+    anything else           {"error": what is wrong}, also for empty lines and comments; changes no state
 
-Rules: no I/O. One object a line. A good request changes mask and laser shape at once, as it does at the two ends.
+A valid request changes mask and laser layout at once, as at both ends.
 
-Whose state packet is this? What a packet that does not fit tells of the model that sent it.
+Also here: guessing the robot's model from a state packet that does not fit, for error messages.
 
-    N200              the length of its full mask, pixels or lines    N150, Scout    their fixed length
-    N150 or Scout     the four bits of the first bumper byte that always read 1, or not
-
-Rules: pure, and a guess: good enough for a message that names the remedy, never for reading an answer.
+    N200              the length of its full mask, with pixels or lines    N150, Scout    their fixed length
+    N150 or Scout     the four bits of the first bumper byte that always read 1 on a N150
 """
 
 from __future__ import annotations
@@ -38,28 +36,36 @@ from nclient.protocol.types import BUMPER_SLOT, CPU_RANGE_V, MODELS, MOTOR_RANGE
 from nclient.protocol.wire_state import WireState, serial_wire_state, tcp_wire_state
 
 WIRES = ("tcp", "tcp64", "serial")
-"""The languages a transcript can be in: Nserver's for 32-bit and 64-bit clients, and a robot's own line."""
+"""Protocols: Nserver's for 32-bit and 64-bit clients, and the robot's own serial line."""
 TO_ROBOT, TO_HOST = ">", "<"
-MOST_OUTSTANDING = 256
+MAX_OUTSTANDING = 256
 
+# Reply types of old servers (moved, acceleration) with the layout of another type.
 _SAME_SHAPE = {81: 80, 90: 89}
-"""Types of old servers that look like another."""
 _BY_REPLY_TYPE: dict[int, tuple[ReplyShape, ...]] = {
     80: (shape.STATE,), 82: (shape.SIMPLE_LIST,), 83: (shape.INFRARED,), 84: (shape.SONAR,),
     85: (shape.LASER, shape.SEGMENTS), 86: (shape.COMPASS,), 87: (shape.BUMPER,), 88: (shape.CONFIGURATION,),
     89: (shape.VELOCITY,), ERROR_TYPE: (shape.ERROR,), 300: (shape.SPECIAL,), 1000: (shape.TRUTH,),
     1001: (shape.CONTROL,),
 }
-"""What a reply over TCP is when the request it answers was not seen."""
+"""Layouts by reply type over TCP, tried in this order if the request was not seen."""
+# Slots of the State vector of predict_sensors that hold a prediction: infrared and sonar.
 _PREDICTED = range(1, 33)
 _FLOAT32 = struct.Struct("<f")
 
 
 class WireDecoder:
-    """The two ends of one connection, followed from outside. `wire`: one of WIRES.
+    """Decoder of the traffic of one connection, in both directions.
 
-    Over TCP a reply goes to the first outstanding request whose type and layout it fits, and those before it are
-    given up; one that fits none is read by its type. `tcp64` shows every number as that client holds it, unsigned.
+    Over TCP a reply belongs to the first outstanding request whose type and layout it fits, and earlier ones are
+    discarded; a reply that fits none is read by its type. `tcp64` shows numbers unsigned, as that client stores them.
+
+    Parameters
+    ----------
+    wire
+        One of WIRES.
+    model
+        The robot's model.
     """
 
     def __init__(self, wire: str, model: Model) -> None:
@@ -72,15 +78,15 @@ class WireDecoder:
 
     @property
     def wire_state(self) -> WireState:
-        """Mask and laser shape as they are now; a caller who knows better may set them."""
+        """Return the current state of the connection; it may be changed."""
         return self._ends.wire_state
 
-    def agree(self, wire_state: WireState) -> None:
-        """The two ends had come to these terms before anybody listened."""
+    def set_wire_state(self, wire_state: WireState) -> None:
+        """Replace the connection's state, for a connection whose beginning was not recorded."""
         self._ends.wire_state = wire_state.copy()
 
     def read(self, line: str) -> dict[str, Any]:
-        """The object for one line of text: `>` or `<`, then the bytes of one frame in hex, blanks as you like."""
+        """Decode one line of text: `>` or `<`, then one frame in hex; blanks are ignored."""
         direction, digits = line.strip()[:1], line.strip()[1:]
         if direction not in (TO_ROBOT, TO_HOST):
             return {"error": "a line starts with > (to the robot) or < (from it), then hex"}
@@ -91,11 +97,11 @@ class WireDecoder:
         return self.request(data) if direction == TO_ROBOT else self.reply(data)
 
     def expect(self, name: str) -> None:
-        """A reply to the call of that C name comes next, as though its request had been seen."""
+        """Expect a reply to the command of that C name next, as if its request had been decoded."""
         self._ends.expect(codec.find_command(name))
 
     def request(self, data: bytes) -> dict[str, Any]:
-        """The object for bytes that went to the robot."""
+        """Decode one frame to the robot."""
         try:
             call = self._ends.call(data)
         except WireError as error:
@@ -105,7 +111,7 @@ class WireDecoder:
         return describe_call(call)
 
     def reply(self, data: bytes) -> dict[str, Any]:
-        """The object for bytes that came from the robot."""
+        """Decode one frame from the robot."""
         try:
             answer = self._ends.answer(data)
         except WireError as error:
@@ -115,27 +121,27 @@ class WireDecoder:
             return {"to": "host", "reply": "hello", "mask": mask, "laser_mode": answer.laser_mode}
         self.client_state.apply_reply(answer.reply)
         reply = zero_extend(answer.reply) if self._wide else answer.reply
-        fields = describe_client_state(self.client_state) | _said(reply, answer.name)
+        fields = describe_client_state(self.client_state) | _reply_values(reply, answer.name)
         return {"to": "host", "reply": reply.kind} | fields
 
 
 def describe_call(call: Call) -> dict[str, Any]:
-    """A call as an object: `args` as the C call has them, what it does not have beside them by its name.
+    """Return a call as a dictionary: `args` as in the C call, other arguments by name.
 
     connect_robot, disconnect_robot, create_robot: pid; ct: mask, 44 numbers; special_request: packet_type.
     """
-    args, beside = list(call.args), {}
+    args, extra = list(call.args), {}
     row = BY_NAME[call.name]
-    if row.beside:
-        name, place = row.beside
-        taken = args[place]
+    if row.extra_arguments:
+        name, place = row.extra_arguments
+        values = args[place]
         del args[place]
-        beside[name] = taken if len(taken) > 1 else taken[0]
-    return {"to": "robot", "call": call.name, "args": args} | beside
+        extra[name] = values if len(values) > 1 else values[0]
+    return {"to": "robot", "call": call.name, "args": args} | extra
 
 
 def describe_client_state(client_state: ClientState) -> dict[str, Any]:
-    """What the client holds, as an object; null for what it never had. Volts as the C client's float shows them."""
+    """Return the client's state as a dictionary, None where unset. Volts as single-precision floats, as in C."""
     cpu, motors = client_state.volts or (None, None)
     return {
         "State": list(client_state.slots),
@@ -154,52 +160,53 @@ def _shown_volts(raw: int | None, full_range_v: float) -> float | None:
 
 
 def _single(value: float) -> float:
-    """The value as the C client's float holds it; it keeps the ranges in floats, too."""
+    """Round to single precision. The C client stores volts and the voltage ranges in floats."""
     (single,) = _FLOAT32.unpack(_FLOAT32.pack(value))
     return float(single)
 
 
-def _said(reply: Reply, name: str | None) -> dict[str, Any]:
-    """The plain numbers of a reply, and the same by the names that the C call gives them."""
+def _reply_values(reply: Reply, name: str | None) -> dict[str, Any]:
+    """Return the plain numbers of a reply, also by the names of the C call's results."""
     values = list(reply.values)
     if not values:
         return {}
-    said: dict[str, Any] = {"values": values}
+    fields: dict[str, Any] = {"values": values}
     match reply.kind, name:
         case "error", _:
-            said["code"] = values[0]
+            fields["code"] = values[0]
         case "prediction", _:
-            said["pred_state"] = [values[k] if k in _PREDICTED else 0 for k in range(STATE_SIZE)]
-            said["pred_laser"] = list(reply.laser or ())
+            fields["pred_state"] = [values[k] if k in _PREDICTED else 0 for k in range(STATE_SIZE)]
+            fields["pred_laser"] = list(reply.laser or ())
         case "special", _:
-            said |= {"special": values} | _said_by_arm(values, name)
+            fields |= {"special": values} | _arm_values(values, name)
         case _, "get_rpx" | "move_obstacle" | "get_robot_conf":
-            said["obs"] = values
+            fields["obs"] = values
         case _, "motion_check":
-            said["collide"] = [values[1] / 100, values[2] / 100, values[3] / 1e6]
-    return said
+            fields["collide"] = [values[1] / 100, values[2] / 100, values[3] / 1e6]
+    return fields
 
 
-def _said_by_arm(values: list[int], name: str | None) -> dict[str, int]:
+def _arm_values(values: list[int], name: str | None) -> dict[str, int]:
     data = bytes(value & 255 for value in values)
-    said: dict[str, int] = {}
+    fields: dict[str, int] = {}
+    # Four bytes of packet header, then an int32 result, for arm_ws followed by the remaining time.
     if name in ("arm_zr", "arm_ws", "arm_mv") and len(data) >= 8:
-        said["arm"] = int.from_bytes(data[4:8], "little", signed=True)
+        fields["arm"] = int.from_bytes(data[4:8], "little", signed=True)
     if name == "arm_ws" and len(data) >= 12:
-        said["remain"] = int.from_bytes(data[8:12], "little")
-    return said
+        fields["remain"] = int.from_bytes(data[8:12], "little")
+    return fields
 
 
 @dataclass(frozen=True, slots=True)
 class _Answer:
-    """A reply, and the C name of the call it answers where that is known."""
+    """A reply, and the C name of its request if that is certain."""
 
     reply: Reply
     name: str | None
 
 
 class _Ends(Protocol):
-    """What Transcript needs of a language. `call` and `answer` raise WireError for bytes that are no good frame."""
+    """Protocol-specific part of WireDecoder. `call` and `answer` raise WireError for bytes that are not one frame."""
 
     wire_state: WireState
 
@@ -209,22 +216,22 @@ class _Ends(Protocol):
 
 
 class _TcpEnds:
-    """A client and an Nserver."""
+    """Nserver over TCP: replies do not name their request, so the outstanding requests are queued."""
 
     def __init__(self, model: Model, wide: bool) -> None:
         self.wire_state = tcp_wire_state(model)
         self.wire_state.wide = wide
-        self._outstanding: deque[tuple[Command, WireState]] = deque(maxlen=MOST_OUTSTANDING)
+        self._outstanding: deque[tuple[Command, WireState]] = deque(maxlen=MAX_OUTSTANDING)
 
     def call(self, data: bytes) -> Call:
-        return codec.tcp_call(tcp_framing.only_frame(data, request_bounds, self.wire_state.wide))
+        return codec.decode_tcp_request(tcp_framing.parse_single_frame(data, request_bounds, self.wire_state.wide))
 
     def expect(self, row: Command) -> None:
         if row.has_tcp_reply and row.tcp_type is not None:
             self._outstanding.append((row, self.wire_state.copy()))
 
     def answer(self, data: bytes) -> _Answer:
-        frame = tcp_framing.only_frame(data, reply_bounds, self.wire_state.wide)
+        frame = tcp_framing.parse_single_frame(data, reply_bounds, self.wire_state.wide)
         for place, (row, wire_state) in enumerate(self._outstanding):
             reply = _fitting(row, frame, wire_state)
             if reply:
@@ -248,41 +255,43 @@ def _fitting(row: Command, frame: TcpFrame, wire_state: WireState) -> Reply | No
     if frame_type not in (ERROR_TYPE, REPLY_TYPES[row.tcp_reply]):
         return None
     try:
-        return codec.read_tcp_reply(row, frame, wire_state)
+        return codec.decode_tcp_reply(row, frame, wire_state)
     except WireError:
         return None
 
 
 class _LineEnds:
-    """A host and a robot on its own line, where a reply names the command; only the arm's need the request."""
+    """Serial line: a reply has the type of its command; only those of the arm's packets need the request."""
 
     def __init__(self, model: Model) -> None:
         self.wire_state = serial_wire_state(model)
-        self._asked: Command | None = None
-        self._may_greet = model.sends_mask
+        self._request: Command | None = None
+        self._handshake_allowed = model.sends_mask
 
     def call(self, data: bytes) -> Call:
-        return codec.line_call(serial_framing.only_frame(data, serial_framing.HOST_LIMIT), self.wire_state)
+        return codec.decode_serial_request(
+            serial_framing.parse_single_frame(data, serial_framing.HOST_LIMIT), self.wire_state
+        )
 
     def expect(self, row: Command) -> None:
-        self._asked = row
+        self._request = row
 
     def answer(self, data: bytes) -> _Answer | client_state.Handshake:
         try:
-            frame = serial_framing.only_frame(data)
-            reply = codec.read_line_reply(frame, self.wire_state)
+            frame = serial_framing.parse_single_frame(data)
+            reply = codec.decode_serial_reply(frame, self.wire_state)
         except WireError:
             framed = data[:1] + data[-1:] == bytes((serial_framing.START, serial_framing.END))
-            if not self._may_greet or len(data) != client_state.HANDSHAKE_SIZE or framed:
+            if not self._handshake_allowed or len(data) != client_state.HANDSHAKE_SIZE or framed:
                 raise
-            self._may_greet = False
-            greeting = client_state.read_handshake(data)
-            client_state.apply_handshake(greeting, self.wire_state)
-            return greeting
-        self._may_greet = False
+            self._handshake_allowed = False
+            handshake = client_state.read_handshake(data)
+            client_state.apply_handshake(handshake, self.wire_state)
+            return handshake
+        self._handshake_allowed = False
         row = BY_LINE_TYPE.get(frame.type)
-        if self._asked and self._asked.line_type == frame.type:
-            row = self._asked
+        if self._request and self._request.line_type == frame.type:
+            row = self._request
         return _Answer(reply, row.name if row else None)
 
 
@@ -290,7 +299,7 @@ _LINE_MODE = 1
 
 
 def guess_model(data: bytes) -> Model | None:
-    """The model that sends such a state packet, None where it is nobody's."""
+    """Return the model that sends a state packet like this one, None if it fits no model."""
     fixed = _read(data, N150)
     if fixed is not None:
         return N150 if fixed.slots[BUMPER_SLOT] & N150.bumper_rest == N150.bumper_rest else SCOUT
@@ -298,20 +307,20 @@ def guess_model(data: bytes) -> Model | None:
 
 
 def model_mismatch_hint(model: Model, data: bytes | None = None) -> str:
-    """What to try instead of this model: the one that the packet looks like, else the others there are."""
-    like = guess_model(data) if data is not None else None
-    if like is None:
+    """Return what to try instead of this model: the one guessed from a state packet, else the other models."""
+    guess = guess_model(data) if data is not None else None
+    if guess is None:
         others = " or ".join(f"model={name}" for name in MODELS if name != model.name)
-        return f"is it a {model.name}? Else say {others} in the address"
-    if like is model:
+        return f"is it a {model.name}? Else write {others} in the address"
+    if guess is model:
         return ""
-    return f"it looks like a {like.name}'s: say model={like.name} in the address"
+    return f"it looks like a {guess.name}'s: write model={guess.name} in the address"
 
 
 def _read(data: bytes, model: Model, laser_mode: int | None = None) -> Reply | None:
     wire_state = serial_wire_state(model)
     if laser_mode is not None:
-        wire_state.note_laser_mode(laser_mode)
+        wire_state.set_laser_mode(laser_mode)
     try:
         return LINE_STATE.parse(data, wire_state)
     except WireError:

@@ -1,24 +1,14 @@
-"""The pieces that requests and replies over TCP are made of, as construct classes. No message is declared here.
+"""Construct classes that requests and replies are made of, over TCP and on the serial line.
 
-    everything is a big-endian signed 32-bit word; clocks are read as unsigned        on the line: line_fields.py
+    TCP            every number is a big-endian signed 32-bit word; clocks are unsigned
+    serial line    low byte first; signed numbers are sign-magnitude (top bit = minus): -50 is 32 80, -0 reads as 0
 
-Rules: a piece parses to one of four things a Reply holds, State slots {number: value}, stamps {name: Stamp},
-a laser vector (n, values...), or a plain value; pieces whose presence depends on the conversation read its
-Terms from the context (`terms=` given to parse and build). Too few bytes is construct's StreamError.
+A class parses to one part of a Reply: State slots {number: value}, stamps {name: Stamp}, a laser vector (n, values...),
+or plain values. Classes that depend on mask or model read them from the WireState in the context
+(`wire_state=` of parse and build). Missing bytes raise construct's StreamError.
 
-Runs of equal numbers on the robot's own line, low byte first, packed and unpacked in one go.
-
-    BYTES, SHORTS, LONGS    unsigned, of 1, 2 and 4 octets
-    SIGNED_SHORTS, SIGNED_LONGS    sign-magnitude: the top bit means minus; -0 reads as 0
-
-Rules: numbers and bytes, nothing else; a number that does not fit is a ValueError. A state packet is made of runs, and
-an element at a time costs ten times as much.
-
-The pieces of a robot's own line, as construct classes. No message is declared here.
-
-    low byte first; signed numbers are sign-magnitude (top bit = minus): -50 is 32 80
-
-Rules: those of fields.py; numbers go in runs (runs.py).
+Numbers of the serial line are packed as runs (class Run): one call of struct per run instead of one per number makes
+state packets ten times as fast.
 """
 
 from __future__ import annotations
@@ -38,19 +28,19 @@ WORD = Int32sb
 UNSIGNED_WORD = Int32ub
 STAMP_WORDS = struct.Struct(">7i2I")
 MAX_LASER_READINGS = 482
-"""Columns of the laser; no reply holds more readings."""
+"""Number of columns of the laser, and so the maximum number of readings in a reply."""
 
 
 class Masked(Construct):
-    """A piece that some masks leave out whole."""
+    """A field that some masks exclude completely."""
 
     @abstractmethod
-    def absent(self, mask: Mask) -> bool:
-        """Whether nothing of it is there under this mask."""
+    def is_absent(self, mask: Mask) -> bool:
+        """Return True if the mask excludes all of it."""
 
 
 class Words(Construct):
-    """A run of signed words as a tuple of ints: `count` of them, or all there are where count is None."""
+    """Signed words as a tuple of ints: `count` of them, or all that are left if count is None."""
 
     def __init__(self, count: int | None) -> None:
         super().__init__()
@@ -80,13 +70,14 @@ class Words(Construct):
 
 
 class WordSlots(Construct):
-    """State[first] to State[last] over TCP, a word each. A slot that is not given is sent as 0."""
+    """State[first] to State[last] over TCP, one word each. A missing slot is sent as 0."""
 
     def __init__(self, first: int, last: int) -> None:
         super().__init__()
         self.slots = range(first, last + 1)
         self.format = struct.Struct(f">{len(self.slots)}i")
-        self.all_of = itemgetter(*self.slots, first)  # one slot more, so that a run of one is a tuple too
+        # One slot more than needed, so that itemgetter returns a tuple for a single slot, too.
+        self.all_of = itemgetter(*self.slots, first)
 
     def _parse(self, stream: Any, context: Any, path: str) -> dict[int, int]:
         return dict(zip(self.slots, self.format.unpack(take(stream, self.format.size, path)), strict=True))
@@ -104,7 +95,7 @@ class WordSlots(Construct):
 
 
 class WordStamps(Construct):
-    """Stamps over TCP, nine words each, of the sensors whose bit is set in Smask[0], mask or not."""
+    """Stamps over TCP, nine words each, of all sensors whose bit is set in Smask[0], whatever the rest of the mask."""
 
     def __init__(self, *wanted: Position) -> None:
         super().__init__()
@@ -125,7 +116,7 @@ class WordStamps(Construct):
 
 
 class WordLaser(Construct):
-    """A laser block over TCP: n, then `width(terms)` words a reading. Nothing given is sent as n = 0."""
+    """Laser block over TCP: n, then `width(wire_state)` words per reading. None is sent as n = 0."""
 
     def __init__(self, width: Callable[[WireState], int]) -> None:
         super().__init__()
@@ -146,13 +137,13 @@ class WordLaser(Construct):
 
 
 def wire_state_of(context: Any) -> WireState:
-    """What the conversation has agreed."""
+    """Return the WireState of a construct context."""
     wire_state: WireState = context._params.wire_state
     return wire_state
 
 
 def take(stream: Any, count: int, path: str) -> bytes:
-    """So many bytes; StreamError where they are not there."""
+    """Read `count` bytes; StreamError if there are fewer."""
     data: bytes = stream.read(count)
     return data if len(data) == count else _exactly(data, count, path)
 
@@ -171,14 +162,14 @@ def _pack(layout: str, values: Iterable[int], path: str) -> bytes:
 
 
 def checked_readings(count: int, path: str) -> int:
-    """A count of laser readings that can be."""
+    """Return a count of laser readings; StreamError if it is out of range."""
     if not 0 <= count <= MAX_LASER_READINGS:
         raise StreamError(f"a laser sends 0..{MAX_LASER_READINGS} readings, not {count}", path=path)
     return count
 
 
 def check_laser(laser: Sequence[int], width: int, path: str) -> None:
-    """Refuse a laser vector whose count does not say how long it is."""
+    """Raise FormatFieldError if a laser vector's length does not match its count."""
     if len(laser) != 1 + width * checked_readings(laser[0], path):
         raise FormatFieldError(
             f"a laser vector of {laser[0]} readings has {width * laser[0]} numbers after the count, "
@@ -186,7 +177,15 @@ def check_laser(laser: Sequence[int], width: int, path: str) -> None:
 
 
 class Run:
-    """Numbers of so many octets each, one after another. `code`: that of struct; `signed`: sign-magnitude."""
+    """Packing of consecutive numbers of the same size, low byte first.
+
+    Parameters
+    ----------
+    code
+        Format character of struct.
+    signed
+        True for sign-magnitude numbers.
+    """
 
     def __init__(self, code: str, signed: bool = False) -> None:
         self.octets: Final = struct.calcsize(f"<{code}")
@@ -194,7 +193,7 @@ class Run:
         self._code: Final = code
 
     def pack(self, numbers: Sequence[int]) -> bytes:
-        """The bytes of these numbers. Raises ValueError where one does not fit."""
+        """Return the bytes of these numbers. Raises ValueError if one does not fit."""
         if self.sign:
             numbers = [number if 0 <= number < self.sign else self._magnitude(number) for number in numbers]
         try:
@@ -203,7 +202,7 @@ class Run:
             raise ValueError(f"{list(numbers)} in {self.octets} bytes each: {error}") from None
 
     def unpack(self, data: bytes) -> tuple[int, ...]:
-        """The numbers that these bytes are, a whole count of them."""
+        """Return the numbers in these bytes, whose length must be a multiple of the size."""
         numbers = struct.unpack(f"<{len(data) // self.octets}{self._code}", data)
         if not self.sign:
             return numbers
@@ -228,7 +227,7 @@ LINE_CLOCK = Int32ul
 
 
 class Number(Construct):
-    """One number of a run (runs.py)."""
+    """A single number, packed as a run of one."""
 
     def __init__(self, run: Run) -> None:
         super().__init__()
@@ -258,11 +257,11 @@ class _MaskedSlots(Masked):
         self.masked = masked
         self._chosen: tuple[Mask | None, Sequence[int]] = (None, ())
 
-    def absent(self, mask: Mask) -> bool:
+    def is_absent(self, mask: Mask) -> bool:
         return self.masked and not any(map(mask.has, self.slots))
 
     def _selected(self, context: Any) -> Sequence[int]:
-        """A mask seldom changes, so what the last one chose is kept."""
+        """Return the selected slots, cached for the last mask since masks rarely change."""
         if not self.masked:
             return self.slots
         mask, slots = wire_state_of(context).mask, self.slots
@@ -273,7 +272,7 @@ class _MaskedSlots(Masked):
 
 
 class LineSlots(_MaskedSlots):
-    """State slots on the robot's own line, numbers of a run; only those in the mask where `masked`."""
+    """State slots on the serial line as a run of numbers; with `masked` only those that the mask selects."""
 
     def __init__(self, first: int, last: int, run: Run, masked: bool = True) -> None:
         super().__init__(first, last, masked)
@@ -289,7 +288,7 @@ class LineSlots(_MaskedSlots):
 
 
 class LineNibbles(_MaskedSlots):
-    """Infrared readings on the robot's own line: four bits each, low half first, padded with 0 to a byte."""
+    """Infrared readings on the serial line: four bits each, low half first, padded with 0 to a byte."""
 
     def __init__(self, first: int, last: int, masked: bool = True) -> None:
         super().__init__(first, last, masked)
@@ -307,7 +306,7 @@ class LineNibbles(_MaskedSlots):
 
 
 class BumperBytes(_MaskedSlots):
-    """The three bumper bytes on the robot's own line as one number, in the order of the model."""
+    """Three bumper bytes on the serial line as one number, in the model's byte order."""
 
     def __init__(self, slot: int, masked: bool = True) -> None:
         super().__init__(slot, slot, masked)
@@ -323,9 +322,10 @@ class BumperBytes(_MaskedSlots):
 
 
 class LineStamps(Masked):
-    """Stamps on the robot's own line of one kind of sensor, if its bit is set in Smask[0].
+    """Stamps on the serial line of one kind of sensor, if its bit is set in Smask[0]: 7 int32 and 2 uint32 each.
 
-    In a state packet only those in the mask have stamps (`slots`: their State slots); a get_ answer has them all.
+    In a state packet only the sensors that the mask selects have stamps (`slots`: their State slots); the reply to a
+    get_ command has all of them.
     """
 
     def __init__(self, wanted: Position, slots: Sequence[int] = ()) -> None:
@@ -334,7 +334,7 @@ class LineStamps(Masked):
         self.wanted = int(wanted)
         self.slots = slots
 
-    def absent(self, mask: Mask) -> bool:
+    def is_absent(self, mask: Mask) -> bool:
         return not self._selected(mask)
 
     def _selected(self, mask: Mask) -> list[str]:
@@ -360,9 +360,9 @@ class LineStamps(Masked):
 
 
 class LineLaser(Masked):
-    """A laser block on the robot's own line: count, then `width` signed numbers or one pixel a reading.
+    """Laser block on the serial line: count, then `width` signed numbers or one pixel per reading.
 
-    `masked_by`: the State slot whose mask bit decides whether the block is there at all; None: always.
+    `masked_by` is the State slot whose mask bit includes the block; None: always included.
     """
 
     def __init__(self, width: Callable[[WireState], int], masked_by: int | None = None) -> None:
@@ -370,12 +370,12 @@ class LineLaser(Masked):
         self.width = width
         self.masked_by = masked_by
 
-    def absent(self, mask: Mask) -> bool:
+    def is_absent(self, mask: Mask) -> bool:
         return self.masked_by is not None and not mask.has(self.masked_by)
 
     def _parse(self, stream: Any, context: Any, path: str) -> tuple[int, ...] | None:
         wire_state = wire_state_of(context)
-        if self.absent(wire_state.mask):
+        if self.is_absent(wire_state.mask):
             return None
         count = checked_readings(SHORTS.unpack(take(stream, 2, path))[0], path)
         width = self.width(wire_state)
@@ -384,7 +384,7 @@ class LineLaser(Masked):
 
     def _build(self, obj: Sequence[int] | None, stream: Any, context: Any, path: str) -> Any:
         wire_state = wire_state_of(context)
-        if self.absent(wire_state.mask):
+        if self.is_absent(wire_state.mask):
             return obj
         laser = obj or (0,)
         width = self.width(wire_state)
@@ -395,7 +395,7 @@ class LineLaser(Masked):
 
 
 class LineRun(Construct):
-    """A fixed count of numbers on the robot's own line."""
+    """A fixed number of numbers on the serial line."""
 
     def __init__(self, count: int, run: Run) -> None:
         super().__init__()

@@ -1,10 +1,10 @@
-"""What a reply means, apart from how it is laid on the wire, and every layout there is, declared once.
+"""Replies: their values, and the layout of each kind of reply over TCP and on the serial line.
 
-    Reply       the value: State slots, laser vector, stamps, clock, battery bytes, or plain numbers
+    Reply       the values: State slots, laser vector, stamps, clock, battery bytes, or plain numbers
     ReplyShape  one layout: named constructs that parse bytes to a Reply and build them from it
 
-A member's name says which part of the Reply it is: slots*, stamps*, laser, clock, volts, values.
-Rules: shapes know no socket and no history; what a conversation has agreed comes in as Terms.
+A member's name gives the part of the Reply that it holds: slots*, stamps*, laser, clock, volts, values.
+Mask and laser mode of the connection come in as WireState.
 """
 
 from __future__ import annotations
@@ -45,11 +45,24 @@ LAST_TCP_SLOT = 44
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """What one reply says, in wire units. `kind` is a name such as state, sonar, simple, error, nak.
+    """Values of one reply, in wire units.
 
-    `slots` holds the State slots it carries, `laser` the laser vector (n, values...), `stamps` the position
-    stamps by name (ir_0, sonar_15, bumper, laser, compass), `clock` milliseconds, `volts` the two raw battery
-    bytes (CPU, motors), `values` the numbers of every other kind.
+    Attributes
+    ----------
+    kind
+        state, sonar, simple, error, nak, ...
+    slots
+        State slots that the reply carries, by number.
+    laser
+        Laser vector (n, values...).
+    stamps
+        Position stamps by name: ir_0 to ir_15, sonar_0 to sonar_15, bumper, laser, compass.
+    clock
+        Robot's clock in milliseconds.
+    volts
+        Raw battery bytes (CPU, motors).
+    values
+        Numbers of every other kind of reply.
     """
 
     kind: str
@@ -61,73 +74,73 @@ class Reply:
     values: tuple[int, ...] = ()
 
 
-class _Agreed:
-    """What construct hands to each member as its context: the terms, where a Struct would have them."""
+class _Context:
+    """Construct context of a reply's members: holds the WireState where a Struct would have its parameters."""
 
     def __init__(self, wire_state: WireState) -> None:
         self.wire_state = wire_state
 
     @property
-    def _params(self) -> _Agreed:
-        """Itself, as in construct; kept, it would be garbage after each reply."""
+    def _params(self) -> _Context:
+        # A property, because an attribute that refers to its own object would need the garbage collector.
         return self
 
 
 class _Member(NamedTuple):
-    """A part of a reply, by name, and what reads and writes it."""
+    """A named part of a reply with its parse and build functions."""
 
     name: str
     part: str
     parse: Callable[..., Any]
     build: Callable[..., Any]
-    absent: Callable[[Mask], bool] | None
+    is_absent: Callable[[Mask], bool] | None
 
 
 def _member(name: str, subcon: Construct) -> _Member:
-    absent = subcon.absent if isinstance(subcon, Masked) else None
-    return _Member(name, name.partition("_")[0], subcon._parse, subcon._build, absent)
+    is_absent = subcon.is_absent if isinstance(subcon, Masked) else None
+    return _Member(name, name.partition("_")[0], subcon._parse, subcon._build, is_absent)
 
 
 class ReplyShape:
-    """A layout of a reply: `kind`, and the named constructs that make its bytes, in order.
+    """Layout of a reply: its kind, and named constructs in the order of their bytes.
 
-    It stands for a construct Struct, and runs the members itself: every answer of the daemon goes through here,
-    and a Struct costs three times as much. A member that a mask leaves out (its `absent` says so) is not run at all.
+    Replaces a construct Struct, which takes three times as long: every reply of the server passes through here.
+    Members that the mask excludes (`Masked.absent`) are skipped.
     """
 
     def __init__(self, kind: str, **members: Any) -> None:
         self.kind = kind
         self.layout: Mapping[str, Any] = members
-        """The members' constructs by name, in order."""
+        """Constructs of the members by name, in order."""
         self._members = [_member(name, subcon) for name, subcon in members.items()]
-        self._masked = any(member.absent is not None for member in self._members)
+        self._masked = any(member.is_absent is not None for member in self._members)
         self._present: tuple[Mask | None, list[_Member]] = (None, [])
 
-    def _under(self, mask: Mask) -> list[_Member]:
-        """The members there are; a mask seldom changes, so what the last one left is kept."""
+    def _present_members(self, mask: Mask) -> list[_Member]:
+        """Return the members that the mask includes, cached for the last mask since masks rarely change."""
         if not self._masked:
             return self._members
         present = self._present
         if present[0] is not mask:
-            members = [member for member in self._members if member.absent is None or not member.absent(mask)]
+            members = [member for member in self._members if member.is_absent is None or not member.is_absent(mask)]
             present = self._present = (mask, members)
         return present[1]
 
     def parse(self, data: bytes, wire_state: WireState) -> Reply:
-        """The reply that these bytes are. Raises WireError when they are none of this shape."""
+        """Parse a reply. Raises WireError if the bytes do not have this layout."""
         slots: dict[int, int] = {}
         stamps: dict[str, Stamp] = {}
         found: dict[str, Any] = {"slots": slots, "stamps": stamps}
-        stream, context = BytesIO(data), _Agreed(wire_state)
+        stream, context = BytesIO(data), _Context(wire_state)
         try:
-            for name, part, parse, _, _ in self._under(wire_state.mask):
+            for name, part, parse, _, _ in self._present_members(wire_state.mask):
                 value = parse(stream, context, name)
                 if part in ("slots", "stamps"):
                     found[part].update(value)
                 else:
                     found[name] = value
         except ConstructError as error:
-            raise WireError(f"no {self.kind} reply of this shape: {one_line(error)}") from None
+            raise WireError(f"no {self.kind} reply of this shape: {summarize_error(error)}") from None
         if stream.tell() != len(data):
             raise WireError(f"no {self.kind} reply of this shape: it ends after {stream.tell()} of {len(data)} bytes")
         volts = tuple(found["volts"]) if "volts" in found else None
@@ -135,7 +148,7 @@ class ReplyShape:
         return Reply(self.kind, slots, found.get("laser"), stamps, found.get("clock"), volts, values)
 
     def build(self, reply: Reply, wire_state: WireState) -> bytes:
-        """The bytes of a reply. Raises WireError when it holds what this shape cannot carry."""
+        """Return the bytes of a reply. Raises WireError if its values do not fit this layout."""
         parts = {
             "slots": reply.slots,
             "stamps": reply.stamps,
@@ -144,21 +157,21 @@ class ReplyShape:
             "values": reply.values,
             "volts": reply.volts or (0, 0),
         }
-        stream, context = BytesIO(), _Agreed(wire_state)
+        stream, context = BytesIO(), _Context(wire_state)
         try:
-            for name, part, _, build, _ in self._under(wire_state.mask):
+            for name, part, _, build, _ in self._present_members(wire_state.mask):
                 build(parts[part], stream, context, name)
         except ConstructError as error:
-            raise WireError(f"a {self.kind} reply cannot carry this: {one_line(error)}") from None
+            raise WireError(f"a {self.kind} reply cannot carry this: {summarize_error(error)}") from None
         return stream.getvalue()
 
 
-_WAY: Final = re.compile(r"Error in path ([^\n]*)\n")
+_ERROR_PATH: Final = re.compile(r"Error in path ([^\n]*)\n")
 
 
-def one_line(error: Exception) -> str:
-    """What construct says, on one line, and of the way to the place that it means the names alone."""
-    text = _WAY.sub(lambda way: ": ".join([*way[1].split(" -> ")[1:], ""]), str(error))
+def summarize_error(error: Exception) -> str:
+    """Return construct's error text on one line, its path shortened to the names of the fields."""
+    text = _ERROR_PATH.sub(lambda path: ": ".join([*path[1].split(" -> ")[1:], ""]), str(error))
     return " ".join(text.split())
 
 
@@ -166,7 +179,8 @@ def _words(kind: str, count: int | None) -> ReplyShape:
     return ReplyShape(kind, values=Words(count))
 
 
-# Over TCP (PROTOCOL.md, section 1).
+# Layouts over TCP (PROTOCOL.md, section 1). A state reply is the State vector of 45 words, the laser block, stamps for
+# the bits in Smask[0], clock in ms, CPU and motor voltage bytes.
 STATE = ReplyShape(
     "state",
     slots=WordSlots(0, LAST_TCP_SLOT),
@@ -175,6 +189,7 @@ STATE = ReplyShape(
     clock=UNSIGNED_WORD,
     volts=Words(2),
 )
+# get_ir, get_sn: 16 values, stamps, clock. get_bp, get_cp: one value, stamp, clock.
 INFRARED = ReplyShape(
     "infrared", slots=WordSlots(1, 16), stamps=WordStamps(Position.INFRARED), clock=UNSIGNED_WORD
 )
@@ -191,6 +206,7 @@ COMPASS = ReplyShape(
     stamps=WordStamps(Position.COMPASS),
     clock=UNSIGNED_WORD,
 )
+# get_ls and get_sg: laser block, stamp, clock.
 LASER = ReplyShape(
     "laser",
     laser=WordLaser(lambda wire_state: wire_state.get_laser_width),
@@ -200,6 +216,7 @@ LASER = ReplyShape(
 SEGMENTS = ReplyShape(
     "laser", laser=WordLaser(lambda _: LINES), stamps=WordStamps(Position.LASER), clock=UNSIGNED_WORD
 )
+# get_rc: x y steering turret; get_rv, get_ra: three values; predict_sensors: words 0..43 and a laser block.
 CONFIGURATION = ReplyShape("configuration", slots=WordSlots(34, 37))
 CLICKED_CONFIGURATION = _words("configuration", 4)
 VELOCITY = ReplyShape("velocity", slots=WordSlots(38, 40))
@@ -212,7 +229,8 @@ TRUTH = _words("truth", 8)
 CONTROL = _words("control", 4)
 ERROR = _words("error", 1)
 
-# On the robot's own line (PROTOCOL.md, section 2).
+# Layouts on the serial line (PROTOCOL.md, section 2). A state packet holds only what the mask selects; motor status,
+# clock and voltages are always there.
 LINE_STATE = ReplyShape(
     "state",
     slots_infrared=LineNibbles(1, 16),
@@ -230,6 +248,7 @@ LINE_STATE = ReplyShape(
     clock=LINE_CLOCK,
     volts=LineRun(2, BYTES),
 )
+# Replies to get_* commands carry all their values, whatever the mask.
 LINE_INFRARED = ReplyShape(
     "infrared",
     slots=LineNibbles(1, 16, masked=False),

@@ -1,15 +1,11 @@
-"""A request's layout to bytes and back, as construct's `parse` and `build`, and nothing is left for Python's garbage.
+"""Layouts of request arguments, as construct classes: one flat tuple of arguments to bytes and back.
 
-Rules: construct's own make a context for each call, which holds itself: there for as long as nobody looks for garbage,
-which a daemon does now and then. Here all calls share two that never change. Errors are construct's own.
+    arguments    integers in the order of the C call, arrays flattened; the text of tk is the only string
+    Words        the usual layout over TCP: one word per argument
+    Fields       the usual layout on the serial line: one field per argument
 
-The layouts of request data, as construct classes: one flat tuple of arguments to bytes and back.
-
-    arguments    integers in the order of the C call, lists laid open; the text of tk is the only string
-    Words        the plain case over TCP: a word an argument
-    Sequence     the plain case on the robot's own line: a field an argument
-
-Rules: no message is declared here, and nothing knows a socket or the table. Bad values are construct's errors.
+Values out of range raise construct's errors. `parse` and `build` replace construct's own, which create a context per
+call that refers to itself and so stays in memory until the garbage collector runs; here all calls share two.
 """
 
 from __future__ import annotations
@@ -44,7 +40,7 @@ from nclient.protocol.types import Mask, mask_from_line, mask_from_tcp
 
 
 class _Context:
-    """What construct hands to each piece: which way it goes, and itself where a piece asks for the outermost one."""
+    """Immutable construct context: the direction, and itself as root and parameters."""
 
     __slots__ = ("_building", "_parsing")
     _sizing = False
@@ -58,7 +54,7 @@ class _Context:
         return self
 
     def get(self, name: str, default: object = None) -> object:
-        """As of a dictionary that holds nothing but `_root`."""
+        """Return the value of a key; the context holds only `_root`."""
         return self if name == "_root" else default
 
 
@@ -67,12 +63,12 @@ _BUILDING: Final = _Context(parsing=False)
 
 
 def parse(layout: Construct, data: bytes) -> Any:
-    """The value that these bytes are. Raises ConstructError."""
+    """Parse bytes with a layout. Raises ConstructError."""
     return layout._parse(BytesIO(data), _PARSING, "(parsing)")
 
 
 def build(layout: Construct, value: Any) -> bytes:
-    """The bytes of a value. Raises ConstructError."""
+    """Return the bytes of a value in a layout. Raises ConstructError."""
     stream = BytesIO()
     layout._build(value, stream, _BUILDING, "(building)")
     return stream.getvalue()
@@ -81,26 +77,27 @@ def build(layout: Construct, value: Any) -> bytes:
 MAX_OBSTACLE_VERTICES = 10
 MAX_TEXT_WORDS = 64
 MAX_PACKET_DATA = 250
-"""Bytes of user data in a special packet; a host sends less than 256 bytes a frame on the line."""
+"""Maximum bytes of user data in a special packet: a host's serial frame has less than 256 bytes."""
 MOTION_LINE, MOTION_ARC = 0, 1
-_POINT_LASER, _LINE_NAME_OF_POINT_LASER = 51, 35
+# Laser mode 51 (points) is sent as 35 on the serial line, a history above 10 as 10 (PROTOCOL.md, section 2).
+_POINT_LASER, _SERIAL_POINT_LASER = 51, 35
 _MAX_HISTORY = 10
-_FLOAT_NOISE_DIGITS = 6
-"""1.001 x 1000 is 1000.9999999999999 in doubles; what is that near to a whole number is one."""
+_ROUNDING_DIGITS = 6
+"""Digits to round to before truncation: 1.001 x 1000 is 1000.9999999999999 in doubles, and means 1001."""
 
 FLAG_WORD = ExprAdapter(WORD, lambda obj, _: int(bool(obj)), lambda obj, _: int(bool(obj)))
 FLAG_BYTE = ExprAdapter(LINE_BYTE, lambda obj, _: int(bool(obj)), lambda obj, _: int(bool(obj)))
 HISTORY_BYTE = ExprAdapter(LINE_BYTE, lambda obj, _: obj, lambda obj, _: min(obj, _MAX_HISTORY))
 LASER_MODE_BYTE = ExprAdapter(
     LINE_BYTE,
-    lambda obj, _: _POINT_LASER if obj == _LINE_NAME_OF_POINT_LASER else obj,
-    lambda obj, _: _LINE_NAME_OF_POINT_LASER if obj == _POINT_LASER else obj,
+    lambda obj, _: _POINT_LASER if obj == _SERIAL_POINT_LASER else obj,
+    lambda obj, _: _SERIAL_POINT_LASER if obj == _POINT_LASER else obj,
 )
-"""On the line the point mode 51 goes by the number 35."""
+"""Laser mode on the serial line."""
 
 
 class Fields(Adapter):
-    """The plain case: the fields one after another, and nothing behind them."""
+    """Fields one after another, and nothing behind them."""
 
     def __init__(self, *fields: Construct) -> None:
         super().__init__(Sequence(*fields, Terminated))
@@ -113,7 +110,7 @@ class Fields(Adapter):
 
 
 class TcpMask(Adapter):
-    """ct over TCP: the 44 numbers of Smask as seven bytes, a word each."""
+    """Request data of ct over TCP: the 44 numbers of Smask as seven bytes, one per word."""
 
     def __init__(self) -> None:
         super().__init__(Words(7))
@@ -126,7 +123,7 @@ class TcpMask(Adapter):
 
 
 class LineMask(Adapter):
-    """ct on the robot's own line: the 44 numbers of Smask as seven bytes."""
+    """Request data of ct on the serial line: the 44 numbers of Smask as seven bytes."""
 
     def __init__(self) -> None:
         super().__init__(Fields(*[LINE_BYTE] * 7))
@@ -139,7 +136,11 @@ class LineMask(Adapter):
 
 
 class TextWords(Adapter):
-    """tk over TCP: the C string laid into little-endian words, each then sent big-endian."""
+    """Request data of tk over TCP: the C string laid into little-endian words, each then sent big-endian.
+
+    Every group of four characters arrives reversed; bytes after the NUL are undefined. "hello" is
+    `6c 6c 65 68 | .. .. 00 6f`.
+    """
 
     def __init__(self) -> None:
         super().__init__(Words(None))
@@ -149,7 +150,8 @@ class TextWords(Adapter):
         return (text.decode("latin-1"),)
 
     def _encode(self, obj: tuple[str], context: Any, path: str) -> tuple[int, ...]:
-        text = _latin(obj[0], path)
+        text = _encode_latin1(obj[0], path)
+        # Room for the NUL: (length + 4) / 4 words, as the C client counts.
         count = (len(text) + 4) // 4
         if count > MAX_TEXT_WORDS:
             raise FormatFieldError(f"a text has at most {4 * MAX_TEXT_WORDS - 1} characters", path=path)
@@ -157,7 +159,7 @@ class TextWords(Adapter):
 
 
 class LineText(Adapter):
-    """tk on the robot's own line: the characters and a NUL."""
+    """Request data of tk on the serial line: the characters and a NUL."""
 
     def __init__(self) -> None:
         super().__init__(NullTerminated(GreedyBytes))
@@ -166,11 +168,11 @@ class LineText(Adapter):
         return (obj.decode("latin-1"),)
 
     def _encode(self, obj: tuple[str], context: Any, path: str) -> bytes:
-        return _latin(obj[0], path)
+        return _encode_latin1(obj[0], path)
 
 
 class ObstacleWords(Adapter):
-    """n, x1, y1 .. xn, yn over TCP, and `tail` numbers more (the shift of move_obstacle)."""
+    """Obstacle over TCP: n, x1, y1 .. xn, yn, and `tail` numbers more (the shift of move_obstacle)."""
 
     def __init__(self, tail: int = 0) -> None:
         super().__init__(Words(None))
@@ -190,12 +192,13 @@ class ObstacleWords(Adapter):
 
 
 class MotionWords(Adapter):
-    """motion_check over TCP. Arguments in thousandths, as the C call's doubles x 1000; eight words.
+    """Request data of motion_check over TCP: eight words. Arguments are the C call's doubles in thousandths.
 
-    Lengths go as hundredths and angles as millionths of a radian, truncated toward zero; the three words
+    Lengths are sent as hundredths and angles as millionths of a radian, truncated toward zero; the three words
     that a line does not use are sent as 0 and ignored.
     """
 
+    # Numbers after the type, and the places of angles among them, by type: line, arc.
     _COUNTS = (4, 7)
     _ANGLES = (frozenset[int](), frozenset({2, 3}))
 
@@ -205,7 +208,7 @@ class MotionWords(Adapter):
     def _decode(self, obj: Arguments[int], context: Any, path: str) -> tuple[float, ...]:
         kind = self._kind(obj, path)
         words = enumerate(obj[1 : 1 + self._COUNTS[kind]])
-        return (kind, *(_exact(word / 1000) if k in self._ANGLES[kind] else 10 * word for k, word in words))
+        return (kind, *(_whole_if_exact(word / 1000) if k in self._ANGLES[kind] else 10 * word for k, word in words))
 
     def _encode(self, obj: Arguments[float], context: Any, path: str) -> tuple[int, ...]:
         kind = self._kind(obj, path)
@@ -213,7 +216,7 @@ class MotionWords(Adapter):
         if len(obj) != 1 + count:
             raise FormatFieldError(f"motion_check {kind} takes {count} numbers after the type", path=path)
         words = [
-            int(round(v * 1000, _FLOAT_NOISE_DIGITS)) if k in self._ANGLES[kind] else int(v / 10)
+            int(round(v * 1000, _ROUNDING_DIGITS)) if k in self._ANGLES[kind] else int(v / 10)
             for k, v in enumerate(obj[1:])
         ]
         return (kind, *words, *[0] * (7 - count))
@@ -226,7 +229,7 @@ class MotionWords(Adapter):
 
 
 class UserPacket(Adapter):
-    """special_request's packet: length (its own four bytes included), serial 0, packet type, bytes.
+    """User packet of special_request: uint16 length (its own four bytes included), serial 0, packet type, bytes.
 
     The arguments are (packet type, bytes...).
     """
@@ -254,7 +257,7 @@ class UserPacket(Adapter):
 
 
 class ArmPacket(Adapter):
-    """One of the arm's three packets: UserPacket's head with a fixed type, then the fields."""
+    """Packet of an arm command: the header of UserPacket with a fixed type, then the fields."""
 
     def __init__(self, packet_type: int, *elements: Construct) -> None:
         size = 4 + sum(element.sizeof() for element in elements)
@@ -270,7 +273,7 @@ class ArmPacket(Adapter):
 
 
 class ByteWords(Adapter):
-    """A packet over TCP: one byte a word."""
+    """A packet over TCP: one byte per word."""
 
     def __init__(self, packet: Construct) -> None:
         super().__init__(Words(None))
@@ -284,14 +287,16 @@ class ByteWords(Adapter):
         return tuple(build(self.packet, obj))
 
 
+# The arm's packets: 40 zero [uint16 override], 41 wait [uint16 lift, uint16 grip, uint32 timeout],
+# 42 move [4 x uint32: lift mode, value, grip mode, value].
 ARM_ZERO = ArmPacket(40, LINE_UNSIGNED)
 ARM_WAIT = ArmPacket(41, LINE_UNSIGNED, LINE_UNSIGNED, Int32ul)
 ARM_NUMBER = ExprAdapter(Int32sl, lambda obj, _: obj, lambda obj, _: obj - 2**32 if 2**31 <= obj < 2**32 else obj)
-"""A uint32 that old programs give as a signed number: both ways of writing it are taken, the signed one is read."""
+"""A uint32 that old programs pass as a signed number: both forms can be written, the signed one is read."""
 ARM_MOVE = ArmPacket(42, *[ARM_NUMBER] * 4)
 
 
-def _latin(text: Any, path: str) -> bytes:
+def _encode_latin1(text: Any, path: str) -> bytes:
     if not isinstance(text, str):
         raise FormatFieldError(f"a text is wanted, not {text!r}", path=path)
     try:
@@ -300,5 +305,5 @@ def _latin(text: Any, path: str) -> bytes:
         raise FormatFieldError(f"the robot's texts are Latin-1; {text!r} is not", path=path) from None
 
 
-def _exact(value: float) -> float:
+def _whole_if_exact(value: float) -> float:
     return int(value) if value == int(value) else value

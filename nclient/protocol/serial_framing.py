@@ -1,11 +1,11 @@
-"""Frames of the robot's own line: finding whole ones in whatever the line delivers, and making them.
+"""Frames of the robot's own serial line: building them, and finding whole ones in a byte stream.
 
     0x01 | length, 2 bytes low first | type | data ... | checksum | 0x5C
     length counts type + data + checksum; checksum = sum of every byte before it, the 0x01 included, modulo 256
 
-Rules: the framer answers "these frames, or not yet"; it never waits and never raises. A line is never clean: a
-length out of bounds, a wrong checksum or end costs one byte, and the search goes on at the next 0x01, so a corrupt
-length hides the frames behind it only until more bytes come, or until `expire` (the caller's deadline) gives it up.
+The framer returns the frames that are complete; it never waits and never raises. Lines lose and corrupt bytes: after a
+length out of range, a wrong checksum or a wrong end byte the search continues at the next 0x01. A corrupt length hides
+the frames behind it only until more bytes arrive, or until the caller's deadline calls `expire`.
 """
 
 from __future__ import annotations
@@ -15,25 +15,27 @@ from typing import NamedTuple
 from nclient.errors import WireError
 
 START, END = 0x01, 0x5C
+# Bytes that the length field does not count: start, length (2) and end.
 _OVERHEAD = 4
-_SMALLEST_LENGTH = 2
-SMALLEST_FRAME = _OVERHEAD + _SMALLEST_LENGTH
-"""A frame without data."""
+# Type and checksum: the length of a frame without data.
+_MIN_LENGTH = 2
+MIN_FRAME = _OVERHEAD + _MIN_LENGTH
+"""Size of a frame without data in bytes."""
 HOST_LIMIT = 255
-"""Hosts send less than 256 bytes a frame."""
+"""Maximum size of a frame that a host sends."""
 ROBOT_LIMIT = 5174
-"""A state packet with every sensor, every stamp and 482 laser lines: the longest frame a robot can send."""
+"""Maximum size of a frame that a robot sends: a state packet with every sensor, every stamp and 482 laser lines."""
 
 
 class SerialFrame(NamedTuple):
-    """A whole frame with a good checksum."""
+    """A whole frame with a valid checksum."""
 
     type: int
     data: bytes
 
 
 def build_frame(frame_type: int, data: bytes = b"") -> bytes:
-    """The bytes of one frame. Raises WireError when the data is longer than a length can say."""
+    """Return the bytes of one frame. Raises WireError if type or length do not fit their fields."""
     length = len(data) + 2
     if length > 0xFFFF or not 0 <= frame_type <= 0xFF:
         raise WireError(f"a frame of type {frame_type} with {len(data)} bytes cannot be")
@@ -41,15 +43,15 @@ def build_frame(frame_type: int, data: bytes = b"") -> bytes:
     return body + bytes((sum(body) & 255, END))
 
 
-def only_frame(data: bytes, limit: int = ROBOT_LIMIT) -> SerialFrame:
-    """The one frame that these bytes are, nothing before or behind it. Raises WireError, saying what is wrong."""
+def parse_single_frame(data: bytes, limit: int = ROBOT_LIMIT) -> SerialFrame:
+    """Parse bytes that must be exactly one frame. Raises WireError otherwise."""
     if not data or data[0] != START:
         raise WireError(f"a frame starts with 01, not with {data[:1].hex() or 'nothing'}")
     size = _OVERHEAD + int.from_bytes(data[1:3], "little")
     if len(data) < max(3, size):
         raise WireError(f"truncated: {len(data)} bytes of a frame of {size if len(data) > 2 else 'unknown length'}")
-    if not SMALLEST_FRAME <= size <= limit:
-        raise WireError(f"a frame has {SMALLEST_FRAME} to {limit} bytes, not {size}")
+    if not MIN_FRAME <= size <= limit:
+        raise WireError(f"a frame has {MIN_FRAME} to {limit} bytes, not {size}")
     if len(data) > size:
         raise WireError(f"{len(data) - size} bytes behind the frame: {data[size:][:8].hex()}")
     if data[-1] != END:
@@ -61,10 +63,10 @@ def only_frame(data: bytes, limit: int = ROBOT_LIMIT) -> SerialFrame:
 
 
 def _is_frame(data: bytes, limit: int) -> bool:
-    """Whether these bytes are one whole frame and nothing else."""
+    """Return True if these bytes are exactly one valid frame."""
     size = len(data)
     return (
-        _OVERHEAD + _SMALLEST_LENGTH <= size <= limit
+        _OVERHEAD + _MIN_LENGTH <= size <= limit
         and data[0] == START
         and data[1] | data[2] << 8 == size - _OVERHEAD
         and data[-1] == END
@@ -73,7 +75,13 @@ def _is_frame(data: bytes, limit: int) -> bool:
 
 
 class SerialFramer:
-    """Frames out of a stream. `limit`: the longest whole frame that the other end sends, in bytes."""
+    """Incremental parser of the frames in a byte stream.
+
+    Parameters
+    ----------
+    limit
+        Maximum size of a frame from the other end, in bytes: HOST_LIMIT or ROBOT_LIMIT.
+    """
 
     def __init__(self, limit: int = ROBOT_LIMIT) -> None:
         self.limit = limit
@@ -84,12 +92,13 @@ class SerialFramer:
 
     @property
     def pending(self) -> int:
-        """Bytes kept of a frame that is not whole yet."""
+        """Return the number of buffered bytes of an incomplete frame."""
         return len(self._buffer)
 
     def receive(self, data: bytes) -> list[SerialFrame]:
-        """The frames that these bytes complete, in order."""
-        if not self._buffer and _is_frame(data, self.limit):  # what a clean line delivers
+        """Add bytes, and return the frames that they complete, in order."""
+        # Fast path: on a clean line the bytes are often exactly one frame.
+        if not self._buffer and _is_frame(data, self.limit):
             self.frames += 1
             return [SerialFrame(data[3], bytes(data[4:-2]))]
         self._buffer += data
@@ -101,7 +110,7 @@ class SerialFramer:
         return found
 
     def expire(self) -> list[SerialFrame]:
-        """Give up on the frame that is not whole, and look for others in what came after its first byte."""
+        """Discard the incomplete frame, and return frames found in the bytes after its first one."""
         found: list[SerialFrame] = []
         while self._buffer:
             self._discard(1)
@@ -109,24 +118,25 @@ class SerialFramer:
         return found
 
     def clear(self) -> None:
-        """Forget what has come, as a host does before it asks."""
+        """Discard the buffered bytes, as a host does before each request."""
         self._discard(len(self._buffer))
 
     def _candidate(self) -> int:
-        """Bring a possible frame to the front; its size in bytes, 0 when there is none (yet)."""
+        """Discard bytes up to a possible start; return the frame's size in bytes, 0 if it is not known yet."""
         while True:
             start = self._buffer.find(START)
             self._discard(len(self._buffer) if start < 0 else start)
             if len(self._buffer) < 3:
                 return 0
             length = self._buffer[1] | self._buffer[2] << 8
-            if _SMALLEST_LENGTH <= length <= self.limit - _OVERHEAD:
+            if _MIN_LENGTH <= length <= self.limit - _OVERHEAD:
                 return length + _OVERHEAD
             self._discard(1)
 
     def _take(self, size: int) -> SerialFrame | None:
         candidate = bytes(self._buffer[:size])
         if not _is_frame(candidate, self.limit):
+            # Only a frame that ends correctly counts as a checksum error; others are lost synchronisation.
             self.bad_checksums += candidate[-1] == END
             self._discard(1)
             return None

@@ -1,10 +1,10 @@
-"""Frames of the Nserver language: finding whole messages in a stream of bytes, and making them.
+"""Frames of Nserver's protocol over TCP: building messages, and finding whole ones in a byte stream.
 
-    int16 type | uint16 count | count x int32     all big-endian; a 64-bit client's words take eight bytes:
+    int16 type | uint16 count | count x int32     all big-endian; for a 64-bit client a word takes eight bytes:
     request word  00 00 00 00 + value             reply word  value + four bytes that it ignores
 
-Rules: the framer answers "these frames, or not yet"; it never waits and never raises. A count is checked against
-what its type can carry before a byte of it is kept; a frame that cannot be is passed over, counted and reported.
+The framer returns the frames that are complete; it never waits and never raises. A count is checked against the limits
+of its type before any payload is buffered; an invalid frame is skipped, counted and reported.
 """
 
 from __future__ import annotations
@@ -18,62 +18,80 @@ from nclient.protocol.commands import BY_TCP_TYPE, MAX_REPLY_WORDS
 
 _HEADER = struct.Struct(">hH")
 MAX_UNKNOWN_WORDS = 1024
-"""A message of unknown type or wrong count is passed over whole up to this count; beyond it the frame is lost,
-and the search goes on byte by byte, reported once, until a good message is found."""
+"""A message of unknown type or wrong count is skipped whole up to this count. With a larger count synchronisation is
+lost: it is reported once, and the search continues byte by byte until a valid message is found."""
 UNKNOWN_TYPE, WRONG_COUNT = 1, 2
+# create, connect and disconnect: their first argument, the robot number, tells 32-bit from 64-bit clients.
 _CONNECT_TYPES = (101, 102, 103)
 Bounds = Callable[[int], tuple[int, int] | None]
-"""Fewest and most words of a message by its type: request_bounds or reply_bounds."""
+"""Minimum and maximum number of words by message type: request_bounds or reply_bounds."""
 
 
 class TcpFrame(NamedTuple):
-    """A whole message, its words as big-endian 32-bit bytes whatever the client's word is."""
+    """A whole message; its words are big-endian 32-bit for 64-bit clients, too."""
 
     type: int
     payload: bytes
 
 
 class InvalidFrame(NamedTuple):
-    """Bytes that are no message we can take: the ERROR code they deserve, and what was wrong."""
+    """A message that was rejected: code for the ERROR reply, and the reason."""
 
     code: int
     reason: str
     fatal: bool
-    """Whether the stream lost its frame, so that what follows cannot be trusted."""
+    """True if synchronisation was lost, so that later bytes may be misread."""
 
 
 def request_bounds(message_type: int) -> tuple[int, int] | None:
-    """Fewest and most words that a request of this type can carry; None for a type nobody knows."""
+    """Return the minimum and maximum words of a request of this type; None for an unknown type."""
     row = BY_TCP_TYPE.get(message_type)
     return row.tcp_words if row else None
 
 
 def reply_bounds(message_type: int) -> tuple[int, int] | None:
-    """Fewest and most words that a reply of this type can carry; None for a type nobody knows."""
+    """Return the minimum and maximum words of a reply of this type; None for an unknown type."""
     most = MAX_REPLY_WORDS.get(message_type)
     return None if most is None else (1, most)
 
 
-def shorter(bounds: Bounds, most_words: int) -> Bounds:
-    """The same bounds, but no message longer than so many words."""
+def limit_words(bounds: Bounds, max_words: int) -> Bounds:
+    """Return the same bounds with the maximum limited to `max_words`."""
 
-    def shortened(message_type: int) -> tuple[int, int] | None:
+    def limited(message_type: int) -> tuple[int, int] | None:
         found = bounds(message_type)
-        return None if found is None else (found[0], min(found[1], most_words))
+        return None if found is None else (found[0], min(found[1], max_words))
 
-    return shortened
+    return limited
 
 
 def build_frame(frame_type: int, payload: bytes, *, wide: bool = False, reply: bool = False) -> bytes:
-    """The bytes of a message. `payload`: its words as 32-bit bytes; `wide`: for or from a 64-bit client."""
+    """Return the bytes of a message.
+
+    Parameters
+    ----------
+    frame_type
+        Message type.
+    payload
+        Words as big-endian 32-bit bytes.
+    wide
+        True for or from a 64-bit client.
+    reply
+        True for a reply; with `wide` its padding differs from that of a request.
+
+    Raises
+    ------
+    WireError
+        If the payload is not whole words, or has more than 65535.
+    """
     words = len(payload) // 4
     if len(payload) % 4 or words > 0xFFFF:
         raise WireError(f"a message is whole words, at most 65535; got {len(payload)} bytes")
     return _HEADER.pack(frame_type, words) + (_widen(payload, reply) if wide else payload)
 
 
-def only_frame(data: bytes, bounds: Bounds, wide: bool) -> TcpFrame:
-    """The one message that these bytes are, nothing behind it. Raises WireError, saying what is wrong."""
+def parse_single_frame(data: bytes, bounds: Bounds, wide: bool) -> TcpFrame:
+    """Parse bytes that must be exactly one message. Raises WireError otherwise."""
     framer = TcpFramer(bounds, wide)
     found = framer.receive(data)
     if not found:
@@ -88,14 +106,20 @@ def only_frame(data: bytes, bounds: Bounds, wide: bool) -> TcpFrame:
 
 
 class TcpFramer:
-    """Requests or replies out of a stream. Give it bytes as they come; it gives back what is whole.
+    """Incremental parser of the requests or replies in a byte stream.
 
-    `bounds` is request_bounds or reply_bounds. `wide` is None until a CONNECT tells a 32-bit client from a
-    64-bit one: robot ids are at least 1, so a first word of zero comes from the latter. `gives_up`: what comes
-    after the frame was lost is not searched for more, but dropped.
+    Parameters
+    ----------
+    bounds
+        request_bounds or reply_bounds.
+    wide
+        True for a 64-bit client, False for a 32-bit one, None to detect it from CONNECT: robot numbers are at least
+        1, so that a first word of zero comes from a 64-bit client.
+    drop_after_loss
+        True to drop everything after synchronisation was lost instead of searching for the next message.
     """
 
-    def __init__(self, bounds: Bounds, wide: bool | None = None, gives_up: bool = False) -> None:
+    def __init__(self, bounds: Bounds, wide: bool | None = None, drop_after_loss: bool = False) -> None:
         self.wide = wide
         self.frames = 0
         self.skipped_bytes = 0
@@ -104,50 +128,52 @@ class TcpFramer:
         self._buffer = bytearray()
         self._to_skip = 0
         self._lost = False
-        self._gives_up = gives_up
+        self._drop_after_loss = drop_after_loss
 
     @property
     def pending(self) -> int:
-        """Bytes kept of a frame that is not whole yet."""
+        """Return the number of buffered bytes of an incomplete frame."""
         return len(self._buffer)
 
     @property
-    def owed(self) -> int:
-        """Bytes still to come of a message that was refused and is passed over."""
+    def bytes_to_skip(self) -> int:
+        """Return the number of bytes still to arrive of a rejected message that is being skipped."""
         return self._to_skip
 
     def receive(self, data: bytes) -> list[TcpFrame | InvalidFrame]:
-        """The frames and refusals that these bytes complete, in order."""
-        if self._lost and self._gives_up:
+        """Add bytes, and return the frames and rejected frames that they complete, in order."""
+        if self._lost and self._drop_after_loss:
             self.skipped_bytes += len(data)
             return []
         self._buffer += data
         found: list[TcpFrame | InvalidFrame] = []
         while (not self._to_skip or self._skip()) and len(self._buffer) >= _HEADER.size:
+            # 1. Check type and count before waiting for the payload.
             message_type, count = _HEADER.unpack_from(self._buffer)
             bounds = self._bounds(message_type)
             if bounds is None or not bounds[0] <= count <= bounds[1]:
-                self._refuse(message_type, count, bounds, found)
-                if self._lost and self._gives_up:
+                self._reject(message_type, count, bounds, found)
+                if self._lost and self._drop_after_loss:
                     self._to_skip = len(self._buffer)
                 continue
-            if not self._width_known(message_type):
+            # 2. Determine the word size, then wait until the whole message is there.
+            if not self._detect_word_size(message_type):
                 break
-            frame = self._whole(message_type, count)
+            frame = self._take_frame(message_type, count)
             if frame is None:
                 break
             found.append(frame)
         return found
 
     def _skip(self) -> bool:
-        """Pass over what was refused; True when all of it is gone."""
+        """Discard bytes of a rejected message; return True when none are left to skip."""
         gone = min(self._to_skip, len(self._buffer))
         del self._buffer[:gone]
         self._to_skip -= gone
         self.skipped_bytes += gone
         return not self._to_skip
 
-    def _refuse(
+    def _reject(
         self, message_type: int, count: int, bounds: tuple[int, int] | None, found: list[TcpFrame | InvalidFrame]
     ) -> None:
         fatal = self._lost or count > MAX_UNKNOWN_WORDS
@@ -159,20 +185,22 @@ class TcpFramer:
                 reason = f"type {message_type} takes {wanted} words, not {count}"
                 found.append(InvalidFrame(WRONG_COUNT, reason, fatal))
         self._lost = fatal
+        # Without synchronisation only one byte is skipped: a message may begin at the next one.
         self._to_skip = 1 if fatal else _HEADER.size + self._word_size * count
 
     @property
     def _word_size(self) -> int:
         return 8 if self.wide else 4
 
-    def _width_known(self, message_type: int) -> bool:
+    def _detect_word_size(self, message_type: int) -> bool:
+        """Set `wide` from the first CONNECT; return False if more bytes are needed for that."""
         if self.wide is None and message_type in _CONNECT_TYPES:
             if len(self._buffer) < _HEADER.size + 4:
                 return False
             self.wide = not any(self._buffer[_HEADER.size : _HEADER.size + 4])
         return True
 
-    def _whole(self, message_type: int, count: int) -> TcpFrame | None:
+    def _take_frame(self, message_type: int, count: int) -> TcpFrame | None:
         end = _HEADER.size + self._word_size * count
         if len(self._buffer) < end:
             return None

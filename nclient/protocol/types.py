@@ -1,25 +1,22 @@
-"""What the wire knows of a robot's model: its number, its fixed mask, its bumper bytes. Geometry is worlds.robots'.
+"""Models, masks, units and position stamps as both protocols use them.
 
-    N150 and Scout never send a mask: their packets always hold the sonars, bumpers, pose, velocities and compass.
-
-The mask: which sensors and numbers a state reply carries, and for which sensors their position stamps.
+The mask selects the sensors and numbers in a state reply, and the sensors whose position stamps it carries:
 
     Smask[0]      position-data bits: 1 infrared, 2 sonar, 4 bumper, 8 laser, 16 compass
-    Smask[1..43]  0 or 1 for the State slot of that number ([41] is on TCP only and means nothing)
+    Smask[1..43]  0 or 1 for the State slot of that number ([41] is sent over TCP only and has no effect)
 
     byte   b0    b1     b2      b3      b4      b5                                b6
     TCP    1..8  9..16  17..24  25..32  33..40  any position | [41] [42] [43]     Smask[0]
     line   1..8  9..16  17..24  25..32  33..40  laser                             compass + 2 x Smask[0]
 
-The wire's units and ours. Tenths of an inch and of a degree live on the wire only; this is where they turn.
+N150 and Scout have a fixed mask: sonars, bumpers, pose, velocities and compass.
 
-Rules: pure numbers, no state. Rounding is to the nearest, ties away from zero, as a robot's own display does.
+A position stamp is the encoder pose at the time of a sensor's reading, nine numbers in wire units:
 
-Position stamps: where the robot was, by its encoders, when a sensor took its reading.
+    x y steering turret | v_trans v_steer v_turret | pose time ms | sensor time ms
 
-    x y steer turret | v_trans v_steer v_turret | pose time ms | sensor time ms      nine numbers, wire units
-
-The order of the stamps in a reply: 16 infrared, 16 sonar, bumper, laser, compass.
+Stamps in a reply come in this order: 16 infrared, 16 sonar, bumper, laser, compass.
+Wire units are tenths of an inch and of a degree; conversions round to the nearest, ties away from zero.
 """
 
 from __future__ import annotations
@@ -35,17 +32,17 @@ from nclient.errors import AddressError, WireError
 
 @dataclass(frozen=True, slots=True)
 class Model:
-    """A row of the model table as the wire sees it."""
+    """A robot model as far as the protocols depend on it; dimensions are in `worlds.robots`."""
 
     name: str
     number: int
-    """The number the C libraries use."""
+    """Number in the C libraries."""
     sends_mask: bool
-    """Whether the robot's own line has a mask (ct), position data, infrared, compass question and laser."""
+    """True if the serial line has a mask (ct), position data, infrared, get_cp and laser."""
     bumpers_low_first: bool
-    """Order of the three bumper bytes: Scout b0 + 256 b1 + 65536 b2, the others b2 + 256 b1 + 65536 b0."""
+    """Byte order of the bumper bits: Scout b0 + 256 b1 + 65536 b2, the others b2 + 256 b1 + 65536 b0."""
     bumper_rest: int
-    """What State[33] reads over the robot's own line when nothing touches."""
+    """State[33] over the serial line when no bumper is pressed."""
     has_infrared: bool
     has_laser: bool
     has_turret: bool
@@ -56,11 +53,11 @@ N150 = Model("n150", 1, False, False, 0xF00000, has_infrared=False, has_laser=Fa
 SCOUT = Model("scout", 2, False, True, 0, has_infrared=False, has_laser=False, has_turret=False)
 
 MODELS = {model.name: model for model in (N150, N200, SCOUT)}
-"""Every model by its lower-case name."""
+"""Models by lower-case name."""
 
 
-def model_named(name: str) -> Model:
-    """The model of that name. Raises AddressError, naming the models there are."""
+def get_model(name: str) -> Model:
+    """Return the model of a name in any case. Raises AddressError, listing the models, if there is none."""
     try:
         return MODELS[name.lower()]
     except KeyError:
@@ -68,11 +65,11 @@ def model_named(name: str) -> Model:
 
 
 DEFAULT_SONAR_ORDER = (0, 2, 15, 1, 14, 3, 13, 4, 12, 5, 11, 6, 10, 7, 9, 8)
-"""The ring's firing order before any conf_sn (PROTOCOL.md, section 3)."""
+"""Firing order of the sonar ring before any conf_sn (PROTOCOL.md, section 3)."""
 DEFAULT_SONAR_RATE = 15
-"""Its rate: 60 ms from one sonar to the next."""
+"""Firing rate before any conf_sn: 60 ms between two sonars."""
 SONAR_RATE_STEP_S = 0.004
-"""The unit of conf_sn's rate."""
+"""Unit of conf_sn's rate in seconds."""
 
 
 SLOTS = 44
@@ -83,7 +80,7 @@ BUMPER_SLOT = 33
 
 
 class Position(IntFlag):
-    """The position-data bits of Smask[0]: whose stamps a reply carries."""
+    """Position-data bits of Smask[0]: the sensors whose stamps a reply carries."""
 
     INFRARED = 1
     SONAR = 2
@@ -94,14 +91,17 @@ class Position(IntFlag):
 
 @dataclass(frozen=True, slots=True)
 class Mask:
-    """Smask as a value: 44 numbers, [0] the position-data bits 0..31, the others 0 or 1.
+    """Immutable Smask: 44 numbers, [0] the position-data bits 0..31, the others 0 or 1.
 
-    Raises WireError when the numbers are none that a mask can hold.
+    Raises
+    ------
+    WireError
+        If the numbers are not valid.
     """
 
     smask: tuple[int, ...]
     whole: bool = field(init=False, compare=False, repr=False)
-    """Whether every sensor and number is let through."""
+    """True if every sensor and number is selected."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "whole", all(self.smask[1:41]) and all(self.smask[LASER_SLOT:]))
@@ -112,39 +112,40 @@ class Mask:
 
     @property
     def position(self) -> int:
-        """The position-data bits."""
+        """Return the position-data bits."""
         return self.smask[0]
 
     def has(self, slot: int) -> bool:
-        """Whether the mask lets State[slot] through (slot 1..43)."""
+        """Return True if the mask selects State[slot] (slot 1..43)."""
         return bool(self.smask[slot])
 
     def with_position(self, bits: int) -> Mask:
-        """The same mask, asking for other position data."""
+        """Return the same mask with other position-data bits."""
         return Mask((bits, *self.smask[1:]))
 
     def tcp_bytes(self) -> tuple[int, ...]:
-        """The seven bytes of a ct request over TCP."""
+        """Return the seven bytes of a ct request over TCP."""
         last = bool(self.position) | self.smask[41] << 1 | self.smask[42] << 2 | self.smask[43] << 3
         return (*self._common_bytes(), last, self.position)
 
     def line_bytes(self) -> tuple[int, ...]:
-        """The seven bytes of a ct request on the robot's own line."""
+        """Return the seven bytes of a ct request on the serial line."""
         return (*self._common_bytes(), self.smask[LASER_SLOT], self.smask[COMPASS_SLOT] | self.position << 1)
 
     def _common_bytes(self) -> list[int]:
+        # b0 to b4: Smask[1..40], lowest bit first.
         bits = self.smask
         return [sum(bits[1 + 8 * byte + k] << k for k in range(8)) for byte in range(5)]
 
 
 def mask_from_tcp(data: Sequence[int]) -> Mask:
-    """The mask of a ct request over TCP (seven bytes, one a word; only the low eight bits count)."""
+    """Return the mask of a ct request over TCP (seven bytes, one per word; only the low eight bits count)."""
     tail = [data[5] >> 1 & 1, data[5] >> 2 & 1, data[5] >> 3 & 1]
     return Mask((data[6] & 31, *_bits(data[:5]), *tail))
 
 
 def mask_from_line(data: Sequence[int]) -> Mask:
-    """The mask of a ct request on the robot's own line, which does not carry Smask[41]: it reads 1, as at the start."""
+    """Return the mask of a ct request on the serial line, which does not carry Smask[41]: it is set to 1."""
     return Mask((data[6] >> 1 & 31, *_bits(data[:5]), 1, data[5] & 1, data[6] & 1))
 
 
@@ -153,69 +154,70 @@ def _bits(data: Sequence[int]) -> list[int]:
 
 
 EVERYTHING = Mask((0,) + (1,) * (SLOTS - 1))
-"""What a client sends right after connecting: all masks on, position data off."""
+"""Mask that clients send right after connecting: all sensors, no position data."""
 NO_MASK_MODELS = Mask((0,) + (0,) * 16 + (1,) * 24 + (0, 0, 1))
-"""The fixed packet of N150 and Scout: no infrared, no laser, all the rest."""
+"""Fixed mask of N150 and Scout: everything except infrared and laser."""
 
 
 M_PER_IN = 0.0254
-"""Metres in an inch, exactly."""
+"""Metres per inch, exact."""
 
 FULL_TURN_TENTHS = 3600
 SCOUT_WHEEL_IN_PER_DEG = 0.118597
-"""Inches that a Scout's wheel travels for each degree of turn (half its track of 13.590 in, times pi / 180)."""
+"""Travel of a Scout's wheel per degree of turn: half its track of 13.590 in, times pi / 180."""
 WORD_LIMIT = 2**31
+# Full range of the two battery measurements in volts (PROTOCOL.md, section 3).
 CPU_RANGE_V = 12.0
 MOTOR_RANGE_V = 12.85
 
 
 def tenths(value: float) -> int:
-    """Inches or degrees to the wire's tenths, rounded to the nearest."""
+    """Convert inches or degrees to tenths, rounded to the nearest, ties away from zero."""
     return math.floor(value * 10 + 0.5) if value >= 0 else -math.floor(-value * 10 + 0.5)
 
 
 def tenths_from_rad(angle_rad: float) -> int:
-    """Radians (or radians per second) to tenths of a degree, signed."""
+    """Convert radians (or rad/s) to tenths of a degree, signed."""
     return tenths(math.degrees(angle_rad))
 
 
 def heading_tenths(angle_rad: float) -> int:
-    """A direction in radians to 0..3599 tenths of a degree, the form of State[36] and State[37]."""
+    """Convert a direction in radians to 0..3599 tenths of a degree, as in State[36] and State[37]."""
     return tenths_from_rad(angle_rad) % FULL_TURN_TENTHS
 
 
-def clamped_word(value: int) -> int:
-    """The nearest number that a 32-bit word of the wire can hold."""
+def clamp_word(value: int) -> int:
+    """Clamp to the range of a signed 32-bit word."""
     return max(-WORD_LIMIT, min(WORD_LIMIT - 1, value))
 
 
-def wrapped_word(value: int) -> int:
-    """A count that never ends, as a 32-bit word holds it: modulo 2^32, the upper half negative."""
+def wrap_word(value: int) -> int:
+    """Wrap an unbounded count to a signed 32-bit word, modulo 2^32."""
     return (value + WORD_LIMIT) % (2 * WORD_LIMIT) - WORD_LIMIT
 
 
-def unwrapped_word(word: int) -> int:
-    """A signed word read as a count: 0 to 2^32 - 1."""
+def unwrap_word(word: int) -> int:
+    """Convert a signed 32-bit word to the unsigned number of the same bits, 0 to 2^32 - 1."""
     return word % (2 * WORD_LIMIT)
 
 
 def rad_from_tenths(angle_tenths: float) -> float:
-    """Tenths of a degree to radians."""
+    """Convert tenths of a degree to radians."""
     return math.radians(angle_tenths / 10)
 
 
 def volts(raw: int, full_range_v: float) -> float:
-    """Battery volts of a raw byte r: (2 + 3 r / 255) x range / 5 (PROTOCOL.md, section 3)."""
+    """Convert a raw battery byte r to volts: (2 + 3 r / 255) x range / 5 (PROTOCOL.md, section 3)."""
     return (2 + 3 * raw / 255) * full_range_v / 5
 
 
 def raw_volts(voltage_v: float, full_range_v: float) -> int:
-    """The raw byte 0..255 nearest to a battery voltage; the inverse of `volts`, clamped."""
+    """Convert volts to the nearest raw battery byte 0..255; the inverse of `volts`, clamped."""
     return min(255, max(0, round((voltage_v * 5 / full_range_v - 2) * 255 / 3)))
 
 
 class Stamp(NamedTuple):
-    """One position stamp in wire units (tenths of inches and degrees, milliseconds)."""
+    """Position stamp in wire units: tenths of inches and degrees, per second for velocities; milliseconds."""
 
     x: int
     y: int
@@ -229,7 +231,7 @@ class Stamp(NamedTuple):
 
 
 NO_STAMP = Stamp(0, 0, 0, 0, 0, 0, 0, 0, 0)
-"""What a sensor carries that has not read yet."""
+"""Stamp of a sensor without a reading yet."""
 
 INFRARED_KEYS = tuple(f"ir_{i}" for i in range(16))
 SONAR_KEYS = tuple(f"sonar_{i}" for i in range(16))
@@ -241,4 +243,4 @@ STAMP_KEYS: dict[Position, tuple[str, ...]] = {
     Position.LASER: ("laser",),
     Position.COMPASS: ("compass",),
 }
-"""The names of the stamps that each position-data bit asks for, in the order of the wire."""
+"""Names of the stamps for each position-data bit, in the order of the wire."""

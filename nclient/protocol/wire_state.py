@@ -1,9 +1,9 @@
-"""What the two ends of one connection have agreed, and without which no reply can be read: mask and laser shape.
+"""State shared by both ends of a connection that determines the layout of replies: mask, laser mode, word size.
 
-    laser words a reading in a TCP state reply: 4 in line modes 1 and 33, 2 in point modes 51 50 19, else 1;
-    after get_sg 4, after get_ls in a line mode 2, until the next conf_ls (the C client's habit; both ends follow it)
+    laser words per reading in a TCP state reply: 4 in line modes 1 and 33, 2 in point modes 51, 50 and 19, else 1;
+    4 after get_sg, 2 after get_ls in a line mode, until the next conf_ls (as the C client reads them)
 
-Rules: both ends call `note` for every request, in order; nobody else changes it.
+Both ends call `codec.update_from_request` for every request, in order; nothing else changes this state.
 """
 
 from __future__ import annotations
@@ -15,51 +15,53 @@ from nclient.protocol.types import EVERYTHING, NO_MASK_MODELS, Mask, Model
 DEFAULT_LASER_MODE = 51
 POINT_MODES = frozenset({51, 50, 19})
 TCP_LINE_MODES = frozenset({1, 33})
+# Numbers per laser reading: a point is x y, a line segment x1 y1 x2 y2, a pixel one number.
 POINTS, LINES, PIXELS = 2, 4, 1
 
 
 def tcp_laser_width(mode: int) -> int:
-    """Words a laser reading in a TCP reply of this mode."""
+    """Return the words per laser reading in a TCP state reply of this laser mode."""
     if mode in TCP_LINE_MODES:
         return LINES
     return POINTS if mode in POINT_MODES else PIXELS
 
 
 def line_laser_width(mode: int) -> int:
-    """Numbers a laser reading in a state packet on the robot's own line: four in line modes, else one pixel."""
+    """Return the numbers per laser reading in a state packet on the serial line: 4 in line modes, else 1."""
+    # PROTOCOL.md, section 2: line mode is (mode & 0x1e) == 0.
     return LINES if mode & 0x1E == 0 else PIXELS
 
 
 @dataclass(slots=True)
 class WireState:
-    """The state of a conversation that shapes its replies.
-
-    `wide`: a 64-bit client over TCP, eight bytes a word. `line`: it is the robot's own line, with shapes of its own.
-    """
+    """Mutable state of one connection that determines how its replies are read and written."""
 
     model: Model
     mask: Mask
     laser_mode: int = DEFAULT_LASER_MODE
     laser_width: int = POINTS
+    """Numbers per laser reading in a state reply."""
     wide: bool = False
+    """True for a 64-bit client over TCP: each word takes eight bytes."""
     line: bool = False
+    """True on the robot's own serial line, False over TCP."""
 
     def copy(self) -> WireState:
-        """These terms as they are now."""
+        """Return an independent copy."""
         return replace(self)
 
-    def note_mask(self, mask: Mask) -> None:
-        """A ct request went over the wire."""
+    def set_mask(self, mask: Mask) -> None:
+        """Apply a ct request."""
         self.mask = mask
 
-    def note_laser_mode(self, mode: int) -> None:
-        """A conf_ls request went over the wire: it sets mode and shape anew."""
+    def set_laser_mode(self, mode: int) -> None:
+        """Apply a conf_ls request: set the mode and reset the laser width to the mode's."""
         self.laser_mode = mode
         self.laser_width = line_laser_width(mode) if self.line else tcp_laser_width(mode)
 
     @property
     def get_laser_width(self) -> int:
-        """Numbers a reading in the answer to get_ls. Over TCP the mode's, but points in a line mode; else pixels."""
+        """Return the numbers per reading in the reply to get_ls: over TCP points in a line mode, else the mode's."""
         if self.line:
             return PIXELS
         width = tcp_laser_width(self.laser_mode)
@@ -67,10 +69,10 @@ class WireState:
 
 
 def tcp_wire_state(model: Model) -> WireState:
-    """The terms of a fresh TCP connection: everything on until a ct says otherwise."""
+    """Return the state of a new TCP connection: all sensors enabled until a ct request."""
     return WireState(model, EVERYTHING)
 
 
 def serial_wire_state(model: Model) -> WireState:
-    """The terms of a fresh line to a robot: N150's and Scout's never change."""
+    """Return the state of a new serial connection; the mask of N150 and Scout is fixed."""
     return WireState(model, EVERYTHING if model.sends_mask else NO_MASK_MODELS, laser_width=PIXELS, line=True)

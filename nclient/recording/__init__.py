@@ -1,1 +1,1 @@
-"""What was said between a program and a robot, kept in a file, and what such a file is good for."""
+"""Recording of connections to files, and replaying them."""

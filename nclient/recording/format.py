@@ -1,17 +1,23 @@
-"""A recording on disk: JSON lines, a header and then an entry for whatever went over a connection.
+"""Recordings on disk: JSON lines, a header and one entry for everything that crosses a connection.
 
     {"format": "nomad recording", "version": 1, "package": ..., "started": ..., "wire": "tcp", "model": ..., ...}
     {"t": 0.1, "dir": "out", "bytes": "000f0000", "decoded": [{"to": "robot", "call": "gs", "args": []}]}
     {"t": 0.1, "dir": "in", "bytes": "0050...", "decoded": [{"to": "host", "reply": "state", ...}]}
     {"t": 0.2, "event": "open", "connection": "127.0.0.1:4711", "wire": "tcp", "model": "n150"}   and "close"
 
-`out` went to the robot and `in` came from it, whoever wrote the file; `bytes` are as they came, `decoded` the frames
-that they made whole. A daemon notes what it takes to do the same again: `steps`, pieces of simulated time that passed
-since the entry before, [seconds, how many]; `by_time`, an answer that time brought; `at`, its clock on a robot's line.
+`out` is to the robot and `in` from it, in every recording; `bytes` are as received, `decoded` the frames that they
+complete. A server's recording has everything to repeat the run: `steps`, time steps since the entry before as
+[seconds, count]; `by_time`, a reply that simulated time caused; `at`, the clock of a serial line.
 
-Rules: time is handed in. What cannot be read names file, line and remedy; a last line cut short, as after a power cut,
-is left out and remarked upon. A recording of days is read line by line; what is none is not read to its end. A disk
-that fills up costs the recording, never the robot's run: it is told once.
+Times are passed in. Read errors name file, line and remedy; an incomplete last line, as after a power failure, is left
+out and reported. Long recordings are read line by line. If the disk is full, recording ends with one log message, and
+the robot's run continues.
+
+`format_entry` shows an entry as text, one line per frame, in inches, degrees and seconds:
+
+       0.100  > vm 100 -50 0                                                        to the robot, as the C call
+       0.104  < state x 0.0 y 0.0 steer 0.0 turret 0.0 v 10.0 -5.0 0.0 ...          from it
+       0.105  < ! 3 bytes that are no frame
 """
 
 from __future__ import annotations
@@ -27,7 +33,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, TextIO
 
-from nclient.common.files import describe_write_error, remedy
+from nclient.common.files import describe_write_error, write_error_hint
 from nclient.errors import RecordingError
 
 log = logging.getLogger(__name__)
@@ -37,8 +43,8 @@ VERSION: Final = 1
 OUT, IN, OPEN, CLOSE, TIME = "out", "in", "open", "close", "time"
 _DIRECTIONS: Final = (OUT, IN)
 _EVENTS: Final = (OPEN, CLOSE, TIME)
-LONGEST_LINE: Final = 1 << 26
-"""Characters. The longest that is written has a world in it, of 24 million at the most."""
+MAX_LINE: Final = 1 << 26
+"""Maximum characters of a line. The longest that is written holds a world, of at most 24 million characters."""
 _NAMED: Final = ("t", "dir", "event", "connection", "bytes", "decoded")
 
 
@@ -46,13 +52,22 @@ _NAMED: Final = ("t", "dir", "event", "connection", "bytes", "decoded")
 class Entry:
     """One line of a recording.
 
-    time_s       seconds since the start, of the clock that the header names
-    kind         out, in; open, close (a connection comes, goes); time (nothing was said while time passed)
-    connection   whose; empty where there is only one
-    data         the bytes of out and in
-    decoded      the frames that they completed, as `nomad wire decode` shows them
-    more         whatever else stands in the line: wire and model at open, steps
-    line         where it stands in the file, 0 where it does not yet
+    Attributes
+    ----------
+    time_s
+        Seconds since the start, on the clock that the header names.
+    kind
+        out, in; open, close (of a connection); time (time passed without traffic).
+    connection
+        Name of the connection; empty if there is only one.
+    data
+        Bytes of out and in.
+    decoded
+        Frames that the bytes complete, as `nomad wire decode` shows them.
+    more
+        Other keys of the line: wire and model at open, steps.
+    line
+        Line number in the file, 0 if not written yet.
     """
 
     time_s: float
@@ -66,7 +81,7 @@ class Entry:
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """A whole file. `cut`: what is to say of a last line that was left out, empty where none was."""
+    """A whole file. `cut` is a message about an incomplete last line, empty if there is none."""
 
     name: str
     header: Mapping[str, Any]
@@ -74,22 +89,33 @@ class Recording:
     cut: str = ""
 
     def connections(self) -> tuple[str, ...]:
-        """The names of the connections, in the order they came."""
+        """Return the names of the connections in the order of their first entries."""
         return tuple(dict.fromkeys(entry.connection for entry in self.entries if entry.kind != TIME))
 
 
-class LogWriter:
-    """Writes a recording; each line is on its way to the disk when `write` returns.
+class RecordingWriter:
+    """Writer of a recording; every entry is flushed before `write` returns.
 
-    Raises RecordingError when the file cannot be made. `header`: what goes beside format and version;
-    `most_bytes`: the line that would not fit any more is not written, nor any after it (0: no limit).
+    Parameters
+    ----------
+    path
+        File to write.
+    header
+        Keys of the first line besides format and version.
+    max_bytes
+        Maximum size of the file, 0 for no limit; the first entry beyond it ends the recording.
+
+    Raises
+    ------
+    RecordingError
+        If the file cannot be created.
     """
 
-    def __init__(self, path: Path, header: Mapping[str, Any], most_bytes: int = 0) -> None:
+    def __init__(self, path: Path, header: Mapping[str, Any], max_bytes: int = 0) -> None:
         self.path = path
-        self._left = most_bytes or math.inf
+        self._bytes_left = max_bytes or math.inf
         self.failed = False
-        self._over = False
+        self._closed = False
         self._lock = threading.Lock()
         try:
             self._file = path.open("w", encoding="utf-8")
@@ -98,48 +124,50 @@ class LogWriter:
         self._line({"format": FORMAT, "version": VERSION} | dict(header))
 
     def write(self, entry: Entry) -> None:
-        """Add an entry. What the disk refuses is told once; from then on nothing is written."""
+        """Add an entry. After a write error, which is logged, nothing more is written."""
         self._line(as_object(entry))
 
     def close(self) -> None:
-        """Let the file go. Twice is fine; what is written afterwards is lost."""
-        self._over = True
-        self.rest()
+        """End the recording; idempotent. Later entries are ignored."""
+        self._closed = True
+        self.release()
 
-    def rest(self) -> None:
-        """Let the file go until there is something to write again."""
+    def release(self) -> None:
+        """Close the file until the next entry."""
         with self._lock:
-            self._let_go()
+            self._close_file()
 
     def _line(self, whole: Mapping[str, Any]) -> None:
         with self._lock:
-            if self.failed or self._over:
+            if self.failed or self._closed:
                 return
             try:
                 if self._file.closed:
                     self._file = self.path.open("a", encoding="utf-8")
                 line = json.dumps(whole, separators=(",", ":")) + "\n"
-                self._left -= len(line)  # all of it ASCII
-                if self._left < 0:
-                    self._end("it is as long as it may be (--limit-log)")
+                # json.dumps writes ASCII only, so that characters are bytes.
+                self._bytes_left -= len(line)
+                if self._bytes_left < 0:
+                    self._fail("it has reached its maximum size (--limit-log)")
                     return
                 self._file.write(line)
                 self._file.flush()
             except OSError as error:
-                self._end(f"{error.strerror}; {remedy(error)}, and begin another recording")
+                self._fail(f"{error.strerror}; {write_error_hint(error)}, and begin another recording")
 
-    def _end(self, reason: str) -> None:
+    def _fail(self, reason: str) -> None:
         self.failed = True
         log.error("%s: no longer recorded; the run goes on, what was written can be read: %s", self.path, reason)
-        self._let_go()
+        self._close_file()
 
-    def _let_go(self) -> None:
-        with contextlib.suppress(OSError):  # what a full disk still owes cannot be written, and was told
+    def _close_file(self) -> None:
+        # Closing flushes again, which fails on a full disk; that error was logged already.
+        with contextlib.suppress(OSError):
             self._file.close()
 
 
 def as_object(entry: Entry) -> dict[str, Any]:
-    """The entry as it stands in the file."""
+    """Return the entry as the JSON object of its line."""
     whole: dict[str, Any] = {"t": entry.time_s}
     whole["dir" if entry.kind in _DIRECTIONS else "event"] = entry.kind
     if entry.connection:
@@ -152,7 +180,13 @@ def as_object(entry: Entry) -> dict[str, Any]:
 
 
 def read_recording(path: Path) -> Recording:
-    """The recording in a file. Raises RecordingError, naming file, line and remedy."""
+    """Read a recording.
+
+    Raises
+    ------
+    RecordingError
+        If the file cannot be read or is no recording; the message has file, line and remedy.
+    """
     try:
         with path.open(encoding="utf-8", errors="replace") as file:
             return _recording(file, str(path))
@@ -165,7 +199,7 @@ def read_recording(path: Path) -> Recording:
 
 
 def parse_recording(text: str, name: str) -> Recording:
-    """The recording that a text is; `name` is what errors call it."""
+    """Parse the text of a recording; `name` is the file's name in errors."""
     return _recording(io.StringIO(text), name)
 
 
@@ -179,9 +213,9 @@ def _recording(file: TextIO, name: str) -> Recording:
 
 def _lines(file: TextIO, name: str) -> Iterator[str]:
     number = 1
-    while line := file.readline(LONGEST_LINE + 1):
-        if len(line) > LONGEST_LINE:
-            raise RecordingError(f"{name}, line {number}: longer than {LONGEST_LINE} characters, which no line of a "
+    while line := file.readline(MAX_LINE + 1):
+        if len(line) > MAX_LINE:
+            raise RecordingError(f"{name}, line {number}: longer than {MAX_LINE} characters, which no line of a "
                                  "recording is; is it the right file?")
         yield line
         number += 1
@@ -208,6 +242,7 @@ def _entries(lines: Iterator[str], name: str, remarks: list[str]) -> Iterator[En
         try:
             yield _entry(line, number, name)
         except RecordingError:
+            # Only a last line may be incomplete.
             if line.endswith("\n"):
                 raise
             remarks.append(f"{name}, line {number}: cut short after {len(line)} characters, and left out")
@@ -232,3 +267,104 @@ def _read_entry(whole: dict[str, Any], number: int) -> Entry:
         raise ValueError("t is seconds, decoded a list of objects")
     connection, data = str(whole.get("connection", "")), bytes.fromhex(whole.get("bytes", ""))
     return Entry(time_s, kind, connection, data, decoded, more, number)
+
+
+# -- entries as text --------------------------------------------------------------------------------------------------
+
+# Places in the State vector (PROTOCOL.md, section 3).
+_POSE: Final = ((34, "x"), (35, "y"), (36, "steer"), (37, "turret"))
+_SONARS, _INFRAREDS, _SPEEDS = slice(17, 33), slice(1, 17), slice(38, 41)
+_BUMPER, _COMPASS = 33, 43
+_OPEN_KEYS: Final = ("wire", "model")
+_ARROWS: Final = {OUT: ">", IN: "<"}
+_SHOWN: Final[Mapping[str, tuple[str, ...]]] = {
+    "state": ("pose", "v", "sonar", "infrared", "bumper", "compass", "laser", "clock", "volts"),
+    "sonar": ("sonar", "clock"), "infrared": ("infrared", "clock"), "bumper": ("bumper", "clock"),
+    "compass": ("compass", "clock"), "configuration": ("pose",), "velocity": ("v",), "laser": ("laser", "clock"),
+}  # fmt: skip
+"""Parts of a reply that are shown, by kind of reply."""
+DecodedFrame = Mapping[str, Any]
+
+
+def format_entry(entry: Entry, with_bytes: bool = False) -> Iterator[str]:
+    """Yield the text lines of an entry, none for an entry about time.
+
+    Parameters
+    ----------
+    entry
+        An entry of a recording.
+    with_bytes
+        True to add a line with the bytes.
+
+    Raises
+    ------
+    RecordingError
+        If `decoded` does not have the form that a recorder writes.
+    """
+    start = f"{entry.time_s:10.3f}  {entry.connection + ' ' if entry.connection else ''}"
+    if entry.kind not in _ARROWS:
+        if entry.kind != TIME:
+            values = (str(entry.more[name]) for name in _OPEN_KEYS if name in entry.more)
+            yield " ".join((f"{start}--", entry.kind, *values))
+        return
+    for frame in entry.decoded:
+        yield f"{start}{_ARROWS[entry.kind]} {_format_checked(entry, frame)}"
+    if with_bytes and entry.data:
+        yield f"{start}{_ARROWS[entry.kind]} [{entry.data.hex(' ')}]"
+
+
+def _format_checked(entry: Entry, frame: DecodedFrame) -> str:
+    # The file may come from another program, so that any key may be missing or have another type.
+    try:
+        return format_frame(frame)
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
+        raise RecordingError(f"line {entry.line}: `decoded` is not as a recorder writes it ({error!r:.80}); "
+                             "take it out of that line, the bytes are enough") from None
+
+
+def format_frame(frame: DecodedFrame) -> str:
+    """Return a decoded frame as text."""
+    if "error" in frame:
+        return f"! {frame['error']}"
+    if "call" in frame:
+        return " ".join((str(frame["call"]), *map(str, frame["args"]), *_format_extra_arguments(frame)))
+    kind = str(frame["reply"])
+    parts = [part for name in _SHOWN.get(kind, ()) if (part := _format_part(name, frame["State"], frame))]
+    if kind not in _SHOWN and "values" in frame:
+        parts = [" ".join(map(str, frame["values"]))]
+    # "sonar 12 34 ..." rather than "sonar sonar 12 34 ...".
+    is_named = any(part.startswith(f"{kind} ") for part in parts)
+    return " ".join(parts if is_named else (kind, *parts))
+
+
+def _format_extra_arguments(frame: DecodedFrame) -> Iterator[str]:
+    if "mask" in frame:
+        yield "mask " + "".join(map(str, frame["mask"]))
+    yield from (f"({name} {frame[name]})" for name in ("pid", "packet_type") if name in frame)
+
+
+def _format_part(name: str, state: list[Any], frame: DecodedFrame) -> str:
+    """Return one part of a reply in inches, degrees, seconds and volts; "" if the reply does not have it."""
+    match name:
+        case "pose":
+            return " ".join(f"{label} {state[slot] / 10:g}" for slot, label in _POSE if state[slot] is not None)
+        case "v":
+            return _format_list("v", [None if v is None else v / 10 for v in state[_SPEEDS]])
+        case "sonar":
+            return _format_list("sonar", state[_SONARS])
+        case "infrared":
+            return _format_list("infrared", state[_INFRAREDS])
+        case "bumper":
+            return "" if state[_BUMPER] is None else f"bumper {state[_BUMPER]:#x}"
+        case "compass":
+            return "" if state[_COMPASS] is None else f"compass {state[_COMPASS] / 10:g}"
+        case "laser":
+            return f"laser {frame['Laser'][0]} readings" if frame["Laser"] and frame["Laser"][0] else ""
+        case "clock":
+            return "" if frame["clock"] is None else f"clock {frame['clock'] / 1000:g}"
+        case _:
+            return "" if frame["volt_cpu"] is None else f"volts {frame['volt_cpu']:.1f} {frame['volt_motor']:.1f}"
+
+
+def _format_list(name: str, values: list[float | None]) -> str:
+    return "" if None in values else f"{name} {' '.join(f'{value:g}' for value in values if value is not None)}"

@@ -1,24 +1,16 @@
-"""Listens to one connection from outside: cuts what goes by into frames and says what each one is.
+"""Recording of connections: frames, decoder, recorder and the recording stream.
 
-    to_robot(bytes) ──> framer ──> Transcript ──> objects as `nomad wire decode` prints them
-    to_host(bytes)  ──> framer ──^
+    to_robot(bytes) ──> FrameTap ──> WireDecoder ──> dictionaries as `nomad wire decode` prints them
+    to_host(bytes)  ──> FrameTap ──^                          (class FrameDecoder)
 
-Rules: no I/O, no clock; never raises for what goes by, since a line is never clean: bytes that are no frame become an
-{"error": ...}. A host empties its input before it asks, so half an answer is given up when a request goes out.
+    recorder.open(name, line, model) ──> to_robot(bytes)   to_host(bytes)   close()
+    recorder.record_step(dt_s)           simulated time that passed without a request
 
-Writes down what goes over connections: one recorder a file, one tape a connection.
+Invalid bytes never raise: they become {"error": ...}. On the serial line a host discards its input before each
+request, so an incomplete reply is given up when a request is sent.
 
-    recorder.open(name, line, model) ──> tape.to_robot(bytes)   tape.to_host(bytes)   tape.close()
-    recorder.stepped(dt_s)               simulated time passed that nobody asked for
-
-Rules: the clock is handed in; without one, time is the robot's own clock as its answers tell it, so that a run in
-simulated time is recorded the same whenever it is made. OFF records nothing and costs nothing.
-
-A stream around a stream that writes down what goes through it, and a program's recording of all its streams.
-
-Rules: bytes are noted as they went, so in the order and the pieces in which the program had them; what failed to go out
-is noted too, since part of it may have gone. A connection made anew is another connection of the same file, which is
-closed whenever none is open. No clock here: the recorder has one.
+The clock is passed in; without one, times are the robot's clock in its replies, so that a run in simulated time gives
+the same file every time.
 """
 
 from __future__ import annotations
@@ -36,86 +28,97 @@ from nclient.protocol.serial_framing import HOST_LIMIT, SerialFramer
 from nclient.protocol.tcp_framing import InvalidFrame, TcpFrame, TcpFramer, reply_bounds, request_bounds
 from nclient.protocol.types import Model
 from nclient.protocol.wire_state import WireState
-from nclient.recording.format import CLOSE, IN, OPEN, OUT, TIME, Entry, LogWriter
+from nclient.recording.format import CLOSE, IN, OPEN, OUT, TIME, Entry, RecordingWriter
 from nclient.transports.stream import ByteStream, Deadline
 
 TCP, SERIAL, HANDSHAKE_FIRST = "tcp", "serial", "hello"
 LINES: Final = (TCP, SERIAL, HANDSHAKE_FIRST)
-"""The languages of a connection: an Nserver's, a robot's own, and that with eleven bare bytes from the robot first."""
+"""Protocols of a connection: Nserver's, the serial line's, and the serial line's after a handshake of the robot."""
 Decoded = dict[str, Any]
 
 
+# -- frames and their decoding ----------------------------------------------------------------------------------------
+
+
 class Frame(NamedTuple):
-    """The bytes of a whole frame, or what is wrong with some that are none."""
+    """Bytes of a whole frame, or the reason why bytes were rejected."""
 
     data: bytes
-    wrong: str = ""
+    error: str = ""
 
 
 class FrameTap(Protocol):
-    """The framers of a language, both ways."""
+    """Framers of one connection, in both directions."""
 
     wide: bool
-    """Whether the client is known to be one of 64 bits."""
+    """True if the client is known to be a 64-bit one."""
 
-    def take_up(self, wide: bool) -> None: ...
+    def resume(self, wide: bool) -> None: ...
     def to_robot(self, data: bytes) -> list[Frame]: ...
     def to_host(self, data: bytes) -> list[Frame]: ...
 
 
-def frame_tap_for(line: str, model: Model) -> FrameTap:
-    """What cuts the frames of one of LINES. Only a model that has a mask says hello with it."""
+def make_frame_tap(line: str, model: Model) -> FrameTap:
+    """Return the framers for a protocol of LINES. Only models with a mask send a handshake."""
     return TcpFrameTap() if line == TCP else SerialFrameTap(line == HANDSHAKE_FIRST and model.sends_mask)
 
 
 class FrameDecoder:
-    """One connection, heard from outside. `line`: one of LINES."""
+    """Decoder of the bytes of one connection.
+
+    Parameters
+    ----------
+    line
+        Protocol, one of LINES.
+    model
+        Model of the robot.
+    """
 
     def __init__(self, line: str, model: Model) -> None:
-        self._ears = frame_tap_for(line, model)
+        self._tap = make_frame_tap(line, model)
         self._line, self._model = line, model
-        self._transcript: WireDecoder | None = None
+        self._decoder: WireDecoder | None = None
 
-    def take_up(self, wire_state: WireState) -> None:
-        """Listen to a connection that went on unheard so far and has come to these terms; between two requests."""
-        self._ears.take_up(wire_state.wide)
-        self._whole().agree(wire_state)
+    def resume(self, wire_state: WireState) -> None:
+        """Continue a connection whose beginning was not seen, between two requests."""
+        self._tap.resume(wire_state.wide)
+        self._get_decoder().set_wire_state(wire_state)
 
     def to_robot(self, data: bytes) -> list[Decoded]:
-        """What these bytes to the robot made whole."""
-        return [self._said(frame, to_robot=True) for frame in self._ears.to_robot(data)]
+        """Return the decoded frames that these bytes to the robot complete."""
+        return [self._decode(frame, to_robot=True) for frame in self._tap.to_robot(data)]
 
     def to_host(self, data: bytes) -> list[Decoded]:
-        """What these bytes from the robot made whole."""
-        return [self._said(frame, to_robot=False) for frame in self._ears.to_host(data)]
+        """Return the decoded frames that these bytes from the robot complete."""
+        return [self._decode(frame, to_robot=False) for frame in self._tap.to_host(data)]
 
     @property
     def clock_s(self) -> float:
-        """The robot's clock as it was told last; 0 before."""
-        return (self._transcript.client_state.clock or 0) / 1000 if self._transcript else 0.0
+        """Return the robot's clock in its last reply, 0 before the first one."""
+        return (self._decoder.client_state.clock or 0) / 1000 if self._decoder else 0.0
 
-    def _said(self, frame: Frame, to_robot: bool) -> Decoded:
-        if frame.wrong:
-            return {"error": frame.wrong}
-        return self._whole().request(frame.data) if to_robot else self._whole().reply(frame.data)
+    def _decode(self, frame: Frame, to_robot: bool) -> Decoded:
+        if frame.error:
+            return {"error": frame.error}
+        return self._get_decoder().request(frame.data) if to_robot else self._get_decoder().reply(frame.data)
 
-    def _whole(self) -> WireDecoder:
-        """A transcript in the language that is spoken; whether words are of 64 bits shows in the first request."""
-        if self._transcript is None:
-            wire = SERIAL if self._line != TCP else "tcp64" if self._ears.wide else TCP
-            self._transcript = WireDecoder(wire, self._model)
-        return self._transcript
+    def _get_decoder(self) -> WireDecoder:
+        # Created with the first frame: the first request shows the word size.
+        if self._decoder is None:
+            wire = SERIAL if self._line != TCP else "tcp64" if self._tap.wide else TCP
+            self._decoder = WireDecoder(wire, self._model)
+        return self._decoder
 
 
 class TcpFrameTap:
-    """Messages of an Nserver's clients, of 32 bits or of 64."""
+    """Messages of a 32-bit or 64-bit client of Nserver."""
 
     def __init__(self) -> None:
         self._requests = TcpFramer(request_bounds)
         self._replies = TcpFramer(reply_bounds, wide=False)
         self.wide = False
 
-    def take_up(self, wide: bool) -> None:
+    def resume(self, wide: bool) -> None:
         self._requests.wide = self._replies.wide = self.wide = wide
 
     def to_robot(self, data: bytes) -> list[Frame]:
@@ -136,73 +139,103 @@ class TcpFrameTap:
 
 
 class SerialFrameTap:
-    """Frames on a robot's own line, among whatever else comes there. `greets`: eleven bare bytes come first."""
+    """Frames of the serial line among other bytes; with `has_handshake` eleven bytes of the robot come first."""
 
     wide = False
 
     def __init__(self, has_handshake: bool) -> None:
         self._requests = SerialFramer(HOST_LIMIT)
-        self._answers = SerialFramer()
-        self._hello: bytes | None = b"" if has_handshake else None
+        self._replies = SerialFramer()
+        self._handshake: bytes | None = b"" if has_handshake else None
 
-    def take_up(self, wide: bool) -> None:
+    def resume(self, wide: bool) -> None:
         del wide
-        self._hello = None
+        self._handshake = None
 
     def to_robot(self, data: bytes) -> list[Frame]:
-        missed = self._answers.pending
-        self._answers.clear()
-        given_up = [Frame(b"", f"{missed} bytes of an answer that never became whole")] if missed else []
-        return given_up + _cut(self._requests, data)
+        # A host discards what it has received before it sends a request.
+        missed = self._replies.pending
+        self._replies.clear()
+        discarded = [Frame(b"", f"{missed} bytes of an answer that never became whole")] if missed else []
+        return discarded + _frames_of(self._requests, data)
 
     def to_host(self, data: bytes) -> list[Frame]:
-        if self._hello is None:
-            return _cut(self._answers, data)
-        self._hello += data
-        if len(self._hello) < HANDSHAKE_SIZE:
+        if self._handshake is None:
+            return _frames_of(self._replies, data)
+        self._handshake += data
+        if len(self._handshake) < HANDSHAKE_SIZE:
             return []
-        hello, rest = self._hello[:HANDSHAKE_SIZE], self._hello[HANDSHAKE_SIZE:]
-        self._hello = None
-        return [Frame(hello), *_cut(self._answers, rest)]
+        handshake, rest = self._handshake[:HANDSHAKE_SIZE], self._handshake[HANDSHAKE_SIZE:]
+        self._handshake = None
+        return [Frame(handshake), *_frames_of(self._replies, rest)]
 
 
-def _cut(framer: SerialFramer, data: bytes) -> list[Frame]:
+def _frames_of(framer: SerialFramer, data: bytes) -> list[Frame]:
     before = framer.skipped_bytes
-    found = [Frame(serial_framing.build_frame(frame.type, frame.data)) for frame in framer.receive(data)]
-    passed_over = framer.skipped_bytes - before
-    return [Frame(b"", f"{passed_over} bytes that are no frame"), *found] if passed_over else found
+    frames = [Frame(serial_framing.build_frame(frame.type, frame.data)) for frame in framer.receive(data)]
+    skipped = framer.skipped_bytes - before
+    return [Frame(b"", f"{skipped} bytes that are no frame"), *frames] if skipped else frames
 
 
-_MOST_PIECES: Final = 1000
-"""Different pieces of time that are kept before they are written down."""
+# -- recorders --------------------------------------------------------------------------------------------------------
+
+_MAX_STEPS: Final = 1000
+"""Maximum number of different time steps that are collected before they are written."""
 _DIGITS: Final = 6
 
 
 class ConnectionRecorder(Protocol):
-    """What records one connection."""
+    """Recorder of one connection."""
 
     def to_robot(self, data: bytes) -> None:
-        """These bytes went to the robot."""
+        """Record bytes sent to the robot."""
         ...
 
     def to_host(self, data: bytes, by_time: bool = False) -> None:
-        """These came from it; none: it was asked something, and has said nothing yet. `by_time`: since time passed."""
+        """Record bytes from the robot.
+
+        Parameters
+        ----------
+        data
+            Empty if there is no reply yet to the last request.
+        by_time
+            True if the reply was sent because simulated time passed.
+        """
         ...
 
     def close(self) -> None:
-        """The connection is over. Twice is fine."""
+        """Record the end of the connection; idempotent."""
         ...
 
 
-class Recorder:
-    """Everything of a daemon, or of a client.
+class TrafficRecorder(Protocol):
+    """Interface of a server to its recorder."""
 
-    clock       seconds since the start; None: the robot's own clock
-    line_clock  what a daemon takes the age of half a frame from on a robot's own line, noted as `at`
+    def open(self, name: str, line: str, model: Model, robot_id: int | None = None) -> ConnectionRecorder: ...
+    def record_step(self, dt_s: float) -> None: ...
+    def record_pace(self, factor: float | None, paused: bool) -> None: ...
+    def record_change(self, what: Mapping[str, Any]) -> None: ...
+    def close(self) -> None: ...
+
+
+class Recorder:
+    """Recorder of all connections of a server or client into one file.
+
+    Parameters
+    ----------
+    log
+        The file.
+    clock
+        Returns seconds since the start; None for the robot's clock.
+    line_clock
+        Returns the time from which a server takes the age of an incomplete serial frame, recorded as `at`.
     """
 
     def __init__(
-        self, log: LogWriter, clock: Callable[[], float] | None = None, line_clock: Callable[[], float] | None = None
+        self,
+        log: RecordingWriter,
+        clock: Callable[[], float] | None = None,
+        line_clock: Callable[[], float] | None = None,
     ) -> None:
         self._log = log
         self._clock = clock
@@ -210,80 +243,94 @@ class Recorder:
         self._steps: list[tuple[float, int]] = []
 
     def open(self, name: str, line: str, model: Model, robot_id: int | None = None) -> ConnectionRecorder:
-        """A tape for a connection of that name. `line`: one of follower.LINES; `robot_id`: whose own line it is."""
-        tape = _ConnectionTape(self, name, FrameDecoder(line, model), None if line == TCP else self.line_clock)
-        whose: dict[str, object] = {} if robot_id is None else {"robot_id": robot_id}
-        self.write(OPEN, name, 0.0, more={"wire": line, "model": model.name} | whose)
-        return tape
+        """Record a new connection.
 
-    def stepped(self, dt_s: float) -> None:
-        """So much simulated time passed in one piece, not by a request."""
+        Parameters
+        ----------
+        name
+            Name of the connection in the file.
+        line
+            Protocol, one of LINES.
+        model
+            Model of the robot.
+        robot_id
+            Number of the robot for a serial line.
+        """
+        clock = None if line == TCP else self.line_clock
+        connection = _ConnectionRecorder(self, name, FrameDecoder(line, model), clock)
+        robot: dict[str, object] = {} if robot_id is None else {"robot_id": robot_id}
+        self.write(OPEN, name, 0.0, more={"wire": line, "model": model.name} | robot)
+        return connection
+
+    def record_step(self, dt_s: float) -> None:
+        """Record a time step that no request caused."""
+        # Equal steps are counted, so that an idle simulation writes little.
         if self._steps and self._steps[-1][0] == dt_s:
             self._steps[-1] = (dt_s, self._steps[-1][1] + 1)
             return
-        if len(self._steps) >= _MOST_PIECES:
+        if len(self._steps) >= _MAX_STEPS:
             self.write(TIME, "", 0.0)
         self._steps.append((dt_s, 1))
 
-    def paced(self, factor: float | None, paused: bool) -> None:
-        """Time goes otherwise from now on, by no request; State[0] shows it."""
+    def record_pace(self, factor: float | None, paused: bool) -> None:
+        """Record a change of pace that no request caused; State[0] shows the pace."""
         self.write(TIME, "", 0.0, more={"pace": [factor, paused]})
 
-    def changed(self, what: Mapping[str, Any]) -> None:
-        """The simulation was changed so from now on, by no request."""
+    def record_change(self, what: Mapping[str, Any]) -> None:
+        """Record a change of the simulation that no request caused."""
         self.write(TIME, "", 0.0, more=dict(what))
 
     def write(
         self, kind: str, name: str, robots_clock_s: float, data: bytes = b"",
         decoded: tuple[dict[str, object], ...] = (), more: dict[str, object] | None = None,
     ) -> None:  # fmt: skip
-        """Add an entry, and the time that passed before it."""
+        """Write an entry, with the time steps before it."""
         now_s = round(robots_clock_s if self._clock is None else self._clock(), _DIGITS)
-        passed: dict[str, object] = {"steps": [list(piece) for piece in self._steps]} if self._steps else {}
+        steps: dict[str, object] = {"steps": [list(step) for step in self._steps]} if self._steps else {}
         self._steps.clear()
-        self._log.write(Entry(now_s, kind, name, data, decoded, (more or {}) | passed))
+        self._log.write(Entry(now_s, kind, name, data, decoded, (more or {}) | steps))
 
-    def rest(self) -> None:
-        """Let the file go until there is something to write again."""
-        self._log.rest()
+    def release(self) -> None:
+        """Close the file until the next entry."""
+        self._log.release()
 
     def close(self) -> None:
-        """Write what time passed last, and let the file go."""
+        """Write the last time steps and close the file."""
         if self._steps:
             self.write(TIME, "", 0.0)
         self._log.close()
 
 
-class _ConnectionTape:
-    """See Tape."""
+class _ConnectionRecorder:
+    """ConnectionRecorder that writes to a Recorder."""
 
     def __init__(
-        self, recorder: Recorder, name: str, follower: FrameDecoder, clock: Callable[[], float] | None
+        self, recorder: Recorder, name: str, decoder: FrameDecoder, clock: Callable[[], float] | None
     ) -> None:
-        self._recorder, self._name, self._follower = recorder, name, follower
+        self._recorder, self._name, self._decoder = recorder, name, decoder
         self._clock = clock
-        self._over = False
+        self._closed = False
 
     def to_robot(self, data: bytes) -> None:
-        decoded = tuple(self._follower.to_robot(data))
-        self._recorder.write(OUT, self._name, self._follower.clock_s, data, decoded, self._at())
+        decoded = tuple(self._decoder.to_robot(data))
+        self._recorder.write(OUT, self._name, self._decoder.clock_s, data, decoded, self._at())
 
     def to_host(self, data: bytes, by_time: bool = False) -> None:
-        decoded = tuple(self._follower.to_host(data))
+        decoded = tuple(self._decoder.to_host(data))
         more: dict[str, object] = {"by_time": True} if by_time else {}
-        self._recorder.write(IN, self._name, self._follower.clock_s, data, decoded, self._at() | more)
+        self._recorder.write(IN, self._name, self._decoder.clock_s, data, decoded, self._at() | more)
 
     def close(self) -> None:
-        if not self._over:
-            self._over = True
-            self._recorder.write(CLOSE, self._name, self._follower.clock_s)
+        if not self._closed:
+            self._closed = True
+            self._recorder.write(CLOSE, self._name, self._decoder.clock_s)
 
     def _at(self) -> dict[str, object]:
         return {} if self._clock is None else {"at": self._clock()}
 
 
-class _Off:
-    """Records nothing."""
+class _NullRecorder:
+    """TrafficRecorder and ConnectionRecorder that record nothing."""
 
     def open(self, name: str, line: str, model: Model, robot_id: int | None = None) -> ConnectionRecorder:
         del name, line, model, robot_id
@@ -293,101 +340,112 @@ class _Off:
 
     def to_host(self, data: bytes, by_time: bool = False) -> None: ...
 
-    def stepped(self, dt_s: float) -> None: ...
+    def record_step(self, dt_s: float) -> None: ...
 
-    def paced(self, factor: float | None, paused: bool) -> None: ...
+    def record_pace(self, factor: float | None, paused: bool) -> None: ...
 
-    def changed(self, what: Mapping[str, Any]) -> None: ...
+    def record_change(self, what: Mapping[str, Any]) -> None: ...
 
     def close(self) -> None: ...
 
 
-OFF: Final = _Off()
-"""What whoever is not recorded hands things to."""
+NULL_RECORDER: Final = _NullRecorder()
+"""Recorder for servers without --record."""
 
 
-class AnyRecorder(Protocol):
-    """What a daemon hands things to, whether they are written down, looked at, or neither."""
-
-    def open(self, name: str, line: str, model: Model, robot_id: int | None = None) -> ConnectionRecorder: ...
-    def stepped(self, dt_s: float) -> None: ...
-    def paced(self, factor: float | None, paused: bool) -> None: ...
-    def changed(self, what: Mapping[str, Any]) -> None: ...
-    def close(self) -> None: ...
+# -- recording of a program's own connections -------------------------------------------------------------------------
 
 
 class RecordingStream:
-    """`stream`, with what passes noted on `tape`."""
+    """A stream that records its traffic in the order and the pieces of the program's calls.
 
-    def __init__(self, stream: ByteStream, tape: ConnectionRecorder) -> None:
+    Bytes are recorded before they are sent, because part of them may be sent even if sending fails.
+    """
+
+    def __init__(self, stream: ByteStream, recorder: ConnectionRecorder) -> None:
         self._stream = stream
-        self._tape = tape
+        self._recorder = recorder
         self._closed = False
 
     def send(self, data: bytes) -> None:
-        """Send all of it. Raises as the stream does."""
+        """Send all bytes. Raises as the stream does."""
         if not self._closed:
-            self._tape.to_robot(data)
+            self._recorder.to_robot(data)
         self._stream.send(data)
 
     def receive(self, deadline: Deadline) -> bytes:
-        """What the stream gives. Raises as it does."""
+        """Receive as the stream does, errors included."""
         data = self._stream.receive(deadline)
-        self._tape.to_host(data)
+        self._recorder.to_host(data)
         return data
 
     def close(self) -> None:
-        """Let go of both."""
+        """Close the stream and record it; idempotent."""
         self._stream.close()
         if not self._closed:
             self._closed = True
-            self._tape.close()
+            self._recorder.close()
 
 
-class Recorded(NamedTuple):
-    """Whom a program records: the address, the language (one of follower.LINES) and the robot's model."""
+class RecordingTarget(NamedTuple):
+    """Address, protocol (one of LINES) and robot model of a recorded connection."""
 
     address: str
     line: str
     model: Model
 
 
-class ProgramsRecording:
-    """What one program records of one address, over however many connections.
+class ClientRecording:
+    """Recording of all connections that a program opens to one address; a reconnect is another connection.
 
-    clock    seconds since the start; None: the robot's own clock, so that the same run is the same file
-    started  when that start was
+    Parameters
+    ----------
+    path
+        File to write.
+    target
+        Address, protocol and model.
+    clock
+        Returns seconds since the start; None for the robot's clock, so that the same run gives the same file.
+    started
+        Date and time of the start.
 
-    Raises RecordingError when the file cannot be made.
+    Raises
+    ------
+    RecordingError
+        If the file cannot be created.
     """
 
     def __init__(
-        self, path: Path, what: Recorded, clock: Callable[[], float] | None = None, started: datetime | None = None
+        self,
+        path: Path,
+        target: RecordingTarget,
+        clock: Callable[[], float] | None = None,
+        started: datetime | None = None,
     ) -> None:
         header = {
             "package": version(),
             "started": started and started.isoformat(timespec="seconds"),
             "time": "the robot's clock" if clock is None else "seconds since the start",
-            "address": what.address, "wire": what.line, "model": what.model.name,
+            "address": target.address, "wire": target.line, "model": target.model.name,
         }  # fmt: skip
-        self._recorder = Recorder(LogWriter(path, header), clock)
-        self._line, self._model = what.line, what.model
+        self._recorder = Recorder(RecordingWriter(path, header), clock)
+        self._line, self._model = target.line, target.model
         self._count = 0
 
-    def around(self, stream: ByteStream) -> RecordingStream:
-        """The stream, recorded."""
+    def wrap(self, stream: ByteStream) -> RecordingStream:
+        """Return a stream that records `stream` as the next connection."""
         self._count += 1
-        tape = self._recorder.open(str(self._count), self._line, self._model)
-        return RecordingStream(stream, _Resting(tape, self._recorder))
+        connection = self._recorder.open(str(self._count), self._line, self._model)
+        return RecordingStream(stream, _ReleasingRecorder(connection, self._recorder))
 
 
-class _Resting:
-    """A tape after which the file rests."""
+class _ReleasingRecorder:
+    """ConnectionRecorder that closes the file with the connection; the next connection opens it again."""
 
-    def __init__(self, tape: ConnectionRecorder, recorder: Recorder) -> None:
-        self._tape, self._recorder = tape, recorder
-        self.to_robot, self.to_host = tape.to_robot, tape.to_host
+    def __init__(self, connection: ConnectionRecorder, recorder: Recorder) -> None:
+        self._connection, self._recorder = connection, recorder
+        self.to_robot, self.to_host = connection.to_robot, connection.to_host
 
     def close(self) -> None:
-        self._tape.close()
-        self._recorder.rest()
+        self._connection.close()
+        self._recorder.release()

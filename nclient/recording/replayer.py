@@ -1,18 +1,15 @@
-"""One connection of a recording as questions and answers: what a player goes by.
+"""Replaying a recorded connection: its requests and replies, and the player that answers a program with them.
 
-    Script   line, model | greeting (what the robot said unasked) | exchanges in their order
-    Exchange what was asked, what came back and how long after, and the line of the file
+    load_exchanges(recording) ──> RecordedConnection     initial data, then request and reply, request and reply, ...
+    Player(connection).answers(bytes) ──> ReplyChunks    the recorded replies, or RecordingError
 
-Rules: over TCP an answer belongs to the request whose turn it is; on a robot's own line to the request before it, stray
-bytes, half frames and silence included. Process ids do not count: they differ each time. No I/O.
+    strict   requests must come in the recorded order; keep-alive requests (gs, conf_tm) may be left out
+    loose    each request gets the reply to the next equal recorded one
+    both     disconnecting is always allowed; conf_tm, which clients send by themselves, gets the last recorded state
 
-Answers as a recorded robot did: bytes in, the recorded bytes out, or a clear word where something else is asked.
-
-    strict   questions come in the recorded order; what keeps a robot fed (gs, conf_tm) may be left out
-    loose    each question is answered as the next one like it was
-    both     leaving is always allowed; conf_tm, which clients set by themselves, is answered with the last state
-
-Rules: no I/O and no clock: each answer tells how long after its question it came, and whoever plays waits or does not.
+Over TCP a reply belongs to the next outstanding request; on the serial line to the request before it, including stray
+bytes, incomplete frames and missing replies. Process ids differ in every run and are not compared.
+No I/O and no clock: each chunk has its delay after the request, and the caller waits for it or does not.
 """
 
 from __future__ import annotations
@@ -30,128 +27,191 @@ from nclient.protocol import (
 from nclient.protocol.commands import BY_NAME, REPLY_TYPES, Call
 from nclient.protocol.replies import LINE_STATE, STATE
 from nclient.protocol.tcp_framing import request_bounds
-from nclient.protocol.types import N150, Model, model_named
+from nclient.protocol.types import N150, Model, get_model
 from nclient.protocol.wire_state import serial_wire_state
 from nclient.recording.format import IN, OPEN, OUT, Entry, Recording
-from nclient.recording.recorder import LINES, TCP, Frame, FrameTap, frame_tap_for
+from nclient.recording.recorder import LINES, TCP, Frame, FrameTap, make_frame_tap
 
 _STATE_TYPE = REPLY_TYPES[STATE].to_bytes(2, "big")
 _TIMEOUT_TYPE = BY_NAME["conf_tm"].line_type or 0
 
 
-class Asked(NamedTuple):
-    """What is asked, apart from the process id; `wrong`: the bytes or what is wrong with them where it is no call."""
+class RequestKey(NamedTuple):
+    """A request without its process id, for comparison; `error` is the reason if the bytes are no valid call."""
 
     name: str
     args: tuple[Any, ...] = ()
-    wrong: str = ""
+    error: str = ""
 
     def __str__(self) -> str:
-        """As one would write the call."""
-        if self.wrong:
-            return f"bytes that are no call ({self.wrong})"
+        """Return the request as one would type it."""
+        if self.error:
+            return f"bytes that are no call ({self.error})"
         return f"`{' '.join((self.name, *map(str, self.args if self.name != 'ct' else ())))}`"
 
 
-class Piece(NamedTuple):
-    """Bytes from the robot, so many seconds after what they answer."""
+class ReplyChunk(NamedTuple):
+    """Bytes from the robot, and their delay after the request in seconds."""
 
     after_s: float
     data: bytes
 
 
 @dataclass(slots=True)
-class Exchange:
-    """A question and its answer. `line`: where the question stands."""
+class RecordedExchange:
+    """A request and its reply. `line` is the line of the file with the request."""
 
-    asked: Asked
+    request: RequestKey
     time_s: float
     line: int
-    answer: list[Piece] = field(default_factory=list)
+    reply: list[ReplyChunk] = field(default_factory=list)
 
 
 @dataclass(slots=True)
 class RecordedConnection:
-    """See the head of this file. `name`: the file's."""
+    """One connection of a recording. `name` is the name of the file, `line` the protocol.
+
+    `initial` is the data that the robot sent before the first request, such as a handshake.
+    """
 
     name: str
     line: str
     model: Model
-    greeting: list[Piece] = field(default_factory=list)
-    exchanges: list[Exchange] = field(default_factory=list)
+    initial: list[ReplyChunk] = field(default_factory=list)
+    exchanges: list[RecordedExchange] = field(default_factory=list)
 
     @property
     def robot_id(self) -> int:
-        """The robot that was connected to first; 1 where the recording tells none."""
-        connects = (each.asked.args[0] for each in self.exchanges if each.asked.name == "connect_robot")
+        """Return the number of the first robot connected to, 1 if the recording has none."""
+        connects = (each.request.args[0] for each in self.exchanges if each.request.name == "connect_robot")
         return int(next(connects, 1))
 
 
-class Questions:
-    """What a program asks, out of its bytes."""
+class RequestReader:
+    """Incremental parser of a program's requests."""
 
     def __init__(self, line: str, model: Model) -> None:
-        self.ears: FrameTap = frame_tap_for(line, model)
+        self.tap: FrameTap = make_frame_tap(line, model)
         self._tcp = line == TCP
         self._wire_state = serial_wire_state(model)
 
-    def receive(self, data: bytes) -> list[Asked]:
-        """What these bytes make whole; on a robot's own line stray bytes are passed over."""
-        return [self._asked(frame) for frame in self.ears.to_robot(data) if self._tcp or not frame.wrong]
+    def receive(self, data: bytes) -> list[RequestKey]:
+        """Return the requests that these bytes complete; stray bytes on the serial line are skipped."""
+        return [self._request_key(frame) for frame in self.tap.to_robot(data) if self._tcp or not frame.error]
 
-    def _asked(self, frame: Frame) -> Asked:
-        if frame.wrong:
-            return Asked("", wrong=frame.wrong)
+    def _request_key(self, frame: Frame) -> RequestKey:
+        if frame.error:
+            return RequestKey("", error=frame.error)
         try:
-            return asked(self._call(frame.data))
+            return request_key(self._decode(frame.data))
         except WireError:
-            return Asked("", wrong=frame.data.hex())
+            return RequestKey("", error=frame.data.hex())
 
-    def _call(self, data: bytes) -> Call:
+    def _decode(self, data: bytes) -> Call:
         if self._tcp:
-            return codec.tcp_call(tcp_framing.only_frame(data, request_bounds, self.ears.wide))
-        return codec.line_call(serial_framing.only_frame(data), self._wire_state)
+            return codec.decode_tcp_request(tcp_framing.parse_single_frame(data, request_bounds, self.tap.wide))
+        return codec.decode_serial_request(serial_framing.parse_single_frame(data), self._wire_state)
 
 
-def asked(call: Call) -> Asked:
-    """A call, without the process id."""
+def request_key(call: Call) -> RequestKey:
+    """Return the key of a call: everything except the process id."""
     row, args = BY_NAME[call.name], list(call.args)
-    if row.beside and row.beside[0] == "pid":
-        del args[row.beside[1]]
-    return Asked(call.name, tuple(args))
+    if row.extra_arguments and row.extra_arguments[0] == "pid":
+        del args[row.extra_arguments[1]]
+    return RequestKey(call.name, tuple(args))
+
+
+# -- loading ----------------------------------------------------------------------------------------------------------
 
 
 def load_exchanges(recording: Recording, connection: str = "") -> RecordedConnection:
-    """The script of a connection by its name, of the first where none is given. Raises RecordingError for no such."""
+    """Return one connection of a recording.
+
+    Parameters
+    ----------
+    recording
+        A recording that was read.
+    connection
+        Name of the connection; "" for the first one.
+
+    Raises
+    ------
+    RecordingError
+        If there is no such connection, or its protocol or model is unknown.
+    """
     names = recording.connections()
     if not names:
         raise RecordingError(f"{recording.name}: nothing was recorded in it")
     if connection and connection not in names:
         raise RecordingError(f"{recording.name}: no connection {connection!r}; there are {', '.join(names)}")
     entries = [entry for entry in recording.entries if entry.connection == (connection or names[0])]
-    line, model = _spoken(recording, entries)
-    return _Writer(RecordedConnection(recording.name, line, model)).write(entries)
+    line, model = _line_and_model(recording, entries)
+    return _ExchangeBuilder(RecordedConnection(recording.name, line, model)).build(entries)
 
 
-def _spoken(recording: Recording, entries: list[Entry]) -> tuple[str, Model]:
-    told = dict(recording.header) | dict(next((entry.more for entry in entries if entry.kind == OPEN), {}))
-    line = told.get("wire", TCP)
+def _line_and_model(recording: Recording, entries: list[Entry]) -> tuple[str, Model]:
+    # An entry `open` takes precedence over the header of the file.
+    values = dict(recording.header) | dict(next((entry.more for entry in entries if entry.kind == OPEN), {}))
+    line = values.get("wire", TCP)
     if line not in LINES:
         raise RecordingError(f"{recording.name}: a connection's wire is one of {', '.join(LINES)}, not {line!r}")
     try:
-        return line, model_named(str(told.get("model", N150.name)))
+        return line, get_model(str(values.get("model", N150.name)))
     except AddressError as error:
         raise RecordingError(f"{recording.name}: {error}") from None
 
 
-def state_before(script: RecordedConnection, at: int) -> bytes:
-    """The state that was told last before an exchange, else first after it, as conf_tm is answered; empty for none."""
-    for exchange in (*reversed(script.exchanges[:at]), *script.exchanges[at:]):
-        row = BY_NAME.get(exchange.asked.name)
-        data = b"".join(piece.data for piece in exchange.answer)
+class _ExchangeBuilder:
+    """Assigns the entries of one connection to exchanges."""
+
+    def __init__(self, connection: RecordedConnection) -> None:
+        self._connection = connection
+        self._reader = RequestReader(connection.line, connection.model)
+        self._outstanding: deque[RecordedExchange] = deque()
+
+    def build(self, entries: list[Entry]) -> RecordedConnection:
+        for entry in entries:
+            if entry.kind == OUT:
+                self._add_requests(entry)
+            elif entry.kind == IN and entry.data:
+                self._add_replies(entry)
+        return self._connection
+
+    def _add_requests(self, entry: Entry) -> None:
+        for request in self._reader.receive(entry.data):
+            exchange = RecordedExchange(request, entry.time_s, entry.line)
+            self._connection.exchanges.append(exchange)
+            if not request.name or BY_NAME[request.name].has_tcp_reply:
+                self._outstanding.append(exchange)
+
+    def _add_replies(self, entry: Entry) -> None:
+        # Serial line: everything belongs to the last request, whether it is a frame or not.
+        if self._connection.line != TCP:
+            exchanges = self._connection.exchanges
+            self._add(exchanges[-1] if exchanges else None, entry.time_s, entry.data)
+            return
+        # TCP: replies come in the order of the requests.
+        for frame in self._reader.tap.to_host(entry.data):
+            self._add(self._outstanding.popleft() if self._outstanding else None, entry.time_s, frame.data)
+
+    def _add(self, exchange: RecordedExchange | None, time_s: float, data: bytes) -> None:
+        if exchange is None:
+            self._connection.initial.append(ReplyChunk(0.0, data))
+        else:
+            exchange.reply.append(ReplyChunk(max(0.0, time_s - exchange.time_s), data))
+
+
+def find_state_reply(connection: RecordedConnection, index: int) -> bytes:
+    """Return the last state reply before exchange `index`, else the first one after it, as a reply to conf_tm.
+
+    Empty if the recording has no state reply.
+    """
+    for exchange in (*reversed(connection.exchanges[:index]), *connection.exchanges[index:]):
+        row = BY_NAME.get(exchange.request.name)
+        data = b"".join(chunk.data for chunk in exchange.reply)
         if row is None or not data:
             continue
-        if script.line == TCP:
+        if connection.line == TCP:
             if row.tcp_reply is STATE and data[:2] == _STATE_TYPE:
                 return data
         elif row.line_reply is LINE_STATE:
@@ -161,131 +221,111 @@ def state_before(script: RecordedConnection, at: int) -> bytes:
     return b""
 
 
-class _Writer:
-    """Fills a script from the entries of one connection."""
-
-    def __init__(self, script: RecordedConnection) -> None:
-        self._script = script
-        self._questions = Questions(script.line, script.model)
-        self._unanswered: deque[Exchange] = deque()
-
-    def write(self, entries: list[Entry]) -> RecordedConnection:
-        for entry in entries:
-            if entry.kind == OUT:
-                self._ask(entry)
-            elif entry.kind == IN and entry.data:
-                self._answer(entry)
-        return self._script
-
-    def _ask(self, entry: Entry) -> None:
-        for question in self._questions.receive(entry.data):
-            exchange = Exchange(question, entry.time_s, entry.line)
-            self._script.exchanges.append(exchange)
-            if not question.name or BY_NAME[question.name].has_tcp_reply:
-                self._unanswered.append(exchange)
-
-    def _answer(self, entry: Entry) -> None:
-        if self._script.line != TCP:
-            exchanges = self._script.exchanges
-            self._add(exchanges[-1] if exchanges else None, entry.time_s, entry.data)
-            return
-        for frame in self._questions.ears.to_host(entry.data):
-            self._add(self._unanswered.popleft() if self._unanswered else None, entry.time_s, frame.data)
-
-    def _add(self, exchange: Exchange | None, time_s: float, data: bytes) -> None:
-        if exchange is None:
-            self._script.greeting.append(Piece(0.0, data))
-        else:
-            exchange.answer.append(Piece(max(0.0, time_s - exchange.time_s), data))
-
+# -- playing ----------------------------------------------------------------------------------------------------------
 
 STRICT, LOOSE = "strict", "loose"
 ORDERS: Final = (STRICT, LOOSE)
-_FEEDING: Final = frozenset({"gs", "conf_tm"})
-"""What clients say by themselves at moments of their own choice: a program need not repeat it."""
-_LEAVING: Final = "disconnect_robot"
+_KEEP_ALIVE: Final = frozenset({"gs", "conf_tm"})
+"""Requests that clients send by themselves at times of their own choice: a program need not repeat them."""
+_DISCONNECT: Final = "disconnect_robot"
 _TIMEOUT: Final = "conf_tm"
 
 
 class Player:
-    """One connection, played once. `order`: one of ORDERS."""
+    """The robot's side of one recorded connection, played once.
 
-    def __init__(self, script: RecordedConnection, order: str = STRICT) -> None:
-        self._script = script
+    Parameters
+    ----------
+    connection
+        The recorded connection.
+    order
+        One of ORDERS.
+    """
+
+    def __init__(self, connection: RecordedConnection, order: str = STRICT) -> None:
+        self._connection = connection
         self._loose = order == LOOSE
-        self._questions = Questions(script.line, script.model)
+        self._reader = RequestReader(connection.line, connection.model)
         self._next = 0
 
     @property
-    def greeting(self) -> list[Piece]:
-        """What the robot says unasked, as one comes."""
-        return self._script.greeting
+    def initial(self) -> list[ReplyChunk]:
+        """Return what the robot sends before the first request."""
+        return self._connection.initial
 
     @property
-    def left(self) -> int:
-        """Recorded questions that have not been passed yet."""
-        return len(self._script.exchanges) - self._next
+    def remaining(self) -> int:
+        """Return the number of recorded exchanges that have not been passed yet."""
+        return len(self._connection.exchanges) - self._next
 
-    def answers(self, data: bytes) -> list[Piece]:
-        """What was answered to what these bytes ask. Raises RecordingError where it was not asked (there and then)."""
-        return [piece for question in self._questions.receive(data) for piece in self._answer(question)]
+    def answers(self, data: bytes) -> list[ReplyChunk]:
+        """Return the recorded replies to the requests in these bytes.
 
-    def _answer(self, question: Asked) -> list[Piece]:
-        at = self._found(question)
-        if at is None:
-            if question.name == _LEAVING:
+        Raises
+        ------
+        RecordingError
+            If a request was not recorded at this place.
+        """
+        return [chunk for request in self._reader.receive(data) for chunk in self._answer(request)]
+
+    def _answer(self, request: RequestKey) -> list[ReplyChunk]:
+        index = self._find(request)
+        if index is None:
+            if request.name == _DISCONNECT:
                 return []
-            state = state_before(self._script, self._next) if question.name == _TIMEOUT else b""
+            state = find_state_reply(self._connection, self._next) if request.name == _TIMEOUT else b""
             if state:
-                return [Piece(0.0, state)]
-            raise self._missing(question)
-        self._next = at + 1
-        return self._script.exchanges[at].answer
+                return [ReplyChunk(0.0, state)]
+            raise self._mismatch_error(request)
+        self._next = index + 1
+        return self._connection.exchanges[index].reply
 
-    def _found(self, question: Asked) -> int | None:
-        for at, exchange in enumerate(self._script.exchanges[self._next :], start=self._next):
-            if exchange.asked == question:
-                return at
-            if not self._loose and exchange.asked.name not in _FEEDING:
+    def _find(self, request: RequestKey) -> int | None:
+        for index, exchange in enumerate(self._connection.exchanges[self._next :], start=self._next):
+            if exchange.request == request:
+                return index
+            # In strict order only keep-alive requests may be skipped.
+            if not self._loose and exchange.request.name not in _KEEP_ALIVE:
                 return None
         return None
 
-    def _missing(self, question: Asked) -> RecordingError:
-        name, expected = self._script.name, self._expected()
+    def _mismatch_error(self, request: RequestKey) -> RecordingError:
+        name, expected = self._connection.name, self._expected()
         if expected is None:
-            return RecordingError(f"{name}: it ends here, and the program asks {question}; record a longer run")
+            return RecordingError(f"{name}: the recording ends here, and the program sends {request}; record a longer "
+                                  "run")
         if self._loose:
             return RecordingError(
-                f"{name}: {question} was not asked again from line {expected.line} on; record a run that asks it"
+                f"{name}: {request} does not come again from line {expected.line} on; record a run that sends it"
             )
         return RecordingError(
-            f"{name}, line {expected.line}: recorded was {expected.asked}, the program asks {question}; "
-            f"order={LOOSE} answers as the next one like it was, or record the run anew"
+            f"{name}, line {expected.line}: recorded was {expected.request}, the program sends {request}; "
+            f"order={LOOSE} replies as to the next equal request, or record the run again"
         )
 
-    def _expected(self) -> Exchange | None:
-        """The next one that must come; where only what may be left out is left, the first of that."""
-        left = self._script.exchanges[self._next :]
-        return next((each for each in left if each.asked.name not in _FEEDING), left[0] if left else None)
+    def _expected(self) -> RecordedExchange | None:
+        """Return the next exchange that must come, or the first optional one if no others are left."""
+        rest = self._connection.exchanges[self._next :]
+        return next((each for each in rest if each.request.name not in _KEEP_ALIVE), rest[0] if rest else None)
 
 
 class ReplayPeer:
-    """A player as what answers in this process, at once: MemoryStream's other end."""
+    """A player as the other end of a MemoryStream: it answers in this process, without delays."""
 
     def __init__(self, player: Player) -> None:
         self._player = player
-        self._out = bytearray(b"".join(piece.data for piece in player.greeting))
+        self._out = bytearray(b"".join(chunk.data for chunk in player.initial))
 
     def send(self, data: bytes) -> None:
-        """Take in bytes, and answer them. Raises RecordingError, see Player."""
-        for piece in self._player.answers(data):
-            self._out += piece.data
+        """Process requests. Raises RecordingError as the player does."""
+        for chunk in self._player.answers(data):
+            self._out += chunk.data
 
     def receive(self) -> bytes:
-        """What has been answered."""
-        answered = bytes(self._out)
+        """Return and remove the replies so far."""
+        data = bytes(self._out)
         self._out.clear()
-        return answered
+        return data
 
     def close(self) -> None:
-        """The client is gone."""
+        """Do nothing: a recording has no connection to close."""

@@ -1,1 +1,1 @@
-"""How bytes move, and nothing of what they mean."""
+"""Byte streams: TCP, serial ports and peers in this process, and listeners that accept them. No protocol."""

@@ -1,18 +1,10 @@
-"""Who has come to a TCP port and waits for his turn, one being in already.
+"""Listeners: a TCP port or a pseudo-terminal that serves one connection after the other.
 
-    look()    takes in who has come, lets go who has left, turns away who may not; as often as one likes
-    next()    whose turn it is: the first who has said something already, or the first, or whoever comes
+    listener.accept()               the next connection, as a ByteStream
+    listener.has_pending_request()  True if another client has sent something meanwhile; to be polled
 
-Rules: nothing of what they say is read here. So many wait and no more: the first of those that say nothing goes then,
-so that no crowd of silent ones keeps out one who has something to say.
-
-Where others come in: a TCP port or a pseudo-terminal that waits for one peer after the other.
-
-    door.peer() ──> a ByteStream to whoever came; the next one is waited for when that is closed
-    door.wanted()   whether another has something to say meanwhile; to be asked now and then (lobby.py)
-
-Rules: one peer at a time. A pseudo-terminal is raw, stands behind a symbolic link, and knows its peer by the other end
-being open; what is at the link's place and is no link stays. POSIX only, where a pseudo-terminal is asked for.
+TCP connections wait in an `AcceptQueue`. Those that have sent something are served first, so that idle connections,
+however many, do not block a client with a request. A pseudo-terminal stands behind a symbolic link; POSIX only.
 """
 
 from __future__ import annotations
@@ -31,132 +23,148 @@ from nclient.errors import ConnectionLost, ReplyTimeout
 from nclient.transports.stream import ByteStream, Deadline
 from nclient.transports.tcp import TcpStream
 
-MOST_WAITING: Final = 8
-CROWDED: Final = f"{MOST_WAITING} others wait already"
+MAX_PENDING: Final = 8
+QUEUE_FULL: Final = f"{MAX_PENDING} others wait already"
+_POLL_S: Final = 0.02
+"""Interval at which a pseudo-terminal is polled for a program that opens it."""
+_CHUNK: Final = 65536
+_SEND_TIMEOUT_S: Final = 5.0
+"""Maximum time for a client to read what is sent to it."""
 
 
-class Caller(NamedTuple):
-    """Who came, and from where."""
+class PendingConnection(NamedTuple):
+    """An accepted TCP connection that is not served yet, with the client's address."""
 
     socket: socket.socket
     host: str
     port: int
 
 
-class _Said(enum.Enum):
-    """What was heard of one who waits."""
+class _Received(enum.Enum):
+    """State of the receive buffer of a pending connection; nothing is consumed from it."""
 
     NOTHING = enum.auto()
-    SOMETHING = enum.auto()
-    GOODBYE = enum.auto()
+    DATA = enum.auto()
+    END = enum.auto()
 
 
-class Lobby:
-    """Before the port that `listening` listens at.
+class AcceptQueue:
+    """The pending connections of a listening socket, at most `MAX_PENDING`.
 
-    `refusal`: why somebody from that address may not come in to that one of ours; empty: he may. `turned_away` is told
-    of each who may not, with the reason.
+    Parameters
+    ----------
+    listening
+        The socket.
+    refusal
+        Returns why a client at the first address may not connect to this machine's second one, "" if it may.
+    on_rejected
+        Called with the address of each rejected client, and the reason.
     """
 
     def __init__(
-        self, listening: socket.socket, refusal: Callable[[str, str], str], turned_away: Callable[[str, str], None]
+        self, listening: socket.socket, refusal: Callable[[str, str], str], on_rejected: Callable[[str, str], None]
     ) -> None:
         self._listening = listening
-        self._refusal, self._turned_away = refusal, turned_away
-        self._waiting: list[Caller] = []
+        self._refusal, self._on_rejected = refusal, on_rejected
+        self._pending: list[PendingConnection] = []
 
-    def look(self) -> bool:
-        """See the head of this file. Whether somebody waits who has said something."""
-        self._gather()
-        for caller in [one for one in self._waiting if _said(one) is _Said.GOODBYE]:
-            self._let_go(caller)
-        while len(self._waiting) > MOST_WAITING:
-            self._turn_away(next((one for one in self._waiting if _said(one) is _Said.NOTHING), self._waiting[-1]))
-        return self._first_to_speak() is not None
+    def poll(self) -> bool:
+        """Accept and drop connections without waiting; return True if a pending one has sent something."""
+        # 1. New connections.
+        self._accept_available()
+        # 2. Connections whose client has disconnected.
+        for connection in [each for each in self._pending if _received(each) is _Received.END]:
+            self._drop(connection)
+        # 3. Too many: reject the oldest idle one, or the newest if none is idle.
+        while len(self._pending) > MAX_PENDING:
+            idle = (each for each in self._pending if _received(each) is _Received.NOTHING)
+            connection = next(idle, self._pending[-1])
+            self._drop(connection)
+            self._on_rejected(connection.host, QUEUE_FULL)
+        return self._first_with_data() is not None
 
-    def next(self) -> Caller:
-        """See the head of this file; waits for somebody where nobody waits."""
-        self._gather()
+    def next(self) -> PendingConnection:
+        """Return the first connection that has sent something, else the first; wait for one if there is none."""
+        self._accept_available()
         self._listening.setblocking(True)
-        while not self._waiting:
+        while not self._pending:
             with contextlib.suppress(ConnectionAbortedError):
-                self._waiting += self._come()
-        caller = self._first_to_speak() or self._waiting[0]
-        self._waiting.remove(caller)
-        return caller
+                self._accept_one()
+        connection = self._first_with_data() or self._pending[0]
+        self._pending.remove(connection)
+        return connection
 
     def close(self) -> None:
-        """Send everybody away. Twice is fine."""
-        for caller in tuple(self._waiting):
-            self._let_go(caller)
+        """Close all pending connections. May be called twice."""
+        for connection in tuple(self._pending):
+            self._drop(connection)
 
-    def _gather(self) -> None:
+    def _accept_available(self) -> None:
         self._listening.setblocking(False)
         with contextlib.suppress(BlockingIOError, ConnectionAbortedError):
-            for _ in range(MOST_WAITING):
-                self._waiting += self._come()
+            for _ in range(MAX_PENDING):
+                self._accept_one()
 
-    def _come(self) -> list[Caller]:
-        """Whoever came, if he may."""
+    def _accept_one(self) -> None:
         accepted, address = self._listening.accept()
         accepted.setblocking(False)
-        caller = Caller(accepted, str(address[0]), int(address[1]))
-        if not (reason := self._refusal(caller.host, str(accepted.getsockname()[0]))):
-            return [caller]
+        connection = PendingConnection(accepted, str(address[0]), int(address[1]))
+        reason = self._refusal(connection.host, str(accepted.getsockname()[0]))
+        if not reason:
+            self._pending.append(connection)
+            return
         accepted.close()
-        self._turned_away(caller.host, reason)
-        return []
+        self._on_rejected(connection.host, reason)
 
-    def _turn_away(self, caller: Caller) -> None:
-        self._let_go(caller)
-        self._turned_away(caller.host, CROWDED)
+    def _first_with_data(self) -> PendingConnection | None:
+        return next((each for each in self._pending if _received(each) is _Received.DATA), None)
 
-    def _first_to_speak(self) -> Caller | None:
-        return next((one for one in self._waiting if _said(one) is _Said.SOMETHING), None)
-
-    def _let_go(self, caller: Caller) -> None:
-        self._waiting.remove(caller)
-        caller.socket.close()
+    def _drop(self, connection: PendingConnection) -> None:
+        self._pending.remove(connection)
+        connection.socket.close()
 
 
-def _said(caller: Caller) -> _Said:
+def _received(connection: PendingConnection) -> _Received:
     try:
-        return _Said.SOMETHING if caller.socket.recv(1, socket.MSG_PEEK) else _Said.GOODBYE
+        return _Received.DATA if connection.socket.recv(1, socket.MSG_PEEK) else _Received.END
     except BlockingIOError:
-        return _Said.NOTHING
+        return _Received.NOTHING
     except OSError:
-        return _Said.GOODBYE
+        return _Received.END
 
 
-_LOOK_S = 0.02
-"""How often a pseudo-terminal that nobody has open is looked at."""
-_CHUNK = 65536
-_TAKING_S = 5.0
-"""How long a peer may take to read what is sent to it."""
-
-
-class Door(Protocol):
-    """See the head of this file. `name`: what a peer is told to connect to."""
+class Listener(Protocol):
+    """A place that programs connect to; `name` is what they connect to."""
 
     name: str
 
-    def peer(self) -> ByteStream:
-        """Wait for the next one."""
+    def accept(self) -> ByteStream:
+        """Wait for the next connection and return it."""
         ...
 
-    def wanted(self) -> bool:
-        """Whether somebody waits who has said something."""
+    def has_pending_request(self) -> bool:
+        """Return True if a connection that is not served yet has sent something."""
         ...
 
     def close(self) -> None:
-        """Let nobody in any more. Twice is fine."""
+        """Stop listening. May be called twice."""
         ...
 
 
-class TcpDoor:
-    """A port of this machine; port 0 takes a free one. Raises ConnectionLost where it cannot be had.
+class TcpListener:
+    """A TCP port of this machine.
 
-    `refusal`, `turned_away`: who may not come in, and who is told of it, as Lobby has them.
+    Parameters
+    ----------
+    host, port
+        The address to listen on; port 0 takes a free one.
+    refusal, on_rejected
+        As `AcceptQueue` takes them.
+
+    Raises
+    ------
+    ConnectionLost
+        If the port is not available.
     """
 
     def __init__(
@@ -164,52 +172,63 @@ class TcpDoor:
         host: str,
         port: int,
         refusal: Callable[[str, str], str] = lambda _, __: "",
-        turned_away: Callable[[str, str], None] = lambda _, __: None,
+        on_rejected: Callable[[str, str], None] = lambda _, __: None,
     ) -> None:
         try:
             family = socket.AF_INET6 if ":" in host else socket.AF_INET
-            self._socket = socket.create_server((host, port), family=family, backlog=MOST_WAITING)
+            self._socket = socket.create_server((host, port), family=family, backlog=MAX_PENDING)
         except OSError as error:
             raise ConnectionLost(
                 f"cannot listen on {host}:{port}: {error.strerror or error}; port 0 takes a free one"
             ) from error
-        self._lobby = Lobby(self._socket, refusal, turned_away)
+        self._queue = AcceptQueue(self._socket, refusal, on_rejected)
         self.port: int = self._socket.getsockname()[1]
         self.name = f"[{host}]:{self.port}" if ":" in host else f"{host}:{self.port}"
 
-    def peer(self) -> ByteStream:
-        """Whose turn it is, or whoever connects next."""
-        caller = self._lobby.next()
-        return _Visitor(caller.socket, f"{caller.host}:{caller.port}")
+    def accept(self) -> ByteStream:
+        """Wait for the next connection and return it."""
+        connection = self._queue.next()
+        return _AcceptedStream(connection.socket, f"{connection.host}:{connection.port}")
 
-    def wanted(self) -> bool:
-        """Whether somebody waits who has said something."""
-        return self._lobby.look()
+    def has_pending_request(self) -> bool:
+        """Return True if a connection that is not served yet has sent something."""
+        return self._queue.poll()
 
     def close(self) -> None:
-        """Stop listening."""
-        self._lobby.close()
+        """Close the port and all pending connections. May be called twice."""
+        self._queue.close()
         self._socket.close()
 
 
-class _Visitor(TcpStream):
-    """Who came to a TCP door."""
+class _AcceptedStream(TcpStream):
+    """A connection to a `TcpListener`."""
 
     def __init__(self, accepted: socket.socket, name: str) -> None:
         self.name = name
-        self._timeout_s = _TAKING_S
+        self._timeout_s = _SEND_TIMEOUT_S
         self._socket = accepted
         accepted.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
     def _lost(self, reason: str) -> ConnectionLost:
-        return ConnectionLost(f"{self.name} has left: {reason}")
+        return ConnectionLost(f"{self.name} has disconnected: {reason}")
 
 
-class TerminalDoor:
-    """A pseudo-terminal behind a symbolic link. Raises ConnectionLost where it cannot be made."""
+class PtyListener:
+    """A pseudo-terminal behind a symbolic link.
+
+    Parameters
+    ----------
+    link
+        Path of the symbolic link; one that is there is replaced, any other file stays.
+
+    Raises
+    ------
+    ConnectionLost
+        If the pseudo-terminal or its link cannot be created.
+    """
 
     def __init__(self, link: Path) -> None:
-        import tty
+        import tty  # POSIX only, as pseudo-terminals are
 
         self.name = str(link)
         self._link = link
@@ -230,18 +249,19 @@ class TerminalDoor:
         self._poll = select.poll()
         self._poll.register(self._fd, select.POLLIN)
 
-    def peer(self) -> ByteStream:
-        """Whoever opens the other end next."""
+    def accept(self) -> ByteStream:
+        """Wait until a program opens the other end, and return the connection to it."""
+        # The kernel reports a hang-up as long as no program has the other end open, and has no event for opening.
         while any(event & select.POLLHUP for _, event in self._poll.poll(0)):
-            time.sleep(_LOOK_S)
-        return _TerminalPeer(self._fd, self.name)
+            time.sleep(_POLL_S)
+        return _PtyStream(self._fd, self.name)
 
-    def wanted(self) -> bool:
-        """Nobody waits for what one has open: all who open it share it."""
+    def has_pending_request(self) -> bool:
+        """Return False: all programs that open a pseudo-terminal share it, none waits."""
         return False
 
     def close(self) -> None:
-        """Take the link away, if it is still ours."""
+        """Close the pseudo-terminal and remove the link, unless it points elsewhere by now. May be called twice."""
         if self._fd >= 0:
             with contextlib.suppress(OSError):
                 if self._link.readlink() == Path(self._device):
@@ -250,8 +270,8 @@ class TerminalDoor:
             self._fd = -1
 
 
-class _TerminalPeer:
-    """Who opened the other end of a pseudo-terminal; the end itself stays the door's."""
+class _PtyStream:
+    """A connection to a `PtyListener`, which owns the file descriptor."""
 
     def __init__(self, fd: int, name: str) -> None:
         self._fd, self.name = fd, name
@@ -259,27 +279,27 @@ class _TerminalPeer:
         self._poll.register(fd, select.POLLIN)
 
     def send(self, data: bytes) -> None:
-        """Send all of it; what a peer does not take within a while is lost, as on a cable."""
-        deadline = Deadline.after(_TAKING_S)
+        """Send all bytes; what is not read within 5 s is lost, as on a cable."""
+        deadline = Deadline.after(_SEND_TIMEOUT_S)
         while data and deadline.remaining():
             try:
                 data = data[os.write(self._fd, data) :]
             except BlockingIOError:
-                time.sleep(_LOOK_S)
+                time.sleep(_POLL_S)
             except OSError as error:
-                raise self._left() from error
+                raise self._disconnected() from error
 
     def receive(self, deadline: Deadline) -> bytes:
-        """At least one byte. Raises ReplyTimeout at the deadline, ConnectionLost when the other end was closed."""
+        """Return at least one byte. Raises ReplyTimeout at the deadline, ConnectionLost if the other end was closed."""
         if not self._poll.poll(deadline.remaining() * 1000):
             raise ReplyTimeout(f"nothing came at {self.name}")
         try:
             return os.read(self._fd, _CHUNK)
         except OSError as error:
-            raise self._left() from error
+            raise self._disconnected() from error
 
     def close(self) -> None:
-        """Nothing to let go: the other end belongs to the peer."""
+        """Do nothing: the program has its own end, and the listener this one."""
 
-    def _left(self) -> ConnectionLost:
-        return ConnectionLost(f"whoever had {self.name} open has left")
+    def _disconnected(self) -> ConnectionLost:
+        return ConnectionLost(f"the program at {self.name} has disconnected")

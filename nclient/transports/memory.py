@@ -1,103 +1,112 @@
-"""Bytes to something that answers in this very process: an emulator, without a socket and without waiting.
+"""A byte stream to a peer in this process, such as the emulator: no socket and no waiting.
 
-    address ──> entry point of the group `nomad.openers`, by its scheme ──> a Peer ──> MemoryStream
+    address -> entry point of the group `nomad.openers`, by its scheme -> Peer -> MemoryStream
 
-Rules: what answers is found by name and never imported here; it needs send, receive and close, and no clock.
-A robot's own line knows no simulation: whoever wants to look at the one behind it has a second stream (`beside`).
+Peers are found by name and never imported here.
 """
 
 from __future__ import annotations
 
 from importlib.metadata import EntryPoint, entry_points
-from typing import Protocol, runtime_checkable
+from typing import Final, Protocol, runtime_checkable
 
 from nclient.errors import AddressError, ConnectionLost, ReplyTimeout
 from nclient.transports.stream import Deadline
 
-GROUP = "nomad.openers"
-"""Entry points: a scheme each, a function address -> Peer."""
+GROUP: Final = "nomad.openers"
+"""Entry points: the name is a scheme, the object a function from an address to a `Peer`."""
 
 
 class Peer(Protocol):
-    """What answers in this process."""
+    """The other end of a `MemoryStream`."""
 
     def send(self, data: bytes) -> None:
-        """Take in bytes, and answer them."""
+        """Process bytes from the client."""
         ...
 
     def receive(self) -> bytes:
-        """What has been answered; empty when no more will come before something is sent."""
+        """Return the replies so far; empty if nothing more comes until something is sent."""
         ...
 
     def close(self) -> None:
-        """The client is gone."""
+        """Close: the client has disconnected."""
         ...
 
 
 @runtime_checkable
 class LinePeer(Peer, Protocol):
-    """A peer that speaks as a robot's own line does."""
+    """A peer that speaks the serial protocol."""
 
     def beside(self) -> Peer:
-        """Another one, of the same simulation, that speaks as a server does; its questions take no time."""
+        """Return a peer of the same simulation that speaks the TCP protocol and whose requests take no time."""
         ...
 
 
 class MemoryStream:
-    """A stream to a peer in this process. No deadline matters: what has not come at once will not come."""
+    """A stream to a peer in this process. Deadlines have no effect: a reply is there at once or never."""
 
     def __init__(self, peer: Peer) -> None:
         self._peer: Peer | None = peer
 
     def send(self, data: bytes) -> None:
-        """Hand the bytes over. Raises ConnectionLost after `close`."""
-        self._open().send(data)
+        """Pass the bytes to the peer. Raises ConnectionLost after `close`."""
+        self._open_peer().send(data)
 
     def receive(self, deadline: Deadline) -> bytes:
-        """What the peer has answered. Raises ReplyTimeout at once where that is nothing; ConnectionLost when closed."""
+        """Return the peer's replies. Raises ReplyTimeout at once if there are none, ConnectionLost after `close`."""
         del deadline
-        data = self._open().receive()
+        data = self._open_peer().receive()
         if not data:
-            raise ReplyTimeout("what answers in this process has nothing to say to that")
+            raise ReplyTimeout("no reply from the peer in this process")
         return data
 
     def beside(self) -> MemoryStream:
-        """A stream to the simulation behind a line. Raises AddressError where what answers has no such thing."""
-        peer = self._open()
+        """Return a stream to the simulation behind a serial line.
+
+        Raises
+        ------
+        AddressError
+            If the peer does not speak the serial protocol.
+        """
+        peer = self._open_peer()
         if not isinstance(peer, LinePeer):
-            raise AddressError("what answers in this process has no robot's own line: leave line=1 out")
+            raise AddressError("the peer in this process has no serial line: leave line=1 out")
         return MemoryStream(peer.beside())
 
     def close(self) -> None:
-        """Let the peer go."""
+        """Close the peer. May be called twice."""
         if self._peer is not None:
             self._peer.close()
             self._peer = None
 
-    def _open(self) -> Peer:
+    def _open_peer(self) -> Peer:
         if self._peer is None:
             raise ConnectionLost("this end has closed the connection")
         return self._peer
 
 
 def schemes() -> tuple[str, ...]:
-    """The address schemes that something installed here answers in this process."""
+    """Return the address schemes that installed packages open in this process, sorted."""
     return tuple(sorted(_openers()))
 
 
 def open_in_process(scheme: str, address: str) -> MemoryStream:
-    """A stream to what the address names. Raises AddressError for a scheme without opener, or one that is broken.
+    """Open a stream to the peer that an address names.
 
-    What the opener itself has against the address (AddressError, WorldFileError, StartError) passes through.
+    Raises
+    ------
+    AddressError
+        If no installed package opens the scheme, or its opener cannot be imported. Errors of the opener itself
+        (AddressError, WorldFileError, StartError) pass through.
     """
     opener = _openers().get(scheme)
     if opener is None:
-        raise AddressError(f"nothing installed here answers {scheme}: addresses")
+        raise AddressError(f"no installed package opens {scheme}: addresses")
     try:
-        opens = opener.load()
+        open_peer = opener.load()
     except (ImportError, AttributeError) as error:
-        raise AddressError(f"{scheme}: addresses cannot be served, {opener.value} does not load: {error}") from error
-    return MemoryStream(opens(address))
+        raise AddressError(f"{scheme}: addresses cannot be opened, {opener.value} does not load: {error}") from error
+    return MemoryStream(open_peer(address))
 
 
 def _openers() -> dict[str, EntryPoint]:

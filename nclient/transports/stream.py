@@ -1,9 +1,7 @@
-"""The seam between bytes and their meaning: three methods wide. And the deadline that every wait has.
+"""The interface of byte streams, and the deadline of every wait.
 
-    send(data)   receive(deadline) -> bytes   close()
-
-Rules: a stream knows no message. What fails here is one of two things: nothing came in time (ReplyTimeout), or
-nothing will ever come (ConnectionLost). Whatever wraps a stream (a recorder, a fault plan) is a stream again.
+A stream knows nothing of messages. Two errors leave it: ReplyTimeout if nothing came in time, ConnectionLost if nothing
+will ever come. What wraps a stream (a recorder, a fault injector) is a `ByteStream` again.
 """
 
 from __future__ import annotations
@@ -14,7 +12,7 @@ from typing import Protocol
 
 
 class Deadline:
-    """A moment by which something must have come. `clock`: seconds; the monotonic one, or that of a simulation."""
+    """A moment on a clock in seconds: the monotonic one unless another is given, such as that of a simulation."""
 
     __slots__ = ("_at_s", "_clock")
 
@@ -24,29 +22,36 @@ class Deadline:
 
     @classmethod
     def after(cls, seconds: float, clock: Callable[[], float] | None = None) -> Deadline:
-        """The moment so many seconds from now."""
+        """Return the deadline that many seconds from now."""
         clock = clock or time.monotonic
         return cls(clock() + seconds, clock)
 
     def remaining(self) -> float:
-        """Seconds left; 0 when it is past."""
+        """Return the seconds left, 0 if the deadline has passed."""
         return max(0.0, self._at_s - self._clock())
 
 
 class ByteStream(Protocol):
-    """Bytes to the other end and back."""
+    """Bytes to and from the other end of a connection."""
 
     def send(self, data: bytes) -> None:
-        """Send all of it. Raises ConnectionLost."""
+        """Send all bytes. Raises ConnectionLost."""
         ...
 
     def receive(self, deadline: Deadline) -> bytes:
-        """At least one byte, as soon as there is one. Raises ReplyTimeout at the deadline, ConnectionLost when closed.
+        """Return at least one byte, as soon as there is one.
 
-        A deadline that is past still gives what has come already.
+        A deadline that has passed still returns what has already arrived.
+
+        Raises
+        ------
+        ReplyTimeout
+            If nothing arrives before the deadline.
+        ConnectionLost
+            If either end has closed the connection.
         """
         ...
 
     def close(self) -> None:
-        """Let go; what waits in `receive`, on another thread too, ends with ConnectionLost. Closing twice is fine."""
+        """Close the stream; a `receive` in another thread ends with ConnectionLost. May be called twice."""
         ...

@@ -1,27 +1,37 @@
-"""Bytes over a TCP connection, and the host names that mean this machine.
-
-Rules: the only room of the client with a socket. Every OSError leaves as a ConnectionLost that names host and port.
-"""
+"""A TCP connection as a byte stream. Every OSError becomes a ConnectionLost that names host and port."""
 
 from __future__ import annotations
 
 import contextlib
 import socket
+from typing import Final
 
 from nclient.errors import ConnectionLost, ReplyTimeout
 from nclient.transports.stream import Deadline
 
-CONNECT_TIMEOUT_S = 5.0
-SERVER, ROBOT_LINE = "nserver --port", "nserver --robotd"
-"""What listens at a port in the language of an Nserver, and in a robot's own."""
-_CHUNK = 65536
+CONNECT_TIMEOUT_S: Final = 5.0
+SERVER: Final = "nserver --port"
+ROBOT_LINE: Final = "nserver --robotd"
+"""Commands that listen on a port in the TCP protocol and in the serial one; errors suggest them."""
+_CHUNK: Final = 65536
 
 
 class TcpStream:
-    """A connection to host and port. Raises ConnectionLost when nobody answers there within `timeout_s`.
+    """A connection to a TCP port.
 
-    What is sent must be taken by the other end within the same time. `served_by`: the command that listens so at a
-    port, for the errors.
+    Parameters
+    ----------
+    host, port
+        The address of the listener.
+    timeout_s
+        Maximum time to connect, and for the other end to take what is sent.
+    served_by
+        The command that listens on such a port, for error messages.
+
+    Raises
+    ------
+    ConnectionLost
+        If nothing accepts the connection in time.
     """
 
     def __init__(
@@ -31,6 +41,7 @@ class TcpStream:
         self._timeout_s = timeout_s
         try:
             self._socket = socket.create_connection((host, port), timeout_s)
+            # Requests are small and each waits for its reply: Nagle's algorithm would only delay them.
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         except (socket.gaierror, UnicodeError) as error:
             raise ConnectionLost(
@@ -38,11 +49,11 @@ class TcpStream:
             ) from error
         except (OSError, OverflowError) as error:
             raise ConnectionLost(
-                f"nobody answers at {self.name} ({_reason(error)}); is nserver running? `{served_by} {port}`"
+                f"no answer at {self.name} ({_reason(error)}); is nserver running? `{served_by} {port}`"
             ) from error
 
     def send(self, data: bytes) -> None:
-        """Send all of it. Raises ConnectionLost."""
+        """Send all bytes. Raises ConnectionLost."""
         try:
             self._socket.settimeout(self._timeout_s)
             self._socket.sendall(data)
@@ -50,7 +61,7 @@ class TcpStream:
             raise self._lost(_reason(error)) from error
 
     def receive(self, deadline: Deadline) -> bytes:
-        """At least one byte. Raises ReplyTimeout at the deadline, ConnectionLost when the other end has closed."""
+        """Return at least one byte. Raises ReplyTimeout at the deadline, ConnectionLost if the other end has closed."""
         try:
             self._socket.settimeout(deadline.remaining())
             data = self._socket.recv(_CHUNK)
@@ -63,7 +74,7 @@ class TcpStream:
         return data
 
     def close(self) -> None:
-        """Close the connection; what waits in `receive` on another thread ends with ConnectionLost."""
+        """Close the connection; a `receive` in another thread ends with ConnectionLost."""
         with contextlib.suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
@@ -73,7 +84,7 @@ class TcpStream:
 
 
 def names_of_this_machine() -> tuple[str, ...]:
-    """The names an Nserver on this machine may listen under: loopback, and the one that C clients take."""
+    """Return the names under which an Nserver of this machine may listen: loopback, then the one of C clients."""
     return ("localhost", socket.gethostname())
 
 

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Final
 
 from nclient.backends.base import Backend
-from nclient.backends.wrappers import POLL_S, Capped
+from nclient.backends.wrappers import POLL_S, SpeedLimiter
 from nclient.connect import Connector
 from nclient.url import parse_address
 from nserver_emu.gateway.gateway import TIMEOUT_S, Gateway, RealRobotProxy
@@ -190,7 +190,7 @@ def speed_limiter(options: argparse.Namespace) -> Callable[[Backend], Backend]:
     if options.max_speed is None and options.max_turn is None:
         return lambda backend: backend
     speed, turn = options.max_speed or math.inf, options.max_turn or math.inf
-    return lambda backend: Capped(backend, max_speed_in_s=speed, max_turn_deg_s=turn)
+    return lambda backend: SpeedLimiter(backend, max_speed_in_s=speed, max_turn_deg_s=turn)
 
 
 def line_addresses(options: argparse.Namespace) -> dict[str, str]:

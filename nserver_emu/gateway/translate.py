@@ -23,7 +23,7 @@ import numpy as np
 
 from nclient.protocol.client_state import ERROR_SLOT, STATE_SIZE
 from nclient.protocol.codec import clamp_to_serial
-from nclient.protocol.commands import BY_NAME, Call, on_line
+from nclient.protocol.commands import BY_NAME, Call, exists_on_serial
 from nclient.protocol.replies import MOTOR_SLOT, Reply
 from nclient.protocol.types import BUMPER_SLOT, COMPASS_SLOT, LASER_SLOT, Model, tenths
 from nclient.protocol.wire_state import LINES, PIXELS, POINTS
@@ -101,7 +101,7 @@ def plan(call: Call, context: ConnectionContext, link: Link) -> TranslatedCall |
     if call.name == "ct" and context.wire_state.mask.position and not link.masks:
         return NOT_AVAILABLE
     calls, build_reply = _ROWS[call.name](call, context, link)
-    if link.own_line and not all(on_line(BY_NAME[sent.name], link.model) for sent in calls):
+    if link.own_line and not all(exists_on_serial(BY_NAME[sent.name], link.model) for sent in calls):
         return NOT_AVAILABLE
     return TranslatedCall(tuple(map(clamp_to_serial, calls)) if link.own_line else calls, build_reply)
 

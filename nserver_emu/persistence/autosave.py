@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Final
 
 from nclient.errors import SnapshotError
-from nserver_emu.garbage import give_back
 from nserver_emu.persistence import snapshot
 from nserver_emu.server.handlers.table import Emulator
 
@@ -69,8 +68,6 @@ class SaveFile:
             if self._failing:
                 log.warning("%s: saved again", self._path)
             self._failing = False
-        del text
-        give_back()
 
     def _write(self, number: int, text: str) -> None:
         with self._lock:

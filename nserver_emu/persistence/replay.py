@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any, Final, Protocol
 
 from nclient.errors import NomadError, RecordingError
-from nclient.protocol.types import model_named
+from nclient.protocol.types import get_model
 from nclient.recording.format import IN, OUT, Entry, Recording
 from nclient.recording.recorder import HANDSHAKE_FIRST, TCP
 from nserver_emu.persistence.recording import DAEMON, beginning_of
@@ -142,7 +142,7 @@ class _DaemonAgain:
 
     def _open(self, entry: Entry) -> None:
         answer, name, host = self._emulator.answer, entry.connection, _host(entry.connection)
-        wire, model = entry.more["wire"], model_named(entry.more["model"])
+        wire, model = entry.more["wire"], get_model(entry.more["model"])
         if wire == TCP:
             self._client_registry.add_pending(name, host)
             self._sessions[name] = Session(

@@ -36,7 +36,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from nclient.common.files import read_text, write_whole
+from nclient.common.files import read_text, write_atomic
 from nclient.common.hints import version
 from nclient.errors import SnapshotError
 from nserver_emu.server.handlers.table import Emulator
@@ -348,7 +348,7 @@ def write(text: str, path: Path, ending: str = "") -> None:
     if len(text) > SNAPSHOT_BYTES:  # all of it ASCII
         raise SnapshotError(f"{path}: cannot be written: {len(text)} bytes, and no more than {SNAPSHOT_BYTES} are read "
                             "again; lower --limit-graphics or --limit-obstacles")
-    write_whole(path, text, SnapshotError, ending)
+    write_atomic(path, text, SnapshotError, ending)
 
 
 def restore(emulator: Emulator, path: Path) -> None:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from typing import Final, Protocol
 
-from nclient.common.allowlist import NOT_ALLOWED, Access
+from nclient.common.allowlist import NOT_ALLOWED, Allowlist
 from nserver_emu.server.limits import Limits
 
 log = logging.getLogger(__name__)
@@ -27,7 +27,7 @@ class AdmissionControl:
     """The rules of all listening ports."""
 
     limits: Limits = field(default_factory=Limits)
-    access: Access = field(default_factory=Access)
+    access: Allowlist = field(default_factory=Allowlist)
     # Number of rejected connections.
     rejected: int = 0
 
@@ -43,7 +43,7 @@ class AdmissionControl:
         at
             The local address that the client connected to.
         """
-        if not self.access.admits(host, at):
+        if not self.access.allows(host, at):
             return NOT_ALLOWED
         if len(present) >= self.limits.connections:
             return f"there are {len(present)} connections already (--limit-connections)"

@@ -37,10 +37,10 @@ class StartPoseAllocator:
 
     def next(self, radius_in: float) -> StartPose | None:
         """Return the first pose where a robot of this radius touches nothing, None if there is none."""
-        standing, world = self._simulation.standing, self._simulation.world
+        spatial_hash, world = self._simulation.spatial_hash, self._simulation.world
         for pose in self._untried.setdefault(radius_in, self._candidates(2.0 * radius_in + GAP_IN)):
             position = pose.x_in, pose.y_in
-            if not standing.touched(*position, radius_in) and world.clearance(*position) > radius_in:
+            if not spatial_hash.touched(*position, radius_in) and world.clearance(*position) > radius_in:
                 return pose
         return None
 
@@ -98,7 +98,7 @@ class SimulationConfig:
         setup = setup_named(self.setup or (NOISY.name if self.noisy else IDEAL.name))
         # Robots sleep until all are placed: none measures a world without the others.
         poses = StartPoseAllocator(simulation)
-        simulation.add_robot(FIRST_ROBOT, self.start, _model(models, self.robot), setup, awake=False)
+        simulation.add_robot(FIRST_ROBOT, self.start, _model(models, self.robot), setup, powered=False)
         for robot_id, (name, start) in enumerate(self.others, start=FIRST_ROBOT + 1):
             model = _model(models, name)
             pose = start or poses.next(model.body.radius_in)
@@ -107,8 +107,8 @@ class SimulationConfig:
                     f"no room for robot {robot_id} around the starts of {self.world}: take fewer robots or a larger "
                     "world, or give it a --start"
                 )
-            simulation.add_robot(robot_id, pose, model, setup, awake=False)
-        simulation.wake()
+            simulation.add_robot(robot_id, pose, model, setup, powered=False)
+        simulation.power_on()
         return simulation
 
 

@@ -29,7 +29,7 @@ from typing import Any, Final, Protocol, cast
 
 from nclient.faults.frames import Language, TcpLanguage
 from nclient.protocol.types import N150
-from nclient.recording.recorder import OFF, TCP, AnyRecorder, ConnectionRecorder
+from nclient.recording.recorder import NULL_RECORDER, TCP, ConnectionRecorder, TrafficRecorder
 from nserver_emu.server.admission import AdmissionControl, ConnectionTimeouts, TokenBucket
 from nserver_emu.server.client_registry import CLOSED_RETENTION_S, ClientRegistry
 from nserver_emu.server.context import ServerState
@@ -51,7 +51,7 @@ class Server(Protocol):
 
     # The command handler behind the port of Nserver: the emulator, or the gateway to real robots.
     handler: CommandHandler
-    recorder: AnyRecorder
+    recorder: TrafficRecorder
     # Open connections of all kinds; a connection adds and removes itself.
     connections: set[ConnectionHandler]
     client_registry: ClientRegistry
@@ -90,7 +90,7 @@ class ConnectionHandler(ABC):
         self._has_faults = False
         # True while `_deliver` runs: replies to delivered bytes must not recurse into it.
         self._is_delivering = False
-        self._recorder: ConnectionRecorder = OFF
+        self._recorder: ConnectionRecorder = NULL_RECORDER
         # Rate limit; None is unlimited.
         self._rate_limit: TokenBucket | None = None
         # False while a port is open without a peer (a pseudo-terminal that no host has opened).

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
 from nclient.protocol.replies import Reply
-from nclient.protocol.types import model_named
+from nclient.protocol.types import get_model
 from nclient.protocol.wire_state import WireState, serial_wire_state
 from nserver_emu.server.graphics import Graphics, Traces
 from nserver_emu.server.layers import layers
@@ -349,7 +349,7 @@ class ServerState:
         They belong to the robot and outlive connections; after a restore they are as at power-on.
         """
         if robot_id not in self._serial_wire_states:
-            model = model_named(self.simulation.robots[robot_id].model.family)
+            model = get_model(self.simulation.robots[robot_id].model.family)
             self._serial_wire_states[robot_id] = serial_wire_state(model)
         return self._serial_wire_states[robot_id]
 

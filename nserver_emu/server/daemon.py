@@ -17,12 +17,12 @@ from pathlib import Path
 from typing import Any
 
 from nclient.errors import ConnectionLost
-from nclient.recording.format import LogWriter
-from nclient.recording.recorder import OFF, AnyRecorder, Recorder
-from nserver_emu.garbage import Tidying
+from nclient.recording.format import RecordingWriter
+from nclient.recording.recorder import NULL_RECORDER, Recorder, TrafficRecorder
 from nserver_emu.server.admission import AdmissionControl, AdmissionProtocol
 from nserver_emu.server.client_registry import ClientRegistry
 from nserver_emu.server.connection import ConnectionHandler, TcpConnection
+from nserver_emu.server.garbage_collection import GarbageCollector
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.link import FaultController
 from nserver_emu.server.session import CommandHandler
@@ -68,7 +68,7 @@ class Daemon:
         self.emulator = emulator
         self.handler: CommandHandler = emulator if handler is None else handler
         # Records requests, replies, time steps and changes in their order.
-        self.recorder: AnyRecorder = OFF
+        self.recorder: TrafficRecorder = NULL_RECORDER
         self.connections: set[ConnectionHandler] = set()
         self.admission = AdmissionControl()
         self.client_registry = ClientRegistry()
@@ -141,16 +141,16 @@ class Daemon:
     def record(self, path: Path, header: Mapping[str, Any]) -> None:
         """Start recording to a file. Raise RecordingError if it cannot be created."""
         clock = asyncio.get_running_loop().time
-        log_writer = LogWriter(path, header, self.admission.limits.log)
+        log_writer = RecordingWriter(path, header, self.admission.limits.log)
         self.recorder = Recorder(log_writer, lambda: self.emulator.simulation.time_s, clock)
 
     def record_clock(self) -> None:
         """Record that the operator changed speed or pause."""
-        self.recorder.paced(self.emulator.clock.factor, self.emulator.clock.paused)
+        self.recorder.record_pace(self.emulator.clock.factor, self.emulator.clock.paused)
 
     def record_change(self, change: Mapping[str, Any]) -> None:
         """Record a change of the simulation by the operator (runtime_settings.py, ownership.py)."""
-        self.recorder.changed(change)
+        self.recorder.record_change(change)
 
     def hold(self, robot_ids: Iterable[int], by: str) -> None:
         """Stop these robots and ignore motion commands until `release` (ownership.py)."""
@@ -202,7 +202,7 @@ class Daemon:
     def step(self, dt_s: float) -> None:
         """Advance simulated time by `dt_s`."""
         self.steps += 1
-        self.recorder.stepped(dt_s)
+        self.recorder.record_step(dt_s)
         self.emulator.pass_time(dt_s)
 
     def tick(self) -> None:
@@ -212,14 +212,14 @@ class Daemon:
 
     async def _run_clock(self) -> None:
         loop = asyncio.get_running_loop()
-        last, tidying = loop.time(), Tidying(loop.time)
+        last, collector = loop.time(), GarbageCollector(loop.time)
         while not self.emulator.quitting:
             clock = self.emulator.clock
             await asyncio.sleep(0 if clock.is_free_running and clock.factor is None else TICK_S)
             now = self.ticked_s = loop.time()
             elapsed, last = now - last, now
             self._advance(elapsed)
-            tidying.tidy()
+            collector.run()
 
     def _advance(self, elapsed_s: float) -> None:
         """Advance simulated time for `elapsed_s` of real time, as the clock's mode says."""

@@ -17,7 +17,7 @@ from urllib.parse import parse_qs
 
 from nclient.common.hints import suggest
 from nclient.errors import AddressError
-from nclient.protocol.types import model_named
+from nclient.protocol.types import get_model
 from nserver_emu.server.config import FIRST_ROBOT, MAX_ROBOTS, SimulationConfig, robot_placements
 from nserver_emu.server.context import Allowed
 from nserver_emu.server.handlers.table import Emulator
@@ -87,7 +87,7 @@ class InProcessLine(InProcess):
     """The host's end of robot 1's own serial line."""
 
     def __init__(self, emulator: Emulator, step_s: float = DEFAULT_STEP_S) -> None:
-        model = model_named(emulator.simulation.robots[FIRST_ROBOT].model.family)
+        model = get_model(emulator.simulation.robots[FIRST_ROBOT].model.family)
         wire_state = emulator.serial_wire_state(FIRST_ROBOT)
         session = SerialSession(
             emulator.answer, FIRST_ROBOT, model, lambda: emulator.simulation.time_s, "in process, on its line",

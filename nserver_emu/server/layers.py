@@ -18,7 +18,7 @@ from nserver_emu.simulation.robot import SimulatedRobot
 
 def layers(robot_id: int, robot: SimulatedRobot, traces: Traces, graphics: Graphics) -> dict[str, Any]:
     """Return each layer by its name, as of now."""
-    laser_points = points(robot.look_with_laser(), robot.model.body).tolist() if robot.model.sees else []
+    laser_points = points(robot.scan_laser(), robot.model.body).tolist() if robot.model.has_light_sensors else []
     return {
         Layer.ACTUAL_TRACE.value: _track(traces.actual.get(robot_id)),
         Layer.ENCODER_TRACE.value: _track(traces.encoder.get(robot_id)),

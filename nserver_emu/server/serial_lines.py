@@ -22,8 +22,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 from nclient.errors import AddressError, ConnectionLost
 from nclient.faults.frames import Language, LineLanguage
-from nclient.protocol.types import Model, model_named
-from nclient.recording.recorder import HANDSHAKE_FIRST, OFF, SERIAL
+from nclient.protocol.types import Model, get_model
+from nclient.recording.recorder import HANDSHAKE_FIRST, NULL_RECORDER, SERIAL
 from nserver_emu.server.connection import READ_SIZE, ConnectionHandler, TcpConnection
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.link import RateLimitedChannel, SerialChannel
@@ -57,7 +57,7 @@ def robot_line(daemon: Daemon, robot_id: int) -> RobotLine:
     if robot_id not in robots:
         existing = ", ".join(map(str, robots))
         raise AddressError(f"a line for robot {robot_id}: there is no such robot, only {existing}; --robots adds more")
-    return RobotLine(robot_id, model_named(robots[robot_id].model.family))
+    return RobotLine(robot_id, get_model(robots[robot_id].model.family))
 
 
 class PtyConnection(ConnectionHandler):
@@ -147,7 +147,7 @@ class PtyConnection(ConnectionHandler):
         self.is_connected = False
         self._handler.on_disconnect(self.session.context)
         self._recorder.close()
-        self._recorder = OFF
+        self._recorder = NULL_RECORDER
         self._start_session()
 
     def _language(self) -> Language:

@@ -129,10 +129,10 @@ class SerialSession(BaseSession[SerialFrame]):
         call = self._cached_calls.get(request)
         if call is None:
             try:
-                call = codec.line_call(request, wire_state)
+                call = codec.decode_serial_request(request, wire_state)
             except WireError as error:
                 self._count_refused(str(error))
-                return codec.line_reply(BY_NAME["gs"], NAK, wire_state)
+                return codec.encode_serial_reply(BY_NAME["gs"], NAK, wire_state)
             if len(self._cached_calls) < MAX_CACHED_CALLS:
                 self._cached_calls[request] = call
         codec.update_from_request(call, wire_state)
@@ -144,7 +144,7 @@ class SerialSession(BaseSession[SerialFrame]):
             reply = NAK
         if reply.kind == "state":
             return self._state_packet(name, reply)
-        return codec.line_reply(BY_NAME[name], to_line_units(reply, self.model), self.context.wire_state)
+        return codec.encode_serial_reply(BY_NAME[name], to_line_units(reply, self.model), self.context.wire_state)
 
     def _state_packet(self, name: str, reply: Reply) -> bytes:
         """Return the packet of a state reply, encoded once per command while the reply is the same object."""
@@ -153,7 +153,7 @@ class SerialSession(BaseSession[SerialFrame]):
             packets = {}
             self._cached_packets = (reply, packets)
         if name not in packets:
-            packets[name] = codec.line_reply(
+            packets[name] = codec.encode_serial_reply(
                 BY_NAME[name], to_line_units(reply, self.model), self.context.wire_state
             )  # fmt: skip
         return packets[name]

@@ -31,7 +31,7 @@ from nclient.protocol import codec
 from nclient.protocol.client_state import STATE_SIZE
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
-from nclient.protocol.tcp_framing import InvalidFrame, TcpFrame, TcpFramer, request_bounds, shorter
+from nclient.protocol.tcp_framing import InvalidFrame, TcpFrame, TcpFramer, limit_words, request_bounds
 from nclient.protocol.types import N150, Mask
 from nclient.protocol.wire_state import WireState, tcp_wire_state
 from nserver_emu.server.limits import Limits
@@ -292,11 +292,11 @@ class Session(BaseSession[TcpFrame | InvalidFrame]):
         self._head: bytes | None = b""
         # True while the last request was a CONNECT.
         self._silent = False
-        self._framer = TcpFramer(shorter(request_bounds, max_words), gives_up=True)
+        self._framer = TcpFramer(limit_words(request_bounds, max_words), drop_after_loss=True)
 
     @property
     def unfinished(self) -> int:
-        return self._framer.pending + self._framer.owed + len(self._head or b"")
+        return self._framer.pending + self._framer.bytes_to_skip + len(self._head or b"")
 
     @property
     def identity(self) -> ClientIdentity | None:
@@ -332,7 +332,7 @@ class Session(BaseSession[TcpFrame | InvalidFrame]):
             return self._refuse(request.code, request.reason)
         # 2. Decode, and require a CONNECT.
         try:
-            call = codec.tcp_call(request)
+            call = codec.decode_tcp_request(request)
         except WireError as error:
             return self._refuse(BAD_VALUES, str(error))
         row = BY_NAME[call.name]
@@ -352,10 +352,10 @@ class Session(BaseSession[TcpFrame | InvalidFrame]):
     def _encode(self, name: str, reply: Reply) -> bytes:
         if reply.kind == "error":
             self._count_refused(f"{name}: error {reply.values[0]}")
-        return codec.tcp_reply(BY_NAME[name], reply, self.context.wire_state)
+        return codec.encode_tcp_reply(BY_NAME[name], reply, self.context.wire_state)
 
     def _refuse(self, code: int, reason: str) -> bytes:
         self._count_refused(reason)
         self.context.wire_state.wide = bool(self._framer.wide)
         # An ERROR reply has the same form for every command.
-        return codec.tcp_reply(BY_NAME["gs"], error_reply(code), self.context.wire_state)
+        return codec.encode_tcp_reply(BY_NAME["gs"], error_reply(code), self.context.wire_state)

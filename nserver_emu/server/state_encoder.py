@@ -32,7 +32,7 @@ from nclient.protocol.types import (
     Mask,
     Position,
     Stamp,
-    clamped_word,
+    clamp_word,
     heading_tenths,
     rad_from_tenths,
     raw_volts,
@@ -50,7 +50,7 @@ def axis_values(robot: SimulatedRobot, tenths: tuple[int, ...]) -> tuple[float, 
     """Return the three values of a command in inches or radians, as the model's axes count."""
     first, second, third = (
         number / 10 if rolls else rad_from_tenths(number)
-        for number, rolls in zip(tenths, robot.model.rolls, strict=True)
+        for number, rolls in zip(tenths, robot.model.in_inches, strict=True)
     )
     return first, second, third
 
@@ -59,7 +59,7 @@ def axis_tenths(robot: SimulatedRobot, values: tuple[float, float, float]) -> tu
     """Return axis values (inches or radians) in tenths; a value other than zero never becomes zero."""
     first, second, third = (
         away_from_zero(value * 10 if rolls else math.degrees(value) * 10)
-        for value, rolls in zip(values, robot.model.rolls, strict=True)
+        for value, rolls in zip(values, robot.model.in_inches, strict=True)
     )
     return first, second, third
 
@@ -77,7 +77,7 @@ def is_on(mode: int) -> bool:
 
 def laser_vector(robot: SimulatedRobot, context: ConnectionContext, width: int) -> tuple[int, ...]:
     """Return the laser vector with `width` words per reading and a connection's settings; (0,) if it is empty."""
-    view = robot.look_with_laser(context.laser_columns)
+    view = robot.scan_laser(context.laser_columns)
     if width not in (POINTS, LINES):
         rows = pixels(view)
         return (len(rows), *rows)
@@ -205,7 +205,7 @@ def add_laser(
     robot: SimulatedRobot, context: ConnectionContext, slots: list[int], *, wanted: bool = True
 ) -> tuple[list[int], tuple[int, ...] | None]:
     """Return the slots with the laser mode of a connection, and its laser vector (None if off or excluded)."""
-    if not robot.model.sees:
+    if not robot.model.has_light_sensors:
         return slots, None
     wire_state = context.wire_state
     with_mode = [*slots[:LASER_SLOT], wire_state.laser_mode, *slots[LASER_SLOT + 1 :]]
@@ -221,7 +221,7 @@ def all_stamps(robot: SimulatedRobot, position: int, time_s: float) -> dict[str,
         stamps |= infrared_stamps(robot)
     if position & Position.BUMPER:
         stamps["bumper"] = stamp_now(robot, time_s)
-    if position & Position.LASER and robot.model.sees:
+    if position & Position.LASER and robot.model.has_light_sensors:
         stamps["laser"] = stamp_now(robot, time_s)
     if position & Position.COMPASS:
         stamps |= compass_stamps(robot, time_s)
@@ -242,8 +242,8 @@ def infrared_stamps(robot: SimulatedRobot) -> dict[str, Stamp]:
 
 def _pose_tenths(pose: Pose) -> tuple[int, int, int, int]:
     return (
-        clamped_word(tenths(pose.x_in)),
-        clamped_word(tenths(pose.y_in)),
+        clamp_word(tenths(pose.x_in)),
+        clamp_word(tenths(pose.y_in)),
         heading_tenths(pose.steering_rad),
         heading_tenths(pose.turret_rad),
     )
@@ -259,7 +259,7 @@ def compass_stamps(robot: SimulatedRobot, time_s: float) -> dict[str, Stamp]:
     """Return the pose of now with the time of the last compass reading, up to 0.1 s ago; empty without a compass."""
     if robot.compass is None:
         return {}
-    taken_ms = robot_clock_ms(robot, to_s(robot.compass.taken_ps))
+    taken_ms = robot_clock_ms(robot, to_s(robot.compass.read_ps))
     return {"compass": stamp_now(robot, time_s)._replace(sensor_time=taken_ms)}
 
 

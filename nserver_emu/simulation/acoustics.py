@@ -1,35 +1,31 @@
-"""Ways of sound from a transducer to a transducer, exactly: by images of the source, as light's in mirrors. Pure.
+"""Acoustics of the Polaroid sonars: the paths of sound from transducer to transducer, and the first audible echo.
 
-    off one wall           source' -> receiver                 head-on, or to a neighbour that listens
-    off two walls          source'' -> receiver                a square corner sends all back: its vertex is heard
-    off one, back off two  source' -> foot on the second       by way of a slanted wall: too long a range
-    off an edge            wall ends and vertices scatter      weak, from all sides
+Smooth walls reflect sound like mirrors, so all paths off them follow from images of the source:
 
-Each way leaves and comes in inside the cones; what is lost on it is told with it, and the points between which nothing
-may stand. Ways off other robots are disc_ways.py's; what is loud enough, and heard, is polaroid.py's.
+    off one wall           source' -> receiver                 perpendicular, or to a neighbour that listens
+    off two walls          source'' -> receiver                a square corner sends everything back: its vertex
+    off one, back off two  source' -> foot on the second       over a slanted wall: too long a range
+    off an edge            wall ends and vertices scatter      weakly, in all directions
 
-Places are complex numbers x + iy in here: half as many arrays. With the unit direction u of a wall and a point a of it
-the image of p is a + u^2 conj(p - a).
+Other robots are discs:
 
-Ways of sound off other robots, which are discs: as echo_ways.py's off walls. Pure.
+    specular reflection    one point of the disc reflects from source to receiver; the curvature spreads the sound
+    scattering             bumpers, sonars and edges scatter weakly in all directions: a robot that only reaches into
+                           the cone is detected at its nearest point there that is loud enough
+    off a wall, back off the disc      over a slanted wall
 
-    off the round      a disc is a curved mirror: wherever it stands, one point sends head-on back; being curved it
-                       spreads the sound, by (r + d)/r over a wall at the same distance d
-    off the skin       bumpers, sonars and edges scatter, weakly and from all sides: a robot that only reaches into the
-                       cone is heard from its nearest point in there that is loud enough
-    off a wall, back off the round     by way of a slanted wall
+Each path leaves and arrives inside the cones; it has a level, and the points between which it must be free. The first
+free one that is loud enough is the echo. The ping of another sonar of the ring that is still under way is detected like
+one's own, and gives too short a range (cross-talk). Not modelled: side lobes, paths off three walls and more or off two
+robots, later pings, pings of other robots, rough walls.
 
-The spreading is that of a bundle of rays in the plane, dB = 10 log10(1 + 2 a b / ((a + b) r cos(incidence))) with ways
-a and b before and after; a = b = d, incidence 0 is the line above. Left out: ways off two robots, and on from one.
+Positions are complex numbers x + iy in here, which halves the number of arrays. With the unit direction u of a wall and
+a point a of it the image of p is a + u^2 conj(p - a).
 
-What a Polaroid transducer hears: the echo model of the setup `measured`. Pure: cries, walls and chance come in.
-
-Smooth walls are mirrors for sound: of a wall comes back what meets it head-on, of a slanted one nothing but what it
-mirrors. The ways of sound are found exactly, off walls and edges in echo_ways.py, off other robots in disc_ways.py.
-
-Of each way that is free and leaves and comes in inside the cone, a level is known; the first that is loud enough is
-heard. A cry of another sonar of the ring that is still under way is heard like one's own, and as too short a range.
-Left out: side lobes, ways off three walls and more, cries later than one's own, cries of other robots, rough walls.
+References
+----------
+Kuc and Siegel, Physically based simulation model for acoustic sensor robot navigation, IEEE PAMI 9 (1987): walls as
+mirrors, edges as scatterers, the beam's directivity.
 """
 
 from __future__ import annotations
@@ -37,15 +33,16 @@ from __future__ import annotations
 from cmath import phase, rect
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import pairwise
 from math import asin, atan2, cos, inf, log10, pi, radians, sin, tan
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from nserver_emu.simulation.segments import short_way, to_s
+from nserver_emu.simulation.segments import to_s, wrap_to_pi
+from nserver_emu.simulation.settings import SONAR_NUMBERS, setting
 from worlds.geometry import BoolArray, FloatArray
 from worlds.raycast import cast_discs, cast_rays
 from worlds.robots import SONARS, Body
@@ -53,30 +50,40 @@ from worlds.robots import SONARS, Body
 ComplexArray = npt.NDArray[np.complex128]
 
 SMALL_IN: Final = 1e-6
-"""How far off its wall a reflected leg starts, and how far short of its end it may be met: inches, a millionth of what
-a reading tells."""
+"""Offset of the start of a reflected leg from its wall, and tolerance at its end: inches, a millionth of the resolution
+of a reading."""
 
 TINY: Final = 1e-9
-"""Share of a wall or a way by which it counts as longer: a square corner's echo goes just through its vertex."""
+"""Fraction by which a wall or a path counts as longer: the echo of a square corner passes exactly through its vertex.
+"""
 
 STRAIGHT_RAD: Final = 1e-3
 """Two walls that meet within this of a straight line are one wall, and have no edge there."""
 
+SCATTERERS: Final = 33
+"""Scattering points of a robot, evenly over its visible part: at most 0.8 degrees apart, a third of an inch of range at
+60 in, where a hundredth of the range is noise."""
 
-class Scene:
-    """What sound meets: walls (m, 4), rows x1 y1 x2 y2 in inches. All it keeps is real, for snapshots are."""
+BISECTIONS: Final = 48
+"""Of the arc between the points that face two transducers: the rest is far below SMALL_IN."""
+
+NO_ROBOTS: Final[FloatArray] = np.zeros((0, 3))
+
+
+class ReflectorMap:
+    """The walls as reflectors: (m, 4), rows x1 y1 x2 y2 in inches."""
 
     def __init__(self, walls: FloatArray) -> None:
         self.walls = walls
 
     @property
     def mirrors(self) -> ComplexArray:
-        """The walls that have a length (k, 3): first end, way to the second, and its direction squared."""
+        """The walls that have a length (k, 3): first end, vector to the second, and its unit direction squared."""
         return self._mirrors.view(np.complex128)
 
     @property
     def edges(self) -> ComplexArray:
-        """Ends and vertices of the walls (k,), but for those where a wall goes straight on."""
+        """Ends and vertices of the walls (k,), except where a wall continues straight."""
         return self._edges.view(np.complex128)[:, 0]
 
     @cached_property
@@ -90,52 +97,58 @@ class Scene:
 
     @cached_property
     def _edges(self) -> FloatArray:
-        ways: dict[tuple[float, float], list[float]] = {}
+        directions: dict[tuple[float, float], list[float]] = {}
         for x1, y1, x2, y2 in self.walls.tolist():
-            ways.setdefault((x1, y1), []).append(atan2(y2 - y1, x2 - x1))
-            ways.setdefault((x2, y2), []).append(atan2(y1 - y2, x1 - x2))
-        return np.array([point for point, out in ways.items() if not _straight(out)]).reshape(-1, 2)
+            directions.setdefault((x1, y1), []).append(atan2(y2 - y1, x2 - x1))
+            directions.setdefault((x2, y2), []).append(atan2(y1 - y2, x1 - x2))
+        points = [point for point, out in directions.items() if not _is_straight(out)]
+        return np.array(points).reshape(-1, 2)
 
 
-class Way(NamedTuple):
-    """A way of sound: its length, what it loses on it, and the points between which nothing may stand."""
+def _is_straight(directions_rad: list[float]) -> bool:
+    """Return True if exactly two walls meet in a point, one the continuation of the other."""
+    return len(directions_rad) == 2 and abs(abs(wrap_to_pi(directions_rad[0] - directions_rad[1])) - pi) < STRAIGHT_RAD
+
+
+class AcousticPath(NamedTuple):
+    """A path of sound: its length, its loss, and the points between which nothing may stand."""
 
     length_in: float
     loss_db: float
     points: tuple[complex, ...]
 
 
-class Losses(NamedTuple):
-    """What sound loses on its way: dB an inch of range, and dB at each wall after the first, at an edge, and at the
-    broken skin of a robot."""
+class Attenuation(NamedTuple):
+    """Losses on a path: dB per inch of range; dB at each wall after the first, at an edge, and by scattering at a
+    robot."""
 
-    way_db_in: float
+    absorption_db_in: float
     bounce_db: float
     edge_db: float
     skin_db: float
 
 
 class Beam(NamedTuple):
-    """A transducer's cone: its point, where it looks, half its angle, and what one passage loses at its rim."""
+    """The cone of a transducer: its apex, axis, half angle, and the one-way loss at its rim."""
 
     point: complex
     direction_rad: float
     half_rad: float
     rim_loss_db: float
 
-    def seen(self, points: ComplexArray) -> ComplexArray:
-        """Points as they lie along the axis (real) and to its left (imaginary)."""
+    def in_frame(self, points: ComplexArray) -> ComplexArray:
+        """Return points relative to the beam: along its axis (real) and to its left (imaginary)."""
         return (points - self.point) * rect(1.0, -self.direction_rad)
 
     def loss_db(self, points: ComplexArray) -> FloatArray:
-        """What one passage towards points costs: inf outside the cone."""
-        seen = self.seen(points)
-        share = np.abs(np.arctan2(seen.imag, seen.real)) / self.half_rad
-        return np.where(share <= 1.0, self.rim_loss_db * share * share, inf)
+        """Return the one-way loss towards points, which grows with the angle squared; inf outside the cone."""
+        local = self.in_frame(points)
+        off_axis = np.abs(np.arctan2(local.imag, local.real)) / self.half_rad
+        return np.where(off_axis <= 1.0, self.rim_loss_db * off_axis * off_axis, inf)
 
     def may_meet(self, mirrors: ComplexArray) -> ComplexArray:
-        """Rows of the mirrors (k, 3) that can reach into the cone: all that are not beyond one of its two sides."""
-        one, other = self.seen(mirrors[:, 0]), self.seen(mirrors[:, 0] + mirrors[:, 1])
+        """Return the rows of the mirrors (k, 3) that can reach into the cone: not beyond one of its two sides."""
+        one, other = self.in_frame(mirrors[:, 0]), self.in_frame(mirrors[:, 0] + mirrors[:, 1])
         slope = tan(self.half_rad)
         rim, far_rim = slope * one.real, slope * other.real
         left, right = (one.imag > rim) & (other.imag > far_rim), (one.imag < -rim) & (other.imag < -far_rim)
@@ -143,93 +156,211 @@ class Beam(NamedTuple):
         return reached
 
     def may_meet_discs(self, discs: FloatArray) -> FloatArray:
-        """Rows of the discs (k, 3) that reach into the cone, or nearly: not beyond a side, nor behind the point."""
-        middles = self.seen(discs[:, 0] + 1j * discs[:, 1])
-        beyond = np.abs(middles.imag) * cos(self.half_rad) - middles.real * sin(self.half_rad) > discs[:, 2]
-        reached: FloatArray = discs[~(beyond | (middles.real < -discs[:, 2]))]
+        """Return the rows of the discs (k, 3) that reach into the cone, or nearly: not beyond a side, not behind."""
+        centres = self.in_frame(discs[:, 0] + 1j * discs[:, 1])
+        beyond = np.abs(centres.imag) * cos(self.half_rad) - centres.real * sin(self.half_rad) > discs[:, 2]
+        reached: FloatArray = discs[~(beyond | (centres.real < -discs[:, 2]))]
         return reached
 
 
-def ways(out: Beam, back: Beam, scene: Scene, lost: Losses, *, own: bool) -> Iterator[Way]:
-    """All ways from one transducer to another, or to itself, but for what stands between."""
-    first = out.may_meet(scene.mirrors)
-    yield from _off_edges(out, back, scene.edges, lost)
+def acoustic_paths(
+    out: Beam, back: Beam, reflectors: ReflectorMap, discs: FloatArray, losses: Attenuation, *, same_sonar: bool
+) -> Iterator[AcousticPath]:
+    """Yield all paths between two transducers, regardless of obstructions.
+
+    Parameters
+    ----------
+    out, back
+        Beams of the transmitting and the receiving sonar.
+    discs
+        Other robots (k, 3), rows x y radius in inches.
+    same_sonar
+        True if they are one sonar; only then are paths back along themselves possible.
+    """
+    # 1. Edges, one wall, two walls, and over a slanted wall to another and back.
+    first = out.may_meet(reflectors.mirrors)
+    yield from _off_edges(out, back, reflectors.edges, losses)
     if len(first):
-        yield from _off_one(out, back, first, lost)
-        if not own:
-            yield from _off_two(out, back, first, back.may_meet(scene.mirrors), lost)
+        yield from _off_one_wall(out, back, first, losses)
+        if not same_sonar:
+            yield from _off_two_walls(out, back, first, back.may_meet(reflectors.mirrors), losses)
         elif len(first) > 1:
-            yield from _off_two(out, back, first, first, lost)
-    if own and len(first):
-        yield from _there_and_back(out, first, scene.mirrors, lost)
+            yield from _off_two_walls(out, back, first, first, losses)
+    if same_sonar and len(first):
+        yield from _over_wall_to_wall(out, first, reflectors.mirrors, losses)
+    if not len(discs):
+        return
+    # 2. Each robot in both cones; and over a slanted wall to a robot and back.
+    for x, y, radius in back.may_meet_discs(out.may_meet_discs(discs)).tolist():
+        yield from _off_disc(out, back, complex(x, y), radius, losses)
+        yield from _scattered_by_disc(out, back, complex(x, y), radius, losses)
+    if same_sonar and len(first):
+        yield from _over_wall_to_disc(out, first, discs, losses)
 
 
-def _off_edges(out: Beam, back: Beam, edges: ComplexArray, lost: Losses) -> Iterator[Way]:
+def _off_edges(out: Beam, back: Beam, edges: ComplexArray, losses: Attenuation) -> Iterator[AcousticPath]:
     lengths = np.abs(edges - out.point) + np.abs(edges - back.point)
-    losses = _there(out, back, edges, edges) + lost.edge_db + lost.way_db_in * lengths / 2.0
-    yield from told(lengths, losses, out, back, edges)
+    loss_db = _cone_losses(out, back, edges, edges) + losses.edge_db + losses.absorption_db_in * lengths / 2.0
+    yield from _paths(lengths, loss_db, out, back, edges)
 
 
-def _off_one(out: Beam, back: Beam, walls: ComplexArray, lost: Losses) -> Iterator[Way]:
-    images = mirrored(out.point, walls)
-    points, met = crossings(images, back.point, walls)
-    if not met.any():
+def _off_one_wall(out: Beam, back: Beam, walls: ComplexArray, losses: Attenuation) -> Iterator[AcousticPath]:
+    images = mirror_points(out.point, walls)
+    points, is_met = crossings(images, back.point, walls)
+    if not is_met.any():
         return
-    images, points = images[met], points[met]
+    images, points = images[is_met], points[is_met]
     lengths = np.abs(images - back.point)
-    losses = _there(out, back, points, points) + lost.way_db_in * lengths / 2.0
-    yield from told(lengths, losses, out, back, points)
+    loss_db = _cone_losses(out, back, points, points) + losses.absorption_db_in * lengths / 2.0
+    yield from _paths(lengths, loss_db, out, back, points)
 
 
-def _off_two(out: Beam, back: Beam, first: ComplexArray, last: ComplexArray, lost: Losses) -> Iterator[Way]:
+def _off_two_walls(
+    out: Beam, back: Beam, first: ComplexArray, last: ComplexArray, losses: Attenuation
+) -> Iterator[AcousticPath]:
+    # 1. Images in every first wall (rows), and of those in every last wall (columns).
     one = first[:, np.newaxis]
-    images = mirrored(out.point, one)
-    twice = mirrored(images, last)
-    points_2, met = crossings(twice, back.point, last)
-    if not met.any():
+    images = mirror_points(out.point, one)
+    twice = mirror_points(images, last)
+    # 2. Backwards from the receiver: the point on the last wall, then the one on the first.
+    points_2, is_met = crossings(twice, back.point, last)
+    if not is_met.any():
         return
-    points_1, met_1 = crossings(images, points_2, one)
-    met &= met_1
-    points_1, points_2 = points_1[met], points_2[met]
-    lengths = np.abs(twice[met] - back.point)
-    losses = _there(out, back, points_1, points_2) + lost.bounce_db + lost.way_db_in * lengths / 2.0
-    yield from told(lengths, losses, out, back, points_1, points_2)
+    points_1, is_met_1 = crossings(images, points_2, one)
+    is_met &= is_met_1
+    points_1, points_2 = points_1[is_met], points_2[is_met]
+    # 3. Lengths and losses.
+    lengths = np.abs(twice[is_met] - back.point)
+    loss_db = (
+        _cone_losses(out, back, points_1, points_2) + losses.bounce_db + losses.absorption_db_in * lengths / 2.0
+    )
+    yield from _paths(lengths, loss_db, out, back, points_1, points_2)
 
 
-def _there_and_back(out: Beam, first: ComplexArray, walls: ComplexArray, lost: Losses) -> Iterator[Way]:
-    """Off a slanted wall, head-on against another, and back the same way."""
+def _over_wall_to_wall(
+    out: Beam, first: ComplexArray, walls: ComplexArray, losses: Attenuation
+) -> Iterator[AcousticPath]:
+    """Yield the paths off a slanted wall, perpendicularly onto another, and back along themselves."""
+    # 1. The foot of the perpendicular from each image onto each other wall.
     one = first[:, np.newaxis]
-    images = mirrored(out.point, one)
+    images = mirror_points(out.point, one)
     start, along = walls[:, 0], walls[:, 1]
-    share = ((images - start) / along).real
-    met = (share >= 0.0) & (share <= 1.0)
-    if not met.any():
+    fraction = ((images - start) / along).real
+    is_met = (fraction >= 0.0) & (fraction <= 1.0)
+    if not is_met.any():
         return
-    feet = start + share * along
-    points, met_1 = crossings(images, feet, one)
-    met &= met_1
-    points, feet = points[met], feet[met]
-    lengths = 2.0 * np.abs(np.broadcast_to(images, met.shape)[met] - feet)
-    losses = 2.0 * out.loss_db(points) + 2.0 * lost.bounce_db + lost.way_db_in * lengths / 2.0
-    yield from told(lengths, losses, out, None, points, feet)
+    feet = start + fraction * along
+    # 2. The point on the slanted wall.
+    points, is_met_1 = crossings(images, feet, one)
+    is_met &= is_met_1
+    points, feet = points[is_met], feet[is_met]
+    # 3. Lengths and losses, there and back.
+    lengths = 2.0 * np.abs(np.broadcast_to(images, is_met.shape)[is_met] - feet)
+    loss_db = 2.0 * out.loss_db(points) + 2.0 * losses.bounce_db + losses.absorption_db_in * lengths / 2.0
+    yield from _paths(lengths, loss_db, out, None, points, feet)
 
 
-def _there(out: Beam, back: Beam, first: ComplexArray, last: ComplexArray) -> FloatArray:
-    """What both passages lose at the rims of their cones."""
-    there = out.loss_db(first)
-    return there + (there if back == out and last is first else back.loss_db(last))
+def _off_disc(out: Beam, back: Beam, centre: complex, radius: float, losses: Attenuation) -> Iterator[AcousticPath]:
+    """Yield the specular path off a disc.
+
+    A bundle of rays in the plane that a disc of radius r reflects is spread by 1 + 2 a b / ((a + b) r cos(incidence)),
+    with the distances a and b before and after; from the same place (a = b = d) by (r + d) / r.
+    """
+    normal = _specular_normal(out.point, back.point, centre, radius)
+    if normal is None:
+        return
+    point = centre + radius * normal
+    before, after = abs(out.point - point), abs(back.point - point)
+    cos_incidence = ((out.point - point) / normal).real / before
+    spread_db = 10.0 * log10(1.0 + 2.0 * before * after / ((before + after) * radius * cos_incidence))
+    points = np.array([point])
+    absorbed_db = losses.absorption_db_in * (before + after) / 2.0
+    loss_db = out.loss_db(points) + back.loss_db(points) + absorbed_db + spread_db
+    yield from _paths(np.array([before + after]), loss_db, out, back, points)
 
 
-def told(lengths: FloatArray, losses: FloatArray, out: Beam, back: Beam | None, *stops: ComplexArray) -> Iterator[Way]:
-    """The ways that get anywhere, one by one; back None: they return as they came."""
-    for at in zip(*np.nonzero(losses < inf), strict=True):
+def _scattered_by_disc(
+    out: Beam, back: Beam, centre: complex, radius: float, losses: Attenuation
+) -> Iterator[AcousticPath]:
+    """Yield paths off points that evenly spread rays of the first cone meet, across the visible part of a disc."""
+    away = abs(centre - out.point)
+    if away <= radius or losses.skin_db == inf:
+        return
+    # 1. The interval of directions in which the disc is visible inside the cone.
+    bearing, half = wrap_to_pi(phase(centre - out.point) - out.direction_rad), asin(radius / away)
+    right, left = max(bearing - half, -out.half_rad), min(bearing + half, out.half_rad)
+    if right > left:
+        return
+    # 2. Ranges to the rim along evenly spread rays.
+    turned = np.linspace(right, left, SCATTERERS)
+    to_side = away * np.sin(turned - bearing)
+    ranges = away * np.cos(turned - bearing) - np.sqrt(np.maximum(radius * radius - to_side * to_side, 0.0))
+    points = out.point + ranges * np.exp(1j * (out.direction_rad + turned))
+    # 3. Lengths and losses.
+    lengths = ranges + np.abs(points - back.point)
+    absorbed_db = losses.absorption_db_in * lengths / 2.0
+    loss_db = out.loss_db(points) + back.loss_db(points) + losses.skin_db + absorbed_db
+    yield from _paths(lengths, loss_db, out, back, points)
+
+
+def _over_wall_to_disc(
+    out: Beam, mirrors: ComplexArray, discs: FloatArray, losses: Attenuation
+) -> Iterator[AcousticPath]:
+    """Yield the paths off a slanted wall, perpendicularly onto a disc, and back along themselves."""
+    # 1. The point of each disc that faces each image.
+    one, radii = mirrors[:, np.newaxis], discs[:, 2]
+    images = mirror_points(out.point, one)
+    to_centre = discs[:, 0] + 1j * discs[:, 1] - images
+    away = np.abs(to_centre)
+    is_outside = away > radii
+    fraction = np.where(is_outside, 1.0 - radii / np.where(is_outside, away, 1.0), 0.0)
+    feet = images + fraction * to_centre
+    # 2. The point on the wall; losses there and back, and the spread by the curvature.
+    points, is_met = crossings(images, feet, one)
+    gaps = fraction * away
+    loss_db = 2.0 * out.loss_db(points) + 2.0 * losses.bounce_db + losses.absorption_db_in * gaps
+    loss_db = np.where(is_met & is_outside, loss_db + 10.0 * np.log10(1.0 + gaps / radii), inf)
+    yield from _paths(2.0 * gaps, loss_db, out, None, points, feet)
+
+
+def _specular_normal(start: complex, end: complex, centre: complex, radius: float) -> complex | None:
+    """Return the unit normal of a disc where it reflects from one point to another; None from inside.
+
+    It lies between the directions to both points. There the angles of incidence and of reflection change places in
+    size, so the arc is bisected until they are equal.
+    """
+    if min(abs(start - centre), abs(end - centre)) <= radius:
+        return None
+    first = phase(start - centre)
+    arc = phase((end - centre) / (start - centre))
+    low, high = 0.0, 1.0
+    for _ in range(BISECTIONS if arc else 0):
+        half = 0.5 * (low + high)
+        normal = rect(1.0, first + arc * half)
+        incidence, reflection = (abs(phase((other - centre) / normal - radius)) for other in (start, end))
+        low, high = (half, high) if incidence < reflection else (low, half)
+    normal = rect(1.0, first + arc * low)
+    return normal if ((start - centre) / normal).real > radius else None
+
+
+def _cone_losses(out: Beam, back: Beam, first: ComplexArray, last: ComplexArray) -> FloatArray:
+    """Return the losses off the axes of both cones."""
+    outward = out.loss_db(first)
+    return outward + (outward if back == out and last is first else back.loss_db(last))
+
+
+def _paths(
+    lengths: FloatArray, loss_db: FloatArray, out: Beam, back: Beam | None, *stops: ComplexArray
+) -> Iterator[AcousticPath]:
+    """Yield the paths whose loss is finite; back None: they return along themselves."""
+    for at in zip(*np.nonzero(loss_db < inf), strict=True):
         on_walls = [complex(stop[at]) for stop in stops]
         points = [out.point, *on_walls, *([back.point] if back is not None else [])]
-        yield Way(float(lengths[at]), float(losses[at]), tuple(points))
+        yield AcousticPath(float(lengths[at]), float(loss_db[at]), tuple(points))
 
 
-def mirrored(points: ComplexArray | complex, mirrors: ComplexArray) -> ComplexArray:
-    """Images of points (...) in the lines of mirrors (..., 3); shapes broadcast."""
+def mirror_points(points: ComplexArray | complex, mirrors: ComplexArray) -> ComplexArray:
+    """Return the images of points (...) in the lines of mirrors (..., 3); shapes broadcast."""
     start = mirrors[..., 0]
     image: ComplexArray = start + mirrors[..., 2] * np.conj(points - start)
     return image
@@ -238,25 +369,26 @@ def mirrored(points: ComplexArray | complex, mirrors: ComplexArray) -> ComplexAr
 def crossings(
     origins: ComplexArray, ends: ComplexArray | complex, mirrors: ComplexArray
 ) -> tuple[ComplexArray, BoolArray]:
-    """Where the lines from origins to ends (...) cross the mirrors (..., 3), and whether they do on the way."""
-    way, along, offset = ends - origins, mirrors[..., 1], np.conj(mirrors[..., 0] - origins)
-    turned = (np.conj(way) * along).imag
-    some = np.where(turned == 0.0, 1.0, turned)
-    on_way, on_wall = (offset * along).imag / some, (offset * way).imag / some
-    met = (turned != 0.0) & (on_way > 0.0) & (on_way <= 1.0 + TINY) & (on_wall >= -TINY) & (on_wall <= 1.0 + TINY)
-    points: ComplexArray = origins + on_way * way
-    return points, met
+    """Return where the lines from origins to ends (...) cross the mirrors (..., 3), and where they really do."""
+    line, along, offset = ends - origins, mirrors[..., 1], np.conj(mirrors[..., 0] - origins)
+    turned = (np.conj(line) * along).imag
+    divisor = np.where(turned == 0.0, 1.0, turned)  # parallel lines do not cross
+    on_line, on_wall = (offset * along).imag / divisor, (offset * line).imag / divisor
+    is_on_line = (on_line > 0.0) & (on_line <= 1.0 + TINY)
+    is_met = (turned != 0.0) & is_on_line & (on_wall >= -TINY) & (on_wall <= 1.0 + TINY)
+    points: ComplexArray = origins + on_line * line
+    return points, is_met
 
 
-def free(points: Sequence[complex], walls: FloatArray, discs: FloatArray) -> bool:
-    """Whether nothing stands between one point and the next, all along: no wall (m, 4) and no disc (k, 3)."""
+def is_free(points: Sequence[complex], walls: FloatArray, discs: FloatArray) -> bool:
+    """Return True if nothing stands between one point and the next: no wall (m, 4) and no disc (k, 3)."""
     for one, other in pairwise(points):
         length = abs(other - one)
         if length <= 3.0 * SMALL_IN:
             continue
-        way = (other - one) / length
-        start = one + SMALL_IN * way
-        ray = (start.real, start.imag), (way.real, way.imag)
+        direction = (other - one) / length
+        start = one + SMALL_IN * direction
+        ray = (start.real, start.imag), (direction.real, direction.imag)
         if float(cast_rays(*ray, walls)[0]) < length - 3.0 * SMALL_IN:
             return False
         if len(discs) and float(cast_discs(*ray, discs)) < length - 3.0 * SMALL_IN:
@@ -264,205 +396,158 @@ def free(points: Sequence[complex], walls: FloatArray, discs: FloatArray) -> boo
     return True
 
 
-def _straight(directions_rad: list[float]) -> bool:
-    """Whether just two walls meet in a point, one the other's continuation."""
-    return len(directions_rad) == 2 and abs(abs(short_way(directions_rad[0] - directions_rad[1])) - pi) < STRAIGHT_RAD
+class Ping(NamedTuple):
+    """The firing of a sonar.
 
-
-SCATTERERS: Final = 33
-"""Points of a skin that scatter, evenly over what the cone sees of it: at most 0.8 degrees apart, a third of an inch of
-range at 60 in, where a hundredth of the range is noise."""
-
-HALVINGS: Final = 48
-"""Of the arc between the points that face two transducers: what is left of it is far below SMALL_IN."""
-
-
-def ways_disc_ways(
-    out: Beam, back: Beam, discs: FloatArray, mirrors: ComplexArray, lost: Losses, *, own: bool
-) -> Iterator[Way]:
-    """All ways by one of these discs (k, 3) from a transducer to another, or to itself, but for what stands between.
-
-    mirrors   (m, 3) walls that the first cone may meet
+    Attributes
+    ----------
+    x_in, y_in, direction_rad
+        True position of the ring's axis, and direction of the sonar.
+    instant_ps
+        Simulated time.
+    noise
+        Standard normal numbers drawn for it.
     """
-    for x, y, radius in back.may_meet_discs(out.may_meet_discs(discs)).tolist():
-        yield from _off_the_round(out, back, complex(x, y), radius, lost)
-        yield from _off_the_skin(out, back, complex(x, y), radius, lost)
-    if own and len(discs) and len(mirrors):
-        yield from _there_and_back_disc_ways(out, mirrors, discs, lost)
-
-
-def _off_the_round(out: Beam, back: Beam, middle: complex, radius: float, lost: Losses) -> Iterator[Way]:
-    normal = _facing_both(out.point, back.point, middle, radius)
-    if normal is None:
-        return
-    point = middle + radius * normal
-    there, here = abs(out.point - point), abs(back.point - point)
-    head_on = ((out.point - point) / normal).real / there
-    spread_db = 10.0 * log10(1.0 + 2.0 * there * here / ((there + here) * radius * head_on))
-    points = np.array([point])
-    losses = out.loss_db(points) + back.loss_db(points) + lost.way_db_in * (there + here) / 2.0 + spread_db
-    yield from told(np.array([there + here]), losses, out, back, points)
-
-
-def _off_the_skin(out: Beam, back: Beam, middle: complex, radius: float, lost: Losses) -> Iterator[Way]:
-    """Off the points that evenly spread rays of the first cone meet, from one end of what they see to the other."""
-    away = abs(middle - out.point)
-    if away <= radius or lost.skin_db == inf:
-        return
-    bearing, half = short_way(phase(middle - out.point) - out.direction_rad), asin(radius / away)
-    right, left = max(bearing - half, -out.half_rad), min(bearing + half, out.half_rad)
-    if right > left:
-        return
-    turned = np.linspace(right, left, SCATTERERS)
-    to_side = away * np.sin(turned - bearing)
-    reach = away * np.cos(turned - bearing) - np.sqrt(np.maximum(radius * radius - to_side * to_side, 0.0))
-    points = out.point + reach * np.exp(1j * (out.direction_rad + turned))
-    lengths = reach + np.abs(points - back.point)
-    losses = out.loss_db(points) + back.loss_db(points) + lost.skin_db + lost.way_db_in * lengths / 2.0
-    yield from told(lengths, losses, out, back, points)
-
-
-def _there_and_back_disc_ways(out: Beam, mirrors: ComplexArray, discs: FloatArray, lost: Losses) -> Iterator[Way]:
-    """Off a slanted wall, head-on against a disc, and back the same way."""
-    one, radii = mirrors[:, np.newaxis], discs[:, 2]
-    images = mirrored(out.point, one)
-    to_middle = discs[:, 0] + 1j * discs[:, 1] - images
-    away = np.abs(to_middle)
-    outside = away > radii
-    share = np.where(outside, 1.0 - radii / np.where(outside, away, 1.0), 0.0)
-    feet = images + share * to_middle
-    points, met = crossings(images, feet, one)
-    gaps = share * away
-    losses = 2.0 * out.loss_db(points) + 2.0 * lost.bounce_db + lost.way_db_in * gaps
-    losses = np.where(met & outside, losses + 10.0 * np.log10(1.0 + gaps / radii), inf)
-    yield from told(2.0 * gaps, losses, out, None, points, feet)
-
-
-def _facing_both(start: complex, end: complex, middle: complex, radius: float) -> complex | None:
-    """The unit normal of a disc where it mirrors one point to another; None from inside.
-
-    It lies between the directions to both; there the angles of incidence and of reflection change places in size, so
-    the arc is halved until they are one.
-    """
-    if min(abs(start - middle), abs(end - middle)) <= radius:
-        return None
-    first = phase(start - middle)
-    arc = phase((end - middle) / (start - middle))
-    low, high = 0.0, 1.0
-    for _ in range(HALVINGS if arc else 0):
-        half = 0.5 * (low + high)
-        normal = rect(1.0, first + arc * half)
-        incidence, reflection = (abs(phase((other - middle) / normal - radius)) for other in (start, end))
-        low, high = (half, high) if incidence < reflection else (low, half)
-    normal = rect(1.0, first + arc * low)
-    return normal if ((start - middle) / normal).real > radius else None
-
-
-NO_ROBOTS: Final[FloatArray] = np.zeros((0, 3))
-
-
-class Cry(NamedTuple):
-    """A sonar fired: the axis of its ring, its direction, when, and the standard normal numbers of its chance."""
 
     x_in: float
     y_in: float
     direction_rad: float
     instant_ps: int
-    chances: tuple[float, ...]
+    noise: tuple[float, ...]
+
+
+relative_std: Any = partial(
+    setting, low=0, high=1, unit="", meaning="standard deviation of a range relative to it", former="std_share"
+)
+"""The setting `range_std_relative` of every sensor that measures ranges."""
+
+_std_floor: Any = partial(
+    setting, low=0, high=10, unit="in", meaning="lower bound of that", former="least_std_in"
+)
+_decibels: Any = partial(setting, unit="dB")
 
 
 @dataclass(frozen=True, slots=True)
-class Polaroid:
-    """The parameters of the model. Levels are against a wall met head-on close by, inches and decibels.
+class SonarErrors:
+    """Settings of both sonar models.
 
-    cone_rad          whole angle of the cone inside which a transducer cries and hears
-    std_share         standard deviation of a range as a share of it; never below least_std_in
-    sound_in_s        speed of sound: 343 m/s, air at 20 degrees C
-    margin_db         how much louder than just audible that wall is; in each cry a draw with margin_std_db about it
-    cone_loss_db      lost at the rim of the cone, out and back together; with the square of the angle in between
-    way_loss_db_in    lost an inch of range: absorption, and what the receiver's rising gain leaves of the spreading
-    bounce_loss_db    lost at each wall after the first
-    edge_loss_db      lost at an edge, against a wall
-    skin_loss_db      lost at the broken skin of another robot, against a wall, where it does not face the transducer
-    blanking_in       echoes from nearer drown in the transducer's own ringing: an own one reads this, others nothing
-    recess_in         the transducer's face lies so deep behind the ring
-    dead              sonars that read 0
-    offsets_in        what each sonar reads more than that, always
-    turned_rad        the ring stands turned by this against the turret
+    Attributes
+    ----------
+    range_std_relative, range_std_floor_in
+        Standard deviation of a range: relative to the range, and at least so many inches.
+    dead
+        Sonars that read 0.
+    offsets_in
+        Constant error of each of the 16 sonars, reading less range.
+    turned_rad
+        Angle of the ring against the turret.
     """
 
-    cone_rad: float = radians(25.0)
-    std_share: float = 0.01
-    least_std_in: float = 0.05
-    sound_in_s: float = 13504.0
-    margin_db: float = 30.0
-    margin_std_db: float = 2.0
-    cone_loss_db: float = 12.0
-    way_loss_db_in: float = 0.1
-    bounce_loss_db: float = 3.0
-    edge_loss_db: float = 15.0
-    skin_loss_db: float = 15.0
-    blanking_in: float = 6.0
-    recess_in: float = 0.5
-    dead: tuple[int, ...] = ()
-    offsets_in: tuple[float, ...] = (0.0,) * SONARS
-    turned_rad: float = 0.0
+    range_std_relative: float = relative_std(0.0)
+    range_std_floor_in: float = _std_floor(0.0)
+    dead: tuple[int, ...] = setting((), 0, 15, SONAR_NUMBERS, "sonars that always read 0")
+    offsets_in: tuple[float, ...] = setting(
+        (0.0,) * SONARS, -24, 24, "in", "constant error of each of the 16 sonars: reading less range"
+    )
+    turned_rad: float = setting(0.0, -45, 45, "deg", "angle of the ring against the turret")
+
+    def std_in(self, range_in: float) -> float:
+        """Return the standard deviation of a range, inches."""
+        return max(self.range_std_relative * range_in, self.range_std_floor_in)
+
+
+@dataclass(frozen=True, slots=True)
+class Polaroid(SonarErrors):
+    """A ring of Polaroid transducers. Levels are relative to a wall met perpendicularly at close range.
+
+    Attributes
+    ----------
+    cone_rad
+        Full angle of the cone in which a transducer transmits and receives.
+    sound_in_s
+        Speed of sound: 343 m/s, air at 20 degrees C.
+    margin_db, margin_std_db
+        Level of that wall above the detection threshold; each ping draws one with this standard deviation.
+    cone_loss_db
+        Two-way loss at the rim of the cone; proportional to the angle squared inside.
+    absorption_db_in
+        Loss per inch of range: absorption, and the spreading that the receiver's rising gain leaves.
+    bounce_loss_db, edge_loss_db, skin_loss_db
+        Loss at each wall after the first, at an edge, and by scattering at another robot.
+    blanking_in
+        Range below which the transducer still rings: its own echo reads this, echoes of others are lost.
+    recess_in
+        Depth of the transducer's face behind the ring.
+    """
+
+    range_std_relative: float = relative_std(0.01)
+    range_std_floor_in: float = _std_floor(0.05)
+    cone_rad: float = setting(radians(25.0), 1, 90, "deg", "full angle of the cone in which a sonar sends and receives")
+    sound_in_s: float = setting(13504.0, 1000, 100000, "in/s", "speed of sound")
+    margin_db: float = _decibels(30.0, 0, 200, meaning="level of a near wall, met perpendicularly, above the threshold")
+    margin_std_db: float = _decibels(2.0, 0, 20, meaning="standard deviation of that from ping to ping")
+    cone_loss_db: float = _decibels(12.0, 0, 200, meaning="two-way loss at the rim of the cone")
+    absorption_db_in: float = setting(0.1, 0.02, 100, "dB/in", "loss per inch of range", former="way_loss_db_in")
+    bounce_loss_db: float = _decibels(3.0, 0, 200, meaning="loss at each wall after the first")
+    edge_loss_db: float = _decibels(15.0, 0, 200, meaning="loss at an edge, relative to a wall")
+    skin_loss_db: float = _decibels(15.0, 0, 200, meaning="loss by scattering at a robot that does not face the sonar")
+    blanking_in: float = setting(6.0, 0, 24, "in", "echoes of neighbours from nearer are not detected")
+    recess_in: float = setting(0.5, 0, 4, "in", "depth of the transducers behind the ring")
 
     @property
-    def life_ps(self) -> int:
-        """After this a cry can be heard no more, even when chance favours it by five standard deviations."""
-        reach_in = (self.margin_db + 5.0 * self.margin_std_db) / self.way_loss_db_in
+    def audible_ps(self) -> int:
+        """Time after which a ping is inaudible, even with a level of five standard deviations."""
+        reach_in = (self.margin_db + 5.0 * self.margin_std_db) / self.absorption_db_in
         return int(2.0 * reach_in / self.sound_in_s * 1e12)
 
-    def draw(self, chance: np.random.Generator) -> tuple[float, ...]:
-        """The chance of one cry: for the range, and for the level. Always two numbers."""
-        range_chance, level_chance = chance.standard_normal(2).tolist()
-        return range_chance, level_chance
+    def draw(self, rng: np.random.Generator) -> tuple[float, ...]:
+        """Draw the noise of a ping: one number for the range and one for the level."""
+        range_noise, level_noise = rng.standard_normal(2).tolist()
+        return range_noise, level_noise
 
-    def heard_in(
-        self, cry: Cry, earlier: Sequence[Cry], scene: Scene, body: Body, others: FloatArray = NO_ROBOTS
+    def measured_range(
+        self, ping: Ping, earlier: Sequence[Ping], reflectors: ReflectorMap, body: Body, others: FloatArray = NO_ROBOTS
     ) -> float:
-        """The range that a sonar makes of what it hears, inches from the ring; inf for nothing.
+        """Return the measured range, inches from the ring; inf for no echo.
 
-        earlier    cries of the same ring before it, of the last `life_ps`
-        others     where other robots stand (k, 3), rows x y radius in inches
+        Parameters
+        ----------
+        earlier
+            Pings of the same ring in the last `audible_ps`.
+        others
+            Other robots (k, 3), rows x y radius in inches.
         """
-        range_in = self.first_in(cry, earlier, scene, body, others)
-        if range_in == inf:
-            return inf
-        return range_in + cry.chances[0] * max(self.std_share * range_in, self.least_std_in)
+        range_in = self.first_echo_in(ping, earlier, reflectors, body, others)
+        return range_in if range_in == inf else range_in + ping.noise[0] * self.std_in(range_in)
 
-    def first_in(
-        self, cry: Cry, earlier: Sequence[Cry], scene: Scene, body: Body, others: FloatArray = NO_ROBOTS
+    def first_echo_in(
+        self, ping: Ping, earlier: Sequence[Ping], reflectors: ReflectorMap, body: Body, others: FloatArray = NO_ROBOTS
     ) -> float:
-        """The range of the first echo that is loud enough, before noise; inf for none."""
-        margin_db = self.margin_db + self.margin_std_db * cry.chances[1]
-        found: list[tuple[float, Way]] = []
-        back = self._beam(cry, body)
-        for source in (cry, *earlier):
-            own = source is cry
-            head_start_in = self.sound_in_s * to_s(cry.instant_ps - source.instant_ps)
-            nearest_in = -inf if own else self.blanking_in
-            if self.way_loss_db_in * (nearest_in + head_start_in / 2.0) > margin_db:
+        """Return the range of the first echo above the threshold, without noise; inf for none."""
+        margin_db = self.margin_db + self.margin_std_db * ping.noise[1]
+        losses = Attenuation(self.absorption_db_in, self.bounce_loss_db, self.edge_loss_db, self.skin_loss_db)
+        found: list[tuple[float, AcousticPath]] = []
+        back = self._beam(ping, body)
+        for source in (ping, *earlier):
+            # 1. The distance that an earlier ping has travelled already; it is inaudible if too weak by now.
+            same_sonar = source is ping
+            head_start_in = self.sound_in_s * to_s(ping.instant_ps - source.instant_ps)
+            min_range_in = -inf if same_sonar else self.blanking_in
+            if self.absorption_db_in * (min_range_in + head_start_in / 2.0) > margin_db:
                 continue
-            for way in self._ways(self._beam(source, body), back, scene, others, own=own):
-                range_in = (way.length_in - head_start_in) / 2.0 - self.recess_in
-                if way.loss_db <= margin_db and range_in >= nearest_in:
-                    found.append((range_in, way))
-        for range_in, way in sorted(found, key=lambda pair: pair[0]):
-            if free(way.points, scene.walls, others):
+            # 2. All paths that are loud enough.
+            out = self._beam(source, body)
+            for path in acoustic_paths(out, back, reflectors, others, losses, same_sonar=same_sonar):
+                range_in = (path.length_in - head_start_in) / 2.0 - self.recess_in
+                if path.loss_db <= margin_db and range_in >= min_range_in:
+                    found.append((range_in, path))
+        # 3. The shortest that is not obstructed: the costly test comes last.
+        for range_in, path in sorted(found, key=lambda pair: pair[0]):
+            if is_free(path.points, reflectors.walls, others):
                 return range_in
         return inf
 
-    def _ways(self, out: Beam, back: Beam, scene: Scene, others: FloatArray, *, own: bool) -> Iterator[Way]:
-        lost = Losses(self.way_loss_db_in, self.bounce_loss_db, self.edge_loss_db, self.skin_loss_db)
-        yield from ways(out, back, scene, lost, own=own)
-        if len(others):
-            yield from ways_disc_ways(out, back, others, out.may_meet(scene.mirrors), lost, own=own)
-
-    def _beam(self, cry: Cry, body: Body) -> Beam:
-        return Beam(self._face(cry, body), cry.direction_rad, self.cone_rad / 2.0, self.cone_loss_db / 2.0)
-
-    def _face(self, cry: Cry, body: Body) -> complex:
-        """Where the transducer is."""
-        return complex(cry.x_in, cry.y_in) + rect(body.sonar_ring_radius_in - self.recess_in, cry.direction_rad)
+    def _beam(self, ping: Ping, body: Body) -> Beam:
+        face_in = body.sonar_ring_radius_in - self.recess_in
+        point = complex(ping.x_in, ping.y_in) + rect(face_in, ping.direction_rad)
+        return Beam(point, ping.direction_rad, self.cone_rad / 2.0, self.cone_loss_db / 2.0)

@@ -1,24 +1,30 @@
-"""The arm of a Nomad 200: a lift and a grip that move by themselves. A device without wire, clock or robot.
+"""The arm of a Nomad 200: a lift and a gripper that move independently. No wire format, no clock, no robot.
 
-Each axis is one of the robot's own kind (simulation/axis.py) between two ends. What the numbers mean on the wire is
-packets.py's; what they are is a decision of ours, for no source gives them: the lift goes 0..48 in at up to 5 in/s,
-the grip opens 0..5 in at up to 2 in/s, both ramped; they wake at 0.
+Each is an axis of the robot's kind (axis.py) between two ends. The limits are assumptions, for no source gives them:
+the lift moves 0..48 in at up to 5 in/s, the gripper opens 0..5 in at up to 2 in/s, both ramped; they start at 0.
 """
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, NamedTuple
 
-from nserver_emu.simulation.axis import Axis, AxisLimits, Command
+from nserver_emu.simulation.axis import Axis, AxisLimits, AxisState, Command
 
 LIFT: Final = AxisLimits(
-    top_speed=5.0, top_acceleration=20.0, least_acceleration=0.1, speed=5.0, acceleration=10.0, resolution=0.1
+    top_speed=5.0, top_acceleration=20.0, min_acceleration=0.1, speed=5.0, acceleration=10.0, resolution=0.1
 )
 GRIP: Final = AxisLimits(
-    top_speed=2.0, top_acceleration=20.0, least_acceleration=0.1, speed=2.0, acceleration=10.0, resolution=0.1
+    top_speed=2.0, top_acceleration=20.0, min_acceleration=0.1, speed=2.0, acceleration=10.0, resolution=0.1
 )
 LIFT_TRAVEL_IN: Final = 48.0
 GRIP_TRAVEL_IN: Final = 5.0
+
+
+class SlideState(NamedTuple):
+    """The state of a slide in a snapshot."""
+
+    position_in: float
+    axis: AxisState
 
 
 class Slide:
@@ -29,19 +35,30 @@ class Slide:
         self.position_in = 0.0
         self._axis = Axis(limits, ramps=True)
 
+    def to_state(self) -> SlideState:
+        """Return all that changes."""
+        return SlideState(self.position_in, self._axis.to_state())
+
+    def set_state(self, state: SlideState) -> None:
+        """Continue from a state; raise ValueError if it lies beyond the ends."""
+        if not 0.0 <= state.position_in <= self.travel_in:
+            raise ValueError("an arm beyond its end")
+        self.position_in = state.position_in
+        self._axis.set_state(state.axis)
+
     @property
     def moving(self) -> bool:
         """True from the command that starts a motion until it is done."""
         return self._axis.moving
 
     def command(self, command: Command, value_in: float) -> None:
-        """Do what one axis of arm_mv says, in inches and seconds; a relative target stays between the ends."""
+        """Execute a command of arm_mv for one axis, in inches and seconds; relative targets are clamped to the ends."""
         if command is Command.RELATIVE:
             value_in = min(max(value_in, -self.position_in), self.travel_in - self.position_in)
         self._axis.command(command, value_in)
 
     def seek_zero(self) -> None:
-        """Go down to 0, at the speed set, or at the top speed where that is 0."""
+        """Move to 0 at the speed set, or at the top speed where that is 0."""
         self._axis.move_by(-self.position_in, self._axis.speed or self._axis.limits.top_speed)
 
     def stop(self) -> None:
@@ -49,42 +66,63 @@ class Slide:
         self._axis.stop()
 
     def advance(self, dt_s: float) -> None:
-        """Let dt_s seconds pass; at an end the motion is over."""
+        """Advance by dt_s seconds; the motion ends at an end of the travel."""
         reached = self.position_in + self._axis.advance(dt_s)
         self.position_in = min(max(reached, 0.0), self.travel_in)
         if reached != self.position_in:
             self._axis.halt()
 
 
+class ArmState(NamedTuple):
+    """The state of an arm in a snapshot."""
+
+    lift: SlideState
+    grip: SlideState
+    time_s: float
+
+
 class Arm:
-    """Lift and grip. Time comes in as instants of the simulation."""
+    """Lift and gripper."""
 
     def __init__(self) -> None:
         self.lift = Slide(LIFT, LIFT_TRAVEL_IN)
         self.grip = Slide(GRIP, GRIP_TRAVEL_IN)
         self._time_s = 0.0
 
+    def to_state(self) -> ArmState:
+        """Return all that changes."""
+        return ArmState(self.lift.to_state(), self.grip.to_state(), self._time_s)
+
+    @classmethod
+    def from_state(cls, state: ArmState) -> Arm:
+        """Return the arm of a state; raise ValueError if there is none."""
+        arm = cls()
+        arm.lift.set_state(state.lift)
+        arm.grip.set_state(state.grip)
+        arm._time_s = state.time_s
+        return arm
+
     def advance_to(self, time_s: float) -> None:
-        """Let time pass until an instant that is not before the last."""
+        """Advance to an instant that is not before the current one."""
         for slide in (self.lift, self.grip):
             slide.advance(time_s - self._time_s)
         self._time_s = time_s
 
     @property
     def time_s(self) -> float:
-        """The instant that it has come to."""
+        """The current instant, simulated seconds."""
         return self._time_s
 
     def stop(self) -> None:
-        """Both axes brake and hold."""
+        """Brake and hold both axes."""
         self.lift.stop()
         self.grip.stop()
 
     def zero(self) -> None:
-        """Send both axes to 0."""
+        """Move both axes to 0."""
         self.lift.seek_zero()
         self.grip.seek_zero()
 
-    def still(self, lift: bool = True, grip: bool = True) -> bool:
-        """Whether none of the named axes moves."""
+    def is_still(self, lift: bool = True, grip: bool = True) -> bool:
+        """Return True if none of the selected axes moves."""
         return not (lift and self.lift.moving) and not (grip and self.grip.moving)

@@ -1,9 +1,9 @@
-"""One motor axis: what it was told, how fast it turns, how far it came. No robot, no pose, no noise, no clock.
+"""One motor axis: the commanded motion, its velocity and its count. No robot, no pose, no noise, no clock.
 
-A command is laid out at once as phases of constant acceleration; time then walks through them by the closed form, so
-the way dt is cut changes nothing. A unit is an inch or a radian; the axis does not know which.
+A command is planned at once as phases of constant acceleration; time then advances through them by the closed form, so
+the size of the time steps changes nothing. A unit is an inch or a radian; the axis does not distinguish them.
 
-    instant       | cruise |              the axis jumps to its speed (the original's note on `ac`)
+    without ramps | cruise |              the axis jumps to its speed (the original's note on `ac`)
     trapezoid     / cruise \\              never beyond speed or acceleration, never past a relative target
 """
 
@@ -15,12 +15,18 @@ from math import copysign, inf, sqrt
 from typing import Final, NamedTuple
 
 TIME_TOLERANCE_S: Final = 1e-9
-"""A phase that ends within this of now has ended: sums of dt differ from the closed form in the last bits (some
+"""A phase that ends within this of now has ended: sums of dt differ from the closed form in the last bits (about
 1e-13 s in an hour), and a robot at 20 in/s covers 2e-8 in meanwhile."""
+
+MAX_RESTORED_SPEED: Final = 1000.0
+"""Fastest top speed of a restored robot, units/s: bounds the work that a damaged snapshot can cause."""
+
+MAX_PHASES: Final = 8
+"""A planned motion has at most five phases: two ramps of up to two phases each, and cruise."""
 
 
 class Mode(IntEnum):
-    """What the axis was last told. HOLD is also where a finished motion ends."""
+    """The last command of an axis. HOLD is also the mode after a finished motion."""
 
     HOLD = 0
     VELOCITY = 1
@@ -29,7 +35,7 @@ class Mode(IntEnum):
 
 
 class Command(IntEnum):
-    """What an axis can be told: the modes of mv."""
+    """The commands of an axis: the modes of mv."""
 
     LEAVE = 0
     VELOCITY = 1
@@ -41,40 +47,46 @@ class Command(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class AxisLimits:
-    """What one axis of a model can do, in units and seconds.
+    """Limits of one axis of a model, in units and seconds.
 
-    top_speed, top_acceleration   values above are clamped silently, signs of speeds are dropped
-    least_acceleration            values below are clamped to it: an axis that could not brake would run for ever
-    speed, acceleration           in force at power-on
-    resolution                    the least velocity that the encoders show while the axis moves
+    Attributes
+    ----------
+    top_speed, top_acceleration
+        Values above are clamped silently; signs of speeds are dropped.
+    min_acceleration
+        Values below are clamped to it: an axis that could not brake would run for ever.
+    speed, acceleration
+        In force at power-on.
+    resolution
+        The smallest velocity that the encoders show while the axis moves.
     """
 
     top_speed: float
     top_acceleration: float
-    least_acceleration: float
+    min_acceleration: float
     speed: float
     acceleration: float
     resolution: float
 
 
 class Phase(NamedTuple):
-    """A time of constant acceleration; the velocity never changes its sign inside it."""
+    """A time of constant acceleration; the velocity does not change its sign inside."""
 
     duration_s: float
     velocity: float
     acceleration: float
 
 
-Run = tuple[tuple[Phase, ...], float, float]
-"""What an axis will do until the next command: its phases, how long the first has lasted, and its resolution. A plain
-tuple, for it is noted for every firing of a sonar."""
+AxisMotion = tuple[tuple[Phase, ...], float, float]
+"""The motion of an axis until the next command: its phases, how long the first has lasted, and the axis's resolution.
+A plain tuple, because one is recorded for every firing of a sonar."""
 
 
-def shown_in(run: Run, dt_s: float) -> float:
-    """What the encoders show dt_s >= 0 seconds into a run: never 0 while the axis moves, exactly 0 when it does not."""
-    phases, elapsed_s, resolution = run
+def shown_velocity_after(motion: AxisMotion, dt_s: float) -> float:
+    """Return the encoder velocity dt_s >= 0 seconds later: never 0 while the axis moves, exactly 0 when it is still."""
+    phases, elapsed_s, resolution = motion
     if dt_s:
-        _, phases, elapsed_s = _walk(phases, elapsed_s, dt_s)
+        _, phases, elapsed_s = _advance_phases(phases, elapsed_s, dt_s)
     if not phases:
         return 0.0
     _, velocity, acceleration = phases[0]
@@ -84,10 +96,21 @@ def shown_in(run: Run, dt_s: float) -> float:
     return velocity
 
 
-class Axis:
-    """One axis with its limits; `ramps` False makes it jump to its speed.
+class AxisState(NamedTuple):
+    """The state of an axis in a snapshot; a phase without end has the duration None."""
 
-    Commands take effect at once from the velocity in force; a speed or acceleration set during a motion counts from
+    mode: Mode
+    speed: float
+    acceleration: float
+    travelled: float
+    phases: tuple[tuple[float | None, float, float], ...]
+    elapsed_s: float
+
+
+class Axis:
+    """One axis with its limits; without `ramps` it jumps to its speed.
+
+    Commands take effect at once from the velocity in force; a speed or acceleration set during a motion applies from
     the next command on.
     """
 
@@ -98,9 +121,35 @@ class Axis:
         self.speed = limits.speed
         self.acceleration = limits.acceleration
         self.count = 0.0
-        """How far it went in all, units, the ways back taken off: what absolute positions are counted from."""
+        """Signed distance travelled in total, units: the origin of absolute positions."""
         self._phases: tuple[Phase, ...] = ()
         self._elapsed_s = 0.0
+
+    def to_state(self) -> AxisState:
+        """Return all that changes."""
+        phases = tuple(
+            (None if duration_s == inf else duration_s, velocity, acceleration)
+            for duration_s, velocity, acceleration in self._phases
+        )
+        return AxisState(self.mode, self.speed, self.acceleration, self.count, phases, self._elapsed_s)
+
+    def set_state(self, state: AxisState) -> None:
+        """Continue from a state; raise ValueError if an axis with these limits cannot be in it."""
+        top = self.limits.top_speed
+        if len(state.phases) > MAX_PHASES or not 0.0 <= state.speed <= top <= MAX_RESTORED_SPEED:
+            raise ValueError("an axis beyond its limits")
+        phases = tuple(Phase(inf if duration is None else duration, *rest) for duration, *rest in state.phases)
+        for duration_s, velocity, acceleration in phases:
+            # Velocities at the start and at the end of the phase; a phase without end has none.
+            end = velocity + acceleration * duration_s if acceleration else velocity
+            if duration_s <= 0.0 or not max(abs(velocity), abs(end)) <= 1.001 * top + 1e-6:
+                raise ValueError("an axis faster than its top speed")
+        if not 0.0 <= state.elapsed_s <= (phases[0].duration_s if phases else 0.0):
+            raise ValueError("an axis outside its phase")
+        if not 0.0 < state.acceleration <= max(self.limits.top_acceleration, self.limits.acceleration):
+            raise ValueError("an axis without acceleration")
+        self.mode, self.speed, self.acceleration = state.mode, state.speed, state.acceleration
+        self.count, self._phases, self._elapsed_s = state.travelled, phases, state.elapsed_s
 
     @property
     def moving(self) -> bool:
@@ -109,7 +158,7 @@ class Axis:
 
     @property
     def velocity(self) -> float:
-        """Units per second now; exactly 0 when still, and at the very first instant of a ramp."""
+        """Units per second now; exactly 0 when still, and at the very start of a ramp."""
         if not self._phases:
             return 0.0
         phase = self._phases[0]
@@ -122,31 +171,31 @@ class Axis:
 
     @property
     def phase_left_s(self) -> float:
-        """Seconds for which the acceleration stays what it is; inf when nothing ends."""
+        """Seconds for which the acceleration stays the same; inf when nothing ends."""
         return self._phases[0].duration_s - self._elapsed_s if self._phases else inf
 
     @property
-    def fastest(self) -> float:
-        """No less than its speed at any time until the next command, units per second: phases end at rest or cruise."""
+    def max_speed(self) -> float:
+        """Upper bound of the speed until the next command, units per second: phases end at rest or at cruise."""
         phases = self._phases
         if len(phases) == 1:
             return abs(phases[0].velocity)
         return max((abs(phase.velocity) for phase in phases), default=0.0)
 
     @property
-    def extremes(self) -> tuple[float, float]:
-        """No more than its least and no less than its greatest velocity until the next command, nor than 0."""
-        least = most = 0.0
+    def velocity_bounds(self) -> tuple[float, float]:
+        """Bounds of the velocity until the next command, lower <= 0 <= upper."""
+        lower = upper = 0.0
         for _, velocity, _ in self._phases:
-            if velocity < least:
-                least = velocity
-            elif velocity > most:
-                most = velocity
-        return least, most
+            if velocity < lower:
+                lower = velocity
+            elif velocity > upper:
+                upper = velocity
+        return lower, upper
 
     @property
-    def pace(self) -> tuple[float, float, float]:
-        """`phase_left_s`, `velocity` and `phase_acceleration` at once, which is quicker."""
+    def current_phase(self) -> tuple[float, float, float]:
+        """`phase_left_s`, `velocity` and `phase_acceleration` in one call, which is faster."""
         if not self._phases:
             return inf, 0.0, 0.0
         duration_s, velocity, acceleration = self._phases[0]
@@ -154,17 +203,19 @@ class Axis:
 
     @property
     def shown_velocity(self) -> float:
-        """What the encoders show: never 0 while the axis moves, exactly 0 when it does not."""
-        return shown_in(self.run, 0.0)
+        """The velocity that the encoders show: never 0 while the axis moves, exactly 0 when it is still."""
+        return shown_velocity_after(self.motion, 0.0)
 
     @property
-    def run(self) -> Run:
-        """What it will do, as a value: what is commanded later changes nothing in it."""
+    def motion(self) -> AxisMotion:
+        """The motion until the next command, from now on."""
         return self._phases, self._elapsed_s, self.limits.resolution
 
     def command(self, command: Command, value: float) -> None:
-        """Do what one axis of mv says; LEAVE and LIMP need no value."""
+        """Execute one of the commands of mv, with its value."""
         match command:
+            case Command.LEAVE:
+                pass
             case Command.VELOCITY:
                 self.move_at(value)
             case Command.RELATIVE:
@@ -177,12 +228,12 @@ class Axis:
                 self.set_speed(value)
 
     def set_speed(self, speed: float) -> None:
-        """The speed of relative motions; the magnitude counts, clamped to the top speed. 0: they do not move."""
+        """Set the speed of relative motions: the magnitude counts, clamped to the top speed. 0: they do not move."""
         self.speed = min(abs(speed), self.limits.top_speed)
 
     def set_acceleration(self, acceleration: float) -> None:
-        """The acceleration of all ramps; the magnitude counts, clamped to what the axis can do."""
-        wanted = max(abs(acceleration), self.limits.least_acceleration)
+        """Set the acceleration of all ramps: the magnitude counts, clamped to the limits of the axis."""
+        wanted = max(abs(acceleration), self.limits.min_acceleration)
         self.acceleration = min(wanted, self.limits.top_acceleration)
 
     def move_at(self, velocity: float) -> None:
@@ -194,10 +245,15 @@ class Axis:
         self._start((*ramp, Phase(inf, wanted, 0.0)) if wanted else ramp)
 
     def move_by(self, distance: float, speed: float | None = None) -> None:
-        """Go a distance (units, from here) at `speed`, the speed set where None is given, and hold there.
+        """Move by a distance (units, from here) and hold there.
 
-        A target nearer than the braking distance of the motion in force is passed, for the acceleration is a
-        limit of the motor, and approached again from the other side.
+        The acceleration is a limit of the motor: a target nearer than the braking distance of the motion in force is
+        passed and approached again from the other side.
+
+        Parameters
+        ----------
+        speed
+            Units/s; None: the speed set.
         """
         top = self.speed if speed is None else min(abs(speed), self.limits.top_speed)
         if top == 0.0:
@@ -214,37 +270,38 @@ class Axis:
         self.move_at(0.0)
 
     def limp(self) -> None:
-        """Let go: the axis runs out, by friction taken to brake as hard as the acceleration set."""
+        """Release the motor: the axis runs down; friction is assumed to brake as hard as the acceleration set."""
         self.move_at(0.0)
         self.mode = Mode.LIMP
 
     def halt(self) -> None:
-        """Stand still at once, whatever the acceleration: something is in the way."""
+        """Stand still at once, whatever the acceleration: the robot is blocked."""
         self.mode = Mode.HOLD
         self._start(())
 
     def advance(self, dt_s: float) -> float:
-        """Let dt_s >= 0 seconds pass; returns the displacement in units."""
+        """Advance by dt_s >= 0 seconds and return the displacement in units."""
         if not self._phases:
             return 0.0
         duration_s, velocity, acceleration = self._phases[0]
         elapsed_s = self._elapsed_s
+        # Most steps end inside the first phase: the same formulas as in _advance_phases, without the loop.
         if dt_s < duration_s - elapsed_s - TIME_TOLERANCE_S:
             velocity += acceleration * elapsed_s
             travelled = (velocity + 0.5 * acceleration * dt_s) * dt_s
             self._elapsed_s = elapsed_s + dt_s
         else:
-            travelled, self._phases, self._elapsed_s = _walk(self._phases, elapsed_s, dt_s)
+            travelled, self._phases, self._elapsed_s = _advance_phases(self._phases, elapsed_s, dt_s)
             self._hold_when_done()
         self.count += travelled
         return travelled
 
-    def way_in(self, dt_s: float) -> float:
-        """How far dt_s >= 0 seconds will take it, units; nothing changes by asking."""
-        return _walk(self._phases, self._elapsed_s, dt_s)[0] if self._phases else 0.0
+    def displacement_after(self, dt_s: float) -> float:
+        """Return the displacement of the next dt_s >= 0 seconds, units, without advancing."""
+        return _advance_phases(self._phases, self._elapsed_s, dt_s)[0] if self._phases else 0.0
 
     def _start(self, phases: tuple[Phase, ...]) -> None:
-        """Take up the phases that have a duration; a finished motion holds."""
+        """Begin the phases that have a duration; a finished motion holds."""
         self._phases = tuple(phase for phase in phases if phase.duration_s > 0.0)
         self._elapsed_s = 0.0
         self._hold_when_done()
@@ -254,33 +311,38 @@ class Axis:
             self.mode = Mode.HOLD
 
     def _ramp(self, start: float, end: float) -> tuple[Phase, ...]:
-        """From one velocity to another at the acceleration in force; in two phases where the sign changes."""
+        """Return the ramp between two velocities at the acceleration in force; two phases where the sign changes."""
         if start * end < 0.0:
             return (*self._ramp(start, 0.0), *self._ramp(0.0, end))
         return (Phase(abs(end - start) / self.acceleration, start, copysign(self.acceleration, end - start)),)
 
     def _trapezoid(self, distance: float, top: float) -> tuple[Phase, ...]:
-        """From the velocity in force to standing still `distance` ahead, at most `top` fast once ramped to it.
+        """Plan the motion from the velocity in force to standing still `distance` ahead, at most `top` fast.
 
-        All in the direction `way` in which the point of standstill has to be moved. With start velocity u, peak p
-        and acceleration A the two ramps cover (p^2 - u^2) / 2A + p^2 / 2A; what is left is cruise.
+        With start velocity u, peak p and acceleration A the two ramps cover (p^2 - u^2) / 2A + p^2 / 2A; the rest of
+        the distance is cruise.
         """
         start, rate = self.velocity, self.acceleration
-        way = copysign(1.0, distance - start * abs(start) / (2.0 * rate))
-        forward, ahead = way * start, way * distance
+        # 1. The direction in which the point of standstill has to move; all quantities along it.
+        direction = copysign(1.0, distance - start * abs(start) / (2.0 * rate))
+        forward, ahead = direction * start, direction * distance
+        # 2. The peak of a motion without cruise.
         peak = sqrt(max(rate * ahead + 0.5 * forward * forward, 0.0))
         cruise_s = 0.0
+        # 3. Beyond the permitted speed: cruise at that speed.
         if peak > top:
             ramped = top * top - forward * forward
             ramps = (abs(ramped) if forward > top else ramped) + top * top
             peak = top
             cruise_s = max(ahead - ramps / (2.0 * rate), 0.0) / top
-        up = self._ramp(start, way * peak)
-        return (*up, Phase(cruise_s, way * peak, 0.0), *self._ramp(way * peak, 0.0))
+        up = self._ramp(start, direction * peak)
+        return (*up, Phase(cruise_s, direction * peak, 0.0), *self._ramp(direction * peak, 0.0))
 
 
-def _walk(phases: tuple[Phase, ...], elapsed_s: float, dt_s: float) -> tuple[float, tuple[Phase, ...], float]:
-    """The way that dt_s seconds take, the phases that are left then, and how long the first of them has lasted."""
+def _advance_phases(
+    phases: tuple[Phase, ...], elapsed_s: float, dt_s: float
+) -> tuple[float, tuple[Phase, ...], float]:
+    """Return the displacement of dt_s seconds, the phases left then, and how long the first of them has lasted."""
     travelled = 0.0
     while phases:
         duration_s, velocity, acceleration = phases[0]

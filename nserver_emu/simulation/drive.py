@@ -1,19 +1,12 @@
-"""Drives: what the axes of a model do to the robot. Mechanical angles live here; places and encoders do not.
+"""Drives and the chassis: the motion of the robot that its axes cause, and its true position among walls.
 
     SynchroDrive         translation, steering, turret: three wheels steer and roll together, the body never turns
-    DifferentialDrive    right wheel, left wheel: the body turns with the heading, and what sits on it
+    DifferentialDrive    right wheel, left wheel: the body turns with the heading, and the sensors with the body
 
-A drive answers the robot in the same words whatever its wheels: `stretch` for the path, `advance` to let time pass,
-three mechanical angles against the body's yaw; `wheels` and `path` translate between path and axes, for whoever makes
-the wheels err. No noise, no contact, no clock.
-
-The actual robot: a disc that moves in the map and stops where it touches. Knows no commands and no encoders.
-
-x, y, yaw     true place of the axis and true turn of the body; noise turns the body, so the yaw drifts
-lag           how far the turret is off its mechanical angle, where its gears err
-room          no less than the way to the nearest thing: while a stretch is shorter, nothing is looked at
-near          the walls within SURVEY_IN when the robot last looked around, the only ones looked at for as long as it
-              has not gone that far; then it looks around among all
+Both drives have the same interface: `segment` for the path, `advance` to let time pass, three mechanical angles against
+the body's yaw; `axis_rates` and `path_segment` convert between path and axes, for odometry errors. A drive knows
+mechanical angles, no positions and no encoders. `Chassis` is the true robot: a disc that moves in the map and stops
+where it touches. It knows no commands and no encoders.
 """
 
 from __future__ import annotations
@@ -22,43 +15,68 @@ from collections.abc import Iterable
 from math import atan2
 from typing import Final, NamedTuple
 
-from nserver_emu.simulation.axis import TIME_TOLERANCE_S, Axis, AxisLimits
-from nserver_emu.simulation.collision import TOUCH_IN, Contact, Course, Ground, Thing, first_contact, pressed
-from nserver_emu.simulation.segments import Pose, Stretch, once_round, short_way
+from nserver_emu.simulation.axis import TIME_TOLERANCE_S, Axis, AxisLimits, AxisState
+from nserver_emu.simulation.collision import (
+    TOUCH_IN,
+    Capsule,
+    Contact,
+    PlacedSegment,
+    WallSet,
+    first_contact,
+    pressed_bumpers,
+)
+from nserver_emu.simulation.segments import ConstantAccelerationSegment, Pose, wrap_to_2pi, wrap_to_pi
 from worlds.robots import Body
 
 NO_AXIS: Final = AxisLimits(
     top_speed=0.0,
     top_acceleration=1.0,
-    least_acceleration=1.0,
+    min_acceleration=1.0,
     speed=0.0,
     acceleration=1.0,
     resolution=0.0,
 )
-"""The limits of an axis that is not there: it takes every command and never moves."""
+"""The limits of an axis that does not exist: it accepts every command and never moves."""
+
+SURVEY_IN: Final = 12.0
+"""Walls this much farther than needed are collected at once: a compromise between searching all walls about once per
+second of driving, and examining few walls per segment."""
 
 
-class Rate(NamedTuple):
+class AxisRate(NamedTuple):
     """Velocity and acceleration of an axis."""
 
     velocity: float
     acceleration: float
 
-    def times(self, scale: float) -> Rate:
-        """So many times as fast."""
-        return Rate(self.velocity * scale, self.acceleration * scale)
+    def times(self, scale: float) -> AxisRate:
+        """Return the rate multiplied by a scale."""
+        return AxisRate(self.velocity * scale, self.acceleration * scale)
+
+
+class DriveState(NamedTuple):
+    """The state of a drive in a snapshot: mechanical angles in radians, and the axes in their order."""
+
+    steering_rad: float
+    turret_rad: float
+    axes: tuple[AxisState, AxisState, AxisState]
 
 
 class SynchroDrive:
     """The drive of the N150 and N200.
 
-    steering_rad, turret_rad    mechanical angles against the body, unwrapped; 0 is the bumpers' zero
-    bumper_frame_rad            angle of the bumpers against the body's yaw: the body does not turn
-    rolls                       which axes count inches; the others count radians
+    Attributes
+    ----------
+    steering_rad, turret_rad
+        Mechanical angles against the body, unwrapped; 0 is the zero position of the bumpers.
+    bumper_frame_rad
+        Angle of the bumpers against the body's yaw: 0, because the body does not turn.
+    in_inches
+        True for each axis that counts inches; the others count radians.
     """
 
     bumper_frame_rad = 0.0
-    rolls = (True, False, False)
+    in_inches = (True, False, False)
 
     def __init__(self, limits: tuple[AxisLimits, ...], ramps: bool) -> None:
         self.translation, self.steering, self.turret = (Axis(limit, ramps) for limit in limits)
@@ -70,84 +88,99 @@ class SynchroDrive:
         """In the order of the commands: translation, steering, turret."""
         return self.translation, self.steering, self.turret
 
-    def stretch(self, longest_s: float) -> Stretch:
-        """The path of the next `longest_s` seconds, or of less where the wheels change their acceleration sooner."""
-        rolling_s, speed, acceleration = self.translation.pace
-        steering_s, turn_rate, turn_acceleration = self.steering.pace
-        return Stretch(min(longest_s, rolling_s, steering_s), speed, acceleration, turn_rate, turn_acceleration)
+    def segment(self, max_s: float) -> ConstantAccelerationSegment:
+        """Return the path of the next `max_s` seconds, or of fewer if an axis changes its acceleration sooner."""
+        rolling_s, speed, acceleration = self.translation.current_phase
+        steering_s, turn_rate, turn_acceleration = self.steering.current_phase
+        duration_s = min(max_s, rolling_s, steering_s)
+        return ConstantAccelerationSegment(duration_s, speed, acceleration, turn_rate, turn_acceleration)
 
     @property
-    def fastest(self) -> float:
-        """No less than the robot's speed at any time until the next command, in/s."""
-        return self.translation.fastest
+    def max_speed(self) -> float:
+        """Upper bound of the robot's speed until the next command, in/s."""
+        return self.translation.max_speed
 
     @property
-    def fastest_turn(self) -> float:
-        """No less than the heading's turn rate at any time until the next command, rad/s."""
-        return self.steering.fastest
+    def max_turn_rate(self) -> float:
+        """Upper bound of the heading's turn rate until the next command, rad/s."""
+        return self.steering.max_speed
 
     @property
-    def extremes(self) -> tuple[float, float]:
-        """No more than the least and no less than the greatest speed until the next command, nor than 0, in/s."""
-        return self.translation.extremes
+    def velocity_bounds(self) -> tuple[float, float]:
+        """Bounds of the velocity until the next command, lower <= 0 <= upper, in/s."""
+        return self.translation.velocity_bounds
 
-    def wheels(self, stretch: Stretch) -> tuple[Rate, Rate]:
-        """What translation and steering do on a stretch."""
-        return Rate(stretch.speed, stretch.acceleration), Rate(stretch.turn_rate, stretch.turn_acceleration)
+    def axis_rates(self, segment: ConstantAccelerationSegment) -> tuple[AxisRate, AxisRate]:
+        """Return the rates of translation and steering on a segment."""
+        return AxisRate(segment.speed, segment.acceleration), AxisRate(segment.turn_rate, segment.turn_acceleration)
 
-    def path(self, duration_s: float, first: Rate, second: Rate) -> Stretch:
-        """The stretch that translation and steering make; the inverse of `wheels`."""
-        return Stretch(duration_s, *first, *second)
+    def path_segment(self, duration_s: float, first: AxisRate, second: AxisRate) -> ConstantAccelerationSegment:
+        """Return the segment that translation and steering cause; the inverse of `axis_rates`."""
+        return ConstantAccelerationSegment(duration_s, *first, *second)
 
     def advance(self, dt_s: float) -> float:
-        """Let dt_s seconds pass in all axes; returns how far the turret turned, radians."""
+        """Advance all axes by dt_s seconds and return the turn of the turret, radians."""
         self.translation.advance(dt_s)
         self.steering_rad += self.steering.advance(dt_s)
         turned = self.turret.advance(dt_s)
         self.turret_rad += turned
         return turned
 
-    def turret_in(self, dt_s: float) -> float:
-        """`turret_rad` as it will be dt_s >= 0 seconds from now; a wall stops no turret."""
-        return self.turret_rad + self.turret.way_in(dt_s)
+    def turret_after(self, dt_s: float) -> float:
+        """Return `turret_rad` dt_s >= 0 seconds from now; a wall stops no turret."""
+        return self.turret_rad + self.turret.displacement_after(dt_s)
 
     def block(self) -> None:
-        """Something is in the way: the wheels no longer roll; steering and turret go on."""
+        """Stop the wheels, because something is in front of the robot; steering and turret continue."""
         self.translation.halt()
 
-    def possible(self, steering_rad: float, turret_rad: float) -> tuple[float, float]:
-        """Steering and turret can stand at any two angles."""
+    def feasible_angles(self, steering_rad: float, turret_rad: float) -> tuple[float, float]:
+        """Return the angles themselves: steering and turret can have any two."""
         return steering_rad, turret_rad
 
-    def put(self, steering_rad: float, turret_rad: float) -> None:
-        """Set the mechanical angles, as hands would; motions under way go on from there."""
+    def set_angles(self, steering_rad: float, turret_rad: float) -> None:
+        """Set the mechanical angles, as by hand; motions under way continue from there."""
         self.steering_rad = steering_rad
         self.turret_rad = turret_rad
 
     def seek_zero(self) -> None:
-        """Turn steering and turret to the bumpers' zero, the short way, at the speeds set; the wheels stop.
+        """Turn steering and turret to zero along the shorter arc, at the speeds set; the wheels stop.
 
-        An axis whose speed was set to 0 turns at its top speed: a robot that never finds its zero helps nobody.
+        An axis whose speed was set to 0 turns at its top speed, because otherwise the search would never end.
         """
         self.translation.stop()
         for axis, angle in ((self.steering, self.steering_rad), (self.turret, self.turret_rad)):
-            axis.move_by(-short_way(angle), axis.speed or axis.limits.top_speed)
+            axis.move_by(-wrap_to_pi(angle), axis.speed or axis.limits.top_speed)
 
-    def found_zero(self) -> None:
-        """The search is over: what is left of both angles is rounding and whole turns."""
-        self.put(0.0, 0.0)
+    def finish_zero(self) -> None:
+        """End the search for zero: the rest of both angles is rounding and whole turns."""
+        self.set_angles(0.0, 0.0)
+
+    def to_state(self) -> DriveState:
+        """Return all that changes."""
+        return DriveState(self.steering_rad, self.turret_rad, _axis_states(self.axes))
+
+    def set_state(self, state: DriveState) -> None:
+        """Continue from a state; raise ValueError if it is beyond the limits of the axes."""
+        self.set_angles(state.steering_rad, state.turret_rad)
+        for axis, axis_state in zip(self.axes, state.axes, strict=True):
+            axis.set_state(axis_state)
 
 
 class DifferentialDrive:
-    """The drive of the Scout: two wheels side by side, their speeds v_r and v_l, `track_in` inches apart.
+    """The drive of the Scout: two wheels side by side with speeds v_r and v_l, `track_in` inches apart.
 
         speed = (v_r + v_l) / 2        turn rate = (v_r - v_l) / track
 
-    heading_rad     mechanical heading, unwrapped; steering, turret and the frame of the bumpers are this one angle
-    rolls           which axes count inches; the third is not there
+    Attributes
+    ----------
+    heading_rad
+        Mechanical heading, unwrapped; steering, turret and the frame of the bumpers are this one angle.
+    in_inches
+        True for each axis that counts inches; the third axis does not exist.
     """
 
-    rolls = (True, True, False)
+    in_inches = (True, True, False)
 
     def __init__(self, limits: tuple[AxisLimits, ...], ramps: bool, track_in: float) -> None:
         self.right, self.left, self._none = (Axis(limit, ramps) for limit in limits)
@@ -174,46 +207,48 @@ class DifferentialDrive:
         """In the order of the commands: right wheel, left wheel, and one that never moves."""
         return self.right, self.left, self._none
 
-    def stretch(self, longest_s: float) -> Stretch:
-        """The path of the next `longest_s` seconds, or of less where a wheel changes its acceleration or the robot its
-        direction sooner."""
-        right_s, *right = self.right.pace
-        left_s, *left = self.left.pace
-        stretch = self.path(min(longest_s, right_s, left_s), Rate(*right), Rate(*left))
-        if stretch.speed * stretch.acceleration < 0.0:
-            turns_back_s = -stretch.speed / stretch.acceleration
-            if TIME_TOLERANCE_S < turns_back_s < stretch.duration_s:
-                return stretch._replace(duration_s=turns_back_s)
-        return stretch
+    def segment(self, max_s: float) -> ConstantAccelerationSegment:
+        """Return the path of the next `max_s` seconds, or of fewer if something changes sooner.
+
+        A segment also ends where the robot reverses, since its speed must not change sign.
+        """
+        right_s, *right = self.right.current_phase
+        left_s, *left = self.left.current_phase
+        segment = self.path_segment(min(max_s, right_s, left_s), AxisRate(*right), AxisRate(*left))
+        if segment.speed * segment.acceleration < 0.0:
+            reverses_s = -segment.speed / segment.acceleration
+            if TIME_TOLERANCE_S < reverses_s < segment.duration_s:
+                return segment._replace(duration_s=reverses_s)
+        return segment
 
     @property
-    def fastest(self) -> float:
-        """No less than the robot's speed at any time until the next command, in/s."""
-        return max(self.right.fastest, self.left.fastest)
+    def max_speed(self) -> float:
+        """Upper bound of the robot's speed until the next command, in/s."""
+        return max(self.right.max_speed, self.left.max_speed)
 
     @property
-    def fastest_turn(self) -> float:
-        """No less than the heading's turn rate at any time until the next command, rad/s."""
-        return (self.right.fastest + self.left.fastest) / self.track_in
+    def max_turn_rate(self) -> float:
+        """Upper bound of the heading's turn rate until the next command, rad/s."""
+        return (self.right.max_speed + self.left.max_speed) / self.track_in
 
     @property
-    def extremes(self) -> tuple[float, float]:
-        """No more than the least and no less than the greatest speed until the next command, nor than 0, in/s."""
-        (least, most), (left_least, left_most) = self.right.extremes, self.left.extremes
-        return 0.5 * (least + left_least), 0.5 * (most + left_most)
+    def velocity_bounds(self) -> tuple[float, float]:
+        """Bounds of the velocity until the next command, lower <= 0 <= upper, in/s."""
+        (right_lower, right_upper), (left_lower, left_upper) = self.right.velocity_bounds, self.left.velocity_bounds
+        return 0.5 * (right_lower + left_lower), 0.5 * (right_upper + left_upper)
 
-    def wheels(self, stretch: Stretch) -> tuple[Rate, Rate]:
-        """What the right and the left wheel do on a stretch."""
+    def axis_rates(self, segment: ConstantAccelerationSegment) -> tuple[AxisRate, AxisRate]:
+        """Return the rates of the right and the left wheel on a segment."""
         half = 0.5 * self.track_in
-        faster, gaining = half * stretch.turn_rate, half * stretch.turn_acceleration
+        faster, gaining = half * segment.turn_rate, half * segment.turn_acceleration
         return (
-            Rate(stretch.speed + faster, stretch.acceleration + gaining),
-            Rate(stretch.speed - faster, stretch.acceleration - gaining),
+            AxisRate(segment.speed + faster, segment.acceleration + gaining),
+            AxisRate(segment.speed - faster, segment.acceleration - gaining),
         )
 
-    def path(self, duration_s: float, first: Rate, second: Rate) -> Stretch:
-        """The stretch that the right and the left wheel make; the inverse of `wheels`."""
-        return Stretch(
+    def path_segment(self, duration_s: float, first: AxisRate, second: AxisRate) -> ConstantAccelerationSegment:
+        """Return the segment that the right and the left wheel cause; the inverse of `axis_rates`."""
+        return ConstantAccelerationSegment(
             duration_s,
             0.5 * (first.velocity + second.velocity),
             0.5 * (first.acceleration + second.acceleration),
@@ -222,125 +257,164 @@ class DifferentialDrive:
         )
 
     def advance(self, dt_s: float) -> float:
-        """Let dt_s seconds pass in both wheels; returns how far a turret turned: there is none, 0."""
+        """Advance both wheels by dt_s seconds and return the turn of the turret: 0, there is none."""
         self.heading_rad += (self.right.advance(dt_s) - self.left.advance(dt_s)) / self.track_in
         return 0.0
 
-    def turret_in(self, dt_s: float) -> float:
-        """The heading as it will be dt_s >= 0 seconds from now, if no wall stops it."""
-        return self.heading_rad + (self.right.way_in(dt_s) - self.left.way_in(dt_s)) / self.track_in
+    def turret_after(self, dt_s: float) -> float:
+        """Return the heading dt_s >= 0 seconds from now, if no wall stops the robot."""
+        return self.heading_rad + (
+            self.right.displacement_after(dt_s) - self.left.displacement_after(dt_s)
+        ) / self.track_in
 
     def block(self) -> None:
-        """Something is in the way: no wheel rolls any more."""
+        """Stop both wheels, because something is in front of the robot."""
         self.right.halt()
         self.left.halt()
 
-    def possible(self, steering_rad: float, turret_rad: float) -> tuple[float, float]:
-        """Steering and turret are one angle, that of the steering."""
+    def feasible_angles(self, steering_rad: float, turret_rad: float) -> tuple[float, float]:
+        """Return the steering angle twice: steering and turret are one angle."""
         del turret_rad
         return steering_rad, steering_rad
 
-    def put(self, steering_rad: float, turret_rad: float) -> None:
-        """Set the heading, as hands would; motions under way go on from there."""
+    def set_angles(self, steering_rad: float, turret_rad: float) -> None:
+        """Set the heading, as by hand; motions under way continue from there."""
         del turret_rad
         self.heading_rad = steering_rad
 
     def seek_zero(self) -> None:
-        """There is nothing that could turn to a zero: the wheels stop."""
+        """Stop the wheels: nothing can turn to a zero position."""
         self.right.stop()
         self.left.stop()
 
-    def found_zero(self) -> None:
-        """The heading stays what it is."""
+    def finish_zero(self) -> None:
+        """Leave the heading unchanged."""
+
+    def to_state(self) -> DriveState:
+        """Return all that changes."""
+        return DriveState(self.heading_rad, self.heading_rad, _axis_states(self.axes))
+
+    def set_state(self, state: DriveState) -> None:
+        """Continue from a state; raise ValueError if it is beyond the limits of the axes."""
+        self.heading_rad = state.steering_rad
+        for axis, axis_state in zip(self.axes, state.axes, strict=True):
+            axis.set_state(axis_state)
 
 
 Drive = SynchroDrive | DifferentialDrive
-"""Any of them."""
 
 
-SURVEY_IN: Final = 12.0
-"""A second's way between two looks around, and few walls near: both cost."""
+def _axis_states(axes: tuple[Axis, Axis, Axis]) -> tuple[AxisState, AxisState, AxisState]:
+    first, second, third = axes
+    return first.to_state(), second.to_state(), third.to_state()
+
+
+class ChassisState(NamedTuple):
+    """The state of a chassis in a snapshot, inches and radians; `others`: rows x y radius of robots it can touch."""
+
+    x_in: float
+    y_in: float
+    yaw_rad: float
+    turret_lag_rad: float
+    others: tuple[tuple[float, float, float], ...]
 
 
 class Chassis:
-    """The true place of one robot on its ground. Mechanical angles are handed in by whoever owns the drive."""
+    """The true position of one robot among walls. The drive's mechanical angles are passed in.
 
-    def __init__(self, body: Body, ground: Ground, x_in: float, y_in: float) -> None:
+    x, y, yaw     true position of the axis and true turn of the body; noise turns the body, so the yaw drifts
+    turret lag    the turret's turn beyond its mechanical angle, where its gears are inexact
+    clearance     lower bound of the distance to the nearest obstacle: a shorter segment needs no contact test
+    near          walls within SURVEY_IN at the last survey: the only ones examined until the robot has moved `surveyed`
+                  inches; then all walls are searched again
+    """
+
+    def __init__(self, body: Body, walls: WallSet, x_in: float, y_in: float) -> None:
         self.body = body
-        self._ground = ground
-        self._beside: tuple[Thing, ...] = ()
-        self.put(x_in, y_in)
+        self._walls = walls
+        self._others: tuple[Capsule, ...] = ()
+        self.place(x_in, y_in)
 
-    def put(self, x_in: float, y_in: float) -> None:
-        """Lift the robot and set it down here, its body's yaw at 0. Nothing says that the place is free."""
+    def place(self, x_in: float, y_in: float) -> None:
+        """Set the robot down here with its body's yaw at 0; the position is not checked."""
         self._x_in = x_in
         self._y_in = y_in
         self._yaw_rad = 0.0
         self._lag_rad = 0.0
-        self._look_anew()
+        self._forget_survey()
 
-    def enter(self, ground: Ground) -> None:
-        """From now on these are the walls."""
-        self._ground = ground
-        self._look_anew()
+    def set_walls(self, walls: WallSet) -> None:
+        """Replace the walls."""
+        self._walls = walls
+        self._forget_survey()
 
-    def stand_beside(self, discs: Iterable[tuple[float, float, float]]) -> None:
-        """From now on these discs, x y radius in inches, can be touched, and no others."""
-        self._beside = tuple(Thing.disc(*disc) for disc in discs)
-        self._room_in = 0.0
-
-    @property
-    def alone(self) -> bool:
-        """Whether no disc can be touched."""
-        return not self._beside
-
-    def _look_anew(self) -> None:
-        self._near: tuple[Thing, ...] = ()
-        self._rest_in = 0.0
-        self._room_in = 0.0
+    def set_obstacles(self, discs: Iterable[tuple[float, float, float]]) -> None:
+        """Replace the other robots that can be touched: rows x y radius in inches."""
+        self._others = tuple(Capsule.disc(*disc) for disc in discs)
+        self._clearance_in = 0.0
 
     @property
-    def place(self) -> tuple[float, float]:
+    def has_obstacles(self) -> bool:
+        """True if another robot can be touched."""
+        return bool(self._others)
+
+    def _forget_survey(self) -> None:
+        self._near: tuple[Capsule, ...] = ()
+        self._surveyed_in = 0.0
+        self._clearance_in = 0.0
+
+    def to_state(self) -> ChassisState:
+        """Return all that changes, except for the survey, which can be repeated."""
+        others = tuple((capsule.x1, capsule.y1, capsule.radius) for capsule in self._others)
+        return ChassisState(self._x_in, self._y_in, self._yaw_rad, self._lag_rad, others)
+
+    def set_state(self, state: ChassisState) -> None:
+        """Continue from a state."""
+        self._x_in, self._y_in = state.x_in, state.y_in
+        self._yaw_rad, self._lag_rad = state.yaw_rad, state.turret_lag_rad
+        self._forget_survey()
+        self.set_obstacles(state.others)
+
+    @property
+    def position(self) -> tuple[float, float]:
         """(x, y) of the axis, inches."""
         return self._x_in, self._y_in
 
     def pose(self, steering_rad: float, turret_rad: float) -> Pose:
-        """The true pose at these mechanical angles."""
+        """Return the true pose at these mechanical angles."""
         yaw = self._yaw_rad
         turret = turret_rad + self._lag_rad + yaw
-        return Pose(self._x_in, self._y_in, once_round(steering_rad + yaw), once_round(turret))
-
-    def outlook(self, turret_rad: float) -> tuple[float, float, float]:
-        """From where and where to the turret looks at this mechanical angle: x, y in inches, direction [0, 2 pi)."""
-        return self._x_in, self._y_in, once_round(turret_rad + self._lag_rad + self._yaw_rad)
+        return Pose(self._x_in, self._y_in, wrap_to_2pi(steering_rad + yaw), wrap_to_2pi(turret))
 
     def turret_direction(self, turret_rad: float) -> float:
-        """Where the turret truly points at this mechanical angle, [0, 2 pi)."""
-        return once_round(turret_rad + self._lag_rad + self._yaw_rad)
+        """Return the true direction of the turret at this mechanical angle, [0, 2 pi)."""
+        return wrap_to_2pi(turret_rad + self._lag_rad + self._yaw_rad)
 
     def heading(self, steering_rad: float) -> float:
-        """The true heading at this mechanical steering angle, unwrapped."""
+        """Return the true heading at this mechanical steering angle, unwrapped."""
         return steering_rad + self._yaw_rad
 
-    def first_contact(self, stretch: Stretch, steering_rad: float) -> Contact | None:
-        """Where this stretch, begun here at this mechanical steering angle, first touches something; None: nowhere."""
-        way = stretch.length_bound(stretch.duration_s)
-        if way == 0.0 or way < self._room_in:
+    def first_contact(self, segment: ConstantAccelerationSegment, steering_rad: float) -> Contact | None:
+        """Return the first contact on a segment that starts here at this mechanical steering angle, or None."""
+        distance = segment.length_bound(segment.duration_s)
+        if distance == 0.0 or distance < self._clearance_in:
             return None
-        things = self._within(way)
-        if not things:
+        capsules = self._within(distance)
+        if not capsules:
             return None
-        course = Course(self._x_in, self._y_in, self.heading(steering_rad), stretch)
-        return first_contact(course, self.body.radius_in, things)
+        placed = PlacedSegment(self._x_in, self._y_in, self.heading(steering_rad), segment)
+        return first_contact(placed, self.body.radius_in, capsules)
 
-    def follow(self, stretch: Stretch, time_s: float, steering_rad: float) -> tuple[float, float]:
-        """Move `time_s` seconds along a stretch begun at this mechanical steering angle; returns (dx, dy), inches."""
-        dx, dy = stretch.displacement(steering_rad + self._yaw_rad, time_s)
+    def follow(
+        self, segment: ConstantAccelerationSegment, time_s: float, steering_rad: float
+    ) -> tuple[float, float]:
+        """Move `time_s` seconds along a segment that starts here; return (dx, dy) in inches."""
+        dx, dy = segment.displacement(steering_rad + self._yaw_rad, time_s)
         self._x_in += dx
         self._y_in += dy
-        way = stretch.length_bound(time_s)
-        self._room_in -= way
-        self._rest_in -= way
+        distance = segment.length_bound(time_s)
+        self._clearance_in -= distance
+        self._surveyed_in -= distance
         return dx, dy
 
     def turn(self, angle_rad: float) -> None:
@@ -348,36 +422,38 @@ class Chassis:
         self._yaw_rad += angle_rad
 
     def turn_turret(self, angle_rad: float) -> None:
-        """Turn the turret besides what its encoder counts."""
+        """Turn the turret in addition to what its encoder counts."""
         self._lag_rad += angle_rad
 
-    def found_zero(self) -> None:
-        """The turret stands at its zero, as the sensor there says."""
+    def finish_zero(self) -> None:
+        """Set the turret's lag to 0: its sensor has found the zero position."""
         self._lag_rad = 0.0
 
     def front(self, frame_rad: float) -> float:
-        """The direction of bumper 0 in the map, radians; frame_rad as in `bumpers`."""
-        return once_round(frame_rad + self._yaw_rad)
+        """Return the direction of bumper 0 in the map, radians; frame_rad as in `bumpers`."""
+        return wrap_to_2pi(frame_rad + self._yaw_rad)
 
     def bumpers(self, frame_rad: float) -> int:
-        """Bit i is set while bumper i is touched; frame_rad is the angle of the bumpers against the yaw."""
-        if self._room_in > TOUCH_IN:
+        """Return the pressed bumpers as bits; frame_rad is the angle of the bumpers against the yaw."""
+        if self._clearance_in > TOUCH_IN:
             return 0
-        ahead = frame_rad + self._yaw_rad
-        vectors = (thing.away(0.0, self._x_in, self._y_in)[1:] for thing in self._within(TOUCH_IN))
-        return pressed((atan2(-y, -x) - ahead for x, y in vectors), self.body.bumper_angles_rad)
+        front = frame_rad + self._yaw_rad
+        vectors = (capsule.gap_to(0.0, self._x_in, self._y_in)[1:] for capsule in self._within(TOUCH_IN))
+        return pressed_bumpers((atan2(-y, -x) - front for x, y in vectors), self.body.bumper_angles_rad)
 
-    def _within(self, way_in: float) -> list[Thing]:
-        """What is no farther away than that; notes how much room there is."""
+    def _within(self, distance_in: float) -> list[Capsule]:
+        """Return the obstacles within a distance, and update the clearance."""
         x, y, radius = self._x_in, self._y_in, self.body.radius_in
-        if self._rest_in <= way_in:
-            self._near, rest_in = self._ground.near(x, y, radius + way_in + SURVEY_IN)
-            self._rest_in = rest_in - radius
-        things, room = [], self._rest_in
-        for thing in (*self._near, *self._beside):
-            gap, _, _ = thing.away(radius, x, y)
-            room = min(room, gap)
-            if gap <= way_in:
-                things.append(thing)
-        self._room_in = room
-        return things
+        # 1. Search all walls again when an unsurveyed one might be that near.
+        if self._surveyed_in <= distance_in:
+            self._near, nearest_other_in = self._walls.within(x, y, radius + distance_in + SURVEY_IN)
+            self._surveyed_in = nearest_other_in - radius
+        # 2. Of the surveyed walls and the other robots those within the distance.
+        found, clearance = [], self._surveyed_in
+        for capsule in (*self._near, *self._others):
+            gap, _, _ = capsule.gap_to(radius, x, y)
+            clearance = min(clearance, gap)
+            if gap <= distance_in:
+                found.append(capsule)
+        self._clearance_in = clearance
+        return found

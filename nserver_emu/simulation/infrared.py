@@ -1,10 +1,10 @@
-"""The infrared ring of the N200: nearness in sixteen steps. Rays are the world's; poses and time are handed in.
+"""The infrared ring of the N200: proximity in sixteen steps. Poses and time are passed in.
 
-    reading = whole inches from the body, 0..15; 15 is nothing, and nothing is farther than 24 in in any case
-    history h = 0..9: a reading is h tenths the one before it and the rest the new one; more counts as 9
+    reading = whole inches from the body, 0..15; 15 means nothing, and nothing is detected beyond 24 in in any case
+    history h = 0..9: a reading is h tenths of the previous one and the rest the new one; more counts as 9
 
-The whole ring flashes at once, every 60 ms (decisions of ours, as is the history's arithmetic: no source gives them).
-As with the sonars a flash notes where it happened; rays are cast when somebody looks, and looking changes no reading.
+The whole ring flashes at once, every 60 ms (both this and the arithmetic of the history are assumptions: no source
+gives them). As with the sonars a flash records its pose; rays are cast when a reading is used, which changes no value.
 """
 
 from __future__ import annotations
@@ -16,146 +16,193 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from nserver_emu.simulation.segments import NEVER_PS, PS_PER_S, Stamp
-from nserver_emu.simulation.sonar import UNFIRED
-from nserver_emu.simulation.visibility import Eye
+from nserver_emu.simulation.acoustics import relative_std
+from nserver_emu.simulation.segments import PS_PER_S, TIME_MAX_PS, Stamp
+from nserver_emu.simulation.settings import setting
+from nserver_emu.simulation.sonar import NO_STAMP
+from nserver_emu.simulation.visibility import SensorPose
 from worlds.geometry import FloatArray, normals
 from worlds.raycast import cast_discs, cast_rays
 from worlds.robots import Body
 
 INFRAREDS: Final = 16
 NOTHING: Final = 15
-"""What a sensor reads that sees nothing."""
-REACH_IN: Final = 24.0
-"""Nothing is seen beyond, whatever the calibration makes of it."""
+"""The reading without an obstacle."""
+MAX_RANGE_IN: Final = 24.0
+"""Nothing is detected beyond, whatever the calibration."""
 TENTHS: Final = 10
-MOST_HISTORY: Final = 9
-"""With ten tenths of what was before, nothing new would ever be seen."""
+MAX_HISTORY: Final = 9
+"""With ten tenths of the previous reading, nothing new would ever be detected."""
 INTERVAL_PS: Final = 60 * PS_PER_S // 1000
-MOST_UNSEEN: Final = 64
-"""Flashes that are kept while nobody looks, where the history needs them all."""
+MAX_PENDING: Final = 64
+"""Flashes stored while no reading is used, where the history needs all of them."""
 
 
 @dataclass(frozen=True, slots=True)
 class InfraredNoise:
-    """How light comes back: gaussian noise of std_share of the range; slanted: what is seen at a slant looks
-    farther.
+    """Errors of the infrared sensors.
 
-    A dull wall, or robot, sends back cos(incidence) / range^2, from which the sensor takes the range: it comes out as
-    range / sqrt(cos(incidence)).
+    A dull surface reflects cos(incidence) / range^2, from which the sensor infers range / sqrt(cos(incidence)).
+
+    Attributes
+    ----------
+    range_std_relative
+        Standard deviation of a range relative to it.
+    slanted
+        True: surfaces at an angle appear farther away, as above.
     """
 
-    std_share: float = 0.0
-    slanted: bool = False
+    range_std_relative: float = relative_std(0.0)
+    slanted: bool = setting(False, 0, 1, "", "surfaces at an angle appear farther away")
 
 
-CLEAR_SIGHT: Final = InfraredNoise()
-"""Every range as it is."""
+NO_INFRARED_NOISE: Final = InfraredNoise()
+"""Exact ranges."""
 
 
 class Flash(NamedTuple):
-    """A flash nobody has looked at: the robot's axis and turret, and a standard normal number a sensor."""
+    """A flash whose ranges have not been computed yet: its pose, and a standard normal number per sensor."""
 
-    eye: Eye
-    chances: FloatArray | None
+    sensor_pose: SensorPose
+    noise: FloatArray | None
+
+
+class InfraredState(NamedTuple):
+    """The state of a ring in a snapshot; fields as those of `InfraredRing`."""
+
+    levels: tuple[float, ...]
+    stamps: tuple[Stamp, ...]
+    history: int
+    order: tuple[int, ...]
+    due_ps: int
 
 
 class InfraredRing:
-    """Sixteen sensors that look outwards where the sonars do; see the head of this file."""
+    """Sixteen sensors in the directions of the sonars.
+
+    Attributes
+    ----------
+    due_ps
+        The instant of the next flash; TIME_MAX_PS if the ring is off.
+    """
 
     def __init__(
-        self, body: Body, noise: InfraredNoise, walls: FloatArray, now_ps: int, chance: np.random.Generator
+        self, body: Body, noise: InfraredNoise, walls: FloatArray, now_ps: int, rng: np.random.Generator
     ) -> None:
         self.body = body
         self.noise = noise
         self._walls = walls
-        self._chance = chance
+        self._rng = rng
         self._levels = [float(NOTHING)] * INFRAREDS
-        self._stamps = [UNFIRED] * INFRAREDS
-        self._unseen: list[Flash] = []
+        self._stamps = [NO_STAMP] * INFRAREDS
+        self._pending: list[Flash] = []
         self._history = 0
         self._order: tuple[int, ...] = tuple(range(INFRAREDS))
         self.due_ps = now_ps
-        """When the ring flashes next; NEVER_PS if it is off."""
+
+    def to_state(self) -> InfraredState:
+        """Return all that changes; pending ranges are computed, which changes no reading."""
+        self._compute_pending()
+        return InfraredState(tuple(self._levels), self.stamps, self._history, self._order, self.due_ps)
+
+    def set_state(self, state: InfraredState, now_ps: int) -> None:
+        """Continue from a state; raise ValueError if it is not one of a ring."""
+        if not all(len(values) == INFRAREDS for values in (state.levels, state.stamps)):
+            raise ValueError("an infrared ring without 16 readings")
+        if not all(0.0 <= level <= NOTHING for level in state.levels) or not 0 <= state.history <= MAX_HISTORY:
+            raise ValueError("an infrared reading out of range")
+        if not all(0 <= number < INFRAREDS for number in state.order):
+            raise ValueError("an infrared ring with unknown sensors")
+        if state.due_ps != TIME_MAX_PS and not now_ps <= state.due_ps <= now_ps + INTERVAL_PS:
+            raise ValueError("an infrared ring of another time")
+        self._levels, self._stamps = list(state.levels), list(state.stamps)
+        self._history, self._order, self.due_ps = state.history, state.order, state.due_ps
+        self._pending.clear()
 
     @property
     def readings(self) -> tuple[int, ...]:
         """The last reading of each sensor, 16 numbers 0..15."""
-        self._look()
+        self._compute_pending()
         return tuple(floor(level + 0.5) for level in self._levels)
 
     @property
     def stamps(self) -> tuple[Stamp, ...]:
-        """The moment of each of those readings."""
+        """The time stamp of each of those readings."""
         return tuple(self._stamps)
 
     def configure(self, history: int, order: Sequence[int], now_ps: int) -> None:
-        """Take a new history (clamped to 0..9) and new sensors, those before the first number that is none.
+        """Set the history (clamped to 0..9) and the active sensors: those before the first number that is not one.
 
-        The others keep their readings; no sensor at all: the ring is off. It flashes now, and every 60 ms.
+        The others keep their readings; without any sensor the ring is off. It flashes now, and every 60 ms.
         """
-        self._look()
+        self._compute_pending()
         end = next((at for at, number in enumerate(order) if not 0 <= number < INFRAREDS), len(order))
         self._order = tuple(order[:end])
-        self._history = min(max(history, 0), MOST_HISTORY)
-        self.due_ps = now_ps if self._order else NEVER_PS
+        self._history = min(max(history, 0), MAX_HISTORY)
+        self.due_ps = now_ps if self._order else TIME_MAX_PS
 
-    def flash_due(self, eye: Eye, stamp: Stamp) -> None:
-        """The ring flashes here and now."""
+    def flash_due(self, sensor_pose: SensorPose, stamp: Stamp) -> None:
+        """Flash at this pose."""
         self.due_ps += INTERVAL_PS
+        # Without a history only the last flash counts.
         if not self._history:
-            self._unseen.clear()
-        elif len(self._unseen) >= MOST_UNSEEN:
-            self._look()
-        self._unseen.append(Flash(eye, self._chance.standard_normal(INFRAREDS) if self.noise.std_share else None))
+            self._pending.clear()
+        elif len(self._pending) >= MAX_PENDING:
+            self._compute_pending()
+        noise = self._rng.standard_normal(INFRAREDS) if self.noise.range_std_relative else None
+        self._pending.append(Flash(sensor_pose, noise))
         for number in self._order:
             self._stamps[number] = stamp
 
-    def surround(self, walls: FloatArray) -> None:
-        """From now on these are the walls (m, 4); what flashed before still met the old ones."""
-        self._look()
+    def set_walls(self, walls: FloatArray) -> None:
+        """Replace the walls (m, 4); earlier flashes still meet the previous ones."""
+        self._compute_pending()
         self._walls = walls
 
-    def see_as(self, noise: InfraredNoise) -> None:
-        """From now on light comes back like this; what flashed before came back as before."""
-        self._look()
+    def set_noise(self, noise: InfraredNoise) -> None:
+        """Replace the errors; earlier flashes have the previous ones."""
+        self._compute_pending()
         self.noise = noise
 
-    def _look(self) -> None:
-        kept = self._history / TENTHS
-        for flash in self._unseen:
+    def _compute_pending(self) -> None:
+        previous = self._history / TENTHS
+        for flash in self._pending:
             ranges = self._ranges(flash)
             for number in self._order:
-                seen = min(float(ranges[number]), NOTHING) if ranges[number] <= REACH_IN else float(NOTHING)
-                seen = float(floor(max(seen, 0.0) + 0.5))
-                self._levels[number] = kept * self._levels[number] + (1.0 - kept) * seen
-        self._unseen.clear()
+                level = min(float(ranges[number]), NOTHING) if ranges[number] <= MAX_RANGE_IN else float(NOTHING)
+                level = float(floor(max(level, 0.0) + 0.5))
+                self._levels[number] = previous * self._levels[number] + (1.0 - previous) * level
+        self._pending.clear()
 
     def _ranges(self, flash: Flash) -> FloatArray:
-        """What the sensors make of a flash: ranges (16,) from the body, inches, inf where nothing is met."""
-        directions = flash.eye.turret_rad + np.array(self.body.sonar_angles_rad)
-        ways = np.stack((np.cos(directions), np.sin(directions)), axis=1)
-        here, others = (flash.eye.x_in, flash.eye.y_in), flash.eye.others
-        from_axis, rows = cast_rays(here, ways, self._walls)
-        to_robots = cast_discs(here, ways, others)
-        robots = to_robots < from_axis
+        """Return the measured ranges (16,) from the body, inches, inf where nothing is met."""
+        # 1. Ranges to walls and robots.
+        angles = flash.sensor_pose.turret_rad + np.array(self.body.sonar_angles_rad)
+        directions = np.stack((np.cos(angles), np.sin(angles)), axis=1)
+        position, others = (flash.sensor_pose.x_in, flash.sensor_pose.y_in), flash.sensor_pose.others
+        from_axis, rows = cast_rays(position, directions, self._walls)
+        to_robots = cast_discs(position, directions, others)
+        is_robot = to_robots < from_axis
         ranges: FloatArray = np.minimum(from_axis, to_robots) - self.body.radius_in
-        met = ranges < inf
-        if self.noise.slanted and met.any():
-            facing = np.zeros_like(ways)
-            of_walls = met & ~robots
-            facing[of_walls] = normals(self._walls[rows[of_walls]])
-            if robots.any():
-                facing[robots] = _disc_normals(np.array(here) + to_robots[robots, np.newaxis] * ways[robots], others)
-            head_on = np.abs((facing[met] * ways[met]).sum(axis=1))
-            ranges[met] /= np.sqrt(np.maximum(head_on, 1e-6))
-        if flash.chances is not None:
-            ranges[met] *= 1.0 + self.noise.std_share * flash.chances[met]
+        is_met = ranges < inf
+        # 2. The angle of incidence.
+        if self.noise.slanted and is_met.any():
+            facing = np.zeros_like(directions)
+            is_wall = is_met & ~is_robot
+            facing[is_wall] = normals(self._walls[rows[is_wall]])
+            if is_robot.any():
+                hits = np.array(position) + to_robots[is_robot, np.newaxis] * directions[is_robot]
+                facing[is_robot] = _disc_normals(hits, others)
+            cos_incidence = np.abs((facing[is_met] * directions[is_met]).sum(axis=1))
+            ranges[is_met] /= np.sqrt(np.maximum(cos_incidence, 1e-6))
+        # 3. Noise.
+        if flash.noise is not None:
+            ranges[is_met] *= 1.0 + self.noise.range_std_relative * flash.noise[is_met]
         return ranges
 
 
 def _disc_normals(points: FloatArray, discs: FloatArray) -> FloatArray:
-    """Unit normals (k, 2) at points (k, 2), each on the rim of one of the discs (n, 3), which do not overlap."""
+    """Return unit normals (k, 2) at points (k, 2), each on the rim of one of the discs (n, 3), which do not overlap."""
     offsets = points[:, np.newaxis] - discs[:, :2]
     off_rim = np.abs(np.hypot(offsets[..., 0], offsets[..., 1]) - discs[:, 2])
     nearest = off_rim.argmin(axis=1)

@@ -1,22 +1,23 @@
-"""The models that can be simulated: body, drive, limits of the axes. Data; what the wire says of a model is protocol's.
+"""Robot models: body, drive, limits of the axes; predefined ones and those of model files.
 
-Top speeds and the accelerations at power-on are the users' numbers (20 in/s, 45 deg/s; 30 in/s2, 50 deg/s2; Scout
-39 in/s a wheel, 30 in/s2). Decisions of ours, for no source gives them: robots wake at their top speeds, accelerations
-go up to twice those numbers, and the encoders tell velocities in tenths (0.1 in/s, 0.1 deg/s), as State does.
+Top speeds and the accelerations at power-on are those of the user's manuals (20 in/s, 45 deg/s; 30 in/s2, 50 deg/s2;
+Scout 39 in/s per wheel, 30 in/s2). Assumptions, for no source gives them: robots start at their top speeds,
+accelerations go up to twice those numbers, and the encoders report velocities in tenths (0.1 in/s, 0.1 deg/s), as State
+does.
 
-Model files: TOML in, robot models out, each made from one that is known. It and setup_toml.py alone touch the disk.
+A model file (TOML) derives models from existing ones:
 
     [[model]]
-    name, like                    its name, and the model it is made from: left out, the known one of that name
+    name, like                    its name, and the model it derives from (omitted: the existing one of that name)
     radius, sonar_ring_radius     of the body; track: between the wheels of a differential drive
-    bumpers                       how many around the body
-    compass                       true or false: whether it has one
-    [model.odometry], [model.sonar], [model.spread]     what it gets wrong every time (worlds/robots.py)
-    [model.translation]           an axis: top_speed, top_acceleration, speed, acceleration; so steering, turret;
+    bumpers                       number of bumpers around the body
+    compass                       true or false
+    [model.odometry], [model.sonar], [model.spread]     its calibration (worlds/robots.py)
+    [model.translation]           an axis: top_speed, top_acceleration, speed, acceleration; also steering, turret;
                                   of a differential drive right and left
 
-Lengths end in their unit, _in, _cm or _m, and so do speeds, a second; angles of steering and turret in _deg. What is
-left out is as it was. Whatever is wrong is a WorldFileError: file, key, what was expected.
+Lengths end in their unit, _in, _cm or _m, and so do speeds, per second; angles of steering and turret in _deg. Omitted
+values are those of the original model. Errors are WorldFileError: file, key, expected value.
 """
 
 from __future__ import annotations
@@ -29,19 +30,19 @@ from types import MappingProxyType
 from typing import Final
 
 from nclient.common.hints import suggest
-from nserver_emu.simulation.axis import AxisLimits
+from nserver_emu.simulation.axis import MAX_RESTORED_SPEED, AxisLimits
 from nserver_emu.simulation.drive import NO_AXIS, DifferentialDrive, Drive, SynchroDrive
 from worlds.robots import N150 as N150_BODY
 from worlds.robots import N200 as N200_BODY
 from worlds.robots import SCOUT as SCOUT_BODY
+from worlds.robots import SONARS, Body, Calibration, parse_calibration
 from worlds.robots import TABLES as CALIBRATION_TABLES
-from worlds.robots import Body, Calibration, parse_calibration
-from worlds.schema import INCHES_PER_UNIT, Table, read_text, toml_of
+from worlds.schema import INCHES_PER_UNIT, Table, parse_toml, read_text
 
 ROLLING: Final = AxisLimits(
     top_speed=20.0,
     top_acceleration=60.0,
-    least_acceleration=0.1,
+    min_acceleration=0.1,
     speed=20.0,
     acceleration=30.0,
     resolution=0.1,
@@ -51,7 +52,7 @@ ROLLING: Final = AxisLimits(
 TURNING: Final = AxisLimits(
     top_speed=radians(45.0),
     top_acceleration=radians(100.0),
-    least_acceleration=radians(0.1),
+    min_acceleration=radians(0.1),
     speed=radians(45.0),
     acceleration=radians(50.0),
     resolution=radians(0.1),
@@ -61,7 +62,7 @@ TURNING: Final = AxisLimits(
 WHEEL: Final = AxisLimits(
     top_speed=39.0,
     top_acceleration=60.0,
-    least_acceleration=0.1,
+    min_acceleration=0.1,
     speed=39.0,
     acceleration=30.0,
     resolution=0.1,
@@ -69,24 +70,38 @@ WHEEL: Final = AxisLimits(
 """A wheel of the Scout: inches and seconds."""
 
 SCOUT_WHEEL_IN_PER_DEGREE: Final = 0.118597
-"""Way of each wheel of a Scout for a turn of one degree on the spot, the users' rate constant."""
+"""Travel of each wheel of a Scout per degree of a turn on the spot, the rate constant of its user's manual."""
 
 SCOUT_TRACK_IN: Final = 2.0 * degrees(SCOUT_WHEEL_IN_PER_DEGREE)
-"""Distance between the wheels of a Scout that this constant means: 13.590 in."""
+"""Distance between the wheels of a Scout that this constant implies: 13.590 in."""
+
+MIN_TRACK_IN: Final = 0.1
+MAX_RADIUS_IN: Final = 1000.0
+"""Bounds for a model of a snapshot, beyond which its simulation would take too long."""
 
 
 @dataclass(frozen=True, slots=True)
 class RobotModel:
-    """A model as physics sees it.
+    """A simulated robot model.
 
-    name        what users call it
-    body        radii, sonars, bumpers
-    axes        limits of the axes in the order of the commands
-    track_in    distance between the wheels of a differential drive, inches; None: a synchro drive
-    family      the model that it is to a client, which knows three: n150, n200, scout
-    sees        whether it has infrareds and a laser
-    compass     whether it has a compass
-    errs        what this very robot gets wrong every time, whatever its setup says of that; None: nothing is known
+    Attributes
+    ----------
+    name
+        Name for users.
+    body
+        Radii, sonars, bumpers.
+    axes
+        Limits of the axes in the order of the commands.
+    track_in
+        Distance between the wheels of a differential drive, inches; None: a synchro drive.
+    family
+        The model that clients see, one of n150, n200, scout.
+    has_light_sensors
+        True for a robot with infrared sensors and a laser.
+    has_compass
+        True for a robot with a compass.
+    calibration
+        Systematic errors of this individual robot, in place of its setup's; None: not calibrated.
     """
 
     name: str
@@ -94,34 +109,47 @@ class RobotModel:
     axes: tuple[AxisLimits, AxisLimits, AxisLimits]
     track_in: float | None = None
     family: str = ""
-    sees: bool = False
-    compass: bool = True
-    errs: Calibration | None = None
+    has_light_sensors: bool = False
+    has_compass: bool = True
+    calibration: Calibration | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "family", self.family or self.name)
 
     @property
-    def rolls(self) -> tuple[bool, bool, bool]:
-        """Which axes count inches; the others count radians."""
-        return SynchroDrive.rolls if self.track_in is None else DifferentialDrive.rolls
+    def in_inches(self) -> tuple[bool, bool, bool]:
+        """True for each axis that counts inches; the others count radians."""
+        return SynchroDrive.in_inches if self.track_in is None else DifferentialDrive.in_inches
 
     def drive(self, ramps: bool) -> Drive:
-        """A new drive of this model; `ramps` False: its axes jump to their speeds."""
+        """Return a new drive of this model; without `ramps` its axes jump to their speeds."""
         if self.track_in is None:
             return SynchroDrive(self.axes, ramps)
         return DifferentialDrive(self.axes, ramps, self.track_in)
 
+    def check(self) -> None:
+        """Raise ValueError if a model from a snapshot cannot be simulated in bounded time."""
+        body, track_in = self.body, self.track_in
+        if not (0.0 < body.radius_in <= MAX_RADIUS_IN and 0.0 < body.sonar_ring_radius_in <= MAX_RADIUS_IN):
+            raise ValueError("a robot without a radius")
+        if len(body.sonar_angles_rad) != SONARS or not 0 < len(body.bumper_angles_rad) <= MAX_BUMPERS:
+            raise ValueError("a robot without sonars or bumpers")
+        if track_in is not None and not MIN_TRACK_IN <= track_in <= MAX_RADIUS_IN:
+            raise ValueError("a robot without a track")
+        for axis in self.axes:
+            speeds = (axis.top_speed, axis.speed, axis.resolution)
+            if not all(0.0 <= speed <= MAX_RESTORED_SPEED for speed in speeds) or axis.acceleration <= 0.0:
+                raise ValueError("an axis without limits")
+
 
 N150: Final = RobotModel("n150", N150_BODY, (ROLLING, TURNING, TURNING))
-N200: Final = RobotModel("n200", N200_BODY, (ROLLING, TURNING, TURNING), sees=True)
-SCOUT: Final = RobotModel("scout", SCOUT_BODY, (WHEEL, WHEEL, NO_AXIS), SCOUT_TRACK_IN, compass=False)
+N200: Final = RobotModel("n200", N200_BODY, (ROLLING, TURNING, TURNING), has_light_sensors=True)
+SCOUT: Final = RobotModel("scout", SCOUT_BODY, (WHEEL, WHEEL, NO_AXIS), SCOUT_TRACK_IN, has_compass=False)
 
 MODELS: Final[Mapping[str, RobotModel]] = MappingProxyType({model.name: model for model in (N150, N200, SCOUT)})
-"""Every model that can be simulated by its name."""
+"""The predefined models by name."""
 
-
-MOST_BUMPERS: Final = 24
+MAX_BUMPERS: Final = 24
 """Bits in the three bytes of State[33]."""
 
 SYNCHRO_AXES: Final = ("translation", "steering", "turret")
@@ -130,19 +158,19 @@ SPEEDS: Final = ("top_speed", "top_acceleration", "speed", "acceleration")
 
 
 def load_models(path: Path) -> Mapping[str, RobotModel]:
-    """Every model there is with a file's: those it overrides and those it adds. Raises WorldFileError."""
+    """Return the predefined models and those of a file, which may override them. Raises WorldFileError."""
     return parse_models(read_text(path), str(path))
 
 
 def parse_models(text: str, file: str) -> Mapping[str, RobotModel]:
-    """The same from the text of a file; `file` is what errors call it. A model may be like one above it."""
-    values = toml_of(text, file)
+    """Return the models of a file's text; `file` is its name in errors. A model may derive from an earlier one."""
+    values = parse_toml(text, file)
     top = Table(file, "", values)
     top.allow(("model",))
     models = dict(MODELS)
     taken: set[str] = set()
     for table in top.tables("model"):
-        model = _model(table, models)
+        model = _parse_model(table, models)
         if model.name in taken:
             table.fail("name", f"{model.name!r} is taken by an earlier model; expected another")
         taken.add(model.name)
@@ -152,7 +180,8 @@ def parse_models(text: str, file: str) -> Mapping[str, RobotModel]:
     return MappingProxyType(models)
 
 
-def _model(table: Table, models: Mapping[str, RobotModel]) -> RobotModel:
+def _parse_model(table: Table, models: Mapping[str, RobotModel]) -> RobotModel:
+    # 1. The name, and the model it derives from.
     name = table.text("name", "")
     if not name or name != name.strip().lower():
         table.fail("name", f"expected a name in small letters, found {name!r}")
@@ -164,29 +193,31 @@ def _model(table: Table, models: Mapping[str, RobotModel]) -> RobotModel:
             f"{suggest(like, models)}"
         )  # fmt: skip
     base = models[like]
+    # 2. Unknown keys.
     axes = SYNCHRO_AXES if base.track_in is None else WHEELS
     table.allow(
         ("name", "like", "bumpers", "compass", *axes, *CALIBRATION_TABLES),
         ("radius", "sonar_ring_radius", *(() if base.track_in is None else ("track",))),
     )
-    limits = [_axis(table, axis, base.axes[number], base.rolls[number]) for number, axis in enumerate(axes)]
+    # 3. Values.
+    limits = [_parse_axis(table, axis, base.axes[row], base.in_inches[row]) for row, axis in enumerate(axes)]
     first, second, third = (*limits, *base.axes[len(limits) :])
     return replace(
         base,
         name=name,
         family=base.family,
-        body=_body(table, name, base.body),
+        body=_parse_body(table, name, base.body),
         axes=(first, second, third),
-        compass=table.flag("compass") if "compass" in table.values else base.compass,
+        has_compass=table.flag("compass") if "compass" in table.values else base.has_compass,
         track_in=None if base.track_in is None else _length(table, "track", base.track_in),
-        errs=parse_calibration(table) if {*CALIBRATION_TABLES} & {*table.values} else base.errs,
+        calibration=parse_calibration(table) if {*CALIBRATION_TABLES} & {*table.values} else base.calibration,
     )
 
 
-def _body(table: Table, name: str, base: Body) -> Body:
-    count = table.index("bumpers", MOST_BUMPERS + 1)
+def _parse_body(table: Table, name: str, base: Body) -> Body:
+    count = table.index("bumpers", MAX_BUMPERS + 1)
     if count == 0:
-        table.fail("bumpers", f"expected 1 to {MOST_BUMPERS}, found 0")
+        table.fail("bumpers", f"expected 1 to {MAX_BUMPERS}, found 0")
     angles = base.bumper_angles_rad if count is None else tuple(tau * number / count for number in range(count))
     return replace(
         base,
@@ -197,28 +228,28 @@ def _body(table: Table, name: str, base: Body) -> Body:
     )
 
 
-def _axis(model: Table, name: str, base: AxisLimits, rolls: bool) -> AxisLimits:
-    """The limits of one axis; one that wakes faster than its new top speed wakes at that."""
+def _parse_axis(model: Table, name: str, base: AxisLimits, in_inches: bool) -> AxisLimits:
+    """Return the limits of one axis; a speed at power-on above the new top speed is reduced to it."""
     if name not in model.values:
         return base
     table = model.table(name)
-    table.allow(*(((), SPEEDS) if rolls else ([f"{speed}_deg" for speed in SPEEDS],)))
+    table.allow(*(((), SPEEDS) if in_inches else ([f"{speed}_deg" for speed in SPEEDS],)))
     top_speed, top_acceleration, speed, acceleration = (
-        _length(table, key, getattr(base, key)) if rolls else _angle(table, key, getattr(base, key)) for key in SPEEDS
+        _length(table, key, getattr(base, key)) if in_inches else _angle(table, key, getattr(base, key))
+        for key in SPEEDS
     )
-    least = min(base.least_acceleration, acceleration, top_acceleration)
     return replace(
         base,
         top_speed=top_speed,
         top_acceleration=top_acceleration,
-        least_acceleration=least,
+        min_acceleration=min(base.min_acceleration, acceleration, top_acceleration),
         speed=min(speed, top_speed),
         acceleration=min(acceleration, top_acceleration),
     )
 
 
 def _length(table: Table, name: str, default_in: float) -> float:
-    """A length, or a speed in lengths, above 0; the default where no unit of it is given."""
+    """Return a length, or a speed in lengths, above 0; the default where none is given."""
     if not any(f"{name}_{unit}" in table.values for unit in INCHES_PER_UNIT):
         return default_in
     return _positive(table, table.key_of(name), table.length_in(name))

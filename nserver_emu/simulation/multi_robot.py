@@ -1,12 +1,15 @@
-"""Several robots on one ground: who is near whom, and the discs that they are to one another. No motion, no sensors.
+"""Several robots in one world: which may meet, in which order they advance, and where their sensors see one another.
 
-    at most a SPAN    who cannot meet within it another that moves runs through it at once; who stands is in the way
-    half of it, ...   the same for those who are left
-    every TICK        whoever is left now run one after another, each against those near it: they never overlap
-    a sensor fires    it sees where the others stood at the tick before, worked out afterwards from their tracks
+    a span of at most SPAN_PS    a robot that cannot meet another moving one in it advances through it at once; robots
+                                 that stand are obstacles
+    half of it, ...              the same for the others
+    every tick of TICK_PS        the remaining robots advance one after another, each against those near it: they never
+                                 overlap
+    a firing                     measures where the others were at the tick before, computed afterwards from their
+                                 trajectories
 
-Ticks lie on simulated time itself, so what is seen and who is first does not depend on how the caller cuts it. Who is
-first changes from tick to tick, so that no robot always has the way.
+Ticks are multiples of simulated time itself, so neither the positions nor the order depend on the caller's steps. The
+first robot changes from tick to tick, so that none always has priority.
 """
 
 from __future__ import annotations
@@ -19,80 +22,104 @@ import numpy as np
 
 from nserver_emu.simulation.robot import SimulatedRobot
 from nserver_emu.simulation.segments import PS_PER_S, to_s
-from nserver_emu.simulation.spatial_hash import STAYS, Reach
-from nserver_emu.simulation.visibility import Sighting
+from nserver_emu.simulation.spatial_hash import STATIONARY, Disc, SweptBounds
+from nserver_emu.simulation.visibility import RobotPositions
 from worlds.geometry import FloatArray
 
 TICK_PS: Final = PS_PER_S // 100
-"""A hundredth of a second: a robot at 20 in/s is seen 0.2 in from where it is at most, a fifth of what sonars tell."""
+"""A hundredth of a second: a robot at 20 in/s is detected at most 0.2 in from where it is, a fifth of a sonar's
+resolution."""
 
 SPAN_PS: Final = 12 * TICK_PS
-"""Two firings of a ring at its usual rate, where motion that draws chance is cut anyway."""
+"""Two firings of a ring at its default rate, where motion with noise is divided anyway."""
 
 SLACK_IN: Final = 0.01
-"""Robots come no nearer to others than this unless they are looked at: bumpers feel 1e-3 in, rounding is 1e-11."""
+"""Robots that are not tested for contact stay at least this far apart: bumpers resolve 1e-3 in, rounding is 1e-11."""
 
 Pair = tuple[int, int]
 """Rows of two robots, the smaller first."""
 
+GroupState = tuple[tuple[int, tuple[Disc, ...]], ...]
+"""The positions of all robots, by tick."""
 
-class Company:
-    """What the robots of one world are to one another; their sensors look through it."""
+
+class RobotGroup:
+    """The robots of one world; provides their positions to their sensors."""
 
     def __init__(self) -> None:
-        self._sightings: dict[int, Sighting] = {}
+        self._positions: dict[int, RobotPositions] = {}
 
-    def at(self, instant_ps: int) -> Sighting:
-        """Where all stood at the last tick before an instant; known once `run` has come to its end."""
+    def to_state(self) -> GroupState:
+        """Return the positions that sensors may still use."""
+        return tuple(
+            (tick, tuple((x, y, radius) for x, y, radius in positions.discs.tolist()))
+            for tick, positions in self._positions.items()
+        )
+
+    def set_state(self, state: GroupState, robots: Mapping[int, SimulatedRobot]) -> None:
+        """Continue from a state; raise ValueError if it is not one of these robots."""
+        for tick, discs in state:
+            if len(discs) != len(robots) or not all(radius > 0.0 for _, _, radius in discs):
+                raise ValueError("positions of other robots")
+            self._positions[tick] = RobotPositions(np.array(discs))
+        if state:
+            self._join(robots)
+
+    def at(self, instant_ps: int) -> RobotPositions:
+        """Return the positions at the last tick before an instant; they are filled in when `advance` has ended."""
         tick = (instant_ps - 1) // TICK_PS
-        known = self._sightings.get(tick)
-        return self._sightings.setdefault(tick, Sighting()) if known is None else known
+        positions = self._positions.get(tick)
+        return self._positions.setdefault(tick, RobotPositions()) if positions is None else positions
 
-    def look_around(self, robots: Mapping[int, SimulatedRobot], now_ps: int) -> None:
-        """From now on these are the robots, and this is where all see them."""
+    def set_robots(self, robots: Mapping[int, SimulatedRobot], now_ps: int) -> None:
+        """Set the robots; their current positions count from now on."""
+        self._join(robots)
+        self._positions = {(now_ps - 1) // TICK_PS: RobotPositions(discs_of(robots.values()))}
+
+    def _join(self, robots: Mapping[int, SimulatedRobot]) -> None:
         for row, robot in enumerate(robots.values()):
-            robot.join(self, row)
-            robot.begin_track()
-        self._sightings = {(now_ps - 1) // TICK_PS: Sighting(discs_of(robots.values()))}
+            robot.set_positions(self, row)
+            robot.start_trajectory()
 
-    def run(self, robots: Mapping[int, SimulatedRobot], begin_ps: int, end_ps: int) -> None:
-        """Let time pass in all robots, which stand at the one instant, until the other."""
+    def advance(self, robots: Mapping[int, SimulatedRobot], begin_ps: int, end_ps: int) -> None:
+        """Advance all robots from one instant to another."""
         while begin_ps < end_ps:
             until_ps = min(end_ps, begin_ps + SPAN_PS)
-            _run_span(list(robots.values()), begin_ps, until_ps)
-            self._settle(robots, until_ps)
+            _advance_span(list(robots.values()), begin_ps, until_ps)
+            self._fill_in(robots, until_ps)
             begin_ps = until_ps
 
-    def _settle(self, robots: Mapping[int, SimulatedRobot], now_ps: int) -> None:
-        """Work out what was seen up to now, and keep what is to be seen until the next tick."""
+    def _fill_in(self, robots: Mapping[int, SimulatedRobot], now_ps: int) -> None:
+        """Compute the positions that sensors have requested, and keep those that count until the next tick."""
         last = self.at(now_ps)
-        for tick, sighting in self._sightings.items():
-            if not len(sighting.discs):
-                sighting.discs = discs_of(robots.values(), tick * TICK_PS)
-        self._sightings = {(now_ps - 1) // TICK_PS: last}
+        for tick, positions in self._positions.items():
+            if not len(positions.discs):
+                positions.discs = discs_of(robots.values(), tick * TICK_PS)
+        self._positions = {(now_ps - 1) // TICK_PS: last}
         for robot in robots.values():
-            robot.begin_track()
+            robot.start_trajectory()
 
 
 def discs_of(robots: Iterable[SimulatedRobot], instant_ps: int | None = None) -> FloatArray:
-    """Robots as discs (n, 3), rows x y radius in inches, now or at an instant since the last span began."""
+    """Return robots as discs (n, 3), rows x y radius in inches, now or at an instant since the last span began."""
     if instant_ps is None:
         return np.array([robot.disc for robot in robots]).reshape(-1, 3)
     return np.array([robot.disc_at(instant_ps) for robot in robots])
 
 
-def near(robots: Sequence[SimulatedRobot], span_ps: int) -> list[Pair]:
-    """Those that may meet within a span of time, in their order."""
+def candidate_pairs(robots: Sequence[SimulatedRobot], span_ps: int) -> list[Pair]:
+    """Return the pairs that may meet within a span of time, sorted."""
     discs = discs_of(robots)
     span_s = to_s(span_ps)
-    discs[:, 2] += [robot.reach_in(span_s) for robot in robots]
+    discs[:, 2] += [robot.max_travel_in(span_s) for robot in robots]
     return neighbours(discs, SLACK_IN)
 
 
 def neighbours(discs: FloatArray, within_in: float) -> list[Pair]:
-    """Those of the discs (n, 3) that are nearer to each other than a gap, in their order.
+    """Return the pairs of discs (n, 3) whose gap is less than `within_in`, sorted.
 
-    Sorted by x, each is compared with the next, the one after the next ... until all those are too far away.
+    Sweep and prune: sorted by x, each is compared with the next, the one after the next ... until all of those are too
+    far away.
     """
     order = np.argsort(discs[:, 0])
     x, y, radius = discs[order].T
@@ -109,83 +136,98 @@ def neighbours(discs: FloatArray, within_in: float) -> list[Pair]:
     return sorted(pairs)
 
 
-def touch(crew: Sequence[SimulatedRobot], pairs: Iterable[Pair] | None = None) -> None:
-    """Let bumpers feel where the others of the crew stand now; of some pairs, if no others can touch."""
-    rows = range(len(crew)) if pairs is None else sorted({row for pair in pairs for row in pair})
-    beside = _beside(_may_meet(crew, near(crew, 0) if pairs is None else pairs, dict.fromkeys(rows, STAYS)))
-    for row in rows:
-        _stand(crew, row, beside.get(row, ()))
+def update_obstacles(robots: Sequence[SimulatedRobot], pairs: Iterable[Pair] | None = None) -> None:
+    """Set the obstacles of the robots to the current positions of the others, for their bumpers.
 
-
-def _run_span(crew: Sequence[SimulatedRobot], begin_ps: int, end_ps: int) -> None:
-    """Who cannot meet anybody until the end goes there at once, the others by and by."""
-    pairs = near(crew, end_ps - begin_ps)
-    for row in set(range(len(crew))).difference(*pairs):
-        _stand(crew, row, ())
-        crew[row].advance_to(end_ps)
-    _run_pairs(crew, pairs, begin_ps, end_ps)
-    for row in {row for pair in pairs for row in pair}:
-        crew[row].advance_to(end_ps)
-    touch(crew, pairs)
-
-
-def _run_pairs(crew: Sequence[SimulatedRobot], pairs: Iterable[Pair], begin_ps: int, end_ps: int) -> None:
-    """Let time pass in all who are in pairs and move; in no others can they meet. Who stands may wait.
-
-    Who moves and may meet another that moves is held back: it takes its turns in each tick, and in longer spans those
-    that are held back go the first half and then the second, as if these were all there is.
+    Parameters
+    ----------
+    pairs
+        The pairs that can touch, if these are known; no other robots are updated then.
     """
+    rows = range(len(robots)) if pairs is None else sorted({row for pair in pairs for row in pair})
+    candidates = candidate_pairs(robots, 0) if pairs is None else pairs
+    neighbours_of = _neighbours_of(_may_meet(robots, candidates, dict.fromkeys(rows, STATIONARY)))
+    for row in rows:
+        _set_obstacles(robots, row, neighbours_of.get(row, ()))
+
+
+def _advance_span(robots: Sequence[SimulatedRobot], begin_ps: int, end_ps: int) -> None:
+    """Advance robots that cannot meet another at once, the others gradually."""
+    # 1. Robots in no pair.
+    pairs = candidate_pairs(robots, end_ps - begin_ps)
+    for row in set(range(len(robots))).difference(*pairs):
+        _set_obstacles(robots, row, ())
+        robots[row].advance_to(end_ps)
+    # 2. Moving robots in pairs. 3. Standing ones.
+    _advance_pairs(robots, pairs, begin_ps, end_ps)
+    for row in {row for pair in pairs for row in pair}:
+        robots[row].advance_to(end_ps)
+    # 4. The bumpers.
+    update_obstacles(robots, pairs)
+
+
+def _advance_pairs(robots: Sequence[SimulatedRobot], pairs: Iterable[Pair], begin_ps: int, end_ps: int) -> None:
+    """Advance the moving robots of the pairs; they can meet in no others. Standing robots may wait.
+
+    A robot that may meet another moving one is held back: within a tick these take turns; in longer spans they advance
+    through the first half and then the second, by the same rules.
+    """
+    # 1. Pairs of which at least one moves and that may meet, by the bounds of their motion.
     span_s = to_s(end_ps - begin_ps)
-    reach = {row: crew[row].reach(span_s) for row in {row for pair in pairs for row in pair}}
-    moving = {row for row in reach if reach[row] is not STAYS}
-    pairs = _may_meet(crew, [pair for pair in pairs if not moving.isdisjoint(pair)], reach)
-    beside = _beside(pairs)
+    bounds = {row: robots[row].swept_bounds(span_s) for row in {row for pair in pairs for row in pair}}
+    moving = {row for row in bounds if bounds[row] is not STATIONARY}
+    pairs = _may_meet(robots, [pair for pair in pairs if not moving.isdisjoint(pair)], bounds)
+    neighbours_of = _neighbours_of(pairs)
+    # 2. Robots that can only meet standing ones.
     held = {row for pair in pairs if moving.issuperset(pair) for row in pair}
     for row in moving - held:
-        _advance(crew, row, beside.get(row, ()), end_ps)
+        _advance_one(robots, row, neighbours_of.get(row, ()), end_ps)
+    # 3. The others: halves of the span, divided at a tick ...
     ticks = range(begin_ps // TICK_PS + 1, -(-end_ps // TICK_PS))
     if held and ticks:
         left = [pair for pair in pairs if not held.isdisjoint(pair)]
         middle_ps = ticks[len(ticks) // 2] * TICK_PS
-        _run_pairs(crew, left, begin_ps, middle_ps)
-        _run_pairs(crew, left, middle_ps, end_ps)
+        _advance_pairs(robots, left, begin_ps, middle_ps)
+        _advance_pairs(robots, left, middle_ps, end_ps)
         return
-    first = begin_ps // TICK_PS % len(crew)
+    # ... or, within one tick, one after another.
+    first = begin_ps // TICK_PS % len(robots)
     for row in sorted(held, key=lambda row: (row < first, row)):
-        _advance(crew, row, beside[row], end_ps)
+        _advance_one(robots, row, neighbours_of[row], end_ps)
 
 
-def _advance(crew: Sequence[SimulatedRobot], row: int, others: Iterable[int], end_ps: int) -> None:
-    """Let time pass in one robot, the others as they stand."""
-    _stand(crew, row, others)
-    crew[row].advance_to(end_ps)
+def _advance_one(robots: Sequence[SimulatedRobot], row: int, others: Iterable[int], end_ps: int) -> None:
+    """Advance one robot while the others stand."""
+    _set_obstacles(robots, row, others)
+    robots[row].advance_to(end_ps)
 
 
-def _stand(crew: Sequence[SimulatedRobot], row: int, others: Iterable[int]) -> None:
-    """Let one robot be stopped and felt by those others, and by no more."""
-    crew[row].stand_beside([crew[other].disc for other in others])
+def _set_obstacles(robots: Sequence[SimulatedRobot], row: int, others: Iterable[int]) -> None:
+    robots[row].set_obstacles([robots[other].disc for other in others])
 
 
-def _may_meet(crew: Sequence[SimulatedRobot], pairs: Iterable[Pair], reach: Mapping[int, Reach]) -> list[Pair]:
-    """Those of the pairs that may meet where each comes no farther than its reach."""
+def _may_meet(
+    robots: Sequence[SimulatedRobot], pairs: Iterable[Pair], bounds: Mapping[int, SweptBounds]
+) -> list[Pair]:
+    """Return the pairs that may meet if each robot moves within its bounds."""
     met: list[Pair] = []
     for row, other in pairs:
-        (x, y, radius), (u, v, beside) = crew[row].disc, crew[other].disc
-        dx, dy = u - x, v - y
-        apart = hypot(dx, dy)
-        gap = apart - radius - beside - SLACK_IN
+        (x, y, radius), (other_x, other_y, other_radius) = robots[row].disc, robots[other].disc
+        dx, dy = other_x - x, other_y - y
+        distance = hypot(dx, dy)
+        gap = distance - radius - other_radius - SLACK_IN
         if gap > 0.0:
-            dx, dy = dx / apart, dy / apart
-            gap -= reach[row].towards(dx, dy) + reach[other].towards(-dx, -dy)
+            dx, dy = dx / distance, dy / distance
+            gap -= bounds[row].towards(dx, dy) + bounds[other].towards(-dx, -dy)
         if gap <= 0.0:
             met.append((row, other))
     return met
 
 
-def _beside(pairs: Iterable[Pair]) -> dict[int, list[int]]:
-    """The rows of all who are in pairs, and who is in one with each, in their order."""
-    beside: dict[int, list[int]] = {}
+def _neighbours_of(pairs: Iterable[Pair]) -> dict[int, list[int]]:
+    """Return the partners of each row in the pairs, in their order."""
+    partners: dict[int, list[int]] = {}
     for row, other in pairs:
-        beside.setdefault(row, []).append(other)
-        beside.setdefault(other, []).append(row)
-    return beside
+        partners.setdefault(row, []).append(other)
+        partners.setdefault(other, []).append(row)
+    return partners

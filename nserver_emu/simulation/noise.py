@@ -1,55 +1,28 @@
-"""Chance: a stream of it for each robot and purpose, and how the true motion strays from the commanded one.
+"""Noise and setups: random streams, random errors of the motion, and setups, which say how realistic a simulation is.
 
-No global generator: whoever draws is handed a stream. Errors that are the same every time are odometry.py's.
+    ideal     axes jump to their speed, motion is exact, one exact ray per sonar
+    noisy     axes ramp, motion errors are a random walk, sonars with 1 % noise: the settings of the experiments
+    measured  as noisy, but the sonars are a Polaroid ring (cone, reflections, second echoes, cross-talk), and infrared
+              sensors, compass and clock have errors as well
+    worn      as noisy, with systematic odometry errors: after UMBmark's square of 4 m a robot with a synchro drive is
+              126 mm off, a Scout 338 mm, like robots without calibration
 
-Setups: how much like a real robot a simulated one is. Data; whoever uses a number explains it.
+A setup file (TOML) derives a setup from one of them; its keys are declared next to the fields (settings.py):
 
-ideal     axes jump to their speed, motion is exact, one exact ray a sonar
-noisy     axes ramp, motion strays like a random walk, sonars with 1 % noise: the settings of the experiments
-measured  as noisy, but the sonars hear like a Polaroid ring: cone, mirrors, second echoes, cross-talk;
-          infrareds, compass and clock err as well
-worn      as noisy, on wheels that err the same way every time: at the end of UMBmark's square of 4 m a robot with
-          a synchro drive is 126 mm off, a Scout 338 mm, as robots are that nobody has calibrated
-
-Files can make more of them: setup_toml.py.
-
-Every key of a setup file: where it goes, what it may be, what it means. Data; reader and page of keys read it.
-
-    Key    table | field of the table's dataclass | lowest and highest | unit | meaning
-
-Rules: one row for each field of the dataclasses that a setup is made of; a field in radians is a key in degrees.
-
-Setup files of our own: TOML in, a RobotSetup out. Only this file and model_files.py touch the disk.
-
-    base = "measured"                   what it is made from: a named setup; left out: ideal
-    name = "room 12"                    left out: the file's name
-    ramps, clock_step_s                 and by table [motion], [odometry], [sonar], [infrared], [compass]
+    base = "measured"                   omitted: ideal
+    name = "room 12"                    omitted: the name of the file
+    ramps, clock_step_s                 and the tables [motion], [odometry], [sonar], [infrared], [compass]
     [sonar]
-    model = "polaroid"                  or "ray"; left out: the base's
+    model = "polaroid"                  or "ray"; omitted: the base's
     dead = [3, 11]
 
-All keys are setup_keys.py's; what is left out is as in the base. Whatever is wrong is a WorldFileError: file, key, what
-was expected.
-
-A robot's own errors in place of its setup's: what a calibration says, as errors of this drive's axes and this ring.
-
-    synchro         translation and steering are way and turn themselves: scales (way, turn), drifts (drift, 0)
-    differential    right = way + b turn / 2, left = way - b turn / 2: wheels of one scale, and drifts that part them,
-
-                    drift_1 = drift / 2 + (turn - way) / b        drift_2 = drift / 2 - (turn - way) / b
-
-Rules: pure. Slip and the turret's gears stay the setup's.
-
-The parts of a setup that can be switched while a robot runs: how its sensors err, and how its motion strays.
-
-    sensors    sonar, infrared, compass        motion    motion, odometry
-
-Rules: ramps and the robot's clock are no noise and stay as they are. A part is called after the first named setup that
-has it so, or after the setup that the robot began with.
+Errors are WorldFileError: file, key, expected value. There is no global random generator: everything that draws gets a
+stream of its own.
 """
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from enum import IntEnum
@@ -62,19 +35,22 @@ import numpy as np
 
 from nclient.common.hints import suggest
 from nclient.errors import AddressError
-from nserver_emu.simulation.acoustics import Polaroid
-from nserver_emu.simulation.compass import TRUE_NEEDLE, CompassNoise
-from nserver_emu.simulation.infrared import CLEAR_SIGHT, InfraredNoise
+from nserver_emu.simulation.acoustics import Polaroid, SonarErrors
+from nserver_emu.simulation.compass import NO_COMPASS_NOISE, CompassNoise
+from nserver_emu.simulation.infrared import NO_INFRARED_NOISE, InfraredNoise
 from nserver_emu.simulation.models import RobotModel
 from nserver_emu.simulation.odometry import EXACT, Odometry
-from nserver_emu.simulation.segments import Stretch
-from nserver_emu.simulation.sonar import EchoModel, SonarNoise
+from nserver_emu.simulation.segments import ConstantAccelerationSegment
+from nserver_emu.simulation.settings import SONAR_NUMBERS, Key, keys_of, setting
+from nserver_emu.simulation.sonar import IDEAL_SONAR, SonarModel, SonarNoise
 from worlds.robots import SONARS, Calibration
-from worlds.schema import Table, read_text, toml_of
+from worlds.schema import Table, parse_toml, read_text
+
+log = logging.getLogger(__name__)
 
 
 class Purpose(IntEnum):
-    """What a stream is for. Numbers are kept for ever: they are part of what a seed means."""
+    """The purpose of a random stream. The numbers must never change: they are part of the meaning of a seed."""
 
     MOTION = 0
     SONAR = 1
@@ -82,75 +58,85 @@ class Purpose(IntEnum):
     COMPASS = 3
 
 
-class Identity(NamedTuple):
-    """Which robot of which run: the key of all its chance. Both numbers are 0 or more."""
+class RngFactory(NamedTuple):
+    """The source of a robot's random streams: its number and the seed of the run, both 0 or more."""
 
     robot_id: int
     seed: int
 
     def stream(self, purpose: Purpose) -> np.random.Generator:
-        """The stream of this robot for one purpose: independent of all others, always the same for the same key."""
+        """Return the robot's stream for a purpose: independent of all others, and the same for the same seed."""
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(self.robot_id, purpose)))
 
 
 @dataclass(frozen=True, slots=True)
 class MotionNoise:
-    """A random walk that grows with the way, in the names of Probabilistic Robotics' odometry model (section 5.4).
+    """Random errors of the motion: a random walk.
 
-    A stretch of length |d| inches that turns by |a| radians goes d + e instead and turns the whole body by f, with
+    A segment of length |d| inches that turns by |a| radians really goes d + e and turns the whole body by f, with
 
         var(f) = alpha1 |a| + alpha2 |d|      alpha1  rad        turn, from turning
                                               alpha2  rad^2/in   turn, from driving
-        var(e) = alpha3 |d| + alpha4 |a|      alpha3  in         way, from driving
-                                              alpha4  in^2/rad   way, from turning
+        var(e) = alpha3 |d| + alpha4 |a|      alpha3  in         distance, from driving
+                                              alpha4  in^2/rad   distance, from turning
 
-    The book's variances grow with the squares d^2 and a^2, so that the spread of a way depends on how it is cut; here
-    variances of pieces add up. Of a localizer that updates every D inches and A radians, the numbers for one update
-    are alpha1 / A, alpha3 / D, and alpha2 / D, alpha4 / A.
+    The variances of the book grow with the squares d^2 and a^2, so that they depend on how a path is divided; here the
+    variances of the pieces add up. For a localizer that updates every D inches and A radians the book's parameters of
+    one update are alpha1 / A, alpha3 / D, and alpha2 / D, alpha4 / A.
+
+    References
+    ----------
+    Thrun, Burgard and Fox, Probabilistic Robotics (2005), section 5.4.
     """
 
-    alpha1: float = 0.0
-    alpha2: float = 0.0
-    alpha3: float = 0.0
-    alpha4: float = 0.0
+    alpha1: float = setting(0.0, 0, 10, "rad", "variance of the turn per radian turned")
+    alpha2: float = setting(0.0, 0, 10, "rad^2/in", "variance of the turn per inch driven")
+    alpha3: float = setting(0.0, 0, 10, "in", "variance of the distance per inch driven")
+    alpha4: float = setting(0.0, 0, 10, "in^2/rad", "variance of the distance per radian turned")
 
     @classmethod
     def walk(cls, along: float = 0.0, turn: float = 0.0, drift: float = 0.0) -> MotionNoise:
-        """By the roots that the experiments' table of settings gives.
+        """Return the noise for the square roots that the settings of the experiments use.
 
-        along   sqrt(inch)          alpha3 = along^2
-        turn    sqrt(radian)        alpha1 = turn^2
-        drift   radian/sqrt(inch)   alpha2 = drift^2
+        Parameters
+        ----------
+        along
+            sqrt(inch): alpha3 = along^2.
+        turn
+            sqrt(radian): alpha1 = turn^2.
+        drift
+            radian/sqrt(inch): alpha2 = drift^2.
         """
         return cls(alpha1=turn**2, alpha2=drift**2, alpha3=along**2)
 
-    def way_std_in(self, way_in: float, angle_rad: float) -> float:
-        """Standard deviation of the length of a way on which the robot turns by an angle, inches."""
-        return sqrt(self.alpha3 * abs(way_in) + self.alpha4 * abs(angle_rad))
+    def distance_std_in(self, distance_in: float, angle_rad: float) -> float:
+        """Return the standard deviation of a distance on which the robot turns by an angle, inches."""
+        return sqrt(self.alpha3 * abs(distance_in) + self.alpha4 * abs(angle_rad))
 
-    def turn_std_rad(self, way_in: float, angle_rad: float) -> float:
-        """Standard deviation of the turn of the body on the same way."""
-        return sqrt(self.alpha1 * abs(angle_rad) + self.alpha2 * abs(way_in))
+    def turn_std_rad(self, distance_in: float, angle_rad: float) -> float:
+        """Return the standard deviation of the body's turn on that distance."""
+        return sqrt(self.alpha1 * abs(angle_rad) + self.alpha2 * abs(distance_in))
 
-    def disturbed(self, stretch: Stretch, chance: np.random.Generator) -> Stretch:
-        """The stretch that is really driven: the same seconds, another length, and a turn that carries the body along.
+    def disturbed(
+        self, segment: ConstantAccelerationSegment, rng: np.random.Generator
+    ) -> ConstantAccelerationSegment:
+        """Return the true motion for a commanded one: the same duration, another length, and a turn of the body.
 
-        Its turn less that of the commanded stretch is the body's. Draws twice if anything moves and there
-        is noise, else never; then the very same stretch comes back.
+        Draws twice if anything moves and there is noise; otherwise returns the same object without drawing.
         """
-        duration = stretch.duration_s
-        way, angle = stretch.distance_at(duration), stretch.turn_at(duration)
-        if self == NO_NOISE or (way == 0.0 and angle == 0.0):
-            return stretch
-        longer = self.way_std_in(way, angle) * chance.standard_normal()
-        turned = self.turn_std_rad(way, angle) * chance.standard_normal()
-        scale = 1.0 + longer / way if way else 1.0
-        return Stretch(
+        duration = segment.duration_s
+        distance, angle = segment.distance_at(duration), segment.turn_at(duration)
+        if self == NO_NOISE or (distance == 0.0 and angle == 0.0):
+            return segment
+        longer = self.distance_std_in(distance, angle) * rng.standard_normal()
+        turned = self.turn_std_rad(distance, angle) * rng.standard_normal()
+        scale = 1.0 + longer / distance if distance else 1.0
+        return ConstantAccelerationSegment(
             duration,
-            stretch.speed * scale if way else longer / duration,
-            stretch.acceleration * scale,
-            stretch.turn_rate + turned / duration,
-            stretch.turn_acceleration,
+            segment.speed * scale if distance else longer / duration,
+            segment.acceleration * scale,
+            segment.turn_rate + turned / duration,
+            segment.turn_acceleration,
         )
 
 
@@ -160,46 +146,45 @@ NO_NOISE: Final = MotionNoise()
 
 @dataclass(frozen=True, slots=True)
 class RobotSetup:
-    """A named way to simulate a robot.
-
-    name      what users call it
-    ramps     False: axes jump to their speed, as the original documents; True: trapezoids
-    motion    how the true motion strays from the commanded one: alpha1 to alpha4
-    sonar     what the sonars hear, and how readings stray from the true range
-    odometry  what the wheels get wrong every time: scales, drifts, slip
-    infrared  how light comes back to the infrareds
-    compass   noise and deviation of the compass
-    clock_step_s   the robot's clock goes in steps of this; 0: in milliseconds
-    """
+    """A named combination of settings for the simulation of a robot: one field per table of a setup file."""
 
     name: str
-    ramps: bool
-    motion: MotionNoise
-    sonar: EchoModel
+    ramps: bool = setting(False, 0, 1, "", "axes ramp as trapezoids; otherwise they jump to their speed")
+    motion: MotionNoise = NO_NOISE
+    sonar: SonarModel = IDEAL_SONAR
     odometry: Odometry = EXACT
-    infrared: InfraredNoise = CLEAR_SIGHT
-    compass: CompassNoise = TRUE_NEEDLE
-    clock_step_s: float = 0.0
+    infrared: InfraredNoise = NO_INFRARED_NOISE
+    compass: CompassNoise = NO_COMPASS_NOISE
+    clock_step_s: float = setting(0.0, 0, 1, "s", "step of the robot's clock; 0: milliseconds")
 
     @property
-    def moves_as_told(self) -> bool:
-        """Whether every motion is as commanded; there may be slip."""
-        return self.motion == NO_NOISE and self.odometry.turns_as_told
+    def has_exact_motion(self) -> bool:
+        """True if every motion is as commanded; there may be slip."""
+        return self.motion == NO_NOISE and self.odometry.is_exact
+
+    def check(self) -> None:
+        """Raise ValueError if a value is outside the range of its key."""
+        for key in KEYS:
+            value = key.of(self)
+            if value is not None and not key.accepts(value):
+                raise ValueError(f"{key.table}.{key.name} out of range")
+        if len(self.sonar.offsets_in) != SONARS:
+            raise ValueError("sonar.offsets_in without 16 values")
 
 
-IDEAL: Final = RobotSetup("ideal", ramps=False, motion=NO_NOISE, sonar=SonarNoise())
+IDEAL: Final = RobotSetup("ideal")
 NOISY: Final = RobotSetup(
     "noisy",
     ramps=True,
     motion=MotionNoise.walk(along=0.1, turn=0.1, drift=0.005),
-    sonar=SonarNoise(std_share=0.01, least_std_in=0.05),
+    sonar=SonarNoise(range_std_relative=0.01, range_std_floor_in=0.05),
 )
 MEASURED: Final = RobotSetup(
     "measured",
     ramps=True,
     motion=NOISY.motion,
     sonar=Polaroid(),
-    infrared=InfraredNoise(std_share=0.05, slanted=True),
+    infrared=InfraredNoise(range_std_relative=0.05, slanted=True),
     compass=CompassNoise(std_rad=radians(0.5), deviation_rad=radians(6.0)),
     clock_step_s=0.0164,
 )
@@ -212,205 +197,183 @@ WORN: Final = replace(
 SETUPS: Final[Mapping[str, RobotSetup]] = MappingProxyType(
     {setup.name: setup for setup in (IDEAL, NOISY, MEASURED, WORN)}
 )
-"""Every setup by its name."""
+"""The predefined setups by name."""
 
 
 def setup_names() -> tuple[str, ...]:
-    """The setups that have a name."""
+    """Return the names of the predefined setups."""
     return tuple(SETUPS)
 
 
-SONAR_NUMBERS: Final = "sonars"
-"""The unit of a list of sonars, 0 to 15."""
-
-
-class Key(NamedTuple):
-    """A row; "" as table: the top of the file. `ears`: which of the two sonar models has it, "" for both."""
-
-    table: str
-    field: str
-    low: float
-    high: float
-    unit: str
-    meaning: str
-    ears: str = ""
-
-    @property
-    def name(self) -> str:
-        """What users write."""
-        return f"{self.field.removesuffix('_rad')}_deg" if self.in_degrees else self.field
-
-    @property
-    def in_degrees(self) -> bool:
-        """Whether it is an angle, which physics has in radians."""
-        return self.field.endswith("_rad")
-
-    def of(self, setup: RobotSetup) -> object:
-        """What a setup has there, in physics' units; None where its sonar model has no such thing."""
-        return getattr(getattr(setup, self.table) if self.table else setup, self.field, None)
-
-
 RAY, POLAROID = "ray", "polaroid"
+SONAR_MODELS: Final[dict[str, type[SonarNoise] | type[Polaroid]]] = {RAY: SonarNoise, POLAROID: Polaroid}
 """The two sonar models: one exact ray with noise; a Polaroid ring."""
 
+_COMMON: Final = tuple(field.name for field in fields(SonarErrors))
 KEYS: Final = (
-    Key("", "ramps", 0, 1, "", "axes ramp as trapezoids; else they jump to their speed"),
-    Key("", "clock_step_s", 0, 1, "s", "the robot's clock goes in steps of this; 0: in milliseconds"),
-    Key("motion", "alpha1", 0, 10, "rad", "variance of the turn a radian turned"),
-    Key("motion", "alpha2", 0, 10, "rad^2/in", "variance of the turn an inch driven"),
-    Key("motion", "alpha3", 0, 10, "in", "variance of the way an inch driven"),
-    Key("motion", "alpha4", 0, 10, "in^2/rad", "variance of the way a radian turned"),
-    Key("odometry", "scales", 0.5, 2, "", "true travel per counted travel: translation, steering, turret (Scout: "
-        "right, left wheel, nothing)"),
-    Key("odometry", "drifts", -0.1, 0.1, "rad/in, rad/rad", "turn of the body per counted travel of the first two axes "
-        "(Scout: rad/in both)"),
-    Key("odometry", "slip_in", 0, 10, "in", "way the wheels roll on the spot at every contact"),
-    Key("sonar", "std_share", 0, 1, "", "standard deviation of a range as a share of it"),
-    Key("sonar", "least_std_in", 0, 10, "in", "and never less than this"),
-    Key("sonar", "dead", 0, 15, SONAR_NUMBERS, "sonars that read 0 for ever"),
-    Key("sonar", "offsets_in", -24, 24, "in", "what each of the 16 sonars reads more than the range, always"),
-    Key("sonar", "turned_rad", -45, 45, "deg", "the ring stands turned by this against the turret"),
-    Key("sonar", "cone_rad", 1, 90, "deg", "whole angle of the cone inside which a sonar cries and hears", POLAROID),
-    Key("sonar", "sound_in_s", 1000, 100000, "in/s", "speed of sound", POLAROID),
-    Key("sonar", "margin_db", 0, 200, "dB", "how much louder than just audible a near wall is, met head-on", POLAROID),
-    Key("sonar", "margin_std_db", 0, 20, "dB", "standard deviation of that from cry to cry", POLAROID),
-    Key("sonar", "cone_loss_db", 0, 200, "dB", "lost at the rim of the cone, out and back together", POLAROID),
-    Key("sonar", "way_loss_db_in", 0.02, 100, "dB/in", "lost an inch of range", POLAROID),
-    Key("sonar", "bounce_loss_db", 0, 200, "dB", "lost at each wall after the first", POLAROID),
-    Key("sonar", "edge_loss_db", 0, 200, "dB", "lost at an edge, against a wall", POLAROID),
-    Key("sonar", "skin_loss_db", 0, 200, "dB", "lost at the skin of a robot that does not face the sonar", POLAROID),
-    Key("sonar", "blanking_in", 0, 24, "in", "echoes of neighbours from nearer are not heard", POLAROID),
-    Key("sonar", "recess_in", 0, 4, "in", "how deep behind the ring the transducers sit", POLAROID),
-    Key("infrared", "std_share", 0, 1, "", "standard deviation of a range as a share of it"),
-    Key("infrared", "slanted", 0, 1, "", "what is seen at a slant looks farther"),
-    Key("compass", "std_rad", 0, 90, "deg", "standard deviation of a reading"),
-    Key("compass", "deviation_rad", 0, 90, "deg", "the robot's iron, until calibrated: d sin(heading + phase)"),
-    Key("compass", "phase_rad", -360, 360, "deg", "the phase in that"),
-)  # fmt: skip
-
+    *keys_of("", RobotSetup),
+    *keys_of("motion", MotionNoise),
+    *keys_of("odometry", Odometry),
+    *keys_of("sonar", SonarErrors),
+    *(key for key in keys_of("sonar", Polaroid, POLAROID) if key.field not in _COMMON),
+    *keys_of("infrared", InfraredNoise),
+    *keys_of("compass", CompassNoise),
+)
+"""All keys of a setup file."""
 
 SUFFIX: Final = ".toml"
 TABLES: Final = tuple(dict.fromkeys(key.table for key in KEYS if key.table))
-EARS: Final[dict[str, type[SonarNoise] | type[Polaroid]]] = {RAY: SonarNoise, POLAROID: Polaroid}
 
 
 def setup_named(name: str) -> RobotSetup:
-    """The setup of that name, or of the file `name`, which ends in .toml. Raises AddressError or WorldFileError."""
+    """Return the predefined setup of that name, or that of the file `name`, which ends in .toml.
+
+    Raises
+    ------
+    AddressError
+        If there is no such setup.
+    WorldFileError
+        If the file cannot be read.
+    """
     if name in SETUPS:
         return SETUPS[name]
     if not name.endswith(SUFFIX):
         raise AddressError(
-            f"no setup {name!r}; there are {', '.join(SETUPS)}, and files that end in {SUFFIX}"
-            f"{suggest(name, SETUPS)}"
+            f"no setup {name!r}; there are {', '.join(SETUPS)}, and files that end in {SUFFIX}{suggest(name, SETUPS)}"
         )
     return load_setup(Path(name))
 
 
 def load_setup(path: Path) -> RobotSetup:
-    """The setup of a file. Raises WorldFileError."""
+    """Return the setup of a file. Raises WorldFileError."""
     return parse_setup(read_text(path), str(path), path.stem)
 
 
 def parse_setup(text: str, file: str, name: str) -> RobotSetup:
-    """The same from a text; `file` is what errors call it, `name` what the setup is called unless it says so."""
-    values = toml_of(text, file)
+    """Return the setup of a file's text; `file` is its name in errors, `name` the setup's unless the text gives one."""
+    values = parse_toml(text, file)
     top = Table(file, "", values)
     top.allow(("base", "name", *(key.name for key in KEYS if not key.table), *TABLES))
     base_name = top.text("base", IDEAL.name)
     if base_name not in SETUPS:
-        known = ", ".join(SETUPS)
-        top.fail("base", f"expected one of {known}, found {base_name!r}{suggest(base_name, SETUPS)}")
+        names = ", ".join(SETUPS)
+        top.fail("base", f"expected one of {names}, found {base_name!r}{suggest(base_name, SETUPS)}")
     base = SETUPS[base_name]
-    parts: dict[str, Any] = {part: _part(top.table(part), base) for part in TABLES if part in values}
-    return replace(base, name=top.text("name", name), **_read(top, base, KEYS), **parts)
+    parts: dict[str, Any] = {part: _parse_part(top.table(part), base) for part in TABLES if part in values}
+    return replace(base, name=top.text("name", name), **_parse_fields(top, base, KEYS), **parts)
 
 
-def _part(table: Table, base: RobotSetup) -> Any:
-    """One part of a setup as its table says."""
+def _parse_part(table: Table, base: RobotSetup) -> Any:
+    """Return one part of a setup as its table gives it."""
     keys = [key for key in KEYS if key.table == table.path]
+    table = _with_current_names(table, keys)
     if table.path != "sonar":
         table.allow(key.name for key in keys)
-        return replace(getattr(base, table.path), **_read(table, base, keys))
-    model = _ears(table, base.sonar)
-    ours = RAY if isinstance(model, SonarNoise) else POLAROID
+        return replace(getattr(base, table.path), **_parse_fields(table, base, keys))
+    model = _parse_sonar_model(table, base.sonar)
+    chosen = RAY if isinstance(model, SonarNoise) else POLAROID
     table.allow(("model", *(key.name for key in keys)))
     for key in keys:
-        if key.name in table.values and key.ears not in ("", ours):
-            table.fail(key.name, f'is a number of the model "{key.ears}"; expected it beside model = "{key.ears}"')
-    return replace(model, **_read(table, replace(base, sonar=model), keys))
+        other = key.sonar_model
+        if key.name in table.values and other not in ("", chosen):
+            table.fail(key.name, f'belongs to the model "{other}"; expected it beside model = "{other}"')
+    return replace(model, **_parse_fields(table, replace(base, sonar=model), keys))
 
 
-def _ears(table: Table, base: EchoModel) -> EchoModel:
-    """The sonar model, before its numbers are set: another one than the base's keeps what both have."""
-    ours = RAY if isinstance(base, SonarNoise) else POLAROID
-    asked = table.text("model", ours)
-    if asked not in EARS:
-        table.fail("model", f"expected one of {', '.join(EARS)}, found {asked!r}{suggest(asked, EARS)}")
-    if asked == ours:
+def _with_current_names(table: Table, keys: Iterable[Key]) -> Table:
+    """Return a table in which keys of earlier versions have their current names; log a warning for each."""
+    values = dict(table.values)
+    for key in keys:
+        if key.former and key.former in values and key.name not in values:
+            log.warning("%s: %s.%s is now called %s", table.file, table.path, key.former, key.name)
+            values[key.name] = values.pop(key.former)
+    return Table(table.file, table.path, values)
+
+
+def _parse_sonar_model(table: Table, base: SonarModel) -> SonarModel:
+    """Return the sonar model before its settings are applied; a new model keeps the base's common settings."""
+    chosen = RAY if isinstance(base, SonarNoise) else POLAROID
+    name = table.text("model", chosen)
+    if name not in SONAR_MODELS:
+        table.fail(
+            "model", f"expected one of {', '.join(SONAR_MODELS)}, found {name!r}{suggest(name, SONAR_MODELS)}"
+        )  # fmt: skip
+    if name == chosen:
         return base
-    both = {field.name for field in fields(SonarNoise)} & {field.name for field in fields(Polaroid)}
-    return EARS[asked](**{name: getattr(base, name) for name in both})
+    return SONAR_MODELS[name](**{field: getattr(base, field) for field in _COMMON})
 
 
-def _read(table: Table, base: RobotSetup, keys: Iterable[Key]) -> dict[str, Any]:
-    """The fields that a table sets, in physics' units."""
-    ours = [key for key in keys if key.table == table.path and key.name in table.values]
-    return {key.field: _value(table, key, key.of(base)) for key in ours}
+def _parse_fields(table: Table, base: RobotSetup, keys: Iterable[Key]) -> dict[str, Any]:
+    """Return the fields that a table sets, in the simulation's units."""
+    given = [key for key in keys if key.table == table.path and key.name in table.values]
+    return {key.field: _parse_value(table, key, key.of(base)) for key in given}
 
 
-def _value(table: Table, key: Key, now: object) -> Any:
-    if isinstance(now, bool):
+def _parse_value(table: Table, key: Key, current: object) -> Any:
+    if isinstance(current, bool):
         return table.flag(key.name)
     if key.unit == SONAR_NUMBERS:
         return table.indices(key.name, SONARS)
-    if isinstance(now, tuple):
-        return table.numbers(key.name, len(now), key.low, key.high)
+    if isinstance(current, tuple):
+        return table.numbers(key.name, len(current), key.low, key.high)
     number = table.number(key.name, key.low, key.high)
     return radians(number) if key.in_degrees else number
 
 
-def setup_of(model: RobotModel, setup: RobotSetup) -> RobotSetup:
-    """How a robot of this model is simulated with this setup."""
-    errs = model.errs
-    if errs is None:
+def apply_calibration(model: RobotModel, setup: RobotSetup) -> RobotSetup:
+    """Return the setup with the calibration of a model in place of the setup's systematic errors.
+
+    Slip and the turret's gears remain those of the setup. A calibration gives distance, turn and drift; in terms of the
+    axes of a drive, b its track:
+
+        synchro         scales (distance, turn), drifts (drift, 0)
+        differential    right = distance + b turn / 2, left = distance - b turn / 2: scales of one value, and
+
+                        drift_1 = drift / 2 + (turn - distance) / b     drift_2 = drift / 2 - (turn - distance) / b
+    """
+    calibration = model.calibration
+    if calibration is None:
         return setup
-    sonar = replace(setup.sonar, offsets_in=errs.offsets_in, turned_rad=errs.turned_rad)
-    return replace(setup, odometry=_odometry(errs, setup.odometry, model.track_in), sonar=sonar)
+    sonar = replace(setup.sonar, offsets_in=calibration.offsets_in, turned_rad=calibration.turned_rad)
+    return replace(setup, odometry=_calibrated_odometry(calibration, setup.odometry, model.track_in), sonar=sonar)
 
 
-def _odometry(errs: Calibration, odometry: Odometry, track_in: float | None) -> Odometry:
-    way, turn, drift, turret = errs.way_scale, errs.turn_scale, errs.drift_rad_in, odometry.scales[2]
+def _calibrated_odometry(calibration: Calibration, odometry: Odometry, track_in: float | None) -> Odometry:
+    distance, turn, drift = calibration.way_scale, calibration.turn_scale, calibration.drift_rad_in
+    turret = odometry.scales[2]
     if track_in is None:
-        return replace(odometry, scales=(way, turn, turret), drifts=(drift, 0.0))
-    apart = (turn - way) / track_in
-    return replace(odometry, scales=(way, way, turret), drifts=(drift / 2.0 + apart, drift / 2.0 - apart))
+        return replace(odometry, scales=(distance, turn, turret), drifts=(drift, 0.0))
+    apart = (turn - distance) / track_in
+    return replace(odometry, scales=(distance, distance, turret), drifts=(drift / 2.0 + apart, drift / 2.0 - apart))
 
 
 PARTS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType({
     "sensors": ("sonar", "infrared", "compass"), "motion": ("motion", "odometry"),
 })  # fmt: skip
-"""The fields of RobotSetup that each part is made of."""
+"""The parts of a setup that can be replaced while a robot runs, and their fields; ramps and clock cannot."""
 
 
-def part_choices(part: str, model: RobotModel, began: RobotSetup) -> dict[str, RobotSetup]:
-    """What a part can be switched to, by name: the named setups that differ in it, and the one begun with; all with
-    what this model errs by itself (individual)."""
+def part_choices(part: str, model: RobotModel, initial: RobotSetup) -> dict[str, RobotSetup]:
+    """Return the choices for a part by name: the predefined setups that differ in it, and the initial one.
+
+    All have the calibration of the model.
+    """
     choices: dict[str, RobotSetup] = {}
-    for setup in (*(setup_of(model, named) for named in SETUPS.values()), began):
+    for setup in (*(apply_calibration(model, named) for named in SETUPS.values()), initial):
         if all(_fields(part, setup) != _fields(part, other) for other in choices.values()):
             choices[setup.name if setup.name not in choices else f"{setup.name} as begun"] = setup
     return choices
 
 
-def part_name(part: str, setup: RobotSetup, model: RobotModel, began: RobotSetup) -> str:
-    """What a part of a setup is called; the setup's own name for one that is none of the choices."""
+def part_name(part: str, setup: RobotSetup, model: RobotModel, initial: RobotSetup) -> str:
+    """Return the name of the choice that a part of a setup equals; the setup's own name if there is none."""
     wanted = _fields(part, setup)
-    choices = part_choices(part, model, began).items()
+    choices = part_choices(part, model, initial).items()
     return next((name for name, choice in choices if _fields(part, choice) == wanted), setup.name)
 
 
 def with_part(setup: RobotSetup, part: str, source: RobotSetup) -> RobotSetup:
-    """The setup with a part as another one has it."""
+    """Return the setup with a part of another one."""
     return replace(setup, **_fields(part, source))
 
 

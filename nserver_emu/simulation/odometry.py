@@ -1,56 +1,68 @@
-"""Odometry that errs the same way every time: what the wheels really do, against what the encoders count of them.
+"""Wheel odometry: systematic errors of the true motion, and the encoders' dead reckoning.
 
-Systematic errors alone; the random ones (alpha1 to alpha4) are noise.py's. All of them move the actual robot, never the
-encoders: those believe what the wheels were told, but for the slip, which only they see.
+Systematic errors only; the random ones (alpha1 to alpha4) are in noise.py. All of them move the true robot and leave
+the encoders unchanged: those count the commanded motion, and the slip, which only they see.
 
-    first, second = what two axes were told        the axes of the drive: translation and steering; right and left wheel
-    path of (scale_1 first, scale_2 second)        what they really do
-    + drift_1 first + drift_2 second               turns the whole body besides
-
-The encoder robot: where the robot believes it is, from what its wheels were told. Knows nothing of the true one.
-
-Its place is dead reckoning along its own steering; its angles are the mechanical ones plus an offset, which is what
-dp, da and zr change. Inches, radians.
+    first, second = commanded motion of two axes   translation and steering; right and left wheel
+    path_segment(scale_1 first, scale_2 second)    the true motion of the wheels
+    + drift_1 first + drift_2 second               an additional turn of the whole body
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from math import cos, sin
-from typing import Final
+from typing import Final, NamedTuple
 
 from nserver_emu.simulation.drive import Drive
-from nserver_emu.simulation.segments import Pose, Stretch, once_round
+from nserver_emu.simulation.segments import ConstantAccelerationSegment, Pose, wrap_to_2pi
+from nserver_emu.simulation.settings import setting
 
 
 @dataclass(frozen=True, slots=True)
 class Odometry:
-    """Systematic errors of a robot's wheels, by axis in the order of the commands.
+    """Systematic odometry errors, by axis in the order of the commands.
 
-    scales     true travel per counted travel: a wheel of 1 % more diameter has 1.01; the third is the turret's
-    drifts     turn of the whole body per counted travel of the first two axes, rad/in or rad/rad: a synchro drive whose
-               wheels are not parallel runs in circles, (rad/in, 0); a differential drive of track b whose wheels
-               really roll a share E of b apart has (k, -k) with k = (1/E - 1)/b
-    slip_in    way that the wheels roll on the spot at every contact, inches, before they stand
+    Attributes
+    ----------
+    scales
+        True distance per counted distance: a wheel of 1 % more diameter has 1.01; the third is the turret's.
+    drifts
+        Turn of the whole body per counted distance of the first two axes, rad/in or rad/rad. A synchro drive whose
+        wheels are not parallel drives in circles, (rad/in, 0); a differential drive of track b whose wheels are really
+        E b apart has (k, -k) with k = (1/E - 1)/b.
+    slip_in
+        Distance that the wheels roll on the spot at every contact before they stop, inches.
 
-    UMBmark's wheel diameter ratio Ed is scales[0] / scales[1] of a Scout, its wheelbase ratio Eb is that E.
+    References
+    ----------
+    Borenstein and Feng, UMBmark (1995): the wheel diameter ratio Ed is scales[0] / scales[1] of a Scout, the wheelbase
+    ratio Eb is E.
     """
 
-    scales: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    drifts: tuple[float, float] = (0.0, 0.0)
-    slip_in: float = 0.0
+    scales: tuple[float, float, float] = setting(
+        (1.0, 1.0, 1.0), 0.5, 2, "",
+        "true travel per counted travel: translation, steering, turret (Scout: right, left wheel, nothing)",
+    )  # fmt: skip
+    drifts: tuple[float, float] = setting(
+        (0.0, 0.0), -0.1, 0.1, "rad/in, rad/rad",
+        "turn of the body per counted travel of the first two axes (Scout: rad/in both)",
+    )  # fmt: skip
+    slip_in: float = setting(0.0, 0, 10, "in", "distance that the wheels roll on the spot at every contact")
 
     @property
-    def turns_as_told(self) -> bool:
-        """Whether no axis errs; there may be slip."""
+    def is_exact(self) -> bool:
+        """True if no axis has an error; there may be slip."""
         return self.scales == (1.0, 1.0, 1.0) and self.drifts == (0.0, 0.0)
 
-    def driven(self, stretch: Stretch, drive: Drive) -> Stretch:
-        """What becomes of a stretch that this drive was told; the very same if nothing errs."""
+    def true_segment(self, segment: ConstantAccelerationSegment, drive: Drive) -> ConstantAccelerationSegment:
+        """Return the true motion for a commanded one; the same object if there is no error."""
         if self.scales[:2] == (1.0, 1.0) and self.drifts == (0.0, 0.0):
-            return stretch
-        first, second = drive.wheels(stretch)
-        path = drive.path(stretch.duration_s, first.times(self.scales[0]), second.times(self.scales[1]))
+            return segment
+        # 1. Scale errors of both axes.
+        first, second = drive.axis_rates(segment)
+        path = drive.path_segment(segment.duration_s, first.times(self.scales[0]), second.times(self.scales[1]))
+        # 2. Drift of the body.
         (rate_1, acceleration_1), (rate_2, acceleration_2) = first, second
         drift_1, drift_2 = self.drifts
         return path._replace(
@@ -60,11 +72,24 @@ class Odometry:
 
 
 EXACT: Final = Odometry()
-"""Wheels that do what they were told, and stand where they touch."""
+"""Wheels without systematic errors and without slip."""
+
+
+class EncoderState(NamedTuple):
+    """The state of the encoders: position in inches, offsets in radians."""
+
+    x_in: float
+    y_in: float
+    steering_offset_rad: float
+    turret_offset_rad: float
 
 
 class Encoders:
-    """Place and angle offsets; the mechanical angles are handed in by whoever owns the drive."""
+    """The pose that the robot reports: dead reckoning of the commanded motion along its own steering.
+
+    Its angles are the mechanical ones, which are passed in, plus an offset, which dp, da and zr change. The encoders do
+    not know the true pose.
+    """
 
     def __init__(self, x_in: float, y_in: float) -> None:
         self._x_in = x_in
@@ -72,49 +97,57 @@ class Encoders:
         self._steering_offset_rad = 0.0
         self._turret_offset_rad = 0.0
 
+    def to_state(self) -> EncoderState:
+        """Return all that changes."""
+        return EncoderState(self._x_in, self._y_in, self._steering_offset_rad, self._turret_offset_rad)
+
+    def set_state(self, state: EncoderState) -> None:
+        """Continue from a state."""
+        self._x_in, self._y_in, self._steering_offset_rad, self._turret_offset_rad = state
+
     def pose(self, steering_rad: float, turret_rad: float) -> Pose:
-        """What the encoders say at these mechanical angles."""
+        """Return the encoder pose at these mechanical angles."""
         return Pose(
             self._x_in,
             self._y_in,
-            once_round(steering_rad + self._steering_offset_rad),
-            once_round(turret_rad + self._turret_offset_rad),
+            wrap_to_2pi(steering_rad + self._steering_offset_rad),
+            wrap_to_2pi(turret_rad + self._turret_offset_rad),
         )
 
-    def follow(self, stretch: Stretch, time_s: float, steering_rad: float) -> None:
-        """Reckon `time_s` seconds of a stretch that starts at this mechanical steering angle."""
-        self.shift(*stretch.displacement(self.heading(steering_rad), time_s))
+    def follow(self, segment: ConstantAccelerationSegment, time_s: float, steering_rad: float) -> None:
+        """Integrate `time_s` seconds of a segment that starts at this mechanical steering angle."""
+        self.shift(*segment.displacement(self.heading(steering_rad), time_s))
 
     def heading(self, steering_rad: float) -> float:
-        """What they take for the heading at this mechanical steering angle, unwrapped."""
+        """Return the encoder heading at this mechanical steering angle, unwrapped."""
         return steering_rad + self._steering_offset_rad
 
     def turret(self, turret_rad: float) -> float:
-        """What they take for the turret's direction at this mechanical angle, unwrapped."""
+        """Return the encoder direction of the turret at this mechanical angle, unwrapped."""
         return turret_rad + self._turret_offset_rad
 
     @property
-    def place(self) -> tuple[float, float]:
-        """(x, y) in inches, as they reckon."""
+    def position(self) -> tuple[float, float]:
+        """(x, y) in inches, by dead reckoning."""
         return self._x_in, self._y_in
 
     def shift(self, dx_in: float, dy_in: float) -> None:
-        """Reckon a way of (dx, dy)."""
+        """Add a displacement."""
         self._x_in += dx_in
         self._y_in += dy_in
 
-    def slip(self, way_in: float, steering_rad: float) -> None:
-        """Count a way straight along this mechanical steering angle that only the wheels went."""
+    def slip(self, distance_in: float, steering_rad: float) -> None:
+        """Count a straight distance along this mechanical steering angle that only the wheels rolled."""
         heading = steering_rad + self._steering_offset_rad
-        self._x_in += way_in * cos(heading)
-        self._y_in += way_in * sin(heading)
+        self._x_in += distance_in * cos(heading)
+        self._y_in += distance_in * sin(heading)
 
     def define_position(self, x_in: float, y_in: float) -> None:
-        """From now on this place has these coordinates."""
+        """Give the current position these coordinates."""
         self._x_in = x_in
         self._y_in = y_in
 
     def define_angles(self, offset_steering_rad: float, offset_turret_rad: float) -> None:
-        """From now on the encoders say the mechanical angles plus these offsets."""
+        """Set the offsets between mechanical and reported angles."""
         self._steering_offset_rad = offset_steering_rad
         self._turret_offset_rad = offset_turret_rad

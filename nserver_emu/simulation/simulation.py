@@ -1,41 +1,118 @@
-"""A world with its robots, and time that moves when it is told to. No clock, no socket, no thread.
+"""A world with its robots, and simulated time that advances in steps. No clock, no socket, no thread.
 
-Order of a step: commands (between steps), motion, contact, sensors. All state is plain: a pickled or deep-copied
-simulation goes on bit for bit.
+Order of a step: commands (between steps), motion, contact, sensors. A simulation that is restored from its state, or
+deep-copied, continues with the same bits.
 """
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from typing import Any
+
+import numpy as np
 
 from nclient.errors import StartError
 from nserver_emu.simulation.models import N150, RobotModel
-from nserver_emu.simulation.multi_robot import Company, touch
-from nserver_emu.simulation.noise import IDEAL, Identity, RobotSetup
-from nserver_emu.simulation.robot import SimulatedRobot
-from nserver_emu.simulation.segments import to_ps, to_s
-from nserver_emu.simulation.spatial_hash import Standing
+from nserver_emu.simulation.multi_robot import GroupState, RobotGroup, update_obstacles
+from nserver_emu.simulation.noise import IDEAL, RngFactory, RobotSetup
+from nserver_emu.simulation.robot import RobotState, SimulatedRobot
+from nserver_emu.simulation.segments import TIME_MAX_PS, to_ps, to_s
+from nserver_emu.simulation.spatial_hash import SpatialHash
 from worlds.raycast import load_compiled
-from worlds.world import StartPose, World
+from worlds.world import Path, Polygon, StartPose, World
+
+
+@dataclass(frozen=True, slots=True)
+class WorldState:
+    """The values that a world is built from."""
+
+    name: str
+    title: str
+    rooms: tuple[Polygon, ...]
+    inner_walls: tuple[tuple[float, float, float, float], ...]
+    obstacles: tuple[Polygon, ...]
+    starts: tuple[StartPose, ...]
+    paths: tuple[Path, ...]
+
+    @classmethod
+    def of(cls, world: World) -> WorldState:
+        """Return the state of a world."""
+        inner_walls = tuple((x1, y1, x2, y2) for x1, y1, x2, y2 in world.inner_walls.tolist())
+        return cls(
+            world.name, world.title, world.rooms, inner_walls, world.obstacles, world.starts,
+            tuple(world.paths.values()),
+        )  # fmt: skip
+
+    def world(self) -> World:
+        """Return the world; raise ValueError if there can be none."""
+        if not self.starts or not all(len(outline.corners_in) > 2 for outline in (*self.rooms, *self.obstacles)):
+            raise ValueError("a world without starts or outlines")
+        return World(
+            self.name, self.title, self.rooms, np.array(self.inner_walls).reshape(-1, 4), self.obstacles, self.starts,
+            {path.name: path for path in self.paths},
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class SimulationState:
+    """The state of a simulation in a snapshot."""
+
+    seed: int
+    time_ps: int
+    world: WorldState
+    robots: dict[int, RobotState]
+    group: GroupState
 
 
 class Simulation:
-    """`robots` by their ids, in that order. `seed` >= 0: the same seed and the same commands between the same steps
-    give the same results."""
+    """A world and its robots.
+
+    The same seed and the same commands between the same steps give the same results.
+
+    Attributes
+    ----------
+    robots
+        By their numbers, sorted.
+    seed
+        0 or more.
+    """
 
     def __init__(self, world: World, seed: int = 0) -> None:
         self.seed = seed
         self.robots: dict[int, SimulatedRobot] = {}
         self._world = world
         self._time_ps = 0
-        self._company = Company()
-        self._standing: Standing | None = None
-        self._strangers = False
+        self._group = RobotGroup()
+        self._spatial_hash: SpatialHash | None = None
+        self._has_new_robots = False
+
+    def to_state(self) -> SimulationState:
+        """Return all that changes, and the world."""
+        self._join_new_robots()
+        robots = {number: robot.to_state() for number, robot in self.robots.items()}
+        return SimulationState(self.seed, self._time_ps, WorldState.of(self._world), robots, self._group.to_state())
+
+    @classmethod
+    def from_state(cls, state: SimulationState) -> Simulation:
+        """Return the simulation of a state; raise ValueError if there can be none."""
+        if not 0 <= state.time_ps < TIME_MAX_PS or state.seed < 0:
+            raise ValueError("a time or a seed that cannot be")
+        if list(state.robots) != sorted(state.robots):
+            raise ValueError("robots that are not in order")
+        simulation = cls(state.world.world(), state.seed)
+        simulation._time_ps = state.time_ps
+        walls = simulation.world.walls
+        simulation.robots = {
+            number: SimulatedRobot.from_state(robot, RngFactory(number, state.seed), walls, state.time_ps)
+            for number, robot in state.robots.items()
+        }
+        load_compiled(len(simulation.robots))
+        simulation._group.set_state(state.group, simulation.robots)
+        return simulation
 
     @property
     def world(self) -> World:
-        """The ground they all drive on."""
+        """The world of all robots."""
         return self._world
 
     @property
@@ -50,60 +127,75 @@ class Simulation:
         model: RobotModel = N150,
         setup: RobotSetup = IDEAL,
         *,
-        awake: bool = True,
+        powered: bool = True,
     ) -> SimulatedRobot:
-        """Put a robot into the world, at its first start if none is given; not `awake` it looks around from `wake` on.
+        """Put a robot into the world.
 
-        Raises StartError where it does not fit beside walls and other robots, ValueError if the id is taken.
+        Parameters
+        ----------
+        start
+            None: the first start of the world.
+        powered
+            False: its sensors start at `power_on`.
+
+        Raises
+        ------
+        StartError
+            If it does not fit beside walls and other robots.
+        ValueError
+            If the number is taken.
         """
         if robot_id in self.robots:
             raise ValueError(f"robot {robot_id} is here already")
-        place = self._world.starts[0] if start is None else start
-        self.require_free(place.x_in, place.y_in, model.body.radius_in)
-        identity = Identity(robot_id, self.seed)
-        robot = SimulatedRobot(identity, place, self._world.walls, model, setup, self._time_ps, awake=False)
-        in_order = not self.robots or robot_id > next(reversed(self.robots))
+        pose = self._world.starts[0] if start is None else start
+        self.require_free(pose.x_in, pose.y_in, model.body.radius_in)
+        rng_factory = RngFactory(robot_id, self.seed)
+        robot = SimulatedRobot(rng_factory, pose, self._world.walls, model, setup, self._time_ps, powered=False)
+        is_in_order = not self.robots or robot_id > next(reversed(self.robots))
         self.robots[robot_id] = robot
-        if not in_order:
+        if not is_in_order:
             self.robots = dict(sorted(self.robots.items()))
-        self.standing.add(robot_id, robot.disc)
-        self._strangers = True
-        if awake:
-            self._meet()
-            robot.wake()
+        self.spatial_hash.add(robot_id, robot.disc)
+        self._has_new_robots = True
+        if powered:
+            self._join_new_robots()
+            robot.power_on()
         return robot
 
-    def wake(self) -> None:
-        """Power on all robots that came asleep, at the same instant: each sees all others, whoever came first."""
-        self._meet()
+    def power_on(self) -> None:
+        """Switch on all robots that are off, at one instant: each detects all others, whatever their order."""
+        self._join_new_robots()
         for robot in self.robots.values():
-            if not robot.awake:
-                robot.wake()
+            if not robot.powered:
+                robot.power_on()
 
     @property
-    def standing(self) -> Standing:
-        """Where the robots stand; kept until time passes or one is set down elsewhere."""
-        if self._standing is None:
-            self._standing = Standing()
+    def spatial_hash(self) -> SpatialHash:
+        """The positions of the robots; cached until time advances or a robot is placed elsewhere."""
+        if self._spatial_hash is None:
+            self._spatial_hash = SpatialHash()
             for number, robot in self.robots.items():
-                self._standing.add(number, robot.disc)
-        return self._standing
+                self._spatial_hash.add(number, robot.disc)
+        return self._spatial_hash
 
-    def _meet(self) -> None:
-        """Let those who came since the last time see the others, and be seen."""
-        if self._strangers:
+    def _join_new_robots(self) -> None:
+        """Make robots that were added visible to the others, and the others to them."""
+        if self._has_new_robots:
             load_compiled(len(self.robots))
             if len(self.robots) > 1:
-                self._company.look_around(self.robots, self._time_ps)
-        self._strangers = False
+                self._group.set_robots(self.robots, self._time_ps)
+        self._has_new_robots = False
 
     def require_free(self, x_in: float, y_in: float, radius_in: float, robot_id: int | None = None) -> None:
-        """Refuse a place where a robot of this radius, number `robot_id` if it is here already, touches anything.
+        """Raise StartError where a robot of this radius touches anything; the message says what.
 
-        Raises StartError, which says what is in the way.
+        Parameters
+        ----------
+        robot_id
+            Number of the robot, if it is in the world already.
         """
         self._world.require_free(x_in, y_in, radius_in)
-        for number, (x, y, radius) in self.standing.touched(x_in, y_in, radius_in):
+        for number, (x, y, radius) in self.spatial_hash.touched(x_in, y_in, radius_in):
             if number != robot_id:
                 raise StartError(
                     f"the start ({x_in:g}, {y_in:g}) in touches robot {number}, which stands at ({x:.1f}, {y:.1f}) in; "
@@ -111,37 +203,39 @@ class Simulation:
                 )
 
     def place(self, robot_id: int, x_in: float, y_in: float, steering_rad: float, turret_rad: float) -> None:
-        """Set a robot down somewhere, as `SimulatedRobot.place` does; the others see and feel it there at once."""
+        """Set a robot down at a pose, as `SimulatedRobot.place` does; the others detect it there at once."""
         self.robots[robot_id].place(x_in, y_in, steering_rad, turret_rad)
-        self._standing = None
+        self._spatial_hash = None
         if len(self.robots) > 1:
-            self._company.look_around(self.robots, self._time_ps)
-            touch(list(self.robots.values()))
+            self._group.set_robots(self.robots, self._time_ps)
+            update_obstacles(list(self.robots.values()))
 
     def change_world(self, world: World) -> None:
-        """Change what stands here, now; what was seen before was seen before."""
+        """Replace the world now; earlier readings do not change."""
         self._world = world
         for robot in self.robots.values():
-            robot.enter(world.walls)
+            robot.set_walls(world.walls)
         if len(self.robots) > 1:
-            touch(list(self.robots.values()))
+            update_obstacles(list(self.robots.values()))
 
     def step(self, dt_s: float) -> None:
-        """Let dt_s >= 0 seconds pass; raises ValueError for other numbers. How time is cut changes no result
-        without noise (with it another draw of the same spread), but for
-        where robots meet that both move: there by what they drive within a tick."""
+        """Advance by dt_s >= 0 seconds; raise ValueError for other numbers.
+
+        Without noise the size of the steps changes no result (with it, only which numbers are drawn), except where two
+        moving robots meet: there by the distance driven within a tick.
+        """
         begin_ps, self._time_ps = self._time_ps, self._time_ps + to_ps(dt_s)
-        self._standing = None
-        self._meet()
+        self._spatial_hash = None
+        self._join_new_robots()
         if len(self.robots) > 1:
-            self._company.run(self.robots, begin_ps, self._time_ps)
+            self._group.advance(self.robots, begin_ps, self._time_ps)
         for robot in self.robots.values():
             robot.advance_to(self._time_ps)
 
     def __getstate__(self) -> dict[str, Any]:
-        """The world as what it is built from: its read-only views can neither be pickled nor copied."""
+        """Return the attributes with the world as what it is built from: its read-only views cannot be copied."""
         built_from = {part.name: getattr(self._world, part.name) for part in fields(World) if part.init}
-        return self.__dict__ | {"_world": built_from | {"paths": dict(self._world.paths)}, "_standing": None}
+        return self.__dict__ | {"_world": built_from | {"paths": dict(self._world.paths)}, "_spatial_hash": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state | {"_world": World(**state["_world"])})

@@ -1,10 +1,10 @@
-"""The sonar ring: which sonar fires when, and what it reads. Rays are the world's; poses and time are handed in.
+"""The sonar ring: the sequence of firing, and the readings. Poses and time are passed in.
 
-    order 0 2 15 1 ..., rate 15:    0 fires at 0 ms, 2 at 60 ms, 15 at 120 ms, 1 at 180 ms ... and round again
+    order 0 2 15 1 ..., rate 15:    0 fires at 0 ms, 2 at 60 ms, 15 at 120 ms, 1 at 180 ms ... and again
 
-A firing notes where it happened and draws its chance; the echo is sought when somebody looks, or when the walls are
-about to change. So a ring nobody reads costs nothing, and reading it earlier or later changes no reading. What is heard
-is an echo model's: SonarNoise, one exact ray with noise, or Polaroid (polaroid.py), with all that a real ring does.
+A firing records its pose and draws its noise; the range is computed when a reading is used, or when the walls are about
+to change. An unused ring therefore costs nothing, and reading it earlier or later changes no value. The sonar model
+computes the range: SonarNoise, one exact ray with noise, or Polaroid (acoustics.py), which models a real ring.
 """
 
 from __future__ import annotations
@@ -16,227 +16,289 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from nserver_emu.simulation.acoustics import Cry, Polaroid, Scene
-from nserver_emu.simulation.segments import NEVER_PS, PS_PER_S, Moment, Pose, Stamp
-from nserver_emu.simulation.visibility import FARTHEST_IN, NOBODY_NEAR, Eye, on_lines
+from nserver_emu.simulation.acoustics import Ping, Polaroid, ReflectorMap, SonarErrors
+from nserver_emu.simulation.segments import PS_PER_S, TIME_MAX_PS, Pose, SegmentTime, Stamp
+from nserver_emu.simulation.visibility import MAX_ROBOT_RANGE_IN, NO_NEAR_ROBOTS, SensorPose, robots_on_rays
 from worlds.geometry import FloatArray
 from worlds.raycast import NEAREST_OBSTACLE, cast_each, ray_to_disc
 from worlds.robots import SONARS, Body
 
-NEAREST_IN: Final = 6
-"""A wall nearer than this reads this: the transducer still rings from its own cry."""
+MIN_READING_IN: Final = 6
+"""Nearer walls read this: the transducer still rings from its own ping."""
 
-NOTHING_IN: Final = 255
-"""No echo, or one from farther away."""
+NO_ECHO_IN: Final = 255
+"""The reading without an echo, or with one from farther away."""
+
+DEAD_IN: Final = 0
+"""The reading of a dead sonar."""
 
 TICK_PS: Final = 4 * PS_PER_S // 1000
 """The unit of the firing rate, 4 ms."""
 
-SLOWEST_RATE: Final = 255
-"""The largest rate that the robot's line can carry, in a byte."""
+MAX_RATE: Final = 255
+"""The largest firing rate that a byte on the robot's serial line can hold; the slowest ring."""
 
 DEFAULT_ORDER: Final = (0, 2, 15, 1, 14, 3, 13, 4, 12, 5, 11, 6, 10, 7, 9, 8)
 DEFAULT_RATE: Final = 15
-"""The ring is on at power-on: programs written for Nserver never configure it."""
+"""The ring is on at power-on: programs written for Nserver do not configure it."""
 
-UNFIRED: Final = Stamp(Pose(0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0)
-"""The moment of a reading that never was."""
+NO_STAMP: Final = Stamp(Pose(0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0)
+"""The stamp of a sensor that has never measured."""
+
+MAX_EARLIER_PINGS: Final = 10_000
+"""Pings that a restored ring may still have under way: 30 s of them, the longest that the settings permit."""
 
 
 @dataclass(frozen=True, slots=True)
-class SonarNoise:
-    """One exact ray, and gaussian noise of its range: std_share of it, at least least_std_in; none where both are 0.
-
-    `dead`: sonars that read 0; `offsets_in`: what each reads more than the range, always; `turned_rad`: the ring stands
-    turned by this against the turret.
-    """
-
-    std_share: float = 0.0
-    least_std_in: float = 0.0
-    dead: tuple[int, ...] = ()
-    offsets_in: tuple[float, ...] = (0.0,) * SONARS
-    turned_rad: float = 0.0
-
-    def std_in(self, range_in: float) -> float:
-        """Standard deviation at a range, inches."""
-        return max(self.std_share * range_in, self.least_std_in)
+class SonarNoise(SonarErrors):
+    """The ideal sonar: one exact ray, with Gaussian noise of its range (none where both deviations are 0)."""
 
     @property
-    def life_ps(self) -> int:
-        """Rays know nothing of one another: a cry is over at once."""
+    def audible_ps(self) -> int:
+        """0: there is no cross-talk between rays."""
         return 0
 
-    def draw(self, chance: np.random.Generator) -> tuple[float, ...]:
-        """The chance of one cry: one number, or none where there is no noise."""
-        return (chance.standard_normal(),) if self.least_std_in or self.std_share else (0.0,)
+    @property
+    def has_noise(self) -> bool:
+        """True if ranges are noisy."""
+        return bool(self.range_std_floor_in or self.range_std_relative)
 
-    def heard_in(self, cries: Sequence[Cry], eyes: Sequence[Eye], walls: FloatArray, body: Body) -> list[float]:
-        """The range from the ring along each ray, to a wall (m, 4) or a robot, with its noise, inches; inf for nothing.
+    def draw(self, rng: np.random.Generator) -> tuple[float, ...]:
+        """Draw the noise of a ping: one number, or 0 without drawing where there is no noise."""
+        return (rng.standard_normal(),) if self.has_noise else (0.0,)
 
-        How many rays come at once changes no bit.
+    def measured_ranges(
+        self, pings: Sequence[Ping], sensor_poses: Sequence[SensorPose], walls: FloatArray, body: Body
+    ) -> list[float]:
+        """Return the range from the ring along each ray to a wall (m, 4) or a robot, with noise, inches; inf for none.
+
+        The number of rays in a call changes no bit of the result.
         """
+        # 1. Ranges from the axis: compiled, ray by ray ...
         if NEAREST_OBSTACLE.run is not None:
-            from_axis = [_met(NEAREST_OBSTACLE.run, cry, eye, walls) for cry, eye in zip(cries, eyes, strict=True)]
-            return self._from_ring(from_axis, cries, body)
-        ways = [complex(cos(cry.direction_rad), sin(cry.direction_rad)) for cry in cries]
-        from_axis = cast_each([complex(cry.x_in, cry.y_in) for cry in cries], ways, walls)
-        for ray, disc in on_lines(eyes, ways, from_axis.copy()):
-            met = ray_to_disc(cries[ray].x_in, cries[ray].y_in, ways[ray].real, ways[ray].imag, disc)
+            cast = NEAREST_OBSTACLE.run
+            from_axis = [_cast_compiled(cast, *each, walls) for each in zip(pings, sensor_poses, strict=True)]
+            return self._from_ring(from_axis, pings, body)
+        # ... or in arrays, walls first, then the robots that a ray can meet before its wall.
+        directions = [complex(cos(ping.direction_rad), sin(ping.direction_rad)) for ping in pings]
+        from_axis = cast_each([complex(ping.x_in, ping.y_in) for ping in pings], directions, walls)
+        for ray, disc in robots_on_rays(sensor_poses, directions, from_axis.copy()):
+            met = ray_to_disc(pings[ray].x_in, pings[ray].y_in, directions[ray].real, directions[ray].imag, disc)
             from_axis[ray] = min(from_axis[ray], met)
-        return self._from_ring(from_axis, cries, body)
+        return self._from_ring(from_axis, pings, body)
 
-    def _from_ring(self, from_axis: Sequence[float], cries: Sequence[Cry], body: Body) -> list[float]:
+    def _from_ring(self, from_axis: Sequence[float], pings: Sequence[Ping], body: Body) -> list[float]:
+        # 2. From the ring, with noise.
         ring_in = body.sonar_ring_radius_in
-        if not (self.least_std_in or self.std_share):
-            return [far - ring_in for far in from_axis]
-        return [self._misheard(far - ring_in, cry) for far, cry in zip(from_axis, cries, strict=True)]
+        if not self.has_noise:
+            return [range_in - ring_in for range_in in from_axis]
+        return [self._with_noise(range_in - ring_in, ping) for range_in, ping in zip(from_axis, pings, strict=True)]
 
-    def _misheard(self, range_in: float, cry: Cry) -> float:
-        chance = cry.chances[0]
-        return range_in + chance * self.std_in(range_in) if chance and range_in < inf else range_in
-
-
-def _met(nearest_obstacle: Callable[..., float], cry: Cry, eye: Eye, walls: FloatArray) -> float:
-    """The range from the axis to the first wall or robot, by the machine code."""
-    way, seen = cry.direction_rad, eye.seen
-    robots, widest_in = (seen.sorted, seen.widest_in) if len(seen.discs) > 1 else (NOBODY_NEAR, 0.0)
-    return nearest_obstacle(cry.x_in, cry.y_in, cos(way), sin(way), walls, robots, eye.own, widest_in, FARTHEST_IN)
+    def _with_noise(self, range_in: float, ping: Ping) -> float:
+        noise = ping.noise[0]
+        return range_in + noise * self.std_in(range_in) if noise and range_in < inf else range_in
 
 
-EchoModel = SonarNoise | Polaroid
-"""How a setup's sonars hear: `draw` and `heard_in`, `life_ps`, and which are `dead`."""
+def _cast_compiled(
+    nearest_obstacle: Callable[..., float], ping: Ping, sensor_pose: SensorPose, walls: FloatArray
+) -> float:
+    """Return the range from the axis to the first wall or robot, by the compiled kernel."""
+    direction, robots = ping.direction_rad, sensor_pose.robots
+    discs, max_radius_in = (
+        (robots.sorted, robots.max_radius_in) if len(robots.discs) > 1 else (NO_NEAR_ROBOTS, 0.0)
+    )
+    return nearest_obstacle(
+        ping.x_in, ping.y_in, cos(direction), sin(direction), walls, discs, sensor_pose.self_index, max_radius_in,
+        MAX_ROBOT_RANGE_IN,
+    )  # fmt: skip
 
-DEAD_IN: Final = 0
-"""What a dead sonar reads, always."""
+
+IDEAL_SONAR: Final = SonarNoise()
+"""Exact ranges."""
+
+SonarModel = SonarNoise | Polaroid
+"""The sonar model of a setup: `draw` the noise of a ping, measure the range; `audible_ps`, `dead` and `offsets_in`."""
 
 
 class Firing(NamedTuple):
-    """A cry whose echo nobody has looked at, those before it that may still be under way, and the eye it left from."""
+    """A ping whose range has not been computed yet, the pings before it that are still audible, and its pose."""
 
-    cry: Cry
-    earlier: tuple[Cry, ...]
-    eye: Eye
+    ping: Ping
+    earlier: tuple[Ping, ...]
+    sensor_pose: SensorPose
+
+
+class SonarState(NamedTuple):
+    """The state of a ring in a snapshot; fields as those of `SonarRing`."""
+
+    readings: tuple[int, ...]
+    stamps: tuple[Stamp, ...]
+    pings: tuple[Ping | None, ...]
+    earlier: tuple[Ping, ...]
+    order: tuple[int, ...]
+    interval_ps: int
+    fired: int
+    due_ps: int
 
 
 class SonarRing:
-    """Sixteen sonars that fire one after another; see the head of this file."""
+    """Sixteen sonars that fire one after another.
 
-    def __init__(self, body: Body, model: EchoModel, walls: FloatArray, chance: np.random.Generator) -> None:
+    Attributes
+    ----------
+    due_ps
+        The instant of the next firing; TIME_MAX_PS if the ring is off.
+    """
+
+    def __init__(self, body: Body, model: SonarModel, walls: FloatArray, rng: np.random.Generator) -> None:
         self.body = body
         self.model = model
-        self._scene = Scene(walls)
-        self._chance = chance
-        self._readings = [DEAD_IN if sonar in model.dead else NOTHING_IN for sonar in range(SONARS)]
-        self._moments: list[Stamp | Moment] = [UNFIRED] * SONARS
-        self._cries: list[Cry | None] = [None] * SONARS
-        self._unheard: dict[int, Firing] = {}
-        self._recent: tuple[Cry, ...] = ()
+        self._reflectors = ReflectorMap(walls)
+        self._rng = rng
+        self._readings = [DEAD_IN if sonar in model.dead else NO_ECHO_IN for sonar in range(SONARS)]
+        self._stamps: list[Stamp | SegmentTime] = [NO_STAMP] * SONARS
+        self._pings: list[Ping | None] = [None] * SONARS
+        self._pending: dict[int, Firing] = {}
+        self._earlier: tuple[Ping, ...] = ()
         self._order: tuple[int, ...] = ()
         self._interval_ps = self._count = 0
-        self.due_ps = NEVER_PS
-        """When the next sonar fires; NEVER_PS if the ring is off."""
+        self.due_ps = TIME_MAX_PS
+
+    def to_state(self) -> SonarState:
+        """Return all that changes; pending ranges are computed, which changes no reading."""
+        return SonarState(
+            self.readings_in, self.stamps, self.pings, self._earlier, self._order, self._interval_ps, self._count,
+            self.due_ps,
+        )  # fmt: skip
+
+    def set_state(self, state: SonarState, now_ps: int) -> None:
+        """Continue from a state; raise ValueError if it is not one of a ring."""
+        # An interval and an order bound the number of firings in a step.
+        if state.due_ps != TIME_MAX_PS and not (
+            state.order
+            and TICK_PS <= state.interval_ps <= MAX_RATE * TICK_PS
+            and now_ps <= state.due_ps <= now_ps + MAX_RATE * TICK_PS
+        ):
+            raise ValueError("a sonar ring without an interval or an order")
+        if not all(len(values) == SONARS for values in (state.readings, state.stamps, state.pings)):
+            raise ValueError("a sonar ring without 16 readings")
+        if not all(0 <= sonar < SONARS for sonar in state.order) or state.fired < 0:
+            raise ValueError("a sonar ring with unknown sonars")
+        if not all(DEAD_IN <= reading <= NO_ECHO_IN for reading in state.readings):
+            raise ValueError("a sonar reading out of range")
+        pings = (*state.earlier, *(ping for ping in state.pings if ping is not None))
+        if len(state.earlier) > MAX_EARLIER_PINGS or not all(0 <= ping.instant_ps <= now_ps for ping in pings):
+            raise ValueError("a ping of another time")
+        self._readings, self._stamps, self._pings = list(state.readings), list(state.stamps), list(state.pings)
+        self._earlier, self._order, self._interval_ps = state.earlier, state.order, state.interval_ps
+        self._count, self.due_ps = state.fired, state.due_ps
+        self._pending.clear()
+
+    def check(self) -> None:
+        """Raise ValueError if the ring would fire without end."""
+        if not TICK_PS <= self._interval_ps <= MAX_RATE * TICK_PS or not (self._order or self.due_ps == TIME_MAX_PS):
+            raise ValueError("a ring of sonars without an interval or an order")
 
     @property
     def readings_in(self) -> tuple[int, ...]:
-        """The last reading of each sonar: 16 whole inches from the ring, 6..255, 255 where nothing was met;
-        0 where dead."""
-        self._listen()
+        """The last reading of each sonar: 16 whole inches from the ring, 6..255, 255 without echo; 0 where dead."""
+        self._compute_pending()
         return tuple(self._readings)
 
     @property
     def stamps(self) -> tuple[Stamp, ...]:
-        """The moment of each of those readings."""
-        return tuple(moment if isinstance(moment, Stamp) else moment.stamp for moment in self._moments)
+        """The time stamp of each of those readings."""
+        return tuple(stamp if isinstance(stamp, Stamp) else stamp.stamp for stamp in self._stamps)
 
     @property
-    def cries(self) -> tuple[Cry | None, ...]:
-        """The cry of each of those readings: where the ring really was, and which way the sonar pointed; None where it
-        has not cried since the robot was carried here."""
-        return tuple(self._cries)
+    def pings(self) -> tuple[Ping | None, ...]:
+        """The ping of each of those readings, with its true pose; None since the robot was moved by hand."""
+        return tuple(self._pings)
 
-    def carried(self) -> None:
-        """The robot was set down elsewhere: readings stay, but nothing that was cried has to do with this place."""
-        self._cries = [None] * SONARS
+    def forget_pings(self) -> None:
+        """Forget the poses of the readings, because the robot was moved by hand; the readings remain."""
+        self._pings = [None] * SONARS
 
     def configure(self, rate: int, order: Sequence[int], now_ps: int) -> None:
-        """Restart the ring: entry k of the order is due 4 ms x rate x k from now, and round again.
+        """Restart the ring: entry k of the order is due 4 ms x rate x k from now, and so on.
 
-        rate     clamped to 1..255
-        order    sonar numbers, ends at the first that is none (255 by custom); none at all: the ring is off, and
-                 readings stay what they were
+        Parameters
+        ----------
+        rate
+            Clamped to 1..255.
+        order
+            Sonar numbers; ends at the first that is not one (255 by convention). Without any the ring is off, and the
+            readings remain.
         """
         end = next((at for at, sonar in enumerate(order) if not 0 <= sonar < SONARS), len(order))
         self._order = tuple(order[:end])
-        self._interval_ps = min(max(rate, 1), SLOWEST_RATE) * TICK_PS
+        self._interval_ps = min(max(rate, 1), MAX_RATE) * TICK_PS
         self._count = 0
-        self.due_ps = now_ps if self._order else NEVER_PS
+        self.due_ps = now_ps if self._order else TIME_MAX_PS
 
-    def check(self) -> None:
-        """Raises ValueError where the ring would never stop firing: what came from outside may be anything."""
-        if not TICK_PS <= self._interval_ps <= SLOWEST_RATE * TICK_PS or not (self._order or self.due_ps == NEVER_PS):
-            raise ValueError("a ring of sonars without an interval or an order")
-
-    def fire_due(self, eye: Eye, moment: Stamp | Moment) -> None:
-        """The sonar that is due fires here and now."""
-        sonar, instant_ps, life_ps = self._order[self._count % len(self._order)], self.due_ps, self.model.life_ps
-        if life_ps:
-            self._recent = tuple(cry for cry in self._recent if instant_ps - cry.instant_ps < life_ps)
-        cry = self._fire(sonar, eye, moment, instant_ps, self._recent)
-        if life_ps:
-            self._recent = (*self._recent, cry)
+    def emit_due(self, sensor_pose: SensorPose, stamp: Stamp | SegmentTime) -> None:
+        """Fire the sonar that is due, at this pose."""
+        sonar, instant_ps, audible_ps = self._order[self._count % len(self._order)], self.due_ps, self.model.audible_ps
+        if audible_ps:
+            self._earlier = tuple(ping for ping in self._earlier if instant_ps - ping.instant_ps < audible_ps)
+        ping = self._emit(sonar, sensor_pose, stamp, instant_ps, self._earlier)
+        if audible_ps:
+            self._earlier = (*self._earlier, ping)
         self._count += 1
         self.due_ps += self._interval_ps
 
-    def fire_all(self, eye: Eye, moment: Stamp | Moment) -> None:
-        """All sixteen as at power-on, each as if it were alone."""
+    def emit_all(self, sensor_pose: SensorPose, stamp: Stamp | SegmentTime) -> None:
+        """Fire all sixteen as at power-on, each as if it were alone."""
         for sonar in range(SONARS):
-            self._fire(sonar, eye, moment, 0, ())
+            self._emit(sonar, sensor_pose, stamp, 0, ())
 
-    def surround(self, walls: FloatArray) -> None:
-        """From now on these are the walls (m, 4); what was fired before still meets the old ones."""
-        self._listen()
-        self._scene = Scene(walls)
+    def set_walls(self, walls: FloatArray) -> None:
+        """Replace the walls (m, 4); earlier pings still meet the previous ones."""
+        self._compute_pending()
+        self._reflectors = ReflectorMap(walls)
 
-    def hear_as(self, model: EchoModel) -> None:
-        """From now on they hear like this; what was fired before is heard as before, and disturbs nothing new."""
-        self._listen()
-        self._recent = ()
+    def set_model(self, model: SonarModel) -> None:
+        """Replace the sonar model; earlier pings are measured with the previous one, and disturb no later ping."""
+        self._compute_pending()
+        self._earlier = ()
         self.model = model
         for sonar in model.dead:
             self._readings[sonar] = DEAD_IN
 
-    def _fire(
-        self, sonar: int, eye: Eye, moment: Stamp | Moment, instant_ps: int, earlier: tuple[Cry, ...]
-    ) -> Cry:
-        x, y, turret_rad, _, _ = eye
-        way_rad = turret_rad + self.model.turned_rad + self.body.sonar_angles_rad[sonar]
-        cry = Cry(x, y, way_rad, instant_ps, self.model.draw(self._chance))
-        self._unheard[sonar] = Firing(cry, earlier, eye)
-        self._moments[sonar] = moment
-        self._cries[sonar] = cry
-        return cry
+    def _emit(
+        self, sonar: int, sensor_pose: SensorPose, stamp: Stamp | SegmentTime, instant_ps: int,
+        earlier: tuple[Ping, ...],
+    ) -> Ping:  # fmt: skip
+        x, y, turret_rad, _, _ = sensor_pose
+        direction_rad = turret_rad + self.model.turned_rad + self.body.sonar_angles_rad[sonar]
+        ping = Ping(x, y, direction_rad, instant_ps, self.model.draw(self._rng))
+        self._pending[sonar] = Firing(ping, earlier, sensor_pose)
+        self._stamps[sonar] = stamp
+        self._pings[sonar] = ping
+        return ping
 
-    def _listen(self) -> None:
-        """Hear the echoes of all firings since the last look. How many they are changes no reading."""
-        if not self._unheard:
+    def _compute_pending(self) -> None:
+        """Compute the readings of all firings since the last call."""
+        if not self._pending:
             return
-        dead, offsets_in, firings = self.model.dead, self.model.offsets_in, self._unheard
+        dead, offsets_in, pending = self.model.dead, self.model.offsets_in, self._pending
         if dead:
-            firings = {sonar: firing for sonar, firing in firings.items() if sonar not in dead}
-        for sonar, heard_in in zip(firings, self._heard_in(list(firings.values())), strict=True):
-            self._readings[sonar] = _reading(heard_in + offsets_in[sonar])
-        self._unheard.clear()
+            pending = {sonar: firing for sonar, firing in pending.items() if sonar not in dead}
+        for sonar, range_in in zip(pending, self._measured_ranges(list(pending.values())), strict=True):
+            self._readings[sonar] = _reading(range_in + offsets_in[sonar])
+        self._pending.clear()
 
-    def _heard_in(self, firings: Sequence[Firing]) -> list[float]:
-        """Ranges, inches, inf for nothing."""
-        model, scene, body = self.model, self._scene, self.body
+    def _measured_ranges(self, firings: Sequence[Firing]) -> list[float]:
+        """Return ranges, inches, inf for no echo."""
+        model, reflectors, body = self.model, self._reflectors, self.body
         if isinstance(model, SonarNoise):
-            return model.heard_in([firing.cry for firing in firings], [f.eye for f in firings], scene.walls, body)
-        return [model.heard_in(cry, earlier, scene, body, eye.others) for cry, earlier, eye in firings]
+            pings, poses = [firing.ping for firing in firings], [firing.sensor_pose for firing in firings]
+            return model.measured_ranges(pings, poses, reflectors.walls, body)
+        return [model.measured_range(ping, earlier, reflectors, body, pose.others) for ping, earlier, pose in firings]
 
 
-def _reading(heard_in: float) -> int:
-    """What a sonar reads of a range from the ring, a fraction rounded to the nearest whole inch."""
-    if heard_in >= NOTHING_IN:
-        return NOTHING_IN
-    return floor(heard_in + 0.5) if heard_in >= NEAREST_IN else NEAREST_IN
+def _reading(range_in: float) -> int:
+    """Return the reading of a range from the ring, rounded to the nearest whole inch."""
+    if range_in >= NO_ECHO_IN:
+        return NO_ECHO_IN
+    return floor(range_in + 0.5) if range_in >= MIN_READING_IN else MIN_READING_IN

@@ -1,7 +1,7 @@
-"""Who stands where when a sensor looks: an eye, and the sighting it has of all robots. Geometry alone, no sensor.
+"""The positions of other robots as sensors see them: sensor poses, and the robots that a ray can meet. Geometry only.
 
-A sighting is one for all who look at that instant; where the robots stood may become known later than that it is asked
-for, but before anybody looks.
+The positions at an instant are shared by all sensors that look at that instant. They may become known later than they
+are requested, but before any sensor evaluates them.
 """
 
 from __future__ import annotations
@@ -17,48 +17,51 @@ from nserver_emu.simulation.acoustics import NO_ROBOTS
 from worlds.geometry import FloatArray
 from worlds.raycast import FAR_IN
 
-FARTHEST_IN: Final = 500.0
-"""No sensor notices a robot from farther away: readings end at 255 in, second echoes at some 400."""
+MAX_ROBOT_RANGE_IN: Final = 500.0
+"""No sensor notices a robot from farther away: readings end at 255 in, second echoes at about 400."""
 
 GRAZING_IN: Final = 1e-6
-"""So much farther from a line than its rim a robot still counts as met, until its range is worked out: rounding."""
+"""A robot this much farther from a line than its radius still counts as met until its range is computed: rounding."""
 
-NOBODY_NEAR: Final[FloatArray] = np.zeros((0, 4))
+NO_NEAR_ROBOTS: Final[FloatArray] = np.zeros((0, 4))
 """No rows x y radius row."""
 
 
-class Sighting:
-    """Where all robots stood at one moment: discs (n, 3), rows x y radius in inches; none until that is known."""
+class RobotPositions:
+    """Positions of all robots at one instant: discs (n, 3), rows x y radius in inches; empty until they are known."""
 
     def __init__(self, discs: FloatArray = NO_ROBOTS) -> None:
         self.discs = discs
 
-    def at(self, instant_ps: int) -> Sighting:
-        """Whatever the instant: nobody moves."""
+    def at(self, instant_ps: int) -> RobotPositions:
+        """Return these positions, whatever the instant: nothing moves (a `PositionProvider`)."""
         del instant_ps
         return self
 
     def near(self, x_in: float) -> FloatArray:
-        """The robots (k, 4) whose x is no farther than FARTHEST_IN from this one: rows x y radius row, sorted by x."""
-        return self._between(x_in - FARTHEST_IN, x_in + FARTHEST_IN)
+        """Return the robots (k, 4) whose x is within MAX_ROBOT_RANGE_IN: rows x y radius row, sorted by x."""
+        return self._between(x_in - MAX_ROBOT_RANGE_IN, x_in + MAX_ROBOT_RANGE_IN)
 
-    def ahead(self, x_in: float, way_x_in: float) -> FloatArray:
-        """Those of `near` that a ray from this x can meet before it has gone so far along x, and perhaps some more."""
+    def ahead(self, x_in: float, reach_x_in: float) -> FloatArray:
+        """Return those of `near` that a ray from this x can meet before it has gone `reach_x_in` along x.
+
+        There may be some more among them.
+        """
         if len(self.discs) < 2:
-            return NOBODY_NEAR
-        beside = self.widest_in
-        low, high = x_in + min(way_x_in, 0.0) - beside, x_in + max(way_x_in, 0.0) + beside
-        return self._between(max(low, x_in - FARTHEST_IN), min(high, x_in + FARTHEST_IN))
+            return NO_NEAR_ROBOTS
+        radius = self.max_radius_in
+        low, high = x_in + min(reach_x_in, 0.0) - radius, x_in + max(reach_x_in, 0.0) + radius
+        return self._between(max(low, x_in - MAX_ROBOT_RANGE_IN), min(high, x_in + MAX_ROBOT_RANGE_IN))
 
     def _between(self, low_in: float, high_in: float) -> FloatArray:
         if len(self.discs) < 2:
-            return NOBODY_NEAR
+            return NO_NEAR_ROBOTS
         xs = self._xs
         return self.sorted[bisect_left(xs, low_in) : bisect_right(xs, high_in)]
 
     @cached_property
-    def widest_in(self) -> float:
-        """No less than any robot's radius, and a little more."""
+    def max_radius_in(self) -> float:
+        """The largest radius, and GRAZING_IN more."""
         return float(self.discs[:, 2].max()) + GRAZING_IN
 
     @cached_property
@@ -73,63 +76,77 @@ class Sighting:
         return xs
 
 
-class Lookout(Protocol):
-    """Who tells where the robots stood at an instant."""
+class PositionProvider(Protocol):
+    """Provides the positions of the robots at an instant."""
 
-    def at(self, instant_ps: int) -> Sighting: ...
-
-
-NOBODY: Final = Sighting()
-"""What a robot sees that is alone."""
+    def at(self, instant_ps: int) -> RobotPositions: ...
 
 
-class Eye(NamedTuple):
-    """From where the ring looks, and whom it may see.
+NO_OTHERS: Final = RobotPositions()
+"""The positions for a robot that is alone."""
 
-    x_in, y_in, turret_rad    the robot's true place in inches and its turret's true direction in radians
-    seen, own                 all robots; row `own` is this one
+
+class SensorPose(NamedTuple):
+    """The true pose of the sensors, and the robots that they may detect.
+
+    Attributes
+    ----------
+    x_in, y_in, turret_rad
+        True position in inches and true direction of the turret in radians.
+    robots
+        Positions of all robots.
+    self_index
+        Row of this robot in them, which is not detected.
     """
 
     x_in: float
     y_in: float
     turret_rad: float
-    seen: Sighting = NOBODY
-    own: int = 0
+    robots: RobotPositions = NO_OTHERS
+    self_index: int = 0
 
     @property
     def others(self) -> FloatArray:
-        """The robots (k, 3) without this one and without those beyond FARTHEST_IN."""
-        near = self.seen.near(self.x_in)
+        """The robots (k, 3) without this one and without those beyond MAX_ROBOT_RANGE_IN."""
+        near = self.robots.near(self.x_in)
         rows = np.sort(near[:, 3]).astype(np.intp)
-        discs = self.seen.discs.take(rows[rows != self.own], axis=0)
-        others: FloatArray = discs[np.abs(discs[:, 1] - self.y_in) <= FARTHEST_IN]
+        discs = self.robots.discs.take(rows[rows != self.self_index], axis=0)
+        others: FloatArray = discs[np.abs(discs[:, 1] - self.y_in) <= MAX_ROBOT_RANGE_IN]
         return others
 
 
-def on_lines(
-    eyes: Sequence[Eye], ways: Sequence[complex], ranges: Sequence[float]
+def robots_on_rays(
+    sensor_poses: Sequence[SensorPose], directions: Sequence[complex], ranges: Sequence[float]
 ) -> Iterator[tuple[int, list[float]]]:
-    """The other robots that rays can meet, and perhaps some they graze: number of the ray, and x y radius in inches.
+    """Yield the other robots that rays can meet: number of the ray, and x y radius in inches; some only graze.
 
-    eyes, ways    from where each ray goes, and its direction, a unit vector dx + i dy
-    ranges        how far each goes until it meets a wall, inches
-
-    All rays at once: a centre is the complex number x + iy; times the conjugate of the direction it is ahead + i side.
+    Parameters
+    ----------
+    sensor_poses, directions
+        Origin of each ray, and its direction, a unit vector dx + i dy.
+    ranges
+        Range of each ray to the first wall, inches.
     """
-    if all(len(eye.seen.discs) < 2 for eye in eyes):
+    if all(len(pose.robots.discs) < 2 for pose in sensor_poses):
         return
+    # 1. Candidates of each ray by their x, all in one array.
     to_wall = [min(far, FAR_IN) for far in ranges]
-    near = [eye.seen.ahead(eye.x_in, far * way.real) for eye, way, far in zip(eyes, ways, to_wall, strict=True)]
+    near = [
+        pose.robots.ahead(pose.x_in, far * direction.real)
+        for pose, direction, far in zip(sensor_poses, directions, to_wall, strict=True)
+    ]
     counts = [len(robots) for robots in near]
     robots = np.concatenate(near)
-    origins = np.array([complex(eye.x_in, eye.y_in) for eye in eyes])
+    # 2. Their centres in the frame of the ray: x + iy times the conjugate of the direction is ahead + i side.
+    origins = np.array([complex(pose.x_in, pose.y_in) for pose in sensor_poses])
     turned = robots.view(np.complex128)[:, 0] - origins.repeat(counts)
-    turned *= np.array(ways).conj().repeat(counts)
+    turned *= np.array(directions).conj().repeat(counts)
+    # 3. Those that reach to the line, in front of the wall.
     reach = robots[:, 2] + GRAZING_IN
     met = (np.abs(turned.imag) <= reach).nonzero()[0]
     rays = np.searchsorted(np.cumsum(counts), met, side="right")
     ahead = turned.real.take(met).tolist()
     for ray, far, (x, y, radius, row) in zip(rays.tolist(), ahead, robots.take(met, axis=0).tolist(), strict=True):
-        beside = radius + GRAZING_IN
-        if row != eyes[ray].own and -beside <= far <= to_wall[ray] + beside:
+        reach_in = radius + GRAZING_IN
+        if row != sensor_poses[ray].self_index and -reach_in <= far <= to_wall[ray] + reach_in:
             yield ray, [x, y, radius]

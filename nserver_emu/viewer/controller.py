@@ -1,14 +1,13 @@
-"""A viewer's hand: what the page does to a robot is said as a client of that robot says it, so the same rules hold.
+"""Actions of the page: carries out messages from pages on the daemon. No sockets; time is an argument.
 
-    call(name, args, then) ──> bytes ──> Session ──> answer of simulation or real robot ──> bytes ──> then(answer)
+    ViewerController.handle_message ──> action of the message ──> reply message
+    ViewerClient.call ──> bytes ──> Session ──> reply of simulation or real robot ──> bytes ──> reply message
 
-Rules: one connection a robot, made when it is first touched; it is on the recording as any client's is, and what it
-drives stops when the page is gone. Who drives by hand says so again and again: silence stops the robot. Faults on
-purpose are for lines and clients: no plan touches a hand, for what stops a robot must arrive.
-
-Takes what a page says and has it done: the one table of what `do` does. No socket; real time is handed in.
-
-Rules: whoever only looks is told so when it wants more. What goes wrong is told to who asked, and costs nobody else.
+What a page does to a robot is sent as a client of that robot would send it, so that the same rules apply: one
+connection per page and robot, opened at the first use, recorded as any client's is. Closing the page stops what it
+drives. Driving
+must be repeated in time, or the robot stops. Injected faults do not apply to these connections, since a stop must
+arrive. A viewer that may only watch gets an error for everything else.
 """
 
 from __future__ import annotations
@@ -32,11 +31,19 @@ from nserver_emu.control.commands import answer_line
 from nserver_emu.server.connection import ConnectionHandler
 from nserver_emu.server.ownership import MOTIONS
 from nserver_emu.server.session import Session
-from nserver_emu.viewer.error_boundary import Guard
-from nserver_emu.viewer.hub import Hub, Viewer
-from nserver_emu.viewer.localization import published
-from nserver_emu.viewer.messages import DEAD_MAN_S, LOOKING, VERSION, BadMessage, Message, from_page, to_page
-from nserver_emu.viewer.traffic import Listening
+from nserver_emu.viewer.broadcaster import Broadcaster, Viewer
+from nserver_emu.viewer.error_boundary import ErrorBoundary
+from nserver_emu.viewer.localization import parse_estimate
+from nserver_emu.viewer.messages import (
+    DRIVE_TIMEOUT_S,
+    VERSION,
+    WATCH_MESSAGES,
+    InvalidMessage,
+    Message,
+    encode_message,
+    parse_message,
+)
+from nserver_emu.viewer.traffic import TrafficMonitor
 
 if TYPE_CHECKING:
     from nserver_emu.server.daemon import Daemon
@@ -44,13 +51,13 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 ALWAYS_MOVE: Final = frozenset({"zr", "lp"})
-"""What moves a robot, or lets it go, without an argument."""
+"""Commands without arguments that move a robot or switch its motors off."""
 Answer = dict[str, Any]
-Then = Callable[[Answer], None]
+OnAnswer = Callable[[Answer], None]
 
 
-class Hand(ConnectionHandler):
-    """One viewer's connection to one robot."""
+class ViewerClient(ConnectionHandler):
+    """Connection of one viewer to one robot."""
 
     line = "viewer"
 
@@ -61,28 +68,27 @@ class Hand(ConnectionHandler):
         self._recorder = daemon.recorder.open(name, TCP, N150)
         self._wire_state = tcp_wire_state(N150)
         self._framer = TcpFramer(reply_bounds, wide=False)
-        self._waiting: deque[tuple[str, Then]] = deque()
+        self._waiting: deque[tuple[str, OnAnswer]] = deque()
         daemon.connections.add(self)
 
     def connect(self, robot_id: int) -> bool:
-        """Tie the hand to a robot; False where there is none of that number."""
+        """Connect to a robot; return False if there is none of that number."""
         found: list[Answer] = []
         self.call("connect_robot", [robot_id, 0], found.append)
         return bool(found and found[0]["ok"] and found[0]["values"][0])
 
-    def call(self, name: str, args: list[int], then: Then) -> None:
-        """Say a command; `then` gets the answer, at once or when it is there."""
+    def call(self, name: str, args: list[int], on_answer: OnAnswer) -> None:
+        """Make a call; `on_answer` gets the reply, now or when it arrives."""
         try:
-            request = codec.tcp_request(Call(name, tuple(args)))
+            request = codec.encode_tcp_request(Call(name, tuple(args)))
         except (NomadError, TypeError, ValueError) as error:
-            then({"ok": False, "error": f"{name}: {error}"})
+            on_answer({"ok": False, "error": f"{name}: {error}"})
             return
-        self._waiting.append((name, then))
+        self._waiting.append((name, on_answer))
         self.data_received(request)
 
     def close(self) -> None:
-        """The page is gone, or the daemon ends: what moves by this hand stops, what was asked is not answered any
-        more. Twice is fine."""
+        """Close the connection: stop what it moves, answer pending calls with an error. May be called twice."""
         if self not in self._server.connections:
             return
         self._cancel_timers()
@@ -91,26 +97,26 @@ class Hand(ConnectionHandler):
         self._recorder.close()
         self.session.closing = True
         while self._waiting:
-            name, then = self._waiting.popleft()
-            then({"ok": False, "error": f"{name}: the connection to the robot broke off"})
+            name, on_answer = self._waiting.popleft()
+            on_answer({"ok": False, "error": f"{name}: the connection to the robot was closed"})
 
     def _write(self, data: bytes) -> None:
         for frame in self._framer.receive(data):
             if not isinstance(frame, TcpFrame) or not self._waiting:
-                log.error("%s: hung up: %r answers nothing that was asked", self.session.name, frame)
+                log.error("%s: closed: %r answers no request", self.session.name, frame)
                 self.close()
                 return
-            name, then = self._waiting.popleft()
-            then(_answer(name, codec.read_tcp_reply(BY_NAME[name], frame, self._wire_state)))
+            name, on_answer = self._waiting.popleft()
+            on_answer(_answer(name, codec.decode_tcp_reply(BY_NAME[name], frame, self._wire_state)))
 
     def _install_faults(self) -> None:
-        """None here, whatever plan is in force."""
+        """Do nothing: faults do not apply here."""
 
     def _language(self) -> Language:
         return TcpLanguage(False)
 
     def _set_reading(self, on: bool) -> None:
-        """Nothing is read from anywhere: who calls is heard."""
+        """Do nothing: there is no socket to read."""
 
     def _close_port(self) -> None:
         self.close()
@@ -125,261 +131,271 @@ def _answer(name: str, reply: Reply) -> Answer:
     return {"ok": True, "values": list(reply.values)}
 
 
-class Hands:
-    """The hands of one viewer. `now` is real time in seconds, handed in."""
+class ViewerClients:
+    """Connections of one viewer, one per robot. `now` is real time in seconds."""
 
-    def __init__(self, daemon: Daemon, name: str, guard: Guard) -> None:
+    def __init__(self, daemon: Daemon, name: str, error_boundary: ErrorBoundary) -> None:
         self._daemon = daemon
-        self._guard = guard
+        self._error_boundary = error_boundary
         self.name = name
-        self._hands: dict[int, Hand] = {}
+        self._clients: dict[int, ViewerClient] = {}
         self._driven: dict[int, float] = {}
 
-    def call(self, robot_id: int, name: str, args: list[int], then: Then) -> None:
-        """Say a command to a robot."""
-        hand = self._hands.get(robot_id)
-        if hand is None or hand.session.closing:
-            hand = Hand(self._daemon, f"{self.name} on robot {robot_id}")
-            if not hand.connect(robot_id):
-                hand.close()
-                then({"ok": False, "error": f"there is no robot {robot_id}"})
+    def call(self, robot_id: int, name: str, args: list[int], on_answer: OnAnswer) -> None:
+        """Make a call to a robot."""
+        client = self._clients.get(robot_id)
+        if client is None or client.session.closing:
+            client = ViewerClient(self._daemon, f"{self.name} on robot {robot_id}")
+            if not client.connect(robot_id):
+                client.close()
+                on_answer({"ok": False, "error": f"there is no robot {robot_id}"})
                 return
-            self._hands[robot_id] = hand
+            self._clients[robot_id] = client
         self._driven.pop(robot_id, None)
         hold = self._daemon.emulator.estop.get(robot_id)
         if hold is not None and (name in ALWAYS_MOVE or (name in MOTIONS and any(args))):
             error = f"robot {robot_id} is held by {hold.by}: release it first"
-            then({"ok": False, "held": hold.by, "error": error})
+            on_answer({"ok": False, "held": hold.by, "error": error})
             return
-        hand.call(name, args, then)
+        client.call(name, args, on_answer)
 
-    def drive(self, robot_id: int, args: list[int], now: float, then: Then) -> None:
-        """Drive at these velocities, for as long as it is said again in time."""
-        self.call(robot_id, "vm", args, then)
+    def drive(self, robot_id: int, args: list[int], now: float, on_answer: OnAnswer) -> None:
+        """Drive at these velocities; the robot stops if the next call does not come within DRIVE_TIMEOUT_S."""
+        self.call(robot_id, "vm", args, on_answer)
         if any(args) and self._daemon.emulator.estop.get(robot_id) is None:
-            self._driven[robot_id] = now + DEAD_MAN_S
+            self._driven[robot_id] = now + DRIVE_TIMEOUT_S
 
-    def drives(self, robot_id: int) -> bool:
-        """Whether a robot is driven by hand now."""
+    def is_driving(self, robot_id: int) -> bool:
+        """Return True while this viewer drives the robot."""
         return robot_id in self._driven
 
     def tick(self, now: float) -> None:
-        """Real time has passed: whoever fell silent lets go."""
+        """Stop robots whose driving was not repeated in time."""
         for robot_id in [robot_id for robot_id, until in self._driven.items() if now >= until]:
-            with self._guard.over("stopping a robot", self.name):
-                self._let_go(robot_id)
+            with self._error_boundary.guard("stopping a robot", self.name):
+                self._stop_driving(robot_id)
 
     def close(self) -> None:
-        """The page is gone."""
+        """Close all connections."""
         self._driven.clear()
-        while self._hands:
-            _, hand = self._hands.popitem()
-            with self._guard.over("letting a robot go", self.name):
-                hand.close()
+        while self._clients:
+            _, client = self._clients.popitem()
+            with self._error_boundary.guard("closing a connection", self.name):
+                client.close()
 
-    def _let_go(self, robot_id: int) -> None:
-        """Stop a robot: by a word or, where that goes wrong, by hanging up, which stops what this hand moves."""
+    def _stop_driving(self, robot_id: int) -> None:
+        """Stop a robot: by st or, where that fails, by closing the connection, which stops what it moves."""
         del self._driven[robot_id]
         try:
             self.call(robot_id, "st", [], lambda _: None)
         except Exception:
-            self._hands.pop(robot_id).close()
+            self._clients.pop(robot_id).close()
             raise
 
 
-if TYPE_CHECKING:
-    from nserver_emu.server.daemon import Daemon
-
-
 STALE_S: Final = 60.0
-"""Real seconds after which an estimate is no news to a newcomer any more."""
+"""Age in real seconds from which an estimate is not shown to new pages."""
 
 
-class Desk:
-    """What all viewers share: the daemon, who looks, what was clicked, where to go."""
+class ViewerController:
+    """State that all viewers share: the daemon, open pages, requested poses, way-points."""
 
-    def __init__(self, daemon: Daemon, hub: Hub) -> None:
+    def __init__(self, daemon: Daemon, broadcaster: Broadcaster) -> None:
         self.daemon = daemon
-        self.hub = hub
-        self.guard = Guard()
-        self._asked: dict[int, int] = {}
+        self.broadcaster = broadcaster
+        self.error_boundary = ErrorBoundary()
+        self._pose_requests: dict[int, int] = {}
         self.waypoints: dict[int, list[list[float]]] = {}
         """Where each robot is to go, as set at a page."""
         self._waypoints_set: Counter[int] = Counter()
-        self._hands: dict[Viewer, Hands] = {}
+        self._clients: dict[Viewer, ViewerClients] = {}
         self._published: dict[int, tuple[float, Message]] = {}
-        self.listening = Listening(daemon.recorder, self._terms_of, lambda: daemon.emulator.simulation.time_s)
-        daemon.recorder = self.listening
+        self.traffic_monitor = TrafficMonitor(
+            daemon.recorder, self._wire_state_of, lambda: daemon.emulator.simulation.time_s
+        )
+        daemon.recorder = self.traffic_monitor
 
-    def arrive(self, now: float, *, may_act: bool, watch_token: str = "") -> Viewer:
-        """A page was opened."""
-        viewer = self.hub.join(may_act=may_act)
-        viewer.tell(to_page("hello", version=VERSION, name=viewer.name, may_act=may_act,
+    def connect_page(self, now: float, *, may_act: bool, watch_token: str = "") -> Viewer:
+        """Add a page: send it the present state, and return its viewer."""
+        viewer = self.broadcaster.join(may_act=may_act)
+        viewer.notify(encode_message("hello", version=VERSION, name=viewer.name, may_act=may_act,
                             watch_token=watch_token if may_act else None, waypoints=self.waypoints,
                             lines=dict(self.daemon.lines()) if may_act else {}))
-        viewer.tell(to_page("asked", robots=self._asked))
-        for heard, told in self._published.values():
-            if now - heard < STALE_S:
-                viewer.tell(to_page("localization", **told, age_s=round(now - heard, 1)))
-        self._hands[viewer] = Hands(self.daemon, viewer.name, self.guard)
-        self._open_clicks()
+        viewer.notify(encode_message("asked", robots=self._pose_requests))
+        for published_at, estimate in self._published.values():
+            if now - published_at < STALE_S:
+                viewer.notify(encode_message("localization", **estimate, age_s=round(now - published_at, 1)))
+        self._clients[viewer] = ViewerClients(self.daemon, viewer.name, self.error_boundary)
+        self._accept_pose_clicks()
         return viewer
 
     def leave(self, viewer: Viewer) -> None:
-        """It is gone; what it drove stops."""
-        self.hub.leave(viewer)
-        self._hands.pop(viewer).close()
-        self.listening.watched = self.hub.watch_traffic
-        self._open_clicks()
+        """Remove a page; what it drove stops."""
+        self.broadcaster.leave(viewer)
+        self._clients.pop(viewer).close()
+        self.traffic_monitor.watched = self.broadcaster.watch_traffic
+        self._accept_pose_clicks()
 
     def tick(self, now: float) -> None:
-        """Real time has passed: first of all, who drove by hand and fell silent lets go."""
-        for hands in self._hands.values():
-            hands.tick(now)
-        with self.guard.over("what programs ask for"):
-            self._tell_asked()
-        with self.guard.over("the traffic"):
-            self._tell_traffic()
+        """Stop robots whose driver is silent, then send pose requests and traffic."""
+        for clients in self._clients.values():
+            clients.tick(now)
+        with self.error_boundary.guard("pose requests"):
+            self._send_pose_requests()
+        with self.error_boundary.guard("the traffic"):
+            self._send_traffic()
 
     def close(self) -> None:
-        """Nobody looks any more."""
-        self.daemon.recorder = self.listening.inner
+        """Restore the daemon's own recorder."""
+        self.daemon.recorder = self.traffic_monitor.inner
 
-    def hear(self, viewer: Viewer, text: str, now: float) -> None:
-        """Do what a page says. Whatever goes wrong is an answer, and costs nobody else."""
+    def handle_message(self, viewer: Viewer, text: str, now: float) -> None:
+        """Carry out a message from a page; every error becomes a reply."""
         try:
-            message = from_page(text)
-        except BadMessage as error:
+            message = parse_message(text)
+        except InvalidMessage as error:
             self._refuse(viewer, error.number, str(error))
             return
         number = message.get("id")
-        if message["do"] not in LOOKING and not viewer.may_act:
+        if message["do"] not in WATCH_MESSAGES and not viewer.may_act:
             self._refuse(viewer, number, "this link only looks")
             return
 
         def failed(error: Exception) -> None:
-            self._refuse(viewer, number, f"a fault of the daemon, its log says where: {error!r}")
+            self._refuse(viewer, number, f"internal error, see the daemon's log: {error!r}")
 
-        with self.guard.over("what a page says", viewer.name, failed):
+        with self.error_boundary.guard("a message of a page", viewer.name, failed):
             try:
-                _DOES[message["do"]](self, viewer, message, now)
-            except BadMessage as error:
+                _ACTIONS[message["do"]](self, viewer, message, now)
+            except InvalidMessage as error:
                 self._refuse(viewer, number, str(error))
 
     def publish(self, text: str, now: float) -> Message:
-        """What a localizer thinks, for all to see; where it is to go. Raises BadMessage."""
-        told = published(text)
-        robot = told["robot"]
+        """Show a localizer's estimate on all pages; return the reply with the way-points.
+
+        Raises
+        ------
+        InvalidMessage
+            If the estimate is wrong or names no robot.
+        """
+        estimate = parse_estimate(text)
+        robot = estimate["robot"]
         if robot not in self.daemon.emulator.simulation.robots:
-            raise BadMessage(f"there is no robot {robot}")
-        if told.pop("began") and self.waypoints.get(robot):
+            raise InvalidMessage(f"there is no robot {robot}")
+        if estimate.pop("began") and self.waypoints.get(robot):
             self.set_waypoints(robot, [])
-        self._published[robot] = now, told
-        self.hub.tell(to_page("localization", **told, age_s=0.0))
+        self._published[robot] = now, estimate
+        self.broadcaster.notify(encode_message("localization", **estimate, age_s=0.0))
         return {"waypoints": self.waypoints.get(robot), "set": self._waypoints_set[robot]}
 
     def set_waypoints(self, robot: int, points: list[list[float]]) -> None:
-        """Somebody says where a robot is to go."""
+        """Set a robot's way-points, in inches."""
         self.waypoints[robot] = points
         self._waypoints_set[robot] += 1
-        self.hub.tell(to_page("waypoints", robot=robot, points=points))
+        self.broadcaster.notify(encode_message("waypoints", robot=robot, points=points))
 
     def others(self, viewer: Viewer, robot: int) -> list[str]:
-        """The names of the other viewers that drive a robot by hand now."""
-        return [hands.name for other, hands in self._hands.items() if other is not viewer and hands.drives(robot)]
+        """Return the names of the other viewers that drive this robot now."""
+        return [
+            clients.name
+            for other, clients in self._clients.items()
+            if other is not viewer and clients.is_driving(robot)
+        ]
 
     def robots(self, message: Message) -> list[int]:
-        """The robots that a message is about: the one it names, or all. Raises BadMessage."""
-        there, named = list(self.daemon.emulator.simulation.robots), message.get("robot")
-        if named is not None and named not in there:
-            raise BadMessage(f"there is no robot {named}; there are {', '.join(map(str, there))}")
-        return there if named is None else [named]
+        """Return the robots that a message is about: the one it names, or all. Raises InvalidMessage."""
+        robots, named = list(self.daemon.emulator.simulation.robots), message.get("robot")
+        if named is not None and named not in robots:
+            raise InvalidMessage(f"there is no robot {named}; there are {', '.join(map(str, robots))}")
+        return robots if named is None else [named]
 
-    def hands(self, viewer: Viewer) -> Hands:
-        """What this viewer does things with."""
-        return self._hands[viewer]
+    def clients(self, viewer: Viewer) -> ViewerClients:
+        """Return the connections of a viewer."""
+        return self._clients[viewer]
 
     def _refuse(self, viewer: Viewer, number: int | None, error: str) -> None:
-        viewer.tell(to_page("answer", id=number, ok=False, error=error))
+        viewer.notify(encode_message("answer", id=number, ok=False, error=error))
 
-    def _tell_asked(self) -> None:
-        asked = self.daemon.emulator.pose_requests.counts()
-        if asked != self._asked:
-            self._asked = asked
-            self.hub.tell(to_page("asked", robots=asked))
+    def _send_pose_requests(self) -> None:
+        requests = self.daemon.emulator.pose_requests.counts()
+        if requests != self._pose_requests:
+            self._pose_requests = requests
+            self.broadcaster.notify(encode_message("asked", robots=requests))
 
-    def _tell_traffic(self) -> None:
-        rows, missed, self.listening.missed = self.listening.rows(), self.listening.missed, 0
+    def _send_traffic(self) -> None:
+        recorder = self.traffic_monitor
+        rows, missed, recorder.missed = recorder.rows(), recorder.missed, 0
         if rows:
-            self.hub.tell(to_page("traffic", rows=rows, missed=missed), traffic=True)
+            self.broadcaster.notify(encode_message("traffic", rows=rows, missed=missed), traffic=True)
 
-    def _terms_of(self, name: str) -> WireState | None:
-        """What a connection has agreed, between two of its requests."""
-        for talker in self.daemon.connections:
-            session = talker.session
+    def _wire_state_of(self, name: str) -> WireState | None:
+        """Return a connection's wire state between two of its requests, else None."""
+        for connection in self.daemon.connections:
+            session = connection.session
             if session.name == name:
                 return None if session.unfinished or session.ready or session.waiting else session.context.wire_state
         return None
 
-    def _open_clicks(self) -> None:
-        self.daemon.emulator.pose_requests.open = any(viewer.may_act for viewer in self.hub.viewers)
+    def _accept_pose_clicks(self) -> None:
+        self.daemon.emulator.pose_requests.open = any(viewer.may_act for viewer in self.broadcaster.viewers)
 
 
-def _seen(_desk: Desk, viewer: Viewer, message: Message, _now: float) -> None:
-    viewer.saw(message["frame"])
+def _seen(_desk: ViewerController, viewer: Viewer, message: Message, _now: float) -> None:
+    viewer.mark_drawn(message["frame"])
 
 
-def _watch(desk: Desk, viewer: Viewer, message: Message, _now: float) -> None:
-    viewer.traffic, viewer.laser, viewer.whose_laser = message["traffic"], message["laser"], message.get("robot")
-    desk.listening.watched = desk.hub.watch_traffic
+def _watch(controller: ViewerController, viewer: Viewer, message: Message, _now: float) -> None:
+    viewer.traffic, viewer.laser, viewer.laser_robot = message["traffic"], message["laser"], message.get("robot")
+    controller.traffic_monitor.watched = controller.broadcaster.watch_traffic
 
 
-def _call(desk: Desk, viewer: Viewer, message: Message, _now: float) -> None:
-    desk.hands(viewer).call(message["robot"], message["call"], message["args"], _teller(viewer, message["id"]))
+def _call(controller: ViewerController, viewer: Viewer, message: Message, _now: float) -> None:
+    controller.clients(viewer).call(message["robot"], message["call"], message["args"], _replier(viewer, message["id"]))
 
 
-def _drive(desk: Desk, viewer: Viewer, message: Message, now: float) -> None:
-    robot, tell = message["robot"], _teller(viewer, message["id"])
-    others = desk.others(viewer, robot)
-    desk.hands(viewer).drive(robot, message["args"], now, lambda answer: tell(answer | {"others": others}))
+def _drive(controller: ViewerController, viewer: Viewer, message: Message, now: float) -> None:
+    robot, reply = message["robot"], _replier(viewer, message["id"])
+    others = controller.others(viewer, robot)
+    controller.clients(viewer).drive(robot, message["args"], now, lambda answer: reply(answer | {"others": others}))
 
 
-def _stop(desk: Desk, viewer: Viewer, message: Message, _now: float) -> None:
-    desk.daemon.hold(desk.robots(message), viewer.name)
-    _tell_held(desk, viewer, message)
+def _stop(controller: ViewerController, viewer: Viewer, message: Message, _now: float) -> None:
+    controller.daemon.hold(controller.robots(message), viewer.name)
+    _reply_held(controller, viewer, message)
 
 
-def _release(desk: Desk, viewer: Viewer, message: Message, _now: float) -> None:
-    desk.daemon.release(desk.robots(message))
-    _tell_held(desk, viewer, message)
+def _release(controller: ViewerController, viewer: Viewer, message: Message, _now: float) -> None:
+    controller.daemon.release(controller.robots(message))
+    _reply_held(controller, viewer, message)
 
 
-def _tell_held(desk: Desk, viewer: Viewer, message: Message) -> None:
-    _teller(viewer, message["id"])({"ok": True, "held": desk.daemon.emulator.estop.as_dict()})
+def _reply_held(controller: ViewerController, viewer: Viewer, message: Message) -> None:
+    _replier(viewer, message["id"])({"ok": True, "held": controller.daemon.emulator.estop.as_dict()})
 
 
-def _control(desk: Desk, viewer: Viewer, message: Message, _now: float) -> None:
+def _control(controller: ViewerController, viewer: Viewer, message: Message, _now: float) -> None:
     request = json.dumps({"command": message["command"], "argument": message.get("argument")})
-    answer: dict[str, Any] = json.loads(answer_line(desk.daemon, request.encode()))
-    _teller(viewer, message["id"])(answer)
+    answer: dict[str, Any] = json.loads(answer_line(controller.daemon, request.encode()))
+    _replier(viewer, message["id"])(answer)
 
 
-def _click(desk: Desk, viewer: Viewer, message: Message, _now: float) -> None:
+def _click(controller: ViewerController, viewer: Viewer, message: Message, _now: float) -> None:
     x, y, steer, turret = message["pose"]
-    if not desk.daemon.emulator.pose_requests.answer(message["robot"], (x, y, steer, turret)):
-        viewer.tell(to_page("answer", id=None, ok=False, error=f"nobody asks for a pose of robot {message['robot']}"))
+    if not controller.daemon.emulator.pose_requests.answer(message["robot"], (x, y, steer, turret)):
+        error = f"no client asks for a pose of robot {message['robot']}"
+        viewer.notify(encode_message("answer", id=None, ok=False, error=error))
 
 
-def _waypoints(desk: Desk, _viewer: Viewer, message: Message, _now: float) -> None:
-    desk.set_waypoints(message["robot"], message["points"])
+def _waypoints(controller: ViewerController, _viewer: Viewer, message: Message, _now: float) -> None:
+    controller.set_waypoints(message["robot"], message["points"])
 
 
-def _teller(viewer: Viewer, number: int) -> Callable[[Answer], None]:
-    """Who tells the viewer the answer to what it asked under this number."""
-    return lambda answer: viewer.tell(to_page("answer", id=number, **answer))
+def _replier(viewer: Viewer, number: int) -> Callable[[Answer], None]:
+    """Return a function that sends a viewer the reply to its message of this number."""
+    return lambda answer: viewer.notify(encode_message("answer", id=number, **answer))
 
 
-_DOES: Final[dict[str, Callable[[Desk, Viewer, Message, float], None]]] = {
+_ACTIONS: Final[dict[str, Callable[[ViewerController, Viewer, Message, float], None]]] = {
     "seen": _seen, "watch": _watch, "call": _call, "drive": _drive, "stop": _stop, "release": _release,
     "control": _control, "click": _click, "waypoints": _waypoints,
 }  # fmt: skip

@@ -1,7 +1,7 @@
-"""Keeps what goes wrong for one viewer from the others: logged with where it came from, and all goes on.
+"""Isolation of viewers: an exception that concerns one viewer is logged, and all others continue.
 
-Rules: this is the page's outermost edge, the only place where any exception is taken. The same kind of fault at the
-same place is logged once, and then counted: twenty pictures a second would fill a disk.
+This is the outermost edge of the page's server, and the only place that catches every exception. Repeated errors of one
+kind in one place are logged once and then counted, since twenty pictures a second would fill a disk.
 """
 
 from __future__ import annotations
@@ -14,39 +14,43 @@ from types import TracebackType
 
 log = logging.getLogger(__name__)
 
-Then = Callable[[Exception], None]
+OnError = Callable[[Exception], None]
 
 
 @dataclass(slots=True)
-class Guard:
-    """See the head of this file."""
+class ErrorBoundary:
+    """Catches, logs and counts exceptions; `counts` by place and exception type."""
 
-    faults: Counter[tuple[str, type[Exception]]] = field(default_factory=Counter)
+    counts: Counter[tuple[str, type[Exception]]] = field(default_factory=Counter)
 
-    def over(self, what: str, who: str = "", then: Then = lambda _: None) -> Guarded:
-        """Whatever goes wrong in here ends only what is in here, and `then` is told.
+    def guard(self, place: str, viewer: str = "", on_error: OnError = lambda _: None) -> GuardedBlock:
+        """Return a context manager that catches the exceptions of its block and passes them to `on_error`.
 
-        what    the place        who    for whom, in the log
+        Parameters
+        ----------
+        place : what the block does, for the log.
+        viewer : name of the viewer that it concerns, for the log.
+        on_error : called with the exception.
         """
-        return Guarded(self, what, who, then)
+        return GuardedBlock(self, place, viewer, on_error)
 
-    def note(self, what: str, who: str, error: Exception) -> None:
-        """This went wrong there."""
-        kind = what, type(error)
-        self.faults[kind] += 1
-        if self.faults[kind] == 1:
-            whose = f" of {who}" if who else ""
-            log.error("page: %s%s: a fault of ours, all else goes on (logged once)", what, whose, exc_info=error)
+    def record(self, place: str, viewer: str, error: Exception) -> None:
+        """Count an exception; log it if it is the first of its kind in this place."""
+        kind = place, type(error)
+        self.counts[kind] += 1
+        if self.counts[kind] == 1:
+            suffix = f" of {viewer}" if viewer else ""
+            log.error("page: %s%s: internal error, all else goes on (logged once)", place, suffix, exc_info=error)
 
 
 @dataclass(slots=True)
-class Guarded:
-    """What `over` gives to a `with`: no generator, since every page passes here twenty times a second."""
+class GuardedBlock:
+    """Context manager of ErrorBoundary.guard; a generator would be slow, twenty times a second per page."""
 
-    guard: Guard
-    what: str
-    who: str
-    then: Then
+    boundary: ErrorBoundary
+    place: str
+    viewer: str
+    on_error: OnError
 
     def __enter__(self) -> None:
         pass
@@ -54,6 +58,6 @@ class Guarded:
     def __exit__(self, _kind: object, error: BaseException | None, _trace: TracebackType | None) -> bool:
         if not isinstance(error, Exception):
             return False
-        self.guard.note(self.what, self.who, error)
-        self.then(error)
+        self.boundary.record(self.place, self.viewer, error)
+        self.on_error(error)
         return True

@@ -1,31 +1,31 @@
-"""What page and daemon say to each other over the websocket: JSON objects, one a message. Pure.
+"""Messages between page and daemon over the websocket: JSON objects, one per message.
 
 to the page, by `type`
-    hello        version, name (of this viewer), may_act, watch_token (of a link that only looks; None for who only
-                 looks), waypoints (points by robot), lines (where each is reached, by name; none for who only looks)
-    picture      picture.py
-    traffic      rows of what clients said and were answered (traffic.py), missed: how many were left out
-    localization what a localizer published last (localization.py), and how long ago: age_s
-    asked        robots: at which robots clients wait for a click of a pose (get_robot_conf), and how many
-    waypoints    robot, points: somebody set them
-    missed       count: of other news, left out since the viewer was too slow
-    answer       id, ok, and what was said: values, slots, or error; of a drive, others: who else drives the robot; of
-                 stop and release, held: {robot: {"by", "ignored"} ...} of all that are held then
+    hello        version, name (of this viewer), may_act, watch_token (of a link that may only watch; null for viewers
+                 that may only watch), waypoints (points by robot), lines (addresses by name; none for watchers)
+    picture      the scene or its changes (scene.py)
+    traffic      rows of requests and replies (traffic.py), missed: number of frames left out
+    localization the latest published estimate (localization.py), and its age: age_s
+    asked        robots: number of clients that wait for a click of a pose (get_robot_conf), by robot
+    waypoints    robot, points: new way-points
+    missed       count: other messages that were dropped since the viewer was too slow
+    answer       id, ok, and the result: values, slots, or error; of drive, others: the other viewers that drive the
+                 robot; of stop and release, held: {robot: {"by", "ignored"} ...} of all robots that are held
 
 from the page, by `do`
     seen         frame: the picture that was drawn last
-    watch        traffic, laser: whether it wants them; robot: whose laser (left out: every robot's)
-    call         id, robot, call (C name), args (wire units): what a client of that robot could say
-    drive        id, robot, args: a vm that ends by itself when the next does not come within DEAD_MAN_S
-    stop         id, robot (left out: every robot): it stands, and nobody moves it until it is released, programs, other
-                 viewers and the page itself (server/ownership.py)
-    release      id, robot (left out: every robot): it may be moved again, and is as soon as a program says so
-    control      id, command, argument: time, faults, noise, world (control.py)
+    watch        traffic, laser: whether it wants them; robot: the robot whose laser (left out: all)
+    call         id, robot, call (C name), args (wire units): a client's call to that robot
+    drive        id, robot, args: a vm that ends by itself unless the next comes within DRIVE_TIMEOUT_S
+    stop         id, robot (left out: all): stop it, and refuse motions until it is released, from programs, other
+                 viewers and this page (server/ownership.py)
+    release      id, robot (left out: all): allow motions again
+    control      id, command, argument: time, faults, noise, world (control/commands.py)
     click        robot, pose: x, y, steer, turret in tenths
-    waypoints    robot, points: [[x_in, y_in] ...] for who localizes it
+    waypoints    robot, points: [[x_in, y_in] ...] for its localizer
 
-Rules: whatever is not as here raises BadMessage, which says what would be right, and to which id. A viewer that only
-looks may say seen and watch.
+A message of any other form raises InvalidMessage, which names the correct form. A viewer that may only watch may send
+seen and watch.
 """
 
 from __future__ import annotations
@@ -35,18 +35,18 @@ from collections.abc import Callable
 from typing import Any, Final
 
 VERSION: Final = 4
-MOST_TEXT: Final = 2_000_000
+MAX_TEXT: Final = 2_000_000
 """Characters of a message from the page; a plan of faults is the longest."""
-MOST_ARGS: Final = 64
+MAX_ARGS: Final = 64
 MAX_POINTS: Final = 200
-MAX_EXPORTED_WORLDS: Final = 60
-"""Characters that a complaint repeats."""
-FARTHEST: Final = 1e9
-"""No number is farther from 0: inches, radians, seconds, and what is made of them."""
-DEEPEST: Final = 3
-"""Brackets in brackets in an argument: the corners of an obstacle."""
-DEAD_MAN_S: Final = 0.5
-"""Real seconds without a word from whoever drives by hand, after which the robot stops."""
+MAX_SHOWN: Final = 60
+"""Characters of a wrong value that an error message shows."""
+MAX_NUMBER: Final = 1e9
+"""Largest absolute value of any number: inches, radians, seconds."""
+MAX_DEPTH: Final = 3
+"""Nesting of an argument: the corners of an obstacle."""
+DRIVE_TIMEOUT_S: Final = 0.5
+"""Real seconds without a repeated drive message after which the robot stops."""
 CALLS: Final = frozenset({
     "st", "lp", "zr", "vm", "pr", "dp", "da", "conf_tm", "conf_sn", "place_robot", "add_obstacle", "delete_obstacle",
     "move_obstacle", "new_world", "refresh_all", "create_robot",
@@ -55,47 +55,47 @@ CONTROLS: Final = frozenset({
     "status", "pause", "resume", "speed", "step", "faults show", "faults set", "faults clear", "faults counts", "noise",
     "world show", "world set", "obstacle",
 })  # fmt: skip
-"""What the owner may do at the page: all of control.py but what writes files."""
-LOOKING: Final = frozenset({"seen", "watch"})
+"""Control commands of the page: all but those that write files."""
+WATCH_MESSAGES: Final = frozenset({"seen", "watch"})
 _COMPACT: Final = json.JSONEncoder(separators=(",", ":"))
 Message = dict[str, Any]
 
 
-class BadMessage(ValueError):
-    """A message that is none of those above; `number`: the id it gave itself, if it did."""
+class InvalidMessage(ValueError):
+    """A message of a wrong form; `number` is its id, if it has one."""
 
     def __init__(self, text: str, number: int | None = None) -> None:
         super().__init__(text)
         self.number = number
 
 
-def from_page(text: str) -> Message:
-    """The message in a text, checked. Raises BadMessage."""
-    if len(text) > MOST_TEXT:
-        raise BadMessage(f"a message is at most {MOST_TEXT} characters")
+def parse_message(text: str) -> Message:
+    """Parse and check a message from the page. Raises InvalidMessage."""
+    if len(text) > MAX_TEXT:
+        raise InvalidMessage(f"a message is at most {MAX_TEXT} characters")
     try:
-        said = json.loads(text)
+        raw = json.loads(text)
     except (ValueError, RecursionError):
-        raise BadMessage("a message is a JSON object") from None
-    kind = said.get("do") if isinstance(said, dict) else None
+        raise InvalidMessage("a message is a JSON object") from None
+    kind = raw.get("do") if isinstance(raw, dict) else None
     row = FIELDS.get(kind) if isinstance(kind, str) else None
-    number = said.get("id") if isinstance(said, dict) and _is_id(said.get("id")) else None
+    number = raw.get("id") if isinstance(raw, dict) and _is_id(raw.get("id")) else None
     if row is None:
-        raise BadMessage(f"do is one of {', '.join(FIELDS)}, not {_short(kind)}", number)
-    for name, (right, wanted) in row.items():
-        if not right(said.get(name)):
-            raise BadMessage(f"{kind}: {name} is {wanted}, not {_short(said.get(name))}", number)
-    return {"do": kind} | {name: said[name] for name in row if name in said}
+        raise InvalidMessage(f"do is one of {', '.join(FIELDS)}, not {_short(kind)}", number)
+    for name, (is_valid, expected) in row.items():
+        if not is_valid(raw.get(name)):
+            raise InvalidMessage(f"{kind}: {name} is {expected}, not {_short(raw.get(name))}", number)
+    return {"do": kind} | {name: raw[name] for name in row if name in raw}
 
 
-def to_page(kind: str, **fields: Any) -> str:
-    """A message to the page."""
+def encode_message(kind: str, **fields: Any) -> str:
+    """Encode a message to the page."""
     return _COMPACT.encode({"type": kind} | fields)
 
 
 def _short(value: object) -> str:
     shown = json.dumps(value)
-    return shown if len(shown) <= MAX_EXPORTED_WORLDS else f"{shown[:MAX_EXPORTED_WORLDS]}..."
+    return shown if len(shown) <= MAX_SHOWN else f"{shown[:MAX_SHOWN]}..."
 
 
 def _is_int(value: object) -> bool:
@@ -108,7 +108,7 @@ def _is_id(value: object) -> bool:
 
 def _are_ints(value: object, count: int | None = None) -> bool:
     return (
-        isinstance(value, list) and len(value) <= MOST_ARGS and all(map(_is_int, value))
+        isinstance(value, list) and len(value) <= MAX_ARGS and all(map(_is_int, value))
         and (count is None or len(value) == count)
     )  # fmt: skip
 
@@ -122,18 +122,18 @@ def _is_point(value: object) -> bool:
 
 
 def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and -FARTHEST <= value <= FARTHEST
+    return isinstance(value, int | float) and not isinstance(value, bool) and -MAX_NUMBER <= value <= MAX_NUMBER
 
 
 def _is_argument(value: object) -> bool:
-    return not isinstance(value, list | bool) and _is_plain(value, DEEPEST)
+    return not isinstance(value, list | bool) and _is_plain(value, MAX_DEPTH)
 
 
-def _is_plain(value: object, deep: int) -> bool:
-    """Whether no number in it is too far, and it is nested no deeper than that."""
+def _is_plain(value: object, depth: int) -> bool:
+    """Return True if a value is plain JSON with numbers in range and at most this nesting."""
     if isinstance(value, list | dict):
-        held = value.values() if isinstance(value, dict) else value
-        return deep > 0 and all(_is_plain(each, deep - 1) for each in held)
+        items = value.values() if isinstance(value, dict) else value
+        return depth > 0 and all(_is_plain(item, depth - 1) for item in items)
     return value is None or isinstance(value, str | bool) or _is_number(value)
 
 
@@ -143,7 +143,7 @@ _ROBOT_OR_ALL: Final[Field] = (
     lambda value: value is None or _is_id(value), "the number of a robot, or left out for every robot"
 )
 _FLAG: Final[Field] = (lambda value: isinstance(value, bool), "true or false")
-_ARGS: Final[Field] = (_are_ints, f"a list of at most {MOST_ARGS} whole numbers of 32 bits")
+_ARGS: Final[Field] = (_are_ints, f"a list of at most {MAX_ARGS} whole numbers of 32 bits")
 FIELDS: Final[dict[str, dict[str, Field]]] = {
     "seen": {"frame": _ID},
     "watch": {"traffic": _FLAG, "laser": _FLAG, "robot": _ROBOT_OR_ALL},
@@ -163,4 +163,4 @@ FIELDS: Final[dict[str, dict[str, Field]]] = {
     "click": {"robot": _ID, "pose": (lambda value: _are_ints(value, 4), "x, y, steer and turret in whole tenths")},
     "waypoints": {"robot": _ID, "points": (_are_points, f"a list of at most {MAX_POINTS} points [x, y] in inches")},
 }  # fmt: skip
-"""Every message from the page: its fields, whether a value is right, and what would be."""
+"""All messages from the page: for each field a check and a description of correct values."""

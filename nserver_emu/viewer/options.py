@@ -1,4 +1,4 @@
-"""The options of `nserver` for its page. aiohttp is the extra `viewer`, asked for only here.
+"""Options of `nserver` for its page, and the check for aiohttp, which the extra `viewer` installs.
 
     --viewer [[HOST:]PORT]    --viewer-token-file FILE
 """
@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from nclient.errors import ExtraMissing, NomadError
-from nserver_emu.viewer.auth import tokens_of
+from nserver_emu.viewer.auth import load_tokens
 
 if TYPE_CHECKING:
     from nserver_emu.server.daemon import Daemon
@@ -22,40 +22,43 @@ DEFAULT_PORT: Final = 7080
 LOOPBACK: Final = "127.0.0.1"
 
 
-class Place(NamedTuple):
-    """Where the page is served."""
+class ListenAddress(NamedTuple):
+    """Address on which the page is served."""
 
     host: str = LOOPBACK
     port: int = DEFAULT_PORT
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """The options of this room."""
+    """Add the page's options, in a group of their own."""
     group = parser.add_argument_group("page")
-    group.add_argument("--viewer", type=_place, nargs="?", const=Place(), metavar="PORT",
-                       help=f"show the windows on a page for the browser, at its address with a token on stdout "
-                       f"(default port {DEFAULT_PORT}, 0 takes a free one; on loopback unless HOST:PORT says else; "
+    group.add_argument("--viewer", type=_listen_address, nargs="?", const=ListenAddress(), metavar="PORT",
+                       help=f"serve the page for the browser; its address with a token is printed on stdout "
+                       f"(default port {DEFAULT_PORT}, 0 takes a free one; on loopback unless HOST is given; "
                        "needs the extra viewer; the world goes before --viewer)")
     group.add_argument("--viewer-token-file", type=Path, metavar="FILE",
-                       help="keep the page's tokens in a file that only you may read, so that its address stays the "
-                       "same over restarts (made where there is none)")
+                       help="store the page's tokens in a file that only you may read, so that its address stays the "
+                       "same over restarts (created where it is missing)")
 
 
 def refuse(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
-    """Options that do not go together are wrong usage."""
+    """Report options that exclude each other as wrong usage."""
     if options.viewer_token_file is not None and options.viewer is None:
         parser.error("--viewer-token-file is for the page: give --viewer too")
 
 
 class ViewerMissing(ExtraMissing):
-    """The page was asked for and aiohttp is not installed; the message names the extra."""
+    """The page was requested and aiohttp is not installed; the message names the extra."""
 
 
 @asynccontextmanager
-async def viewed(daemon: Daemon, options: argparse.Namespace) -> AsyncIterator[list[str]]:
-    """The page as the options say, while it lasts; what to print of it.
+async def running_viewer(daemon: Daemon, options: argparse.Namespace) -> AsyncIterator[list[str]]:
+    """Serve the page as the options require; yield the lines to print.
 
-    Raises ViewerMissing, TokenFileError or ConnectionLost, naming the remedy; the daemon is then closed.
+    Raises
+    ------
+    ViewerMissing, TokenFileError, ConnectionLost
+        With a remedy; the daemon is closed before.
     """
     if options.viewer is None:
         yield []
@@ -63,12 +66,12 @@ async def viewed(daemon: Daemon, options: argparse.Namespace) -> AsyncIterator[l
     async with AsyncExitStack() as open_page:
         try:
             require_aiohttp()
-            from nserver_emu.viewer.server import served
+            from nserver_emu.viewer.server import serve_viewer
 
-            kept = options.viewer_token_file
-            tokens = None if kept is None else tokens_of(kept)
+            token_file = options.viewer_token_file
+            tokens = None if token_file is None else load_tokens(token_file)
             host, port = options.viewer
-            lines = await open_page.enter_async_context(served(daemon, host, port, tokens))
+            lines = await open_page.enter_async_context(serve_viewer(daemon, host, port, tokens))
         except NomadError:
             await daemon.close()
             raise
@@ -76,14 +79,14 @@ async def viewed(daemon: Daemon, options: argparse.Namespace) -> AsyncIterator[l
 
 
 def require_aiohttp() -> None:
-    """Raises ViewerMissing where the page cannot be served for want of aiohttp."""
+    """Raise ViewerMissing if aiohttp is not installed."""
     if importlib.util.find_spec("aiohttp") is None:
         raise ViewerMissing("--viewer needs aiohttp: pip install 'nomad-nserver[viewer]'")
 
 
-def _place(text: str) -> Place:
+def _listen_address(text: str) -> ListenAddress:
     host, _, port = text.rpartition(":")
     if not port.isdecimal() or int(port) > 65535:
         raise argparse.ArgumentTypeError(f"a port is 0 to 65535, or HOST:PORT, not {text!r}; "
                                          "the world goes before --viewer")
-    return Place(host.strip("[]") or LOOPBACK, int(port))
+    return ListenAddress(host.strip("[]") or LOOPBACK, int(port))

@@ -1,12 +1,12 @@
-"""What clients say and are answered, for who watches: a recorder that listens in before it hands on to the real one.
+"""Traffic for the page: a recorder that decodes the frames of all connections and passes them to the real recorder.
 
     row     {"time_s": simulated, "who": connection, "to": "robot" | "host", "what": C name or kind of reply,
-             "of": C name of what is asked or answered, "text": in words, "hex": the bytes it came in, "size": how many,
-             "parts": of a request, [["code", its number], [name, value] ...]; of a reply, which has no code, none}
+             "of": C name of the request that this is or answers, "text": readable form, "hex": its bytes, "size": how
+             many, "parts": of a request [["code", its number], [name, value] ...], of a reply []}
 
-Rules: while nobody watches, nothing is decoded. A connection is taken up between two requests, on the terms that its
-session has come to by then. No more than MOST_ROWS are told a picture: what is beyond is counted, and the
-connection taken up anew with the next.
+Nothing is decoded while no page watches. Decoding of a connection starts between two requests, from the wire state of
+its session. At most MAX_ROWS rows are sent with a picture: further ones are counted, and decoding of the connection
+starts again with the next picture.
 """
 
 from __future__ import annotations
@@ -18,143 +18,156 @@ from typing import Any, Final
 from nclient.protocol.commands import BY_NAME
 from nclient.protocol.types import Model
 from nclient.protocol.wire_state import WireState
-from nclient.recording.readable import told
+from nclient.recording.format import format_frame
 from nclient.recording.recorder import (
     HANDSHAKE_FIRST,
     SERIAL,
     TCP,
-    AnyRecorder,
     ConnectionRecorder,
     Decoded,
     FrameDecoder,
+    TrafficRecorder,
 )
 
-MOST_ROWS: Final = 40
-MOST_ASKED: Final = 64
-"""Requests of a connection that are remembered until they are answered."""
-GREETING: Final = "hello"
-"""The reply that nobody asked for, when a robot's own line begins."""
-MOST_HEX: Final = 512
+MAX_ROWS: Final = 40
+MAX_PENDING: Final = 64
+"""Requests of a connection that wait for their reply."""
+HANDSHAKE: Final = "hello"
+"""The unrequested reply with which a robot's own line begins."""
+MAX_HEX: Final = 512
 """Bytes of a row that are shown."""
-TermsOf = Callable[[str], WireState | None]
-"""The terms of the connection of that name; None: it is in the middle of a request, or unknown."""
+WireStateOf = Callable[[str], WireState | None]
+"""Maps the name of a connection to its wire state; None within a request, or for an unknown connection."""
 Row = dict[str, Any]
 
 
-class Listening:
-    """See the head of this file. `watched`: whether anybody looks; `time_s`: simulated time."""
+class TrafficMonitor:
+    """Recorder that makes rows for the page.
 
-    def __init__(self, inner: AnyRecorder, wire_state_of: TermsOf, time_s: Callable[[], float]) -> None:
+    Parameters
+    ----------
+    inner : the recorder to which everything is passed on.
+    wire_state_of : wire states of connections by name.
+    time_s : returns simulated time.
+    """
+
+    def __init__(self, inner: TrafficRecorder, wire_state_of: WireStateOf, time_s: Callable[[], float]) -> None:
         self.inner = inner
         self.watched = False
+        """True while a page watches."""
         self.missed = 0
+        """Frames that were not decoded since the last rows."""
         self.wire_state_of = wire_state_of
         self._time_s = time_s
         self._rows: list[Row] = []
 
     def rows(self) -> list[Row]:
-        """What was said since this was asked last."""
+        """Return the rows since the last call."""
         rows, self._rows = self._rows, []
         return rows
 
     def open(self, name: str, line: str, model: Model, robot_id: int | None = None) -> ConnectionRecorder:
-        """A tape that listens, before the real one's."""
-        return _Ear(self, name, line, model, self.inner.open(name, line, model, robot_id))
+        """Return the recorder of a connection."""
+        return _ConnectionTraffic(self, name, line, model, self.inner.open(name, line, model, robot_id))
 
-    def stepped(self, dt_s: float) -> None:
-        """Handed on."""
-        self.inner.stepped(dt_s)
+    def record_step(self, dt_s: float) -> None:
+        """Pass on a step of simulated time."""
+        self.inner.record_step(dt_s)
 
-    def paced(self, factor: float | None, paused: bool) -> None:
-        """Handed on."""
-        self.inner.paced(factor, paused)
+    def record_pace(self, factor: float | None, paused: bool) -> None:
+        """Pass on a change of pace."""
+        self.inner.record_pace(factor, paused)
 
-    def changed(self, what: Mapping[str, Any]) -> None:
-        """Handed on."""
-        self.inner.changed(what)
+    def record_change(self, what: Mapping[str, Any]) -> None:
+        """Pass on a change of the simulation."""
+        self.inner.record_change(what)
 
     def close(self) -> None:
-        """Handed on."""
+        """Close the inner recorder."""
         self.inner.close()
 
     @property
-    def full(self) -> bool:
-        """Whether no more rows are told until somebody has fetched those there are."""
-        return len(self._rows) >= MOST_ROWS
+    def is_full(self) -> bool:
+        """True if no more rows are made until the present ones have been fetched."""
+        return len(self._rows) >= MAX_ROWS
 
-    def note(self, who: str, to: str, data: bytes, found: list[Decoded], asked: deque[str], line: str) -> None:
-        """These frames went by; `asked`: what is not answered yet; `line`: how they went."""
-        for frame in found:
+    def add(self, name: str, to: str, data: bytes, frames: list[Decoded], pending: deque[str], line: str) -> None:
+        """Add the rows of decoded frames; `pending` has the connection's requests that wait for a reply."""
+        for frame in frames:
             self._rows.append({
-                "time_s": round(self._time_s(), 3), "who": who, "to": to,
-                "what": frame.get("call") or frame.get("reply") or "error", "of": _of(frame, asked),
-                "text": told(frame),
-                "hex": data[:MOST_HEX].hex(" "), "size": len(data), "parts": parts(frame, line),
+                "time_s": round(self._time_s(), 3), "who": name, "to": to,
+                "what": frame.get("call") or frame.get("reply") or "error", "of": _command_of(frame, pending),
+                "text": format_frame(frame),
+                "hex": data[:MAX_HEX].hex(" "), "size": len(data), "parts": parts(frame, line),
             })  # fmt: skip
 
 
-def _of(frame: Decoded, asked: deque[str]) -> str:
-    """The command that a frame is, or that it answers: answers come in the order of what was asked."""
+def _command_of(frame: Decoded, pending: deque[str]) -> str:
+    """Return the command that a frame is or answers; replies come in the order of the requests."""
     name: str = frame.get("call", "")
     if name and BY_NAME[name].has_tcp_reply:
-        asked.append(name)
-    return name or (asked.popleft() if "reply" in frame and frame["reply"] != GREETING and asked else "")
+        pending.append(name)
+    return name or (pending.popleft() if "reply" in frame and frame["reply"] != HANDSHAKE and pending else "")
 
 
 def parts(frame: Decoded, line: str) -> list[list[Any]]:
-    """The code of a request and its arguments, by name; those that vary in number are numbered from 1."""
+    """Return a request's code and its arguments by name; arguments of variable number are numbered from 1."""
     if "call" not in frame:
         return []
     row = BY_NAME[frame["call"]]
     names = [argument.name for argument in row.arguments]
-    beside: list[list[Any]] = []
-    if row.beside is not None:
-        name, place = row.beside
-        del names[place]
-        beside = [[name, frame[name]]] if name in frame else []
+    extra: list[list[Any]] = []
+    if row.extra_arguments is not None:
+        name, position = row.extra_arguments
+        del names[position]
+        extra = [[name, frame[name]]] if name in frame else []
     args = frame["args"]
     names = names[: len(args)] + [str(k + 1) for k in range(len(args) - len(names))]
     code = row.tcp_type if line == TCP else row.line_type
-    return [["code", code], *beside, *map(list, zip(names, args, strict=True))]
+    return [["code", code], *extra, *map(list, zip(names, args, strict=True))]
 
 
-class _Ear:
-    """The tape of one connection."""
+class _ConnectionTraffic:
+    """Recorder of one connection."""
 
-    def __init__(self, listening: Listening, name: str, line: str, model: Model, inner: ConnectionRecorder) -> None:
-        self._listening, self._inner = listening, inner
+    def __init__(
+        self, traffic: TrafficMonitor, name: str, line: str, model: Model, inner: ConnectionRecorder
+    ) -> None:
+        self._traffic, self._inner = traffic, inner
         self._name, self._line, self._model = name, line, model
-        self._follower: FrameDecoder | None = FrameDecoder(line, model)
-        self._asked: deque[str] = deque(maxlen=MOST_ASKED)
+        self._decoder: FrameDecoder | None = FrameDecoder(line, model)
+        self._pending: deque[str] = deque(maxlen=MAX_PENDING)
 
     def to_robot(self, data: bytes) -> None:
+        """Record a request."""
         self._inner.to_robot(data)
-        if self._hears():
-            if self._follower is None:
-                self._take_up()
-            if self._follower is not None:
-                self._listening.note(self._name, "robot", data, self._follower.to_robot(data), self._asked,
-                                     self._line)
+        if self._is_watched():
+            if self._decoder is None:
+                self._start_decoding()
+            if self._decoder is not None:
+                self._traffic.add(self._name, "robot", data, self._decoder.to_robot(data), self._pending, self._line)
 
     def to_host(self, data: bytes, by_time: bool = False) -> None:
+        """Record a reply."""
         self._inner.to_host(data, by_time)
-        if self._hears() and self._follower is not None:
-            self._listening.note(self._name, "host", data, self._follower.to_host(data), self._asked, self._line)
+        if self._is_watched() and self._decoder is not None:
+            self._traffic.add(self._name, "host", data, self._decoder.to_host(data), self._pending, self._line)
 
     def close(self) -> None:
+        """Close the inner recorder."""
         self._inner.close()
 
-    def _hears(self) -> bool:
-        if self._listening.watched and not self._listening.full:
+    def _is_watched(self) -> bool:
+        if self._traffic.watched and not self._traffic.is_full:
             return True
-        self._listening.missed += self._listening.watched
-        self._follower = None
-        self._asked.clear()
+        self._traffic.missed += self._traffic.watched
+        self._decoder = None
+        self._pending.clear()
         return False
 
-    def _take_up(self) -> None:
-        wire_state = self._listening.wire_state_of(self._name)
+    def _start_decoding(self) -> None:
+        wire_state = self._traffic.wire_state_of(self._name)
         if wire_state is None:
             return
-        self._follower = FrameDecoder(SERIAL if self._line == HANDSHAKE_FIRST else self._line, self._model)
-        self._follower.take_up(wire_state)
+        self._decoder = FrameDecoder(SERIAL if self._line == HANDSHAKE_FIRST else self._line, self._model)
+        self._decoder.resume(wire_state)

@@ -22,7 +22,7 @@ def test_percentile_equals_numpy() -> None:
     assert load.p99(trips) == pytest.approx(np.percentile(trips, 99, method="weibull"))
 
 
-def test_latency_counts_from_due_time() -> None:
+async def test_latency_counts_from_due_time() -> None:
     """A server that delays one reply by 0.35 s is also late for the replies due meanwhile."""
 
     async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -34,15 +34,11 @@ def test_latency_counts_from_due_time() -> None:
             writer.write(bytes(load.REPLY_SIZE))
         writer.close()
 
-    async def scenario() -> list[float]:
-        server = await asyncio.start_server(serve, load.HOST, 0)
-        async with server:
-            now = asyncio.get_running_loop().time()
-            client = await load.connected(server.sockets[0].getsockname()[1])
-            trips: list[float] = await load.asking(client, now + 0.05, now + 1.0)
-        return trips
-
-    trips = asyncio.run(scenario())
+    server = await asyncio.start_server(serve, load.HOST, 0)
+    async with server:
+        now = asyncio.get_running_loop().time()
+        client = await load.connected(server.sockets[0].getsockname()[1])
+        trips: list[float] = await load.asking(client, now + 0.05, now + 1.0)
     assert len(trips) == 10
     assert [trip >= 0.35 - 0.1 * late for late, trip in enumerate(trips[3:6])] == [True] * 3
 

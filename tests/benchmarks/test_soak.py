@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 import soak
-from soak_verdict import POOL, Finding, Sample, ended, verdict, visited
-from soak_visitors import KINDS, House
+from soak_clients import KINDS, Target
+from soak_verdict import POOL, Finding, Sample, check_activity, check_end, check_samples
 
 GOOD = [
     Sample(real_s=float(hour), simulated_s=3600.0 * hour, steps=36000 * hour, rss_kib=rss, descriptors=9, threads=2,
@@ -18,12 +18,12 @@ GOOD = [
 
 
 def broken(found: list[Finding]) -> list[str]:
-    return [finding.what.split(",")[0] for finding in found if not finding.kept]
+    return [finding.what.split(",")[0] for finding in found if not finding.is_met]
 
 
 def test_good_run() -> None:
-    assert broken(verdict(GOOD, 3)) == []
-    assert verdict(GOOD, 3)[1].value == pytest.approx(4.9)
+    assert broken(check_samples(GOOD, 3)) == []
+    assert check_samples(GOOD, 3)[1].value == pytest.approx(4.9)
 
 
 @pytest.mark.parametrize(("where", "change", "what"), [
@@ -37,38 +37,38 @@ def test_good_run() -> None:
 def test_broken_bounds_are_reported(where: int, change: dict[str, Any], what: str) -> None:
     samples = [*GOOD]
     samples[where] = replace(samples[where], **change)
-    assert broken(verdict(samples, 3)) == [what]
+    assert broken(check_samples(samples, 3)) == [what]
 
 
 def test_incomplete_run() -> None:
-    assert broken(verdict(GOOD, 4)) == ["simulated hours"]
+    assert broken(check_samples(GOOD, 4)) == ["simulated hours"]
 
 
 def test_run_without_activity_fails() -> None:
-    assert broken(visited({"a": 3, "b": 1}, 1, ["a", "b"])) == []
-    assert broken(visited({"a": 3}, 0, ["a", "b"])) == ["visits", "faults that struck"]
+    assert broken(check_activity({"a": 3, "b": 1}, 1, ["a", "b"])) == []
+    assert broken(check_activity({"a": 3}, 0, ["a", "b"])) == ["sessions", "injected faults"]
 
 
 def test_exit_codes() -> None:
-    assert broken(ended(0, 0)) == []
-    assert broken(ended(-9, 1)) == ["exit code", "faults of its own"]
+    assert broken(check_end(0, 0)) == []
+    assert broken(check_end(-9, 1)) == ["exit code", "internal errors"]
 
 
 def test_wrong_number_is_reported_and_sets_exit_code(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    house = House(0, 0, "", "", "")
+    target = Target(0, 0, "", "", "")
     for is_kept in (True, False):
         found = [Finding("tasks left over", 0 if is_kept else 2, "0", is_kept)]
-        monkeypatch.setattr(soak, "run", lambda *_, findings=found: (GOOD, house, findings))
+        monkeypatch.setattr(soak, "run", lambda *_, findings=found: (GOOD, target, findings))
         assert soak.main([]) == (0 if is_kept else 1)
-        assert capsys.readouterr().out.startswith("kept   tasks" if is_kept else "BROKEN tasks left over: 2 (asked: 0)")
+        assert capsys.readouterr().out.startswith("ok     tasks" if is_kept else "BROKEN tasks left over: 2 (bound: 0)")
 
 
 def test_short_run(monkeypatch: pytest.MonkeyPatch) -> None:
     """Memory is not checked: the first minutes do not show its growth."""
     monkeypatch.setattr(soak, "SETTLE_S", 0.2)
-    samples, house, found = soak.run(1 / 60, soak.Wanted(visitors=2, rest_s=0.0, every_s=30.0), seed=2)
+    samples, target, found = soak.run(1 / 60, soak.Load(clients=2, rest_s=0.0, every_s=30.0), seed=2)
     assert samples[0].steps < samples[-1].steps
-    assert set(house.visits) == set(KINDS)
+    assert set(target.sessions) == set(KINDS)
     assert [what for what in broken(found) if what != "memory"] == []

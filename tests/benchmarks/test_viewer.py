@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
-
 import pytest
 import viewer
 from viewer import Share, Taken, share
@@ -26,8 +24,8 @@ def test_cost_of_pages_and_slower_steps_is_separated() -> None:
 
 
 @pytest.mark.long
-def test_round_is_measured() -> None:
-    found = asyncio.run(viewer.measure(rounds=1, seconds=0.5, count=3))
+async def test_round_is_measured() -> None:
+    found = await viewer.measure(rounds=1, seconds=0.5, count=3)
     assert found["pictures_a_second"] > 2.0
     assert found["share"] == pytest.approx(found["share_page"] + found["share_steps"])
     assert -1.0 < found["share"] < 1.0

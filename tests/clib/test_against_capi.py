@@ -83,7 +83,7 @@ def fresh_capi(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Reset nclient.capi to its initial state."""
     monkeypatch.setattr(capi, "SERVER_MACHINE_NAME", "127.0.0.1")
     monkeypatch.setattr(capi, "SERV_TCP_PORT", 7019)
-    monkeypatch.setattr(capi, "_held", type(capi._held)())
+    monkeypatch.setattr(capi, "_client_state", type(capi._client_state)())
     capi.State[:], capi.Laser[:], capi.Smask[:] = [0] * 45, [0] * 965, EVERYTHING.smask
     yield
     capi.disconnect_robot(1)

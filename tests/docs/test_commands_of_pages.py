@@ -18,21 +18,21 @@ ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.rglob("*.md"))
 TESTS_OF_PAGES = {
-    "calibration.md": "localization/test_docs.py",
+    "calibration.md": "docs/test_calibration_and_maps_pages.py",
     "c-programs.md": "docs/test_pages.py",
     "faults.md": "docs/test_pages.py",
     "from-c.md": "docs/test_from_c_page.py",
     "fuzzing.md": "fuzz/test_documentation.py",
     "localization.md": "docs/test_pages.py",
-    "maps.md": "localization/test_docs.py",
-    "missions.md": "integration/test_missions_page.py",
+    "maps.md": "docs/test_calibration_and_maps_pages.py",
+    "missions.md": "docs/test_missions_page.py",
     "protocol.md": "docs/test_protocol_page.py",
     "real-robot.md": "docs/test_pages.py",
     "security.md": "docs/test_tunnels.py",
     "sensors.md": "docs/test_pages.py",
     "service.md": "docs/test_service_page.py",
     "setups.md": "nserver_emu/simulation/test_setup_toml.py",
-    "shell.md": "integration/shell/test_docs.py",
+    "shell.md": "docs/test_shell_page.py",
     "start.md": "docs/test_pages.py",
     "window.md": "docs/test_window_page.py",
 }
@@ -85,7 +85,7 @@ def test_long_commands_have_valid_arguments(command: str) -> None:
     assert command.startswith(EXPERIMENTS)
     kind, *words = shlex.split(command.removeprefix(EXPERIMENTS))
     if kind in ("live", "lost", "plan"):
-        experiment = importlib.import_module(f"localization.experiments.{kind}_command")
+        experiment = importlib.import_module(f"localization.experiments.{kind}")
         assert experiment._parser().parse_args(words)
     else:
         assert __main__._parser().parse_args([kind, *words]).figures[0] == kind

@@ -7,46 +7,26 @@ in the language `console` are for other machines and are not run. `scripts/run` 
 from __future__ import annotations
 
 import contextlib
-import os
 import re
 import shlex
 import shutil
 import signal
-import subprocess
-import sys
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from tests.docs.pages import DOCS, ROOT, code_blocks, command_lines, run
 from tests.programs.forked import Forked
 
-ROOT = Path(__file__).parents[2]
-DOCS = ROOT / "docs"
 NOT_RUN = ("scripts/run", ". .venv/bin/activate")
 
 
-def blocks(page: str, language: str) -> list[str]:
-    """Return the code blocks of a language, without the indentation of those in lists."""
-    text = (DOCS / page).read_text(encoding="utf-8")
-    found = re.findall(rf"^( *)```{language}\n(.*?)^ *```", text, re.MULTILINE | re.DOTALL)
-    return [re.sub(rf"^{indent}", "", block, flags=re.MULTILINE) for indent, block in found]
-
-
 def commands(page: str) -> list[str]:
-    lines = [line for block in blocks(page, "sh") for line in block.splitlines() if line]
+    lines = [line for line in command_lines(page) if line not in NOT_RUN]
     assert lines
-    return [line for line in lines if line not in NOT_RUN]
-
-
-def run(command: str, folder: Path) -> str:
-    """Return the output of a command, which must succeed."""
-    path = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))
-    bash, environment = ["bash", "-c", command], os.environ | {"PATH": path}
-    done = subprocess.run(bash, cwd=folder, env=environment, capture_output=True, text=True, timeout=180, check=False)
-    assert done.returncode == 0, f"{command}\n{done.stdout}{done.stderr}"
-    return done.stdout
+    return lines
 
 
 @contextlib.contextmanager
@@ -75,7 +55,7 @@ def test_getting_started(tmp_path: Path) -> None:
 
 
 def test_program_of_getting_started(capsys: pytest.CaptureFixture[str]) -> None:
-    (program,) = blocks("start.md", "python")
+    (program,) = code_blocks("start.md", "python")
     exec(compile(program, "start.md", "exec"), {})
     found = re.fullmatch(r"(\d+) in before the wall, (\d+) in from the start\n", capsys.readouterr().out)
     assert found is not None
@@ -125,7 +105,7 @@ def test_sensors_and_noise(tmp_path: Path) -> None:
 
 
 def test_program_of_sensors_is_reproducible(capsys: pytest.CaptureFixture[str]) -> None:
-    (program,) = blocks("sensors.md", "python")
+    (program,) = code_blocks("sensors.md", "python")
     exec(compile(program, "sensors.md", "exec"), {})
     first, again, other = [line.partition(": ")[2] for line in capsys.readouterr().out.splitlines()]
     assert first == again != other
@@ -138,14 +118,14 @@ def test_localization(tmp_path: Path) -> None:
     for output in (rays, cones, overconfident, worn):
         assert re.search(r"2 of 2 way-?points reached", output)
     assert re.search(r"1 of 1 way-?points reached", found)
-    assert "DEGRADED: innovations are" in overconfident
+    assert re.search(r"DEGRADED: .*innovations", overconfident)
     assert "DEGRADED" not in rays
     assert [float(nees) < 5.5 for nees in re.findall(r"NEES, mean +([\d.]+)", figures)] == [True, True]
 
 
 def test_c_program(tmp_path: Path) -> None:
     shutil.copytree(ROOT / "clib", tmp_path / "clib", ignore=shutil.ignore_patterns("build"))
-    (program,) = blocks("c-programs.md", "c")
+    (program,) = code_blocks("c-programs.md", "c")
     (tmp_path / "hello.c").write_text(program)
     make, compiled, started = commands("c-programs.md")
     run(make, tmp_path)

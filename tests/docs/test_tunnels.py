@@ -18,15 +18,12 @@ import pytest
 from nclient import connect
 from nclient.protocol import codec
 from nclient.protocol.commands import Call
+from tests.docs.pages import code_blocks
 
-PAGE = (Path(__file__).parents[2] / "docs" / "security.md").read_text(encoding="utf-8")
+PAGE = "security.md"
 TIMEOUT_S = 60.0
 TLS_ALERT = b"\x15"
 STUNNEL = shutil.which("stunnel4") or "stunnel"
-
-
-def blocks(kind: str) -> list[str]:
-    return re.findall(rf"^```{kind}\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
 
 
 def free_port() -> int:
@@ -57,7 +54,7 @@ def reply_to_connect(port: int, keys: ssl.SSLContext | None) -> bytes:
     """Return the reply to CONNECT over TLS or plain TCP, empty if the connection is closed."""
     plain = socket.create_connection(("127.0.0.1", port), TIMEOUT_S)
     with plain, contextlib.suppress(OSError), keys.wrap_socket(plain) if keys else plain as stream:
-        stream.sendall(codec.tcp_request(Call("connect_robot", (1, 1))))
+        stream.sendall(codec.encode_tcp_request(Call("connect_robot", (1, 1))))
         return stream.recv(8)
     return b""
 
@@ -66,10 +63,10 @@ def reply_to_connect(port: int, keys: ssl.SSLContext | None) -> bytes:
 def ports(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[int, int, Path]]:
     """Run both ends and a daemon; yield the ports of the lab's and the program's end, and the folder of the keys."""
     folder = tmp_path_factory.mktemp("tunnel")
-    *keys, _ = blocks("sh")
+    *keys, _ = code_blocks(PAGE, "sh")
     for command in keys:
         subprocess.run(["bash", "-c", command], cwd=folder, capture_output=True, check=True)
-    ends = {re.match(r"; (\w+\.conf)\n", text)[1]: text for text in blocks("ini")}  # type: ignore[index]
+    ends = {re.match(r"; (\w+\.conf)\n", text)[1]: text for text in code_blocks(PAGE, "ini")}  # type: ignore[index]
     daemon = [sys.executable, "-m", "nserver_emu", "--port", "0"]
     with contextlib.ExitStack() as stack:
         nserver = stack.enter_context(running(*daemon, cwd=folder))
@@ -90,7 +87,7 @@ def test_program_drives_through_the_tunnel(ports: tuple[int, int, Path]) -> None
     with connect(f"nserver://localhost:{near}/1") as robot:
         robot.move(translation_in=2)
         assert robot.wait_until_still(timeout_s=20).x_in == pytest.approx(2.0)
-    nomad, *words = blocks("sh")[-1].strip().replace("7019", str(near)).split()
+    nomad, *words = code_blocks(PAGE, "sh")[-1].strip().replace("7019", str(near)).split()
     command = [str(Path(sys.executable).with_name(nomad)), *words]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
@@ -110,7 +107,7 @@ def test_client_without_trusted_key_gets_no_reply(ports: tuple[int, int, Path]) 
 
 
 def test_ssh_command_forwards_the_port() -> None:
-    (line,) = [block for block in blocks("console") if "ssh" in block]
+    (line,) = [block for block in code_blocks(PAGE, "console") if "ssh" in block]
     _, ssh, *words = line.split()
     config = subprocess.run([ssh, "-G", *words], capture_output=True, text=True, check=True).stdout
     assert "localforward 7019 [127.0.0.1]:7019" in config

@@ -6,23 +6,20 @@ find each other by default.
 
 from __future__ import annotations
 
-import os
-import re
 import shlex
 import signal
 import subprocess
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
+from tests.docs.pages import command_lines, environment_with_venv, run
+
 pytestmark = pytest.mark.long
 
-PAGE = (Path(__file__).parents[2] / "docs" / "window.md").read_text(encoding="utf-8")
-LINES = [line for block in re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL) for line in block.splitlines()]
-START, *COMMANDS = LINES
+START, *COMMANDS = command_lines("window.md")
 
 
 @dataclass(frozen=True)
@@ -37,8 +34,7 @@ class Setting:
 @pytest.fixture(scope="module")
 def setting(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Setting]:
     folder = tmp_path_factory.mktemp("w")  # short: the path of a Unix socket has at most about a hundred bytes
-    path = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))
-    environment = os.environ | {"PATH": path, "XDG_RUNTIME_DIR": str(folder)}
+    environment = environment_with_venv() | {"XDG_RUNTIME_DIR": str(folder)}
     start = shlex.split(START.replace("--viewer", "--viewer 0 --port 0 --speed 4"), comments=True)
     with subprocess.Popen(start, stdout=subprocess.PIPE, text=True, env=environment) as daemon:
         assert daemon.stdout is not None
@@ -51,13 +47,11 @@ def setting(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Setting]:
     assert daemon.returncode == 0
 
 
-def run(setting: Setting, command: str, timeout_s: float = 120) -> str:
+def run_on(setting: Setting, command: str) -> str:
+    """Return the output of a command on the daemon of this test."""
     for address, replacement in setting.addresses.items():
         command = command.replace(address, replacement)
-    done = subprocess.run(["bash", "-c", command], cwd=setting.folder, env=setting.environment, capture_output=True,
-                          text=True, timeout=timeout_s, check=False)  # fmt: skip
-    assert done.returncode == 0, f"{command}\n{done.stdout}{done.stderr}"
-    return done.stdout
+    return run(command, setting.folder, setting.environment)
 
 
 def test_page_begins_with_its_daemon() -> None:
@@ -67,11 +61,11 @@ def test_page_begins_with_its_daemon() -> None:
 
 @pytest.mark.parametrize("command", [line for line in COMMANDS if "--stay" not in line])
 def test_command_runs(command: str, setting: Setting) -> None:
-    run(setting, command)
+    run_on(setting, command)
 
 
 def test_localizer_that_stays_runs_until_stopped(setting: Setting) -> None:
     (command,) = [line for line in COMMANDS if "--stay" in line]
     assert command.startswith("nomad localize nserver://localhost:7019/1 --map thesis_room --start unknown --stay")
-    output = run(setting, f"timeout --signal INT 5 {command} || test $? = 124 -o $? = 130")
+    output = run_on(setting, f"timeout --signal INT 5 {command} || test $? = 124 -o $? = 130")
     assert "LOST" in output or "OK" in output

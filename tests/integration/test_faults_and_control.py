@@ -200,7 +200,7 @@ def test_default_control_socket_is_in_runtime_dir(
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder))
     (folder / "nserver.sock").write_text("no socket")
     assert cli.main(["--port", "0", "--control"]) == 1
-    assert f"cannot open the control socket {folder / 'nserver.sock'}: it exists and is no socket" in capsys.readouterr().err
+    assert f"control socket {folder / 'nserver.sock'}: it exists and is no socket" in capsys.readouterr().err
 
 
 def test_fault_plan_without_control_socket(folder: Path) -> None:

@@ -26,7 +26,7 @@ def test_robot_option_selects_the_robot(tmp_path: Path) -> None:
     with Forked("nserver", "--port", "0", "--serial-link", str(link), "--robot", "scout") as daemon:
         try:
             assert [daemon.stdout.readline() for _ in range(2)][1].startswith("listening serial")
-            done = pytest_on(f"serial://{link}?model=scout", "encoders or room or refused")
+            done = pytest_on(f"serial://{link}?model=scout", "encoders or room or unavailable")
         finally:
             daemon.terminate()
     assert done.returncode == 0, done.stdout

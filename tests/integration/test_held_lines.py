@@ -21,7 +21,7 @@ from nclient.transports.stream import Deadline
 from tests.programs import forked
 from tests.programs.forked import Forked
 
-GS = codec.tcp_request(Call("gs"))
+GS = codec.encode_tcp_request(Call("gs"))
 STATE = b"\x10\x00\x11\x22"
 
 
@@ -115,7 +115,7 @@ def test_active_client_holds_line_until_it_closes() -> None:
 
 
 def test_client_waiting_for_reply_holds_line() -> None:
-    ws = codec.tcp_request(Call("ws", (1, 1, 1, 100)))
+    ws = codec.encode_tcp_request(Call("ws", (1, 1, 1, 100)))
     with a_bridge("0.3") as (near, far), called(near) as waiting, called(near) as waiting_client:
         end = next_end(far)
         waiting.sendall(ws)
@@ -125,7 +125,7 @@ def test_client_waiting_for_reply_holds_line() -> None:
         with pytest.raises(TimeoutError):
             waiting.recv(1)
         waiting.settimeout(10)
-        answer = codec.tcp_reply(BY_NAME["ws"], Reply("state", {34: 7}, clock=20), tcp_wire_state(N150))
+        answer = codec.encode_tcp_reply(BY_NAME["ws"], Reply("state", {34: 7}, clock=20), tcp_wire_state(N150))
         end.sendall(answer)
         assert received(waiting, len(answer)) == answer
         assert is_closed(waiting)

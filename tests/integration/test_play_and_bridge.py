@@ -31,8 +31,8 @@ from tests.programs import forked
 from tests.programs.forked import Forked
 
 NSERVER = ("nserver", "--port", "0", "--lockstep", "0.1")
-GS = codec.line_request(Call("gs"), serial_wire_state(N150))
-STATE = codec.line_reply(BY_NAME["gs"], Reply("state", {34: 7}, clock=20), serial_wire_state(N150))
+GS = codec.encode_serial_request(Call("gs"), serial_wire_state(N150))
+STATE = codec.encode_serial_reply(BY_NAME["gs"], Reply("state", {34: 7}, clock=20), serial_wire_state(N150))
 
 
 class Program:
@@ -96,7 +96,7 @@ def test_recording_is_played_to_one_client_after_another(tmp_path: Path) -> None
         robot = connect(f"nserver://{place}/1")
         with pytest.raises(ConnectionLost):
             robot.move(translation_in=1)
-        assert "recorded was `vm 60 0 0`, the program asks `pr 10 0 0`" in process.err()
+        assert "recorded was `vm 60 0 0`, the program sends `pr 10 0 0`" in process.err()
 
 
 def test_sighup_ends_play(tmp_path: Path) -> None:
@@ -109,9 +109,9 @@ def test_public_port_gives_warning(tmp_path: Path) -> None:
     drive(connect(f"sim:thesis_room?record={tmp_path / 'run.log'}"))
     open_to_all = ("--listen", "0", "--bind", "0.0.0.0")
     with program("nomad", "play", str(tmp_path / "run.log"), *open_to_all) as (_, process):
-        assert "anybody who reaches it may have the recording answer; --allow" in process.err()
+        assert "any client that reaches it may have the recording answer; --allow" in process.err()
     with program(*NSERVER) as (far, _), program("nomad", "bridge", f"nserver://{far}", *open_to_all) as (_, process):
-        assert "anybody who reaches it may drive the robots; --allow" in process.err()
+        assert "any client that reaches it may drive the robots; --allow" in process.err()
 
 
 def serial_recording(path: Path, answer_after_s: float) -> None:
@@ -148,7 +148,7 @@ def test_recorded_line_is_played_with_recorded_timing(tmp_path: Path) -> None:
         assert 0.4 <= time.monotonic() - start_s < 5
         os.write(fd, GS)
         assert "cut short" in process.err()
-        assert "it ends here, and the program asks `gs`" in process.err()
+        assert "the recording ends here, and the program sends `gs`" in process.err()
         os.close(fd)
     assert not (tmp_path / "robot").is_symlink()
 
@@ -200,7 +200,7 @@ def test_bridge_without_clients_and_without_server() -> None:
             host, _, port = near.rpartition(":")
             with socket.create_connection((host, int(port))):
                 pass
-            assert "has left" in process.err()
+            assert "has disconnected" in process.err()
             far.close()
             with socket.create_connection((host, int(port))) as client:
                 client.settimeout(10)

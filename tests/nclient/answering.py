@@ -56,7 +56,7 @@ class ScriptedServer:
     def send(self, data: bytes) -> None:
         for frame in self._framer.receive(data):
             assert isinstance(frame, TcpFrame), frame
-            call = codec.tcp_call(frame)
+            call = codec.decode_tcp_request(frame)
             self.calls.append(call)
             codec.update_from_request(call, self.wire_state)
             if BY_NAME[call.name].has_tcp_reply:
@@ -86,7 +86,7 @@ class ScriptedServer:
         answer = self.answers[call.name] if call.name in self.answers else self._dull(row.name, row.tcp_reply)
         if answer is None or isinstance(answer, bytes):
             return answer or b""
-        return codec.tcp_reply(row, answer, self.wire_state)
+        return codec.encode_tcp_reply(row, answer, self.wire_state)
 
     def _dull(self, name: str, layout: shape.ReplyShape) -> Reply:
         if name in ("connect_robot", "create_robot"):

@@ -59,7 +59,7 @@ class ScriptedLine:
     def send(self, data: bytes) -> None:
         self.requests += data
         for frame in self._framer.receive(data):
-            call = codec.line_call(frame, self.wire_state)
+            call = codec.decode_serial_request(frame, self.wire_state)
             self.calls.append(call)
             self.clock += 16
             self.out += self._late
@@ -83,7 +83,7 @@ class ScriptedLine:
 
     def frame(self, name: str, reply: Reply | None = None) -> bytes:
         """The bytes of an answer to a command, the dull one by itself."""
-        return codec.line_reply(BY_NAME[name], reply or self._dull(name), self.wire_state)
+        return codec.encode_serial_reply(BY_NAME[name], reply or self._dull(name), self.wire_state)
 
     def _answer(self, call: Call) -> None:
         told = self.answers.get(call.name, self._dull(call.name))

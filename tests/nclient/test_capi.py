@@ -29,7 +29,7 @@ def fresh(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.delenv("NOMAD_ROBOT", raising=False)
     monkeypatch.setattr(capi, "_backend", None)
     monkeypatch.setattr(capi, "_error", None)
-    monkeypatch.setattr(capi, "_held", type(capi._held)())
+    monkeypatch.setattr(capi, "_client_state", type(capi._client_state)())
     capi.State[:] = [0] * 45
     capi.Smask[:] = EVERYTHING.smask
     capi.Laser[:] = [0] * 965
@@ -346,7 +346,7 @@ def test_an_address_that_names_another_robot_moves_none(connects: Callable[[int]
     assert connects(1) == capi.FALSE
     assert "names robot 2, the program asks for robot 1" in str(capi.last_error())
     assert connects(2) == capi.FALSE
-    assert "nobody answers at localhost:1" in str(capi.last_error())
+    assert "no answer at localhost:1" in str(capi.last_error())
 
 
 def test_connecting_again_leaves_the_first_and_takes_the_mask_back(server: ScriptedServer) -> None:

@@ -24,7 +24,7 @@ def fresh(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setattr(capi, "SERVER_MACHINE_NAME", "")
     monkeypatch.setattr(capi, "_backend", None)
     monkeypatch.setattr(capi, "_error", None)
-    monkeypatch.setattr(capi, "_held", type(capi._held)())
+    monkeypatch.setattr(capi, "_client_state", type(capi._client_state)())
     capi.State[:] = [0] * 45
     capi.Smask[:] = EVERYTHING.smask
     capi.Laser[:] = [0] * 965

@@ -21,7 +21,7 @@ from nclient.connect import ConnectOptions, is_listening, open_machine
 from nclient.protocol.types import EVERYTHING, N150, N200, SCOUT
 from nclient.transports import memory
 from nclient.transports.memory import MemoryStream
-from nclient.url import known_schemes
+from nclient.url import available_schemes
 from tests.nclient.answering import ScriptedServer, by_script, on_socket
 
 
@@ -155,9 +155,9 @@ def test_the_model_of_a_simulation_is_in_its_address(monkeypatch: pytest.MonkeyP
 
 
 def test_the_schemes_there_are(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert {"nserver", "replay", "sim"} <= set(known_schemes())
+    assert {"nserver", "replay", "sim"} <= set(available_schemes())
     monkeypatch.setattr(memory, "entry_points", lambda **_: [])
-    assert "sim" not in known_schemes()
+    assert "sim" not in available_schemes()
 
 
 def test_nobody_there() -> None:

@@ -24,7 +24,7 @@ from nserver_emu.simulation.sonar import SonarNoise
 from tests.nclient.answering import ScriptedServer
 from worlds.io import load_world
 
-GS = codec.tcp_request(Call("gs"))
+GS = codec.encode_tcp_request(Call("gs"))
 
 
 class Time:
@@ -167,7 +167,8 @@ def test_simulated_robots_are_well(what: str) -> None:
 
 def test_a_dead_sonar_of_a_simulated_robot() -> None:
     simulation = Simulation(load_world("thesis_room"))
-    simulation.add_robot(1, setup=replace(NOISY, sonar=SonarNoise(std_share=0.01, least_std_in=0.05, dead=(5,))))
+    sonar = SonarNoise(range_std_relative=0.01, range_std_floor_in=0.05, dead=(5,))
+    simulation.add_robot(1, setup=replace(NOISY, sonar=sonar))
     time = Time()
 
     def opens() -> Backend:

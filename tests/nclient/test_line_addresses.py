@@ -64,7 +64,7 @@ def test_a_serial_port(bench: Bench) -> None:
 def test_a_robot_on_its_own_line_over_tcp(bench: Bench) -> None:
     bench.connect("robotd://lab?model=n150")
     bench.robot = ScriptedLine(model=N200)
-    bench.robot.wire_state.note_mask(EVERYTHING.with_position(2))
+    bench.robot.wire_state.set_mask(EVERYTHING.with_position(2))
     bench.robot.out += build_handshake(Handshake(EVERYTHING.with_position(2), 51))
     robot = bench.connect("robotd://[::1]:7000?model=n200")
     assert [where[:2] for where in bench.opened] == [("lab", 65001), ("::1", 7000)]

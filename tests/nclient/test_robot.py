@@ -158,7 +158,7 @@ def test_the_arm() -> None:
 
 def test_an_answer_without_what_it_should_hold_is_a_wire_error() -> None:
     robot = robot_on(ScriptedServer({"arm_zr": Reply("special", values=(4, 0, 0, 40))}))
-    with pytest.raises(WireError, match="arm_zr: 8 numbers wanted in the answer, 4 there"):
+    with pytest.raises(WireError, match="arm_zr: the reply has 4 numbers, expected 8"):
         robot.arm_zero()
 
 

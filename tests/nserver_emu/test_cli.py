@@ -45,7 +45,7 @@ def test_what_cannot_start_says_why_and_exits_1(
     (["--start", "x"], "a start is X,Y,STEER,TURRET"), (["--start", "1,2,a,b"], "got '1,2,a,b'"),
     (["--real", "foo"], "'foo' is no address: "),
 ])  # fmt: skip
-def test_what_is_wrong_as_it_is_typed_exits_2_and_is_not_tried_again(
+def test_wrong_usage_exits_with_2(
     argv: list[str], words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert cli.main(argv) == 2
@@ -63,7 +63,7 @@ def test_wrong_usage_exits_2(argv: list[str], capsys: pytest.CaptureFixture[str]
     assert "usage: nserver" in capsys.readouterr().err
 
 
-def test_a_word_for_machine_code_that_is_none_exits_2_and_names_those_there_are(
+def test_a_wrong_compiler_setting_exits_2_and_lists_values(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("NOMAD_COMPILED", "yes")
@@ -79,19 +79,19 @@ def test_a_port_in_use_exits_1(capsys: pytest.CaptureFixture[str]) -> None:
     assert "is another nserver running" in capsys.readouterr().err
 
 
-def test_an_address_that_is_not_of_this_machine_is_not_blamed_on_the_port(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_foreign_address_is_not_blamed_on_the_port(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["--port", "0", "--bind", "192.0.2.1"]) == 1
-    told = capsys.readouterr().err
-    assert "cannot listen on 192.0.2.1:0" in told
-    assert told.endswith("--bind needs an address of this machine, and ports below 1024 are the system's\n")
+    output = capsys.readouterr().err
+    assert "cannot listen on 192.0.2.1:0" in output
+    assert output.endswith("--bind needs an address of this machine, and ports below 1024 are reserved for root\n")
 
 
-def test_a_folder_to_save_to_is_told_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_folder_as_save_file_is_reported_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["--port", "0", "--save", str(tmp_path)]) == 1
     assert f"{tmp_path}: is a folder: name a file in it" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(("words", "told"), [
+@pytest.mark.parametrize(("words", "output"), [
     (["--setup", "ideal", "--noisy"], "argument --noisy: it is --setup noisy, and --setup says ideal: leave one out"),
     (["-noisy", "--setup", "mine.toml"], "and --setup says mine.toml"),
     (["--lockstep", "0.1", "--speed", "3"], "argument --speed: in lockstep time passes with each request"),
@@ -99,22 +99,22 @@ def test_a_folder_to_save_to_is_told_at_once(tmp_path: Path, capsys: pytest.Capt
     (["--lockstep", "0"], "argument --lockstep: a step is more than 0 and at most 10 s, not 0"),
 ])  # fmt: skip
 def test_what_would_be_dropped_without_a_word_is_wrong_usage(
-    words: list[str], told: str, capsys: pytest.CaptureFixture[str]
+    words: list[str], output: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit, match="2"):
         cli.main(words)
-    assert told in capsys.readouterr().err
+    assert output in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])
-def test_the_program_tells_where_it_listens_serves_and_stops_cleanly(ending: signal.Signals) -> None:
+def test_the_program_prints_its_address_serves_and_stops(ending: signal.Signals) -> None:
     command = [sys.executable, "-m", "nserver_emu", "--port", "0", "--speed", "max", "-v"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as program:
         assert program.stdout is not None
         line = re.fullmatch(r"listening nserver 127\.0\.0\.1:(\d+)\n", program.stdout.readline())
         assert line
         with socket.create_connection(("127.0.0.1", int(line[1])), timeout=10) as client:
-            client.sendall(codec.tcp_request(Call("connect_robot", (1, 1))))
+            client.sendall(codec.encode_tcp_request(Call("connect_robot", (1, 1))))
             assert client.recv(8) == bytes((0, 0x52, 0, 1)) + int(line[1]).to_bytes(4, "big")
         program.send_signal(ending)
         out, err = program.communicate(timeout=20)
@@ -143,7 +143,7 @@ def test_ctrl_c_before_it_serves_ends_with_130(monkeypatch: pytest.MonkeyPatch) 
     assert cli.main(["--port", "0"]) == 130
 
 
-def test_ctrl_c_is_how_it_ends_where_no_signal_can_be_handled(
+def test_ctrl_c_ends_it_where_signals_cannot_be_handled(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """asyncio then cancels what runs."""
@@ -200,14 +200,14 @@ def test_a_recorded_daemon_can_be_asked_again(tmp_path: Path, capsys: pytest.Cap
         port = int(daemon.stdout.readline().rpartition(":")[2])
         with socket.create_connection(("127.0.0.1", port), timeout=10) as client:
             for call in (Call("connect_robot", (1, 1)), Call("vm", (100, 0, 0)), Call("gs"), Call("quit_server")):
-                client.sendall(codec.tcp_request(call))
+                client.sendall(codec.encode_tcp_request(call))
                 client.recv(4096)
     assert cli.main(["--replay", str(path)]) == 0
     assert re.fullmatch(r"4 answers, \d+ bytes as recorded\n", capsys.readouterr().out)
     path.write_text(path.read_text().replace('"seed":0', '"seed":1', 1) + '{"t":')
     assert cli.main(["--replay", str(path)]) == 1
-    told = capsys.readouterr()
-    assert "as recorded, then not" in told.out
-    assert re.search(r"run.log, line \d+: from byte \d+ on", told.err)
+    output = capsys.readouterr()
+    assert "as recorded, then not" in output.out
+    assert re.search(r"run.log, line \d+: from byte \d+ on", output.err)
     assert cli.main(["--record", str(tmp_path / "no" / "run.log"), "--port", "0"]) == 1
     assert "cannot be written" in capsys.readouterr().err

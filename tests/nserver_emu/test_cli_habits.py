@@ -37,7 +37,7 @@ class Program:
         return head + self._socket.recv(4 * int.from_bytes(head[2:], "big"), socket.MSG_WAITALL)
 
     def end(self) -> str:
-        """Stop it; what it said on stderr."""
+        """Stop it; return its stderr."""
         self.process.send_signal(signal.SIGTERM)
         _, err = self.process.communicate(timeout=END_S)
         assert self.process.returncode == 0
@@ -100,12 +100,12 @@ def test_the_old_style_with_both_setup_files(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "expected"),
     [(["nothing.setup"], "nothing.setup: cannot be read"), (["--restore", "nothing.json"], "nothing.json: cannot be")],
 )
-def test_files_that_are_not_there_exit_1(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_files_that_are_not_there_exit_1(words: list[str], expected: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(words) == 1
-    assert said in capsys.readouterr().err
+    assert expected in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -57,37 +57,37 @@ def test_levels(words: list[str], level: int) -> None:
     assert logs.level_of(options(*words)) == level
 
 
-def test_an_object_holds_what_is_said_and_what_kind_it_is(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_json_line_has_message_and_template(capsys: pytest.CaptureFixture[str]) -> None:
     as_a_process_begins()
-    logs.begin(options("--log-format", "json"))
-    logging.getLogger("room").info("not said")
-    logging.getLogger("room").warning("%s: refused:\n%s", "lab", "pr", extra={"robot": 2, "path": Path("x")})
+    logs.configure(options("--log-format", "json"))
+    logging.getLogger("package").info("hidden")
+    logging.getLogger("package").warning("%s: refused:\n%s", "lab", "pr", extra={"robot": 2, "path": Path("x")})
     (line,) = capsys.readouterr().err.splitlines()
-    told = json.loads(line)
-    at = datetime.fromisoformat(told.pop("time"))
+    fields = json.loads(line)
+    at = datetime.fromisoformat(fields.pop("time"))
     assert abs((datetime.now(UTC) - at).total_seconds()) < 60
-    assert told == {
-        "level": "warning", "logger": "room", "message": "lab: refused:\npr", "template": "%s: refused:\n%s",
+    assert fields == {
+        "level": "warning", "logger": "package", "message": "lab: refused:\npr", "template": "%s: refused:\n%s",
         "robot": 2, "path": "x",
     }
 
 
 def test_an_exception_stands_in_its_own_key(capsys: pytest.CaptureFixture[str]) -> None:
     as_a_process_begins()
-    logs.begin(options("--log-format", "json"))
+    logs.configure(options("--log-format", "json"))
     try:
-        raise ValueError("a fault of ours")
+        raise ValueError("internal error")
     except ValueError:
-        logging.getLogger("room").exception("closed")
+        logging.getLogger("package").exception("closed")
     (line,) = capsys.readouterr().err.splitlines()
-    told = json.loads(line)
-    assert (told["level"], told["message"]) == ("error", "closed")
-    assert told["exception"].endswith("ValueError: a fault of ours")
+    fields = json.loads(line)
+    assert (fields["level"], fields["message"]) == ("error", "closed")
+    assert fields["exception"].endswith("ValueError: internal error")
 
 
-def test_text_is_as_ever_and_pythons_warnings_are_said_too(capsys: pytest.CaptureFixture[str]) -> None:
+def test_text_lines_and_python_warnings_are_logged(capsys: pytest.CaptureFixture[str]) -> None:
     as_a_process_begins()
-    logs.begin(options())
+    logs.configure(options())
     with warnings.catch_warnings():
         warnings.simplefilter("always")
         logging.captureWarnings(True)
@@ -106,18 +106,18 @@ def test_why_it_could_not_start_is_the_last_line(form: str, capsys: pytest.Captu
     if form == "text":
         assert line.startswith("nserver: no_such_world.toml: no such file")
     else:
-        told = json.loads(line)
-        assert told["level"] == "critical"
-        assert told["message"].startswith("nserver: no_such_world.toml: no such file")
-        assert told["template"] == "nserver: %s"
+        fields = json.loads(line)
+        assert fields["level"] == "critical"
+        assert fields["message"].startswith("nserver: no_such_world.toml: no such file")
+        assert fields["template"] == "nserver: %s"
 
 
-def test_a_program_that_hosts_the_daemon_keeps_its_own_way(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_embedding_programs_logging_is_left_alone(capsys: pytest.CaptureFixture[str]) -> None:
     own = logging.NullHandler()
     as_a_process_begins().addHandler(own)
-    logs.begin(options("--log-format", "json", "-vv"))
+    logs.configure(options("--log-format", "json", "-vv"))
     assert logging.getLogger().handlers == [own]
-    logging.getLogger("room").warning("said")
+    logging.getLogger("package").warning("shown")
     assert capsys.readouterr().err == ""
 
 
@@ -128,8 +128,8 @@ def test_every_line_of_a_daemon_is_an_object() -> None:
         with connect(f"nserver://{daemon.stdout.readline().split()[-1]}/1?tm_s=0"):
             pass
         daemon.terminate()
-        _, told = daemon.communicate(timeout=60)
-    lines = [json.loads(line) for line in told.splitlines()]
+        _, fields = daemon.communicate(timeout=60)
+    lines = [json.loads(line) for line in fields.splitlines()]
     assert "paused, and no client can resume: --allow-control lets them" in [line["message"] for line in lines]
     assert {"%s: connected", "%s: closed after %d refused requests"} <= {line["template"] for line in lines}
 
@@ -145,12 +145,12 @@ class Disk(io.StringIO):
         return super().write(text)
 
 
-def test_lines_that_could_not_be_written_are_counted_and_told_of(capsys: pytest.CaptureFixture[str]) -> None:
+def test_lost_log_lines_are_counted_and_reported(capsys: pytest.CaptureFixture[str]) -> None:
     disk = Disk()
-    handler = logs.Lines(disk)
+    handler = logs.LossCountingHandler(disk)
     handler.setFormatter(logging.Formatter("%(levelname)s %(message)s"))
     as_a_process_begins().addHandler(handler)
-    room = logging.getLogger("room")
+    room = logging.getLogger("package")
     for number in range(6):
         disk.full = number in (1, 2, 3)
         room.warning("line %d", number)
@@ -162,20 +162,20 @@ def test_lines_that_could_not_be_written_are_counted_and_told_of(capsys: pytest.
 
 
 def test_a_fault_in_what_is_logged_is_shown(capsys: pytest.CaptureFixture[str]) -> None:
-    as_a_process_begins().addHandler(logs.Lines(Disk()))
-    logging.getLogger("room").warning("%d", "no number")
+    as_a_process_begins().addHandler(logs.LossCountingHandler(Disk()))
+    logging.getLogger("package").warning("%d", "no number")
     assert "Logging error" in capsys.readouterr().err
 
 
-def test_stdout_that_cannot_be_written_is_told_of(
+def test_unwritable_stdout_is_logged(
     capfd: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with open("/dev/full", "w") as full:  # noqa: PTH123 - a device, by its name
         monkeypatch.setattr("sys.stdout", full)
-        logs.tell("listening here")
-        logs.tell("listening there")
+        logs.print_line("listening here")
+        logs.print_line("listening there")
     assert caplog.messages == [
-        "stdout cannot be written: No space left on device; the daemon goes on; what it had to say: listening here"
+        "stdout cannot be written: No space left on device; the daemon goes on; the line was: listening here"
     ]
     assert capfd.readouterr().out == ""
 
@@ -188,7 +188,7 @@ def test_a_level_that_there_is_not(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_the_page_has_every_level_and_key() -> None:
     page = (DOCS / "logs.md").read_text()
-    record = logging.LogRecord("room", logging.INFO, "", 0, "said", None, None)
-    keys = json.loads(logs.JsonLines().format(record))
+    record = logging.LogRecord("package", logging.INFO, "", 0, "shown", None, None)
+    keys = json.loads(logs.JsonFormatter().format(record))
     assert all(f"`{key}`" in page for key in (*keys, "exception"))
     assert all(f"| {level} |" in page for level in (*logs.LEVELS, "critical"))

@@ -1,4 +1,4 @@
-"""What the service manager is told, over a real datagram socket; the unit that asks for it."""
+"""Notification of a service manager over a real datagram socket, and the systemd unit."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ import pytest
 
 from nserver_emu import service
 from nserver_emu.options import nserver_parser
-from nserver_emu.service import Manager, announced
+from nserver_emu.service import ServiceManager, announced
 
 UNIT = Path(__file__).parents[2] / "packaging/nserver.service"
 
@@ -47,9 +47,9 @@ def test_a_daemon_is_ready_alive_and_stopping(manager: socket.socket, place: str
         assert process.stdout.readline().startswith("listening nserver"), "ready comes after the doors are open"
         assert [manager.recv(100) for _ in range(3)] == [b"WATCHDOG=1"] * 3
         process.send_signal(signal.SIGTERM)
-        while (told := manager.recv(100)) == b"WATCHDOG=1":
+        while (message := manager.recv(100)) == b"WATCHDOG=1":
             pass
-        assert told == b"STOPPING=1"
+        assert message == b"STOPPING=1"
         assert process.wait(60) == 0
 
 
@@ -59,26 +59,26 @@ def test_a_daemon_is_ready_alive_and_stopping(manager: socket.socket, place: str
     ({"NOTIFY_SOCKET": "/x", "WATCHDOG_USEC": "soon"}, 0.0),
 ])  # fmt: skip
 def test_the_watchdog_is_fed_where_it_is_asked_for(environment: dict[str, str], feed_s: float) -> None:
-    assert Manager(environment).feed_s == feed_s
+    assert ServiceManager(environment).feed_s == feed_s
 
 
 PATIENCE_S = 10.0
 FED = {"WATCHDOG_USEC": "2000"}
 
 
-def test_a_manager_that_is_not_there_costs_one_word_and_is_told_when_it_comes(
+def test_an_absent_service_manager_is_notified_later(
     caplog: pytest.LogCaptureFixture, tmp_path: Path
 ) -> None:
-    place = str(tmp_path / "nobody")
+    place = str(tmp_path / "absent")
 
     async def scenario() -> None:
-        async with asyncio.timeout(PATIENCE_S), announced(Manager({"NOTIFY_SOCKET": place} | FED)):
+        async with asyncio.timeout(PATIENCE_S), announced(ServiceManager({"NOTIFY_SOCKET": place} | FED)):
             await asyncio.sleep(0.02)
             with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
                 listener.setblocking(False)
                 listener.bind(place)
-                told = await asyncio.get_running_loop().sock_recv(listener, 100)
-                assert told.split() == [b"READY=1", b"WATCHDOG=1"]
+                message = await asyncio.get_running_loop().sock_recv(listener, 100)
+                assert message.split() == [b"READY=1", b"WATCHDOG=1"]
                 assert await asyncio.get_running_loop().sock_recv(listener, 100) == b"WATCHDOG=1"
 
     asyncio.run(scenario())
@@ -87,27 +87,24 @@ def test_a_manager_that_is_not_there_costs_one_word_and_is_told_when_it_comes(
 
 
 @pytest.mark.parametrize("environment", [FED, {}], ids=["watchdog", "no watchdog"])
-def test_a_full_queue_ends_no_watchdog_and_loses_no_ready(
+async def test_a_full_queue_ends_no_watchdog_and_loses_no_ready(
     manager: socket.socket, place: str, environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(service, "_AGAIN_S", 0.001)
+    monkeypatch.setattr(service, "_RETRY_S", 0.001)
     manager.setblocking(False)
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as crowd, contextlib.suppress(BlockingIOError):
         crowd.setblocking(False)
         while True:
             crowd.sendto(b"STATUS=much to say", place.replace("@", "\0", 1) if place[0] == "@" else place)
 
-    async def scenario() -> None:
-        hear = partial(asyncio.get_running_loop().sock_recv, manager, 100)
-        async with asyncio.timeout(PATIENCE_S), announced(Manager({"NOTIFY_SOCKET": place} | environment)):
-            await asyncio.sleep(0.02)
-            while (told := await hear()).startswith(b"STATUS="):
-                pass
-            assert told.split() == ([b"READY=1", b"WATCHDOG=1"] if environment else [b"READY=1"])
-            if environment:
-                assert await hear() == b"WATCHDOG=1"
-
-    asyncio.run(scenario())
+    receive = partial(asyncio.get_running_loop().sock_recv, manager, 100)
+    async with asyncio.timeout(PATIENCE_S), announced(ServiceManager({"NOTIFY_SOCKET": place} | environment)):
+        await asyncio.sleep(0.02)
+        while (message := await receive()).startswith(b"STATUS="):
+            pass
+        assert message.split() == ([b"READY=1", b"WATCHDOG=1"] if environment else [b"READY=1"])
+        if environment:
+            assert await receive() == b"WATCHDOG=1"
 
 
 def test_the_unit_asks_for_what_the_daemon_does(tmp_path: Path) -> None:

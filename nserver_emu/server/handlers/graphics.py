@@ -117,7 +117,7 @@ def arm_zr(server: ServerState, context: ConnectionContext, _args: tuple[int, ..
     server.arm_of(context).zero()
     assert context.robot_id is not None
     server.axis_ownership.claim_arm(context, context.robot_id)
-    return lambda: _packet(ZERO_PACKET, _SUCCEEDED) if _awaited_arm(server, context).still() else None
+    return lambda: _packet(ZERO_PACKET, _SUCCEEDED) if _awaited_arm(server, context).is_still() else None
 
 
 def arm_ws(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Reply | DeferredReply:
@@ -129,7 +129,7 @@ def arm_ws(server: ServerState, context: ConnectionContext, args: tuple[int, ...
 
     def poll() -> Reply | None:
         left_ms = round(1000 * (end_s - server.simulation.time_s))
-        if _awaited_arm(server, context).still(bool(lift), bool(grip)):
+        if _awaited_arm(server, context).is_still(bool(lift), bool(grip)):
             return _packet(WAIT_PACKET, _SUCCEEDED, max(left_ms, 0))
         return None if left_ms > 0 else _packet(WAIT_PACKET, _FAILED, 0)
 

@@ -45,7 +45,7 @@ def pa(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -
     first, second, third = (
         _without_rounding(target - count if rolls else math.remainder(target - angle, math.tau))
         for target, count, angle, rolls in zip(
-            axis_values(robot, args), robot.counts, angles, robot.model.rolls, strict=True
+            axis_values(robot, args), robot.counts, angles, robot.model.in_inches, strict=True
         )
     )
     robot.move_relative(first, second, third)
@@ -103,7 +103,7 @@ def ws(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -
 
     def poll() -> Reply | None:
         server.feed_watchdog(context)
-        is_done = robot.still(axes) or server.simulation.time_s >= deadline_s
+        is_done = robot.is_still(axes) or server.simulation.time_s >= deadline_s
         return server.state_reply(context) if is_done else None
 
     return poll

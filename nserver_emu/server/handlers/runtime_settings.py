@@ -130,12 +130,12 @@ NOISE_USAGE: Final = "noise: such as sensors=measured motion=ideal robot=1"
 
 def noise_of(robot: SimulatedRobot) -> dict[str, str]:
     """Return the name of the noise model in force by part (sensors, motion)."""
-    return {part: part_name(part, robot.setup, robot.model, robot.began_as) for part in PARTS}
+    return {part: part_name(part, robot.setup, robot.model, robot.initial_setup) for part in PARTS}
 
 
 def noise_choices(robot: SimulatedRobot) -> dict[str, list[str]]:
     """Return the available noise models by part (sensors, motion)."""
-    return {part: list(part_choices(part, robot.model, robot.began_as)) for part in PARTS}
+    return {part: list(part_choices(part, robot.model, robot.initial_setup)) for part in PARTS}
 
 
 def switch_noise(server: ServerState, wanted: Mapping[str, Any]) -> dict[str, dict[str, str]]:
@@ -147,7 +147,7 @@ def switch_noise(server: ServerState, wanted: Mapping[str, Any]) -> dict[str, di
     robots = server.simulation.robots
     chosen = list(robots) if wanted.get(ROBOT) is None else [_robot_number(server, wanted[ROBOT])]
     for robot, setup in [(robots[number], _setup(robots[number], wanted)) for number in chosen]:
-        robot.err_as(setup)
+        robot.set_noise_model(setup)
     server.invalidate_state_cache()
     return {str(number): noise_of(robots[number]) for number in chosen}
 
@@ -201,7 +201,7 @@ def _setup(robot: SimulatedRobot, wanted: Mapping[str, Any]) -> Any:
     for part in PARTS:
         if part not in wanted:
             continue
-        choices, name = part_choices(part, robot.model, robot.began_as), wanted[part]
+        choices, name = part_choices(part, robot.model, robot.initial_setup), wanted[part]
         if not isinstance(name, str) or name not in choices:
             near = suggest(str(name), choices)
             raise ControlError(f"noise: {part} is one of {', '.join(choices)}, not {name}{near}")

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 from nclient.protocol.replies import Reply
-from nclient.protocol.types import BUMPER_SLOT, COMPASS_SLOT, Position, clamped_word, heading_tenths, wrapped_word
+from nclient.protocol.types import BUMPER_SLOT, COMPASS_SLOT, Position, clamp_word, heading_tenths, wrap_word
 from nclient.protocol.wire_state import LINES
 from nserver_emu.server.context import ServerState
 from nserver_emu.server.session import BAD_VALUES, NOT_AVAILABLE, ConnectionContext, error_reply
@@ -72,9 +72,9 @@ def sim_truth(server: ServerState, context: ConnectionContext, _args: tuple[int,
     pose = server.robot_of(context).actual
     values = (
         1,
-        wrapped_word(server.clock_ms),
-        clamped_word(round(pose.x_in * 1000)),
-        clamped_word(round(pose.y_in * 1000)),
+        wrap_word(server.clock_ms),
+        clamp_word(round(pose.x_in * 1000)),
+        clamp_word(round(pose.y_in * 1000)),
         round(math.degrees(pose.steering_rad) * 1000),
         round(math.degrees(pose.turret_rad) * 1000),
         server.simulation.seed & _INT32_MAX,
@@ -177,7 +177,7 @@ def conf_ls(server: ServerState, context: ConnectionContext, args: tuple[int, ..
     Threshold, width and processing separate signal from noise in a camera picture. There is no picture here, and no
     source gives their units: they have no effect.
     """
-    if not server.robot_of(context).model.sees:
+    if not server.robot_of(context).model.has_light_sensors:
         return error_reply(NOT_AVAILABLE)
     context.laser_columns = max(0, args[3])
     return server.state_reply(context)
@@ -190,7 +190,7 @@ def get_ls(server: ServerState, context: ConnectionContext, _args: tuple[int, ..
 
 def conf_sg(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Reply:
     """Set the line extraction of this connection: threshold and gap in tenths of an inch, minimum number of points."""
-    if not server.robot_of(context).model.sees:
+    if not server.robot_of(context).model.has_light_sensors:
         return error_reply(NOT_AVAILABLE)
     if not all(0 <= number <= _MAX_BYTE for number in args):
         return error_reply(BAD_VALUES)
@@ -207,7 +207,7 @@ def get_sg(server: ServerState, context: ConnectionContext, _args: tuple[int, ..
 def _laser_reply(server: ServerState, context: ConnectionContext, width: int) -> Reply:
     """Return the laser readings with `width` words each, none if the laser is off."""
     robot, now_s = server.robot_of(context), server.simulation.time_s
-    if not robot.model.sees:
+    if not robot.model.has_light_sensors:
         return error_reply(NOT_AVAILABLE)
     readings = laser_vector(robot, context, width) if is_on(context.wire_state.laser_mode) else (0,)
     stamps = {"laser": stamp_now(robot, now_s)} if context.wire_state.mask.position & Position.LASER else {}

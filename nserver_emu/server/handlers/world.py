@@ -26,7 +26,7 @@ from nserver_emu.server.state_encoder import add_laser, state_slots
 from nserver_emu.simulation.multi_robot import discs_of
 from nserver_emu.simulation.noise import IDEAL
 from nserver_emu.simulation.robot import SimulatedRobot
-from nserver_emu.simulation.visibility import Sighting
+from nserver_emu.simulation.visibility import RobotPositions
 from worlds.geometry import FloatArray, area, crossing, inside, lengths, nearest_points
 from worlds.raycast import cast_rays
 from worlds.world import Polygon, StartPose
@@ -234,9 +234,10 @@ def predict_sensors(server: ServerState, context: ConnectionContext, args: tuple
     """Return the noise-free readings of the sensors at another pose; the robot does not move."""
     simulation, robot = server.simulation, server.robot_of(context)
     others = {number: other for number, other in simulation.robots.items() if other is not robot}
-    others_there = Sighting(np.vstack((discs_of(others.values()), (0.0, 0.0, 0.0))))
+    others_there = RobotPositions(np.vstack((discs_of(others.values()), (0.0, 0.0, 0.0))))
     there = SimulatedRobot(
-        robot.identity, _start(args), simulation.world.walls, robot.model, IDEAL, lookout=others_there, own=len(others)
+        robot.rng_factory, _start(args), simulation.world.walls, robot.model, IDEAL, positions=others_there,
+        self_index=len(others),
     )
     slots, laser = add_laser(there, context, state_slots(there, server.clock.speed_tenths))
     return Reply("prediction", values=tuple(slots[:_PREDICTED_SLOTS]), laser=laser)

@@ -79,7 +79,7 @@ def save_screenshot(page: OpenPage, file: Path) -> None:
 
 
 def take_estimate(browser: Browser, folder: Path, scheme: str) -> None:
-    """Take a localizer that drives a path, half-way along it."""
+    """Take a localizer that drives a path, halfway along it."""
     with open_localized(browser, scheme, "several_walls", (), "--waypoints", "35,55", "90,55") as page:
         page.wait("(nserver.estimateOf('1')?.pose[1] ?? 0) > 25", 60.0)
         save_screenshot(page, folder / "localization.png")

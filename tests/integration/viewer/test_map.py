@@ -169,7 +169,7 @@ def test_wrong_token_is_rejected(browser: Browser) -> None:
         answer = page.goto(program.url[:-3] + "xxx")
         assert answer is not None
         assert answer.status == 403
-        assert "The token in it is wrong" in page.inner_text("body")
+        assert "token is wrong" in page.inner_text("body")
 
 
 def test_other_site_cannot_open_websocket(browser: Browser) -> None:

@@ -191,7 +191,7 @@ def test_places_that_look_alike_are_told_of_and_nothing_is_driven_to(capsys: pyt
     asked = [robot, "--map", "thesis_room", "--start", "unknown", "--waypoints", "60,40", "--time-limit", "8"]
     assert localize(*asked) == 3
     out = capsys.readouterr().out
-    assert "LOST: searching: nothing was told of the place" in out
+    assert "LOST: searching: the start is unknown" in out
     assert "LOST: 4 places look alike, the likeliest with " in out
     assert out.splitlines()[-2].startswith("0 of 1 way-points reached")
     assert localize(*asked, "--json") == 3

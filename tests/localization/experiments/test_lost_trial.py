@@ -27,7 +27,7 @@ def test_a_calm_run_lasts_as_long_as_it_was_told_and_says_nothing() -> None:
 
 def test_alarms_are_counted_as_they_are_said(monkeypatch: pytest.MonkeyPatch) -> None:
     """A watch that cries every thirty echoes: some alarms, and the robot finds itself between them."""
-    monkeypatch.setattr(IntegrityMonitor, "lost", property(lambda watch: len(watch._matched) >= 30))
+    monkeypatch.setattr(IntegrityMonitor, "is_lost", property(lambda watch: len(watch._matched) >= 30))
     assert drive(EXACT).alarms >= 2
 
 

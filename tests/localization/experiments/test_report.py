@@ -24,13 +24,13 @@ def some_summary(name: str, *, filtered: bool = True) -> Summary:
     )
 
 
-def lines_of(name: str, *, filtered: bool = True) -> list[str]:
+def format_entry(name: str, *, filtered: bool = True) -> list[str]:
     figure = FIGURES[name]
     return table(figure, course_of(figure), some_summary(name, filtered=filtered)).splitlines()
 
 
 def test_every_number_is_beside_what_it_is_measured_against() -> None:
-    lines = lines_of("5.4")
+    lines = format_entry("5.4")
     assert lines[0] == "Figure 5.4: With the filter"
     for name, value, note in (
         ("every goal reached", "99", "of 100"),
@@ -45,18 +45,18 @@ def test_every_number_is_beside_what_it_is_measured_against() -> None:
 
 
 def test_it_says_that_the_text_counts_too_few_steps() -> None:
-    note = " ".join(lines_of("5.4")[-2:])
+    note = " ".join(format_entry("5.4")[-2:])
     assert "1199 steps cannot be" in note
     assert "1442 at least" in note
     assert "1438 to come within 0.25 in" in note
 
 
 def test_where_the_text_may_be_right_it_says_nothing() -> None:
-    assert not any("cannot be" in line for name in ("5.6", "5.8") for line in lines_of(name))
+    assert not any("cannot be" in line for name in ("5.6", "5.8") for line in format_entry(name))
 
 
 def test_numbers_without_meaning_are_not_shown() -> None:
-    text = "\n".join(lines_of("5.2", filtered=False))
+    text = "\n".join(format_entry("5.2", filtered=False))
     assert "NEES" not in text
     assert "NIS" not in text
     assert "Cramer" not in text

@@ -14,11 +14,12 @@ from nserver_emu.simulation.noise import NOISY
 def test_the_noise_is_the_one_the_experiments_were_fixed_with() -> None:
     assert (NOISE.translation_std, NOISE.rotation_std, NOISE.drift_std) == (0.1, 0.1, 0.005)
     motion = NOISY.motion
-    emulated = motion.way_std_in(1.0, 0.0), motion.turn_std_rad(0.0, 1.0), motion.turn_std_rad(1.0, 0.0)
+    emulated = motion.distance_std_in(1.0, 0.0), motion.turn_std_rad(0.0, 1.0), motion.turn_std_rad(1.0, 0.0)
     assert emulated == pytest.approx((0.1, 0.1, 0.005)), "the emulator's noisy robots stray as the filter takes them to"
     assert START_STD == (0.1, 0.1, 0.01)
     assert WAYPOINT_RADIUS_IN == 0.25
-    assert (IDEAL_SONAR.relative_std, IDEAL_SONAR.floor_std_in, IDEAL_SONAR.rounding_var_in2) == (0.01, 0.05, 0.0)
+    assert IDEAL_SONAR.range_std_relative == 0.01
+    assert (IDEAL_SONAR.range_std_floor_in, IDEAL_SONAR.rounding_var_in2) == (0.05, 0.0)
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,8 @@ import pytest
 from localization.experiments.figure_trial import FIGURES, Course, Runs, course_of, mean_band, run, start_errors
 from localization.experiments.results import Summary, outcome_of, summarize
 from localization.filters.belief import difference
-from localization.filters.odometry import transition
-from localization.filters.sonar_ray import meet, range_jacobian, rays, sight, wall_map
+from localization.filters.odometry import process_covariance, step_jacobians
+from localization.filters.sonar_ray import ranges_from, wall_map
 from localization.navigation.speed import ControlGains, next_step
 
 pytestmark = pytest.mark.long
@@ -118,14 +118,13 @@ def test_the_bound_is_taken_at_the_truth_whatever_the_filter_believes() -> None:
     runs = run(course, [3])
     believed = course.start + course.start_std * start_errors([3])[0]
     command = next_step(believed, course.goals_in[0], course.gains)
-    _, by_pose, process_cov = transition(course.start, command, course.noise)
-    prior = by_pose @ np.diag(np.square(course.start_std)) @ by_pose.T + process_cov
-    aimed = rays(runs.truth[0, 0, None], course.beams)
-    lines = course.walls.lines[meet(aimed, course.walls)]
-    seen = sight(aimed, lines)
-    jacobian = range_jacobian(seen, lines)
-    told = jacobian.T @ np.diag(1 / course.sonar.variance(seen.ranges_in)) @ jacobian
-    assert runs.bound[0, 0] == pytest.approx(np.linalg.inv(np.linalg.inv(prior) + told), rel=1e-6)
+    F, G = step_jacobians(course.start, command)
+    Q = process_covariance(G, command, course.noise)
+    prior = F @ np.diag(np.square(course.start_std)) @ F.T + Q
+    beams = ranges_from(runs.truth[0, 0], course.angles_rad, course.body, course.walls)
+    H = np.stack(beams.H, axis=-1)
+    information = H.T @ np.diag(1 / course.sonar.variance(beams.range_in)) @ H
+    assert runs.bound[0, 0] == pytest.approx(np.linalg.inv(np.linalg.inv(prior) + information), rel=1e-6)
 
 
 def test_where_nothing_is_to_be_seen_the_filter_is_odometry_from_a_start_it_was_not_told() -> None:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from localization.filters.belief import Belief, add, difference, independent, part, wrap_angle, wrapped
+from localization.filters.belief import Belief, add, component, difference, independent, wrap_angle
 
 angles = st.floats(-1000.0, 1000.0)
 
@@ -20,7 +20,7 @@ def test_a_wrapped_angle_is_the_same_direction_and_small(angle: float) -> None:
     assert -math.pi <= small <= math.pi
     assert math.cos(small) == pytest.approx(math.cos(angle), abs=1e-9)
     assert math.sin(small) == pytest.approx(math.sin(angle), abs=1e-9)
-    assert wrapped(angle) == small
+    assert wrap_angle(angle) == small
 
 
 @given(st.floats(-math.pi, math.pi))
@@ -73,5 +73,5 @@ def test_a_belief_cannot_be_changed_in_place() -> None:
 
 
 def test_a_part_of_one_state_is_a_scalar_and_of_many_an_array() -> None:
-    assert isinstance(part(np.array([1.0, 2.0]), 1), np.float64)
-    assert part(np.array([[1.0, 2.0], [3.0, 4.0]]), 1).tolist() == [2.0, 4.0]
+    assert isinstance(component(np.array([1.0, 2.0]), 1), np.float64)
+    assert component(np.array([[1.0, 2.0], [3.0, 4.0]]), 1).tolist() == [2.0, 4.0]

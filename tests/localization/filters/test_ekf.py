@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from localization.filters.belief import Belief, Floats, difference, independent
-from localization.filters.ekf import correct, innovation_squared
-from localization.filters.odometry import OdometryNoise, predict, transition
-from localization.filters.update import Observation
+from localization.filters.ekf import update_ring
+from localization.filters.odometry import OdometryNoise, move, predict, process_covariance, step_jacobians
+from localization.filters.sonar_ray import Observation
 
 NOISE = OdometryNoise()
 
@@ -34,8 +34,8 @@ def some_observation(rng: np.random.Generator, beams: int = 16, size: int = 3) -
 
 def textbook(belief: Belief, seen: Observation) -> tuple[Floats, Floats, float]:
     """Mean, covariance and NIS with the innovation covariance inverted as it stands in the books."""
-    innovation_cov = seen.jacobian @ belief.cov @ seen.jacobian.T + np.diag(seen.variance)
-    gain = belief.cov @ seen.jacobian.T @ np.linalg.inv(innovation_cov)
+    innovation_cov = seen.H @ belief.cov @ seen.H.T + np.diag(seen.R)
+    gain = belief.cov @ seen.H.T @ np.linalg.inv(innovation_cov)
     nis = float(seen.innovation @ np.linalg.inv(innovation_cov) @ seen.innovation)
     return belief.mean + gain @ seen.innovation, belief.cov - gain @ innovation_cov @ gain.T, nis
 
@@ -46,10 +46,10 @@ def test_a_correction_is_that_of_the_linear_kalman_filter(seed: int, size: int) 
     rng = np.random.default_rng(seed)
     belief, seen = some_belief(rng, size), some_observation(rng, size=size)
     mean, cov, nis = textbook(belief, seen)
-    corrected = correct(belief, seen)
-    assert corrected.mean == pytest.approx(mean, abs=1e-12)
-    assert corrected.cov == pytest.approx(cov, abs=1e-12)
-    assert innovation_squared(belief, corrected, seen) == pytest.approx(nis)
+    updated, found = update_ring(belief, seen)
+    assert updated.mean == pytest.approx(mean, abs=1e-12)
+    assert updated.cov == pytest.approx(cov, abs=1e-12)
+    assert found == pytest.approx(nis)
 
 
 def test_a_whole_run_is_that_of_filterpy() -> None:
@@ -60,14 +60,12 @@ def test_a_whole_run_is_that_of_filterpy() -> None:
     peer.P = belief.cov
     for _ in range(50):
         step = rng.normal(scale=(0.3, 0.02))
-        mean, by_pose, process_cov = transition(belief.mean, step, NOISE)
-        peer.predict(F=by_pose, Q=process_cov)
+        mean, (F, G) = move(belief.mean, step), step_jacobians(belief.mean, step)
+        peer.predict(F=F, Q=process_covariance(G, step, NOISE))
         peer.x = mean
         seen = some_observation(rng)
-        belief = correct(predict(belief, step, NOISE), seen)
-        for reading, row, variance in zip(
-            seen.innovation + seen.jacobian @ mean, seen.jacobian, seen.variance, strict=True
-        ):
+        belief, _ = update_ring(predict(belief, step, NOISE), seen)
+        for reading, row, variance in zip(seen.innovation + seen.H @ mean, seen.H, seen.R, strict=True):
             peer.update(reading, R=variance, H=row[None])
         assert belief.mean == pytest.approx(peer.x, abs=1e-10)
         assert belief.cov == pytest.approx(peer.P, abs=1e-12)
@@ -76,10 +74,10 @@ def test_a_whole_run_is_that_of_filterpy() -> None:
 def test_a_prediction_is_f_p_f_and_q() -> None:
     belief = some_belief(np.random.default_rng(12))
     step = np.array([0.5, 0.1])
-    mean, by_pose, process_cov = transition(belief.mean, step, NOISE)
+    mean, (F, G) = move(belief.mean, step), step_jacobians(belief.mean, step)
     predicted = predict(belief, step, NOISE)
     assert predicted.mean == pytest.approx(mean)
-    assert predicted.cov == pytest.approx(by_pose @ belief.cov @ by_pose.T + process_cov)
+    assert predicted.cov == pytest.approx(F @ belief.cov @ F.T + process_covariance(G, step, NOISE))
 
 
 def test_a_step_of_nothing_changes_nothing() -> None:
@@ -98,7 +96,7 @@ def test_the_spread_of_drawn_robots_is_the_one_predicted() -> None:
     for _ in range(20):
         step = np.array([1.0, 0.05])
         std = np.sqrt(np.array([0.02**2 * 1.0, 0.02**2 * 0.05 + 0.001**2 * 1.0]))
-        robots = transition(robots, step + std * rng.standard_normal((50_000, 2)), noise).pose
+        robots = move(robots, step + std * rng.standard_normal((50_000, 2)))
         belief = predict(belief, step, noise)
     assert np.cov(robots.T) == pytest.approx(belief.cov, rel=0.05, abs=2e-5)
 
@@ -109,8 +107,8 @@ def test_a_covariance_stays_symmetric_and_never_negative(seed: int, log_noise: f
     rng = np.random.default_rng(seed)
     belief = Belief(np.zeros(3), 10**log_spread * some_belief(rng).cov)
     seen = some_observation(rng)
-    seen = Observation(seen.innovation, seen.jacobian, 10**log_noise * seen.variance, seen.refusals)
-    cov = correct(belief, seen).cov
+    seen = Observation(seen.innovation, seen.H, 10**log_noise * seen.R, seen.refusals)
+    cov = update_ring(belief, seen)[0].cov
     assert (cov == cov.T).all()
     values = np.linalg.eigvalsh(cov)
     assert values.min() >= -1e-12 * values.max()
@@ -122,14 +120,14 @@ def test_beams_left_out_change_nothing() -> None:
     belief, seen = some_belief(rng), some_observation(rng, beams=4)
     padded = Observation(
         np.append(seen.innovation, 0.0),
-        np.vstack([seen.jacobian, np.zeros(3)]),
-        np.append(seen.variance, 1.0),
+        np.vstack([seen.H, np.zeros(3)]),
+        np.append(seen.R, 1.0),
         np.append(seen.refusals, np.int8(5)),
     )
-    few, more = correct(belief, seen), correct(belief, padded)
+    (few, few_nis), (more, more_nis) = update_ring(belief, seen), update_ring(belief, padded)
     assert few.mean == pytest.approx(more.mean, abs=1e-15)
     assert few.cov == pytest.approx(more.cov, abs=1e-15)
-    assert innovation_squared(belief, few, seen) == pytest.approx(innovation_squared(belief, more, padded))
+    assert few_nis == pytest.approx(more_nis)
 
 
 def test_beams_one_after_another_are_beams_together() -> None:
@@ -137,20 +135,20 @@ def test_beams_one_after_another_are_beams_together() -> None:
     belief, seen = some_belief(rng), some_observation(rng, beams=5)
     one_by_one = belief
     for number in range(5):
-        row = seen.jacobian[number : number + 1]
+        row = seen.H[number : number + 1]
         moved_on = row @ difference(one_by_one.mean, belief.mean)
         single = Observation(
-            seen.innovation[number : number + 1] - moved_on, row, seen.variance[number : number + 1], seen.refusals[:1]
+            seen.innovation[number : number + 1] - moved_on, row, seen.R[number : number + 1], seen.refusals[:1]
         )
-        one_by_one = correct(one_by_one, single)
-    together = correct(belief, seen)
+        one_by_one, _ = update_ring(one_by_one, single)
+    together, _ = update_ring(belief, seen)
     assert one_by_one.mean == pytest.approx(together.mean)
     assert one_by_one.cov == pytest.approx(together.cov)
 
 
 def test_a_belief_without_doubt_is_not_moved() -> None:
     belief = independent((1.0, 2.0, 0.5), (0.0, 0.0, 0.0))
-    corrected = correct(belief, some_observation(np.random.default_rng(17)))
+    corrected, _ = update_ring(belief, some_observation(np.random.default_rng(17)))
     assert corrected.mean.tolist() == belief.mean.tolist()
     assert (corrected.cov == 0).all()
 
@@ -158,9 +156,9 @@ def test_a_belief_without_doubt_is_not_moved() -> None:
 def test_a_heading_corrected_across_the_turn_wraps() -> None:
     belief = independent((0.0, 0.0, 3.1), (0.1, 0.1, 1.0))
     seen = Observation(np.array([0.1]), np.array([[0.0, 0.0, 1.0]]), np.array([1e-8]), np.zeros(1, dtype=np.int8))
-    corrected = correct(belief, seen)
+    corrected, nis = update_ring(belief, seen)
     assert corrected.mean[2] == pytest.approx(3.2 - 2 * math.pi, abs=1e-6)
-    assert innovation_squared(belief, corrected, seen) == pytest.approx(0.01, rel=1e-5)
+    assert nis == pytest.approx(0.01, rel=1e-5)
 
 
 def test_a_batch_is_filtered_as_each_alone() -> None:
@@ -169,8 +167,8 @@ def test_a_batch_is_filtered_as_each_alone() -> None:
     steps = rng.normal(scale=0.1, size=(7, 2))
     beliefs = Belief(np.stack([b.mean for b, _ in alone]), np.stack([b.cov for b, _ in alone]))
     seen = Observation(*(np.stack([getattr(o, name) for _, o in alone]) for name in Observation.__slots__))
-    together = correct(predict(beliefs, steps, NOISE), seen)
+    together, _ = update_ring(predict(beliefs, steps, NOISE), seen)
     for row, (belief, observation) in enumerate(alone):
-        single = correct(predict(belief, steps[row], NOISE), observation)
+        single, _ = update_ring(predict(belief, steps[row], NOISE), observation)
         assert together.mean[row] == pytest.approx(single.mean, abs=1e-13)
         assert together.cov[row] == pytest.approx(single.cov, abs=1e-13)

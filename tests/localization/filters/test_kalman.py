@@ -1,4 +1,4 @@
-"""What a Kalman filter says of itself: that what it hears does not fit, and nothing where it does."""
+"""The Kalman filter: the health that it reports, and repeated readings from one pose."""
 
 from __future__ import annotations
 
@@ -6,38 +6,41 @@ import numpy as np
 import pytest
 
 from localization.filters.base import measurement_model
-from localization.filters.belief import Belief, independent
+from localization.filters.belief import Belief, independent, unpack
 from localization.filters.ekf import KalmanFilter
 from localization.filters.global_localization import GlobalLocalizer
-from localization.filters.health import HEALTHY, Bounds, HealthStatus
+from localization.filters.health import HEALTHY, HealthLimits, HealthStatus
 from localization.filters.odometry import OdometryNoise
 from localization.filters.range_table import build_range_table
 from localization.filters.registry import update_for
 from localization.filters.sonar_cone import ConeSonar
 from localization.filters.sonar_ray import RaySonar
-from localization.filters.update import Association, Hypotheses, MeasurementUpdate, Refusal, linear
+from localization.filters.update import Association, Covariance, MeasurementUpdate, Refusal, State
 from worlds.io import load_world
 from worlds.robots import N150
 
-WINDOW = Bounds().window
+WINDOW = HealthLimits().window
 HERE = independent([20.0, 35.0, 0.3], [0.2, 0.2, 0.01])
 
 
-class Saying:
-    """A sense that refuses every reading for one reason."""
+class Refusing:
+    """A measurement model that refuses every reading for one reason."""
 
     def __init__(self, refusal: Refusal) -> None:
         self._refusal = refusal
 
-    def sense(self, belief: Belief, sonar: int, turret_offset_rad: float, reading_in: float) -> Association:
+    def associate(
+        self, x: State, P: Covariance, sonar: int, turret_offset_rad: float, reading_in: float
+    ) -> Association:
+        del P
         assert (sonar, turret_offset_rad, reading_in) == (0, 0.0, 50.0)
-        return Association(self._refusal, float(belief.mean[0]))
+        return Association(self._refusal, x[0])
 
 
 def told_by(refusal: Refusal, readings: int) -> KalmanFilter:
-    known = KalmanFilter(HERE, MeasurementUpdate(Saying(refusal)), OdometryNoise())
+    known = KalmanFilter(HERE, MeasurementUpdate(Refusing(refusal)), OdometryNoise())
     for _ in range(readings):
-        known.hear(0, 0.0, 50.0)
+        known.update(0, 0.0, 50.0)
     return known
 
 
@@ -55,31 +58,31 @@ def test_readings_that_are_left_out_whatever_they_say_tell_nothing(refusal: Refu
 
 def test_a_real_ring_that_is_elsewhere_than_believed_degrades_and_one_that_is_there_does_not() -> None:
     """Ranges that the map itself gives: at the believed place, and 12 in off it."""
-    sense = measurement_model(load_world("thesis_room").walls, N150, ConeSonar())
+    model = measurement_model(load_world("thesis_room").walls, N150, ConeSonar())
 
     def readings(at: Belief) -> list[tuple[int, float]]:
-        found = [(sonar, sense.sense(at, sonar, 0.0, 50.0).candidates) for sonar in range(16)]
-        return [(sonar, nearest(candidates)) for sonar, candidates in found if candidates is not None]
+        found = [(sonar, model.associate(*unpack(at), sonar, 0.0, 50.0)) for sonar in range(16)]
+        return [(sonar, nearest(association)) for sonar, association in found if association.refusal is Refusal.NONE]
 
-    def nearest(candidates: Hypotheses) -> float:
-        return float(candidates.ranges_in[candidates.probability.argmax()])
+    def nearest(association: Association) -> float:
+        return association.ranges_in[int(np.argmax(association.probability))]
 
     there = independent([32.0, 29.0, 0.3], HERE.std)
     for place, status in ((HERE, HealthStatus.OK), (there, HealthStatus.DEGRADED)):
         heard = readings(place)
-        known = KalmanFilter(HERE, MeasurementUpdate(sense, linear), OdometryNoise(0.0, 0.0, 0.0))
+        known = KalmanFilter(HERE, MeasurementUpdate(model), OdometryNoise(0.0, 0.0, 0.0))
         for sonar, reading_in in heard * (WINDOW // len(heard) + 1):
-            known.hear(sonar, 0.0, round(reading_in))
-            known.belief = HERE  # held where it is believed to be: a filter this sure would hardly move
+            known.update(sonar, 0.0, round(reading_in))
+            known._x, known._P = unpack(HERE)  # keep the belief: a filter this certain would hardly move
         assert known.health.status is status, place
 
 
 def test_an_estimate_that_is_too_wide_says_so() -> None:
     wide = KalmanFilter(
-        independent([0.0, 0.0, 0.0], [0.2, 4.0, 0.01]), MeasurementUpdate(Saying(Refusal.GATE)), OdometryNoise()
+        independent([0.0, 0.0, 0.0], [0.2, 4.0, 0.01]), MeasurementUpdate(Refusing(Refusal.GATE)), OdometryNoise()
     )
     assert wide.health == (HealthStatus.DEGRADED, "the position is known to 4.0 in only")
-    np.testing.assert_array_equal(wide.ahead(np.zeros(2)).mean, wide.belief.mean)
+    np.testing.assert_array_equal(wide.predicted(0.0, 0.0).mean, wide.belief.mean)
 
 
 ROOM = [(0, 0, 100, 0), (100, 0, 100, 100), (100, 100, 0, 100), (0, 100, 0, 0)]
@@ -89,7 +92,7 @@ AHEAD_IN = round(50.0 - N150.sonar_ring_radius_in)
 
 def tracking(kind: str) -> KalmanFilter | GlobalLocalizer:
     """Of exact rays in whole inches: their error is the same each time."""
-    rays = RaySonar(relative_std=0.0, floor_std_in=0.02, rounding_var_in2=1.0 / 12.0)
+    rays = RaySonar(range_std_relative=0.0, range_std_floor_in=0.02, rounding_var_in2=1.0 / 12.0)
     hearing = update_for(ROOM, N150, rays)
     if kind == "kalman":
         return KalmanFilter(MIDST, hearing, OdometryNoise())
@@ -101,15 +104,15 @@ def tracking(kind: str) -> KalmanFilter | GlobalLocalizer:
 @pytest.mark.parametrize("kind", ["kalman", "finder"])
 def test_the_same_echo_again_tells_nothing_more_until_the_robot_moves(kind: str) -> None:
     known = tracking(kind)
-    known.hear(0, 0.0, AHEAD_IN)
+    known.update(0, 0.0, AHEAD_IN)
     once = known.belief
     assert once.cov[0, 0] < 0.8 * MIDST.cov[0, 0]
     for _ in range(5):
-        assert known.hear(0, 0.0, AHEAD_IN).refusal is Refusal.NONE
+        assert known.update(0, 0.0, AHEAD_IN).refusal is Refusal.NONE
     np.testing.assert_allclose(known.belief.cov, once.cov, rtol=1e-6)
-    known.move(np.array([0.5, 0.0]))
+    known.predict(0.5, 0.0)
     before = known.belief.cov
-    known.hear(0, 0.0, AHEAD_IN)
+    known.update(0, 0.0, AHEAD_IN)
     assert known.belief.cov[0, 0] < 0.9 * before[0, 0]
 
 
@@ -117,7 +120,7 @@ def test_the_same_echo_again_tells_nothing_more_until_the_robot_moves(kind: str)
 @pytest.mark.parametrize("refused_in", [AHEAD_IN - 20.0, 255.0])
 def test_a_reading_that_was_refused_takes_nothing_from_the_next(kind: str, refused_in: float) -> None:
     known, once = tracking(kind), tracking(kind)
-    assert known.hear(0, 0.0, refused_in).refusal is not Refusal.NONE
+    assert known.update(0, 0.0, refused_in).refusal is not Refusal.NONE
     for each in (known, once):
-        each.hear(0, 0.0, AHEAD_IN)
+        each.update(0, 0.0, AHEAD_IN)
     np.testing.assert_array_equal(known.belief.cov, once.belief.cov)

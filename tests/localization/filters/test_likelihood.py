@@ -7,9 +7,10 @@ from math import exp, pi, sqrt
 import numpy as np
 import pytest
 
-from localization.filters.particles import SPAN_IN, ConeLikelihood, Likelihood, RayLikelihood
+from localization.filters.particles import ConeLikelihood, Likelihood, RayLikelihood
 from localization.filters.sonar_cone import ConeSonar
 from localization.filters.sonar_ray import WIRE_SONAR
+from localization.filters.update import RANGE_SPAN_IN
 from worlds.io import load_world
 from worlds.robots import N150
 
@@ -25,23 +26,23 @@ POSES = np.array([[20.0, 20.0, 0.3], [5.0, 60.0, -2.0], [80.0, 60.0, 1.2], [70.0
 @pytest.mark.parametrize("sonar", [0, 5, 11])
 def test_over_all_ranges_it_is_a_density(kind: Likelihood, sonar: int) -> None:
     readings = np.arange(-20.0, 300.0, 0.25)
-    sums = 0.25 * np.sum([kind.of(POSES, sonar, 0.4, float(reading)).whole for reading in readings], axis=0)
+    sums = 0.25 * np.sum([kind.at(POSES, sonar, 0.4, float(reading)).total for reading in readings], axis=0)
     assert (sums >= 0.99).all()
-    assert (sums <= 320.0 / SPAN_IN + 0.01).all()  # bad readings are spread over less than is summed here
+    assert (sums <= 320.0 / RANGE_SPAN_IN + 0.01).all()  # bad readings are spread over less than is summed here
 
 
 def test_a_ray_by_hand() -> None:
     pose = np.array([[40.0, 60.0, 0.0]])
     expected = 102.17 - 40.0 - N150.sonar_ring_radius_in
     variance = (0.01 * expected) ** 2 + 1 / 12 + 0.25
-    by_hand = 0.95 * exp(-0.5 * (55.0 - expected) ** 2 / variance) / sqrt(2 * pi * variance) + 0.05 / SPAN_IN
-    assert RAYS.of(pose, 0, 0.0, 55.0).whole[0] == pytest.approx(by_hand)
+    by_hand = 0.95 * exp(-0.5 * (55.0 - expected) ** 2 / variance) / sqrt(2 * pi * variance) + 0.05 / RANGE_SPAN_IN
+    assert RAYS.at(pose, 0, 0.0, 55.0).total[0] == pytest.approx(by_hand)
 
 
 @pytest.mark.parametrize("kind", [RAYS, CONES])
 def test_where_it_stands_explains_a_reading_best(kind: Likelihood) -> None:
     poses = np.array([[40.0 + off, 60.0, 0.0] for off in (-6.0, -2.0, 0.0, 3.0)])
-    assert int(np.argmax(kind.of(poses, 0, 0.0, round(102.17 - 40.0 - N150.sonar_ring_radius_in)).whole)) == 2
+    assert int(np.argmax(kind.at(poses, 0, 0.0, round(102.17 - 40.0 - N150.sonar_ring_radius_in)).total)) == 2
 
 
 @pytest.mark.parametrize("kind", [RAYS, CONES])
@@ -53,21 +54,21 @@ def test_limits_are_no_ranges(kind: Likelihood) -> None:
 def test_what_a_reading_adds_counts_what_particles_cannot_resolve_as_an_error_that_stays(kind: Likelihood) -> None:
     """At 100 in the sonars' noise is 1 in: of the rounding next to nothing stays, of the widening, 0.25 in2, all."""
     variance, constant = 1.0 + 1 / 12 + 0.25, 0.25 + exp(-4.0 * pi**2) / 12
-    assert [kind.news(100.0, times) for times in (1, 2, 5)] == pytest.approx(
+    assert [kind.information(100.0, times) for times in (1, 2, 5)] == pytest.approx(
         [1.0, (variance - 2.0 * constant) / variance, (1.0 - 2.0 * constant / variance) ** 4]
     )
-    assert kind.news(10.0, 2) == 0.0
+    assert kind.information(10.0, 2) == 0.0
 
 
 def test_a_ray_into_nothing_leaves_only_bad_readings() -> None:
     alone = RayLikelihood([[50, -10, 50, 10]], N150, WIRE_SONAR)
-    assert alone.of(np.array([[0.0, 0.0, pi]]), 0, 0.0, 41.0) == pytest.approx(np.full((2, 1), 0.05 / SPAN_IN))
+    assert alone.at(np.array([[0.0, 0.0, pi]]), 0, 0.0, 41.0) == pytest.approx(np.full((2, 1), 0.05 / RANGE_SPAN_IN))
 
 
 @pytest.mark.parametrize("kind", [RAYS, CONES])
 def test_what_is_left_far_from_all_that_could_be_heard_is_of_bad_readings(kind: Likelihood) -> None:
     """So it is by definition: the part of bad readings does not know what was read, the rest is gone there."""
-    near, far = (kind.of(POSES, 3, 0.4, reading_in) for reading_in in (30.0, 5000.0))
-    np.testing.assert_allclose(far.whole, far.bad)
-    np.testing.assert_array_equal(near.bad, far.bad)
-    assert (near.whole >= near.bad).all()
+    near, far = (kind.at(POSES, 3, 0.4, reading_in) for reading_in in (30.0, 5000.0))
+    np.testing.assert_allclose(far.total, far.outlier)
+    np.testing.assert_array_equal(near.outlier, far.outlier)
+    assert (near.total >= near.outlier).all()

@@ -5,13 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from localization.filters.belief import Belief, Floats, independent
-from localization.filters.ekf import correct
+from localization.filters.belief import Belief, Floats, independent, pack, unpack
 from localization.filters.health import HealthStatus
 from localization.filters.odometry import OdometryNoise, move, predict
-from localization.filters.particles import ParticleFilter, RayLikelihood, Weighed, drawn_from, low_variance, moments
+from localization.filters.particles import (
+    Likelihoods,
+    ParticleFilter,
+    RayLikelihood,
+    draw_particles,
+    moments,
+    resample_low_variance,
+)
 from localization.filters.sonar_ray import WIRE_SONAR
-from localization.filters.update import Observation, Refusal
+from localization.filters.update import Refusal, kalman_update
 from worlds.io import load_world
 from worlds.raycast import cast_rays
 from worlds.robots import N150
@@ -26,53 +32,52 @@ class Ruler:
     def is_range(self, reading_in: float) -> bool:
         return reading_in >= 0.0
 
-    def news(self, reading_in: float, times: int) -> float:
-        del reading_in, times
+    def information(self, reading_in: float, count: int) -> float:
+        del reading_in, count
         return 1.0
 
-    def of(self, poses: Floats, sonar: int, turret_offset_rad: float, reading_in: float) -> Weighed:
+    def at(self, poses: Floats, sonar: int, turret_offset_rad: float, reading_in: float) -> Likelihoods:
         del sonar, turret_offset_rad
-        return Weighed(np.exp(-0.5 * ((reading_in - poses[:, 0]) / 0.5) ** 2), np.zeros(len(poses)))
+        return Likelihoods(np.exp(-0.5 * ((reading_in - poses[:, 0]) / 0.5) ** 2), np.zeros(len(poses)))
 
 
 def filter_of(count: int, seed: int = 1, **more: object) -> ParticleFilter:
     chance = np.random.default_rng(seed)
-    return ParticleFilter(drawn_from(BELIEF, count, chance), Ruler(), OdometryNoise(), chance, **more)  # type: ignore[arg-type]
+    return ParticleFilter(draw_particles(BELIEF, count, chance), Ruler(), OdometryNoise(), chance, **more)  # type: ignore[arg-type]
 
 
 def test_on_a_linear_problem_it_agrees_with_the_kalman_filter() -> None:
     particles, gaussian = filter_of(200_000), BELIEF
     step = np.array([1.0, 0.05])
     for reading in (41.3, 42.0, 43.4):
-        particles.move(step)
+        particles.predict(*step)
         gaussian = predict(gaussian, step, OdometryNoise())
-        particles.hear(0, 0.0, reading)
-        seen = Observation(
-            np.array([reading - gaussian.mean[0]]), np.array([[1.0, 0, 0]]), np.array([0.25]), np.zeros(1, np.int8)
-        )
-        gaussian = correct(gaussian, seen)
+        particles.update(0, 0.0, reading)
+        x, P = unpack(gaussian)
+        kalman_update(x, P, [1.0, 0.0, 0.0], 0.25, reading - x[0])
+        gaussian = pack(x, P)
     np.testing.assert_allclose(particles.belief.mean, gaussian.mean, atol=0.02)
     np.testing.assert_allclose(particles.belief.std, gaussian.std, rtol=0.04)
 
 
 def test_looking_ahead_says_what_moving_then_does() -> None:
     particles, step = filter_of(100_000), np.array([3.0, 0.4])
-    ahead = particles.ahead(step)
-    particles.move(step)
+    ahead = particles.predicted(*step)
+    particles.predict(*step)
     np.testing.assert_allclose(particles.belief.mean, ahead.mean, atol=0.01)
     np.testing.assert_allclose(particles.belief.std, ahead.std, rtol=0.02)
 
 
 def test_limits_say_nothing() -> None:
     particles = filter_of(100)
-    assert particles.hear(0, 0.0, -1.0).refusal is Refusal.LIMIT
+    assert particles.update(0, 0.0, -1.0).refusal is Refusal.LIMIT
     assert (particles.weights == 0.01).all()
 
 
 @pytest.mark.parametrize("start", [0.0, 0.37, 0.999])
 def test_resampling_keeps_each_as_often_as_its_weight_says_to_less_than_one(start: float) -> None:
     weights = np.random.default_rng(2).dirichlet(np.ones(50))
-    counts = np.bincount(low_variance(weights, start), minlength=50)
+    counts = np.bincount(resample_low_variance(weights, start), minlength=50)
     assert counts.sum() == 50
     assert (np.abs(counts - 50 * weights) < 1.0).all()
 
@@ -89,16 +94,16 @@ def test_the_same_seed_gives_the_same_particles() -> None:
     for _ in range(2):
         particles = filter_of(500, seed=7)
         for reading in (41.0, 41.5):
-            particles.move(np.array([0.5, 0.0]))
-            particles.hear(0, 0.0, reading)
+            particles.predict(0.5, 0.0)
+            particles.update(0, 0.0, reading)
         runs.append(particles.states)
     np.testing.assert_array_equal(runs[0], runs[1])
 
 
-def test_drawn_particles_have_the_moments_they_are_drawn_from() -> None:
+def test_drawn_particles_have_the_moments_they_are_draw_particles() -> None:
     root = np.array([[0.5, 0, 0], [0.2, 0.4, 0], [0.01, 0.0, 0.02]])
     belief = Belief(np.array([1.0, 2.0, 3.1]), root @ root.T)
-    states = drawn_from(belief, 100_000, np.random.default_rng(3))
+    states = draw_particles(belief, 100_000, np.random.default_rng(3))
     found = moments(states, np.full(100_000, 1e-5))
     np.testing.assert_allclose(found.mean[:2], belief.mean[:2], atol=0.01)
     np.testing.assert_allclose(found.cov, belief.cov, atol=0.004)
@@ -107,28 +112,28 @@ def test_drawn_particles_have_the_moments_they_are_drawn_from() -> None:
 def test_how_likely_a_reading_was_bad_is_bayes_over_all_particles() -> None:
     chance = np.random.default_rng(5)
     likelihood = RayLikelihood(ROOM, N150, WIRE_SONAR)
-    particles = ParticleFilter(drawn_from(BELIEF, 50, chance), likelihood, OdometryNoise(), chance)
+    particles = ParticleFilter(draw_particles(BELIEF, 50, chance), likelihood, OdometryNoise(), chance)
     reading = _reading(BELIEF.mean, 2)
-    whole, bad = np.sum([likelihood.of(state[None, :], 2, 0.0, reading) for state in particles.states], axis=0)
-    assert particles.hear(2, 0.0, reading).outlier_probability == pytest.approx(float(bad[0] / whole[0]))
+    whole, bad = np.sum([likelihood.at(state[None, :], 2, 0.0, reading) for state in particles.states], axis=0)
+    assert particles.update(2, 0.0, reading).outlier_probability == pytest.approx(float(bad[0] / whole[0]))
 
 
 def test_a_cloud_that_is_elsewhere_than_the_robot_degrades_and_one_that_is_there_does_not() -> None:
     for off_in, status in ((0.0, HealthStatus.OK), (12.0, HealthStatus.DEGRADED)):
         chance, truth = np.random.default_rng(8), BELIEF.mean + np.array([off_in, -off_in, 0.0])
         likelihood = RayLikelihood(ROOM, N150, WIRE_SONAR)
-        cloud = ParticleFilter(drawn_from(BELIEF, 500, chance), likelihood, OdometryNoise(0.0, 0.0, 0.0), chance)
+        cloud = ParticleFilter(draw_particles(BELIEF, 500, chance), likelihood, OdometryNoise(0.0, 0.0, 0.0), chance)
         refused = 0
         for sonar in [*range(16)] * 4:
-            refused += cloud.hear(sonar, 0.0, _reading(truth, sonar)).refusal is Refusal.GATE
-            cloud.states = drawn_from(BELIEF, 500, chance)  # held where it is believed to be
+            refused += cloud.update(sonar, 0.0, _reading(truth, sonar)).refusal is Refusal.GATE
+            cloud.states = draw_particles(BELIEF, 500, chance)  # held where it is believed to be
         assert cloud.health.status is status
         assert (refused > 32) is (off_in > 0.0)
 
 
 def test_a_cloud_that_is_too_wide_says_so() -> None:
     chance = np.random.default_rng(9)
-    states = drawn_from(independent([0.0, 0.0, 0.0], [0.2, 4.0, 0.01]), 20_000, chance)
+    states = draw_particles(independent([0.0, 0.0, 0.0], [0.2, 4.0, 0.01]), 20_000, chance)
     wide = ParticleFilter(states, Ruler(), OdometryNoise(), chance)
     assert wide.health == (HealthStatus.DEGRADED, "the position is known to 4.0 in only")
 
@@ -137,12 +142,12 @@ def test_readings_of_the_room_bring_a_spread_cloud_together() -> None:
     chance, truth = np.random.default_rng(4), np.array([42.0, 44.0, 0.28])
     wide = independent(BELIEF.mean, [3.0, 3.0, 0.1])
     likelihood = RayLikelihood(ROOM, N150, WIRE_SONAR)
-    cloud = ParticleFilter(drawn_from(wide, 2000, chance), likelihood, OdometryNoise(), chance)
+    cloud = ParticleFilter(draw_particles(wide, 2000, chance), likelihood, OdometryNoise(), chance)
     for _ in range(4):
         for sonar in range(16):
-            cloud.move(np.array([0.02, 0.0]))
+            cloud.predict(0.02, 0.0)
             truth = move(truth, np.array([0.02, 0.0]))
-            cloud.hear(sonar, 0.0, _reading(truth, sonar))
+            cloud.update(sonar, 0.0, _reading(truth, sonar))
     assert np.hypot(*(cloud.belief.mean - truth)[:2]) < 0.5
     assert cloud.belief.std[:2].max() < 1.0
 
@@ -151,16 +156,16 @@ def test_a_robot_that_stands_keeps_its_cloud() -> None:
     """Readings of whole inches, the same again and again: taken for news, they leave a handful of particles."""
     chance, truth = np.random.default_rng(6), np.array([40.5, 45.2, 0.31])
     likelihood = RayLikelihood(ROOM, N150, WIRE_SONAR)
-    cloud = ParticleFilter(drawn_from(BELIEF, 1000, chance), likelihood, OdometryNoise(), chance)
+    cloud = ParticleFilter(draw_particles(BELIEF, 1000, chance), likelihood, OdometryNoise(), chance)
     after = []
     for _ in range(40):
         for sonar in range(16):
-            cloud.hear(sonar, 0.0, _reading(truth, sonar))
+            cloud.update(sonar, 0.0, _reading(truth, sonar))
         after.append(cloud.belief.std)
     assert len(np.unique(cloud.states, axis=0)) > 100
     np.testing.assert_allclose(after[-1], after[20], rtol=0.2)
-    cloud.move(np.array([1.0, 0.0]))
-    cloud.hear(0, 0.0, _reading(move(truth, np.array([1.0, 0.0])), 0))
+    cloud.predict(1.0, 0.0)
+    cloud.update(0, 0.0, _reading(move(truth, np.array([1.0, 0.0])), 0))
     assert not np.allclose(cloud.weights, cloud.weights[0])
 
 

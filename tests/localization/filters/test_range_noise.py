@@ -24,19 +24,19 @@ def covariance_of_rounding(std: float, step: float) -> float:
 @pytest.mark.parametrize("step", [1.0, 0.1])
 @pytest.mark.parametrize("std", [0.01, 0.05, 0.1, 0.2, 0.3])
 def test_rounding_errs_the_same_way_until_noise_shakes_it(std: float, step: float) -> None:
-    noise = RangeNoise(relative_std=0.0, floor_std_in=std * step, rounding_var_in2=step * step / 12.0)
-    there, told = covariance_of_rounding(std * step, step), noise.constant_at(30.0)
+    noise = RangeNoise(range_std_relative=0.0, range_std_floor_in=std * step, rounding_var_in2=step * step / 12.0)
+    there, told = covariance_of_rounding(std * step, step), noise.constant_variance_at(30.0)
     assert there - 1e-3 * step * step <= told <= 1.7 * there + 1e-9 * step * step
     assert told <= noise.variance_at(30.0)
 
 
 def test_without_noise_it_is_all_of_rounding_and_without_rounding_nothing() -> None:
-    assert RangeNoise(0.0, 1e-6, 1 / 12).constant_at(50.0) == pytest.approx(1 / 12)
-    assert RangeNoise().constant_at(50.0) == 0.0
+    assert RangeNoise(0.0, 1e-6, 1 / 12).constant_variance_at(50.0) == pytest.approx(1 / 12)
+    assert RangeNoise().constant_variance_at(50.0) == 0.0
 
 
 @pytest.mark.parametrize("noise", [WIRE_SONAR, ConeSonar()])
 def test_far_away_readings_are_all_anew(noise: RangeNoise) -> None:
-    assert noise.constant_at(10.0) > 0.5 * noise.rounding_var_in2
-    assert noise.constant_at(100.0) < 1e-9
+    assert noise.constant_variance_at(10.0) > 0.5 * noise.rounding_var_in2
+    assert noise.constant_variance_at(100.0) < 1e-9
     assert noise.variance_at(100.0) == pytest.approx(float(noise.variance(np.array(100.0))))

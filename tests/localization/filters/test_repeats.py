@@ -5,18 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from localization.filters.update import SAME_IN, SAME_RAD, CorrelatedReadings, inflated_variance
-
-STAND = np.zeros(2)
+from localization.filters.update import SAME_POSE_IN, SAME_POSE_RAD, CorrelatedReadings, inflated_variance
 
 
 @pytest.mark.parametrize(("anew", "constant"), [(0.1, 0.08), (2.0, 1e-3), (0.04, 0.0)])
 def test_weights_claim_what_is_so_and_none_could_be_larger(anew: float, constant: float) -> None:
     """By the whole covariance of the readings."""
     noise = np.eye(5) * anew + constant
-    weights = 1.0 / np.array(
-        [float(inflated_variance(np.array(anew + constant), np.array(constant), times)) for times in range(1, 6)]
-    )
+    weights = 1.0 / np.array([inflated_variance(anew + constant, constant, times) for times in range(1, 6)])
     for count in range(1, 6):
         first, part = weights[:count], noise[:count, :count]
         assert first @ part @ first == pytest.approx(first.sum(), rel=1e-6)
@@ -27,15 +23,15 @@ def test_weights_claim_what_is_so_and_none_could_be_larger(anew: float, constant
 
 @pytest.mark.parametrize("anew", [0.0, 0.1, 0.2])
 def test_what_is_mostly_one_error_says_nothing_again(anew: float) -> None:
-    second = inflated_variance(np.array([0.2 + anew]), np.array([0.2]), 2)
-    assert np.isfinite(second).all()
-    assert second[0] > 1e9
+    second = inflated_variance(0.2 + anew, 0.2, 2)
+    assert np.isfinite(second)
+    assert second > 1e9
 
 
 def number_of(repeats: CorrelatedReadings, sonar: int, turret_rad: float = 0.0) -> int:
     """Of a reading that is taken in: 1 for the first from this place."""
-    before = repeats.before(sonar, turret_rad)
-    repeats.take(sonar, turret_rad)
+    before = repeats.count(sonar, turret_rad)
+    repeats.record(sonar, turret_rad)
     return before + 1
 
 
@@ -43,33 +39,33 @@ def test_a_robot_that_stands_counts_each_sonar() -> None:
     repeats = CorrelatedReadings()
     counts = []
     for _ in range(3):
-        repeats.move(STAND)
+        repeats.move(0.0, 0.0)
         counts.append((number_of(repeats, 0, 0.1), number_of(repeats, 1, 0.1)))
     assert counts == [(1, 1), (2, 2), (3, 3)]
 
 
 def test_what_was_not_taken_in_does_not_count() -> None:
     repeats = CorrelatedReadings()
-    assert [repeats.before(0, 0.0) for _ in range(3)] == [0, 0, 0]
-    assert [number_of(repeats, 0), repeats.before(0, 0.0), number_of(repeats, 0)] == [1, 1, 2]
+    assert [repeats.count(0, 0.0) for _ in range(3)] == [0, 0, 0]
+    assert [number_of(repeats, 0), repeats.count(0, 0.0), number_of(repeats, 0)] == [1, 1, 2]
 
 
 @pytest.mark.parametrize(
     ("step", "turret_rad", "again"),
     [
-        ((0.9 * SAME_IN, 0.0), 0.0, True),
-        ((-1.1 * SAME_IN, 0.0), 0.0, False),
-        ((0.0, 0.9 * SAME_RAD), 0.0, True),
-        ((0.0, -1.1 * SAME_RAD), 0.0, False),
-        ((0.0, 0.0), 1.1 * SAME_RAD, False),
-        ((0.0, 2.0 * SAME_RAD), -2.0 * SAME_RAD, False),
+        ((0.9 * SAME_POSE_IN, 0.0), 0.0, True),
+        ((-1.1 * SAME_POSE_IN, 0.0), 0.0, False),
+        ((0.0, 0.9 * SAME_POSE_RAD), 0.0, True),
+        ((0.0, -1.1 * SAME_POSE_RAD), 0.0, False),
+        ((0.0, 0.0), 1.1 * SAME_POSE_RAD, False),
+        ((0.0, 2.0 * SAME_POSE_RAD), -2.0 * SAME_POSE_RAD, False),
         ((0.0, 0.0), 2 * np.pi, True),
     ],
 )
 def test_elsewhere_it_begins_anew(step: tuple[float, float], turret_rad: float, again: bool) -> None:
     repeats = CorrelatedReadings()
-    repeats.take(3, 0.0)
-    repeats.move(np.array(step))
+    repeats.record(3, 0.0)
+    repeats.move(*step)
     assert number_of(repeats, 3, turret_rad) == (2 if again else 1)
 
 
@@ -78,13 +74,13 @@ def test_a_creeping_robot_is_elsewhere_after_a_while() -> None:
     counts = []
     for _ in range(7):
         counts.append(number_of(repeats, 0))
-        repeats.move(np.array([0.4 * SAME_IN, 0.0]))
+        repeats.move(0.4 * SAME_POSE_IN, 0.0)
     assert counts == [1, 2, 3, 1, 2, 3, 1]
 
 
 def test_to_and_fro_is_not_the_same_place() -> None:
     repeats = CorrelatedReadings()
-    repeats.take(0, 0.0)
-    for way in (0.6, -0.6):
-        repeats.move(np.array([way * SAME_IN, 0.0]))
-    assert repeats.before(0, 0.0) == 0
+    repeats.record(0, 0.0)
+    for distance in (0.6, -0.6):
+        repeats.move(distance * SAME_POSE_IN, 0.0)
+    assert repeats.count(0, 0.0) == 0

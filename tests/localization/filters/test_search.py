@@ -10,11 +10,11 @@ import pytest
 
 from localization.experiments.live_trial import EXACT_RAYS, QUIET
 from localization.filters.belief import Floats, difference, independent
-from localization.filters.global_localization import BETTER_NATS, EchoRecord, Hypothesis, alternatives, merged, search
+from localization.filters.global_localization import MIN_LEAD_NATS, EchoRecord, Hypothesis, alternatives, merged, search
 from localization.filters.range_table import RangeTable, build_range_table
 from localization.filters.reflectors import reflectors
 from localization.filters.registry import update_for
-from localization.filters.sonar_cone import ConeSonar, SonarMount, cone_returns
+from localization.filters.sonar_cone import ConeSonar, SonarMount, expected_echoes
 from localization.filters.sonar_ray import RaySonar
 from nclient import connect
 from nclient.protocol.types import DEFAULT_SONAR_ORDER
@@ -65,7 +65,7 @@ def test_in_an_asymmetric_room_it_is_found_standing_and_driving(setup: str, way_
     off = difference(best.belief.mean, truth)
     assert np.hypot(off[0], off[1]) < 3.0
     assert abs(off[2]) < 0.15
-    assert best.share > 0.9
+    assert best.probability > 0.9
 
 
 @pytest.mark.parametrize("setup", KINDS)
@@ -80,8 +80,8 @@ def test_a_square_room_has_four_places_that_look_alike(setup: str) -> None:
         turned.append(centre + np.array([[cos, -sin], [sin, cos]]) @ (truth[:2] - centre))
     for place in turned:
         assert min(np.hypot(*(known.belief.mean[:2] - place)) for known in found) < 3.0
-    assert sum(known.share for known in found) == pytest.approx(1.0)
-    assert max(known.share for known in found) < 0.8
+    assert sum(known.probability for known in found) == pytest.approx(1.0)
+    assert max(known.probability for known in found) < 0.8
 
 
 def test_nothing_heard_and_nowhere_to_stand_find_nothing() -> None:
@@ -97,7 +97,7 @@ def test_hypotheses_that_came_to_the_same_place_are_one_and_the_unlikely_none() 
     here, beside, there = (independent([x, 0.0, 0.0], [0.5, 0.5, 0.02]) for x in (0.0, 1.0, 30.0))
     found = merged([(beside, -3.0), (here, -1.0), (there, -2.0), (independent([60, 0, 0], [1, 1, 1]), -40.0)])
     assert [known.belief for known in found] == [here, there]
-    assert found[0].share == pytest.approx(1.0 / (1.0 + math.exp(-1.0)))
+    assert found[0].probability == pytest.approx(1.0 / (1.0 + math.exp(-1.0)))
     assert merged([]) == []
 
 
@@ -107,7 +107,7 @@ def test_the_atlas_says_what_a_sonar_in_the_middle_of_a_cell_hears() -> None:
     for turn in range(0, 120, 7):
         pose = np.array([[*place, math.radians(3.0 * turn) - 0.4]])
         range_in, chance = (float(column[0]) for column in atlas.look_up(pose, 0.4))
-        exact = cone_returns(pose[0] + [0, 0, 0.4], np.array(0.015), SonarMount(0.0, 9.06), around, ConeSonar())
+        exact = expected_echoes(pose[0] + [0, 0, 0.4], np.array(0.015), SonarMount(0.0, 9.06), around, ConeSonar())
         best = int(exact.probability.argmax())
         assert chance == pytest.approx(exact.probability[best], abs=0.05)
         if chance > 0.5:
@@ -135,9 +135,9 @@ def test_a_wrong_place_has_a_rival_and_the_right_one_has_none(setup: str) -> Non
     atlas = atlas_of("several_walls", setup)
     hearing = update_for(load_world("several_walls").walls, N150, KINDS[setup])
     right, wrong = (independent(place, (0.2, 0.2, 0.01)) for place in (truth, truth + np.array([25.0, 5.0, 1.0])))
-    assert alternatives(right, clues, atlas, hearing, QUIET).lead_nats < 0.5 * BETTER_NATS
+    assert alternatives(right, clues, atlas, hearing, QUIET).lead_nats < 0.5 * MIN_LEAD_NATS
     found = alternatives(wrong, clues, atlas, hearing, QUIET)
-    assert found.lead_nats > BETTER_NATS
+    assert found.lead_nats > MIN_LEAD_NATS
     assert found.elsewhere is not None
     off = difference(found.elsewhere.mean, truth)
     assert np.hypot(off[0], off[1]) < 3.0

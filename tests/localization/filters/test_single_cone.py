@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from localization.filters.reflectors import reflectors
-from localization.filters.sonar_cone import ConeSensor, ConeSonar, SonarMount, cone_returns
+from localization.filters.sonar_cone import ConeSensor, ConeSonar, SonarMount, expected_echoes
 from worlds.io import load_world
 
 MODELS = [ConeSonar(), ConeSonar(cone_rad=1.2, margin_db=60.0), ConeSonar(cone_rad=7.0)]
@@ -16,18 +16,18 @@ MODELS = [ConeSonar(), ConeSonar(cone_rad=1.2, margin_db=60.0), ConeSonar(cone_r
 @pytest.mark.parametrize("world", ["several_walls", "centre_vertex"])
 def test_what_may_be_heard_is_the_same_as_in_arrays(world: str, model: ConeSonar) -> None:
     around, rng = reflectors(load_world(world).walls), np.random.default_rng(4)
-    listener = ConeSensor(around, model)
+    sensor = ConeSensor(around, model)
     several = 0
     for _ in range(300):
         pose = np.array([*rng.uniform(10.0, 80.0, size=2), rng.uniform(-np.pi, np.pi)])
         ear, std = SonarMount(rng.uniform(-np.pi, np.pi), 9.06), rng.choice([0.0, 0.01, 0.2])
-        plain = cone_returns(pose, np.array(std), ear, around, model)
+        plain = expected_echoes(pose, np.array(std), ear, around, model)
         x, y, heading = pose.tolist()
-        mine = listener.hear((x, y, heading), std, ear)
-        assert [found.which for found in mine] == np.flatnonzero(plain.probability).tolist()
+        mine = sensor.candidates((x, y, heading), std, ear)
+        assert [found.reflector for found in mine] == np.flatnonzero(plain.probability).tolist()
         several += len(mine) > 1
         for found in mine:
-            assert found.range_in == pytest.approx(plain.ranges_in[found.which], abs=1e-9)
-            assert found.jacobian == pytest.approx(plain.jacobian[found.which], abs=1e-9)
-            assert found.probability == pytest.approx(plain.probability[found.which], rel=1e-9, abs=1e-15)
+            assert found.range_in == pytest.approx(plain.ranges_in[found.reflector], abs=1e-9)
+            assert pytest.approx(plain.H[found.reflector], abs=1e-9) == found.H
+            assert found.probability == pytest.approx(plain.probability[found.reflector], rel=1e-9, abs=1e-15)
     assert several > 20

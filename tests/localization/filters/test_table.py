@@ -20,32 +20,32 @@ BELIEF = independent([40.0, 45.0, 0.3], [0.5, 0.5, 0.02])
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_every_method_starts_where_it_is_told_and_looks_ahead_without_going(method: str) -> None:
+def test_every_method_predicts_a_step_without_taking_it(method: str) -> None:
     made = make(method, KNOWN, BELIEF, seed=3)
     np.testing.assert_allclose(made.belief.mean[:3], BELIEF.mean, atol=0.1)
     before = made.belief
-    ahead = made.ahead(np.array([2.0, 0.1]))
+    ahead = made.predicted(2.0, 0.1)
     assert np.hypot(*(ahead.mean - before.mean)[:2]) == pytest.approx(2.0, abs=0.2)
     np.testing.assert_array_equal(made.belief.mean, before.mean)
-    made.move(np.array([2.0, 0.1]))
+    made.predict(2.0, 0.1)
     np.testing.assert_allclose(made.belief.mean, ahead.mean, atol=0.1)
 
 
-def test_an_unknown_method_is_refused_with_those_there_are() -> None:
+def test_an_unknown_method_is_refused() -> None:
     with pytest.raises(ValueError, match="no method 'kalman'; there are ekf"):
         make("kalman", KNOWN, BELIEF)
 
 
-def test_robots_that_know_the_same_map_share_its_atlas() -> None:
+def test_robots_on_the_same_map_share_its_range_table() -> None:
     known = KNOWN
     one, other = finder(known, None), finder(replace(known, odometry=OdometryNoise(0.0, 0.0, 0.0)), None)
-    assert one._map is other._map
+    assert one._table is other._table
     drawn = build_range_table(known.walls, N150, known.sonar, known.clearance_in)
-    assert (one._map.ranges_in == drawn.ranges_in).all()
-    assert finder(replace(known, clearance_in=12.0), None)._map is not one._map
+    assert (one._table.ranges_in == drawn.ranges_in).all()
+    assert finder(replace(known, clearance_in=12.0), None)._table is not one._table
 
 
-def test_offsets_of_sonars_are_found_besides_the_wheels_constants_that_the_belief_has() -> None:
+def test_offsets_estimates_the_parameters_of_the_belief() -> None:
     wheels = with_parameters(BELIEF, (0.05,))
     made = make("offsets", KNOWN, Belief(wheels.mean + np.array([0.0, 0.0, 0.0, 0.01]), wheels.cov))
     assert made.belief.mean.tolist() == [40.0, 45.0, 0.3, 0.01, *[0.0] * 20]

@@ -10,9 +10,8 @@ import pytest
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import independent
 from localization.filters.sonar_ray import WIRE_SONAR
-from localization.live import sensor_input as calibrated
 from localization.live.localizer import Localizer
-from localization.live.sensor_input import FiringSchedule, SensorData, with_wheels
+from localization.live.sensor_input import FiringSchedule, SensorData, corrected, with_wheels
 from worlds.io import load_world
 from worlds.robots import IDEAL_CALIBRATION, N150, Calibration, Spread
 
@@ -20,18 +19,18 @@ TOLD = SensorData(1.0, 2.0, 3.0, 0.5, 0.6, (6.0, 255.0, 0.0, 7.0, 254.0, *(50.0,
 ERRS = Calibration(1.02, 0.97, 0.001, (2.0,) * 4 + (-2.0,) * 12, radians(3.0), Spread(0.01, 0.02, 1e-4))
 
 
-def test_readings_lose_their_offsets_and_limits_stay_limits() -> None:
-    corrected = calibrated.of(TOLD, ERRS)
-    assert corrected.sonars_in[:3] == (6.0, 255.0, 0.0)
-    assert 6.0 < corrected.sonars_in[3] < 6.01
-    assert 254.99 < corrected.sonars_in[4] < 255.0
-    assert corrected.sonars_in[5:] == (52.0,) * 11
-    assert corrected.turret_rad == pytest.approx(0.6 + radians(3.0))
-    assert (corrected.clock_s, corrected.x_in, corrected.y_in, corrected.steering_rad) == (1.0, 2.0, 3.0, 0.5)
+def test_readings_lose_their_offsets_but_limits_stay() -> None:
+    state = corrected(TOLD, ERRS)
+    assert state.sonars_in[:3] == (6.0, 255.0, 0.0)
+    assert 6.0 < state.sonars_in[3] < 6.01
+    assert 254.99 < state.sonars_in[4] < 255.0
+    assert state.sonars_in[5:] == (52.0,) * 11
+    assert state.turret_rad == pytest.approx(0.6 + radians(3.0))
+    assert (state.clock_s, state.x_in, state.y_in, state.steering_rad) == (1.0, 2.0, 3.0, 0.5)
 
 
-def test_a_faultless_robot_is_told_as_it_is() -> None:
-    assert calibrated.of(TOLD, IDEAL_CALIBRATION) is TOLD
+def test_a_faultless_robot_changes_nothing() -> None:
+    assert corrected(TOLD, IDEAL_CALIBRATION) is TOLD
     pose = independent([0.0, 0.0, 0.0], [1.0, 1.0, 1.0])
     assert with_wheels(pose, IDEAL_CALIBRATION) is pose
 
@@ -46,7 +45,7 @@ def test_wheels_begin_at_what_was_found() -> None:
 def test_a_localizer_hears_what_is_corrected() -> None:
     walls = load_world("thesis_room").walls
     start = independent([2.0, 3.0, 0.5], [0.1, 0.1, 0.01])
-    known = LocalizationConfig(walls, N150, sonar=WIRE_SONAR, errs=ERRS)
+    known = LocalizationConfig(walls, N150, sonar=WIRE_SONAR, calibration=ERRS)
     localizer = Localizer(known, start, FiringSchedule(1.0))
     localizer.update(TOLD)
     estimate = localizer.update(SensorData(2.0, 2.0, 3.0, 0.5, 0.6, TOLD.sonars_in))

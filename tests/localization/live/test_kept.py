@@ -20,7 +20,7 @@ SITE = map_signature(load_world("thesis_room"), "n150")
 
 
 def encoders(x: float, y: float, heading: float, clock_s: float = 100.0) -> EncoderPose:
-    return EncoderPose(clock_s, np.array([x, y, heading]), heading)
+    return EncoderPose.of(clock_s, np.array([x, y, heading]), heading)
 
 
 KEPT = Kept(SITE, encoders(10.0, 20.0, 0.3), independent([11.0, 19.0, 0.4, 0.02], [0.2, 0.1, 0.01, 0.005]))
@@ -42,7 +42,7 @@ def test_one_that_was_driven_on_is_where_that_led() -> None:
             step = np.array([chance.uniform(0.0, 2.0), chance.uniform(-0.5, 0.5)])
             true = move(true, step + np.sqrt(step_variance(step, NOISE)) * chance.standard_normal(2))
             told = move(told, step)
-        held = resume_belief(KEPT, SITE, EncoderPose(200.0, told, 0.0), NOISE)
+        held = resume_belief(KEPT, SITE, EncoderPose.of(200.0, told, 0.0), NOISE)
         error = difference(held.mean[:3], true)
         off.append(error @ np.linalg.solve(held.cov[:3, :3], error))
     assert 0.2 < np.mean(off) < 3.3
@@ -52,7 +52,7 @@ def test_one_that_was_driven_on_is_where_that_led() -> None:
 def test_the_frame_of_the_encoders_may_be_any() -> None:
     """The same drive told in the encoders' frame and turned into the map's."""
     step = np.array([8.0, 0.6])
-    held = resume_belief(KEPT, SITE, EncoderPose(200.0, move(KEPT.encoders.pose, step), 0.0), NOISE)
+    held = resume_belief(KEPT, SITE, EncoderPose.of(200.0, move(KEPT.encoders.pose, step), 0.0), NOISE)
     np.testing.assert_allclose(step_between(KEPT.belief.mean[:3], held.mean[:3]), step)
     assert held.mean[3] == 0.02
     assert (held.std[:3] > KEPT.belief.std[:3]).all()
@@ -91,7 +91,7 @@ def test_who_says_how_far_it_was_moved_goes_on(now: EncoderPose) -> None:
 
 
 def test_and_one_that_was_driven_besides_is_where_that_led() -> None:
-    now = EncoderPose(200.0, move(KEPT.encoders.pose, np.array([8.0, 0.6])), 0.0)
+    now = EncoderPose.of(200.0, move(KEPT.encoders.pose, np.array([8.0, 0.6])), 0.0)
     driven, moved = (resume_belief(KEPT, SITE, now, NOISE, std) for std in (None, (1.0, 1.0, 0.1)))
     assert (moved.mean == driven.mean).all()
     np.testing.assert_allclose(moved.std[:3] ** 2, driven.std[:3] ** 2 + np.square([1.0, 1.0, 0.1]))

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from localization.filters.belief import Belief, independent
-from localization.filters.odometry import LARGEST
+from localization.filters.odometry import MAX_STATE
 from localization.live.saved_estimate import KEYS, MOST_BYTES, Kept, MapSignature, load, save
 from localization.live.sensor_input import EncoderPose
 from nclient.errors import EstimateFileError
 
 KEPT = Kept(
     MapSignature("thesis_room", "0123456789abcdef", "n150"),
-    EncoderPose(12.3, np.array([1.1, -2.2, 3.0]), 0.1),
+    EncoderPose.of(12.3, np.array([1.1, -2.2, 3.0]), 0.1),
     independent([1.0, -2.0, 3.1, 1 / 3], [0.1, 0.2, 0.01, 0.05]),
 )
 
@@ -74,10 +74,10 @@ def test_what_is_no_such_file_is_told(file: Path, text: str) -> None:
 
 
 def test_the_largest_state_fits_and_a_longer_file_is_not_read(file: Path) -> None:
-    cov = np.full((LARGEST, LARGEST), -1.2345678901234567e-300) + np.eye(LARGEST)
-    save(file, Kept(MapSignature("x" * 1000, *KEPT.site[1:]), KEPT.encoders, Belief(np.full(LARGEST, -1 / 3e9), cov)))
+    cov = np.full((MAX_STATE, MAX_STATE), -1.2345678901234567e-300) + np.eye(MAX_STATE)
+    save(file, Kept(MapSignature("x" * 1000, *KEPT.site[1:]), KEPT.encoders, Belief(np.full(MAX_STATE, -1 / 3e9), cov)))
     assert file.stat().st_size < MOST_BYTES / 10
-    assert len(load(file).belief.mean) == LARGEST
+    assert len(load(file).belief.mean) == MAX_STATE
     file.write_text(file.read_text() + " " * MOST_BYTES)
     with pytest.raises(EstimateFileError, match=rf"here\.json: is longer than {MOST_BYTES} bytes"):
         load(file)

@@ -12,7 +12,7 @@ from localization.live.sensor_input import CLOCK_STEP_S, EncoderPose
 
 
 def encoders(clock_s: float, pose: Floats) -> EncoderPose:
-    return EncoderPose(clock_s, pose, 0.0)
+    return EncoderPose.of(clock_s, pose, 0.0)
 
 
 def test_it_is_the_spread_of_poses_at_instants_within_one_step() -> None:

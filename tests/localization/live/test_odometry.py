@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from localization.live.sensor_input import REMEMBERED_S, EncoderPose, PoseHistory
+from localization.live.sensor_input import HISTORY_S, EncoderPose, PoseHistory
 
 
 def pose(clock_s: float, x: float, heading: float = 0.0, turret: float = 0.0) -> EncoderPose:
-    return EncoderPose(clock_s, np.array([x, 2 * x, heading]), turret)
+    return EncoderPose.of(clock_s, np.array([x, 2 * x, heading]), turret)
 
 
 def test_between_two_polls_the_robot_went_evenly() -> None:
@@ -47,7 +47,7 @@ def test_the_oldest_poses_are_forgotten_but_never_the_last_two() -> None:
     history = PoseHistory()
     for k in range(1000):
         history.add(pose(0.1 * k, float(k)))
-    assert history.at(0.0).pose[0] >= 1000 - 10 * REMEMBERED_S - 3
+    assert history.at(0.0).pose[0] >= 1000 - 10 * HISTORY_S - 3
     history.add(pose(1e6, 5.0))
     assert history.at(99.9).pose[0] == pytest.approx(999.0)
 

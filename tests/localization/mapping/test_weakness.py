@@ -9,11 +9,11 @@ import pytest
 
 from localization.experiments.live_trial import EXACT_RAYS
 from localization.filters.base import LocalizationConfig, measurement_model
-from localization.filters.belief import Floats, difference, independent
+from localization.filters.belief import Floats, difference, independent, unpack
 from localization.filters.odometry import OdometryNoise, move, step_variance
 from localization.filters.registry import make
 from localization.filters.sonar_cone import ConeSonar
-from localization.filters.sonar_ray import rays, ring
+from localization.filters.update import Refusal
 from localization.mapping.observability import HEADINGS, ROUND_S, ROUNDS, START_STD, WAYS, compute_observability
 from worlds.raycast import cast_rays
 from worlds.robots import N150, SONARS
@@ -24,10 +24,14 @@ QUIET = OdometryNoise(0.05, 0.05, 0.002)
 PLACES = np.array([[41.3, 30.9], [61.7, 52.4], [97.1, 82.6]])
 
 
+def directions(pose: Floats) -> Floats:
+    angles = pose[2] + np.array(N150.sonar_angles_rad)
+    return np.stack((np.cos(angles), np.sin(angles)), axis=-1)
+
+
 def ranges(pose: Floats) -> Floats:
     """Of all sixteen sonars, by the ray caster."""
-    aimed = rays(pose[None, :], ring(N150))
-    return cast_rays(aimed.axes_in, aimed.directions, ROOM)[0] - N150.sonar_ring_radius_in
+    return cast_rays(pose[:2], directions(pose), ROOM)[0] - N150.sonar_ring_radius_in
 
 
 def test_the_end_of_the_recursion_solves_riccatis_equation() -> None:
@@ -39,7 +43,7 @@ def test_the_end_of_the_recursion_solves_riccatis_equation() -> None:
         for turn in np.arange(HEADINGS) * 2 * np.pi / SONARS / HEADINGS:
             pose = np.append(place, turn)
             slope = np.array([(ranges(pose + way) - ranges(pose - way)) / 2e-5 for way in 1e-5 * np.eye(3)]).T
-            aimed = rays(pose[None, :], ring(N150)).directions
+            aimed = directions(pose)
             _, walls = cast_rays(np.tile(place, (SONARS, 1)), aimed, ROOM)
             steep = np.where(walls % 2 == 0, np.abs(aimed[:, 1]), np.abs(aimed[:, 0])) >= 0.3
             information += (slope[steep].T / EXACT_RAYS.variance(ranges(pose)[steep])) @ slope[steep] / HEADINGS
@@ -77,9 +81,9 @@ def test_no_filter_beats_it_and_a_good_one_comes_near() -> None:
         for round_ in range(60):
             step = np.array([way, 0.35])
             true = move(true, step + np.sqrt(step_variance(step, QUIET)) * chance.standard_normal(2))
-            method.move(step)
+            method.predict(*step.tolist())
             for sonar, far in enumerate(ranges(true)):
-                method.hear(sonar, 0.0, float(np.floor(far + 0.5)))
+                method.update(sonar, 0.0, float(np.floor(far + 0.5)))
             if round_ > 20:
                 error = difference(method.belief.mean, true)
                 squares.append(0.5 * (error[0] ** 2 + error[1] ** 2))
@@ -98,19 +102,21 @@ def test_nor_does_one_that_drives_straight_on() -> None:
     for _ in range(16):
         true = np.array([40.0, 50.0, 0.0])
         method = make("ekf", known, independent(true, [0.3, 0.3, 0.02]))
-        sense = measurement_model(hall, N150, ConeSonar())
+        model = measurement_model(hall, N150, ConeSonar())
         for round_ in range(80):
             step = np.array([5.0 * ROUND_S, -0.2 * true[2]])
             true = move(true, step + np.sqrt(step_variance(step, QUIET)) * chance.standard_normal(2))
-            method.move(step)
+            method.predict(*step.tolist())
             for sonar in range(SONARS):
-                heard = sense.sense(independent(true, [1e-3] * 3), sonar, 0.0, 50.0).candidates
-                if heard is None or chance.random() > heard.probability.sum():
+                x, P = unpack(independent(true, [1e-3] * 3))
+                found = model.associate(x, P, sonar, 0.0, 50.0)
+                if found.refusal is not Refusal.NONE or chance.random() > sum(found.probability):
                     continue
-                range_in = float(chance.choice(heard.ranges_in, p=heard.probability / heard.probability.sum()))
+                probability = np.array(found.probability)
+                range_in = float(chance.choice(found.ranges_in, p=probability / probability.sum()))
                 range_in += sqrt(ConeSonar().variance_at(range_in) - 1.0 / 12.0) * chance.standard_normal()
                 bad = chance.random() < ConeSonar().outlier_probability
-                method.hear(sonar, 0.0, float(np.floor((chance.uniform(7.0, 254.0) if bad else range_in) + 0.5)))
+                method.update(sonar, 0.0, float(np.floor((chance.uniform(7.0, 254.0) if bad else range_in) + 0.5)))
             if round_ > 30:
                 squares.append(difference(method.belief.mean, true)[2] ** 2)
                 stds.append(sqrt(method.belief.cov[2, 2]))

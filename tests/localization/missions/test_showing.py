@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from nclient.cli.main import main
-from nserver_emu.viewer.localization import published
+from nserver_emu.viewer.localization import parse_estimate
 from tests.localization.published_to import page_that
 
 SIM = "sim:thesis_room?noisy=1&seed=1"
@@ -24,7 +24,7 @@ def a_page() -> Iterator[tuple[str, list[Any]]]:
     told: list[Any] = []
 
     def taken(said: Any) -> tuple[int, str]:
-        told.append(published(json.dumps(said)))
+        told.append(parse_estimate(json.dumps(said)))
         return 200, json.dumps({"waypoints": [[15, 10]], "set": 7 if len(told) < 3 else 8})
 
     with page_that(taken) as (url, _):

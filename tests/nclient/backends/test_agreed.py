@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from nclient.backends.wrappers import Agreed
+from nclient.backends.wrappers import PersistentSettings
 from nclient.protocol.commands import Call
 
 ORDER = tuple(range(16))
@@ -16,9 +16,9 @@ TOLD = [
 
 
 def after(*calls: Call) -> list[Call]:
-    agreed = Agreed()
+    agreed = PersistentSettings()
     for call in calls:
-        agreed.remember(call)
+        agreed.record(call)
     return list(agreed.calls())
 
 

@@ -7,7 +7,7 @@ import pickle
 import pytest
 
 from nclient.backends.base import Backend
-from nclient.backends.keep_alive import Feeding
+from nclient.backends.keep_alive import KeepAlive
 from nclient.backends.wrappers import BumperStop
 from nclient.errors import BumperHit
 from nclient.protocol.commands import Call
@@ -25,7 +25,7 @@ def test_a_hit_while_moving_sends_st_and_is_told(model: Model) -> None:
     robot.slots[41] = 1
     backend.execute(VM)
     robot.slots[33] |= 0b101
-    with pytest.raises(BumperHit, match="gs: bumper 0, 2 touches; the robot was told to stop") as hit:
+    with pytest.raises(BumperHit, match="gs: bumper 0, 2 closed") as hit:
         backend.execute(GS)
     assert (hit.value.command, hit.value.bumpers) == ("gs", (0, 2))
     assert robot.names() == ["vm", "gs", "st"]
@@ -116,7 +116,7 @@ def test_a_hit_during_ws_is_seen_within_a_second(timeout_s: int) -> None:
     robot = ScriptedLine({"ws": answers})
     backend: Backend = BumperStop(direct_on(robot))
     if timeout_s:
-        backend = Feeding(backend, timeout_s, feeds=False)
+        backend = KeepAlive(backend, timeout_s, feeds=False)
     robot.calls.clear()
     backend.execute(VM)
     with pytest.raises(BumperHit, match="ws: bumper 3"):

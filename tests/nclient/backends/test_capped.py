@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from nclient.backends.wrappers import Capped
+from nclient.backends.wrappers import SpeedLimiter
 from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused
 from nclient.protocol.commands import Call
 from nclient.protocol.types import N150, N200, SCOUT, SCOUT_WHEEL_IN_PER_DEG
@@ -31,21 +31,21 @@ BOTH: dict[str, Any] = {"max_speed_in_s": 8, "max_turn_deg_s": 30}
 )
 def test_speeds_are_brought_down(name: str, asked: tuple[int, ...], sent: tuple[int, ...]) -> None:
     robot = ScriptedLine()
-    Capped(direct_on(robot), **BOTH).execute(Call(name, asked))
+    SpeedLimiter(direct_on(robot), **BOTH).execute(Call(name, asked))
     assert robot.calls == [Call(name, sent)]
 
 
 def test_one_limit_leaves_the_other_axes() -> None:
     robot = ScriptedLine()
-    Capped(direct_on(robot), max_speed_in_s=8).execute(Call("vm", (200, 450, 450)))
-    Capped(direct_on(robot), max_turn_deg_s=30).execute(Call("vm", (200, 450, 450)))
+    SpeedLimiter(direct_on(robot), max_speed_in_s=8).execute(Call("vm", (200, 450, 450)))
+    SpeedLimiter(direct_on(robot), max_turn_deg_s=30).execute(Call("vm", (200, 450, 450)))
     assert [call.args for call in robot.calls] == [(80, 450, 450), (200, 300, 300)]
 
 
 @pytest.mark.parametrize("call", [Call("pr", (100, 0, 0)), Call("mv", (0, 0, 2, 900, 0, 0)), Call("pa", (1, 2, 3))])
 def test_before_the_first_relative_motion_the_limits_are_the_speeds(call: Call) -> None:
     robot = ScriptedLine(model=N200)
-    backend = Capped(direct_on(robot), max_speed_in_s=8)
+    backend = SpeedLimiter(direct_on(robot), max_speed_in_s=8)
     robot.calls.clear()
     backend.execute(call)
     backend.execute(call)
@@ -54,7 +54,7 @@ def test_before_the_first_relative_motion_the_limits_are_the_speeds(call: Call) 
 
 def test_who_has_said_sp_has_said_the_speeds() -> None:
     robot = ScriptedLine()
-    backend = Capped(direct_on(robot), **BOTH)
+    backend = SpeedLimiter(direct_on(robot), **BOTH)
     backend.execute(Call("sp", (50, 450, 450)))
     backend.execute(Call("pr", (100, 0, 0)))
     assert robot.calls == [Call("sp", (50, 300, 300)), Call("pr", (100, 0, 0))]
@@ -62,7 +62,7 @@ def test_who_has_said_sp_has_said_the_speeds() -> None:
 
 def test_a_speed_that_mv_has_set_is_the_speed() -> None:
     robot = ScriptedLine()
-    backend = Capped(direct_on(robot), max_speed_in_s=8)
+    backend = SpeedLimiter(direct_on(robot), max_speed_in_s=8)
     asked = [Call("mv", (5, 20, 0, 0, 0, 0)), Call("pr", (100, 0, 0)), Call("mv", (5, 200, 2, 900, 0, 0))]
     for call in asked:
         backend.execute(call)
@@ -71,7 +71,7 @@ def test_a_speed_that_mv_has_set_is_the_speed() -> None:
 
 def test_axes_that_mv_left_out_are_given_their_limits() -> None:
     robot = ScriptedLine()
-    backend = Capped(direct_on(robot), **BOTH)
+    backend = SpeedLimiter(direct_on(robot), **BOTH)
     backend.execute(Call("mv", (0, 0, 5, 50, 0, 0)))
     backend.execute(Call("mv", (5, 70, 2, 100, 0, 0)))
     backend.execute(Call("pr", (1, 1, 1)))
@@ -83,7 +83,7 @@ def test_axes_that_mv_left_out_are_given_their_limits() -> None:
 def test_a_speed_whose_setting_was_not_answered_is_told_again() -> None:
     silence: list[Answer] = [None]
     robot = ScriptedLine({"sp": silence})
-    backend = Capped(direct_on(robot), max_speed_in_s=8)
+    backend = SpeedLimiter(direct_on(robot), max_speed_in_s=8)
     with pytest.raises(ReplyTimeout):
         backend.execute(Call("sp", (30, 450, 450)))
     robot.calls.clear()
@@ -94,7 +94,7 @@ def test_a_speed_whose_setting_was_not_answered_is_told_again() -> None:
 def test_a_speed_that_was_refused_is_none() -> None:
     refused: list[Answer] = [bytes.fromhex("01 02 00 08 0b 5c")]
     robot = ScriptedLine({"sp": refused})
-    backend = Capped(direct_on(robot), max_speed_in_s=8)
+    backend = SpeedLimiter(direct_on(robot), max_speed_in_s=8)
     with pytest.raises(RobotRefused):
         backend.execute(Call("sp", (30, 450, 450)))
     backend.execute(Call("pr", (100, 0, 0)))
@@ -105,7 +105,7 @@ def test_a_robot_that_was_lost_may_have_other_speeds() -> None:
     robot = ScriptedLine()
     stream = MemoryStream(robot)
     inner = direct_on(robot)
-    backend = Capped(inner, **BOTH)
+    backend = SpeedLimiter(inner, **BOTH)
     backend.execute(Call("sp", (50, 50, 50)))
     stream.close()
     inner.close()
@@ -121,7 +121,7 @@ def test_a_robot_that_was_lost_may_have_other_speeds() -> None:
 @pytest.mark.parametrize("asked", [(400, 400), (400, -400), (390, 100), (-300, 20), (60, 60), (0, 400)])
 def test_a_scouts_wheels_are_slowed_together(asked: tuple[int, int]) -> None:
     robot = ScriptedLine(model=SCOUT)
-    Capped(direct_on(robot), **BOTH).execute(Call("vm", (*asked, 0)))
+    SpeedLimiter(direct_on(robot), **BOTH).execute(Call("vm", (*asked, 0)))
     right, left, _ = robot.calls[0].args
     assert max(abs(right), abs(left)) <= 80
     assert abs(right - left) / 2 <= 300 * SCOUT_WHEEL_IN_PER_DEG + 1
@@ -133,7 +133,7 @@ def test_a_scouts_wheels_are_slowed_together(asked: tuple[int, int]) -> None:
 def test_a_scouts_wheels_by_mv_and_sp() -> None:
     robot = ScriptedLine(model=SCOUT)
     wheel = int(300 * SCOUT_WHEEL_IN_PER_DEG)
-    backend = Capped(direct_on(robot), **BOTH)
+    backend = SpeedLimiter(direct_on(robot), **BOTH)
     backend.execute(Call("sp", (390, 390, 0)))
     backend.execute(Call("mv", (1, 390, 0, 0, 0, 0)))
     backend.execute(Call("mv", (1, 100, 1, 50, 0, 0)))
@@ -145,4 +145,4 @@ def test_a_scouts_wheels_by_mv_and_sp() -> None:
 def test_what_is_no_such_call_is_the_backends_to_refuse() -> None:
     robot = ScriptedLine(model=N150)
     with pytest.raises(ValueError, match="vm takes 3 numbers"):
-        Capped(direct_on(robot), **BOTH).execute(Call("vm", (1,)))
+        SpeedLimiter(direct_on(robot), **BOTH).execute(Call("vm", (1,)))

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from nclient.backends.direct import QUIET_S, DirectBackend
-from nclient.backends.wrappers import Retrying
+from nclient.backends.wrappers import RetryingBackend
 from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused, WireError
 from nclient.protocol.client_state import ClientState, Handshake, build_handshake
 from nclient.protocol.commands import BY_NAME, Call
@@ -73,7 +73,7 @@ def test_a_n200_is_sent_its_mask_and_asked_again_when_it_is_silent() -> None:
 def test_a_n200_over_tcp_says_its_mask_first() -> None:
     robot = ScriptedLine(model=N200)
     mask = EVERYTHING.with_position(2)
-    robot.wire_state.note_mask(mask)
+    robot.wire_state.set_mask(mask)
     robot.out += build_handshake(Handshake(mask, 51))
     backend = direct_on(robot, hello=True)
     assert (backend.greeting, backend.wire_state.mask, robot.calls) == (None, mask, [])
@@ -227,7 +227,7 @@ def test_what_is_not_repeated_is_held_back_while_a_late_answer_could_pass_for_it
     move = Call("pr", (100, 0, 0))
     with pytest.raises(ReplyTimeout, match="pr: no answer"):
         backend.execute(move)
-    with pytest.raises(ReplyTimeout, match="pr was held back"):
+    with pytest.raises(ReplyTimeout, match="pr was not sent"):
         backend.execute(move)
     assert robot.names() == ["pr", "get_ra"]
     assert backend.execute(move).kind == "state"
@@ -265,7 +265,7 @@ def test_a_line_that_is_never_quiet(monkeypatch: pytest.MonkeyPatch) -> None:
         with pytest.raises(ReplyTimeout):
             backend.execute(GS)
     monkeypatch.setattr(robot, "receive", lambda: b"\x55")
-    monkeypatch.setattr("nclient.backends.direct._LONGEST_QUIET_S", 0.05)
+    monkeypatch.setattr("nclient.backends.direct.MAX_DRAIN_S", 0.05)
     with pytest.raises(ReplyTimeout, match="never quiet"):
         backend.execute(GS)
 
@@ -314,7 +314,7 @@ def test_a_length_that_hides_the_answer_is_given_up_at_the_gap() -> None:
 def test_a_good_frame_that_does_not_fit_is_no_answer() -> None:
     robot = ScriptedLine({"gs": [build_frame(7, bytes(41))], "vm": [build_frame(99)]})
     backend = direct_on(robot)
-    with pytest.raises(ReplyTimeout, match="gs was answered by what does not fit it"):
+    with pytest.raises(ReplyTimeout, match="gs: the reply does not fit"):
         backend.execute(GS)
     with pytest.raises(ReplyTimeout, match="vm: no answer"):
         backend.execute(VM)
@@ -515,14 +515,14 @@ def test_no_late_and_no_corrupt_answer_is_ever_another_commands(seed: int) -> No
 @pytest.mark.parametrize("laser", [(0,), (2, 10, 20, 30, -40, 50, 60, 70, -80)])
 def test_a_laser_that_another_client_left_in_line_mode_is_read(laser: tuple[int, ...]) -> None:
     robot = ScriptedLine(model=N200)
-    robot.wire_state.note_laser_mode(33)
+    robot.wire_state.set_laser_mode(33)
     robot.laser = laser
     backend = direct_on(robot)
     assert backend.greeting is not None
     assert backend.greeting.laser == laser
     robot.laser = (1, 1, 2, 3, -4)
     assert backend.execute(GS).laser == (1, 1, 2, 3, -4)
-    robot.wire_state.note_laser_mode(51)
+    robot.wire_state.set_laser_mode(51)
     robot.laser = (3, 100, 200, 300)
     assert backend.execute(GS).laser == (3, 100, 200, 300)
 
@@ -531,27 +531,27 @@ def test_a_laser_mode_that_was_said_is_the_mode() -> None:
     robot = ScriptedLine(model=N200)
     backend = direct_on(robot)
     backend.execute(Call("conf_ls", (51, 20, 20, 60, 4)))
-    robot.wire_state.note_laser_mode(33)
+    robot.wire_state.set_laser_mode(33)
     robot.laser = (1, 1, 2, 3, -4)
     with pytest.raises(ReplyTimeout, match="does not fit"):
         backend.execute(GS)
     robot = ScriptedLine(model=N200)
     robot.out += build_handshake(Handshake(EVERYTHING, 51))
     backend = direct_on(robot, hello=True)
-    robot.wire_state.note_laser_mode(33)
+    robot.wire_state.set_laser_mode(33)
     robot.laser = (1, 1, 2, 3, -4)
     with pytest.raises(ReplyTimeout, match="does not fit"):
         backend.execute(GS)
 
 
 @pytest.mark.parametrize(("real", "said", "remedy"), [
-    (N200, N150, "it looks like a n200's: say model=n200"), (N200, SCOUT, "it looks like a n200's: say model=n200"),
-    (SCOUT, N150, "is it a n150. Else say model=n200 or model=scout"),
-    (N150, SCOUT, "is it a scout. Else say model=n150 or model=n200"),
+    (N200, N150, "it looks like a n200's: write model=n200"), (N200, SCOUT, "it looks like a n200's: write model=n200"),
+    (SCOUT, N150, "is it a n150. Else write model=n200 or model=scout"),
+    (N150, SCOUT, "is it a scout. Else write model=n150 or model=n200"),
 ])
 def test_another_model_than_was_said_is_told_from_the_first_answer_on(real: Model, said: Model, remedy: str) -> None:
     robot = ScriptedLine(model=real)
-    backend = Retrying(DirectBackend(MemoryStream(robot), said), 2)
+    backend = RetryingBackend(DirectBackend(MemoryStream(robot), said), 2)
     for _ in range(3):
         with pytest.raises(ReplyTimeout, match=remedy):
             backend.execute(Call("conf_tm", (5,)))
@@ -568,9 +568,9 @@ def test_what_is_understood_once_is_of_this_model() -> None:
 
 
 def test_no_n200_at_the_other_end_of_a_mask() -> None:
-    with pytest.raises(ReplyTimeout, match=r"no answer within 1 s; is it a n200. Else say model=n150 or model=scout"):
+    with pytest.raises(ReplyTimeout, match=r"no answer within 1 s; is it a n200. Else write model=n150 or model=scout"):
         direct_on(ScriptedLine({"ct": None}, N200))
-    with pytest.raises(RobotRefused, match=r"ct was refused: NAK; is it a n200. Else say model=n150 or model=scout"):
+    with pytest.raises(RobotRefused, match=r"ct was refused: NAK; is it a n200. Else write model=n150 or model=scout"):
         direct_on(ScriptedLine({"ct": NAK_FRAME}, N200))
-    with pytest.raises(ReplyTimeout, match=r"says 11 bytes first, and 0 came; is it a n200. Else say model="):
+    with pytest.raises(ReplyTimeout, match=r"sends 11 bytes first, and 0 came; is it a n200. Else write model="):
         direct_on(ScriptedLine(model=N200), hello=True)

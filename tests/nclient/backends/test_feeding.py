@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from nclient.backends.keep_alive import Feeding
+from nclient.backends.keep_alive import KeepAlive
 from nclient.backends.nserver import NserverBackend
-from nclient.backends.wrappers import BumperStop, Retrying
+from nclient.backends.wrappers import BumperStop, RetryingBackend
 from nclient.errors import BumperHit, ConnectionLost, ReplyTimeout
 from nclient.protocol.commands import Call
 from nclient.protocol.types import N200
@@ -28,9 +28,9 @@ class Clock:
         return self.now_s
 
 
-def feeding_on(robot: ScriptedLine, clock: Clock, **options: Any) -> Feeding:
+def feeding_on(robot: ScriptedLine, clock: Clock, **options: Any) -> KeepAlive:
     """Without its thread: the tests beat by hand."""
-    return Feeding(direct_on(robot), feeds=False, clock=clock, **options)
+    return KeepAlive(direct_on(robot), feeds=False, clock=clock, **options)
 
 
 def test_the_time_out_is_set_on_connecting_and_its_answer_is_the_greeting() -> None:
@@ -41,7 +41,7 @@ def test_the_time_out_is_set_on_connecting_and_its_answer_is_the_greeting() -> N
     assert backend.greeting.slots[17] == 57
     robot = ScriptedLine(model=N200)
     inner = direct_on(robot)
-    assert Feeding(inner, 9, feeds=False).greeting is inner.greeting
+    assert KeepAlive(inner, 9, feeds=False).greeting is inner.greeting
     assert robot.calls[-1] == Call("conf_tm", (9,))
 
 
@@ -50,14 +50,14 @@ def test_it_asks_where_nothing_was_said_for_a_third_of_the_time_out() -> None:
     backend = feeding_on(robot, clock, timeout_s=6)
     robot.calls.clear()
     clock.now_s = 1.9
-    assert backend.beat() == pytest.approx(0.1)
+    assert backend.poll() == pytest.approx(0.1)
     assert robot.calls == []
     clock.now_s = 2.0
-    assert backend.beat() == 2.0
+    assert backend.poll() == 2.0
     assert robot.names() == ["gs"]
     clock.now_s = 3.0
     backend.execute(VM)
-    assert backend.beat() == 2.0
+    assert backend.poll() == 2.0
     assert robot.names() == ["gs", "vm"]
 
 
@@ -65,7 +65,7 @@ def test_it_may_be_told_to_ask_more_often() -> None:
     robot, clock = ScriptedLine(), Clock()
     backend = feeding_on(robot, clock, at_least_every_s=0.2)
     clock.now_s = 0.2
-    assert backend.beat() == 0.2
+    assert backend.poll() == 0.2
     assert robot.names() == ["conf_tm", "gs"]
 
 
@@ -73,23 +73,23 @@ def test_it_may_be_told_to_ask_more_often() -> None:
 def test_in_a_simulation_that_runs_faster_it_asks_more_often(speed: int, interval_s: float) -> None:
     server, clock = ScriptedServer(), Clock()
     server.slots = {0: speed}
-    backend = Feeding(NserverBackend(MemoryStream(server)), 6, feeds=False, clock=clock)
+    backend = KeepAlive(NserverBackend(MemoryStream(server)), 6, feeds=False, clock=clock)
     clock.now_s = 2.0
-    assert backend.beat() == pytest.approx(interval_s)
+    assert backend.poll() == pytest.approx(interval_s)
     assert server.names() == ["conf_tm", "gs"]
 
 
 def test_where_time_stands_it_does_not_feed() -> None:
     server, clock = ScriptedServer(), Clock()
     server.slots = {0: 0}
-    backend = Feeding(NserverBackend(MemoryStream(server)), feeds=False, clock=clock)
+    backend = KeepAlive(NserverBackend(MemoryStream(server)), feeds=False, clock=clock)
     clock.now_s = 100.0
-    backend.beat()
+    backend.poll()
     assert server.names() == ["conf_tm"]
     server.slots = {0: 10}
     backend.execute(GS)
     clock.now_s = 200.0
-    backend.beat()
+    backend.poll()
     assert server.names() == ["conf_tm", "gs", "gs"]
 
 
@@ -98,7 +98,7 @@ def test_a_program_that_sends_conf_tm_itself_takes_it_over() -> None:
     backend = feeding_on(robot, clock)
     backend.execute(Call("conf_tm", (1,)))
     clock.now_s = 100.0
-    backend.beat()
+    backend.poll()
     backend.execute(Call("ws", (1, 1, 1, 20)))
     assert robot.names() == ["conf_tm", "conf_tm", "ws"]
     assert robot.calls[-1].args == (1, 1, 1, 20)
@@ -106,7 +106,7 @@ def test_a_program_that_sends_conf_tm_itself_takes_it_over() -> None:
 
 def test_who_has_no_time_out_is_not_fed() -> None:
     server, clock = ScriptedServer({"conf_tm": error(1)}), Clock()
-    backend = Feeding(NserverBackend(MemoryStream(server)), clock=clock)
+    backend = KeepAlive(NserverBackend(MemoryStream(server)), clock=clock)
     assert not backend._thread.is_alive()
     assert backend.execute(GS).kind == "state"
 
@@ -116,7 +116,7 @@ def test_while_somebody_talks_there_is_nothing_to_do() -> None:
     backend = feeding_on(robot, clock)
     clock.now_s = 100.0
     with backend._lock:
-        backend.beat()
+        backend.poll()
     assert robot.names() == ["conf_tm"]
 
 
@@ -124,7 +124,7 @@ def test_a_robot_that_was_switched_off_and_on_is_given_its_time_out_again() -> N
     robot = ScriptedLine()
     robot.clock = 500_000
     inner = direct_on(robot)
-    backend = Feeding(Retrying(inner, 2), feeds=False, clock=Clock())
+    backend = KeepAlive(RetryingBackend(inner, 2), feeds=False, clock=Clock())
     backend.execute(GS)
     robot.clock = 100
     robot.answers["conf_tm"] = [None, None, None]
@@ -149,11 +149,11 @@ def test_a_loss_is_told_by_the_next_call_and_nothing_is_asked_till_then() -> Non
     stream = MemoryStream(robot)
     inner = direct_on(robot)
     inner._line._stream = stream
-    backend = Feeding(inner, feeds=False, clock=clock)
+    backend = KeepAlive(inner, feeds=False, clock=clock)
     stream.close()
     for now_s in (10.0, 20.0):
         clock.now_s = now_s
-        backend.beat()
+        backend.poll()
     with pytest.raises(ConnectionLost, match="gs: this end has closed"):
         backend.execute(VM)
     with pytest.raises(ConnectionLost, match="vm: "):
@@ -165,25 +165,25 @@ def test_a_silence_is_told_only_where_it_is_the_end() -> None:
     backend = feeding_on(robot, clock)
     robot.answers["gs"] = [spoiled(robot.frame("gs"))]
     clock.now_s = 10.0
-    backend.beat()
+    backend.poll()
     assert backend.execute(VM).kind == "state"
     server = ScriptedServer()
-    backend = Feeding(NserverBackend(MemoryStream(server)), feeds=False, clock=clock)
+    backend = KeepAlive(NserverBackend(MemoryStream(server)), feeds=False, clock=clock)
     server.answers["gs"] = None
     clock.now_s = 20.0
-    backend.beat()
+    backend.poll()
     with pytest.raises(ReplyTimeout, match="gs"):
         backend.execute(VM)
 
 
 def test_a_bumper_hit_in_a_programs_sleep_is_told_by_its_next_call() -> None:
     robot, clock = ScriptedLine(), Clock()
-    backend = Feeding(BumperStop(direct_on(robot)), feeds=False, clock=clock)
+    backend = KeepAlive(BumperStop(direct_on(robot)), feeds=False, clock=clock)
     robot.slots[41] = 1
     backend.execute(VM)
     robot.slots[33] |= 1
     clock.now_s = 10.0
-    backend.beat()
+    backend.poll()
     assert robot.names() == ["conf_tm", "vm", "gs", "st"]
     with pytest.raises(BumperHit, match="gs: bumper 0"):
         backend.execute(GS)
@@ -233,7 +233,7 @@ def test_the_thread_feeds_and_ends_with_the_robot(monkeypatch: pytest.MonkeyPatc
             fed.set()
 
     monkeypatch.setattr(robot, "send", send)
-    backend = Feeding(direct_on(robot), at_least_every_s=0.01)
+    backend = KeepAlive(direct_on(robot), at_least_every_s=0.01)
     assert fed.wait(10)
     backend.close()
     assert not backend._thread.is_alive()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from nclient.backends.base import in_pieces, is_wait
+from nclient.backends.base import is_wait, split_wait
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 
@@ -24,14 +24,14 @@ def test_until_the_axes_that_it_names_are_still_or_time_is_over(
         said.append(call)
         return Reply("state", {41: motors[len(said) - 1]}, clock=len(said))
 
-    reply = in_pieces(Call("ws", (*flags, 7)), 2, say)
+    reply = split_wait(Call("ws", (*flags, 7)), 2, say)
     assert said == [Call("ws", (*flags, piece)) for piece in pieces]
     assert reply.clock == len(pieces)
 
 
 def test_no_time_is_asked_once() -> None:
     said: list[Call] = []
-    in_pieces(Call("ws", (1, 1, 1, 0)), 1, lambda call: said.append(call) or Reply("state", {41: 7}))  # type: ignore[func-returns-value]
+    split_wait(Call("ws", (1, 1, 1, 0)), 1, lambda call: said.append(call) or Reply("state", {41: 7}))  # type: ignore[func-returns-value]
     assert said == [Call("ws", (1, 1, 1, 0))]
 
 

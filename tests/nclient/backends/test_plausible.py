@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from nclient.backends.validation import Plausibility
+from nclient.backends.validation import ReplyValidator
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import N150, SCOUT, Model
@@ -36,14 +36,14 @@ def state(clock: int = 1000, volts: tuple[int, int] = (200, 200), **changed: Any
     ],
 )
 def test_ranges(changed: dict[str, Any], doubt: str) -> None:
-    found = Plausibility(N150).doubt(state(**changed))
+    found = ReplyValidator(N150).find_inconsistency(state(**changed))
     assert found.startswith(doubt)
     assert bool(found) == bool(doubt)
 
 
 def test_a_scout_has_other_bits() -> None:
-    assert Plausibility(SCOUT).doubt(state(s33=0, s41=0x7F)) == ""
-    assert Plausibility(SCOUT).doubt(state(s33=0, s41=0x80))
+    assert ReplyValidator(SCOUT).find_inconsistency(state(s33=0, s41=0x7F)) == ""
+    assert ReplyValidator(SCOUT).find_inconsistency(state(s33=0, s41=0x80))
 
 
 @pytest.mark.parametrize(
@@ -68,86 +68,87 @@ def test_a_scout_has_other_bits() -> None:
     ],
 )
 def test_changes(model: Model, after: dict[str, Any], doubt: str) -> None:
-    checks = Plausibility(model)
+    checks = ReplyValidator(model)
     rest: dict[str, Any] = {"s33": model.bumper_rest}
-    assert checks.doubt(state(**rest)) == ""
-    found = checks.doubt(state(**(rest | after)))
+    assert checks.find_inconsistency(state(**rest)) == ""
+    found = checks.find_inconsistency(state(**(rest | after)))
     assert found.startswith(doubt)
     assert bool(found) == bool(doubt)
 
 
 def test_the_clock_may_run_over() -> None:
-    checks = Plausibility(N150)
-    assert checks.doubt(state(clock=(1 << 32) - 10)) == ""
-    assert checks.doubt(state(clock=20)) == ""
+    checks = ReplyValidator(N150)
+    assert checks.find_inconsistency(state(clock=(1 << 32) - 10)) == ""
+    assert checks.find_inconsistency(state(clock=20)) == ""
 
 
 def test_sonars_change_no_faster_than_they_fire_once_conf_sn_has_said_how_fast() -> None:
-    checks = Plausibility(N150)
+    checks = ReplyValidator(N150)
     sixty: dict[str, Any] = {f"s{slot}": 60 for slot in range(17, 33)}
-    checks.doubt(state())
-    checks.note(Call("conf_sn", (15, *range(16))))
-    assert checks.doubt(state(1001, **sixty)) == ""
-    assert checks.doubt(state(1061, s17=61, s18=61, s19=61)) != ""
+    checks.find_inconsistency(state())
+    checks.update_from_request(Call("conf_sn", (15, *range(16))))
+    assert checks.find_inconsistency(state(1001, **sixty)) == ""
+    assert checks.find_inconsistency(state(1061, s17=61, s18=61, s19=61)) != ""
     three = sixty | {"s17": 61, "s18": 61, "s19": 61}
-    assert checks.doubt(state(1061, **three)) == ""
-    assert checks.doubt(state(1061, **(three | {"s20": 61, "s21": 61, "s22": 61}))).startswith("3 sonars changed in 0")
+    assert checks.find_inconsistency(state(1061, **three)) == ""
+    six = three | {"s20": 61, "s21": 61, "s22": 61}
+    assert checks.find_inconsistency(state(1061, **six)).startswith("3 sonars changed in 0")
 
 
 @pytest.mark.parametrize("name", ["dp", "da", "zr"])
 def test_what_is_set_is_no_jump(name: str) -> None:
-    checks = Plausibility(N150)
-    checks.note(Call(name))
-    checks.doubt(state())
-    checks.note(Call(name))
-    assert checks.doubt(state(1016, s34=5000, s36=1800)) == ""
-    assert checks.doubt(state(1032, s34=0)) != ""
+    checks = ReplyValidator(N150)
+    checks.update_from_request(Call(name))
+    checks.find_inconsistency(state())
+    checks.update_from_request(Call(name))
+    assert checks.find_inconsistency(state(1016, s34=5000, s36=1800)) == ""
+    assert checks.find_inconsistency(state(1032, s34=0)) != ""
 
 
 def test_a_question_without_a_clock_is_judged_by_its_ranges_alone() -> None:
-    checks = Plausibility(N150)
-    checks.doubt(state())
-    assert checks.doubt(Reply("configuration", {34: 9000, 35: 0, 36: 0, 37: 0})) == ""
-    assert checks.doubt(Reply("configuration", {34: 0, 35: 0, 36: 9000, 37: 0})) != ""
-    assert checks.doubt(Reply("sonar", dict.fromkeys(range(17, 33), 99), clock=1200)) == ""
-    assert checks.doubt(state(1200, s34=10)) == ""
+    checks = ReplyValidator(N150)
+    checks.find_inconsistency(state())
+    assert checks.find_inconsistency(Reply("configuration", {34: 9000, 35: 0, 36: 0, 37: 0})) == ""
+    assert checks.find_inconsistency(Reply("configuration", {34: 0, 35: 0, 36: 9000, 37: 0})) != ""
+    assert checks.find_inconsistency(Reply("sonar", dict.fromkeys(range(17, 33), 99), clock=1200)) == ""
+    assert checks.find_inconsistency(state(1200, s34=10)) == ""
 
 
 def test_a_robot_that_is_odd_is_believed_the_third_time_and_from_then_on() -> None:
-    checks = Plausibility(N150)
+    checks = ReplyValidator(N150)
     for clock in (1000, 1016):
-        assert checks.doubt(state(clock, s43=-1)).startswith("compass")
-        assert checks.doubt(Reply("velocity", {38: 0, 39: 0, 40: 0})) == ""
-    assert checks.doubt(state(1032, s43=-1)) == ""
-    assert checks.doubt(state(1048, s43=-2)) == ""
-    assert checks.doubt(state(1064)) == ""
-    assert checks.doubt(state(1080, s43=-1)) != ""
+        assert checks.find_inconsistency(state(clock, s43=-1)).startswith("compass")
+        assert checks.find_inconsistency(Reply("velocity", {38: 0, 39: 0, 40: 0})) == ""
+    assert checks.find_inconsistency(state(1032, s43=-1)) == ""
+    assert checks.find_inconsistency(state(1048, s43=-2)) == ""
+    assert checks.find_inconsistency(state(1064)) == ""
+    assert checks.find_inconsistency(state(1080, s43=-1)) != ""
 
 
 def test_a_clock_that_began_anew_is_believed_the_third_time_and_is_then_the_measure() -> None:
-    checks = Plausibility(N150)
-    checks.doubt(state(90_000))
-    assert checks.doubt(state(10)) != ""
-    assert checks.doubt(state(26)) != ""
-    assert checks.doubt(state(42)) == ""
-    assert checks.doubt(state(58)) == ""
-    assert checks.doubt(state(40)) != ""
+    checks = ReplyValidator(N150)
+    checks.find_inconsistency(state(90_000))
+    assert checks.find_inconsistency(state(10)) != ""
+    assert checks.find_inconsistency(state(26)) != ""
+    assert checks.find_inconsistency(state(42)) == ""
+    assert checks.find_inconsistency(state(58)) == ""
+    assert checks.find_inconsistency(state(40)) != ""
 
 
 @pytest.mark.parametrize(("model", "bits", "other"), [(N150, 0, "model=scout"), (SCOUT, 0xF0, "model=n150")])
 def test_another_models_bits_are_never_believed(model: Model, bits: int, other: str) -> None:
-    checks = Plausibility(model)
+    checks = ReplyValidator(model)
     for clock in range(1000, 1160, 16):
-        doubt = checks.doubt(state(clock, s33=bits))
-        assert doubt.startswith("bumper bits")
-        assert f"is it a {model.name}?" in doubt
-        assert other in doubt
+        found = checks.find_inconsistency(state(clock, s33=bits))
+        assert found.startswith("bumper bits")
+        assert f"is it a {model.name}?" in found
+        assert other in found
 
 
 def test_bits_that_were_once_right_and_are_no_more_are_a_robots_way() -> None:
-    checks = Plausibility(N150)
-    assert checks.doubt(state(1000)) == ""
-    assert [bool(checks.doubt(state(clock, s33=0))) for clock in (1016, 1032, 1048)] == [True, True, False]
-    checks = Plausibility(SCOUT)
-    assert checks.doubt(state(1000, s33=0)) == ""
-    assert checks.doubt(state(1016, s33=0xF0)) == ""
+    checks = ReplyValidator(N150)
+    assert checks.find_inconsistency(state(1000)) == ""
+    assert [bool(checks.find_inconsistency(state(clock, s33=0))) for clock in (1016, 1032, 1048)] == [True, True, False]
+    checks = ReplyValidator(SCOUT)
+    assert checks.find_inconsistency(state(1000, s33=0)) == ""
+    assert checks.find_inconsistency(state(1016, s33=0xF0)) == ""

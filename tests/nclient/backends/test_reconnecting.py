@@ -9,7 +9,7 @@ import pytest
 from nclient.backends.base import Backend, LinkStatistics
 from nclient.backends.direct import DirectBackend
 from nclient.backends.nserver import NserverBackend
-from nclient.backends.wrappers import Reconnecting
+from nclient.backends.wrappers import ReconnectingBackend
 from nclient.errors import ConnectionLost, ReplyTimeout
 from nclient.protocol.commands import Call
 from nclient.protocol.types import EVERYTHING, N200
@@ -46,8 +46,8 @@ class Cable:
         self.waits.append(round(seconds, 6))
         self.now_s += seconds
 
-    def backend(self) -> Reconnecting:
-        return Reconnecting(self.open(), self.open, 1.0, clock=lambda: self.now_s, wait=self.wait)
+    def backend(self) -> ReconnectingBackend:
+        return ReconnectingBackend(self.open(), self.open, 1.0, clock=lambda: self.now_s, wait=self.wait)
 
 
 def test_the_call_that_meets_the_loss_says_so_and_the_next_comes_back() -> None:
@@ -156,7 +156,7 @@ def test_an_nservers_robot_by_its_number() -> None:
     def opens() -> Backend:
         return NserverBackend(next(opened), pid=1, link=link)
 
-    backend = Reconnecting(opens(), opens, wait=lambda _: None)
+    backend = ReconnectingBackend(opens(), opens, wait=lambda _: None)
     backend.execute(Call("create_robot", (3, 1)))
     servers[0].answers["gs"] = None
     with pytest.raises(ReplyTimeout):
@@ -181,13 +181,13 @@ def test_closing_is_for_good() -> None:
 
 def test_closing_ends_the_wait_for_the_next_try() -> None:
     cable = Cable()
-    backend = Reconnecting(cable.open(), cable.open, 60.0, clock=lambda: 0.0)
+    backend = ReconnectingBackend(cable.open(), cable.open, 60.0, clock=lambda: 0.0)
     cable.pull()
     for _ in range(2):
         with pytest.raises(ConnectionLost):
             backend.execute(GS)
     cable.plugged = True
-    backend._next_try_s = 60.0
+    backend._next_attempt_s = 60.0
     closing = threading.Timer(0.05, backend.close)
     closing.start()
     with pytest.raises(ConnectionLost):
@@ -203,7 +203,7 @@ def test_nobody_counts_where_nobody_is_told_to() -> None:
     def opens() -> Backend:
         return NserverBackend(next(opened), pid=1)
 
-    backend = Reconnecting(opens(), opens, wait=lambda _: None)
+    backend = ReconnectingBackend(opens(), opens, wait=lambda _: None)
     streams[0].close()
     with pytest.raises(ConnectionLost):
         backend.execute(GS)

@@ -6,7 +6,7 @@ import pytest
 
 from nclient.backends.base import Wrapper
 from nclient.backends.nserver import NserverBackend
-from nclient.backends.wrappers import Retrying, may_be_repeated
+from nclient.backends.wrappers import RetryingBackend, may_be_repeated
 from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.types import N200
@@ -27,7 +27,7 @@ def test_a_question_is_asked_again(trouble: str | bytes | None) -> None:
     robot = ScriptedLine()
     bad = spoiled(robot.frame("gs")) if isinstance(trouble, str) else trouble
     robot.answers["gs"] = [bad, bad]
-    backend = Retrying(direct_on(robot), 2)
+    backend = RetryingBackend(direct_on(robot), 2)
     assert backend.execute(Call("gs")).slots[17] == 57
     assert robot.names().count("gs") == 3
     assert backend.link is not None
@@ -36,13 +36,13 @@ def test_a_question_is_asked_again(trouble: str | bytes | None) -> None:
 
 def test_three_times_is_enough() -> None:
     robot = ScriptedLine({"get_sn": [NAK] * 3})
-    backend = Retrying(direct_on(robot), 2)
+    backend = RetryingBackend(direct_on(robot), 2)
     with pytest.raises(RobotRefused, match="get_sn"):
         backend.execute(Call("get_sn"))
     assert robot.names() == ["get_sn"] * 3
     robot.answers["get_sn"] = [None] * 3
     with pytest.raises(ReplyTimeout):
-        Retrying(direct_on(robot), 0).execute(Call("get_sn"))
+        RetryingBackend(direct_on(robot), 0).execute(Call("get_sn"))
     assert robot.names() == ["get_sn"] * 4
 
 
@@ -50,12 +50,12 @@ def test_a_motion_goes_out_once() -> None:
     for trouble in (None, NAK):
         robot = ScriptedLine({"pr": [trouble]})
         with pytest.raises((ReplyTimeout, RobotRefused)):
-            Retrying(direct_on(robot), 2).execute(Call("pr", (100, 0, 0)))
+            RetryingBackend(direct_on(robot), 2).execute(Call("pr", (100, 0, 0)))
         assert robot.names() == ["pr"]
 
 
 def test_what_this_side_refuses_is_refused_once() -> None:
-    backend = Retrying(direct_on(ScriptedLine(model=N200)), 2)
+    backend = RetryingBackend(direct_on(ScriptedLine(model=N200)), 2)
     with pytest.raises(RobotRefused, match="does not have it"):
         backend.execute(Call("conf_ser", (1, 9600)))
     assert backend.link is not None
@@ -64,10 +64,10 @@ def test_what_this_side_refuses_is_refused_once() -> None:
 
 def test_a_link_that_is_over_is_not_asked_again() -> None:
     stream = MemoryStream(ScriptedLine())
-    backend = Retrying(direct_on(ScriptedLine()), 2)
+    backend = RetryingBackend(direct_on(ScriptedLine()), 2)
     stream.close()
     server = ScriptedServer({"gs": None})
-    backend = Retrying(NserverBackend(MemoryStream(server)), 2)
+    backend = RetryingBackend(NserverBackend(MemoryStream(server)), 2)
     with pytest.raises(ReplyTimeout):
         backend.execute(Call("gs"))
     assert server.names() == ["gs"]
@@ -78,7 +78,7 @@ def test_a_link_that_is_over_is_not_asked_again() -> None:
 def test_a_wrapper_hands_on_everything_else() -> None:
     robot = ScriptedLine(model=N200)
     inner = direct_on(robot)
-    backend = Retrying(inner, 2)
+    backend = RetryingBackend(inner, 2)
     assert backend.wire_state is inner.wire_state
     assert backend.greeting is inner.greeting
     assert (backend.port, backend.closed, backend.link) == (1, False, inner.link)
@@ -96,7 +96,7 @@ class Uncounted(Wrapper):
 
 def test_it_counts_only_where_somebody_does() -> None:
     robot = ScriptedLine({"gs": [None]})
-    backend = Retrying(Uncounted(direct_on(robot)), 2)
+    backend = RetryingBackend(Uncounted(direct_on(robot)), 2)
     assert backend.execute(Call("gs")).kind == "state"
     assert backend.link is None
     assert robot.names().count("gs") == 2

@@ -12,7 +12,7 @@ def test_buckets_double_from_a_tenth_of_a_millisecond() -> None:
     assert all(after == 2 * before for before, after in pairwise(BUCKETS_S))
     link = LinkStatistics()
     for seconds in (0.0, 0.0001, 0.00011, 0.0002, 60.0):
-        link.took(seconds)
+        link.record_latency(seconds)
     assert link.latencies[:2] == [2, 2]
     assert link.latencies[-1] == 1
     assert sum(link.latencies) == link.answers == 5
@@ -22,9 +22,9 @@ def test_shares() -> None:
     link = LinkStatistics()
     assert link.latency_s(0.99) == 0
     for _ in range(98):
-        link.took(0.003)
-    link.took(0.02)
-    link.took(100.0)
+        link.record_latency(0.003)
+    link.record_latency(0.02)
+    link.record_latency(100.0)
     assert link.latency_s(0.5) == BUCKETS_S[5] == 0.0032
     assert link.latency_s(0.99) == BUCKETS_S[8]
     assert link.latency_s(1.0) == 100.0
@@ -34,7 +34,7 @@ def test_a_summary_names_what_went_wrong_and_nothing_else() -> None:
     link = LinkStatistics()
     assert str(link) == "0 exchanges, 0 answers\nno faults seen\nno times yet"
     link.exchanges, link.checksum_errors, link.timeouts, link.retries = 3, 1, 2, 2
-    link.took(0.005)
+    link.record_latency(0.005)
     assert str(link) == (
         "3 exchanges, 1 answers\n1 checksum errors, 2 timeouts, 2 retries\n"
         "50% within 5 ms, 99% within 5 ms, the longest 5 ms"

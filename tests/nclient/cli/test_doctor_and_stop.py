@@ -19,7 +19,7 @@ from nclient.protocol.replies import Reply
 from nclient.transports.memory import MemoryStream
 from tests.nclient.answering import Answer, ScriptedServer
 
-ST, GS = (codec.tcp_request(Call(name)) for name in ("st", "gs"))
+ST, GS = (codec.encode_tcp_request(Call(name)) for name in ("st", "gs"))
 
 
 @pytest.fixture

@@ -15,8 +15,7 @@ from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import EVERYTHING, N150
 from nclient.protocol.wire_state import serial_wire_state
-from nclient.recording.format import Entry, LogWriter
-from nclient.recording.readable import lines_of, told
+from nclient.recording.format import Entry, RecordingWriter, format_entry, format_frame
 
 Dump = Callable[..., tuple[int, list[str], str]]
 
@@ -75,7 +74,7 @@ def test_objects(dump: Dump, path: Path) -> None:
 
 
 def test_one_of_two_connections(dump: Dump, tmp_path: Path) -> None:
-    writer = LogWriter(tmp_path / "two.log", {})
+    writer = RecordingWriter(tmp_path / "two.log", {})
     for name in "ab":
         writer.write(Entry(0.0, "open", name, more={"wire": "tcp", "model": "scout"}))
     writer.close()
@@ -92,12 +91,14 @@ def test_a_cut_recording_is_shown_and_told(dump: Dump, path: Path) -> None:
 
 def test_bare_bytes(dump: Dump, tmp_path: Path) -> None:
     capture = tmp_path / "capture.bin"
-    vm = codec.line_request(Call("vm", (100, -50, 0)), serial_wire_state(N150))
+    vm = codec.encode_serial_request(Call("vm", (100, -50, 0)), serial_wire_state(N150))
     capture.write_bytes(b"\xee" + vm)
     assert dump(str(capture), "--line", "serial")[1] == [
         "     0.000  > ! 1 bytes that are no frame", "     0.000  > vm 100 -50 0"
     ]
-    state = codec.line_reply(BY_NAME["gs"], Reply("state", {34: 15, 43: 900}, clock=5), serial_wire_state(N150))
+    state = codec.encode_serial_reply(
+        BY_NAME["gs"], Reply("state", {34: 15, 43: 900}, clock=5), serial_wire_state(N150)
+    )
     capture.write_bytes(state)
     (line,) = dump(str(capture), "--line", "serial", "--from-robot", "--model", "n150")[1]
     assert line.startswith("     0.000  < state x 1.5 y 0 ")
@@ -110,16 +111,19 @@ def test_bare_bytes(dump: Dump, tmp_path: Path) -> None:
 def test_a_year_of_frames_in_words() -> None:
     state: list[int | None] = [None] * 45
     nothing = {"State": state, "Laser": None, "clock": None, "volt_cpu": None, "volt_motor": None}
-    assert told({"reply": "state", **nothing}) == "state"
-    assert told({"reply": "hello", "mask": [1], "laser_mode": 51}) == "hello"
-    assert told({"reply": "error", "values": [4], **nothing}) == "error 4"
-    assert told({"reply": "laser", **nothing, "Laser": [2, 1, 2, 3, 4]}) == "laser 2 readings"
-    assert told({"reply": "laser", **nothing, "Laser": [0]}) == "laser"
+    assert format_frame({"reply": "state", **nothing}) == "state"
+    assert format_frame({"reply": "hello", "mask": [1], "laser_mode": 51}) == "hello"
+    assert format_frame({"reply": "error", "values": [4], **nothing}) == "error 4"
+    assert format_frame({"reply": "laser", **nothing, "Laser": [2, 1, 2, 3, 4]}) == "laser 2 readings"
+    assert format_frame({"reply": "laser", **nothing, "Laser": [0]}) == "laser"
     seen = {**nothing, "State": [None, *range(16), *[None] * 28]}
-    assert told({"reply": "infrared", **seen}).startswith("infrared 0 1 2 3")
+    assert format_frame({"reply": "infrared", **seen}).startswith("infrared 0 1 2 3")
     ct = {"call": "ct", "args": [], "mask": list(EVERYTHING.smask)}
-    assert told(ct) == "ct mask " + "".join(map(str, EVERYTHING.smask))
-    assert told({"call": "special_request", "args": [1, 2], "packet_type": 9}) == "special_request 1 2 (packet_type 9)"
-    assert list(lines_of(Entry(1.0, "time"))) == []
-    assert list(lines_of(Entry(1.0, "in", "a"), with_bytes=True)) == []
-    assert list(lines_of(Entry(1.0, "close"))) == ["     1.000  -- close"]
+    assert format_frame(ct) == "ct mask " + "".join(map(str, EVERYTHING.smask))
+    assert (
+        format_frame({"call": "special_request", "args": [1, 2], "packet_type": 9})
+        == "special_request 1 2 (packet_type 9)"
+    )
+    assert list(format_entry(Entry(1.0, "time"))) == []
+    assert list(format_entry(Entry(1.0, "in", "a"), with_bytes=True)) == []
+    assert list(format_entry(Entry(1.0, "close"))) == ["     1.000  -- close"]

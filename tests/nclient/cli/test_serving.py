@@ -12,8 +12,7 @@ from types import ModuleType
 import pytest
 
 from nclient.cli import bridge, play
-from nclient.cli.serving import LOOK_S, Turn, open_door, visitors
-from nclient.common.idle import SILENT_S
+from nclient.cli.serving import DEFAULT_IDLE_LIMIT_S, POLL_INTERVAL_S, ClientSession, open_listener, serve_clients
 from nclient.transports.stream import ByteStream, Deadline
 
 both = pytest.mark.parametrize("command", [bridge, play], ids=["bridge", "play"])
@@ -31,20 +30,29 @@ def test_both_have_the_options(command: ModuleType) -> None:
     command.add_arguments(parser)
     given = parser.parse_args(["x", "--listen", "0", "--allow", "10.0.0.0/8", "--allow", "::1"])
     assert [str(network) for network in given.allow] == ["10.0.0.0/8", "::1/128"]
-    assert given.limit_silent == SILENT_S
+    assert given.limit_silent == DEFAULT_IDLE_LIMIT_S
     with pytest.raises(SystemExit):
         parser.parse_args(["x", "--listen", "0", "--limit-silent", "-1"])
 
 
-@pytest.mark.parametrize(("words", "told"), [
-    (("--listen", "0"), ""),
-    (("--listen", "0", "--bind", "0.0.0.0"), "anybody who reaches it may drive the robots; --allow ADDRESS/BITS lets"),
-    (("--listen", "0", "--bind", "0.0.0.0", "--allow", "10.0.0.0/8"), "comes from 10.0.0.0/8 may drive the robots;"),
-])
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("--listen", "0"), ""),
+        (
+            ("--listen", "0", "--bind", "0.0.0.0"),
+            "any client that reaches it may drive the robots; --allow ADDRESS/BITS restricts",
+        ),
+        (
+            ("--listen", "0", "--bind", "0.0.0.0", "--allow", "10.0.0.0/8"),
+            "client from 10.0.0.0/8 may drive the robots;",
+        ),
+    ],
+)
 def test_a_port_open_to_the_network_is_warned_of(
     words: tuple[str, ...], told: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with open_door(options(*words), "bridge"):
+    with open_listener(options(*words), "bridge"):
         said = capsys.readouterr()
     assert said.out.startswith("listening bridge ")
     assert told in said.err
@@ -55,26 +63,26 @@ def test_who_is_not_let_in_is_closed_at_once_and_told_of_once(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("nclient.common.allowlist.is_loopback", lambda _host: False)
-    with open_door(options("--listen", "0", "--allow", "192.0.2.0/24"), "bridge") as door:
+    with open_listener(options("--listen", "0", "--allow", "192.0.2.0/24"), "bridge") as door:
         port = int(door.name.rpartition(":")[2])
         for _ in range(2):
             with socket.create_connection(("127.0.0.1", port), 10, ("127.0.0.2", 0)) as outsider:
                 ends = Deadline.after(10)
                 outsider.settimeout(0.01)
                 while True:
-                    assert not door.wanted()
+                    assert not door.has_pending_request()
                     assert ends.remaining()
                     try:
                         assert outsider.recv(1) == b""
                         break
                     except TimeoutError:
                         continue
-    assert capsys.readouterr().err.count("127.0.0.2: turned away: that address is not allowed (--allow)") == 1
+    assert capsys.readouterr().err.count("127.0.0.2: rejected: that address is not allowed (--allow)") == 1
 
 
 def test_a_pseudo_terminal_is_wanted_by_nobody_else(tmp_path: Path) -> None:
-    with open_door(options("--link", str(tmp_path / "robot")), "bridge") as door:
-        assert not door.wanted()
+    with open_listener(options("--link", str(tmp_path / "robot")), "bridge") as door:
+        assert not door.has_pending_request()
 
 
 class Newcomer:
@@ -90,53 +98,53 @@ class Newcomer:
 
 def test_a_turn_is_over_for_who_is_silent_at_rest_and_wanted_away(capsys: pytest.CaptureFixture[str]) -> None:
     now_s, wanted = [time.monotonic()], Newcomer()
-    turn = Turn(5.0, wanted, lambda: now_s[0])
-    assert not turn.over(at_rest=True)
+    turn = ClientSession(5.0, wanted, lambda: now_s[0])
+    assert not turn.should_end(at_rest=True)
     now_s[0] += 5.0
-    assert not turn.over(at_rest=False)
+    assert not turn.should_end(at_rest=False)
     wanted.is_so = False
-    now_s[0] += 2 * LOOK_S
-    assert not turn.over(at_rest=True)
-    turn.silence.heard()
+    now_s[0] += 2 * POLL_INTERVAL_S
+    assert not turn.should_end(at_rest=True)
+    turn.idle_timer.request_received()
     wanted.is_so = True
-    now_s[0] += 2 * LOOK_S
-    assert not turn.over(at_rest=True)
+    now_s[0] += 2 * POLL_INTERVAL_S
+    assert not turn.should_end(at_rest=True)
     assert capsys.readouterr().err == ""
     now_s[0] += 5.0
-    assert turn.over(at_rest=True)
-    assert "said nothing for 5 s makes room for another (--limit-silent)" in capsys.readouterr().err
+    assert turn.should_end(at_rest=True)
+    assert "idle for 5 s was disconnected for another one (--limit-silent)" in capsys.readouterr().err
 
 
 def test_who_makes_room_is_not_the_last_of_once() -> None:
     came: list[bytes] = []
 
-    def talk(peer: ByteStream, turn: Turn) -> None:
+    def talk(peer: ByteStream, turn: ClientSession) -> None:
         if came:
             came.append(peer.receive(Deadline.after(10)))
             return
         came.append(b"silence")
         ends = Deadline.after(10)
-        while not turn.over(at_rest=True):
+        while not turn.should_end(at_rest=True):
             assert ends.remaining()
             time.sleep(0.01)
 
     given = options("--listen", "0", "--once", "--limit-silent", "0.01")
-    with open_door(given, "bridge") as door:
+    with open_listener(given, "bridge") as door:
         place = ("127.0.0.1", int(door.name.rpartition(":")[2]))
         with socket.create_connection(place, 10), socket.create_connection(place, 10) as second:
             speaks = threading.Timer(0.3, second.sendall, (b"stop",))
             speaks.start()
-            visitors(door, given, talk)
+            serve_clients(door, given, talk)
             speaks.join()
     assert came == [b"silence", b"stop"]
 
 
 def test_who_else_has_come_is_looked_at_now_and_then() -> None:
     now_s, wanted = [0.0], Newcomer()
-    turn = Turn(5.0, wanted, lambda: now_s[0])
+    turn = ClientSession(5.0, wanted, lambda: now_s[0])
     for _ in range(10):
-        turn.over(at_rest=False)
+        turn.should_end(at_rest=False)
     assert wanted.looks == 1
-    now_s[0] += 2 * LOOK_S
-    turn.over(at_rest=False)
+    now_s[0] += 2 * POLL_INTERVAL_S
+    turn.should_end(at_rest=False)
     assert wanted.looks == 2

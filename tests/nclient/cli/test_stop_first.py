@@ -73,7 +73,7 @@ def test_another_model_than_the_address_says(real: Model, said: Model, capsys: p
     out = capsys.readouterr().out
     assert code == 1
     assert first.answers
-    assert out.startswith(f"{UNSEEN}; it looks like a {real.name}'s: say model={real.name} in the address; told ")
+    assert out.startswith(f"{UNSEEN}; it looks like a {real.name}'s: write model={real.name} in the address; told ")
 
 
 def test_st_is_said_again_until_it_is_answered() -> None:

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from nclient.cli import main
-from nclient.cli.shell_session import no_command
+from nclient.cli.shell_session import describe_unknown_command
 from nclient.protocol.commands import BY_NAME
 
 VM_TCP, VM_LINE = "000c000300000064ffffffce00000000", "01080005640032800000245c"
@@ -104,7 +104,7 @@ def test_the_shell_and_the_wire_mean_the_same_by_a_word_that_is_none(
     by_wire = capsys.readouterr().err.removeprefix("nomad: ").partition("; nomad wire")[0]
     assert main.main(["wire", "decode", "00", "--call", typed]) == 1
     assert capsys.readouterr().err.startswith(f"nomad: {by_wire}; ")
-    assert by_wire == no_command(typed).removesuffix("; help lists them all")
+    assert by_wire == describe_unknown_command(typed).removesuffix("; help lists them all")
 
 
 @pytest.mark.parametrize(("words", "found"), [

@@ -6,13 +6,13 @@ import argparse
 
 import pytest
 
-from nclient.common.allowlist import Access, access_of, add_options, is_loopback, warning
+from nclient.common.allowlist import Allowlist, add_options, allowlist_from_options, is_loopback, warning
 
 
-def parsed(*words: str) -> Access:
+def parsed(*words: str) -> Allowlist:
     parser = argparse.ArgumentParser()
     add_options(parser)
-    return access_of(parser.parse_args(words))
+    return allowlist_from_options(parser.parse_args(words))
 
 
 @pytest.mark.parametrize(("host", "let_in"), [
@@ -21,16 +21,16 @@ def parsed(*words: str) -> Access:
     ("2001:db8::5", True), ("2001:db9::5", False),
 ])  # fmt: skip
 def test_a_rule_lets_in_its_networks_and_this_machine(host: str, let_in: bool) -> None:
-    assert parsed("--allow", "192.168.1.0/24", "--allow", "2001:db8::/32").admits(host) is let_in
-    assert parsed().admits(host)
+    assert parsed("--allow", "192.168.1.0/24", "--allow", "2001:db8::/32").allows(host) is let_in
+    assert parsed().allows(host)
 
 
 def test_whoever_comes_from_the_address_he_comes_to_is_on_this_machine() -> None:
     rule = parsed("--allow", "10.9.9.0/24")
-    assert rule.admits("192.0.2.2", "192.0.2.2")
-    assert rule.admits("fd00::2", "fd00::2")
-    assert not rule.admits("192.0.2.3", "192.0.2.2")
-    assert not rule.admits("192.0.2.3", "")
+    assert rule.allows("192.0.2.2", "192.0.2.2")
+    assert rule.allows("fd00::2", "fd00::2")
+    assert not rule.allows("192.0.2.3", "192.0.2.2")
+    assert not rule.allows("192.0.2.3", "")
 
 
 @pytest.mark.parametrize("text", ["nowhere", "192.168.1.7/24", "1.2.3.4/33"])
@@ -41,13 +41,13 @@ def test_what_is_no_network_is_wrong_usage(text: str, capsys: pytest.CaptureFixt
 
 
 def test_loopback_is_not_worth_a_word_and_the_network_is() -> None:
-    assert not warning("127.0.0.1", Access())
-    assert not warning("localhost", Access())
-    assert "anybody who reaches it may drive" in warning("0.0.0.0", Access())
-    assert "--allow ADDRESS/BITS" in warning("::", Access())
+    assert not warning("127.0.0.1", Allowlist())
+    assert not warning("localhost", Allowlist())
+    assert "any client that reaches it may drive" in warning("0.0.0.0", Allowlist())
+    assert "--allow ADDRESS/BITS" in warning("::", Allowlist())
     told = warning("0.0.0.0", parsed("--allow", "10.1.0.0/16"))
-    assert "whoever comes from 10.1.0.0/16 may drive" in told
+    assert "any client from 10.1.0.0/16 may drive" in told
     assert "--allow" not in told
-    assert "anybody who reaches it may listen;" in warning("0.0.0.0", Access(), "may listen")
+    assert "any client that reaches it may listen;" in warning("0.0.0.0", Allowlist(), "may listen")
     assert not is_loopback("0.0.0.0")
     assert not is_loopback("robot.example")

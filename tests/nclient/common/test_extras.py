@@ -14,12 +14,12 @@ from nclient.common import hints
     ("distributed", "cluster"), ("numba", "fast"), ("ruff", ""), ("numpy", ""), ("no_such_module", ""),
 ])
 def test_each_extra_is_found_by_what_it_brings(module: str, extra: str) -> None:
-    assert hints.extra_of(module) == extra
+    assert hints.find_extra(module) == extra
 
 
 def test_a_remedy_is_what_one_types() -> None:
-    assert hints.remedy("shtab") == "pip install 'nomad-nserver[shell]'"
-    assert hints.remedy("no_such_module") == "pip install 'nomad-nserver[all]'"
+    assert hints.install_hint("shtab") == "pip install 'nomad-nserver[shell]'"
+    assert hints.install_hint("no_such_module") == "pip install 'nomad-nserver[all]'"
 
 
 def test_files_that_were_never_installed_have_no_extras(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -27,6 +27,6 @@ def test_files_that_were_never_installed_have_no_extras(monkeypatch: pytest.Monk
         raise PackageNotFoundError
 
     monkeypatch.setattr(hints, "requires", missing)
-    assert hints.extra_of("shtab") == ""
+    assert hints.find_extra("shtab") == ""
     monkeypatch.setattr(hints, "requires", lambda _: None)
-    assert hints.extra_of("shtab") == ""
+    assert hints.find_extra("shtab") == ""

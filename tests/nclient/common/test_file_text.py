@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from nclient.common.files import toml_of
+from nclient.common.files import parse_toml
 from nclient.errors import FaultPlanError
 
 BEYOND = "0x" + "f" * 3600
@@ -16,9 +16,9 @@ BEYOND = "0x" + "f" * 3600
 )
 def test_a_whole_number_that_no_error_could_tell_of_is_refused(text: str) -> None:
     with pytest.raises(FaultPlanError, match=r"^plan: holds a whole number of more than 4096 bits$"):
-        toml_of(text, "plan", FaultPlanError)
+        parse_toml(text, "plan", FaultPlanError)
 
 
 def test_the_largest_that_is_read_can_be_told_of() -> None:
-    (largest,) = toml_of("a = 0x" + "f" * 1024, "plan", FaultPlanError).values()
+    (largest,) = parse_toml("a = 0x" + "f" * 1024, "plan", FaultPlanError).values()
     assert str(largest) == str(2**4096 - 1)

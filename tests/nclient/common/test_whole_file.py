@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from nclient.common.files import write_whole
+from nclient.common.files import write_atomic
 from nclient.errors import EstimateFileError
 
 
@@ -20,20 +20,20 @@ def names(folder: Path) -> list[str]:
 def test_a_text_takes_the_place_of_another_and_nothing_else_is_left(tmp_path: Path) -> None:
     long = "é" * 100_000
     for text in ("old", long):
-        write_whole(tmp_path / "file", text, EstimateFileError)
+        write_atomic(tmp_path / "file", text, EstimateFileError)
     assert (tmp_path / "file").read_text("utf-8") == long
     assert names(tmp_path) == ["file"]
 
 
 def test_a_file_of_another_name_is_nobodys_to_write_over(tmp_path: Path) -> None:
     (tmp_path / "file.part").write_text("mine")
-    write_whole(tmp_path / "file", "new", EstimateFileError)
+    write_atomic(tmp_path / "file", "new", EstimateFileError)
     assert (tmp_path / "file.part").read_text() == "mine"
 
 
 def test_what_one_left_who_was_killed_is_written_over_by_the_next(tmp_path: Path) -> None:
     (tmp_path / ".file.saving").write_text("half of")
-    write_whole(tmp_path / "file", "new", EstimateFileError, "saving")
+    write_atomic(tmp_path / "file", "new", EstimateFileError, "saving")
     assert names(tmp_path) == ["file"]
 
 
@@ -44,7 +44,7 @@ def test_a_link_stays_and_what_it_leads_to_is_written(tmp_path: Path) -> None:
         link.symlink_to(real)
         if held == "there":
             real.write_text("old")
-        write_whole(link, "new", EstimateFileError)
+        write_atomic(link, "new", EstimateFileError)
         assert link.is_symlink()
         assert real.read_text() == "new"
     assert names(tmp_path / "disk") == ["not there yet", "there"]
@@ -56,7 +56,7 @@ def test_what_is_no_file_keeps_its_place(tmp_path: Path) -> None:
     reader = os.open(tmp_path / "pipe", os.O_RDONLY | os.O_NONBLOCK)
     try:
         for name in ("pipe", "link"):
-            write_whole(tmp_path / name, f"to the {name}", EstimateFileError)
+            write_atomic(tmp_path / name, f"to the {name}", EstimateFileError)
             assert os.read(reader, 100) == f"to the {name}".encode()
     finally:
         os.close(reader)
@@ -81,7 +81,7 @@ def test_a_device_that_takes_nothing_is_told_of_and_keeps_its_place(tmp_path: Pa
     device = a_full_device(tmp_path)
     (tmp_path / "link").symlink_to(device)
     with pytest.raises(EstimateFileError, match="link: cannot be written: No space left on device; make room"):
-        write_whole(tmp_path / "link", "text", EstimateFileError)
+        write_atomic(tmp_path / "link", "text", EstimateFileError)
     assert (tmp_path / "link").is_symlink()
     assert device.is_char_device()
 
@@ -96,7 +96,7 @@ def test_a_disk_that_is_full_at_the_end_leaves_the_old_one_and_no_more(
 
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(EstimateFileError, match="file: cannot be written: No space left on device; make room"):
-        write_whole(tmp_path / "file", "new", EstimateFileError)
+        write_atomic(tmp_path / "file", "new", EstimateFileError)
     assert (tmp_path / "file").read_text() == "old"
     assert names(tmp_path) == ["file"]
 
@@ -112,7 +112,7 @@ def test_whatever_ends_it_leaves_the_old_one_and_no_more(
 
     monkeypatch.setattr(os, "fsync", interrupted)
     with pytest.raises((EstimateFileError, KeyboardInterrupt)) as ended:
-        write_whole(tmp_path / "file", text, EstimateFileError)
+        write_atomic(tmp_path / "file", text, EstimateFileError)
     assert ended.type is (KeyboardInterrupt if text == "whole" else EstimateFileError)
     assert (tmp_path / "file").read_text() == "old"
     assert names(tmp_path) == ["file"]
@@ -120,9 +120,9 @@ def test_whatever_ends_it_leaves_the_old_one_and_no_more(
 
 def test_a_folder_that_is_not_there_and_a_name_that_cannot_be_are_told(tmp_path: Path) -> None:
     with pytest.raises(EstimateFileError, match="file: cannot be written: No such file or directory; name a file in"):
-        write_whole(tmp_path / "none" / "file", "text", EstimateFileError)
+        write_atomic(tmp_path / "none" / "file", "text", EstimateFileError)
     with pytest.raises(EstimateFileError, match=r"'.*a\\x00b': cannot be written: .*null byte"):
-        write_whole(tmp_path / "a\0b", "text", EstimateFileError)
+        write_atomic(tmp_path / "a\0b", "text", EstimateFileError)
 
 
 def test_where_folders_cannot_be_opened_the_file_is_written_all_the_same(
@@ -132,5 +132,5 @@ def test_where_folders_cannot_be_opened_the_file_is_written_all_the_same(
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr(os, "open", refused)
-    write_whole(tmp_path / "file", "new", EstimateFileError)
+    write_atomic(tmp_path / "file", "new", EstimateFileError)
     assert (tmp_path / "file").read_text() == "new"

@@ -41,14 +41,14 @@ def drained(transit: InTransit, now_s: float) -> list[int]:
 
 
 def line_request(name: str, *args: int) -> bytes:
-    return codec.line_request(Call(name, args), serial_wire_state(N150))
+    return codec.encode_serial_request(Call(name, args), serial_wire_state(N150))
 
 
 def tcp_reply(kind: str = "simple", wide: bool = False) -> bytes:
     wire_state = tcp_wire_state(N150)
     wire_state.wide = wide
     row = BY_NAME["place_robot" if kind == "simple" else "gs"]
-    return codec.tcp_reply(row, Reply(kind, values=(0,)), wire_state)
+    return codec.encode_tcp_reply(row, Reply(kind, values=(0,)), wire_state)
 
 
 def test_on_the_line_a_request_and_a_reply_name_their_command() -> None:
@@ -81,7 +81,7 @@ def test_over_tcp_replies_are_those_of_the_requests_that_went_through() -> None:
     injector = Injector(Plan(rules), "nserver")
     line = FaultyLine(spoken, lambda: injector)
     for name, args in (("st", ()), ("vm", (1, 2, 3)), ("gs", ()), ("lp", ())):
-        line.request(codec.tcp_request(Call(name, args)), 0.0)
+        line.request(codec.encode_tcp_request(Call(name, args)), 0.0)
     answered = [line.reply(tcp_reply(), 0.0) for _ in range(3)]
     assert [bool(found) for found in answered] == [True, False, True]
     assert told(line.reply(tcp_reply(), 0.0)) == tcp_reply()
@@ -92,9 +92,9 @@ def test_over_tcp_replies_are_those_of_the_requests_that_went_through() -> None:
 def test_over_tcp_a_nak_is_an_error_reply_as_wide_as_the_client() -> None:
     for wide in (False, True):
         line = faulty(Nak(), "vm", TcpLanguage(), REQUEST)
-        connect = codec.tcp_request(Call("connect_robot", (1, 77)), wide=wide)
+        connect = codec.encode_tcp_request(Call("connect_robot", (1, 77)), wide=wide)
         assert told(line.request(connect, 0.0)) == connect
-        (refusal,) = line.request(codec.tcp_request(Call("vm", (1, 2, 3)), wide=wide), 0.0)
+        (refusal,) = line.request(codec.encode_tcp_request(Call("vm", (1, 2, 3)), wide=wide), 0.0)
         assert refusal.back
         (frame,) = TcpFramer(reply_bounds, wide).receive(refusal.data)
         assert frame == TcpFrame(91, (5).to_bytes(4, "big"))

@@ -214,7 +214,7 @@ def test_files_that_are_no_plans(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 )
 def test_which_frames_a_rule_strikes(when: When, struck: list[int]) -> None:
     draws = [0.0, 0.4999, 0.5, 0.7, 0.9, 0.99999]
-    assert [number for number, draw in enumerate(draws, start=1) if when.strikes(number, draw)] == struck
+    assert [number for number, draw in enumerate(draws, start=1) if when.matches(number, draw)] == struck
 
 
 def test_a_rule_is_in_force_from_one_moment_up_to_another() -> None:

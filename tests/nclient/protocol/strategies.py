@@ -106,8 +106,8 @@ def tcp_agreements(wide: bool) -> st.SearchStrategy[WireState]:
     """Terms of a connection to an Nserver: any mask, any laser mode, any shape asked for last."""
     def agreed(mask: Mask, mode: int, width: int | None) -> WireState:
         wire_state = tcp_wire_state(MODELS["n200"])
-        wire_state.note_mask(mask)
-        wire_state.note_laser_mode(mode)
+        wire_state.set_mask(mask)
+        wire_state.set_laser_mode(mode)
         wire_state.laser_width = width or wire_state.laser_width
         wire_state.wide = wide
         return wire_state
@@ -122,8 +122,8 @@ def line_agreements(model: Model) -> st.SearchStrategy[WireState]:
 
     def agreed(mask: Mask, mode: int) -> WireState:
         wire_state = serial_wire_state(model)
-        wire_state.note_mask(mask)
-        wire_state.note_laser_mode(mode)
+        wire_state.set_mask(mask)
+        wire_state.set_laser_mode(mode)
         return wire_state
 
     return st.builds(agreed, line_masks, laser_modes)

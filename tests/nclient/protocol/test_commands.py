@@ -14,7 +14,7 @@ from nclient.protocol.commands import (
     NAK_TYPE,
     REPLY_TYPES,
     Command,
-    on_line,
+    exists_on_serial,
 )
 from nclient.protocol.types import MODELS, N150, N200, SCOUT
 
@@ -49,9 +49,11 @@ def test_every_type_over_tcp() -> None:
 
 def test_every_type_on_the_line_and_on_whose() -> None:
     assert {row.name: row.line_type for row in COMMANDS if row.line_type is not None} == LINE_TYPES
-    missing = {model.name: {n for n in LINE_TYPES if not on_line(BY_NAME[n], model)} for model in MODELS.values()}
+    missing = {
+        model.name: {n for n in LINE_TYPES if not exists_on_serial(BY_NAME[n], model)} for model in MODELS.values()
+    }
     assert missing == {"n150": N200_ONLY, "scout": N200_ONLY, "n200": {"conf_ser"}}
-    assert not on_line(BY_NAME["get_rpx"], N200)
+    assert not exists_on_serial(BY_NAME["get_rpx"], N200)
 
 
 def test_no_name_type_or_method_is_given_twice() -> None:
@@ -80,11 +82,11 @@ def test_a_row_is_whole(command: Command) -> None:
     assert REPLY_TYPES[command.tcp_reply] in MAX_REPLY_WORDS
     names = [argument.name for argument in command.arguments]
     assert len(set(names)) == len(names)
-    if command.beside:
-        name, place = command.beside
+    if command.extra_arguments:
+        name, place = command.extra_arguments
         assert name in ("pid", "mask", "packet_type")
         assert command.any_length or len(names[place]) in (1, 44)
 
 
 def test_scout_and_n150_have_the_same_commands() -> None:
-    assert all(on_line(row, N150) == on_line(row, SCOUT) for row in COMMANDS)
+    assert all(exists_on_serial(row, N150) == exists_on_serial(row, SCOUT) for row in COMMANDS)

@@ -32,7 +32,7 @@ quick = settings(max_examples=40)
 
 def terms_with(*slots: int, position: int = 0) -> WireState:
     wire_state = serial_wire_state(N200)
-    wire_state.note_mask(Mask((position, *[int(k in slots) for k in range(1, 44)])))
+    wire_state.set_mask(Mask((position, *[int(k in slots) for k in range(1, 44)])))
     return wire_state
 
 
@@ -90,7 +90,7 @@ def test_slots_over_tcp_default_to_0() -> None:
 @given(masks)
 def test_stamps_over_tcp_follow_the_position_bits_alone(mask: Mask) -> None:
     wire_state = tcp_wire_state(N200)
-    wire_state.note_mask(mask)
+    wire_state.set_mask(mask)
     sensors = {1: 16, 2: 16, 4: 1, 8: 1, 16: 1}
     expected = sum(count for bit, count in sensors.items() if mask.position & bit)
     built = WordStamps().build({"sonar_3": STAMP}, wire_state=wire_state)
@@ -102,7 +102,7 @@ def test_stamps_over_tcp_follow_the_position_bits_alone(mask: Mask) -> None:
 
 def test_stamps_of_one_kind_of_sensor() -> None:
     wire_state = tcp_wire_state(N200)
-    wire_state.note_mask(EVERYTHING.with_position(Position.COMPASS | Position.BUMPER))
+    wire_state.set_mask(EVERYTHING.with_position(Position.COMPASS | Position.BUMPER))
     assert list(WordStamps(Position.COMPASS).parse(bytes(36), wire_state=wire_state)) == ["compass"]
     assert WordStamps(Position.SONAR).parse(b"", wire_state=wire_state) == {}
 

@@ -30,9 +30,9 @@ quick = settings(max_examples=8)
 def test_calls_over_tcp_come_back_from_their_bytes(row: Command, data: st.DataObject) -> None:
     call = data.draw(calls(row, line=False))
     wide = data.draw(st.booleans())
-    built = codec.tcp_request(call, wide=wide)
-    frame = tcp_framing.only_frame(built, tcp_framing.request_bounds, wide)
-    assert codec.tcp_call(frame) == call
+    built = codec.encode_tcp_request(call, wide=wide)
+    frame = tcp_framing.parse_single_frame(built, tcp_framing.request_bounds, wide)
+    assert codec.decode_tcp_request(frame) == call
     assert len(built) == 4 + len(frame.payload) * (1 + wide)
 
 
@@ -42,21 +42,21 @@ def test_calls_over_tcp_come_back_from_their_bytes(row: Command, data: st.DataOb
 def test_calls_on_the_line_come_back_from_their_bytes(row: Command, model: Model, data: st.DataObject) -> None:
     call = data.draw(calls(row, line=True))
     wire_state = serial_wire_state(model)
-    built = codec.line_request(call, wire_state)
+    built = codec.encode_serial_request(call, wire_state)
     assert len(built) <= HOST_LIMIT
-    assert codec.line_call(serial_framing.only_frame(built), wire_state) == call
+    assert codec.decode_serial_request(serial_framing.parse_single_frame(built), wire_state) == call
 
 
 @settings(max_examples=120)
 @given(st.sampled_from(sorted(BY_TCP_TYPE)), st.lists(st.integers(-(2**31), 2**31 - 1), max_size=20))
 def test_any_words_are_a_call_or_a_wire_error(kind: int, words: list[int]) -> None:
     try:
-        call = codec.tcp_call(TcpFrame(kind, struct.pack(f">{len(words)}i", *words)))
+        call = codec.decode_tcp_request(TcpFrame(kind, struct.pack(f">{len(words)}i", *words)))
     except WireError:
         return
     codec.update_from_request(call, tcp_wire_state(N150))
-    again = codec.tcp_request(call)
-    assert codec.tcp_call(TcpFrame(kind, again[4:])) == call
+    again = codec.encode_tcp_request(call)
+    assert codec.decode_tcp_request(TcpFrame(kind, again[4:])) == call
 
 
 @settings(max_examples=120)
@@ -64,11 +64,11 @@ def test_any_words_are_a_call_or_a_wire_error(kind: int, words: list[int]) -> No
 def test_any_bytes_on_the_line_are_a_call_or_a_wire_error(kind: int, data: bytes, model: str) -> None:
     wire_state = serial_wire_state(MODELS[model])
     try:
-        call = codec.line_call(SerialFrame(kind, data), wire_state)
+        call = codec.decode_serial_request(SerialFrame(kind, data), wire_state)
     except WireError:
         return
-    again = codec.line_request(call, wire_state)
-    assert codec.line_call(SerialFrame(kind, again[4:-2]), wire_state) == call
+    again = codec.encode_serial_request(call, wire_state)
+    assert codec.decode_serial_request(SerialFrame(kind, again[4:-2]), wire_state) == call
 
 
 @pytest.mark.parametrize("payload", [b"", b"\0" * 3, b"\0" * 12])
@@ -76,34 +76,34 @@ def test_payloads_that_no_framer_lets_through(payload: bytes) -> None:
     for kind in (*BY_TCP_TYPE, 9999):
         if kind == 9999:
             with pytest.raises(WireError, match="unknown message type 9999"):
-                codec.tcp_call(TcpFrame(kind, payload))
+                codec.decode_tcp_request(TcpFrame(kind, payload))
         elif BY_TCP_TYPE[kind].tcp_words[0] > 3:
             with pytest.raises(WireError):
-                codec.tcp_call(TcpFrame(kind, payload))
+                codec.decode_tcp_request(TcpFrame(kind, payload))
 
 
 @pytest.mark.parametrize("kind", [0, 4, 8, 99, 255])
 def test_types_that_an_n150_does_not_have(kind: int) -> None:
     with pytest.raises(WireError, match=f"type {kind} does not exist on the line of a n150"):
-        codec.line_call(SerialFrame(kind, b""), serial_wire_state(N150))
+        codec.decode_serial_request(SerialFrame(kind, b""), serial_wire_state(N150))
     if kind != 8:
         with pytest.raises(WireError, match=f"no answer of type {kind} comes from a n150"):
-            codec.read_line_reply(SerialFrame(kind, b""), serial_wire_state(N150))
+            codec.decode_serial_reply(SerialFrame(kind, b""), serial_wire_state(N150))
 
 
 def test_a_mask_is_noted_by_both_ends_alike() -> None:
     call = Call("ct", (9, *[k % 2 for k in range(43)]))
     sender, taker = tcp_wire_state(N150), tcp_wire_state(N150)
     codec.update_from_request(call, sender)
-    codec.update_from_request(codec.tcp_call(TcpFrame(16, codec.tcp_request(call)[4:])), taker)
+    codec.update_from_request(codec.decode_tcp_request(TcpFrame(16, codec.encode_tcp_request(call)[4:])), taker)
     assert sender.mask == taker.mask == Mask(call.args)
 
 
 def test_a_reply_of_any_type_answers_but_an_error_is_one() -> None:
     row = codec.find_command("get_rv")
     frame = TcpFrame(90, struct.pack(">3i", 1, -2, 3))
-    assert codec.read_tcp_reply(row, frame, tcp_wire_state(N150)).slots == {38: 1, 39: -2, 40: 3}
-    error = codec.read_tcp_reply(row, TcpFrame(91, struct.pack(">i", 4)), tcp_wire_state(N150))
+    assert codec.decode_tcp_reply(row, frame, tcp_wire_state(N150)).slots == {38: 1, 39: -2, 40: 3}
+    error = codec.decode_tcp_reply(row, TcpFrame(91, struct.pack(">i", 4)), tcp_wire_state(N150))
     assert (error.kind, error.values) == ("error", (4,))
 
 
@@ -116,11 +116,11 @@ def test_a_reply_of_any_type_answers_but_an_error_is_one() -> None:
 ])
 def test_what_cannot_be_sent_is_told_in_words_of_ours(call: Call, told: str) -> None:
     with pytest.raises(WireError) as refused:
-        codec.tcp_request(call)
+        codec.encode_tcp_request(call)
     assert str(refused.value) == told
 
 
 def test_what_cannot_be_sent_on_the_line_names_the_number() -> None:
     with pytest.raises(WireError) as refused:
-        codec.line_request(Call("ws", (1, 1, 1, 300)), serial_wire_state(N200))
+        codec.encode_serial_request(Call("ws", (1, 1, 1, 300)), serial_wire_state(N200))
     assert str(refused.value).startswith("ws(1, 1, 1, 300): timeout_s: ")

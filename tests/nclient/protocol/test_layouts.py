@@ -47,8 +47,8 @@ def test_a_request_over_tcp(row: Command, data: st.DataObject) -> None:
     call = data.draw(calls(row, line=False))
 
     def there_and_back() -> None:
-        frame = tcp_framing.only_frame(codec.tcp_request(call), tcp_framing.request_bounds, False)
-        assert codec.tcp_call(frame) == call
+        frame = tcp_framing.parse_single_frame(codec.encode_tcp_request(call), tcp_framing.request_bounds, False)
+        assert codec.decode_tcp_request(frame) == call
 
     assert garbage_of(there_and_back) == 0
 
@@ -60,7 +60,12 @@ def test_a_request_on_the_line(row: Command, model: Model, data: st.DataObject) 
     call, wire_state = data.draw(calls(row, line=True)), serial_wire_state(model)
 
     def there_and_back() -> None:
-        assert codec.line_call(serial_framing.only_frame(codec.line_request(call, wire_state)), wire_state) == call
+        assert (
+            codec.decode_serial_request(
+                serial_framing.parse_single_frame(codec.encode_serial_request(call, wire_state)), wire_state
+            )
+            == call
+        )
 
     assert garbage_of(there_and_back) == 0
 
@@ -77,7 +82,7 @@ def test_a_hello() -> None:
 def test_bytes_that_are_no_request() -> None:
     def refused() -> None:
         with pytest.raises(WireError):
-            codec.tcp_call(tcp_framing.TcpFrame(codec.find_command("vm").tcp_type or 0, b"12345"))
+            codec.decode_tcp_request(tcp_framing.TcpFrame(codec.find_command("vm").tcp_type or 0, b"12345"))
 
     assert garbage_of(refused) == 0
 

@@ -14,7 +14,7 @@ def packet(
     model: Model, laser_mode: int = 51, laser: tuple[int, ...] = (0,), slots: dict[int, int] | None = None
 ) -> bytes:
     wire_state = serial_wire_state(model)
-    wire_state.note_laser_mode(laser_mode)
+    wire_state.set_laser_mode(laser_mode)
     return LINE_STATE.build(Reply("state", slots or {33: model.bumper_rest}, laser), wire_state)
 
 
@@ -38,7 +38,7 @@ def test_nobodys(data: bytes) -> None:
 
 
 def test_the_remedy() -> None:
-    assert model_mismatch_hint(N150, packet(N200)) == "it looks like a n200's: say model=n200 in the address"
+    assert model_mismatch_hint(N150, packet(N200)) == "it looks like a n200's: write model=n200 in the address"
     assert model_mismatch_hint(N150, packet(N150)) == ""
-    assert model_mismatch_hint(N150) == "is it a n150? Else say model=n200 or model=scout in the address"
-    assert model_mismatch_hint(N200, b"") == "is it a n200? Else say model=n150 or model=scout in the address"
+    assert model_mismatch_hint(N150) == "is it a n150? Else write model=n200 or model=scout in the address"
+    assert model_mismatch_hint(N200, b"") == "is it a n200? Else write model=n150 or model=scout in the address"

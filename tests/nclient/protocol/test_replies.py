@@ -61,13 +61,13 @@ def test_the_reply_to_every_command_over_tcp(row: Command, wide: bool, data: st.
     kind = row.tcp_reply.kind
     count = 4 if row.tcp_reply is shape.COLLISION else _TCP_VALUES.get(kind, 0)
     sent = tcp_reply_of(kind, data.draw(seeds), (data.draw(laser_counts), tcp_width(row, wire_state)), count)
-    built = codec.tcp_reply(row, sent, wire_state)
-    frame = tcp_framing.only_frame(built, tcp_framing.reply_bounds, wide)
-    parsed = codec.read_tcp_reply(row, frame, wire_state)
+    built = codec.encode_tcp_reply(row, sent, wire_state)
+    frame = tcp_framing.parse_single_frame(built, tcp_framing.reply_bounds, wide)
+    parsed = codec.decode_tcp_reply(row, frame, wire_state)
     assert frame.type == REPLY_TYPES[row.tcp_reply]
     check_carried(parsed, sent)
     assert parsed.slots or parsed.laser or parsed.values
-    assert codec.tcp_reply(row, parsed, wire_state) == built
+    assert codec.encode_tcp_reply(row, parsed, wire_state) == built
 
 
 @settings(max_examples=30)
@@ -95,11 +95,11 @@ def test_the_reply_to_every_command_on_the_line(row: Command, model: Model, data
     values = {"special": 12}.get(kind, 3 if row.name == "conf_cp" else 0)
     signed = row.name != "get_cp"
     sent = line_reply_of(kind, data.draw(seeds), (data.draw(laser_counts), width), values, signed)
-    built = codec.line_reply(row, sent, wire_state)
-    parsed = codec.read_line_reply(serial_framing.only_frame(built), wire_state)
+    built = codec.encode_serial_reply(row, sent, wire_state)
+    parsed = codec.decode_serial_reply(serial_framing.parse_single_frame(built), wire_state)
     check_carried(parsed, sent)
     assert parsed.slots or parsed.laser or parsed.values or row.name == "get_ra"
-    assert codec.line_reply(BY_NAME[row.name], parsed, wire_state) == built
+    assert codec.encode_serial_reply(BY_NAME[row.name], parsed, wire_state) == built
 
 
 @settings(max_examples=40)
@@ -129,8 +129,8 @@ def test_the_packets_of_n150_and_scout_have_a_fixed_length(model: Model) -> None
 
 def test_the_longest_replies_fit_the_bounds_of_the_framers() -> None:
     wire_state = tcp_wire_state(N200)
-    wire_state.note_mask(FULL)
-    wire_state.note_laser_mode(33)
+    wire_state.set_mask(FULL)
+    wire_state.set_laser_mode(33)
     longest = shape.STATE.build(tcp_reply_of("state", 1, (482, 4), 0), wire_state)
     assert len(longest) == 4 * MAX_REPLY_WORDS[80]
     packet = shape.LINE_STATE.build(line_reply_of("state", 1, (482, 4), 0, True), wire_state)
@@ -148,7 +148,7 @@ _FIXED_WORDS = {
 @pytest.mark.parametrize(("layout", "kind"), _FIXED_WORDS.items(), ids=lambda value: str(getattr(value, "kind", value)))
 def test_the_most_words_a_type_can_carry(layout: shape.ReplyShape, kind: int) -> None:
     wire_state = tcp_wire_state(N200)
-    wire_state.note_mask(FULL)
+    wire_state.set_mask(FULL)
     values = {"error": 1, "truth": 8, "control": 4}.get(layout.kind, 0)
     assert len(layout.build(tcp_reply_of(layout.kind, 3, (0, 1), values), wire_state)) == 4 * MAX_REPLY_WORDS[kind]
 
@@ -158,7 +158,7 @@ def test_what_is_not_given_is_sent_as_nothing() -> None:
     assert set(parsed.slots.values()) == {0}
     assert (parsed.laser, parsed.clock, parsed.volts) == ((0,), 0, (0, 0))
     wire_state = tcp_wire_state(N150)
-    wire_state.note_mask(FULL)
+    wire_state.set_mask(FULL)
     data = shape.SONAR.build(Reply("sonar"), wire_state)
     assert set(shape.SONAR.parse(data, wire_state).stamps.values()) == {NO_STAMP}
 
@@ -178,12 +178,12 @@ def test_any_bytes_are_a_reply_or_a_wire_error(data: bytes, kind: int, wire_stat
 @given(st.binary(max_size=200), st.sampled_from([row.line_type for row, _ in LINE_CASES]), line_agreements(N200))
 def test_any_bytes_are_an_answer_on_the_line_or_a_wire_error(data: bytes, kind: int, wire_state: WireState) -> None:
     try:
-        reply = codec.read_line_reply(SerialFrame(kind, data), wire_state)
+        reply = codec.decode_serial_reply(SerialFrame(kind, data), wire_state)
     except WireError:
         return
     row = BY_LINE_TYPE.get(kind, BY_NAME["gs"])
-    again = serial_framing.only_frame(codec.line_reply(row, reply, wire_state))
-    assert codec.read_line_reply(again, wire_state) == reply
+    again = serial_framing.parse_single_frame(codec.encode_serial_reply(row, reply, wire_state))
+    assert codec.decode_serial_reply(again, wire_state) == reply
 
 
 def test_truncated_and_overlong_replies() -> None:
@@ -213,15 +213,15 @@ def test_what_a_state_packet_cannot_carry(reply: Reply) -> None:
 
 
 def test_a_nak_and_an_error_go_by_their_own_layouts() -> None:
-    nak = codec.line_reply(BY_NAME["vm"], Reply("nak"), serial_wire_state(N150))
+    nak = codec.encode_serial_reply(BY_NAME["vm"], Reply("nak"), serial_wire_state(N150))
     assert nak.hex() == "010200080b5c"
-    assert codec.read_line_reply(serial_framing.only_frame(nak), serial_wire_state(N150)) == Reply("nak")
-    error = codec.tcp_reply(BY_NAME["vm"], Reply("error", values=(4,)), tcp_wire_state(N150))
+    assert codec.decode_serial_reply(serial_framing.parse_single_frame(nak), serial_wire_state(N150)) == Reply("nak")
+    error = codec.encode_tcp_reply(BY_NAME["vm"], Reply("error", values=(4,)), tcp_wire_state(N150))
     assert error == struct.pack(">hHi", 91, 1, 4)
     with pytest.raises(WireError, match="no nak reply"):
-        codec.read_line_reply(SerialFrame(8, b"\0"), serial_wire_state(N150))
+        codec.decode_serial_reply(SerialFrame(8, b"\0"), serial_wire_state(N150))
 
 
 def test_a_row_without_a_line_has_no_answer_there() -> None:
     with pytest.raises(WireError, match="get_rpx does not exist on a robot's own line"):
-        codec.line_reply(BY_NAME["get_rpx"], Reply("state"), serial_wire_state(N200))
+        codec.encode_serial_reply(BY_NAME["get_rpx"], Reply("state"), serial_wire_state(N200))

@@ -20,11 +20,11 @@ from nclient.protocol.wire_state import serial_wire_state
 
 
 def tcp(name: str, *args: Any) -> bytes:
-    return codec.tcp_request(Call(name, args))
+    return codec.encode_tcp_request(Call(name, args))
 
 
 def line(name: str, *args: Any) -> bytes:
-    return codec.line_request(Call(name, args), serial_wire_state(N200))
+    return codec.encode_serial_request(Call(name, args), serial_wire_state(N200))
 
 
 def words(built: bytes) -> tuple[int, ...]:
@@ -40,14 +40,14 @@ def test_a_text_over_tcp_arrives_in_reversed_fours(text: str, wire: str) -> None
 
 def test_what_follows_the_nul_of_a_text_is_rubbish() -> None:
     frame = TcpFrame(19, bytes.fromhex("6c6c6568" "dead006f" "deadbeef"))
-    assert codec.tcp_call(frame) == Call("tk", ("hello",))
+    assert codec.decode_tcp_request(frame) == Call("tk", ("hello",))
     assert tcp("tk", "hello\0world") == tcp("tk", "hello")
 
 
 def test_a_text_on_the_line_ends_with_a_nul() -> None:
     assert line("tk", "hi")[4:-2] == b"hi\0"
     with pytest.raises(WireError, match="tk"):
-        codec.line_call(SerialFrame(11, b"no end"), serial_wire_state(N200))
+        codec.decode_serial_request(SerialFrame(11, b"no end"), serial_wire_state(N200))
 
 
 @pytest.mark.parametrize(("build", "longest"), [(tcp, 255), (line, 248)])
@@ -79,7 +79,7 @@ def test_obstacles_that_cannot_be(args: tuple[Any, ...]) -> None:
 ])
 def test_obstacle_words_that_contradict_themselves(kind: int, payload: tuple[int, ...]) -> None:
     with pytest.raises(WireError, match=r"an obstacle is n = 1\.\.10"):
-        codec.tcp_call(TcpFrame(kind, struct.pack(f">{len(payload)}i", *payload)))
+        codec.decode_tcp_request(TcpFrame(kind, struct.pack(f">{len(payload)}i", *payload)))
 
 
 def test_motion_checks_are_truncated_toward_zero() -> None:
@@ -91,9 +91,9 @@ def test_motion_checks_are_truncated_toward_zero() -> None:
 @settings(max_examples=60)
 @given(st.integers(-7_000_000, 7_000_000))
 def test_no_millionth_of_a_radian_is_lost_on_the_way_back(angle: int) -> None:
-    call = codec.tcp_call(TcpFrame(400, struct.pack(">8i", 1, 0, 0, angle, 0, 0, 0, 0)))
+    call = codec.decode_tcp_request(TcpFrame(400, struct.pack(">8i", 1, 0, 0, angle, 0, 0, 0, 0)))
     assert call.args[3] == pytest.approx(angle / 1000, abs=1e-12)
-    assert words(codec.tcp_request(call))[3] == angle
+    assert words(codec.encode_tcp_request(call))[3] == angle
 
 
 @pytest.mark.parametrize("args", [
@@ -107,7 +107,7 @@ def test_motion_checks_that_cannot_be(args: tuple[Any, ...]) -> None:
 
 def test_a_motion_check_of_no_known_type() -> None:
     with pytest.raises(WireError, match=r"type 0 \(line\) or 1 \(arc\)"):
-        codec.tcp_call(TcpFrame(400, struct.pack(">8i", 2, *[0] * 7)))
+        codec.decode_tcp_request(TcpFrame(400, struct.pack(">8i", 2, *[0] * 7)))
 
 
 def test_a_special_packet_counts_its_own_four_bytes() -> None:
@@ -119,9 +119,9 @@ def test_a_special_packet_counts_its_own_four_bytes() -> None:
 def test_a_special_packet_of_another_length_than_it_says(data: str) -> None:
     raw = bytes.fromhex(data)
     with pytest.raises(WireError, match="special_request"):
-        codec.line_call(SerialFrame(128, raw), serial_wire_state(N150))
+        codec.decode_serial_request(SerialFrame(128, raw), serial_wire_state(N150))
     with pytest.raises(WireError, match="special_request"):
-        codec.tcp_call(TcpFrame(300, struct.pack(f">{len(raw)}i", *raw)))
+        codec.decode_tcp_request(TcpFrame(300, struct.pack(f">{len(raw)}i", *raw)))
 
 
 @pytest.mark.parametrize("args", [(), (256,), (1, -1), (1, 256), (1, *[0] * 251), (1, 1.5)])
@@ -145,16 +145,21 @@ def test_the_arms_packets() -> None:
 
 def test_a_users_packet_with_a_number_of_the_arms_is_no_arm_packet() -> None:
     call = Call("special_request", (41, 1, 2, 3))
-    frame = codec.line_request(call, serial_wire_state(N150))
-    assert codec.line_call(SerialFrame(128, frame[4:-2]), serial_wire_state(N150)) == call
-    built = codec.tcp_request(call)
-    assert codec.tcp_call(TcpFrame(300, built[4:])) == call
+    frame = codec.encode_serial_request(call, serial_wire_state(N150))
+    assert codec.decode_serial_request(SerialFrame(128, frame[4:-2]), serial_wire_state(N150)) == call
+    built = codec.encode_tcp_request(call)
+    assert codec.decode_tcp_request(TcpFrame(300, built[4:])) == call
 
 
 def test_flags_are_0_or_1() -> None:
     assert words(tcp("ws", 5, 0, -1, 20)) == (1, 0, 1, 20)
     assert line("ws", 5, 0, -1, 20)[4:-2].hex() == "01000114"
-    assert codec.line_call(SerialFrame(31, b"\x05\x00\xff\x14"), serial_wire_state(N150)).args == (1, 0, 1, 20)
+    assert codec.decode_serial_request(SerialFrame(31, b"\x05\x00\xff\x14"), serial_wire_state(N150)).args == (
+        1,
+        0,
+        1,
+        20,
+    )
 
 
 def test_a_history_of_more_than_10_is_sent_as_10_on_the_line() -> None:
@@ -164,7 +169,7 @@ def test_a_history_of_more_than_10_is_sent_as_10_on_the_line() -> None:
 
 def test_the_point_laser_is_35_on_the_line() -> None:
     assert line("conf_ls", 51, 20, 20, 20, 4)[4] == 35
-    call = codec.line_call(SerialFrame(17, bytes((35, 20, 20, 20, 0, 4))), serial_wire_state(N200))
+    call = codec.decode_serial_request(SerialFrame(17, bytes((35, 20, 20, 20, 0, 4))), serial_wire_state(N200))
     assert call == Call("conf_ls", (51, 20, 20, 20, 4))
 
 
@@ -200,7 +205,7 @@ def test_masks_that_cannot_be_sent() -> None:
 def test_what_a_models_line_does_not_have(name: str, args: tuple[Any, ...], models: tuple[Any, ...]) -> None:
     for model in models:
         with pytest.raises(WireError, match=f"{name} does not exist on the line of a {model.name}"):
-            codec.line_request(Call(name, args), serial_wire_state(model))
+            codec.encode_serial_request(Call(name, args), serial_wire_state(model))
 
 
 def test_what_tcp_does_not_have() -> None:
@@ -211,7 +216,7 @@ def test_what_tcp_does_not_have() -> None:
 
 
 def test_the_arms_numbers_are_taken_signed_and_unsigned() -> None:
-    as_unsigned = codec.tcp_request(Call("arm_mv", (1, 4_000_000_000, 2, 5)))
-    assert as_unsigned == codec.tcp_request(Call("arm_mv", (1, 4_000_000_000 - 2**32, 2, 5)))
+    as_unsigned = codec.encode_tcp_request(Call("arm_mv", (1, 4_000_000_000, 2, 5)))
+    assert as_unsigned == codec.encode_tcp_request(Call("arm_mv", (1, 4_000_000_000 - 2**32, 2, 5)))
     with pytest.raises(WireError):
-        codec.tcp_request(Call("arm_mv", (1, 2**32, 2, 5)))
+        codec.encode_tcp_request(Call("arm_mv", (1, 2**32, 2, 5)))

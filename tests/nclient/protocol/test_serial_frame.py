@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nclient.errors import WireError
-from nclient.protocol.serial_framing import ROBOT_LIMIT, SerialFrame, SerialFramer, build_frame, only_frame
+from nclient.protocol.serial_framing import ROBOT_LIMIT, SerialFrame, SerialFramer, build_frame, parse_single_frame
 from tests.nclient.protocol.strategies import cuts, in_pieces
 
 frames = st.lists(st.builds(SerialFrame, st.integers(0, 255), st.binary(max_size=40)), max_size=6)
@@ -140,15 +140,15 @@ def test_frames_that_cannot_be(kind: int, size: int) -> None:
 ])
 def test_what_is_wrong_with_one_line_of_a_recording(text: str, wrong: str) -> None:
     with pytest.raises(WireError, match=wrong):
-        only_frame(bytes.fromhex(text))
+        parse_single_frame(bytes.fromhex(text))
 
 
 @quick
 @given(st.integers(0, 255), st.binary(max_size=40))
 def test_the_one_frame_there_is(kind: int, data: bytes) -> None:
-    assert only_frame(build_frame(kind, data)) == SerialFrame(kind, data)
+    assert parse_single_frame(build_frame(kind, data)) == SerialFrame(kind, data)
 
 
 def test_a_frame_longer_than_the_other_end_sends() -> None:
     with pytest.raises(WireError, match="6 to 255 bytes, not 260"):
-        only_frame(build_frame(128, bytes(254)), limit=255)
+        parse_single_frame(build_frame(128, bytes(254)), limit=255)

@@ -18,7 +18,7 @@ from nclient.protocol.tcp_framing import (
     TcpFrame,
     TcpFramer,
     build_frame,
-    only_frame,
+    parse_single_frame,
     reply_bounds,
     request_bounds,
 )
@@ -146,14 +146,14 @@ def test_messages_that_cannot_be(size: int) -> None:
 ])
 def test_what_is_wrong_with_one_line_of_a_recording(text: str, wrong: str) -> None:
     with pytest.raises(WireError, match=wrong):
-        only_frame(bytes.fromhex(text), request_bounds, wide=False)
+        parse_single_frame(bytes.fromhex(text), request_bounds, wide=False)
 
 
 def test_what_is_behind_a_64_bit_message() -> None:
     message = build_frame(21, CONNECT, wide=True)
-    assert only_frame(message, request_bounds, wide=True) == TcpFrame(21, CONNECT)
+    assert parse_single_frame(message, request_bounds, wide=True) == TcpFrame(21, CONNECT)
     with pytest.raises(WireError, match="2 bytes behind the message: abcd"):
-        only_frame(message + b"\xab\xcd", request_bounds, wide=True)
+        parse_single_frame(message + b"\xab\xcd", request_bounds, wide=True)
 
 
 def test_bounds_by_type() -> None:
@@ -168,7 +168,7 @@ def test_bounds_by_type() -> None:
 @given(st.binary(max_size=200), st.integers(1, 50))
 @settings(max_examples=40)
 def test_one_that_gives_up_drops_all_that_comes_after_the_frame_was_lost(after: bytes, cut: int) -> None:
-    framer = TcpFramer(request_bounds, wide=False, gives_up=True)
+    framer = TcpFramer(request_bounds, wide=False, drop_after_loss=True)
     lost = b"\x7f\x7f\x7f\x7f"
     found = framer.receive(lost + after[:cut]) + framer.receive(after[cut:])
     assert [item.fatal for item in found if isinstance(item, InvalidFrame)] == [True]

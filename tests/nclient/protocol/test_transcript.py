@@ -176,7 +176,7 @@ def test_what_the_c_call_does_not_name_stands_beside() -> None:
         "connect_robot": (1, 4711), "create_robot": (2, 99), "ct": mask.smask, "special_request": (200, 1, 2),
         "tk": ("Grüß",), "arm_mv": (1, -2, 3, -4),
     }
-    found = [transcript.request(codec.tcp_request(Call(name, args))) for name, args in sent.items()]
+    found = [transcript.request(codec.encode_tcp_request(Call(name, args))) for name, args in sent.items()]
     assert found == [
         {"to": "robot", "call": "connect_robot", "args": [1], "pid": 4711},
         {"to": "robot", "call": "create_robot", "args": [2], "pid": 99},
@@ -189,11 +189,11 @@ def test_what_the_c_call_does_not_name_stands_beside() -> None:
 
 def answered(transcript: WireDecoder, name: str, reply: Reply) -> dict[str, Any]:
     """The object for the answer to that call, laid out as the terms now are."""
-    return transcript.reply(codec.tcp_reply(BY_NAME[name], reply, transcript.wire_state))
+    return transcript.reply(codec.encode_tcp_reply(BY_NAME[name], reply, transcript.wire_state))
 
 
 def asked(transcript: WireDecoder, name: str, *args: Any) -> None:
-    found = transcript.request(codec.tcp_request(Call(name, args), wide=transcript.wire_state.wide))
+    found = transcript.request(codec.encode_tcp_request(Call(name, args), wide=transcript.wire_state.wide))
     assert found["call"] == name
 
 
@@ -222,7 +222,7 @@ def test_each_answer_is_read_by_the_terms_of_its_request() -> None:
     asked(transcript, "ct", *stamped.smask)
     then = transcript.wire_state.copy()
     asked(transcript, "ct", *EVERYTHING.smask)
-    with_stamps = transcript.reply(codec.tcp_reply(BY_NAME["ct"], Reply("state", clock=1), then))
+    with_stamps = transcript.reply(codec.encode_tcp_reply(BY_NAME["ct"], Reply("state", clock=1), then))
     assert (len(with_stamps["positions"]), with_stamps["clock"]) == (35, 1)
     assert answered(transcript, "ct", Reply("state", clock=2))["clock"] == 2
 
@@ -256,7 +256,7 @@ def test_an_answer_whose_request_was_not_seen_is_read_by_its_type(name: str, rep
 @pytest.mark.parametrize(("old", "new"), [(81, 80), (90, 89)])
 def test_types_of_old_servers(old: int, new: int) -> None:
     name, reply = ("gs", Reply("state", clock=9)) if new == 80 else ("get_ra", Reply("velocity", {38: 9}))
-    built = struct.pack(">h", old) + codec.tcp_reply(BY_NAME[name], reply, tcp_wire_state(N150))[2:]
+    built = struct.pack(">h", old) + codec.encode_tcp_reply(BY_NAME[name], reply, tcp_wire_state(N150))[2:]
     unseen, seen = WireDecoder("tcp", N150), WireDecoder("tcp", N150)
     asked(seen, name)
     assert unseen.reply(built) == seen.reply(built)
@@ -331,9 +331,9 @@ def test_no_such_line() -> None:
 
 def packet(reply: Reply, hello: Handshake) -> bytes:
     wire_state = serial_wire_state(N200)
-    wire_state.note_mask(hello.mask)
-    wire_state.note_laser_mode(hello.laser_mode)
-    return codec.line_reply(BY_NAME["gs"], reply, wire_state)
+    wire_state.set_mask(hello.mask)
+    wire_state.set_laser_mode(hello.laser_mode)
+    return codec.encode_serial_reply(BY_NAME["gs"], reply, wire_state)
 
 
 def test_the_hello_of_a_n200_sets_mask_and_laser_mode() -> None:
@@ -360,7 +360,7 @@ def test_a_hello_comes_once_at_the_start_from_a_n200() -> None:
 
 def test_refusals_and_the_arm_on_the_line() -> None:
     transcript = WireDecoder("serial", N150)
-    asked_for = codec.line_request(Call("arm_ws", (1, 1, 9)), serial_wire_state(N150))
+    asked_for = codec.encode_serial_request(Call("arm_ws", (1, 1, 9)), serial_wire_state(N150))
     assert transcript.request(asked_for)["call"] == "arm_ws"
     assert transcript.reply(build_frame(8))["reply"] == "nak"
     data = bytes((12, 0, 0, 41)) + struct.pack("<iI", -2, 256)
@@ -372,7 +372,7 @@ def test_refusals_and_the_arm_on_the_line() -> None:
 
 def test_what_the_line_never_sets_stays_null() -> None:
     transcript = WireDecoder("serial", N150)
-    built = codec.line_reply(BY_NAME["gs"], Reply("state", {34: -5}), serial_wire_state(N150))
+    built = codec.encode_serial_reply(BY_NAME["gs"], Reply("state", {34: -5}), serial_wire_state(N150))
     found = transcript.reply(built)
     assert [slot for slot, value in enumerate(found["State"]) if value is None] == [0, *range(1, 17), 42, 44]
     assert (found["State"][34], found["Laser"]) == (-5, None)
@@ -380,5 +380,5 @@ def test_what_the_line_never_sets_stays_null() -> None:
 
 def test_the_point_laser_on_the_line_reads_51() -> None:
     call = Call("conf_ls", (51, 20, 20, 20, 4))
-    found = WireDecoder("serial", N200).request(codec.line_request(call, serial_wire_state(N200)))
+    found = WireDecoder("serial", N200).request(codec.encode_serial_request(call, serial_wire_state(N200)))
     assert found["args"] == [51, 20, 20, 20, 4]

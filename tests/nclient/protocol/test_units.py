@@ -42,8 +42,8 @@ def test_volts_of_every_byte_and_back(full_range_v: float) -> None:
 
 @given(st.integers(-(2**40), 2**40))
 def test_words_are_clamped_or_go_round(value: int) -> None:
-    clamped, wrapped = types.clamped_word(value), types.wrapped_word(value)
+    clamped, wrapped = types.clamp_word(value), types.wrap_word(value)
     assert -(2**31) <= clamped < 2**31
     assert clamped == value or abs(value) >= 2**31
     assert int.from_bytes((value % 2**32).to_bytes(4, "big"), "big", signed=True) == wrapped
-    assert types.unwrapped_word(wrapped) == value % 2**32
+    assert types.unwrap_word(wrapped) == value % 2**32

@@ -83,11 +83,11 @@ def test_a_tcp_session_both_ways(session: str) -> None:
     requests, answers = TcpFramer(request_bounds), TcpFramer(reply_bounds, wide=False)
     count = 0
     for exchange in exchanges(TCP[session], model=None):
-        built = codec.tcp_request(exchange.call)
+        built = codec.encode_tcp_request(exchange.call)
         assert with_leftovers_of(exchange.call, built, exchange.request) == exchange.request, exchange.call
         (frame,) = requests.receive(exchange.request)
         assert isinstance(frame, TcpFrame)
-        assert codec.tcp_call(frame) == exchange.call
+        assert codec.decode_tcp_request(frame) == exchange.call
         codec.update_from_request(exchange.call, wire_state)
         if exchange.reply:
             check_tcp_reply(exchange, answers, wire_state, held)
@@ -100,11 +100,11 @@ def check_tcp_reply(exchange: Exchange, answers: TcpFramer, wire_state: WireStat
     row = BY_NAME[exchange.call.name]
     (frame,) = answers.receive(exchange.reply)
     assert isinstance(frame, TcpFrame)
-    reply = codec.read_tcp_reply(row, frame, wire_state)
+    reply = codec.decode_tcp_reply(row, frame, wire_state)
     held.apply_reply(reply)
     if exchange.decoded:
         check_held(held, reply, exchange.decoded)
-    assert codec.tcp_reply(row, reply, wire_state) == exchange.reply
+    assert codec.encode_tcp_reply(row, reply, wire_state) == exchange.reply
 
 
 @pytest.mark.parametrize("session", LINE_SESSIONS)
@@ -114,17 +114,17 @@ def test_a_session_on_the_robots_own_line_both_ways(session: str) -> None:
     host, robot = SerialFramer(), SerialFramer()
     count = 0
     for exchange in exchanges(SERIAL[session], model):
-        assert codec.line_request(exchange.call, wire_state) == exchange.request, exchange.call
+        assert codec.encode_serial_request(exchange.call, wire_state) == exchange.request, exchange.call
         (frame,) = host.receive(exchange.request)
-        assert codec.line_call(frame, wire_state) == as_the_line_has_it(exchange.call)
+        assert codec.decode_serial_request(frame, wire_state) == as_the_line_has_it(exchange.call)
         codec.update_from_request(exchange.call, wire_state)
         (answer,) = robot.receive(exchange.reply)
-        reply = codec.read_line_reply(answer, wire_state)
+        reply = codec.decode_serial_reply(answer, wire_state)
         assert (reply.kind == "nak") == ("Nak" in exchange.prints)
         held.apply_reply(reply)
         if exchange.decoded:
             check_held(held, reply, exchange.decoded)
-        assert codec.line_reply(BY_NAME[exchange.call.name], reply, wire_state) == exchange.reply
+        assert codec.encode_serial_reply(BY_NAME[exchange.call.name], reply, wire_state) == exchange.reply
         count += 1
     assert count > 4
 
@@ -143,16 +143,16 @@ def test_a_64_bit_client_both_ways() -> None:
     ]
     decoded = [None, LP64["decoded"][0], *LP64["decoded"][1:]]
     for call, (request, answer), after in zip(calls, wire, decoded, strict=True):
-        assert codec.tcp_request(call, wide=True) == request
+        assert codec.encode_tcp_request(call, wide=True) == request
         (frame,) = requests.receive(request)
         assert isinstance(frame, TcpFrame)
-        assert codec.tcp_call(frame) == call
+        assert codec.decode_tcp_request(frame) == call
         if answer:
             (frame,) = answers.receive(answer)
             assert isinstance(frame, TcpFrame)
-            reply = codec.read_tcp_reply(BY_NAME[call.name], frame, wire_state)
+            reply = codec.decode_tcp_reply(BY_NAME[call.name], frame, wire_state)
             held.apply_reply(reply)
-            assert codec.tcp_reply(BY_NAME[call.name], reply, wire_state) == answer
+            assert codec.encode_tcp_reply(BY_NAME[call.name], reply, wire_state) == answer
         if after:
             assert [value or 0 for value in held.slots] == after["State"]
             assert held.clock == after["time"]

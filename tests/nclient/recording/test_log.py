@@ -10,7 +10,7 @@ import pytest
 
 from nclient.errors import RecordingError
 from nclient.recording import format as log
-from nclient.recording.format import Entry, LogWriter, parse_recording, read_recording
+from nclient.recording.format import Entry, RecordingWriter, parse_recording, read_recording
 
 HEADER = '{"format": "nomad recording", "version": 1, "seed": 7}\n'
 GS = '{"t": 0.25, "dir": "out", "bytes": "000f0000"}\n'
@@ -25,7 +25,7 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
         Entry(9.0, "time", more={"steps": [[0.1, 3]]}, line=5),
         Entry(9.5, "close", "a", line=6),
     ]
-    writer = LogWriter(path, {"seed": 7})
+    writer = RecordingWriter(path, {"seed": 7})
     for entry in entries:
         writer.write(entry)
         assert len(path.read_text().splitlines()) == entry.line, "a line is on its way to the disk at once"
@@ -39,7 +39,7 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
 
 
 def test_a_line_stands_as_the_docs_say(tmp_path: Path) -> None:
-    writer = LogWriter(tmp_path / "run.log", {})
+    writer = RecordingWriter(tmp_path / "run.log", {})
     writer.write(Entry(0.5, "in", "", b"\x01\xff", ({"error": "x"},)))
     writer.close()
     _, line = (tmp_path / "run.log").read_text().splitlines()
@@ -84,7 +84,7 @@ def test_what_is_no_recording(text: str, told: str) -> None:
 
 
 def test_a_recording_is_as_long_as_it_is_and_a_line_is_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(log, "LONGEST_LINE", len(HEADER))
+    monkeypatch.setattr(log, "MAX_LINE", len(HEADER))
     path = tmp_path / "run.log"
     path.write_text(HEADER + 1000 * GS)
     assert len(read_recording(path).entries) == 1000
@@ -95,7 +95,7 @@ def test_a_recording_is_as_long_as_it_is_and_a_line_is_not(tmp_path: Path, monke
 
 @pytest.mark.skipif(not Path("/dev/zero").exists(), reason="the system has no /dev/zero")
 def test_what_is_no_recording_is_not_read_to_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(log, "LONGEST_LINE", 10_000)
+    monkeypatch.setattr(log, "MAX_LINE", 10_000)
     with pytest.raises(RecordingError, match="/dev/zero, line 1: longer than 10000 characters"):
         read_recording(Path("/dev/zero"))
 
@@ -112,13 +112,13 @@ def test_files_that_cannot_be(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"cannot be read \(embedded null byte"):
         read_recording(tmp_path / "run\0.log")
     with pytest.raises(RecordingError, match="cannot be written"):
-        LogWriter(tmp_path / "nowhere" / "run.log", {})
+        RecordingWriter(tmp_path / "nowhere" / "run.log", {})
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")
 def test_a_full_disk_is_told_once_and_the_run_goes_on(caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.ERROR):
-        writer = LogWriter(Path("/dev/full"), {})
+        writer = RecordingWriter(Path("/dev/full"), {})
         for _ in range(3):
             writer.write(Entry(0.0, "in", "", bytes(100_000)))
         writer.close()
@@ -134,7 +134,7 @@ def test_a_recording_that_is_as_long_as_it_may_be_ends_whole_and_says_so_once(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     path = tmp_path / "run.jsonl"
-    log = LogWriter(path, {}, most_bytes=1000)
+    log = RecordingWriter(path, {}, max_bytes=1000)
     for number in range(100):
         log.write(Entry(float(number), "out", "one", b"\0" * 10))
     log.close()
@@ -142,4 +142,4 @@ def test_a_recording_that_is_as_long_as_it_may_be_ends_whole_and_says_so_once(
     recording = read_recording(path)
     assert not recording.cut
     assert [entry.time_s for entry in recording.entries] == [float(n) for n in range(len(recording.entries))]
-    assert caplog.text.count("it is as long as it may be (--limit-log)") == 1
+    assert caplog.text.count("it has reached its maximum size (--limit-log)") == 1

@@ -15,7 +15,7 @@ from nclient.protocol.replies import Reply
 from nclient.protocol.types import EVERYTHING, N150, N200
 from nclient.protocol.wire_state import serial_wire_state, tcp_wire_state
 from nclient.recording.format import Entry, Recording
-from nclient.recording.replayer import LOOSE, STRICT, Asked, Piece, Player, ReplayPeer, load_exchanges
+from nclient.recording.replayer import LOOSE, STRICT, Player, ReplayPeer, ReplyChunk, RequestKey, load_exchanges
 from nclient.url import parse_address
 from tests.nclient.protocol.recorded import LP64
 
@@ -48,7 +48,7 @@ def test_a_played_run_can_be_recorded_and_is_the_same(tmp_path: Path) -> None:
 def test_who_asks_for_something_else_is_told_where(tmp_path: Path) -> None:
     run(connect(f"{SIM}&record={tmp_path}/run.log"))
     robot = connect(f"replay:{tmp_path}/run.log")
-    with pytest.raises(RecordingError, match=r"log, line 7: recorded was `vm 60 100 0`, the program asks `pr 30 0 0`"):
+    with pytest.raises(RecordingError, match=r"log, line 7: recorded was `vm 60 100 0`, the program sends `pr 30 0 0`"):
         robot.move(translation_in=3)
     assert robot.closed
 
@@ -63,16 +63,16 @@ def recording(*entries: Entry, **header: str) -> Recording:
 
 
 def ask(name: str, *args: int, at: float = 0.0, connection: str = "") -> Entry:
-    return Entry(at, "out", connection, codec.tcp_request(Call(name, args)), line=round(10 * at) + 2)
+    return Entry(at, "out", connection, codec.encode_tcp_request(Call(name, args)), line=round(10 * at) + 2)
 
 
 def answer(name: str, x: int, at: float = 0.0, connection: str = "") -> Entry:
     reply = Reply("state", {34: x}) if BY_NAME[name].tcp_reply.kind == "state" else Reply("simple", values=(x,))
-    return Entry(at, "in", connection, codec.tcp_reply(BY_NAME[name], reply, tcp_wire_state(N150)))
+    return Entry(at, "in", connection, codec.encode_tcp_reply(BY_NAME[name], reply, tcp_wire_state(N150)))
 
 
 def asked(player: Player, name: str, *args: int) -> bytes:
-    return b"".join(piece.data for piece in player.answers(codec.tcp_request(Call(name, args))))
+    return b"".join(piece.data for piece in player.answers(codec.encode_tcp_request(Call(name, args))))
 
 
 FED = recording(
@@ -85,20 +85,22 @@ def test_what_kept_the_robot_fed_may_be_left_out() -> None:
     player = Player(load_exchanges(FED))
     assert asked(player, "vm", 1, 2, 3) == answer("vm", 1).data
     assert asked(player, "gs") == answer("gs", 2).data
-    assert player.answers(codec.tcp_request(Call("st"))) == [Piece(0.25, answer("st", 4).data)]
-    assert player.left == 1
-    with pytest.raises(RecordingError, match=r"run.log, line 2: recorded was `gs`, the program asks `st`"):
+    assert player.answers(codec.encode_tcp_request(Call("st"))) == [ReplyChunk(0.25, answer("st", 4).data)]
+    assert player.remaining == 1
+    with pytest.raises(RecordingError, match=r"run.log, line 2: recorded was `gs`, the program sends `st`"):
         asked(player, "st")
     assert asked(player, "gs") == answer("gs", 5).data
-    with pytest.raises(RecordingError, match=r"run.log: it ends here, and the program asks `gs`; record a longer run"):
+    with pytest.raises(
+        RecordingError, match=r"run.log: the recording ends here, and the program sends `gs`; record a longer run"
+    ):
         asked(player, "gs")
     assert asked(player, "disconnect_robot", 1, 77) == b"", "leaving is always allowed"
 
 
 def test_strict_leaves_nothing_else_out() -> None:
-    with pytest.raises(RecordingError, match="line 2: recorded was `vm 1 2 3`, the program asks `vm 1 2 4`"):
+    with pytest.raises(RecordingError, match="line 2: recorded was `vm 1 2 3`, the program sends `vm 1 2 4`"):
         asked(Player(load_exchanges(FED)), "vm", 1, 2, 4)
-    with pytest.raises(RecordingError, match="recorded was `vm 1 2 3`, the program asks `st`"):
+    with pytest.raises(RecordingError, match="recorded was `vm 1 2 3`, the program sends `st`"):
         asked(Player(load_exchanges(FED)), "st")
 
 
@@ -106,13 +108,13 @@ def test_loose_answers_as_the_next_like_it() -> None:
     player = Player(load_exchanges(FED), LOOSE)
     assert asked(player, "gs") == answer("gs", 2).data
     assert asked(player, "st") == answer("st", 4).data
-    with pytest.raises(RecordingError, match=r"run.log: `vm 1 2 3` was not asked again from line 2 on"):
+    with pytest.raises(RecordingError, match=r"run.log: `vm 1 2 3` does not come again from line 2 on"):
         asked(player, "vm", 1, 2, 3)
 
 
 def test_process_ids_do_not_count_and_pieces_do_not_matter() -> None:
     player = Player(load_exchanges(recording(ask("connect_robot", 3, 4711), answer("connect_robot", 7019))))
-    request = codec.tcp_request(Call("connect_robot", (3, 5)))
+    request = codec.encode_tcp_request(Call("connect_robot", (3, 5)))
     assert player.answers(request[:5]) == []
     assert player.answers(request[5:])[0].data == answer("connect_robot", 7019).data
     assert load_exchanges(recording(ask("connect_robot", 3, 4711))).robot_id == 3
@@ -124,24 +126,24 @@ def test_a_program_that_piled_up_its_questions_is_played_one_by_one() -> None:
     both = Entry(0.5, "in", "", answer("gs", 1).data + answer("st", 2).data[:9])
     rest = Entry(0.7, "in", "", answer("st", 2).data[9:])
     player = Player(load_exchanges(recording(piled, both, rest)))
-    assert player.answers(ask("gs").data) == [Piece(0.5, answer("gs", 1).data)]
+    assert player.answers(ask("gs").data) == [ReplyChunk(0.5, answer("gs", 1).data)]
     assert asked(player, "disconnect_robot", 1, 1) == b""
-    assert player.answers(ask("st").data) == [Piece(0.7, answer("st", 2).data)]
+    assert player.answers(ask("st").data) == [ReplyChunk(0.7, answer("st", 2).data)]
 
 
 def test_what_was_refused_is_refused_again() -> None:
     unknown = b"\x00\x63\x00\x00"
-    refusal = codec.tcp_reply(BY_NAME["gs"], Reply("error", values=(1,)), tcp_wire_state(N150))
+    refusal = codec.encode_tcp_reply(BY_NAME["gs"], Reply("error", values=(1,)), tcp_wire_state(N150))
     bad = b"\x00\x27\x00\x04" + bytes(16)
     script = load_exchanges(recording(
         Entry(0, "out", "", unknown, line=2), Entry(0, "in", "", refusal),
         Entry(0, "out", "", bad, line=4), Entry(0, "in", "", answer("gs", 1).data),
     ))
     player = Player(script)
-    assert player.answers(unknown) == [Piece(0, refusal)]
-    with pytest.raises(RecordingError, match=r"line 4: recorded was `ws 0 0 0 0`, the program asks bytes that are no"):
+    assert player.answers(unknown) == [ReplyChunk(0, refusal)]
+    with pytest.raises(RecordingError, match=r"line 4: recorded was `ws 0 0 0 0`, the program sends bytes that are no"):
         player.answers(unknown)
-    assert str(Asked("ct", tuple(EVERYTHING.smask))) == "`ct`"
+    assert str(RequestKey("ct", tuple(EVERYTHING.smask))) == "`ct`"
 
 
 def test_calls_that_make_no_sense_are_told_apart_by_their_bytes() -> None:
@@ -149,7 +151,7 @@ def test_calls_that_make_no_sense_are_told_apart_by_their_bytes() -> None:
         return b"\x01\x2c\x00\x04" + bytes((0xFF, 0xFF, 0xFF, 0xFF)) * 3 + bytes((0, 0, 0, mark))
 
     (found,) = load_exchanges(recording(Entry(0, "out", "", odd(1), line=2))).exchanges
-    assert found.asked.wrong
+    assert found.request.error
     with pytest.raises(RecordingError, match="bytes that are no call"):
         Player(load_exchanges(recording(Entry(0, "out", "", odd(1), line=2)))).answers(odd(2))
 
@@ -161,8 +163,8 @@ def test_a_client_of_64_bits() -> None:
     assert [b"".join(p.data for p in player.answers(request)) for request, _ in wire] == [reply for _, reply in wire]
 
 
-LINE_STATE = codec.line_reply(BY_NAME["gs"], Reply("state", {34: 7}), serial_wire_state(N150))
-LINE_GS = codec.line_request(Call("gs"), serial_wire_state(N150))
+LINE_STATE = codec.encode_serial_reply(BY_NAME["gs"], Reply("state", {34: 7}), serial_wire_state(N150))
+LINE_GS = codec.encode_serial_request(Call("gs"), serial_wire_state(N150))
 
 
 def test_a_time_out_that_was_not_set_then_is_answered_with_the_last_state() -> None:
@@ -175,18 +177,18 @@ def test_a_time_out_that_was_not_set_then_is_answered_with_the_last_state() -> N
     asked(player, "st")
     assert asked(player, "conf_tm", 5) == answer("st", 4).data
     silent = Player(load_exchanges(recording(ask("connect_robot", 1, 1), answer("connect_robot", 1))))
-    with pytest.raises(RecordingError, match="the program asks `conf_tm 5`"):
+    with pytest.raises(RecordingError, match="the program sends `conf_tm 5`"):
         asked(silent, "conf_tm", 5)
 
 
 def test_a_time_out_on_a_robots_line_too() -> None:
-    conf_tm = codec.line_request(Call("conf_tm", (5,)), serial_wire_state(N150))
-    told = codec.line_reply(BY_NAME["conf_tm"], Reply("state", {34: 7}), serial_wire_state(N150))
+    conf_tm = codec.encode_serial_request(Call("conf_tm", (5,)), serial_wire_state(N150))
+    told = codec.encode_serial_reply(BY_NAME["conf_tm"], Reply("state", {34: 7}), serial_wire_state(N150))
     line = {"wire": "serial"}
     entries = [Entry(0, "out", "", LINE_GS, line=2), Entry(0, "in", "", LINE_STATE[:8]),
                Entry(1, "out", "", LINE_GS), Entry(1, "in", "", b"\x55" + LINE_STATE)]
-    assert Player(load_exchanges(recording(*entries, **line))).answers(conf_tm) == [Piece(0.0, told)]
-    sonars = Entry(0, "out", "", codec.line_request(Call("get_sn"), serial_wire_state(N150)), line=2)
+    assert Player(load_exchanges(recording(*entries, **line))).answers(conf_tm) == [ReplyChunk(0.0, told)]
+    sonars = Entry(0, "out", "", codec.encode_serial_request(Call("get_sn"), serial_wire_state(N150)), line=2)
     for nothing in ((*entries[:2],), (sonars, Entry(0, "in", "", LINE_STATE))):
         with pytest.raises(RecordingError):
             Player(load_exchanges(recording(*nothing, **line))).answers(conf_tm)
@@ -200,7 +202,7 @@ def test_on_a_robots_line_stray_bytes_half_answers_and_silence_are_played_too() 
         Entry(3.1, "in", "1", LINE_STATE), Entry(4, "close", "1"),
     ]
     player = Player(load_exchanges(recording(*entries)))
-    assert player.greeting == [Piece(0.0, b"\xee\xee")]
+    assert player.initial == [ReplyChunk(0.0, b"\xee\xee")]
     first, second = player.answers(LINE_GS)
     assert (first.data, second.data) == (LINE_STATE[:9], LINE_STATE[10:])
     assert [first.after_s, second.after_s] == pytest.approx([0.1, 0.3])

@@ -7,8 +7,7 @@ from typing import Any
 import pytest
 
 from nclient.errors import RecordingError
-from nclient.recording.format import Entry
-from nclient.recording.readable import lines_of
+from nclient.recording.format import Entry, format_entry
 
 
 @pytest.mark.parametrize("found", [
@@ -17,11 +16,11 @@ from nclient.recording.readable import lines_of
 ])
 def test_frames_that_no_recorder_writes_are_told_of_with_their_line(found: dict[str, Any]) -> None:
     with pytest.raises(RecordingError, match=r"line 7: `decoded` is not as a recorder writes it .*; take it out"):
-        list(lines_of(Entry(0.0, "in", decoded=(found,), line=7)))
+        list(format_entry(Entry(0.0, "in", decoded=(found,), line=7)))
 
 
 def test_what_is_wrong_with_bytes_is_shown() -> None:
     entry = Entry(1.5, "in", "a", b"\1", ({"error": "1 bytes that are no frame"},), line=7)
-    assert [line.split() for line in lines_of(entry, with_bytes=True)] == [
+    assert [line.split() for line in format_entry(entry, with_bytes=True)] == [
         ["1.500", "a", "<", "!", "1", "bytes", "that", "are", "no", "frame"], ["1.500", "a", "<", "[01]"],
     ]  # fmt: skip

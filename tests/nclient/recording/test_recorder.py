@@ -15,16 +15,16 @@ from nclient.protocol.replies import Reply
 from nclient.protocol.serial_framing import build_frame
 from nclient.protocol.types import EVERYTHING, N150, N200
 from nclient.protocol.wire_state import serial_wire_state, tcp_wire_state
-from nclient.recording.format import LogWriter, Recording, read_recording
-from nclient.recording.recorder import OFF, FrameDecoder, Recorder, RecordingStream
+from nclient.recording.format import Recording, RecordingWriter, read_recording
+from nclient.recording.recorder import NULL_RECORDER, FrameDecoder, Recorder, RecordingStream
 from nclient.transports.memory import MemoryStream
 from nclient.transports.stream import Deadline
 from tests.nclient.protocol.recorded import LINE_SESSIONS, LP64, SERIAL, TCP, TCP_SESSIONS, exchanges, model_of
 
-GS = codec.tcp_request(Call("gs"))
-LINE_GS = codec.line_request(Call("gs"), serial_wire_state(N150))
-STATE = codec.tcp_reply(BY_NAME["gs"], Reply("state", {34: 7}, clock=1500), tcp_wire_state(N150))
-LINE_STATE = codec.line_reply(BY_NAME["gs"], Reply("state", {34: 7}, clock=1500), serial_wire_state(N150))
+GS = codec.encode_tcp_request(Call("gs"))
+LINE_GS = codec.encode_serial_request(Call("gs"), serial_wire_state(N150))
+STATE = codec.encode_tcp_reply(BY_NAME["gs"], Reply("state", {34: 7}, clock=1500), tcp_wire_state(N150))
+LINE_STATE = codec.encode_serial_reply(BY_NAME["gs"], Reply("state", {34: 7}, clock=1500), serial_wire_state(N150))
 
 
 @pytest.mark.parametrize("session", TCP_SESSIONS)
@@ -91,7 +91,7 @@ def recorded_by(path: Path, recorder: Recorder) -> Recording:
 
 
 def test_the_robots_own_clock_where_none_is_handed_in(tmp_path: Path) -> None:
-    recorder = Recorder(LogWriter(tmp_path / "a.log", {}))
+    recorder = Recorder(RecordingWriter(tmp_path / "a.log", {}))
     tape = recorder.open("", "tcp", N150)
     tape.to_robot(GS)
     tape.to_host(STATE)
@@ -107,14 +107,14 @@ def test_the_robots_own_clock_where_none_is_handed_in(tmp_path: Path) -> None:
 
 def test_time_that_passed_stands_with_the_entry_that_follows(tmp_path: Path) -> None:
     ticks = iter(range(100))
-    recorder = Recorder(LogWriter(tmp_path / "a.log", {}), lambda: next(ticks) / 3)
+    recorder = Recorder(RecordingWriter(tmp_path / "a.log", {}), lambda: next(ticks) / 3)
     for step in (0.1, 0.1, 0.05):
-        recorder.stepped(step)
+        recorder.record_step(step)
     one, two = recorder.open("one", "tcp", N150), recorder.open("two", "serial", N150)
     one.to_robot(GS)
-    recorder.stepped(0.2)
+    recorder.record_step(0.2)
     two.to_robot(LINE_GS)
-    recorder.stepped(0.4)
+    recorder.record_step(0.4)
     found = recorded_by(tmp_path / "a.log", recorder)
     assert [(entry.kind, entry.connection, entry.more.get("steps")) for entry in found.entries] == [
         ("open", "one", [[0.1, 2], [0.05, 1]]), ("open", "two", None), ("out", "one", None),
@@ -125,9 +125,9 @@ def test_time_that_passed_stands_with_the_entry_that_follows(tmp_path: Path) -> 
 
 
 def test_a_daemon_that_nobody_visits_fills_no_memory(tmp_path: Path) -> None:
-    recorder = Recorder(LogWriter(tmp_path / "a.log", {}), lambda: 0.0)
+    recorder = Recorder(RecordingWriter(tmp_path / "a.log", {}), lambda: 0.0)
     for number in range(1001):
-        recorder.stepped(0.01 + number * 1e-6)
+        recorder.record_step(0.01 + number * 1e-6)
     found = recorded_by(tmp_path / "a.log", recorder)
     assert [len(entry.more["steps"]) for entry in found.entries] == [1000, 1]
 
@@ -150,7 +150,7 @@ class Echo:
 
 
 def test_a_recorded_stream_is_the_stream(tmp_path: Path) -> None:
-    recorder = Recorder(LogWriter(tmp_path / "a.log", {}))
+    recorder = Recorder(RecordingWriter(tmp_path / "a.log", {}))
     stream = RecordingStream(MemoryStream(Echo()), recorder.open("", "tcp", N150))
     stream.send(GS)
     assert stream.receive(Deadline.after(1)) == GS
@@ -167,9 +167,9 @@ def test_a_recorded_stream_is_the_stream(tmp_path: Path) -> None:
 
 
 def test_off_is_nothing() -> None:
-    tape = OFF.open("a", "tcp", N150)
+    tape = NULL_RECORDER.open("a", "tcp", N150)
     tape.to_robot(GS)
     tape.to_host(GS)
     tape.close()
-    OFF.stepped(0.1)
-    OFF.close()
+    NULL_RECORDER.record_step(0.1)
+    NULL_RECORDER.close()

@@ -10,7 +10,7 @@ from nclient import RecordingError, connect
 from nclient.connect import Connector
 from nclient.protocol.types import N150
 from nclient.recording.format import read_recording
-from nclient.recording.recorder import ProgramsRecording, Recorded
+from nclient.recording.recorder import ClientRecording, RecordingTarget
 from nclient.transports.memory import MemoryStream
 from nclient.transports.stream import Deadline
 from nclient.url import parse_address
@@ -90,11 +90,11 @@ class Silent:
 def test_a_file_that_can_no_longer_be_opened_costs_nothing_but_the_recording(tmp_path: Path) -> None:
     folder = tmp_path / "gone"
     folder.mkdir()
-    recording = ProgramsRecording(folder / "run.log", Recorded("here", "serial", N150))
-    recording.around(MemoryStream(Silent())).close()
+    recording = ClientRecording(folder / "run.log", RecordingTarget("here", "serial", N150))
+    recording.wrap(MemoryStream(Silent())).close()
     (folder / "run.log").unlink()
     folder.rmdir()
-    stream = recording.around(MemoryStream(Silent()))
+    stream = recording.wrap(MemoryStream(Silent()))
     stream.send(b"\x00")
     assert stream.receive(Deadline.after(0)) == b"\x01"
     stream.close()

@@ -1,4 +1,4 @@
-"""A peer in this process: found by entry point, asked without waiting."""
+"""Peers in this process are found by entry point and answer without waiting."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from tests.nclient.answering import ScriptedServer
 NOW = Deadline.after(0)
 
 
-def test_bytes_go_to_the_peer_and_back() -> None:
+def test_bytes_pass_to_the_peer_and_back() -> None:
     stream = MemoryStream(ScriptedServer())
-    stream.send(codec.tcp_request(Call("connect_robot", (1, 2))))
+    stream.send(codec.encode_tcp_request(Call("connect_robot", (1, 2))))
     assert stream.receive(NOW) == bytes.fromhex("0052000100001b6b")
 
 
-def test_nothing_said_is_a_time_out_at_once() -> None:
-    with pytest.raises(ReplyTimeout, match="nothing to say"):
+def test_receive_times_out_at_once_without_a_reply() -> None:
+    with pytest.raises(ReplyTimeout, match="no reply"):
         MemoryStream(ScriptedServer()).receive(Deadline.after(1e6))
 
 
-def test_a_closed_stream_is_lost_and_its_peer_closed_once() -> None:
+def test_close_closes_the_peer_once_and_ends_the_stream() -> None:
     peer = ScriptedServer()
     stream = MemoryStream(peer)
     stream.close()
@@ -40,15 +40,15 @@ def test_a_closed_stream_is_lost_and_its_peer_closed_once() -> None:
         stream.receive(NOW)
 
 
-def test_the_emulator_of_this_project_is_found() -> None:
+def test_the_emulator_is_an_installed_scheme() -> None:
     assert "sim" in schemes()
 
 
-def test_an_opener_is_given_the_whole_address(monkeypatch: pytest.MonkeyPatch) -> None:
-    given: list[str] = []
+def test_an_opener_receives_the_whole_address(monkeypatch: pytest.MonkeyPatch) -> None:
+    addresses: list[str] = []
 
     def open_toy(address: str) -> ScriptedServer:
-        given.append(address)
+        addresses.append(address)
         return ScriptedServer()
 
     class Point:
@@ -60,17 +60,17 @@ def test_an_opener_is_given_the_whole_address(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(memory, "entry_points", lambda group: [Point()] if group == "nomad.openers" else [])
     assert schemes() == ("toy",)
     assert isinstance(open_in_process("toy", "toy:box?lid=1"), MemoryStream)
-    assert given == ["toy:box?lid=1"]
+    assert addresses == ["toy:box?lid=1"]
 
 
 def test_a_scheme_without_opener_is_an_address_error() -> None:
-    with pytest.raises(AddressError, match="nothing installed here answers nosuch:"):
+    with pytest.raises(AddressError, match="no installed package opens nosuch:"):
         open_in_process("nosuch", "nosuch:x")
 
 
 @pytest.mark.parametrize("value", ["no_such_module:open_address", "nclient.errors:no_such_function"])
-def test_an_opener_that_does_not_load_says_so(monkeypatch: pytest.MonkeyPatch, value: str) -> None:
+def test_an_opener_that_does_not_load_is_an_address_error(monkeypatch: pytest.MonkeyPatch, value: str) -> None:
     broken = EntryPoint("broken", value, "nomad.openers")
     monkeypatch.setattr(memory, "entry_points", lambda **_: [broken])
-    with pytest.raises(AddressError, match=f"broken: addresses cannot be served, {value} does not load"):
+    with pytest.raises(AddressError, match=f"broken: addresses cannot be opened, {value} does not load"):
         open_in_process("broken", "broken:")

@@ -1,4 +1,4 @@
-"""Real sockets on loopback: what arrives, what does not, and who is named when it fails."""
+"""TCP streams over loopback: data, deadlines, closing, and errors that name host and port."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def free_port() -> int:
     return port
 
 
-def until_closed(connection: socket.socket) -> None:
+def drain(connection: socket.socket) -> None:
     while connection.recv(1024):
         pass
 
@@ -31,7 +31,7 @@ def echo(connection: socket.socket) -> None:
         connection.sendall(data)
 
 
-def test_bytes_go_there_and_back() -> None:
+def test_bytes_pass_in_both_directions() -> None:
     with on_socket(echo) as port:
         stream = TcpStream("127.0.0.1", port)
         stream.send(b"hello")
@@ -42,14 +42,14 @@ def test_bytes_go_there_and_back() -> None:
         stream.close()
 
 
-def test_small_messages_are_not_held_back() -> None:
-    with on_socket(until_closed) as port:
+def test_nagle_is_off() -> None:
+    with on_socket(drain) as port:
         stream = TcpStream("127.0.0.1", port)
         assert stream._socket.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
         stream.close()
 
 
-def test_silence_is_a_reply_timeout_and_the_stream_goes_on() -> None:
+def test_a_timeout_leaves_the_stream_usable() -> None:
     with on_socket(echo) as port:
         stream = TcpStream("127.0.0.1", port)
         with pytest.raises(ReplyTimeout, match=f"127.0.0.1:{port}"):
@@ -61,7 +61,7 @@ def test_silence_is_a_reply_timeout_and_the_stream_goes_on() -> None:
         stream.close()
 
 
-def test_a_past_deadline_still_gives_what_has_come() -> None:
+def test_a_past_deadline_still_returns_what_arrived() -> None:
     with on_socket(lambda connection: connection.sendall(b"early")) as port:
         stream = TcpStream("127.0.0.1", port)
         stream._socket.settimeout(5)
@@ -70,7 +70,7 @@ def test_a_past_deadline_still_gives_what_has_come() -> None:
         stream.close()
 
 
-def test_a_peer_that_hangs_up_is_a_lost_connection_by_name() -> None:
+def test_a_closed_connection_is_lost_and_named() -> None:
     with on_socket(socket.socket.close) as port:
         stream = TcpStream("127.0.0.1", port)
         with pytest.raises(ConnectionLost, match=f"127.0.0.1:{port} is gone: it closed the connection"):
@@ -78,7 +78,7 @@ def test_a_peer_that_hangs_up_is_a_lost_connection_by_name() -> None:
         stream.close()
 
 
-def test_a_connection_that_is_reset_is_lost() -> None:
+def test_a_reset_connection_is_lost() -> None:
     def reset(connection: socket.socket) -> None:
         connection.recv(1)
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
@@ -92,7 +92,7 @@ def test_a_connection_that_is_reset_is_lost() -> None:
 
 
 def test_a_closed_stream_neither_sends_nor_receives() -> None:
-    with on_socket(until_closed) as port:
+    with on_socket(drain) as port:
         stream = TcpStream("127.0.0.1", port)
         stream.close()
         stream.close()
@@ -117,7 +117,7 @@ def test_closing_wakes_a_receiver_on_another_thread() -> None:
         except ConnectionLost as error:
             outcome.append(error)
 
-    with on_socket(until_closed) as port:
+    with on_socket(drain) as port:
         stream = TcpStream("127.0.0.1", port)
         receiver = threading.Thread(target=receive)
         receiver.start()
@@ -128,27 +128,27 @@ def test_closing_wakes_a_receiver_on_another_thread() -> None:
     assert len(outcome) == 1
 
 
-def test_nobody_there_names_host_port_and_remedy() -> None:
+def test_a_refused_connection_names_host_port_and_remedy() -> None:
     port = free_port()
-    with pytest.raises(ConnectionLost, match=rf"nobody answers at 127\.0\.0\.1:{port} .*`nserver --port {port}`"):
+    with pytest.raises(ConnectionLost, match=rf"no answer at 127\.0\.0\.1:{port} .*`nserver --port {port}`"):
         TcpStream("127.0.0.1", port)
 
 
-def test_a_robots_own_line_has_a_remedy_of_its_own() -> None:
+def test_a_serial_line_over_tcp_has_its_own_remedy() -> None:
     port = free_port()
     with pytest.raises(ConnectionLost, match=f"is nserver running. `nserver --robotd {port}`"):
         TcpStream("127.0.0.1", port, served_by=ROBOT_LINE)
 
 
-@pytest.mark.parametrize(("host", "port", "told"), [
+@pytest.mark.parametrize(("host", "port", "message"), [
     ("x" * 80 + ".example", 7019, "there is no host 'xxxx"), ("127.0.0.1", 70000, "127.0.0.1:70000"),
 ])
-def test_what_no_socket_takes_is_a_lost_connection_too(host: str, port: int, told: str) -> None:
-    with pytest.raises(ConnectionLost, match=told):
+def test_invalid_hosts_and_ports_are_lost_connections(host: str, port: int, message: str) -> None:
+    with pytest.raises(ConnectionLost, match=message):
         TcpStream(host, port)
 
 
-def test_a_name_that_nobody_knows_is_told_as_such(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unknown_host_name_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     def unknown(*_: object) -> None:
         raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
 
@@ -163,16 +163,16 @@ def test_an_ipv6_host_is_named_in_brackets() -> None:
         TcpStream("::1", port)
 
 
-def test_this_machine_is_loopback_first_and_then_its_own_name() -> None:
+def test_names_of_this_machine_begin_with_loopback() -> None:
     assert names_of_this_machine() == ("localhost", socket.gethostname())
 
 
-def test_a_server_that_turns_a_newcomer_away_may_have_its_reasons() -> None:
-    def turn_away() -> None:
+def test_a_connection_closed_at_once_hints_at_admission() -> None:
+    def reject() -> None:
         listener.accept()[0].close()
 
     with socket.create_server(("127.0.0.1", 0)) as listener, ThreadPoolExecutor(1) as thread:
-        closing = thread.submit(turn_away)
-        with pytest.raises(ConnectionLost, match=r"connect_robot: .* Does it let this machine in \(--allow"):
+        closing = thread.submit(reject)
+        with pytest.raises(ConnectionLost, match=r"connect_robot: .* Does it accept this machine \(--allow"):
             connect(f"nserver://127.0.0.1:{listener.getsockname()[1]}")
         closing.result(10)

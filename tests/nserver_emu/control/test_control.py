@@ -190,7 +190,7 @@ def test_robots_are_stopped_for_good_and_released() -> None:
     house = House()
     house.emulator.simulation.robots[1].set_velocities(10.0, 0.0, 0.0)
     assert house.said("stop") == {"held": {"1": {"by": "nserver ctl", "ignored": 0}}}
-    assert house.emulator.simulation.robots[1].still((0, 1, 2))
+    assert house.emulator.simulation.robots[1].is_still((0, 1, 2))
     assert house.said("status")["robots"][0]["held"] == {"by": "nserver ctl", "ignored": 0}
     assert house.said("release", "1") == {"held": {}}
     assert house.said("stop", 1)["held"]

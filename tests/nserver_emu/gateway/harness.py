@@ -16,7 +16,7 @@ from nclient.protocol import codec
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.serial_framing import SerialFramer
-from nclient.protocol.types import N150, Model, model_named
+from nclient.protocol.types import N150, Model, get_model
 from nclient.protocol.wire_state import WireState, serial_wire_state, tcp_wire_state
 from nserver_emu.gateway.gateway import Gateway, RealRobotProxy
 from nserver_emu.server.context import SimulationClock
@@ -95,7 +95,7 @@ class EmulatedLine:
         self._session = SerialSession(emulator.answer, 1, model, lambda: emulator.simulation.time_s)
 
     def execute(self, call: Call) -> Reply:
-        request = codec.line_request(call, self.wire_state)
+        request = codec.encode_serial_request(call, self.wire_state)
         codec.update_from_request(call, self.wire_state)
         self.emulator.simulation.step(self._step_s)
         self._session.receive(request)
@@ -104,7 +104,7 @@ class EmulatedLine:
             self.emulator.simulation.step(self._step_s)
             answer = self._session.tick()
         (frame,) = self._framer.receive(answer)
-        reply = codec.read_line_reply(frame, self.wire_state)
+        reply = codec.decode_serial_reply(frame, self.wire_state)
         if reply.kind == "nak":
             raise RobotRefused(call.name, None)
         return reply
@@ -124,7 +124,7 @@ def emulated(
 
 def line_of(emulator: Emulator) -> EmulatedLine:
     """Return the line of its robot 1."""
-    return EmulatedLine(emulator, model_named(emulator.simulation.robots[1].model.family))
+    return EmulatedLine(emulator, get_model(emulator.simulation.robots[1].model.family))
 
 
 class GatewayHarness:

@@ -8,7 +8,7 @@ import math
 import pytest
 
 from docs.generate.commands import examples
-from nclient.backends.wrappers import Capped
+from nclient.backends.wrappers import SpeedLimiter
 from nclient.connect import open_backend
 from nclient.errors import AddressError, BumperHit, ConnectionLost, ReplyTimeout, RobotRefused
 from nclient.protocol import codec
@@ -179,7 +179,7 @@ def test_every_client_may_stop_a_read_only_robot() -> None:
 def test_the_speed_limit_applies_to_robot_and_shadow() -> None:
     line = line_of(emulated())
     harness = GatewayHarness(
-        lambda: line, shadow=True, wrap=lambda backend: Capped(backend, max_speed_in_s=4, max_turn_deg_s=9)
+        lambda: line, shadow=True, wrap=lambda backend: SpeedLimiter(backend, max_speed_in_s=4, max_turn_deg_s=9)
     )
     client = harness.client()
     assert client.ask("vm", 100, -200, 50).slots[38] == 40
@@ -235,7 +235,7 @@ def test_ws_polls_the_state_and_a_stop_interrupts_it() -> None:
     harness, robot = scripted()
     robot.state = moving
     waiter, other = harness.client(), harness.client()
-    waiter.session.receive(codec.tcp_request(Call("ws", (1, 0, 0, 1))))
+    waiter.session.receive(codec.encode_tcp_request(Call("ws", (1, 0, 0, 1))))
     assert waiter.session.process_requests(1) == b""
     assert waiter.session.tick() == b""
     harness.run_pending()
@@ -270,7 +270,7 @@ def test_gs_during_zr_returns_the_latest_state() -> None:
     watcher.ask("gs")
     robot.names()
     harness.proxy.robot.current_command = "zr"
-    watcher.session.receive(codec.tcp_request(Call("gs")))
+    watcher.session.receive(codec.encode_tcp_request(Call("gs")))
     (state,) = watcher.wire.read("gs", watcher.session.process_requests(1))
     assert (state.slots[34], state.clock) == (100, 5000)
     assert robot.names() == []
@@ -316,12 +316,12 @@ def test_a_silent_owners_watchdog_is_not_fed_by_others() -> None:
     owner.ask("conf_tm", 2)
     owner.ask("vm", 10, 0, 0)
     watcher.ask("gs")
-    assert not real.still((0,))
+    assert not real.is_still((0,))
     for _ in range(50):
         watcher.ask("gs")
         harness.gateway.tick()
     harness.run_pending()
-    assert real.still((0,))
+    assert real.is_still((0,))
 
 
 def test_a_silent_owners_robot_is_stopped(caplog: pytest.LogCaptureFixture) -> None:
@@ -341,7 +341,7 @@ def test_a_silent_owners_robot_is_stopped(caplog: pytest.LogCaptureFixture) -> N
         owner.ask("gs")
         harness.gateway.tick()
     robot.state = Reply("state", {**LINE_STATE.slots, 41: 1}, clock=0)
-    owner.session.receive(codec.tcp_request(Call("ws", (1, 1, 1, 200))))
+    owner.session.receive(codec.encode_tcp_request(Call("ws", (1, 1, 1, 200))))
     owner.session.process_requests(1)
     for _ in range(50):
         harness.now_s += 0.1
@@ -486,7 +486,7 @@ def test_the_shadow_starts_slow_commands_with_the_robot() -> None:
     def is_zeroing() -> bool:
         return shadow.zeroing
 
-    client.session.receive(codec.tcp_request(Call("zr")))
+    client.session.receive(codec.encode_tcp_request(Call("zr")))
     assert client.session.process_requests(1) == b""
     assert is_zeroing()
     harness.emulator.simulation.step(60.0)
@@ -503,13 +503,13 @@ def test_a_hold_stops_the_real_robot_and_refuses_motions() -> None:
     real = line.emulator.simulation.robots[1]
     client = harness.client()
     client.ask("vm", 100, 0, 0)
-    assert not real.still((0,))
+    assert not real.is_still((0,))
     harness.gateway.hold(1, "viewer 1")
     harness.run_pending()
-    assert real.still((0,))
+    assert real.is_still((0,))
     for name, args in (("vm", (100, 0, 0)), ("pr", (100, 0, 0)), ("zr", ()), ("mv", (1, 50, 0, 0, 0, 0))):
         assert client.ask(name, *args).slots[38] == 0
-        assert real.still((0, 1, 2))
+        assert real.is_still((0, 1, 2))
     assert refusal(client.ask("arm_mv", 2, 10, 2, 10)) == (5,)
     assert harness.emulator.estop.as_dict() == {"1": {"by": "viewer 1", "ignored": 5}}
     harness.emulator.estop.release(1)
@@ -525,5 +525,5 @@ def test_a_hold_of_the_simulated_robot_sends_nothing_to_the_real() -> None:
     before = line.emulator.simulation.time_s
     harness.gateway.hold(1, "viewer 1")
     harness.run_pending()
-    assert harness.emulator.simulation.robots[1].still((0,))
+    assert harness.emulator.simulation.robots[1].is_still((0,))
     assert line.emulator.simulation.time_s == before

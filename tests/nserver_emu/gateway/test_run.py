@@ -22,7 +22,7 @@ from nserver_emu.gateway.gateway import Gateway, RealRobotProxy
 from nserver_emu.gateway.run import connected, model_of, run_gateway
 from nserver_emu.server.daemon import Daemon
 from tests.nserver_emu.gateway.harness import ScriptedRobot, emulated
-from tests.nserver_emu.server.daemon_house import serving
+from tests.nserver_emu.server.running_server import serving
 
 WHOLE_S = 30
 

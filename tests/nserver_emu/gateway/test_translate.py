@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from docs.generate.commands import examples
-from nclient.protocol.commands import BY_NAME, COMMANDS, Call, on_line
+from nclient.protocol.commands import BY_NAME, COMMANDS, Call, exists_on_serial
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import EVERYTHING, MODELS, N150, N200, SCOUT, Mask, Model, Stamp
 from nclient.protocol.wire_state import LINES, PIXELS, POINTS, serial_wire_state, tcp_wire_state
@@ -31,8 +31,8 @@ N200_LINE = Link(N200, own_line=True)
 
 def context(mask: Mask = EVERYTHING, laser_mode: int = 51) -> ConnectionContext:
     made = ConnectionContext(tcp_wire_state(N150), robot_id=1)
-    made.wire_state.note_mask(mask)
-    made.wire_state.note_laser_mode(laser_mode)
+    made.wire_state.set_mask(mask)
+    made.wire_state.set_laser_mode(laser_mode)
     return made
 
 
@@ -66,7 +66,7 @@ def test_translated_calls_exist_on_the_models_line(model: Model, own_line: bool)
             assert found == 4
             lacking |= set() if stays_here(row.name) else {row.name}
         elif own_line:
-            assert all(on_line(BY_NAME[call.name], model) for call in found.calls)
+            assert all(exists_on_serial(BY_NAME[call.name], model) for call in found.calls)
     n200_only = {row.name for row in COMMANDS if row.line_models == {"n200"}}
     expected = {"sim_truth", "sim_control"}
     if own_line:
@@ -158,12 +158,12 @@ def test_a_line_packet_becomes_a_whole_clean_state() -> None:
 def test_masked_slots_repeat_their_last_value() -> None:
     asking = context()
     assert state_for(asking, LINE_STATE, LINE).slots[20] == 40
-    asking.wire_state.note_mask(Mask((0, *[0] * 33, *[1] * 10)))
+    asking.wire_state.set_mask(Mask((0, *[0] * 33, *[1] * 10)))
     nearer = Reply("state", {**LINE_STATE.slots, 20: 7, 34: 101}, clock=5001, volts=(1, 2))
     reply = state_for(asking, nearer, LINE)
     assert (reply.slots[20], reply.slots[34], reply.slots[1], reply.slots[0]) == (40, 101, 15, 10)
     assert (reply.clock, reply.volts) == (5001, (1, 2))
-    asking.wire_state.note_mask(EVERYTHING)
+    asking.wire_state.set_mask(EVERYTHING)
     assert state_for(asking, nearer, LINE).slots[20] == 7
 
 

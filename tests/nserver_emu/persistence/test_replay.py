@@ -15,7 +15,7 @@ from nclient.faults.plan import Direction, Nak, Plan, Rule
 from nclient.protocol import codec
 from nclient.protocol.commands import Call
 from nclient.protocol.types import N150
-from nclient.recording.format import Entry, LogWriter, Recording, read_recording
+from nclient.recording.format import Entry, Recording, RecordingWriter, read_recording
 from nclient.recording.recorder import Recorder, RecordingStream
 from nclient.transports.memory import MemoryStream
 from nclient.transports.stream import Deadline
@@ -29,8 +29,8 @@ from nserver_emu.server.context import MAX_TIME_FACTOR, Allowed, SimulationClock
 from nserver_emu.server.daemon import MAX_CATCH_UP_S
 from nserver_emu.server.handlers.server import MAX_STEP_MS
 from nserver_emu.server.inprocess import open_address
-from tests.nserver_emu.server.daemon_house import Client, House, Scenario, with_daemon
 from tests.nserver_emu.server.lockstep_run import request
+from tests.nserver_emu.server.running_server import Client, RunningServer, Scenario, run_scenario
 from worlds.io import SHIPPED, format_world, load_world
 
 pytestmark = pytest.mark.long
@@ -45,11 +45,11 @@ THREE = SimulationConfig(
 def recorded(path: Path, beginning: Beginning, scenario: Scenario, speed: float | None = 1.0) -> Recording:
     """The recording of a daemon that was visited."""
 
-    def record(house: House) -> None:
-        numbers = {"port": house.port, "requests_a_turn": MAX_REQUESTS_PER_TURN}
-        house.daemon.record(path, header(beginning, "2026-01-01T00:00:00", **numbers))
+    def record(server: RunningServer) -> None:
+        numbers = {"port": server.port, "requests_a_turn": MAX_REQUESTS_PER_TURN}
+        server.daemon.record(path, header(beginning, "2026-01-01T00:00:00", **numbers))
 
-    with_daemon(scenario, speed, beginning.emulator(), record)
+    run_scenario(scenario, speed, beginning.emulator(), record)
     return read_recording(path)
 
 
@@ -59,20 +59,20 @@ async def converse(client: Client, first: int, count: int) -> None:
         await client.ask(call.name, *call.args)
 
 
-async def talk_of(house: House, robot_id: int, count: int) -> None:
-    client = await house.knock()
-    assert (await client.ask("connect_robot", robot_id, robot_id)).values == (house.port,)
+async def talk_of(server: RunningServer, robot_id: int, count: int) -> None:
+    client = await server.open_client()
+    assert (await client.ask("connect_robot", robot_id, robot_id)).values == (server.port,)
     await client.ask("vm", 60, 100 * robot_id, -50)
     await converse(client, robot_id * 1000 + 1, count)
 
 
-async def three_at_once(house: House) -> None:
-    await asyncio.gather(*[talk_of(house, robot_id, 25) for robot_id in (1, 2, 3)])
+async def three_at_once(server: RunningServer) -> None:
+    await asyncio.gather(*[talk_of(server, robot_id, 25) for robot_id in (1, 2, 3)])
 
 
 def test_a_lockstep_daemon_says_every_byte_again(tmp_path: Path) -> None:
-    async def scenario(house: House) -> None:
-        await converse(await house.call(), 0, 120)
+    async def scenario(server: RunningServer) -> None:
+        await converse(await server.connect_client(), 0, 120)
 
     recording = recorded(tmp_path / "run.log", LOCKSTEP, scenario)
     outcome = replay(recording)
@@ -99,16 +99,18 @@ def test_three_noisy_robots_and_as_many_clients(tmp_path: Path, pace: Simulation
 def test_who_vanishes_pipelines_or_goes_on_without_connecting(tmp_path: Path) -> None:
     """One motion stops as its client vanishes, another's many requests wait their turn, a third knows the robot."""
 
-    async def scenario(house: House) -> None:
-        driver, watcher = await house.call(), await house.call()
+    async def scenario(server: RunningServer) -> None:
+        driver, watcher = await server.connect_client(), await server.connect_client()
         await driver.ask("vm", 100, 0, 0)
-        watcher.writer.write(codec.tcp_request(Call("ws", (1, 1, 1, 2))) + codec.tcp_request(Call("gs")) * 1500)
+        watcher.writer.write(
+            codec.encode_tcp_request(Call("ws", (1, 1, 1, 2))) + codec.encode_tcp_request(Call("gs")) * 1500
+        )
         driver.writer.close()
         for name in ("ws", *["gs"] * 1500):
             await watcher.reply(name)
-        other = await house.knock()
+        other = await server.open_client()
         assert (await other.ask("gs")).slots[38] == 0
-        watcher.writer.write(codec.tcp_request(Call("disconnect_robot", (1, 1))))
+        watcher.writer.write(codec.encode_tcp_request(Call("disconnect_robot", (1, 1))))
         assert await watcher.reader.read() == b""
         await other.ask("gs")
 
@@ -122,16 +124,16 @@ def test_who_vanishes_pipelines_or_goes_on_without_connecting(tmp_path: Path) ->
 
 
 def test_what_the_owner_did_meanwhile_is_done_again_and_faults_are_not(tmp_path: Path) -> None:
-    async def scenario(house: House) -> None:
-        client, shown = await house.call(), []
+    async def scenario(server: RunningServer) -> None:
+        client, shown = await server.connect_client(), []
         await client.ask("vm", 100, 0, 0)
         for command, argument in (("speed", 20), ("pause", None), ("step", 0.5), ("resume", None), ("speed", "max")):
             line = json.dumps({"command": command, "argument": argument}).encode()
-            assert json.loads(answer_line(house.daemon, line))["ok"]
+            assert json.loads(answer_line(server.daemon, line))["ok"]
             shown.append((await client.ask("gs")).slots[0])
         assert shown == [200, 0, 0, 200, 9999]
         refusing = Rule("no", (Nak(),), commands=("vm",), directions=frozenset({Direction.REQUEST}))
-        house.daemon.faults.put(Plan((refusing,)), house.daemon.lines())
+        server.daemon.faults.put(Plan((refusing,)), server.daemon.lines())
         assert (await client.ask("vm", 0, 0, 0)).kind == "error"
         assert (await client.ask("gs")).slots[38] == 100
 
@@ -143,8 +145,8 @@ def test_what_the_owner_did_meanwhile_is_done_again_and_faults_are_not(tmp_path:
 
 
 def test_noise_and_world_are_changed_again_where_they_were(tmp_path: Path) -> None:
-    async def scenario(house: House) -> None:
-        client = await house.call()
+    async def scenario(server: RunningServer) -> None:
+        client = await server.connect_client()
         other = format_world(load_world("several_walls"))
         for command, argument in (
             ("noise", "sensors=measured motion=noisy robot=1"), ("world set", {"text": other, "file": "w.toml"}),
@@ -152,8 +154,8 @@ def test_noise_and_world_are_changed_again_where_they_were(tmp_path: Path) -> No
         ):  # fmt: skip
             await client.ask("pr", 50, 300, 0)
             line = json.dumps({"command": command, "argument": argument}).encode()
-            assert json.loads(answer_line(house.daemon, line))["ok"]
-            house.daemon.step(1.5)
+            assert json.loads(answer_line(server.daemon, line))["ok"]
+            server.daemon.step(1.5)
             await client.ask("gs")
 
     recording = recorded(tmp_path / "run.log", Beginning(SimulationConfig(), SimulationClock(), Allowed()), scenario)
@@ -164,26 +166,26 @@ def test_noise_and_world_are_changed_again_where_they_were(tmp_path: Path) -> No
 
 
 def test_worlds_shown_and_put_back_and_obstacles_moved_are_so_again(tmp_path: Path) -> None:
-    async def scenario(house: House) -> None:
+    async def scenario(server: RunningServer) -> None:
         def told(command: str, argument: object = None) -> dict[str, Any]:
             line = json.dumps({"command": command, "argument": argument}).encode()
-            answer = json.loads(answer_line(house.daemon, line))
+            answer = json.loads(answer_line(server.daemon, line))
             assert answer["ok"]
             said: dict[str, Any] = answer["said"]
             return said
 
-        client = await house.call()
+        client = await server.connect_client()
         await client.ask("add_obstacle", 3, 200, -100, 260, -100, 260, 100)
         told("obstacle", {"corners": [[20, -10], [26, -10], [26, 10]], "by": [-2.345, 0]})
-        house.daemon.step(1.5)
+        server.daemon.step(1.5)
         await client.ask("gs")
         before = told("world show")["text"]
         await client.ask("new_world")
         told("world set", {"text": before, "file": "before"})
-        house.daemon.step(1.5)
+        server.daemon.step(1.5)
         await client.ask("gs")
         told("obstacle", {"corners": [[17.655, -10], [23.655, -10], [23.655, 10]]})
-        house.daemon.step(1.5)
+        server.daemon.step(1.5)
         await client.ask("gs")
 
     recording = recorded(tmp_path / "run.log", Beginning(SimulationConfig(), SimulationClock(), Allowed()), scenario)
@@ -193,15 +195,15 @@ def test_worlds_shown_and_put_back_and_obstacles_moved_are_so_again(tmp_path: Pa
 
 
 def test_a_hold_holds_again_where_it_did(tmp_path: Path) -> None:
-    async def scenario(house: House) -> None:
-        client = await house.call()
+    async def scenario(server: RunningServer) -> None:
+        client = await server.connect_client()
         await client.ask("vm", 100, 0, 0)
-        house.daemon.step(0.5)
-        house.daemon.hold([1], "viewer 1")
+        server.daemon.step(0.5)
+        server.daemon.hold([1], "viewer 1")
         for _ in range(3):
             assert (await client.ask("vm", 100, 0, 0)).slots[38] == 0
-            house.daemon.step(0.5)
-        house.daemon.release([1])
+            server.daemon.step(0.5)
+        server.daemon.release([1])
         assert (await client.ask("vm", 100, 0, 0)).slots[38] == 100
 
     recording = recorded(tmp_path / "run.log", Beginning(SimulationConfig(), SimulationClock(), Allowed()), scenario)
@@ -217,8 +219,8 @@ def test_a_run_that_went_on_from_a_snapshot(tmp_path: Path) -> None:
     emulator.simulation.step(1.0)
     snapshot.save(emulator, tmp_path / "saved.json")
 
-    async def scenario(house: House) -> None:
-        client = await house.call()
+    async def scenario(server: RunningServer) -> None:
+        client = await server.connect_client()
         assert (await client.ask("gs")).slots[34] > 50
         await converse(client, 0, 20)
 
@@ -238,8 +240,8 @@ def test_a_file_that_has_changed_since_is_named(field: str, tmp_path: Path) -> N
     path: Any = mine if field == "model_file" else str(mine)
     beginning = dataclasses.replace(LOCKSTEP, setting=SimulationConfig(**{field: path}))
 
-    async def scenario(house: House) -> None:
-        await converse(await house.call(), 0, 2)
+    async def scenario(server: RunningServer) -> None:
+        await converse(await server.connect_client(), 0, 2)
 
     recording = recorded(tmp_path / "run.log", beginning, scenario)
     assert replay(recording).difference == ""
@@ -249,8 +251,8 @@ def test_a_file_that_has_changed_since_is_named(field: str, tmp_path: Path) -> N
 
 
 def test_another_seed_says_other_bytes_and_the_place_is_named(tmp_path: Path) -> None:
-    async def scenario(house: House) -> None:
-        await converse(await house.call(), 0, 60)
+    async def scenario(server: RunningServer) -> None:
+        await converse(await server.connect_client(), 0, 60)
 
     path = tmp_path / "run.log"
     recorded(path, LOCKSTEP, scenario)
@@ -262,8 +264,8 @@ def test_another_seed_says_other_bytes_and_the_place_is_named(tmp_path: Path) ->
 
 
 def test_what_is_missing_in_the_end_is_a_difference_too(tmp_path: Path) -> None:
-    async def scenario(house: House) -> None:
-        await house.call()
+    async def scenario(server: RunningServer) -> None:
+        await server.connect_client()
 
     recording = recorded(tmp_path / "run.log", LOCKSTEP, scenario)
     (answer,) = (entry for entry in recording.entries if entry.kind == "in")
@@ -278,10 +280,10 @@ def test_a_clients_recording_of_the_emulator_in_its_process(tmp_path: Path) -> N
     address = "sim:thesis_room?noisy=1&seed=4"
     whole = []
     for _ in range(2):
-        recorder = Recorder(LogWriter(tmp_path / "run.log", {"address": address}))
+        recorder = Recorder(RecordingWriter(tmp_path / "run.log", {"address": address}))
         stream = RecordingStream(MemoryStream(open_address(address)), recorder.open("", "tcp", N150))
         for call in (Call("connect_robot", (1, 1)), *map(request, range(50))):
-            stream.send(codec.tcp_request(call))
+            stream.send(codec.encode_tcp_request(call))
             stream.receive(Deadline.after(0))
         stream.close()
         recorder.close()
@@ -293,17 +295,17 @@ def test_a_clients_recording_of_the_emulator_in_its_process(tmp_path: Path) -> N
 
 def test_recordings_that_cannot_be_asked_again(tmp_path: Path) -> None:
     path = tmp_path / "run.log"
-    LogWriter(path, {"address": "serial:///dev/ttyUSB0"}).close()
+    RecordingWriter(path, {"address": "serial:///dev/ttyUSB0"}).close()
     with pytest.raises(RecordingError, match=r"recorded at serial:///dev/ttyUSB0.*`nomad play` answers as it did"):
         replay(read_recording(path))
-    LogWriter(path, header(LOCKSTEP, "", port=1, requests_a_turn=20, real_robots=1)).close()
+    RecordingWriter(path, header(LOCKSTEP, "", port=1, requests_a_turn=20, real_robots=1)).close()
     with pytest.raises(RecordingError, match="real robots answered"):
         replay(read_recording(path))
-    LogWriter(path, {"by": "nserver"}).close()
+    RecordingWriter(path, {"by": "nserver"}).close()
     with pytest.raises(RecordingError, match="line 1: does not tell how the simulation began"):
         replay(read_recording(path))
     head = header(LOCKSTEP, "", port=1, requests_a_turn=20)
-    recorder = Recorder(LogWriter(path, head), lambda: 0.0)
+    recorder = Recorder(RecordingWriter(path, head), lambda: 0.0)
     recorder.open("a", "tcp", N150).to_robot(b"")
     recorder.close()
     path.write_text(path.read_text().replace('"event":"open"', '"event":"time"'))
@@ -323,7 +325,7 @@ def test_recordings_that_cannot_be_asked_again(tmp_path: Path) -> None:
 ])  # fmt: skip
 def test_entries_that_no_daemon_writes_are_named(tmp_path: Path, changes: dict[str, Any], told: str) -> None:
     path = tmp_path / "run.log"
-    writer = LogWriter(path, header(LOCKSTEP, "", port=1, requests_a_turn=20))
+    writer = RecordingWriter(path, header(LOCKSTEP, "", port=1, requests_a_turn=20))
     writer.write(Entry(0.0, "time", more=changes))
     writer.close()
     with pytest.raises(RecordingError, match=told):
@@ -333,7 +335,7 @@ def test_entries_that_no_daemon_writes_are_named(tmp_path: Path, changes: dict[s
 @pytest.mark.parametrize("missing", ["wire", "model"])
 def test_a_connection_that_is_opened_without_what_it_takes_is_told_by_that(tmp_path: Path, missing: str) -> None:
     path = tmp_path / "run.log"
-    writer = LogWriter(path, header(LOCKSTEP, "", port=1, requests_a_turn=20))
+    writer = RecordingWriter(path, header(LOCKSTEP, "", port=1, requests_a_turn=20))
     told = {"wire": "tcp", "model": "n150"}
     del told[missing]
     writer.write(Entry(0.0, "open", "a", more=told))
@@ -345,7 +347,7 @@ def test_a_connection_that_is_opened_without_what_it_takes_is_told_by_that(tmp_p
 @pytest.mark.parametrize("kind", ["out", "in", "close"])
 def test_a_connection_that_has_gone_is_told(tmp_path: Path, kind: str) -> None:
     path = tmp_path / "run.log"
-    writer = LogWriter(path, header(LOCKSTEP, "", port=1, requests_a_turn=20))
+    writer = RecordingWriter(path, header(LOCKSTEP, "", port=1, requests_a_turn=20))
     for each in ("open", "close", kind):
         writer.write(Entry(0.0, each, "a", more={"wire": "tcp", "model": "n150"} if each == "open" else {}))
     writer.close()
@@ -366,7 +368,7 @@ def test_a_step_is_no_longer_than_a_daemon_at_its_fastest_makes_up_for() -> None
 def test_a_beginning_that_no_daemon_had_is_told(tmp_path: Path, part: str, wrong: dict[str, Any]) -> None:
     head = header(LOCKSTEP, "", port=1, requests_a_turn=20)
     path = tmp_path / "run.log"
-    LogWriter(path, head | {part: head[part] | wrong}).close()
+    RecordingWriter(path, head | {part: head[part] | wrong}).close()
     with pytest.raises(RecordingError, match="line 1: does not tell how the simulation began"):
         replay(read_recording(path))
 
@@ -379,7 +381,7 @@ def test_a_beginning_comes_back_whole(tmp_path: Path) -> None:
     beginning = Beginning(
         setting, SimulationClock(None, True, 0.25), Allowed(quit=True), saved, snapshot_text="all of it"
     )
-    LogWriter(tmp_path / "run.log", header(beginning, "", port=1, requests_a_turn=2)).close()
+    RecordingWriter(tmp_path / "run.log", header(beginning, "", port=1, requests_a_turn=2)).close()
     assert beginning_of(read_recording(tmp_path / "run.log").header, "run.log") == beginning
 
 

@@ -23,7 +23,7 @@ from nserver_emu.server.context import Allowed, SimulationClock
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.pty import PseudoTerminal
 from nserver_emu.server.serial_lines import PtyConnection, RobotdConnection, robot_line
-from tests.nserver_emu.server.daemon_house import serving
+from tests.nserver_emu.server.running_server import serving
 
 TWO = SimulationConfig(
     world="several_walls", start=pose_from_text("5,5,0,0"), seed=3, noisy=True, others=(("n200", None),)
@@ -40,7 +40,7 @@ class Host:
 
     def request(self, name: str, *args: int) -> bytes:
         call = Call(name, args)
-        data = codec.line_request(call, self.wire_state)
+        data = codec.encode_serial_request(call, self.wire_state)
         codec.update_from_request(call, self.wire_state)
         return data
 
@@ -53,10 +53,10 @@ class Host:
             data = await self.reader.read(65536)
             assert data, "the line is dead"
             self._frames += self._framer.receive(data)
-        return codec.read_line_reply(self._frames.pop(0), self.wire_state)
+        return codec.decode_serial_reply(self._frames.pop(0), self.wire_state)
 
 
-class House:
+class RunningServer:
     """A daemon with robotd lines of two robots."""
 
     def __init__(self, daemon: Daemon) -> None:
@@ -74,7 +74,7 @@ class House:
         return host
 
 
-def recorded(path: Path, pace: SimulationClock, scenario: Callable[[House], Awaitable[None]]) -> Recording:
+def recorded(path: Path, pace: SimulationClock, scenario: Callable[[RunningServer], Awaitable[None]]) -> Recording:
     """The recording of a daemon whose lines were visited."""
     beginning = Beginning(TWO, pace, Allowed())
 
@@ -82,9 +82,9 @@ def recorded(path: Path, pace: SimulationClock, scenario: Callable[[House], Awai
         daemon = Daemon(beginning.emulator(), pace.factor)
         port = await daemon.listen("127.0.0.1", 0)
         daemon.record(path, header(beginning, "2026-01-01T00:00:00", port=port, requests_a_turn=20))
-        house = House(daemon)
-        async with serving(daemon), house.guests:
-            await scenario(house)
+        server = RunningServer(daemon)
+        async with serving(daemon), server.guests:
+            await scenario(server)
 
     asyncio.run(evening())
     return read_recording(path)
@@ -107,8 +107,8 @@ def check(recording: Recording, at_least: int) -> None:
 
 
 def test_two_robots_on_their_lines_at_once(tmp_path: Path) -> None:
-    async def scenario(house: House) -> None:
-        one, two = await house.host(1), await house.host(2)
+    async def scenario(server: RunningServer) -> None:
+        one, two = await server.host(1), await server.host(2)
         await asyncio.gather(drive(one, 3), drive(two, 3))
 
     for pace in (SimulationClock(factor=20.0), SimulationClock(lockstep_s=0.05)):
@@ -119,8 +119,8 @@ def test_two_robots_on_their_lines_at_once(tmp_path: Path) -> None:
 
 
 def test_half_frames_stray_bytes_and_a_host_that_does_not_wait(tmp_path: Path) -> None:
-    async def scenario(house: House) -> None:
-        host = await house.host(1)
+    async def scenario(server: RunningServer) -> None:
+        host = await server.host(1)
         await host.ask("vm", 50, 0, 0)
         host.writer.write(b"\xee\x01\x01" + host.request("gs"))
         await host.reply()
@@ -138,13 +138,13 @@ def test_half_frames_stray_bytes_and_a_host_that_does_not_wait(tmp_path: Path) -
 
 
 def test_hosts_at_a_pseudo_terminal_one_after_the_other(tmp_path: Path) -> None:
-    async def scenario(house: House) -> None:
-        daemon, loop = house.daemon, asyncio.get_running_loop()
+    async def scenario(server: RunningServer) -> None:
+        daemon, loop = server.daemon, asyncio.get_running_loop()
         line = PtyConnection(daemon, robot_line(daemon, 1), PseudoTerminal(tmp_path / "robot"))
         try:
             for _ in range(2):
                 fd = os.open(tmp_path / "robot", os.O_RDWR | os.O_NOCTTY)
-                request = codec.line_request(Call("vm", (100, 0, 0)), serial_wire_state(N150))
+                request = codec.encode_serial_request(Call("vm", (100, 0, 0)), serial_wire_state(N150))
                 os.write(fd, request)
                 answered = await loop.run_in_executor(None, os.read, fd, 1)
                 assert answered == b"\x01"

@@ -36,7 +36,7 @@ def busy() -> tuple[Emulator, WireClient]:
     client.ask("add_obstacle", *BOX)
     client.ask("draw_robot", 1, 2, 3, 4, 2)
     client.ask("refresh_all")
-    client.send("tk", codec.tcp_request(Call("tk", ("hello",))))
+    client.send("tk", codec.encode_tcp_request(Call("tk", ("hello",))))
     client.ask("conf_tm", 4)
     client.ask("create_robot", 2, 1)
     client.ask("vm", 20, 100, 0)
@@ -67,9 +67,9 @@ def test_a_restored_simulation_goes_on_bit_for_bit(tmp_path: Path) -> None:
     snapshot.restore(restored, tmp_path / "saved.json")
     assert restored.simulation.time_s == emulator.simulation.time_s
     assert restored.graphics.shapes == emulator.graphics.shapes
-    cries = emulator.simulation.robots[1].sonar.cries
-    assert restored.simulation.robots[1].sonar.cries == cries
-    assert len({cry.x_in for cry in cries if cry}) >= 3
+    pings = emulator.simulation.robots[1].sonar.pings
+    assert restored.simulation.robots[1].sonar.pings == pings
+    assert len({ping.x_in for ping in pings if ping}) >= 3
     assert restored.graphics.redrawn == emulator.graphics.redrawn
     assert restored.transcript.utterances == emulator.transcript.utterances
     assert snapshot.dumps(restored) == snapshot.dumps(emulator)
@@ -139,7 +139,7 @@ def test_three_models_with_all_their_senses_and_an_arm_go_on_bit_for_bit(setup: 
             if number == 6:
                 clients[2].ask("vm", -80, 50, 0)
             arm = emulator.arms[2]
-            replies += [arm.lift.position_in, arm.grip.position_in, arm.still()]
+            replies += [arm.lift.position_in, arm.grip.position_in, arm.is_still()]
         return replies
 
     emulator = Emulator(setting.simulation())

@@ -8,7 +8,7 @@ from nclient.protocol import codec
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.serial_framing import SerialFrame, SerialFramer
-from nclient.protocol.types import Model, model_named
+from nclient.protocol.types import Model, get_model
 from nclient.protocol.wire_state import serial_wire_state
 from nserver_emu.server.context import SimulationClock
 from nserver_emu.server.handlers.table import Emulator
@@ -33,12 +33,12 @@ class LineHost:
 
     def ask(self, name: str, *args: int | str) -> Reply:
         """One call, one reply."""
-        return codec.read_line_reply(self.frame(name, *args), self.wire_state)
+        return codec.decode_serial_reply(self.frame(name, *args), self.wire_state)
 
     def frame(self, name: str, *args: int | str) -> SerialFrame:
         """One call, the frame that answers it."""
         call = Call(name, args)
-        request = codec.line_request(call, self.wire_state)
+        request = codec.encode_serial_request(call, self.wire_state)
         codec.update_from_request(call, self.wire_state)
         (frame,) = self.raw(request)
         return frame
@@ -62,7 +62,7 @@ def emulated(
 def meet_on_line(emulator: Emulator, robot_id: int = 1) -> tuple[LineHost, SerialSession]:
     """A host and the session of that robot's line, in one process; the clock is the simulated time."""
     simulation = emulator.simulation
-    model = model_named(simulation.robots[robot_id].model.family)
+    model = get_model(simulation.robots[robot_id].model.family)
     clock, wire_state = (lambda: simulation.time_s), emulator.serial_wire_state(robot_id)
     session = SerialSession(emulator.answer, robot_id, model, clock, wire_state=wire_state)
 

@@ -44,9 +44,9 @@ def run(seed: int, replies: int, options: str = "noisy=1") -> str:
     """The hash of so many replies."""
     end = open_address(f"sim:thesis_room?{options}&seed={seed}&start=20,20,30,0&step_s=0.05")
     whole = hashlib.sha256()
-    end.send(codec.tcp_request(Call("connect_robot", (1, 1))))
+    end.send(codec.encode_tcp_request(Call("connect_robot", (1, 1))))
     for number in range(replies):
-        end.send(codec.tcp_request(request(number)))
+        end.send(codec.encode_tcp_request(request(number)))
         answered = end.receive()
         assert answered, number
         whole.update(answered)

@@ -97,7 +97,7 @@ MASK, TURN, GS = Call("ct", EVERYTHING.smask), Call("vm", (0, 100, 0)), Call("gs
 )
 def test_what_the_first_message_tells_of_its_words(call: Call, narrow: bool | None, wide: bool | None) -> None:
     for sniff_word_size, told in ((False, narrow), (True, wide)):
-        message = codec.tcp_request(call, wide=sniff_word_size)
+        message = codec.encode_tcp_request(call, wide=sniff_word_size)
         size = next(size for size in range(1, len(message) + 1) if session.has_header(message[:size]))
         assert session.sniff_word_size(message[:size]) is told
         assert session.sniff_word_size(message) is told

@@ -100,4 +100,4 @@ def test_clocks_go_round_after_their_longest_time(days: int) -> None:
 
 def test_a_request_that_cannot_be_built_is_no_fault_of_the_servers() -> None:
     with pytest.raises(WireError):
-        codec.tcp_request(Call("vm", (2**31, 0, 0)))
+        codec.encode_tcp_request(Call("vm", (2**31, 0, 0)))

@@ -13,10 +13,10 @@ def test_a_lift_goes_its_way_in_the_time_of_a_trapezoid() -> None:
     arm.lift.command(Command.RELATIVE, 20.0)
     seconds = 20.0 / 5.0 + 5.0 / 10.0
     arm.advance_to(seconds - 0.01)
-    assert not arm.still()
-    assert arm.still(lift=False)
+    assert not arm.is_still()
+    assert arm.is_still(lift=False)
     arm.advance_to(seconds + 0.01)
-    assert arm.still()
+    assert arm.is_still()
     assert arm.lift.position_in == pytest.approx(20.0)
 
 
@@ -25,7 +25,7 @@ def test_a_relative_target_stays_between_the_ends(way_in: float, end_in: float) 
     arm = Arm()
     arm.lift.command(Command.RELATIVE, way_in)
     arm.advance_to(60.0)
-    assert arm.still()
+    assert arm.is_still()
     assert arm.lift.position_in == pytest.approx(end_in)
 
 
@@ -37,7 +37,7 @@ def test_a_velocity_ends_at_the_end() -> None:
     for second in range(3, 10):
         arm.advance_to(float(second))
     assert arm.grip.position_in == GRIP_TRAVEL_IN
-    assert arm.still()
+    assert arm.is_still()
 
 
 def test_zero_brings_both_home_even_at_speed_0() -> None:
@@ -48,5 +48,5 @@ def test_zero_brings_both_home_even_at_speed_0() -> None:
     arm.lift.command(Command.SPEED, 0.0)
     arm.zero()
     arm.advance_to(20.0)
-    assert arm.still()
+    assert arm.is_still()
     assert (arm.lift.position_in, arm.grip.position_in) == pytest.approx((0.0, 0.0), abs=1e-9)

@@ -10,7 +10,7 @@ import pytest
 
 from nclient.faults.plan import Delay, Plan, Rule
 from nserver_emu.server.connection import ConnectionHandler, TcpConnection
-from tests.nserver_emu.server.daemon_house import House, with_daemon
+from tests.nserver_emu.server.running_server import RunningServer, run_scenario
 
 
 @pytest.mark.parametrize("faults", [False, True])
@@ -18,15 +18,15 @@ from tests.nserver_emu.server.daemon_house import House, with_daemon
 def test_nothing_of_it_is_left(talks: bool, faults: bool) -> None:
     plan = Plan((Rule("late", (Delay(0.001),), commands=("gs",)),))
 
-    async def scenario(house: House) -> None:
+    async def scenario(server: RunningServer) -> None:
         if faults:
-            house.daemon.faults.put(plan, house.daemon.lines())
-        client = await (house.call() if talks else house.knock())
+            server.daemon.faults.put(plan, server.daemon.lines())
+        client = await (server.connect_client() if talks else server.open_client())
         if talks:
             await client.ask("gs")
-        while not house.daemon.connections:
+        while not server.daemon.connections:
             await asyncio.sleep(0.005)
-        gone: list[weakref.ref[ConnectionHandler]] = [weakref.ref(one) for one in house.daemon.connections]
+        gone: list[weakref.ref[ConnectionHandler]] = [weakref.ref(one) for one in server.daemon.connections]
         assert [type(one()) for one in gone] == [TcpConnection]
         client.writer.close()
         async with asyncio.timeout(30):
@@ -36,6 +36,6 @@ def test_nothing_of_it_is_left(talks: bool, faults: bool) -> None:
     gc.collect()
     gc.disable()
     try:
-        with_daemon(scenario)
+        run_scenario(scenario)
     finally:
         gc.enable()

@@ -15,7 +15,7 @@ from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.simulation.models import N200
 from nserver_emu.simulation.simulation import Simulation
-from tests.nserver_emu.server.daemon_house import serving
+from tests.nserver_emu.server.running_server import serving
 from tests.nserver_emu.server.wire_client import ORIGIN, simulation
 from worlds.io import load_world
 
@@ -31,7 +31,7 @@ class Client:
         self._frames: list[TcpFrame] = []
 
     def send(self, *calls: Call) -> None:
-        self._writer.write(b"".join(codec.tcp_request(call, wide=self._wide) for call in calls))
+        self._writer.write(b"".join(codec.encode_tcp_request(call, wide=self._wide) for call in calls))
 
     async def types(self, count: int) -> list[int]:
         while len(self._frames) < count:
@@ -49,7 +49,7 @@ class Client:
 Knock = Callable[..., Awaitable[Client]]
 
 
-def with_daemon(
+def run_scenario(
     plan: Plan | None, scenario: Callable[[Daemon, Knock], Awaitable[None]], world: Simulation | None = None
 ) -> None:
     async def evening() -> None:
@@ -59,7 +59,7 @@ def with_daemon(
             daemon.faults.put(plan, daemon.lines())
         clients: list[Client] = []
 
-        async def knock(wide: bool = False) -> Client:
+        async def open_client(wide: bool = False) -> Client:
             clients.append(Client(*await asyncio.open_connection("127.0.0.1", port), wide))
             clients[-1].send(Call("connect_robot", (1, 7)))
             assert await clients[-1].types(1) == [82]
@@ -67,7 +67,7 @@ def with_daemon(
 
         try:
             async with serving(daemon):
-                await scenario(daemon, knock)
+                await scenario(daemon, open_client)
         finally:
             for client in clients:
                 await client.close()
@@ -78,15 +78,15 @@ def with_daemon(
 def test_a_flood_of_late_answers_comes_whole_in_order_and_the_others_go_on() -> None:
     late, count = Plan((Rule("late", (Delay(0.3),), commands=("gs", "get_rc")),)), 1200
 
-    async def scenario(daemon: Daemon, knock: Knock) -> None:
-        flooding, other = await knock(), await knock()
+    async def scenario(daemon: Daemon, open_client: Knock) -> None:
+        flooding, other = await open_client(), await open_client()
         flooding.send(*[Call("gs"), Call("get_rc")] * count)
         other.send(Call("st"))
         assert await other.types(1) == [80]
         assert await flooding.types(2 * count) == [80, 88] * count
         assert daemon.faults.counts()["nserver"]["late"] == {"seen": 2 * count, "delay": 2 * count}
 
-    with_daemon(late, scenario)
+    run_scenario(late, scenario)
 
 
 def test_answers_that_filled_the_cable_and_left_it_at_once_stop_nobody_from_being_read() -> None:
@@ -95,8 +95,8 @@ def test_answers_that_filled_the_cable_and_left_it_at_once_stop_nobody_from_bein
     laser = Simulation(load_world("thesis_room"))
     laser.add_robot(1, ORIGIN, N200)
 
-    async def scenario(daemon: Daemon, knock: Knock) -> None:
-        client = await knock()
+    async def scenario(daemon: Daemon, open_client: Knock) -> None:
+        client = await open_client()
         client.send(*[Call("gs")] * 20)
         assert await client.types(20) == [80] * 20
         client.send(Call("st"))
@@ -105,15 +105,15 @@ def test_answers_that_filled_the_cable_and_left_it_at_once_stop_nobody_from_bein
         while daemon.connections:
             await asyncio.sleep(0.005)
 
-    with_daemon(plan, scenario, laser)
+    run_scenario(plan, scenario, laser)
 
 
 @pytest.mark.parametrize("wide", [False, True])
 def test_a_client_of_any_width_is_refused_and_goes_on(wide: bool) -> None:
     plan = Plan((Rule("no", (Nak(),), When(every=2), ("vm",), REQUEST),))
 
-    async def scenario(daemon: Daemon, knock: Knock) -> None:
-        client = await knock(wide)
+    async def scenario(daemon: Daemon, open_client: Knock) -> None:
+        client = await open_client(wide)
         for answer in (80, 91, 80, 91):
             client.send(Call("vm", (1, 2, 3)))
             assert await client.types(1) == [answer]
@@ -121,15 +121,15 @@ def test_a_client_of_any_width_is_refused_and_goes_on(wide: bool) -> None:
         assert await client.types(1) == [88]
         assert [visitor["refused"] for visitor in daemon.connected_clients()] == [0]
 
-    with_daemon(plan, scenario)
+    run_scenario(plan, scenario)
 
 
 @pytest.mark.parametrize("wide", [False, True])
 def test_a_plan_comes_and_goes_under_a_connection(wide: bool) -> None:
     plan = Plan((Rule("lost", (Drop(),), commands=("get_rc",)),))
 
-    async def scenario(daemon: Daemon, knock: Knock) -> None:
-        client = await knock(wide)
+    async def scenario(daemon: Daemon, open_client: Knock) -> None:
+        client = await open_client(wide)
         for in_force, answered in ((False, [88, 80]), (True, [80]), (False, [88, 80]), (True, [80])):
             if in_force:
                 daemon.faults.put(plan, daemon.lines())
@@ -138,15 +138,15 @@ def test_a_plan_comes_and_goes_under_a_connection(wide: bool) -> None:
             client.send(Call("get_rc"), Call("gs"))
             assert await client.types(len(answered)) == answered
 
-    with_daemon(None, scenario)
+    run_scenario(None, scenario)
 
 
 def test_a_corrupted_type_is_refused_by_the_session_itself() -> None:
     plan = Plan((Rule("odd", (Corrupt(place=0),), When(at=(1,)), ("gs",), REQUEST),))
 
-    async def scenario(_: Daemon, knock: Knock) -> None:
-        client = await knock()
+    async def scenario(_: Daemon, open_client: Knock) -> None:
+        client = await open_client()
         client.send(Call("gs"), Call("gs"))
         assert await client.types(2) == [91, 80]
 
-    with_daemon(plan, scenario)
+    run_scenario(plan, scenario)

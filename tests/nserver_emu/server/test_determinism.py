@@ -69,7 +69,7 @@ def talk(port: int) -> bytes:
         for number in range(60):
             for robot_id, client in enumerate(clients, start=1):
                 call = Call("connect_robot", (robot_id, 1)) if number == 0 else question(number)
-                client.sendall(codec.tcp_request(call))
+                client.sendall(codec.encode_tcp_request(call))
                 answer = whole_reply(client)
                 heard += b"" if number == 0 else answer
     assert len(heard) > 10_000

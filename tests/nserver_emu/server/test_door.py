@@ -7,25 +7,25 @@ import ipaddress
 
 import pytest
 
-from nclient.common.allowlist import Access
+from nclient.common.allowlist import Allowlist
 from nserver_emu import cli
-from tests.nserver_emu.server.daemon_house import House, with_daemon
+from tests.nserver_emu.server.running_server import RunningServer, run_scenario
 
 
 def test_who_is_not_let_in_is_closed_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def scenario(house: House) -> None:
-        inside = await house.call()
+    async def scenario(server: RunningServer) -> None:
+        inside = await server.connect_client()
         with monkeypatch.context() as patched:
             patched.setattr("nclient.common.allowlist.is_loopback", lambda _host: False)
-            house.daemon.admission.access = Access((ipaddress.ip_network("192.0.2.0/24"),))
-            outsider = await house.knock(of="127.0.0.2")
+            server.daemon.admission.access = Allowlist((ipaddress.ip_network("192.0.2.0/24"),))
+            outsider = await server.open_client(of="127.0.0.2")
             assert await outsider.reader.read() == b""
-            assert (await (await house.call()).ask("gs")).kind == "state"  # from the address that he calls
-        assert house.daemon.admission.rejected == 1
+            assert (await (await server.connect_client()).ask("gs")).kind == "state"  # from the address that he calls
+        assert server.daemon.admission.rejected == 1
         assert (await inside.ask("gs")).kind == "state"
-        assert (await (await house.call()).ask("gs")).kind == "state"
+        assert (await (await server.connect_client()).ask("gs")).kind == "state"
 
-    with_daemon(scenario)
+    run_scenario(scenario)
 
 
 def test_the_daemon_says_so_at_its_start(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -123,7 +123,7 @@ def test_another_robot_goes_on() -> None:
     emulator.simulation.add_robot(2, StartPose(40.0, 0.0), N200, IDEAL)
     context = ConnectionContext(robot_id=2)
     emulator.answer(Call("vm", (100, 0, 0)), context)
-    assert not emulator.simulation.robots[2].still((0,))
+    assert not emulator.simulation.robots[2].is_still((0,))
 
 
 @pytest.mark.parametrize("name", HANDLERS)
@@ -131,7 +131,7 @@ def test_no_command_moves_a_held_robot(name: str) -> None:
     emulator = held()
     args = MOVING.get(name, examples(BY_NAME[name]))
     emulator.answer(Call(name, args), ConnectionContext(robot_id=1))
-    assert emulator.simulation.robots[1].still((0, 1, 2))
+    assert emulator.simulation.robots[1].is_still((0, 1, 2))
 
 
 def test_holds_know_whose_call_it_is() -> None:

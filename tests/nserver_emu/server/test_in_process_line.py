@@ -61,7 +61,7 @@ def test_a_n200_is_told_its_mask_and_says_no_hello() -> None:
 def test_silence_takes_a_step_and_a_broken_frame_is_given_up_by_it() -> None:
     end = opened("sim:?line=1&step_s=0.1")
     client = watcher(end)
-    question = codec.line_request(Call("gs"), serial_wire_state(N150))
+    question = codec.encode_serial_request(Call("gs"), serial_wire_state(N150))
     assert exchange(end, question[:-1]) == b""
     assert client.ask("sim_truth").values[1] == 100
     for _ in range(6):

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from nclient.common.allowlist import Access
+from nclient.common.allowlist import Allowlist
 from nclient.protocol import codec
 from nclient.protocol.commands import BY_TCP_TYPE, Call
 from nserver_emu import cli
@@ -23,22 +23,24 @@ from nserver_emu.server.connection import MAX_REQUESTS_PER_TURN
 from nserver_emu.server.context import Allowed
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.limits import TABLE, Limits, add_options, limits_of
-from tests.nserver_emu.server.daemon_house import Client, House, with_daemon
+from tests.nserver_emu.server.running_server import Client, RunningServer, run_scenario
 from tests.nserver_emu.server.wire_client import simulation
 
 ROOT = Path(__file__).parents[3]
-GS = codec.tcp_request(Call("gs"))
+GS = codec.encode_tcp_request(Call("gs"))
 BOX = (4, 100, 100, 200, 100, 200, 200, 100, 200)
 
 
-def at_home(limits: Limits, scenario: Callable[[House], Awaitable[None]], emulator: Emulator | None = None) -> None:
+def at_home(
+    limits: Limits, scenario: Callable[[RunningServer], Awaitable[None]], emulator: Emulator | None = None
+) -> None:
     """A scenario to a daemon with these limits."""
 
-    async def limited(house: House) -> None:
-        house.daemon.admission.limits = limits
-        await scenario(house)
+    async def limited(server: RunningServer) -> None:
+        server.daemon.admission.limits = limits
+        await scenario(server)
 
-    with_daemon(limited, emulator=emulator)
+    run_scenario(limited, emulator=emulator)
 
 
 async def is_closed(client: Client) -> bool:
@@ -89,16 +91,16 @@ def test_the_longest_frame_is_the_tables() -> None:
 
 @pytest.mark.parametrize("limits", [Limits(connections=2), Limits(per_address=2)], ids=["connections", "per address"])
 def test_one_connection_too_many_is_closed_and_the_others_go_on(limits: Limits) -> None:
-    async def scenario(house: House) -> None:
-        first, second = await house.call(), await house.call()
-        assert await is_closed(await house.knock())
-        assert house.daemon.admission.rejected == 1
+    async def scenario(server: RunningServer) -> None:
+        first, second = await server.connect_client(), await server.connect_client()
+        assert await is_closed(await server.open_client())
+        assert server.daemon.admission.rejected == 1
         for client in (first, second):
             assert (await client.ask("gs")).kind == "state"
         second.writer.close()
-        while len(house.daemon.connections) == 2:
+        while len(server.daemon.connections) == 2:
             await asyncio.sleep(0.005)
-        assert (await (await house.call()).ask("gs")).kind == "state"
+        assert (await (await server.connect_client()).ask("gs")).kind == "state"
 
     at_home(limits, scenario)
 
@@ -111,9 +113,9 @@ def test_from_another_address_there_is_room() -> None:
 
 
 def test_who_is_not_allowed_is_turned_away_and_logged_once(caplog: pytest.LogCaptureFixture) -> None:
-    door = AdmissionControl(access=Access(()))
+    door = AdmissionControl(access=Allowlist(()))
     assert not door.rejection_reason("10.0.0.1", [])
-    fenced = AdmissionControl(access=Access((ip_network("10.9.9.0/24"),)))
+    fenced = AdmissionControl(access=Allowlist((ip_network("10.9.9.0/24"),)))
     assert "--allow" in fenced.rejection_reason("10.0.0.1", [], "10.0.0.2")
     assert not fenced.rejection_reason("10.0.0.1", [], "10.0.0.1")
     door.reject("10.0.0.1", "because")
@@ -123,8 +125,8 @@ def test_who_is_not_allowed_is_turned_away_and_logged_once(caplog: pytest.LogCap
 
 
 def test_who_asks_too_fast_is_slowed_loses_nothing_and_slows_nobody() -> None:
-    async def scenario(house: House) -> None:
-        fast, other = await house.call(), await house.call()
+    async def scenario(server: RunningServer) -> None:
+        fast, other = await server.connect_client(), await server.connect_client()
         count, began = 60 + MAX_REQUESTS_PER_TURN, time.monotonic()
         fast.writer.write(GS * count)
         assert (await other.ask("gs")).kind == "state"
@@ -136,8 +138,8 @@ def test_who_asks_too_fast_is_slowed_loses_nothing_and_slows_nobody() -> None:
 
 
 def test_who_asks_too_fast_one_by_one_is_slowed_as_well() -> None:
-    async def scenario(house: House) -> None:
-        fast, began = await house.call(), time.monotonic()
+    async def scenario(server: RunningServer) -> None:
+        fast, began = await server.connect_client(), time.monotonic()
         for _ in range(60):
             assert (await fast.ask("gs")).kind == "state"
         assert time.monotonic() - began >= 0.15  # 20 at once, one of them CONNECT, then 200 a second
@@ -146,8 +148,8 @@ def test_who_asks_too_fast_one_by_one_is_slowed_as_well() -> None:
 
 
 def test_a_request_that_is_too_long_is_refused_and_passed_over() -> None:
-    async def scenario(house: House) -> None:
-        client = await house.call()
+    async def scenario(server: RunningServer) -> None:
+        client = await server.connect_client()
         assert (await client.ask("add_obstacle", *BOX)).kind == "simple"
         long = (10, *(number for corner in range(10) for number in (corner * 10, 2000 + corner**2)))
         assert (await client.ask("add_obstacle", *long)).values == (2,)
@@ -157,17 +159,17 @@ def test_a_request_that_is_too_long_is_refused_and_passed_over() -> None:
 
 
 def test_who_says_nothing_is_closed_and_who_talks_or_waits_is_not(caplog: pytest.LogCaptureFixture) -> None:
-    async def scenario(house: House) -> None:
-        silent, talker, waiting = await house.call(), await house.call(), await house.call()
+    async def scenario(server: RunningServer) -> None:
+        silent, talker, waiting = [await server.connect_client() for _ in range(3)]
         await waiting.ask("vm", 10, 0, 0)
-        waiting.writer.write(codec.tcp_request(Call("ws", (1, 1, 1, 200))))
-        while not any(one.session.waiting for one in house.daemon.connections):
+        waiting.writer.write(codec.encode_tcp_request(Call("ws", (1, 1, 1, 200))))
+        while not any(one.session.waiting for one in server.daemon.connections):
             await asyncio.sleep(0.01)
         closed = asyncio.create_task(is_closed(silent))
         while not closed.done():
             await talker.ask("gs")
             await asyncio.sleep(0.01)
-        assert len(house.daemon.connections) == 2
+        assert len(server.daemon.connections) == 2
         assert (await talker.ask("gs")).kind == "state"
 
     at_home(Limits(idle=2), scenario)
@@ -175,11 +177,11 @@ def test_who_says_nothing_is_closed_and_who_talks_or_waits_is_not(caplog: pytest
 
 
 def test_who_stops_in_the_middle_is_closed_though_bytes_still_drip() -> None:
-    async def scenario(house: House) -> None:
-        stalled, other = await house.call(), await house.call()
+    async def scenario(server: RunningServer) -> None:
+        stalled, other = await server.connect_client(), await server.connect_client()
         await stalled.ask("vm", 100, 0, 0)
         closed = asyncio.create_task(is_closed(stalled))
-        for byte in codec.tcp_request(Call("vm", (1, 2, 3)))[:-1] * 100:
+        for byte in codec.encode_tcp_request(Call("vm", (1, 2, 3)))[:-1] * 100:
             if closed.done():
                 break
             stalled.writer.write(bytes([byte]))
@@ -193,8 +195,8 @@ def test_who_stops_in_the_middle_is_closed_though_bytes_still_drip() -> None:
 def test_who_stops_in_the_middle_of_what_is_passed_over_is_closed_and_told_of_once(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    async def scenario(house: House) -> None:
-        stalled = await house.call()
+    async def scenario(server: RunningServer) -> None:
+        stalled = await server.connect_client()
         stalled.writer.write(struct.pack(">hH", 7777, 1000) + bytes(100))
         assert (await stalled.reply("gs")).kind == "error"
         assert await is_closed(stalled)
@@ -205,14 +207,14 @@ def test_who_stops_in_the_middle_of_what_is_passed_over_is_closed_and_told_of_on
 
 
 def test_who_takes_no_replies_is_left_alone_and_then_closed(caplog: pytest.LogCaptureFixture) -> None:
-    async def scenario(house: House) -> None:
-        other, deaf = await house.call(), socket.socket()
+    async def scenario(server: RunningServer) -> None:
+        other, deaf = await server.connect_client(), socket.socket()
         deaf.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         deaf.setblocking(False)
         loop = asyncio.get_running_loop()
-        await loop.sock_connect(deaf, ("127.0.0.1", house.port))
+        await loop.sock_connect(deaf, ("127.0.0.1", server.port))
         async def ask_on() -> None:
-            await loop.sock_sendall(deaf, codec.tcp_request(Call("connect_robot", (1, 1))))
+            await loop.sock_sendall(deaf, codec.encode_tcp_request(Call("connect_robot", (1, 1))))
             while True:
                 await loop.sock_sendall(deaf, GS * 1000)
 
@@ -222,7 +224,7 @@ def test_who_takes_no_replies_is_left_alone_and_then_closed(caplog: pytest.LogCa
                 assert (await other.ask("gs")).kind == "state"
                 await asyncio.sleep(0.01)
         assert isinstance(asking.exception(), ConnectionError)
-        assert len(house.daemon.connections) == 1
+        assert len(server.daemon.connections) == 1
 
     at_home(Limits(stall=1, write_queue=2048), scenario)
     assert "not read, for 1 s" in caplog.text
@@ -231,8 +233,8 @@ def test_who_takes_no_replies_is_left_alone_and_then_closed(caplog: pytest.LogCa
 def test_obstacles_and_drawings_are_as_many_as_allowed() -> None:
     emulator = Emulator(simulation(), allowed=Allowed(obstacles=1, graphics=2))
 
-    async def scenario(house: House) -> None:
-        client, other = await house.call(), await house.call()
+    async def scenario(server: RunningServer) -> None:
+        client, other = await server.connect_client(), await server.connect_client()
         replies = [await client.ask("add_obstacle", *BOX) for _ in range(2)]
         assert [reply.values for reply in replies] == [(0,), (5,)]
         for number in range(5):

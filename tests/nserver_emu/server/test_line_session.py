@@ -14,7 +14,7 @@ from nclient.protocol import codec
 from nclient.protocol.client_state import apply_handshake, read_handshake
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
-from nclient.protocol.serial_framing import SerialFrame, SerialFramer, build_frame, only_frame
+from nclient.protocol.serial_framing import SerialFrame, SerialFramer, build_frame, parse_single_frame
 from nclient.protocol.types import CPU_RANGE_V, EVERYTHING, MODELS, MOTOR_RANGE_V, N150, N200, Mask, Position, volts
 from nclient.protocol.wire_state import serial_wire_state
 from nserver_emu.server.context import SimulationClock
@@ -196,11 +196,11 @@ def test_the_arm_of_an_n200_answers_in_packets_when_it_is_done() -> None:
     emulator = emulated("n200")
     host, session = meet_on_line(emulator)
     assert bytes(host.ask("arm_mv", 2, 500, 0, 0).values) == bytes.fromhex("0800002a01000000")
-    waits = codec.line_request(Call("arm_ws", (1, 1, 9000)), host.wire_state)
+    waits = codec.encode_serial_request(Call("arm_ws", (1, 1, 9000)), host.wire_state)
     assert host.raw(waits) == []
     assert session.waiting
     emulator.simulation.step(3.0)
-    answer = codec.read_line_reply(only_frame(session.tick()), host.wire_state)
+    answer = codec.decode_serial_reply(parse_single_frame(session.tick()), host.wire_state)
     assert answer.values[:8] == (12, 0, 0, 41, 1, 0, 0, 0)
     assert not session.waiting
 
@@ -209,17 +209,17 @@ def test_ws_and_zr_are_answered_when_they_are_over() -> None:
     emulator = emulated()
     host, session = meet_on_line(emulator)
     host.ask("pr", 100, 0, 0)
-    assert host.raw(codec.line_request(Call("ws", (1, 1, 1, 20)), host.wire_state)) == []
+    assert host.raw(codec.encode_serial_request(Call("ws", (1, 1, 1, 20)), host.wire_state)) == []
     emulator.simulation.step(30.0)
-    frame = only_frame(session.tick())
+    frame = parse_single_frame(session.tick())
     assert frame.type == 31
     assert frame.data[POSE : POSE + 2] == bytes((100, 0))
     assert session.tick() == b""
     host.ask("pr", 0, 900, 0)
     emulator.simulation.step(0.5)
-    assert host.raw(codec.line_request(Call("zr"), host.wire_state)) == []
+    assert host.raw(codec.encode_serial_request(Call("zr"), host.wire_state)) == []
     emulator.simulation.step(60.0)
-    assert only_frame(session.tick()).type == 13
+    assert parse_single_frame(session.tick()).type == 13
 
 
 # Refusals
@@ -261,7 +261,7 @@ def test_unknown_types_wrong_data_and_values_that_cannot_be_get_a_nak_and_nothin
     session.receive(request_bytes + GS_REQUEST)
     answers = session.process_requests(9)
     assert answers.startswith(NAK)
-    assert only_frame(answers[len(NAK) :]).type == GS
+    assert parse_single_frame(answers[len(NAK) :]).type == GS
     assert session.refused == 1
 
 
@@ -326,12 +326,12 @@ def test_a_frame_that_comes_slowly_is_not_given_up_before_its_time() -> None:
     now_s = [0.0]
     session = SerialSession(emulated().answer, 1, N150, lambda: now_s[0])
     session.receive(GS_REQUEST + GS_REQUEST[:2])
-    assert only_frame(session.process_requests(9)).type == GS
+    assert parse_single_frame(session.process_requests(9)).type == GS
     for place in range(2, 6):
         now_s[0] += FRAME_TIMEOUT_S / 5
         session.tick()
         session.receive(GS_REQUEST[place : place + 1])
-    assert only_frame(session.process_requests(9)).type == GS
+    assert parse_single_frame(session.process_requests(9)).type == GS
 
 
 # Who drives, and time
@@ -341,7 +341,7 @@ def test_one_that_asks_while_an_answer_is_outstanding_has_given_up_on_it() -> No
     emulator = emulated()
     host, session = meet_on_line(emulator)
     host.ask("vm", 100, 0, 0)
-    assert host.raw(codec.line_request(Call("ws", (1, 1, 1, 200)), host.wire_state)) == []
+    assert host.raw(codec.encode_serial_request(Call("ws", (1, 1, 1, 200)), host.wire_state)) == []
     assert host.frame("st").type == ST
     assert not session.waiting
     emulator.simulation.step(1.0)
@@ -416,13 +416,13 @@ def test_replies_of_the_recorded_robot_go_out_byte_by_byte_as_it_sent_them(sessi
     count = 0
     for exchange in exchanges(SERIAL[session_name], model):
         codec.update_from_request(exchange.call, wire_state)
-        reply = codec.read_line_reply(only_frame(exchange.reply), wire_state)
+        reply = codec.decode_serial_reply(parse_single_frame(exchange.reply), wire_state)
         said.append(reply)
         session.receive(exchange.request)
         expected = exchange.reply
         if 33 in reply.slots:
             rested = replace(reply, slots={**reply.slots, 33: reply.slots[33] | model.bumper_rest})
-            expected = codec.line_reply(BY_NAME[exchange.call.name], rested, wire_state)
+            expected = codec.encode_serial_reply(BY_NAME[exchange.call.name], rested, wire_state)
         assert session.process_requests(1) == expected, exchange.call
         count += expected == exchange.reply
     assert count >= (20 if session_name == "scout" else 0)
@@ -435,7 +435,7 @@ def test_the_emulator_answers_the_recorded_requests_in_frames_of_the_recorded_sh
     emulator = emulated(model.name, StartPose(50.0, 50.0, 0.0, 0.0))
     host, session = meet_on_line(emulator)
     for exchange in exchanges(SERIAL[session_name], model):
-        recorded = only_frame(exchange.reply)
+        recorded = parse_single_frame(exchange.reply)
         codec.update_from_request(exchange.call, host.wire_state)
         frames = host.raw(exchange.request)
         while not frames:
@@ -446,7 +446,7 @@ def test_the_emulator_answers_the_recorded_requests_in_frames_of_the_recorded_sh
         if lacking or recorded.type == 8:
             assert lacking == (frame.type == 8)
             continue
-        ours, theirs = (codec.read_line_reply(each, host.wire_state) for each in (frame, recorded))
+        ours, theirs = (codec.decode_serial_reply(each, host.wire_state) for each in (frame, recorded))
         assert (frame.type, ours.slots.keys(), ours.stamps.keys()) == (
             recorded.type, theirs.slots.keys(), theirs.stamps.keys())  # fmt: skip
         without_laser = [len(each.data) - _laser_octets(reply) for each, reply in ((frame, ours), (recorded, theirs))]

@@ -28,8 +28,8 @@ from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.link import RateLimitedChannel
 from nserver_emu.server.pty import PseudoTerminal
 from nserver_emu.server.serial_lines import PtyConnection, RobotdConnection, robot_line
-from tests.nserver_emu.server.daemon_house import serving
 from tests.nserver_emu.server.line_host import emulated
+from tests.nserver_emu.server.running_server import serving
 
 GS = bytes.fromhex("010200070a5c")
 BAUD = 38400
@@ -47,7 +47,7 @@ class Host:
         self._frames: list[SerialFrame] = []
 
     async def ask(self, name: str, *args: int) -> Reply:
-        self.send(codec.line_request(Call(name, args), self.wire_state))
+        self.send(codec.encode_serial_request(Call(name, args), self.wire_state))
         return await self.reply()
 
     async def reply(self) -> Reply:
@@ -55,10 +55,10 @@ class Host:
             data = await self.some()
             assert data, "the line is dead"
             self._frames += self._framer.receive(data)
-        return codec.read_line_reply(self._frames.pop(0), self.wire_state)
+        return codec.decode_serial_reply(self._frames.pop(0), self.wire_state)
 
 
-class House:
+class RunningServer:
     """A daemon with a serial line of robot 1 at `path` and its robotd at `port`."""
 
     def __init__(self, daemon: Daemon, line: PtyConnection, port: int, model: str) -> None:
@@ -103,7 +103,7 @@ class House:
 
 def with_house(
     path: Path,
-    scenario: Callable[[House], Awaitable[None]],
+    scenario: Callable[[RunningServer], Awaitable[None]],
     emulator: Emulator | None = None,
     new_channel: Callable[[], RateLimitedChannel] | None = None,
     model: str = "n150",
@@ -113,9 +113,9 @@ def with_house(
         own = robot_line(daemon, 1)
         line = PtyConnection(daemon, own, PseudoTerminal(path), new_channel)
         port = await daemon.open_listener(lambda: RobotdConnection(daemon, own), "127.0.0.1", 0, "--robotd")
-        house = House(daemon, line, port, model)
-        async with serving(daemon), house.guests:
-            await scenario(house)
+        server = RunningServer(daemon, line, port, model)
+        async with serving(daemon), server.guests:
+            await scenario(server)
         assert not daemon.connections
         assert not os.path.lexists(path)
 
@@ -129,23 +129,23 @@ def path(tmp_path: Path) -> Path:
 
 
 def test_a_robot_is_driven_over_its_line_and_stops_when_the_host_leaves(path: Path) -> None:
-    async def scenario(house: House) -> None:
+    async def scenario(server: RunningServer) -> None:
         for _ in range(3):
-            host, leave = house.at_link()
+            host, leave = server.at_link()
             assert (await host.ask("vm", 0, 100, 0)).slots[39] == 100
-            assert house.moving
+            assert server.moving
             leave()
-            await house.until(lambda: not house.moving)
+            await server.until(lambda: not server.moving)
 
     with_house(path, scenario)
 
 
 def test_one_who_opens_the_link_beside_its_host_and_goes_stops_nobody(path: Path) -> None:
-    async def scenario(house: House) -> None:
-        host, _ = house.at_link()
+    async def scenario(server: RunningServer) -> None:
+        host, _ = server.at_link()
         await host.ask("vm", 0, 100, 0)
         for _ in range(3):
-            _, leave = house.at_link()
+            _, leave = server.at_link()
             await host.ask("gs")
             leave()
             assert (await host.ask("gs")).slots[39] == 100
@@ -154,11 +154,11 @@ def test_one_who_opens_the_link_beside_its_host_and_goes_stops_nobody(path: Path
 
 
 def test_a_link_that_somebody_removes_is_put_back_and_logged(path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    async def scenario(house: House) -> None:
+    async def scenario(server: RunningServer) -> None:
         path.unlink()
         async with asyncio.timeout(1.0):
-            await house.until(path.is_symlink)
-        assert (await house.at_link()[0].ask("gs")).kind == "state"
+            await server.until(path.is_symlink)
+        assert (await server.at_link()[0].ask("gs")).kind == "state"
 
     with caplog.at_level(logging.WARNING):
         with_house(path, scenario)
@@ -166,144 +166,144 @@ def test_a_link_that_somebody_removes_is_put_back_and_logged(path: Path, caplog:
 
 
 def test_only_who_is_there_is_a_visitor(path: Path) -> None:
-    async def scenario(house: House) -> None:
-        assert house.daemon.connected_clients() == []
-        host, leave = house.at_link()
+    async def scenario(server: RunningServer) -> None:
+        assert server.daemon.connected_clients() == []
+        host, leave = server.at_link()
         await host.ask("gs")
-        (visitor,) = house.daemon.connected_clients()
+        (visitor,) = server.daemon.connected_clients()
         assert (visitor["name"], visitor["robot"]) == (f"serial {path}", 1)
         leave()
-        await house.until(lambda: not house.daemon.connected_clients())
+        await server.until(lambda: not server.daemon.connected_clients())
 
     with_house(path, scenario)
 
 
 def test_it_stops_too_when_a_host_on_its_port_vanishes(path: Path) -> None:
-    async def scenario(house: House) -> None:
-        host, writer = await house.at_port()
+    async def scenario(server: RunningServer) -> None:
+        host, writer = await server.at_port()
         assert (await host.ask("vm", 0, 100, 0)).slots[39] == 100
         linger = struct.pack("ii", 1, 0)
         writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, linger)
         writer.transport.abort()
-        await house.until(lambda: not house.moving)
+        await server.until(lambda: not server.moving)
 
     with_house(path, scenario)
 
 
 def test_who_leaves_without_having_driven_stops_nobody(path: Path) -> None:
-    async def scenario(house: House) -> None:
-        driver, _ = await house.at_port()
+    async def scenario(server: RunningServer) -> None:
+        driver, _ = await server.at_port()
         await driver.ask("vm", 0, 100, 0)
-        host, leave = house.at_link()
+        host, leave = server.at_link()
         assert (await host.ask("gs")).slots[39] == 100
         leave()
-        await house.until(lambda: not house.line.is_connected)
-        assert house.moving
+        await server.until(lambda: not server.line.is_connected)
+        assert server.moving
 
     with_house(path, scenario)
 
 
 def test_an_n200_says_hello_over_tcp_and_nothing_on_its_serial_line(path: Path) -> None:
-    async def scenario(house: House) -> None:
-        host, _ = await house.at_port()
+    async def scenario(server: RunningServer) -> None:
+        host, _ = await server.at_port()
         assert read_handshake(await host.some()) == (EVERYTHING, 51)
         assert (await host.ask("gs")).laser is not None
-        serial, _ = house.at_link()
+        serial, _ = server.at_link()
         assert (await serial.ask("get_rv")).slots == {38: 0, 39: 0, 40: 0}
 
     with_house(path, scenario, model="n200")
 
 
 def test_what_a_host_on_one_line_asked_for_the_hello_of_another_tells(path: Path) -> None:
-    async def scenario(house: House) -> None:
-        serial, leave = house.at_link()
+    async def scenario(server: RunningServer) -> None:
+        serial, leave = server.at_link()
         few = Mask((0,) * 34 + (1,) * 10)
-        serial.wire_state.note_mask(few)
+        serial.wire_state.set_mask(few)
         await serial.ask("ct", *few.smask)
         leave()
-        host, writer = await house.at_port()
+        host, writer = await server.at_port()
         assert read_handshake(await host.some()) == (few, 51)
-        host.wire_state.note_mask(few)
+        host.wire_state.set_mask(few)
         assert 17 not in (await host.ask("gs")).slots
         writer.close()
         await writer.wait_closed()
-        await house.until(lambda: not house.daemon.connected_clients())
+        await server.until(lambda: not server.daemon.connected_clients())
 
     with_house(path, scenario, model="n200")
 
 
 def test_ws_is_answered_when_the_robot_stands_in_real_time_and_in_lockstep(path: Path) -> None:
-    async def scenario(house: House) -> None:
-        host, _ = house.at_link()
+    async def scenario(server: RunningServer) -> None:
+        host, _ = server.at_link()
         await host.ask("pr", 0, 90, 0)
         assert (await host.ask("ws", 1, 1, 1, 20)).slots[36] == 90
-        assert not house.moving
+        assert not server.moving
 
     with_house(path, scenario)
     with_house(path, scenario, emulated(pace=SimulationClock(lockstep_s=0.1)))
 
 
 def test_a_host_that_does_not_read_is_obeyed_and_keeps_nobody(path: Path) -> None:
-    async def scenario(house: House) -> None:
-        deaf, _ = house.at_link()
-        other, _ = await house.at_port()
-        while not house.line.lost:
+    async def scenario(server: RunningServer) -> None:
+        deaf, _ = server.at_link()
+        other, _ = await server.at_port()
+        while not server.line.lost:
             with contextlib.suppress(BlockingIOError):
                 deaf.send(GS * 20)
             assert (await other.ask("gs")).kind == "state"
-        await house.until(lambda: not house.line.session.ready)
-        deaf.send(codec.line_request(Call("vm", (0, 100, 0)), deaf.wire_state))
-        await house.until(lambda: house.moving)
+        await server.until(lambda: not server.line.session.ready)
+        deaf.send(codec.encode_serial_request(Call("vm", (0, 100, 0)), deaf.wire_state))
+        await server.until(lambda: server.moving)
         heard = 0
         while heard < 1000:
             heard += len(await deaf.some())
-        await house.until(lambda: not house.line._write_buffer)
+        await server.until(lambda: not server.line._write_buffer)
         assert (await deaf.ask("get_rv")).kind in ("state", "velocity")
 
     with_house(path, scenario)
 
 
 def test_what_one_host_did_not_read_the_next_does_not_get(path: Path) -> None:
-    async def scenario(house: House) -> None:
-        deaf, leave = house.at_link()
-        while not house.line.lost:
+    async def scenario(server: RunningServer) -> None:
+        deaf, leave = server.at_link()
+        while not server.line.lost:
             with contextlib.suppress(BlockingIOError):
                 deaf.send(GS * 20)
             await asyncio.sleep(0)
         leave()
-        await house.until(lambda: not house.line.is_connected)
-        assert house.line._write_buffer == b""
-        host, _ = house.at_link()
+        await server.until(lambda: not server.line.is_connected)
+        assert server.line._write_buffer == b""
+        host, _ = server.at_link()
         assert (await host.ask("get_rc")).kind == "configuration"
 
     with_house(path, scenario)
 
 
 def test_a_crowd_of_requests_is_answered_in_turns_in_full(path: Path) -> None:
-    async def scenario(house: House) -> None:
-        host, _ = house.at_link()
+    async def scenario(server: RunningServer) -> None:
+        host, _ = server.at_link()
         host.send(GS * 300)
         for _ in range(300):
             assert (await host.reply()).kind == "state"
-        assert not house.line.lost
+        assert not server.line.lost
 
     with_house(path, scenario)
 
 
 def test_a_cut_frame_is_given_up_while_the_host_waits(path: Path) -> None:
-    async def scenario(house: House) -> None:
-        host, _ = house.at_link()
+    async def scenario(server: RunningServer) -> None:
+        host, _ = server.at_link()
         host.send(b"\x01\xf0\x00\x05" + GS)
         assert (await host.reply()).kind == "state"
-        assert house.line.session.unfinished == 0
+        assert server.line.session.unfinished == 0
 
     with_house(path, scenario)
 
 
 def test_a_paced_line_is_as_slow_as_a_cable(path: Path) -> None:
-    async def scenario(house: House) -> None:
+    async def scenario(server: RunningServer) -> None:
         loop = asyncio.get_running_loop()
-        host, leave = house.at_link()
+        host, leave = server.at_link()
         await host.ask("gs")
         start_s = loop.time()
         for _ in range(10):
@@ -311,8 +311,8 @@ def test_a_paced_line_is_as_slow_as_a_cable(path: Path) -> None:
         assert loop.time() - start_s > 9 * SHORTEST_S
         host.send(GS * 50)
         leave()
-        await house.until(lambda: not house.line.is_connected)
-        again, _ = house.at_link()
+        await server.until(lambda: not server.line.is_connected)
+        again, _ = server.at_link()
         assert (await again.ask("get_rc")).kind == "configuration"
 
     with_house(path, scenario, new_channel=lambda: RateLimitedChannel(BAUD))
@@ -321,18 +321,18 @@ def test_a_paced_line_is_as_slow_as_a_cable(path: Path) -> None:
 def test_a_fault_of_ours_pulls_the_line_and_the_next_host_finds_it_whole(
     path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    async def scenario(house: House) -> None:
-        host, _ = house.at_link()
+    async def scenario(server: RunningServer) -> None:
+        host, _ = server.at_link()
         await host.ask("vm", 0, 100, 0)
 
         def broken(*_: object) -> Reply:
             raise RuntimeError("a fault")
 
-        house.line.session._answer = broken
+        server.line.session._answer = broken
         host.send(GS)
         assert await host.some() == b""
-        assert not house.moving
-        again, _ = house.at_link()
+        assert not server.moving
+        again, _ = server.at_link()
         assert (await again.ask("gs")).kind == "state"
 
     with caplog.at_level(logging.ERROR):
@@ -341,30 +341,30 @@ def test_a_fault_of_ours_pulls_the_line_and_the_next_host_finds_it_whole(
 
 
 def test_a_plan_pulls_the_line_under_its_host_and_the_next_host_finds_it_whole(path: Path) -> None:
-    async def scenario(house: House) -> None:
+    async def scenario(server: RunningServer) -> None:
         rule = Rule("pulled", (HangUp(),), When(at=(3,)), lines=("serial",))
-        house.daemon.faults.put(Plan((rule,)), ["serial:1", "robotd:1"])
-        host, _ = house.at_link()
-        other, _ = await house.at_port()
+        server.daemon.faults.put(Plan((rule,)), ["serial:1", "robotd:1"])
+        host, _ = server.at_link()
+        other, _ = await server.at_port()
         await host.ask("vm", 0, 100, 0)
         await host.ask("gs")
         host.send(GS)
         assert await host.some() == b""
-        assert not house.moving
-        again, _ = house.at_link()
+        assert not server.moving
+        again, _ = server.at_link()
         for _ in range(5):
             assert (await again.ask("gs")).kind == (await other.ask("gs")).kind == "state"
-        assert house.daemon.faults.counts()["serial:1"]["pulled"]["hang_up"] == 1
+        assert server.daemon.faults.counts()["serial:1"]["pulled"]["hang_up"] == 1
 
     with_house(path, scenario)
     with_house(path, scenario, new_channel=lambda: RateLimitedChannel(BAUD))
 
 
 def test_a_plan_knows_the_hello_of_an_n200_from_what_follows(path: Path) -> None:
-    async def scenario(house: House) -> None:
+    async def scenario(server: RunningServer) -> None:
         rule = Rule("mumbled", (Cut(keep=3),), commands=(GREETING,))
-        house.daemon.faults.put(Plan((rule,)), ["serial:1", "robotd:1"])
-        host, _ = await house.at_port()
+        server.daemon.faults.put(Plan((rule,)), ["serial:1", "robotd:1"])
+        host, _ = await server.at_port()
         assert await host.some() == b"\xff\xff\xff"
         assert (await host.ask("get_rv")).kind == "velocity"
 
@@ -378,10 +378,11 @@ def test_a_line_for_a_robot_that_is_not_there_names_those_that_are() -> None:
 
 
 def test_a_port_that_is_taken_names_the_remedy_for_robotd(path: Path) -> None:
-    async def scenario(house: House) -> None:
+    async def scenario(server: RunningServer) -> None:
         with pytest.raises(ConnectionLost, match="--robotd 0 takes a free port"):
-            await house.daemon.open_listener(
-                lambda: RobotdConnection(house.daemon, robot_line(house.daemon, 1)), "127.0.0.1", house.port, "--robotd"
+            await server.daemon.open_listener(
+                lambda: RobotdConnection(server.daemon, robot_line(server.daemon, 1)),
+                "127.0.0.1", server.port, "--robotd",
             )
 
     with_house(path, scenario)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from nclient.errors import SetupFileError
 from nserver_emu import legacy_setup
-from nserver_emu.legacy_setup import OldSetup, parse_setup, read_setups
+from nserver_emu.legacy_setup import LegacySetup, parse_setup, read_setups
 
 ROBOT = r"""
 ; the robot of room 12
@@ -37,8 +37,8 @@ def written(folder: Path, name: str, text: str) -> Path:
 
 def test_both_files_are_read_for_the_keys_that_are_known(tmp_path: Path) -> None:
     files = [written(tmp_path, "robot.setup", ROBOT), written(tmp_path, "world.setup", WORLD)]
-    assert read_setups(files) == OldSetup(7654, "n200", (1.5, 2, 3, 4, 5, 6, 7, -0.8), (10, 20))
-    assert read_setups([]) == OldSetup()
+    assert read_setups(files) == LegacySetup(7654, "n200", (1.5, 2, 3, 4, 5, 6, 7, -0.8), (10, 20))
+    assert read_setups([]) == LegacySetup()
     assert read_setups(files).unused == ("[laser] calibration", "[laser] offset")
     assert read_setups(files[1:]).unused == ()
 
@@ -75,7 +75,7 @@ def test_a_fault_is_named_by_file_and_line(tmp_path: Path, text: str, match: str
 def test_what_cannot_be_read_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(SetupFileError, match=r"nothing.setup: cannot be read"):
         read_setups([tmp_path / "nothing.setup"])
-    monkeypatch.setattr(legacy_setup, "MOST_BYTES", 10)
+    monkeypatch.setattr(legacy_setup, "MAX_BYTES", 10)
     with pytest.raises(SetupFileError, match="is longer than"):
         read_setups([written(tmp_path, "big.setup", "; 123456789")])
 

@@ -24,7 +24,7 @@ def test_the_most_robots_find_room_and_touch_nothing() -> None:
     for number in range(1, MAX_ROBOTS + 1):
         place = places.next(N150.body.radius_in)
         assert place is not None
-        simulation.add_robot(number, place, awake=False)
+        simulation.add_robot(number, place, powered=False)
     centres = np.array([robot.disc[:2] for robot in simulation.robots.values()])
     assert len(cKDTree(centres).query_pairs(2.0 * N150.body.radius_in)) == 0
     assert min(HALL.clearance(x, y) for x, y in centres.tolist()) > N150.body.radius_in
@@ -37,7 +37,7 @@ def test_robots_of_two_sizes_share_the_starts_and_the_room_ends() -> None:
     places = StartPoseAllocator(simulation)
     number, models = 0, (N150, N200)
     while (place := places.next(models[number % 2].body.radius_in)) is not None:
-        simulation.add_robot(number + 1, place, models[number % 2], awake=False)
+        simulation.add_robot(number + 1, place, models[number % 2], powered=False)
         number += 1
     assert 4 <= number <= 12
     assert places.next(models[number % 2].body.radius_in) is None

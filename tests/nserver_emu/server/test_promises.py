@@ -22,7 +22,7 @@ def waiting(emulator: Emulator, seconds: int) -> tuple[WireClient, Session]:
     """A client that waits for its steering to stand still, so long at most."""
     client, session = meet(emulator)
     client.ask(*(("pr", *TURN) if seconds > 10 else ("vm", *TURN)))
-    session.receive(codec.tcp_request(Call("ws", (1, 1, 1, seconds))))
+    session.receive(codec.encode_tcp_request(Call("ws", (1, 1, 1, seconds))))
     assert session.process_requests(max_requests=1) == b""
     return client, session
 
@@ -107,10 +107,10 @@ def test_whoever_waits_feeds_the_time_out_until_it_is_answered(call: str) -> Non
     client.ask("sp", 50, 30, 30)
     if call == "zr":
         client.ask("place_robot", 0, 0, 900, 900)
-        session.receive(codec.tcp_request(Call("zr")))
+        session.receive(codec.encode_tcp_request(Call("zr")))
     else:
         client.ask("pr", 0, 900, 900)
-        session.receive(codec.tcp_request(Call("ws", (1, 1, 1, 25))))
+        session.receive(codec.encode_tcp_request(Call("ws", (1, 1, 1, 25))))
     assert session.process_requests(max_requests=1) == b""
     emulator.pass_time(24.0)
     assert emulator.simulation.robots[1].moving[1:] == (True, True)

@@ -14,8 +14,8 @@ from nclient.protocol.replies import Reply
 from nclient.protocol.tcp_framing import TcpFrame, TcpFramer, reply_bounds
 from nserver_emu.server.session import ClientIdentity, ConnectionContext, DeferredReply, Session
 
-CONNECT = codec.tcp_request(Call("connect_robot", (1, 7)))
-GS = codec.tcp_request(Call("gs"))
+CONNECT = codec.encode_tcp_request(Call("connect_robot", (1, 7)))
+GS = codec.encode_tcp_request(Call("gs"))
 
 
 def answer(call: Call, context: ConnectionContext) -> Reply | DeferredReply:
@@ -47,7 +47,7 @@ def connected() -> Session:
 
 def test_replies_come_one_a_request_in_order() -> None:
     session = connected()
-    session.receive(GS + codec.tcp_request(Call("tk", ("hi",))) + GS)
+    session.receive(GS + codec.encode_tcp_request(Call("tk", ("hi",))) + GS)
     assert types(session.process_requests(max_requests=10)) == [80, 82, 80]
 
 
@@ -63,7 +63,7 @@ def test_no_more_than_asked_are_answered_at_a_time() -> None:
 @given(st.lists(st.integers(1, 40), max_size=8))
 @settings(max_examples=40)
 def test_any_cuts_give_the_same_replies(cuts: list[int]) -> None:
-    stream = CONNECT + GS + codec.tcp_request(Call("vm", (1, -2, 3))) + GS
+    stream = CONNECT + GS + codec.encode_tcp_request(Call("vm", (1, -2, 3))) + GS
     session, replies = Session(answer), b""
     for cut in [*cuts, len(stream)]:
         session.receive(stream[:cut])
@@ -83,7 +83,7 @@ def test_a_request_behind_a_later_answer_waits_its_turn() -> None:
     session = Session(slow)
     session.receive(CONNECT)
     session.process_requests(max_requests=1)
-    session.receive(codec.tcp_request(Call("ws", (1, 1, 1, 5))) + codec.tcp_request(Call("tk", ("x",))))
+    session.receive(codec.encode_tcp_request(Call("ws", (1, 1, 1, 5))) + codec.encode_tcp_request(Call("tk", ("x",))))
     assert session.process_requests(max_requests=9) == b""
     assert session.waiting
     assert not session.ready
@@ -129,17 +129,17 @@ def test_nothing_but_connect_is_answered_before_connect() -> None:
 
 def test_disconnect_has_no_reply_and_closes() -> None:
     session = connected()
-    session.receive(codec.tcp_request(Call("disconnect_robot", (1, 7))))
+    session.receive(codec.encode_tcp_request(Call("disconnect_robot", (1, 7))))
     assert session.process_requests(max_requests=1) == b""
     assert session.closing
 
 
 def test_a_64_bit_client_is_known_by_its_connect_and_answered_in_kind() -> None:
     session = Session(answer)
-    session.receive(codec.tcp_request(Call("connect_robot", (1, 7)), wide=True))
+    session.receive(codec.encode_tcp_request(Call("connect_robot", (1, 7)), wide=True))
     reply = session.process_requests(max_requests=1)
     assert reply == bytes.fromhex("00520001") + bytes.fromhex("00001b6b00000000")
-    session.receive(b"\x00\x0c\x00\x02" + bytes(16) + codec.tcp_request(Call("gs"), wide=True))
+    session.receive(b"\x00\x0c\x00\x02" + bytes(16) + codec.encode_tcp_request(Call("gs"), wide=True))
     assert types(session.process_requests(max_requests=2), wide=True) == [91, 80]
 
 
@@ -170,7 +170,9 @@ def second_connection(wide: bool = False) -> Session:
 @pytest.mark.parametrize("wide", [False, True])
 def test_an_old_client_goes_on_over_a_second_connection_without_connect(wide: bool) -> None:
     session = second_connection(wide)
-    for byte in codec.tcp_request(Call("tk", ("hi",)), wide=wide) + codec.tcp_request(Call("gs"), wide=wide):
+    for byte in codec.encode_tcp_request(Call("tk", ("hi",)), wide=wide) + codec.encode_tcp_request(
+        Call("gs"), wide=wide
+    ):
         session.receive(bytes([byte]))
     assert types(session.process_requests(max_requests=5), wide=wide) == [82, 80]
     assert session.identity == ClientIdentity(3, wide)

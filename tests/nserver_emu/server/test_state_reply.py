@@ -9,7 +9,7 @@ import pytest
 
 from nclient.protocol.types import EVERYTHING, Mask, Position
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.simulation.acoustics import Cry
+from nserver_emu.simulation.acoustics import Ping
 from nserver_emu.simulation.infrared import InfraredRing
 from nserver_emu.simulation.models import N200
 from nserver_emu.simulation.simulation import Simulation
@@ -23,17 +23,17 @@ from worlds.world import StartPose
 def casts(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
     """How often a sonar's echo and a flash of the infrareds were worked out."""
     counted: Counter[str] = Counter()
-    hear, look = SonarNoise.heard_in, InfraredRing._ranges
+    hear, look = SonarNoise.measured_ranges, InfraredRing._ranges
 
-    def heard(model: SonarNoise, cries: Sequence[Cry], *args: object) -> list[float]:
-        counted["sonar"] += len(cries)
-        return hear(model, cries, *args)  # type: ignore[arg-type]
+    def heard(model: SonarNoise, pings: Sequence[Ping], *args: object) -> list[float]:
+        counted["sonar"] += len(pings)
+        return hear(model, pings, *args)  # type: ignore[arg-type]
 
     def looked(*args: object) -> object:
         counted["infrared"] += 1
         return look(*args)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(SonarNoise, "heard_in", heard)
+    monkeypatch.setattr(SonarNoise, "measured_ranges", heard)
     monkeypatch.setattr(InfraredRing, "_ranges", looked)
     return counted
 

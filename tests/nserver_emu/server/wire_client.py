@@ -34,7 +34,7 @@ class WireClient:
         """One call, one reply."""
         call = Call(name, args)
         codec.update_from_request(call, self.wire_state)
-        (reply,) = self.send(name, codec.tcp_request(call, wide=self.wire_state.wide))
+        (reply,) = self.send(name, codec.encode_tcp_request(call, wide=self.wire_state.wide))
         return reply
 
     def send(self, name: str, data: bytes) -> list[Reply]:
@@ -46,7 +46,7 @@ class WireClient:
         found = self._framer.receive(data)
         frames = [frame for frame in found if isinstance(frame, TcpFrame)]
         assert len(frames) == len(found)
-        return [codec.read_tcp_reply(BY_NAME[name], frame, self.wire_state) for frame in frames]
+        return [codec.decode_tcp_reply(BY_NAME[name], frame, self.wire_state) for frame in frames]
 
 
 def simulation(world: str = "thesis_room", start: StartPose = ORIGIN, noisy: bool = False, seed: int = 0) -> Simulation:

@@ -8,18 +8,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nserver_emu.simulation.segments import once_round, short_way
+from nserver_emu.simulation.segments import wrap_to_2pi, wrap_to_pi
 
 
 @given(st.floats(-1e3, 1e3))
 def test_both_forms_are_the_same_direction(angle: float) -> None:
-    for form, low, high in ((once_round(angle), 0.0, tau), (short_way(angle), -pi, pi)):
+    for form, low, high in ((wrap_to_2pi(angle), 0.0, tau), (wrap_to_pi(angle), -pi, pi)):
         assert low <= form <= high
         assert (cos(form), sin(form)) == pytest.approx((cos(angle), sin(angle)), abs=1e-12)
 
 
 def test_the_ends_of_the_ranges() -> None:
-    assert once_round(-1e-17) == 0.0
-    assert once_round(tau) == 0.0
-    assert short_way(pi) == short_way(-pi) == pi
-    assert short_way(3.5 * pi) == pytest.approx(-0.5 * pi)
+    assert wrap_to_2pi(-1e-17) == 0.0
+    assert wrap_to_2pi(tau) == 0.0
+    assert wrap_to_pi(pi) == wrap_to_pi(-pi) == pi
+    assert wrap_to_pi(3.5 * pi) == pytest.approx(-0.5 * pi)

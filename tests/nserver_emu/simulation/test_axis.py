@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from nserver_emu.simulation.axis import TIME_TOLERANCE_S, Axis, AxisLimits, Mode
 
 LIMITS = AxisLimits(
-    top_speed=20.0, top_acceleration=60.0, least_acceleration=0.1, speed=20.0, acceleration=30.0, resolution=0.1
+    top_speed=20.0, top_acceleration=60.0, min_acceleration=0.1, speed=20.0, acceleration=30.0, resolution=0.1
 )
 
 

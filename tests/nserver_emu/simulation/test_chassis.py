@@ -7,9 +7,9 @@ from math import pi, radians
 import numpy as np
 import pytest
 
-from nserver_emu.simulation.collision import Ground
+from nserver_emu.simulation.collision import WallSet
 from nserver_emu.simulation.drive import Chassis
-from nserver_emu.simulation.segments import Stretch
+from nserver_emu.simulation.segments import ConstantAccelerationSegment
 from worlds.robots import N150
 
 WALLS = np.array(
@@ -18,27 +18,29 @@ WALLS = np.array(
 
 
 def chassis(x: float, y: float) -> Chassis:
-    return Chassis(N150, Ground(WALLS), x, y)
+    return Chassis(N150, WallSet(WALLS), x, y)
 
 
 def test_the_cached_room_changes_no_contact() -> None:
-    chance = np.random.default_rng(2)
+    rng = np.random.default_rng(2)
     kept = chassis(0.0, 0.0)
     contacts = 0
     for _ in range(400):
-        steering = chance.uniform(-pi, pi)
-        stretch = Stretch(chance.uniform(0.01, 0.6), chance.uniform(-20.0, 20.0), 0.0, chance.uniform(-0.7, 0.7), 0.0)
+        steering = rng.uniform(-pi, pi)
+        segment = ConstantAccelerationSegment(
+            rng.uniform(0.01, 0.6), rng.uniform(-20.0, 20.0), 0.0, rng.uniform(-0.7, 0.7), 0.0
+        )
         fresh = chassis(*kept.pose(0.0, 0.0)[:2])
-        found = kept.first_contact(stretch, steering)
-        assert found == fresh.first_contact(stretch, steering)
+        found = kept.first_contact(segment, steering)
+        assert found == fresh.first_contact(segment, steering)
         contacts += found is not None
-        kept.follow(stretch, stretch.duration_s if found is None else found.time_s, steering)
+        kept.follow(segment, segment.duration_s if found is None else found.time_s, steering)
         assert kept.bumpers(0.0) == chassis(*kept.pose(0.0, 0.0)[:2]).bumpers(0.0)
     assert contacts > 10
 
 
 def test_standing_in_a_wall_and_only_steering_is_no_contact() -> None:
-    assert chassis(45.0, 0.0).first_contact(Stretch(1.0, 0.0, 0.0, 0.5, 0.0), 0.0) is None
+    assert chassis(45.0, 0.0).first_contact(ConstantAccelerationSegment(1.0, 0.0, 0.0, 0.5, 0.0), 0.0) is None
 
 
 def test_bumpers_turn_with_the_body_and_see_both_walls_of_a_corner() -> None:
@@ -47,7 +49,7 @@ def test_bumpers_turn_with_the_body_and_see_both_walls_of_a_corner() -> None:
     robot.turn(radians(18.0))
     assert robot.bumpers(0.0) == 1 << 19 | 1 << 4
     assert robot.bumpers(radians(-18.0)) == 1 << 0 | 1 << 5
-    robot.put(0.0, 0.0)
+    robot.place(0.0, 0.0)
     assert robot.bumpers(0.0) == 0
     assert robot.pose(0.5, -0.5) == pytest.approx((0.0, 0.0, 0.5, 2.0 * pi - 0.5))
 
@@ -59,14 +61,14 @@ def test_touching_is_a_thousandth_of_an_inch() -> None:
 
 def test_a_new_ground_is_seen_at_once() -> None:
     robot = chassis(0.0, 0.0)
-    ahead = Stretch(1.0, 5.0, 0.0, 0.0, 0.0)
+    ahead = ConstantAccelerationSegment(1.0, 5.0, 0.0, 0.0, 0.0)
     assert robot.first_contact(ahead, 0.0) is None
-    robot.stand_beside([(20.0, 0.0, 8.0)])
+    robot.set_obstacles([(20.0, 0.0, 8.0)])
     contact = robot.first_contact(ahead, 0.0)
     assert contact is not None
     assert contact.time_s == pytest.approx((20.0 - 8.0 - N150.radius_in) / 5.0)
-    robot.stand_beside(())
-    assert robot.alone
+    robot.set_obstacles(())
+    assert not robot.has_obstacles
     assert robot.first_contact(ahead, 0.0) is None
-    robot.enter(Ground(WALLS * 0.25))
+    robot.set_walls(WallSet(WALLS * 0.25))
     assert robot.first_contact(ahead, 0.0) is not None

@@ -13,7 +13,7 @@ import pytest
 
 from nclient.errors import StartError
 from nserver_emu.simulation.models import N150, N200, SCOUT, RobotModel
-from nserver_emu.simulation.multi_robot import SLACK_IN, TICK_PS, discs_of, near, neighbours
+from nserver_emu.simulation.multi_robot import SLACK_IN, TICK_PS, candidate_pairs, discs_of, neighbours
 from nserver_emu.simulation.noise import IDEAL, NOISY, MotionNoise, RobotSetup
 from nserver_emu.simulation.odometry import Odometry
 from nserver_emu.simulation.simulation import Simulation
@@ -29,9 +29,9 @@ TOUCHING_N200 = N150.body.radius_in + N200.body.radius_in
 def two(room: World, gap_in: float, setup: RobotSetup = IDEAL) -> Simulation:
     """Two N150 on the x axis, face to face, so far apart."""
     simulation = Simulation(room)
-    away = 0.5 * (gap_in + TOUCHING)
-    simulation.add_robot(1, StartPose(-away, 0.0), setup=setup)
-    simulation.add_robot(2, StartPose(away, 0.0, pi, pi), setup=setup)
+    distance = 0.5 * (gap_in + TOUCHING)
+    simulation.add_robot(1, StartPose(-distance, 0.0), setup=setup)
+    simulation.add_robot(2, StartPose(distance, 0.0, pi, pi), setup=setup)
     return simulation
 
 
@@ -77,20 +77,20 @@ def test_two_that_meet_stop_in_the_middle_and_never_overlap(room: World, step_s:
 
 
 def test_a_crowd_never_overlaps_and_runs_the_same_twice(room: World) -> None:
-    def run() -> list[tuple[float, ...]]:
-        simulation, chance = Simulation(room, 3), np.random.default_rng(4)
+    def motion() -> list[tuple[float, ...]]:
+        simulation, rng = Simulation(room, 3), np.random.default_rng(4)
         for number in range(6):
             model = (N150, N200, SCOUT)[number % 3]
             simulation.add_robot(number + 1, StartPose(-60.0 + 24.0 * number, 5.0 * number), model, NOISY)
         for _ in range(40):
             for robot in simulation.robots.values():
-                first, second = chance.uniform(-15.0, 15.0, 2).tolist()
+                first, second = rng.uniform(-15.0, 15.0, 2).tolist()
                 robot.set_velocities(first, second, 0.0)
             simulation.step(0.25)
             assert apart(simulation) >= -1e-6
         return [robot.actual for robot in simulation.robots.values()]
 
-    assert run() == run()
+    assert motion() == motion()
 
 
 def test_sonars_see_the_others(room: World) -> None:
@@ -145,8 +145,8 @@ def test_neighbours_by_their_gaps() -> None:
 
 @pytest.mark.parametrize("count", [2, 7, 60])
 def test_neighbours_are_those_that_a_look_at_all_pairs_finds(count: int) -> None:
-    chance = np.random.default_rng(count)
-    discs = np.column_stack((chance.uniform(-100.0, 100.0, (count, 2)), chance.uniform(5.0, 9.0, count)))
+    rng = np.random.default_rng(count)
+    discs = np.column_stack((rng.uniform(-100.0, 100.0, (count, 2)), rng.uniform(5.0, 9.0, count)))
     pairs = combinations(enumerate(discs.tolist()), 2)
     found = [(row, other) for (row, (x, y, r)), (other, (u, v, s)) in pairs if hypot(x - u, y - v) - r - s < 6.0]
     assert neighbours(discs, 6.0) == found
@@ -155,13 +155,13 @@ def test_neighbours_are_those_that_a_look_at_all_pairs_finds(count: int) -> None
 @pytest.mark.parametrize("model", [N150, SCOUT])
 def test_who_may_meet_depends_on_how_fast_they_go(room: World, model: RobotModel) -> None:
     simulation = Simulation(room)
-    crew = [simulation.add_robot(number, StartPose(35.0 * number, 0.0), model) for number in (0, 1)]
+    robots = [simulation.add_robot(number, StartPose(35.0 * number, 0.0), model) for number in (0, 1)]
     gap = 35.0 - 2.0 * model.body.radius_in
     second = 100 * TICK_PS
-    assert near(crew, second) == []
-    crew[0].set_velocities(15.0, 15.0, 0.0)
-    assert near(crew, round(second * (gap - 2.0 * SLACK_IN) / 15.0)) == []
-    assert near(crew, round(second * gap / 15.0)) == [(0, 1)]
+    assert candidate_pairs(robots, second) == []
+    robots[0].set_velocities(15.0, 15.0, 0.0)
+    assert candidate_pairs(robots, round(second * (gap - 2.0 * SLACK_IN) / 15.0)) == []
+    assert candidate_pairs(robots, round(second * gap / 15.0)) == [(0, 1)]
 
 
 @pytest.mark.parametrize("model", [N150, SCOUT])
@@ -171,39 +171,39 @@ def test_noise_and_bad_wheels_reach_farther(room: World, model: RobotModel) -> N
         Simulation(room).add_robot(1, model=model, setup=setup)
         for setup in (noise, replace(noise, odometry=Odometry(scales=(1.21, 1.21, 1.0))))
     ]
-    assert [robot.reach_in(2.0) for robot in robots] == [0.0, 0.0]
+    assert [robot.max_travel_in(2.0) for robot in robots] == [0.0, 0.0]
     for robot in robots:
         robot.set_velocities(*((10.0, 0.5, 0.0) if model is N150 else (10.0, 6.0, 0.0)))
     turn_rad = 1.0 if model.track_in is None else 2.0 * 16.0 / model.track_in
     std_in = (0.01 * 20.0 + 0.04 * turn_rad) ** 0.5
-    assert robots[0].reach_in(2.0) == pytest.approx(20.0 + 6.0 * std_in)
-    assert robots[1].reach_in(2.0) == pytest.approx(24.2 + 6.6 * std_in)
+    assert robots[0].max_travel_in(2.0) == pytest.approx(20.0 + 6.0 * std_in)
+    assert robots[1].max_travel_in(2.0) == pytest.approx(24.2 + 6.6 * std_in)
     for robot in robots:
         robot.set_velocities(0.0, 0.0, 1.0)
-    assert [robot.reach_in(2.0) for robot in robots] == [0.0, 0.0]
+    assert [robot.max_travel_in(2.0) for robot in robots] == [0.0, 0.0]
 
 
 def roaming(seed: int, world: World, setup: RobotSetup, count: int = 14) -> Iterator[Simulation]:
     """So many robots of three kinds in a small room, told something new every 0.3 s: at each of these instants."""
-    chance, simulation = np.random.default_rng(seed), Simulation(world, seed)
+    rng, simulation = np.random.default_rng(seed), Simulation(world, seed)
     for number in range(count):
         start = StartPose(-75.0 + 37.0 * (number % 5), -60.0 + 40.0 * (number // 5), number, number)
         simulation.add_robot(number + 1, start, (N150, N200, SCOUT)[number % 3], setup)
     for _ in range(25):
         for robot in simulation.robots.values():
-            if chance.uniform() < 0.7:
-                first, second = chance.uniform(-18.0, 18.0, 2).tolist()
+            if rng.uniform() < 0.7:
+                first, second = rng.uniform(-18.0, 18.0, 2).tolist()
                 robot.set_velocities(first, first + 0.2 * second if robot.model is SCOUT else 0.05 * second, 0.1)
         yield simulation
 
 
 def by_ticks(simulation: Simulation, begin_ps: int, end_ps: int) -> None:
     """What `Company.run` does, without a thought for who is where: all by turns in each tick, each against all."""
-    crew = list(simulation.robots.values())
+    robots = list(simulation.robots.values())
     for tick in range(begin_ps // TICK_PS, end_ps // TICK_PS):
-        for turn in range(len(crew)):
-            robot = crew[(tick + turn) % len(crew)]
-            robot.stand_beside([other.disc for other in crew if other is not robot])
+        for turn in range(len(robots)):
+            robot = robots[(tick + turn) % len(robots)]
+            robot.set_obstacles([other.disc for other in robots if other is not robot])
             robot.advance_to((tick + 1) * TICK_PS)
 
 
@@ -238,19 +238,19 @@ def test_a_crowd_that_meets_runs_the_same_twice_and_from_a_copy(room: World, set
 
 @pytest.mark.parametrize("setup", [IDEAL, RobotSetup("ramps", True, IDEAL.motion, IDEAL.sonar)])
 def test_where_a_robot_was_a_while_ago(room: World, setup: RobotSetup) -> None:
-    def crew() -> Simulation:
+    def robots() -> Simulation:
         simulation = two(room, 60.0, setup)
         simulation.step(0.0037)
         simulation.robots[1].set_velocities(20.0, 2.0, 0.0)
         simulation.robots[2].move_relative(0.4, 0.0, 0.0)
         return simulation
 
-    whole = list(crew().robots.values())
+    whole = list(robots().robots.values())
     for robot in whole:
-        robot.begin_track()
+        robot.start_trajectory()
         robot.advance_to(12 * TICK_PS)
     for tick in range(1, 13):
-        again = crew()
+        again = robots()
         for robot in again.robots.values():
             robot.advance_to(tick * TICK_PS)
         np.testing.assert_allclose(discs_of(whole, tick * TICK_PS), discs_of(again.robots.values()), atol=1e-12)
@@ -315,11 +315,11 @@ def test_a_robot_put_elsewhere_is_seen_and_felt_there_at_the_same_instant(room: 
     watcher = simulation.add_robot(1, StartPose(0.0, 0.0), N200)
     other = simulation.add_robot(2, StartPose(50.0, 0.0))
     simulation.step(before_s)
-    clear = watcher.look_with_laser().min()
+    clear = watcher.scan_laser().min()
     simulation.place(2, 0.0, 40.0, 0.0, 0.0)
     watcher.configure_sonars(15, (4,))
     assert watcher.sonar.readings_in[4] == round(40.0 - N150.body.radius_in - N200.body.sonar_ring_radius_in)
-    assert watcher.look_with_laser().min() > clear + 10.0
+    assert watcher.scan_laser().min() > clear + 10.0
     simulation.place(2, TOUCHING_N200, 0.0, 0.0, 0.0)
     assert watcher.bumpers == 1 << 0
     assert other.bumpers == 1 << 10
@@ -333,10 +333,10 @@ def test_robots_that_wake_together_see_each_other_whoever_came_first(room: World
     def wakes(order: tuple[int, ...]) -> list[tuple[int, ...]]:
         simulation = Simulation(room)
         for number in order:
-            simulation.add_robot(number, StartPose(40.0 * number, 0.0, 0.0, 0.0), N200, NOISY, awake=False)
-        assert not any(robot.awake for robot in simulation.robots.values())
-        simulation.wake()
-        simulation.wake()
+            simulation.add_robot(number, StartPose(40.0 * number, 0.0, 0.0, 0.0), N200, NOISY, powered=False)
+        assert not any(robot.powered for robot in simulation.robots.values())
+        simulation.power_on()
+        simulation.power_on()
         return [
             (*robot.sonar.readings_in, *robot.infrared.readings)
             for robot in simulation.robots.values()

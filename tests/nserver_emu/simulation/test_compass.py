@@ -8,7 +8,14 @@ from math import pi, radians, sin, tau
 import numpy as np
 import pytest
 
-from nserver_emu.simulation.compass import INTERVAL_PS, TRUE_NEEDLE, Compass, CompassMode, CompassNoise, last_reading_ps
+from nserver_emu.simulation.compass import (
+    INTERVAL_PS,
+    NO_COMPASS_NOISE,
+    Compass,
+    CompassMode,
+    CompassNoise,
+    last_reading_ps,
+)
 from nserver_emu.simulation.noise import IDEAL, RobotSetup
 from nserver_emu.simulation.robot import SimulatedRobot
 from nserver_emu.simulation.segments import to_ps
@@ -24,7 +31,7 @@ def needle_of(robot: SimulatedRobot) -> Compass:
     return robot.compass
 
 
-def compass(noise: CompassNoise = TRUE_NEEDLE) -> Compass:
+def compass(noise: CompassNoise = NO_COMPASS_NOISE) -> Compass:
     return Compass(noise, 0.0, 0, np.random.default_rng(2))
 
 
@@ -33,8 +40,8 @@ def test_a_reading_is_due_every_tenth_of_a_second_and_the_last_one_counts() -> N
     assert needle.due_ps == INTERVAL_PS
     assert last_reading_ps(INTERVAL_PS) == INTERVAL_PS
     assert last_reading_ps(to_ps(0.78)) == 7 * INTERVAL_PS
-    needle.take(7 * INTERVAL_PS, 1.0, 1.0)
-    assert (needle.direction_rad, needle.taken_ps, needle.due_ps) == (1.0, 7 * INTERVAL_PS, 8 * INTERVAL_PS)
+    needle.read(7 * INTERVAL_PS, 1.0, 1.0)
+    assert (needle.direction_rad, needle.read_ps, needle.due_ps) == (1.0, 7 * INTERVAL_PS, 8 * INTERVAL_PS)
 
 
 @pytest.mark.parametrize("step_s", [0.01, 0.037, 0.5, 3.0])
@@ -64,9 +71,9 @@ def test_the_iron_of_the_robot_bends_it_until_a_full_turn_while_calibrating() ->
     needle = compass(IRON)
 
     def turn(count: int) -> None:
-        start = needle.taken_ps // INTERVAL_PS
+        start = needle.read_ps // INTERVAL_PS
         for number in range(start + 1, start + 1 + count):
-            needle.take(number * INTERVAL_PS, (0.1 * number) % tau, 0.1 * number)
+            needle.read(number * INTERVAL_PS, (0.1 * number) % tau, 0.1 * number)
 
     turn(10)
     assert needle.direction_rad == pytest.approx(1.0 + radians(6.0) * sin(1.0 + IRON.phase_rad))
@@ -82,14 +89,14 @@ def test_the_iron_of_the_robot_bends_it_until_a_full_turn_while_calibrating() ->
 
 def test_switched_off_it_keeps_its_reading_and_no_mode_is_refused() -> None:
     needle = compass()
-    needle.take(INTERVAL_PS, 1.0, 1.0)
+    needle.read(INTERVAL_PS, 1.0, 1.0)
     needle.configure(0, 1.0)
-    needle.take(2 * INTERVAL_PS, 2.0, 2.0)
-    assert (needle.direction_rad, needle.taken_ps) == (1.0, INTERVAL_PS)
+    needle.read(2 * INTERVAL_PS, 2.0, 2.0)
+    assert (needle.direction_rad, needle.read_ps) == (1.0, INTERVAL_PS)
     assert needle.due_ps == 3 * INTERVAL_PS
     needle.configure(1, 2.0)
-    needle.take(3 * INTERVAL_PS, 2.0, 2.0)
-    assert (needle.direction_rad, needle.taken_ps) == (2.0, 3 * INTERVAL_PS)
+    needle.read(3 * INTERVAL_PS, 2.0, 2.0)
+    assert (needle.direction_rad, needle.read_ps) == (2.0, 3 * INTERVAL_PS)
     with pytest.raises(ValueError, match="7"):
         needle.configure(7, 0.0)
 
@@ -99,9 +106,9 @@ def test_noise_has_its_spread_and_each_reading_its_own_whether_looked_at_or_not(
     each, last = compass(noise), compass(noise)
     read = []
     for number in range(1, 2001):
-        each.take(number * INTERVAL_PS, pi, 0.0)
+        each.read(number * INTERVAL_PS, pi, 0.0)
         read.append(each.direction_rad)
-    last.take(2000 * INTERVAL_PS, pi, 0.0)
+    last.read(2000 * INTERVAL_PS, pi, 0.0)
     assert last.direction_rad == each.direction_rad
     assert np.mean(read) == pytest.approx(pi, abs=0.001)
     assert np.std(read) == pytest.approx(0.01, rel=0.08)

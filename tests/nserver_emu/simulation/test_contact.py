@@ -9,20 +9,20 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from nserver_emu.simulation.collision import TOUCH_IN, Contact, Course, Ground, Thing, first_contact
-from nserver_emu.simulation.segments import Stretch
+from nserver_emu.simulation.collision import TOUCH_IN, Capsule, Contact, PlacedSegment, WallSet, first_contact
+from nserver_emu.simulation.segments import ConstantAccelerationSegment
 
 RADIUS = 9.72
 WALL = np.array([[50.0, -40.0, 50.0, 40.0]])
 LONG_WALL = np.array([[50.0, -120.0, 50.0, 120.0]])
 
 
-def all_of(walls: np.ndarray) -> tuple[Thing, ...]:
-    return tuple(Thing(*wall) for wall in walls.tolist())
+def all_of(walls: np.ndarray) -> tuple[Capsule, ...]:
+    return tuple(Capsule(*wall) for wall in walls.tolist())
 
 
-def straight(speed: float, seconds: float) -> Stretch:
-    return Stretch(seconds, speed, 0.0, 0.0, 0.0)
+def straight(speed: float, seconds: float) -> ConstantAccelerationSegment:
+    return ConstantAccelerationSegment(seconds, speed, 0.0, 0.0, 0.0)
 
 
 def gap(walls: np.ndarray, x: float, y: float) -> float:
@@ -34,19 +34,19 @@ def gap(walls: np.ndarray, x: float, y: float) -> float:
 
 def test_head_on() -> None:
     for speed, heading in ((10.0, 0.0), (-10.0, pi)):
-        contact = first_contact(Course(0.0, 3.0, heading, straight(speed, 10.0)), RADIUS, all_of(WALL))
+        contact = first_contact(PlacedSegment(0.0, 3.0, heading, straight(speed, 10.0)), RADIUS, all_of(WALL))
         assert contact is not None
         assert contact.time_s == pytest.approx((50.0 - RADIUS) / 10.0, abs=1e-9)
         assert (contact.away_x, contact.away_y) == pytest.approx((-1.0, 0.0))
 
 
 def test_too_short_a_way_touches_nothing() -> None:
-    assert first_contact(Course(0.0, 3.0, 0.0, straight(10.0, 4.0)), RADIUS, all_of(WALL)) is None
-    assert first_contact(Course(0.0, 0.0, 0.0, straight(10.0, 4.0)), RADIUS, ()) is None
+    assert first_contact(PlacedSegment(0.0, 3.0, 0.0, straight(10.0, 4.0)), RADIUS, all_of(WALL)) is None
+    assert first_contact(PlacedSegment(0.0, 0.0, 0.0, straight(10.0, 4.0)), RADIUS, ()) is None
 
 
 def test_the_end_of_a_wall_is_round() -> None:
-    contact = first_contact(Course(0.0, 45.0, 0.0, straight(10.0, 10.0)), RADIUS, all_of(WALL))
+    contact = first_contact(PlacedSegment(0.0, 45.0, 0.0, straight(10.0, 10.0)), RADIUS, all_of(WALL))
     assert contact is not None
     across = sqrt(RADIUS**2 - 5.0**2)
     assert contact.time_s == pytest.approx((50.0 - across) / 10.0, abs=1e-9)
@@ -54,55 +54,64 @@ def test_the_end_of_a_wall_is_round() -> None:
 
 
 def test_a_disc_is_another_robot() -> None:
-    disc = Thing.disc(40.0, 0.0, 9.0)
-    contact = first_contact(Course(0.0, 0.0, 0.0, straight(10.0, 10.0)), RADIUS, (disc,))
+    disc = Capsule.disc(40.0, 0.0, 9.0)
+    contact = first_contact(PlacedSegment(0.0, 0.0, 0.0, straight(10.0, 10.0)), RADIUS, (disc,))
     assert contact is not None
     assert contact.time_s == pytest.approx((40.0 - 9.0 - RADIUS) / 10.0)
-    assert disc.away(RADIUS, 0.0, 0.0) == pytest.approx((31.0 - RADIUS, -1.0, 0.0))
-    assert disc.away(RADIUS, 40.0, 20.0) == pytest.approx((11.0 - RADIUS, 0.0, 1.0))
+    assert disc.gap_to(RADIUS, 0.0, 0.0) == pytest.approx((31.0 - RADIUS, -1.0, 0.0))
+    assert disc.gap_to(RADIUS, 40.0, 20.0) == pytest.approx((11.0 - RADIUS, 0.0, 1.0))
 
 
 def test_an_accelerated_approach() -> None:
-    course = Course(0.0, 0.0, 0.0, Stretch(10.0, 0.0, 2.0, 0.0, 0.0))
-    contact = first_contact(course, RADIUS, all_of(WALL))
+    placed = PlacedSegment(0.0, 0.0, 0.0, ConstantAccelerationSegment(10.0, 0.0, 2.0, 0.0, 0.0))
+    contact = first_contact(placed, RADIUS, all_of(WALL))
     assert contact is not None
     assert contact.time_s == pytest.approx(sqrt(50.0 - RADIUS), abs=1e-9)
 
 
 def test_an_arc_into_a_wall() -> None:
     radius, rate = 60.0, 0.25
-    course = Course(0.0, -radius, 0.0, Stretch(20.0, radius * rate, 0.0, rate, 0.0))
-    contact = first_contact(course, RADIUS, all_of(LONG_WALL))
+    placed = PlacedSegment(0.0, -radius, 0.0, ConstantAccelerationSegment(20.0, radius * rate, 0.0, rate, 0.0))
+    contact = first_contact(placed, RADIUS, all_of(LONG_WALL))
     assert contact is not None
     turn = rate * contact.time_s
     assert radius * sin(turn) == pytest.approx(50.0 - RADIUS, abs=1e-9)
-    assert course.place(contact.time_s) == pytest.approx((50.0 - RADIUS, -radius * cos(turn)))
+    assert placed.position(contact.time_s) == pytest.approx((50.0 - RADIUS, -radius * cos(turn)))
 
 
 scenes: st.SearchStrategy[np.ndarray] = st.lists(st.tuples(*[st.floats(-60.0, 60.0)] * 4), min_size=1, max_size=4).map(
     np.array
 )
 turns = st.one_of(st.just(0.0), st.floats(-0.8, 0.8))
-runs = st.builds(
-    Stretch, st.floats(0.5, 4.0), st.floats(0.5, 20.0), st.one_of(st.just(0.0), st.floats(0.0, 20.0)), turns, turns
+motions = st.builds(
+    ConstantAccelerationSegment,
+    st.floats(0.5, 4.0),
+    st.floats(0.5, 20.0),
+    st.one_of(st.just(0.0), st.floats(0.0, 20.0)),
+    turns,
+    turns,
 )
 
 
 @settings(max_examples=60)
-@given(scenes, runs, st.floats(-pi, pi), st.sampled_from((1.0, -1.0)))
-@example(np.array([[0.0, 11.0, 6.0, 9.0]]), Stretch(3.0, 1.0, 9.0, 0.0, 0.0), 0.0, 1.0)
-def test_a_slow_march_finds_the_same(things: np.ndarray, run: Stretch, heading: float, way: float) -> None:
-    run = run._replace(speed=way * run.speed, acceleration=way * run.acceleration)
-    if gap(things, 0.0, 0.0) < 0.5:
+@given(scenes, motions, st.floats(-pi, pi), st.sampled_from((1.0, -1.0)))
+@example(np.array([[0.0, 11.0, 6.0, 9.0]]), ConstantAccelerationSegment(3.0, 1.0, 9.0, 0.0, 0.0), 0.0, 1.0)
+def test_a_slow_march_finds_the_same(
+    capsules: np.ndarray, motion: ConstantAccelerationSegment, heading: float, way: float
+) -> None:
+    motion = motion._replace(speed=way * motion.speed, acceleration=way * motion.acceleration)
+    if gap(capsules, 0.0, 0.0) < 0.5:
         return
-    course = Course(0.0, 0.0, heading, run)
-    contact = first_contact(course, RADIUS, all_of(things))
-    end = run.duration_s if contact is None else contact.time_s
-    gaps = [gap(things, *course.place(end * number / 60.0)) for number in range(61)]
+    placed = PlacedSegment(0.0, 0.0, heading, motion)
+    contact = first_contact(placed, RADIUS, all_of(capsules))
+    end = motion.duration_s if contact is None else contact.time_s
+    gaps = [gap(capsules, *placed.position(end * number / 60.0)) for number in range(61)]
     assert min(gaps) > -2e-4
     if contact is not None:
         assert gaps[-1] < 1e-3
-        assert contact.pressed_by(course.heading_rad + run.turn_at(end), run.velocity_at(end) or run.acceleration)
+        assert contact.pressed_by(
+            placed.heading_rad + motion.turn_at(end), motion.velocity_at(end) or motion.acceleration
+        )
 
 
 def test_a_robot_that_touches_may_leave_and_slide_but_not_press_on() -> None:
@@ -110,10 +119,10 @@ def test_a_robot_that_touches_may_leave_and_slide_but_not_press_on() -> None:
     for inset in (0.0, 1e-9, -1e-9, 2.0):
         x = 50.0 - RADIUS + inset
         for heading in (pi / 2, -pi / 2, pi / 2 + 0.01, pi):
-            assert first_contact(Course(x, 0.0, heading, straight(10.0, 1.0)), RADIUS, ground) is None
-            assert first_contact(Course(x, 0.0, heading + pi, straight(-10.0, 1.0)), RADIUS, ground) is None
+            assert first_contact(PlacedSegment(x, 0.0, heading, straight(10.0, 1.0)), RADIUS, ground) is None
+            assert first_contact(PlacedSegment(x, 0.0, heading + pi, straight(-10.0, 1.0)), RADIUS, ground) is None
         for heading in (0.0, 1.5, -1.5):
-            contact = first_contact(Course(x, 0.0, heading, straight(10.0, 1.0)), RADIUS, ground)
+            contact = first_contact(PlacedSegment(x, 0.0, heading, straight(10.0, 1.0)), RADIUS, ground)
             assert contact is not None
             assert contact.time_s == pytest.approx(0.0, abs=1e-8)
             assert contact.pressed_by(heading, 10.0)
@@ -122,8 +131,8 @@ def test_a_robot_that_touches_may_leave_and_slide_but_not_press_on() -> None:
 
 def test_a_path_that_leaves_one_wall_may_meet_another() -> None:
     corner = np.array([[50.0, -40.0, 50.0, 40.0], [-40.0, 40.0, 50.0, 40.0]])
-    course = Course(50.0 - RADIUS, 0.0, pi / 2, straight(10.0, 9.0))
-    contact = first_contact(course, RADIUS, all_of(corner))
+    placed = PlacedSegment(50.0 - RADIUS, 0.0, pi / 2, straight(10.0, 9.0))
+    contact = first_contact(placed, RADIUS, all_of(corner))
     assert contact is not None
     assert contact.time_s == pytest.approx((40.0 - RADIUS) / 10.0)
     assert (contact.away_x, contact.away_y) == pytest.approx((0.0, -1.0))
@@ -132,35 +141,39 @@ def test_a_path_that_leaves_one_wall_may_meet_another() -> None:
 def test_a_grazing_arc_is_found_within_the_chord_error() -> None:
     radius, rate = 30.0, 0.3
     graze = 5e-5
-    course = Course(50.0 - RADIUS - radius + graze, -radius, 0.0, Stretch(12.0, radius * rate, 0.0, rate, 0.0))
-    contact = first_contact(course, RADIUS, all_of(LONG_WALL))
+    placed = PlacedSegment(
+        50.0 - RADIUS - radius + graze, -radius, 0.0, ConstantAccelerationSegment(12.0, radius * rate, 0.0, rate, 0.0)
+    )
+    contact = first_contact(placed, RADIUS, all_of(LONG_WALL))
     end = 12.0 if contact is None else contact.time_s
-    deepest = max(course.place(end * number / 500)[0] for number in range(501)) + RADIUS - 50.0
+    deepest = max(placed.position(end * number / 500)[0] for number in range(501)) + RADIUS - 50.0
     assert deepest < TOUCH_IN / 5.0
 
 
 def test_an_arc_around_a_post_that_its_chords_cut_is_no_worse_than_its_chords() -> None:
-    post = (Thing.disc(0.0, 0.0, 5.0),)
+    post = (Capsule.disc(0.0, 0.0, 5.0),)
     for extra, way in ((2e-5, 1.0), (2e-5, -1.0), (1e-3, 1.0)):
         radius = RADIUS + 5.0 + extra
-        course = Course(radius, 0.0, way * pi / 2, Stretch(2.0, 10.0, 0.0, way * 10.0 / radius, 0.0))
-        contact = first_contact(course, RADIUS, post)
+        placed = PlacedSegment(
+            radius, 0.0, way * pi / 2, ConstantAccelerationSegment(2.0, 10.0, 0.0, way * 10.0 / radius, 0.0)
+        )
+        contact = first_contact(placed, RADIUS, post)
         assert (contact is None) == (extra > 2e-4)
 
 
 def test_a_centre_on_the_wall_may_go_anywhere() -> None:
-    course = Course(50.0, 0.0, 0.3, straight(10.0, 1.0))
-    assert first_contact(course, RADIUS, all_of(WALL)) is None
-    assert all_of(WALL)[0].away(0.0, 50.0, 0.0) == (0.0, 0.0, 0.0)
-    assert Thing.disc(50.0, 0.0, 9.0).away(1.0, 50.0, 0.0) == (-10.0, 0.0, 0.0)
+    placed = PlacedSegment(50.0, 0.0, 0.3, straight(10.0, 1.0))
+    assert first_contact(placed, RADIUS, all_of(WALL)) is None
+    assert all_of(WALL)[0].gap_to(0.0, 50.0, 0.0) == (0.0, 0.0, 0.0)
+    assert Capsule.disc(50.0, 0.0, 9.0).gap_to(1.0, 50.0, 0.0) == (-10.0, 0.0, 0.0)
 
 
 def test_the_ground_tells_the_walls_near_and_how_far_the_others_are() -> None:
-    things, rest = Ground(np.concatenate((WALL, LONG_WALL + 30.0))).near(0.0, 0.0, 50.0)
-    assert (things, rest) == (all_of(WALL), 80.0)
-    assert Ground(WALL).near(0.0, 0.0, 50.0) == (all_of(WALL), inf)
-    assert Ground(WALL).near(0.0, 0.0, 49.9) == ((), 50.0)
-    assert Ground(np.empty((0, 4))).near(0.0, 0.0, 1e4) == ((), inf)
+    capsules, rest = WallSet(np.concatenate((WALL, LONG_WALL + 30.0))).within(0.0, 0.0, 50.0)
+    assert (capsules, rest) == (all_of(WALL), 80.0)
+    assert WallSet(WALL).within(0.0, 0.0, 50.0) == (all_of(WALL), inf)
+    assert WallSet(WALL).within(0.0, 0.0, 49.9) == ((), 50.0)
+    assert WallSet(np.empty((0, 4))).within(0.0, 0.0, 1e4) == ((), inf)
 
 
 def test_pressing_knows_forward_from_backward() -> None:

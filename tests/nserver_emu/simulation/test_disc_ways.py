@@ -9,7 +9,7 @@ from math import asin, cos, hypot, inf, log10, pi, radians, sin, sqrt
 import numpy as np
 import pytest
 
-from nserver_emu.simulation.acoustics import Cry, Polaroid, Scene
+from nserver_emu.simulation.acoustics import Ping, Polaroid, ReflectorMap
 from nserver_emu.simulation.models import N150 as N150_MODEL
 from nserver_emu.simulation.noise import MEASURED, NO_NOISE
 from nserver_emu.simulation.segments import to_ps
@@ -33,8 +33,8 @@ NO_DISCS = np.empty((0, 3))
 NO_WALLS = np.empty((0, 4))
 
 
-def cry(direction_rad: float = 0.0, instant_s: float = 0.0) -> Cry:
-    return Cry(0.0, 0.0, direction_rad, to_ps(instant_s), (0.0, 0.0))
+def ping(direction_rad: float = 0.0, instant_s: float = 0.0) -> Ping:
+    return Ping(0.0, 0.0, direction_rad, to_ps(instant_s), (0.0, 0.0))
 
 
 def disc(away_in: float, bearing_rad: float = 0.0, radius_in: float = RADIUS) -> FloatArray:
@@ -43,10 +43,10 @@ def disc(away_in: float, bearing_rad: float = 0.0, radius_in: float = RADIUS) ->
 
 
 def first(
-    discs: FloatArray, model: Polaroid = MODEL, walls: FloatArray = NO_WALLS, now: Cry | None = None,
-    earlier: tuple[Cry, ...] = (),
+    discs: FloatArray, model: Polaroid = MODEL, walls: FloatArray = NO_WALLS, now: Ping | None = None,
+    earlier: tuple[Ping, ...] = (),
 ) -> float:  # fmt: skip
-    return model.first_in(now or cry(), earlier, Scene(walls), N150, discs)
+    return model.first_echo_in(now or ping(), earlier, ReflectorMap(walls), N150, discs)
 
 
 def rays(count: int) -> tuple[FloatArray, FloatArray]:
@@ -88,51 +88,51 @@ def test_the_nearest_loud_point_of_the_robots_in_the_cone_is_heard(seed: int) ->
     model = replace(MODEL, edge_loss_db=inf)
     angles, ways = rays(4001)
     ranges, cosines = met_by(ways, discs, walls)
-    rim_db = MODEL.cone_loss_db * (angles / HALF) ** 2 + MODEL.way_loss_db_in * ranges
+    rim_db = MODEL.cone_loss_db * (angles / HALF) ** 2 + MODEL.absorption_db_in * ranges
     loud = rim_db + MODEL.skin_loss_db <= MODEL.margin_db
     for x, y, radius in discs:
         spread_db = 10.0 * log10(1.0 + (hypot(x - FACE, y) - radius) / radius)
         ours = np.abs(np.hypot(FACE + ranges * ways[:, 0] - x, ranges * ways[:, 1] - y) - radius) < 1e-6
         loud |= ours & (cosines > 1.0 - 1e-5) & (rim_db + spread_db <= MODEL.margin_db)
     expected = ranges[loud].min(initial=inf)
-    off_the_wall = model.first_in(cry(), (), Scene(walls), N150)
+    off_the_wall = model.first_echo_in(ping(), (), ReflectorMap(walls), N150)
     heard = first(discs, model, walls)
     assert heard == pytest.approx(min(expected - MODEL.recess_in, off_the_wall), abs=0.5)
 
 
-@pytest.mark.parametrize("away", [12.0, 40.0, 90.0, 250.0])
-def test_a_round_robot_spreads_the_sound_as_a_bundle_of_rays(away: float) -> None:
+@pytest.mark.parametrize("distance", [12.0, 40.0, 90.0, 250.0])
+def test_a_round_robot_spreads_the_sound_as_a_bundle_of_rays(distance: float) -> None:
     """Two rays close together come back so much farther apart than off a wall; the reach is where that is too soft."""
     angle = 1e-5
-    sideways = away * sin(angle) / RADIUS
+    sideways = distance * sin(angle) / RADIUS
     struck = asin(sideways)
-    range_in = away * cos(angle) - RADIUS * sqrt(1.0 - sideways**2)
+    range_in = distance * cos(angle) - RADIUS * sqrt(1.0 - sideways**2)
     turned = pi + angle - 2.0 * struck
     back = np.array([range_in * cos(angle), range_in * sin(angle)])
     apart = abs(back[1] + (-back[0] / cos(turned)) * sin(turned))
-    gap = away - RADIUS
+    gap = distance - RADIUS
     spread_db = 10.0 * log10(apart / (2.0 * gap * angle))
-    needed_db = spread_db + MODEL.way_loss_db_in * gap
-    assert first(disc(away), replace(ROUND, margin_db=needed_db + 0.01)) == pytest.approx(gap - MODEL.recess_in)
-    assert first(disc(away), replace(ROUND, margin_db=needed_db - 0.01)) == inf
+    needed_db = spread_db + MODEL.absorption_db_in * gap
+    assert first(disc(distance), replace(ROUND, margin_db=needed_db + 0.01)) == pytest.approx(gap - MODEL.recess_in)
+    assert first(disc(distance), replace(ROUND, margin_db=needed_db - 0.01)) == inf
 
 
-@pytest.mark.parametrize(("bearing_deg", "away"), [(5.0, 50.0), (11.25, 80.0), (16.0, 30.0)])
-def test_a_neighbour_hears_off_the_round_what_obeys_the_law_of_reflection(bearing_deg: float, away: float) -> None:
+@pytest.mark.parametrize(("bearing_deg", "distance"), [(5.0, 50.0), (11.25, 80.0), (16.0, 30.0)])
+def test_a_neighbour_hears_off_the_round_what_obeys_the_law_of_reflection(bearing_deg: float, distance: float) -> None:
     """The shortest way by the rim, sought over 200,001 of its points, is the mirror's."""
-    one, other = cry(0.0), cry(radians(22.5), 0.001)
-    target = disc(away, radians(bearing_deg))
+    one, other = ping(0.0), ping(radians(22.5), 0.001)
+    target = disc(distance, radians(bearing_deg))
     x, y, radius = target[0]
     around = np.linspace(0.0, 2.0 * pi, 200_001)
     rim = np.stack((x + radius * np.cos(around), y + radius * np.sin(around)), axis=1)
     faces = [(FACE, 0.0), (FACE * cos(radians(22.5)), FACE * sin(radians(22.5)))]
     there, back = (np.hypot(rim[:, 0] - u, rim[:, 1] - v) for u, v in faces)
     length = float((there + back).min())
-    own = hypot(x - faces[1][0], y - faces[1][1]) - radius - MODEL.recess_in
+    self_index = hypot(x - faces[1][0], y - faces[1][1]) - radius - MODEL.recess_in
     cross = (length - 0.001 * MODEL.sound_in_s) / 2.0 - MODEL.recess_in
     wide = replace(LOUD, cone_rad=pi / 2.0)
-    assert first(target, wide, now=other, earlier=(one,)) == pytest.approx(min(own, cross), abs=1e-6)
-    assert cross < own
+    assert first(target, wide, now=other, earlier=(one,)) == pytest.approx(min(self_index, cross), abs=1e-6)
+    assert cross < self_index
 
 
 # Closed forms of the cone
@@ -173,7 +173,7 @@ def test_a_robot_hides_walls_and_a_wall_hides_robots() -> None:
     back_wall = np.array([[x, -300.0, x, 300.0]])
     narrow = disc(50.0, 0.0, 3.0)
     assert first(NO_DISCS, LOUD, back_wall) == pytest.approx(99.5)
-    deaf_to_robots = replace(LOUD, margin_db=11.0, way_loss_db_in=0.0)
+    deaf_to_robots = replace(LOUD, margin_db=11.0, absorption_db_in=0.0)
     assert first(narrow, LOUD, back_wall) == pytest.approx(46.5)
     assert first(narrow, deaf_to_robots, back_wall) == inf
     assert first(disc(50.0, 0.1, 3.0), deaf_to_robots, back_wall) == pytest.approx(99.5)
@@ -188,7 +188,7 @@ def test_a_slanted_wall_shows_the_robot_that_it_mirrors_too_far_away() -> None:
     mirror = np.array([[x - 10.0, -10.0, x + 10.0, 10.0]])
     robot = np.array([[x, 70.0, RADIUS]])
     assert first(robot, LOUD, mirror) == pytest.approx(50.0 + 70.0 - RADIUS - 0.5)
-    needed_db = 2.0 * MODEL.bounce_loss_db + MODEL.way_loss_db_in * (120.0 - RADIUS) + 10.0 * log10(120.0 / RADIUS)
+    needed_db = 2.0 * MODEL.bounce_loss_db + MODEL.absorption_db_in * (120.0 - RADIUS) + 10.0 * log10(120.0 / RADIUS)
     mute = replace(ROUND, edge_loss_db=inf)
     assert first(robot, replace(mute, margin_db=needed_db + 0.01), mirror) < inf
     assert first(robot, replace(mute, margin_db=needed_db - 0.01), mirror) == inf

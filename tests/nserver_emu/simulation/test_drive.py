@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from nserver_emu.simulation.drive import DifferentialDrive, SynchroDrive
 from nserver_emu.simulation.models import N150, SCOUT, SCOUT_TRACK_IN
-from nserver_emu.simulation.segments import Stretch
+from nserver_emu.simulation.segments import ConstantAccelerationSegment
 
 
 def drive(ramps: bool = False) -> SynchroDrive:
@@ -19,25 +19,25 @@ def drive(ramps: bool = False) -> SynchroDrive:
 
 def test_a_stretch_ends_where_a_wheel_changes_its_acceleration() -> None:
     wheels = drive()
-    assert wheels.stretch(5.0) == Stretch(5.0, 0.0, 0.0, 0.0, 0.0)
+    assert wheels.segment(5.0) == ConstantAccelerationSegment(5.0, 0.0, 0.0, 0.0, 0.0)
     wheels.translation.move_by(-10.0)
     wheels.steering.move_at(0.5)
-    assert wheels.stretch(5.0) == Stretch(0.5, -20.0, 0.0, 0.5, 0.0)
-    assert wheels.stretch(0.1).duration_s == 0.1
+    assert wheels.segment(5.0) == ConstantAccelerationSegment(0.5, -20.0, 0.0, 0.5, 0.0)
+    assert wheels.segment(0.1).duration_s == 0.1
     ramped = drive(ramps=True)
     ramped.steering.move_at(radians(25.0))
-    assert ramped.stretch(inf) == pytest.approx((0.5, 0.0, 0.0, 0.0, radians(50.0)))
+    assert ramped.segment(inf) == pytest.approx((0.5, 0.0, 0.0, 0.0, radians(50.0)))
 
 
 def test_the_turret_does_not_cut_the_path() -> None:
     wheels = drive()
     wheels.turret.move_by(0.1)
-    assert wheels.stretch(5.0).duration_s == 5.0
+    assert wheels.segment(5.0).duration_s == 5.0
 
 
 def test_angles_follow_their_axes() -> None:
     wheels = drive()
-    wheels.put(1.0, -2.0)
+    wheels.set_angles(1.0, -2.0)
     wheels.steering.move_at(0.5)
     wheels.turret.move_by(0.25)
     wheels.advance(2.0)
@@ -56,7 +56,7 @@ def test_a_blocked_drive_still_steers() -> None:
 @pytest.mark.parametrize("steering", [0.0, 0.4, -0.4, pi + 0.1, 9.0 * pi])
 def test_zero_is_sought_the_short_way(steering: float) -> None:
     wheels = drive()
-    wheels.put(steering, -steering)
+    wheels.set_angles(steering, -steering)
     wheels.steering.set_speed(0.3)
     wheels.turret.set_speed(0.0)
     wheels.translation.move_at(5.0)
@@ -69,7 +69,7 @@ def test_zero_is_sought_the_short_way(steering: float) -> None:
         assert angle % (2.0 * pi) == pytest.approx(0.0, abs=1e-9) or angle % (2.0 * pi) == pytest.approx(2.0 * pi)
     assert abs(wheels.steering_rad - steering) <= pi + 1e-9
     assert not any(axis.moving for axis in wheels.axes)
-    wheels.found_zero()
+    wheels.finish_zero()
     assert (wheels.steering_rad, wheels.turret_rad) == (0.0, 0.0)
 
 
@@ -81,17 +81,17 @@ def two_wheels(right: float, left: float, ramps: bool = False) -> DifferentialDr
     return wheels
 
 
-def driven(wheels: DifferentialDrive, span_s: float) -> tuple[float, float, float]:
+def displacement_of(wheels: DifferentialDrive, span_s: float) -> tuple[float, float, float]:
     """(x, y, heading) after so long, by the stretches that the drive hands out."""
     x = y = 0.0
     while span_s > 1e-12:
-        stretch = wheels.stretch(span_s)
-        dx, dy = stretch.displacement(wheels.heading_rad, stretch.duration_s)
+        segment = wheels.segment(span_s)
+        dx, dy = segment.displacement(wheels.heading_rad, segment.duration_s)
         x, y = x + dx, y + dy
-        assert wheels.heading_rad + stretch.turn_at(stretch.duration_s) == pytest.approx(
-            advanced(wheels, stretch.duration_s), abs=1e-9
+        assert wheels.heading_rad + segment.turn_at(segment.duration_s) == pytest.approx(
+            advanced(wheels, segment.duration_s), abs=1e-9
         )
-        span_s -= stretch.duration_s
+        span_s -= segment.duration_s
     return x, y, wheels.heading_rad
 
 
@@ -120,12 +120,12 @@ def test_a_degree_on_the_spot_takes_the_rate_constant_of_each_wheel() -> None:
     wheels = DifferentialDrive(SCOUT.axes, False, SCOUT_TRACK_IN)
     wheels.right.move_by(90.0 * 0.118597)
     wheels.left.move_by(-90.0 * 0.118597)
-    assert driven(wheels, 5.0) == pytest.approx((0.0, 0.0, radians(90.0)), abs=1e-9)
+    assert displacement_of(wheels, 5.0) == pytest.approx((0.0, 0.0, radians(90.0)), abs=1e-9)
 
 
 @pytest.mark.parametrize(("right", "left"), [(10.0, 6.0), (-10.0, 6.0), (3.0, -8.0), (0.0, 5.0), (7.0, 7.0)])
 def test_constant_wheel_speeds_draw_the_arc(right: float, left: float) -> None:
-    x, y, heading = driven(two_wheels(right, left), 1.5)
+    x, y, heading = displacement_of(two_wheels(right, left), 1.5)
     assert heading == pytest.approx((right - left) / SCOUT_TRACK_IN * 1.5)
     if right == left:
         assert (x, y) == (10.5, 0.0)
@@ -140,26 +140,26 @@ def test_constant_wheel_speeds_draw_the_arc(right: float, left: float) -> None:
 def test_ramps_follow_a_slow_march(right: float, left: float, back_r: bool, back_l: bool, span: float) -> None:
     right, left = (-right if back_r else right), (-left if back_l else left)
     expected = marched(right, left, span, ramp=30.0)
-    assert driven(two_wheels(right, left, ramps=True), span) == pytest.approx(expected, abs=2e-3)
+    assert displacement_of(two_wheels(right, left, ramps=True), span) == pytest.approx(expected, abs=2e-3)
 
 
 def test_a_stretch_ends_where_the_robot_turns_back() -> None:
     wheels = two_wheels(20.0, 4.0, ramps=True)
     wheels.advance(2.0)
     wheels.right.move_at(-20.0)
-    stretch = wheels.stretch(5.0)
-    assert stretch.velocity_at(stretch.duration_s) >= 0.0
-    assert (stretch.duration_s, stretch.speed, stretch.acceleration) == pytest.approx((20.0 / 30.0, 12.0, -15.0))
-    wheels.advance(stretch.duration_s)
-    assert wheels.stretch(5.0).duration_s == pytest.approx(4.0 / 30.0, abs=1e-9)
+    segment = wheels.segment(5.0)
+    assert segment.velocity_at(segment.duration_s) >= 0.0
+    assert (segment.duration_s, segment.speed, segment.acceleration) == pytest.approx((20.0 / 30.0, 12.0, -15.0))
+    wheels.advance(segment.duration_s)
+    assert wheels.segment(5.0).duration_s == pytest.approx(4.0 / 30.0, abs=1e-9)
     wheels.advance(4.0 / 30.0)
-    assert wheels.stretch(5.0).duration_s == pytest.approx(16.0 / 30.0, abs=1e-9)
+    assert wheels.segment(5.0).duration_s == pytest.approx(16.0 / 30.0, abs=1e-9)
 
 
 def test_steering_turret_and_bumpers_are_the_heading() -> None:
     wheels = two_wheels(5.0, 0.0)
-    wheels.put(0.5, 2.0)
-    assert wheels.possible(0.5, 2.0) == (0.5, 0.5)
+    wheels.set_angles(0.5, 2.0)
+    assert wheels.feasible_angles(0.5, 2.0) == (0.5, 0.5)
     assert wheels.steering_rad == wheels.turret_rad == wheels.bumper_frame_rad == 0.5
 
 
@@ -174,8 +174,8 @@ def test_a_blocked_scout_stops_both_wheels_and_the_third_axis_never_moves() -> N
 
 def test_a_scout_has_no_zero_to_seek() -> None:
     wheels = two_wheels(5.0, 4.0)
-    wheels.put(radians(30.0), 0.0)
+    wheels.set_angles(radians(30.0), 0.0)
     wheels.seek_zero()
-    wheels.found_zero()
+    wheels.finish_zero()
     assert not any(axis.moving for axis in wheels.axes)
     assert degrees(wheels.heading_rad) == pytest.approx(30.0)

@@ -7,9 +7,9 @@ from math import pi
 import pytest
 
 from nserver_emu.simulation.odometry import Encoders
-from nserver_emu.simulation.segments import Stretch
+from nserver_emu.simulation.segments import ConstantAccelerationSegment
 
-AHEAD = Stretch(2.0, 5.0, 0.0, 0.0, 0.0)
+AHEAD = ConstantAccelerationSegment(2.0, 5.0, 0.0, 0.0, 0.0)
 
 
 def test_reckoning_follows_the_steering_it_believes() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from nserver_emu.simulation.models import MODELS, N150, RobotModel, parse_models
-from nserver_emu.simulation.noise import IDEAL, MEASURED, WORN, Identity, setup_of
+from nserver_emu.simulation.noise import IDEAL, MEASURED, WORN, RngFactory, apply_calibration
 from nserver_emu.simulation.robot import SimulatedRobot
 from worlds.io import load_world
 from worlds.robots import Calibration
@@ -21,13 +21,13 @@ START = StartPose(40.0, 40.0)
 
 
 def robot_of(model: RobotModel) -> SimulatedRobot:
-    return SimulatedRobot(Identity(1, 0), START, WALLS, model)
+    return SimulatedRobot(RngFactory(1, 0), START, WALLS, model)
 
 
 @pytest.mark.parametrize("name", MODELS)
 def test_ways_and_turns_are_as_the_file_says_on_every_drive(name: str) -> None:
     """Ten inches and half a turn counted, whatever the axes are."""
-    robot = robot_of(replace(MODELS[name], errs=ERRS))
+    robot = robot_of(replace(MODELS[name], calibration=ERRS))
     track = MODELS[name].track_in
     turn = 0.5 * tau
     if track is None:
@@ -50,20 +50,20 @@ def test_ways_and_turns_are_as_the_file_says_on_every_drive(name: str) -> None:
 def test_each_sonar_reads_more_and_the_ring_looks_elsewhere() -> None:
     offsets = ERRS.offsets_in
     plain = robot_of(N150)
-    shifted = robot_of(replace(N150, errs=replace(ERRS, turned_rad=0.0)))
-    near = plain.sonar.readings_in
+    shifted = robot_of(replace(N150, calibration=replace(ERRS, turned_rad=0.0)))
+    unshifted = plain.sonar.readings_in
     for sonar, (read, more) in enumerate(zip(shifted.sonar.readings_in, offsets, strict=True)):
-        assert read - near[sonar] == pytest.approx(more, abs=0.5)
-    turned = robot_of(replace(N150, errs=Calibration(turned_rad=radians(5.0))))
-    aimed = SimulatedRobot(Identity(1, 0), StartPose(40.0, 40.0, 0.0, radians(5.0)), WALLS, N150)
+        assert read - unshifted[sonar] == pytest.approx(more, abs=0.5)
+    turned = robot_of(replace(N150, calibration=Calibration(turned_rad=radians(5.0))))
+    aimed = SimulatedRobot(RngFactory(1, 0), StartPose(40.0, 40.0, 0.0, radians(5.0)), WALLS, N150)
     assert turned.sonar.readings_in == aimed.sonar.readings_in
     assert turned.sonar.readings_in != plain.sonar.readings_in
 
 
 def test_a_polaroid_ring_errs_the_same_way() -> None:
-    plain = SimulatedRobot(Identity(1, 0), START, WALLS, N150, MEASURED)
-    errs = Calibration(offsets_in=(3.0,) * 16)
-    shifted = SimulatedRobot(Identity(1, 0), START, WALLS, replace(N150, errs=errs), MEASURED)
+    plain = SimulatedRobot(RngFactory(1, 0), START, WALLS, N150, MEASURED)
+    calibration = Calibration(offsets_in=(3.0,) * 16)
+    shifted = SimulatedRobot(RngFactory(1, 0), START, WALLS, replace(N150, calibration=calibration), MEASURED)
     pairs = list(zip(plain.sonar.readings_in, shifted.sonar.readings_in, strict=True))
     heard = [(one, other) for one, other in pairs if one < 250]
     assert len(heard) > 4
@@ -72,16 +72,16 @@ def test_a_polaroid_ring_errs_the_same_way() -> None:
 
 
 def test_a_model_of_which_nothing_is_known_is_as_its_setup() -> None:
-    assert setup_of(N150, WORN) is WORN
-    own = setup_of(replace(N150, errs=ERRS), WORN)
-    assert own.odometry.slip_in == WORN.odometry.slip_in
-    assert own.odometry.scales == (1.04, 0.97, 1.0)
-    assert own.sonar.std_share == WORN.sonar.std_share
+    assert apply_calibration(N150, WORN) is WORN
+    setup = apply_calibration(replace(N150, calibration=ERRS), WORN)
+    assert setup.odometry.slip_in == WORN.odometry.slip_in
+    assert setup.odometry.scales == (1.04, 0.97, 1.0)
+    assert setup.sonar.range_std_relative == WORN.sonar.range_std_relative
 
 
 def test_model_files_say_it() -> None:
     text = '[[model]]\nname = "n150"\n[model.odometry]\nway_scale = 1.04\n[[model]]\nname = "twin"\nlike = "n150"\n'
     models = parse_models(text, "mine.toml")
-    assert models["n150"].errs == models["twin"].errs == Calibration(way_scale=1.04)
-    assert models["n200"].errs is None
-    assert setup_of(models["n150"], IDEAL).odometry.scales[0] == 1.04
+    assert models["n150"].calibration == models["twin"].calibration == Calibration(way_scale=1.04)
+    assert models["n200"].calibration is None
+    assert apply_calibration(models["n150"], IDEAL).odometry.scales[0] == 1.04

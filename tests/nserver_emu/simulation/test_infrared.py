@@ -7,14 +7,14 @@ from math import cos, radians, sqrt
 import numpy as np
 import pytest
 
-from nserver_emu.simulation.infrared import CLEAR_SIGHT, INTERVAL_PS, InfraredNoise, InfraredRing
-from nserver_emu.simulation.segments import NEVER_PS, Pose, Stamp
-from nserver_emu.simulation.visibility import Eye, Sighting
+from nserver_emu.simulation.infrared import INTERVAL_PS, NO_INFRARED_NOISE, InfraredNoise, InfraredRing
+from nserver_emu.simulation.segments import TIME_MAX_PS, Pose, Stamp
+from nserver_emu.simulation.visibility import RobotPositions, SensorPose
 from worlds.robots import N200
 
 pytestmark = pytest.mark.long
 
-HERE = Eye(0.0, 0.0, 0.0)
+HERE = SensorPose(0.0, 0.0, 0.0)
 ALL = tuple(range(16))
 
 
@@ -28,7 +28,7 @@ def wall(gap: float, slant_rad: float = 0.0) -> np.ndarray:
     return np.array([[*(middle - way), *(middle + way)]])
 
 
-def ring(walls: np.ndarray, noise: InfraredNoise = CLEAR_SIGHT) -> InfraredRing:
+def ring(walls: np.ndarray, noise: InfraredNoise = NO_INFRARED_NOISE) -> InfraredRing:
     return InfraredRing(N200, noise, walls, 0, np.random.default_rng(5))
 
 
@@ -48,7 +48,7 @@ def test_the_ring_flashes_every_60_ms_and_is_off_without_sensors() -> None:
         sensors.flash_due(HERE, stamp(number))
     assert sensors.stamps == (stamp(2),) * 16
     sensors.configure(0, (255, 0), 9)
-    assert sensors.due_ps == NEVER_PS
+    assert sensors.due_ps == TIME_MAX_PS
     assert sensors.readings[0] == 5
 
 
@@ -78,7 +78,7 @@ def test_looking_often_or_late_gives_the_same_readings() -> None:
         sensors.configure(8, ALL, 0)
     for number in range(150):
         for sensors in (often, late):
-            sensors.flash_due(Eye(0.01 * number, 0.0, 0.1 * number), stamp())
+            sensors.flash_due(SensorPose(0.01 * number, 0.0, 0.1 * number), stamp())
         seen = often.readings
     assert late.readings == seen
 
@@ -86,10 +86,10 @@ def test_looking_often_or_late_gives_the_same_readings() -> None:
 def test_a_flash_meets_the_walls_of_its_instant_and_other_robots() -> None:
     sensors = ring(wall(5.0))
     sensors.flash_due(HERE, stamp())
-    sensors.surround(np.empty((0, 4)))
+    sensors.set_walls(np.empty((0, 4)))
     assert sensors.readings[0] == 5
     others = np.array([[0.0, 0.0, 9.0], [26.0, 0.0, 9.0]])
-    sensors.flash_due(Eye(0.0, 0.0, 0.0, Sighting(others), 0), stamp())
+    sensors.flash_due(SensorPose(0.0, 0.0, 0.0, RobotPositions(others), 0), stamp())
     assert sensors.readings[0] == 8
 
 
@@ -98,7 +98,7 @@ def test_slanted_walls_look_farther_and_ranges_are_noisy_as_told() -> None:
     sensors = ring(wall(8.0, slant), InfraredNoise(slanted=True))
     sensors.flash_due(HERE, stamp())
     assert sensors.readings[0] == round(8.0 / sqrt(cos(slant)))
-    noisy = ring(wall(8.0), InfraredNoise(std_share=0.1))
+    noisy = ring(wall(8.0), InfraredNoise(range_std_relative=0.1))
     readings = []
     for _ in range(2000):
         noisy.flash_due(HERE, stamp())
@@ -117,7 +117,7 @@ def test_the_nearest_of_walls_and_robots_counts_at_its_own_slant(seed: int) -> N
     walls = np.array([[-30.0, -25.0, 30.0, -28.0], [30.0, -28.0, 25.0, 30.0], [-20.0, 33.0, -28.0, -25.0]])
     sensors = ring(walls, InfraredNoise(slanted=True))
     turret = rng.uniform(-3.0, 3.0)
-    sensors.flash_due(Eye(0.0, 0.0, turret, Sighting(discs), 2), stamp())
+    sensors.flash_due(SensorPose(0.0, 0.0, turret, RobotPositions(discs), 2), stamp())
     for number, reading in enumerate(sensors.readings):
         way = np.array([cos(turret + number * radians(22.5)), np.sin(turret + number * radians(22.5))])
         met = [(float("inf"), 1.0)]

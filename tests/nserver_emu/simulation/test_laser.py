@@ -7,12 +7,12 @@ from math import asin, atan2, cos, hypot, inf, pi, radians, sin
 import numpy as np
 import pytest
 
-from nserver_emu.simulation.laser import ANGLES_RAD, COLUMNS, LineFit, lines, pixels, points, ranges, thinned
-from nserver_emu.simulation.visibility import Eye, Sighting
+from nserver_emu.simulation.laser import ANGLES_RAD, COLUMNS, LineFit, lines, pixels, points, ranges, select_columns
+from nserver_emu.simulation.visibility import RobotPositions, SensorPose
 from worlds.robots import N200
 
 RADIUS = N200.radius_in
-HERE = Eye(0.0, 0.0, 0.0)
+HERE = SensorPose(0.0, 0.0, 0.0)
 
 
 def ahead(gap: float, half: float = 500.0) -> np.ndarray:
@@ -34,7 +34,7 @@ def test_points_lie_on_the_wall_in_the_frame_of_the_turret() -> None:
     normal, distance = np.array([cos(2.2), sin(2.2)]), 90.0
     along = np.array([-normal[1], normal[0]]) * 400.0
     foot = np.array([x, y]) + distance * normal
-    found = points(ranges(Eye(x, y, turret), np.array([[*(foot - along), *(foot + along)]]), N200), N200)
+    found = points(ranges(SensorPose(x, y, turret), np.array([[*(foot - along), *(foot + along)]]), N200), N200)
     assert len(found) == COLUMNS
     back = np.array([[cos(turret), sin(turret)], [-sin(turret), cos(turret)]])
     assert (found @ back) @ normal == pytest.approx(np.full(COLUMNS, distance))
@@ -43,19 +43,19 @@ def test_points_lie_on_the_wall_in_the_frame_of_the_turret() -> None:
 
 def test_another_robot_is_seen() -> None:
     discs = np.array([[0.0, 0.0, 9.0], [0.0, 50.0, 9.0]])
-    seen = ranges(Eye(0.0, 0.0, pi / 2, Sighting(discs), 0), np.empty((0, 4)), N200)
+    seen = ranges(SensorPose(0.0, 0.0, pi / 2, RobotPositions(discs), 0), np.empty((0, 4)), N200)
     assert seen.min() == pytest.approx(50.0 - 18.0, abs=1e-3)
 
 
 def test_another_robot_shows_its_arc_and_hides_the_wall_behind_it() -> None:
     discs = np.array([[70.0, 5.0, 9.72], [0.0, 0.0, 9.0]])
-    found = points(ranges(Eye(0.0, 0.0, 0.0, Sighting(discs), 1), ahead(100.0), N200), N200)
+    found = points(ranges(SensorPose(0.0, 0.0, 0.0, RobotPositions(discs), 1), ahead(100.0), N200), N200)
     assert len(found) == COLUMNS
     off_rim = np.hypot(found[:, 0] - 70.0, found[:, 1] - 5.0)
     on_arc = np.isclose(off_rim, 9.72, atol=1e-9)
     assert found[~on_arc, 0] == pytest.approx(np.full((~on_arc).sum(), 109.0))
-    away, middle = hypot(70.0 - RADIUS, 5.0), atan2(5.0, 70.0 - RADIUS)
-    assert (on_arc == (np.abs(ANGLES_RAD - middle) < asin(9.72 / away))).all()
+    distance, middle = hypot(70.0 - RADIUS, 5.0), atan2(5.0, 70.0 - RADIUS)
+    assert (on_arc == (np.abs(ANGLES_RAD - middle) < asin(9.72 / distance))).all()
 
 
 def test_pixels_grow_towards_the_robot_and_columns_can_be_thinned() -> None:
@@ -64,8 +64,8 @@ def test_pixels_grow_towards_the_robot_and_columns_can_be_thinned() -> None:
     assert rows[0] == 0
     seen = ranges(HERE, ahead(60.0), N200)
     for most in (1, 7, 100, 481):
-        assert (thinned(seen, most) < inf).sum() == most
-    assert thinned(seen, 0) is seen
+        assert (select_columns(seen, most) < inf).sum() == most
+    assert select_columns(seen, 0) is seen
 
 
 def test_a_room_corner_and_a_gap_become_three_lines() -> None:

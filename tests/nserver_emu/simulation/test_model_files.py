@@ -47,7 +47,7 @@ def test_known_models_stay_and_new_ones_are_made_from_them() -> None:
 def test_a_model_may_lack_a_compass_or_have_one() -> None:
     text = '[[model]]\nname = "n150"\ncompass = false\n[[model]]\nname = "needle"\nlike = "scout"\ncompass = true\n'
     models = parse_models(text, "mine.toml")
-    assert {name: model.compass for name, model in models.items()} == {
+    assert {name: model.has_compass for name, model in models.items()} == {
         "n150": False, "n200": True, "scout": False, "needle": True
     }  # fmt: skip
     with pytest.raises(WorldFileError, match=r"compass: expected true or false, found 1"):

@@ -15,7 +15,7 @@ from worlds.robots import BODIES
 def test_the_synchro_drives(name: str) -> None:
     model = MODELS[name]
     assert isinstance(model.drive(ramps=True), SynchroDrive)
-    assert model.rolls == (True, False, False)
+    assert model.in_inches == (True, False, False)
     assert [axis.top_speed for axis in model.axes] == [20.0, radians(45.0), radians(45.0)]
     assert [axis.acceleration for axis in model.axes] == [30.0, radians(50.0), radians(50.0)]
 
@@ -26,7 +26,7 @@ def test_the_scout() -> None:
     assert model.track_in == pytest.approx(13.590, abs=5e-4)
     assert [axis.top_speed for axis in model.axes] == [39.0, 39.0, 0.0]
     assert [axis.acceleration for axis in model.axes[:2]] == [30.0, 30.0]
-    assert model.rolls == (True, True, False)
+    assert model.in_inches == (True, True, False)
 
 
 @pytest.mark.parametrize("model", MODELS.values(), ids=lambda model: model.name)
@@ -42,4 +42,4 @@ def test_every_model_is_consistent() -> None:
             if axis is NO_AXIS:
                 continue
             assert 0.0 < axis.resolution < axis.speed <= axis.top_speed
-            assert 0.0 < axis.least_acceleration < axis.acceleration <= axis.top_acceleration
+            assert 0.0 < axis.min_acceleration < axis.acceleration <= axis.top_acceleration

@@ -5,24 +5,24 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nserver_emu.simulation.noise import Identity, MotionNoise, Purpose
-from nserver_emu.simulation.segments import Stretch
+from nserver_emu.simulation.noise import MotionNoise, Purpose, RngFactory
+from nserver_emu.simulation.segments import ConstantAccelerationSegment
 
 NOISE = MotionNoise.walk(along=0.1, turn=0.1, drift=0.005)
 
 
-def strays(stretch: Stretch, draws: int, pieces: int = 1) -> np.ndarray:
+def strays(segment: ConstantAccelerationSegment, draws: int, pieces: int = 1) -> np.ndarray:
     """(draws, 2): by how much way and turn of a stretch, driven in equal pieces, differ from the command."""
-    chance = np.random.default_rng(7)
-    piece = stretch._replace(duration_s=stretch.duration_s / pieces)
+    rng = np.random.default_rng(7)
+    piece = segment._replace(duration_s=segment.duration_s / pieces)
     result = np.zeros((draws, 2))
     for draw in range(draws):
         for _ in range(pieces):
-            driven = NOISE.disturbed(piece, chance)
+            disturbed = NOISE.disturbed(piece, rng)
             time = piece.duration_s
             result[draw] += (
-                driven.distance_at(time) - piece.distance_at(time),
-                driven.turn_at(time) - piece.turn_at(time),
+                disturbed.distance_at(time) - piece.distance_at(time),
+                disturbed.turn_at(time) - piece.turn_at(time),
             )
     return result
 
@@ -30,7 +30,7 @@ def strays(stretch: Stretch, draws: int, pieces: int = 1) -> np.ndarray:
 @pytest.mark.parametrize("pieces", [1, 5])
 def test_variances_grow_with_way_and_turn(pieces: int) -> None:
     way, turn, draws = 10.0, -0.6, 4000
-    found = strays(Stretch(2.0, way / 2.0, 0.0, turn / 2.0, 0.0), draws, pieces)
+    found = strays(ConstantAccelerationSegment(2.0, way / 2.0, 0.0, turn / 2.0, 0.0), draws, pieces)
     expected = np.array([0.1**2 * way, 0.1**2 * abs(turn) + 0.005**2 * way])
     error_of_variance = np.sqrt(2.0 / draws)
     np.testing.assert_allclose(found.var(axis=0) / expected, 1.0, atol=4.0 * error_of_variance)
@@ -39,7 +39,7 @@ def test_variances_grow_with_way_and_turn(pieces: int) -> None:
 
 
 def test_steering_on_the_spot_turns_the_body_only() -> None:
-    found = strays(Stretch(1.0, 0.0, 0.0, 0.5, 0.0), 2000)
+    found = strays(ConstantAccelerationSegment(1.0, 0.0, 0.0, 0.5, 0.0), 2000)
     assert not found[:, 0].any()
     assert found[:, 1].var() == pytest.approx(0.01 * 0.5, rel=0.15)
 
@@ -50,35 +50,35 @@ def test_the_settings_of_the_experiments_in_the_names_of_other_localizers() -> N
 
 @pytest.mark.parametrize(("way", "turn"), [(8.0, 0.6), (0.0, -0.6), (-8.0, 0.0)])
 def test_each_alpha_has_its_role(way: float, turn: float) -> None:
-    alphas, draws, chance = MotionNoise(0.01, 0.002, 0.03, 0.5), 4000, np.random.default_rng(5)
-    stretch = Stretch(2.0, way / 2.0, 0.0, turn / 2.0, 0.0)
-    driven = [alphas.disturbed(stretch, chance) for _ in range(draws)]
-    ways, turns = [one.distance_at(2.0) for one in driven], [one.turn_at(2.0) for one in driven]
+    alphas, draws, rng = MotionNoise(0.01, 0.002, 0.03, 0.5), 4000, np.random.default_rng(5)
+    segment = ConstantAccelerationSegment(2.0, way / 2.0, 0.0, turn / 2.0, 0.0)
+    disturbed = [alphas.disturbed(segment, rng) for _ in range(draws)]
+    ways, turns = [one.distance_at(2.0) for one in disturbed], [one.turn_at(2.0) for one in disturbed]
     error_of_variance = 4.0 * np.sqrt(2.0 / draws)
     assert np.var(turns) == pytest.approx(0.01 * abs(turn) + 0.002 * abs(way), rel=error_of_variance)
     assert np.var(ways) == pytest.approx(0.03 * abs(way) + 0.5 * abs(turn), rel=error_of_variance)
 
 
 def test_an_accelerated_stretch_keeps_its_time_and_shape() -> None:
-    stretch = Stretch(0.5, 2.0, 8.0, 0.1, 0.2)
-    driven = NOISE.disturbed(stretch, np.random.default_rng(1))
-    assert driven.duration_s == 0.5
-    assert driven.acceleration / driven.speed == pytest.approx(4.0)
-    assert driven.turn_acceleration == 0.2
+    segment = ConstantAccelerationSegment(0.5, 2.0, 8.0, 0.1, 0.2)
+    disturbed = NOISE.disturbed(segment, np.random.default_rng(1))
+    assert disturbed.duration_s == 0.5
+    assert disturbed.acceleration / disturbed.speed == pytest.approx(4.0)
+    assert disturbed.turn_acceleration == 0.2
 
 
 def test_rest_and_no_noise_change_nothing() -> None:
-    chance = np.random.default_rng(3)
-    before = chance.bit_generator.state
-    rest = Stretch(1.0, 0.0, 0.0, 0.0, 0.0)
-    assert NOISE.disturbed(rest, chance) is rest
-    moving = Stretch(1.0, 5.0, 0.0, 0.2, 0.0)
-    assert MotionNoise().disturbed(moving, chance) is moving
-    assert chance.bit_generator.state == before
+    rng = np.random.default_rng(3)
+    before = rng.bit_generator.state
+    rest = ConstantAccelerationSegment(1.0, 0.0, 0.0, 0.0, 0.0)
+    assert NOISE.disturbed(rest, rng) is rest
+    moving = ConstantAccelerationSegment(1.0, 5.0, 0.0, 0.2, 0.0)
+    assert MotionNoise().disturbed(moving, rng) is moving
+    assert rng.bit_generator.state == before
 
 
 def test_streams_repeat_and_do_not_mix() -> None:
     keys = [(robot, seed, purpose) for robot in (1, 2) for seed in (0, 1) for purpose in Purpose]
-    heads = [tuple(Identity(robot, seed).stream(purpose).standard_normal(4)) for robot, seed, purpose in keys]
+    heads = [tuple(RngFactory(robot, seed).stream(purpose).standard_normal(4)) for robot, seed, purpose in keys]
     assert len(set(heads)) == len(keys)
-    assert tuple(Identity(1, 0).stream(Purpose.MOTION).standard_normal(4)) == heads[0]
+    assert tuple(RngFactory(1, 0).stream(Purpose.MOTION).standard_normal(4)) == heads[0]

@@ -43,7 +43,7 @@ def square(
         for motion in (legs, turns):
             robot.move_relative(*motion)
             simulation.step(12.0)
-            assert robot.still((0, 1, 2))
+            assert robot.is_still((0, 1, 2))
     assert robot.encoder[:2] == pytest.approx((corner.x_in, corner.y_in), abs=1e-9)
     actual = robot.actual
     return complex(actual.x_in - corner.x_in, actual.y_in - corner.y_in), actual.steering_rad
@@ -73,9 +73,9 @@ def test_an_exact_square_closes(room: World, way: int) -> None:
 def test_a_synchro_square_is_the_closed_form(room: World, way: int) -> None:
     odometry = Odometry(scales=(1.02, 0.99, 1.0), drifts=(radians(0.05), 0.004))
     place, turn = square(room, odometry, N150, way)
-    leg = arc(1.02 * LEG_IN, radians(0.05) * LEG_IN)
+    piece = arc(1.02 * LEG_IN, radians(0.05) * LEG_IN)
     corner = (0j, way * (0.99 + 0.004) * pi / 2)
-    expected, turned = composed([leg, corner])
+    expected, turned = composed([piece, corner])
     assert (place.real, place.imag) == pytest.approx((expected.real, expected.imag), abs=1e-6)
     assert phase(exp(1j * (turn - turned))) == pytest.approx(0.0, abs=1e-9)
 
@@ -87,9 +87,9 @@ def test_a_scouts_square_is_the_closed_form(room: World, way: int) -> None:
     place, turn = square(room, Odometry((right, left, 1.0), (outward, -outward)), SCOUT, way)
     counted = way * pi / 2 * SCOUT_TRACK_IN / 2
     track = SCOUT_TRACK_IN
-    leg = arc(LEG_IN * (right + left) / 2, LEG_IN * (right - left) / track)
+    piece = arc(LEG_IN * (right + left) / 2, LEG_IN * (right - left) / track)
     corner = arc(counted * (right - left) / 2, counted * (right + left) / track + outward * 2.0 * counted)
-    expected, turned = composed([leg, corner])
+    expected, turned = composed([piece, corner])
     assert (place.real, place.imag) == pytest.approx((expected.real, expected.imag), abs=1e-6)
     assert phase(exp(1j * (turn - turned))) == pytest.approx(0.0, abs=1e-9)
 
@@ -120,11 +120,11 @@ def test_worn_is_as_far_off_after_a_square_of_4_m_as_it_says(room: World) -> Non
         ends, errors = [], []
         for way in (CCW, CW):
             if model is SCOUT:
-                leg = arc(leg_in * (scale + 1.0) / 2.0, leg_in * (wheels[1] / wheels[0] + drift))
+                piece = arc(leg_in * (scale + 1.0) / 2.0, leg_in * (wheels[1] / wheels[0] + drift))
                 corner = arc(way * counted * wheels[1] / 2.0, way * counted * ((scale + 1.0) / SCOUT_TRACK_IN + drift))
             else:
-                leg, corner = arc(leg_in * scale, leg_in * drift), (0j, way * pi / 2)
-            ends.append(abs(composed([leg, corner])[0]) * 25.4)
+                piece, corner = arc(leg_in * scale, leg_in * drift), (0j, way * pi / 2)
+            ends.append(abs(composed([piece, corner])[0]) * 25.4)
             errors.append(abs(square(room, odometry, model, way, leg_in)[0]) * 25.4)
         assert errors == pytest.approx(ends, abs=0.01)
         assert max(ends) == pytest.approx(off_mm, abs=0.5)
@@ -174,5 +174,5 @@ def test_a_scout_that_turns_astray_on_the_spot_is_held_by_the_wall_but_turns_on(
     assert robot.moving == (True, True, False)
     assert robot.actual.x_in <= start.x_in + 1e-9
     simulation.step(3.0)
-    assert robot.still((0, 1))
+    assert robot.is_still((0, 1))
     assert robot.encoder.steering_rad != pytest.approx(start.steering_rad)

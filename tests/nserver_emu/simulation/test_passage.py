@@ -23,7 +23,7 @@ CUT_S = 0.004
 """The unit of the ring's rate: every firing is at the end of a step."""
 
 
-def driven(room: World, model: RobotModel, setup: RobotSetup) -> SimulatedRobot:
+def driven_robot(room: World, model: RobotModel, setup: RobotSetup) -> SimulatedRobot:
     """A robot that the encoders believe elsewhere, its ring fast, soon at a wall."""
     robot = Simulation(room, seed=4).add_robot(1, StartPose(84.0, 20.0, 0.3, 1.0), model, setup)
     robot.define_position(-7.0, 3.0)
@@ -49,7 +49,7 @@ def apart(pose: Pose, other: Pose) -> float:
 @pytest.mark.parametrize("ramps", [False, True])
 def test_firing_inside_a_motion_is_firing_where_motion_was_cut(room: World, model: RobotModel, ramps: bool) -> None:
     setup = replace(IDEAL, ramps=ramps)
-    whole, cut = driven(room, model, setup), driven(room, model, setup)
+    whole, cut = driven_robot(room, model, setup), driven_robot(room, model, setup)
     stopped, step, told = 0, 0, [(15.0, 0.4, -0.5), (-12.0, 0.0, 0.3), (18.0, 16.0, 0.0), (0.0, 0.0, 0.2)]
     for number, speeds in enumerate(told * 2):
         for robot in (whole, cut):
@@ -74,7 +74,7 @@ def test_firing_inside_a_motion_is_firing_where_motion_was_cut(room: World, mode
 
 
 def test_a_moment_tells_the_same_whenever_it_is_asked(room: World) -> None:
-    asked, left = driven(room, N150, IDEAL), driven(room, N150, IDEAL)
+    asked, left = driven_robot(room, N150, IDEAL), driven_robot(room, N150, IDEAL)
     for robot in (asked, left):
         robot.set_velocities(10.0, 0.5, -0.5)
         robot.advance_to(300_000_000_000)
@@ -98,7 +98,7 @@ def test_wheels_that_err_by_chance_move_from_firing_to_firing(room: World, monke
 
     monkeypatch.setattr(Axis, "advance", advance)
     for setup, expected_s in ((NOISY, [0.02, 0.02, 0.02]), (IDEAL, [0.06])):
-        robot = driven(room, N150, replace(setup, ramps=False))
+        robot = driven_robot(room, N150, replace(setup, ramps=False))
         robot.set_velocities(10.0, 0.5, 0.0)
         pieces.clear()
         robot.advance_to(60_000_000_000)

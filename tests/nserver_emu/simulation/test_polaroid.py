@@ -8,10 +8,10 @@ from math import cos, erf, inf, pi, radians, sin, sqrt
 import numpy as np
 import pytest
 
-from nserver_emu.simulation.acoustics import Cry, Polaroid, Scene
+from nserver_emu.simulation.acoustics import Ping, Polaroid, ReflectorMap
 from nserver_emu.simulation.segments import Pose, Stamp, to_ps
 from nserver_emu.simulation.sonar import SonarRing
-from nserver_emu.simulation.visibility import Eye
+from nserver_emu.simulation.visibility import SensorPose
 from worlds.geometry import FloatArray, nearest_points
 from worlds.robots import N150
 
@@ -27,12 +27,12 @@ QUIET = (0.0, 0.0)
 STAMP = Stamp(Pose(0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0)
 
 
-def cry(direction_rad: float = 0.0, instant_s: float = 0.0, chances: tuple[float, ...] = QUIET) -> Cry:
-    return Cry(*MIDDLE, direction_rad, to_ps(instant_s), chances)
+def ping(direction_rad: float = 0.0, instant_s: float = 0.0, noise: tuple[float, ...] = QUIET) -> Ping:
+    return Ping(*MIDDLE, direction_rad, to_ps(instant_s), noise)
 
 
-def first(walls: list[list[float]], now: Cry, model: Polaroid = MODEL, earlier: tuple[Cry, ...] = ()) -> float:
-    return model.first_in(now, earlier, Scene(np.array(walls)), N150)
+def first(walls: list[list[float]], now: Ping, model: Polaroid = MODEL, earlier: tuple[Ping, ...] = ()) -> float:
+    return model.first_echo_in(now, earlier, ReflectorMap(np.array(walls)), N150)
 
 
 def wall(normal_rad: float, distance_in: float, half_in: float = 500.0) -> list[float]:
@@ -45,7 +45,7 @@ def wall(normal_rad: float, distance_in: float, half_in: float = 500.0) -> list[
 # Ways of sound
 
 
-def traced(walls: FloatArray, source: Cry, receiver: Cry, rays: int = 30001) -> list[float]:
+def traced(walls: FloatArray, source: Ping, receiver: Ping, rays: int = 30001) -> list[float]:
     """Lengths of the ways from one transducer to another, found by rays that bounce: within 0.03 in of it is a hit."""
     start, end = (FACE * np.array([cos(c.direction_rad), sin(c.direction_rad)]) for c in (source, receiver))
     half = MODEL.cone_rad / 2.0
@@ -87,18 +87,18 @@ def test_the_first_echo_is_the_shortest_way_that_bouncing_rays_find(seed: int) -
     walls = np.hstack((middles - spans, middles + spans))
     walls = walls[nearest_points(MIDDLE, walls)[1] > FACE + 1.0]
     for number in range(16):
-        mine = cry(radians(22.5 * number))
+        mine = ping(radians(22.5 * number))
         lengths = traced(walls, mine, mine)
         expected = lengths[0] / 2.0 - MODEL.recess_in if lengths else inf
-        heard = LOUD.first_in(mine, (), Scene(walls), N150)
+        heard = LOUD.first_echo_in(mine, (), ReflectorMap(walls), N150)
         assert heard == pytest.approx(expected, abs=0.02)
 
 
 def test_of_a_slanted_wall_the_nearest_point_is_heard_inside_the_cone_and_nothing_outside() -> None:
     for degrees in (-12.0, -5.0, 0.0, 8.0, 12.0):
-        assert first([wall(radians(degrees), 60.0)], cry()) == pytest.approx(59.5)
+        assert first([wall(radians(degrees), 60.0)], ping()) == pytest.approx(59.5)
     for degrees in (-13.0, 13.0, 30.0):
-        assert first([wall(radians(degrees), 60.0)], cry()) == inf
+        assert first([wall(radians(degrees), 60.0)], ping()) == inf
 
 
 def test_a_square_corner_sends_all_back_from_its_vertex() -> None:
@@ -106,27 +106,27 @@ def test_a_square_corner_sends_all_back_from_its_vertex() -> None:
         x = FACE + 80.0
         arms = [radians(degrees + 90.0), radians(degrees + 180.0)]
         walls = [[x, 0.0, x + 90.0 * cos(arm), 90.0 * sin(arm)] for arm in arms]
-        assert first(walls, cry(), LOUD) == pytest.approx(79.5)
+        assert first(walls, ping(), LOUD) == pytest.approx(79.5)
 
 
 def test_a_slanted_wall_shows_what_it_mirrors_too_far_away() -> None:
     x = FACE + 50.0
     mirror, other = [x - 10.0, -10.0, x + 10.0, 10.0], [x - 30.0, 70.0, x + 30.0, 70.0]
-    assert first([mirror, other], cry(), LOUD) == pytest.approx(50.0 + 70.0 - 0.5)
+    assert first([mirror, other], ping(), LOUD) == pytest.approx(50.0 + 70.0 - 0.5)
     screen = [x - 30.0, 30.0, x + 30.0, 31.0]
-    assert first([mirror, other, screen], cry(), LOUD) != pytest.approx(119.5)
+    assert first([mirror, other, screen], ping(), LOUD) != pytest.approx(119.5)
 
 
 def test_edges_are_heard_from_all_sides_but_not_where_a_wall_goes_straight_on() -> None:
     end, far = [FACE + 40.0, 0.0, FACE + 90.0, 50.0], [FACE + 90.0, 50.0, FACE + 91.0, 51.0]
-    assert first([end], cry()) == pytest.approx(39.5)
-    assert Scene(np.array([end, far])).edges.tolist() == [FACE + 40.0, FACE + 91.0 + 51.0j]
-    assert first([end, [FACE + 30.0, -1.0, FACE + 31.0, 1.0]], cry()) == pytest.approx(29.5, abs=1.0)
+    assert first([end], ping()) == pytest.approx(39.5)
+    assert ReflectorMap(np.array([end, far])).edges.tolist() == [FACE + 40.0, FACE + 91.0 + 51.0j]
+    assert first([end, [FACE + 30.0, -1.0, FACE + 31.0, 1.0]], ping()) == pytest.approx(29.5, abs=1.0)
 
 
 def test_walls_without_a_length_reflect_nothing() -> None:
-    assert first([[FACE + 30.0, 0.0, FACE + 30.0, 0.0]], cry(), LOUD) == inf
-    assert MODEL.first_in(cry(), (), Scene(np.empty((0, 4))), N150) == inf
+    assert first([[FACE + 30.0, 0.0, FACE + 30.0, 0.0]], ping(), LOUD) == inf
+    assert MODEL.first_echo_in(ping(), (), ReflectorMap(np.empty((0, 4))), N150) == inf
 
 
 # Levels
@@ -135,29 +135,29 @@ def test_walls_without_a_length_reflect_nothing() -> None:
 def test_far_and_slanted_walls_are_lost_where_the_levels_say() -> None:
     for degrees in (0.0, 6.25, 12.49):
         lost = MODEL.cone_loss_db * (degrees / 12.5) ** 2
-        reach = (MODEL.margin_db - lost) / MODEL.way_loss_db_in
-        assert first([wall(radians(degrees), reach - 0.1)], cry()) == pytest.approx(reach - 0.6)
-        assert first([wall(radians(degrees), reach + 0.1)], cry()) == inf
+        reach = (MODEL.margin_db - lost) / MODEL.absorption_db_in
+        assert first([wall(radians(degrees), reach - 0.1)], ping()) == pytest.approx(reach - 0.6)
+        assert first([wall(radians(degrees), reach + 0.1)], ping()) == inf
 
 
 def test_near_the_limit_echoes_are_lost_as_often_as_the_level_chance_says() -> None:
     rng = np.random.default_rng(3)
     model = replace(MODEL, edge_loss_db=inf)
-    above_db, cries = 2.0, 2000
-    scene = Scene(np.array([wall(0.0, (MODEL.margin_db - above_db) / MODEL.way_loss_db_in)]))
-    heard = sum(model.first_in(cry(chances=model.draw(rng)), (), scene, N150) < inf for _ in range(cries))
+    above_db, pings = 2.0, 2000
+    reflectors = ReflectorMap(np.array([wall(0.0, (MODEL.margin_db - above_db) / MODEL.absorption_db_in)]))
+    heard = sum(model.first_echo_in(ping(noise=model.draw(rng)), (), reflectors, N150) < inf for _ in range(pings))
     expected = 0.5 * (1.0 + erf(above_db / MODEL.margin_std_db / sqrt(2.0)))
-    assert heard / cries == pytest.approx(expected, abs=4.0 * sqrt(expected * (1.0 - expected) / cries))
+    assert heard / pings == pytest.approx(expected, abs=4.0 * sqrt(expected * (1.0 - expected) / pings))
 
 
 def test_a_range_has_one_per_cent_of_noise_and_a_least() -> None:
     rng = np.random.default_rng(4)
     for distance, std in ((100.0, 0.995), (3.0, 0.05)):
-        scene = Scene(np.array([wall(0.0, distance)]))
-        heard = [MODEL.heard_in(cry(chances=MODEL.draw(rng)), (), scene, N150) for _ in range(1500)]
+        reflectors = ReflectorMap(np.array([wall(0.0, distance)]))
+        heard = [MODEL.measured_range(ping(noise=MODEL.draw(rng)), (), reflectors, N150) for _ in range(1500)]
         assert np.mean(heard) == pytest.approx(distance - 0.5, abs=4.0 * std / sqrt(1500))
         assert np.std(heard) == pytest.approx(std, rel=0.08)
-    assert MODEL.heard_in(cry(), (), Scene(np.empty((0, 4))), N150) == inf
+    assert MODEL.measured_range(ping(), (), ReflectorMap(np.empty((0, 4))), N150) == inf
 
 
 # Neighbours
@@ -168,14 +168,14 @@ def test_a_neighbours_cry_is_heard_too_near_by_its_head_start() -> None:
     at = np.array([cos(midway), sin(midway)]) * distance
     along = np.array([-sin(midway), cos(midway)]) * 300.0
     walls = [[*(at - along), *(at + along)]]
-    one, other = cry(0.0, 0.0), cry(radians(22.5), 0.004)
+    one, other = ping(0.0, 0.0), ping(radians(22.5), 0.004)
     faces = FACE * np.array([[1.0, 0.0], [cos(radians(22.5)), sin(radians(22.5))]])
     image = faces[0] + 2.0 * (distance - FACE * cos(midway)) * at / distance
     length = float(np.hypot(*(image - faces[1])))
     assert first(walls, other, earlier=(one,)) == pytest.approx((length - 0.004 * MODEL.sound_in_s) / 2.0 - 0.5)
     late = other._replace(instant_ps=to_ps(0.0145))
     assert first(walls, late, earlier=(one,)) == pytest.approx(distance - FACE * cos(midway) - 0.5)
-    facing_away = cry(radians(180.0), 0.004)
+    facing_away = ping(radians(180.0), 0.004)
     assert first(walls, facing_away, earlier=(one,)) == inf
 
 
@@ -192,7 +192,7 @@ def too_short(rate: int, order: tuple[int, ...]) -> float:
     short = 0
     for number in range(320):
         sonar = order[number % 16]
-        sonars.fire_due(Eye(*MIDDLE, radians(11.25)), STAMP)
+        sonars.emit_due(SensorPose(*MIDDLE, radians(11.25)), STAMP)
         short += sonars.readings_in[sonar] < 85
     return short / 320
 
@@ -212,23 +212,23 @@ def test_looking_often_or_late_gives_the_same_readings() -> None:
         sonars.configure(1, tuple(range(16)), 0)
     for number in range(64):
         for sonars in (often, late):
-            sonars.fire_due(Eye(0.3 * number, -0.2 * number, 0.05 * number), STAMP)
+            sonars.emit_due(SensorPose(0.3 * number, -0.2 * number, 0.05 * number), STAMP)
         seen = often.readings_in
     assert late.readings_in == seen
 
 
 def test_near_walls_read_6_and_dead_sonars_0_for_ever() -> None:
-    near = ring(side=12.0, model=replace(MODEL, dead=(4, 5)))
-    before = near.readings_in
-    near.fire_all(Eye(*MIDDLE, 0.0), STAMP)
+    close = ring(side=12.0, model=replace(MODEL, dead=(4, 5)))
+    before = close.readings_in
+    close.emit_all(SensorPose(*MIDDLE, 0.0), STAMP)
     assert (before[4], before[5], before[6]) == (0, 0, 255)
-    readings = near.readings_in
+    readings = close.readings_in
     assert (readings[0], readings[4], readings[5], readings[8]) == (6, 0, 0, 6)
 
 
 def test_in_a_smooth_room_some_sonars_hear_nothing_and_readings_are_none_of_a_ray() -> None:
     sonars = ring()
-    sonars.fire_all(Eye(*MIDDLE, 0.0), STAMP)
+    sonars.emit_all(SensorPose(*MIDDLE, 0.0), STAMP)
     readings = sonars.readings_in
     assert readings[0] == pytest.approx(91, abs=4)
     assert readings[2] == pytest.approx(100.0 * sqrt(2.0) - RING, abs=6)

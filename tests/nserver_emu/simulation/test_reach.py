@@ -11,7 +11,7 @@ import pytest
 from nserver_emu.simulation.models import N150, SCOUT, RobotModel
 from nserver_emu.simulation.noise import IDEAL, WORN, RobotSetup
 from nserver_emu.simulation.simulation import Simulation
-from nserver_emu.simulation.spatial_hash import STAYS, Reach
+from nserver_emu.simulation.spatial_hash import STATIONARY, SweptBounds
 from worlds.world import StartPose, World
 
 RAMPS = replace(IDEAL, name="ramps", ramps=True)
@@ -20,24 +20,24 @@ RAMPS = replace(IDEAL, name="ramps", ramps=True)
 @pytest.mark.parametrize("setup", [IDEAL, RAMPS, WORN], ids=lambda setup: setup.name)
 @pytest.mark.parametrize("model", [N150, SCOUT], ids=lambda model: model.name)
 def test_no_way_is_longer_than_its_reach(room: World, model: RobotModel, setup: RobotSetup) -> None:
-    chance = np.random.default_rng(7)
+    rng = np.random.default_rng(7)
     closest = np.inf
     for number in range(60):
         simulation = Simulation(room, number)
-        robot = simulation.add_robot(1, StartPose(0.0, 0.0, chance.uniform(0.0, tau)), model, setup)
+        robot = simulation.add_robot(1, StartPose(0.0, 0.0, rng.uniform(0.0, tau)), model, setup)
         for _ in range(2):
-            first, second = chance.uniform(-15.0, 15.0, 2).tolist()
+            first, second = rng.uniform(-15.0, 15.0, 2).tolist()
             robot.set_velocities(first, second if model is SCOUT else 0.06 * second, 0.0)
-            simulation.step(chance.uniform(0.1, 0.6))
+            simulation.step(rng.uniform(0.1, 0.6))
         if number % 3 == 0:
-            first, second = chance.uniform(-4.0, 4.0, 2).tolist()
+            first, second = rng.uniform(-4.0, 4.0, 2).tolist()
             robot.move_relative(first, second, 0.0)
-        span_s = chance.uniform(0.02, 0.4)
-        reach, reach_in, (x, y, _, _) = robot.reach(span_s), robot.reach_in(span_s), robot.actual
+        span_s = rng.uniform(0.02, 0.4)
+        reach, max_travel_in, (x, y, _, _) = robot.swept_bounds(span_s), robot.max_travel_in(span_s), robot.actual
         for _ in range(8):
             simulation.step(span_s / 8.0)
             dx, dy = robot.actual.x_in - x, robot.actual.y_in - y
-            assert hypot(dx, dy) <= reach_in + 1e-9
+            assert hypot(dx, dy) <= max_travel_in + 1e-9
             for angle in np.linspace(0.0, tau, 24):
                 room_left = reach.towards(cos(angle), sin(angle)) - (dx * cos(angle) + dy * sin(angle))
                 assert room_left > -1e-9
@@ -48,16 +48,16 @@ def test_no_way_is_longer_than_its_reach(room: World, model: RobotModel, setup: 
 
 def test_a_robot_that_goes_away_comes_no_nearer(room: World) -> None:
     robot = Simulation(room).add_robot(1, StartPose(0.0, 0.0))
-    assert robot.reach(1.0) is STAYS
+    assert robot.swept_bounds(1.0) is STATIONARY
     robot.set_velocities(0.0, 0.5, 0.5)
-    assert robot.reach(1.0) is STAYS
+    assert robot.swept_bounds(1.0) is STATIONARY
     robot.set_velocities(10.0, 0.0, 0.0)
-    assert robot.reach(0.5) == Reach(5.0, 0.0, 0.0, 0.0, 0.0)
-    assert robot.reach(0.5).towards(-1.0, 0.0) == 0.0
-    assert robot.reach(0.5).towards(cos(pi / 3), sin(pi / 3)) == pytest.approx(2.5)
+    assert robot.swept_bounds(0.5) == SweptBounds(5.0, 0.0, 0.0, 0.0, 0.0)
+    assert robot.swept_bounds(0.5).towards(-1.0, 0.0) == 0.0
+    assert robot.swept_bounds(0.5).towards(cos(pi / 3), sin(pi / 3)) == pytest.approx(2.5)
     robot.set_velocities(-10.0, 0.2, 0.0)
-    assert robot.reach(0.5) == pytest.approx(Reach(0.0, 0.0, -5.0, 0.0, 0.5))
-    assert robot.reach(0.5).towards(-1.0, 0.0) == pytest.approx(5.5)
+    assert robot.swept_bounds(0.5) == pytest.approx(SweptBounds(0.0, 0.0, -5.0, 0.0, 0.5))
+    assert robot.swept_bounds(0.5).towards(-1.0, 0.0) == pytest.approx(5.5)
 
 
 def test_ramps_that_turn_back_reach_both_ways(room: World) -> None:
@@ -65,4 +65,4 @@ def test_ramps_that_turn_back_reach_both_ways(room: World) -> None:
     robot.set_velocities(10.0, 0.0, 0.0)
     simulation.step(2.0)
     robot.set_velocities(-5.0, 0.0, 0.0)
-    assert robot.reach(1.0) == Reach(10.0, 0.0, -5.0, 0.0, 0.0)
+    assert robot.swept_bounds(1.0) == SweptBounds(10.0, 0.0, -5.0, 0.0, 0.0)

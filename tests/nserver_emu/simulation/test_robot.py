@@ -22,7 +22,7 @@ RAMPS_ONLY = RobotSetup("ramps only", ramps=True, motion=NOISY.motion.__class__(
 
 
 def still(robot: SimulatedRobot) -> bool:
-    return robot.still((0, 1, 2))
+    return robot.is_still((0, 1, 2))
 
 
 def test_a_robot_wakes_where_it_was_put_with_all_sonars_read(lone: Lone) -> None:
@@ -55,8 +55,8 @@ def test_relative_moves_run_all_at_once_each_at_its_speed(lone: Lone) -> None:
     assert robot.moving == (True, False, True)
     simulation.step(0.02)
     assert robot.moving == (False, False, True)
-    assert not robot.still((0, 2))
-    assert robot.still((0, 1))
+    assert not robot.is_still((0, 2))
+    assert robot.is_still((0, 1))
     simulation.step(1.0)
     assert (robot.velocities, still(robot)) == ((0.0, 0.0, 0.0), True)
     assert robot.encoder == pytest.approx((-10.0, 0.0, 0.0, 1.0))
@@ -258,7 +258,7 @@ def test_leaving_sliding_and_pressing_on(lone: Lone) -> None:
 
 def test_a_disc_blocks_like_a_wall_and_sonars_do_not_see_it_yet(lone: Lone) -> None:
     simulation, robot = lone()
-    robot.stand_beside([(60.0, 0.0, 9.72)])
+    robot.set_obstacles([(60.0, 0.0, 9.72)])
     robot.set_velocities(20.0, 0.0, 0.0)
     simulation.step(5.0)
     assert robot.actual.x_in == pytest.approx(60.0 - 2.0 * 9.72)

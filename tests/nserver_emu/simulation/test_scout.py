@@ -37,7 +37,7 @@ def test_sonars_turn_with_the_body(room: World) -> None:
     assert [robot.sonar.readings_in[number] for number in (0, 4, 8, 12)] == [62, 102, 122, 82]
     robot.move_relative(QUARTER_IN, -QUARTER_IN, 0.0)
     simulation.step(2.0)
-    assert robot.still((0, 1))
+    assert robot.is_still((0, 1))
     assert [robot.sonar.readings_in[number] for number in (0, 4, 8, 12)] == [102, 122, 82, 62]
 
 

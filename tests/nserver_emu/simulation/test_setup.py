@@ -19,7 +19,7 @@ def test_noisy_has_the_settings_of_the_experiments() -> None:
     noisy = SETUPS["noisy"]
     assert (noisy.name, noisy.ramps) == ("noisy", True)
     assert noisy.motion == MotionNoise.walk(along=0.1, turn=0.1, drift=0.005)
-    assert noisy.sonar == SonarNoise(std_share=0.01, least_std_in=0.05)
+    assert noisy.sonar == SonarNoise(range_std_relative=0.01, range_std_floor_in=0.05)
 
 
 def test_measured_is_noisy_with_the_ears_of_a_polaroid_ring() -> None:

@@ -15,9 +15,9 @@ from nserver_emu.simulation.noise import (
     SETUPS,
     WORN,
     RobotSetup,
+    apply_calibration,
     part_choices,
     part_name,
-    setup_of,
     with_part,
 )
 from nserver_emu.simulation.simulation import Simulation
@@ -43,12 +43,12 @@ def test_parts_are_called_after_the_first_setup_that_has_them() -> None:
 
 
 def test_what_a_robot_began_with_can_be_chosen_again() -> None:
-    own = replace(NOISY, name="room 12", sonar=SonarNoise(std_share=0.3))
-    assert list(part_choices("sensors", N150, own)) == ["ideal", "noisy", "measured", "room 12"]
-    assert list(part_choices("motion", N150, own)) == ["ideal", "noisy", "worn"]
-    assert part_name("sensors", own, N150, own) == "room 12"
-    assert part_name("sensors", own, N150, IDEAL) == "room 12"
-    called_so = replace(own, name="noisy")
+    twin = replace(NOISY, name="room 12", sonar=SonarNoise(range_std_relative=0.3))
+    assert list(part_choices("sensors", N150, twin)) == ["ideal", "noisy", "measured", "room 12"]
+    assert list(part_choices("motion", N150, twin)) == ["ideal", "noisy", "worn"]
+    assert part_name("sensors", twin, N150, twin) == "room 12"
+    assert part_name("sensors", twin, N150, IDEAL) == "room 12"
+    called_so = replace(twin, name="noisy")
     assert part_choices("sensors", N150, called_so)["noisy"] is NOISY
     assert part_choices("sensors", N150, called_so)["noisy as begun"] is called_so
 
@@ -61,10 +61,10 @@ def a_simulation(setup: RobotSetup) -> Simulation:
 
 def test_ramps_and_clock_stay_and_noise_changes() -> None:
     robot = a_simulation(IDEAL).robots[1]
-    robot.err_as(MEASURED)
+    robot.set_noise_model(MEASURED)
     assert robot.setup == replace(MEASURED, ramps=False, clock_step_s=0.0)
-    assert robot.began_as is IDEAL
-    robot.err_as(IDEAL)
+    assert robot.initial_setup is IDEAL
+    robot.set_noise_model(IDEAL)
     assert robot.setup == IDEAL
 
 
@@ -74,7 +74,7 @@ def test_what_was_sensed_before_stays_and_what_comes_is_as_if_always_so(after: R
     robot = before.robots[1]
     before.step(2.0)
     ideal, infrared = robot.sonar.readings_in, robot.infrared and robot.infrared.readings
-    robot.err_as(after)
+    robot.set_noise_model(after)
     assert robot.sonar.readings_in == ideal
     assert robot.infrared
     assert robot.infrared.readings == infrared
@@ -83,7 +83,7 @@ def test_what_was_sensed_before_stays_and_what_comes_is_as_if_always_so(after: R
         before.step(1.0)
         heard.add(robot.sonar.readings_in)
     assert len(heard) == 5
-    robot.err_as(IDEAL)
+    robot.set_noise_model(IDEAL)
     before.step(1.0)
     assert robot.sonar.readings_in == ideal
     assert robot.infrared.readings == infrared
@@ -100,10 +100,10 @@ def test_motion_strays_from_the_switch_on_and_no_more_from_the_switch_off() -> N
         return abs(robot.actual.x_in - robot.encoder.x_in) + abs(robot.actual.y_in - robot.encoder.y_in)
 
     assert off_in() == 0.0
-    robot.err_as(NOISY)
+    robot.set_noise_model(NOISY)
     strayed = off_in()
     assert strayed > 0.01
-    robot.err_as(IDEAL)
+    robot.set_noise_model(IDEAL)
     turned_rad = robot.actual.steering_rad - robot.encoder.steering_rad
     off_in()
     assert robot.actual.steering_rad - robot.encoder.steering_rad == pytest.approx(turned_rad, abs=1e-12)
@@ -114,18 +114,20 @@ def test_a_sonar_that_is_switched_dead_reads_nothing_at_once_and_hears_again_whe
     robot = simulation.robots[1]
     simulation.step(1.0)
     alive = robot.sonar.readings_in
-    robot.err_as(replace(IDEAL, sonar=SonarNoise(dead=(3,))))
+    robot.set_noise_model(replace(IDEAL, sonar=SonarNoise(dead=(3,))))
     assert robot.sonar.readings_in == (*alive[:3], 0, *alive[4:])
-    robot.err_as(IDEAL)
+    robot.set_noise_model(IDEAL)
     simulation.step(1.0)
     assert robot.sonar.readings_in == alive
 
 
 def test_what_a_robot_errs_by_itself_stays_whatever_is_switched() -> None:
-    errs = Calibration(way_scale=1.02, turn_scale=0.97, offsets_in=tuple(0.1 * number for number in range(16)))
-    own = replace(N150, errs=errs)
-    choices = part_choices("sensors", own, setup_of(own, IDEAL))
-    assert {setup.sonar.offsets_in for setup in choices.values()} == {errs.offsets_in}
-    odometries = [setup.odometry.scales[:2] for setup in part_choices("motion", own, setup_of(own, IDEAL)).values()]
+    calibration = Calibration(way_scale=1.02, turn_scale=0.97, offsets_in=tuple(0.1 * number for number in range(16)))
+    twin = replace(N150, calibration=calibration)
+    choices = part_choices("sensors", twin, apply_calibration(twin, IDEAL))
+    assert {setup.sonar.offsets_in for setup in choices.values()} == {calibration.offsets_in}
+    odometries = [
+        setup.odometry.scales[:2] for setup in part_choices("motion", twin, apply_calibration(twin, IDEAL)).values()
+    ]
     assert set(odometries) == {(1.02, 0.97)}
-    assert part_name("sensors", setup_of(own, NOISY), own, setup_of(own, IDEAL)) == "noisy"
+    assert part_name("sensors", apply_calibration(twin, NOISY), twin, apply_calibration(twin, IDEAL)) == "noisy"

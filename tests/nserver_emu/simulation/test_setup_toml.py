@@ -21,12 +21,12 @@ from nserver_emu.simulation.noise import (
     SETUPS,
     TABLES,
     WORN,
-    Key,
     RobotSetup,
     load_setup,
     parse_setup,
     setup_named,
 )
+from nserver_emu.simulation.settings import Key
 from nserver_emu.simulation.sonar import SonarNoise
 
 PAGE = Path(__file__).parents[3] / "docs" / "setups.md"
@@ -74,8 +74,8 @@ def test_an_empty_file_is_its_base_by_another_name() -> None:
 
 
 def test_another_sonar_model_keeps_what_both_have() -> None:
-    ears = parsed('base = "noisy"\n[sonar]\nmodel = "polaroid"\nstd_share = 0.03\ncone_deg = 20').sonar
-    assert ears == Polaroid(std_share=0.03, least_std_in=0.05, cone_rad=radians(20.0))
+    sonar_model = parsed('base = "noisy"\n[sonar]\nmodel = "polaroid"\nstd_share = 0.03\ncone_deg = 20').sonar
+    assert sonar_model == Polaroid(range_std_relative=0.03, range_std_floor_in=0.05, cone_rad=radians(20.0))
     ray = parsed('base = "measured"\n[sonar]\nmodel = "ray"\ndead = [2]').sonar
     assert ray == SonarNoise(0.01, 0.05, (2,))
 
@@ -99,8 +99,8 @@ def test_every_field_of_every_setup_has_its_key_and_no_key_is_without_a_field() 
     assert {(key.table, key.field) for key in KEYS} == parts(IDEAL) | parts(MEASURED)
     assert len(set(KEYS)) == len({(key.table, key.field) for key in KEYS})
     only_polaroid = {name for table, name in parts(MEASURED) - parts(IDEAL) if table == "sonar"}
-    assert {key.field for key in KEYS if key.ears == POLAROID} == only_polaroid
-    assert {key.ears for key in KEYS} == {"", POLAROID}
+    assert {key.field for key in KEYS if key.sonar_model == POLAROID} == only_polaroid
+    assert {key.sonar_model for key in KEYS} == {"", POLAROID}
 
 
 def written(key: Key, value: Any) -> str:
@@ -187,7 +187,7 @@ def test_the_example_of_the_page_is_a_setup() -> None:
         ("[sonar]\ndead = [16]", r"sonar.dead\[0\]: expected a whole number from 0 to 15, found 16"),
         ("[sonar]\ndead = [1, true]", r"sonar.dead\[1\]: expected a whole number"),
         ("[sonar]\ndead = [1, 1]", "sonar.dead: expected each number once"),
-        ("[sonar]\ncone_deg = 20", 'cone_deg: is a number of the model "polaroid"; expected it beside model = "pol'),
+        ("[sonar]\ncone_deg = 20", 'cone_deg: belongs to the model "polaroid"; expected it beside model = "pol'),
         ('[sonar]\nmodel = "polaroyd"', "sonar.model: expected one of ray, polaroid, .*did you mean polaroid"),
         ("[sonar]\nstd = 1", "sonar.std: unknown key"),
     ],

@@ -69,9 +69,9 @@ def test_a_copy_goes_on_bit_for_bit(lone: Lone, name: str, copied: Callable[[Sim
 
 
 def test_the_same_seed_gives_the_same_run_and_another_another(lone: Lone) -> None:
-    runs = [roam(*lone(setup=NOISY, seed=seed), 20) for seed in (3, 3, 4)]
-    assert runs[0] == runs[1]
-    assert runs[0] != runs[2]
+    motions = [roam(*lone(setup=NOISY, seed=seed), 20) for seed in (3, 3, 4)]
+    assert motions[0] == motions[1]
+    assert motions[0] != motions[2]
 
 
 def test_robots_have_their_own_chance_whoever_else_is_there(room: World) -> None:
@@ -80,8 +80,8 @@ def test_robots_have_their_own_chance_whoever_else_is_there(room: World) -> None
         simulation.add_robot(2, StartPose(50.0, 50.0), setup=NOISY)
     other = together.add_robot(1, StartPose(-50.0, -50.0), setup=NOISY)
     other.set_velocities(5.0, 0.1, 0.2)
-    driven = [roam(simulation, simulation.robots[2], 10, cuts=10)[::2] for simulation in (alone, together)]
-    assert driven[0] == driven[1]
+    paths = [roam(simulation, simulation.robots[2], 10, cuts=10)[::2] for simulation in (alone, together)]
+    assert paths[0] == paths[1]
     assert other.actual.x_in != other.encoder.x_in
 
 

@@ -7,9 +7,9 @@ from math import cos, inf, radians, sin
 import numpy as np
 import pytest
 
-from nserver_emu.simulation.segments import NEVER_PS, Pose, Stamp, to_ps
+from nserver_emu.simulation.segments import TIME_MAX_PS, Pose, Stamp, to_ps
 from nserver_emu.simulation.sonar import DEFAULT_ORDER, SonarNoise, SonarRing
-from nserver_emu.simulation.visibility import FARTHEST_IN, Eye, Sighting, on_lines
+from nserver_emu.simulation.visibility import MAX_ROBOT_RANGE_IN, RobotPositions, SensorPose, robots_on_rays
 from worlds.raycast import cast_discs
 from worlds.robots import N150
 
@@ -22,7 +22,7 @@ SQUARE = np.array(
         [-100.0, 100.0, -100.0, -100.0],
     ]
 )
-HERE = Eye(0.0, 0.0, 0.0)
+HERE = SensorPose(0.0, 0.0, 0.0)
 
 
 def stamp(time_s: float = 0.0) -> Stamp:
@@ -38,7 +38,7 @@ def fire(sonars: SonarRing, until_s: float) -> list[tuple[int, int]]:
     fired = []
     while sonars.due_ps <= to_ps(until_s):
         now = sonars.due_ps // 10**9
-        sonars.fire_due(HERE, stamp(now / 1000.0))
+        sonars.emit_due(HERE, stamp(now / 1000.0))
         fired.append((next(i for i, s in enumerate(sonars.stamps) if s.sensor_time_s == now / 1000.0), now))
     return fired
 
@@ -60,10 +60,10 @@ def test_rates_are_clamped(rate: int, interval_ms: int) -> None:
 @pytest.mark.parametrize("order", [(), (255, 0, 1), (-1,), (16, 0)])
 def test_no_first_sonar_switches_the_ring_off_and_keeps_the_readings(order: tuple[int, ...]) -> None:
     sonars = ring()
-    sonars.fire_all(HERE, stamp())
+    sonars.emit_all(HERE, stamp())
     before = sonars.readings_in
     sonars.configure(15, order, 0)
-    assert sonars.due_ps == NEVER_PS
+    assert sonars.due_ps == TIME_MAX_PS
     assert sonars.readings_in == before != (255,) * 16
 
 
@@ -71,7 +71,7 @@ def test_readings_are_whole_inches_from_the_ring() -> None:
     sonars = ring()
     assert sonars.readings_in == (255,) * 16
     turret, x, y = radians(10.0), 20.0, -30.0
-    sonars.fire_all(Eye(x, y, turret), stamp())
+    sonars.emit_all(SensorPose(x, y, turret), stamp())
     for number, reading in enumerate(sonars.readings_in):
         way = turret + radians(22.5) * number
         to_x = (100.0 * np.sign(cos(way)) - x) / cos(way)
@@ -85,34 +85,34 @@ def test_readings_are_whole_inches_from_the_ring() -> None:
 def test_limits(gap: float, reading: int) -> None:
     x = 9.06 + gap
     sonars = ring(walls=np.array([[x, -1.0, x, 1.0]]))
-    sonars.fire_all(HERE, stamp())
+    sonars.emit_all(HERE, stamp())
     assert sonars.readings_in == (reading, *[255] * 15)
     assert all(type(value) is int for value in sonars.readings_in)
 
 
 def test_noise_has_the_spread_it_is_given() -> None:
-    noise = SonarNoise(std_share=0.01, least_std_in=0.05)
+    noise = SonarNoise(range_std_relative=0.01, range_std_floor_in=0.05)
     assert (noise.std_in(1.0), noise.std_in(200.0)) == (0.05, 2.0)
     sonars = ring(noise, walls=SQUARE * 2.0)
     readings = []
     for _ in range(4000):
-        sonars.fire_all(HERE, stamp())
+        sonars.emit_all(HERE, stamp())
         readings.append(sonars.readings_in[0])
     assert np.mean(readings) == pytest.approx(200.0 - 9.06, abs=0.13)
     assert np.var(readings) == pytest.approx(1.9094**2 + 1.0 / 12.0, rel=0.1)
     nothing = ring(noise, walls=np.empty((0, 4)))
-    nothing.fire_all(HERE, stamp())
+    nothing.emit_all(HERE, stamp())
     assert nothing.readings_in == (255,) * 16
 
 
 def test_looking_often_or_late_gives_the_same_readings() -> None:
-    noise = SonarNoise(std_share=0.05)
+    noise = SonarNoise(range_std_relative=0.05)
     often, late = ring(noise), ring(noise)
     for sonars in (often, late):
         sonars.configure(15, DEFAULT_ORDER, 0)
     for number in range(40):
         for sonars in (often, late):
-            sonars.fire_due(Eye(number, -number, 0.1 * number), stamp(number))
+            sonars.emit_due(SensorPose(number, -number, 0.1 * number), stamp(number))
         seen = often.readings_in
     assert late.readings_in == seen
     assert late.stamps == often.stamps
@@ -120,38 +120,40 @@ def test_looking_often_or_late_gives_the_same_readings() -> None:
 
 def test_an_echo_meets_the_walls_of_its_instant() -> None:
     sonars = ring()
-    sonars.fire_all(HERE, stamp())
-    sonars.surround(np.empty((0, 4)))
+    sonars.emit_all(HERE, stamp())
+    sonars.set_walls(np.empty((0, 4)))
     assert sonars.readings_in[0] == 91
-    sonars.fire_all(HERE, stamp())
+    sonars.emit_all(HERE, stamp())
     assert sonars.readings_in[0] == 255
 
 
 def test_an_eye_sees_all_others_that_are_not_too_far_and_those_on_a_line_that_a_ray_meets() -> None:
-    chance = np.random.default_rng(3)
-    discs = np.column_stack((chance.uniform(-900.0, 900.0, (80, 2)), chance.uniform(5.0, 60.0, 80)))
-    eye = Eye(float(discs[7, 0]), float(discs[7, 1]) + 0.2, 0.0, Sighting(discs), 7)
-    assert len(Eye(0.0, 0.0, 0.0, Sighting(discs[:1]), 0).others) == 0
-    assert list(on_lines([Eye(0.0, 0.0, 0.0, Sighting(discs[:1]), 0)], [1j], [inf])) == []
-    far = np.abs(discs[:, :2] - (eye.x_in, eye.y_in)).max(axis=1) > FARTHEST_IN
-    np.testing.assert_array_equal(eye.others, [disc for row, disc in enumerate(discs) if row != 7 and not far[row]])
+    rng = np.random.default_rng(3)
+    discs = np.column_stack((rng.uniform(-900.0, 900.0, (80, 2)), rng.uniform(5.0, 60.0, 80)))
+    sensor_pose = SensorPose(float(discs[7, 0]), float(discs[7, 1]) + 0.2, 0.0, RobotPositions(discs), 7)
+    assert len(SensorPose(0.0, 0.0, 0.0, RobotPositions(discs[:1]), 0).others) == 0
+    assert list(robots_on_rays([SensorPose(0.0, 0.0, 0.0, RobotPositions(discs[:1]), 0)], [1j], [inf])) == []
+    far = np.abs(discs[:, :2] - (sensor_pose.x_in, sensor_pose.y_in)).max(axis=1) > MAX_ROBOT_RANGE_IN
+    np.testing.assert_array_equal(
+        sensor_pose.others, [disc for row, disc in enumerate(discs) if row != 7 and not far[row]]
+    )
     assert far.any()
-    blind = Eye(0.0, 0.0, 0.0, Sighting(), 0)
+    blind = SensorPose(0.0, 0.0, 0.0, RobotPositions(), 0)
     ways = [complex(cos(angle), sin(angle)) for angle in np.linspace(0.0, 6.0, 13).tolist()]
     met: list[list[list[float]]] = [[] for _ in range(14)]
-    for ray, disc in on_lines([eye] * 13 + [blind], [*ways, 1j], [inf] * 14):
+    for ray, disc in robots_on_rays([sensor_pose] * 13 + [blind], [*ways, 1j], [inf] * 14):
         met[ray].append(disc)
     assert met[13] == []
     for way, on_line in zip(ways, met[:13], strict=True):
-        here, direction = (eye.x_in, eye.y_in), (way.real, way.imag)
+        here, direction = (sensor_pose.x_in, sensor_pose.y_in), (way.real, way.imag)
         of_all = float(cast_discs(here, direction, np.delete(discs, 7, axis=0)))
-        assert float(cast_discs(here, direction, on_line)) == of_all or of_all > FARTHEST_IN - 60.0
+        assert float(cast_discs(here, direction, on_line)) == of_all or of_all > MAX_ROBOT_RANGE_IN - 60.0
     assert 1 < sum(map(len, met)) < 3 * 13
     for wall_in in (0.0, 90.0, 300.0):
-        nearer = list(on_lines([eye] * 13, ways, [wall_in] * 13))
+        nearer = list(robots_on_rays([sensor_pose] * 13, ways, [wall_in] * 13))
         for ray, way in enumerate(ways):
             hidden = [disc for other, disc in nearer if other == ray]
-            here, direction = (eye.x_in, eye.y_in), (way.real, way.imag)
+            here, direction = (sensor_pose.x_in, sensor_pose.y_in), (way.real, way.imag)
             seen = min(wall_in, float(cast_discs(here, direction, hidden)))
             assert seen == min(wall_in, float(cast_discs(here, direction, np.delete(discs, 7, axis=0))))
         assert len(nearer) < sum(map(len, met))
@@ -159,20 +161,20 @@ def test_an_eye_sees_all_others_that_are_not_too_far_and_those_on_a_line_that_a_
 
 def test_each_reading_keeps_where_it_was_cried_until_the_robot_is_carried_elsewhere() -> None:
     sonars = ring()
-    before = sonars.cries
+    before = sonars.pings
     assert before == (None,) * 16
     sonars.configure(15, (3, 4, OFF), 0)
     for x, turret in ((0.0, 0.0), (7.0, 0.5), (9.0, 0.75)):
-        sonars.fire_due(Eye(x, -x, turret), stamp())
+        sonars.emit_due(SensorPose(x, -x, turret), stamp())
     step = radians(22.5)
-    kept = {k: (cry.x_in, cry.y_in, cry.direction_rad) for k, cry in enumerate(sonars.cries) if cry}
+    kept = {k: (ping.x_in, ping.y_in, ping.direction_rad) for k, ping in enumerate(sonars.pings) if ping}
     assert kept == {3: (9.0, -9.0, 0.75 + 3 * step), 4: (7.0, -7.0, 0.5 + 4 * step)}
     for k, (x, y, way) in kept.items():
         to_x = (100.0 * np.sign(cos(way)) - x) / cos(way)
         to_y = (100.0 * np.sign(sin(way)) - y) / sin(way)
         assert sonars.readings_in[k] == round(min(to_x, to_y) - 9.06)
     readings = sonars.readings_in
-    sonars.carried()
-    assert (sonars.cries, sonars.readings_in) == ((None,) * 16, readings)
-    sonars.fire_due(HERE, stamp())
-    assert [k for k, cry in enumerate(sonars.cries) if cry] == [4]
+    sonars.forget_pings()
+    assert (sonars.pings, sonars.readings_in) == ((None,) * 16, readings)
+    sonars.emit_due(HERE, stamp())
+    assert [k for k, ping in enumerate(sonars.pings) if ping] == [4]

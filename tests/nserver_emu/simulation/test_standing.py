@@ -10,23 +10,23 @@ import pytest
 from nclient.errors import StartError
 from nserver_emu.simulation.models import N150
 from nserver_emu.simulation.simulation import Simulation
-from nserver_emu.simulation.spatial_hash import Standing
+from nserver_emu.simulation.spatial_hash import SpatialHash
 from worlds.world import StartPose, World
 
 
 def test_squares_find_whom_asking_everybody_finds() -> None:
-    chance = np.random.default_rng(5)
-    discs = np.column_stack((chance.uniform(-300.0, 300.0, (150, 2)), chance.uniform(2.0, 70.0, 150))).tolist()
-    standing = Standing()
+    rng = np.random.default_rng(5)
+    discs = np.column_stack((rng.uniform(-300.0, 300.0, (150, 2)), rng.uniform(2.0, 70.0, 150))).tolist()
+    spatial_hash = SpatialHash()
     for number, (x, y, radius) in enumerate(discs):
-        standing.add(number, (x, y, radius))
+        spatial_hash.add(number, (x, y, radius))
     found = 0
-    for x, y in chance.uniform(-400.0, 400.0, (80, 2)).tolist():
+    for x, y in rng.uniform(-400.0, 400.0, (80, 2)).tolist():
         touched = [number for number, (u, v, radius) in enumerate(discs) if hypot(x - u, y - v) <= radius + 9.0]
-        assert [number for number, _ in standing.touched(x, y, 9.0)] == touched
+        assert [number for number, _ in spatial_hash.touched(x, y, 9.0)] == touched
         found += len(touched)
     assert found > 100
-    assert Standing().touched(0.0, 0.0, 9.0) == []
+    assert SpatialHash().touched(0.0, 0.0, 9.0) == []
 
 
 def test_who_moved_or_was_moved_is_in_the_way_where_it_is_now() -> None:
@@ -47,7 +47,7 @@ def test_who_moved_or_was_moved_is_in_the_way_where_it_is_now() -> None:
 def test_robots_that_are_never_woken_still_meet() -> None:
     simulation = Simulation(World("plain"))
     for number, x in enumerate((0.0, 30.0)):
-        simulation.add_robot(number + 1, StartPose(x, 0.0), awake=False).set_velocities(20.0, 0.0, 0.0)
+        simulation.add_robot(number + 1, StartPose(x, 0.0), powered=False).set_velocities(20.0, 0.0, 0.0)
     simulation.robots[2].stop()
     simulation.step(2.0)
     first, second = simulation.robots.values()

@@ -1,4 +1,4 @@
-"""Pages that vanish, stall or stay open at the end: forgotten in time, their sockets let go, nobody waits for them."""
+"""Pages that vanish, stall or stay open at the end: removed in time, without blocking others."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import pytest
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.viewer import controller, server
 from tests.nserver_emu.server.wire_client import simulation
-from tests.nserver_emu.viewer.viewed_daemon import HOST, Served, served
+from tests.nserver_emu.viewer.page_client import HOST, Served, serve_viewer
 
 SHORT_S = 0.4
 HANDSHAKE = (
@@ -33,91 +33,85 @@ async def dumb_page(here: Served) -> socket.socket:
     end.setblocking(False)
     loop = asyncio.get_running_loop()
     await loop.sock_connect(end, (HOST, here.port))
-    asked = HANDSHAKE.format(token=here.viewing.token, host=f"{HOST}:{here.port}")
+    asked = HANDSHAKE.format(token=here.viewer_server.token, host=f"{HOST}:{here.port}")
     await loop.sock_sendall(end, asked.encode())
     assert b" 101 " in await loop.sock_recv(end, 200)
     async with asyncio.timeout(5):
-        while not here.viewing.hub.viewers:
+        while not here.viewer_server.broadcaster.viewers:
             await asyncio.sleep(0.01)
     return end
 
 
 async def forgotten(here: Served) -> float:
-    """How long it takes until nobody looks any more."""
+    """Return the seconds until no viewer is left."""
     loop = asyncio.get_running_loop()
     began = loop.time()
     async with asyncio.timeout(20):
-        while here.viewing.hub.viewers:
+        while here.viewer_server.broadcaster.viewers:
             await asyncio.sleep(0.02)
     return loop.time() - began
 
 
 def test_the_time_that_is_promised_is_the_longest_there_is() -> None:
-    assert max(1.5 * server.HEARTBEAT_S + 1.0, server.STALLED_S + 1.0) <= server.FORGOTTEN_S
+    assert max(1.5 * server.HEARTBEAT_S + 1.0, server.STALLED_S + 1.0) <= server.CONNECTION_LOST_S
 
 
-def test_a_page_that_vanished_is_forgotten_and_its_line_let_go(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_page_that_vanished_is_forgotten_and_its_line_let_go(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(server, "HEARTBEAT_S", SHORT_S)
 
-    async def scenario() -> None:
-        async with served(Emulator(simulation())) as here:
-            with await dumb_page(here) as end:
-                assert await forgotten(here) < 1.5 * SHORT_S + 2.0
-                assert not here.daemon.emulator.pose_requests.open
-                await told_to_the_end(end)
-
-    asyncio.run(scenario())
+    async with serve_viewer(Emulator(simulation())) as here:
+        with await dumb_page(here) as end:
+            assert await forgotten(here) < 1.5 * SHORT_S + 2.0
+            assert not here.daemon.emulator.pose_requests.open
+            await told_to_the_end(end)
 
 
-def test_a_page_that_goes_on_talking_and_takes_nothing_is_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_page_that_sends_but_never_receives_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(server, "STALLED_S", SHORT_S)
 
-    async def scenario() -> None:
-        async with served(Emulator(simulation())) as here:
-            with await dumb_page(here) as end:
-                loop = asyncio.get_running_loop()
-                talking = asyncio.create_task(talk_on(loop, end))
-                here.viewing.hub.tell("x" * MORE_THAN_LINES_HOLD)
-                assert await forgotten(here) < SHORT_S + 2.0
-                talking.cancel()
-                await told_to_the_end(end)
-
-    asyncio.run(scenario())
+    async with serve_viewer(Emulator(simulation())) as here:
+        with await dumb_page(here) as end:
+            loop = asyncio.get_running_loop()
+            talking = asyncio.create_task(talk_on(loop, end))
+            here.viewer_server.broadcaster.notify("x" * MORE_THAN_LINES_HOLD)
+            assert await forgotten(here) < SHORT_S + 2.0
+            talking.cancel()
+            await told_to_the_end(end)
 
 
 async def talk_on(loop: asyncio.AbstractEventLoop, end: socket.socket) -> None:
     """Say that a picture was drawn, again and again."""
-    said = json.dumps({"do": "seen", "frame": 1}).encode()
+    payload = json.dumps({"do": "seen", "frame": 1}).encode()
     while True:
-        await loop.sock_sendall(end, bytes([0x81, 0x80 | len(said)]) + MASK + said)
+        await loop.sock_sendall(end, bytes([0x81, 0x80 | len(payload)]) + MASK + payload)
         await asyncio.sleep(0.05)
 
 
-def test_what_is_told_to_a_page_that_just_left_is_told_to_nobody(caplog: pytest.LogCaptureFixture) -> None:
+def test_messages_for_a_closed_page_are_dropped(caplog: pytest.LogCaptureFixture) -> None:
     async def scenario() -> None:
-        async with served(Emulator(simulation())) as here:
+        async with serve_viewer(Emulator(simulation())) as here:
             async with here.page() as page:
                 await page.until(lambda message: message["type"] == "picture")
-                (viewer,) = here.viewing.hub.viewers
+                (viewer,) = here.viewer_server.broadcaster.viewers
             await forgotten(here)
-            viewer.tell("{}")
+            viewer.notify("{}")
             await asyncio.sleep(0.02)
-            assert viewer.news() == ["{}"]
+            assert viewer.take_messages() == ["{}"]
 
     asyncio.run(scenario())
     assert not [record for record in caplog.records if record.levelname == "ERROR"]
 
 
-def test_who_says_much_at_once_leaves_the_others_their_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_page_that_floods_does_not_block_others(monkeypatch: pytest.MonkeyPatch) -> None:
     turns: list[int] = []
     turn = 0
-    monkeypatch.setitem(controller._DOES, "seen", lambda *_: turns.append(turn))
+    monkeypatch.setitem(controller._ACTIONS, "seen", lambda *_: turns.append(turn))
 
     async def scenario() -> None:
         nonlocal turn
-        async with served(Emulator(simulation())) as here, here.page() as page:
+        async with serve_viewer(Emulator(simulation())) as here, here.page() as page:
             for number in range(MUCH):
-                await page.say(do="seen", frame=number)
+                await page.send_message(do="seen", frame=number)
             async with asyncio.timeout(10):
                 while len(turns) < MUCH:
                     await asyncio.sleep(0)
@@ -138,31 +132,25 @@ async def told_to_the_end(end: socket.socket) -> None:
             pass
 
 
-def test_a_daemon_ends_at_once_though_pages_are_open_that_say_no_goodbye() -> None:
-    async def scenario() -> None:
-        async with served(Emulator(simulation())) as here:
-            ends = [await dumb_page(here) for _ in range(5)]
-            loop = asyncio.get_running_loop()
-            began = loop.time()
-            await here.viewing.close()
-            assert loop.time() - began < server.CLOSING_S + 0.5
-            for end in ends:
-                end.close()
-
-    asyncio.run(scenario())
+async def test_the_daemon_ends_at_once_with_unresponsive_pages() -> None:
+    async with serve_viewer(Emulator(simulation())) as here:
+        ends = [await dumb_page(here) for _ in range(5)]
+        loop = asyncio.get_running_loop()
+        began = loop.time()
+        await here.viewer_server.close()
+        assert loop.time() - began < server.CLOSING_S + 0.5
+        for end in ends:
+            end.close()
 
 
-def test_a_page_is_told_that_the_daemon_goes() -> None:
-    async def scenario() -> None:
-        async with served(Emulator(simulation())) as here, here.page() as page:
-            await page.until(lambda message: message["type"] == "picture")
-            closing = asyncio.create_task(here.viewing.close())
-            while (await page.socket.receive()).type.name not in ("CLOSE", "CLOSED"):
-                pass
-            await closing
-            assert page.socket.close_code == 1001
-
-    asyncio.run(scenario())
+async def test_pages_are_informed_when_the_daemon_ends() -> None:
+    async with serve_viewer(Emulator(simulation())) as here, here.page() as page:
+        await page.until(lambda message: message["type"] == "picture")
+        closing = asyncio.create_task(here.viewer_server.close())
+        while (await page.socket.receive()).type.name not in ("CLOSE", "CLOSED"):
+            pass
+        await closing
+        assert page.socket.close_code == 1001
 
 
 async def refusals(here: Served) -> None:
@@ -172,7 +160,8 @@ async def refusals(here: Served) -> None:
     async with here.web.post(here.origin + "/") as answer:
         assert (answer.status, answer.headers["Allow"]) == (405, "GET,HEAD")
     for data in (b"{", b"\xff"):
-        async with here.web.post(f"{here.origin}/publish", params={"token": here.viewing.token}, data=data) as answer:
+        token = {"token": here.viewer_server.token}
+        async with here.web.post(f"{here.origin}/publish", params=token, data=data) as answer:
             assert answer.status == 400
             assert await answer.text()
 
@@ -185,16 +174,16 @@ async def torn_off(here: Served) -> None:
     await asyncio.sleep(0.05)
 
 
-@pytest.mark.parametrize("visit", [refusals, torn_off])
-def test_errors_keep_no_frames_until_garbage_is_looked_for(visit: Callable[[Served], Awaitable[None]]) -> None:
+@pytest.mark.parametrize("act", [refusals, torn_off])
+def test_errors_hold_no_frames_until_garbage_collection(act: Callable[[Served], Awaitable[None]]) -> None:
     async def scenario() -> list[object]:
-        async with served(Emulator(simulation())) as here:
-            await visit(here)
+        async with serve_viewer(Emulator(simulation())) as here:
+            await act(here)
             gc.collect()
             gc.disable()
             gc.set_debug(gc.DEBUG_SAVEALL)
             try:
-                await visit(here)
+                await act(here)
                 gc.collect()
                 return [thing for thing in gc.garbage if isinstance(thing, types.FrameType | types.TracebackType)]
             finally:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 from typing import Any
 
@@ -12,13 +11,13 @@ from localization.filters.health import HealthStatus
 from localization.filters.update import Refusal
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.viewer.controller import STALE_S, Desk
-from nserver_emu.viewer.hub import Hub
-from nserver_emu.viewer.localization import MOST_PLACES, MOST_REASON, REFUSALS, TRUSTS, published
-from nserver_emu.viewer.messages import BadMessage
-from nserver_emu.viewer.scene import Album
+from nserver_emu.viewer.broadcaster import Broadcaster
+from nserver_emu.viewer.controller import STALE_S, ViewerController
+from nserver_emu.viewer.localization import MAX_PLACES, MAX_REASON, REFUSALS, TRUSTS, parse_estimate
+from nserver_emu.viewer.messages import InvalidMessage
+from nserver_emu.viewer.scene import SceneHistory
 from tests.nserver_emu.server.wire_client import simulation
-from tests.nserver_emu.viewer.viewed_daemon import served
+from tests.nserver_emu.viewer.page_client import serve_viewer
 
 GOOD: dict[str, Any] = {
     "robot": 1, "clock_s": 1.5, "pose": [1, 2, 0.1], "turret": 0.2, "cov": [[1, 0, 0], [0, 2, 0], [0, 0, 3]],
@@ -34,9 +33,9 @@ def test_refusals_have_the_filter_s_own_names() -> None:
 
 
 def test_what_is_right_comes_through() -> None:
-    told = published(json.dumps(GOOD | {"more": 1}))
-    assert told == GOOD | {"cov": [1, 0, 0, 0, 2, 0, 0, 0, 3], "began": False}
-    assert published(json.dumps(GOOD | {"truth": [1, 2, 3]}))["truth"] == [1, 2, 3]
+    message = parse_estimate(json.dumps(GOOD | {"more": 1}))
+    assert message == GOOD | {"cov": [1, 0, 0, 0, 2, 0, 0, 0, 3], "began": False}
+    assert parse_estimate(json.dumps(GOOD | {"truth": [1, 2, 3]}))["truth"] == [1, 2, 3]
 
 
 @pytest.mark.parametrize(
@@ -56,78 +55,75 @@ def test_what_is_right_comes_through() -> None:
      {"places": [{"pose": [1, 2, 3], "share": 0.6}] * 2}, {"places": {"pose": [1, 2, 3]}}, {"places": [[1, 2, 3]]}],
 )  # fmt: skip
 def test_anything_else_is_refused(change: dict[str, Any]) -> None:
-    with pytest.raises(BadMessage, match="what is published is robot"):
-        published(json.dumps(GOOD | change))
+    with pytest.raises(InvalidMessage, match="what is published is robot"):
+        parse_estimate(json.dumps(GOOD | change))
 
 
 @pytest.mark.parametrize("missing", sorted(GOOD))
 def test_each_part_is_wanted(missing: str) -> None:
-    with pytest.raises(BadMessage, match=missing):
-        published(json.dumps({name: value for name, value in GOOD.items() if name != missing}))
+    with pytest.raises(InvalidMessage, match=missing):
+        parse_estimate(json.dumps({name: value for name, value in GOOD.items() if name != missing}))
 
 
-def test_of_places_the_likeliest_are_taken_and_of_a_reason_its_beginning() -> None:
-    places = [{"pose": [k, 0, 0], "share": 0.01} for k in range(3 * MOST_PLACES)]
-    told = published(json.dumps(GOOD | {"places": places, "reason": "x" * 1000, "trust": "OK"}))
-    assert [place["pose"][0] for place in told["places"]] == list(range(MOST_PLACES))
-    assert told["reason"] == "x" * MOST_REASON
-    assert published(json.dumps(GOOD | {"places": [], "reason": ""}))["places"] == []
+def test_places_and_reason_are_truncated() -> None:
+    places = [{"pose": [k, 0, 0], "share": 0.01} for k in range(3 * MAX_PLACES)]
+    message = parse_estimate(json.dumps(GOOD | {"places": places, "reason": "x" * 1000, "trust": "OK"}))
+    assert [place["pose"][0] for place in message["places"]] == list(range(MAX_PLACES))
+    assert message["reason"] == "x" * MAX_REASON
+    assert parse_estimate(json.dumps(GOOD | {"places": [], "reason": ""}))["places"] == []
 
 
 @pytest.mark.parametrize("text", ["", "[]", "7", "[" * 100_000])
 def test_no_text_is_more_than_a_refusal(text: str) -> None:
-    with pytest.raises(BadMessage):
-        published(text)
+    with pytest.raises(InvalidMessage):
+        parse_estimate(text)
 
 
-def test_an_estimate_grows_old_and_is_no_news_to_who_comes_late() -> None:
-    desk = Desk(Daemon(Emulator(simulation())), Hub(Album(Emulator(simulation()))))
-    desk.publish(json.dumps(GOOD), 100.0)
+def test_an_old_estimate_is_not_sent_to_new_pages() -> None:
+    controller = ViewerController(Daemon(Emulator(simulation())), Broadcaster(SceneHistory(Emulator(simulation()))))
+    controller.publish(json.dumps(GOOD), 100.0)
 
-    def heard(now: float) -> list[Any]:
-        told = [json.loads(text) for text in desk.arrive(now, may_act=False).news()]
-        return [message["age_s"] for message in told if message["type"] == "localization"]
+    def ages(now: float) -> list[Any]:
+        message = [json.loads(text) for text in controller.connect_page(now, may_act=False).take_messages()]
+        return [message["age_s"] for message in message if message["type"] == "localization"]
 
-    assert heard(112.3) == [12.3]
-    assert heard(100.0 + STALE_S) == []
+    assert ages(112.3) == [12.3]
+    assert ages(100.0 + STALE_S) == []
 
 
-def test_who_begins_goes_on_its_own_way_and_the_page_s_older_one_is_gone() -> None:
-    desk = Desk(Daemon(Emulator(simulation())), Hub(Album(Emulator(simulation()))))
-    viewer = desk.hub.join(may_act=False)
-    desk.set_waypoints(1, [[7, 8]])
-    assert desk.publish(json.dumps(GOOD | {"began": True}), 1.0) == {"waypoints": [], "set": 2}
-    told = [json.loads(text) for text in viewer.news()]
-    assert [(one["type"], one.get("points")) for one in told] == [
+def test_a_new_localizer_discards_old_waypoints() -> None:
+    controller = ViewerController(Daemon(Emulator(simulation())), Broadcaster(SceneHistory(Emulator(simulation()))))
+    viewer = controller.broadcaster.join(may_act=False)
+    controller.set_waypoints(1, [[7, 8]])
+    assert controller.publish(json.dumps(GOOD | {"began": True}), 1.0) == {"waypoints": [], "set": 2}
+    message = [json.loads(text) for text in viewer.take_messages()]
+    assert [(one["type"], one.get("points")) for one in message] == [
         ("waypoints", [[7, 8]]), ("waypoints", []), ("localization", None)
     ]  # fmt: skip
-    assert "began" not in told[-1]
-    assert desk.publish(json.dumps(GOOD | {"began": True}), 2.0) == {"waypoints": [], "set": 2}
-    desk.set_waypoints(1, [[1, 2]])
-    assert desk.publish(json.dumps(GOOD), 3.0) == {"waypoints": [[1, 2]], "set": 3}
+    assert "began" not in message[-1]
+    assert controller.publish(json.dumps(GOOD | {"began": True}), 2.0) == {"waypoints": [], "set": 2}
+    controller.set_waypoints(1, [[1, 2]])
+    assert controller.publish(json.dumps(GOOD), 3.0) == {"waypoints": [[1, 2]], "set": 3}
 
 
-def test_it_is_posted_with_the_token_and_seen_by_who_looks_then_or_later() -> None:
-    async def scenario() -> None:
-        async with served(Emulator(simulation())) as here, here.page(here.viewing.watch_token) as page:
-            address = f"{here.origin}/publish"
-            async with here.web.post(address, params={"token": here.viewing.token}, json=GOOD) as answer:
-                assert await answer.json() == {"waypoints": None, "set": 0}
-            shown = await page.until(lambda message: message["type"] == "localization")
-            assert shown["pose"] == GOOD["pose"]
-            async with here.page() as late:
-                await late.until(lambda message: message["type"] == "localization")
-                await late.say(do="waypoints", robot=1, points=[[7, 8]])
-                await late.until(lambda message: message["type"] == "waypoints")
-            async with here.web.post(address, params={"token": here.viewing.token}, json=GOOD) as answer:
-                assert await answer.json() == {"waypoints": [[7, 8]], "set": 1}
-            for token, body, status in (
-                (here.viewing.watch_token, GOOD, 403), ("", GOOD, 403), (here.viewing.token, {}, 400),
-            ):  # fmt: skip
-                async with here.web.post(address, params={"token": token}, json=body) as answer:
-                    assert answer.status == status
-            for strange in (json.dumps(GOOD | {"robot": 9}).encode(), b"\xff"):
-                async with here.web.post(address, params={"token": here.viewing.token}, data=strange) as answer:
-                    assert answer.status == 400
-
-    asyncio.run(scenario())
+async def test_a_posted_estimate_reaches_present_and_later_pages() -> None:
+    async with serve_viewer(Emulator(simulation())) as here, here.page(here.viewer_server.watch_token) as page:
+        address = f"{here.origin}/publish"
+        async with here.web.post(address, params={"token": here.viewer_server.token}, json=GOOD) as answer:
+            assert await answer.json() == {"waypoints": None, "set": 0}
+        shown = await page.until(lambda message: message["type"] == "localization")
+        assert shown["pose"] == GOOD["pose"]
+        async with here.page() as late:
+            await late.until(lambda message: message["type"] == "localization")
+            await late.send_message(do="waypoints", robot=1, points=[[7, 8]])
+            await late.until(lambda message: message["type"] == "waypoints")
+        async with here.web.post(address, params={"token": here.viewer_server.token}, json=GOOD) as answer:
+            assert await answer.json() == {"waypoints": [[7, 8]], "set": 1}
+        for token, body, status in (
+            (here.viewer_server.watch_token, GOOD, 403), ("", GOOD, 403), (here.viewer_server.token, {}, 400),
+        ):  # fmt: skip
+            async with here.web.post(address, params={"token": token}, json=body) as answer:
+                assert answer.status == status
+        for strange in (json.dumps(GOOD | {"robot": 9}).encode(), b"\xff"):
+            async with here.web.post(address, params={"token": here.viewer_server.token}, data=strange) as answer:
+                assert answer.status == 400

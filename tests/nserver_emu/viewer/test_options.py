@@ -12,7 +12,7 @@ import pytest
 from nserver_emu import cli
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.viewer.options import DEFAULT_PORT, Place, ViewerMissing, add_options, viewed
+from nserver_emu.viewer.options import DEFAULT_PORT, ListenAddress, ViewerMissing, add_options, running_viewer
 from tests.nserver_emu.server.wire_client import simulation
 
 
@@ -26,13 +26,13 @@ def options(*words: str) -> argparse.Namespace:
     ("words", "place"),
     [
         ([], None),
-        (["--viewer"], Place("127.0.0.1", DEFAULT_PORT)),
-        (["--viewer", "0"], Place("127.0.0.1", 0)),
-        (["--viewer", "0.0.0.0:8000"], Place("0.0.0.0", 8000)),
-        (["--viewer", "[::1]:8000"], Place("::1", 8000)),
+        (["--viewer"], ListenAddress("127.0.0.1", DEFAULT_PORT)),
+        (["--viewer", "0"], ListenAddress("127.0.0.1", 0)),
+        (["--viewer", "0.0.0.0:8000"], ListenAddress("0.0.0.0", 8000)),
+        (["--viewer", "[::1]:8000"], ListenAddress("::1", 8000)),
     ],
 )
-def test_where_the_page_is_served(words: list[str], place: Place | None) -> None:
+def test_where_the_page_is_served(words: list[str], place: ListenAddress | None) -> None:
     assert options(*words).viewer == place
 
 
@@ -47,7 +47,8 @@ def test_what_is_no_port_is_wrong_usage(text: str, capsys: pytest.CaptureFixture
 def test_one_line_says_where_and_the_token(host: str, name: str) -> None:
     async def scenario() -> list[str]:
         daemon = Daemon(Emulator(simulation()))
-        async with viewed(daemon, argparse.Namespace(viewer=Place(host, 0), viewer_token_file=None)) as lines:
+        options = argparse.Namespace(viewer=ListenAddress(host, 0), viewer_token_file=None)
+        async with running_viewer(daemon, options) as lines:
             return lines
 
     (line,) = asyncio.run(scenario())
@@ -56,7 +57,7 @@ def test_one_line_says_where_and_the_token(host: str, name: str) -> None:
 
 def test_without_the_option_there_is_no_page() -> None:
     async def scenario() -> list[str]:
-        async with viewed(Daemon(Emulator(simulation())), options()) as lines:
+        async with running_viewer(Daemon(Emulator(simulation())), options()) as lines:
             return lines
 
     assert asyncio.run(scenario()) == []

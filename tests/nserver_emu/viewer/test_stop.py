@@ -14,19 +14,19 @@ from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.simulation.models import N150
 from nserver_emu.simulation.noise import IDEAL
 from tests.nserver_emu.server.wire_client import simulation
-from tests.nserver_emu.viewer.viewed_daemon import HOST, Message, Page, served
+from tests.nserver_emu.viewer.page_client import HOST, Message, Page, serve_viewer
 from worlds.world import StartPose
 
 
 @contextlib.asynccontextmanager
 async def a_program(port: int, robot_id: int = 1) -> AsyncIterator[None]:
-    """A client that says the same velocities again and again, as a program does that follows a way."""
+    """A client that repeats the same velocities, as a path-following program does."""
     reader, writer = await asyncio.open_connection(HOST, port)
 
     async def drive() -> None:
-        writer.write(codec.tcp_request(Call("connect_robot", (robot_id, 1))))
+        writer.write(codec.encode_tcp_request(Call("connect_robot", (robot_id, 1))))
         while True:
-            writer.write(codec.tcp_request(Call("vm", (40, 0, 0))))
+            writer.write(codec.encode_tcp_request(Call("vm", (40, 0, 0))))
             await asyncio.sleep(0.02)
 
     driving, reading = asyncio.create_task(drive()), asyncio.create_task(reader.read())
@@ -52,84 +52,75 @@ async def picture(page: Page, speed: int, held: object = ..., beyond: int = -1) 
     return await page.until(right)
 
 
-def test_stop_holds_against_a_program_that_drives_on_until_released() -> None:
+async def test_stop_holds_against_a_driving_program() -> None:
+    emulator = Emulator(simulation())
+    async with serve_viewer(emulator) as here, here.page() as page, here.page() as other, a_program(emulator.port):
+        robot = emulator.simulation.robots[1]
+        hello = await page.until(lambda message: message["type"] == "hello")
+        await picture(page, 40, None)
+        await page.send_message(do="stop", id=1)
+        answer = await page.answer(1)
+        assert (answer["ok"], answer["held"]["1"]["by"]) == (True, hello["name"])
+        at = robot.actual
+        ignored = [(await picture(page, 0))["robots"]["1"]["held"] for _ in range(10)]
+        assert robot.actual == at
+        assert {hold["by"] for hold in ignored} == {"viewer 1"}
+        assert ignored[-1]["ignored"] > ignored[0]["ignored"] > 0
+        shown = await other.until(
+            lambda message: message["type"] == "picture" and message["robots"]["1"]["held"] is not None
+        )
+        assert shown["robots"]["1"]["held"]["by"] == "viewer 1"
+        await other.send_message(do="release", id=1, robot=1)
+        assert (await other.answer(1))["held"] == {}
+        await picture(page, 40, None, beyond=round(10 * at.x_in) + 1)
+        assert robot.actual != at
+
+
+async def test_a_page_cannot_move_a_held_robot() -> None:
+    async with serve_viewer(Emulator(simulation())) as here, here.page() as page, here.page() as other:
+        robot = here.daemon.emulator.simulation.robots[1]
+        await other.send_message(do="drive", id=1, robot=1, args=[50, 0, 0])
+        await other.answer(1)
+        await page.send_message(do="stop", id=1, robot=1)
+        await page.answer(1)
+        assert robot.is_still((0, 1, 2))
+        for who in (page, other):
+            await who.send_message(do="drive", id=2, robot=1, args=[50, 0, 0])
+            answer = await who.answer(2)
+            assert (answer["ok"], answer["held"]) == (False, "viewer 1")
+            assert answer["error"] == "robot 1 is held by viewer 1: release it first"
+            for number, call, args in ((3, "pr", [10, 0, 0]), (4, "zr", []), (5, "lp", [])):
+                await who.send_message(do="call", id=number, robot=1, call=call, args=args)
+                assert not (await who.answer(number))["ok"]
+            for number, call, args in ((6, "st", []), (7, "place_robot", [300, 200, 0, 0])):
+                await who.send_message(do="call", id=number, robot=1, call=call, args=args)
+                assert (await who.answer(number))["ok"]
+            await who.send_message(do="drive", id=8, robot=1, args=[0, 0, 0])
+            assert (await who.answer(8))["ok"]
+        assert robot.is_still((0, 1, 2))
+
+
+async def test_stop_applies_to_one_robot_or_to_all() -> None:
+    emulator = Emulator(simulation())
+    emulator.simulation.add_robot(2, StartPose(40.0, 0.0), N150, IDEAL)
+    async with serve_viewer(emulator) as here, here.page() as page, a_program(emulator.port, 2):
+        await page.send_message(do="stop", id=1, robot=1)
+        assert list((await page.answer(1))["held"]) == ["1"]
+        async with asyncio.timeout(5):
+            while emulator.simulation.robots[2].is_still((0,)):
+                await asyncio.sleep(0.01)
+        await page.send_message(do="stop", id=2)
+        assert list((await page.answer(2))["held"]) == ["1", "2"]
+        assert emulator.simulation.robots[2].is_still((0,))
+        await page.send_message(do="release", id=3)
+        assert (await page.answer(3))["held"] == {}
+        await page.send_message(do="stop", id=4, robot=7)
+        assert (await page.answer(4))["error"] == "there is no robot 7; there are 1, 2"
+
+
+def test_stop_and_release_are_logged_with_the_viewer(caplog: pytest.LogCaptureFixture) -> None:
     async def scenario() -> None:
-        emulator = Emulator(simulation())
-        async with served(emulator) as here, here.page() as page, here.page() as other, a_program(emulator.port):
-            robot = emulator.simulation.robots[1]
-            hello = await page.until(lambda message: message["type"] == "hello")
-            await picture(page, 40, None)
-            await page.say(do="stop", id=1)
-            answer = await page.answer(1)
-            assert (answer["ok"], answer["held"]["1"]["by"]) == (True, hello["name"])
-            at = robot.actual
-            ignored = [(await picture(page, 0))["robots"]["1"]["held"] for _ in range(10)]
-            assert robot.actual == at
-            assert {hold["by"] for hold in ignored} == {"viewer 1"}
-            assert ignored[-1]["ignored"] > ignored[0]["ignored"] > 0
-            shown = await other.until(
-                lambda message: message["type"] == "picture" and message["robots"]["1"]["held"] is not None
-            )
-            assert shown["robots"]["1"]["held"]["by"] == "viewer 1"
-            await other.say(do="release", id=1, robot=1)
-            assert (await other.answer(1))["held"] == {}
-            await picture(page, 40, None, beyond=round(10 * at.x_in) + 1)
-            assert robot.actual != at
-
-    asyncio.run(scenario())
-
-
-def test_the_page_itself_moves_no_robot_that_is_held_and_is_told_so() -> None:
-    async def scenario() -> None:
-        async with served(Emulator(simulation())) as here, here.page() as page, here.page() as other:
-            robot = here.daemon.emulator.simulation.robots[1]
-            await other.say(do="drive", id=1, robot=1, args=[50, 0, 0])
-            await other.answer(1)
-            await page.say(do="stop", id=1, robot=1)
-            await page.answer(1)
-            assert robot.still((0, 1, 2))
-            for who in (page, other):
-                await who.say(do="drive", id=2, robot=1, args=[50, 0, 0])
-                answer = await who.answer(2)
-                assert (answer["ok"], answer["held"]) == (False, "viewer 1")
-                assert answer["error"] == "robot 1 is held by viewer 1: release it first"
-                for number, call, args in ((3, "pr", [10, 0, 0]), (4, "zr", []), (5, "lp", [])):
-                    await who.say(do="call", id=number, robot=1, call=call, args=args)
-                    assert not (await who.answer(number))["ok"]
-                for number, call, args in ((6, "st", []), (7, "place_robot", [300, 200, 0, 0])):
-                    await who.say(do="call", id=number, robot=1, call=call, args=args)
-                    assert (await who.answer(number))["ok"]
-                await who.say(do="drive", id=8, robot=1, args=[0, 0, 0])
-                assert (await who.answer(8))["ok"]
-            assert robot.still((0, 1, 2))
-
-    asyncio.run(scenario())
-
-
-def test_one_robot_may_be_held_and_the_other_go_on_and_all_be_stopped_at_once() -> None:
-    async def scenario() -> None:
-        emulator = Emulator(simulation())
-        emulator.simulation.add_robot(2, StartPose(40.0, 0.0), N150, IDEAL)
-        async with served(emulator) as here, here.page() as page, a_program(emulator.port, 2):
-            await page.say(do="stop", id=1, robot=1)
-            assert list((await page.answer(1))["held"]) == ["1"]
-            async with asyncio.timeout(5):
-                while emulator.simulation.robots[2].still((0,)):
-                    await asyncio.sleep(0.01)
-            await page.say(do="stop", id=2)
-            assert list((await page.answer(2))["held"]) == ["1", "2"]
-            assert emulator.simulation.robots[2].still((0,))
-            await page.say(do="release", id=3)
-            assert (await page.answer(3))["held"] == {}
-            await page.say(do="stop", id=4, robot=7)
-            assert (await page.answer(4))["error"] == "there is no robot 7; there are 1, 2"
-
-    asyncio.run(scenario())
-
-
-def test_who_stops_and_who_releases_is_in_the_log(caplog: pytest.LogCaptureFixture) -> None:
-    async def scenario() -> None:
-        async with served(Emulator(simulation())) as here:
+        async with serve_viewer(Emulator(simulation())) as here:
             here.daemon.hold([1], "nserver ctl")
             here.daemon.release([1])
 
@@ -140,26 +131,20 @@ def test_who_stops_and_who_releases_is_in_the_log(caplog: pytest.LogCaptureFixtu
     ]
 
 
-def test_who_only_looks_neither_stops_nor_releases() -> None:
-    async def scenario() -> None:
-        async with served(Emulator(simulation())) as here, here.page(here.viewing.watch_token) as page:
-            here.daemon.hold([1], "viewer 9")
-            for number, word in enumerate(("stop", "release")):
-                await page.say(do=word, id=number)
-                assert (await page.answer(number))["error"] == "this link only looks"
-            assert here.daemon.emulator.estop.as_dict() == {"1": {"by": "viewer 9", "ignored": 0}}
-
-    asyncio.run(scenario())
+async def test_a_watcher_neither_stops_nor_releases() -> None:
+    async with serve_viewer(Emulator(simulation())) as here, here.page(here.viewer_server.watch_token) as page:
+        here.daemon.hold([1], "viewer 9")
+        for number, word in enumerate(("stop", "release")):
+            await page.send_message(do=word, id=number)
+            assert (await page.answer(number))["error"] == "this link only looks"
+        assert here.daemon.emulator.estop.as_dict() == {"1": {"by": "viewer 9", "ignored": 0}}
 
 
-def test_a_hold_outlasts_the_page_that_pressed_stop() -> None:
-    async def scenario() -> None:
-        async with served(Emulator(simulation())) as here:
-            async with here.page() as page:
-                await page.say(do="stop", id=1)
-                await page.answer(1)
-            async with here.page() as later:
-                shown = await later.until(lambda message: message["type"] == "picture")
-                assert shown["robots"]["1"]["held"] == {"by": "viewer 1", "ignored": 0}
-
-    asyncio.run(scenario())
+async def test_a_hold_outlasts_the_page_that_pressed_stop() -> None:
+    async with serve_viewer(Emulator(simulation())) as here:
+        async with here.page() as page:
+            await page.send_message(do="stop", id=1)
+            await page.answer(1)
+        async with here.page() as later:
+            shown = await later.until(lambda message: message["type"] == "picture")
+            assert shown["robots"]["1"]["held"] == {"by": "viewer 1", "ignored": 0}

@@ -172,7 +172,7 @@ def test_ws_answers_when_the_named_axes_are_still(emulator: Emulator) -> None:
     client, session = meet(emulator)
     client.ask("sp", 100, 450, 450)
     client.ask("pr", 100, 0, 0)
-    assert client.send("ws", codec.tcp_request(Call("ws", (1, 1, 1, 20)))) == []
+    assert client.send("ws", codec.encode_tcp_request(Call("ws", (1, 1, 1, 20)))) == []
     emulator.simulation.step(0.9)
     assert session.tick() == b""
     emulator.simulation.step(0.2)
@@ -184,7 +184,7 @@ def test_ws_answers_after_its_timeout_without_stopping_anything(emulator: Emulat
     client, session = meet(emulator)
     client.ask("vm", 20, 0, 0)
     assert client.ask("ws", 0, 1, 1, 9).slots[38] == 20
-    client.send("ws", codec.tcp_request(Call("ws", (1, 0, 0, 2))))
+    client.send("ws", codec.encode_tcp_request(Call("ws", (1, 0, 0, 2))))
     emulator.simulation.step(1.9)
     assert session.tick() == b""
     emulator.simulation.step(0.2)
@@ -196,7 +196,7 @@ def test_zr_is_answered_at_the_bumpers_zero_with_all_read_as_zero(emulator: Emul
     client, session = meet(emulator)
     client.ask("pr", 100, 900, 450)
     emulator.simulation.step(5.0)
-    assert client.send("zr", codec.tcp_request(Call("zr"))) == []
+    assert client.send("zr", codec.encode_tcp_request(Call("zr"))) == []
     for _ in range(100):
         emulator.simulation.step(0.1)
         if session.tick():
@@ -331,7 +331,7 @@ def test_the_robot_of_a_client_that_is_gone_stops_but_not_another_ones(emulator:
     second.ask("vm", 50, 0, 0)
     emulator.on_disconnect(first_session.context)
     assert second.ask("get_rv").slots[38] == 50
-    second.send("disconnect_robot", codec.tcp_request(Call("disconnect_robot", (1, 1))))
+    second.send("disconnect_robot", codec.encode_tcp_request(Call("disconnect_robot", (1, 1))))
     assert second_session.closing
     assert first.ask("get_rv").slots[38] == 0
 

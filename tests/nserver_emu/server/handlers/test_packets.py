@@ -43,7 +43,7 @@ def answer(reply: Reply) -> tuple[int, ...]:
 def later(emulator: Emulator, session: Session, client: WireClient, name: str, *args: int) -> tuple[float, Reply]:
     """A question that is answered later: after how many seconds, and what."""
     began_s = emulator.simulation.time_s
-    assert client.send(name, codec.tcp_request(Call(name, args))) == []
+    assert client.send(name, codec.encode_tcp_request(Call(name, args))) == []
     for _ in range(2000):
         emulator.simulation.step(0.01)
         if data := session.tick():
@@ -54,7 +54,7 @@ def later(emulator: Emulator, session: Session, client: WireClient, name: str, *
 
 def test_what_is_said_is_kept_with_who_and_when(emulator: Emulator, connected: tuple[WireClient, Session]) -> None:
     emulator.simulation.step(1.5)
-    connected[0].send("tk", codec.tcp_request(Call("tk", ("hello",))))
+    connected[0].send("tk", codec.encode_tcp_request(Call("tk", ("hello",))))
     assert emulator.transcript.utterances == (Utterance(1.5, 1, "hello"),)
 
 
@@ -130,7 +130,7 @@ def running(emulator: Emulator) -> tuple[WireClient, Session]:
 def settled_in(emulator: Emulator) -> float:
     """How high the lift is when it stands; it has a minute for that."""
     emulator.pass_time(60.0)
-    assert emulator.arms[1].still()
+    assert emulator.arms[1].is_still()
     return emulator.arms[1].lift.position_in
 
 
@@ -173,7 +173,7 @@ def test_who_waits_for_the_arm_feeds_the_time_out(emulator: Emulator) -> None:
     client.ask("conf_tm", 1)
     client.ask("arm_mv", 5, 100, 0, 0)
     client.ask("arm_mv", 2, 500, 0, 0)
-    session.receive(codec.tcp_request(Call("arm_ws", (1, 1, 30_000))))
+    session.receive(codec.encode_tcp_request(Call("arm_ws", (1, 1, 30_000))))
     assert session.process_requests(max_requests=1) == b""
     assert settled_in(emulator) == pytest.approx(5.0)
     (reply,) = client.read("arm_ws", session.tick())

@@ -1,0 +1,83 @@
+"""Declare the settings of a robot setup next to the dataclass fields that hold them.
+
+A field made with `setting` is a key of a setup file, a row of docs/setups.md and a checked value of a snapshot; the
+range, the unit and the meaning stand here once. Angles are radians in the field and degrees in the file.
+"""
+
+from __future__ import annotations
+
+from dataclasses import field, fields
+from math import degrees, isfinite
+from typing import Any, Final, NamedTuple
+
+_SETTING: Final = "setting"
+SONAR_NUMBERS: Final = "sonars"
+"""The unit of a list of sonar numbers, 0 to 15."""
+
+
+class Key(NamedTuple):
+    """A key of a setup file.
+
+    Attributes
+    ----------
+    table
+        Table of the file, "" for the top.
+    field
+        Field of the dataclass behind that table.
+    low, high
+        Permitted range, in the unit of the file.
+    unit, meaning
+        For the documentation.
+    former
+        Key of earlier versions, still read; "" for none.
+    sonar_model
+        The only sonar model that has this key; "" for both.
+    """
+
+    table: str
+    field: str
+    low: float
+    high: float
+    unit: str
+    meaning: str
+    former: str = ""
+    sonar_model: str = ""
+
+    @property
+    def name(self) -> str:
+        """The key as users write it."""
+        return f"{self.field.removesuffix('_rad')}_deg" if self.in_degrees else self.field
+
+    @property
+    def in_degrees(self) -> bool:
+        """True for an angle, which the simulation holds in radians."""
+        return self.field.endswith("_rad")
+
+    def of(self, setup: object) -> object:
+        """Return a setup's value in the simulation's units; None where its sonar model has no such setting."""
+        return getattr(getattr(setup, self.table) if self.table else setup, self.field, None)
+
+    def accepts(self, value: object) -> bool:
+        """Return True if a value, or every value of a tuple, is finite and in the permitted range."""
+        return all(_is_within(number, self) for number in (value if isinstance(value, tuple) else (value,)))
+
+
+def _is_within(value: object, key: Key) -> bool:
+    if not isinstance(value, int | float) or not isfinite(value):
+        return False
+    shown = degrees(value) if key.in_degrees else value
+    tolerance = 1e-9 * max(abs(key.low), abs(key.high))  # degrees -> radians -> degrees rounds
+    return key.low - tolerance <= shown <= key.high + tolerance
+
+
+def setting(default: Any, low: float, high: float, unit: str, meaning: str, former: str = "") -> Any:
+    """Return a dataclass field that is a setting; arguments as in `Key`."""
+    return field(default=default, metadata={_SETTING: Key("", "", low, high, unit, meaning, former)})
+
+
+def keys_of(table: str, kind: type, sonar_model: str = "") -> tuple[Key, ...]:
+    """Return the keys of a dataclass, in the order of its fields."""
+    return tuple(
+        row.metadata[_SETTING]._replace(table=table, field=row.name, sonar_model=sonar_model)
+        for row in fields(kind) if _SETTING in row.metadata
+    )  # fmt: skip

@@ -1,0 +1,39 @@
+"""Read code blocks of documentation pages and run their commands."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+
+
+def code_blocks(page: str, language: str) -> list[str]:
+    """Return the code blocks of a page in a language, without the indentation of those in lists."""
+    text = (DOCS / page).read_text(encoding="utf-8")
+    found = re.findall(rf"^( *)```{language}\n(.*?)^ *```", text, re.MULTILINE | re.DOTALL)
+    return [re.sub(rf"^{indent}", "", block, flags=re.MULTILINE) for indent, block in found]
+
+
+def command_lines(page: str) -> list[str]:
+    """Return the lines of the `sh` blocks of a page."""
+    return [line for block in code_blocks(page, "sh") for line in block.splitlines() if line]
+
+
+def environment_with_venv() -> dict[str, str]:
+    """Return the environment with this Python's programs first in PATH."""
+    return os.environ | {"PATH": os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))}
+
+
+def run(command: str, folder: Path, environment: Mapping[str, str] | None = None, timeout_s: float = 300) -> str:
+    """Return the output of a shell command, which must succeed."""
+    bash, environment = ["bash", "-c", command], environment or environment_with_venv()
+    done = subprocess.run(bash, cwd=folder, env=environment, capture_output=True, text=True, timeout=timeout_s,
+                          check=False)  # fmt: skip
+    assert done.returncode == 0, f"{command}\n{done.stdout}{done.stderr}"
+    return done.stdout

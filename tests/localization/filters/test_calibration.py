@@ -1,0 +1,164 @@
+"""The long state: against the shorter filter, against finite differences, and how far it knows what it has found."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from localization.calibration.result import calibration_in, table
+from localization.experiments.live_trial import EXACT_RAYS
+from localization.filters.base import LocalizationConfig
+from localization.filters.belief import independent
+from localization.filters.calibration import (
+    OFFSET,
+    OWN,
+    PARAMETER_STDS,
+    RING_TURN,
+    SIZE,
+    AimReading,
+    CalibratingFilter,
+    ConeAim,
+)
+from localization.filters.health import HealthStatus
+from localization.filters.odometry import OdometryNoise, move, with_parameters
+from localization.filters.registry import make
+from localization.filters.sonar_cone import ConeSonar
+from localization.filters.update import Refusal
+from worlds.io import load_world
+from worlds.raycast import cast_rays
+from worlds.robots import N150
+
+WORLD = load_world("several_walls")
+QUIET = OdometryNoise(0.02, 0.02, 0.0005)
+RAYS = LocalizationConfig(WORLD.walls, N150, QUIET, EXACT_RAYS)
+CONES = LocalizationConfig(WORLD.walls, N150, QUIET, ConeSonar())
+START = independent([20.0, 50.0, 0.3], [0.2, 0.2, 0.01])
+NOTHING_BESIDES = (*PARAMETER_STDS[:3], *(0.0,) * (SIZE - 6))
+
+
+def test_with_faultless_sonars_it_is_the_kalman_filter_of_the_shorter_state(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ConeAim, "posterior", lambda *_: (0.0, 1.0))
+    chance = np.random.default_rng(4)
+    for known in (RAYS, CONES):
+        long = CalibratingFilter(known, START, NOTHING_BESIDES)
+        short = make("ekf", known, with_parameters(START, PARAMETER_STDS[:3]))
+        for sonar in (*range(16), *range(16)):
+            step = chance.uniform(-1.0, 1.0, 2) * [1.0, 0.05]
+            reading = float(chance.integers(10, 80))
+            for method in (long, short):
+                method.predict(*step.tolist())
+            said = [method.update(sonar, 0.1, reading) for method in (long, short)]
+            if known is CONES:
+                assert said[0].refusal is said[1].refusal
+            np.testing.assert_allclose(long.belief.mean[:6], short.belief.mean, rtol=1e-9, atol=1e-12)
+            np.testing.assert_allclose(long.belief.cov[:6, :6], short.belief.cov, rtol=1e-7, atol=1e-12)
+        ahead = [method.predicted(2.0, 0.1) for method in (long, short)]
+        np.testing.assert_allclose(ahead[0].mean[:6], ahead[1].mean)
+        assert long.health.status is HealthStatus.OK
+
+
+def range_of(state: np.ndarray[tuple[int], np.dtype[np.float64]], sonar: int, offset_rad: float) -> float:
+    """A reading by the ray caster, from a whole state."""
+    angle = state[2] + offset_rad + state[RING_TURN] + N150.sonar_angles_rad[sonar]
+    far = cast_rays(state[:2], (np.cos(angle), np.sin(angle)), WORLD.walls)[0]
+    return float(far) - N150.sonar_ring_radius_in + float(state[OFFSET] + state[OWN + sonar])
+
+
+@pytest.mark.parametrize("sonar", [0, 3, 8, 13])
+def test_its_gain_is_that_of_derivatives_by_finite_differences(sonar: int) -> None:
+    stds = (0.01, 0.01, 0.001, 0.3, 0.01, *(0.2,) * 16)
+    method = CalibratingFilter(RAYS, START, stds)
+    before, offset_rad = method.belief, 0.2
+    expected = range_of(before.mean, sonar, offset_rad)
+    assert method.update(sonar, offset_rad, expected + 0.2).refusal is Refusal.NONE
+    slope = np.array([
+        (range_of(before.mean + way, sonar, offset_rad) - range_of(before.mean - way, sonar, offset_rad)) / 2e-6
+        for way in 1e-6 * np.eye(SIZE)
+    ])  # fmt: skip
+    spread = slope @ before.cov @ slope + EXACT_RAYS.variance(np.array([expected]))[0]
+    gain = before.cov @ slope / spread
+    np.testing.assert_allclose(method.belief.mean - before.mean, gain * 0.2, rtol=1e-4, atol=1e-8)
+    np.testing.assert_allclose(method.belief.cov, before.cov - np.outer(gain, gain) * spread, rtol=1e-4, atol=1e-8)
+
+
+def test_where_a_sonar_looks_is_that_of_heading_and_ring_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Conditioning on their sum, by the block formulas; what is not known to differ stays so."""
+    looks: list[AimReading] = []
+
+    def posterior(_: ConeAim, look: AimReading) -> tuple[float, float]:
+        looks.append(look)
+        return 0.01, 0.25
+
+    monkeypatch.setattr(ConeAim, "posterior", posterior)
+    method = CalibratingFilter(CONES, START)
+    before = method.belief
+    assert method.update(3, 0.2, 255.0).refusal is Refusal.LIMIT
+    assert looks[0].std_rad == pytest.approx(np.hypot(0.01, PARAMETER_STDS[4]))
+    assert (looks[0].offset_rad, looks[0].reading_in) == (0.2, 255.0)
+    sum_of = np.zeros(SIZE)
+    sum_of[[2, RING_TURN]] = 1.0
+    change = method.belief.mean - before.mean
+    assert sum_of @ change == pytest.approx(0.01)
+    assert change[RING_TURN] / change[2] == pytest.approx(PARAMETER_STDS[4] ** 2 / 0.01**2)
+    assert sum_of @ method.belief.cov @ sum_of == pytest.approx(0.25 * sum_of @ before.cov @ sum_of)
+    pull = before.cov @ sum_of
+    np.testing.assert_allclose(
+        method.belief.cov, before.cov - 0.75 * np.outer(pull, pull) / (sum_of @ pull), rtol=1e-9, atol=1e-15
+    )
+    method.update(3, 0.2, 40.0)
+    assert looks[1].reading_in == pytest.approx(40.0)
+    method.update(3, 0.2, 6.0)
+    assert len(looks) == 2
+    sure = CalibratingFilter(CONES, independent([20.0, 50.0, 0.3], [0.2, 0.2, 0.0]), NOTHING_BESIDES)
+    sure.update(3, 0.2, 40.0)
+    assert len(looks) == 2
+
+
+def test_what_is_no_range_or_none_of_the_map_is_refused() -> None:
+    method = CalibratingFilter(RAYS, START, NOTHING_BESIDES)
+    before = method.belief
+    for limit in (0.0, 6.0, 255.0):
+        assert method.update(0, 0.0, limit).refusal is Refusal.LIMIT
+    assert method.update(0, 0.0, range_of(before.mean, 0, 0.0) + 1.5).refusal is Refusal.GATE
+    assert method.update(0, 0.0, 200.0).refusal is Refusal.GATE
+    np.testing.assert_array_equal(method.belief.mean, before.mean)
+    np.testing.assert_array_equal(method.belief.cov, before.cov)
+    cones = CalibratingFilter(CONES, START)
+    assert cones.update(0, 0.0, 200.0).refusal is Refusal.GATE
+
+
+def test_it_finds_what_it_was_given_and_knows_how_well() -> None:
+    """A robot that goes round and round with drawn errors, heard by exact rays: errors are as large as told."""
+    off = []
+    for seed in range(4):
+        chance = np.random.default_rng(seed)
+        stds = np.array(PARAMETER_STDS) * 0.5
+        state = np.concatenate((START.mean + START.std * chance.standard_normal(3), stds * chance.standard_normal(21)))
+        method = CalibratingFilter(RAYS, START, tuple(stds))
+        for count in range(600):
+            step = np.array([0.5, 0.05 if (count // 126) % 2 else -0.05])
+            made = np.array([(1.0 + state[3]) * step[0], (1.0 + state[4]) * step[1] + state[5] * step[0]])
+            noise = [QUIET.translation_std * 0.5**0.5, (QUIET.rotation_std**2 * 0.05 + QUIET.drift_std**2 * 0.5) ** 0.5]
+            state[:3] = move(state[:3], made + noise * chance.standard_normal(2))
+            method.predict(*step.tolist())
+            sonar = 5 * count % 16
+            method.update(sonar, 0.0, float(np.floor(range_of(state, sonar, 0.0) + 0.5)))
+        found, spread = calibration_in(method.belief), calibration_in(method.belief).spread
+        true = state[OFFSET] + state[OWN:]
+        off += [
+            (found.way_scale - 1.0 - state[3]) / spread.way_scale,
+            (found.turn_scale - 1.0 - state[4]) / spread.turn_scale,
+            (found.drift_rad_in - state[5]) / spread.drift_rad_in,
+            (found.turned_rad - state[RING_TURN]) / spread.turned_rad,
+            *((np.array(found.offsets_in) - true) / spread.offsets_in),
+        ]
+        assert spread.way_scale < 0.5 * stds[0]
+        assert max(spread.offsets_in) < 0.2
+    assert 0.5 < np.mean(np.square(off)) < 1.6
+
+
+def test_the_table_tells_every_number_with_its_spread() -> None:
+    lines = table(calibration_in(CalibratingFilter(RAYS, START).belief)).splitlines()
+    assert len(lines) == 5 + 16
+    assert lines[1].split() == ["way,", "true", "/", "counted", "1.0000", "0.0500", "within", "noise", "of", "zero"]
+    assert lines[-1].split()[-6:] == ["0.00", "2.06", "within", "noise", "of", "zero"]

@@ -1,0 +1,95 @@
+"""The monitor: a CUSUM by hand, its false alarms against Wald's bound, and each reason to be in doubt."""
+
+from __future__ import annotations
+
+from math import exp, log
+
+import numpy as np
+import pytest
+
+from localization.filters.belief import independent
+from localization.filters.health import HEALTHY, HealthLimits, HealthStatus, IntegrityMonitor
+from localization.filters.update import Refusal, UpdateResult
+
+SHARP, BLUNT = independent([0, 0, 0], [0.2, 0.2, 0.01]), independent([0, 0, 0], [0.2, 4.0, 0.01])
+
+
+def outcome(outlier_probability: float = 0.0, nis: float = 1.0) -> UpdateResult:
+    return UpdateResult(Refusal.NONE, 0.0, nis, outlier_probability)
+
+
+def test_evidence_adds_up_from_its_highest_and_each_reading_counts_so_much_at_most() -> None:
+    monitor = IntegrityMonitor(HealthLimits(lost_nats=10.0, max_loss_nats=4.0, max_gain_nats=1.0))
+    for likelihood, expected in ((10.0, 0.0), (exp(-2.0), 2.0), (exp(1.0), 1.0), (1e-9, 5.0), (1e9, 4.0)):
+        monitor.add_evidence(likelihood, 1.0, None)
+        assert monitor.fall_nats == pytest.approx(expected)
+    assert monitor.health(SHARP) == HEALTHY
+    monitor.add_evidence(1e-9, 1.0, None)
+    monitor.add_evidence(1e-9, 1.0, None)
+    health = monitor.health(SHARP)
+    assert health.status is HealthStatus.LOST
+    assert "anywhere" in health.reason
+    monitor.reset()
+    assert monitor.health(SHARP) == HEALTHY
+
+
+def test_false_alarms_are_no_more_frequent_than_walds_bound() -> None:
+    """Readings that really come from the estimate: two gaussians a standard deviation apart, in place of ranges."""
+    chance, alarms, readings = np.random.default_rng(5), 0, 20_000
+    monitor = IntegrityMonitor(HealthLimits(lost_nats=3.5, max_loss_nats=50.0, max_gain_nats=50.0))
+    for z in chance.standard_normal(readings).tolist():
+        monitor.add_evidence(exp(-0.5 * z * z), exp(-0.5 * (z - 1.0) ** 2), None)
+        if monitor.health(SHARP).status is HealthStatus.LOST:
+            alarms += 1
+            monitor.reset()
+    assert 0 < alarms <= readings * exp(-3.5)
+
+
+def test_a_spread_position_is_degraded_from_the_beginning() -> None:
+    health = IntegrityMonitor().health(BLUNT)
+    assert health.status is HealthStatus.DEGRADED
+    assert "4.0 in" in health.reason
+
+
+def test_few_explained_echoes_degrade() -> None:
+    monitor = IntegrityMonitor(HealthLimits(window=10, min_matched=0.35))
+    for index in range(10):
+        monitor.add_evidence(1.0, 1.0, outcome(outlier_probability=0.0 if index < 3 else 1.0))
+    assert monitor.health(SHARP).status is HealthStatus.DEGRADED
+    assert "30% of the last 10" in monitor.health(SHARP).reason
+    monitor.add_evidence(1.0, 1.0, outcome())
+    monitor.add_evidence(1.0, 1.0, outcome())
+    monitor.add_evidence(1.0, 1.0, outcome())
+    monitor.add_evidence(1.0, 1.0, outcome())
+    assert monitor.health(SHARP) == HEALTHY
+
+
+def test_large_innovations_degrade_and_those_of_bad_readings_do_not_count() -> None:
+    monitor = IntegrityMonitor(HealthLimits(window=10))
+    for _ in range(10):
+        monitor.add_evidence(1.0, 1.0, outcome(outlier_probability=0.2, nis=4.0))
+    assert monitor.health(SHARP).status is HealthStatus.DEGRADED
+    assert "4.0 times" in monitor.health(SHARP).reason
+    monitor.reset()
+    for _ in range(10):
+        monitor.add_evidence(1.0, 1.0, outcome(outlier_probability=0.55, nis=100.0))
+    assert monitor.health(SHARP) == HEALTHY
+
+
+def test_logarithms_are_natural() -> None:
+    monitor = IntegrityMonitor()
+    monitor.add_evidence(0.5, 1.0, None)
+    assert monitor.fall_nats == pytest.approx(log(2.0))
+
+
+def test_falling_evidence_or_few_explained_echoes_are_a_reason_to_doubt() -> None:
+    monitor = IntegrityMonitor(HealthLimits(suspicious_nats=6.0, lost_nats=10.0, window=4, min_matched=0.5))
+    assert not monitor.is_suspicious
+    monitor.add_evidence(1e-9, 1.0, None)
+    monitor.add_evidence(1e-9, 1.0, None)
+    assert (monitor.is_suspicious, monitor.is_lost) == (True, False)
+    monitor.reset()
+    for outlier_probability in (1.0, 1.0, 1.0, 0.0):
+        assert not monitor.is_suspicious
+        monitor.add_evidence(1.0, 1.0, outcome(outlier_probability=outlier_probability))
+    assert monitor.is_suspicious

@@ -1,0 +1,127 @@
+"""Returns out of a cone: ranges by hand, derivatives by finite differences, and chances against a simple count."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import atan2, cos, hypot, pi, radians, sin
+
+import numpy as np
+import pytest
+
+from localization.filters.reflectors import reflectors
+from localization.filters.sonar_cone import ConeSonar, SonarMount, echo_probabilities, expected_echoes
+from worlds.io import load_world
+
+SURE = np.array(1e-9)
+SQUARE_ROOM = [[-50, -50, 50, -50], [50, -50, 50, 50], [50, 50, -50, 50], [-50, 50, -50, -50]]
+RIGHT_WALL = 1
+MODEL = ConeSonar()
+FRONT = SonarMount(0.0, 9.0)
+
+
+def test_a_wall_met_head_on_is_heard_at_its_distance_from_the_ring() -> None:
+    found = expected_echoes(np.zeros(3), SURE, FRONT, reflectors(SQUARE_ROOM), MODEL)
+    assert found.ranges_in[RIGHT_WALL] == pytest.approx(41.0)
+    assert found.probability[RIGHT_WALL] == pytest.approx(1.0, abs=1e-6)
+    assert found.probability.sum() == pytest.approx(1.0, abs=1e-6)
+
+
+def test_within_the_cone_a_slanted_wall_tells_its_perpendicular_distance() -> None:
+    pose = np.array([0.0, 0.0, radians(10.0)])
+    found = expected_echoes(pose, SURE, FRONT, reflectors(SQUARE_ROOM), MODEL)
+    assert found.ranges_in[RIGHT_WALL] == pytest.approx(50.0 - 9.0 * cos(radians(10.0)))
+    assert found.probability[RIGHT_WALL] > 0.99
+
+
+def test_beyond_the_cone_nothing_of_it_comes_back() -> None:
+    pose = np.array([0.0, 0.0, radians(20.0)])
+    found = expected_echoes(pose, SURE, FRONT, reflectors(SQUARE_ROOM), MODEL)
+    assert not found.probability.any()
+
+
+def test_a_square_corner_is_heard_at_its_vertex() -> None:
+    around = reflectors(SQUARE_ROOM)
+    found = expected_echoes(np.array([0.0, 0.0, pi / 4]), SURE, FRONT, around, MODEL)
+    heard = np.flatnonzero(found.probability > 0.5)
+    assert len(heard) == 1
+    assert tuple(around.vertices[heard[0] - len(around.walls)]) == (50.0, 50.0)
+    assert found.ranges_in[heard[0]] == pytest.approx(hypot(50, 50) - 9.0)
+
+
+def test_an_edge_is_too_faint_where_a_square_corner_is_not() -> None:
+    wall_end = reflectors([[60, 0, 60, 50]])
+    far = expected_echoes(np.array([-150.0, -20.0, atan2(20, 210)]), SURE, FRONT, wall_end, MODEL)
+    assert far.probability.sum() < 0.02
+    near = expected_echoes(np.array([0.0, -20.0, atan2(20, 60)]), SURE, FRONT, wall_end, MODEL)
+    assert near.probability[1] > 0.99
+
+
+def test_who_stands_in_front_hides_what_is_behind() -> None:
+    found = expected_echoes(np.zeros(3), SURE, FRONT, reflectors([*SQUARE_ROOM, [30, -5, 30, 5]]), MODEL)
+    assert found.probability[RIGHT_WALL] == 0.0
+    assert found.probability[4] == pytest.approx(1.0, abs=1e-6)
+
+
+def test_the_nearer_of_two_is_heard_and_the_farther_only_where_the_nearer_is_not() -> None:
+    beside = reflectors([*SQUARE_ROOM, [30, 1, 30, 40]])
+    found = expected_echoes(np.zeros(3), SURE, FRONT, beside, MODEL)
+    edge = len(beside.walls) + int(np.flatnonzero((beside.vertices == (30, 1)).all(axis=-1))[0])
+    nearer = found.probability[edge] + found.probability[4]  # a wall ends softly: it may be the wall itself
+    assert found.probability[edge] > 0.95
+    assert nearer > 0.99
+    assert found.probability[RIGHT_WALL] == pytest.approx(1.0 - nearer, abs=0.01)
+
+
+@pytest.mark.parametrize("heading", [0.0, 0.1, pi / 4, 2.0, -2.4])
+@pytest.mark.parametrize("direction", [0.0, 0.4, -2.9])
+def test_the_derivative_against_finite_differences(heading: float, direction: float) -> None:
+    around, tiny = reflectors([*SQUARE_ROOM, [10, 20, 30, 35]]), 1e-6
+    pose, ear = np.array([3.0, -7.0, heading]), SonarMount(direction, 9.06)
+    found = expected_echoes(pose, SURE, ear, around, MODEL)
+    for axis, unit in enumerate(np.eye(3)):
+        ahead = expected_echoes(pose + tiny * unit, SURE, ear, around, MODEL).ranges_in
+        behind = expected_echoes(pose - tiny * unit, SURE, ear, around, MODEL).ranges_in
+        np.testing.assert_allclose(found.H[:, axis], (ahead - behind) / (2 * tiny), atol=1e-6)
+
+
+def test_an_uncertain_heading_makes_the_rim_of_the_cone_soft() -> None:
+    """Against a count: how many of many headings have the wall's normal in the cone."""
+    std, loud = radians(3.0), replace(MODEL, margin_db=90.0)
+    for off_deg in (8.0, 12.5, 15.0):
+        pose = np.array([0.0, 0.0, radians(off_deg)])
+        told = expected_echoes(pose, np.array(std), FRONT, reflectors(SQUARE_ROOM), loud).probability[RIGHT_WALL]
+        headings = np.abs(radians(off_deg) + std * np.random.default_rng(3).normal(size=20_000))
+        assert told == pytest.approx((headings <= radians(12.5)).mean(), abs=0.03)
+
+
+def test_many_poses_at_once_are_each_their_own() -> None:
+    around = reflectors([*SQUARE_ROOM, [10, 20, 30, 35]])
+    poses = np.random.default_rng(5).uniform([-30, -30, -pi], [5, 10, pi], size=(4, 6, 3))
+    together = expected_echoes(poses, np.full((4, 6), 0.02), FRONT, around, MODEL)
+    for at in np.ndindex(4, 6):
+        alone = expected_echoes(poses[at], np.array(0.02), FRONT, around, MODEL)
+        np.testing.assert_allclose(together.ranges_in[at], alone.ranges_in, atol=1e-12)
+        np.testing.assert_allclose(together.probability[at], alone.probability, atol=1e-12)
+
+
+def test_variance_is_a_share_of_the_range_a_floor_and_rounding() -> None:
+    np.testing.assert_allclose(MODEL.variance(np.array([1.0, 100.0])), [0.05**2 + 1 / 12, 1.0 + 1 / 12])
+
+
+def test_the_ring_stands_where_the_heading_carries_it() -> None:
+    ear, pose = SonarMount(pi / 2, 9.0), np.array([10.0, 0.0, 0.0])
+    found = expected_echoes(pose, SURE, ear, reflectors([[-50, 40, 50, 40]]), MODEL)
+    assert found.ranges_in[0] == pytest.approx(40.0 - 9.0 * sin(pi / 2))
+
+
+@pytest.mark.parametrize("spread", [(0.3, 0.3, 0.02), (6.0, 6.0, 0.3), (40.0, 40.0, 3.0)])
+def test_of_a_cloud_what_is_left_out_is_heard_from_nowhere(spread: tuple[float, float, float]) -> None:
+    around, rng = reflectors(load_world("several_walls").walls), np.random.default_rng(9)
+    for direction in np.linspace(-3.0, 3.0, 9):
+        ear = SonarMount(float(direction), 9.06)
+        poses = np.array([45.0, 40.0, 0.7]) + spread * rng.uniform(-1.0, 1.0, size=(60, 3))
+        every = expected_echoes(poses, np.full(60, 0.03), ear, around, MODEL)
+        ranges, chances = echo_probabilities(poses, np.array(0.03), ear, around, MODEL)
+        heard = every.probability.any(axis=0)
+        np.testing.assert_allclose(ranges, every.ranges_in[:, heard], atol=1e-12)
+        np.testing.assert_allclose(chances, every.probability[:, heard], atol=1e-15)

@@ -1,0 +1,112 @@
+"""Who has a line and says nothing: since when, and what counts as waiting for an answer."""
+
+from __future__ import annotations
+
+import pytest
+
+from nclient.cli.serving import NO_LIMIT, IdleMonitor, IdleTimer
+from nclient.protocol import codec
+from nclient.protocol.commands import BY_NAME, Call
+from nclient.protocol.replies import Reply
+from nclient.protocol.types import N150
+from nclient.protocol.wire_state import serial_wire_state, tcp_wire_state
+from nclient.recording.recorder import SERIAL, TCP
+
+STATE = Reply("state", {34: 7}, clock=20)
+
+
+class Clock:
+    def __init__(self) -> None:
+        self.now_s = 100.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+def conversation(line: str) -> tuple[Clock, IdleTimer, IdleMonitor]:
+    """Who may be silent for 5 s, and is listened to."""
+    clock = Clock()
+    idle_timer = IdleTimer(5.0, clock)
+    return clock, idle_timer, IdleMonitor(idle_timer, line, N150)
+
+
+def said(line: str, name: str, *args: int) -> bytes:
+    call = Call(name, args)
+    return codec.encode_tcp_request(call) if line == TCP else codec.encode_serial_request(call, serial_wire_state(N150))
+
+
+def answer(line: str, name: str) -> bytes:
+    row = BY_NAME[name]
+    return codec.encode_tcp_reply(row, STATE, tcp_wire_state(N150)) if line == TCP else \
+        codec.encode_serial_reply(row, STATE, serial_wire_state(N150))
+
+
+def lasts_s(idle_timer: IdleTimer, clock: Clock) -> int:
+    """Whole seconds until it is too long."""
+    seconds = 0
+    while not idle_timer.expired and seconds < 1000:
+        clock.now_s += 1.0
+        seconds += 1
+    return seconds
+
+
+def test_it_begins_with_him_and_anew_with_each_word() -> None:
+    clock = Clock()
+    idle_timer = IdleTimer(5.0, clock)
+    assert lasts_s(idle_timer, clock) == 5
+    idle_timer.request_received()
+    assert lasts_s(idle_timer, clock) == 5
+    assert idle_timer.expired
+
+
+def test_without_a_limit_it_is_never_too_long() -> None:
+    clock = Clock()
+    assert lasts_s(IdleTimer(NO_LIMIT, clock), clock) == 1000
+
+
+@pytest.mark.parametrize("line", [TCP, SERIAL])
+@pytest.mark.parametrize(("name", "args", "seconds"), [
+    ("gs", (), 5), ("vm", (10, 0, 0), 5), ("ws", (1, 1, 1, 40), 45), ("zr", (), 125),
+])
+def test_who_waits_for_an_answer_is_not_silent_until_it_came(
+    line: str, name: str, args: tuple[int, ...], seconds: int
+) -> None:
+    clock, idle_timer, overheard = conversation(line)
+    for part in (said(line, name, *args)[:3], said(line, name, *args)[3:]):
+        overheard.to_robot(part)
+    assert lasts_s(idle_timer, clock) == seconds
+    overheard.to_robot(said(line, name, *args))
+    clock.now_s += 2.0
+    overheard.to_host(answer(line, name)[:5])
+    overheard.to_host(answer(line, name)[5:])
+    assert lasts_s(idle_timer, clock) == (3 if seconds == 5 else 5)  # what is answered at once is not waited for
+
+
+def test_a_click_in_the_window_may_be_long_in_coming() -> None:
+    clock, idle_timer, overheard = conversation(TCP)
+    overheard.to_robot(said(TCP, "get_robot_conf"))
+    assert lasts_s(idle_timer, clock) == 125
+
+
+def test_another_word_while_he_waits_does_not_end_the_waiting() -> None:
+    clock, idle_timer, overheard = conversation(SERIAL)
+    overheard.to_robot(said(SERIAL, "ws", 1, 1, 1, 40))
+    overheard.to_robot(said(SERIAL, "gs"))
+    assert lasts_s(idle_timer, clock) == 45
+
+
+@pytest.mark.parametrize("line", [TCP, SERIAL])
+def test_noise_is_talk_of_his_and_no_answer_to_him(line: str) -> None:
+    clock, idle_timer, overheard = conversation(line)
+    clock.now_s += 3.0
+    overheard.to_host(answer(line, "gs"))
+    assert lasts_s(idle_timer, clock) == 2
+    overheard.to_robot(b"GET / HTTP/1.0\r\n\r\n")
+    assert lasts_s(idle_timer, clock) == 5
+
+
+def test_half_an_answer_leaves_him_waiting() -> None:
+    clock, idle_timer, overheard = conversation(SERIAL)
+    overheard.to_robot(said(SERIAL, "ws", 1, 1, 1, 40))
+    overheard.to_host(b"\xff\x00\x13" + answer(SERIAL, "ws")[:-1])
+    assert lasts_s(idle_timer, clock) == 45

@@ -1,0 +1,204 @@
+"""The verbs of the server: world, drawings, other robots, simulated time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from nclient.errors import RobotRefused, WireError
+from nclient.protocol.commands import Call
+from nclient.protocol.replies import Reply
+from nclient.protocol.types import SCOUT
+from nclient.protocol.wire_state import serial_wire_state
+from nclient.robot import Arc, Robot
+from nclient.state import Pose, Truth
+from tests.nclient.answering import ScriptedServer, error, robot_on, simple
+
+POSE = Pose(10, 20, math.pi / 2, -math.pi)
+SQUARE_IN = [(0.0, 0.0), (10.0, 0.0), (10.0, 10.0)]
+SQUARE = (3, 0, 0, 100, 0, 100, 100)
+SQUARE_M = [(x * 0.0254, y * 0.0254) for x, y in SQUARE_IN]
+
+SENT: list[tuple[Callable[[Robot], object], str, tuple[Any, ...]]] = [
+    (lambda r: r.place(POSE), "place_robot", (100, 200, 900, -1800)),
+    (lambda r: r.add_obstacle(corners_in=SQUARE_IN), "add_obstacle", SQUARE),
+    (lambda r: r.add_obstacle(corners_m=SQUARE_M), "add_obstacle", SQUARE),
+    (lambda r: r.delete_obstacle(corners_in=SQUARE_IN), "delete_obstacle", SQUARE),
+    (lambda r: r.clear_world(), "new_world", ()),
+    (lambda r: r.draw_robot(POSE, 3), "draw_robot", (100, 200, 900, -1800, 3)),
+    (lambda r: r.draw_line(points_in=[(0, 0), (1, 2)]), "draw_line", (0, 0, 10, 20, 1)),
+    (lambda r: r.draw_arc(box_in=(0, 0, 10, 5), mode=2), "draw_arc", (0, 0, 100, 50, 0, 3600, 2)),
+    (lambda r: r.draw_arc(box_m=(0, 0, 0.254, 0.127), angles_rad=(0, math.pi)), "draw_arc",
+     (0, 0, 100, 50, 0, 1800, 1)),
+    (lambda r: r.redraw_all(), "refresh_all", ()),
+    (lambda r: r.redraw_all_traces(), "refresh_all_traces", ()),
+    (lambda r: r.redraw_actual_trace(), "refresh_actual_trace", ()),
+    (lambda r: r.redraw_encoder_trace(), "refresh_encoder_trace", ()),
+    (lambda r: r.redraw_all_sensors(), "refresh_all_sensors", ()),
+    (lambda r: r.redraw_bumper_sensor(), "refresh_bumper_sensor", ()),
+    (lambda r: r.redraw_infrared_sensor(), "refresh_infrared_sensor", ()),
+    (lambda r: r.redraw_sonar_sensor(), "refresh_sonar_sensor", ()),
+    (lambda r: r.redraw_laser_sensor(), "refresh_laser_sensor", ()),
+    (lambda r: r.redraw_client_graphics(), "refresh_client_graphics", ()),
+    (lambda r: r.use_real_robot(), "real_robot", ()),
+    (lambda r: r.use_simulated_robot(), "simulated_robot", ()),
+    (lambda r: r.quit_server(), "quit_server", ()),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("verb", "name", "args"), SENT)
+def test_a_verb_sends_its_words(verb: Callable[[Robot], object], name: str, args: tuple[Any, ...]) -> None:
+    server = ScriptedServer()
+    assert verb(robot_on(server)) is None
+    assert server.names() == [name]
+    assert server.last().args == args
+
+
+@pytest.mark.parametrize("verb", ["add_obstacle", "delete_obstacle", "move_obstacle", "draw_line", "draw_arc"])
+def test_lengths_without_a_unit_are_refused(verb: str) -> None:
+    with pytest.raises(TypeError, match="one of them"):
+        getattr(robot_on(ScriptedServer()), verb)()
+
+
+def test_an_obstacle_moves_and_says_where_it_is() -> None:
+    server = ScriptedServer({"move_obstacle": simple(3, 10, -20, 110, -20, 110, 80)})
+    robot = robot_on(server)
+    assert robot.move_obstacle(corners_in=SQUARE_IN, shift_in=(1, -2)) == ((1, -2), (11, -2), (11, 8))
+    assert server.last() == Call("move_obstacle", (*SQUARE, 10, -20))
+    robot.move_obstacle(corners_m=SQUARE_M, shift_m=(0.0254, -0.0508))
+    assert server.last() == Call("move_obstacle", (*SQUARE, 10, -20))
+
+
+def test_where_the_robots_are() -> None:
+    server = ScriptedServer({"get_rpx": simple(2, 10, 20, 900, -30, 40, 1800)})
+    places = [list(place) for place in robot_on(server).read_robots()]
+    assert places == [pytest.approx([1, 2, math.pi / 2]), pytest.approx([-3, 4, math.pi])]
+
+
+def test_a_list_of_robots_that_is_too_short_is_a_wire_error() -> None:
+    with pytest.raises(WireError, match="2 robots with 3 numbers"):
+        robot_on(ScriptedServer({"get_rpx": simple(2, 10, 20, 900)})).read_robots()
+
+
+def test_a_clicked_pose() -> None:
+    answer = Reply("configuration", values=(-10, 20, 1800, 900))
+    assert robot_on(ScriptedServer({"get_robot_conf": answer})).ask_pose() == Pose(-1, 2, math.pi, math.pi / 2)
+
+
+def test_a_prediction_is_held_nowhere() -> None:
+    values = tuple(range(44))
+    server = ScriptedServer({"predict_sensors": Reply("prediction", values=values, laser=(1, 5, 6))})
+    robot = robot_on(server)
+    before = robot.state
+    predicted = robot.predict_sensors(POSE)
+    assert server.last() == Call("predict_sensors", (100, 200, 900, -1800))
+    assert predicted == (values[1:17], values[17:33], (1, 5, 6))
+    assert robot.state == before
+    server.answers["predict_sensors"] = Reply("prediction", values=values)
+    assert robot.predict_sensors(POSE).laser == (0,)
+
+
+def test_a_line_that_hits_and_one_that_does_not() -> None:
+    server = ScriptedServer({"motion_check": simple(1, 12345, -6789, 1570796)})
+    robot = robot_on(server)
+    hit = robot.check_motion(line_in=[(0, 0), (1, 0.5)])
+    assert server.last() == Call("motion_check", (0, 0, 0, 10000, 5000))
+    assert hit == (12.345, -6.789, 1.570796)
+    server.answers["motion_check"] = simple(0, 1, 2, 3)
+    assert robot.check_motion(line_m=[(0, 0), (0.0254, 0.0127)]) is None
+    assert server.last() == Call("motion_check", (0, 0, 0, 10000, 5000))
+
+
+def test_an_arc_goes_over_the_wire_to_the_microradian() -> None:
+    server = ScriptedServer({"motion_check": simple(0, 0, 0, 0)})
+    robot_on(server).check_motion(arc=Arc(1, 2, 1.5707963, -3.1415926, 5, 0.1, 0.2))
+    kind, *numbers = server.last().args
+    assert kind == 1
+    assert numbers == pytest.approx([10000, 20000, 1570.796, -3141.592, 50000, 1000, 2000])
+
+
+def test_going_over_to_another_robot() -> None:
+    server = ScriptedServer()
+    robot = robot_on(server)
+    server.slots = {17: 3}
+    assert robot.connect_robot(2).sonars_in[0] == 3
+    assert robot.create_robot(3).sonars_in[0] == 3
+    assert [(call.name, *call.args[:1]) for call in server.calls[2:]] == [
+        ("connect_robot", 2), ("gs",), ("create_robot", 3), ("gs",)
+    ]  # fmt: skip
+    robot.disconnect()
+    assert server.last().args[0] == 3
+
+
+def test_going_over_to_a_robot_that_is_not_there() -> None:
+    server = ScriptedServer()
+    robot = robot_on(server)
+    server.answers["connect_robot"] = simple(0)
+    with pytest.raises(RobotRefused, match="no robot number 9"):
+        robot.connect_robot(9)
+    assert not robot.closed
+
+
+def test_the_truth_of_a_simulation() -> None:
+    values = (1, 2100, 24370, -263, 90_000, 180_000, 7, 1)
+    robot = robot_on(ScriptedServer({"sim_truth": Reply("truth", values=values)}))
+    truth = robot.truth()
+    assert truth == Truth(24.37, -0.263, math.pi / 2, math.pi, time_s=2.1, seed=7, robot_id=1)
+    assert truth.x_m == pytest.approx(0.618998)
+    assert robot.is_simulated()
+
+
+@pytest.mark.parametrize("code", [1, 4])
+def test_a_robot_knows_no_truth(code: int) -> None:
+    robot = robot_on(ScriptedServer({"sim_truth": error(code)}))
+    with pytest.raises(RobotRefused):
+        robot.truth()
+    assert not robot.is_simulated()
+
+
+@pytest.mark.parametrize(
+    ("verb", "value", "sent"),
+    [
+        ("pause", 0, (1, 0)),
+        ("resume", 9, (2, 0)),
+        ("speed", 2.5, (3, 25)),
+        ("speed", 0, (3, 0)),
+        ("step", 0.25, (4, 250)),
+    ],
+)
+def test_simulated_time_is_controlled(verb: Any, value: float, sent: tuple[int, int]) -> None:
+    server = ScriptedServer({"sim_control": Reply("control", values=(1, 1500, 25, 1))})
+    assert robot_on(server).control_time(verb, value) == (1.5, 2.5, True)
+    assert server.last() == Call("sim_control", sent)
+
+
+def test_another_verb_of_time_is_refused() -> None:
+    with pytest.raises(ValueError, match="pause, resume, speed, step, not 'stop'"):
+        robot_on(ScriptedServer()).control_time("stop")  # type: ignore[arg-type]
+
+
+class Mute:
+    """A backend that greets with nothing, as a robot's own line may."""
+
+    wire_state, greeting, port, closed, link = serial_wire_state(SCOUT), None, 1, False, None
+
+    def execute(self, call: Call) -> Reply:
+        raise RobotRefused(call.name, None)
+
+    def close(self) -> None:
+        raise AssertionError
+
+
+def test_a_robot_that_has_told_nothing_yet() -> None:
+    robot = Robot(Mute())
+    assert robot.state.raw == (0,) * 45
+    with pytest.raises(RobotRefused, match="NAK"):
+        robot.refresh()
+    assert robot.state.error == 0
+
+
+def test_the_model_is_the_backends() -> None:
+    assert robot_on(ScriptedServer(model=SCOUT)).model is SCOUT

@@ -1,0 +1,106 @@
+"""Frames to one page: as another library reads them, and pages that receive all, some or nothing."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from types import SimpleNamespace
+from typing import cast
+
+import pytest
+from aiohttp import web
+from aiohttp.test_utils import make_mocked_request
+
+from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.viewer.server import MEDIUM, SHORT, STALLED_S, PageWriter, _transport, frame
+from tests.nserver_emu.server.wire_client import simulation
+from tests.nserver_emu.viewer.page_client import serve_viewer
+
+
+class Line(asyncio.Transport):
+    """A transport whose other end takes as much as the test says."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.received = b""
+        self.unsent = 0
+        self.closing = False
+
+    def write(self, data: bytes | bytearray | memoryview) -> None:
+        self.received += data
+
+    def get_write_buffer_size(self) -> int:
+        return self.unsent
+
+    def is_closing(self) -> bool:
+        return self.closing
+
+    def abort(self) -> None:
+        self.closing = True
+
+
+def an_outlet(now: float = 0.0, *, closed: bool = False) -> tuple[PageWriter, Line]:
+    line = Line()
+    return PageWriter(cast(web.WebSocketResponse, SimpleNamespace(closed=closed)), line, now), line
+
+
+def test_a_frame_is_as_the_standard_has_it() -> None:
+    assert frame("Hello") == bytes([0x81, 0x05, 0x48, 0x65, 0x6C, 0x6C, 0x6F])  # RFC 6455, 5.7
+    assert frame("x" * 256)[:4] == bytes([0x81, 0x7E, 0x01, 0x00])
+    assert frame("x" * 65536)[:10] == bytes([0x81, 0x7F, 0, 0, 0, 0, 0, 1, 0, 0])
+
+
+async def test_frames_of_every_length_are_read_by_another_library() -> None:
+    empty = len(json.dumps({"type": "x", "text": ""}))
+
+    async with serve_viewer(Emulator(simulation())) as here, here.page() as page:
+        for size in (empty, SHORT, SHORT + 1, MEDIUM, MEDIUM + 1, 20 * MEDIUM):
+            text = "x" * (size - empty)
+            here.viewer_server.broadcaster.notify(json.dumps({"type": "x", "text": text}))
+            assert (await page.until(lambda message: message["type"] == "x"))["text"] == text
+        here.viewer_server.broadcaster.notify(json.dumps({"type": "x", "text": "äöü"}, ensure_ascii=False))
+        assert (await page.until(lambda message: message["type"] == "x"))["text"] == "äöü"
+
+
+def test_a_slow_page_is_skipped_and_not_closed() -> None:
+    writer, line = an_outlet()
+    assert writer.is_ready(1.0)
+    line.unsent = 1000
+    assert not writer.is_ready(2.0)
+    now = 2.0
+    while line.unsent > 1:
+        line.unsent -= 111
+        now += STALLED_S - 0.1
+        assert not writer.is_ready(now)
+        assert not writer.is_stalled(now)
+    line.unsent = 0
+    assert writer.is_ready(now + 100.0)
+    assert not writer.is_stalled(now + 100.0)
+
+
+def test_a_page_that_receives_nothing_is_stalled() -> None:
+    writer, line = an_outlet(100.0)
+    line.unsent = 1
+    assert not writer.is_ready(110.0)
+    line.unsent = 7  # a ping came to it
+    assert not writer.is_ready(110.0 + STALLED_S)
+    assert not writer.is_stalled(110.0 + STALLED_S)
+    assert writer.is_stalled(110.1 + STALLED_S)
+    writer.abort()
+    line.unsent = 0
+    assert not writer.is_ready(130.0)
+
+
+def test_nothing_is_sent_after_the_closing_frame() -> None:
+    writer, _ = an_outlet(closed=True)
+    assert not writer.is_ready(1.0)
+    assert not writer.is_stalled(1.0 + 2 * STALLED_S)
+
+
+def test_a_closed_request_has_no_transport() -> None:
+    line = Line()
+    assert _transport(make_mocked_request("GET", "/ws", transport=line)) is line
+    request = make_mocked_request("GET", "/ws")
+    request._protocol.transport = None
+    with pytest.raises(ConnectionResetError, match="closed"):
+        _transport(request)
