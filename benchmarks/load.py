@@ -1,20 +1,18 @@
-"""What one hostile client costs the others: the 99th percentile of 200 clients at 10 Hz, without and with it.
+"""Effect of one hostile client on others: the 99th percentile latency of 200 clients at 10 Hz, without and with it.
 
     python benchmarks/load.py [--rounds N] [--seconds S] [--clients N] [--hostile flood|stall|deaf] [--ahead] [--json]
 
 Target: p99 moves by no more than the larger of a factor of 2 and 2 ms, median of five rounds, for each kind:
 
-    flood   requests as fast as they are taken, replies read and thrown away
-    stall   half a request, then nothing, and again when it was closed
-    deaf    requests as fast as they are taken, no reply ever read
+    flood   requests as fast as possible, replies discarded
+    stall   half a request, then silence, repeated when the connection is closed
+    deaf    requests as fast as possible, replies never read
 
-The daemon, the clients and the hostile one are three processes. All clients are connected before the first asks; a
-round trip counts from when it was due, so that a server that is late for one answer does not hide the next. The hostile
-one waits for its socket and not in a loop, so that it takes the server's time and not the machine's; it says when it
-has begun, and a round in which it ended does not count but fails. Rounds without and with take turns. On a machine that
-others load the figures are theirs as much as ours: --ahead runs the three in real time ahead of all else (Linux, as
-root), which comes near a machine of their own: the clients, who measure, before the daemon, that before the hostile
-one, which has what is left. The exit code is 1 where a bound is not kept.
+Daemon, clients and hostile client are three processes. All clients connect before the first request. A round trip
+counts from its due time, so that a late reply does not hide the delay of the next. The hostile client waits for its
+socket instead of polling, so that it loads the server and not the machine; a round in which it ends fails. Rounds
+without and with it alternate. On a loaded machine, --ahead runs the processes with real-time priority (Linux, root):
+first the clients, which measure, then the daemon, then the hostile client. The exit code is 1 if a bound is exceeded.
 """
 
 from __future__ import annotations
@@ -48,18 +46,18 @@ GS: Final = codec.encode_tcp_request(Call("gs"))
 CONNECT_REPLY_SIZE, REPLY_SIZE = 8, 4 + 4 * 49
 BEGUN: Final = "begun"
 CLIENTS, DAEMON, HOSTILE_ONE = 3, 2, 1
-"""Who runs before whom in real time, with --ahead."""
+"""Real-time priorities with --ahead."""
 MANY: Final = 200
 """Requests that a hostile client sends in one piece."""
 
 
 def bound_ms(alone_ms: float) -> float:
-    """The p99 that is still good, where it is so much without a hostile client."""
+    """Return the limit of p99 for a given p99 without hostile client."""
     return max(FACTOR * alone_ms, alone_ms + EXTRA_MS)
 
 
 def p99(trips: list[float]) -> float:
-    """The 99th percentile."""
+    """Return the 99th percentile."""
     return statistics.quantiles(trips, n=100)[98]
 
 
@@ -67,7 +65,7 @@ Client = tuple[asyncio.StreamReader, asyncio.StreamWriter]
 
 
 async def connected(port: int) -> Client:
-    """A client that has its robot."""
+    """Connect a client to the robot."""
     reader, writer = await asyncio.open_connection(HOST, port)
     writer.write(CONNECT)
     await reader.readexactly(CONNECT_REPLY_SIZE)
@@ -75,7 +73,7 @@ async def connected(port: int) -> Client:
 
 
 async def asking(client: Client, first_s: float, end_s: float) -> list[float]:
-    """Ask every tenth of a second from then until then, loop time; each trip in seconds from when it was due."""
+    """Send a request every 0.1 s of loop time and return the round-trip times from their due times, in seconds."""
     loop = asyncio.get_running_loop()
     reader, writer = client
     trips, due_s = [], first_s
@@ -92,7 +90,7 @@ async def asking(client: Client, first_s: float, end_s: float) -> list[float]:
 
 
 async def ask(port: int, clients: int, seconds: float) -> list[float]:
-    """That many clients, evenly spread over the tenth of a second, for so long; all trips in seconds."""
+    """Run clients, evenly spread over 0.1 s, and return all round-trip times in seconds."""
     there = [await connected(port) for _ in range(clients)]
     begin_s = asyncio.get_running_loop().time() + 0.5
     starts = [begin_s + number / clients / RATE_HZ for number in range(clients)]
@@ -102,7 +100,7 @@ async def ask(port: int, clients: int, seconds: float) -> list[float]:
 
 
 def be_hostile(kind: str, port: int) -> None:
-    """Be so until stopped; a connection that is closed is made again."""
+    """Act as a hostile client until stopped, reconnecting when closed."""
     while True:
         with socket.create_connection((HOST, port)) as hostile, contextlib.suppress(OSError):
             _once(kind, hostile)
@@ -110,7 +108,7 @@ def be_hostile(kind: str, port: int) -> None:
 
 
 def _once(kind: str, hostile: socket.socket) -> None:
-    """Until the daemon closes it, or no more can be sent."""
+    """Send until the daemon closes the connection."""
     hostile.sendall(CONNECT + (GS + GS[:3] if kind == "stall" else GS * MANY))
     print(BEGUN, flush=True)
     if kind == "stall":
@@ -128,13 +126,13 @@ def _once(kind: str, hostile: socket.socket) -> None:
 
 
 def scheduled(command: list[str], priority: int | None) -> list[str]:
-    """A command in real time, by util-linux' chrt; None: as all else is."""
+    """Return a command with real-time priority by chrt; None: normal priority."""
     return command if priority is None else ["chrt", "--rr", str(priority), *command]
 
 
 @contextlib.contextmanager
 def hostility(kind: str, port: int, *, ahead: bool = False) -> Iterator[None]:
-    """A hostile client in a process of its own, from when it has begun. Raises RuntimeError where it ends by itself."""
+    """Run a hostile client in a process of its own; raise RuntimeError if it ends by itself."""
     command = [sys.executable, __file__, "--be", kind, "--port", str(port)]
     command = scheduled(command, HOSTILE_ONE if ahead else None)
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
@@ -168,7 +166,7 @@ def measure(
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure and print; 1 where a bound is not kept."""
+    """Measure and print; return 1 if a bound is exceeded."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--seconds", type=float, default=5.0)
@@ -183,14 +181,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         be_hostile(options.be, options.port)
     if options.ahead:
         os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(CLIENTS))
-    kept = True
+    is_within = True
     for kind in options.hostile or HOSTILE:
         found = measure(kind, options.rounds, options.seconds, options.clients, options.ahead)
-        kept = kept and bool(found["kept"])
+        is_within = is_within and bool(found["kept"])
         print(json.dumps(found) if options.json else
               f"{kind}: p99 {found['alone_p99_ms']:.2f} ms without, {found['beside_p99_ms']:.2f} ms with it "
-              f"(at most {found['bound_ms']:.2f}): {'kept' if found['kept'] else 'NOT KEPT'}")
-    return 0 if kept else 1
+              f"(at most {found['bound_ms']:.2f}): {'passed' if found['kept'] else 'FAILED'}")
+    return 0 if is_within else 1
 
 
 if __name__ == "__main__":

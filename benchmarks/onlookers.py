@@ -1,9 +1,9 @@
-"""Viewers of a page in a process of their own, for viewer.py: so many websockets that acknowledge as the page does.
+"""Viewers of a page in a process of their own, for viewer.py: websockets that acknowledge pictures as the page does.
 
     python benchmarks/onlookers.py URL COUNT
 
-On stdin a line `look`: all open the page; `looking` is printed once each has a picture. A line `leave`: all go; printed
-is how many pictures a second each got meanwhile. The end of stdin ends it.
+Commands on stdin: `look` connects all and prints `looking` once each has a picture; `leave` disconnects them and prints
+the pictures per second that each received. The process ends with stdin.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ import time
 import aiohttp
 
 ACKNOWLEDGE_EVERY = 5
-"""As in the page's link.js."""
+"""Pictures between acknowledgements, as in the page's link.js."""
 
 
-class Crowd:
-    """So many viewers of one page."""
+class Viewers:
+    """Viewers of one page."""
 
     def __init__(self, session: aiohttp.ClientSession, url: str, count: int) -> None:
         self._session = session
@@ -29,14 +29,14 @@ class Crowd:
         self.pictures = 0
 
     async def look(self) -> None:
-        """All come; each has a picture."""
+        """Connect all and wait until each has a picture."""
         here = [asyncio.Event() for _ in range(self._count)]
         self._looking = [asyncio.create_task(self._one(ready)) for ready in here]
         for ready in here:
             await ready.wait()
 
     async def leave(self) -> None:
-        """All go."""
+        """Disconnect all."""
         for task in self._looking:
             task.cancel()
         await asyncio.gather(*self._looking, return_exceptions=True)
@@ -44,21 +44,21 @@ class Crowd:
     async def _one(self, ready: asyncio.Event) -> None:
         headers = {"Origin": self._origin}
         async with self._session.ws_connect(f"{self._origin}/ws?{self._query}", headers=headers) as socket:
-            mine = 0
+            received = 0
             async for message in socket:
                 if message.data.startswith('{"type":"picture"'):
                     ready.set()
-                    mine += 1
+                    received += 1
                     self.pictures += 1
-                    if mine % ACKNOWLEDGE_EVERY == 0:
+                    if received % ACKNOWLEDGE_EVERY == 0:
                         frame = int(message.data[26:40].split(",")[0])
                         await socket.send_str(f'{{"do":"seen","frame":{frame}}}')
 
 
 async def main(url: str, count: int) -> None:
-    """Look and leave as told."""
+    """Connect and disconnect on command."""
     async with aiohttp.ClientSession(connector=aiohttp.TCPConnector(limit=0)) as session:
-        crowd = Crowd(session, url, count)
+        crowd = Viewers(session, url, count)
         began = 0.0
         while line := await asyncio.to_thread(sys.stdin.readline):
             if line.strip() == "look":

@@ -1,20 +1,18 @@
-"""What twenty viewers at twenty pictures a second cost the simulation: of its processor time, with and without.
+"""Cost of twenty viewers at twenty pictures per second, as a fraction of the processor time of the simulation.
 
     python benchmarks/viewer.py [--rounds N] [--seconds S] [--viewers N] [--json]
 
-Target: less than 5 %. The daemon runs as fast as it can, so that all its time is the simulation's, with a robot that
-drives in a circle and fires its sonars; the viewers are a process of their own (onlookers.py) that comes and goes, and
-acknowledges as the page does. Counted is all processor time of the daemon's process, system calls as well: what the
-steps took (thread_time around each), and all else. From the time without viewers it is known what a step takes and what
-the loop takes around it; so many steps would have taken so much alone, and what they took more is the viewers':
+Target: less than 5 %. The daemon runs at maximum speed, so that it spends all its time on the simulation, with a robot
+that drives in a circle and fires its sonars. The viewers are a separate process (onlookers.py) that acknowledges
+pictures as the page does. All processor time of the daemon is counted, including system calls. Rounds without viewers
+give the time per step and the time of the event loop per step; the excess with viewers is attributed to them:
 
-    page      outside the steps: pictures taken and told, what pages say, and the sockets' work
-    steps     what the steps themselves took longer: caches that the page's work turned over; mostly the noise of a
-              machine that others use, so the median of many short rounds counts, and its spread is told beside it
+    page      outside of steps: taking and sending pictures, messages of pages, sockets
+    steps     longer steps, because of evicted caches; mostly noise of the machine, so the median of many rounds counts
 
-`share`, the sum, is the pace lost: simulated seconds for a processor second with viewers beside those without. Pictures
-go by the clock on the wall: where others load the machine and the daemon gets a part of a core, the same work is a
-larger share of it; so the part it had, and the share of a whole core, are told too.
+`share`, the sum, is the loss of speed: simulated seconds per processor second with viewers relative to those without.
+Pictures follow wall time: on a loaded machine, where the daemon gets a part of a core, the same work is a larger
+fraction; that part and the fraction of a whole core are printed, too.
 """
 
 from __future__ import annotations
@@ -44,11 +42,11 @@ TARGET_SHARE, PICTURES_A_SECOND = 0.05, 20.0
 SETTLE_S = 0.2
 START = StartPose(45.0, 30.0)
 ROUND_AND_ROUND = (80, 400, 0)
-"""8 in/s, 40 degrees a second."""
+"""8 in/s, 40 degrees/s."""
 
 
 class Taken(NamedTuple):
-    """Processor time: of the whole daemon, of its steps, and how many those were; the clock on the wall."""
+    """Processor time of the daemon and of its steps, number of steps, and wall time."""
 
     whole_s: float
     stepping_s: float
@@ -56,13 +54,13 @@ class Taken(NamedTuple):
     wall_s: float
 
     def since(self, began: Taken) -> Taken:
-        """What was taken after that."""
+        """Return the differences to an earlier measurement."""
         whole_s, stepping_s, steps, wall_s = began
         return Taken(self.whole_s - whole_s, self.stepping_s - stepping_s, self.steps - steps, self.wall_s - wall_s)
 
 
 class Metered(Daemon):
-    """A daemon that knows what its steps take."""
+    """A daemon that measures the time of its steps."""
 
     stepping_s = 0.0
 
@@ -73,11 +71,11 @@ class Metered(Daemon):
         self.stepping_s += time.thread_time() - began_s
 
     def taken(self) -> Taken:
-        """What it took since ever."""
+        """Return the totals so far."""
         return Taken(time.process_time(), self.stepping_s, self.steps, time.monotonic())
 
     async def over(self, seconds: float) -> Taken:
-        """What it takes in so many real seconds from soon on."""
+        """Measure for this many real seconds, after a short pause."""
         await asyncio.sleep(SETTLE_S)
         began = self.taken()
         await asyncio.sleep(seconds)
@@ -85,14 +83,14 @@ class Metered(Daemon):
 
 
 class Share(NamedTuple):
-    """What viewers take of the processor time that the simulation would have."""
+    """Fractions of the processor time that viewers take."""
 
     page: float
     steps: float
 
 
 def share(alone: Taken, watched: Taken) -> Share:
-    """Of the time with viewers: what is above that of as many steps without."""
+    """Return the fraction of the time with viewers that exceeds that of as many steps without."""
     step_s, around_s = alone.stepping_s / alone.steps, (alone.whole_s - alone.stepping_s) / alone.steps
     page_s = watched.whole_s - watched.stepping_s - around_s * watched.steps
     return Share(page_s / watched.whole_s, (watched.stepping_s - step_s * watched.steps) / watched.whole_s)
@@ -100,7 +98,7 @@ def share(alone: Taken, watched: Taken) -> Share:
 
 @contextlib.asynccontextmanager
 async def running() -> AsyncIterator[tuple[Metered, str]]:
-    """A daemon as fast as it can, its robot driving; the address of its page."""
+    """Run a daemon at maximum speed with a driving robot; yield it with the address of its page."""
     daemon = Metered(Emulator(SimulationConfig(start=START).simulation()), speed=None)
     port = await daemon.listen(LOOPBACK, 0)
     stop = asyncio.Event()
@@ -112,7 +110,7 @@ async def running() -> AsyncIterator[tuple[Metered, str]]:
         with rare_collection():
             yield daemon, lines[0].split()[-1]
         if daemon.emulator.simulation.robots[1].is_still((0,)):
-            raise RuntimeError("the robot stood: nothing was measured")
+            raise RuntimeError("the robot did not move: nothing was measured")
         writer.close()
         stop.set()
         await serving
@@ -120,7 +118,7 @@ async def running() -> AsyncIterator[tuple[Metered, str]]:
 
 @contextlib.asynccontextmanager
 async def onlookers(page: str, count: int) -> AsyncIterator[Process]:
-    """So many viewers of a page in a process, which does as `tell` says."""
+    """Run viewers of a page in a process, controlled by `command_viewers`."""
     program = str(Path(__file__).with_name("onlookers.py"))
     process = await asyncio.create_subprocess_exec(sys.executable, program, page, str(count), stdin=PIPE, stdout=PIPE)
     try:
@@ -131,8 +129,8 @@ async def onlookers(page: str, count: int) -> AsyncIterator[Process]:
         await process.wait()
 
 
-async def tell(process: Process, word: str) -> str:
-    """Have them look or leave; what they say then. Raises RuntimeError where they ended."""
+async def command_viewers(process: Process, word: str) -> str:
+    """Send a command (look, leave) and return the reply; raise RuntimeError if the process ended."""
     assert process.stdin is not None
     assert process.stdout is not None
     process.stdin.write(f"{word}\n".encode())
@@ -143,16 +141,16 @@ async def tell(process: Process, word: str) -> str:
 
 
 async def measure(rounds: int, seconds: float, count: int) -> dict[str, float]:
-    """What the viewers take, median of rounds in which they come and go."""
+    """Measure the cost of the viewers: the median of rounds in which they connect and disconnect."""
     shares: list[Share] = []
     alones, watcheds, rates = [], [], []
     async with running() as (daemon, page), onlookers(page, count) as process:
         await daemon.over(seconds)
         for _ in range(rounds):
             alone = await daemon.over(seconds)
-            await tell(process, "look")
+            await command_viewers(process, "look")
             watched = await daemon.over(seconds)
-            rates.append(float(await tell(process, "leave")))
+            rates.append(float(await command_viewers(process, "leave")))
             shares.append(share(alone, watched))
             alones.append(alone)
             watcheds.append(watched)

@@ -68,7 +68,7 @@ def _steps(entries: object) -> Iterator[float]:
 def _snapshot(data: bytes) -> None:
     emulator = _emulator()
     # Reset the emulator afterwards, also after a partial restore that failed.
-    before = {part: getattr(emulator, part) for part in snapshot.KEPT}
+    before = {part: getattr(emulator, part) for part in snapshot.SAVED_PARTS}
     try:
         snapshot.restore(emulator, input_file(data, ".snapshot"))
     finally:
@@ -81,7 +81,7 @@ def _emulator() -> Any:
     """Return the parts of an emulator that a snapshot changes."""
     emulator = open_address("sim:thesis_room?robot=scout").emulator
     axis_ownership = SimpleNamespace(release_all=lambda _: None)
-    parts = {part: getattr(emulator, part) for part in snapshot.KEPT}
+    parts = {part: getattr(emulator, part) for part in snapshot.SAVED_PARTS}
     return SimpleNamespace(**parts, axis_ownership=axis_ownership, invalidate_state_cache=lambda: None)
 
 

@@ -167,7 +167,7 @@ def _framers(data: bytes) -> None:
     if kind > 2:
         frames: Frames = (LineFrames(), TcpFrames(None), TcpFrames(True))[kind - 3]
         passed = [piece for part in parts for piece in frames.receive(part)]
-        if b"".join(piece.data for piece in (*passed, *frames.rest())) != data[2:]:
+        if b"".join(piece.data for piece in (*passed, *frames.flush())) != data[2:]:
             raise AssertionError("bytes were lost")
     elif _frames(kind, [data[2:]]) != _frames(kind, parts):
         raise AssertionError("the frames depend on the split")

@@ -34,7 +34,6 @@ from nserver_emu.control.options import controlled, may_have_faults
 from nserver_emu.gateway import run as real_options
 from nserver_emu.gateway.gateway import Gateway, RealRobotProxy
 from nserver_emu.gateway.run import connected, model_of, run_gateway
-from nserver_emu.legacy_setup import LegacySetup, read_setups
 from nserver_emu.options import DEFAULT_PORT, nserver_parser, read_options
 from nserver_emu.persistence.autosave import SaveFile, autosaved
 from nserver_emu.persistence.options import settle
@@ -47,6 +46,7 @@ from nserver_emu.server.context import Allowed, SimulationClock
 from nserver_emu.server.daemon import Daemon, stop_on_signals
 from nserver_emu.server.garbage_collection import rare_collection
 from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.server.legacy_setup import LegacySetup, read_setups
 from nserver_emu.server.limits import limits_of, make_room
 from nserver_emu.server.link import FaultController
 from nserver_emu.server.serial_lines import at_port, open_lines

@@ -10,13 +10,13 @@ A ray meets a wall whose ends lie on different sides of its line. The range is t
 with the other's `side`: a convex mean, so nothing cancels. Two walls that share an end agree on its side, so no ray
 passes between them.
 
-    intersect, nearer_hit, nearest_wall, nearest_obstacle    plain numbers; numba compiles these same functions
-    cast_ray, cast_each                                      arrays select the candidates, numbers decide: the same bits
-    cast_rays, cast_discs                                    arrays, for many rays at once
+    intersect, nearest_wall, nearest_obstacle    plain numbers; numba compiles these same functions
+    cast_ray, cast_each                          the same for many walls or several rays: arrays select, numbers decide
+    cast_rays, cast_discs                        arrays, for many rays at once
 
 The formula therefore stands here twice: `intersect` in numbers, `_intersections` in arrays. A simulated sonar or a live
 filter casts one to three rays at a time; in arrays that takes about ten times as long
-(docs/decisions/023-machine-code.md).
+(docs/decisions/023-numba.md).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from nclient.errors import VariableError
 from worlds.geometry import FloatArray
 
 IndexArray = npt.NDArray[np.intp]
-Columns = tuple[Sequence[float] | FloatArray, ...]
+Columns = Sequence[Sequence[float] | FloatArray]
 """Walls as four columns x1, y1, x2, y2 of length m: lists for plain Python, arrays for compiled code."""
 
 NO_WALL: Final = -1
@@ -58,14 +58,11 @@ _BEHIND: Final = -2.0 * ON_WALL_IN
 _NEVER_ZERO: Final = 1e-200
 """Added to a difference of sides: changes only 0, to avoid the division by it."""
 
-_FEW_RAYS: Final = 4
-"""Up to so many rays, discarding walls behind them in arrays costs more than it saves."""
-
 _BLOCK: Final = 7000
 """Pairs of ray and wall per block: keeps every array below 128 kB, from which on the C library requests new pages from
 the system for each, which took half as long again."""
 
-MAX_LOOP_WALLS: Final = 40
+MAX_LOOP_WALLS: Final = 20
 """Up to so many walls, a loop in plain Python is faster than the selection in arrays."""
 
 
@@ -91,23 +88,6 @@ def intersect(ahead_1: float, side_1: float, ahead_2: float, side_2: float) -> f
     return min(max(mean, nearer), farther)
 
 
-def nearer_hit(
-    nearest: float, x: float, y: float, dx: float, dy: float, x1: float, y1: float, x2: float, y2: float
-) -> float:
-    """Return the range from (x, y) along the unit vector (dx, dy) to one wall if less than `nearest`, else `nearest`.
-
-    The range is slightly below 0 where the ray starts on the wall.
-    """
-    # 1. The ends of the wall in the frame of the ray; a wall wholly behind, or beyond `nearest`, is skipped.
-    to_x_1, to_y_1, to_x_2, to_y_2 = x1 - x, y1 - y, x2 - x, y2 - y
-    ahead_1, ahead_2 = to_x_1 * dx + to_y_1 * dy, to_x_2 * dx + to_y_2 * dy
-    if (ahead_1 < -ON_WALL_IN and ahead_2 < -ON_WALL_IN) or (ahead_1 >= nearest and ahead_2 >= nearest):
-        return nearest
-    # 2. The intersection.
-    hit = intersect(ahead_1, dx * to_y_1 - dy * to_x_1, ahead_2, dx * to_y_2 - dy * to_x_2)
-    return hit if -ON_WALL_IN <= hit < nearest else nearest
-
-
 def nearest_wall(x: float, y: float, dx: float, dy: float, walls: Columns) -> tuple[float, int]:
     """Return the range from (x, y) along the unit vector (dx, dy) to the nearest wall, and its row.
 
@@ -123,11 +103,19 @@ def nearest_wall(x: float, y: float, dx: float, dy: float, walls: Columns) -> tu
     """
     nearest, hit = inf, NO_WALL
     for row, (x1, y1, x2, y2) in enumerate(zip(walls[0], walls[1], walls[2], walls[3])):  # noqa: B905  for numba
-        # Both ends clearly on one side: the usual case, decided with the fewest operations.
-        if (dx * (y1 - y) - dy * (x1 - x)) * (dx * (y2 - y) - dy * (x2 - x)) <= SAME_SIDE_IN2:
-            range_in = nearer_hit(nearest, x, y, dx, dy, x1, y1, x2, y2)
-            if range_in < nearest:
-                nearest, hit = range_in, row
+        # 1. Both ends clearly on one side of the ray: the usual case, decided with the fewest operations.
+        to_x_1, to_y_1, to_x_2, to_y_2 = x1 - x, y1 - y, x2 - x, y2 - y
+        side_1, side_2 = dx * to_y_1 - dy * to_x_1, dx * to_y_2 - dy * to_x_2
+        if side_1 * side_2 > SAME_SIDE_IN2:
+            continue
+        # 2. Wholly behind, or beyond the nearest so far.
+        ahead_1, ahead_2 = to_x_1 * dx + to_y_1 * dy, to_x_2 * dx + to_y_2 * dy
+        if (ahead_1 < -ON_WALL_IN and ahead_2 < -ON_WALL_IN) or (ahead_1 >= nearest and ahead_2 >= nearest):
+            continue
+        # 3. The intersection.
+        range_in = intersect(ahead_1, side_1, ahead_2, side_2)
+        if -ON_WALL_IN <= range_in < nearest:
+            nearest, hit = range_in, row
     return max(nearest, 0.0), hit
 
 
@@ -196,16 +184,12 @@ def cast_ray(x: float, y: float, dx: float, dy: float, walls: FloatArray) -> tup
     """
     sides = ((walls.view(np.complex128) - complex(x, y)) * complex(dx, -dy)).imag
     rows = (sides[:, 0] * sides[:, 1] <= SAME_SIDE_IN2).nonzero()[0]
-    nearest, hit = inf, NO_WALL
-    for row, wall in zip(rows.tolist(), walls.take(rows, axis=0).tolist(), strict=True):
-        range_in = nearer_hit(nearest, x, y, dx, dy, *wall)
-        if range_in < nearest:
-            nearest, hit = range_in, row
-    return max(nearest, 0.0), hit
+    nearest, at = nearest_wall(x, y, dx, dy, walls.take(rows, axis=0).T.tolist())
+    return nearest, NO_WALL if at == NO_WALL else int(rows[at])
 
 
 def cast_each(origins: Sequence[complex], directions: Sequence[complex], walls: FloatArray) -> list[float]:
-    """Return the ranges of `cast_ray` for n rays, to the same bit, however many rays there are.
+    """Return the ranges of `nearest_wall` for n rays, to the same bit for any number of rays and walls.
 
     Parameters
     ----------
@@ -214,23 +198,28 @@ def cast_each(origins: Sequence[complex], directions: Sequence[complex], walls: 
     walls
         (m, 4), contiguous.
     """
-    if len(origins) == 1:
+    if len(origins) == 1 and len(walls) > MAX_LOOP_WALLS:
         (origin,), (direction,) = origins, directions
         return [cast_ray(origin.real, origin.imag, direction.real, direction.imag, walls)[0]]
-    # 1. All ends in the frames of all rays; the pairs of ray and wall worth a look.
-    ends = walls.view(np.complex128).reshape(1, -1)
-    in_frames = (ends - np.array(origins)[:, np.newaxis]) * np.array(directions).conj()[:, np.newaxis]
-    frames = in_frames.view(np.float64).reshape(len(origins) * len(walls), 4)
-    pairs = (frames[:, 1] * frames[:, 3] <= SAME_SIDE_IN2).nonzero()[0]
-    if len(origins) > _FEW_RAYS:
+    x1, y1, x2, y2 = walls.T.tolist()
+    ends_at = [len(walls)] * len(origins)
+    if is_selected := len(walls) > MAX_LOOP_WALLS:
+        # 1. All ends in the frames of all rays; the pairs of ray and wall worth a look, in the order of the rays.
+        ends = walls.view(np.complex128).reshape(1, -1)
+        in_frames = (ends - np.array(origins)[:, np.newaxis]) * np.array(directions).conj()[:, np.newaxis]
+        frames = in_frames.view(np.float64).reshape(len(origins) * len(walls), 4)
+        pairs = (frames[:, 1] * frames[:, 3] <= SAME_SIDE_IN2).nonzero()[0]
         pairs = pairs[(frames[pairs, 0] >= _BEHIND) | (frames[pairs, 2] >= _BEHIND)]
-    # 2. These pairs in plain numbers, in the order of the walls.
-    ranges = [inf] * len(origins)
-    rays, rows = np.divmod(pairs, max(len(walls), 1))
-    for ray, wall in zip(rays.tolist(), walls[rows].tolist(), strict=True):
-        origin, direction = origins[ray], directions[ray]
-        ranges[ray] = nearer_hit(ranges[ray], origin.real, origin.imag, direction.real, direction.imag, *wall)
-    return [max(nearest, 0.0) for nearest in ranges]
+        rays, rows = np.divmod(pairs, len(walls))
+        x1, y1, x2, y2 = walls[rows].T.tolist()
+        ends_at = np.searchsorted(rays, np.arange(len(origins)), side="right").tolist()
+    # 2. For each ray the nearest of its walls, in plain numbers.
+    ranges, start = [], 0
+    for origin, direction, end in zip(origins, directions, ends_at, strict=True):
+        columns = x1[start:end], y1[start:end], x2[start:end], y2[start:end]
+        ranges.append(nearest_wall(origin.real, origin.imag, direction.real, direction.imag, columns)[0])
+        start = end if is_selected else 0
+    return ranges
 
 
 class WallIndex:
@@ -444,7 +433,7 @@ def load_compiled(robots: int) -> None:
 
 def _compile(numba: Any) -> Callable[..., float]:
     """Compile `nearest_obstacle` for read-only arrays, which stand for writable ones too."""
-    for helper in (intersect, nearer_hit, ray_to_disc, nearest_wall):
+    for helper in (intersect, ray_to_disc, nearest_wall):
         numba.extending.register_jitable(helper)
     number, rows = numba.float64, numba.types.Array(numba.float64, 2, "C", readonly=True)
     signature = number(number, number, number, number, rows, rows, numba.int64, number, number)

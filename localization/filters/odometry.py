@@ -149,23 +149,30 @@ def predict_state(x: list[Number], P: list[list[Number]], distance: Number, turn
     x[0] = x[0] + d * g[0]
     x[1] = x[1] + d * g[1]
     x[HEADING] = wrap_angle(x[HEADING] + t)
-    # 3. P <- F P. F is the identity but for the rows of the pose, and that of the heading has no heading in it, so
-    #    every row on the right is still the old one.
-    for row in range(POSE):
-        for k, column in F:
-            f = column[row]
-            for j in range(n):
-                P[row][j] = P[row][j] + f * P[k][j]
-    # 4. P <- P F' + G Q G' in the rows of the pose; the rest by symmetry.
-    for row in range(POSE):
-        for j in range(row, POSE):
-            value = P[row][j] + g[row] * q_distance * g[j] + h[row] * q_turn * h[j]
-            for k, column in F:
-                value = value + column[j] * P[row][k]
-            P[row][j] = value
-            P[j][row] = value
+    # 3. P <- F P. F is the identity but for the rows of the pose. The heading comes first among its columns and has
+    #    nothing in its own row, so every row on the right is still the old one.
+    for k, (f_x, f_y, f_heading) in F:
+        of_k = P[k]
+        P[0] = [p + f_x * q for p, q in zip(P[0], of_k, strict=True)]
+        P[1] = [p + f_y * q for p, q in zip(P[1], of_k, strict=True)]
+        if k != HEADING:
+            P[2] = [p + f_heading * q for p, q in zip(P[2], of_k, strict=True)]
+    # 4. P <- P F' in the rows of the pose.
+    for row in P[:POSE]:
+        for k, (f_x, f_y, f_heading) in F:
+            value = row[k]
+            row[0] = row[0] + f_x * value
+            row[1] = row[1] + f_y * value
+            if k != HEADING:
+                row[2] = row[2] + f_heading * value
+    # 5. P <- P + G Q G' in its upper half; the lower half by symmetry.
+    for i in range(POSE):
+        along, about = q_distance * g[i], q_turn * h[i]
+        for j in range(i, POSE):
+            P[i][j] = P[i][j] + along * g[j] + about * h[j]
+            P[j][i] = P[i][j]
         for j in range(POSE, n):
-            P[j][row] = P[row][j]
+            P[j][i] = P[i][j]
 
 
 def predict(belief: Belief, step: Floats, noise: OdometryNoise) -> Belief:

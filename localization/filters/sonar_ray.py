@@ -179,7 +179,8 @@ class WallMap:
         """Return the row of the first wall on the ray from (x, y) along (dx, dy), NO_WALL for none."""
         if isinstance(x, float):
             return self._index.nearest(x, y, dx, dy)[1]
-        starts, directions = (np.stack(np.broadcast_arrays(*pair), axis=-1) for pair in ((x, y), (dx, dy)))
+        starts, directions = np.empty((*dx.shape, 2)), np.empty((*dx.shape, 2))
+        starts[..., 0], starts[..., 1], directions[..., 0], directions[..., 1] = x, y, dx, dy
         return cast_rays(starts, directions, self.segments)[1]
 
     def line(self, row: Any) -> Sequence[Any]:

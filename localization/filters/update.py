@@ -325,6 +325,8 @@ def pda_update(
     """
     # 1. K, S and innovation of each hypothesis.
     corrections = rule(x, P, reading_in, association, association.R)
+    if len(corrections) == 1 and not association.outlier_density:
+        return _update_certain(x, P, reading_in, association, rule, count, corrections[0])
     # 2. beta: prior probability times likelihood, normalised. An echo of none of the reflectors is an outlier as well.
     inlier = 1.0 - association.outlier_probability
     weights = [
@@ -343,25 +345,44 @@ def pda_update(
     )
     # 3. A repeated reading corrects with the variance that leaves its new information.
     if count > 1:
-        parts = zip(association.R, association.constant_variance, strict=True)
-        corrections = rule(
-            x, P, reading_in, association, [inflated_variance(R, constant, count) for R, constant in parts]
-        )
+        corrections = rule(x, P, reading_in, association, _inflated(association, count))
     # 4. x' = x + sum_j beta_j dx_j.
     dx = [0.0] * len(x)
     for probability, correction in zip(beta, corrections, strict=False):
         dx = [total + probability * change for total, change in zip(dx, correction.dx, strict=True)]
-    # 5. P' = P - sum_j beta_j K_j S_j K_j' + the spread of the means, which one certain hypothesis does not have.
+    # 5. P' = P - sum_j beta_j K_j S_j K_j' + sum_j beta_j (dx_j - dx) (dx_j - dx)': an outlier leaves x as it is.
     for probability, correction in zip(beta, corrections, strict=False):
         add_outer(P, -probability * correction.S, correction.K)
-    if len(corrections) > 1 or beta[-1] > 0.0:
-        for probability, correction in zip(beta, corrections, strict=False):
-            add_outer(P, probability, [one - mean for one, mean in zip(correction.dx, dx, strict=True)])
-        add_outer(P, beta[-1], dx)
+        add_outer(P, probability, [one - mean for one, mean in zip(correction.dx, dx, strict=True)])
+    add_outer(P, beta[-1], dx)
+    _shift(x, dx)
+    return result
+
+
+def _update_certain(
+    x: State, P: Covariance, reading_in: float, association: Association, rule: Rule, count: int, correction: Correction
+) -> PdaResult:
+    """Correct x and P by a reading of one certain hypothesis, in place: beta is 1, the update Kalman's."""
+    _, S, innovation, nis, _ = correction
+    likelihood = association.probability[0] * exp(-0.5 * nis) / sqrt(2.0 * pi * S)
+    if count > 1:
+        (correction,) = rule(x, P, reading_in, association, _inflated(association, count))
+    add_outer(P, -correction.S, correction.K)
+    _shift(x, correction.dx)
+    return PdaResult([1.0, 0.0], likelihood, innovation, nis)
+
+
+def _inflated(association: Association, count: int) -> list[float]:
+    """Return R of the `count`-th reading from one pose, for each hypothesis."""
+    parts = zip(association.R, association.constant_variance, strict=True)
+    return [inflated_variance(R, constant, count) for R, constant in parts]
+
+
+def _shift(x: State, dx: Sequence[float]) -> None:
+    """Add dx to x in place, the heading wrapped."""
     for i, change in enumerate(dx):
         x[i] += change
     x[HEADING] = wrap_angle(x[HEADING])
-    return result
 
 
 # Repeated readings from one pose.

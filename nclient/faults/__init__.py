@@ -1,1 +1,1 @@
-"""Faults on purpose: a plan of them, what it does to the bytes of a line, and a stream that has them."""
+"""Fault injection: plans, their execution on frames, and streams with faults."""

@@ -1,25 +1,16 @@
-"""Cuts what passes on a connection into its frames, losing no byte: what makes no frame passes as it is.
+"""Applying a fault plan to the frames of one line: framing, changes of bytes, injector, protocols.
 
-    LineFrames   a robot's own line     01 | length low, high | type | ... | checksum | 5c
-    TcpFrames    Nserver's protocol     int16 type | uint16 count | count words; a 64-bit client's have eight bytes
+    LineFrames    serial line      01 | length low, high | type | ... | checksum | 5c
+    TcpFrames     Nserver          int16 type | uint16 count | count words; 8 bytes each for 64-bit clients
+    Injector      process_frame(frame, command, direction, now) ──> [Delivery, ...]      an empty list: dropped
 
-Rules: no I/O, and nothing is judged but where a frame ends; the ends of the connection read the frames themselves.
+The framers lose no bytes: bytes that are no frame are passed on unchanged. They only find where frames end; both ends
+of the connection still parse the frames themselves. Everything is seeded, without clock and I/O. Each rule has a random
+stream of its own per line, so that another rule in the plan does not change its effect. Counts are exact: a fault is
+counted when it changed something. The caller keeps the order of deliveries.
 
-What becomes of the bytes of one frame: functions of bytes, a fault and chance.
-
-Rules: each changes something: a byte that is corrupted is another than it was; what is cut off is a byte or more.
-
-What a plan does to the frames of one line: frames in, deliveries out. Pure and seeded: no clock, no stream.
-
-    pass_on(frame, command, direction, now) ──> [Delivery, ...]       an empty list: it does not arrive
-
-Rules: exact counts: a strike is counted when it happened and changed something. Chance is a stream of its own for each
-rule on each line, so that adding a rule leaves what the others do. Whoever delivers keeps the order of bytes.
-
-What a connection speaks, as far as faults need it: where its frames end, and which command each belongs to.
-
-Rules: no I/O. On a robot's own line a reply names its command; over TCP replies are those of the requests that went
-through, in their order. A NAK over TCP is an ERROR reply, and as no robot said it, its code is 5: refused.
+On the serial line a reply names its command; over TCP replies belong to the delivered requests in their order. The
+substitute for a NAK over TCP is an ERROR reply with code 5, refused.
 """
 
 from __future__ import annotations
@@ -52,38 +43,46 @@ from nclient.protocol.commands import BY_LINE_TYPE, BY_NAME, BY_TCP_TYPE, ERROR_
 from nclient.protocol.serial_framing import END, HOST_LIMIT, ROBOT_LIMIT, START, build_frame
 from nclient.protocol.tcp_framing import build_frame as build_tcp_frame
 
-_LINE_OVERHEAD, _LINE_SMALLEST = 4, 2
+_LINE_OVERHEAD, _LINE_MIN = 4, 2
 _TCP_HEADER, _TYPE_SIZE, _WORD = 4, 2, 4
 _CONNECT_TYPES = frozenset(BY_NAME[name].tcp_type for name in ("create_robot", "connect_robot", "disconnect_robot"))
-_MOST_WORDS = max(MAX_REPLY_WORDS.values())
+_MAX_WORDS = max(MAX_REPLY_WORDS.values())
 
 
-class Piece(NamedTuple):
-    """Bytes that passed: a whole frame and its type, or None for bytes that are no frame."""
+class StreamPiece(NamedTuple):
+    """A whole frame and its type, or bytes that are no frame and None."""
 
     data: bytes
     type: int | None
 
 
 class Frames(Protocol):
-    """A stream in one direction, cut into pieces."""
+    """Framer of one direction of a connection."""
 
     @property
-    def pending(self) -> int:
+    def pending_bytes(self) -> int:
         """Bytes kept of a frame that is not whole yet."""
         ...
 
-    def receive(self, data: bytes) -> list[Piece]:
-        """The pieces that these bytes complete, in order."""
+    def receive(self, data: bytes) -> list[StreamPiece]:
+        """Add bytes, and return the pieces that they complete, in order."""
         ...
 
-    def rest(self) -> list[Piece]:
-        """What was kept of a frame that is not whole, as it is."""
+    def flush(self) -> list[StreamPiece]:
+        """Return the buffered bytes of an incomplete frame."""
         ...
 
 
 class LineFrames:
-    """One direction of a robot's own line. `limit`: its longest frame, bytes; `bare`: bytes before the first one."""
+    """Framer of one direction of the serial line.
+
+    Parameters
+    ----------
+    limit
+        Maximum size of a frame in bytes.
+    bare
+        Number of bytes before the first frame: the handshake.
+    """
 
     def __init__(self, limit: int = ROBOT_LIMIT, bare: int = 0) -> None:
         self._limit = limit
@@ -91,27 +90,27 @@ class LineFrames:
         self._buffer = bytearray()
 
     @property
-    def pending(self) -> int:
+    def pending_bytes(self) -> int:
         return len(self._buffer)
 
-    def receive(self, data: bytes) -> list[Piece]:
-        """As Frames says. The bare bytes at the start are one piece."""
+    def receive(self, data: bytes) -> list[StreamPiece]:
+        """Add bytes as in `Frames`; the bare bytes at the start are one piece."""
         self._buffer += data
         if len(self._buffer) < self._bare:
             return []
-        bare = [Piece(self._take(self._bare), None)] if self._bare else []
+        bare = [StreamPiece(self._take(self._bare), None)] if self._bare else []
         self._bare = 0
         return bare + list(self._pieces())
 
-    def rest(self) -> list[Piece]:
-        """As Frames says; frames behind a start that led nowhere are found."""
-        found: list[Piece] = []
+    def flush(self) -> list[StreamPiece]:
+        """Return the buffered bytes, with frames found behind a wrong start byte."""
+        found: list[StreamPiece] = []
         while self._buffer:
-            found.append(Piece(self._take(1), None))
+            found.append(StreamPiece(self._take(1), None))
             found += self._pieces()
-        return _joined(found)
+        return _merge(found)
 
-    def _pieces(self) -> Iterator[Piece]:
+    def _pieces(self) -> Iterator[StreamPiece]:
         stray = bytearray()
         while self._buffer:
             size = self._size()
@@ -121,15 +120,15 @@ class LineFrames:
                 stray += self._take(1)
                 continue
             if stray:
-                yield Piece(bytes(stray), None)
+                yield StreamPiece(bytes(stray), None)
                 stray.clear()
             frame = self._take(size)
-            yield Piece(frame, frame[3])
+            yield StreamPiece(frame, frame[3])
         if stray:
-            yield Piece(bytes(stray), None)
+            yield StreamPiece(bytes(stray), None)
 
     def _size(self) -> int | None:
-        """Bytes of the frame in front, 0 where none begins, None where that cannot be told yet."""
+        """Return the size of the frame at the front of the buffer, 0 if there is none, None if it is not known yet."""
         buffer = self._buffer
         if buffer[0] != START:
             return 0
@@ -137,7 +136,8 @@ class LineFrames:
             return None
         length = buffer[1] | buffer[2] << 8
         size = length + _LINE_OVERHEAD
-        if not _LINE_SMALLEST <= length <= self._limit - _LINE_OVERHEAD:
+        # Length, end byte and checksum must all be right; otherwise 0x01 is an ordinary byte.
+        if not _LINE_MIN <= length <= self._limit - _LINE_OVERHEAD:
             return 0
         if len(buffer) >= size and (buffer[size - 1] != END or sum(buffer[: size - 2]) & 255 != buffer[size - 2]):
             return 0
@@ -150,9 +150,14 @@ class LineFrames:
 
 
 class TcpFrames:
-    """One direction of a connection to an Nserver. `wide`: None until a CONNECT tells a 64-bit client.
+    """Framer of one direction of a TCP connection.
 
-    A count beyond every message's means that the stream is lost: from then on all passes as it comes.
+    A count larger than that of any message means that synchronisation is lost: later bytes are passed on as they come.
+
+    Parameters
+    ----------
+    wide
+        True for a 64-bit client, None to detect it from CONNECT.
     """
 
     def __init__(self, wide: bool | None = False) -> None:
@@ -161,34 +166,34 @@ class TcpFrames:
         self._buffer = bytearray()
 
     @property
-    def pending(self) -> int:
+    def pending_bytes(self) -> int:
         return len(self._buffer)
 
-    def receive(self, data: bytes) -> list[Piece]:
-        """As Frames says."""
+    def receive(self, data: bytes) -> list[StreamPiece]:
+        """Add bytes as in `Frames`."""
         self._buffer += data
-        found: list[Piece] = []
+        found: list[StreamPiece] = []
         while not self._lost and len(self._buffer) >= _TCP_HEADER:
             frame_type = int.from_bytes(self._buffer[:_TYPE_SIZE], "big", signed=True)
             count = int.from_bytes(self._buffer[_TYPE_SIZE:_TCP_HEADER], "big")
-            self._lost = count > _MOST_WORDS
-            if self._lost or not self._width_known(frame_type):
+            self._lost = count > _MAX_WORDS
+            if self._lost or not self._detect_word_size(frame_type):
                 break
             size = _TCP_HEADER + count * _WORD * (2 if self.wide else 1)
             if len(self._buffer) < size:
                 break
-            found.append(Piece(bytes(self._buffer[:size]), frame_type))
+            found.append(StreamPiece(bytes(self._buffer[:size]), frame_type))
             del self._buffer[:size]
-        return found + self.rest() if self._lost else found
+        return found + self.flush() if self._lost else found
 
-    def rest(self) -> list[Piece]:
-        """As Frames says. What follows is taken for the start of a frame."""
-        rest = bytes(self._buffer)
+    def flush(self) -> list[StreamPiece]:
+        """Return the buffered bytes; the next ones start a new frame."""
+        flush = bytes(self._buffer)
         self._buffer.clear()
-        return [Piece(rest, None)] if rest else []
+        return [StreamPiece(flush, None)] if flush else []
 
-    def _width_known(self, frame_type: int) -> bool:
-        """Robot numbers are 1 or more: a first word of 0 comes from a 64-bit client."""
+    def _detect_word_size(self, frame_type: int) -> bool:
+        """Detect the word size: robot numbers are at least 1, so that a 64-bit client sends 0 as the first word."""
         if self.wide is None and frame_type in _CONNECT_TYPES:
             first = self._buffer[_TCP_HEADER : _TCP_HEADER + _WORD]
             if len(first) < _WORD:
@@ -197,12 +202,12 @@ class TcpFrames:
         return True
 
 
-def _joined(pieces: list[Piece]) -> list[Piece]:
-    """Bytes that are no frame and stand side by side as one piece."""
-    joined: list[Piece] = []
+def _merge(pieces: list[StreamPiece]) -> list[StreamPiece]:
+    """Merge adjacent pieces that are no frames."""
+    joined: list[StreamPiece] = []
     for piece in pieces:
         if joined and piece.type is None and joined[-1].type is None:
-            joined[-1] = Piece(joined[-1].data + piece.data, None)
+            joined[-1] = StreamPiece(joined[-1].data + piece.data, None)
         else:
             joined.append(piece)
     return joined
@@ -211,179 +216,208 @@ def _joined(pieces: list[Piece]) -> list[Piece]:
 CORRUPTED, DROPPED, ADDED = "corrupted_bytes", "dropped_bytes", "added_bytes"
 
 
-def altered(data: bytes, fault: Alteration, chance: Random) -> bytes:
-    """The bytes after the fault; `data` has at least one, the result may have none."""
+def alter_bytes(data: bytes, fault: Alteration, rng: Random) -> bytes:
+    """Return the bytes after a fault; `data` has at least one byte, the result may be empty."""
     match fault:
         case Corrupt():
-            place = _place(fault.place, len(data), chance)
-            return data[:place] + bytes((_other(data[place], fault.change, chance),)) + data[place + 1 :]
+            place = _index(fault.place, len(data), rng)
+            return data[:place] + bytes((_different_byte(data[place], fault.change, rng),)) + data[place + 1 :]
         case DropByte():
-            place = _place(fault.place, len(data), chance)
+            place = _index(fault.place, len(data), rng)
             return data[:place] + data[place + 1 :]
         case InsertBytes():
-            place = _place(fault.place, len(data) + 1, chance)
-            return data[:place] + chance.randbytes(fault.count) + data[place:]
-    most = len(data) - 1
-    return data[: chance.randint(min(1, most), most) if fault.keep is None else min(fault.keep, most)]
+            place = _index(fault.place, len(data) + 1, rng)
+            return data[:place] + rng.randbytes(fault.count) + data[place:]
+    maximum = len(data) - 1
+    return data[: rng.randint(min(1, maximum), maximum) if fault.keep is None else min(fault.keep, maximum)]
 
 
-def with_noise(data: bytes, noise: Noise, chance: Random, tally: Counter[str]) -> bytes:
-    """The bytes after noise on each of them; what happened is added to the tally, bytes by kind and frames touched."""
+def add_noise(data: bytes, noise: Noise, rng: Random, tally: Counter[str]) -> bytes:
+    """Return the bytes after random noise, and count changed bytes by kind and the frame in `tally`."""
+    # One draw per byte, compared with cumulative probabilities: dropped | corrupted | added | unchanged.
     dropped = noise.drop_percent / 100.0
     corrupted = dropped + noise.corrupt_percent / 100.0
     added = corrupted + noise.add_percent / 100.0
     arrived, happened = bytearray(), Counter[str]()
     for byte in data:
-        draw = chance.random()
+        draw = rng.random()
         if draw >= added:
             arrived.append(byte)
         elif draw < dropped:
             happened[DROPPED] += 1
         elif draw < corrupted:
             happened[CORRUPTED] += 1
-            arrived.append(_other(byte, noise.change, chance))
+            arrived.append(_different_byte(byte, noise.change, rng))
         else:
             happened[ADDED] += 1
-            arrived += bytes((byte, chance.randrange(256)))
+            arrived += bytes((byte, rng.randrange(256)))
     if happened:
         tally.update(happened)
         tally[noise.kind] += 1
     return bytes(arrived)
 
 
-def _place(wanted: int | None, count: int, chance: Random) -> int:
-    """An index from 0 below `count`: the wanted one, or the nearest there is, or by chance."""
+def _index(wanted: int | None, count: int, rng: Random) -> int:
+    """Return an index from 0 below `count`: the given one, clamped, or a random one."""
     if wanted is None:
-        return chance.randrange(count)
+        return rng.randrange(count)
     return min(max(wanted + count if wanted < 0 else wanted, 0), count - 1)
 
 
-def _other(byte: int, change: str, chance: Random) -> int:
-    return byte ^ (1 << chance.randrange(8) if change == BIT else chance.randrange(1, 256))
+def _different_byte(byte: int, change: str, rng: Random) -> int:
+    return byte ^ (1 << rng.randrange(8) if change == BIT else rng.randrange(1, 256))
 
 
 SEEN, SWALLOWED = "seen", "swallowed"
 LINE_NAK = build_frame(NAK_TYPE)
-"""The refusal on a robot's own line."""
+"""Refusal on the serial line."""
 
 
 class Delivery(NamedTuple):
-    """What arrives: `data`, so many seconds late, and then perhaps the end of the connection.
+    """Bytes to deliver after a delay.
 
-    `back`: it goes to whoever sent the frame, as the answer to it.
+    `hang_up` closes the connection afterwards; `to_sender` returns the bytes to the sender of the frame, as its reply.
     """
 
     delay_s: float
     data: bytes
     hang_up: bool = False
-    back: bool = False
+    to_sender: bool = False
 
 
 class Injector:
-    """A plan at work on one line. `start_s`: when it came into force, on the clock of pass_on's `now_s`."""
+    """Executes a plan on one line.
+
+    Parameters
+    ----------
+    plan
+        The plan.
+    line
+        Name of the line, such as serial:1.
+    start_s
+        Time at which the plan comes into force, on the clock of `now_s` in `process_frame`.
+    """
 
     def __init__(self, plan: Plan, line: str, start_s: float = 0.0) -> None:
         self.plan = plan
         self.line = line
         self._start_s = start_s
         self._silences: dict[Direction, tuple[float, RuleState]] = {}
-        self._strikers = [
+        self._states = [
             RuleState(rule, Random(f"{plan.seed} {line} {rule.name}")) for rule in plan.rules if rule.acts_on(line)
         ]
 
     @property
     def counts(self) -> dict[str, dict[str, int]]:
-        """What happened so far, by the name of each rule for this line.
+        """Return the counts so far, by name of rule.
 
-        seen: frames that came to it; then the kinds by name: frames struck; corrupted_bytes, dropped_bytes,
-        added_bytes of noise; swallowed: frames that a silence took after the one it began with.
+        seen: frames that reached the rule; each kind: frames it was applied to; corrupted_bytes, dropped_bytes,
+        added_bytes: bytes changed by noise; swallowed: frames dropped by a silence after its first one.
         """
-        return {striker.rule.name: striker.snapshot() for striker in self._strikers}
+        return {state.rule.name: state.snapshot() for state in self._states}
 
     def reset(self) -> None:
-        """Begin to count anew, from 0; "every tenth" goes on where it was, and so does chance."""
-        for striker in self._strikers:
-            striker.tally.clear()
+        """Set all counts to 0; the position of "every tenth" and the random streams are kept."""
+        for state in self._states:
+            state.tally.clear()
 
-    def pass_on(
+    def process_frame(
         self, data: bytes, command: str, direction: Direction, now_s: float, nak: bytes = LINE_NAK
     ) -> list[Delivery]:
-        """What arrives of a frame, none or one delivery. `nak`: the refusal in the language that is spoken here.
+        """Apply the rules to a frame.
 
-        `command`: the C name of what is asked or answered, "" for bytes that are no frame.
+        Parameters
+        ----------
+        data
+            The bytes of the frame.
+        command
+            C name of the request, or of the request that is replied to; "" for bytes that are no frame.
+        direction
+            Direction of the frame.
+        now_s
+            Current time in seconds.
+        nak
+            Refusal in the protocol of the line.
+
+        Returns
+        -------
+        list
+            One delivery, or none if the frame is dropped.
         """
-        until_s, silencer = self._silences.get(direction, (now_s, None))
-        if silencer is not None and now_s < until_s:
-            silencer.tally[SWALLOWED] += 1
+        # 1. A silence that is in force drops everything.
+        until_s, silencing = self._silences.get(direction, (now_s, None))
+        if silencing is not None and now_s < until_s:
+            silencing.tally[SWALLOWED] += 1
             return []
+        # 2. Each rule in turn may end the frame, delay it or change its bytes.
         delay_s = 0.0
-        for striker in self._strikers:
-            match striker.struck(command, direction, now_s - self._start_s):
+        for state in self._states:
+            match state.next_fault(command, direction, now_s - self._start_s):
                 case None:
                     continue
                 case HangUp() as fault:
                     return [Delivery(delay_s, data[: fault.keep], hang_up=True)]
                 case Nak() if direction is Direction.REQUEST:
-                    return [Delivery(delay_s, nak, back=True)]
+                    return [Delivery(delay_s, nak, to_sender=True)]
                 case Delay() as fault:
-                    delay_s += max(0.0, fault.delay_s + fault.jitter_s * striker.chance.uniform(-1.0, 1.0))
+                    delay_s += max(0.0, fault.delay_s + fault.jitter_s * state.rng.uniform(-1.0, 1.0))
                 case fault:
-                    data = self._changed(data, fault, striker, now_s, nak)
+                    data = self._apply(data, fault, state, now_s, nak)
             if not data:
                 return []
         return [Delivery(delay_s, data)]
 
-    def _changed(
-        self, data: bytes, fault: Alteration | Drop | Blackout | Nak | Noise, striker: RuleState, now_s: float,
+    def _apply(
+        self, data: bytes, fault: Alteration | Drop | Blackout | Nak | Noise, state: RuleState, now_s: float,
         nak: bytes,
     ) -> bytes:
-        """What goes on of a frame, nothing where the fault swallows it."""
+        """Return the bytes after a fault, empty if it drops the frame."""
         match fault:
             case Drop():
                 return b""
             case Blackout():
-                silence = (now_s + fault.silence_s, striker)
-                self._silences.update(dict.fromkeys(striker.rule.directions, silence))
+                silence = (now_s + fault.silence_s, state)
+                self._silences.update(dict.fromkeys(state.rule.directions, silence))
                 return b""
             case Nak():
                 return nak
             case Noise():
-                return with_noise(data, fault, striker.chance, striker.tally)
+                return add_noise(data, fault, state.rng, state.tally)
             case _:
-                return altered(data, fault, striker.chance)
+                return alter_bytes(data, fault, state.rng)
 
 
 class RuleState:
-    """A rule on one line: how many frames came, and what it did to them."""
+    """Counters and random stream of a rule on one line."""
 
-    def __init__(self, rule: Rule, chance: Random) -> None:
+    def __init__(self, rule: Rule, rng: Random) -> None:
         self.rule = rule
-        self.chance = chance
+        self.rng = rng
         self.tally: Counter[str] = Counter()
         self._number = 0
 
-    def struck(self, command: str, direction: Direction, elapsed_s: float) -> Fault | None:
-        """What it does to this frame, counted; None for nothing."""
+    def next_fault(self, command: str, direction: Direction, elapsed_s: float) -> Fault | None:
+        """Count a frame, and return the fault to apply to it, or None."""
         rule = self.rule
         if not rule.when.covers(elapsed_s) or not rule.matches(command, direction):
             return None
         self._number += 1
         self.tally[SEEN] += 1
-        if not rule.when.matches(self._number, self.chance.random()):
+        if not rule.when.matches(self._number, self.rng.random()):
             return None
-        fault = rule.faults[0] if len(rule.faults) == 1 else self.chance.choice(rule.faults)
+        fault = rule.faults[0] if len(rule.faults) == 1 else self.rng.choice(rule.faults)
         if not isinstance(fault, Noise):
             self.tally[fault.kind] += 1
         return fault
 
     def snapshot(self) -> dict[str, int]:
-        """The counts as they are, with a 0 for what has not happened."""
+        """Return a copy of the counts, with 0 for kinds that have not happened."""
         kinds = dict.fromkeys((SEEN, *(fault.kind for fault in self.rule.faults)), 0)
         return kinds | dict(self.tally)
 
 
 def total(counts: Mapping[str, Mapping[str, int]]) -> Counter[str]:
-    """The counts of all rules together, by kind."""
+    """Return the sum of the counts of all rules, by kind."""
     together: Counter[str] = Counter()
     for tally in counts.values():
         together.update(tally)
@@ -392,89 +426,91 @@ def total(counts: Mapping[str, Mapping[str, int]]) -> Counter[str]:
 
 
 NAK_ERROR = 5
-"""The code of the ERROR reply that stands for a NAK."""
-_MOST_OUTSTANDING = 1 << 16
+"""Error code of the ERROR reply that replaces a NAK over TCP: refused."""
+_MAX_OUTSTANDING = 1 << 16
 
 
 class Language(Protocol):
-    """What a connection speaks: where its frames end, and which command each belongs to."""
+    """Wire protocol of a connection: its framers, and the command of each frame."""
 
     requests: Frames
     replies: Frames
-    patience_s: float | None
-    """How long a part of a request may be kept: on a line a frame may never become whole."""
+    partial_timeout_s: float | None
+    """Time after which an incomplete request is passed on: on the serial line it may never become complete."""
 
     @property
     def nak(self) -> bytes:
-        """A refusal."""
+        """Return a refusal."""
         ...
 
-    def request_name(self, piece: Piece) -> str:
-        """The command that a request is; "" for what is none."""
+    def request_name(self, piece: StreamPiece) -> str:
+        """Return the C name of a request; "" if it is none."""
         ...
 
-    def went_through(self, command: str) -> None:
-        """The robot has a request of this command before it."""
+    def request_delivered(self, command: str) -> None:
+        """Note that a request of this command was delivered to the robot."""
         ...
 
-    def reply_name(self, piece: Piece) -> str:
-        """The command that a reply answers; "" where that is not known."""
+    def reply_name(self, piece: StreamPiece) -> str:
+        """Return the C name of the request that a reply belongs to; "" if it is not known."""
         ...
 
 
 class LineLanguage:
-    """A robot's own line. `greets`: it begins with a hello, as an N200 does over TCP."""
+    """Serial line; with `has_handshake` the robot sends eleven bytes first, as an N200 does over TCP."""
 
     nak = LINE_NAK
-    patience_s: float | None = 0.25
+    partial_timeout_s: float | None = 0.25
 
     def __init__(self, has_handshake: bool = False) -> None:
         self.requests: Frames = LineFrames(HOST_LIMIT)
         self.replies: Frames = LineFrames(bare=HANDSHAKE_SIZE if has_handshake else 0)
         self._greets = has_handshake
-        self._asked = ""
+        self._last_command = ""
 
-    def request_name(self, piece: Piece) -> str:
+    def request_name(self, piece: StreamPiece) -> str:
         return _line_name(piece)
 
-    def went_through(self, command: str) -> None:
-        self._asked = command
+    def request_delivered(self, command: str) -> None:
+        self._last_command = command
 
-    def reply_name(self, piece: Piece) -> str:
+    def reply_name(self, piece: StreamPiece) -> str:
         if self._greets:
             self._greets = False
             return GREETING
-        return self._asked if piece.type == NAK_TYPE else _line_name(piece)
+        return self._last_command if piece.type == NAK_TYPE else _line_name(piece)
 
 
 class TcpLanguage:
-    """Nserver's protocol. `wide`: whether the client is a 64-bit one, None until its CONNECT tells."""
+    """Nserver over TCP. `wide` is True for a 64-bit client, None to detect it from CONNECT."""
 
-    patience_s: float | None = None
+    partial_timeout_s: float | None = None
 
     def __init__(self, wide: bool | None = None) -> None:
         self.requests: Frames
         self.replies: Frames
-        self.requests, self.replies = self._asking, self._answering = TcpFrames(wide), TcpFrames(wide)
-        self._outstanding: deque[str] = deque(maxlen=_MOST_OUTSTANDING)
+        self.requests, self.replies = self._request_frames, self._reply_frames = TcpFrames(wide), TcpFrames(wide)
+        self._outstanding: deque[str] = deque(maxlen=_MAX_OUTSTANDING)
 
     @property
     def nak(self) -> bytes:
-        return build_tcp_frame(ERROR_TYPE, NAK_ERROR.to_bytes(4, "big"), wide=bool(self._asking.wide), reply=True)
+        return build_tcp_frame(
+            ERROR_TYPE, NAK_ERROR.to_bytes(4, "big"), wide=bool(self._request_frames.wide), reply=True
+        )
 
-    def request_name(self, piece: Piece) -> str:
-        self._answering.wide = bool(self._asking.wide)
+    def request_name(self, piece: StreamPiece) -> str:
+        self._reply_frames.wide = bool(self._request_frames.wide)
         row = None if piece.type is None else BY_TCP_TYPE.get(piece.type)
         return row.name if row else ""
 
-    def went_through(self, command: str) -> None:
+    def request_delivered(self, command: str) -> None:
         self._outstanding.append(command)
 
-    def reply_name(self, piece: Piece) -> str:
+    def reply_name(self, piece: StreamPiece) -> str:
         whole = piece.type is not None and self._outstanding
         return self._outstanding.popleft() if whole else ""
 
 
-def _line_name(piece: Piece) -> str:
+def _line_name(piece: StreamPiece) -> str:
     row = None if piece.type is None else BY_LINE_TYPE.get(piece.type)
     return row.name if row else ""

@@ -1,15 +1,12 @@
-"""One connection under a plan, both ways: cuts what passes into frames, and lets the injector act on each.
+"""Fault injection into a connection: both directions of a line, delayed deliveries, and a stream with faults.
 
-    request(bytes), reply(bytes) ──> deliveries          InTransit keeps them in their order until they arrive
+    request(bytes), reply(bytes) ──> deliveries      class FaultyLine; DelayQueue holds them until they are due
 
-Rules: no I/O and no clock.
+    send(frame)  ──> FaultyLine ──> the stream       receive  <── DelayQueue <── FaultyLine <── the stream
 
-A stream with faults: wraps any ByteStream, a real robot's as well as a simulated one's, and is a stream again.
-
-    send(frame)  ──> FaultyLine ──> the stream          receive  <── InTransit <── FaultyLine <── the stream
-
-Rules: what is sent at once ends with a frame. Waiting is done by the `sleep` that is handed in, on the clock `now`, so
-that simulated time serves as well as real. A stream outlives no hang-up; its injector, and so its counts, may.
+FaultyLine and DelayQueue have no I/O and no clock. FaultyStream is a ByteStream around another one, real or simulated;
+it waits with the `sleep` and clock that it is given, which may be simulated time. After a hang-up it stays closed;
+its injector with the counts may be used for the next stream.
 """
 
 from __future__ import annotations
@@ -19,77 +16,85 @@ from collections import deque
 from collections.abc import Callable, Iterable
 
 from nclient.errors import ConnectionLost, ReplyTimeout
-from nclient.faults.frames import Delivery, Injector, Language, Piece, total
+from nclient.faults.frames import Delivery, Injector, Language, StreamPiece, total
 from nclient.faults.plan import Direction
 from nclient.transports.stream import ByteStream, Deadline
 
 
 class FaultyLine:
-    """One connection under a plan. `injector` is asked each time, so that a new plan counts at once."""
+    """Both directions of a connection with faults.
+
+    Parameters
+    ----------
+    language
+        Protocol of the connection.
+    injector
+        Returns the injector in force; called for every frame, so that a new plan applies at once.
+    """
 
     def __init__(self, language: Language, injector: Callable[[], Injector]) -> None:
         self.injector = injector
         self._language = language
 
     @property
-    def asking(self) -> bool:
-        """Whether a part of a request is kept that is not whole yet."""
-        return self._language.requests.pending > 0
+    def has_partial_request(self) -> bool:
+        """Return True if an incomplete request is buffered."""
+        return self._language.requests.pending_bytes > 0
 
     @property
-    def patience_s(self) -> float | None:
-        """How long a part of a request may be kept; None: as long as it takes."""
-        return self._language.patience_s
+    def partial_timeout_s(self) -> float | None:
+        """Return the time after which an incomplete request is passed on; None for no limit."""
+        return self._language.partial_timeout_s
 
     def request(self, data: bytes, now_s: float, whole: bool = False) -> list[Delivery]:
-        """What arrives of bytes to the robot. `whole`: they end with a frame, so that none of them is kept back."""
+        """Return the deliveries for bytes to the robot; `whole`: they end with a frame, so that none is buffered."""
         frames = self._language.requests
-        pieces = frames.receive(data) + (frames.rest() if whole else [])
-        return [delivery for piece in pieces for delivery in self._passed_on(piece, now_s)]
+        pieces = frames.receive(data) + (frames.flush() if whole else [])
+        return [delivery for piece in pieces for delivery in self._process_request(piece, now_s)]
 
     def reply(self, data: bytes, now_s: float) -> list[Delivery]:
-        """What arrives of bytes to the host."""
+        """Return the deliveries for bytes to the host."""
         return self._replies(self._language.replies.receive(data), now_s)
 
-    def rest_of_reply(self, now_s: float) -> list[Delivery]:
-        """What arrives of a reply that is not whole, when it is not waited for any longer."""
-        return self._replies(self._language.replies.rest(), now_s)
+    def flush_reply(self, now_s: float) -> list[Delivery]:
+        """Return the deliveries for an incomplete reply after its timeout."""
+        return self._replies(self._language.replies.flush(), now_s)
 
-    def rest_of_request(self, now_s: float) -> list[Delivery]:
-        """What arrives of a request that is not whole, when it is not waited for any longer."""
-        pieces = self._language.requests.rest()
-        return [delivery for piece in pieces for delivery in self._passed_on(piece, now_s)]
+    def flush_request(self, now_s: float) -> list[Delivery]:
+        """Return the deliveries for an incomplete request after its timeout."""
+        pieces = self._language.requests.flush()
+        return [delivery for piece in pieces for delivery in self._process_request(piece, now_s)]
 
-    def _passed_on(self, piece: Piece, now_s: float) -> list[Delivery]:
+    def _process_request(self, piece: StreamPiece, now_s: float) -> list[Delivery]:
         name, language = self._language.request_name(piece), self._language
-        deliveries = self.injector().pass_on(piece.data, name, Direction.REQUEST, now_s, language.nak)
-        if any(not delivery.back for delivery in deliveries):
-            language.went_through(name)
+        deliveries = self.injector().process_frame(piece.data, name, Direction.REQUEST, now_s, language.nak)
+        if any(not delivery.to_sender for delivery in deliveries):
+            language.request_delivered(name)
         return deliveries
 
-    def _replies(self, pieces: Iterable[Piece], now_s: float) -> list[Delivery]:
+    def _replies(self, pieces: Iterable[StreamPiece], now_s: float) -> list[Delivery]:
         language, found = self._language, []
         for piece in pieces:
             name = language.reply_name(piece)
-            found += self.injector().pass_on(piece.data, name, Direction.REPLY, now_s, language.nak)
+            found += self.injector().process_frame(piece.data, name, Direction.REPLY, now_s, language.nak)
         return found
 
 
-class InTransit:
-    """Deliveries on their way: each arrives when its delay is over, and none before the one sent ahead of it."""
+class DelayQueue:
+    """Queue of delayed deliveries; none overtakes an earlier one."""
 
     def __init__(self) -> None:
         self.size = 0
-        """Bytes on their way."""
+        """Number of bytes in the queue."""
         self._queue: deque[tuple[float, Delivery]] = deque()
 
     @property
     def next_s(self) -> float | None:
-        """When the next one arrives, on the clock of `add`; None where none is on its way."""
+        """Return the time at which the next delivery is due, on the clock of `add`; None if the queue is empty."""
         return self._queue[0][0] if self._queue else None
 
     def add(self, deliveries: Iterable[Delivery], now_s: float) -> None:
-        """These are sent now."""
+        """Add deliveries that are sent now."""
         for delivery in deliveries:
             due_s = now_s + delivery.delay_s
             if self._queue:
@@ -98,7 +103,7 @@ class InTransit:
             self.size += len(delivery.data)
 
     def take(self, now_s: float) -> tuple[float, Delivery] | None:
-        """What has arrived next by now, and when it did; None: nothing more."""
+        """Remove and return the next due delivery and its time; None if none is due."""
         if not self._queue or self._queue[0][0] > now_s:
             return None
         due_s, delivery = self._queue.popleft()
@@ -108,13 +113,25 @@ class InTransit:
 
 log = logging.getLogger(__name__)
 
-NAP_S = 0.05
-"""The longest sleep at once, so that a close from another thread is soon seen."""
-_HUNG_UP = "the connection was hung up on purpose, by the plan of faults"
+MAX_SLEEP_S = 0.05
+"""Maximum duration of one sleep, so that a close from another thread is noticed soon."""
+_HUNG_UP = "the connection was closed on purpose by the fault plan"
 
 
 class FaultyStream:
-    """See the head of this file. `now`: seconds on any clock; `sleep(seconds)`: lets that clock go on."""
+    """A ByteStream with faults.
+
+    Parameters
+    ----------
+    stream
+        The stream to wrap.
+    line
+        Line with the injector.
+    now
+        Returns seconds on any clock.
+    sleep
+        Waits a number of seconds on that clock.
+    """
 
     def __init__(
         self, stream: ByteStream, line: FaultyLine, now: Callable[[], float], sleep: Callable[[float], None]
@@ -123,17 +140,17 @@ class FaultyStream:
         self._line = line
         self._now = now
         self._sleep = sleep
-        self._coming = InTransit()
+        self._coming = DelayQueue()
         self._over: str | None = None
         self._closed = False
 
     def send(self, data: bytes) -> None:
-        """Send what the plan leaves of it, as late as the plan wants. Raises ConnectionLost."""
+        """Send data as the plan changes and delays it. Raises ConnectionLost."""
         self._refuse_if_over()
         for delivery in self._line.request(data, self._now(), whole=True):
             if delivery.delay_s > 0.0:
                 self._sleep(delivery.delay_s)
-            if delivery.back:
+            if delivery.to_sender:
                 self._coming.add([Delivery(0.0, delivery.data)], self._now())
             elif delivery.data:
                 self._stream.send(delivery.data)
@@ -141,7 +158,7 @@ class FaultyStream:
                 self._hang_up()
 
     def receive(self, deadline: Deadline) -> bytes:
-        """At least one byte that the plan lets through. Raises ReplyTimeout, or ConnectionLost when it is over."""
+        """Return at least one byte that the plan lets pass. Raises ReplyTimeout, or ConnectionLost after a hang-up."""
         while True:
             if data := self._arrived():
                 return data
@@ -152,7 +169,7 @@ class FaultyStream:
                 self._wait_until(self._coming.next_s, deadline.remaining())
 
     def close(self) -> None:
-        """Let go; what waits in `receive` ends with ConnectionLost. The counts so far stand in the log."""
+        """Close the stream and log the counts so far; a waiting `receive` raises ConnectionLost."""
         if not self._closed:
             self._closed = True
             injector = self._line.injector()
@@ -162,7 +179,7 @@ class FaultyStream:
         self._stream.close()
 
     def _arrived(self) -> bytes:
-        """What has come, up to where the connection ends."""
+        """Return the due bytes, up to a hang-up."""
         data = b""
         while arrived := self._coming.take(self._now()):
             _, delivery = arrived
@@ -173,22 +190,22 @@ class FaultyStream:
         return data
 
     def _take_in(self, deadline: Deadline) -> None:
-        """Wait for the stream. What is no whole frame when the time is over comes as it is."""
+        """Receive from the stream; after the deadline an incomplete frame is delivered as it is."""
         try:
             deliveries = self._line.reply(self._stream.receive(deadline), self._now())
         except ReplyTimeout:
-            deliveries = self._line.rest_of_reply(self._now())
+            deliveries = self._line.flush_reply(self._now())
             if not deliveries:
                 raise
         self._coming.add(deliveries, self._now())
 
-    def _wait_until(self, moment_s: float, patience_s: float) -> None:
-        """Sleep until the moment. Raises ReplyTimeout when patience ends first."""
-        give_up_s = self._now() + patience_s
-        while not self._over and (left_s := min(moment_s, give_up_s) - self._now()) > 0.0:
-            self._sleep(min(left_s, NAP_S))
-        if not self._over and give_up_s < moment_s:
-            raise ReplyTimeout("what is on its way was delayed on purpose, by the plan of faults")
+    def _wait_until(self, due_s: float, timeout_s: float) -> None:
+        """Sleep until a time. Raises ReplyTimeout if the timeout ends first."""
+        give_up_s = self._now() + timeout_s
+        while not self._over and (left_s := min(due_s, give_up_s) - self._now()) > 0.0:
+            self._sleep(min(left_s, MAX_SLEEP_S))
+        if not self._over and give_up_s < due_s:
+            raise ReplyTimeout("a delivery is delayed on purpose by the fault plan")
 
     def _hang_up(self) -> None:
         self._over = self._over or _HUNG_UP

@@ -1,31 +1,23 @@
-"""What can be done to a frame, each kind a value: its settings are its fields, and they check themselves.
+"""Fault plans: the kinds of faults, rules, and reading plans from TOML.
 
-    the whole frame   drop | delay | nak | silence | hang_up
-    its bytes         corrupt | drop_byte | stray | cut | noise
-
-Rules: values only, nothing happens here (injector.py). A setting out of its range is a FaultPlanError that names it.
-`place` is an index into the frame, negative from its end (-2 is the checksum); left out, chance picks one.
-
-A plan of faults as a value: rules, each with what it does, to which frames, and how often. Reading it: plan_file.py
-
-    frame ──> rule 1 ──> rule 2 ──> ... ──> arrives        a frame that a rule took away never comes to those below it
-
-Rules: immutable, and right once made: a FaultPlanError names rule and key. Every rule counts the frames that come to
-it for itself and on each line for itself, so that `every = 10` is exactly every tenth of them.
-
-Plans of faults as TOML: text in, a Plan out, and back. The only file here that touches the disk.
+    frame ──> rule 1 ──> rule 2 ──> ... ──> delivered        a frame dropped by a rule does not reach the later ones
 
     seed = 7
     [[rule]]
-    name = "every tenth"                  rule 1 where left out
-    do = "corrupt"                        a kind of fault (kinds.py), or a list of them: one each time, by chance
-    change = "bit"                        the settings of its kinds
-    command = ["gs", "get_sn"]            C names; all where left out
-    direction = "reply"                   request, reply (where left out) or both
-    every = 10                            or percent, first, at; each frame where left out; from_s, until_s
-    line = "serial:1"                     or a list; all where left out
+    name = "every tenth"                  default: rule 1
+    do = "corrupt"                        a kind of fault, or a list of which one is drawn each time
+    change = "bit"                        settings of the kinds
+    command = ["gs", "get_sn"]            C names; default: all
+    direction = "reply"                   request, reply (default) or both
+    every = 10                            or percent, first, at; default: each frame; from_s, until_s
+    line = "serial:1"                     or a list; default: all
 
-Rules: whatever is wrong is a FaultPlanError: file, rule, key, what was expected.
+Kinds for whole frames: drop, delay, nak, silence, hang_up; for bytes: corrupt, drop_byte, stray, cut, noise.
+`place` is an index into the frame, negative from its end (-2 is the checksum); by default it is drawn at random.
+
+Plans are immutable and validated when created; errors are FaultPlanError with file, rule, key and the expected value.
+Each rule counts the frames that reach it, separately per line, so that `every = 10` is exactly every tenth of them.
+`frames.py` carries plans out.
 """
 
 from __future__ import annotations
@@ -46,38 +38,38 @@ from nclient.protocol.codec import describe_unknown_command
 from nclient.protocol.commands import BY_NAME
 
 BIT, BYTE = "bit", "byte"
-MOST_STRAY = 0xFFFF
-"""The most stray bytes at once."""
-LONGEST_S = 86_400.0
-"""The longest delay or silence, seconds: a day."""
+MAX_INSERTED = 0xFFFF
+"""Maximum number of bytes that one fault inserts."""
+MAX_DURATION_S = 86_400.0
+"""Maximum delay or silence in seconds: one day."""
 
 
 @dataclass(frozen=True, slots=True)
 class Drop:
-    """The frame does not arrive."""
+    """Drop the frame."""
 
     kind: ClassVar[str] = "drop"
 
 
 @dataclass(frozen=True, slots=True)
 class Delay:
-    """The frame arrives `delay_s` later, evenly spread over that +- `jitter_s`, and what follows it no earlier."""
+    """Delay the frame by `delay_s` +- `jitter_s`, uniformly distributed; later frames do not overtake it."""
 
     delay_s: float
     jitter_s: float = 0.0
     kind: ClassVar[str] = "delay"
 
     def __post_init__(self) -> None:
-        check_number("delay_s", self.delay_s, 0.0, LONGEST_S)
-        check_number("jitter_s", self.jitter_s, 0.0, LONGEST_S)
+        check_number("delay_s", self.delay_s, 0.0, MAX_DURATION_S)
+        check_number("jitter_s", self.jitter_s, 0.0, MAX_DURATION_S)
         if self.jitter_s > self.delay_s:
-            fail("jitter_s", f"at most delay_s, {self.delay_s:g}, since nothing arrives before it is sent",
+            fail("jitter_s", f"at most delay_s, {self.delay_s:g}, because nothing arrives before it was sent",
                  self.jitter_s)
 
 
 @dataclass(frozen=True, slots=True)
 class Corrupt:
-    """One byte becomes another: by one `change`d bit, or any byte but what it was."""
+    """Change one byte: one bit of it, or to any other byte."""
 
     change: str = BYTE
     place: int | None = None
@@ -90,7 +82,7 @@ class Corrupt:
 
 @dataclass(frozen=True, slots=True)
 class DropByte:
-    """One byte does not arrive."""
+    """Drop one byte."""
 
     place: int | None = None
     kind: ClassVar[str] = "drop_byte"
@@ -101,20 +93,20 @@ class DropByte:
 
 @dataclass(frozen=True, slots=True)
 class InsertBytes:
-    """`count` bytes that nobody sent, at one place; before the first byte and behind the last are places, too."""
+    """Insert `count` random bytes at one place, which may be before the first byte or behind the last."""
 
     count: int = 1
     place: int | None = None
     kind: ClassVar[str] = "stray"
 
     def __post_init__(self) -> None:
-        check_whole("count", self.count, 1, MOST_STRAY)
+        check_whole("count", self.count, 1, MAX_INSERTED)
         _check_place(self.place)
 
 
 @dataclass(frozen=True, slots=True)
 class Cut:
-    """The first `keep` bytes arrive, at least one less than there are."""
+    """Deliver only the first `keep` bytes, at most all but one."""
 
     keep: int | None = None
     kind: ClassVar[str] = "cut"
@@ -126,9 +118,9 @@ class Cut:
 
 @dataclass(frozen=True, slots=True)
 class Nak:
-    """A refusal instead: of a request, which then does not arrive, or in place of a reply.
+    """Answer a request with a refusal instead of delivering it, or replace a reply by one.
 
-    A NAK on a robot's own line, an ERROR reply over Nserver's protocol.
+    A refusal is a NAK on the serial line and an ERROR reply over TCP.
     """
 
     kind: ClassVar[str] = "nak"
@@ -136,18 +128,18 @@ class Nak:
 
 @dataclass(frozen=True, slots=True)
 class Blackout:
-    """From this frame on nothing arrives for `silence_s`, whatever the command, in the directions of the rule."""
+    """Drop this frame and all later ones for `silence_s`, of any command, in the directions of the rule."""
 
     silence_s: float
     kind: ClassVar[str] = "silence"
 
     def __post_init__(self) -> None:
-        check_number("silence_s", self.silence_s, 0.0, LONGEST_S)
+        check_number("silence_s", self.silence_s, 0.0, MAX_DURATION_S)
 
 
 @dataclass(frozen=True, slots=True)
 class HangUp:
-    """The connection ends, after `keep` bytes of the frame."""
+    """Close the connection after `keep` bytes of the frame."""
 
     keep: int = 0
     kind: ClassVar[str] = "hang_up"
@@ -158,7 +150,7 @@ class HangUp:
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """Each byte for itself, in per cent of all: becomes another, does not arrive, or has a stray one behind it."""
+    """Change, drop or add bytes at random: each rate is the percentage of all bytes."""
 
     corrupt_percent: float = 0.0
     drop_percent: float = 0.0
@@ -176,36 +168,41 @@ class Noise:
 
 
 Alteration = Corrupt | DropByte | InsertBytes | Cut
-"""What changes bytes of a frame by chance alone."""
+"""Faults that change the bytes of one frame."""
 Fault = Drop | Delay | Alteration | Nak | Blackout | HangUp | Noise
 KINDS: dict[str, type[Fault]] = {
     kind.kind: kind for kind in (Drop, Delay, Corrupt, DropByte, InsertBytes, Cut, Nak, Blackout, HangUp, Noise)
 }
-"""Every kind by the name that a plan calls it."""
+"""Kinds by their names in plans."""
 
 
 def fail(key: str, wanted: str, found: object) -> None:
-    """Raise FaultPlanError about one setting."""
+    """Raise FaultPlanError for one setting."""
     shown = f"{found:g}" if isinstance(found, float) else repr(found)
     raise FaultPlanError(f"{key}: {wanted}, not {shown}")
 
 
-def check_whole(key: str, value: object, least: int, most: int | None = None) -> None:
-    """Refuse what is no whole number from `least` to `most`."""
-    wanted = f"a whole number, {least} or more" if most is None else f"a whole number, {least} to {most}"
-    if not isinstance(value, int) or isinstance(value, bool) or value < least or (most is not None and value > most):
+def check_whole(key: str, value: object, minimum: int, maximum: int | None = None) -> None:
+    """Raise FaultPlanError unless `value` is a whole number from `minimum` to `maximum`."""
+    wanted = f"a whole number, {minimum} or more" if maximum is None else f"a whole number, {minimum} to {maximum}"
+    if (
+        not isinstance(value, int)
+        or isinstance(value, bool)
+        or value < minimum
+        or (maximum is not None and value > maximum)
+    ):
         fail(key, wanted, value)
 
 
-def check_number(key: str, value: object, least: float, most: float) -> None:
-    """Refuse what is no number from `least` to `most`."""
-    if not isinstance(value, int | float) or isinstance(value, bool) or not least <= value <= most:
-        upper = f"{least:g} or more" if math.isinf(most) else f"{least:g} to {most:g}"
+def check_number(key: str, value: object, minimum: float, maximum: float) -> None:
+    """Raise FaultPlanError unless `value` is a number from `minimum` to `maximum`."""
+    if not isinstance(value, int | float) or isinstance(value, bool) or not minimum <= value <= maximum:
+        upper = f"{minimum:g} or more" if math.isinf(maximum) else f"{minimum:g} to {maximum:g}"
         fail(key, f"a number, {upper}", value)
 
 
 def check_choice(key: str, value: object, choices: Iterable[str]) -> None:
-    """Refuse what is none of these words."""
+    """Raise FaultPlanError unless `value` is one of `choices`."""
     choices = tuple(choices)
     if value not in choices:
         fail(key, f"one of {', '.join(choices)}", value)
@@ -217,15 +214,15 @@ def _check_place(place: object) -> None:
 
 
 GREETING = "hello"
-"""What a plan calls the eleven bytes that an N200 sends first over TCP."""
+"""Command name in plans of the handshake, eleven bytes that an N200 sends first over TCP."""
 LINE_KINDS = ("serial", "robotd", "nserver", "real", "sim", "replay")
-"""What lines there are: a robot's own, two ways; Nserver's; a gateway's to the real robot; a simulation or a recording
-in a program's own process."""
-MOST_SEED = 2**63
+"""Kinds of lines: a robot's serial line, directly and over TCP; Nserver's; a gateway's to the real robot; a simulation
+and a recording in the program's own process."""
+MAX_SEED = 2**63
 
 
 class Direction(Enum):
-    """Which way a frame goes: to the robot, or back to the host."""
+    """Direction of a frame: to the robot, or to the host."""
 
     REQUEST = "request"
     REPLY = "reply"
@@ -236,10 +233,20 @@ BOTH = frozenset(Direction)
 
 @dataclass(frozen=True, slots=True)
 class When:
-    """Which of the frames that come to a rule it strikes: all, or by one of four ways to count; and when.
+    """Frames that a rule applies to, of those that reach it: all, or selected by one of four methods; and the time.
 
-    `every` n: the nth, 2nth, ...; `percent`: by chance; `first` n: those; `at`: the frames of these numbers, from 1.
-    `from_s` up to `until_s`: seconds since the plan came into force.
+    Attributes
+    ----------
+    every
+        Every n-th frame.
+    percent
+        Probability in per cent.
+    first
+        The first n frames.
+    at
+        Frames of these numbers, counted from 1.
+    from_s, until_s
+        Seconds since the plan came into force.
     """
 
     every: int | None = None
@@ -250,9 +257,9 @@ class When:
     until_s: float = math.inf
 
     def __post_init__(self) -> None:
-        ways = [name for name in ("every", "percent", "first", "at") if getattr(self, name) is not None]
-        if len(ways) > 1:
-            raise FaultPlanError(f"{ways[1]}: {' and '.join(ways)} count differently; keep one of them")
+        methods = [name for name in ("every", "percent", "first", "at") if getattr(self, name) is not None]
+        if len(methods) > 1:
+            raise FaultPlanError(f"{methods[1]}: {' and '.join(methods)} exclude each other; use one of them")
         if self.every is not None:
             check_whole("every", self.every, 1)
         if self.percent is not None:
@@ -260,7 +267,7 @@ class When:
         if self.first is not None:
             check_whole("first", self.first, 1)
         if self.at == ():
-            raise FaultPlanError("at: the numbers of the frames it strikes, such as [3, 7]; there are none")
+            raise FaultPlanError("at: expected numbers of frames, such as [3, 7]; there are none")
         for number in self.at or ():
             check_whole("at", number, 1)
         check_number("from_s", self.from_s, 0.0, math.inf)
@@ -269,11 +276,19 @@ class When:
             fail("until_s", f"later than from_s, {self.from_s:g}", self.until_s)
 
     def covers(self, elapsed_s: float) -> bool:
-        """Whether the rule is in force so long after the plan began."""
+        """Return True if the rule is in force `elapsed_s` after the start of the plan."""
         return self.from_s <= elapsed_s < self.until_s
 
     def matches(self, number: int, draw: float) -> bool:
-        """Whether it strikes the frame of that number, counted from 1; `draw`: chance, 0 to below 1."""
+        """Return True if the rule applies to a frame.
+
+        Parameters
+        ----------
+        number
+            Number of the frame, counted from 1.
+        draw
+            Random number in [0, 1).
+        """
         if self.every is not None:
             return number % self.every == 0
         if self.percent is not None:
@@ -285,10 +300,22 @@ class When:
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """What is done (`faults`: one of them each time, by chance) to which frames (empty: any command, any line), when.
+    """A rule: faults, the frames they are applied to, and when.
 
-    `commands`: C names. `lines`: such as serial:1, robotd:1, nserver; serial alone means every such line.
-    The kinds in one rule differ, and where two have the same setting it has the same value.
+    Attributes
+    ----------
+    name
+        Name in errors and counts.
+    faults
+        Kinds of which one is drawn each time. They differ in kind; a setting that two of them have is equal.
+    when
+        Selection by number, probability and time.
+    commands
+        C names; empty for all.
+    directions
+        Directions of the frames.
+    lines
+        Names such as serial:1, robotd:1, nserver; `serial` means every serial line, empty all lines.
     """
 
     name: str
@@ -300,9 +327,9 @@ class Rule:
 
     def __post_init__(self) -> None:
         if not self.faults:
-            raise FaultPlanError(f"rule {self.name!r}: do: at least one kind of fault is wanted")
+            raise FaultPlanError(f"rule {self.name!r}: do: expected at least one kind of fault")
         if not self.directions:
-            raise FaultPlanError(f"rule {self.name!r}: direction: request, reply or both is wanted")
+            raise FaultPlanError(f"rule {self.name!r}: direction: expected request, reply or both")
         _check_agreement(self.name, self.faults)
         for command in self.commands:
             _check_command(self.name, command)
@@ -310,36 +337,36 @@ class Rule:
             _check_line(self.name, line)
 
     def acts_on(self, line: str) -> bool:
-        """Whether the rule is for the line of that name."""
+        """Return True if the rule applies to the line of this name."""
         return not self.lines or line in self.lines or line.partition(":")[0] in self.lines
 
     def matches(self, command: str, direction: Direction) -> bool:
-        """Whether the rule is for frames of that command, going that way."""
+        """Return True if the rule applies to frames of this command in this direction."""
         return direction in self.directions and (not self.commands or command in self.commands)
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Rules in the order in which frames come to them, and the seed of all chance."""
+    """Rules, in the order in which a frame passes them, and the seed of all random numbers."""
 
     rules: tuple[Rule, ...] = ()
     seed: int = 0
 
     def __post_init__(self) -> None:
-        check_whole("seed", self.seed, 0, MOST_SEED)
+        check_whole("seed", self.seed, 0, MAX_SEED)
         names: set[str] = set()
         for rule in self.rules:
             if rule.name in names:
-                raise FaultPlanError(f"rule {rule.name!r}: name: an earlier rule is called so; expected another")
+                raise FaultPlanError(f"rule {rule.name!r}: name: an earlier rule has this name; choose another")
             names.add(rule.name)
 
 
 def require_rules_for(line: str, plan: Plan) -> None:
-    """Refuse a plan that never acts on the line it is meant for. Raises FaultPlanError."""
+    """Raise FaultPlanError if a plan has no rule for this line."""
     if plan.rules and not any(rule.acts_on(line) for rule in plan.rules):
         named = sorted({name for rule in plan.rules for name in rule.lines})
         raise FaultPlanError(
-            f"rule {plan.rules[0].name!r}: line: no rule is for {line}, but for {', '.join(named)}; "
+            f"rule {plan.rules[0].name!r}: line: no rule applies to {line}, only to {', '.join(named)}; "
             f"name {line}, or leave it out"
         )
 
@@ -354,13 +381,13 @@ def _check_agreement(rule: str, faults: tuple[Fault, ...]) -> None:
         for entry in fields(fault):
             value = getattr(fault, entry.name)
             if settings.setdefault(entry.name, value) != value:
-                raise FaultPlanError(f"rule {rule!r}: {entry.name}: is one for all kinds of a rule; make two rules")
+                raise FaultPlanError(f"rule {rule!r}: {entry.name}: applies to all kinds of a rule; write two rules")
 
 
 def _check_command(rule: str, command: str) -> None:
     row = BY_NAME.get(command)
     if row is not None and row.packet_type is not None:
-        raise FaultPlanError(f"rule {rule!r}: command: on the wire {command} is a special_request; write that")
+        raise FaultPlanError(f"rule {rule!r}: command: {command} is sent as a special_request; write that")
     if row is None and command != GREETING:
         raise FaultPlanError(f"rule {rule!r}: command: {describe_unknown_command(command, [GREETING])}")
 
@@ -368,15 +395,15 @@ def _check_command(rule: str, command: str) -> None:
 def _check_line(rule: str, line: str) -> None:
     kind, colon, number = line.partition(":")
     if kind not in LINE_KINDS or (colon and not (number.isascii() and number.isdecimal())):
-        known = ", ".join(LINE_KINDS)
+        choices = ", ".join(LINE_KINDS)
         raise FaultPlanError(
-            f"rule {rule!r}: line: no line {line!r}; a line is one of {known}, alone or with the robot's number, such "
-            f"as serial:1{suggest(kind, LINE_KINDS)}"
+            f"rule {rule!r}: line: no line {line!r}; a line is one of {choices}, alone or with the number of a robot, "
+            f"such as serial:1{suggest(kind, LINE_KINDS)}"
         )
 
 
-MOST_BYTES: Final = 1 << 20
-"""More than any plan by hand; a larger file is something else."""
+MAX_BYTES: Final = 1 << 20
+"""Maximum size of a plan; a larger file is something else."""
 _ANY = "all"
 _WHEN = tuple(entry.name for entry in dataclasses.fields(When))
 _RULE = ("name", "do", "command", "direction", "line", *_WHEN)
@@ -384,17 +411,17 @@ _DIRECTIONS = {"both": BOTH} | {direction.value: frozenset({direction}) for dire
 
 
 def load_plan(path: Path) -> Plan:
-    """The plan of a file. Raises FaultPlanError."""
+    """Read a plan from a file. Raises FaultPlanError."""
     return parse_plan(read_plan(path), str(path))
 
 
 def read_plan(path: Path) -> str:
-    """The text of a file that may be a plan. Raises FaultPlanError where it cannot be read."""
-    return read_text(path, MOST_BYTES, FaultPlanError)
+    """Return the text of a plan file. Raises FaultPlanError if it cannot be read."""
+    return read_text(path, MAX_BYTES, FaultPlanError)
 
 
 def parse_plan(text: str, file: str = "plan") -> Plan:
-    """The plan that a text says; `file` is what errors call it. Raises FaultPlanError."""
+    """Parse a plan; `file` is the name in error messages. Raises FaultPlanError."""
     top = parse_toml(text, file, FaultPlanError)
     try:
         _allow(top, ("seed", "rule"))
@@ -407,7 +434,7 @@ def parse_plan(text: str, file: str = "plan") -> Plan:
 
 
 def plan_text(plan: Plan) -> str:
-    """A plan as TOML; parse_plan makes the same plan of it."""
+    """Return a plan as TOML; `parse_plan` reads it back to an equal plan."""
     lines = [f"seed = {plan.seed}"]
     for rule in plan.rules:
         lines += ["", "[[rule]]", *(f"{key} = {_value(value)}" for key, value in _entries(rule))]
@@ -420,6 +447,7 @@ def _rule(table: Mapping[str, Any], number: int) -> Rule:
         raise FaultPlanError(f"rule {number}: name: expected a text, found {name!r}")
     try:
         kinds = [_kind(word) for word in _words(table, "do", ())]
+        # Keys of a rule: its own, and the settings of its kinds.
         settings = {entry.name for kind in kinds for entry in dataclasses.fields(kind)}
         _allow(table, (*_RULE, *sorted(settings)))
         faults = tuple(_fault(kind, table) for kind in kinds)
@@ -444,12 +472,12 @@ def _fault(kind: type[Fault], table: Mapping[str, Any]) -> Fault:
         if entry.name in table:
             given[entry.name] = table[entry.name]
         elif entry.default is dataclasses.MISSING:
-            raise FaultPlanError(f"{entry.name}: is wanted by do = {kind.kind!r}")
+            raise FaultPlanError(f"{entry.name}: required by do = {kind.kind!r}")
     return kind(**given)
 
 
 def _words(table: Mapping[str, Any], key: str, default: tuple[str, ...]) -> tuple[str, ...]:
-    """One text or a list of them."""
+    """Return the value of a key as a tuple: one text or a list of texts."""
     value = table.get(key, list(default))
     words = [value] if isinstance(value, str) else value
     if not isinstance(words, list) or not all(isinstance(word, str) for word in words):
@@ -468,14 +496,14 @@ def _plain(key: str, value: Any) -> Any:
     return tuple(value) if isinstance(value, list) else (value,)
 
 
-def _allow(table: Mapping[str, Any], known: tuple[str, ...]) -> None:
+def _allow(table: Mapping[str, Any], choices: tuple[str, ...]) -> None:
     for key in table:
-        if key not in known:
-            raise FaultPlanError(f"{key}: unknown here; expected one of {', '.join(known)}{suggest(key, known)}")
+        if key not in choices:
+            raise FaultPlanError(f"{key}: unknown here; expected one of {', '.join(choices)}{suggest(key, choices)}")
 
 
 def _entries(rule: Rule) -> Iterator[tuple[str, Any]]:
-    """The keys of a rule that are not what they are where left out."""
+    """Yield the keys of a rule whose values differ from their defaults."""
     yield "name", rule.name
     yield "do", [fault.kind for fault in rule.faults]
     settings = {
@@ -490,5 +518,5 @@ def _entries(rule: Rule) -> Iterator[tuple[str, Any]]:
 
 
 def _value(value: object) -> str:
-    """A value as TOML writes it: numbers, texts and lists are as in JSON, but for DEL."""
+    """Format a value as TOML, where numbers, texts and lists are as in JSON, except for DEL."""
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

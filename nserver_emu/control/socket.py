@@ -17,14 +17,14 @@ from pathlib import Path
 from typing import Final
 
 from nclient.errors import ConnectionLost
-from nclient.faults.plan import MOST_BYTES
+from nclient.faults.plan import MAX_BYTES
 
 log = logging.getLogger(__name__)
 
 NAME: Final = "nserver.sock"
 OWNER_ONLY, OWNERS_FOLDER = 0o600, 0o700
 # Longer than the longest fault plan as JSON.
-MAX_LINE: Final = 8 * MOST_BYTES
+MAX_LINE: Final = 8 * MAX_BYTES
 
 
 def default_path(environment: Mapping[str, str]) -> Path:

@@ -19,7 +19,7 @@ from collections.abc import Iterable, Sequence
 from typing import Final
 
 from nclient.errors import NomadError
-from nserver_emu.legacy_setup import read_setups
+from nserver_emu.server.legacy_setup import read_setups
 from worlds.io import DEFAULT_WORLD
 
 log = logging.getLogger(__name__)

@@ -12,6 +12,7 @@ draws it. Traces are in inches.
 from __future__ import annotations
 
 from array import array
+from base64 import b64decode, b64encode
 from bisect import bisect_left
 from collections import deque
 from collections.abc import Iterable
@@ -19,6 +20,8 @@ from enum import StrEnum
 from itertools import takewhile
 from math import floor, hypot
 from typing import Final, NamedTuple
+
+import numpy as np
 
 from nserver_emu.server.limits import Limits
 from nserver_emu.simulation.simulation import Simulation
@@ -63,6 +66,15 @@ class Shape(NamedTuple):
     numbers: tuple[int, ...]
     colour: str
     xor: bool
+
+
+class GraphicsState(NamedTuple):
+    """The client graphics in a snapshot: shapes and removals with their revisions."""
+
+    drawn: int
+    redrawn: dict[Layer, int]
+    shapes: tuple[tuple[int, Shape], ...]
+    removed: tuple[tuple[int, int], ...]
 
 
 class Graphics:
@@ -133,6 +145,20 @@ class Graphics:
     def _remove(self, shape: Shape) -> None:
         self._removed.append((self.drawn, self._shapes.pop(shape)))
 
+    def to_state(self) -> GraphicsState:
+        """Return the state for a snapshot."""
+        return GraphicsState(self.drawn, self.redrawn, tuple(self.numbered), tuple(self._removed))
+
+    @classmethod
+    def from_state(cls, state: GraphicsState) -> Graphics:
+        """Return the graphics of a state."""
+        graphics = cls()
+        graphics.drawn = state.drawn
+        graphics.redrawn |= state.redrawn
+        graphics._shapes = {shape: number for number, shape in state.shapes}
+        graphics._removed.extend(state.removed)
+        return graphics
+
 
 def _line_mode(mode: int) -> tuple[str, bool]:
     return (_colour(mode - 2), True) if mode > 2 else (BLACK, mode == 2)
@@ -158,6 +184,22 @@ MAX_POINTS: Final = 4000
 REMOVED_TOGETHER: Final = 400
 # Points farther apart are a placement, not a motion: 1.5 times the path of the fastest wheels in 0.1 s.
 JUMP_IN: Final = 6.0
+
+
+class TraceState(NamedTuple):
+    """A trace in a snapshot: coordinates x y as base64 of little-endian doubles, because there are thousands."""
+
+    points: str
+    total: int
+    jumps: tuple[int, ...]
+
+
+class TracesState(NamedTuple):
+    """All traces in a snapshot."""
+
+    actual: dict[int, TraceState]
+    encoder: dict[int, TraceState]
+    interval: int
 
 
 class Trace:
@@ -198,6 +240,22 @@ class Trace:
             if distance_in > JUMP_IN:
                 self.jumps = (*self.jumps[bisect_left(self.jumps, self.first) :], self.count)
 
+    def to_state(self) -> TraceState:
+        """Return the state for a snapshot."""
+        points = b64encode(np.array(self._flat, dtype="<f8").tobytes()).decode()
+        return TraceState(points, self.count, self.jumps)
+
+    @classmethod
+    def from_state(cls, state: TraceState) -> Trace:
+        """Return the trace of a state. Raise ValueError if it is invalid."""
+        flat = np.frombuffer(b64decode(state.points, validate=True), dtype="<f8")
+        if len(flat) % 2 or not np.isfinite(flat).all() or state.total < len(flat) // 2:
+            raise ValueError("a trace without points")
+        trace = cls()
+        trace._flat = array("d", flat.tolist())
+        trace.count, trace.jumps = state.total, state.jumps
+        return trace
+
 
 class Traces:
     """Traces of each robot by its number: the actual path, and the path according to its encoders."""
@@ -217,3 +275,18 @@ class Traces:
             x, y, _ = robot.disc
             self.actual.setdefault(robot_id, Trace()).add(x, y)
             self.encoder.setdefault(robot_id, Trace()).add(robot.encoder.x_in, robot.encoder.y_in)
+
+    def to_state(self) -> TracesState:
+        """Return the state for a snapshot."""
+        actual = {robot_id: trace.to_state() for robot_id, trace in self.actual.items()}
+        encoder = {robot_id: trace.to_state() for robot_id, trace in self.encoder.items()}
+        return TracesState(actual, encoder, self._interval)
+
+    @classmethod
+    def from_state(cls, state: TracesState) -> Traces:
+        """Return the traces of a state. Raise ValueError if it is invalid."""
+        traces = cls()
+        traces.actual = {robot_id: Trace.from_state(trace) for robot_id, trace in state.actual.items()}
+        traces.encoder = {robot_id: Trace.from_state(trace) for robot_id, trace in state.encoder.items()}
+        traces._interval = state.interval
+        return traces

@@ -20,7 +20,7 @@ from typing import Final, NamedTuple, Protocol
 
 from nclient.errors import FaultPlanError
 from nclient.faults.frames import Injector, Language
-from nclient.faults.inject import FaultyLine, InTransit
+from nclient.faults.inject import DelayQueue, FaultyLine
 from nclient.faults.plan import Plan
 
 BITS_PER_BYTE: Final = 10
@@ -166,7 +166,7 @@ class FaultyChannel:
         self._line = FaultyLine(language, injector)
         self._channel = ImmediateChannel() if channel is None else channel
         # Bytes delayed by a fault, to the robot and to the host.
-        self._to_robot, self._to_host = InTransit(), InTransit()
+        self._to_robot, self._to_host = DelayQueue(), DelayQueue()
         # Time at which an incomplete request is passed on; None if there is none.
         self._request_due_s: float | None = None
         # True after an injected hang-up, until the channel is empty.
@@ -185,10 +185,10 @@ class FaultyChannel:
     def to_robot(self, data: bytes, now_s: float) -> None:
         """Send bytes from the host."""
         deliveries = self._line.request(data, now_s)
-        self._to_robot.add((delivery for delivery in deliveries if not delivery.back), now_s)
-        self._to_host.add((delivery for delivery in deliveries if delivery.back), now_s)
-        patience_s = self._line.patience_s
-        self._request_due_s = now_s + patience_s if self._line.asking and patience_s is not None else None
+        self._to_robot.add((delivery for delivery in deliveries if not delivery.to_sender), now_s)
+        self._to_host.add((delivery for delivery in deliveries if delivery.to_sender), now_s)
+        timeout_s = self._line.partial_timeout_s
+        self._request_due_s = now_s + timeout_s if self._line.has_partial_request and timeout_s is not None else None
 
     def to_host(self, data: bytes, now_s: float) -> None:
         """Send bytes from the robot."""
@@ -199,7 +199,7 @@ class FaultyChannel:
         self._advance(now_s)
         arrival = self._channel.arrived(now_s)
         if arrival is None and self._ending and self._channel.due_s is None:
-            self._ending, self._to_robot, self._to_host = False, InTransit(), InTransit()
+            self._ending, self._to_robot, self._to_host = False, DelayQueue(), DelayQueue()
             return Arrival(now_s, b"", to_robot=False, hang_up=True)
         return arrival
 
@@ -207,7 +207,7 @@ class FaultyChannel:
         """Pass delayed bytes and an incomplete request that waited long enough to the channel."""
         if self._request_due_s is not None and now_s >= self._request_due_s:
             self._request_due_s = None
-            self._to_robot.add(self._line.rest_of_request(now_s), now_s)
+            self._to_robot.add(self._line.flush_request(now_s), now_s)
         for transit, enter in ((self._to_robot, self._channel.to_robot), (self._to_host, self._channel.to_host)):
             while not self._ending and (late := transit.take(now_s)):
                 at_s, delivery = late

@@ -76,33 +76,25 @@ class ReflectorMap:
     def __init__(self, walls: FloatArray) -> None:
         self.walls = walls
 
-    @property
+    @cached_property
     def mirrors(self) -> ComplexArray:
         """The walls that have a length (k, 3): first end, vector to the second, and its unit direction squared."""
-        return self._mirrors.view(np.complex128)
-
-    @property
-    def edges(self) -> ComplexArray:
-        """Ends and vertices of the walls (k,), except where a wall continues straight."""
-        return self._edges.view(np.complex128)[:, 0]
-
-    @cached_property
-    def _mirrors(self) -> FloatArray:
         first, along = self.walls[:, :2], self.walls[:, 2:] - self.walls[:, :2]
         long = (along != 0.0).any(axis=1)
         first, along = first[long], along[long]
         direction = (along[:, 0] + 1j * along[:, 1]) / np.hypot(along[:, 0], along[:, 1])
         twist = direction * direction
-        return np.column_stack((first, along, twist.real, twist.imag))
+        return np.column_stack((first, along, twist.real, twist.imag)).view(np.complex128)
 
     @cached_property
-    def _edges(self) -> FloatArray:
+    def edges(self) -> ComplexArray:
+        """Ends and vertices of the walls (k,), except where a wall continues straight."""
         directions: dict[tuple[float, float], list[float]] = {}
         for x1, y1, x2, y2 in self.walls.tolist():
             directions.setdefault((x1, y1), []).append(atan2(y2 - y1, x2 - x1))
             directions.setdefault((x2, y2), []).append(atan2(y1 - y2, x1 - x2))
         points = [point for point, out in directions.items() if not _is_straight(out)]
-        return np.array(points).reshape(-1, 2)
+        return np.array(points).reshape(-1, 2).view(np.complex128)[:, 0]
 
 
 def _is_straight(directions_rad: list[float]) -> bool:

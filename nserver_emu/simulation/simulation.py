@@ -1,13 +1,12 @@
 """A world with its robots, and simulated time that advances in steps. No clock, no socket, no thread.
 
-Order of a step: commands (between steps), motion, contact, sensors. A simulation that is restored from its state, or
-deep-copied, continues with the same bits.
+Order of a step: commands (between steps), motion, contact, sensors. A simulation that is restored from its state
+continues with the same bits.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -231,11 +230,3 @@ class Simulation:
             self._group.advance(self.robots, begin_ps, self._time_ps)
         for robot in self.robots.values():
             robot.advance_to(self._time_ps)
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Return the attributes with the world as what it is built from: its read-only views cannot be copied."""
-        built_from = {part.name: getattr(self._world, part.name) for part in fields(World) if part.init}
-        return self.__dict__ | {"_world": built_from | {"paths": dict(self._world.paths)}, "_spatial_hash": None}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state | {"_world": World(**state["_world"])})

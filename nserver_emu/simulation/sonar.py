@@ -194,11 +194,6 @@ class SonarRing:
         self._count, self.due_ps = state.fired, state.due_ps
         self._pending.clear()
 
-    def check(self) -> None:
-        """Raise ValueError if the ring would fire without end."""
-        if not TICK_PS <= self._interval_ps <= MAX_RATE * TICK_PS or not (self._order or self.due_ps == TIME_MAX_PS):
-            raise ValueError("a ring of sonars without an interval or an order")
-
     @property
     def readings_in(self) -> tuple[int, ...]:
         """The last reading of each sonar: 16 whole inches from the ring, 6..255, 255 without echo; 0 where dead."""

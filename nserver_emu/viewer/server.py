@@ -44,21 +44,16 @@ from nserver_emu.viewer.scene import Modes, SceneHistory, laser_modes
 
 STALLED_S: Final = 8.0
 """Time after which a page that receives nothing is disconnected."""
-FINAL_TEXT_FRAME: Final = 0x81
-"""Header of an unfragmented, uncompressed text frame (RFC 6455, 5.2); frames of a server are not masked (5.1)."""
-SHORT, MEDIUM = 125, 0xFFFF
-"""Largest payload lengths that fit in 7 and in 16 bits."""
-TWO_BYTES, EIGHT_BYTES = 126, 127
-"""Codes instead of a length: it follows in two or eight bytes."""
+NO_LIMIT: Final = 2**31
+"""Write buffer limit of a page's transport in bytes: sending never waits, and PageWriter does the flow control."""
 
 
 class PageWriter:
-    """Writes text frames of a websocket directly to its transport, without waiting.
+    """Sends text messages to one page, without waiting.
 
     A page gets nothing new before it has received everything sent so far, so that pictures are skipped before they are
-    sent. Each frame is written in one piece; pings and the closing frame, which aiohttp writes to the same transport,
-    stand between frames. aiohttp's own send_str may wait and so needs a task per page, which was measured at more than
-    half of the cost of all pages. `now` is real time in seconds.
+    sent. So the transport's write buffer never holds more than one round of messages, and its limit, at which aiohttp
+    would wait, is switched off. `now` is real time in seconds.
     """
 
     def __init__(self, socket: web.WebSocketResponse, transport: asyncio.Transport, now: float) -> None:
@@ -66,6 +61,7 @@ class PageWriter:
         self._transport = transport
         self._unsent = 0
         self._last_progress_s = now
+        transport.set_write_buffer_limits(high=NO_LIMIT)
 
     def is_ready(self, now: float) -> bool:
         """Return True if the page has received everything and more can be sent."""
@@ -79,26 +75,13 @@ class PageWriter:
         """Return True if the page has received nothing for STALLED_S, as far as `is_ready` observed."""
         return self._unsent > 0 and now - self._last_progress_s > STALLED_S
 
-    def send(self, text: str) -> None:
-        """Send a text as one frame."""
-        self._transport.write(frame(text))
+    async def send(self, text: str) -> None:
+        """Send a text message."""
+        await self._socket.send_str(text)
 
     def abort(self) -> None:
         """Disconnect at once; closing would wait until everything is received."""
         self._transport.abort()
-
-
-def frame(text: str) -> bytes:
-    """Encode a text as a server's websocket frame."""
-    payload = text.encode()
-    size = len(payload)
-    if size <= SHORT:
-        head = bytes((FINAL_TEXT_FRAME, size))
-    elif size <= MEDIUM:
-        head = bytes((FINAL_TEXT_FRAME, TWO_BYTES)) + size.to_bytes(2)
-    else:
-        head = bytes((FINAL_TEXT_FRAME, EIGHT_BYTES)) + size.to_bytes(8)
-    return head + payload
 
 
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
@@ -138,6 +121,7 @@ class ViewerServer:
         self.controller = ViewerController(daemon, self.broadcaster)
         self._writers: dict[Viewer, PageWriter] = {}
         self._sockets: set[web.WebSocketResponse] = set()
+        self._sending: set[asyncio.Task[None]] = set()
         self._host_name = LOOPBACK_NAME
         self._door = daemon.admission
         self._daemon = daemon
@@ -207,16 +191,16 @@ class ViewerServer:
             due = next_due(due, _now())
             await asyncio.sleep(due - _now())
             if self.broadcaster.viewers:
-                self._update_pages()
+                await self._update_pages()
 
-    def _update_pages(self) -> None:
+    async def _update_pages(self) -> None:
         """Take a picture and send it to all pages; an error of one page does not affect others."""
         with self.controller.error_boundary.guard("the clock"):
             self.controller.tick(_now())
         with self.controller.error_boundary.guard("the picture"):
             self.broadcaster.take(self._laser_modes())
         for viewer in tuple(self._writers):
-            self._send_to(viewer)
+            await self._send_to(viewer)
 
     def _laser_modes(self) -> Modes:
         robots = self._daemon.emulator.simulation.robots
@@ -297,7 +281,7 @@ class ViewerServer:
             raise
         viewer = self.controller.connect_page(_now(), may_act=may_act, watch_token=self.watch_token)
         self._writers[viewer] = writer
-        viewer.on_message = lambda: asyncio.get_running_loop().call_soon(self._send_to, viewer)
+        viewer.on_message = lambda: self._send_soon(viewer)
         viewer.on_message()
         try:
             async for message in socket:
@@ -315,7 +299,13 @@ class ViewerServer:
             _clear_tracebacks(socket.exception())
         return socket
 
-    def _send_to(self, viewer: Viewer) -> None:
+    def _send_soon(self, viewer: Viewer) -> None:
+        """Send a page its next messages in this turn of the event loop, before the next picture."""
+        task = asyncio.create_task(self._send_to(viewer))
+        self._sending.add(task)  # the event loop holds tasks by weak references only
+        task.add_done_callback(self._sending.discard)
+
+    async def _send_to(self, viewer: Viewer) -> None:
         """Send a page its next messages if it can receive them; messages before an error are sent."""
         writer, now = self._writers.get(viewer), _now()
         if writer is None:
@@ -323,7 +313,7 @@ class ViewerServer:
         if writer.is_ready(now):
             with self.controller.error_boundary.guard("messages and picture", viewer.name):
                 for text in self.broadcaster.next_for(viewer):
-                    writer.send(text)
+                    await writer.send(text)
         elif writer.is_stalled(now):
             log.info("%s receives nothing: disconnected", viewer.name)
             writer.abort()

@@ -8,7 +8,7 @@ import threading
 import tty
 from collections.abc import Iterator
 
-from tests.nclient.robot_line import ScriptedLine
+from tests.nclient.scripted_line import ScriptedLine
 
 
 @contextlib.contextmanager

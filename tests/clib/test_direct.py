@@ -21,8 +21,8 @@ from nclient.protocol.types import EVERYTHING, N200, SCOUT, Model
 from nclient.transports.serial import SerialStream
 from tests.clib.clib_build import PROGRAMS, SANITIZED, BuildCache, run_calls
 from tests.clib.scripted_pty import serve_pty
-from tests.nclient.answering import on_socket
-from tests.nclient.robot_line import NAK, Late, ScriptedLine
+from tests.nclient.scripted_line import NAK, Late, ScriptedLine
+from tests.nclient.scripted_server import on_socket
 
 
 @pytest.fixture(scope="module")

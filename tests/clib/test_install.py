@@ -9,7 +9,7 @@ import tomllib
 from pathlib import Path
 
 from tests.clib.clib_build import CLIB, PLAIN, ROOT, BuildCache, run
-from tests.nclient.answering import ScriptedServer, by_script, on_socket
+from tests.nclient.scripted_server import ScriptedServer, by_script, on_socket
 
 README = (CLIB / "README.md").read_text()
 MAKEFILE = (CLIB / "Makefile").read_text()

@@ -14,8 +14,8 @@ import pytest
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from tests.clib.clib_build import NARROW_SANITIZED, PROGRAMS, SANITIZED, BuildCache, BuildKind, run_calls
-from tests.nclient.answering import ScriptedServer, by_script, error, on_socket, simple
 from tests.nclient.protocol.recorded import TCP
+from tests.nclient.scripted_server import ScriptedServer, by_script, error, on_socket, simple
 
 
 @pytest.fixture(scope="module")

@@ -18,8 +18,8 @@ from nclient.protocol.commands import Call
 from nclient.robot import Robot
 from tests.clib.clib_build import PROGRAMS, SANITIZED, BuildCache, run_calls, run_nserver
 from tests.clib.scripted_pty import serve_pty
-from tests.nclient.answering import ScriptedServer, by_script, on_socket
-from tests.nclient.robot_line import ScriptedLine
+from tests.nclient.scripted_line import ScriptedLine
+from tests.nclient.scripted_server import ScriptedServer, by_script, on_socket
 from tests.waiting import wait_until
 
 TIMEOUT_S = 30.0

@@ -15,8 +15,8 @@ from nclient.protocol.commands import COMMANDS, Call, Command
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import EVERYTHING, SCOUT
 from nclient.protocol.wire_state import serial_wire_state
-from tests.nclient.answering import ScriptedServer, by_script, error, on_socket, simple
 from tests.nclient.protocol.recorded import TCP, TCP_SESSIONS
+from tests.nclient.scripted_server import ScriptedServer, by_script, error, on_socket, simple
 
 TYPE_OF_THE_RECORDER = 200
 
@@ -82,7 +82,7 @@ def replay(cases: list[dict[str, Any]]) -> Callable[[socket.socket], None]:
 
 
 def comparable(case: dict[str, Any], request: bytes) -> bytes:
-    """A request without what a C client leaves in it by chance: process id, words it does not use."""
+    """A request without what a C client leaves undefined: process id, unused words."""
     if request[:2] in (b"\0\x66", b"\0\x67"):
         return request[:-4]
     if case["call"] == "motion_check" and case["args"][0] == 0:
@@ -133,7 +133,7 @@ def play(case: dict[str, Any]) -> tuple[int, dict[str, Any]]:
 
 
 @pytest.mark.parametrize("session", TCP_SESSIONS)
-def test_a_recorded_session_through_the_mirror(session: str) -> None:
+def test_recorded_sessions_give_the_same_state(session: str) -> None:
     cases = TCP[session]
     with on_socket(replay(cases)) as port:
         use(port)
@@ -174,7 +174,7 @@ def check_stamps(decoded: dict[str, Any]) -> None:
             assert taken == decoded[key]
 
 
-def test_the_recorded_sessions_have_stamps_of_every_kind() -> None:
+def test_recorded_sessions_have_stamps_of_every_kind() -> None:
     seen = {key for session in TCP_SESSIONS for case in TCP[session] for key in case["decoded"] if "pos_" in key}
     assert seen == {"pos_sonar_0", "pos_sonar_15", "pos_ir_0", "pos_bumper", "pos_laser", "pos_compass"}
 
@@ -190,7 +190,7 @@ def test_every_command_has_its_function(row: Command) -> None:
     assert row.name in capi.__all__
 
 
-def test_the_rest_of_the_header_is_there() -> None:
+def test_every_name_of_the_header_exists() -> None:
     for name in ("posDataRequest", "posDataCheck", "posInfraredRingGet", "posInfraredGet", "posSonarRingGet",
                  "posSonarGet", "posBumperGet", "posLaserGet", "posCompassGet", "posTimeGet", "voltCpuGet",
                  "voltMotorGet", "scout_vm", "server_is_running", "State", "Smask", "Laser", "TRUE", "FALSE"):
@@ -198,7 +198,7 @@ def test_the_rest_of_the_header_is_there() -> None:
         assert hasattr(capi, name)
 
 
-def test_arguments_are_cut_off_like_c_does(server: ScriptedServer) -> None:
+def test_arguments_are_truncated_as_in_c(server: ScriptedServer) -> None:
     assert capi.connect_robot(1)
     assert capi.vm(10.9, -10.9, True) == capi.TRUE  # type: ignore[arg-type]
     assert server.last() == Call("vm", (10, -10, 1))
@@ -210,7 +210,7 @@ def test_arguments_are_cut_off_like_c_does(server: ScriptedServer) -> None:
 @pytest.mark.parametrize(
     ("trans", "steer", "right", "left"), [(100, 0, 100, 100), (0, 450, 53, -53), (100, -450, 47, 153), (0, 8, 0, 0)]
 )
-def test_a_scouts_wheels(server: ScriptedServer, trans: int, steer: int, right: int, left: int) -> None:
+def test_wheel_velocities_of_a_scout(server: ScriptedServer, trans: int, steer: int, right: int, left: int) -> None:
     assert capi.connect_robot(1)
     assert (capi.RIGHT(trans, steer), capi.LEFT(trans, steer)) == (right, left)
     assert capi.scout_vm(trans, steer)
@@ -219,14 +219,14 @@ def test_a_scouts_wheels(server: ScriptedServer, trans: int, steer: int, right: 
     assert server.last() == Call("pr", (right, left, 0))
 
 
-def test_the_rate_constant_is_half_the_track_by_degrees() -> None:
+def test_the_rotation_constant_is_half_the_track() -> None:
     assert pytest.approx(13.590 / 2 * 3.14159265 / 180, rel=1e-4) == capi.ROTATION_CONSTANT
 
 
 # failing as C does
 
 
-def test_before_connecting_everything_is_false(capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_call_is_false_before_connecting(capsys: pytest.CaptureFixture[str]) -> None:
     out: list[Any] = [9] * 9
     assert [capi.gs(), capi.vm(1, 2, 3), capi.tk("x"), capi.ct(), capi.get_rpx(out)] == [capi.FALSE] * 5
     assert [capi.disconnect_robot(1), capi.predict_sensors(0, 0, 0, 0, out, out)] == [0, 0]
@@ -237,7 +237,7 @@ def test_before_connecting_everything_is_false(capsys: pytest.CaptureFixture[str
     assert capsys.readouterr() == ("", "")
 
 
-def test_a_refusal_is_false_and_its_code_stands_in_state_44(server: ScriptedServer) -> None:
+def test_a_refusal_is_false_with_its_code_in_state_44(server: ScriptedServer) -> None:
     assert capi.last_error() is None
     server.slots = {0: 10, 17: 80}
     assert capi.connect_robot(1) == 7019
@@ -263,7 +263,7 @@ class Mute:
         self.closed = True
 
 
-def test_a_robot_that_greets_with_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_connecting_without_a_state(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(capi, "open_machine", lambda *_: Mute())
     capi.State[17] = 5
     assert capi.connect_robot(1) == 1
@@ -273,7 +273,7 @@ def test_a_robot_that_greets_with_nothing(monkeypatch: pytest.MonkeyPatch) -> No
     assert capi.Laser[0] == 0
 
 
-def test_silence_is_false_and_so_is_all_that_follows(server: ScriptedServer) -> None:
+def test_a_timeout_is_false_and_so_is_every_later_call(server: ScriptedServer) -> None:
     assert capi.connect_robot(1)
     server.answers["gs"] = None
     assert capi.gs() == capi.FALSE
@@ -282,7 +282,7 @@ def test_silence_is_false_and_so_is_all_that_follows(server: ScriptedServer) -> 
     assert capi.disconnect_robot(1) == capi.FALSE
 
 
-def test_values_that_no_message_holds_are_false_and_not_sent(server: ScriptedServer) -> None:
+def test_values_that_cannot_be_encoded_are_false(server: ScriptedServer) -> None:
     assert capi.connect_robot(1)
     assert capi.vm(1 << 40, 0, 0) == capi.FALSE
     assert isinstance(capi.last_error(), WireError)
@@ -293,7 +293,7 @@ def test_values_that_no_message_holds_are_false_and_not_sent(server: ScriptedSer
 
 @pytest.mark.parametrize("mode", [6, 7, 8])
 @pytest.mark.parametrize("axis", [0, 2, 4])
-def test_modes_that_clients_refuse_are_not_sent(server: ScriptedServer, mode: int, axis: int) -> None:
+def test_refused_modes_are_not_sent(server: ScriptedServer, mode: int, axis: int) -> None:
     assert capi.connect_robot(1)
     modes = [0] * 6
     modes[axis] = mode
@@ -303,20 +303,20 @@ def test_modes_that_clients_refuse_are_not_sent(server: ScriptedServer, mode: in
     assert server.names() == []
 
 
-def test_no_robot_of_that_number(server: ScriptedServer) -> None:
+def test_an_unknown_robot_number_is_false(server: ScriptedServer) -> None:
     server.answers["connect_robot"] = simple(0)
     assert capi.connect_robot(9) == capi.FALSE
     assert str(capi.last_error()).endswith("the server has no robot number 9")
     assert capi.gs() == capi.FALSE
 
 
-def test_no_robot_is_made(server: ScriptedServer) -> None:
+def test_a_robot_that_cannot_be_created_is_false(server: ScriptedServer) -> None:
     server.answers["create_robot"] = simple(0)
     assert capi.create_robot(9) == capi.FALSE
     assert "the server makes no robot number 9: no room for one more, or no more are made" in str(capi.last_error())
 
 
-def test_no_server() -> None:
+def test_a_missing_server_is_false() -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
         use(listener.getsockname()[1])
         assert capi.server_is_running() == capi.TRUE
@@ -328,7 +328,7 @@ def test_no_server() -> None:
 # connecting, masks, stamps
 
 
-def test_where_no_machine_is_named_the_environment_names_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_environment_is_the_default_machine(monkeypatch: pytest.MonkeyPatch) -> None:
     server = ScriptedServer()
     with on_socket(by_script(server, 3)) as port:
         monkeypatch.setenv("NOMAD_ROBOT", f"nserver://127.0.0.1:{port}/2?tm_s=0")
@@ -341,7 +341,7 @@ def test_where_no_machine_is_named_the_environment_names_it(monkeypatch: pytest.
 
 
 @pytest.mark.parametrize("connects", [capi.connect_robot, capi.create_robot])
-def test_an_address_that_names_another_robot_moves_none(connects: Callable[[int], int]) -> None:
+def test_an_address_of_another_robot_is_refused(connects: Callable[[int], int]) -> None:
     capi.SERVER_MACHINE_NAME = "nserver://localhost:1/2"
     assert connects(1) == capi.FALSE
     assert "names robot 2, the program asks for robot 1" in str(capi.last_error())
@@ -349,7 +349,7 @@ def test_an_address_that_names_another_robot_moves_none(connects: Callable[[int]
     assert "no answer at localhost:1" in str(capi.last_error())
 
 
-def test_connecting_again_leaves_the_first_and_takes_the_mask_back(server: ScriptedServer) -> None:
+def test_reconnecting_resets_the_mask(server: ScriptedServer) -> None:
     assert capi.connect_robot(1)
     capi.Smask[17] = 0
     assert capi.ct()
@@ -361,12 +361,12 @@ def test_connecting_again_leaves_the_first_and_takes_the_mask_back(server: Scrip
     assert server.last().args == EVERYTHING.smask == tuple(capi.Smask)
 
 
-def test_a_robot_can_be_made(server: ScriptedServer) -> None:
+def test_a_robot_can_be_created(server: ScriptedServer) -> None:
     assert capi.create_robot(4) == 7019
     assert [call.name for call in server.calls] == ["create_robot", "ct"]
 
 
-def test_a_mask_is_ones_and_zeros_whatever_c_puts_there(server: ScriptedServer) -> None:
+def test_mask_values_become_zero_or_one(server: ScriptedServer) -> None:
     assert capi.connect_robot(1)
     capi.Smask[3] = 0
     capi.Smask[4] = 255
@@ -375,14 +375,14 @@ def test_a_mask_is_ones_and_zeros_whatever_c_puts_there(server: ScriptedServer) 
 
 
 @pytest.mark.parametrize("bits", [-1, 32])
-def test_position_data_of_other_sensors_is_false(server: ScriptedServer, bits: int) -> None:
+def test_unknown_position_bits_are_false(server: ScriptedServer, bits: int) -> None:
     assert capi.connect_robot(1)
     assert capi.posDataRequest(bits) == capi.FALSE
     assert capi.posDataCheck() == 0
     assert server.names() == []
 
 
-def test_rings_of_stamps_are_sixteen_times_nine(server: ScriptedServer) -> None:
+def test_rings_of_stamps_have_sixteen_times_nine_numbers(server: ScriptedServer) -> None:
     assert capi.connect_robot(1)
     assert capi.posDataRequest(1 + 2)
     assert capi.posDataCheck() == 3
@@ -394,13 +394,13 @@ def test_rings_of_stamps_are_sixteen_times_nine(server: ScriptedServer) -> None:
 
 
 @pytest.mark.parametrize("number", [-1, 16])
-def test_stamps_of_sensors_that_are_not_there(number: int) -> None:
+def test_stamps_of_missing_sensors_are_false(number: int) -> None:
     out = [7] * 9
     assert capi.posSonarGet(out, number) == capi.posInfraredGet(out, number) == capi.FALSE
     assert out == [7] * 9
 
 
-def test_our_own_messages(server: ScriptedServer) -> None:
+def test_commands_of_this_simulation(server: ScriptedServer) -> None:
     server.answers["sim_truth"] = Reply("truth", values=(1, 2, 3, 4, 5, 6, 7, 8))
     assert capi.connect_robot(1)
     out = [0] * 10
@@ -436,7 +436,7 @@ def docstring_program() -> str:
     return "\n".join(lines)
 
 
-def test_the_same_program_drives_the_simulation_in_this_process() -> None:
+def test_a_program_drives_the_simulation() -> None:
     capi.SERVER_MACHINE_NAME = "sim:thesis_room"
     assert capi.server_is_running()
     assert capi.connect_robot(1)

@@ -13,7 +13,7 @@ from nclient.protocol.commands import Call
 from nclient.protocol.types import EVERYTHING, N200, SCOUT
 from nclient.transports.memory import MemoryStream
 from tests.nclient.protocol.recorded import LINE_SESSIONS, SERIAL, model_of
-from tests.nclient.robot_line import NAK, RecordedRobot, ScriptedLine
+from tests.nclient.scripted_line import NAK, RecordedRobot, ScriptedLine
 
 TYPE_OF_THE_RECORDER = 200
 
@@ -72,7 +72,7 @@ def play(case: dict[str, Any]) -> int:
 
 
 @pytest.mark.parametrize("session", LINE_SESSIONS)
-def test_a_recorded_session_through_the_mirror(session: str, opened: list[tuple[Any, ...]]) -> None:
+def test_recorded_sessions_give_the_same_state(session: str, opened: list[tuple[Any, ...]]) -> None:
     first, *cases = SERIAL[session]
     peers.append(RecordedRobot(session))
     number = model_of(session).number
@@ -103,7 +103,7 @@ def check_held(case: dict[str, Any]) -> None:
             assert taken == decoded[key]
 
 
-def test_the_models_by_their_numbers(opened: list[tuple[Any, ...]]) -> None:
+def test_models_have_the_numbers_of_the_header(opened: list[tuple[Any, ...]]) -> None:
     assert (capi.MODEL_N200, capi.MODEL_N150, capi.MODEL_SCOUT) == (0, 1, 2)
     peers.append(ScriptedLine(model=SCOUT))
     assert capi.connect_robot(1, capi.MODEL_SCOUT, "/dev/ttyS0", 9600)
@@ -112,7 +112,7 @@ def test_the_models_by_their_numbers(opened: list[tuple[Any, ...]]) -> None:
     assert isinstance(capi.last_error(), AddressError)
 
 
-def test_bumper_bits_are_raw_and_a_nak_is_done(opened: list[tuple[Any, ...]]) -> None:
+def test_bumper_bits_are_raw_and_a_nak_is_success(opened: list[tuple[Any, ...]]) -> None:
     peers.append(ScriptedLine({"vm": NAK}))
     assert capi.connect_robot(1, capi.MODEL_N150, "/dev/ttyUSB0", 38400)
     assert capi.gs() == capi.TRUE
@@ -126,7 +126,7 @@ def test_bumper_bits_are_raw_and_a_nak_is_done(opened: list[tuple[Any, ...]]) ->
     assert opened
 
 
-def test_the_mask_of_a_n200_is_the_one_it_said(opened: list[tuple[Any, ...]]) -> None:
+def test_the_mask_of_an_n200_is_that_of_its_handshake(opened: list[tuple[Any, ...]]) -> None:
     robot = ScriptedLine(model=N200)
     peers.append(robot)
     assert capi.connect_robot(1, capi.MODEL_N200, "/dev/ttyUSB0", 38400)
@@ -136,7 +136,7 @@ def test_the_mask_of_a_n200_is_the_one_it_said(opened: list[tuple[Any, ...]]) ->
     assert opened
 
 
-def test_an_address_of_a_line_is_a_machine_too(opened: list[tuple[Any, ...]]) -> None:
+def test_an_address_of_a_line_is_a_machine_name(opened: list[tuple[Any, ...]]) -> None:
     robot = ScriptedLine()
     peers.extend([robot, ScriptedLine()])
     capi.SERVER_MACHINE_NAME = "serial:///dev/ttyUSB0?model=n150&tm_s=0"
@@ -146,7 +146,7 @@ def test_an_address_of_a_line_is_a_machine_too(opened: list[tuple[Any, ...]]) ->
     assert len(opened) == 2
 
 
-def test_numbers_out_of_range_are_brought_within(opened: list[tuple[Any, ...]]) -> None:
+def test_numbers_out_of_range_are_clamped(opened: list[tuple[Any, ...]]) -> None:
     robot = ScriptedLine()
     peers.append(robot)
     assert capi.connect_robot(1, capi.MODEL_N150, "/dev/ttyUSB0", 38400)
@@ -161,7 +161,7 @@ def test_numbers_out_of_range_are_brought_within(opened: list[tuple[Any, ...]]) 
     assert opened
 
 
-def test_a_wait_longer_than_a_byte_goes_in_pieces(opened: list[tuple[Any, ...]]) -> None:
+def test_a_wait_above_255_seconds_is_split(opened: list[tuple[Any, ...]]) -> None:
     robot = ScriptedLine()
     robot.slots[41] = 1
     peers.append(robot)

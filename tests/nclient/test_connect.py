@@ -1,8 +1,7 @@
-"""Addresses: what they mean, what is wrong with them, and that the wrong ones are told before anything is opened."""
+"""Connections are built from addresses; invalid addresses are rejected before anything is opened."""
 
 from __future__ import annotations
 
-import asyncio
 import socket
 
 import pytest
@@ -22,12 +21,12 @@ from nclient.protocol.types import EVERYTHING, N150, N200, SCOUT
 from nclient.transports import memory
 from nclient.transports.memory import MemoryStream
 from nclient.url import available_schemes
-from tests.nclient.answering import ScriptedServer, by_script, on_socket
+from tests.nclient.scripted_server import ScriptedServer, by_script, on_socket
 
 
 @pytest.fixture
 def dialled(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, int]]:
-    """Where TCP connections would have gone; a script answers them."""
+    """Return the targets of TCP connections, which scripted servers answer."""
     calls: list[tuple[str, int]] = []
     servers.clear()
 
@@ -57,7 +56,7 @@ servers: list[ScriptedServer] = []
         ("  nserver://127.0.0.1:1/1 ", "127.0.0.1", 1, 1),
     ],
 )
-def test_an_nservers_address(
+def test_addresses_of_nservers(
     dialled: list[tuple[str, int]], address: str, host: str, port: int, robot_id: int
 ) -> None:
     robot = connect(address)
@@ -67,7 +66,9 @@ def test_an_nservers_address(
     assert servers[0].calls[1].args == EVERYTHING.smask
 
 
-def test_the_environment_names_the_default(dialled: list[tuple[str, int]], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_environment_is_the_default_address(
+    dialled: list[tuple[str, int]], monkeypatch: pytest.MonkeyPatch
+) -> None:
     connect()
     monkeypatch.setenv("NOMAD_ROBOT", "nserver://lab:1234/2")
     connect()
@@ -86,7 +87,7 @@ def test_options_of_an_nserver(dialled: list[tuple[str, int]]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("address", "told"),
+    ("address", "message"),
     [
         ("nserver:lab", r"nserver://host\[:port\]/id"),
         ("nserver://lab:port/1", "an address is nserver://"),
@@ -125,13 +126,13 @@ def test_options_of_an_nserver(dialled: list[tuple[str, int]]) -> None:
         ("nserver://lab/1?max_speed_in_s=0", "max_speed_in_s is a number above 0"),
     ],
 )
-def test_a_wrong_address_is_told_with_its_remedy(dialled: list[tuple[str, int]], address: str, told: str) -> None:
-    with pytest.raises(AddressError, match=told):
+def test_invalid_addresses_open_nothing(dialled: list[tuple[str, int]], address: str, message: str) -> None:
+    with pytest.raises(AddressError, match=message):
         connect(address)
     assert dialled == []
 
 
-def test_the_simulation_answers_in_this_process() -> None:
+def test_the_simulation_runs_in_this_process() -> None:
     with connect("sim:thesis_room?seed=4&noisy=1&start=10,20,0,0") as robot:
         assert robot.model is N150
         truth = robot.truth()
@@ -144,30 +145,30 @@ def test_the_simulation_answers_in_this_process() -> None:
 @pytest.mark.parametrize(
     ("address", "kind"), [("sim:no_such_world", WorldFileError), ("sim:thesis_room?sed=1", AddressError)]
 )
-def test_what_the_simulation_has_against_an_address_passes_through(address: str, kind: type[Exception]) -> None:
+def test_errors_of_the_opener_pass_through(address: str, kind: type[Exception]) -> None:
     with pytest.raises(kind):
         connect(address)
 
 
-def test_the_model_of_a_simulation_is_in_its_address(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_address_names_the_model_of_a_simulation(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(memory, "open_in_process", lambda *_: MemoryStream(ScriptedServer()))
     assert connect("sim:thesis_room?robot=n200").model is N200
 
 
-def test_the_schemes_there_are(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_available_schemes(monkeypatch: pytest.MonkeyPatch) -> None:
     assert {"nserver", "replay", "sim"} <= set(available_schemes())
     monkeypatch.setattr(memory, "entry_points", lambda **_: [])
     assert "sim" not in available_schemes()
 
 
-def test_nobody_there() -> None:
+def test_a_refused_connection_suggests_nserver() -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
     with pytest.raises(ConnectionLost, match="is nserver running"):
         connect(f"nserver://127.0.0.1:{port}/1")
 
 
-def test_a_whole_conversation_over_tcp() -> None:
+def test_a_session_over_tcp() -> None:
     server = ScriptedServer()
     with on_socket(by_script(server, calls=6)) as port, connect(f"nserver://127.0.0.1:{port}/1") as robot:
         assert robot.refresh().speed_factor == 1.0
@@ -177,13 +178,13 @@ def test_a_whole_conversation_over_tcp() -> None:
 # what C programs name
 
 
-def test_a_bare_host(dialled: list[tuple[str, int]]) -> None:
+def test_a_machine_name_without_port(dialled: list[tuple[str, int]]) -> None:
     open_machine("lab", 7654, ConnectOptions(robot_id=2))
     assert dialled == [("lab", 7654)]
     assert servers[0].calls[0].args[0] == 2
 
 
-def test_no_host_is_this_machine_by_whichever_name_answers(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_empty_machine_name_is_this_machine(monkeypatch: pytest.MonkeyPatch) -> None:
     tried: list[str] = []
 
     def dial(host: str, port: int, timeout_s: float) -> MemoryStream:
@@ -203,7 +204,7 @@ def test_no_host_is_this_machine_by_whichever_name_answers(monkeypatch: pytest.M
     assert not is_listening("lab", 7019)
 
 
-def test_where_no_machine_is_named_the_environment_names_it(
+def test_the_environment_is_the_default_machine(
     dialled: list[tuple[str, int]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("NOMAD_ROBOT", "nserver://lab:1234")
@@ -219,7 +220,7 @@ def test_where_no_machine_is_named_the_environment_names_it(
     assert dialled == [("lab", 1234)] * 2 + [("other", 7654), ("localhost", 7654)]
 
 
-def test_an_address_in_this_process_is_a_machine_too() -> None:
+def test_a_simulation_is_a_machine_name() -> None:
     assert is_listening("sim:thesis_room", 7019)
     assert open_machine("sim:thesis_room", 7019, ConnectOptions(robot_id=1)).port > 0
     with pytest.raises(RobotRefused, match="no robot number 2"):
@@ -238,7 +239,7 @@ def test_an_address_in_this_process_is_a_machine_too() -> None:
         ("nserver://lab/", "lab", 7019),
     ],
 )
-def test_a_machines_name_may_bring_its_port_or_be_an_address(
+def test_machine_names_with_port_and_addresses(
     dialled: list[tuple[str, int]], name: str, host: str, port: int
 ) -> None:
     open_machine(name, 7019, ConnectOptions(robot_id=2))
@@ -247,7 +248,7 @@ def test_a_machines_name_may_bring_its_port_or_be_an_address(
     assert servers[0].calls[0].args[0] == 2
 
 
-def test_the_robot_that_an_address_names_is_the_programs_or_none_is_moved(dialled: list[tuple[str, int]]) -> None:
+def test_address_and_program_must_agree_on_the_robot(dialled: list[tuple[str, int]]) -> None:
     with pytest.raises(AddressError, match=r"'nserver://lab/2' names robot 2, the program asks for robot 1: .*leave"):
         open_machine("nserver://lab/2", 7019, ConnectOptions(robot_id=1))
     with pytest.raises(AddressError, match="the robot's number, 1 or more, not '/one'"):
@@ -256,7 +257,7 @@ def test_the_robot_that_an_address_names_is_the_programs_or_none_is_moved(dialle
     assert is_listening("nserver://lab/2", 7019)
 
 
-def test_a_machines_address_that_is_none_is_refused_and_nobody_listens_there() -> None:
+def test_an_invalid_machine_address_is_rejected() -> None:
     assert not is_listening("nserver:lab", 7019)
     with pytest.raises(AddressError, match="nserver://host"):
         open_machine("nserver:lab", 7019, ConnectOptions())
@@ -265,13 +266,10 @@ def test_a_machines_address_that_is_none_is_refused_and_nobody_listens_there() -
 # for asyncio
 
 
-def test_connecting_can_be_awaited_or_entered() -> None:
-    async def both() -> None:
-        robot = await connect_async("sim:thesis_room")
-        assert isinstance(robot, AsyncRobot)
-        await robot.disconnect()
-        async with connect_async("sim:thesis_room") as entered:
-            assert isinstance(entered, AsyncRobot)
-        assert entered.closed
-
-    asyncio.run(both())
+async def test_connect_async_can_be_awaited_or_entered() -> None:
+    robot = await connect_async("sim:thesis_room")
+    assert isinstance(robot, AsyncRobot)
+    await robot.disconnect()
+    async with connect_async("sim:thesis_room") as entered:
+        assert isinstance(entered, AsyncRobot)
+    assert entered.closed

@@ -1,4 +1,4 @@
-"""An examination asks and never moves; what goes wrong on the way is in its chart, and the report says so."""
+"""Diagnostics query the robot and never move it; errors on the link are part of the report."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from nserver_emu.server.inprocess import InProcess
 from nserver_emu.simulation.noise import NOISY
 from nserver_emu.simulation.simulation import Simulation
 from nserver_emu.simulation.sonar import SonarNoise
-from tests.nclient.answering import ScriptedServer
+from tests.nclient.scripted_server import ScriptedServer
 from worlds.io import load_world
 
 GS = codec.encode_tcp_request(Call("gs"))
 
 
 class Time:
-    """A clock that moves when somebody sleeps, and a little whenever it is read."""
+    """A clock that advances with each sleep, and a little with each reading."""
 
     def __init__(self, step_s: float = 0.001) -> None:
         self.now_s, self.step_s, self.slept_s = 0.0, step_s, 0.0
@@ -43,7 +43,7 @@ class Time:
 
 
 class Patient:
-    """A robot by script that does not hear gs number k where k is in `deaf`; its clock moves with each request."""
+    """A scripted robot that ignores gs number k if k is in `deaf`; its clock advances with each request."""
 
     def __init__(self, model: Model = N150, deaf: range = range(0)) -> None:
         self.script = ScriptedServer(model=model)
@@ -75,24 +75,24 @@ def examined(patient: Patient, exchanges: int = 40, time: Time | None = None) ->
     return Diagnostics(patient.opens, time.clock, time.sleep).run(exchanges)
 
 
-def told(chart: DiagnosticData) -> dict[str, tuple[str, str]]:
+def findings_of(chart: DiagnosticData) -> dict[str, tuple[str, str]]:
     return {finding.what: (finding.grade.name, finding.seen) for finding in report(chart)}
 
 
-def test_a_robot_that_is_well_and_was_not_moved() -> None:
+def test_a_healthy_robot_is_not_moved() -> None:
     patient, time = Patient(), Time()
     chart = examined(patient, 40, time)
-    assert {grade for grade, _ in told(chart).values()} == {"OK"}
+    assert {grade for grade, _ in findings_of(chart).values()} == {"OK"}
     asked = [call.name for call in patient.script.calls]
     assert asked == ["connect_robot", "ct", *["gs"] * 40, *chart.answers, "disconnect_robot"]
     assert all(name.startswith("get_") for name in chart.answers)
     assert time.slept_s == pytest.approx(40 * 0.029, abs=1e-6)
-    assert told(chart)["link"] == ("OK", "40 of 40 gs answered; 1.00 ms p50, 1.00 ms p99")
-    assert told(chart)["clock"][1] == f"went forward 1.2 s, {39 * 0.03 / chart.elapsed_s:.2f} s a second"
+    assert findings_of(chart)["link"] == ("OK", "40 of 40 gs answered; 1.00 ms p50, 1.00 ms p99")
+    assert findings_of(chart)["clock"][1] == f"went forward 1.2 s, {39 * 0.03 / chart.elapsed_s:.2f} s a second"
     assert chart.elapsed_s == pytest.approx(39 * 0.03, rel=0.1)
 
 
-def test_where_time_moves_with_each_question_nobody_waits() -> None:
+def test_lockstep_time_needs_no_pause() -> None:
     patient, time = Patient(), Time()
     patient.script.slots[0] = 0
     examined(patient, 40, time)
@@ -103,19 +103,19 @@ def test_where_time_moves_with_each_question_nobody_waits() -> None:
     (N150, "get_sn get_rc get_rv get_ra get_cp get_bp"), (SCOUT, "get_sn get_rc get_rv get_ra get_bp"),
     (N200, "get_ir get_sn get_rc get_rv get_ra get_cp get_ls get_bp get_sg"),
 ])
-def test_each_model_is_asked_what_it_has(model: Model, questions: str) -> None:
+def test_each_model_gets_its_own_queries(model: Model, questions: str) -> None:
     chart = examined(Patient(model))
     assert list(chart.answers) == questions.split()
-    assert told(chart)["firmware"] == ("OK", f"a {model.name} answered {questions}")
-    assert ("infrareds" in told(chart)) is model.has_infrared
+    assert findings_of(chart)["firmware"] == ("OK", f"a {model.name} answered {questions}")
+    assert ("infrareds" in findings_of(chart)) is model.has_infrared
 
 
-def test_what_the_firmware_does_not_answer_is_told() -> None:
+def test_unanswered_queries_are_reported() -> None:
     patient = Patient()
     patient.script.answers["get_bp"] = Reply("error", values=(4,))
     patient.script.answers["get_rv"] = None
     chart = examined(patient)
-    grade, seen = told(chart)["firmware"]
+    grade, seen = findings_of(chart)["firmware"]
     assert grade == "FAIL"
     assert "get_bp (get_bp was refused: not available on this robot (error 4))" in seen
     assert "get_rv (get_rv, with 5 s to answer" in seen
@@ -124,33 +124,33 @@ def test_what_the_firmware_does_not_answer_is_told() -> None:
 
 
 @pytest.mark.parametrize(("deaf", "grade"), [(range(5, 6), "WARN"), (range(5, 10), "FAIL")])
-def test_lost_answers(deaf: range, grade: str) -> None:
+def test_lost_replies_are_graded(deaf: range, grade: str) -> None:
     patient = Patient(deaf=deaf)
     chart = examined(patient)
     assert (len(chart.states), len(chart.losses)) == (40 - len(deaf), len(deaf))
-    assert told(chart)["link"][0] == grade
+    assert findings_of(chart)["link"][0] == grade
     assert patient.connections == 1 + len(deaf)
 
 
-def test_nobody_there_any_more() -> None:
+def test_a_robot_that_disappears() -> None:
     chart = examined(Patient(deaf=range(1, 1000)))
     assert len(chart.losses) == 10
-    ((what, (grade, seen)),) = told(chart).items()
+    ((what, (grade, seen)),) = findings_of(chart).items()
     assert (what, grade) == ("link", "FAIL")
     assert "no answer to 10 questions" in seen
 
 
 def test_a_slow_link() -> None:
     chart = examined(Patient(), time=Time(0.3))
-    assert told(chart)["link"] == ("WARN", "40 of 40 gs answered; 300.00 ms p50, 300.00 ms p99: slow")
+    assert findings_of(chart)["link"] == ("WARN", "40 of 40 gs answered; 300.00 ms p50, 300.00 ms p99: slow")
 
 
-def test_the_counts_of_a_line() -> None:
+def test_counts_of_a_line_are_reported() -> None:
     chart = examined(Patient())
-    assert "line" not in told(chart)
-    assert told(replace(chart, link={"exchanges": 5, "skipped_bytes": 0}))["line"][0] == "OK"
-    spoilt = told(replace(chart, link={"skipped_bytes": 3, "checksum_errors": 1}))["line"]
-    assert spoilt == ("WARN", "3 skipped bytes, 1 checksum errors")
+    assert "line" not in findings_of(chart)
+    assert findings_of(replace(chart, link={"exchanges": 5, "skipped_bytes": 0}))["line"][0] == "OK"
+    damaged = findings_of(replace(chart, link={"skipped_bytes": 3, "checksum_errors": 1}))["line"]
+    assert damaged == ("WARN", "3 skipped bytes, 1 checksum errors")
 
 
 def test_percentiles_by_nearest_rank() -> None:
@@ -158,7 +158,7 @@ def test_percentiles_by_nearest_rank() -> None:
 
 
 @pytest.mark.parametrize("what", ["sim:thesis_room", "sim:thesis_room?noisy=1", "sim:centre_vertex?robot=scout"])
-def test_simulated_robots_are_well(what: str) -> None:
+def test_simulated_robots_are_healthy(what: str) -> None:
     time = Time()
     chart = Diagnostics(Connector(parse_address(what)).open_session, time.clock, time.sleep).run()
     assert {finding.grade.name for finding in report(chart)} == {"OK"}
@@ -174,5 +174,5 @@ def test_a_dead_sonar_of_a_simulated_robot() -> None:
     def opens() -> Backend:
         return NserverBackend(MemoryStream(InProcess(Emulator(simulation))))
 
-    found = told(Diagnostics(opens, time.clock, time.sleep).run())
+    found = findings_of(Diagnostics(opens, time.clock, time.sleep).run())
     assert {what: grade for what, (grade, _) in found.items() if grade != "OK"} == {"sonar 5": "FAIL"}

@@ -16,14 +16,14 @@ from nclient.protocol.types import DEFAULT_SONAR_ORDER, NO_STAMP, SCOUT
 from nclient.robot import Robot
 from nclient.state import RobotState
 from nclient.units import AxisCommand
-from tests.nclient.answering import ScriptedServer, error, robot_on, simple
+from tests.nclient.scripted_server import ScriptedServer, error, robot_on, simple
 
 OWN_NAMES = {"sim_truth", "sim_control"}
 ORDER = (1, 2, 3, *[255] * 13)
 
 
 @pytest.mark.parametrize("row", COMMANDS, ids=lambda row: row.name)
-def test_every_command_has_its_verb(row: Command) -> None:
+def test_every_command_has_its_method(row: Command) -> None:
     method = getattr(Robot, row.method, None)
     assert method is not None, f"no Robot.{row.method} for {row.name}"
     word = "Wire name: " if row.name in OWN_NAMES else "C: "
@@ -72,7 +72,7 @@ SENT: list[tuple[Verb, str, tuple[Any, ...]]] = [
 
 
 @pytest.mark.parametrize(("verb", "name", "args"), SENT)
-def test_a_verb_sends_its_words_and_gives_the_new_state(verb: Verb, name: str, args: tuple[Any, ...]) -> None:
+def test_methods_send_commands_and_return_the_state(verb: Verb, name: str, args: tuple[Any, ...]) -> None:
     server = ScriptedServer()
     robot = robot_on(server)
     server.slots = {0: 10, 17: 42, 34: 5, 38: 7}
@@ -82,7 +82,7 @@ def test_a_verb_sends_its_words_and_gives_the_new_state(verb: Verb, name: str, a
     assert state == robot.state
 
 
-def test_questions_fill_their_part_of_the_state() -> None:
+def test_queries_update_their_part_of_the_state() -> None:
     server = ScriptedServer()
     robot = robot_on(server)
     server.slots = {1: 3, 17: 4, 33: 1, 34: 50, 38: 60, 43: 70}
@@ -97,7 +97,7 @@ def test_questions_fill_their_part_of_the_state() -> None:
     assert robot.state.clock_s == 1.5
 
 
-def test_accelerations_are_given_back_and_leave_the_velocities_alone() -> None:
+def test_accelerations_do_not_change_the_state() -> None:
     server = ScriptedServer()
     server.slots = {0: 10, 38: 60}
     robot = robot_on(server)
@@ -106,7 +106,7 @@ def test_accelerations_are_given_back_and_leave_the_velocities_alone() -> None:
     assert robot.state.translation_in_s == 6
 
 
-def test_sensors_are_selected_by_number_and_position_data_is_kept() -> None:
+def test_selecting_sensors_preserves_position_data() -> None:
     server = ScriptedServer()
     robot = robot_on(server)
     robot.position_data(sonars=True, compass=True)
@@ -123,7 +123,7 @@ def test_sensors_are_selected_by_number_and_position_data_is_kept() -> None:
     assert server.last().args[0] == 1 + 4 + 8
 
 
-def test_position_data_comes_as_stamps() -> None:
+def test_position_data_are_stamps() -> None:
     server = ScriptedServer()
     robot = robot_on(server)
     keys = [f"sonar_{number}" for number in range(16)]
@@ -156,7 +156,7 @@ def test_the_arm() -> None:
     assert server.last() == Call("arm_mv", (1, 2000, 2, -300))
 
 
-def test_an_answer_without_what_it_should_hold_is_a_wire_error() -> None:
+def test_a_short_reply_is_a_wire_error() -> None:
     robot = robot_on(ScriptedServer({"arm_zr": Reply("special", values=(4, 0, 0, 40))}))
     with pytest.raises(WireError, match="arm_zr: the reply has 4 numbers, expected 8"):
         robot.arm_zero()
@@ -176,7 +176,7 @@ def test_an_answer_without_what_it_should_hold_is_a_wire_error() -> None:
         (lambda r: r.configure_serial_port(1, 9600), RobotRefused),
     ],
 )
-def test_what_makes_no_sense_is_said_and_not_sent(verb: Verb, wrong: type[Exception]) -> None:
+def test_invalid_arguments_are_rejected_and_not_sent(verb: Verb, wrong: type[Exception]) -> None:
     server = ScriptedServer()
     robot = robot_on(server)
     with pytest.raises(wrong):
@@ -200,7 +200,7 @@ SCOUT_SENT: list[tuple[Verb, str, tuple[int, ...]]] = [
 
 
 @pytest.mark.parametrize(("verb", "name", "args"), SCOUT_SENT)
-def test_a_scout_turns_verbs_into_wheels(verb: Verb, name: str, args: tuple[int, ...]) -> None:
+def test_motions_of_a_scout_become_wheel_speeds(verb: Verb, name: str, args: tuple[int, ...]) -> None:
     server = ScriptedServer(model=SCOUT)
     verb(robot_on(server))
     assert server.last() == Call(name, args)
@@ -223,7 +223,7 @@ def test_a_scout_has_no_turret(verb: Verb) -> None:
 
 
 @pytest.mark.parametrize("verb", [lambda r: r.drive_wheels(right_in_s=1), lambda r: r.move_wheels(left_in=1)])
-def test_only_a_scout_drives_by_its_wheels(verb: Verb) -> None:
+def test_only_a_scout_has_wheel_commands(verb: Verb) -> None:
     with pytest.raises(RobotRefused, match="a n150 does not drive by"):
         verb(robot_on(ScriptedServer()))
 
@@ -231,7 +231,7 @@ def test_only_a_scout_drives_by_its_wheels(verb: Verb) -> None:
 # errors, and leaving
 
 
-def test_a_refusal_stands_in_the_state_until_the_next_whole_state() -> None:
+def test_a_refusal_is_in_the_state_until_the_next_one() -> None:
     server = ScriptedServer({"zr": error(4)})
     robot = robot_on(server)
     with pytest.raises(RobotRefused) as refusal:
@@ -250,7 +250,7 @@ def test_a_lost_connection_closes_the_robot() -> None:
         robot.stop()
 
 
-def test_leaving_stops_and_disconnects() -> None:
+def test_leaving_the_block_stops_and_disconnects() -> None:
     server = ScriptedServer()
     with robot_on(server) as robot:
         robot.drive(translation_in_s=1)
@@ -258,28 +258,28 @@ def test_leaving_stops_and_disconnects() -> None:
     assert robot.closed
 
 
-def test_leaving_by_an_error_stops_too_and_the_error_goes_on() -> None:
+def test_leaving_by_an_error_stops_the_robot() -> None:
     server = ScriptedServer()
     with pytest.raises(ZeroDivisionError), robot_on(server):
         raise ZeroDivisionError
     assert server.names() == ["st", "disconnect_robot"]
 
 
-def test_leaving_a_dead_robot_is_quiet() -> None:
+def test_leaving_a_lost_robot_raises_nothing() -> None:
     server = ScriptedServer({"gs": None})
     with robot_on(server) as robot, pytest.raises(ReplyTimeout):
         robot.refresh()
     assert server.names() == ["gs"]
 
 
-def test_leaving_a_robot_that_refuses_to_stop_says_so_and_still_disconnects() -> None:
+def test_a_refused_stop_is_raised_after_disconnecting() -> None:
     server = ScriptedServer({"st": error(6)})
     with pytest.raises(RobotRefused, match="st was refused"), robot_on(server):
         pass
     assert server.names() == ["st", "disconnect_robot"]
 
 
-def test_disconnecting_twice_is_fine_and_stops_nothing() -> None:
+def test_disconnect_can_be_repeated_and_stops_nothing() -> None:
     server = ScriptedServer()
     robot = robot_on(server)
     robot.disconnect()
@@ -287,13 +287,13 @@ def test_disconnecting_twice_is_fine_and_stops_nothing() -> None:
     assert server.names() == ["disconnect_robot"]
 
 
-def test_experts_speak_in_calls() -> None:
+def test_execute_takes_wire_units() -> None:
     server = ScriptedServer({"get_rpx": simple(0)})
     robot = robot_on(server)
     assert robot.execute(Call("get_rpx")).values == (0,)
 
 
-def test_threads_take_turns(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_exchanges_of_threads_do_not_overlap(monkeypatch: pytest.MonkeyPatch) -> None:
     server = ScriptedServer()
     robot = robot_on(server)
     overlapped, second_goes = threading.Event(), threading.Event()

@@ -15,7 +15,7 @@ from nclient.protocol.types import SCOUT
 from nclient.protocol.wire_state import serial_wire_state
 from nclient.robot import Arc, Robot
 from nclient.state import Pose, Truth
-from tests.nclient.answering import ScriptedServer, error, robot_on, simple
+from tests.nclient.scripted_server import ScriptedServer, error, robot_on, simple
 
 POSE = Pose(10, 20, math.pi / 2, -math.pi)
 SQUARE_IN = [(0.0, 0.0), (10.0, 0.0), (10.0, 10.0)]
@@ -50,7 +50,7 @@ SENT: list[tuple[Callable[[Robot], object], str, tuple[Any, ...]]] = [
 
 
 @pytest.mark.parametrize(("verb", "name", "args"), SENT)
-def test_a_verb_sends_its_words(verb: Callable[[Robot], object], name: str, args: tuple[Any, ...]) -> None:
+def test_methods_send_their_commands(verb: Callable[[Robot], object], name: str, args: tuple[Any, ...]) -> None:
     server = ScriptedServer()
     assert verb(robot_on(server)) is None
     assert server.names() == [name]
@@ -58,12 +58,12 @@ def test_a_verb_sends_its_words(verb: Callable[[Robot], object], name: str, args
 
 
 @pytest.mark.parametrize("verb", ["add_obstacle", "delete_obstacle", "move_obstacle", "draw_line", "draw_arc"])
-def test_lengths_without_a_unit_are_refused(verb: str) -> None:
+def test_lengths_need_a_unit(verb: str) -> None:
     with pytest.raises(TypeError, match="one of them"):
         getattr(robot_on(ScriptedServer()), verb)()
 
 
-def test_an_obstacle_moves_and_says_where_it_is() -> None:
+def test_a_moved_obstacle_returns_its_corners() -> None:
     server = ScriptedServer({"move_obstacle": simple(3, 10, -20, 110, -20, 110, 80)})
     robot = robot_on(server)
     assert robot.move_obstacle(corners_in=SQUARE_IN, shift_in=(1, -2)) == ((1, -2), (11, -2), (11, 8))
@@ -72,13 +72,13 @@ def test_an_obstacle_moves_and_says_where_it_is() -> None:
     assert server.last() == Call("move_obstacle", (*SQUARE, 10, -20))
 
 
-def test_where_the_robots_are() -> None:
+def test_read_robots_returns_poses() -> None:
     server = ScriptedServer({"get_rpx": simple(2, 10, 20, 900, -30, 40, 1800)})
     places = [list(place) for place in robot_on(server).read_robots()]
     assert places == [pytest.approx([1, 2, math.pi / 2]), pytest.approx([-3, 4, math.pi])]
 
 
-def test_a_list_of_robots_that_is_too_short_is_a_wire_error() -> None:
+def test_a_short_list_of_robots_is_a_wire_error() -> None:
     with pytest.raises(WireError, match="2 robots with 3 numbers"):
         robot_on(ScriptedServer({"get_rpx": simple(2, 10, 20, 900)})).read_robots()
 
@@ -88,7 +88,7 @@ def test_a_clicked_pose() -> None:
     assert robot_on(ScriptedServer({"get_robot_conf": answer})).ask_pose() == Pose(-1, 2, math.pi, math.pi / 2)
 
 
-def test_a_prediction_is_held_nowhere() -> None:
+def test_a_prediction_does_not_change_the_state() -> None:
     values = tuple(range(44))
     server = ScriptedServer({"predict_sensors": Reply("prediction", values=values, laser=(1, 5, 6))})
     robot = robot_on(server)
@@ -101,7 +101,7 @@ def test_a_prediction_is_held_nowhere() -> None:
     assert robot.predict_sensors(POSE).laser == (0,)
 
 
-def test_a_line_that_hits_and_one_that_does_not() -> None:
+def test_check_motion_of_lines() -> None:
     server = ScriptedServer({"motion_check": simple(1, 12345, -6789, 1570796)})
     robot = robot_on(server)
     hit = robot.check_motion(line_in=[(0, 0), (1, 0.5)])
@@ -112,7 +112,7 @@ def test_a_line_that_hits_and_one_that_does_not() -> None:
     assert server.last() == Call("motion_check", (0, 0, 0, 10000, 5000))
 
 
-def test_an_arc_goes_over_the_wire_to_the_microradian() -> None:
+def test_check_motion_of_arcs() -> None:
     server = ScriptedServer({"motion_check": simple(0, 0, 0, 0)})
     robot_on(server).check_motion(arc=Arc(1, 2, 1.5707963, -3.1415926, 5, 0.1, 0.2))
     kind, *numbers = server.last().args
@@ -120,7 +120,7 @@ def test_an_arc_goes_over_the_wire_to_the_microradian() -> None:
     assert numbers == pytest.approx([10000, 20000, 1570.796, -3141.592, 50000, 1000, 2000])
 
 
-def test_going_over_to_another_robot() -> None:
+def test_connect_robot_switches_to_another_robot() -> None:
     server = ScriptedServer()
     robot = robot_on(server)
     server.slots = {17: 3}
@@ -133,7 +133,7 @@ def test_going_over_to_another_robot() -> None:
     assert server.last().args[0] == 3
 
 
-def test_going_over_to_a_robot_that_is_not_there() -> None:
+def test_connect_robot_refuses_unknown_numbers() -> None:
     server = ScriptedServer()
     robot = robot_on(server)
     server.answers["connect_robot"] = simple(0)
@@ -142,7 +142,7 @@ def test_going_over_to_a_robot_that_is_not_there() -> None:
     assert not robot.closed
 
 
-def test_the_truth_of_a_simulation() -> None:
+def test_truth_of_a_simulation() -> None:
     values = (1, 2100, 24370, -263, 90_000, 180_000, 7, 1)
     robot = robot_on(ScriptedServer({"sim_truth": Reply("truth", values=values)}))
     truth = robot.truth()
@@ -152,7 +152,7 @@ def test_the_truth_of_a_simulation() -> None:
 
 
 @pytest.mark.parametrize("code", [1, 4])
-def test_a_robot_knows_no_truth(code: int) -> None:
+def test_a_real_robot_has_no_truth(code: int) -> None:
     robot = robot_on(ScriptedServer({"sim_truth": error(code)}))
     with pytest.raises(RobotRefused):
         robot.truth()
@@ -175,7 +175,7 @@ def test_simulated_time_is_controlled(verb: Any, value: float, sent: tuple[int, 
     assert server.last() == Call("sim_control", sent)
 
 
-def test_another_verb_of_time_is_refused() -> None:
+def test_unknown_time_verbs_are_rejected() -> None:
     with pytest.raises(ValueError, match="pause, resume, speed, step, not 'stop'"):
         robot_on(ScriptedServer()).control_time("stop")  # type: ignore[arg-type]
 
@@ -192,7 +192,7 @@ class Mute:
         raise AssertionError
 
 
-def test_a_robot_that_has_told_nothing_yet() -> None:
+def test_a_robot_without_any_reply() -> None:
     robot = Robot(Mute())
     assert robot.state.raw == (0,) * 45
     with pytest.raises(RobotRefused, match="NAK"):

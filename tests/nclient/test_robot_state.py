@@ -23,7 +23,7 @@ def state(model: Model = N150, **slots: int) -> RobotState:
     return RobotState(model, tuple(raw))
 
 
-def test_sonars_are_inches_and_metres_and_255_is_nothing() -> None:
+def test_sonars_in_inches_and_metres() -> None:
     seen = state(s17=6, s18=100, s32=255)
     assert seen.sonars_in == (6, 100, *[0] * 13, 255)
     assert seen.sonars_m[0] == pytest.approx(0.1524)
@@ -31,11 +31,11 @@ def test_sonars_are_inches_and_metres_and_255_is_nothing() -> None:
     assert seen.sonars_m[15] is None
 
 
-def test_infrareds_are_the_first_sixteen() -> None:
+def test_infrareds_are_slots_1_to_16() -> None:
     assert state(s1=3, s16=15).infrareds == (3, *[0] * 14, 15)
 
 
-def test_the_pose_comes_in_both_units() -> None:
+def test_the_pose_in_both_units() -> None:
     seen = state(s34=-1234, s35=5678, s36=900, s37=3599)
     assert (seen.x_in, seen.y_in) == (-123.4, 567.8)
     assert (seen.x_m, seen.y_m) == pytest.approx((-3.134360, 14.422120))
@@ -47,7 +47,7 @@ def test_the_pose_comes_in_both_units() -> None:
     assert (seen.pose.steering_deg, seen.pose.turret_deg) == pytest.approx((90.0, 359.9))
 
 
-def test_a_pose_can_be_made_of_metres_or_degrees() -> None:
+def test_a_pose_from_metres_or_degrees() -> None:
     assert Pose.from_metres(0.254, -0.0254, 1, 2) == Pose(10, -1, 1, 2)
     assert Pose.from_degrees(1, 2, 180, -90) == Pose(1, 2, math.pi, -math.pi / 2)
 
@@ -83,28 +83,28 @@ def test_velocities_of_a_scout_come_from_its_wheels() -> None:
         (SCOUT, 0b1111100, (False, False, False, False)),
     ],
 )
-def test_which_motors_turn(model: Model, bits: int, moving: tuple[bool, ...]) -> None:
+def test_motor_bits(model: Model, bits: int, moving: tuple[bool, ...]) -> None:
     seen = state(model, s41=bits)
     assert (seen.moving, seen.translation_moving, seen.steering_moving, seen.turret_moving) == moving
 
 
-def test_what_a_scout_says_of_its_power() -> None:
-    for bit, told in ((4, (True, False, False)), (5, (False, True, False)), (6, (False, False, True))):
+def test_power_bits_of_a_scout() -> None:
+    for bit, flags in ((4, (True, False, False)), (5, (False, True, False)), (6, (False, False, True))):
         seen = state(SCOUT, s41=1 << bit)
-        assert (seen.on_mains, seen.charging, seen.emergency_stop) == told
+        assert (seen.on_mains, seen.charging, seen.emergency_stop) == flags
         other = state(N200, s41=1 << bit)
         assert (other.on_mains, other.charging, other.emergency_stop) == (False, False, False)
 
 
 @pytest.mark.parametrize("rest", [0, 0xF00000])
 @given(bumpers=st.sets(st.integers(0, 19)))
-def test_bumpers_are_clean_whatever_the_robot_shows_at_rest(rest: int, bumpers: set[int]) -> None:
+def test_resting_bumper_bits_are_removed(rest: int, bumpers: set[int]) -> None:
     seen = state(N150, s33=rest | sum(1 << number for number in bumpers))
     assert seen.bumpers == tuple(sorted(bumpers))
     assert seen.touching == bool(bumpers)
 
 
-def test_a_scouts_bumpers_have_no_rest() -> None:
+def test_bumpers_of_a_scout_have_no_resting_bits() -> None:
     assert state(SCOUT, s33=0b100001).bumpers == (0, 5)
 
 
@@ -116,14 +116,14 @@ def test_compass_speed_and_error() -> None:
     assert seen.error == 5
 
 
-def test_laser_readings_come_in_their_width() -> None:
+def test_laser_readings_have_the_width_of_the_mode() -> None:
     assert RobotState(N200, (0,) * 45).laser_points_in == ()
     assert RobotState(N200, (0,) * 45, (2, 10, 20, 30, -40)).laser_points_in == ((1, 2), (3, -4))
     assert RobotState(N200, (0,) * 45, (1, 10, 20, 30, 40)).laser_points_in == ((1, 2, 3, 4),)
     assert RobotState(N200, (0,) * 45, (3, 1, 2, 3)).laser_points_in == (), "rows of the camera"
 
 
-def test_before_anything_came_all_is_zero_and_clock_and_battery_unknown() -> None:
+def test_an_empty_state_reads_zero() -> None:
     seen = snapshot(ClientState(), N150)
     assert seen.raw == (0,) * 45
     assert seen.laser == (0,)
@@ -131,7 +131,7 @@ def test_before_anything_came_all_is_zero_and_clock_and_battery_unknown() -> Non
     assert seen.stamps == {}
 
 
-def test_what_is_held_is_shown_and_stays() -> None:
+def test_a_snapshot_does_not_change() -> None:
     held = ClientState()
     stamp = Stamp(10, 20, 1800, 900, 50, -450, 450, 16400, 16464)
     held.apply_reply(Reply("state", {17: 8}, (1, 5, 6), {"sonar_0": stamp}, 16480, (255, 0)))

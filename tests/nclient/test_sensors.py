@@ -1,4 +1,4 @@
-"""What states tell of sensors: each thing that can be wrong, and that none of it is said of a robot that is well."""
+"""Diagnostics find each fault of a sensor, and none in a healthy robot."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ def rings(columns: Sequence[Sequence[int]], count: int = 20) -> list[RobotState]
 
 
 def noisy(seed: int = 1) -> list[list[int]]:
-    chance = Random(seed)
-    return [[round(far * (1 + chance.gauss(0, 0.01))) for _ in range(20)] for far in range(20, 180, 10)]
+    rng = Random(seed)
+    return [[round(far * (1 + rng.gauss(0, 0.01))) for _ in range(20)] for far in range(20, 180, 10)]
 
 
 def grades(findings: list[Finding]) -> list[tuple[str, str]]:
@@ -37,11 +37,11 @@ def grades(findings: list[Finding]) -> list[tuple[str, str]]:
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_a_noisy_ring_that_is_well(seed: int) -> None:
+def test_a_noisy_ring_is_healthy(seed: int) -> None:
     assert grades(diagnostics.sonars(rings(noisy(seed)))) == [("OK", "sonars")]
 
 
-def test_a_ring_without_noise_is_well() -> None:
+def test_a_ring_without_noise_is_healthy() -> None:
     assert grades(diagnostics.sonars(rings([[30]] * 15 + [[255]]))) == [("WARN", "sonars")]
     assert grades(diagnostics.sonars(rings([[30]] * 13 + [[255]] * 3))) == [("OK", "sonars")]
     assert "13 of 16" in diagnostics.sonars(rings([[30]] * 13 + [[255]] * 3))[0].seen
@@ -60,7 +60,7 @@ def test_a_stuck_sonar_is_steadier_than_nearer_ones() -> None:
     columns = noisy()
     columns[15] = [170]
     assert grades(diagnostics.sonars(rings(columns))) == [("WARN", "sonar 15")]
-    assert grades(diagnostics.sonars(rings(columns, count=9))) == [("OK", "sonars")], "too few to tell"
+    assert grades(diagnostics.sonars(rings(columns, count=9))) == [("OK", "sonars")], "too few states"
     columns[15] = [20]
     assert grades(diagnostics.sonars(rings(columns))) == [("OK", "sonars")], "near ones are steady by nature"
     columns = [[30]] * 16
@@ -80,13 +80,13 @@ def test_infrareds() -> None:
     assert grades(diagnostics.infrareds(states(*[[0]] * 16))) == [("FAIL", "infrareds")]
 
 
-@pytest.mark.parametrize(("bits", "grade", "told"), [
+@pytest.mark.parametrize(("bits", "grade", "text"), [
     ([0, 0], "OK", "none"), ([8, 8 + 1], "FAIL", "all the time: 3"), ([0, 1 << 19], "WARN", "now and then: 19"),
 ])
 @pytest.mark.parametrize("model", [N150, SCOUT])
-def test_bumpers(model: Model, bits: list[int], grade: str, told: str) -> None:
+def test_bumpers(model: Model, bits: list[int], grade: str, text: str) -> None:
     found = diagnostics.bumpers([state({33: model.bumper_rest | each}, model) for each in bits])
-    assert (found.grade.name, told in found.seen) == (grade, True)
+    assert (found.grade.name, text in found.seen) == (grade, True)
 
 
 @pytest.mark.parametrize(("raw", "grade", "seen"), [
@@ -100,28 +100,28 @@ def test_batteries_by_the_formula(raw: int, grade: str, seen: str) -> None:
     assert grades(diagnostics.batteries(state(raw_volts=None))) == [("WARN", "battery")]
 
 
-@pytest.mark.parametrize(("times", "grade", "told"), [
+@pytest.mark.parametrize(("times", "grade", "text"), [
     ([0, 100, 200], "OK", "went forward 0.2 s"), ([2**32 - 50, 50], "OK", "went forward 0.1 s"),
     ([500, 400, 900], "FAIL", "went back 1 times, by 0.1 s"), ([7, 7], "WARN", "stands still"),
     ([None, 7], "WARN", "never told"),
 ])
-def test_the_clock(times: list[int | None], grade: str, told: str) -> None:
+def test_the_clock(times: list[int | None], grade: str, text: str) -> None:
     found = diagnostics.clock([state(clock_ms=each) for each in times], 0.1)
-    assert (found.grade.name, told in found.seen) == (grade, True)
+    assert (found.grade.name, text in found.seen) == (grade, True)
 
 
-def test_how_fast_the_clock_goes() -> None:
+def test_the_rate_of_the_clock() -> None:
     found = diagnostics.clock([state(clock_ms=0), state(clock_ms=3000)], 2.0)
     assert found.seen == "went forward 3.0 s, 1.50 s a second"
 
 
-def test_a_robot_that_moves() -> None:
+def test_a_moving_robot_is_reported() -> None:
     assert diagnostics.motion([state(), state()]).grade is Grade.OK
     for moved in (state({41: 2}), state({39: -1})):
         assert diagnostics.motion([state(), moved]).grade is Grade.WARN
 
 
-def test_findings_as_lines() -> None:
+def test_findings_are_printed_as_lines() -> None:
     found = Finding(Grade.FAIL, "sonar 3", "reads 0", "mend it")
     assert str(found) == "FAIL  sonar 3      reads 0; mend it"
     assert str(Finding(Grade.OK, "clock", "goes")) == "OK    clock        goes"

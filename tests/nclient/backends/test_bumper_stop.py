@@ -1,4 +1,4 @@
-"""A bumper hit stops the robot at once and is told; a robot at a wall can leave it."""
+"""A bumper hit stops the robot at once and raises BumperHit; a robot at a wall can leave it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from nclient.backends.wrappers import BumperStop
 from nclient.errors import BumperHit
 from nclient.protocol.commands import Call
 from nclient.protocol.types import N150, N200, SCOUT, Model
-from tests.nclient.robot_line import Answer, ScriptedLine, direct_on
+from tests.nclient.scripted_line import Answer, ScriptedLine, direct_on
 
 GS, VM = Call("gs"), Call("vm", (100, 0, 0))
 
@@ -31,7 +31,7 @@ def test_a_hit_while_moving_sends_st_and_is_told(model: Model) -> None:
     assert robot.names() == ["vm", "gs", "st"]
 
 
-def test_a_robot_that_the_wall_has_stopped_was_moving_all_the_same() -> None:
+def test_a_robot_stopped_by_the_wall_counts_as_moving() -> None:
     robot = ScriptedLine()
     backend = BumperStop(direct_on(robot))
     robot.slots[33] |= 1

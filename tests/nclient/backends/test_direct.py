@@ -1,4 +1,4 @@
-"""The robot's own line: an answer belongs to its command whatever the line does, and the conversation goes on."""
+"""The direct backend returns the reply of the right command on an unreliable line, and the session continues."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from nclient.protocol.wire_state import serial_wire_state
 from nclient.transports.memory import MemoryStream
 from nclient.transports.stream import Deadline
 from tests.nclient.protocol.recorded import LINE_SESSIONS, model_of
-from tests.nclient.robot_line import NAK, Late, RecordedRobot, ScriptedLine, direct_on, spoiled
+from tests.nclient.scripted_line import NAK, Late, RecordedRobot, ScriptedLine, direct_on, spoiled
 
 GS, ST, RV = Call("gs"), Call("st"), Call("get_rv")
 VM = Call("vm", (100, -50, 0))
 NAK_FRAME = build_frame(8)
 
 
-def test_an_exchange() -> None:
+def test_request_and_reply() -> None:
     robot = ScriptedLine()
     backend = direct_on(robot)
     assert (backend.greeting, backend.port, backend.closed) == (None, 1, False)
@@ -39,7 +39,7 @@ def test_an_exchange() -> None:
 
 
 @pytest.mark.parametrize("session", LINE_SESSIONS)
-def test_what_the_c_library_said_and_held(session: str) -> None:
+def test_recorded_sessions_of_the_c_library(session: str) -> None:
     peer = RecordedRobot(session)
     model = model_of(session)
     backend = DirectBackend(MemoryStream(peer), model, hello=session == "n200_tcp", checks=False)
@@ -59,7 +59,7 @@ def test_what_the_c_library_said_and_held(session: str) -> None:
     backend.close()
 
 
-def test_a_n200_is_sent_its_mask_and_asked_again_when_it_is_silent() -> None:
+def test_the_mask_of_an_n200_is_repeated() -> None:
     robot = ScriptedLine({"ct": [None, spoiled(build_frame(6, bytes(40)))]}, N200)
     backend = direct_on(robot)
     assert robot.names().count("ct") == 3
@@ -70,7 +70,7 @@ def test_a_n200_is_sent_its_mask_and_asked_again_when_it_is_silent() -> None:
         direct_on(ScriptedLine({"ct": None, "get_ra": None, "get_rv": None}, N200))
 
 
-def test_a_n200_over_tcp_says_its_mask_first() -> None:
+def test_an_n200_over_tcp_sends_its_mask_first() -> None:
     robot = ScriptedLine(model=N200)
     mask = EVERYTHING.with_position(2)
     robot.wire_state.set_mask(mask)
@@ -99,7 +99,7 @@ def test_a_n200_over_tcp_says_its_mask_first() -> None:
         (N150, "connect_robot", (2, 1), "only on an Nserver"),
     ],
 )
-def test_what_the_line_does_not_have_is_refused_and_not_sent(
+def test_commands_the_line_lacks_are_refused(
     model: Model, name: str, args: tuple[Any, ...], why: str
 ) -> None:
     robot = ScriptedLine(model=model)
@@ -112,7 +112,7 @@ def test_what_the_line_does_not_have_is_refused_and_not_sent(
     assert robot.calls == []
 
 
-def test_every_command_of_the_table_is_answered_or_refused() -> None:
+def test_every_command_is_answered_or_refused() -> None:
     for model in (N150, N200, SCOUT):
         robot = ScriptedLine(model=model)
         backend = direct_on(robot)
@@ -134,7 +134,7 @@ def test_place_robot_is_dp_and_da() -> None:
     assert robot.calls == [Call("dp", (100, 200)), Call("da", (900, 450))]
 
 
-def test_what_cannot_be_sent_is_not_sent() -> None:
+def test_invalid_calls_are_not_sent() -> None:
     robot = ScriptedLine()
     backend = direct_on(robot)
     for call in (Call("vm", (40000, 0, 0)), Call("vm", (1,)), Call("nonsense")):
@@ -144,7 +144,7 @@ def test_what_cannot_be_sent_is_not_sent() -> None:
     assert backend.execute(GS).kind == "state"
 
 
-def test_a_nak_is_a_refusal_and_the_conversation_goes_on() -> None:
+def test_a_nak_is_a_refusal_and_the_session_continues() -> None:
     robot = ScriptedLine({"vm": NAK})
     backend = direct_on(robot)
     with pytest.raises(RobotRefused, match="vm was refused: NAK") as refusal:
@@ -155,7 +155,7 @@ def test_a_nak_is_a_refusal_and_the_conversation_goes_on() -> None:
     assert backend.link.answers == 2
 
 
-def test_a_nak_to_what_shapes_answers_leaves_their_shape() -> None:
+def test_a_nak_reverts_the_reply_format() -> None:
     robot = ScriptedLine({"ct": [robot_state(N200), NAK], "conf_ls": NAK}, N200)
     backend = direct_on(robot)
     wanted = EVERYTHING.with_position(2)
@@ -174,10 +174,10 @@ def robot_state(model: Model) -> Reply:
     return reply
 
 
-# silence, and what is no answer
+# timeouts and invalid replies
 
 
-def test_silence_is_a_time_out_and_the_conversation_goes_on() -> None:
+def test_a_timeout_leaves_the_session_open() -> None:
     robot = ScriptedLine({"vm": None})
     backend = direct_on(robot)
     with pytest.raises(ReplyTimeout, match="vm: no answer within 1 s"):
@@ -188,7 +188,7 @@ def test_silence_is_a_time_out_and_the_conversation_goes_on() -> None:
     assert backend.link.timeouts == 1
 
 
-def test_a_late_answer_of_another_type_is_dropped() -> None:
+def test_a_late_reply_of_another_type_is_dropped() -> None:
     robot = ScriptedLine({"vm": [Late()]})
     backend = direct_on(robot)
     with pytest.raises(ReplyTimeout):
@@ -198,7 +198,7 @@ def test_a_late_answer_of_another_type_is_dropped() -> None:
     assert backend.link.strays == 1
 
 
-def test_a_late_answer_of_the_same_type_is_seen_off_by_a_question_of_another() -> None:
+def test_a_late_reply_is_flushed_by_another_request() -> None:
     robot = ScriptedLine({"gs": [Late()]})
     backend = direct_on(robot)
     with pytest.raises(ReplyTimeout):
@@ -210,7 +210,7 @@ def test_a_late_answer_of_the_same_type_is_seen_off_by_a_question_of_another() -
     assert robot.names() == ["gs", "get_ra", "gs", "gs"]
 
 
-def test_a_late_answer_that_has_come_before_the_next_command_needs_no_question() -> None:
+def test_a_late_reply_that_arrived_needs_no_flush() -> None:
     robot = ScriptedLine({"gs": [None]})
     backend = direct_on(robot)
     with pytest.raises(ReplyTimeout):
@@ -221,7 +221,7 @@ def test_a_late_answer_that_has_come_before_the_next_command_needs_no_question()
     assert robot.names() == ["gs", "gs"]
 
 
-def test_what_is_not_repeated_is_held_back_while_a_late_answer_could_pass_for_its_own() -> None:
+def test_a_motion_waits_until_no_late_reply_can_match() -> None:
     robot = ScriptedLine({"pr": [None], "get_ra": [None]})
     backend = direct_on(robot)
     move = Call("pr", (100, 0, 0))
@@ -234,7 +234,7 @@ def test_what_is_not_repeated_is_held_back_while_a_late_answer_could_pass_for_it
     assert robot.names() == ["pr", "get_ra", "get_rv", "pr"]
 
 
-def test_a_stop_goes_out_at_once_whatever_is_owed() -> None:
+def test_a_stop_is_sent_at_once() -> None:
     robot = ScriptedLine({"st": [None]})
     backend = direct_on(robot)
     with pytest.raises(ReplyTimeout):
@@ -244,7 +244,7 @@ def test_a_stop_goes_out_at_once_whatever_is_owed() -> None:
     assert robot.names() == ["st", "st", "get_ra", "st"]
 
 
-def test_when_every_question_is_owed_only_quiet_helps() -> None:
+def test_the_line_is_drained_if_no_probe_is_left() -> None:
     mute: dict[str, Any] = {name: [None] for name in ("gs", "get_ra", "get_rv", "get_rc", "get_bp", "get_sn")}
     robot = ScriptedLine(mute)
     backend = direct_on(robot)
@@ -257,7 +257,7 @@ def test_when_every_question_is_owed_only_quiet_helps() -> None:
     assert robot.names() == ["gs"]
 
 
-def test_a_line_that_is_never_quiet(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_line_that_never_becomes_quiet(monkeypatch: pytest.MonkeyPatch) -> None:
     mute: dict[str, Any] = dict.fromkeys(("gs", "get_ra", "get_rv", "get_rc", "get_bp", "get_sn"))
     robot = ScriptedLine(mute)
     backend = direct_on(robot)
@@ -270,7 +270,7 @@ def test_a_line_that_is_never_quiet(monkeypatch: pytest.MonkeyPatch) -> None:
         backend.execute(GS)
 
 
-def test_a_nak_is_nobodys_while_others_are_owed() -> None:
+def test_a_nak_is_ignored_while_other_replies_are_pending() -> None:
     robot = ScriptedLine({"vm": [None], "gs": NAK})
     backend = direct_on(robot)
     with pytest.raises(ReplyTimeout):
@@ -280,7 +280,7 @@ def test_a_nak_is_nobodys_while_others_are_owed() -> None:
 
 
 @pytest.mark.parametrize("position", range(48))
-def test_one_wrong_byte_anywhere_is_a_bad_answer_and_nothing_else(position: int) -> None:
+def test_one_corrupt_byte_costs_one_reply(position: int) -> None:
     robot = ScriptedLine()
     for good_before in (0, 2):
         robot.answers["gs"] = [*[robot.state()] * good_before, spoiled(robot.frame("gs"), position)]
@@ -293,7 +293,7 @@ def test_one_wrong_byte_anywhere_is_a_bad_answer_and_nothing_else(position: int)
         assert backend.execute(GS).slots[17] == 57
 
 
-def test_stray_bytes_before_and_behind_an_answer_do_no_harm() -> None:
+def test_stray_bytes_around_a_reply_are_skipped() -> None:
     robot = ScriptedLine()
     for noise in (b"\x01", b"\x00\xff", b"\x01\x00\x01", b"\x5c\x01\x05\x00"):
         robot.answers["gs"] = [noise + robot.frame("gs"), robot.frame("gs") + noise]
@@ -303,7 +303,7 @@ def test_stray_bytes_before_and_behind_an_answer_do_no_harm() -> None:
         assert backend.execute(GS).slots[17] == 57
 
 
-def test_a_length_that_hides_the_answer_is_given_up_at_the_gap() -> None:
+def test_a_corrupt_length_is_abandoned_at_the_gap() -> None:
     robot = ScriptedLine()
     robot.answers["gs"] = [b"\x01\x00\x10" + robot.frame("gs")]
     backend = direct_on(robot)
@@ -311,7 +311,7 @@ def test_a_length_that_hides_the_answer_is_given_up_at_the_gap() -> None:
     assert backend.link.skipped_bytes == 3
 
 
-def test_a_good_frame_that_does_not_fit_is_no_answer() -> None:
+def test_a_valid_frame_that_does_not_fit_is_no_reply() -> None:
     robot = ScriptedLine({"gs": [build_frame(7, bytes(41))], "vm": [build_frame(99)]})
     backend = direct_on(robot)
     with pytest.raises(ReplyTimeout, match="gs: the reply does not fit"):
@@ -322,7 +322,7 @@ def test_a_good_frame_that_does_not_fit_is_no_answer() -> None:
     assert backend.execute(GS).kind == "state"
 
 
-def test_what_cannot_be_true_is_no_answer() -> None:
+def test_an_implausible_reply_is_rejected() -> None:
     robot = ScriptedLine()
     backend = direct_on(robot)
     backend.execute(GS)
@@ -333,10 +333,10 @@ def test_what_cannot_be_true_is_no_answer() -> None:
     assert backend.execute(GS).slots[36] == 0
 
 
-# the shape of answers
+# the format of replies
 
 
-def test_a_mask_that_was_not_answered_is_sent_again_before_anything_else() -> None:
+def test_an_unanswered_mask_is_sent_again_first() -> None:
     robot = ScriptedLine(model=N200)
     backend = direct_on(robot)
     robot.answers["ct"] = [None]
@@ -350,7 +350,7 @@ def test_a_mask_that_was_not_answered_is_sent_again_before_anything_else() -> No
     assert robot.names() == ["get_ra", "ct", "gs", "gs"]
 
 
-def test_a_robot_that_was_switched_off_and_on_gets_its_mask_again() -> None:
+def test_a_restarted_robot_gets_its_mask_again() -> None:
     robot = ScriptedLine(model=N200)
     backend = direct_on(robot)
     backend.execute(Call("ct", EVERYTHING.with_position(2).smask))
@@ -366,8 +366,8 @@ def test_a_robot_that_was_switched_off_and_on_gets_its_mask_again() -> None:
 # time
 
 
-class Patience(MemoryStream):
-    """Notes how long each answer may take."""
+class DeadlineRecorder(MemoryStream):
+    """Record the maximum time for each reply."""
 
     waits: list[float]
 
@@ -378,28 +378,28 @@ class Patience(MemoryStream):
 
 
 @pytest.mark.parametrize(
-    ("call", "timeout_s", "patience_s"),
+    ("call", "timeout_s", "timeout_limit_s"),
     [
         (GS, None, 1.0), (GS, 0.3, 0.3), (Call("zr"), None, 120.0), (Call("zr"), 200.0, 200.0),
         (Call("ws", (1, 1, 1, 7)), None, 8.0), (Call("ws", (1, 1, 1, 7)), 3.0, 10.0),
         (Call("special_request", (9, 1)), None, 30.0),
     ],
 )  # fmt: skip
-def test_how_long_a_command_may_take(call: Call, timeout_s: float | None, patience_s: float) -> None:
-    stream = Patience(ScriptedLine())
+def test_timeouts_depend_on_the_command(call: Call, timeout_s: float | None, timeout_limit_s: float) -> None:
+    stream = DeadlineRecorder(ScriptedLine())
     stream.waits = []
     DirectBackend(stream, N150, timeout_s=timeout_s).execute(call)
-    assert stream.waits == [pytest.approx(patience_s, abs=0.1)]
+    assert stream.waits == [pytest.approx(timeout_limit_s, abs=0.1)]
 
 
-def test_latencies_by_a_clock_that_is_handed_in() -> None:
+def test_latencies_use_the_given_clock() -> None:
     robot = ScriptedLine()
     backend = DirectBackend(MemoryStream(robot), N150, clock=lambda: robot.clock / 64)
     backend.execute(GS)
     assert backend.link.longest_s == 0.25
 
 
-def test_deadlines_of_a_clock_that_is_handed_in() -> None:
+def test_deadlines_use_the_given_clock() -> None:
     simulated_s = 100.0
 
     class Silent(MemoryStream):
@@ -418,7 +418,7 @@ def test_deadlines_of_a_clock_that_is_handed_in() -> None:
 # the end
 
 
-def test_a_stream_that_ends_closes_and_says_why() -> None:
+def test_a_closed_stream_ends_the_session() -> None:
     robot = ScriptedLine()
     stream = MemoryStream(robot)
     backend = DirectBackend(stream, N150)
@@ -439,7 +439,7 @@ def test_closing() -> None:
 
 
 class Interrupted(MemoryStream):
-    """A stream during which somebody presses Ctrl-C."""
+    """A stream that is interrupted by Ctrl-C."""
 
     armed = False
 
@@ -449,7 +449,7 @@ class Interrupted(MemoryStream):
         return super().receive(deadline)
 
 
-def test_after_an_interrupted_wait_the_robot_can_be_stopped_and_no_answer_is_mixed_up() -> None:
+def test_a_robot_can_be_stopped_after_ctrl_c() -> None:
     robot = ScriptedLine()
     stream = Interrupted(robot)
     backend = DirectBackend(stream, N150)
@@ -463,11 +463,11 @@ def test_after_an_interrupted_wait_the_robot_can_be_stopped_and_no_answer_is_mix
     assert backend.execute(GS).slots[17] == 7
 
 
-# anything at all
+# random faults
 
 
-class Careless(MemoryStream):
-    """A line that drops, spoils, delays and doubts, by a seeded chance."""
+class UnreliableStream(MemoryStream):
+    """A line that drops, corrupts and delays bytes at random, with a seed."""
 
     def __init__(self, robot: ScriptedLine, seed: int) -> None:
         super().__init__(robot)
@@ -475,7 +475,7 @@ class Careless(MemoryStream):
         self._held = b""
 
     def receive(self, deadline: Deadline) -> bytes:
-        """In order, as on any line; what is held comes within the time that a host waits for quiet."""
+        """Receive in order, as on any line; delayed bytes arrive before a host stops draining."""
         try:
             self._held += self._spoiled(super().receive(deadline))
         except ReplyTimeout:
@@ -496,9 +496,9 @@ class Careless(MemoryStream):
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_no_late_and_no_corrupt_answer_is_ever_another_commands(seed: int) -> None:
+def test_replies_on_an_unreliable_line_are_never_confused(seed: int) -> None:
     robot = ScriptedLine()
-    backend = DirectBackend(Careless(robot, seed), N150)
+    backend = DirectBackend(UnreliableStream(robot, seed), N150)
     answered = 0
     for number in range(400):
         robot.slots[34] = number % 50
@@ -513,7 +513,7 @@ def test_no_late_and_no_corrupt_answer_is_ever_another_commands(seed: int) -> No
 
 
 @pytest.mark.parametrize("laser", [(0,), (2, 10, 20, 30, -40, 50, 60, 70, -80)])
-def test_a_laser_that_another_client_left_in_line_mode_is_read(laser: tuple[int, ...]) -> None:
+def test_a_laser_left_in_line_mode_is_decoded(laser: tuple[int, ...]) -> None:
     robot = ScriptedLine(model=N200)
     robot.wire_state.set_laser_mode(33)
     robot.laser = laser
@@ -527,7 +527,7 @@ def test_a_laser_that_another_client_left_in_line_mode_is_read(laser: tuple[int,
     assert backend.execute(GS).laser == (3, 100, 200, 300)
 
 
-def test_a_laser_mode_that_was_said_is_the_mode() -> None:
+def test_a_laser_mode_that_was_set_is_certain() -> None:
     robot = ScriptedLine(model=N200)
     backend = direct_on(robot)
     backend.execute(Call("conf_ls", (51, 20, 20, 60, 4)))
@@ -544,20 +544,20 @@ def test_a_laser_mode_that_was_said_is_the_mode() -> None:
         backend.execute(GS)
 
 
-@pytest.mark.parametrize(("real", "said", "remedy"), [
+@pytest.mark.parametrize(("real", "named", "remedy"), [
     (N200, N150, "it looks like a n200's: write model=n200"), (N200, SCOUT, "it looks like a n200's: write model=n200"),
     (SCOUT, N150, "is it a n150. Else write model=n200 or model=scout"),
     (N150, SCOUT, "is it a scout. Else write model=n150 or model=n200"),
 ])
-def test_another_model_than_was_said_is_told_from_the_first_answer_on(real: Model, said: Model, remedy: str) -> None:
+def test_a_wrong_model_is_reported_at_the_first_reply(real: Model, named: Model, remedy: str) -> None:
     robot = ScriptedLine(model=real)
-    backend = RetryingBackend(DirectBackend(MemoryStream(robot), said), 2)
+    backend = RetryingBackend(DirectBackend(MemoryStream(robot), named), 2)
     for _ in range(3):
         with pytest.raises(ReplyTimeout, match=remedy):
             backend.execute(Call("conf_tm", (5,)))
 
 
-def test_what_is_understood_once_is_of_this_model() -> None:
+def test_no_model_hint_after_a_valid_reply() -> None:
     robot = ScriptedLine()
     backend = direct_on(robot)
     backend.execute(GS)
@@ -567,7 +567,7 @@ def test_what_is_understood_once_is_of_this_model() -> None:
     assert "model=" not in str(failed.value)
 
 
-def test_no_n200_at_the_other_end_of_a_mask() -> None:
+def test_a_missing_n200_is_reported_with_a_hint() -> None:
     with pytest.raises(ReplyTimeout, match=r"no answer within 1 s; is it a n200. Else write model=n150 or model=scout"):
         direct_on(ScriptedLine({"ct": None}, N200))
     with pytest.raises(RobotRefused, match=r"ct was refused: NAK; is it a n200. Else write model=n150 or model=scout"):

@@ -1,4 +1,4 @@
-"""The Nserver backend: an answer belongs to its call, or the conversation is over and says why."""
+"""The Nserver backend returns the reply of the right call, or closes the session with the reason."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from nclient.protocol.types import EVERYTHING, N150, SCOUT
 from nclient.transports.memory import MemoryStream
 from nclient.transports.stream import Deadline
 from nclient.transports.tcp import TcpStream
-from tests.nclient.answering import ScriptedServer, by_script, error, on_socket, simple
+from tests.nclient.scripted_server import ScriptedServer, by_script, error, on_socket, simple
 
 GS = Call("gs")
 VM = Call("vm", (100, -50, 0))
@@ -26,7 +26,7 @@ def connected(server: ScriptedServer, timeout_s: float = 5.0) -> NserverBackend:
     return NserverBackend(MemoryStream(server), robot_id=3, timeout_s=timeout_s, pid=42)
 
 
-def test_connecting_is_what_old_clients_do() -> None:
+def test_connecting_sends_what_old_clients_send() -> None:
     server = ScriptedServer()
     server.slots = {0: 10, 17: 99}
     backend = connected(server)
@@ -37,13 +37,13 @@ def test_connecting_is_what_old_clients_do() -> None:
     assert not backend.closed
 
 
-def test_a_robot_can_be_made_by_connecting() -> None:
+def test_a_robot_can_be_created_by_connecting() -> None:
     server = ScriptedServer()
     NserverBackend(MemoryStream(server), robot_id=2, create=True, model=SCOUT, pid=42)
     assert server.calls[0] == Call("create_robot", (2, 42))
 
 
-def test_no_robot_of_that_number_is_a_refusal_and_nothing_more_is_sent() -> None:
+def test_an_unknown_robot_number_is_a_refusal() -> None:
     server = ScriptedServer({"connect_robot": simple(0)})
     with pytest.raises(RobotRefused, match="no robot number 3"):
         connected(server)
@@ -61,7 +61,7 @@ def test_calls_are_answered_in_order() -> None:
     assert server.calls[2:] == [VM, GS]
 
 
-def test_a_refusal_names_command_and_code_and_the_conversation_goes_on() -> None:
+def test_a_refusal_leaves_the_session_open() -> None:
     server = ScriptedServer({"vm": error(5)})
     backend = connected(server)
     with pytest.raises(RobotRefused) as refusal:
@@ -70,7 +70,7 @@ def test_a_refusal_names_command_and_code_and_the_conversation_goes_on() -> None
     assert backend.execute(GS).kind == "state"
 
 
-def test_what_cannot_be_sent_is_not_sent_and_nothing_is_lost() -> None:
+def test_invalid_calls_leave_the_session_open() -> None:
     server = ScriptedServer()
     backend = connected(server)
     with pytest.raises(WireError):
@@ -83,7 +83,7 @@ def test_what_cannot_be_sent_is_not_sent_and_nothing_is_lost() -> None:
     assert server.names() == ["gs"]
 
 
-def test_silence_closes_so_that_a_late_answer_is_nobodys() -> None:
+def test_a_timeout_closes_the_session() -> None:
     server = ScriptedServer({"vm": None})
     backend = connected(server, timeout_s=0.05)
     with pytest.raises(ReplyTimeout, match=r"vm, with 0\.05 s to answer"):
@@ -101,12 +101,12 @@ def test_silence_closes_so_that_a_late_answer_is_nobodys() -> None:
         pytest.param(codec.encode_tcp_reply(codec.find_command("get_rc"), Reply("configuration", {34: 1}),
                                         ScriptedServer().wire_state), id="another call's answer"),
         pytest.param(bytes.fromhex("04d2 0001 00000000"), id="an unknown type"),
-        pytest.param(bytes.fromhex("0050 ffff"), id="a count that no state has"),
+        pytest.param(bytes.fromhex("0050 ffff"), id="an impossible count"),
         pytest.param(bytes.fromhex("0052 0001 00000000") * 2, id="two answers"),
         pytest.param(bytes.fromhex("0052 0001 00000000 00"), id="an answer and a bit"),
     ],
 )  # fmt: skip
-def test_an_answer_that_does_not_fit_closes_with_the_reason(answer: bytes) -> None:
+def test_a_reply_that_does_not_fit_closes_the_session(answer: bytes) -> None:
     backend = connected(ScriptedServer({"gs": answer}))
     with pytest.raises(ConnectionLost, match=r"(?s)gs: .*the connection was closed") as lost:
         backend.execute(GS)
@@ -116,14 +116,13 @@ def test_an_answer_that_does_not_fit_closes_with_the_reason(answer: bytes) -> No
         backend.execute(GS)
 
 
-def test_what_is_no_nserver_at_all_is_told_with_where_one_may_be() -> None:
-    """A page's port, told of connect_robot."""
+def test_a_server_that_is_no_nserver_is_reported() -> None:
     page = ScriptedServer({"connect_robot": b"HTTP/1.1 400 Bad Request\r\n\r\n"})
     with pytest.raises(ConnectionLost, match=r"closed\. Is it an Nserver that answers there\? Its port is 7019"):
         connected(page)
 
 
-def test_a_reply_in_crumbs_is_one_reply() -> None:
+def test_a_reply_may_arrive_byte_by_byte() -> None:
     server = ScriptedServer()
 
     class Crumbs(MemoryStream):
@@ -138,7 +137,7 @@ def test_a_reply_in_crumbs_is_one_reply() -> None:
 
 
 class Interrupted(MemoryStream):
-    """A stream during which somebody presses Ctrl-C."""
+    """A stream that is interrupted by Ctrl-C."""
 
     at: str = ""
 
@@ -153,7 +152,7 @@ class Interrupted(MemoryStream):
         return super().receive(deadline)
 
 
-def test_after_an_interrupted_wait_the_owed_answer_is_dropped_and_the_robot_can_be_stopped() -> None:
+def test_a_robot_can_be_stopped_after_ctrl_c() -> None:
     server = ScriptedServer()
     stream = Interrupted(server)
     backend = NserverBackend(stream)
@@ -169,7 +168,7 @@ def test_after_an_interrupted_wait_the_owed_answer_is_dropped_and_the_robot_can_
     assert server.names() == ["vm", "vm", "st", "gs"]
 
 
-def test_a_request_that_was_cut_off_closes() -> None:
+def test_an_interrupted_send_closes_the_session() -> None:
     server = ScriptedServer()
     stream = Interrupted(server)
     backend = NserverBackend(stream)
@@ -181,7 +180,7 @@ def test_a_request_that_was_cut_off_closes() -> None:
         backend.execute(GS)
 
 
-def test_closing_says_goodbye_once() -> None:
+def test_close_sends_disconnect_once() -> None:
     server = ScriptedServer()
     backend = connected(server)
     backend.close()
@@ -192,7 +191,7 @@ def test_closing_says_goodbye_once() -> None:
         backend.execute(GS)
 
 
-def test_closing_with_an_answer_outstanding_just_leaves() -> None:
+def test_close_with_an_outstanding_reply_sends_nothing() -> None:
     server = ScriptedServer()
     stream = Interrupted(server)
     backend = NserverBackend(stream)
@@ -204,7 +203,7 @@ def test_closing_with_an_answer_outstanding_just_leaves() -> None:
     assert backend.closed
 
 
-def test_disconnecting_gives_an_empty_reply_even_when_the_other_end_is_gone() -> None:
+def test_disconnect_works_on_a_lost_connection() -> None:
     server = ScriptedServer()
     stream = MemoryStream(server)
     backend = NserverBackend(stream)
@@ -213,8 +212,8 @@ def test_disconnecting_gives_an_empty_reply_even_when_the_other_end_is_gone() ->
     assert backend.closed
 
 
-class Patience(MemoryStream):
-    """Notes how long each answer may take."""
+class DeadlineRecorder(MemoryStream):
+    """Record the maximum time for each reply."""
 
     def receive(self, deadline: Deadline) -> bytes:
         seen.append(deadline.remaining())
@@ -225,7 +224,7 @@ seen: list[float] = []
 
 
 @pytest.mark.parametrize(
-    ("call", "speed", "patience_s"),
+    ("call", "speed", "timeout_s"),
     [
         (GS, 10, 2.0),
         (GS, 1, 2.0),
@@ -240,22 +239,22 @@ seen: list[float] = []
         (Call("get_robot_conf"), 10, 120.0),
     ],
 )
-def test_how_long_an_answer_may_take(
-    monkeypatch: pytest.MonkeyPatch, call: Call, speed: int, patience_s: float
+def test_timeouts_depend_on_command_and_server_speed(
+    monkeypatch: pytest.MonkeyPatch, call: Call, speed: int, timeout_s: float
 ) -> None:
     monkeypatch.setattr("time.monotonic", lambda: 1000.0)
     server = ScriptedServer()
     server.slots = {0: speed}
-    backend = NserverBackend(Patience(server), timeout_s=2.0)
+    backend = NserverBackend(DeadlineRecorder(server), timeout_s=2.0)
     backend.execute(call)
-    assert seen[-1] == patience_s
+    assert seen[-1] == timeout_s
 
 
-def test_a_server_back_at_full_speed_is_waited_for_no_longer(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_faster_server_shortens_the_timeout(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("time.monotonic", lambda: 1000.0)
     server = ScriptedServer()
     server.slots = {0: 1}
-    backend = NserverBackend(Patience(server), timeout_s=2.0)
+    backend = NserverBackend(DeadlineRecorder(server), timeout_s=2.0)
     server.slots = {0: 20}
     backend.execute(GS)
     backend.execute(Call("ws", (1, 0, 0, 20)))
@@ -269,7 +268,7 @@ def over_tcp(port: int, timeout_s: float = 5.0) -> NserverBackend:
     return NserverBackend(TcpStream("127.0.0.1", port), timeout_s=timeout_s)
 
 
-def test_a_server_that_hangs_up_is_noticed_by_the_call_under_way() -> None:
+def test_a_call_notices_that_the_server_disconnects() -> None:
     def talk(connection: socket.socket) -> None:
         by_script(ScriptedServer(), calls=2)(connection)
         connection.recv(65536)
@@ -281,7 +280,7 @@ def test_a_server_that_hangs_up_is_noticed_by_the_call_under_way() -> None:
     assert backend.closed
 
 
-def test_a_server_that_has_died_is_noticed_by_the_next_call() -> None:
+def test_the_next_call_notices_a_dead_server() -> None:
     with on_socket(by_script(ScriptedServer(), calls=2)) as port:
         backend = over_tcp(port)
     with pytest.raises(ConnectionLost):
@@ -289,7 +288,7 @@ def test_a_server_that_has_died_is_noticed_by_the_next_call() -> None:
     assert backend.closed
 
 
-def test_half_a_reply_and_a_hang_up_is_a_lost_connection() -> None:
+def test_half_a_reply_then_close_is_a_lost_connection() -> None:
     server = ScriptedServer()
 
     def talk(connection: socket.socket) -> None:
@@ -304,7 +303,7 @@ def test_half_a_reply_and_a_hang_up_is_a_lost_connection() -> None:
     assert backend.closed
 
 
-def test_half_a_reply_and_silence_is_a_time_out() -> None:
+def test_half_a_reply_then_silence_is_a_timeout() -> None:
     server = ScriptedServer()
 
     def talk(connection: socket.socket) -> None:
@@ -321,7 +320,7 @@ def test_half_a_reply_and_silence_is_a_time_out() -> None:
     assert backend.closed
 
 
-def test_a_server_that_never_answers_the_connect() -> None:
+def test_an_unanswered_connect_is_a_timeout() -> None:
     with on_socket(_swallow) as port, pytest.raises(ReplyTimeout):
         over_tcp(port, timeout_s=0.05)
 
@@ -341,7 +340,7 @@ def _swallow(connection: socket.socket) -> None:
         pass
 
 
-def test_exchanges_are_counted_where_there_is_something_to_count_in() -> None:
+def test_exchanges_are_counted_if_statistics_are_given() -> None:
     link = LinkStatistics()
     server = ScriptedServer()
     backend = NserverBackend(MemoryStream(server), link=link)

@@ -1,4 +1,4 @@
-"""Coming back: each loss is told once, tries are further and further apart, and what safety hangs on is said again."""
+"""A lost link is raised once and reopened with growing pauses; settings are restored."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from nclient.protocol.commands import Call
 from nclient.protocol.types import EVERYTHING, N200
 from nclient.protocol.wire_state import serial_wire_state
 from nclient.transports.memory import MemoryStream
-from tests.nclient.answering import ScriptedServer
-from tests.nclient.robot_line import ScriptedLine
+from tests.nclient.scripted_line import ScriptedLine
+from tests.nclient.scripted_server import ScriptedServer
 
 GS = Call("gs")
 
@@ -50,7 +50,7 @@ class Cable:
         return ReconnectingBackend(self.open(), self.open, 1.0, clock=lambda: self.now_s, wait=self.wait)
 
 
-def test_the_call_that_meets_the_loss_says_so_and_the_next_comes_back() -> None:
+def test_the_call_after_a_loss_reconnects() -> None:
     cable = Cable()
     backend = cable.backend()
     backend.execute(GS)
@@ -65,7 +65,7 @@ def test_the_call_that_meets_the_loss_says_so_and_the_next_comes_back() -> None:
     assert len(cable.streams) == 2
 
 
-def test_pauses_double_up_to_the_longest_and_start_anew_with_the_next_loss() -> None:
+def test_pauses_double_up_to_a_maximum() -> None:
     cable = Cable()
     backend = cable.backend()
     cable.pull()
@@ -86,7 +86,7 @@ def test_pauses_double_up_to_the_longest_and_start_anew_with_the_next_loss() -> 
     assert cable.waits == [0.1]
 
 
-def test_a_pause_that_is_over_is_not_waited_for() -> None:
+def test_an_elapsed_pause_is_skipped() -> None:
     cable = Cable()
     backend = cable.backend()
     cable.pull()
@@ -98,7 +98,7 @@ def test_a_pause_that_is_over_is_not_waited_for() -> None:
     assert cable.waits == [0.0]
 
 
-def test_mask_and_time_out_are_said_again_and_nothing_that_moves() -> None:
+def test_mask_timeout_and_speeds_are_restored() -> None:
     cable = Cable()
     backend = cable.backend()
     stamped = Call("ct", EVERYTHING.with_position(2).smask)
@@ -114,7 +114,7 @@ def test_mask_and_time_out_are_said_again_and_nothing_that_moves() -> None:
     assert cable.robot.calls[1] == stamped
 
 
-def test_a_laser_mode_is_said_again_and_its_answers_are_read() -> None:
+def test_a_laser_mode_is_restored() -> None:
     cable = Cable()
     backend = cable.backend()
     lines = Call("conf_ls", (33, 20, 20, 60, 4))
@@ -132,7 +132,7 @@ def test_a_laser_mode_is_said_again_and_its_answers_are_read() -> None:
     assert backend.execute(GS).laser == (1, 10, 20, 30, -40)
 
 
-def test_one_that_cannot_be_greeted_is_closed_and_tried_again() -> None:
+def test_a_failed_restore_closes_the_new_session() -> None:
     cable = Cable()
     backend = cable.backend()
     backend.execute(Call("conf_tm", (5,)))
@@ -147,7 +147,7 @@ def test_one_that_cannot_be_greeted_is_closed_and_tried_again() -> None:
     assert backend.execute(GS).kind == "state"
 
 
-def test_an_nservers_robot_by_its_number() -> None:
+def test_the_robot_number_is_restored_over_tcp() -> None:
     servers = [ScriptedServer(), ScriptedServer()]
     streams = [MemoryStream(server) for server in servers]
     link = LinkStatistics()
@@ -169,7 +169,7 @@ def test_an_nservers_robot_by_its_number() -> None:
     assert backend.closed
 
 
-def test_closing_is_for_good() -> None:
+def test_close_ends_reconnecting() -> None:
     cable = Cable()
     backend = cable.backend()
     backend.close()
@@ -179,7 +179,7 @@ def test_closing_is_for_good() -> None:
     assert (cable.link.losses, len(cable.streams)) == (0, 1)
 
 
-def test_closing_ends_the_wait_for_the_next_try() -> None:
+def test_close_ends_the_pause_before_an_attempt() -> None:
     cable = Cable()
     backend = ReconnectingBackend(cable.open(), cable.open, 60.0, clock=lambda: 0.0)
     cable.pull()
@@ -196,7 +196,7 @@ def test_closing_ends_the_wait_for_the_next_try() -> None:
     assert cable.streams[-1]._peer is None
 
 
-def test_nobody_counts_where_nobody_is_told_to() -> None:
+def test_reconnecting_works_without_statistics() -> None:
     streams = [MemoryStream(ScriptedServer()), MemoryStream(ScriptedServer())]
     opened = iter(streams)
 

@@ -1,4 +1,4 @@
-"""Asked again: what may be, as often as told, and never a motion."""
+"""Requests are repeated if that is safe, up to a number of retries; motions never."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.types import N200
 from nclient.transports.memory import MemoryStream
-from tests.nclient.answering import ScriptedServer
-from tests.nclient.robot_line import NAK, ScriptedLine, direct_on, spoiled
+from tests.nclient.scripted_line import NAK, ScriptedLine, direct_on, spoiled
+from tests.nclient.scripted_server import ScriptedServer
 
 
-def test_which_commands_may_be_repeated() -> None:
+def test_motions_and_speech_may_not_be_repeated() -> None:
     never = {"vm", "pr", "pa", "mv", "zr", "ws", "dp", "da", "place_robot", "tk", "arm_zr", "arm_mv", "arm_ws",
              "special_request"}  # fmt: skip
     on_a_line = {name for name, row in BY_NAME.items() if row.line_type is not None or name == "place_robot"}
@@ -23,7 +23,7 @@ def test_which_commands_may_be_repeated() -> None:
 
 
 @pytest.mark.parametrize("trouble", [None, NAK, "spoiled"])
-def test_a_question_is_asked_again(trouble: str | bytes | None) -> None:
+def test_a_query_is_repeated(trouble: str | bytes | None) -> None:
     robot = ScriptedLine()
     bad = spoiled(robot.frame("gs")) if isinstance(trouble, str) else trouble
     robot.answers["gs"] = [bad, bad]
@@ -34,7 +34,7 @@ def test_a_question_is_asked_again(trouble: str | bytes | None) -> None:
     assert backend.link.retries == 2
 
 
-def test_three_times_is_enough() -> None:
+def test_the_number_of_retries_is_limited() -> None:
     robot = ScriptedLine({"get_sn": [NAK] * 3})
     backend = RetryingBackend(direct_on(robot), 2)
     with pytest.raises(RobotRefused, match="get_sn"):
@@ -46,7 +46,7 @@ def test_three_times_is_enough() -> None:
     assert robot.names() == ["get_sn"] * 4
 
 
-def test_a_motion_goes_out_once() -> None:
+def test_a_motion_is_sent_once() -> None:
     for trouble in (None, NAK):
         robot = ScriptedLine({"pr": [trouble]})
         with pytest.raises((ReplyTimeout, RobotRefused)):
@@ -54,7 +54,7 @@ def test_a_motion_goes_out_once() -> None:
         assert robot.names() == ["pr"]
 
 
-def test_what_this_side_refuses_is_refused_once() -> None:
+def test_refusals_of_this_side_are_not_repeated() -> None:
     backend = RetryingBackend(direct_on(ScriptedLine(model=N200)), 2)
     with pytest.raises(RobotRefused, match="does not have it"):
         backend.execute(Call("conf_ser", (1, 9600)))
@@ -62,7 +62,7 @@ def test_what_this_side_refuses_is_refused_once() -> None:
     assert backend.link.retries == 0
 
 
-def test_a_link_that_is_over_is_not_asked_again() -> None:
+def test_nothing_is_repeated_on_a_closed_link() -> None:
     stream = MemoryStream(ScriptedLine())
     backend = RetryingBackend(direct_on(ScriptedLine()), 2)
     stream.close()
@@ -75,7 +75,7 @@ def test_a_link_that_is_over_is_not_asked_again() -> None:
         backend.execute(Call("gs"))
 
 
-def test_a_wrapper_hands_on_everything_else() -> None:
+def test_a_wrapper_passes_everything_else_on() -> None:
     robot = ScriptedLine(model=N200)
     inner = direct_on(robot)
     backend = RetryingBackend(inner, 2)
@@ -87,14 +87,14 @@ def test_a_wrapper_hands_on_everything_else() -> None:
 
 
 class Uncounted(Wrapper):
-    """A backend that nobody counts for."""
+    """A backend without statistics."""
 
     @property
     def link(self) -> None:
         return None
 
 
-def test_it_counts_only_where_somebody_does() -> None:
+def test_retries_work_without_statistics() -> None:
     robot = ScriptedLine({"gs": [None]})
     backend = RetryingBackend(Uncounted(direct_on(robot)), 2)
     assert backend.execute(Call("gs")).kind == "state"

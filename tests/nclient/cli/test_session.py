@@ -13,7 +13,7 @@ from nclient.connect import open_backend
 from nclient.errors import RobotRefused, ShellError
 from nclient.protocol.types import N200
 from nclient.transports.memory import MemoryStream
-from tests.nclient.answering import ScriptedServer
+from tests.nclient.scripted_server import ScriptedServer
 
 
 class Slept:

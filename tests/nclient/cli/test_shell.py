@@ -14,7 +14,7 @@ from nclient.cli import main, shell
 from nclient.cli.shell import MOST_BYTES, StatusPoller
 from nclient.cli.shell_session import Session
 from nclient.transports.memory import MemoryStream
-from tests.nclient.answering import ScriptedServer
+from tests.nclient.scripted_server import ScriptedServer
 
 SIM = "sim:thesis_room"
 

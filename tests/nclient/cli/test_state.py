@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from nclient.cli import main, state
-from tests.nclient.answering import ScriptedServer, robot_on
+from tests.nclient.scripted_server import ScriptedServer, robot_on
 
 
 def test_all_parts_once(capsys: pytest.CaptureFixture[str]) -> None:

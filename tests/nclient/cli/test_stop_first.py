@@ -13,7 +13,7 @@ from nclient.protocol.client_state import Handshake, build_handshake
 from nclient.protocol.types import EVERYTHING, MODELS, N150, N200, SCOUT, Model
 from nclient.transports.memory import MemoryStream
 from nclient.transports.stream import ByteStream
-from tests.nclient.robot_line import Answer, ScriptedLine
+from tests.nclient.scripted_line import Answer, ScriptedLine
 
 UNSEEN = "NOT SEEN TO STOP: st was answered, and nothing showed that it stands still"
 

@@ -9,7 +9,7 @@ from nclient.backends.nserver import NserverBackend
 from nclient.cli.shell import StatusPoller
 from nclient.cli.shell_session import Session
 from nclient.transports.memory import MemoryStream
-from tests.nclient.answering import ScriptedServer
+from tests.nclient.scripted_server import ScriptedServer
 
 
 def watched(server: ScriptedServer, every_s: float = 0.002) -> tuple[Session, StatusPoller]:
@@ -61,7 +61,7 @@ def test_one_that_never_looks_shows_what_is_known() -> None:
 
 
 def test_a_refusal_is_shown_and_goes_with_the_next_answer() -> None:
-    from tests.nclient.answering import error
+    from tests.nclient.scripted_server import error
 
     server = ScriptedServer({"gs": error(6)})
     _, watcher = watched(server)

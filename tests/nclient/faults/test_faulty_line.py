@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nclient.faults.frames import LINE_NAK, Delivery, Injector, Language, LineLanguage, TcpLanguage
-from nclient.faults.inject import FaultyLine, InTransit
+from nclient.faults.inject import DelayQueue, FaultyLine
 from nclient.faults.plan import Delay, Direction, Drop, DropByte, Fault, Nak, Plan, Rule, When
 from nclient.protocol import codec
 from nclient.protocol.commands import BY_NAME, Call
@@ -31,7 +31,7 @@ def told(deliveries: list[Delivery]) -> bytes:
     return b"".join(delivery.data for delivery in deliveries)
 
 
-def drained(transit: InTransit, now_s: float) -> list[int]:
+def drained(transit: DelayQueue, now_s: float) -> list[int]:
     found = []
     while arrived := transit.take(now_s):
         at_s, delivery = arrived
@@ -95,7 +95,7 @@ def test_over_tcp_a_nak_is_an_error_reply_as_wide_as_the_client() -> None:
         connect = codec.encode_tcp_request(Call("connect_robot", (1, 77)), wide=wide)
         assert told(line.request(connect, 0.0)) == connect
         (refusal,) = line.request(codec.encode_tcp_request(Call("vm", (1, 2, 3)), wide=wide), 0.0)
-        assert refusal.back
+        assert refusal.to_sender
         (frame,) = TcpFramer(reply_bounds, wide).receive(refusal.data)
         assert frame == TcpFrame(91, (5).to_bytes(4, "big"))
         assert told(line.reply(tcp_reply(wide=wide), 0.0)) == tcp_reply(wide=wide)
@@ -105,14 +105,14 @@ def test_what_is_no_whole_frame_is_kept_until_it_is_asked_for() -> None:
     line = faulty(DropByte(0), "gs", LineLanguage())
     request = line_request("gs")
     assert line.request(request[:-1], 0.0) == []
-    kept = [line.asking]
-    assert told(line.rest_of_request(0.0)) == request[:-1]
-    assert [*kept, line.asking] == [True, False]
-    assert (line.patience_s, faulty(Drop(), "gs", TcpLanguage()).patience_s) == (0.25, None)
+    kept = [line.has_partial_request]
+    assert told(line.flush_request(0.0)) == request[:-1]
+    assert [*kept, line.has_partial_request] == [True, False]
+    assert (line.partial_timeout_s, faulty(Drop(), "gs", TcpLanguage()).partial_timeout_s) == (0.25, None)
     assert told(line.request(request[:-1], 0.0, whole=True)) == request[:-1]
     assert line.reply(request[:-1], 0.0) == []
-    assert told(line.rest_of_reply(0.0)) == request[:-1]
-    assert line.rest_of_reply(0.0) == []
+    assert told(line.flush_reply(0.0)) == request[:-1]
+    assert line.flush_reply(0.0) == []
 
 
 def test_a_delay_is_handed_on() -> None:
@@ -123,7 +123,7 @@ def test_a_delay_is_handed_on() -> None:
 @settings(max_examples=80)
 @given(st.lists(st.tuples(st.floats(0.0, 1.0), st.floats(0.0, 3.0)), max_size=20))
 def test_nothing_overtakes_and_nothing_comes_early(steps: list[tuple[float, float]]) -> None:
-    transit, now_s = InTransit(), 0.0
+    transit, now_s = DelayQueue(), 0.0
     due: list[float] = []
     came: list[int] = []
     for number, (pause_s, delay_s) in enumerate(steps):

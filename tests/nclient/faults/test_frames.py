@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nclient.faults.frames import Frames, LineFrames, Piece, TcpFrames
+from nclient.faults.frames import Frames, LineFrames, StreamPiece, TcpFrames
 from nclient.protocol import tcp_framing
 from nclient.protocol.serial_framing import HOST_LIMIT, SerialFrame, SerialFramer, build_frame
 from tests.nclient.protocol.strategies import cuts, in_pieces
@@ -21,15 +21,15 @@ words = st.lists(st.integers(-(2**31), 2**31 - 1), max_size=8).map(
 messages = st.tuples(st.sampled_from([12, 15, 16, 102, 300, 80, 91, 999]), words)
 
 
-def pieces_of(frames: Frames, data: bytes, places: list[int]) -> list[Piece]:
+def pieces_of(frames: Frames, data: bytes, places: list[int]) -> list[StreamPiece]:
     return [piece for part in in_pieces(data, places) for piece in frames.receive(part)]
 
 
-def whole(pieces: list[Piece]) -> list[bytes]:
+def whole(pieces: list[StreamPiece]) -> list[bytes]:
     return [piece.data for piece in pieces if piece.type is not None]
 
 
-def everything(pieces: list[Piece]) -> bytes:
+def everything(pieces: list[StreamPiece]) -> bytes:
     return b"".join(piece.data for piece in pieces)
 
 
@@ -38,8 +38,8 @@ def everything(pieces: list[Piece]) -> bytes:
 def test_the_frames_of_a_clean_line(sent: list[bytes], places: list[int]) -> None:
     frames = LineFrames()
     found = pieces_of(frames, b"".join(sent), places)
-    assert found == [Piece(frame, frame[3]) for frame in sent]
-    assert frames.rest() == []
+    assert found == [StreamPiece(frame, frame[3]) for frame in sent]
+    assert frames.flush() == []
 
 
 @quick
@@ -49,7 +49,7 @@ def test_on_a_dirty_line_they_are_what_the_line_s_own_framer_finds(
 ) -> None:
     data = b"".join(noise + b"".join(sent) for noise, sent in stretches) + end
     frames, framer = LineFrames(), SerialFramer()
-    found = pieces_of(frames, data, places) + frames.rest()
+    found = pieces_of(frames, data, places) + frames.flush()
     assert everything(found) == data
     assert [build_frame(*frame) for frame in framer.receive(data) + framer.expire()] == whole(found)
 
@@ -58,7 +58,7 @@ def test_on_a_dirty_line_they_are_what_the_line_s_own_framer_finds(
 @given(likely, cuts)
 def test_no_byte_is_lost_of_what_makes_no_sense(data: bytes, places: list[int]) -> None:
     for frames in (LineFrames(), LineFrames(HOST_LIMIT), LineFrames(bare=11), TcpFrames(), TcpFrames(None)):
-        assert everything(pieces_of(frames, data, places) + frames.rest()) == data
+        assert everything(pieces_of(frames, data, places) + frames.flush()) == data
 
 
 def test_bytes_before_the_first_frame_are_one_piece() -> None:
@@ -66,8 +66,8 @@ def test_bytes_before_the_first_frame_are_one_piece() -> None:
     frame = build_frame(7)
     hello = bytes.fromhex("01080005640032800000ff")
     assert frames.receive(hello[:5]) == []
-    assert frames.pending == 5
-    assert frames.receive(hello[5:] + frame) == [Piece(hello, None), Piece(frame, 7)]
+    assert frames.pending_bytes == 5
+    assert frames.receive(hello[5:] + frame) == [StreamPiece(hello, None), StreamPiece(frame, 7)]
 
 
 def test_a_length_beyond_the_limit_begins_no_frame() -> None:
@@ -80,7 +80,7 @@ def test_what_is_kept_of_a_frame_is_given_up_when_asked() -> None:
     frames = LineFrames()
     good = build_frame(9, b"\x05")
     assert frames.receive(b"\x01\x20\x00\x07" + good) == []
-    assert frames.rest() == [Piece(b"\x01\x20\x00\x07", None), Piece(good, 9)]
+    assert frames.flush() == [StreamPiece(b"\x01\x20\x00\x07", None), StreamPiece(good, 9)]
 
 
 @quick
@@ -91,7 +91,7 @@ def test_the_messages_of_a_connection(
     built = [tcp_framing.build_frame(number, payload, wide=wide, reply=replies) for number, payload in sent]
     frames = TcpFrames(wide)
     found = pieces_of(frames, b"".join(built), places)
-    assert found == [Piece(data, number) for data, (number, _) in zip(built, sent, strict=True)]
+    assert found == [StreamPiece(data, number) for data, (number, _) in zip(built, sent, strict=True)]
 
 
 @pytest.mark.parametrize("wide", [False, True])
@@ -101,15 +101,15 @@ def test_a_connect_tells_the_width(wide: bool, places: list[int]) -> None:
     gs = tcp_framing.build_frame(15, b"", wide=wide)
     frames = TcpFrames(None)
     frames.receive(b"")
-    assert frames.pending == 0
-    assert pieces_of(frames, connect + gs, places) == [Piece(connect, 102), Piece(gs, 15)]
+    assert frames.pending_bytes == 0
+    assert pieces_of(frames, connect + gs, places) == [StreamPiece(connect, 102), StreamPiece(gs, 15)]
     assert frames.wide is wide
 
 
 def test_after_a_count_that_no_message_has_all_passes_as_it_comes() -> None:
     frames = TcpFrames()
-    assert frames.receive(b"\x00\x0f\xff\xff") == [Piece(b"\x00\x0f\xff\xff", None)]
-    assert frames.receive(b"\x00\x0f\x00\x00") == [Piece(b"\x00\x0f\x00\x00", None)]
+    assert frames.receive(b"\x00\x0f\xff\xff") == [StreamPiece(b"\x00\x0f\xff\xff", None)]
+    assert frames.receive(b"\x00\x0f\x00\x00") == [StreamPiece(b"\x00\x0f\x00\x00", None)]
 
 
 def test_a_framer_s_frame_is_rebuilt_to_the_same_bytes() -> None:

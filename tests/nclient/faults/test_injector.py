@@ -42,7 +42,7 @@ def one_rule(fault: Fault, when: When | None = None, **rest: object) -> Injector
 
 
 def passed(injector: Injector, sent: list[bytes], command: str = "gs") -> list[list[Delivery]]:
-    return [injector.pass_on(frame, command, REPLY, 0.0) for frame in sent]
+    return [injector.process_frame(frame, command, REPLY, 0.0) for frame in sent]
 
 
 def in_place(sent: bytes, arrived: bytes) -> bool:
@@ -59,7 +59,7 @@ def one_more(sent: bytes, arrived: bytes) -> bool:
 
 
 def test_no_rule_no_fault() -> None:
-    assert Injector(Plan(), "nserver").pass_on(FRAME, "vm", REQUEST, 5.0) == [Delivery(0.0, FRAME)]
+    assert Injector(Plan(), "nserver").process_frame(FRAME, "vm", REQUEST, 5.0) == [Delivery(0.0, FRAME)]
 
 
 @quick
@@ -78,7 +78,7 @@ def test_one_faulty_byte_in_every_nth_of_three_kinds(sent: list[bytes], seed: in
     injector = Injector(Plan((rule,), seed), "serial:1")
     happened: Counter[str] = Counter({"corrupt": 0, "drop_byte": 0, "stray": 0})
     for number, frame in enumerate(sent, start=1):
-        found = injector.pass_on(frame, "gs", REPLY, 0.0)
+        found = injector.process_frame(frame, "gs", REPLY, 0.0)
         data = found[0].data if found else b""
         if data == frame:
             assert number % n
@@ -111,7 +111,7 @@ def test_per_cent_is_that_many_in_the_long_run() -> None:
 def test_noise_of_one_kind_counts_its_bytes(data: bytes, seed: int) -> None:
     def noisy(noise: Noise) -> tuple[bytes, dict[str, int]]:
         injector = Injector(Plan((Rule("it", (noise,)),), seed), "serial:1")
-        found = injector.pass_on(data, "", REPLY, 0.0)
+        found = injector.process_frame(data, "", REPLY, 0.0)
         return (found[0].data if found else b""), injector.counts["it"]
 
     arrived, counts = noisy(Noise(corrupt_percent=20.0))
@@ -129,7 +129,7 @@ def test_noise_has_the_rates_it_was_told() -> None:
     injector = one_rule(Noise(1.0, 2.0, 0.5))
     count = 200_000
     for _ in range(200):
-        injector.pass_on(bytes(count // 200), "", REPLY, 0.0)
+        injector.process_frame(bytes(count // 200), "", REPLY, 0.0)
     for kind, percent in (("corrupted_bytes", 1.0), ("dropped_bytes", 2.0), ("added_bytes", 0.5)):
         expected = count * percent / 100
         assert injector.counts["it"][kind] == pytest.approx(expected, abs=5 * expected**0.5)
@@ -139,7 +139,7 @@ def test_noise_has_the_rates_it_was_told() -> None:
 @given(st.binary(min_size=1, max_size=40), st.integers(0, 2**32), st.integers(-50, 50) | st.none())
 def test_a_bit_is_one_bit_at_the_place_wanted(data: bytes, seed: int, place: int | None) -> None:
     injector = Injector(Plan((Rule("it", (Corrupt(BIT, place),)),), seed), "x")
-    (found,) = injector.pass_on(data, "gs", REPLY, 0.0)
+    (found,) = injector.process_frame(data, "gs", REPLY, 0.0)
     (where,) = [k for k, (a, b) in enumerate(zip(data, found.data, strict=True)) if a != b]
     assert (data[where] ^ found.data[where]).bit_count() == 1
     if place is not None:
@@ -151,7 +151,7 @@ def test_a_bit_is_one_bit_at_the_place_wanted(data: bytes, seed: int, place: int
 @given(st.binary(min_size=1, max_size=40), st.integers(0, 2**32), st.none() | st.integers(0, 50))
 def test_a_cut_leaves_less(data: bytes, seed: int, keep: int | None) -> None:
     injector = Injector(Plan((Rule("it", (Cut(keep),)),), seed), "x")
-    found = injector.pass_on(data, "gs", REPLY, 0.0)
+    found = injector.process_frame(data, "gs", REPLY, 0.0)
     arrived = found[0].data if found else b""
     assert data.startswith(arrived)
     assert len(arrived) < len(data)
@@ -164,13 +164,13 @@ def test_a_cut_leaves_less(data: bytes, seed: int, keep: int | None) -> None:
 @quick
 @given(st.binary(min_size=1, max_size=40), st.integers(1, 9), st.integers(-50, 50) | st.none())
 def test_stray_bytes_stand_at_one_place(data: bytes, count: int, place: int | None) -> None:
-    (found,) = one_rule(InsertBytes(count, place)).pass_on(data, "gs", REPLY, 0.0)
+    (found,) = one_rule(InsertBytes(count, place)).process_frame(data, "gs", REPLY, 0.0)
     assert len(found.data) == len(data) + count
     assert any(found.data[:k] + found.data[k + count :] == data for k in range(len(data) + 1))
 
 
 def test_a_drop_byte_at_a_place() -> None:
-    (found,) = one_rule(DropByte(-2)).pass_on(FRAME, "gs", REPLY, 0.0)
+    (found,) = one_rule(DropByte(-2)).process_frame(FRAME, "gs", REPLY, 0.0)
     assert found.data == FRAME[:-2] + FRAME[-1:]
 
 
@@ -195,16 +195,16 @@ def test_delays_add_up_and_jitter_spreads() -> None:
 
 def test_a_nak_takes_the_place_of_a_reply_and_answers_a_request_that_goes_no_further() -> None:
     injector = one_rule(Nak(), directions=BOTH)
-    assert injector.pass_on(FRAME, "vm", REQUEST, 0.0) == [Delivery(0.0, LINE_NAK, back=True)]
-    assert injector.pass_on(FRAME, "vm", REPLY, 0.0) == [Delivery(0.0, LINE_NAK)]
-    assert injector.pass_on(FRAME, "vm", REPLY, 0.0, nak=b"no") == [Delivery(0.0, b"no")]
+    assert injector.process_frame(FRAME, "vm", REQUEST, 0.0) == [Delivery(0.0, LINE_NAK, to_sender=True)]
+    assert injector.process_frame(FRAME, "vm", REPLY, 0.0) == [Delivery(0.0, LINE_NAK)]
+    assert injector.process_frame(FRAME, "vm", REPLY, 0.0, nak=b"no") == [Delivery(0.0, b"no")]
     assert build_frame(8) == LINE_NAK
     assert injector.counts["it"] == {"seen": 3, "nak": 3}
 
 
 def test_a_hang_up_ends_it_after_so_many_bytes() -> None:
-    assert one_rule(HangUp()).pass_on(FRAME, "vm", REPLY, 0.0) == [Delivery(0.0, b"", hang_up=True)]
-    assert one_rule(HangUp(3)).pass_on(FRAME, "vm", REPLY, 0.0) == [Delivery(0.0, FRAME[:3], hang_up=True)]
+    assert one_rule(HangUp()).process_frame(FRAME, "vm", REPLY, 0.0) == [Delivery(0.0, b"", hang_up=True)]
+    assert one_rule(HangUp(3)).process_frame(FRAME, "vm", REPLY, 0.0) == [Delivery(0.0, FRAME[:3], hang_up=True)]
 
 
 def test_a_silence_swallows_everything_that_way_until_it_is_over() -> None:
@@ -215,7 +215,7 @@ def test_a_silence_swallows_everything_that_way_until_it_is_over() -> None:
         (2.99, "gs", REPLY, False), (3.0, "gs", REPLY, True), (3.1, "gs", REPLY, True),
     ]  # fmt: skip
     for now_s, command, direction, arrives in passes:
-        assert bool(injector.pass_on(FRAME, command, direction, now_s)) is arrives
+        assert bool(injector.process_frame(FRAME, command, direction, now_s)) is arrives
     assert injector.counts["hush"] == {"seen": 4, "silence": 1, "swallowed": 2}
 
 
@@ -223,14 +223,14 @@ def test_a_rule_sees_its_command_its_direction_its_line_and_its_time_only() -> N
     rule = Rule("it", (Drop(),), When(from_s=10.0, until_s=20.0), ("gs", "vm"), frozenset({REQUEST}), ("serial:1",))
     plan = Plan((rule,))
     injector = Injector(plan, "serial:1", start_s=100.0)
-    assert not injector.pass_on(FRAME, "gs", REQUEST, 110.0)
-    assert injector.pass_on(FRAME, "gs", REQUEST, 109.0)
-    assert injector.pass_on(FRAME, "gs", REQUEST, 120.0)
-    assert injector.pass_on(FRAME, "gs", REPLY, 110.0)
-    assert injector.pass_on(FRAME, "st", REQUEST, 110.0)
+    assert not injector.process_frame(FRAME, "gs", REQUEST, 110.0)
+    assert injector.process_frame(FRAME, "gs", REQUEST, 109.0)
+    assert injector.process_frame(FRAME, "gs", REQUEST, 120.0)
+    assert injector.process_frame(FRAME, "gs", REPLY, 110.0)
+    assert injector.process_frame(FRAME, "st", REQUEST, 110.0)
     assert injector.counts["it"] == {"seen": 1, "drop": 1}
     elsewhere = Injector(plan, "serial:2")
-    assert elsewhere.pass_on(FRAME, "gs", REQUEST, 10.0)
+    assert elsewhere.process_frame(FRAME, "gs", REQUEST, 10.0)
     assert elsewhere.counts == {}
 
 
@@ -271,5 +271,5 @@ def test_counts_begin_anew_and_what_is_counted_by_goes_on() -> None:
 
 def test_a_frame_that_lost_its_last_byte_does_not_arrive() -> None:
     injector = Injector(Plan((Rule("a", (DropByte(),)), Rule("b", (Corrupt(),)))), "x")
-    assert injector.pass_on(b"\x07", "", REPLY, 0.0) == []
+    assert injector.process_frame(b"\x07", "", REPLY, 0.0) == []
     assert injector.counts["b"]["seen"] == 0

@@ -15,7 +15,7 @@ from nclient.protocol.serial_framing import build_frame
 from nclient.transports.memory import MemoryStream
 from nclient.transports.stream import Deadline
 from nclient.url import parse_address
-from tests.nclient.answering import ScriptedServer
+from tests.nclient.scripted_server import ScriptedServer
 
 PLAN = """
 [[rule]]
@@ -74,7 +74,7 @@ def test_a_wrong_plan_is_told_before_anything_is_opened(server: ScriptedServer, 
 def test_a_plan_for_other_lines_only_is_a_mistake(server: ScriptedServer, tmp_path: Path) -> None:
     path = tmp_path / "plan.toml"
     path.write_text("[[rule]]\ndo = 'drop'\nline = ['serial:1', 'robotd']")
-    with pytest.raises(FaultPlanError, match="no rule is for nserver, but for robotd, serial:1; name nserver, or"):
+    with pytest.raises(FaultPlanError, match="no rule applies to nserver, only to robotd, serial:1; name nserver, or"):
         connect(f"nserver://lab/1?faults={path}")
     assert server.closed == 1
     path.write_text("seed = 1")

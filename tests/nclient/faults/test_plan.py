@@ -132,7 +132,7 @@ def test_an_empty_plan_does_nothing() -> None:
         ("seed = -1", "seed: a whole number, 0 to 9223372036854775808, not -1"),
         ("seed = true", "seed: a whole number"),
         ("rules = []", "rules: unknown here; expected one of seed, rule; did you mean rule?"),
-        ("[[rule]]", "rule 'rule 1': do: at least one kind"),
+        ("[[rule]]", "rule 'rule 1': do: expected at least one kind"),
         ("[[rule]]\ndo = 'drp'", "rule 'rule 1': do: no kind of fault 'drp'; there are drop, .*; did you mean drop?"),
         ("[[rule]]\ndo = 7", "do: expected a text or a list of texts, found 7"),
         ("[[rule]]\ndo = ['drop', 7]", "do: expected a text or a list of texts"),
@@ -142,9 +142,9 @@ def test_an_empty_plan_does_nothing() -> None:
         ("[[rule]]\nname = 'x'\ndo = 'drop'\n[[rule]]\nname='x'\ndo = 'nak'", "rule 'x': name: an earlier rule"),
         ("[[rule]]\ndo = 'drop'\ndelay_s = 1", "rule 'rule 1': delay_s: unknown here"),
         ("[[rule]]\ndo = 'drop'\nevrey = 1", "evrey: unknown here; .*; did you mean every?"),
-        ("[[rule]]\ndo = 'delay'", "delay_s: is wanted by do = 'delay'"),
+        ("[[rule]]\ndo = 'delay'", "delay_s: required by do = 'delay'"),
         ("[[rule]]\ndo = 'delay'\ndelay_s = -1", "delay_s: a number, 0 to 86400, not -1"),
-        ("[[rule]]\ndo = 'delay'\ndelay_s = 1\njitter_s = 2.5", "jitter_s: at most delay_s, 1, since .* not 2.5"),
+        ("[[rule]]\ndo = 'delay'\ndelay_s = 1\njitter_s = 2.5", "jitter_s: at most delay_s, 1, .* not 2.5"),
         ("[[rule]]\ndo = 'delay'\ndelay_s = nan", "delay_s: a number, .* not nan"),
         ("[[rule]]\ndo = 'delay'\ndelay_s = 'x'", "delay_s: a number, .* not 'x'"),
         ("[[rule]]\ndo = 'silence'\nsilence_s = true", "silence_s: a number"),
@@ -157,15 +157,15 @@ def test_an_empty_plan_does_nothing() -> None:
         ("[[rule]]\ndo = 'noise'\ndrop_percent = 60\nadd_percent = 60", "together more than 0 and at most 100"),
         ("[[rule]]\ndo = 'noise'\ndrop_percent = 101", "drop_percent: a number, 0 to 100, not 101"),
         ("[[rule]]\ndo = 'drop'\nevery = 0", "every: a whole number, 1 or more, not 0"),
-        ("[[rule]]\ndo = 'drop'\nevery = 10\npercent = 1", "percent: every and percent count differently; keep one"),
+        ("[[rule]]\ndo = 'drop'\nevery = 10\npercent = 1", "percent: every and percent exclude each other; use one"),
         ("[[rule]]\ndo = 'drop'\npercent = 150", "percent: a number, 0 to 100, not 150"),
         ("[[rule]]\ndo = 'drop'\nfirst = 'x'", "first: a whole number"),
-        ("[[rule]]\ndo = 'drop'\nat = []", "at: the numbers of the frames"),
+        ("[[rule]]\ndo = 'drop'\nat = []", "at: expected numbers"),
         ("[[rule]]\ndo = 'drop'\nat = [0]", "at: a whole number, 1 or more, not 0"),
         ("[[rule]]\ndo = 'drop'\nfrom_s = -1", "from_s: a number, 0 or more, not -1"),
         ("[[rule]]\ndo = 'drop'\nfrom_s = 5\nuntil_s = 5", "until_s: later than from_s, 5, not 5"),
         ("[[rule]]\ndo = 'drop'\ncommand = 'get_sm'", "command: no command 'get_sm'; did you mean get_s"),
-        ("[[rule]]\ndo = 'drop'\ncommand = 'arm_zr'", "on the wire arm_zr is a special_request; write that"),
+        ("[[rule]]\ndo = 'drop'\ncommand = 'arm_zr'", "arm_zr is sent as a special_request; write that"),
         ("[[rule]]\ndo = 'drop'\ncommand = 5", "rule 'rule 1': command: expected a text"),
         ("[[rule]]\ndo = 'drop'\ndirection = 'up'", "direction: one of both, request, reply, not 'up'"),
         ("[[rule]]\ndo = 'drop'\ndirection = []", r"direction: one of both, request, reply, not \[\]"),
@@ -180,9 +180,9 @@ def test_what_is_wrong_is_named(text: str, words: str) -> None:
 
 
 def test_a_rule_that_cannot_be_written_cannot_be_made() -> None:
-    with pytest.raises(FaultPlanError, match="place: is one for all kinds of a rule"):
+    with pytest.raises(FaultPlanError, match="place: applies to all kinds of a rule"):
         Rule("x", (Corrupt(place=1), InsertBytes(place=2)))
-    with pytest.raises(FaultPlanError, match="direction: request, reply or both is wanted"):
+    with pytest.raises(FaultPlanError, match="direction: expected request, reply or both"):
         Rule("x", (Drop(),), directions=frozenset())
 
 
@@ -195,7 +195,7 @@ def test_files_that_are_no_plans(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     odd.write_bytes(b"seed = 1 # \xff")
     with pytest.raises(FaultPlanError, match=r"odd\.toml: expected text in UTF-8, found other bytes at 11"):
         load_plan(odd)
-    monkeypatch.setattr(plan_file, "MOST_BYTES", 3)
+    monkeypatch.setattr(plan_file, "MAX_BYTES", 3)
     with pytest.raises(FaultPlanError, match="is longer than"):
         load_plan(odd)
 

@@ -14,7 +14,7 @@ from nclient.recording.recorder import ClientRecording, RecordingTarget
 from nclient.transports.memory import MemoryStream
 from nclient.transports.stream import Deadline
 from nclient.url import parse_address
-from tests.nclient.answering import ScriptedServer, by_script, on_socket
+from tests.nclient.scripted_server import ScriptedServer, by_script, on_socket
 
 
 def drive(address: str) -> tuple[int, ...]:

@@ -12,7 +12,7 @@ from nclient.protocol.commands import Call
 from nclient.transports import memory
 from nclient.transports.memory import MemoryStream, open_in_process, schemes
 from nclient.transports.stream import Deadline
-from tests.nclient.answering import ScriptedServer
+from tests.nclient.scripted_server import ScriptedServer
 
 NOW = Deadline.after(0)
 

@@ -12,7 +12,7 @@ from nclient import connect
 from nclient.errors import ConnectionLost, ReplyTimeout
 from nclient.transports.stream import Deadline
 from nclient.transports.tcp import ROBOT_LINE, TcpStream, names_of_this_machine
-from tests.nclient.answering import on_socket
+from tests.nclient.scripted_server import on_socket
 
 
 def free_port() -> int:

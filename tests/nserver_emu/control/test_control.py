@@ -98,13 +98,13 @@ def test_a_plan_comes_into_force_counts_and_goes() -> None:
     assert house.said("faults set", {"text": plan_text(PLAN), "file": "p.toml"}) == {"rules": 1}
     assert house.faults.plan == PLAN
     assert house.said("faults show") == {"plan": plan_text(PLAN)}
-    house.faults.injector("serial:1").pass_on(b"x", "gs", Direction.REPLY, 0.0)
+    house.faults.injector("serial:1").process_frame(b"x", "gs", Direction.REPLY, 0.0)
     counts = {"nserver": {"it": {"seen": 0, "drop": 0}}, "serial:1": {"it": {"seen": 1, "drop": 1}}}
     assert house.said("faults counts") == {"counts": counts}
     assert house.said("status")["faults"] == {"rules": 1, "struck": {"drop": 1}}
     assert house.said("faults reset") == {"counts": counts}
     assert house.said("status")["faults"] == {"rules": 1, "struck": {}}
-    house.faults.injector("serial:1").pass_on(b"x", "gs", Direction.REPLY, 0.0)
+    house.faults.injector("serial:1").process_frame(b"x", "gs", Direction.REPLY, 0.0)
     assert house.said("faults clear") == {"counts": counts}
     assert house.said("faults counts") == {"counts": {}}
 

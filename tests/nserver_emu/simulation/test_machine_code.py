@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
-
 import pytest
 
 from nserver_emu.simulation import sonar
@@ -33,7 +31,7 @@ def test_machine_code_changes_no_bit_of_a_simulation(setup: RobotSetup, monkeypa
                 told.append((robot.actual, robot.encoder, robot.sonar.readings_in, robot.sonar.stamps))
             simulation.step(0.15)
             if step == 30:
-                simulation = pickle.loads(pickle.dumps(simulation))
+                simulation = Simulation.from_state(simulation.to_state())
         return told
 
     assert lived(loaded) == lived(CompiledKernel())

@@ -1,4 +1,4 @@
-"""Frames to one page: as another library reads them, and pages that receive all, some or nothing."""
+"""Messages to one page that receives everything, some or nothing."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from aiohttp import web
 from aiohttp.test_utils import make_mocked_request
 
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.viewer.server import MEDIUM, SHORT, STALLED_S, PageWriter, _transport, frame
+from nserver_emu.viewer.server import STALLED_S, PageWriter, _transport
 from tests.nserver_emu.server.wire_client import simulation
 from tests.nserver_emu.viewer.page_client import serve_viewer
 
 
 class Line(asyncio.Transport):
-    """A transport whose other end takes as much as the test says."""
+    """A transport whose unsent bytes the test sets."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -35,26 +35,23 @@ class Line(asyncio.Transport):
     def is_closing(self) -> bool:
         return self.closing
 
+    def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
+        self.limits = high, low
+
     def abort(self) -> None:
         self.closing = True
 
 
-def an_outlet(now: float = 0.0, *, closed: bool = False) -> tuple[PageWriter, Line]:
+def make_writer(now: float = 0.0, *, closed: bool = False) -> tuple[PageWriter, Line]:
     line = Line()
     return PageWriter(cast(web.WebSocketResponse, SimpleNamespace(closed=closed)), line, now), line
 
 
-def test_a_frame_is_as_the_standard_has_it() -> None:
-    assert frame("Hello") == bytes([0x81, 0x05, 0x48, 0x65, 0x6C, 0x6C, 0x6F])  # RFC 6455, 5.7
-    assert frame("x" * 256)[:4] == bytes([0x81, 0x7E, 0x01, 0x00])
-    assert frame("x" * 65536)[:10] == bytes([0x81, 0x7F, 0, 0, 0, 0, 0, 1, 0, 0])
-
-
-async def test_frames_of_every_length_are_read_by_another_library() -> None:
+async def test_messages_of_every_length_arrive() -> None:
     empty = len(json.dumps({"type": "x", "text": ""}))
 
     async with serve_viewer(Emulator(simulation())) as here, here.page() as page:
-        for size in (empty, SHORT, SHORT + 1, MEDIUM, MEDIUM + 1, 20 * MEDIUM):
+        for size in (empty, 125, 126, 0xFFFF, 0x10000, 20 * 0xFFFF):
             text = "x" * (size - empty)
             here.viewer_server.broadcaster.notify(json.dumps({"type": "x", "text": text}))
             assert (await page.until(lambda message: message["type"] == "x"))["text"] == text
@@ -63,7 +60,7 @@ async def test_frames_of_every_length_are_read_by_another_library() -> None:
 
 
 def test_a_slow_page_is_skipped_and_not_closed() -> None:
-    writer, line = an_outlet()
+    writer, line = make_writer()
     assert writer.is_ready(1.0)
     line.unsent = 1000
     assert not writer.is_ready(2.0)
@@ -79,7 +76,7 @@ def test_a_slow_page_is_skipped_and_not_closed() -> None:
 
 
 def test_a_page_that_receives_nothing_is_stalled() -> None:
-    writer, line = an_outlet(100.0)
+    writer, line = make_writer(100.0)
     line.unsent = 1
     assert not writer.is_ready(110.0)
     line.unsent = 7  # a ping came to it
@@ -92,7 +89,7 @@ def test_a_page_that_receives_nothing_is_stalled() -> None:
 
 
 def test_nothing_is_sent_after_the_closing_frame() -> None:
-    writer, _ = an_outlet(closed=True)
+    writer, _ = make_writer(closed=True)
     assert not writer.is_ready(1.0)
     assert not writer.is_stalled(1.0 + 2 * STALLED_S)
 

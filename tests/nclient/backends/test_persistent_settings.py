@@ -1,4 +1,4 @@
-"""What is told again to a robot that may have forgotten: the last of each kind, in order, and nothing that moves."""
+"""Persistent settings are restored in order, the last of each kind, and nothing moves."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from nclient.backends.wrappers import PersistentSettings
 from nclient.protocol.commands import Call
 
 ORDER = tuple(range(16))
-TOLD = [
+SETTINGS = [
     Call("connect_robot", (2, 99)), Call("ct", (0,) * 44), Call("conf_ls", (33, 20, 20, 60, 4)), Call("conf_tm", (5,)),
     Call("conf_ir", (4, *ORDER)), Call("conf_sn", (15, *ORDER)), Call("conf_cp", (1,)), Call("conf_sg", (50, 4, 30)),
     Call("ac", (300, 500, 500)), Call("sp", (200, 450, 450)),
@@ -16,18 +16,18 @@ TOLD = [
 
 
 def after(*calls: Call) -> list[Call]:
-    agreed = PersistentSettings()
+    settings = PersistentSettings()
     for call in calls:
-        agreed.record(call)
-    return list(agreed.calls())
+        settings.record(call)
+    return list(settings.calls())
 
 
-def test_in_order_whatever_the_order_was() -> None:
-    assert after(*reversed(TOLD)) == TOLD
+def test_settings_are_restored_in_a_fixed_order() -> None:
+    assert after(*reversed(SETTINGS)) == SETTINGS
     assert after() == []
 
 
-def test_the_last_of_each_kind() -> None:
+def test_only_the_last_call_of_each_kind_counts() -> None:
     assert after(Call("conf_tm", (5,)), Call("conf_tm", (0,))) == [Call("conf_tm", (0,))]
     assert after(Call("create_robot", (3, 1))) == [Call("connect_robot", (3, 1))]
 
@@ -36,11 +36,11 @@ def test_the_last_of_each_kind() -> None:
     Call("vm", (1, 2, 3)), Call("pr", (1, 2, 3)), Call("mv", (1, 50, 2, 60, 6, 70)), Call("dp", (1, 2)), Call("gs"),
     Call("conf_cp", (2,)),
 ])  # fmt: skip
-def test_nothing_that_moves_or_is_done_once(call: Call) -> None:
+def test_motions_and_actions_are_not_restored(call: Call) -> None:
     assert after(call) == []
 
 
-def test_mv_sets_by_axis() -> None:
+def test_speeds_of_mv_are_restored_by_axis() -> None:
     speed = Call("mv", (5, 50, 0, 0, 0, 0))
     assert after(speed) == [speed]
     assert after(Call("sp", (200, 450, 450)), speed) == [Call("sp", (50, 450, 450))]

@@ -1,9 +1,9 @@
-"""An Nserver that says what a test tells it to, built on the protocol room alone: in this process or on a socket.
+"""A scripted Nserver, built on nclient.protocol alone, in this process or on a socket: no emulator, no clock.
 
-    ScriptedServer(answers)   send, receive, close: what MemoryStream wants; `calls` are the calls that came
-    on_socket(talk)           a real loopback port where `talk(connection)` runs on a thread for one client
+    ScriptedServer(replies)   a peer for MemoryStream that replies by script; `calls` are the received calls
+    on_socket(serve)          a loopback port where `serve(connection)` runs in a thread for one client
 
-Rules: no emulator, no clock. An answer is a Reply, bytes as they are, or None for silence.
+A scripted reply is a Reply, bytes, or None for silence.
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ PORT = 7019
 
 
 def error(code: int) -> Reply:
-    """The ERROR reply with this code."""
+    """Return the ERROR reply with this code."""
     return Reply("error", values=(code,))
 
 
 def simple(*values: int) -> Reply:
-    """A reply of plain numbers."""
+    """Return a reply of plain numbers."""
     return Reply("simple", values=values)
 
 
 class ScriptedServer:
-    """Answers each call as told, else in the dullest way that fits. `slots`: what State is."""
+    """Replies by script, else with a default reply. `slots` is its State."""
 
     def __init__(self, answers: Mapping[str, Answer] | None = None, model: Model = N150) -> None:
         self.answers: dict[str, Answer] = dict(answers or {})
@@ -70,25 +70,25 @@ class ScriptedServer:
         self.closed += 1
 
     def names(self) -> list[str]:
-        """The C names of the calls after connecting, in order."""
+        """Return the C names of the calls after connecting, in order."""
         return [call.name for call in self.calls[2:]]
 
     def last(self) -> Call:
-        """The call that came last."""
+        """Return the last call."""
         return self.calls[-1]
 
     def state(self) -> Reply:
-        """The state reply as things are."""
+        """Return the current state reply."""
         return Reply("state", dict(self.slots), clock=self.clock, volts=self.volts)
 
     def _bytes_for(self, call: Call) -> bytes:
         row = BY_NAME[call.name]
-        answer = self.answers[call.name] if call.name in self.answers else self._dull(row.name, row.tcp_reply)
+        answer = self.answers[call.name] if call.name in self.answers else self._default_reply(row.name, row.tcp_reply)
         if answer is None or isinstance(answer, bytes):
             return answer or b""
         return codec.encode_tcp_reply(row, answer, self.wire_state)
 
-    def _dull(self, name: str, layout: shape.ReplyShape) -> Reply:
+    def _default_reply(self, name: str, layout: shape.ReplyShape) -> Reply:
         if name in ("connect_robot", "create_robot"):
             return simple(PORT)
         if layout is shape.STATE:
@@ -101,13 +101,13 @@ class ScriptedServer:
 
 
 def robot_on(server: ScriptedServer, timeout_s: float = 5.0) -> Robot:
-    """A robot in this process that the script answers for."""
+    """Return a robot on a scripted server in this process."""
     return Robot(NserverBackend(MemoryStream(server), model=server.wire_state.model, timeout_s=timeout_s))
 
 
 @contextlib.contextmanager
 def on_socket(talk: Callable[[socket.socket], None]) -> Iterator[int]:
-    """The port of a server that talks to one client; what goes wrong on its thread is raised at the end."""
+    """Yield the port of a server for one client; errors of its thread are raised at the end."""
 
     def serve() -> None:
         connection, _ = listener.accept()
@@ -123,11 +123,11 @@ def on_socket(talk: Callable[[socket.socket], None]) -> Iterator[int]:
 
 
 def by_script(server: ScriptedServer, calls: int) -> Callable[[socket.socket], None]:
-    """A talk that answers so many calls by the script, and then hangs up; sooner where the client has."""
+    """Return a function that answers that many calls by script, or fewer if the client disconnects."""
 
     def talk(connection: socket.socket) -> None:
-        while len(server.calls) < calls and (heard := connection.recv(65536)):
-            server.send(heard)
+        while len(server.calls) < calls and (data := connection.recv(65536)):
+            server.send(data)
             connection.sendall(server.receive())
 
     return talk

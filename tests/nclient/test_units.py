@@ -30,37 +30,37 @@ LENGTHS = st.floats(-1e5, 1e5)
         ({"x_in": 1e-9, "x_m": None}, 0),
     ],
 )
-def test_the_keyword_says_the_unit(quantity: dict[str, Any], tenths: int) -> None:
+def test_the_keyword_names_the_unit(quantity: dict[str, Any], tenths: int) -> None:
     assert tenths_of(**quantity) == tenths
 
 
 @given(LENGTHS)
-def test_metres_are_within_half_a_tenth_of_what_they_say(metres: float) -> None:
+def test_metres_are_rounded_to_half_a_tenth_inch(metres: float) -> None:
     assert abs(tenths_of(x_m=metres) / 10 * 0.0254 - metres) <= 0.05 * 0.0254 * (1 + 1e-9)
 
 
 @given(st.floats(-1e4, 1e4))
-def test_radians_are_within_half_a_tenth_of_a_degree(angle_rad: float) -> None:
+def test_radians_are_rounded_to_half_a_tenth_degree(angle_rad: float) -> None:
     assert abs(math.radians(tenths_of(a_rad=angle_rad) / 10) - angle_rad) <= math.radians(0.05) * (1 + 1e-9)
 
 
-def test_nothing_given_is_the_default() -> None:
+def test_the_default_without_value() -> None:
     assert tenths_of(x_in=None, x_m=None) == 0
     assert tenths_of(default=7, x_in=None) == 7
 
 
-def test_two_units_of_one_quantity_are_refused_by_name() -> None:
+def test_two_units_of_one_quantity_are_rejected() -> None:
     with pytest.raises(TypeError, match="one of x_in, x_m, not x_in and x_m"):
         tenths_of(x_in=1, x_m=1)
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_what_is_no_number_is_refused_by_name(value: float) -> None:
+def test_values_that_are_not_finite_are_rejected(value: float) -> None:
     with pytest.raises(ValueError, match="steering_deg is a finite number"):
         tenths_of(steering_deg=value)
 
 
-def test_points_come_in_one_unit() -> None:
+def test_points_have_one_unit() -> None:
     assert points_tenths([(1, 2), (-3, 0.5)], None) == (10, 20, -30, 5)
     assert points_tenths(None, [(0.0254, 0.254)]) == (10, 100)
     for both in ([(0, 0)], None):
@@ -68,19 +68,19 @@ def test_points_come_in_one_unit() -> None:
             points_tenths(both, both)
 
 
-def test_a_firing_order_is_filled_up_with_its_end() -> None:
+def test_a_firing_order_is_filled_up_with_255() -> None:
     assert firing_order(range(16)) == tuple(range(16))
     assert firing_order([3, 0]) == (3, 0, *[255] * 14)
     assert firing_order(()) == (255,) * 16
 
 
 @pytest.mark.parametrize("order", [[16], [-1], [255], [0] * 17])
-def test_a_firing_order_of_other_sensors_is_refused(order: list[int]) -> None:
+def test_an_invalid_firing_order_is_rejected(order: list[int]) -> None:
     with pytest.raises(ValueError, match=r"at most 16 sensors 0\.\.15"):
         firing_order(order)
 
 
-def test_an_axis_is_commanded_in_a_mode_and_a_unit() -> None:
+def test_axis_commands_have_a_mode_and_tenths() -> None:
     assert AxisCommand() == (0, 0)
     assert AxisCommand.velocity(m_s=0.254) == (AxisMode.VELOCITY, 100)
     assert AxisCommand.velocity(in_s=-3) == (1, -30)

@@ -18,7 +18,7 @@ def test_buckets_double_from_a_tenth_of_a_millisecond() -> None:
     assert sum(link.latencies) == link.answers == 5
 
 
-def test_shares() -> None:
+def test_latency_quantiles() -> None:
     link = LinkStatistics()
     assert link.latency_s(0.99) == 0
     for _ in range(98):
@@ -30,7 +30,7 @@ def test_shares() -> None:
     assert link.latency_s(1.0) == 100.0
 
 
-def test_a_summary_names_what_went_wrong_and_nothing_else() -> None:
+def test_a_summary_lists_only_faults_that_occurred() -> None:
     link = LinkStatistics()
     assert str(link) == "0 exchanges, 0 answers\nno faults seen\nno times yet"
     link.exchanges, link.checksum_errors, link.timeouts, link.retries = 3, 1, 2, 2

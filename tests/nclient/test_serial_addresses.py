@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,8 +14,8 @@ from nclient.protocol.client_state import Handshake, build_handshake
 from nclient.protocol.commands import Call
 from nclient.protocol.types import EVERYTHING, N150, N200, SCOUT
 from nclient.transports.memory import MemoryStream
-from tests.nclient.answering import ScriptedServer
-from tests.nclient.robot_line import ScriptedLine, spoiled
+from tests.nclient.scripted_line import ScriptedLine, spoiled
+from tests.nclient.scripted_server import ScriptedServer
 
 
 class Bench:
@@ -61,7 +60,7 @@ def test_a_serial_port(bench: Bench) -> None:
     assert bench.robots[1].model is SCOUT
 
 
-def test_a_robot_on_its_own_line_over_tcp(bench: Bench) -> None:
+def test_the_serial_protocol_over_tcp(bench: Bench) -> None:
     bench.connect("robotd://lab?model=n150")
     bench.robot = ScriptedLine(model=N200)
     bench.robot.wire_state.set_mask(EVERYTHING.with_position(2))
@@ -72,7 +71,7 @@ def test_a_robot_on_its_own_line_over_tcp(bench: Bench) -> None:
     assert "sonar_0" in robot.refresh().stamps
 
 
-def test_a_script_is_the_same_on_a_line(bench: Bench) -> None:
+def test_a_program_runs_unchanged_on_a_line(bench: Bench) -> None:
     with connect("serial:///dev/ttyUSB0?model=n150") as robot:
         robot.configure_sonars()
         robot.drive(translation_in_s=5)
@@ -88,18 +87,15 @@ def test_a_script_is_the_same_on_a_line(bench: Bench) -> None:
     assert bench.robot.closed == 1
 
 
-def test_with_asyncio(bench: Bench) -> None:
-    async def drive() -> None:
-        async with connect_async("serial:///dev/ttyUSB0") as robot:
-            await robot.drive(translation_in_s=5)
-            assert robot.link is not None
-            assert robot.link.answers == 2
-
-    asyncio.run(drive())
+async def test_an_async_robot_on_a_line(bench: Bench) -> None:
+    async with connect_async("serial:///dev/ttyUSB0") as robot:
+        await robot.drive(translation_in_s=5)
+        assert robot.link is not None
+        assert robot.link.answers == 2
     assert bench.robot.names() == ["conf_tm", "vm", "st"]
 
 
-def test_two_retries_unless_told_otherwise(bench: Bench) -> None:
+def test_two_retries_by_default(bench: Bench) -> None:
     for options, tries in (("", 3), ("&retries=0", 1), ("&retries=4", 5)):
         robot = bench.connect(f"serial:///dev/ttyUSB0?tm_s=0{options}")
         bad = spoiled(bench.robot.frame("get_rc"))
@@ -110,7 +106,7 @@ def test_two_retries_unless_told_otherwise(bench: Bench) -> None:
         assert bench.robot.names().count("get_rc") == tries
 
 
-def test_a_lost_line_comes_back_unless_told_otherwise(bench: Bench) -> None:
+def test_a_lost_line_is_reopened_by_default(bench: Bench) -> None:
     robot = bench.connect("serial:///dev/ttyUSB0?reconnect=0.01")
     bench.streams[0].close()
     with pytest.raises(ConnectionLost):
@@ -128,7 +124,7 @@ def test_a_lost_line_comes_back_unless_told_otherwise(bench: Bench) -> None:
     assert robot.closed
 
 
-def test_time_outs_of_answers(bench: Bench) -> None:
+def test_reply_timeouts(bench: Bench) -> None:
     bench.robot.answers["gs"] = None
     for address, given, wait_s in (
         ("serial:///dev/ttyUSB0?tm_s=0&retries=0", None, 1), ("serial:///dev/ttyUSB0?tm_s=0&retries=0", 3, 3),
@@ -138,7 +134,7 @@ def test_time_outs_of_answers(bench: Bench) -> None:
             bench.connect(address, timeout_s=given).refresh()
 
 
-def test_what_cannot_be_true_unless_told_otherwise(bench: Bench) -> None:
+def test_replies_are_validated_by_default(bench: Bench) -> None:
     bench.robot.slots[43] = 4000
     with pytest.raises(ReplyTimeout, match="compass reads 4000"):
         bench.connect("serial:///dev/ttyUSB0?tm_s=0&retries=0").refresh()
@@ -164,7 +160,7 @@ def test_a_bumper_hit_stops(bench: Bench) -> None:
     assert bench.robot.names() == ["conf_tm", "vm", "st", "st"]
 
 
-def test_a_hit_that_the_stop_at_the_end_meets_does_not_hide_what_went_wrong_before(bench: Bench) -> None:
+def test_a_hit_at_the_final_stop_hides_no_earlier_error(bench: Bench) -> None:
     def run(*, goes_wrong: bool) -> None:
         bench.robot.slots[33] = N150.bumper_rest
         with connect("serial:///dev/ttyUSB0?bumper_stop=1&feed=0") as robot:
@@ -181,28 +177,28 @@ def test_a_hit_that_the_stop_at_the_end_meets_does_not_hide_what_went_wrong_befo
         run(goes_wrong=False)
 
 
-def test_one_that_does_not_answer_the_first_word_is_let_go(bench: Bench) -> None:
+def test_an_unanswered_first_command_closes_the_line(bench: Bench) -> None:
     bench.robot.answers |= dict.fromkeys(("conf_tm", "get_ra", "get_rv"))
     with pytest.raises(ReplyTimeout, match="conf_tm"):
         connect("serial:///dev/ttyUSB0")
     assert bench.robot.closed == 1
 
 
-def test_who_listens(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_is_listening_opens_and_closes_the_line(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     assert is_listening("serial:///dev/ttyUSB0", 0)
     assert bench.robot.closed == 1
 
-    def nobody(*_: Any) -> MemoryStream:
-        raise ConnectionLost("nobody")
+    def refuse(*_: Any) -> MemoryStream:
+        raise ConnectionLost("refuse")
 
-    monkeypatch.setattr("nclient.transports.serial.SerialStream", nobody)
+    monkeypatch.setattr("nclient.transports.serial.SerialStream", refuse)
     assert not is_listening("serial:///dev/ttyUSB0", 0)
 
 
 # the same options elsewhere
 
 
-def test_a_simulation_is_fed_only_where_asked() -> None:
+def test_a_simulation_has_no_keep_alive_by_default() -> None:
     with connect("sim:thesis_room?max_speed_in_s=5") as robot:
         robot.drive(translation_in_s=20)
         for _ in range(80):
@@ -214,13 +210,13 @@ def test_a_simulation_is_fed_only_where_asked() -> None:
         assert robot.refresh().moving
 
 
-def test_a_long_wait_is_not_cut_off_by_the_time_out() -> None:
+def test_a_long_wait_outlasts_the_motion_timeout() -> None:
     with connect("sim:thesis_room?tm_s=2&start=-0,0,0,0&max_speed_in_s=5") as robot:
         robot.move(translation_in=40)
         assert robot.wait_until_still(20).x_in == pytest.approx(40, abs=0.2)
 
 
-def test_a_simulation_as_fast_as_it_can_is_not_fed_unless_asked(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_fast_simulation_has_no_keep_alive_by_default(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     server = ScriptedServer()
     server.slots = {0: 9999}
     monkeypatch.setattr("nclient.transports.tcp.TcpStream", lambda *_: MemoryStream(server))
@@ -230,7 +226,7 @@ def test_a_simulation_as_fast_as_it_can_is_not_fed_unless_asked(bench: Bench, mo
     assert server.calls[-1] == Call("conf_tm", (9,))
 
 
-def test_a_recording_of_a_line_plays_as_one(bench: Bench, tmp_path: Path) -> None:
+def test_a_recorded_line_is_replayed_as_a_line(bench: Bench, tmp_path: Path) -> None:
     path = tmp_path / "run.log"
     with connect(f"serial:///dev/ttyUSB0?record={path}") as robot:
         seen = robot.refresh().raw
@@ -240,7 +236,7 @@ def test_a_recording_of_a_line_plays_as_one(bench: Bench, tmp_path: Path) -> Non
         assert played.refresh().raw == seen
 
 
-def test_an_nserver_is_counted_where_it_may_be_opened_anew(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_tcp_is_counted_only_with_reconnect(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     streams: list[MemoryStream] = []
 
     def dial(*_: Any) -> MemoryStream:
@@ -258,15 +254,15 @@ def test_an_nserver_is_counted_where_it_may_be_opened_anew(bench: Bench, monkeyp
     assert (robot.link.losses, robot.link.reconnects, robot.link.answers) == (1, 1, 7)
 
 
-@pytest.mark.parametrize(("address", "told"), [
+@pytest.mark.parametrize(("address", "message"), [
     ("serial:///dev/r1#2", "three slashes and a port follow"), ("robotd://lab#2", "a host and its port follow"),
     ("replay:", "the name of a recording follows: replay:FILE"), ("replay:?order=strict", "the name of a recording"),
 ])
-def test_what_an_address_leaves_out_or_has_too_much(address: str, told: str) -> None:
-    with pytest.raises(AddressError, match=told):
+def test_incomplete_addresses_are_rejected(address: str, message: str) -> None:
+    with pytest.raises(AddressError, match=message):
         connect(address)
 
 
-def test_nobody_at_a_robots_port() -> None:
+def test_a_refused_connection_to_a_line_over_tcp() -> None:
     with pytest.raises(ConnectionLost, match="`nserver --robotd 1`"):
         connect("robotd://127.0.0.1:1?reconnect=0")

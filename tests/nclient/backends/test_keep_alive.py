@@ -1,4 +1,4 @@
-"""The time-out of motion: set, fed while the program lives, and told about when the feeder meets what breaks."""
+"""KeepAlive sets the motion timeout, sends gs in time, and passes errors of its thread to the next call."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from nclient.errors import BumperHit, ConnectionLost, ReplyTimeout
 from nclient.protocol.commands import Call
 from nclient.protocol.types import N200
 from nclient.transports.memory import MemoryStream
-from tests.nclient.answering import ScriptedServer, error
-from tests.nclient.robot_line import ScriptedLine, direct_on, spoiled
+from tests.nclient.scripted_line import ScriptedLine, direct_on, spoiled
+from tests.nclient.scripted_server import ScriptedServer, error
 
 GS, VM = Call("gs"), Call("vm", (100, 0, 0))
 
@@ -28,14 +28,14 @@ class Clock:
         return self.now_s
 
 
-def feeding_on(robot: ScriptedLine, clock: Clock, **options: Any) -> KeepAlive:
-    """Without its thread: the tests beat by hand."""
+def keep_alive_on(robot: ScriptedLine, clock: Clock, **options: Any) -> KeepAlive:
+    """Return a keep-alive without its thread: tests call `poll`."""
     return KeepAlive(direct_on(robot), feeds=False, clock=clock, **options)
 
 
-def test_the_time_out_is_set_on_connecting_and_its_answer_is_the_greeting() -> None:
+def test_the_timeout_is_set_on_connecting() -> None:
     robot = ScriptedLine()
-    backend = feeding_on(robot, Clock())
+    backend = keep_alive_on(robot, Clock())
     assert robot.calls == [Call("conf_tm", (5,))]
     assert backend.greeting is not None
     assert backend.greeting.slots[17] == 57
@@ -45,9 +45,9 @@ def test_the_time_out_is_set_on_connecting_and_its_answer_is_the_greeting() -> N
     assert robot.calls[-1] == Call("conf_tm", (9,))
 
 
-def test_it_asks_where_nothing_was_said_for_a_third_of_the_time_out() -> None:
+def test_gs_is_sent_after_a_third_of_the_timeout() -> None:
     robot, clock = ScriptedLine(), Clock()
-    backend = feeding_on(robot, clock, timeout_s=6)
+    backend = keep_alive_on(robot, clock, timeout_s=6)
     robot.calls.clear()
     clock.now_s = 1.9
     assert backend.poll() == pytest.approx(0.1)
@@ -61,16 +61,16 @@ def test_it_asks_where_nothing_was_said_for_a_third_of_the_time_out() -> None:
     assert robot.names() == ["gs", "vm"]
 
 
-def test_it_may_be_told_to_ask_more_often() -> None:
+def test_the_interval_can_be_shortened() -> None:
     robot, clock = ScriptedLine(), Clock()
-    backend = feeding_on(robot, clock, at_least_every_s=0.2)
+    backend = keep_alive_on(robot, clock, at_least_every_s=0.2)
     clock.now_s = 0.2
     assert backend.poll() == 0.2
     assert robot.names() == ["conf_tm", "gs"]
 
 
 @pytest.mark.parametrize(("speed", "interval_s"), [(10, 2.0), (5, 2.0), (100, 0.2), (9999, 0.005)])
-def test_in_a_simulation_that_runs_faster_it_asks_more_often(speed: int, interval_s: float) -> None:
+def test_a_faster_simulation_shortens_the_interval(speed: int, interval_s: float) -> None:
     server, clock = ScriptedServer(), Clock()
     server.slots = {0: speed}
     backend = KeepAlive(NserverBackend(MemoryStream(server)), 6, feeds=False, clock=clock)
@@ -79,7 +79,7 @@ def test_in_a_simulation_that_runs_faster_it_asks_more_often(speed: int, interva
     assert server.names() == ["conf_tm", "gs"]
 
 
-def test_where_time_stands_it_does_not_feed() -> None:
+def test_nothing_is_sent_while_time_stands_still() -> None:
     server, clock = ScriptedServer(), Clock()
     server.slots = {0: 0}
     backend = KeepAlive(NserverBackend(MemoryStream(server)), feeds=False, clock=clock)
@@ -93,9 +93,9 @@ def test_where_time_stands_it_does_not_feed() -> None:
     assert server.names() == ["conf_tm", "gs", "gs"]
 
 
-def test_a_program_that_sends_conf_tm_itself_takes_it_over() -> None:
+def test_a_program_that_sends_conf_tm_takes_over() -> None:
     robot, clock = ScriptedLine(), Clock()
-    backend = feeding_on(robot, clock)
+    backend = keep_alive_on(robot, clock)
     backend.execute(Call("conf_tm", (1,)))
     clock.now_s = 100.0
     backend.poll()
@@ -104,23 +104,23 @@ def test_a_program_that_sends_conf_tm_itself_takes_it_over() -> None:
     assert robot.calls[-1].args == (1, 1, 1, 20)
 
 
-def test_who_has_no_time_out_is_not_fed() -> None:
+def test_no_thread_without_motion_timeout() -> None:
     server, clock = ScriptedServer({"conf_tm": error(1)}), Clock()
     backend = KeepAlive(NserverBackend(MemoryStream(server)), clock=clock)
     assert not backend._thread.is_alive()
     assert backend.execute(GS).kind == "state"
 
 
-def test_while_somebody_talks_there_is_nothing_to_do() -> None:
+def test_nothing_is_sent_during_a_call() -> None:
     robot, clock = ScriptedLine(), Clock()
-    backend = feeding_on(robot, clock)
+    backend = keep_alive_on(robot, clock)
     clock.now_s = 100.0
     with backend._lock:
         backend.poll()
     assert robot.names() == ["conf_tm"]
 
 
-def test_a_robot_that_was_switched_off_and_on_is_given_its_time_out_again() -> None:
+def test_a_restarted_robot_gets_its_timeout_again() -> None:
     robot = ScriptedLine()
     robot.clock = 500_000
     inner = direct_on(robot)
@@ -132,8 +132,8 @@ def test_a_robot_that_was_switched_off_and_on_is_given_its_time_out_again() -> N
     backend.execute(GS)
     backend.execute(VM)
     backend.execute(GS)
-    told = [name for name in robot.names() if name not in ("get_ra", "get_rv", "get_rc")]
-    assert told == [*["gs"] * 3, *["conf_tm"] * 3, "vm", "conf_tm", "gs"]
+    names = [name for name in robot.names() if name not in ("get_ra", "get_rv", "get_rc")]
+    assert names == [*["gs"] * 3, *["conf_tm"] * 3, "vm", "conf_tm", "gs"]
     backend.execute(Call("conf_tm", (0,)))
     robot.clock = 0
     robot.calls.clear()
@@ -141,10 +141,10 @@ def test_a_robot_that_was_switched_off_and_on_is_given_its_time_out_again() -> N
     assert set(robot.names()) == {"gs"}
 
 
-# what the feeder meets
+# errors in the thread
 
 
-def test_a_loss_is_told_by_the_next_call_and_nothing_is_asked_till_then() -> None:
+def test_the_next_call_raises_a_loss() -> None:
     robot, clock = ScriptedLine(), Clock()
     stream = MemoryStream(robot)
     inner = direct_on(robot)
@@ -160,9 +160,9 @@ def test_a_loss_is_told_by_the_next_call_and_nothing_is_asked_till_then() -> Non
         backend.execute(VM)
 
 
-def test_a_silence_is_told_only_where_it_is_the_end() -> None:
+def test_a_lost_reply_is_raised_only_if_it_closes() -> None:
     robot, clock = ScriptedLine(), Clock()
-    backend = feeding_on(robot, clock)
+    backend = keep_alive_on(robot, clock)
     robot.answers["gs"] = [spoiled(robot.frame("gs"))]
     clock.now_s = 10.0
     backend.poll()
@@ -176,7 +176,7 @@ def test_a_silence_is_told_only_where_it_is_the_end() -> None:
         backend.execute(VM)
 
 
-def test_a_bumper_hit_in_a_programs_sleep_is_told_by_its_next_call() -> None:
+def test_the_next_call_raises_a_bumper_hit() -> None:
     robot, clock = ScriptedLine(), Clock()
     backend = KeepAlive(BumperStop(direct_on(robot)), feeds=False, clock=clock)
     robot.slots[41] = 1
@@ -197,9 +197,9 @@ def moving(robot: ScriptedLine, motors: int) -> Any:
     return replace(robot.state(), slots={**robot.slots, 41: motors})
 
 
-def test_ws_is_asked_in_pieces_until_the_axes_are_still() -> None:
+def test_ws_is_split_until_the_axes_are_still() -> None:
     robot = ScriptedLine()
-    backend = feeding_on(robot, Clock())
+    backend = keep_alive_on(robot, Clock())
     robot.answers["ws"] = [moving(robot, 5), moving(robot, 6), moving(robot, 2)]
     assert backend.execute(Call("ws", (1, 0, 1, 20))).slots[41] == 2
     assert [call.args for call in robot.calls[1:]] == [(1, 0, 1, 2)] * 3
@@ -207,7 +207,7 @@ def test_ws_is_asked_in_pieces_until_the_axes_are_still() -> None:
 
 def test_ws_ends_when_its_time_is_over() -> None:
     robot = ScriptedLine()
-    backend = feeding_on(robot, Clock())
+    backend = keep_alive_on(robot, Clock())
     robot.answers["ws"] = moving(robot, 7)
     for timeout_s, pieces in ((5, [2, 2, 1]), (2, [2]), (0, [0]), (-1, [0])):
         robot.calls.clear()
@@ -215,15 +215,15 @@ def test_ws_ends_when_its_time_is_over() -> None:
         assert [call.args[3] for call in robot.calls] == pieces
 
 
-def test_what_is_no_ws_is_the_backends_to_refuse() -> None:
+def test_a_malformed_ws_is_left_to_the_inner_backend() -> None:
     with pytest.raises(ValueError, match="ws takes 4 numbers"):
-        feeding_on(ScriptedLine(), Clock()).execute(Call("ws", (1,)))
+        keep_alive_on(ScriptedLine(), Clock()).execute(Call("ws", (1,)))
 
 
 # the thread
 
 
-def test_the_thread_feeds_and_ends_with_the_robot(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_thread_sends_gs_and_ends_on_close(monkeypatch: pytest.MonkeyPatch) -> None:
     fed, robot = threading.Event(), ScriptedLine()
     answer = robot.send
 

@@ -1,4 +1,4 @@
-"""A simulated robot on its own line, and the simulation beside it."""
+"""A simulated serial line and its simulation answer on one connection."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from nclient.transports import memory
 from nclient.url import parse_address
 
 
-def test_the_truth_is_the_simulations_and_all_else_the_lines() -> None:
+def test_the_simulation_answers_only_its_own_commands() -> None:
     with connect("sim:thesis_room?line=1&seed=4&noisy=1&start=10,20,0,0&step_s=0.05") as robot:
         assert robot.is_simulated()
         first = robot.refresh()
@@ -23,7 +23,7 @@ def test_the_truth_is_the_simulations_and_all_else_the_lines() -> None:
         assert robot.link.exchanges >= 2
 
 
-def test_the_same_run_as_over_a_server() -> None:
+def test_a_run_on_a_line_equals_one_over_tcp() -> None:
     def run(line: int) -> list[tuple[float, float, tuple[int, ...]]]:
         with connect(f"sim:thesis_room?line={line}&seed=4&noisy=1") as robot:
             robot.refresh()
@@ -34,12 +34,12 @@ def test_the_same_run_as_over_a_server() -> None:
     assert run(1) == run(0)
 
 
-def test_a_servers_words_are_refused() -> None:
+def test_server_commands_are_refused_on_a_line() -> None:
     with connect("sim:thesis_room?line=1") as robot, pytest.raises(RobotRefused):
         robot.add_obstacle(corners_in=[(30, 30), (40, 30), (40, 40)])
 
 
-def test_closed_both_are() -> None:
+def test_closing_closes_line_and_simulation() -> None:
     backend = Connector(parse_address("sim:thesis_room?line=1")).open()
     backend.execute(Call("sim_truth"))
     backend.close()
@@ -48,12 +48,12 @@ def test_closed_both_are() -> None:
             backend.execute(call)
 
 
-def test_a_recording_of_it_is_of_a_line() -> None:
+def test_the_wire_of_a_simulated_line_is_serial() -> None:
     assert parse_address("sim:thesis_room?line=1").wire == "serial"
     assert parse_address("sim:thesis_room?line=0").wire == "tcp"
 
 
-def test_what_has_no_line_has_nothing_beside() -> None:
+def test_a_tcp_peer_has_no_simulation_stream() -> None:
     stream = memory.open_in_process("sim", "sim:thesis_room")
     with pytest.raises(AddressError, match="leave line=1 out"):
         stream.beside()

@@ -1,10 +1,10 @@
-"""A robot on its own line that says what a test tells it to, built on the protocol room alone, in this process.
+"""A scripted robot on a serial line, in this process, built on nclient.protocol alone: no emulator, no clock.
 
-    ScriptedLine(answers)    send, receive, close: what MemoryStream wants; `calls` are the commands that came
-    RecordedRobot(session)   the same, of the recorded sessions: it insists on the C library's bytes
+    ScriptedLine(replies)    a peer for MemoryStream that replies by script; `calls` are the received commands
+    RecordedRobot(session)   a peer that replays a recorded session and requires the C library's bytes
 
-An answer is a Reply, bytes as they are, None for silence, or Late(reply): it comes only when the next command has.
-A list of answers is used up one a command; then the dull one comes. Rules: no emulator, no clock.
+A scripted reply is a Reply, bytes, None for silence, or Late(reply), which arrives after the next command. A list is
+consumed, one reply per command; after it the default reply is sent.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ SONARS = {slot: 40 + slot for slot in range(17, 33)}
 
 @dataclass(frozen=True)
 class Late:
-    """An answer that comes after the next command was heard, before that one's own."""
+    """A reply that is sent after the next command was received, before the reply to that one."""
 
     reply: Reply | None = None
-    """None: the dull one."""
+    """None: the default reply."""
 
 
 Answer = Reply | bytes | Late | None
 
 
 class ScriptedLine:
-    """Answers each command as told, else in the dullest way that fits. `slots`: what State is; the clock goes on."""
+    """Replies by script, else with the default reply. `slots` is its State; its clock advances with each command."""
 
     def __init__(self, answers: Mapping[str, Answer | list[Answer]] | None = None, model: Model = N150) -> None:
         self.answers: dict[str, Answer | list[Answer]] = dict(answers or {})
@@ -74,31 +74,31 @@ class ScriptedLine:
         self.closed += 1
 
     def names(self) -> list[str]:
-        """The C names of the commands that came, in order."""
+        """Return the C names of the received commands, in order."""
         return [call.name for call in self.calls]
 
     def state(self) -> Reply:
-        """The state packet as things are."""
+        """Return the current state packet."""
         return Reply("state", dict(self.slots), self.laser, clock=self.clock, volts=self.volts)
 
     def frame(self, name: str, reply: Reply | None = None) -> bytes:
-        """The bytes of an answer to a command, the dull one by itself."""
-        return codec.encode_serial_reply(BY_NAME[name], reply or self._dull(name), self.wire_state)
+        """Return the bytes of a reply to a command, by default of the default reply."""
+        return codec.encode_serial_reply(BY_NAME[name], reply or self._default_reply(name), self.wire_state)
 
     def _answer(self, call: Call) -> None:
-        told = self.answers.get(call.name, self._dull(call.name))
-        if isinstance(told, list):
-            told = told.pop(0) if told else self._dull(call.name)
-        if told is not None and told != NAK:
+        reply = self.answers.get(call.name, self._default_reply(call.name))
+        if isinstance(reply, list):
+            reply = reply.pop(0) if reply else self._default_reply(call.name)
+        if reply is not None and reply != NAK:
             codec.update_from_request(call, self.wire_state)
-        if isinstance(told, Late):
-            self._late += self.frame(call.name, told.reply)
-        elif isinstance(told, Reply):
-            self.out += self.frame(call.name, told)
-        elif told:
-            self.out += told
+        if isinstance(reply, Late):
+            self._late += self.frame(call.name, reply.reply)
+        elif isinstance(reply, Reply):
+            self.out += self.frame(call.name, reply)
+        elif reply:
+            self.out += reply
 
-    def _dull(self, name: str) -> Reply:
+    def _default_reply(self, name: str) -> Reply:
         layout = BY_NAME[name].line_reply
         if layout.kind == "special":
             return Reply("special", values=(12, 0, 0, 40, 1, 0, 0, 0, 2, 0, 0, 0))
@@ -110,17 +110,17 @@ class ScriptedLine:
 
 
 def direct_on(robot: ScriptedLine, *, hello: bool = False) -> DirectBackend:
-    """A direct backend whose robot the script is."""
+    """Return a direct backend on a scripted line."""
     return DirectBackend(MemoryStream(robot), robot.model, hello=hello)
 
 
 def spoiled(frame: bytes, at: int = 6) -> bytes:
-    """The frame with one byte changed."""
+    """Return the frame with one byte changed."""
     return frame[:at] + bytes((frame[at] ^ 0x10,)) + frame[at + 1 :]
 
 
 class RecordedRobot:
-    """The robot of a recorded session: its bytes for the host's, in order. Closed before the end is a failure."""
+    """Replay a recorded session in order; closing before its end is a failure."""
 
     def __init__(self, session: str) -> None:
         self.exchanges = list(exchanges(SERIAL[session], model_of(session)))

@@ -1,4 +1,4 @@
-"""Nothing goes out faster than allowed, whatever the command and the model."""
+"""Speeds are limited for every command and model."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused
 from nclient.protocol.commands import Call
 from nclient.protocol.types import N150, N200, SCOUT, SCOUT_WHEEL_IN_PER_DEG
 from nclient.transports.memory import MemoryStream
-from tests.nclient.robot_line import Answer, ScriptedLine, direct_on
+from tests.nclient.scripted_line import Answer, ScriptedLine, direct_on
 
 BOTH: dict[str, Any] = {"max_speed_in_s": 8, "max_turn_deg_s": 30}
 
@@ -29,13 +29,13 @@ BOTH: dict[str, Any] = {"max_speed_in_s": 8, "max_turn_deg_s": 30}
         ("ac", (300, 500, 500), (300, 500, 500)),
     ],
 )
-def test_speeds_are_brought_down(name: str, asked: tuple[int, ...], sent: tuple[int, ...]) -> None:
+def test_speeds_are_limited(name: str, asked: tuple[int, ...], sent: tuple[int, ...]) -> None:
     robot = ScriptedLine()
     SpeedLimiter(direct_on(robot), **BOTH).execute(Call(name, asked))
     assert robot.calls == [Call(name, sent)]
 
 
-def test_one_limit_leaves_the_other_axes() -> None:
+def test_one_limit_leaves_other_axes_alone() -> None:
     robot = ScriptedLine()
     SpeedLimiter(direct_on(robot), max_speed_in_s=8).execute(Call("vm", (200, 450, 450)))
     SpeedLimiter(direct_on(robot), max_turn_deg_s=30).execute(Call("vm", (200, 450, 450)))
@@ -43,7 +43,7 @@ def test_one_limit_leaves_the_other_axes() -> None:
 
 
 @pytest.mark.parametrize("call", [Call("pr", (100, 0, 0)), Call("mv", (0, 0, 2, 900, 0, 0)), Call("pa", (1, 2, 3))])
-def test_before_the_first_relative_motion_the_limits_are_the_speeds(call: Call) -> None:
+def test_limits_are_sent_before_the_first_relative_motion(call: Call) -> None:
     robot = ScriptedLine(model=N200)
     backend = SpeedLimiter(direct_on(robot), max_speed_in_s=8)
     robot.calls.clear()
@@ -52,7 +52,7 @@ def test_before_the_first_relative_motion_the_limits_are_the_speeds(call: Call) 
     assert robot.calls == [Call("mv", (5, 80, 0, 0, 0, 0)), call, call]
 
 
-def test_who_has_said_sp_has_said_the_speeds() -> None:
+def test_sp_sets_the_speeds_of_all_axes() -> None:
     robot = ScriptedLine()
     backend = SpeedLimiter(direct_on(robot), **BOTH)
     backend.execute(Call("sp", (50, 450, 450)))
@@ -60,7 +60,7 @@ def test_who_has_said_sp_has_said_the_speeds() -> None:
     assert robot.calls == [Call("sp", (50, 300, 300)), Call("pr", (100, 0, 0))]
 
 
-def test_a_speed_that_mv_has_set_is_the_speed() -> None:
+def test_mv_sets_the_speed_of_an_axis() -> None:
     robot = ScriptedLine()
     backend = SpeedLimiter(direct_on(robot), max_speed_in_s=8)
     asked = [Call("mv", (5, 20, 0, 0, 0, 0)), Call("pr", (100, 0, 0)), Call("mv", (5, 200, 2, 900, 0, 0))]
@@ -69,7 +69,7 @@ def test_a_speed_that_mv_has_set_is_the_speed() -> None:
     assert robot.calls == [*asked[:2], Call("mv", (5, 80, 2, 900, 0, 0))]
 
 
-def test_axes_that_mv_left_out_are_given_their_limits() -> None:
+def test_axes_that_mv_left_out_get_their_limits() -> None:
     robot = ScriptedLine()
     backend = SpeedLimiter(direct_on(robot), **BOTH)
     backend.execute(Call("mv", (0, 0, 5, 50, 0, 0)))
@@ -80,7 +80,7 @@ def test_axes_that_mv_left_out_are_given_their_limits() -> None:
     ]  # fmt: skip
 
 
-def test_a_speed_whose_setting_was_not_answered_is_told_again() -> None:
+def test_an_unanswered_speed_is_sent_again() -> None:
     silence: list[Answer] = [None]
     robot = ScriptedLine({"sp": silence})
     backend = SpeedLimiter(direct_on(robot), max_speed_in_s=8)
@@ -91,7 +91,7 @@ def test_a_speed_whose_setting_was_not_answered_is_told_again() -> None:
     assert robot.calls == [Call("mv", (5, 30, 0, 0, 0, 0)), Call("pr", (100, 0, 0))]
 
 
-def test_a_speed_that_was_refused_is_none() -> None:
+def test_a_refused_speed_does_not_count() -> None:
     refused: list[Answer] = [bytes.fromhex("01 02 00 08 0b 5c")]
     robot = ScriptedLine({"sp": refused})
     backend = SpeedLimiter(direct_on(robot), max_speed_in_s=8)
@@ -101,7 +101,7 @@ def test_a_speed_that_was_refused_is_none() -> None:
     assert robot.calls[1] == Call("mv", (5, 80, 0, 0, 0, 0))
 
 
-def test_a_robot_that_was_lost_may_have_other_speeds() -> None:
+def test_speeds_are_sent_again_after_a_link_loss() -> None:
     robot = ScriptedLine()
     stream = MemoryStream(robot)
     inner = direct_on(robot)
@@ -119,7 +119,7 @@ def test_a_robot_that_was_lost_may_have_other_speeds() -> None:
 
 
 @pytest.mark.parametrize("asked", [(400, 400), (400, -400), (390, 100), (-300, 20), (60, 60), (0, 400)])
-def test_a_scouts_wheels_are_slowed_together(asked: tuple[int, int]) -> None:
+def test_wheels_of_a_scout_are_limited_together(asked: tuple[int, int]) -> None:
     robot = ScriptedLine(model=SCOUT)
     SpeedLimiter(direct_on(robot), **BOTH).execute(Call("vm", (*asked, 0)))
     right, left, _ = robot.calls[0].args
@@ -130,7 +130,7 @@ def test_a_scouts_wheels_are_slowed_together(asked: tuple[int, int]) -> None:
     assert right == pytest.approx(asked[0] * slowest, abs=1)
 
 
-def test_a_scouts_wheels_by_mv_and_sp() -> None:
+def test_mv_and_sp_limit_the_wheels_of_a_scout() -> None:
     robot = ScriptedLine(model=SCOUT)
     wheel = int(300 * SCOUT_WHEEL_IN_PER_DEG)
     backend = SpeedLimiter(direct_on(robot), **BOTH)
@@ -142,7 +142,7 @@ def test_a_scouts_wheels_by_mv_and_sp() -> None:
     ]  # fmt: skip
 
 
-def test_what_is_no_such_call_is_the_backends_to_refuse() -> None:
+def test_malformed_calls_are_left_to_the_inner_backend() -> None:
     robot = ScriptedLine(model=N150)
     with pytest.raises(ValueError, match="vm takes 3 numbers"):
         SpeedLimiter(direct_on(robot), **BOTH).execute(Call("vm", (1,)))

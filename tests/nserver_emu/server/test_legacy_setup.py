@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nclient.errors import SetupFileError
-from nserver_emu import legacy_setup
-from nserver_emu.legacy_setup import LegacySetup, parse_setup, read_setups
+from nserver_emu.server import legacy_setup
+from nserver_emu.server.legacy_setup import LegacySetup, parse_setup, read_setups
 
 ROBOT = r"""
 ; the robot of room 12
