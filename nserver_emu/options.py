@@ -124,8 +124,8 @@ def read_options(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
     serial_lines.refuse(parser, options)
     real_options.refuse(parser, options)
     viewer_options.refuse(parser, options)
-    restore_options.refuse(parser, options, words)
-    autosave.refuse(parser, options)
+    restore_options.check_options(parser, options, words)
+    autosave.check_options(parser, options)
     options.keeps_pace = restore_options.keeps_pace(parser, words)
     return options
 
@@ -142,7 +142,7 @@ def _refuse_contradictions(parser: argparse.ArgumentParser, options: argparse.Na
     """Report options that would be ignored beside another."""
     if options.noisy and options.setup not in (None, NOISY.name):
         parser.error(f"argument --noisy: it is --setup {NOISY.name}, and --setup says {options.setup}: leave one out")
-    if options.lockstep and restore_options.said(parser, words, ["speed"]):
+    if options.lockstep and restore_options.given_options(parser, words, ["speed"]):
         parser.error("argument --speed: in lockstep time passes with each request: leave --speed or --lockstep out")
 
 
