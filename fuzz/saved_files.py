@@ -24,7 +24,7 @@ from nclient.recording.format import FORMAT, IN, OUT, VERSION, Entry, as_object,
 from nclient.recording.recorder import TCP, FrameDecoder
 from nclient.recording.replayer import LOOSE, Player, find_state_reply, load_exchanges
 from nserver_emu.persistence import snapshot
-from nserver_emu.persistence.recording import Beginning, header
+from nserver_emu.persistence.recording import RunHeader
 from nserver_emu.persistence.replay import replay
 from nserver_emu.server.config import SimulationConfig
 from nserver_emu.server.context import Allowed, SimulationClock
@@ -118,8 +118,8 @@ def _server_seeds() -> list[bytes]:
 
 
 def _server_recording(pace: SimulationClock, steps: list[list[float]]) -> bytes:
-    beginning = Beginning(SimulationConfig(noisy=True), pace, Allowed(control=True))
-    emulator = beginning.emulator()
+    run_header = RunHeader(SimulationConfig(noisy=True), pace, Allowed(control=True))
+    emulator = run_header.create_emulator()
     emulator.port = 7019
     session = Session(emulator.answer, "127.0.0.1:1")
     entries = [Entry(0.0, "open", session.name, more={"wire": TCP, "model": "n150"})]
@@ -132,7 +132,7 @@ def _server_recording(pace: SimulationClock, steps: list[list[float]]) -> bytes:
         session.receive(request)
         entries.append(Entry(float(number), IN, session.name, session.process_requests(MAX_STEPS)))
     entries.append(Entry(4.0, "close", session.name))
-    top = {"format": FORMAT, "version": VERSION} | header(beginning, "", port=7019, requests_a_turn=5, real_robots=0)
+    top = {"format": FORMAT, "version": VERSION} | run_header.to_json("", port=7019, requests_a_turn=5, real_robots=0)
     return "\n".join(json.dumps(value) for value in (top, *map(as_object, entries))).encode() + b"\n"
 
 

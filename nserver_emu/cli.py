@@ -36,8 +36,8 @@ from nserver_emu.gateway.gateway import Gateway, RealRobotProxy
 from nserver_emu.gateway.run import connected, model_of, run_gateway
 from nserver_emu.options import DEFAULT_PORT, nserver_parser, read_options
 from nserver_emu.persistence.autosave import SaveFile, autosaved
-from nserver_emu.persistence.options import settle
-from nserver_emu.persistence.recording import Beginning, header
+from nserver_emu.persistence.options import resolve_restore
+from nserver_emu.persistence.recording import RunHeader
 from nserver_emu.persistence.replay import replay
 from nserver_emu.server.admission import AdmissionControl
 from nserver_emu.server.config import MODEL_NAMES, SimulationConfig, robot_placements
@@ -89,7 +89,7 @@ def _daemon(words: list[str]) -> int:
     parser = nserver_parser()
     options = read_options(parser, words)
     logs.configure(options)
-    settle(parser, options)
+    resolve_restore(parser, options)
     try:
         if options.list_worlds:
             _list_worlds()
@@ -117,8 +117,8 @@ async def _serve_with(
     proxies: Mapping[int, RealRobotProxy], setups: LegacySetup, options: argparse.Namespace, faults: FaultController
 ) -> int:
     port = next((port for port in (options.port, setups.port) if port is not None), DEFAULT_PORT)
-    beginning = _beginning(options, setups.robot or model_of(proxies) or MODEL_NAMES[0])
-    emulator = beginning.emulator()
+    run_header = _run_header(options, setups.robot or model_of(proxies) or MODEL_NAMES[0])
+    emulator = run_header.create_emulator()
     load_compiled(len(emulator.simulation.robots))
     if emulator.clock.paused and not options.allow_control:
         log.warning("paused, and no client can resume: --allow-control lets them")
@@ -136,7 +136,7 @@ async def _serve_with(
             log.warning("--bind: %s", open_to)
         if options.record:
             numbers = {"port": port, "requests_a_turn": MAX_REQUESTS_PER_TURN, "real_robots": len(proxies)}
-            daemon.record(options.record, header(beginning, _now(), **numbers))
+            daemon.record(options.record, run_header.to_json(_now(), **numbers))
         await _run(daemon, gateway, options, stop, file)
     finally:
         await daemon.close()
@@ -169,7 +169,7 @@ def _end(manager: ServiceManager, file: SaveFile | None) -> None:
         file.save()
 
 
-def _beginning(options: argparse.Namespace, robot: str) -> Beginning:
+def _run_header(options: argparse.Namespace, robot: str) -> RunHeader:
     """Return the configuration of the simulation: from the options, or from a snapshot."""
     (model, start), *others = robot_placements(options.robot or [robot], options.start or (), options.robots)
     setting = SimulationConfig(
@@ -178,7 +178,7 @@ def _beginning(options: argparse.Namespace, robot: str) -> Beginning:
     pace = SimulationClock(options.speed, options.paused, options.lockstep)
     limits = limits_of(options)
     allowed = Allowed(options.allow_quit, options.allow_control, limits.obstacles, limits.graphics, limits.frame)
-    return Beginning(setting, pace, allowed, options.restore, options.keeps_pace)
+    return RunHeader(setting, pace, allowed, options.restore, options.keeps_pace)
 
 
 def _replay(path: Path) -> int:

@@ -1,15 +1,13 @@
-"""A terminal to a robot: commands by their C names, with help, completion and the state at a glance.
+"""Control a robot interactively with the C library's command names.
 
-    nomad shell nserver://localhost:7019/1          type help; Tab completes; Ctrl-C stops the robot; Ctrl-D leaves
+    nomad shell nserver://localhost:7019/1          type help; Tab completes; Ctrl-C stops the robot; Ctrl-D exits
     nomad shell "sim:thesis_room?seed=1" --script square.nomad
     nomad shell serial:///dev/ttyUSB0 --command "pr 240 0 0; wait; state pose"
     echo "get_sn" | nomad shell
 
-A script holds what one would type, and comments after #. A script in a file is looked through before it moves anything;
-it ends at the first line that fails, which is told as file:line. Leaving stops the robot, however one leaves.
-Exit code 0: all was done; 1: a line failed, or the robot was lost; 2: wrong usage; 130: Ctrl-C ended a script.
-
-Rules: files, keys and printing only; what a line means is nclient.shell's.
+A script has the same lines as typed, with comments after #. A script in a file is checked before anything moves; it
+ends at the first line that fails, which is reported as file:line. The robot is stopped at the end in any case.
+Exit code 0: done; 1: a line failed, or the robot was lost; 2: wrong usage; 130: Ctrl-C ended a script.
 """
 
 from __future__ import annotations
@@ -186,7 +184,7 @@ class StatusPoller:
 
     def line(self) -> str:
         """The state in one line, and what went wrong while looking."""
-        state = state_text.line(self._session.robot.state)
+        state = state_text.format_state(self._session.robot.state)
         return f"{self._trouble} | last seen: {state}" if self._trouble else state
 
     def begin(self) -> None:
@@ -207,7 +205,7 @@ class StatusPoller:
     def _watch(self) -> None:
         while not self._over.wait(self._every_s):
             self._let.wait()
-            if self._over.is_set() or self._session.keeps_time_out:
+            if self._over.is_set() or self._session.user_set_timeout:
                 continue
             try:
                 self._session.robot.refresh()

@@ -1,9 +1,9 @@
-"""The file of --save: written at the end, at SIGUSR1, and every so many seconds of real time (--autosave).
+"""The file of --save: written at the end, at SIGUSR1, and at intervals of real time (--autosave).
 
-    loop: the simulation as text ──> thread: file, disk, name          the loop does not wait for a disk
+    event loop: simulation to text --> thread: write, flush, rename          the loop does not wait for the disk
 
-Rules: an older state never takes the place of a newer one. A disk that refuses costs nobody his robot: it is said once,
-with the remedy, tried again each time, and said when it works again.
+An older state never replaces a newer one. A failing disk does not stop the run: the first failure is logged, every
+later save is attempted, and the first success is logged again.
 """
 
 from __future__ import annotations
@@ -24,25 +24,27 @@ from nserver_emu.server.handlers.table import Emulator
 
 log = logging.getLogger(__name__)
 
-LEAST_S, MOST_S = 1.0, 86_400.0
+MIN_INTERVAL_S, MAX_INTERVAL_S = 1.0, 86_400.0
 _ENDING: Final = "saving"
+"""Ending of the temporary file."""
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """--save, --autosave."""
-    parser.add_argument("--save", type=Path, metavar="FILE", help="save the simulation at the end and at SIGUSR1")
+    """Add --save and --autosave."""
+    parser.add_argument("--save", type=Path, metavar="FILE",
+                        help="save the simulation to FILE at the end and at SIGUSR1")
     parser.add_argument("--autosave", type=_seconds, metavar="SECONDS",
-                        help="and every so many seconds of real time: what was killed goes on from there by --restore")
+                        help="also save at this interval of real time, so that --restore can continue a killed run")
 
 
-def refuse(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
-    """Wrong usage that only both together show."""
+def check_options(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
+    """Exit with a usage error for --autosave without --save."""
     if options.autosave is not None and options.save is None:
         parser.error("--autosave needs a file: add --save FILE")
 
 
 class SaveFile:
-    """See the head of this file."""
+    """A file to which the state of an emulator is saved repeatedly."""
 
     def __init__(self, emulator: Emulator, path: Path) -> None:
         self._emulator, self._path = emulator, path
@@ -52,11 +54,11 @@ class SaveFile:
         self._failing = False
 
     def save(self) -> None:
-        """Now. Raises SnapshotError where it cannot be written."""
+        """Save the current state. Raises SnapshotError if the file cannot be written."""
         self._write(next(self._numbers), snapshot.dumps(self._emulator))
 
-    async def save_aside(self) -> None:
-        """The state of now, while the loop goes on; what goes wrong is logged."""
+    async def save_in_thread(self) -> None:
+        """Save the current state without blocking the event loop; log failures."""
         number, text = next(self._numbers), snapshot.dumps(self._emulator)
         try:
             await asyncio.to_thread(self._write, number, text)
@@ -70,6 +72,7 @@ class SaveFile:
             self._failing = False
 
     def _write(self, number: int, text: str) -> None:
+        # Threads may finish in another order than they were started.
         with self._lock:
             if number > self._written:
                 snapshot.write(text, self._path, _ENDING)
@@ -77,9 +80,9 @@ class SaveFile:
 
 
 @contextlib.asynccontextmanager
-async def autosaved(file: SaveFile | None, every_s: float | None) -> AsyncIterator[None]:
-    """Save every so many seconds while it lasts; None: not."""
-    saving = asyncio.create_task(_save_again_and_again(file, every_s)) if file and every_s else None
+async def autosaved(file: SaveFile | None, interval_s: float | None) -> AsyncIterator[None]:
+    """Save at an interval while the context is open; without a file or an interval, do nothing."""
+    saving = asyncio.create_task(_save_repeatedly(file, interval_s)) if file and interval_s else None
     try:
         yield
     finally:
@@ -89,10 +92,10 @@ async def autosaved(file: SaveFile | None, every_s: float | None) -> AsyncIterat
                 await saving
 
 
-async def _save_again_and_again(file: SaveFile, every_s: float) -> None:
+async def _save_repeatedly(file: SaveFile, interval_s: float) -> None:
     while True:
-        await asyncio.sleep(every_s)
-        await file.save_aside()
+        await asyncio.sleep(interval_s)
+        await file.save_in_thread()
 
 
 def _seconds(text: str) -> float:
@@ -100,6 +103,6 @@ def _seconds(text: str) -> float:
         seconds = float(text)
     except ValueError:
         seconds = 0.0
-    if not LEAST_S <= seconds <= MOST_S:
-        raise argparse.ArgumentTypeError(f"seconds from {LEAST_S:g} to {MOST_S:g}, not {text!r}")
+    if not MIN_INTERVAL_S <= seconds <= MAX_INTERVAL_S:
+        raise argparse.ArgumentTypeError(f"seconds from {MIN_INTERVAL_S:g} to {MAX_INTERVAL_S:g}, not {text!r}")
     return seconds

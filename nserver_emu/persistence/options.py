@@ -1,12 +1,12 @@
-"""Options beside --restore and --replay: what a file decides cannot be said again; beside a snapshot the pace can.
+"""Rules for options beside --restore and --replay, whose files decide world, robots, seed and setup.
 
-    --restore FILE                  FILE is there, or it is an error; it decides world, robots, seed and setup
-    --replay FILE                   the same; it decides what snapshot it began with, too, and leaves no file behind
-    --save FILE --restore FILE      a run that is kept: the first time there is no FILE, and it begins as the options
-                                    say; from then on FILE decides, and they are passed over
+    --restore FILE                  FILE must exist; options that it decides are refused
+    --replay FILE                   the same; it decides the snapshot as well, and no file is written
+    --save FILE --restore FILE      a persistent run: without FILE it starts as the options say, later FILE decides and
+                                    they are ignored
 
-Rules: wrong usage names the options and ends with 2, before anything starts. Said at all, an option of the pace has
-the whole pace begin as the options say; else it goes on as the snapshot has it.
+Wrong usage names the options and exits with 2 before anything starts. If any option of the simulation's clock is given,
+all of the clock is as the options say; otherwise it is as in the snapshot.
 """
 
 from __future__ import annotations
@@ -25,48 +25,50 @@ from worlds.io import DEFAULT_WORLD
 log = logging.getLogger(__name__)
 
 DECIDED: Final = ("robot", "robots", "model_file", "start", "seed", "setup", "noisy")
-"""Options, by their names in the namespace, that a snapshot or a recording has decided."""
+"""Options, by their names in the namespace, that a snapshot or a recording decides."""
+
 _WRITES: Final = ("save", "autosave", "record")
 
-PACE: Final = ("speed", "paused", "lockstep")
+CLOCK: Final = ("speed", "paused", "lockstep")
+"""Options of the simulation's clock."""
 
-_NOT_SAID: Final = "\0not said"
+_NOT_GIVEN: Final = "\0not given"
 
 
-def refuse(parser: argparse.ArgumentParser, options: argparse.Namespace, words: Sequence[str]) -> None:
-    """Wrong usage where something is said that a snapshot or a recording decides. Does not come back then."""
+def check_options(parser: argparse.ArgumentParser, options: argparse.Namespace, words: Sequence[str]) -> None:
+    """Exit with a usage error if an option is given that a snapshot or a recording decides."""
     if options.replay is not None:
-        _refuse_beside(parser, options, words, "replay", "recording", (*DECIDED, "restore"))
-        if written := _long(said(parser, words, _WRITES)):
+        _check_beside(parser, options, words, "replay", "recording", (*DECIDED, "restore"))
+        if written := _as_written(given_options(parser, words, _WRITES)):
             parser.error(f"argument --replay: it compares and stops, and writes no file: leave out "
                          f"{', '.join(written)}")
-    elif options.restore is not None and not _is_kept(options):
-        _refuse_beside(parser, options, words, "restore", "snapshot", DECIDED)
+    elif options.restore is not None and not _is_persistent(options):
+        _check_beside(parser, options, words, "restore", "snapshot", DECIDED)
 
 
-def _refuse_beside(
+def _check_beside(
     parser: argparse.ArgumentParser, options: argparse.Namespace, words: Sequence[str], option: str, file: str,
     decided: Iterable[str],
-) -> None:
-    against = _long(said(parser, words, decided))
+) -> None:  # fmt: skip
+    conflicts = _as_written(given_options(parser, words, decided))
     if len(options.files) > len(options.setups):
-        against.append(f"the world {options.world}")
-    with contextlib.suppress(NomadError):  # whoever reads them for good says what is wrong with them
+        conflicts.append(f"the world {options.world}")
+    with contextlib.suppress(NomadError):  # reported when the files are read for the simulation
         if read_setups(options.setups).robot:
-            against.append("the robot of a setup file")
-    if against:
+            conflicts.append("the robot of a setup file")
+    if conflicts:
         parser.error(f"argument --{option}: the {file} has a world, robots, a seed and a setup of its own: leave out "
-                     f"{', '.join(against)}")
+                     f"{', '.join(conflicts)}")
 
 
-def _long(names: Iterable[str]) -> list[str]:
-    """Options as they are written, by their names in the namespace."""
+def _as_written(names: Iterable[str]) -> list[str]:
+    """Return options as users write them, by their names in the namespace."""
     return [f"--{name.replace('_', '-')}" for name in names]
 
 
-def settle(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
-    """Of a run that is kept: whether it begins, or goes on and what says how to begin counts no more."""
-    if options.restore is None or not _is_kept(options):
+def resolve_restore(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
+    """Decide whether a persistent run starts or continues; if it continues, reset the options that its file decides."""
+    if options.restore is None or not _is_persistent(options):
         return
     if not os.path.lexists(options.restore):
         log.warning("%s: not there yet: the simulation begins, and is saved there", options.restore)
@@ -78,18 +80,19 @@ def settle(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None
     log.info("goes on from %s, with the world, the robots, the seed and the setup that are in it", options.restore)
 
 
-def _is_kept(options: argparse.Namespace) -> bool:
-    """Whether what is restored is also where it is saved."""
+def _is_persistent(options: argparse.Namespace) -> bool:
+    """Return True if the file to restore from is also the file to save to."""
     return options.save is not None and options.save.absolute() == options.restore.absolute()
 
 
 def keeps_pace(parser: argparse.ArgumentParser, words: Sequence[str]) -> bool:
-    """Whether a restored simulation goes on at the pace that it had."""
-    return not said(parser, words, PACE)
+    """Return True if a restored simulation continues with the clock of its snapshot."""
+    return not given_options(parser, words, CLOCK)
 
 
-def said(parser: argparse.ArgumentParser, words: Sequence[str], names: Iterable[str]) -> list[str]:
-    """Those of these options that stand in a command line which the parser takes."""
-    unsaid = {name: None if parser.get_default(name) is None else _NOT_SAID for name in names}
-    read = vars(parser.parse_args(list(words), argparse.Namespace(**unsaid)))
-    return [name for name in unsaid if read[name] != unsaid[name]]
+def given_options(parser: argparse.ArgumentParser, words: Sequence[str], names: Iterable[str]) -> list[str]:
+    """Return the options among `names` that a valid command line contains."""
+    # Parse again with a sentinel in place of each default: options that keep it were not given.
+    defaults = {name: None if parser.get_default(name) is None else _NOT_GIVEN for name in names}
+    parsed = vars(parser.parse_args(list(words), argparse.Namespace(**defaults)))
+    return [name for name in defaults if parsed[name] != defaults[name]]

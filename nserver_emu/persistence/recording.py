@@ -1,10 +1,10 @@
-"""What a recording of a daemon says of the simulation behind it, and the same simulation again from that.
+"""The header of a server's recording: everything that is needed to start the same simulation again.
 
     header   world, robot, start, others, noise, setup, seed | pace | permissions | snapshot | port
 
-Rules: the header alone makes an emulator that goes the recorded way: whatever changes an answer must stand there or in
-an entry. Files of world, models and setup are named, not copied, with a digest that tells when they have changed since;
-a snapshot stands there whole, for the daemon that was restored from it may save over it. No clock, no socket.
+Whatever changes a reply must be in the header or in an entry. Files of world, models and setup are stored by name, with
+a digest that shows whether they have changed since; a snapshot is stored as a whole, because a server that was restored
+from it may overwrite it. No clock, no socket.
 """
 
 from __future__ import annotations
@@ -25,86 +25,112 @@ from nserver_emu.simulation.noise import SUFFIX
 from worlds.io import world_names
 from worlds.world import StartPose
 
-DAEMON: Final = "nserver"
+SERVER: Final = "nserver"
+"""Value of "by" in the header of a server's recording."""
 
 
 @dataclass(frozen=True, slots=True)
-class Beginning:
-    """How a daemon's simulation begins. `restored`: the file of the snapshot that it goes on from, at its pace or at
-    this one; `snapshot_text`: what stood in it, where that is known."""
+class RunHeader:
+    """The initial conditions of a server's simulation.
 
-    setting: SimulationConfig
-    pace: SimulationClock
+    Attributes
+    ----------
+    config
+        World, robots, seed and setup.
+    clock
+        Relation of simulated to real time.
+    allowed
+        Permissions and limits of clients.
+    restored
+        File of the snapshot that the run continues; None: none.
+    keeps_pace
+        True: with the clock of the snapshot, not with `clock`.
+    snapshot_text
+        Contents of that file at the time, if known.
+    """
+
+    config: SimulationConfig
+    clock: SimulationClock
     allowed: Allowed
     restored: Path | None = None
     keeps_pace: bool = False
     snapshot_text: str | None = None
 
-    def emulator(self) -> Emulator:
-        """That simulation, at its beginning. Raises what a daemon's start may raise."""
-        emulator = Emulator(self.setting.simulation(), clock=replace(self.pace), allowed=self.allowed)
+    def create_emulator(self) -> Emulator:
+        """Return the simulation in its initial state. Raises the errors of a server's start."""
+        emulator = Emulator(self.config.simulation(), clock=replace(self.clock), allowed=self.allowed)
         if self.restored:
             if self.snapshot_text:
                 snapshot.loads(emulator, self.snapshot_text, str(self.restored))
             else:
                 snapshot.restore(emulator, self.restored)
-            emulator.clock = emulator.clock if self.keeps_pace else replace(self.pace)
+            emulator.clock = emulator.clock if self.keeps_pace else replace(self.clock)
         return emulator
 
+    def to_json(self, started: str, **server: int) -> dict[str, Any]:
+        """Return the header of a recording. Raises SnapshotError if the snapshot can no longer be read.
 
-def header(beginning: Beginning, started: str, **of_daemon: int) -> dict[str, Any]:
-    """What the recording of a daemon begins with. Raises SnapshotError where its snapshot cannot be read any more.
+        Parameters
+        ----------
+        started
+            Start of the run, ISO 8601.
+        server
+            `port`, the reply to a connection; `requests_a_turn`, processed before it is another client's turn;
+            `real_robots`, the number of robots that reply in place of the simulation.
+        """
+        files = {name: str(path.absolute()) for name, path in _files(self.config).items()}
+        restored = self.restored
+        return {
+            "package": version(), "started": started, "by": SERVER, "time": "simulated",
+            "setting": asdict(self.config) | {"model_file": None} | files,
+            "digests": {path: _digest(Path(path)) for path in files.values()},
+            "pace": asdict(self.clock), "allowed": asdict(self.allowed), "keeps_pace": self.keeps_pace,
+            "restored": restored and str(restored.absolute()), "snapshot": restored and snapshot.text_of(restored),
+        } | server  # fmt: skip
 
-    started      when, as ISO 8601
-    of_daemon    `port`, which connecting is answered; `requests_a_turn`, answered before it is another client's turn;
-                 `real_robots`, how many answer in place of the simulation
-    """
-    setting = beginning.setting
-    files = {name: str(path.absolute()) for name, path in _files(setting).items()}
-    restored = beginning.restored
-    return {
-        "package": version(), "started": started, "by": DAEMON, "time": "simulated",
-        "setting": asdict(setting) | {"model_file": None} | files,
-        "digests": {path: _digest(Path(path)) for path in files.values()},
-        "pace": asdict(beginning.pace), "allowed": asdict(beginning.allowed), "keeps_pace": beginning.keeps_pace,
-        "restored": restored and str(restored.absolute()), "snapshot": restored and snapshot.text_of(restored),
-    } | of_daemon  # fmt: skip
+    @classmethod
+    def from_json(cls, header: Mapping[str, Any], name: str) -> RunHeader:
+        """Return the initial conditions of a recording; `name` is its file in errors.
+
+        Raises
+        ------
+        RecordingError
+            If the header lacks something, or if a file that it names has changed.
+        """
+        # 1. Values.
+        try:
+            values = dict(header["setting"])
+            others = tuple((model, _start(start)) for model, start in values["others"])
+            changes = {"start": _start(values["start"]), "others": others, "model_file": _path(values["model_file"])}
+            config = SimulationConfig(**values | changes)
+            clock, allowed = SimulationClock(**header["pace"]), Allowed(**header["allowed"])
+            clock.check()
+            _ = header["port"], header["requests_a_turn"]
+            digests = dict(header.get("digests", {}))
+        except (KeyError, TypeError, ValueError) as error:
+            raise RecordingError(f"{name}, line 1: no valid description of the simulation ({error!r})") from None
+        # 2. Files that are stored by name.
+        for path in map(str, _files(config).values()):
+            if path in digests and _digest(Path(path)) not in ("", digests[path]):
+                raise RecordingError(f"{name}: {path} has changed since the recording; restore its previous contents")
+        restored, text = _path(header.get("restored")), header.get("snapshot")
+        return cls(config, clock, allowed, restored, bool(header.get("keeps_pace")), text and str(text))
 
 
-def beginning_of(found: Mapping[str, Any], name: str) -> Beginning:
-    """How the daemon of a recording began. Raises RecordingError where the header does not tell; `name`: the file."""
-    try:
-        told = dict(found["setting"])
-        others = tuple((model, _start(start)) for model, start in told["others"])
-        changes = {"start": _start(told["start"]), "others": others, "model_file": _path(told["model_file"])}
-        setting = SimulationConfig(**told | changes)
-        pace, allowed = SimulationClock(**found["pace"]), Allowed(**found["allowed"])
-        pace.check()
-        _ = found["port"], found["requests_a_turn"]
-        digests = dict(found.get("digests", {}))
-    except (KeyError, TypeError, ValueError) as error:
-        raise RecordingError(f"{name}, line 1: does not tell how the simulation began ({error!r})") from None
-    for path in map(str, _files(setting).values()):
-        if path in digests and _digest(Path(path)) not in ("", digests[path]):
-            raise RecordingError(f"{name}: began with {path}, which has changed since; bring it back as it was")
-    restored, text = _path(found.get("restored")), found.get("snapshot")
-    return Beginning(setting, pace, allowed, restored, bool(found.get("keeps_pace")), text and str(text))
-
-
-def _files(setting: SimulationConfig) -> dict[str, Path]:
-    """The files that a setting names, by its fields."""
+def _files(config: SimulationConfig) -> dict[str, Path]:
+    """Return the files that a configuration names, by its fields."""
     named: dict[str, Path] = {}
-    if setting.world not in world_names():
-        named["world"] = Path(setting.world)
-    if setting.setup.endswith(SUFFIX):
-        named["setup"] = Path(setting.setup)
-    if setting.model_file is not None:
-        named["model_file"] = setting.model_file
+    if config.world not in world_names():
+        named["world"] = Path(config.world)
+    if config.setup.endswith(SUFFIX):
+        named["setup"] = Path(config.setup)
+    if config.model_file is not None:
+        named["model_file"] = config.model_file
     return named
 
 
 def _digest(path: Path) -> str:
-    """Of what stands in a file; "" where it is none or cannot be read, which whoever reads it for good says."""
+    """Return the digest of a file; "" if it cannot be read, which its reader reports."""
     try:
         if not path.is_file():
             return ""
@@ -114,9 +140,9 @@ def _digest(path: Path) -> str:
         return ""
 
 
-def _start(told: Mapping[str, float] | None) -> StartPose | None:
-    return None if told is None else StartPose(**told)
+def _start(values: Mapping[str, float] | None) -> StartPose | None:
+    return None if values is None else StartPose(**values)
 
 
-def _path(told: str | None) -> Path | None:
-    return Path(told) if told else None
+def _path(text: str | None) -> Path | None:
+    return Path(text) if text else None

@@ -1,14 +1,13 @@
-"""A recording once more: a fresh emulator gets the recorded requests, and must say the recorded bytes.
+"""Replay of a recording: a new emulator gets the recorded requests, and its replies are compared byte by byte.
 
-    steps ──> simulation     out ──> session.receive     in ──> session's answers, compared     close ──> leave
+    steps --> simulation     out --> session.receive     in --> replies, compared     close --> disconnect
 
-Rules: entries in their order, since the daemon wrote them as it worked. A client's recording of `sim:` is followed as
-well. Nothing here knows a clock or a socket; the first difference ends it.
+Entries are followed in their order, the order in which the server processed them. A client's recording of `sim:` can be
+replayed as well. No clock, no socket; the first difference ends the replay.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final, Protocol
 
@@ -16,7 +15,7 @@ from nclient.errors import NomadError, RecordingError
 from nclient.protocol.types import get_model
 from nclient.recording.format import IN, OUT, Entry, Recording
 from nclient.recording.recorder import HANDSHAKE_FIRST, TCP
-from nserver_emu.persistence.recording import DAEMON, beginning_of
+from nserver_emu.persistence.recording import SERVER, RunHeader
 from nserver_emu.server.client_registry import CLOSED_RETENTION_S, ClientRegistry
 from nserver_emu.server.handlers.runtime_settings import change_obstacle, put_world, show_world, switch_noise
 from nserver_emu.server.handlers.table import Emulator
@@ -24,16 +23,20 @@ from nserver_emu.server.inprocess import SCHEME, InProcess, open_address
 from nserver_emu.server.serial_session import SerialSession
 from nserver_emu.server.session import BaseSession, Session
 
-LONGEST_STEP_S: Final = 250.0
-"""What a daemon makes up for at once, a quarter of a second, at its fastest; what a client may step is less."""
-_SHOWN = 12
-_NONSENSE: Final = (TypeError, ValueError, LookupError, AttributeError, ArithmeticError, RecursionError)
-"""What values lead to that no daemon wrote."""
+MAX_STEP_S: Final = 250.0
+"""The longest step that a server writes: a quarter of a second of real time at its top speed. Clients' steps are
+shorter."""
+
+_SHOWN_BYTES: Final = 12
+"""Bytes shown of each side of a difference."""
+
+_INVALID: Final = (TypeError, ValueError, LookupError, AttributeError, ArithmeticError, RecursionError)
+"""Errors caused by values that no server writes."""
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
-    """How far the emulator said the same: answers and their bytes, and the first difference, empty for none."""
+class ReplayResult:
+    """The number of equal replies and of their bytes, and the first difference, "" for none."""
 
     answers: int
     size: int
@@ -41,100 +44,104 @@ class Outcome:
 
 
 class _NeverOpened(Exception):
-    """An entry is of a connection that did not come, or has gone."""
+    """An entry belongs to a connection that is not open."""
 
 
-class Again(Protocol):
-    """What is asked once more: gives an answer at each entry that is one."""
+class Replayer(Protocol):
+    """Follows the entries of a recording, and returns the reply for each recorded one."""
 
     def follow(self, entry: Entry) -> bytes: ...
 
 
-def replay(recording: Recording) -> Outcome:
-    """Ask an emulator as the recording's header describes it once more.
+def replay(recording: Recording) -> ReplayResult:
+    """Send the requests of a recording to an emulator that starts as its header describes, and compare the replies.
 
-    Raises RecordingError where that cannot be, or what a daemon's start and its owner's commands may raise.
+    Raises
+    ------
+    RecordingError
+        If the recording cannot be replayed; other NomadErrors of a server's start and of control commands.
     """
+    # 1. The emulator.
     try:
-        again = _emulator(recording)
+        replayer = _create_replayer(recording)
     except NomadError:
         raise
-    except _NONSENSE as error:
+    except _INVALID as error:
         raise RecordingError(
-            f"{recording.name}, line 1: does not tell how the simulation began ({error!r:.80})"
+            f"{recording.name}, line 1: no valid description of the simulation ({error!r:.80})"
         ) from None
+    # 2. Each entry, up to the first difference.
     answers = size = 0
     for entry in recording.entries:
         try:
-            said = again.follow(entry)
+            reply = replayer.follow(entry)
         except _NeverOpened:
             raise RecordingError(
                 f"{recording.name}, line {entry.line}: connection {entry.connection!r} was never opened"
             ) from None
         except NomadError:
             raise
-        except _NONSENSE as error:
+        except _INVALID as error:
             raise RecordingError(
-                f"{recording.name}, line {entry.line}: nothing that a daemon writes ({error!r:.80}); take it out"
+                f"{recording.name}, line {entry.line}: not an entry of a server ({error!r:.80}); remove it"
             ) from None
-        if said != entry.data and entry.kind == IN:
-            return Outcome(answers, size, _difference(recording, entry, said))
-        answers += entry.kind == IN and bool(said)
-        size += len(said) if entry.kind == IN else 0
-    return Outcome(answers, size)
+        if reply != entry.data and entry.kind == IN:
+            return ReplayResult(answers, size, _difference(recording, entry, reply))
+        answers += entry.kind == IN and bool(reply)
+        size += len(reply) if entry.kind == IN else 0
+    return ReplayResult(answers, size)
 
 
-def _emulator(recording: Recording) -> Again:
+def _create_replayer(recording: Recording) -> Replayer:
     header = recording.header
     if header.get("real_robots"):
-        raise RecordingError(f"{recording.name}: real robots answered, which no emulator can be again; "
-                             f"`nomad play` answers as they did")
-    if header.get("by") == DAEMON:
-        return _DaemonAgain(recording)
+        raise RecordingError(f"{recording.name}: recorded with real robots, which no emulator can repeat; use "
+                             f"`nomad play` to send the recorded replies")
+    if header.get("by") == SERVER:
+        return _ServerReplayer(recording)
     address = str(header.get("address", ""))
     if address.startswith(f"{SCHEME}:"):
-        return _InProcessAgain(open_address(address))
+        return _InProcessReplayer(open_address(address))
     raise RecordingError(
-        f"{recording.name}: recorded at {address or 'an unknown place'}, which no emulator can be again; "
-        f"`nomad play` answers as it did"
+        f"{recording.name}: recorded at {address or 'an unknown address'}, which no emulator can repeat; use "
+        f"`nomad play` to send the recorded replies"
     )
 
 
-class _DaemonAgain:
-    """Sessions around an emulator, stepped as the daemon stepped it."""
+class _ServerReplayer:
+    """The sessions of a server and its emulator, without clock and sockets."""
 
     def __init__(self, recording: Recording) -> None:
-        self._emulator = beginning_of(recording.header, recording.name).emulator()
+        self._emulator = RunHeader.from_json(recording.header, recording.name).create_emulator()
         self._emulator.port = recording.header["port"]
-        self._most = recording.header["requests_a_turn"]
+        self._max_requests = recording.header["requests_a_turn"]
         self._sessions: dict[str, BaseSession[Any]] = {}
         self._greetings: dict[str, bytes] = {}
         self._line_clock_s = 0.0
         self._client_registry = ClientRegistry()
-        self._leaving: list[tuple[float, str]] = []
+        self._closed: list[tuple[float, str]] = []
 
     def follow(self, entry: Entry) -> bytes:
-        self._pass_time(entry)
-        for name, what in entry.more.items():
-            if name in _CHANGES:
-                _CHANGES[name](self._emulator, what)
+        self._advance(entry)
+        for name, value in entry.more.items():
+            _apply_change(self._emulator, name, value)
         match entry.kind:
             case "open":
                 self._open(entry)
             case "out":
                 self._session(entry).receive(entry.data)
             case "in":
-                return self._turn(entry)
+                return self._process(entry)
             case "close":
                 self._close(entry)
         return b""
 
-    def _pass_time(self, entry: Entry) -> None:
-        """The time that the entry says had passed before it, and who was forgotten meanwhile."""
-        while self._leaving and self._leaving[0][0] <= entry.time_s:
-            self._client_registry.remove(self._leaving.pop(0)[1])
+    def _advance(self, entry: Entry) -> None:
+        """Advance by the steps before an entry, and remove clients that were closed long enough ago."""
+        while self._closed and self._closed[0][0] <= entry.time_s:
+            self._client_registry.remove(self._closed.pop(0)[1])
         for dt_s, count in entry.more.get("steps", ()):
-            if dt_s > LONGEST_STEP_S:
+            if dt_s > MAX_STEP_S:
                 raise ValueError(f"a step of {dt_s} s")
             for _ in range(count):
                 self._emulator.pass_time(dt_s)
@@ -148,7 +155,7 @@ class _DaemonAgain:
             self._sessions[name] = Session(
                 answer, name, lambda wide: self._client_registry.lookup(name, host, wide),
                 self._emulator.allowed.frame,
-            )
+            )  # fmt: skip
             return
         robot_id = entry.more["robot_id"]
         wire_state = self._emulator.serial_wire_state(robot_id)
@@ -168,11 +175,11 @@ class _DaemonAgain:
         if session.closing:
             self._client_registry.remove(entry.connection, disconnected=True)
         else:
-            self._leaving.append((entry.time_s + CLOSED_RETENTION_S, entry.connection))
+            self._closed.append((entry.time_s + CLOSED_RETENTION_S, entry.connection))
         self._emulator.on_disconnect(session.context)
 
-    def _turn(self, entry: Entry) -> bytes:
-        """What the daemon did at such an entry: greet, look whether time has brought an answer, or take a turn."""
+    def _process(self, entry: Entry) -> bytes:
+        """Do what the server did at such an entry: send the greeting, poll a deferred reply, or process requests."""
         name = entry.connection
         session = self._session(entry)
         if greeting := self._greetings.pop(name, b""):
@@ -180,43 +187,38 @@ class _DaemonAgain:
         if entry.more.get("by_time"):
             return session.tick()
         if not session.ready:
-            session.tick()  # half a frame was given up, and what is behind it found
+            session.tick()  # discards an incomplete frame, so that the one behind it is found
         before = session.identity
-        said = session.process_requests(self._most)
+        reply = session.process_requests(self._max_requests)
         if session.identity != before:
             self._client_registry.register(name, _host(name), session.identity)
-        return said
+        return reply
 
 
-def _pace(emulator: Emulator, what: tuple[float | None, bool]) -> None:
-    emulator.clock.factor, emulator.clock.paused = what
-    emulator.clock.check()
-    emulator.invalidate_state_cache()
+def _apply_change(emulator: Emulator, name: str, value: Any) -> None:
+    """Apply a change that was not made by a request, as the server and its control socket record it."""
+    match name:
+        case "pace":
+            emulator.clock.factor, emulator.clock.paused = value
+            emulator.clock.check()
+            emulator.invalidate_state_cache()
+        case "noise":
+            switch_noise(emulator, value)
+        case "hold":
+            for robot_id in value.get("robots", ()):
+                emulator.hold(robot_id, value["by"])
+        case "release":
+            for robot_id in value:
+                emulator.estop.release(robot_id)
+        case "shown":
+            show_world(emulator)
+        case "obstacle":
+            change_obstacle(emulator, value)
+        case "world":
+            put_world(emulator, **value)
 
 
-def _hold(emulator: Emulator, what: Mapping[str, Any]) -> None:
-    for robot_id in what.get("robots", ()):
-        emulator.hold(robot_id, what["by"])
-
-
-def _release(emulator: Emulator, robot_ids: list[int]) -> None:
-    for robot_id in robot_ids:
-        emulator.estop.release(robot_id)
-
-
-_CHANGES: Final[Mapping[str, Callable[[Emulator, Any], object]]] = {
-    "pace": _pace,
-    "noise": switch_noise,
-    "hold": _hold,
-    "release": _release,
-    "shown": lambda emulator, _: show_world(emulator),
-    "obstacle": change_obstacle,
-    "world": lambda emulator, what: put_world(emulator, **what),
-}
-"""What was done to the simulation by no request, as the daemon has it written down (daemon.py, control.py)."""
-
-
-class _InProcessAgain:
+class _InProcessReplayer:
     """The emulator of a `sim:` address."""
 
     def __init__(self, end: InProcess) -> None:
@@ -232,14 +234,14 @@ def _host(name: str) -> str:
     return name.rpartition(":")[0]
 
 
-def _difference(recording: Recording, entry: Entry, said: bytes) -> str:
-    at = next((k for k, (a, b) in enumerate(zip(said, entry.data, strict=False)) if a != b),
-              min(len(said), len(entry.data)))
+def _difference(recording: Recording, entry: Entry, reply: bytes) -> str:
+    at = next((k for k, (a, b) in enumerate(zip(reply, entry.data, strict=False)) if a != b),
+              min(len(reply), len(entry.data)))  # fmt: skip
     return (
-        f"{recording.name}, line {entry.line}: from byte {at} on {_hex(said, at)} instead of {_hex(entry.data, at)} "
-        f"({len(said)} and {len(entry.data)} bytes)"
+        f"{recording.name}, line {entry.line}: from byte {at} on {_hex(reply, at)} instead of {_hex(entry.data, at)} "
+        f"({len(reply)} and {len(entry.data)} bytes)"
     )
 
 
 def _hex(data: bytes, at: int) -> str:
-    return data[at:][:_SHOWN].hex() or "nothing"
+    return data[at:][:_SHOWN_BYTES].hex() or "nothing"

@@ -88,7 +88,7 @@ def test_one_line_and_the_address_of_the_environment(
 ) -> None:
     monkeypatch.setenv("NOMAD_ROBOT", SIM + "?start=10,5,0,0")
     assert main.main(["shell", "-c", "sim_truth"]) == 0
-    assert "in truth x 10.000 in  y 5.000 in" in capsys.readouterr().out
+    assert "ground truth x 10.000 in  y 5.000 in" in capsys.readouterr().out
     assert main.main(["shell", "-c", "zzz"]) == 1
     assert "nomad: --command:1: no command 'zzz'" in capsys.readouterr().err
 

@@ -43,7 +43,7 @@ def test_it_looks_only_while_it_is_let() -> None:
 def test_it_leaves_a_robot_alone_whose_time_out_is_tried() -> None:
     server = ScriptedServer()
     session, watcher = watched(server)
-    session.keeps_time_out = True
+    session.user_set_timeout = True
     watcher.begin()
     time.sleep(0.02)
     watcher.close()

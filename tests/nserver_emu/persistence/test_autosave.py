@@ -61,7 +61,7 @@ def test_an_older_state_that_was_long_on_its_way_takes_no_newer_ones_place(
 
         monkeypatch.setattr(asyncio, "to_thread", late)
         file = SaveFile(emulator, path)
-        saving = asyncio.create_task(file.save_aside())
+        saving = asyncio.create_task(file.save_in_thread())
         await asyncio.sleep(0)
         emulator.pass_time(2.0)
         file.save()
@@ -80,10 +80,10 @@ def test_what_cannot_be_saved_is_told_once_and_again_when_it_can(
     async def scenario() -> None:
         file = SaveFile(Emulator(simulation()), path)
         for _ in range(3):
-            await file.save_aside()
+            await file.save_in_thread()
         path.parent.mkdir()
         for _ in range(2):
-            await file.save_aside()
+            await file.save_in_thread()
 
     with caplog.at_level(logging.WARNING):
         asyncio.run(scenario())
@@ -105,7 +105,7 @@ def test_wrong_usage(words: list[str], told: str, capsys: pytest.CaptureFixture[
     parser = Parser(prog="nserver")
     autosave.add_options(parser)
     with pytest.raises(SystemExit, match="2"):
-        autosave.refuse(parser, parser.parse_args(words))
+        autosave.check_options(parser, parser.parse_args(words))
     assert told in capsys.readouterr().err
 
 
@@ -113,4 +113,4 @@ def test_right_usage() -> None:
     parser = Parser()
     autosave.add_options(parser)
     for words in ([], ["--save", "x"], ["--save", "x", "--autosave", "1"]):
-        autosave.refuse(parser, parser.parse_args(words))
+        autosave.check_options(parser, parser.parse_args(words))

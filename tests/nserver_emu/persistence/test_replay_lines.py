@@ -16,7 +16,7 @@ from nclient.protocol.serial_framing import SerialFrame, SerialFramer
 from nclient.protocol.types import N150, Model
 from nclient.protocol.wire_state import serial_wire_state
 from nclient.recording.format import Recording, read_recording
-from nserver_emu.persistence.recording import Beginning, header
+from nserver_emu.persistence.recording import RunHeader
 from nserver_emu.persistence.replay import replay
 from nserver_emu.server.config import SimulationConfig, pose_from_text
 from nserver_emu.server.context import Allowed, SimulationClock
@@ -76,12 +76,12 @@ class RunningServer:
 
 def recorded(path: Path, pace: SimulationClock, scenario: Callable[[RunningServer], Awaitable[None]]) -> Recording:
     """The recording of a daemon whose lines were visited."""
-    beginning = Beginning(TWO, pace, Allowed())
+    run_header = RunHeader(TWO, pace, Allowed())
 
     async def evening() -> None:
-        daemon = Daemon(beginning.emulator(), pace.factor)
+        daemon = Daemon(run_header.create_emulator(), pace.factor)
         port = await daemon.listen("127.0.0.1", 0)
-        daemon.record(path, header(beginning, "2026-01-01T00:00:00", port=port, requests_a_turn=20))
+        daemon.record(path, run_header.to_json("2026-01-01T00:00:00", port=port, requests_a_turn=20))
         server = RunningServer(daemon)
         async with serving(daemon), server.guests:
             await scenario(server)
