@@ -73,7 +73,7 @@ class SimulatedCable:
 
     def receive(self, deadline: Deadline) -> bytes:
         """Return the robot's reply. Raises ReplyTimeout at the deadline."""
-        while not (data := self._session.tick() + self._session.process_requests(most=100)):
+        while not (data := self._session.tick() + self._session.process_requests(max_requests=100)):
             left_s = deadline.remaining()
             if left_s < INSTANT_S:
                 raise ReplyTimeout("the robot is silent")

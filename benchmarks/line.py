@@ -33,7 +33,7 @@ from nclient.protocol.types import N150
 from nclient.protocol.wire_state import serial_wire_state
 
 TARGET_RATIO, TARGET_SHARE = 0.5, 0.95
-BAUD, BITS_A_BYTE = 38400, 10
+BAUD, BITS_PER_BYTE = 38400, 10
 GS = Call("gs")
 REQUEST = codec.encode_serial_request(GS, serial_wire_state(N150))
 REPLY_SIZE = 48
@@ -123,7 +123,7 @@ def _ask(backend: Backend) -> None:
 
 def _result(fast: dict[str, Pace], slow: dict[str, Pace]) -> dict[str, float]:
     """Return the figures of the best rounds, the echo's too: load on the machine can only lower a rate."""
-    allowed = BAUD / BITS_A_BYTE / (len(REQUEST) + REPLY_SIZE)
+    allowed = BAUD / BITS_PER_BYTE / (len(REQUEST) + REPLY_SIZE)
     echo = fast["echo"].best_per_second
     result = {"echo_per_second": echo, "ratio_target": TARGET_RATIO, "share_target": TARGET_SHARE}
     for name in ("nserver", "client"):

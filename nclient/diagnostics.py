@@ -1,14 +1,10 @@
-"""Diagnostics of a robot that stands still: measurements, checks of link and sensors, and the report.
+"""Diagnostics of a robot that stands still: collect data with queries, and report findings with remedies.
 
-    Diagnostics.run() ──> DiagnosticData ──> report() ──> [Finding, ...]
+    Diagnostics.run()   sends gs many times and every query of the model once; never moves the robot
+    report(data)        findings on link, firmware, clock, sensors, bumpers and batteries, each OK, WARN or FAIL
 
-`Diagnostics` sends gs many times, then each get_ command of the model; it never moves the robot. Clock and sleep are
-passed in; with simulated time that advances per request (State[0] is 0) it does not wait. Everything else is pure:
-
-    dead    a sonar that always reads 0; one without echoes while both neighbours have some is suspect
-    stuck   always the same number, while sensors with shorter ranges change by more than rounding: noise grows with
-            range, so that a sensor steadier than those is suspect (not in a simulation without noise)
-    link    fails if more than one gs in ten is lost or nothing replies; losses, stray bytes, slow replies: warnings
+A dead sonar always reads 0. A sensor is stuck if it always reads the same while others with readings no larger change
+by more than rounding does: noise grows with range. Without noise, in an ideal simulation, nothing counts as stuck.
 """
 
 from __future__ import annotations
@@ -37,7 +33,7 @@ class Grade(IntEnum):
 
 
 class Finding(NamedTuple):
-    """One line of a report; `remedy` is empty if nothing is wrong."""
+    """One line of a report; `remedy` is empty if the grade is OK."""
 
     grade: Grade
     what: str
@@ -45,22 +41,22 @@ class Finding(NamedTuple):
     remedy: str = ""
 
     def __str__(self) -> str:
-        """Return the line of the report."""
+        """Return the line for people."""
         return f"{self.grade.name:4}  {self.what:12} {self.seen}{'; ' + self.remedy if self.remedy else ''}"
 
 
 def ok(what: str, seen: str) -> Finding:
-    """Return a finding without a problem."""
+    """Return a finding without fault."""
     return Finding(Grade.OK, what, seen)
 
 
 def warn(what: str, seen: str, remedy: str) -> Finding:
-    """Return a finding that should be checked."""
+    """Return a finding that needs attention."""
     return Finding(Grade.WARN, what, seen, remedy)
 
 
 def fail(what: str, seen: str, remedy: str) -> Finding:
-    """Return a finding of something that does not work."""
+    """Return a finding of a failure."""
     return Finding(Grade.FAIL, what, seen, remedy)
 
 
@@ -72,44 +68,46 @@ def worst(findings: list[Finding]) -> Grade:
 RING: Final = 16
 DEAD_IN: Final = 0
 NOTHING_IR: Final = 15
-MIN_CHANGING: Final = 3
-"""Number of other sensors that must have changed before a constant one is suspect."""
+MIN_CHANGED: Final = 3
+"""Other sensors that must have changed before one that did not counts as stuck."""
 MIN_CHANGE: Final = 2
-"""Minimum change: a constant distance between two whole numbers already changes by 1."""
+"""Smallest change of those: a steady range between two whole numbers changes by one."""
 MIN_STATES: Final = 10
-"""Minimum number of states for a finding about constant readings."""
+"""States below which no sensor counts as stuck."""
 LOW_V, EMPTY_V = 11.1, 10.5
-"""Lead battery of six cells at 1.85 V per cell, to be charged, and at 1.75 V, the end of discharge."""
-MIN_RATE_S: Final = 0.5
-"""Minimum duration for the clock's rate; simulated time that advances per request takes less."""
+"""A lead battery of six cells: 1.85 V per cell, to be charged, and 1.75 V, the end of discharge."""
+SHORT_S: Final = 0.5
+"""Duration below which no rate is computed; simulated time in lockstep takes less."""
 _CLOCK_WORD: Final = 1 << 32
 Readings = Sequence[Sequence[int]]
 
 
 def sonars(states: Sequence[RobotState]) -> list[Finding]:
-    """Return a finding for each faulty sonar, or one for all of them."""
+    """Return a finding per faulty sonar, or one for all."""
     readings = [state.sonars_in for state in states]
     findings = []
+    # 1. Each sonar by itself.
     for number in range(RING):
         name = f"sonar {number}"
         if always(readings, number, DEAD_IN):
             findings.append(fail(name, "reads 0 always: dead", "look after its cable and transducer"))
         elif stuck(readings, number, (DEAD_IN, NO_ECHO_IN)):
             findings.append(_stuck(name, readings[0][number], " in"))
+    # 2. Sonars without any echo: suspicious if both neighbours have some.
     silent = [number for number in range(RING) if always(readings, number, NO_ECHO_IN)]
     if len(silent) == RING:
-        return [warn("sonars", "no echo on any", "is the ring off (conf_sn turns it on), or the hall empty?")]
-    suspect = [number for number in silent if _have_neighbours_echoes(readings, number)]
-    if suspect:
+        return [warn("sonars", "none has an echo", "is the ring off (conf_sn turns it on), or the hall empty?")]
+    alone = [number for number in silent if _neighbours_have_echoes(readings, number)]
+    if alone:
         findings.append(warn(
-            "sonars", f"no echo while both neighbours have one: {', '.join(map(str, suspect))}",
-            "an oblique wall causes this; hold a board 20 in before each: if it still reads 255 it is dead",
+            "sonars", f"no echo while both neighbours have some: {', '.join(map(str, alone))}",
+            "a wall met at a slant does that; hold a board 20 in before each: still 255 means it is dead",
         ))
     return findings or [ok("sonars", f"{RING - len(silent)} of {RING} have echoes, none dead or stuck")]
 
 
 def infrareds(states: Sequence[RobotState]) -> list[Finding]:
-    """Return a finding for each faulty infrared sensor, or one for all of them."""
+    """Return a finding per faulty infrared, or one for all."""
     readings = [state.infrareds for state in states]
     findings = [_stuck(f"infrared {n}", readings[0][n], "") for n in range(RING) if stuck(readings, n, (NOTHING_IR,))]
     if all(always(readings, number, 0) for number in range(RING)):
@@ -118,67 +116,70 @@ def infrareds(states: Sequence[RobotState]) -> list[Finding]:
 
 
 def bumpers(states: Sequence[RobotState]) -> Finding:
-    """Return the finding about bumpers that are pressed, always or at times."""
+    """Return a finding on bumpers that are pressed all the time or now and then."""
     pressed = [frozenset(state.bumpers) for state in states]
+    # Pressed in every state, or in some.
     steady, ever = frozenset.intersection(*pressed), frozenset[int]().union(*pressed)
     if steady:
         return fail("bumpers", f"pressed all the time: {_listed(steady)}",
                     "free the robot from what it touches; if nothing does, the switch or its wire is stuck")
     if ever:
-        return warn("bumpers", f"pressed at times: {_listed(ever)}", "a loose switch, or something touches it")
+        return warn("bumpers", f"pressed now and then: {_listed(ever)}", "a loose switch, or a person touches it")
     return ok("bumpers", "none pressed")
 
 
 def batteries(state: RobotState) -> list[Finding]:
-    """Return a finding for each battery."""
+    """Return a finding per battery."""
     if state.raw_volts is None:
-        return [warn("battery", "no voltage was reported", "gs reports it; see the finding about the firmware")]
+        return [warn("battery", "its voltage was never received", "gs reports it; see the firmware's answers")]
     raws = zip(("computer", "motors"), state.raw_volts, (CPU_RANGE_V, MOTOR_RANGE_V), strict=True)
     return [_battery(f"{name}", volts(raw, full_v)) for name, raw, full_v in raws]
 
 
 def clock(states: Sequence[RobotState], elapsed_s: float) -> Finding:
-    """Return the finding about the robot's clock: its direction, and its rate over `elapsed_s` of real time."""
+    """Return a finding on the robot's clock, and its rate relative to `elapsed_s` of this machine."""
     times = [state.clock_ms for state in states if state.clock_ms is not None]
     if len(times) < 2:
-        return warn("clock", "was not reported", "gs reports it; see the finding about the firmware")
-    # Differences modulo 2^32, because the clock wraps around.
+        return warn("clock", "was never received", "gs reports it; see the firmware's answers")
+    # Differences of a 32-bit clock, as signed numbers.
     steps = [(later - earlier + _CLOCK_WORD // 2) % _CLOCK_WORD - _CLOCK_WORD // 2
              for earlier, later in pairwise(times)]
     back = sum(step < 0 for step in steps)
     if back:
         return fail("clock", f"went back {back} times, by {-min(steps) / 1000:g} s at most",
-                    "the robot may have started anew, or corrupt answers were believed: look at the line")
+                    "the robot may have started anew, or corrupt replies were accepted: look at the line")
     if not any(steps):
         return warn("clock", "stands still", "the simulation is paused, or the robot's firmware hangs")
     passed_s = sum(steps) / 1000
-    rate = f", {passed_s / elapsed_s:.2f} s a second" if elapsed_s > MIN_RATE_S else ""
+    rate = f", {passed_s / elapsed_s:.2f} s a second" if elapsed_s > SHORT_S else ""
     return ok("clock", f"went forward {passed_s:.1f} s{rate}")
 
 
 def motion(states: Sequence[RobotState]) -> Finding:
-    """Return the finding about motion during the measurement, which invalidates the others."""
+    """Return a warning if the robot moved meanwhile, which invalidates the other findings."""
     if any(state.moving or any(state.raw[38:41]) for state in states):
         return warn("motion", "the robot moved meanwhile", "stop it (nomad stop) and ask again: it must stand still")
     return ok("motion", "the robot stood still")
 
 
 def always(readings: Readings, number: int, value: int) -> bool:
-    """Return True if a sensor had this reading in all states."""
+    """Return True if a sensor always read this value."""
     return all(reading[number] == value for reading in readings)
 
 
 def stuck(readings: Readings, number: int, limits: tuple[int, ...]) -> bool:
-    """Return True if a reading never changed while enough shorter ones did; readings at `limits` are not judged."""
+    """Return True if a sensor never changed, except at its limits, while enough others with readings no larger did."""
+    # 1. It has one value, which is no limit of its range.
     seen = {reading[number] for reading in readings}
     if len(readings) < MIN_STATES or len(seen) > 1 or seen & set(limits):
         return False
     (value,) = seen
+    # 2. Others with readings no larger, and so with less noise, have changed.
     columns = [[reading[other] for reading in readings] for other in range(RING)]
-    return sum(max(column) <= value and max(column) - min(column) >= MIN_CHANGE for column in columns) >= MIN_CHANGING
+    return sum(max(column) <= value and max(column) - min(column) >= MIN_CHANGE for column in columns) >= MIN_CHANGED
 
 
-def _have_neighbours_echoes(readings: Readings, number: int) -> bool:
+def _neighbours_have_echoes(readings: Readings, number: int) -> bool:
     sides = ((number - 1) % RING, (number + 1) % RING)
     return all(any(DEAD_IN < reading[side] < NO_ECHO_IN for reading in readings) for side in sides)
 
@@ -202,34 +203,32 @@ def _listed(numbers: frozenset[int]) -> str:
 
 EXCHANGES: Final = 100
 INTERVAL_S: Final = 0.03
-"""Interval of gs: in 100 of them the sonar ring fires about three times."""
-MAX_LOSSES: Final = 10
-"""Number of consecutive missing replies after which the measurement ends."""
-_QUESTIONS: Final = tuple(row for row in COMMANDS if row.name.startswith("get_"))
-_NOT_ABOUT_ROBOT: Final = frozenset({"get_rpx", "get_robot_conf"})
+"""Interval between two requests: a hundred of them last for three cycles of the sonars."""
+MAX_LOSSES_IN_ROW: Final = 10
+"""Missing replies in a row after which the robot counts as absent."""
+_QUERIES: Final = tuple(row for row in COMMANDS if row.name.startswith("get_"))
+_SERVER_QUERIES: Final = frozenset({"get_rpx", "get_robot_conf"})
 _ERRORS: Final = (ConnectionLost, ReplyTimeout, RobotRefused, WireError)
 
 
 @dataclass(slots=True)
 class DiagnosticData:
-    """Results of the measurements.
+    """The collected data.
 
     Attributes
     ----------
-    model, is_serial
-        Model of the robot, and True on its serial line.
     states
-        State after each gs with a reply.
+        The state after each answered gs.
     latencies
-        Latency of each of those in seconds.
+        The time each of those took, in seconds.
     losses
-        Error of each other gs.
+        The errors of the other ones.
     elapsed_s
         Time from the first gs to the last reply.
     answers
-        By command: "" for a valid reply, else the error.
+        By C name of each query: "" for a valid reply, else the error.
     link
-        Counters of the connection, if it has any.
+        Statistics of the link, if it has any.
     """
 
     model: str = ""
@@ -243,43 +242,46 @@ class DiagnosticData:
 
     @property
     def asked(self) -> int:
-        """Return the number of gs requests."""
+        """Return the number of gs sent."""
         return len(self.states) + len(self.losses)
 
 
 class Diagnostics:
-    """Measurements of one robot.
+    """Query one robot; gs and get_ only.
+
+    A connection that was closed after a missing reply is opened again. Between requests it pauses, except if the
+    robot's time advances only with requests (State[0] is 0).
 
     Parameters
     ----------
-    connect
-        Opens a connection, at the start and again after a connection loss.
+    open_session
+        Opens a new connection to the robot.
     clock
         Returns seconds.
     sleep
-        Waits a number of seconds.
+        Waits for that many seconds.
 
     Raises
     ------
     ConnectionLost
-        If nothing answers at the start.
+        If the robot cannot be reached at the start.
     """
 
     def __init__(
-        self, connect: Callable[[], Backend], clock: Callable[[], float], sleep: Callable[[float], None]
+        self, open_session: Callable[[], Backend], clock: Callable[[], float], sleep: Callable[[float], None]
     ) -> None:
-        self._connect = connect
+        self._open_session = open_session
         self._clock, self._sleep = clock, sleep
-        self._backend = connect()
+        self._backend = open_session()
         self._robot = Robot(self._backend)
 
     def run(self, exchanges: int = EXCHANGES, interval_s: float = INTERVAL_S) -> DiagnosticData:
-        """Send `exchanges` gs requests, then each get_ command of the model, and return the results."""
+        """Send all requests and return the data."""
         data = DiagnosticData(self._robot.model.name, self._backend.wire_state.line)
         try:
             self._measure(data, exchanges, interval_s)
             if data.states:
-                self._question(data)
+                self._query_all(data)
             self._count(data)
         finally:
             self._robot.disconnect()
@@ -288,51 +290,55 @@ class Diagnostics:
     def _measure(self, data: DiagnosticData, exchanges: int, interval_s: float) -> None:
         start_s, missing = self._clock(), 0
         for _ in range(exchanges):
+            # 1. One gs; after an error the next one goes over a new connection, if this one was closed.
             asked_s = self._clock()
             try:
                 state = self._connected().refresh()
             except _ERRORS as error:
                 data.losses.append(str(error))
                 missing += 1
-                if missing >= MAX_LOSSES:
+                if missing >= MAX_LOSSES_IN_ROW:
                     break
                 continue
+            # 2. Record it.
             missing = 0
             now_s = self._clock()
             data.states.append(state)
             data.latencies.append(now_s - asked_s)
             data.elapsed_s = now_s - start_s
+            # 3. Pause, unless time advances only with requests.
             if data.is_serial or state.raw[0]:
                 self._sleep(max(0.0, interval_s - (now_s - asked_s)))
 
-    def _question(self, data: DiagnosticData) -> None:
-        for row in _QUESTIONS:
-            if row.name not in _NOT_ABOUT_ROBOT and self._has(row, data.is_serial):
-                data.answers[row.name] = self._answer(row)
+    def _query_all(self, data: DiagnosticData) -> None:
+        for row in _QUERIES:
+            if row.name not in _SERVER_QUERIES and self._has(row, data.is_serial):
+                data.answers[row.name] = self._query_error(row)
 
-    def _answer(self, row: Command) -> str:
-        """Return the error of a get_ command after one retry, "" for a valid reply."""
-        error_text = ""
+    def _query_error(self, row: Command) -> str:
+        """Return the error of a query, "" if it was answered at the first or second attempt."""
+        message = ""
         for _ in range(2):
             try:
                 self._connected().execute(Call(row.name))
                 return ""
             except _ERRORS as error:
-                error_text = str(error)
-        return error_text
+                message = str(error)
+        return message
 
     def _has(self, row: Command, line: bool) -> bool:
-        """Return True if the model has the sensor of a command; Nserver has a compass for the N150, too."""
+        """Return True if this model has what is queried. An Nserver answers for the compass of an N150, too."""
         model = self._robot.model
         if line:
             return exists_on_serial(row, model)
+        # Over TCP every query is answered, with error 4 if the model lacks the sensor.
         lacks = {"get_ir": not model.has_infrared, "get_cp": not model.has_turret,
                  "get_ls": not model.has_laser, "get_sg": not model.has_laser}
         return not lacks.get(row.name, False)
 
     def _connected(self) -> Robot:
         if self._robot.closed:
-            self._backend = self._connect()
+            self._backend = self._open_session()
             self._robot = Robot(self._backend)
         return self._robot
 
@@ -342,14 +348,14 @@ class Diagnostics:
             data.link = link.counts()
 
 
-MAX_LOSS_FRACTION: Final = 0.1
+MAX_LOST_FRACTION: Final = 0.1
 SLOW_S: Final = 0.2
-"""Limit of the 99th percentile of the latency: too slow for a program that sends gs at 10 Hz while driving."""
+"""A 99th percentile above this is too slow for a program that drives with 10 requests per second."""
 _FAULTS: Final = ("skipped_bytes", "checksum_errors", "misfits", "implausible", "strays", "naks")
 
 
 def report(data: DiagnosticData) -> list[Finding]:
-    """Return all findings: link, firmware, motion and clock, then the sensors."""
+    """Return all findings, from the link to the batteries."""
     findings = [_link(data)]
     if not data.states:
         return findings
@@ -362,7 +368,7 @@ def report(data: DiagnosticData) -> list[Finding]:
 
 
 def percentile_s(latencies: Sequence[float], fraction: float) -> float:
-    """Return the smallest latency that at least this fraction of them does not exceed (nearest rank)."""
+    """Return a percentile of the latencies by nearest rank; `fraction` is 0 to 1."""
     ranked = sorted(latencies)
     return ranked[max(0, math.ceil(fraction * len(ranked)) - 1)]
 
@@ -372,13 +378,14 @@ def _link(data: DiagnosticData) -> Finding:
     if not data.states:
         return fail("link", f"no answer to {lost} questions: {data.losses[-1]}",
                     "is it switched on, the cable in, the address and the model right?")
-    half, most = (1000 * percentile_s(data.latencies, fraction) for fraction in (0.5, 0.99))
-    seen = f"{len(data.states)} of {data.asked} gs answered; {half:.2f} ms p50, {most:.2f} ms p99"
-    if lost > MAX_LOSS_FRACTION * data.asked:
-        return fail("link", f"{seen}; {data.losses[-1]}", "look after plugs, baud rate, and what else uses the line")
+    p50_ms, p99_ms = (1000 * percentile_s(data.latencies, fraction) for fraction in (0.5, 0.99))
+    seen = f"{len(data.states)} of {data.asked} gs answered; {p50_ms:.2f} ms p50, {p99_ms:.2f} ms p99"
+    # Grades, from the worst: lost replies, then slow ones.
+    if lost > MAX_LOST_FRACTION * data.asked:
+        return fail("link", f"{seen}; {data.losses[-1]}", "look after plugs, baud rate, and who else talks to it")
     if lost:
         return warn("link", f"{seen}; {data.losses[-1]}", "a noisy line; retries= in the address lets programs go on")
-    if most > 1000 * SLOW_S:
+    if p99_ms > 1000 * SLOW_S:
         return warn("link", f"{seen}: slow", "a modem in between, or a busy machine? timeout_s= may have to be longer")
     return ok("link", seen)
 
@@ -391,11 +398,8 @@ def _line_faults(data: DiagnosticData) -> list[Finding]:
 
 
 def _firmware(data: DiagnosticData) -> Finding:
-    bad = {name: error_text for name, error_text in data.answers.items() if error_text}
+    bad = {name: error for name, error in data.answers.items() if error}
     if bad:
-        return fail(
-            "firmware",
-            "no good answer to " + "; ".join(f"{name} ({error_text})" for name, error_text in bad.items()),
-            f"is it a {data.model}? model= in the address says which",
-        )
+        return fail("firmware", "no good answer to " + "; ".join(f"{name} ({error})" for name, error in bad.items()),
+                    f"is it a {data.model}? model= in the address says which")
     return ok("firmware", f"a {data.model} answered {' '.join(data.answers)}")

@@ -170,6 +170,6 @@ def test_a_lost_robot_ends_it_with_1(capsys: pytest.CaptureFixture[str]) -> None
 
 def test_keys_are_read_where_there_is_a_terminal(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     keys = Typed("gs")
-    monkeypatch.setattr(shell, "reader", lambda *_: keys)
+    monkeypatch.setattr(shell, "open_reader", lambda *_: keys)
     assert main.main(["shell", SIM, "--history", str(tmp_path / "history")]) == 0
     assert keys.closed

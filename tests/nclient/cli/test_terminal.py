@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from nclient.cli import shell
-from nclient.cli.shell import PlainReader, default_history
+from nclient.cli.shell import PlainReader, default_history, open_reader
 from nclient.cli.shell_prompt import PromptReader
 from nclient.protocol.types import N150
 from nclient.protocol.wire_state import WireState, tcp_wire_state
