@@ -97,7 +97,7 @@ def test_a_lag_of_nothing_is_refused() -> None:
         smoother(independent([0.0, 0.0, 0.0], [1.0, 1.0, 1.0]), 0)
 
 
-def test_looking_back_it_is_nearer_to_the_truth_than_the_filter_was_and_as_sure_as_it_says() -> None:
+def test_smoothing_is_more_accurate_and_consistent() -> None:
     rng = np.random.default_rng(11)
     start, lag = independent([0.0, 0.0, 0.0], [0.3, 0.3, 0.02]), 8
     squared, normalised = np.zeros(2), []

@@ -49,7 +49,7 @@ def test_a_certain_coordinate_has_a_root_too() -> None:
 
 
 @pytest.mark.parametrize("size", [3, 4, 6])
-def test_a_prediction_is_that_of_filterpys_filter_on_the_state_with_its_noise(size: int) -> None:
+def test_a_prediction_is_that_of_filterpys_augmented_filter(size: int) -> None:
     belief, step = some_belief(size), np.array([3.0, 0.4])
     whole = np.zeros((size + 2, size + 2))
     whole[:size, :size] = belief.cov
@@ -69,7 +69,7 @@ def test_a_prediction_is_that_of_filterpys_filter_on_the_state_with_its_noise(si
     np.testing.assert_allclose(predicted.cov, peer.P[:size, :size], atol=1e-12)
 
 
-def test_where_motion_is_nearly_linear_it_is_the_extended_filters() -> None:
+def test_nearly_linear_motion_is_predicted_as_by_the_ekf() -> None:
     belief, step = independent([1.0, 2.0, 3.1], [0.1, 0.2, 1e-4]), np.array([2.0, 0.1])
     quiet = OdometryNoise(0.01, 1e-4, 1e-5)
     sigma, extended = predict(belief, step, quiet), odometry.predict(belief, step, quiet)
