@@ -1,4 +1,4 @@
-"""The long state: against the shorter filter, against finite differences, and how far it knows what it has found."""
+"""The long state against the shorter filter and finite differences, and the errors of its estimates."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def test_the_gain_matches_finite_differences(sonar: int) -> None:
 
 
 def test_the_aim_corrects_heading_and_ring_together(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Conditioning on their sum, by the block formulas; what is not known to differ stays so."""
+    """Conditioning on the sum, by the block formulas; the difference stays as it is."""
     aims: list[AimReading] = []
 
     def posterior(_: ConeAim, aim: AimReading) -> tuple[float, float]:
@@ -128,7 +128,7 @@ def test_what_is_no_range_or_none_of_the_map_is_refused() -> None:
 
 
 def test_it_finds_what_it_was_given_and_knows_how_well() -> None:
-    """A robot that goes round and round with drawn errors, heard by exact rays: errors are as large as told."""
+    """A robot that circles with drawn errors, measured by exact rays: errors are as large as their std says."""
     off = []
     for seed in range(4):
         rng = np.random.default_rng(seed)

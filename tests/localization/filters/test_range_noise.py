@@ -1,4 +1,4 @@
-"""Which part of a reading's error is the same each time: rounding, against its covariance by quadrature."""
+"""The constant part of a reading's error: rounding, against its covariance by quadrature."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Finding a robot nobody knows the place of, from a ring of echoes: where it is, and where it also may be."""
+"""The search for an unknown pose from a ring of echoes: the pose, and its alternatives."""
 
 from __future__ import annotations
 

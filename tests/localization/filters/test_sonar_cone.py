@@ -1,4 +1,4 @@
-"""Returns out of a cone: ranges by hand, derivatives by finite differences, and chances against a simple count."""
+"""The cone model: ranges by hand, derivatives by finite differences, probabilities against a count."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A filter that knows when it is lost: kidnapped, it says so within seconds and finds itself again."""
+"""Global localization: LOST within seconds after a displacement, and recovery."""
 
 from __future__ import annotations
 
