@@ -1,9 +1,9 @@
-"""How fast the client is: `robot.refresh()` over TCP, against a bare asyncio echo of the same sizes.
+"""Measure the client: `robot.refresh()` over TCP, relative to a bare asyncio echo of the same sizes.
 
     python benchmarks/client.py [--rounds N] [--calls N] [--json]
 
-Target: a ratio of at least 0.3. The client's side is whole, a request built, a reply parsed, a RobotState made, with
-our daemon at the other end.
+Target: a ratio of at least 0.3. The client builds a request, parses the reply and creates a RobotState; the other
+end is nserver.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ REPLY_SIZE = 4 + 4 * 49
 
 
 def measure(rounds: int, calls: int) -> dict[str, float]:
-    """Rates, 99th percentiles and their ratio."""
+    """Return rates, 99th percentiles and the ratio."""
     gs = codec.encode_tcp_request(Call("gs"))
     daemon = [sys.executable, "-m", "nserver_emu", "--port", "0"]
     with start_echo(len(gs), REPLY_SIZE) as echo_port, started(daemon) as line:

@@ -1,10 +1,10 @@
-"""What a faulty line costs: `gs` to an emulated N150 on its own line, in simulated time, a plan of faults between.
+"""Measure the cost of a faulty line: `gs` to an emulated N150 on a serial line with a fault plan, in simulated time.
 
     python benchmarks/faulty_exchanges.py [--exchanges N] [--seed N] [--json]
 
-Targets, of 100,000 exchanges: with one faulty byte in every tenth, no wrong value believed and none lost but the faulty
-ones; with 1 % of all bytes corrupted and 1 % dropped, at most 30 wrong values past the 8-bit checksum, and fewer past
-the plausibility checks. What the robot said is read with struct alone, before the faults. Nothing sleeps.
+Targets for 100,000 exchanges: with one faulty byte in every tenth, no wrong value is accepted and only the faulty ones
+are lost; with 1 % of all bytes corrupted and 1 % dropped, at most 30 wrong values pass the 8-bit checksum, and fewer
+the validation. The oracle decodes the robot's replies with struct alone, before the faults. Nothing sleeps.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ from worlds.world import StartPose
 
 GS = Call("gs")
 BYTE_S = 10 / 38400
-LOOK_S = 0.25
-"""How often a robot that is waited for is looked at."""
+POLL_S = 0.25
+"""Interval at which a reply is polled for."""
 INSTANT_S = 1e-9
-"""Less is no time at all: the simulation counts in whole picoseconds."""
+"""A wait below this is none: the simulation counts in whole picoseconds."""
 PACKET = struct.Struct("<16s3s8HBIBB")
 """An N150's state packet: sonars, bumpers, pose and velocities and compass, motors, clock, voltages."""
 ONE_BYTE: tuple[Fault, ...] = (Corrupt(), DropByte(), InsertBytes())
@@ -46,49 +46,49 @@ TARGET_WRONG = 30
 
 
 class SimulatedCable:
-    """A ByteStream to an emulated robot that drives in circles; time passes with bytes and with waiting alone."""
+    """A ByteStream to an emulated robot that drives in circles; time passes only with bytes and with waiting."""
 
     def __init__(self, seed: int) -> None:
         self._simulation = Simulation(load_world("thesis_room"), seed)
         emulator = Emulator(self._simulation)
         self._simulation.add_robot(1, StartPose(45.0, 30.0, 0.0, 0.0)).set_velocities(3.0, 0.2, -0.3)
         self._session = SerialSession(emulator.answer, 1, N150, self.now)
-        self._under_way_s = 0.0
-        self.said = b""
-        """What the robot answered last."""
+        self._transit_s = 0.0
+        self.last_reply = b""
+        """The last reply of the robot."""
 
     def now(self) -> float:
-        """Simulated time, in seconds."""
-        return self._simulation.time_s + self._under_way_s
+        """Return the simulated time in seconds."""
+        return self._simulation.time_s + self._transit_s
 
     def sleep(self, seconds: float) -> None:
         """Let simulated time pass."""
-        self._simulation.step(self._under_way_s + seconds)
-        self._under_way_s = 0.0
+        self._simulation.step(self._transit_s + seconds)
+        self._transit_s = 0.0
 
     def send(self, data: bytes) -> None:
-        """To the robot, which makes an answer of how things stand then."""
+        """Send a request, which the robot answers with its state at arrival."""
         self.sleep(len(data) * BYTE_S)
         self._session.receive(data)
 
     def receive(self, deadline: Deadline) -> bytes:
-        """What the robot says until then. Raises ReplyTimeout."""
-        while not (data := self._session.tick() + self._session.process_requests(most=100)):
+        """Return the robot's reply. Raises ReplyTimeout at the deadline."""
+        while not (data := self._session.tick() + self._session.process_requests(max_requests=100)):
             left_s = deadline.remaining()
             if left_s < INSTANT_S:
                 raise ReplyTimeout("the robot is silent")
-            self.sleep(min(left_s, LOOK_S))
-        self.said = data
-        self._under_way_s += len(data) * BYTE_S
+            self.sleep(min(left_s, POLL_S))
+        self.last_reply = data
+        self._transit_s += len(data) * BYTE_S
         return data
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing."""
 
 
 @dataclass
 class Outcome:
-    """What became of the exchanges, which are numbered from 1; `struck` is the plan's own count, by kind."""
+    """Results of exchanges, numbered from 1; `struck` is the fault plan's count by kind."""
 
     exchanges: int
     right: int = 0
@@ -100,20 +100,21 @@ class Outcome:
 
 
 def exchange(plan: Plan, exchanges: int, *, checks: bool = True) -> Outcome:
-    """So many questions under a plan, none asked twice, and each answer held against what the robot said to it."""
+    """Send requests under a fault plan, without retries, and compare each reply with the one that the robot sent."""
+    # Inside out: simulated line, faults, client.
     cable = SimulatedCable(plan.seed)
     injector = Injector(plan, "serial:1")
     line = FaultyStream(cable, FaultyLine(LineLanguage(), lambda: injector), cable.now, cable.sleep)
     backend = DirectBackend(line, N150, checks=checks, clock=cable.now)
     outcome = Outcome(exchanges)
     for number in range(1, exchanges + 1):
-        cable.said = b""
+        cable.last_reply = b""
         try:
             reply = backend.execute(GS)
         except (ReplyTimeout, RobotRefused):
             outcome.lost.append(number)
             continue
-        if spoken(reply) == read_packet(cable.said):
+        if numbers_of(reply) == read_packet(cable.last_reply):
             outcome.right += 1
         else:
             outcome.wrong += 1
@@ -124,21 +125,21 @@ def exchange(plan: Plan, exchanges: int, *, checks: bool = True) -> Outcome:
 
 
 def one_byte(faults: tuple[Fault, ...], direction: Direction, seed: int) -> Plan:
-    """A faulty byte in every tenth question, or in every tenth answer."""
+    """Return the plan of a faulty byte in every tenth request or reply."""
     rule = Rule("tenth", faults, When(every=10), commands=("gs",), directions=frozenset({direction}))
     return Plan((rule,), seed)
 
 
 def noise(seed: int) -> Plan:
-    """One byte in a hundred corrupted and one dropped, both ways, whatever is asked."""
+    """Return the plan that corrupts 1 % and drops 1 % of all bytes in both directions."""
     return Plan((Rule("noise", NOISE, directions=BOTH),), seed)
 
 
 def missed(outcome: Outcome) -> list[str]:
-    """Which targets these exchanges miss; noise is on every byte, else every tenth exchange was struck."""
+    """Return the missed targets; noise affects every byte, other plans every tenth exchange."""
     if "noise" in outcome.struck:
-        most = max(1, TARGET_WRONG * outcome.exchanges // 100_000)
-        return [f"{outcome.wrong} wrong values, {most} at most"] if outcome.wrong > most else []
+        allowed = max(1, TARGET_WRONG * outcome.exchanges // 100_000)
+        return [f"{outcome.wrong} wrong values, {allowed} at most"] if outcome.wrong > allowed else []
     clean = [number for number in outcome.lost if number % 10]
     struck = sum(outcome.struck.values())
     return [
@@ -158,7 +159,7 @@ def _failures(outcome: Outcome) -> int:
 
 
 def read_packet(frame: bytes) -> tuple[int, ...]:
-    """The numbers in the frame of a state packet, as PROTOCOL.md has them, in the order of `spoken`; () for others."""
+    """Decode the frame of a state packet by PROTOCOL.md, in the order of `numbers_of`; () for other frames."""
     if len(frame) != PACKET.size + 6 or frame[3] != 7:
         return ()
     sonars, bumpers, *shorts, motors, clock, cpu, motor = PACKET.unpack(frame[4:-2])
@@ -166,15 +167,15 @@ def read_packet(frame: bytes) -> tuple[int, ...]:
     return (*sonars, int.from_bytes(bumpers, "big"), *signed, motors, clock, cpu, motor)
 
 
-def spoken(reply: Reply) -> tuple[int, ...]:
-    """The numbers of a state in the packet's order."""
+def numbers_of(reply: Reply) -> tuple[int, ...]:
+    """Return the numbers of a state in the order of the packet."""
     slots = reply.slots
     order = (*range(17, 41), 43, 41)
     return (*(slots[slot] for slot in order), reply.clock or 0, *(reply.volts or ()))
 
 
 def plans(seed: int) -> dict[str, tuple[Plan, bool]]:
-    """What is measured: a plan each, and whether answers are checked for what can be true."""
+    """Return the fault plans to measure, each with True if replies are validated."""
     return {
         "every tenth answer, one byte": (one_byte(ONE_BYTE, Direction.REPLY, seed), True),
         "every tenth question, one byte": (one_byte(ONE_BYTE, Direction.REQUEST, seed), True),
@@ -184,7 +185,7 @@ def plans(seed: int) -> dict[str, tuple[Plan, bool]]:
 
 
 def row(name: str, outcome: Outcome, taken_s: float) -> str:
-    """A line of the table in docs/results.md."""
+    """Return a row of the table in docs/results.md."""
     kinds = ", ".join(f"{count} {kind}" for kind, count in sorted(Counter(outcome.struck).items()) if count)
     return (
         f"| {name} | {kinds} | {outcome.right} | {len(outcome.lost)} | {outcome.wrong} "
@@ -193,7 +194,7 @@ def row(name: str, outcome: Outcome, taken_s: float) -> str:
 
 
 def main() -> int:
-    """Measure and print; 1 where a target is missed."""
+    """Measure and print; return 1 if a target is missed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--exchanges", type=int, default=100_000, help="a plan (default %(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="of the faults and of the robot (default %(default)s)")

@@ -1,12 +1,12 @@
-"""How fast a robot's own line is: `gs` over the pseudo-terminal, against a bare echo of the same bytes over another.
+"""Measure a serial line: `gs` over a pseudo-terminal, relative to a bare echo of the same bytes over another one.
 
     python benchmarks/line.py [--rounds N] [--calls N] [--json]
 
-    nserver   the host is the echo's own: prepared bytes sent, and those that come counted
-    client    the host is this package's, as `connect` makes it: each answer parsed and checked
+    nserver   the host is that of the echo: it sends prepared bytes and counts those that arrive
+    client    the host is this package, as `connect` builds it: each reply is parsed and validated
 
-Targets: unpaced, the daemon keeps at least 0.5 of the echo's pace; at 38400 baud, both hosts get at least 0.95 of the
-exchanges that so many bits a second allow, ten a byte, question and answer in turn.
+Targets: unpaced, the daemon reaches at least 0.5 of the echo's rate; at 38400 baud, both hosts reach at least 0.95 of
+the exchanges that the baud rate allows, with ten bits per byte, request and reply in turn.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from nclient.protocol.types import N150
 from nclient.protocol.wire_state import serial_wire_state
 
 TARGET_RATIO, TARGET_SHARE = 0.5, 0.95
-BAUD, BITS_A_BYTE = 38400, 10
+BAUD, BITS_PER_BYTE = 38400, 10
 GS = Call("gs")
 REQUEST = codec.encode_serial_request(GS, serial_wire_state(N150))
 REPLY_SIZE = 48
@@ -44,7 +44,7 @@ ECHO = "--echo"
 
 
 class Host:
-    """A blocking program on a serial line: the same prepared request again and again."""
+    """A blocking program on a serial line that repeats one prepared request."""
 
     def __init__(self, path: Path) -> None:
         self._fd = os.open(path, os.O_RDWR | os.O_NOCTTY)
@@ -57,12 +57,12 @@ class Host:
             size -= len(os.read(self._fd, size))
 
     def close(self) -> None:
-        """Let go."""
+        """Close the line."""
         os.close(self._fd)
 
 
 async def _serve_echo() -> None:
-    """Answer whole requests on a pseudo-terminal, whose name is printed."""
+    """Print the name of a pseudo-terminal and answer complete requests on it."""
     fd, other = os.openpty()
     tty.setraw(other)
     os.set_blocking(fd, False)
@@ -81,14 +81,14 @@ async def _serve_echo() -> None:
 
 @contextlib.contextmanager
 def bare_echo() -> Iterator[Host]:
-    """A host on the echo's pseudo-terminal."""
+    """Yield a host on the echo's pseudo-terminal."""
     with started([sys.executable, __file__, ECHO]) as path, contextlib.closing(Host(Path(path))) as host:
         yield host
 
 
 @contextlib.contextmanager
 def hosts(*words: str) -> Iterator[dict[str, Callable[[], None]]]:
-    """An N150 of a daemon's with two lines, and on each a host that asks once a call."""
+    """Yield two hosts, each on its own line to the N150 of a daemon, that send one request per call."""
     with contextlib.ExitStack() as opened:
         folder = Path(opened.enter_context(tempfile.TemporaryDirectory()))
         links = folder / "nserver", folder / "client"
@@ -101,11 +101,11 @@ def hosts(*words: str) -> Iterator[dict[str, Callable[[], None]]]:
 
 
 def measure(rounds: int, calls: int) -> dict[str, float]:
-    """Rates and ratios; no daemon runs but the one that is measured."""
-    with bare_echo() as echo, hosts() as ours:
-        fast = compare({"echo": echo, **ours}, rounds, calls)
-    with hosts("--baud", str(BAUD)) as ours:
-        slow = compare(ours, rounds, PACED_CALLS)
+    """Return rates and ratios; only the daemon that is measured runs."""
+    with bare_echo() as echo, hosts() as measured:
+        fast = compare({"echo": echo, **measured}, rounds, calls)
+    with hosts("--baud", str(BAUD)) as measured:
+        slow = compare(measured, rounds, PACED_CALLS)
     return _result(fast, slow)
 
 
@@ -113,7 +113,7 @@ def _wait_for(link: Path) -> None:
     until_s = time.monotonic() + STARTING_S
     while not link.exists():
         if time.monotonic() > until_s:
-            raise TimeoutError(f"nserver made no {link} within {STARTING_S:g} s")
+            raise TimeoutError(f"nserver did not create {link} within {STARTING_S:g} s")
         time.sleep(0.01)
 
 
@@ -122,8 +122,8 @@ def _ask(backend: Backend) -> None:
 
 
 def _result(fast: dict[str, Pace], slow: dict[str, Pace]) -> dict[str, float]:
-    """The best rounds count, the echo's as well: a busy machine can only take from what there is."""
-    allowed = BAUD / BITS_A_BYTE / (len(REQUEST) + REPLY_SIZE)
+    """Return the figures of the best rounds, the echo's too: load on the machine can only lower a rate."""
+    allowed = BAUD / BITS_PER_BYTE / (len(REQUEST) + REPLY_SIZE)
     echo = fast["echo"].best_per_second
     result = {"echo_per_second": echo, "ratio_target": TARGET_RATIO, "share_target": TARGET_SHARE}
     for name in ("nserver", "client"):

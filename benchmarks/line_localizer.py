@@ -1,10 +1,10 @@
-"""How far off the localizer is on a robot's own line, beside Nserver's protocol: the same filter, path and noise.
+"""Compare the localizer's error on a serial line with that over TCP: same filter, path and noise.
 
     python benchmarks/line_localizer.py [--seeds N] [--speed X] [--json]
 
-A noisy N150 crosses the thesis room on figure 5.4's path, once over TCP and once over the pseudo-terminal, where there
-are neither stamps nor a mask. The truth is asked on a second connection that only looks. Bounds: those of the tests
-over TCP, an RMSE of 0.5 in and 1 in at the end; odometry alone is beside them. Nothing here is a test.
+A noisy N150 crosses the thesis room on the path of figure 5.4, once over TCP and once over a pseudo-terminal, which has
+neither stamps nor a mask. A second connection queries the ground truth. Bounds are those of the tests over TCP: an RMSE
+of 0.5 in, and 1 in at the end; odometry alone is shown for comparison.
 """
 
 from __future__ import annotations
@@ -25,7 +25,13 @@ from localization.cli.options import START_STD
 from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig
 from localization.filters.belief import independent
 from localization.live.run import Run, RunMoment, TruthSample
-from localization.navigation.waypoints import STOP_RADIUS_IN, Navigator, Speeds, begin, follow
+from localization.navigation.waypoints import (
+    STOP_RADIUS_IN,
+    Navigator,
+    Speeds,
+    follow_waypoints,
+    start_localizer,
+)
 from nclient import Robot, connect
 from worlds.io import load_world
 from worlds.robots import BODIES
@@ -38,7 +44,7 @@ TIME_LIMIT_S = 60.0
 
 @contextlib.contextmanager
 def daemon(seed: int, speed: float) -> Iterator[dict[str, str]]:
-    """Where a noisy N150 is reached, by the name of the line; it lives as long as the block."""
+    """Run a daemon with a noisy N150 and yield its addresses by protocol."""
     with tempfile.TemporaryDirectory() as folder:
         words = [WORLD, "--noisy", "--seed", str(seed), "--speed", str(speed), "--port", "0"]
         command = [sys.executable, "-m", "nserver_emu", *words, "--serial-link", str(Path(folder) / "robot")]
@@ -51,37 +57,37 @@ def daemon(seed: int, speed: float) -> Iterator[dict[str, str]]:
                 program.terminate()
 
 
-def localized(address: str, eye: Robot) -> Run:
-    """The run of `nomad localize ADDRESS`, its truth as the eye sees it."""
-    known = LocalizationConfig(load_world(WORLD).walls, BODIES["n150"], THESIS_ODOMETRY)
-    done, seen = Run(WAYPOINTS), _sighting(eye)
+def localized(address: str, observer: Robot) -> Run:
+    """Return the run of `nomad localize ADDRESS`, with ground truth from a second connection."""
+    config = LocalizationConfig(load_world(WORLD).walls, BODIES["n150"], THESIS_ODOMETRY)
+    run, truth_after = Run(WAYPOINTS), _truth(observer)
     with connect(address) as robot:
         state = robot.refresh()
         belief = independent([state.x_in, state.y_in, state.steering_rad], START_STD)
         navigator = Navigator(WAYPOINTS, Speeds(), STOP_RADIUS_IN)
-        for progress in follow(robot, begin(robot, known, belief), navigator, time.sleep):
-            before, seen = seen, _sighting(eye)
-            told = progress.state
-            odometry = (told.x_in, told.y_in, told.steering_rad)
-            truth = before.towards(seen, progress.estimate.clock_s)
-            done.add(RunMoment(progress.estimate, odometry, truth, progress.passed))
-            if done.duration_s > TIME_LIMIT_S:
+        for progress in follow_waypoints(robot, start_localizer(robot, config, belief), navigator, time.sleep):
+            truth_before, truth_after = truth_after, _truth(observer)
+            state = progress.state
+            odometry = (state.x_in, state.y_in, state.steering_rad)
+            truth = truth_before.interpolate(truth_after, progress.estimate.clock_s)
+            run.add(RunMoment(progress.estimate, odometry, truth, progress.passed))
+            if run.duration_s > TIME_LIMIT_S:
                 break
-    return done
+    return run
 
 
 def measure(seeds: int, speed: float) -> dict[str, list[dict[str, Any]]]:
-    """The summaries of all runs by line, a new daemon each."""
+    """Return the summaries of all runs by protocol, each with a new daemon."""
     found: dict[str, list[dict[str, Any]]] = {"tcp": [], "serial": []}
     for seed in range(seeds):
         for line, runs in found.items():
-            with daemon(seed, speed) as places, connect(places["tcp"] + "?tm_s=0") as eye:
-                runs.append(localized(places[line], eye).summary())
+            with daemon(seed, speed) as places, connect(places["tcp"] + "?tm_s=0") as observer:
+                runs.append(localized(places[line], observer).summary())
     return found
 
 
-def _sighting(eye: Robot) -> TruthSample:
-    truth = eye.truth()
+def _truth(observer: Robot) -> TruthSample:
+    truth = observer.truth()
     return TruthSample(truth.time_s, (truth.x_in, truth.y_in, truth.steering_rad))
 
 

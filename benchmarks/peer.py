@@ -1,10 +1,10 @@
-"""ir-sim doing the benchmark's scene: one round robot that drives in a circle between 50 walls and sees along 16 rays.
+"""The benchmark's scene in ir-sim: one round robot that drives in a circle between 50 walls and casts 16 rays.
 
-What the two share: room, walls, radius of the robot, velocities, steps of 0.1 s, 16 ranges looked at after each step,
-a test for collisions, one process without a window. What they do not: ir-sim casts all 16 rays in each step and steps
-its robot's pose by Euler's rule; ours fires its sonars one after another, each at its own instant and pose, follows
-the arc exactly and stops where it touches. So ours is timed twice: at the ring's usual rate, 1.7 rays a step, and at
-its fastest, 25 rays a step.
+Common to both: room, walls, radius of the robot, velocities, steps of 0.1 s, 16 ranges read after each step, a
+collision test, one process without a window. Different: ir-sim casts all 16 rays in each step and integrates the pose
+by Euler's method; this simulation fires its sonars one after another, each at its own time and pose, follows the arc
+exactly and stops at contact. So it is timed twice: at the usual rate of the ring, 1.7 rays per step, and at its
+highest, 25.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from worlds.world import World
 M_PER_IN: Final = 0.0254
 INSTALL: Final = "ir-sim is not installed: pip install 'nomad-nserver[bench]'"
 SPEED_IN_S, TURN_RAD_S = 10.0, 0.75
-"""A circle of 13 in radius about a place with 40 in around it."""
+"""A circle of 13 in radius around a point with 40 in of free space."""
 
 
 def peer(world: World) -> Callable[[int], None] | None:
-    """What makes ir-sim take so many steps of 0.1 s; None where it is not installed."""
+    """Return a function that executes a number of steps of 0.1 s in ir-sim; None if it is not installed."""
     os.environ.setdefault("MPLBACKEND", "Agg")
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
         try:
@@ -52,7 +52,7 @@ def peer(world: World) -> Callable[[int], None] | None:
 
 
 def _yaml(world: World) -> str:
-    """The scene in ir-sim's words, metres and radians."""
+    """Return the scene in ir-sim's file format, in metres and radians."""
     size = M_PER_IN * float(np.abs(world.walls).max()) * 2.0 + 1.0
     walls = "\n".join(
         f"  - {{shape: {{name: linestring, vertices: [[{x1:.9f}, {y1:.9f}], [{x2:.9f}, {y2:.9f}]]}}, state: [0, 0, 0]}}"

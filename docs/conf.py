@@ -1,6 +1,6 @@
-"""How the site is built: scripts/docs. Pages are Markdown (MyST); every warning is an error.
+"""Sphinx configuration of the documentation site, which `scripts/docs` builds with warnings as errors.
 
-Rules: nothing is loaded from elsewhere when a page is read, and a page that no list names is an error.
+Pages are Markdown (MyST) and load nothing from other hosts.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ project = "nomad-nserver"
 author = "the nomad-nserver authors"
 version = release = version_of("nomad-nserver")
 
-extensions = ["myst_nb"]  # Markdown, and notebooks that are run anew each time
+extensions = ["myst_nb"]  # Markdown, and notebooks that are executed at each build
 nb_execution_mode = "force"
 nb_execution_raise_on_error = True
 nb_execution_timeout = 120
@@ -30,5 +30,5 @@ html_css_files = ["tables.css"]
 
 
 def setup(app: Sphinx) -> None:
-    """Scripts of `nomad shell` are shown as they are."""
+    """Show scripts of `nomad shell` as plain text."""
     app.add_lexer("nomad", TextLexer)

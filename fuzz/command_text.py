@@ -10,7 +10,7 @@ import functools
 
 from fuzz.mutation import any_of, mutate_bytes, word_mutator
 from fuzz.reader import Reader
-from nclient.cli.shell_help import OWN
+from nclient.cli.shell_help import BUILTINS
 from nclient.cli.shell_session import Session
 from nclient.common import allowlist
 from nclient.connect import open_backend
@@ -74,7 +74,7 @@ def _encode(lines: tuple[str, ...], head: bytes = b"") -> list[bytes]:
     return [head + line.encode() for line in lines]
 
 
-_COMMAND_WORDS = tuple(name.encode() for name in (*(row.name for row in COMMANDS), *OWN))
+_COMMAND_WORDS = tuple(name.encode() for name in (*(row.name for row in COMMANDS), *BUILTINS))
 _SHELL_SYNTAX = (b"{", b"}", b"(", b")", b";", b"Smask[", b"]", b"=", b"#", b"State", b'"')
 _QUERY = (b"&", b"?", b"=", b"%00", b"%", b"//", b":", b"@", b"[", b"]", b"#", b"+", b";")
 _OPTION = tuple(f"&{option.name}=".encode() for option in OPTIONS)

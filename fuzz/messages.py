@@ -15,7 +15,7 @@ from fuzz.mutation import any_of, mutate_bytes, mutate_json
 from fuzz.reader import Reader
 from localization.live.publish import parse_answer
 from nclient.errors import ControlError
-from nserver_emu.control.cli import said_in, shown
+from nserver_emu.control.cli import format_result, parse_response
 from nserver_emu.control.commands import COMMANDS, answer_line
 from nserver_emu.server.inprocess import open_address
 from nserver_emu.server.link import FaultController
@@ -44,11 +44,11 @@ class FakeServer:
         """Advance by at most 0.1 s: a longer step repeats short ones and tests no other code."""
         self.emulator.simulation.step(min(dt_s, 0.1))
 
-    def paced(self) -> None:
+    def record_clock(self) -> None:
         pass
 
-    def changed(self, what: Mapping[str, Any]) -> None:
-        json.dumps(what)
+    def record_change(self, change: Mapping[str, Any]) -> None:
+        json.dumps(change)
 
     def hold(self, robot_ids: Iterable[int], by: str) -> None:
         for robot_id in robot_ids:
@@ -91,7 +91,7 @@ def _published(data: bytes) -> None:
 
 def _answer(data: bytes) -> None:
     """Format an answer as `nserver ctl` prints it."""
-    "\n".join(shown(said_in(data))).encode()
+    "\n".join(format_result(parse_response(data))).encode()
 
 
 def _utf8_only(read: Callable[[bytes], None]) -> Callable[[bytes], None]:

@@ -131,7 +131,7 @@ def _make_calls(backend: Backend, first: int) -> None:
         except RobotRefused:
             continue
         # Formatting must work for every state that a reply can produce.
-        list(state_text.lines(robot.state, ()))
+        list(state_text.format_parts(robot.state, ()))
 
 
 def _tcp_handshake() -> list[bytes]:

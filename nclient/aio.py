@@ -75,6 +75,7 @@ class AsyncRobot:
 
     async def _finish(self, disconnect: Callable[[], None]) -> None:
         """Disconnect after all submitted calls, cancelled or not, and end the thread."""
+        # The executor has one thread and a queue: this runs after all calls before it.
         if not self._disconnected:
             self._disconnected = True
             disconnecting = self._thread.submit(disconnect)

@@ -183,12 +183,14 @@ class Connector:
         address = self.address
         connect_timeout_s = max(self.timeout_s or 0.0, tcp.CONNECT_TIMEOUT_S)
         match address.scheme:
+            # Over sockets and serial ports.
             case "nserver":
                 return tcp.TcpStream(address.host, address.port, connect_timeout_s)
             case "robotd":
                 return tcp.TcpStream(address.host, address.port, connect_timeout_s, served_by=tcp.ROBOT_LINE)
             case "serial":
                 return serial.SerialStream(address.path, address.options.baud or serial.DEFAULT_BAUD)
+            # In this process.
             case "replay":
                 return self._open_replay()
             case scheme:
@@ -204,6 +206,7 @@ class Connector:
         hello
             False if an exchange took place already, so that the robot's hello bytes are no longer expected.
         """
+        # The scheme does not decide the protocol: a recording or a simulation may have either.
         if self.wire == TCP:
             return self._start_tcp(stream)
         checks = self.address.options.checks
@@ -235,6 +238,7 @@ class Connector:
                 if self._recorder is None:
                     self._recorder = self._open_recorder(Path(self.address.options.record))
                 stream = self._recorder.wrap(stream)
+            # Faults come outside of it: they are what the program sees.
             if injector := self._current_injector():
                 greets = self.wire == HANDSHAKE_FIRST and self.model.sends_mask
                 language = TcpLanguage(wide=False) if self.wire == TCP else LineLanguage(greets)
@@ -265,6 +269,7 @@ class Connector:
     def _open_replay(self) -> MemoryStream:
         """Open the connection that the address names, else the first, and the next one at each reopening."""
         self._recording = self._recording or read_recording(Path(self.address.path))
+        # Reopening past the last recorded connection repeats that one.
         names = self._recording.connections()
         name = self.address.options.connection or (names[min(self._replays, len(names) - 1)] if names else "")
         self._replayed = load_exchanges(self._recording, name)
@@ -273,6 +278,7 @@ class Connector:
 
     def _needs_keep_alive(self, backend: Backend) -> bool:
         """Return False for a simulation too fast for a keep-alive, unless the address has `tm_s=`."""
+        # State[0] is ten times the speed of the server's time; serial lines do not report it.
         speed = backend.greeting.slots.get(0, 0) if backend.greeting else 0
         return speed <= MAX_KEEP_ALIVE_SPEED or "tm_s" in self.address.given
 
@@ -295,7 +301,7 @@ def _agreed_robot_id(address: Address, options: ConnectOptions) -> int:
 def connect(address: str | None = None, *, timeout_s: float | None = None) -> Robot:
     """Connect to a robot.
 
-    Where time runs by itself, the robot's motion timeout is set and kept alive, so that the robot stops when the
+    Where time runs by itself, the robot's motion timeout is set and refreshed, so that the robot stops when the
     program dies (`tm_s=` and `feed=` in the address).
 
     Parameters
@@ -435,10 +441,12 @@ def is_listening(name: str, port: int) -> bool:
 
 def _open_tcp(name: str, port: int, timeout_s: float | None) -> tcp.TcpStream:
     """Connect to a host, or where none is named to the first name of this machine that answers."""
+    # "host:port", but not an IPv6 address without brackets.
     host, colon, digits = name.rpartition(":")
     if colon and digits.isdecimal() and (":" not in host or host.endswith("]")):
         name, port = host.strip("[]"), int(digits)
     connect_timeout_s = max(timeout_s or 0.0, tcp.CONNECT_TIMEOUT_S)
+    # The last failure is the one that is raised.
     *others, last = (name,) if name else tcp.names_of_this_machine()
     for host in others:
         with contextlib.suppress(ConnectionLost):

@@ -1,21 +1,10 @@
-"""What a doctor says: a grade, of what, what was seen, and what to do about it.
+"""Diagnostics of a robot that stands still: collect data with queries, and report findings with remedies.
 
-What many states of a robot that stands still tell of its sensors, bumpers, batteries and clock. Pure.
+    Diagnostics.run()   sends gs many times and every query of the model once; never moves the robot
+    report(data)        findings on link, firmware, clock, sensors, bumpers and batteries, each OK, WARN or FAIL
 
-    dead    a sonar that reads 0, as dead ones do; one that always hears nothing while its neighbours hear is suspect
-    stuck   always the same number, while others that look no farther change by more than rounding does: noise grows
-            with the range, so a sensor that is steadier than nearer ones does not look
-
-Rules: states in, findings out. In a simulation without noise nothing changes and so nothing is stuck.
-
-Asks a robot what a doctor needs to know, and never moves it: gs many times, then every question its model has.
-
-Rules: gs and get_ only. Time is handed in: `clock` gives seconds, `sleep` lets them pass. A connection that a missing
-answer closed is opened anew. Who has no clock of its own (State[0] is 0: lockstep) is not waited for.
-
-From what was found out to what is said: link and firmware here, the sensors in sensors.py. Pure.
-
-    a link   fails where one gs in ten is lost or nobody answers; one lost, stray bytes or slow answers are a warning
+A dead sonar always reads 0. A sensor is stuck if it always reads the same while others with readings no larger change
+by more than rounding does: noise grows with range. Without noise, in an ideal simulation, nothing counts as stuck.
 """
 
 from __future__ import annotations
@@ -36,7 +25,7 @@ from nclient.state import NO_ECHO_IN, RobotState
 
 
 class Grade(IntEnum):
-    """How bad it is, the worse the higher."""
+    """Severity of a finding."""
 
     OK = 0
     WARN = 1
@@ -44,7 +33,7 @@ class Grade(IntEnum):
 
 
 class Finding(NamedTuple):
-    """One line of a report. `remedy`: empty where all is well."""
+    """One line of a report; `remedy` is empty if the grade is OK."""
 
     grade: Grade
     what: str
@@ -52,71 +41,73 @@ class Finding(NamedTuple):
     remedy: str = ""
 
     def __str__(self) -> str:
-        """The line as people read it."""
+        """Return the line for people."""
         return f"{self.grade.name:4}  {self.what:12} {self.seen}{'; ' + self.remedy if self.remedy else ''}"
 
 
 def ok(what: str, seen: str) -> Finding:
-    """All is well."""
+    """Return a finding without fault."""
     return Finding(Grade.OK, what, seen)
 
 
 def warn(what: str, seen: str, remedy: str) -> Finding:
-    """It runs, and should be looked at."""
+    """Return a finding that needs attention."""
     return Finding(Grade.WARN, what, seen, remedy)
 
 
 def fail(what: str, seen: str, remedy: str) -> Finding:
-    """It does not work."""
+    """Return a finding of a failure."""
     return Finding(Grade.FAIL, what, seen, remedy)
 
 
 def worst(findings: list[Finding]) -> Grade:
-    """The worst grade of a report."""
+    """Return the worst grade of a report."""
     return max((finding.grade for finding in findings), default=Grade.OK)
 
 
 RING: Final = 16
 DEAD_IN: Final = 0
 NOTHING_IR: Final = 15
-WITNESSES: Final = 3
-"""Others that must have changed before one that did not is suspect."""
-SPREAD: Final = 2
-"""Least change of a witness: by one, a steady reading between two whole numbers flickers."""
-FEWEST: Final = 10
-"""States below which nothing is said of what changes."""
+MIN_CHANGED: Final = 3
+"""Other sensors that must have changed before one that did not counts as stuck."""
+MIN_CHANGE: Final = 2
+"""Smallest change of those: a steady range between two whole numbers changes by one."""
+MIN_STATES: Final = 10
+"""States below which no sensor counts as stuck."""
 LOW_V, EMPTY_V = 11.1, 10.5
-"""A lead battery of six cells at 1.85 V and at 1.75 V a cell, where it is to be charged, and where discharge ends."""
+"""A lead battery of six cells: 1.85 V per cell, to be charged, and 1.75 V, the end of discharge."""
 SHORT_S: Final = 0.5
-"""Time in which a rate says nothing; simulated time that moves with each question takes less."""
+"""Duration below which no rate is computed; simulated time in lockstep takes less."""
 _CLOCK_WORD: Final = 1 << 32
 Readings = Sequence[Sequence[int]]
 
 
 def sonars(states: Sequence[RobotState]) -> list[Finding]:
-    """A finding a sonar that is not well, or one for all."""
+    """Return a finding per faulty sonar, or one for all."""
     readings = [state.sonars_in for state in states]
     findings = []
+    # 1. Each sonar by itself.
     for number in range(RING):
         name = f"sonar {number}"
         if always(readings, number, DEAD_IN):
             findings.append(fail(name, "reads 0 always: dead", "look after its cable and transducer"))
         elif stuck(readings, number, (DEAD_IN, NO_ECHO_IN)):
             findings.append(_stuck(name, readings[0][number], " in"))
+    # 2. Sonars without any echo: suspicious if both neighbours have some.
     silent = [number for number in range(RING) if always(readings, number, NO_ECHO_IN)]
     if len(silent) == RING:
-        return [warn("sonars", "none hears anything", "is the ring off (conf_sn turns it on), or the hall empty?")]
-    alone = [number for number in silent if _neighbours_hear(readings, number)]
+        return [warn("sonars", "none has an echo", "is the ring off (conf_sn turns it on), or the hall empty?")]
+    alone = [number for number in silent if _neighbours_have_echoes(readings, number)]
     if alone:
         findings.append(warn(
-            "sonars", f"hear nothing while both neighbours do: {', '.join(map(str, alone))}",
+            "sonars", f"no echo while both neighbours have some: {', '.join(map(str, alone))}",
             "a wall met at a slant does that; hold a board 20 in before each: still 255 means it is dead",
         ))
-    return findings or [ok("sonars", f"{RING - len(silent)} of {RING} hear something, none dead or stuck")]
+    return findings or [ok("sonars", f"{RING - len(silent)} of {RING} have echoes, none dead or stuck")]
 
 
 def infrareds(states: Sequence[RobotState]) -> list[Finding]:
-    """The same of the infrareds."""
+    """Return a finding per faulty infrared, or one for all."""
     readings = [state.infrareds for state in states]
     findings = [_stuck(f"infrared {n}", readings[0][n], "") for n in range(RING) if stuck(readings, n, (NOTHING_IR,))]
     if all(always(readings, number, 0) for number in range(RING)):
@@ -125,36 +116,38 @@ def infrareds(states: Sequence[RobotState]) -> list[Finding]:
 
 
 def bumpers(states: Sequence[RobotState]) -> Finding:
-    """Whether one is pressed all the time, or flickers."""
+    """Return a finding on bumpers that are pressed all the time or now and then."""
     pressed = [frozenset(state.bumpers) for state in states]
+    # Pressed in every state, or in some.
     steady, ever = frozenset.intersection(*pressed), frozenset[int]().union(*pressed)
     if steady:
         return fail("bumpers", f"pressed all the time: {_listed(steady)}",
                     "free the robot from what it touches; if nothing does, the switch or its wire is stuck")
     if ever:
-        return warn("bumpers", f"pressed now and then: {_listed(ever)}", "a loose switch, or somebody touches it")
+        return warn("bumpers", f"pressed now and then: {_listed(ever)}", "a loose switch, or a person touches it")
     return ok("bumpers", "none pressed")
 
 
 def batteries(state: RobotState) -> list[Finding]:
-    """The volts of both."""
+    """Return a finding per battery."""
     if state.raw_volts is None:
-        return [warn("battery", "its volts were never told", "gs tells them; see the firmware's answers")]
+        return [warn("battery", "its voltage was never received", "gs reports it; see the firmware's answers")]
     raws = zip(("computer", "motors"), state.raw_volts, (CPU_RANGE_V, MOTOR_RANGE_V), strict=True)
     return [_battery(f"{name}", volts(raw, full_v)) for name, raw, full_v in raws]
 
 
 def clock(states: Sequence[RobotState], elapsed_s: float) -> Finding:
-    """Whether the robot's clock goes forward, and how fast against `elapsed_s` of ours."""
+    """Return a finding on the robot's clock, and its rate relative to `elapsed_s` of this machine."""
     times = [state.clock_ms for state in states if state.clock_ms is not None]
     if len(times) < 2:
-        return warn("clock", "was never told", "gs tells it; see the firmware's answers")
+        return warn("clock", "was never received", "gs reports it; see the firmware's answers")
+    # Differences of a 32-bit clock, as signed numbers.
     steps = [(later - earlier + _CLOCK_WORD // 2) % _CLOCK_WORD - _CLOCK_WORD // 2
              for earlier, later in pairwise(times)]
     back = sum(step < 0 for step in steps)
     if back:
         return fail("clock", f"went back {back} times, by {-min(steps) / 1000:g} s at most",
-                    "the robot may have started anew, or corrupt answers were believed: look at the line")
+                    "the robot may have started anew, or corrupt replies were accepted: look at the line")
     if not any(steps):
         return warn("clock", "stands still", "the simulation is paused, or the robot's firmware hangs")
     passed_s = sum(steps) / 1000
@@ -163,28 +156,30 @@ def clock(states: Sequence[RobotState], elapsed_s: float) -> Finding:
 
 
 def motion(states: Sequence[RobotState]) -> Finding:
-    """Whether something else moved the robot meanwhile, which spoils the rest."""
+    """Return a warning if the robot moved meanwhile, which invalidates the other findings."""
     if any(state.moving or any(state.raw[38:41]) for state in states):
         return warn("motion", "the robot moved meanwhile", "stop it (nomad stop) and ask again: it must stand still")
     return ok("motion", "the robot stood still")
 
 
 def always(readings: Readings, number: int, value: int) -> bool:
-    """Whether a sensor gave this number each time."""
+    """Return True if a sensor always read this value."""
     return all(reading[number] == value for reading in readings)
 
 
 def stuck(readings: Readings, number: int, limits: tuple[int, ...]) -> bool:
-    """Whether a sensor never changed (its limits do not count), while enough others that look no farther did."""
+    """Return True if a sensor never changed, except at its limits, while enough others with readings no larger did."""
+    # 1. It has one value, which is no limit of its range.
     seen = {reading[number] for reading in readings}
-    if len(readings) < FEWEST or len(seen) > 1 or seen & set(limits):
+    if len(readings) < MIN_STATES or len(seen) > 1 or seen & set(limits):
         return False
     (value,) = seen
+    # 2. Others with readings no larger, and so with less noise, have changed.
     columns = [[reading[other] for reading in readings] for other in range(RING)]
-    return sum(max(column) <= value and max(column) - min(column) >= SPREAD for column in columns) >= WITNESSES
+    return sum(max(column) <= value and max(column) - min(column) >= MIN_CHANGE for column in columns) >= MIN_CHANGED
 
 
-def _neighbours_hear(readings: Readings, number: int) -> bool:
+def _neighbours_have_echoes(readings: Readings, number: int) -> bool:
     sides = ((number - 1) % RING, (number + 1) % RING)
     return all(any(DEAD_IN < reading[side] < NO_ECHO_IN for reading in readings) for side in sides)
 
@@ -208,24 +203,32 @@ def _listed(numbers: frozenset[int]) -> str:
 
 EXCHANGES: Final = 100
 INTERVAL_S: Final = 0.03
-"""Between two questions, so that a hundred of them see a ring of sonars go round three times."""
-MOST_LOSSES: Final = 10
-"""Answers missing in a row after which nobody is there."""
-_QUESTIONS: Final = tuple(row for row in COMMANDS if row.name.startswith("get_"))
-_NOT_THE_ROBOTS: Final = frozenset({"get_rpx", "get_robot_conf"})
-_TROUBLES: Final = (ConnectionLost, ReplyTimeout, RobotRefused, WireError)
+"""Interval between two requests: a hundred of them last for three cycles of the sonars."""
+MAX_LOSSES_IN_ROW: Final = 10
+"""Missing replies in a row after which the robot counts as absent."""
+_QUERIES: Final = tuple(row for row in COMMANDS if row.name.startswith("get_"))
+_SERVER_QUERIES: Final = frozenset({"get_rpx", "get_robot_conf"})
+_ERRORS: Final = (ConnectionLost, ReplyTimeout, RobotRefused, WireError)
 
 
 @dataclass(slots=True)
 class DiagnosticData:
-    """What was found out.
+    """The collected data.
 
-    states      after each gs that was answered
-    latencies   seconds that each of those took
-    losses      what went wrong with the others, as it was told
-    elapsed_s   from the first gs to the last
-    answers     by C name of each question: "" for a good answer, else what went wrong
-    link        the link's own counts, where it keeps any
+    Attributes
+    ----------
+    states
+        The state after each answered gs.
+    latencies
+        The time each of those took, in seconds.
+    losses
+        The errors of the other ones.
+    elapsed_s
+        Time from the first gs to the last reply.
+    answers
+        By C name of each query: "" for a valid reply, else the error.
+    link
+        Statistics of the link, if it has any.
     """
 
     model: str = ""
@@ -239,141 +242,164 @@ class DiagnosticData:
 
     @property
     def asked(self) -> int:
-        """How often gs went out."""
+        """Return the number of gs sent."""
         return len(self.states) + len(self.losses)
 
 
 class Diagnostics:
-    """One robot. `opens`: a new conversation with it. Raises ConnectionLost where nobody is there from the start."""
+    """Query one robot; gs and get_ only.
+
+    A connection that was closed after a missing reply is opened again. Between requests it pauses, except if the
+    robot's time advances only with requests (State[0] is 0).
+
+    Parameters
+    ----------
+    open_session
+        Opens a new connection to the robot.
+    clock
+        Returns seconds.
+    sleep
+        Waits for that many seconds.
+
+    Raises
+    ------
+    ConnectionLost
+        If the robot cannot be reached at the start.
+    """
 
     def __init__(
-        self, opens: Callable[[], Backend], clock: Callable[[], float], sleep: Callable[[float], None]
+        self, open_session: Callable[[], Backend], clock: Callable[[], float], sleep: Callable[[float], None]
     ) -> None:
-        self._opens = opens
+        self._open_session = open_session
         self._clock, self._sleep = clock, sleep
-        self._backend = opens()
+        self._backend = open_session()
         self._robot = Robot(self._backend)
 
     def run(self, exchanges: int = EXCHANGES, interval_s: float = INTERVAL_S) -> DiagnosticData:
-        """Ask all there is to ask."""
-        chart = DiagnosticData(self._robot.model.name, self._backend.wire_state.line)
+        """Send all requests and return the data."""
+        data = DiagnosticData(self._robot.model.name, self._backend.wire_state.line)
         try:
-            self._measure(chart, exchanges, interval_s)
-            if chart.states:
-                self._question(chart)
-            self._count(chart)
+            self._measure(data, exchanges, interval_s)
+            if data.states:
+                self._query_all(data)
+            self._count(data)
         finally:
             self._robot.disconnect()
-        return chart
+        return data
 
-    def _measure(self, chart: DiagnosticData, exchanges: int, interval_s: float) -> None:
+    def _measure(self, data: DiagnosticData, exchanges: int, interval_s: float) -> None:
         start_s, missing = self._clock(), 0
         for _ in range(exchanges):
+            # 1. One gs; after an error the next one goes over a new connection, if this one was closed.
             asked_s = self._clock()
             try:
                 state = self._connected().refresh()
-            except _TROUBLES as error:
-                chart.losses.append(str(error))
+            except _ERRORS as error:
+                data.losses.append(str(error))
                 missing += 1
-                if missing >= MOST_LOSSES:
+                if missing >= MAX_LOSSES_IN_ROW:
                     break
                 continue
+            # 2. Record it.
             missing = 0
             now_s = self._clock()
-            chart.states.append(state)
-            chart.latencies.append(now_s - asked_s)
-            chart.elapsed_s = now_s - start_s
-            if chart.is_serial or state.raw[0]:
+            data.states.append(state)
+            data.latencies.append(now_s - asked_s)
+            data.elapsed_s = now_s - start_s
+            # 3. Pause, unless time advances only with requests.
+            if data.is_serial or state.raw[0]:
                 self._sleep(max(0.0, interval_s - (now_s - asked_s)))
 
-    def _question(self, chart: DiagnosticData) -> None:
-        for row in _QUESTIONS:
-            if row.name not in _NOT_THE_ROBOTS and self._has(row, chart.is_serial):
-                chart.answers[row.name] = self._answer(row)
+    def _query_all(self, data: DiagnosticData) -> None:
+        for row in _QUERIES:
+            if row.name not in _SERVER_QUERIES and self._has(row, data.is_serial):
+                data.answers[row.name] = self._query_error(row)
 
-    def _answer(self, row: Command) -> str:
-        """What is wrong with the answer, asked twice where it was none."""
-        told = ""
+    def _query_error(self, row: Command) -> str:
+        """Return the error of a query, "" if it was answered at the first or second attempt."""
+        message = ""
         for _ in range(2):
             try:
                 self._connected().execute(Call(row.name))
                 return ""
-            except _TROUBLES as error:
-                told = str(error)
-        return told
+            except _ERRORS as error:
+                message = str(error)
+        return message
 
     def _has(self, row: Command, line: bool) -> bool:
-        """Whether this model has what the question asks for. Nserver answers for the compass of a N150, too."""
+        """Return True if this model has what is queried. An Nserver answers for the compass of an N150, too."""
         model = self._robot.model
         if line:
             return exists_on_serial(row, model)
+        # Over TCP every query is answered, with error 4 if the model lacks the sensor.
         lacks = {"get_ir": not model.has_infrared, "get_cp": not model.has_turret,
                  "get_ls": not model.has_laser, "get_sg": not model.has_laser}
         return not lacks.get(row.name, False)
 
     def _connected(self) -> Robot:
         if self._robot.closed:
-            self._backend = self._opens()
+            self._backend = self._open_session()
             self._robot = Robot(self._backend)
         return self._robot
 
-    def _count(self, chart: DiagnosticData) -> None:
+    def _count(self, data: DiagnosticData) -> None:
         link = getattr(self._backend, "link", None)
         if link is not None:
-            chart.link = link.counts()
+            data.link = link.counts()
 
 
-MOST_LOST: Final = 0.1
+MAX_LOST_FRACTION: Final = 0.1
 SLOW_S: Final = 0.2
-"""A 99th percentile above this is too slow for a program that asks at 10 Hz while it drives."""
+"""A 99th percentile above this is too slow for a program that drives with 10 requests per second."""
 _FAULTS: Final = ("skipped_bytes", "checksum_errors", "misfits", "implausible", "strays", "naks")
 
 
-def report(chart: DiagnosticData) -> list[Finding]:
-    """All findings, in the order one would look."""
-    findings = [_link(chart)]
-    if not chart.states:
+def report(data: DiagnosticData) -> list[Finding]:
+    """Return all findings, from the link to the batteries."""
+    findings = [_link(data)]
+    if not data.states:
         return findings
-    findings += _line_faults(chart)
-    findings += [_firmware(chart), motion(chart.states), clock(chart.states, chart.elapsed_s)]
-    findings += sonars(chart.states)
-    if get_model(chart.model).has_infrared:
-        findings += infrareds(chart.states)
-    return [*findings, bumpers(chart.states), *batteries(chart.states[-1])]
+    findings += _line_faults(data)
+    findings += [_firmware(data), motion(data.states), clock(data.states, data.elapsed_s)]
+    findings += sonars(data.states)
+    if get_model(data.model).has_infrared:
+        findings += infrareds(data.states)
+    return [*findings, bumpers(data.states), *batteries(data.states[-1])]
 
 
-def percentile_s(latencies: Sequence[float], share: float) -> float:
-    """The smallest latency that at least this share (0 to 1) of them do not exceed (nearest rank)."""
+def percentile_s(latencies: Sequence[float], fraction: float) -> float:
+    """Return a percentile of the latencies by nearest rank; `fraction` is 0 to 1."""
     ranked = sorted(latencies)
-    return ranked[max(0, math.ceil(share * len(ranked)) - 1)]
+    return ranked[max(0, math.ceil(fraction * len(ranked)) - 1)]
 
 
-def _link(chart: DiagnosticData) -> Finding:
-    lost = len(chart.losses)
-    if not chart.states:
-        return fail("link", f"no answer to {lost} questions: {chart.losses[-1]}",
+def _link(data: DiagnosticData) -> Finding:
+    lost = len(data.losses)
+    if not data.states:
+        return fail("link", f"no answer to {lost} questions: {data.losses[-1]}",
                     "is it switched on, the cable in, the address and the model right?")
-    half, most = (1000 * percentile_s(chart.latencies, share) for share in (0.5, 0.99))
-    seen = f"{len(chart.states)} of {chart.asked} gs answered; {half:.2f} ms p50, {most:.2f} ms p99"
-    if lost > MOST_LOST * chart.asked:
-        return fail("link", f"{seen}; {chart.losses[-1]}", "look after plugs, baud rate, and who else talks to it")
+    p50_ms, p99_ms = (1000 * percentile_s(data.latencies, fraction) for fraction in (0.5, 0.99))
+    seen = f"{len(data.states)} of {data.asked} gs answered; {p50_ms:.2f} ms p50, {p99_ms:.2f} ms p99"
+    # Grades, from the worst: lost replies, then slow ones.
+    if lost > MAX_LOST_FRACTION * data.asked:
+        return fail("link", f"{seen}; {data.losses[-1]}", "look after plugs, baud rate, and who else talks to it")
     if lost:
-        return warn("link", f"{seen}; {chart.losses[-1]}", "a noisy line; retries= in the address lets programs go on")
-    if most > 1000 * SLOW_S:
+        return warn("link", f"{seen}; {data.losses[-1]}", "a noisy line; retries= in the address lets programs go on")
+    if p99_ms > 1000 * SLOW_S:
         return warn("link", f"{seen}: slow", "a modem in between, or a busy machine? timeout_s= may have to be longer")
     return ok("link", seen)
 
 
-def _line_faults(chart: DiagnosticData) -> list[Finding]:
-    faults = [f"{chart.link[name]} {name.replace('_', ' ')}" for name in _FAULTS if chart.link.get(name)]
+def _line_faults(data: DiagnosticData) -> list[Finding]:
+    faults = [f"{data.link[name]} {name.replace('_', ' ')}" for name in _FAULTS if data.link.get(name)]
     if faults:
         return [warn("line", ", ".join(faults), "the line is not clean: look after plugs, length, and ground")]
-    return [ok("line", "no stray byte, no bad checksum")] if chart.link else []
+    return [ok("line", "no stray byte, no bad checksum")] if data.link else []
 
 
-def _firmware(chart: DiagnosticData) -> Finding:
-    bad = {name: told for name, told in chart.answers.items() if told}
+def _firmware(data: DiagnosticData) -> Finding:
+    bad = {name: error for name, error in data.answers.items() if error}
     if bad:
-        return fail("firmware", "no good answer to " + "; ".join(f"{name} ({told})" for name, told in bad.items()),
-                    f"is it a {chart.model}? model= in the address says which")
-    return ok("firmware", f"a {chart.model} answered {' '.join(chart.answers)}")
+        return fail("firmware", "no good answer to " + "; ".join(f"{name} ({error})" for name, error in bad.items()),
+                    f"is it a {data.model}? model= in the address says which")
+    return ok("firmware", f"a {data.model} answered {' '.join(data.answers)}")

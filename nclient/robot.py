@@ -119,6 +119,7 @@ class Robot:
         self._backend = backend
         self._client_state = ClientState()
         self._lock = threading.RLock()
+        # Replies update the client state, of which every exchange takes an immutable snapshot.
         if backend.greeting is not None:
             self._client_state.apply_reply(backend.greeting)
         self._state = snapshot(self._client_state, backend.wire_state.model)
@@ -165,6 +166,7 @@ class Robot:
             try:
                 reply = self._backend.execute(call)
             except RobotRefused as refusal:
+                # As in the C library, State[44] has the code of an ERROR reply; a NAK has none.
                 if refusal.code is not None:
                     self._apply(Reply("error", values=(refusal.code,)))
                 raise
@@ -436,6 +438,7 @@ class Robot:
         motion
             True to include pose and velocities.
         """
+        # The mask has position bits, 16 infrareds, 16 sonars, bumpers, 7 numbers of motion, laser and compass.
         position = self._backend.wire_state.mask.position
         rings = [int(number in frozenset(selected)) for selected in (infrareds, sonars) for number in RING]
         mask = Mask((position, *rings, int(bumpers), *[int(motion)] * 7, 1, int(laser), int(compass)))
@@ -791,6 +794,7 @@ class Robot:
         A server of the 1990s does not have that command: it refuses it, or leaves it unanswered and the connection
         is closed after the timeout.
         """
+        # Only a simulation of this project answers.
         with contextlib.suppress(RobotRefused):
             self.truth()
             return True

@@ -49,6 +49,7 @@ def tenths_of(*, default: int = 0, **quantity: float | None) -> int:
         return default
     if len(values) > 1:
         raise TypeError(f"one of {', '.join(quantity)}, not {' and '.join(name for name, _ in values)}")
+    # The part of the keyword behind its first underscore is the unit.
     ((name, value),) = values
     if not math.isfinite(value):
         raise ValueError(f"{name} is a finite number, not {value}")

@@ -58,6 +58,7 @@ def speed(text: str) -> float:
 
 def count(text: str) -> int:
     """Return a whole number, 0 or more."""
+    # isdecimal() accepts the digits of other scripts, and int() reads them.
     if not (text.isascii() and text.isdecimal()):
         raise ValueError("a whole number, 0 or more")
     return int(text)
@@ -142,6 +143,7 @@ SCHEMES: Final[dict[str, Scheme]] = {
     "replay": Scheme("replay:FILE", TCP, in_process=True),
 }
 
+# Groups of schemes in the table of options.
 _REPLAY: Final = frozenset({"replay"})
 _SERIAL_PORT: Final = frozenset({"serial"})
 _SERIAL_PROTOCOL: Final = frozenset({"serial", "robotd"})
@@ -166,14 +168,18 @@ class Option:
 
 
 OPTIONS: Final[tuple[Option, ...]] = (
+    # The link and the robot at its end.
     Option("timeout_s", seconds, _REMOTE),
     Option("model", get_model, _REMOTE),
     Option("baud", baud, _SERIAL_PORT),
     Option("checks", flag, _SERIAL_PROTOCOL),
+    # Replay of a recording.
     Option("order", one_of(ORDERS), _REPLAY),
     Option("connection", file_name, _REPLAY),
+    # Layers around the stream.
     Option("record", file_name),
     Option("faults", fault_plan),
+    # Layers around the protocol: recovery and safety.
     Option("reconnect", seconds_or_zero, _REMOTE, MAX_PAUSE_S, _SERIAL_PROTOCOL),
     Option("retries", count, _SERIAL_PROTOCOL, DEFAULT_RETRIES, _SERIAL_PROTOCOL),
     Option("bumper_stop", flag),
@@ -235,6 +241,7 @@ class RawAddress(NamedTuple):
 
     def without(self, names: Iterable[str]) -> str:
         """Return the text without these options and with everything else unchanged."""
+        # Pieces stay as they are: decoding and encoding again could change them.
         path, question, query = self.text.partition("?")
         left = [piece for piece in query.split("&") if unquote_plus(piece.partition("=")[0]) not in names]
         return path + question + "&".join(left) if any(left) or not query else path
@@ -260,7 +267,7 @@ class RawAddress(NamedTuple):
     def _value(self, name: str, text: str, parse: Parser) -> Any:
         try:
             return parse(text)
-        except NomadError:
+        except NomadError:  # FaultPlanError names the file by itself
             raise
         except ValueError as error:
             raise AddressError(f"{self.text!r}: {name} is {error}, not {text!r}") from None
@@ -302,6 +309,7 @@ def split_address(text: str) -> RawAddress:
         If an option is given twice.
     """
     scheme, colon, rest = text.strip().partition(":")
+    # urlsplit() knows no query of schemes without slashes, such as sim:WORLD?seed=1.
     query = rest.partition("#")[0].partition("?")[2]
     options = parse_qsl(query, keep_blank_values=True)
     for name, times in Counter(name for name, _ in options).items():
@@ -358,6 +366,7 @@ def available_schemes() -> tuple[str, ...]:
 
 def _unknown_scheme(raw: RawAddress) -> AddressError:
     schemes = available_schemes()
+    # Without a colon the first word may be a mistyped scheme.
     name = raw.scheme or raw.text.partition("/")[0].lower()
     hint = suggest(name, schemes, before="", after=":? ")
     return AddressError(
@@ -376,6 +385,7 @@ def _parse_place(raw: RawAddress, scheme: Scheme) -> dict[str, Any]:
     parts = raw.url_parts(scheme.form)
     match raw.scheme:
         case "nserver":
+            # The path is the robot's number; without it the caller's, or 1.
             number = parts.path.strip("/")
             is_number = number.isascii() and number.isdecimal() and len(number) <= 10  # int() of more may raise
             is_number = is_number and 1 <= int(number) <= MAX_ROBOT_ID

@@ -24,7 +24,7 @@ from nserver_emu.persistence import autosave
 from nserver_emu.persistence import options as restore_options
 from nserver_emu.server import limits, serial_lines
 from nserver_emu.server.config import MAX_ROBOTS, MODEL_NAMES
-from nserver_emu.server.context import FASTEST, MAX_LOCKSTEP_S, SLOWEST
+from nserver_emu.server.context import MAX_LOCKSTEP_S, MAX_TIME_FACTOR, MIN_TIME_FACTOR
 from nserver_emu.server.daemon import LOOPBACK
 from nserver_emu.simulation.noise import NOISY, SETUPS, SUFFIX
 from nserver_emu.viewer import options as viewer_options
@@ -81,8 +81,8 @@ def _add_robots(parser: Parser) -> None:
 
 def _add_time(parser: Parser) -> None:
     parser.add_argument("--speed", type=_speed, default=1.0, metavar="X",
-                        help=f"run at X simulated seconds per second: {SLOWEST} to {FASTEST:.0f}, or {MAX_SPEED} "
-                        "(default 1)")
+                        help=f"run at X simulated seconds per second: {MIN_TIME_FACTOR} to {MAX_TIME_FACTOR:.0f}, or "
+                        f"{MAX_SPEED} (default 1)")
     parser.add_argument("--paused", action="store_true",
                         help="start with simulated time paused, until a client resumes it")
     parser.add_argument("--lockstep", type=_lockstep, metavar="DT",
@@ -176,7 +176,8 @@ def _as_value(word: str) -> str:
 def _speed(text: str) -> float | None:
     if text == MAX_SPEED:
         return None
-    return _number(text, float, (SLOWEST, FASTEST), f"a speed is {SLOWEST} to {FASTEST:.0f}, or {MAX_SPEED}")
+    bounds = MIN_TIME_FACTOR, MAX_TIME_FACTOR
+    return _number(text, float, bounds, f"a speed is {MIN_TIME_FACTOR} to {MAX_TIME_FACTOR:.0f}, or {MAX_SPEED}")
 
 
 def _lockstep(text: str) -> float:

@@ -69,6 +69,7 @@ class LinkStatistics:
         float
             The upper edge of a bucket, at most the maximum latency; 0 before any reply.
         """
+        # Sum up buckets until the fraction is reached; the last bucket has no upper edge.
         needed, count = fraction * sum(self.latencies), 0
         for edge, in_bucket in zip(BUCKETS_S, self.latencies, strict=False):
             count += in_bucket
@@ -209,9 +210,11 @@ def split_wait(call: Call, max_piece_s: int, execute: Callable[[Call], Reply]) -
     """
     *flags, left = call.args
     while True:
+        # A piece of 0 s is a query; the timeout may be negative.
         piece = max(0, min(left, max_piece_s))
         left -= piece
         reply = execute(Call("ws", (*flags, piece)))
+        # Bit k of the motor status is axis k.
         motors = reply.slots.get(MOTOR_SLOT, 0)
         is_moving = any(flag and motors >> axis & 1 for axis, flag in enumerate(flags))
         if left <= 0 or not is_moving:

@@ -114,6 +114,7 @@ class SerialLink:
         ConnectionLost
             If the line is closed.
         """
+        # What arrived before the request cannot answer it.
         self.clear_input()
         self._outstanding.append(frame_type)
         self._statistics.exchanges += 1
@@ -198,6 +199,7 @@ class SerialLink:
 
         A NAK does not name its request, so that it counts only if no other reply is outstanding.
         """
+        # In-order line: all requests before the matched one are lost.
         if frame.type in self._outstanding:
             del self._outstanding[: self._outstanding.index(frame.type) + 1]
         elif frame.type == NAK_TYPE and len(self._outstanding) == 1:
@@ -265,6 +267,7 @@ class DirectBackend:
         self._laser_mode_is_certain = False
         self._decoded_any = False
         self._closed_because: str | None = None
+        # An N200 over TCP sends its mask, over a serial port it gets one; other models have a fixed one.
         try:
             if hello:
                 self._receive_handshake()
@@ -345,13 +348,16 @@ class DirectBackend:
             raise RobotRefused(row.name, None, f"a {model.name} does not have it on its own line")
 
     def _request(self, row: Command, call: Call, request: bytes) -> Reply:
+        # 1. The request may take effect whether or not its reply arrives.
         revert = self._update_format(call)
         frame = self._exchange(row, request, self._reply_timeout_s(row, call))
+        # 2. A NAK says that it had no effect.
         if frame.type == NAK_TYPE:
             self._statistics.naks += 1
             self._line.record_latency()
             revert()
             raise RobotRefused(row.name, None)
+        # 3. A valid reply confirms that it had.
         reply = self._decode_valid(row, frame)
         self._unconfirmed.discard(row.name)
         self._line.record_latency()
@@ -397,6 +403,7 @@ class DirectBackend:
                 or not self._wire_state.model.has_laser
             ):
                 raise
+            # Line modes have four numbers per reading, other modes one: if one does not fit, the other may.
             other = self._wire_state.copy()
             other.set_laser_mode(_PIXEL_MODE if other.laser_width == LINES else _LINE_MODE)
             with contextlib.suppress(WireError):
@@ -438,10 +445,12 @@ class DirectBackend:
 
     def _flush_pending_reply(self, row: Command, for_row: Command) -> None:
         """Exchange something of another type while a reply like this row's is outstanding; then none can come."""
+        # It may have arrived already.
         if self._line.expects(row.line_type):
             self._line.clear_input()
         if not self._line.expects(row.line_type):
             return
+        # Otherwise a probe of a type that is not outstanding; if all types are, only silence helps.
         probes = (codec.find_command(name) for name in _PROBES)
         probe = next((probe for probe in probes if not self._line.expects(probe.line_type)), None)
         try:
@@ -461,6 +470,7 @@ class DirectBackend:
         """Send ct to an N200 and return its reply; N150 and Scout have a fixed mask."""
         if not self._wire_state.model.sends_mask:
             return None
+        # The first request on a line is often lost: an open port starts with noise.
         mask = Call("ct", EVERYTHING.smask)
         for _ in range(_CT_ATTEMPTS - 1):
             with contextlib.suppress(ReplyTimeout, RobotRefused):
@@ -546,7 +556,8 @@ def send_emergency_stop(
     request = codec.encode_serial_request(Call("st"), serial_wire_state(N150))
     for _ in range(STOP_ATTEMPTS):
         on_sent()
-        link = SerialLink(stream, LinkStatistics(), clock)  # a new one, for which a late reply to an earlier st counts
+        # A new link each time: for it, a late reply to an earlier st is a reply.
+        link = SerialLink(stream, LinkStatistics(), clock)
         try:
             frame = link.request(line_type, request, timeout_s)
         except ReplyTimeout:

@@ -85,6 +85,7 @@ class KeepAlive(Wrapper):
             if self._pending_error is not None:
                 error, self._pending_error = self._pending_error, None
                 raise error
+            # During a ws no other request is possible: split it, with a margin of two.
             if self._active and is_wait(call):
                 return split_wait(call, self._timeout_s // 2, self._request)
             if call.name == "conf_tm":
@@ -93,6 +94,7 @@ class KeepAlive(Wrapper):
 
     def close(self) -> None:
         """End the thread and close the inner backend."""
+        # The thread may itself close the backend, and cannot join itself.
         self._closed.set()
         if self._thread.is_alive() and self._thread is not threading.current_thread():
             self._thread.join(1.0)

@@ -173,6 +173,7 @@ class NserverBackend:
             sent = True
             return self._next_reply(Deadline.after(timeout_s))
         except ReplyTimeout as error:
+            # A late reply would be taken for that of the next call.
             self._finish(f"{call.name} was not answered, and a late answer must not be taken for another's")
             raise ReplyTimeout(
                 f"{call.name}, with {timeout_s:g} s to answer: {error}; the connection was closed"
@@ -205,6 +206,7 @@ class NserverBackend:
     def _next_reply(self, deadline: Deadline) -> TcpFrame:
         """Return the last outstanding reply and drop those before it. Raises WireError for more or other bytes."""
         while True:
+            # A reply counts only if it is the last one due, and nothing follows it.
             frames = self._framer.receive(self._stream.receive(deadline))
             for frame in frames:
                 if not isinstance(frame, TcpFrame):
@@ -226,6 +228,7 @@ class NserverBackend:
         """Raise RobotRefused for a refusal; record which robot is connected and how fast its time runs."""
         if reply.kind == "error":
             raise RobotRefused(call.name, reply.values[0])
+        # The reply to connecting is a port, 0 if there is no such robot.
         if call.name in _PORT_0_MEANS:
             if not reply.values[0]:
                 raise RobotRefused(call.name, None, _PORT_0_MEANS[call.name].format(call.args[0]))
@@ -235,10 +238,12 @@ class NserverBackend:
 
     def _reply_timeout_s(self, row: Command, call: Call) -> float:
         """Return the maximum time for a reply; motions take server time, which may run slower than real time."""
+        # ws ends by its own timeout, in server time.
         if row.name == "ws":
             return self.timeout_s + float(max(0, call.args[3])) * self._slowness
         if row.name == "get_robot_conf":
             return max(self.timeout_s, CLICK_S)
+        # zr, packets and the arm.
         if row.line_timeout_s > ORDINARY_S:
             return max(self.timeout_s, row.line_timeout_s * self._slowness)
         return self.timeout_s

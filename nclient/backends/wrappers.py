@@ -51,7 +51,7 @@ class RetryingBackend(Wrapper):
             try:
                 return self._inner.execute(call)
             except ReplyTimeout:
-                if self._inner.closed:
+                if self._inner.closed:  # over TCP
                     raise
             except RobotRefused as refusal:
                 if not refusal.is_nak:
@@ -101,14 +101,17 @@ class SpeedLimiter(Wrapper):
         """Return the reply to the limited call. Raises as the inner backend."""
         limited = self._limit(call)
         try:
+            # 1. The speed of a relative motion was set earlier, possibly on a link that is lost.
             if _uses_set_speed(call):
                 self._confirm_speeds(_speeds_of(limited))
+            # 2. The call itself.
             return self._execute(limited)
         except ConnectionLost:
             self._confirmed.clear()
             raise
 
     def _execute(self, call: Call) -> Reply:
+        # The call may set speeds itself, which count once it is answered.
         speeds = _speeds_of(call)
         try:
             reply = self._inner.execute(call)
@@ -267,6 +270,7 @@ class PersistentSettings:
 
     def record(self, call: Call) -> None:
         """Record a call that was answered; the last one of each kind counts, of accelerations and speeds by axis."""
+        # A created robot exists when the link is lost: connect to it.
         if call.name == "create_robot":
             self._calls["connect_robot"] = Call("connect_robot", call.args)
         elif call.name in self._axes:
@@ -284,6 +288,7 @@ class PersistentSettings:
         yield from (self._calls[name] for name in _RESTORED if name in self._calls)
         for mode, name in _AXIS_SETTINGS.items():
             values = self._axes[name]
+            # ac and sp set all axes; mv only those that the program has set.
             if len(values) == _AXES:
                 yield Call(name, tuple(values[axis] for axis in range(_AXES)))
             elif values:
@@ -341,14 +346,17 @@ class ReconnectingBackend(Wrapper):
         """Return the reply, on a new link if the last one was lost. Raises ConnectionLost per loss and attempt."""
         if self._closed.is_set():
             raise ConnectionLost(f"{call.name}: this side closed the connection; connect again")
+        # 1. Reconnect if an earlier call, or a keep-alive, noticed a loss.
         if self._inner.closed:
             self._reconnect(call.name)
+        # 2. A loss during this call is raised and counted; the next call reconnects.
         try:
             reply = self._inner.execute(call)
         except NomadError:
             if self._inner.closed and not self._closed.is_set():
                 self._count_loss()
             raise
+        # 3. Only what was answered is restored later.
         self._settings.record(call)
         if call.name == "disconnect_robot":
             self._closed.set()

@@ -1,1 +1,1 @@
-"""The command `nomad`: one module per subcommand."""
+"""The command `nomad` and its subcommands for robots, recordings and the wire protocols."""

@@ -1,11 +1,9 @@
-"""Examine a robot without moving it: link, firmware, sensors, bumpers, batteries, clock.
+"""Check a robot without moving it: link, firmware, sensors, bumpers, batteries, clock.
 
     nomad doctor nserver://localhost:7019/1
     nomad doctor "serial:///dev/ttyUSB0?model=n150" --exchanges 500 --json
 
-A line for each finding, OK, WARN or FAIL, with what to do about it. Exit code 1 where anything is FAIL.
-
-Rules: options and printing only; the questions are nclient.diagnostics's, what they mean is report.py's.
+Prints a line for each finding, OK, WARN or FAIL, with a remedy. Exit code 1 if any finding is FAIL.
 """
 
 from __future__ import annotations
@@ -22,19 +20,19 @@ from nclient.url import parse_address
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """An address, how much is asked, and in what form it is told."""
+    """Add the options of the command."""
     parser.add_argument("address", nargs="?", metavar="ADDRESS",
-                        help="such as nserver://localhost:7019/1, serial:///dev/ttyUSB0 or sim:thesis_room (default: "
-                             "NOMAD_ROBOT, or a local nserver's robot 1)")
+                        help="robot, such as nserver://localhost:7019/1, serial:///dev/ttyUSB0 or sim:thesis_room "
+                             "(default: $NOMAD_ROBOT, or robot 1 of a local nserver)")
     parser.add_argument("--exchanges", type=_count, default=EXCHANGES, metavar="N",
-                        help=f"how often gs is asked (default {EXCHANGES})")
+                        help=f"send gs N times (default {EXCHANGES})")
     parser.add_argument("--interval", type=seconds, default=INTERVAL_S, metavar="S",
-                        help=f"seconds from one to the next (default {INTERVAL_S:g})")
-    parser.add_argument("--json", action="store_true", help="print one object instead of lines")
+                        help=f"send gs at intervals of S seconds (default {INTERVAL_S:g})")
+    parser.add_argument("--json", action="store_true", help="print one JSON object instead of lines")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Examine and tell; the exit code."""
+    """Check the robot, print the findings, and return the exit code."""
     address = address_or_default(options.address)
     connector = Connector(parse_address(address))
     chart = Diagnostics(connector.open_session, time.perf_counter, time.sleep).run(options.exchanges, options.interval)

@@ -1,14 +1,12 @@
-"""Show a recording, or bytes that something else captured, line by line.
+"""Show a recording, or captured bytes, line by line.
 
-    nomad dump run.log                          what was asked and what was answered, in inches and degrees
-    nomad dump run.log --filter vm --bytes      only that call, with all bytes
-    nomad dump run.log --json                   an object a frame, as `nomad wire decode` prints them
+    nomad dump run.log                          requests and replies in inches and degrees
+    nomad dump run.log --filter vm --bytes      only this command, with all bytes
+    nomad dump run.log --json                   one JSON object per frame, as `nomad wire decode` prints them
     nomad dump capture.bin --line serial --model n150 --from-robot
 
-A file of bare bytes needs --line, and all in it went one way: to the robot, unless --from-robot says otherwise.
-
-Rules: files and printing only; what bytes mean is nclient.recording's and nclient.protocol's. Exit code 1 where the
-file is no recording, or a last line was cut short.
+A file of plain bytes needs --line; its bytes are taken as sent to the robot, or with --from-robot by the robot.
+Exit code 1 if the file is no recording or its last line is incomplete.
 """
 
 from __future__ import annotations
@@ -30,26 +28,26 @@ _PIECE = 4096
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """A file, and what of it is shown."""
-    parser.add_argument("file", type=Path, help="a recording, or with --line a file of bare bytes")
-    parser.add_argument("--filter", default="", metavar="COMMAND", help="only calls of this C name, with what answers")
-    parser.add_argument("--connection", default="", metavar="NAME", help="only that one")
-    parser.add_argument("--bytes", action="store_true", help="show the bytes, too")
-    parser.add_argument("--json", action="store_true", help="an object a frame, with its time")
-    parser.add_argument("--line", choices=LINES, help="bare bytes, in this language")
-    parser.add_argument("--model", choices=tuple(MODELS), default=N150.name, help="whose own line (default: n150)")
-    parser.add_argument("--from-robot", action="store_true", help="bare bytes came from the robot")
+    """Add the options of the command."""
+    parser.add_argument("file", type=Path, help="recording, or with --line a file of plain bytes")
+    parser.add_argument("--filter", default="", metavar="COMMAND", help="show only this C command and its replies")
+    parser.add_argument("--connection", default="", metavar="NAME", help="show only this connection")
+    parser.add_argument("--bytes", action="store_true", help="show the bytes as well")
+    parser.add_argument("--json", action="store_true", help="print one JSON object per frame, with its time")
+    parser.add_argument("--line", choices=LINES, help="read plain bytes of this protocol")
+    parser.add_argument("--model", choices=tuple(MODELS), default=N150.name, help="model of the robot (default: n150)")
+    parser.add_argument("--from-robot", action="store_true", help="plain bytes are from the robot")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Show it; the exit code."""
+    """Show the file, and return the exit code."""
     if options.filter:
         find_command(options.filter)
-    recording = _captured(options) if options.line else read_recording(options.file)
+    recording = _read_plain_bytes(options) if options.line else read_recording(options.file)
     if options.connection and options.connection not in recording.connections():
         there = ", ".join(recording.connections())
         raise RecordingError(f"{options.file}: no connection {options.connection!r}; there are {there}")
-    for entry in _wanted(recording, options):
+    for entry in _selected_entries(recording, options):
         if options.json:
             _print_objects(entry)
         else:
@@ -60,21 +58,21 @@ def run(options: argparse.Namespace) -> int:
     return ExitCode.FAILED if recording.cut else ExitCode.DONE
 
 
-def _captured(options: argparse.Namespace) -> Recording:
-    """Bare bytes as a recording without times."""
+def _read_plain_bytes(options: argparse.Namespace) -> Recording:
+    """Return a file of plain bytes as a recording without times."""
     try:
         data = options.file.read_bytes()
     except OSError as error:
         raise RecordingError(f"{options.file}: cannot be read ({error.strerror})") from error
-    follower = FrameDecoder(options.line, get_model(options.model))
-    follow, kind = (follower.to_host, IN) if options.from_robot else (follower.to_robot, OUT)
+    decoder = FrameDecoder(options.line, get_model(options.model))
+    decode, kind = (decoder.to_host, IN) if options.from_robot else (decoder.to_robot, OUT)
     pieces = [data[k : k + _PIECE] for k in range(0, len(data), _PIECE)]
-    entries = tuple(Entry(0.0, kind, "", piece, tuple(follow(piece))) for piece in pieces)
+    entries = tuple(Entry(0.0, kind, "", piece, tuple(decode(piece))) for piece in pieces)
     return Recording(str(options.file), {}, entries)
 
 
-def _wanted(recording: Recording, options: argparse.Namespace) -> Iterator[Entry]:
-    """The entries to show: with a filter, calls of that name and what came back until the next call."""
+def _selected_entries(recording: Recording, options: argparse.Namespace) -> Iterator[Entry]:
+    """Yield the entries to show: with --filter, requests of that command and everything until the next request."""
     answering: dict[str, bool] = {}
     for entry in recording.entries:
         if options.connection and entry.connection != options.connection:
@@ -90,5 +88,5 @@ def _wanted(recording: Recording, options: argparse.Namespace) -> Iterator[Entry
 
 def _print_objects(entry: Entry) -> None:
     for found in entry.decoded:
-        whose = {"connection": entry.connection} if entry.connection else {}
-        print(json.dumps({"t": entry.time_s} | whose | dict(found)))
+        connection = {"connection": entry.connection} if entry.connection else {}
+        print(json.dumps({"t": entry.time_s} | connection | dict(found)))

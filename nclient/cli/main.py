@@ -1,12 +1,12 @@
-"""The command `nomad`: finds its subcommands by entry point and hands over to the one that is named.
+"""The command `nomad`: finds its subcommands by entry points and runs the one that is named.
 
     nomad COMMAND ...    COMMAND: an entry point of the group `nomad.commands`, a module with
                          add_arguments(parser) and run(options) -> exit code; its docstring's first line is the help
     nomad help [COMMAND] the same as --help, or as COMMAND --help
 
-Rules: knows no subcommand by name and imports only the one that is asked for, so that one which lacks an extra
-hurts no other. A NomadError is printed on stderr; exit codes are those of nclient.common.exit_codes. Every command
-ends in order on SIGTERM and SIGHUP (nclient/common/process.py), so that its `with` blocks stop what they drive.
+Only the module of the named subcommand is imported, so that a missing extra affects no other. A NomadError is printed
+on stderr; exit codes are those of nclient.common.exit_codes. SIGTERM and SIGHUP end every command through its `with`
+blocks, which stop the robot (nclient/common/process.py).
 """
 
 from __future__ import annotations
@@ -33,21 +33,29 @@ HELP = "help"
 
 
 class Subcommand(Protocol):
-    """What a module must have to be a subcommand."""
+    """Interface of a subcommand's module."""
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Say what the command line holds."""
+        """Add the options of the command."""
         ...
 
     def run(self, options: argparse.Namespace) -> int:
-        """Do it; the exit code."""
+        """Run the command, and return the exit code."""
         ...
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run `nomad` with these arguments (those of the process when None); the exit code.
+    """Run `nomad`, and return the exit code.
 
-    Help, version and arguments that make no sense leave by argparse's SystemExit.
+    Parameters
+    ----------
+    argv
+        Arguments; default: those of the process.
+
+    Raises
+    ------
+    SystemExit
+        For help, version and invalid arguments, by argparse.
     """
     process.ensure_std_streams()
     try:
@@ -67,27 +75,28 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _dispatch(arguments: list[str]) -> int:
+    # 1. `nomad help wire` is `nomad wire --help`.
     commands = {point.name: point for point in entry_points(group=GROUP)}
     if arguments[:1] == [HELP]:
         arguments = [*(word for word in arguments[1:] if word != HELP), "--help"]
     if not arguments or arguments[0].startswith("-"):
         parser = _top_parser(commands)
         parser.parse_args(arguments or ["--help"])
-        parser.error("a command is wanted")
+        parser.error("expected a command")
     name, *rest = arguments
     if name not in commands:
-        return _complain(_unknown(name, commands))
+        return _report_usage_error(_unknown(name, commands))
     try:
         command: Subcommand = commands[name].load()
     except ImportError as error:
-        return _complain(_unloadable(name, error))
+        return _report_usage_error(_unloadable(name, error))
     parser = Parser(prog=f"nomad {name}", **_description(command))
     command.add_arguments(parser)
-    return command.run(parser.parse_args([_as_value(word) for word in rest]))
+    return command.run(parser.parse_args([_protect_coordinates(word) for word in rest]))
 
 
 def whole_parser() -> Parser:
-    """All subcommands as subparsers of one, for completion: those that cannot be loaded by their names alone."""
+    """Return a parser with all subcommands, for completion; one that cannot be imported has its name only."""
     points = {point.name: point for point in entry_points(group=GROUP)}
     parser = _top_parser(points)
     commands = parser.add_subparsers(dest="command", metavar="COMMAND")
@@ -95,11 +104,11 @@ def whole_parser() -> Parser:
         try:
             command: Subcommand = point.load()
         except ImportError:
-            commands.add_parser(name, help=_plain(summary(point)))
+            commands.add_parser(name, help=_escape_percent(summary(point)))
             continue
-        below = commands.add_parser(name, help=_plain(summary(point)), **_description(command))
+        below = commands.add_parser(name, help=_escape_percent(summary(point)), **_description(command))
         command.add_arguments(below)
-    about = commands.add_parser(HELP, help="show what there is, or what a command takes", add_help=False)
+    about = commands.add_parser(HELP, help="show help for all commands or for one", add_help=False)
     about.add_argument("name", nargs="?", choices=sorted(points))
     return parser
 
@@ -109,13 +118,13 @@ def _description(command: Subcommand) -> dict[str, Any]:
     return {"description": about, "formatter_class": argparse.RawDescriptionHelpFormatter}
 
 
-def _plain(text: str) -> str:
-    """Help in which argparse finds nothing to fill in."""
+def _escape_percent(text: str) -> str:
+    """Escape % signs, which argparse would expand."""
     return text.replace("%", "%%")
 
 
-def _as_value(word: str) -> str:
-    """Coordinates such as -5,3 are a value: argparse takes what begins with a minus and is no number for an option."""
+def _protect_coordinates(word: str) -> str:
+    """Mark coordinates such as -5,3 as a value with a blank; argparse would take them for an option."""
     return f" {word}" if re.match(r"-[\d.][^,]*,", word) else word
 
 
@@ -126,7 +135,7 @@ def _top_parser(commands: dict[str, EntryPoint]) -> Parser:
         prog="nomad",
         usage="nomad COMMAND ...",
         description=f"Nomad robots and their Nserver from the command line.\nExit codes: {in_short()}.",
-        epilog="\n".join(("commands (nomad help COMMAND says more):", *lines)),
+        epilog="\n".join(("commands (nomad help COMMAND shows their options):", *lines)),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"nomad {version()}")
@@ -134,7 +143,8 @@ def _top_parser(commands: dict[str, EntryPoint]) -> Parser:
 
 
 def summary(point: EntryPoint) -> str:
-    """The first line of the docstring of a subcommand's module, read without importing it; empty if it cannot be."""
+    """Return the first docstring line of a subcommand's module without importing it; "" if it cannot be read."""
+    # Importing all subcommands would take seconds, and fail without their extras.
     try:
         spec = importlib.util.find_spec(point.module)
     except (ImportError, ValueError):
@@ -158,6 +168,6 @@ def _unloadable(name: str, error: ImportError) -> str:
     return f"the command {name!r} needs {error.name}, which is not installed: {install_hint(error.name or '')}"
 
 
-def _complain(message: str) -> int:
+def _report_usage_error(message: str) -> int:
     print(f"nomad: {message}", file=sys.stderr)
     return ExitCode.USAGE

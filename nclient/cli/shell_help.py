@@ -1,26 +1,14 @@
-"""The words that the shell has besides the C names: a table.
-
-Rules: pure; what they do is session.py's.
-
-The language of the shell: a line of text to orders, as one types them or as C has them.
+"""Command language of the shell: parsing of lines, built-in commands, help, completion.
 
     pr 240 0 0                    words, or commas, or the whole call of C: pr(240, 0, 0); ws(1, 1, 1, 20);
     conf_sn 15 {0, 2, 15}         a list for a C array, in braces or brackets
-    tk "good morning"             a text, in quotes where it is more than words
-    Smask[17] = 0                 a number of the mask that ct sends next; State[34] and Laser[0] are shown
-    help pr   # a comment         words of the shell's own (own_words.py)
+    tk "good morning"             a text; quotes are optional
+    Smask[17] = 0                 an element of the mask that ct sends next; State[34] and Laser[0] are shown
+    help pr   # a comment         built-in commands are listed in BUILTINS
 
-Rules: text in, orders out; nothing is known here of commands or robots. A line that cannot be read is a ShellError.
-
-Usage and help of every command: read off the table, with the units of its numbers.
-
-    pr translation steering turret           usage: the arguments as C has them, lists as name[16]
-
-Rules: pure. What the C call does not have (pid, and Smask, which ct takes from the array) is left out.
-
-What may come next on a line that is being typed: names, each with what it is for; and a hint to the arguments.
-
-Rules: pure. Only commands that there are with this robot are offered.
+Usage and help of the robot's commands are generated from the command table, with the units of the arguments. Arguments
+that the C call does not have (pid, and Smask, which ct takes from the array) are left out. Completion offers only
+commands that exist for the connected robot. `parse` does not know commands or robots; errors are ShellError.
 """
 
 from __future__ import annotations
@@ -38,30 +26,30 @@ from nclient.protocol.types import MODELS, Model
 from nclient.protocol.wire_state import WireState
 
 
-class OwnWord(NamedTuple):
-    """A row: its name, how it is used, what it does."""
+class BuiltinCommand(NamedTuple):
+    """Name, usage and summary of a built-in command."""
 
     name: str
     usage: str
     summary: str
 
 
-OWN: Final = {word.name: word for word in (
-    OwnWord("help", "help [NAME]", "list all commands, or say all about one"),
-    OwnWord("state", "state [PART ...]", "ask gs and show all that is known, or parts of it, in words"),
-    OwnWord("wait", "wait [SECONDS]", "wait until the robot stands still, 60 s at most; an error if it does not"),
-    OwnWord("sleep", "sleep SECONDS", "let so much of the robot's time pass, simulated or real"),
-    OwnWord("quit", "quit", "stop the robot and leave; so do exit and Ctrl-D"),
-    OwnWord("exit", "exit", "the same as quit"),
+BUILTINS: Final = {word.name: word for word in (
+    BuiltinCommand("help", "help [NAME]", "list all commands, or show help for one"),
+    BuiltinCommand("state", "state [PART ...]", "query the state (gs) and show it, or parts of it, with units"),
+    BuiltinCommand("wait", "wait [SECONDS]", "wait until the robot stands still, at most 60 s; else an error"),
+    BuiltinCommand("sleep", "sleep SECONDS", "wait SECONDS of the robot's time, simulated or real"),
+    BuiltinCommand("quit", "quit", "stop the robot and exit; as exit and Ctrl-D do"),
+    BuiltinCommand("exit", "exit", "the same as quit"),
 )}  # fmt: skip
 ARRAYS_HELP: Final = {
-    "State[34]": "a number as C has it, from the last answer; State shows all 45, Laser the laser's",
-    "Smask[17] = 0": "a number of the mask that ct sends; Smask shows all 44",
+    "State[34]": "show a number of the last state, as in C; State shows all 45, Laser those of the laser",
+    "Smask[17] = 0": "set a number of the mask that ct sends; Smask shows all 44",
 }
 
 
 ARRAYS = ("State", "Smask", "Laser")
-"""The C library's arrays, by which numbers are looked at and the mask is set."""
+"""Arrays of the C library, for showing numbers and setting the mask."""
 Value = int | float | str | tuple[int | float, ...]
 
 _TOKEN = re.compile(
@@ -72,19 +60,20 @@ _TOKEN = re.compile(
     |(?P<mark>[,;(){}\[\]=]))""",
     re.VERBOSE,
 )
-_MOST_DIGITS = 9
+# Maximum digits of an array index or mask value.
+_MAX_DIGITS = 9
 _OPENS = {"(": ")", "{": "}", "[": "]"}
 
 
 class ParsedCommand(NamedTuple):
-    """A command and its values, as they were written: whole numbers, others, texts, lists."""
+    """A command and its values: integers, floats, texts, lists."""
 
     name: str
     values: tuple[Value, ...] = ()
 
 
 class Element(NamedTuple):
-    """Smask[17] = 0, State[34]: an element of one of the arrays, or all of it; what to set it to, if anything."""
+    """An array element such as State[34] or Smask[17] = 0, or a whole array; `value` is the new value, if any."""
 
     array: str
     place: int | None = None
@@ -97,8 +86,8 @@ class _Token(NamedTuple):
 
 
 def parse(text: str) -> tuple[ParsedCommand | Element, ...]:
-    """The orders of a line; none for an empty one or a comment. Raises ShellError, saying what is wrong where."""
-    return tuple(_order(tokens) for tokens in _statements(tuple(_tokens(text))))
+    """Parse a line; an empty line or a comment has no commands. Raises ShellError."""
+    return tuple(_parse_statement(tokens) for tokens in _statements(tuple(_tokens(text))))
 
 
 def _tokens(text: str) -> Iterator[_Token]:
@@ -108,11 +97,11 @@ def _tokens(text: str) -> Iterator[_Token]:
         if found is None:
             raise ShellError(f"a quote that does not end: {text[place:].strip()}")
         place, kind = found.end(), found.lastgroup or ""
-        said = found[kind]
+        token = found[kind]
         if kind == "double":
-            said = re.sub(r"\\(.)", r"\1", said)
+            token = re.sub(r"\\(.)", r"\1", token)
         if kind != "comment":
-            yield _Token("text" if kind in ("double", "single") else kind, said)
+            yield _Token("text" if kind in ("double", "single") else kind, token)
 
 
 def _statements(tokens: tuple[_Token, ...]) -> Iterator[list[_Token]]:
@@ -128,12 +117,14 @@ def _statements(tokens: tuple[_Token, ...]) -> Iterator[list[_Token]]:
         yield statement
 
 
-def _order(tokens: list[_Token]) -> ParsedCommand | Element:
+def _parse_statement(tokens: list[_Token]) -> ParsedCommand | Element:
+    # 1. An array element, or the name of a command.
     head, rest = tokens[0], tokens[1:]
     if head.kind != "word":
         raise ShellError(f"a line begins with a command, not with {head.text!r}; help lists them")
     if head.text in ARRAYS:
         return _element(head.text, rest)
+    # 2. The parentheses of a call as in C are optional.
     if rest and rest[0] == ("mark", "("):
         if rest[-1] != ("mark", ")") or ("mark", "(") in rest[1:]:
             raise ShellError(f"{head.text}: a call is {head.text}(1, 2, 3), one pair of parentheses")
@@ -142,7 +133,7 @@ def _order(tokens: list[_Token]) -> ParsedCommand | Element:
 
 
 def _values(name: str, tokens: list[_Token]) -> Iterator[Value]:
-    """Numbers, texts and lists; commas stand between, if at all."""
+    """Yield numbers, texts and lists; commas between them are optional."""
     waiting: list[int | float] | None = None
     closing = ""
     for token in tokens:
@@ -179,7 +170,7 @@ def _element(array: str, tokens: list[_Token]) -> Element:
 
 
 def _is_place(text: str) -> bool:
-    return text.isdecimal() and len(text) <= _MOST_DIGITS
+    return text.isdecimal() and len(text) <= _MAX_DIGITS
 
 
 def _number(text: str) -> int | float:
@@ -201,7 +192,7 @@ MORE = {
     "move_obstacle": ("x1 y1 .. xn yn", "dx dy"),
     "motion_check": ("x1 y1 x2 y2 | x1 y1 angle1 angle2 radius xc yc",), "special_request": ("byte ..",),
 }  # fmt: skip
-"""What follows the named arguments of commands of any length."""
+"""Usage behind the named arguments, for commands of variable length."""
 _NOTES = {
     "ct": "sends Smask: set it by Smask[17] = 0, look at it by Smask; or ct {44 numbers}",
     "motion_check": "type 0 is a line, 1 an arc; lengths in 1/10 in, the two angles in rad; fractions are welcome",
@@ -223,7 +214,7 @@ _EXAMPLES = {
 
 
 class Parameter(NamedTuple):
-    """An argument as C has it: a number, or a list where `length` is more than 1."""
+    """An argument of the C call: a number, or an array if `length` is more than 1."""
 
     name: str
     unit: str
@@ -234,7 +225,7 @@ class Parameter(NamedTuple):
 
 
 def parameters(row: Command) -> tuple[Parameter, ...]:
-    """The arguments of the C call: order_0 to order_15 are one, order[16]."""
+    """Return the arguments of the C call; numbered ones such as order_0 to order_15 become one array, order[16]."""
     found: list[Parameter] = []
     for argument in row.arguments:
         name, numbered = re.subn(r"_\d+$", "", argument.name)
@@ -248,17 +239,17 @@ def parameters(row: Command) -> tuple[Parameter, ...]:
 
 
 def usage(row: Command) -> str:
-    """The command and its arguments in one line."""
+    """Return the command and its arguments in one line."""
     return " ".join((row.name, *map(str, parameters(row)), *MORE.get(row.name, ())))
 
 
 def available(row: Command, wire_state: WireState) -> bool:
-    """Whether the command exists where these terms hold: over TCP, or on that model's own line."""
+    """Return True if the command exists on this connection: over TCP, or on this model's serial line."""
     return exists_on_serial(row, wire_state.model) if wire_state.line else row.tcp_type is not None
 
 
 def help_lines(name: str, wire_state: WireState) -> Iterator[str]:
-    """All there is to say of a command of the table."""
+    """Yield the help of a robot command: usage, summary, units and ranges, notes, example."""
     row = BY_NAME[name]
     yield usage(row)
     yield f"  {row.summary}"
@@ -278,13 +269,13 @@ def help_lines(name: str, wire_state: WireState) -> Iterator[str]:
 
 
 def summaries(wire_state: WireState) -> dict[str, str]:
-    """Usage and summary of every command that there is here, in the table's order."""
+    """Return usage and summary of all commands of this connection, in the table's order."""
     return {usage(row): row.summary for row in COMMANDS if available(row, wire_state)}
 
 
 def _where(row: Command) -> str:
     models = [model.name for model in MODELS.values() if exists_on_serial(row, model)]
-    lines = f"on the own line of {', '.join(models)}" if models else "on no robot's own line"
+    lines = f"on the serial line of {', '.join(models)}" if models else "on no serial line"
     return f"{'over TCP' if row.tcp_type is not None else 'not over TCP'}, {lines}"
 
 
@@ -296,50 +287,50 @@ def _unit(row: Command, argument: Argument) -> str:
 
 
 def model_note(model: Model) -> str:
-    """One line about units that holds for all commands."""
+    """Return a line about the units of all commands."""
     axes = "translation, steering, turret" if model.has_turret else "right wheel, left wheel"
     return f"numbers are C's: tenths of an inch and of a degree; axes are {axes}"
 
 
 class Candidate(NamedTuple):
-    """A word that may stand here, and what it is for."""
+    """A completion and its description."""
 
     word: str
     about: str
 
 
 def candidates(text: str, wire_state: WireState) -> Iterator[Candidate]:
-    """Words that the last one of `text` (up to the cursor; "" after a blank) may become."""
+    """Return the completions of the last word of `text`, the line up to the cursor."""
     before, last = _split(text)
     if not before:
-        known = dict(_names(wire_state))
+        words = dict(_names(wire_state))
     elif before == ["help"]:
-        known = {name: about for name, about in _names(wire_state) if name not in ARRAYS}
+        words = {name: about for name, about in _names(wire_state) if name not in ARRAYS}
     elif before[0] == "state":
-        known = {part: "part of the state" for part in state_text.PARTS if part not in before}
+        words = {part: "part of the state" for part in state_text.PARTS if part not in before}
     else:
-        known = {}
-    return (Candidate(word, about) for word, about in known.items() if word.startswith(last))
+        words = {}
+    return (Candidate(word, about) for word, about in words.items() if word.startswith(last))
 
 
 def hint(text: str) -> str:
-    """How the command that is being typed is used; "" where there is none yet."""
+    """Return the usage of the command that is being typed; "" if there is none yet."""
     before, last = _split(text)
     name = before[0] if before else last
     if name in BY_NAME:
         return usage(BY_NAME[name])
-    return OWN[name].usage if name in OWN else ""
+    return BUILTINS[name].usage if name in BUILTINS else ""
 
 
 def _split(text: str) -> tuple[list[str], str]:
-    """The words of the last statement that are whole, and the one that is not yet."""
+    """Return the complete words of the last statement, and the incomplete one."""
     statement = text.rpartition(";")[2].lstrip()
     *before, last = re.split(r"[\s,(]+", statement)
     return before, last
 
 
 def _names(wire_state: WireState) -> Iterator[tuple[str, str]]:
-    for word in OWN.values():
+    for word in BUILTINS.values():
         yield word.name, word.summary
     for row in COMMANDS:
         if available(row, wire_state):

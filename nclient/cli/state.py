@@ -1,13 +1,13 @@
-"""Show a robot's state in words, once or again and again; moves nothing, sets nothing.
+"""Show a robot's state with units, once or repeatedly.
 
-    nomad state nserver://localhost:7019/1               all that it tells, with units
+    nomad state nserver://localhost:7019/1               the whole state
     nomad state sim:thesis_room sonar pose               parts: pose velocity motors sonar infrared bumpers compass ...
-    nomad state --every 0.5                              anew twice a second, until Ctrl-C
-    nomad state --count 3 clock                          three times, a second between two
-    nomad state --watch --json | jq .x_in                an object a line, for programs
+    nomad state --every 0.5                              twice a second, until Ctrl-C
+    nomad state --count 3 clock                          three times, at intervals of a second
+    nomad state --watch --json | jq .x_in                one JSON object per line
 
-Rules: options and printing only; what a state looks like is nclient.cli.state_text's. Asks gs; the link is not dressed:
-no time-out of motion is set, nobody is fed, and a robot that somebody else drives goes on.
+Rules: sends gs only. No motion timeout is set and no keep-alive sent, so that a robot driven by another program
+continues.
 """
 
 from __future__ import annotations
@@ -31,20 +31,24 @@ _HOME_AND_CLEAR = "\x1b[H\x1b[J"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """An address, parts of the state, and how often."""
-    parser.add_argument("words", nargs="*", metavar="ADDRESS | PART",
-                        help=f"an address (default: $NOMAD_ROBOT, or this machine's Nserver), and parts of the state: "
-                        f"{', '.join(state_text.PARTS)} (default: all)")
+    """Add the options of the command."""
+    parser.add_argument(
+        "words",
+        nargs="*",
+        metavar="ADDRESS | PART",
+        help=f"address of the robot (default: $NOMAD_ROBOT, or a local Nserver), and parts of the state: "
+        f"{', '.join(state_text.PARTS)} (default: all)",
+    )
     parser.add_argument("--watch", action="store_true",
-                        help="look again and again, until Ctrl-C; --every or --count alone means it, too")
+                        help="repeat until Ctrl-C; implied by --every and --count")
     parser.add_argument("--every", type=seconds, metavar="S",
-                        help=f"watch, with so many seconds between two looks (default {EVERY_S:g})")
-    parser.add_argument("--count", type=_count, metavar="N", help="watch, and end after so many looks")
-    parser.add_argument("--json", action="store_true", help="print an object a line, of all parts")
+                        help=f"repeat at intervals of S seconds (default {EVERY_S:g})")
+    parser.add_argument("--count", type=_count, metavar="N", help="repeat N times")
+    parser.add_argument("--json", action="store_true", help="print one JSON object per line, with all parts")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Look and tell; the exit code."""
+    """Show the state, and return the exit code."""
     address, parts = _sorted_words(options.words)
     robot = Robot(Connector(parse_address(address_or_default(address))).open_session())
     watching = options.watch or options.every is not None or options.count is not None
@@ -52,7 +56,8 @@ def run(options: argparse.Namespace) -> int:
     try:
         watch(robot, parts, options.count if watching else 1, every_s, as_json=options.json, sleep=time.sleep)
     except KeyboardInterrupt:
-        return ExitCode.DONE  # which is how one ends it
+        # The usual end of --watch.
+        return ExitCode.DONE
     finally:
         robot.disconnect()
     return ExitCode.DONE
@@ -61,7 +66,7 @@ def run(options: argparse.Namespace) -> int:
 def watch(
     robot: Robot, parts: list[str], looks: int | None, every_s: float, *, as_json: bool, sleep: Callable[[float], None]
 ) -> None:
-    """Show the state so often, for ever where `looks` is None; on a terminal each time in the same place."""
+    """Show the state `looks` times, forever if None; on a terminal each time in the same place."""
     in_place = sys.stdout.isatty() and looks != 1 and not as_json
     looked = 0
     while looks is None or looked < looks:
@@ -70,19 +75,19 @@ def watch(
         looked += 1
         state = robot.refresh()
         if as_json:
-            print(json.dumps(state_text.as_object(state)), flush=True)
+            print(json.dumps(state_text.as_json(state)), flush=True)
         else:
-            print(_HOME_AND_CLEAR * in_place + "\n".join(state_text.lines(state, parts)), flush=True)
+            print(_HOME_AND_CLEAR * in_place + "\n".join(state_text.format_parts(state, parts)), flush=True)
 
 
 def _sorted_words(words: list[str]) -> tuple[str | None, list[str]]:
-    """The address among the words, which has a colon, and the parts. Raises AddressError for what is neither."""
+    """Separate the address, which has a colon, from the parts. Raises AddressError for any other word."""
     addresses = [word for word in words if ":" in word]
     parts = [word for word in words if ":" not in word]
     if len(addresses) > 1:
         raise AddressError(f"one robot at a time, not {' and '.join(addresses)}")
     try:
-        state_text.check(parts)
+        state_text.check_parts(parts)
     except ShellError as error:
         schemes = ", ".join(f"{scheme}:" for scheme in available_schemes())
         raise AddressError(f"{error}; an address begins with one of {schemes}") from None

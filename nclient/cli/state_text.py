@@ -1,12 +1,9 @@
-"""A robot's state in words, with units: in one line, or part by part.
+"""Formatting of robot states and replies as text with units.
 
     x 24.0 in  y 0.0 in  steering 0.0 deg  turret 0.0 deg | standing | nearest 35 in at 0 deg | clock 12.3 s
 
-Rules: pure; what was never told is left out or said to be unknown, never made up. A part is a row of PARTS.
-
-What to show of an answer: the part of the state that was asked for, or the numbers of a reply that is held nowhere.
-
-Rules: pure; a kind of reply is a row of SHOWN or of VALUES, and one that is neither shows its numbers as they came.
+Values that the robot has not reported are omitted or shown as unknown. PARTS lists the parts of a state; replies that
+are not stored in the state are formatted by VALUES, or as plain numbers.
 """
 
 from __future__ import annotations
@@ -25,9 +22,9 @@ _SECTOR_DEG = 22.5
 _WIDTH = 11
 
 
-def line(state: RobotState) -> str:
-    """What matters while one drives, in one line."""
-    parts = [_pose(state), moving(state)]
+def format_state(state: RobotState) -> str:
+    """Return the state in one line: pose, motion, nearest echo, bumpers, clock."""
+    parts = [_pose(state), format_motion(state)]
     nearest = min(range(16), key=lambda number: state.sonars_in[number])
     if 0 < state.sonars_in[nearest] < NO_ECHO_IN:
         parts.append(f"nearest {state.sonars_in[nearest]} in at {_SECTOR_DEG * nearest:g} deg")
@@ -38,32 +35,32 @@ def line(state: RobotState) -> str:
     return " | ".join(parts)
 
 
-def moving(state: RobotState) -> str:
-    """Which axes move, and how fast it goes."""
+def format_motion(state: RobotState) -> str:
+    """Return the moving axes with their speeds."""
     axes = {
         "translation": (state.translation_moving, f"{state.translation_in_s:.1f} in/s"),
         "steering": (state.steering_moving, f"{state.steering_deg_s:.1f} deg/s"),
         "turret": (state.turret_moving, f"{state.turret_deg_s:.1f} deg/s"),
     }
-    told = ", ".join(f"{axis} {speed}" for axis, (moves, speed) in axes.items() if moves)
-    return f"moving: {told}" if told else "standing"
+    values = ", ".join(f"{axis} {speed}" for axis, (moves, speed) in axes.items() if moves)
+    return f"moving: {values}" if values else "standing"
 
 
-def lines(state: RobotState, parts: Iterable[str] = ()) -> Iterator[str]:
-    """The parts, all where none is named; each is one of PARTS."""
+def format_parts(state: RobotState, parts: Iterable[str] = ()) -> Iterator[str]:
+    """Yield one line per part of the state; without `parts` all of them."""
     for part in tuple(parts) or tuple(PARTS):
         yield f"{part:{_WIDTH}} {PARTS[part](state)}"
 
 
-def check(parts: Iterable[str]) -> None:
-    """Raises ShellError for a part that there is not."""
+def check_parts(parts: Iterable[str]) -> None:
+    """Raise ShellError for a name that is not in PARTS."""
     for part in parts:
         if part not in PARTS:
             raise ShellError(f"no part {part!r} of the state; there are {', '.join(PARTS)}{suggest(part, PARTS)}")
 
 
-def as_object(state: RobotState) -> dict[str, Any]:
-    """The same for programs: plain numbers, the unit in each name; null where nothing was told."""
+def as_json(state: RobotState) -> dict[str, Any]:
+    """Return the state as a JSON object: plain numbers with the unit in each key, null if unknown."""
     battery = state.battery
     return {
         "model": state.model.name, "clock_s": state.clock_s,
@@ -95,12 +92,12 @@ def _velocity(state: RobotState) -> str:
 
 def _motors(state: RobotState) -> str:
     scout = {"on mains": state.on_mains, "charging": state.charging, "EMERGENCY STOP": state.emergency_stop}
-    return ", ".join((moving(state), *(word for word, said in scout.items() if said)))
+    return ", ".join((format_motion(state), *(word for word, is_set in scout.items() if is_set)))
 
 
 def _sonar(state: RobotState) -> str:
     readings = " ".join("  -" if reading >= NO_ECHO_IN else f"{reading:3}" for reading in state.sonars_in)
-    return f"{readings}  in, counter-clockwise from ahead; - heard nothing"
+    return f"{readings}  in, counter-clockwise from ahead; - no echo"
 
 
 def _infrared(state: RobotState) -> str:
@@ -125,11 +122,11 @@ def _laser(state: RobotState) -> str:
 
 def _battery(state: RobotState) -> str:
     battery = state.battery
-    return "not told" if battery is None else f"computer {battery.cpu_v:.1f} V  motors {battery.motor_v:.1f} V"
+    return "unknown" if battery is None else f"computer {battery.cpu_v:.1f} V  motors {battery.motor_v:.1f} V"
 
 
 def _clock(state: RobotState) -> str:
-    return "not told" if state.clock_s is None else f"{state.clock_s:.3f} s"
+    return "unknown" if state.clock_s is None else f"{state.clock_s:.3f} s"
 
 
 PARTS: dict[str, Callable[[RobotState], str]] = {
@@ -145,26 +142,26 @@ PARTS: dict[str, Callable[[RobotState], str]] = {
     "clock": _clock,
     "error": lambda state: str(state.error) if state.error else "none",
 }
-"""A part, and how it is told."""
+"""Parts of the state, and the function that formats each."""
 
 
 SHOWN = {
     "infrared": ("infrared",), "sonar": ("sonar",), "bumper": ("bumpers",), "compass": ("compass",),
     "laser": ("laser",), "velocity": ("velocity",),
 }  # fmt: skip
-"""Parts of the state by the kind of reply that brings them."""
+"""Parts of the state that are shown for a kind of reply."""
 
 
-def shown(call: Call, reply: Reply, state: RobotState) -> Iterator[str]:
-    """Lines that tell what came of a call; `state`: what is known after it."""
+def format_reply(call: Call, reply: Reply, state: RobotState) -> Iterator[str]:
+    """Yield the lines that show the result of a call; `state` is the state after it."""
     if call.name == "get_ra":
         yield _accelerations(reply)
     elif reply.kind == "state":
-        yield line(state)
+        yield format_state(state)
     elif reply.kind == "configuration":
-        yield _clicked(reply) if reply.values else next(lines(state, ("pose",)))
+        yield _clicked(reply) if reply.values else next(format_parts(state, ("pose",)))
     elif reply.kind in SHOWN and not reply.values:
-        yield from lines(state, SHOWN[reply.kind])
+        yield from format_parts(state, SHOWN[reply.kind])
     elif call.name in VALUES:
         yield from VALUES[call.name](reply)
     else:
@@ -173,13 +170,13 @@ def shown(call: Call, reply: Reply, state: RobotState) -> Iterator[str]:
 
 def _plain(reply: Reply) -> str:
     if reply.kind == "nak":
-        return "the robot said no (NAK)"
+        return "refused by the robot (NAK)"
     return " ".join(map(str, reply.values)) if len(reply.values) > 1 else "ok"
 
 
 def _accelerations(reply: Reply) -> str:
-    told = [reply.slots.get(slot, 0) / 10 for slot in (38, 39, 40)]
-    return "translation {:.1f} in/s2  steering {:.1f} deg/s2  turret {:.1f} deg/s2".format(*told)
+    values = [reply.slots.get(slot, 0) / 10 for slot in (38, 39, 40)]
+    return "translation {:.1f} in/s2  steering {:.1f} deg/s2  turret {:.1f} deg/s2".format(*values)
 
 
 def _clicked(reply: Reply) -> str:
@@ -191,7 +188,7 @@ def _clicked(reply: Reply) -> str:
 def _truth(reply: Reply) -> Iterator[str]:
     _, time_ms, x, y, heading, turret, seed, robot = reply.values
     yield (
-        f"in truth x {x / 1000:.3f} in  y {y / 1000:.3f} in  heading {heading / 1000:.3f} deg  "
+        f"ground truth x {x / 1000:.3f} in  y {y / 1000:.3f} in  heading {heading / 1000:.3f} deg  "
         f"turret {turret / 1000:.3f} deg | {unwrap_word(time_ms) / 1000:.3f} s | robot {robot}, seed {seed}"
     )
 
@@ -224,4 +221,4 @@ VALUES: dict[str, Callable[[Reply], Iterator[str]]] = {
     "sim_truth": _truth, "sim_control": _time, "motion_check": _collision, "get_rpx": _robots,
     "predict_sensors": _prediction,
 }  # fmt: skip
-"""Replies that are held nowhere, by the command."""
+"""Formatting of replies that are not stored in the state, by command."""

@@ -1,14 +1,14 @@
-"""Stop a robot, whatever it takes: st until it is answered and the robot stands still, over a noisy line, too.
+"""Stop a robot and wait until it stands still, also over a noisy line.
 
     nomad stop nserver://lab:7019/2
     nomad stop "serial:///dev/ttyUSB0?model=n150" --patience 30
 
-Says how often it was told, and where it stands. Exit code 0: it was seen to stand still; 1: it moves on, nobody
-answered, or it answered st and could not be understood, most often since the address names another model.
+Prints how often st was sent, and the robot's position. Exit code 0: the robot was seen to stand still; 1: it still
+moves, does not reply, or replies to st and cannot be understood, usually because the address has the wrong model.
 
-Rules: st and gs only; nothing is set but a N200's mask, nothing is fed. On a robot's own line the first bytes of every
-conversation are st, and hello and mask come once that was answered. Whatever goes wrong on the way is tried again
-until patience ends, a connection that broke is made anew; only an address that makes no sense ends it at once.
+Rules: only st and gs are sent; no setting is changed except a N200's mask. On a serial line st is sent first, handshake
+and mask follow its reply. Errors are retried and lost connections reopened until the time is over; only an invalid
+address ends the command at once.
 """
 
 from __future__ import annotations
@@ -33,143 +33,170 @@ from nclient.state import RobotState
 from nclient.transports.stream import ByteStream
 from nclient.url import parse_address
 
-PATIENCE_S = 10.0
+DEFAULT_PATIENCE_S = 10.0
 PAUSE_S = 0.05
-"""Between two looks at a robot that still rolls out, and before a connection is tried again."""
-_LOOKS = 20
-"""Looks at it before it is told again."""
+"""Interval between two queries while the robot slows down, and between two connection attempts."""
+_QUERIES = 20
+"""Number of queries before st is sent again."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """An address, and how long to try."""
-    parser.add_argument("address", nargs="?", metavar="ADDRESS",
-                        help="such as nserver://localhost:7019/1 or serial:///dev/ttyUSB0 (default: NOMAD_ROBOT, or a "
-                             "local nserver's robot 1)")
-    parser.add_argument("--patience", type=seconds, default=PATIENCE_S, metavar="S",
-                        help=f"seconds to go on trying (default {PATIENCE_S:g})")
+    """Add the options of the command."""
+    parser.add_argument(
+        "address",
+        nargs="?",
+        metavar="ADDRESS",
+        help="robot, such as nserver://localhost:7019/1 or serial:///dev/ttyUSB0 (default: $NOMAD_ROBOT, "
+        "or robot 1 of a local nserver)",
+    )
+    parser.add_argument("--patience", type=seconds, default=DEFAULT_PATIENCE_S, metavar="S",
+                        help=f"try for S seconds (default {DEFAULT_PATIENCE_S:g})")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Stop it; the exit code."""
+    """Stop the robot, and return the exit code."""
     connector = Connector(parse_address(address_or_default(options.address)))
     if options.address is None:
         print_message(f"stopping {connector.address.text}")
-    opens = connector.open_session if connector.wire == TCP else _on_line(connector)
-    return Stopping(opens, time.monotonic, time.sleep).run(options.patience)
+    connect = connector.open_session if connector.wire == TCP else _stop_first_connector(connector)
+    return RobotStopper(connect, time.monotonic, time.sleep).run(options.patience)
 
 
-def _on_line(connector: Connector) -> StopFirst:
-    patience_s = QUICK_S if connector.timeout_s is None else connector.timeout_s
-    return StopFirst(
+def _stop_first_connector(connector: Connector) -> StopFirstConnector:
+    timeout_s = QUICK_S if connector.timeout_s is None else connector.timeout_s
+    return StopFirstConnector(
         connector.open_stream,
         lambda stream: connector.start_session(stream, hello=False),
         connector.model,
-        patience_s,
+        timeout_s,
     )
 
 
-class StopFirst:
-    """Opens conversations on a robot's own line whose first bytes are st. `opens` the line, `talks` what comes then."""
+class StopFirstConnector:
+    """Connects to a serial line with st as the first bytes of every connection.
+
+    Parameters
+    ----------
+    open_stream
+        Opens the line.
+    start_session
+        Starts the protocol after the reply to st.
+    model
+        Model of the robot.
+    timeout_s
+        Maximum time for the reply to st.
+    clock
+        Returns seconds.
+    """
 
     def __init__(
         self,
-        opens: Callable[[], ByteStream],
-        talks: Callable[[ByteStream], Backend],
+        open_stream: Callable[[], ByteStream],
+        start_session: Callable[[ByteStream], Backend],
         model: Model,
-        patience_s: float = QUICK_S,
+        timeout_s: float = QUICK_S,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._opens, self._talks = opens, talks
-        self._model, self._patience_s, self._clock = model, patience_s, clock
-        self.told = 0
-        self.answers: list[bytes] = []
+        self._open_stream, self._start_session = open_stream, start_session
+        self._model, self._timeout_s, self._clock = model, timeout_s, clock
+        self.stops_sent = 0
+        self.replies: list[bytes] = []
 
     def __call__(self) -> Backend:
-        """A conversation with a robot that has answered st. Raises as say_stop and `talks`."""
-        stream = self._opens()
+        """Connect to a robot, which has replied to st. Raises as send_emergency_stop and `start_session` do."""
+        stream = self._open_stream()
         try:
-            self.answers.append(send_emergency_stop(stream, self._patience_s, self._clock, self._tell).data)
-            return self._talks(stream)
+            self.replies.append(send_emergency_stop(stream, self._timeout_s, self._clock, self._count_stop).data)
+            return self._start_session(stream)
         except BaseException:
             stream.close()
             raise
 
-    def remedy(self) -> str:
-        """What is left to say where st was answered, and nothing after it could be read."""
-        hint = model_mismatch_hint(self._model, self.answers[-1])
+    def describe_unreadable(self) -> str:
+        """Return a message for a robot that replied to st, but to nothing else that could be read."""
+        hint = model_mismatch_hint(self._model, self.replies[-1])
         return f"st was answered, and nothing showed that it stands still{'; ' if hint else ''}{hint}"
 
-    def _tell(self) -> None:
-        self.told += 1
+    def _count_stop(self) -> None:
+        self.stops_sent += 1
 
 
-class Stopping:
-    """One robot on its way to a standstill. `opens`: a new conversation; `clock` gives seconds, `sleep` passes them."""
+class RobotStopper:
+    """Sends st to one robot until it stands still.
+
+    Parameters
+    ----------
+    connect
+        Opens a new connection.
+    clock
+        Returns seconds.
+    sleep
+        Waits a number of seconds.
+    """
 
     def __init__(
-        self, opens: Callable[[], Backend], clock: Callable[[], float], sleep: Callable[[float], None]
+        self, connect: Callable[[], Backend], clock: Callable[[], float], sleep: Callable[[float], None]
     ) -> None:
-        self._opens = opens
+        self._connect = connect
         self._clock, self._sleep = clock, sleep
         self._robot: Robot | None = None
-        self._troubles: Counter[str] = Counter()
-        self._last: RobotState | None = None
-        self._told = 0
+        self._errors: Counter[str] = Counter()
+        self._last_state: RobotState | None = None
+        self._stops_sent = 0
 
     def run(self, patience_s: float) -> int:
-        """Try until it stands still or patience ends; says what came of it; the exit code."""
+        """Try for `patience_s` at most, print the result, and return the exit code."""
         deadline_s = self._clock() + patience_s
         try:
-            stands = self._try()
-            while not stands and self._clock() < deadline_s:
-                stands = self._try()
+            is_still = self._try_once()
+            while not is_still and self._clock() < deadline_s:
+                is_still = self._try_once()
         finally:
-            self._hang_up()
-        self._report(stands)
-        return ExitCode.DONE if stands else ExitCode.FAILED
+            if self._robot is not None:
+                self._robot.disconnect()
+        self._report(is_still)
+        return ExitCode.DONE if is_still else ExitCode.FAILED
 
-    def _try(self) -> bool:
-        """Tell it once more; whether it answered that, and was seen to stand still."""
+    def _try_once(self) -> bool:
+        """Send st once; return True if the robot replied and was seen to stand still."""
         try:
-            robot = self._connected()
-            self._told += 1
-            self._last = robot.stop()
-            for _ in range(_LOOKS):
-                self._last = robot.refresh()
-                if not (self._last.moving or any(self._last.raw[38:41])):
+            robot = self._connected_robot()
+            self._stops_sent += 1
+            self._last_state = robot.stop()
+            for _ in range(_QUERIES):
+                self._last_state = robot.refresh()
+                # Still: no axis reports motion, and all three velocities are 0.
+                if not (self._last_state.moving or any(self._last_state.raw[38:41])):
                     return True
                 self._sleep(PAUSE_S)
         except (ConnectionLost, ReplyTimeout, RobotRefused, WireError) as error:
-            self._note(error)
+            self._count_error(error)
             self._sleep(PAUSE_S)
         return False
 
-    def _connected(self) -> Robot:
+    def _connected_robot(self) -> Robot:
         if self._robot is None or self._robot.closed:
-            self._robot = Robot(self._opens())
+            self._robot = Robot(self._connect())
         return self._robot
 
-    def _note(self, error: NomadError) -> None:
+    def _count_error(self, error: NomadError) -> None:
+        # Each message is printed once.
         text = str(error)
-        self._troubles[text] += 1
-        if self._troubles[text] == 1:
+        self._errors[text] += 1
+        if self._errors[text] == 1:
             print_message(text)
 
-    def _hang_up(self) -> None:
-        if self._robot is not None:
-            self._robot.disconnect()
-
-    def _report(self, stands: bool) -> None:
-        first = self._opens if isinstance(self._opens, StopFirst) else None
-        told = self._told + (first.told if first else 0)
-        times = f"told {told} time{'' if told == 1 else 's'}"
-        if self._troubles:
-            times += f", {sum(self._troubles.values())} faults on the way"
-        if stands and self._last is not None:
-            print(f"stands still at x {self._last.x_in:.1f} in, y {self._last.y_in:.1f} in; {times}")
-        elif self._last is not None:
-            print(f"NOT STOPPED: last seen at {self._last.translation_in_s:.1f} in/s; {times}")
-        elif first and first.answers:
-            print(f"NOT SEEN TO STOP: {first.remedy()}; {times}")
+    def _report(self, is_still: bool) -> None:
+        first = self._connect if isinstance(self._connect, StopFirstConnector) else None
+        count = self._stops_sent + (first.stops_sent if first else 0)
+        attempts = f"st sent {count} time{'' if count == 1 else 's'}"
+        if self._errors:
+            attempts += f", {sum(self._errors.values())} errors"
+        if is_still and self._last_state is not None:
+            print(f"stands still at x {self._last_state.x_in:.1f} in, y {self._last_state.y_in:.1f} in; {attempts}")
+        elif self._last_state is not None:
+            print(f"NOT STOPPED: last seen at {self._last_state.translation_in_s:.1f} in/s; {attempts}")
+        elif first and first.replies:
+            print(f"NOT SEEN TO STOP: {first.describe_unreadable()}; {attempts}")
         else:
-            print(f"NOT STOPPED: nobody answered; {times}")
+            print(f"NOT STOPPED: no reply; {attempts}")

@@ -1,12 +1,11 @@
-"""Turn calls into bytes and bytes into calls and replies, as JSON.
+"""Encode calls to bytes, and decode bytes to calls and replies as JSON.
 
-    nomad wire encode vm 100 -50 0 --line serial      01 08 00 05 ... as hex, a frame a line
+    nomad wire encode vm 100 -50 0 --line serial      01 08 00 05 ... as hex, one frame per line
     nomad wire decode 000f0000                        {"to": "robot", "call": "gs", "args": []}
-    nomad wire decode --to host --call get_rc HEX     what the client holds after that reply
+    nomad wire decode --to host --call get_rc HEX     the client's state after that reply
     nomad wire dump --line serial --model n200        reads `> hex` and `< hex` lines, prints an object for each
 
-Rules: arguments and printing only; what bytes mean is nclient.protocol's. On stdout is what was asked for: a frame that
-is none has its reason on stderr, but in a dump, where each line has its object.
+Results go to stdout. The reason why a frame is invalid goes to stderr, except in a dump, which has an object per line.
 """
 
 from __future__ import annotations
@@ -27,9 +26,9 @@ from nclient.protocol.types import EVERYTHING, MODELS, Mask, get_model
 from nclient.protocol.wire_state import serial_wire_state
 
 _DEFAULTS = {"line": "tcp", "model": "n150"}
-_ENCODE = """Print the bytes of a call as hex, a frame a line.
+_ENCODE = """Print the bytes of a call as hex, one frame per line.
 
-Arguments are integers in the order of the C call, lists laid open: tenths of an inch and of a degree;
+Arguments are integers in the order of the C call, arrays flattened: tenths of an inch and of a degree;
 motion_check in thousandths; the text of tk in quotes. Options go before the call or after its last argument.
 
     nomad wire encode vm 100 -50 0
@@ -39,49 +38,51 @@ motion_check in thousandths; the text of tk in quotes. Options go before the cal
     nomad wire encode special_request 1 2 3 --packet-type 200
     nomad wire encode tk "Where am I?" --line serial --model n200
 
-On a robot's own line place_robot is two frames, dp and da.
+On the serial line place_robot is two frames, dp and da.
 
-The calls:
+Calls:
 
 """ + fill(" ".join(BY_NAME), 100, initial_indent="    ", subsequent_indent="    ")
 _LIST = "nomad wire encode --help lists them all"
-_DECODE = """Print one frame as a JSON object; exit code 1 and nothing on stdout when it is no good frame.
+_DECODE = """Print one frame as a JSON object; exit code 1 and nothing on stdout if the frame is invalid.
 
     nomad wire decode 000c000300000064ffffffce00000000
     nomad wire decode --line serial 0108000564003280 0000245c
     nomad wire decode --to host --call get_rc 00580004fffffd0efffffc5300001dc800002036
 
-Over TCP a reply does not name its command: without --call it is read by its type. --mask and --laser-mode say
-what the two ends had agreed before; at the start all is on and the mode is 51."""
+Over TCP a reply does not name its command: without --call it is read by its type. --mask and --laser-mode set
+the state of the connection; by default all sensors are on and the laser mode is 51."""
 _DUMP = """Read lines `> hex` (to the robot) and `< hex` (from it), print one JSON object for each line.
 
     {"to": "robot", "call": "vm", "args": [100, -50, 0]}
     {"to": "host", "reply": "state", "State": [45 numbers], "Laser": [...], "positions": {...}, "clock": ...,
-     "volt_cpu": ..., "volt_motor": ...}      what the client holds after the reply, null for what it never had
-    {"error": "..."}                          a line that is no good frame, an empty one included
+     "volt_cpu": ..., "volt_motor": ...}      the client's state after the reply, null for values it never got
+    {"error": "..."}                          a line that is no valid frame, an empty one included
 
-Mask and laser mode are followed as the two ends do. With --line serial --model n200 the eleven bytes that the
-robot sends first over TCP may be the first line from it.
+Requests that change mask or laser mode apply to later lines. With --line serial --model n200 the first line from
+the robot may be the eleven bytes that it sends first over TCP.
 
     printf '> 000f0000\\n' | nomad wire dump"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """encode, decode, dump; --line and --model before or after them."""
+    """Add encode, decode and dump; --line and --model may stand before or after them."""
     _add_line(parser)
     verbs = parser.add_subparsers(dest="verb", metavar="encode|decode|dump", required=True)
     encode = _add_verb(verbs, "encode", _ENCODE)
-    encode.add_argument("call", help="the C name, such as vm, get_sn, special_request")
-    encode.add_argument("args", nargs="*", help="its arguments")
-    encode.add_argument("--pid", type=int, default=1, help="the client's process id for connect_robot (default: 1)")
-    encode.add_argument("--packet-type", type=int, help="the packet type of special_request")
-    encode.add_argument("--mask", type=_mask, default=EVERYTHING, help="ct's 44 numbers (default: all on)")
+    encode.add_argument("call", help="C name, such as vm, get_sn, special_request")
+    encode.add_argument("args", nargs="*", help="arguments of the call")
+    encode.add_argument("--pid", type=int, default=1, help="process id that connect_robot sends (default: 1)")
+    encode.add_argument("--packet-type", type=int, help="packet type of special_request")
+    encode.add_argument("--mask", type=_mask, default=EVERYTHING, help="44 numbers that ct sends (default: all on)")
     decode = _add_verb(verbs, "decode", _DECODE)
-    decode.add_argument("hex", nargs="+", action=_Hex, help="the bytes of one frame")
-    decode.add_argument("--to", choices=("robot", "host"), default="robot", help="where it went (default: robot)")
-    decode.add_argument("--call", help="the call that the reply answers")
-    decode.add_argument("--mask", type=_mask, help="the 44 numbers of Smask in force")
-    decode.add_argument("--laser-mode", type=int, help="the mode that conf_ls set last")
+    decode.add_argument("hex", nargs="+", action=_Hex, help="bytes of one frame")
+    decode.add_argument(
+        "--to", choices=("robot", "host"), default="robot", help="direction of the frame (default: robot)"
+    )
+    decode.add_argument("--call", help="decode as the reply to this call")
+    decode.add_argument("--mask", type=_mask, help="44 numbers of the mask in force (default: all on)")
+    decode.add_argument("--laser-mode", type=int, help="laser mode in force (default: 51)")
     _add_verb(verbs, "dump", _DUMP)
     parser.set_defaults(**_DEFAULTS)
 
@@ -98,16 +99,16 @@ def _add_verb(verbs: Any, name: str, description: str) -> argparse.ArgumentParse
 def _add_line(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--line", choices=WIRES, default=argparse.SUPPRESS,
-        help="an Nserver's clients of 32 or 64 bits, or a robot's own line (default: tcp)",
+        help="protocol: Nserver's for 32-bit or 64-bit clients, or the serial line's (default: tcp)",
     )
     parser.add_argument(
         "--model", choices=tuple(MODELS), default=argparse.SUPPRESS,
-        help="whose own line it is; of no account over TCP (default: n150)",
+        help="model of the robot on the serial line (default: n150)",
     )
 
 
 def run(options: argparse.Namespace) -> int:
-    """Do what the options say; the exit code."""
+    """Run encode, decode or dump, and return the exit code."""
     match options.verb:
         case "encode":
             return _encode(options)
@@ -128,7 +129,7 @@ def _encode(options: argparse.Namespace) -> int:
 
 
 def _calls(options: argparse.Namespace) -> Iterator[Call]:
-    """The calls as the table has them, out of the arguments of the C call."""
+    """Yield the calls for the arguments of the C call, with pid, mask or packet type added."""
     row = _row(options.call)
     if row.name == "tk":
         yield Call(row.name, (" ".join(options.args),))
@@ -137,10 +138,10 @@ def _calls(options: argparse.Namespace) -> Iterator[Call]:
     if row.name == "place_robot" and options.line == "serial" and len(args) == 4:
         yield from (Call("dp", args[:2]), Call("da", args[2:]))
         return
-    yield Call(row.name, _with_beside(row.extra_arguments[0], args, options) if row.extra_arguments else args)
+    yield Call(row.name, _with_extra_arguments(row.extra_arguments[0], args, options) if row.extra_arguments else args)
 
 
-def _with_beside(name: str, args: tuple[float, ...], options: argparse.Namespace) -> tuple[float, ...]:
+def _with_extra_arguments(name: str, args: tuple[float, ...], options: argparse.Namespace) -> tuple[float, ...]:
     if name == "pid":
         return (*args, options.pid)
     if name == "mask":
@@ -154,24 +155,24 @@ def _with_beside(name: str, args: tuple[float, ...], options: argparse.Namespace
 
 
 def _decode(options: argparse.Namespace) -> int:
-    transcript = WireDecoder(options.line, get_model(options.model))
+    decoder = WireDecoder(options.line, get_model(options.model))
     if options.mask:
-        transcript.wire_state.set_mask(options.mask)
+        decoder.wire_state.set_mask(options.mask)
     if options.laser_mode is not None:
-        transcript.wire_state.set_laser_mode(options.laser_mode)
+        decoder.wire_state.set_laser_mode(options.laser_mode)
     if options.call:
-        transcript.expect(_row(options.call).name)
-    found = transcript.request(options.hex) if options.to == "robot" else transcript.reply(options.hex)
-    if "error" in found:
-        raise WireError(found["error"])
-    print(json.dumps(found))
+        decoder.expect(_row(options.call).name)
+    decoded = decoder.request(options.hex) if options.to == "robot" else decoder.reply(options.hex)
+    if "error" in decoded:
+        raise WireError(decoded["error"])
+    print(json.dumps(decoded))
     return ExitCode.DONE
 
 
 def _dump(options: argparse.Namespace) -> int:
-    transcript = WireDecoder(options.line, get_model(options.model))
+    decoder = WireDecoder(options.line, get_model(options.model))
     for line in sys.stdin.buffer:
-        print(json.dumps(transcript.read(line.decode("utf-8", "replace"))), flush=True)
+        print(json.dumps(decoder.read(line.decode("utf-8", "replace"))), flush=True)
     return ExitCode.DONE
 
 
@@ -182,7 +183,7 @@ def _row(name: str) -> Command:
 
 
 class _Hex(argparse.Action):
-    """Words of hex, which may be cut anywhere, as the bytes that they are together."""
+    """Converts hex digits, which may be split over several words at any place, to bytes."""
 
     def __call__(self, parser: object, namespace: Any, values: Any, option_string: object = None) -> None:
         del parser, option_string
@@ -200,7 +201,7 @@ def _number(word: str) -> float:
     try:
         return float(word)
     except ValueError:
-        raise WireError(f"a number is wanted, not {word!r}") from None
+        raise WireError(f"expected a number, not {word!r}") from None
 
 
 def _mask(text: str) -> Mask:

@@ -86,6 +86,7 @@ class AcceptQueue:
     def next(self) -> PendingConnection:
         """Return the first connection that has sent something, else the first; wait for one if there is none."""
         self._accept_available()
+        # Clients may disconnect between the kernel's accept and this one.
         self._listening.setblocking(True)
         while not self._pending:
             with contextlib.suppress(ConnectionAbortedError):
@@ -175,6 +176,7 @@ class TcpListener:
         on_rejected: Callable[[str, str], None] = lambda _, __: None,
     ) -> None:
         try:
+            # The backlog of the kernel is as long as the queue.
             family = socket.AF_INET6 if ":" in host else socket.AF_INET
             self._socket = socket.create_server((host, port), family=family, backlog=MAX_PENDING)
         except OSError as error:
@@ -236,6 +238,8 @@ class PtyListener:
             raise ConnectionLost(f"{link} is there and no symbolic link: it stays; name another path, or move it away")
         self._fd, other = os.openpty()
         try:
+            # Raw: the terminal must not change, echo or interpret bytes. The name of the link is stable, the device's
+            # number is not.
             tty.setraw(other)
             self._device = os.ttyname(other)
             link.unlink(missing_ok=True)
@@ -291,6 +295,7 @@ class _PtyStream:
 
     def receive(self, deadline: Deadline) -> bytes:
         """Return at least one byte. Raises ReplyTimeout at the deadline, ConnectionLost if the other end was closed."""
+        # poll() takes milliseconds.
         if not self._poll.poll(deadline.remaining() * 1000):
             raise ReplyTimeout(f"nothing came at {self.name}")
         try:

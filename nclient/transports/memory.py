@@ -75,6 +75,7 @@ class MemoryStream:
 
     def close(self) -> None:
         """Close the peer. May be called twice."""
+        # The peer is closed once, however often the stream is.
         if self._peer is not None:
             self._peer.close()
             self._peer = None
@@ -102,6 +103,7 @@ def open_in_process(scheme: str, address: str) -> MemoryStream:
     opener = _openers().get(scheme)
     if opener is None:
         raise AddressError(f"no installed package opens {scheme}: addresses")
+    # Loading imports the package, which may be broken or of another version.
     try:
         open_peer = opener.load()
     except (ImportError, AttributeError) as error:

@@ -97,6 +97,7 @@ class SerialStream:
 
     def close(self) -> None:
         """Close the port; a `receive` in another thread ends with ConnectionLost. May be called twice."""
+        # Wake a reader first: it has the lock that is taken below.
         if self._closed:
             return
         self._closed = True

@@ -75,6 +75,7 @@ class TcpStream:
 
     def close(self) -> None:
         """Close the connection; a `receive` in another thread ends with ConnectionLost."""
+        # close() alone does not wake a receive() in another thread.
         with contextlib.suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()

@@ -1,9 +1,9 @@
-"""What the owner of a daemon may do while it runs: a table of commands, and what each does. Pure, but for `save`.
+"""Commands of the control socket: a table, and a function for each command. No I/O except for `save`.
 
-    {"command": "speed", "argument": "10"}   ──>   {"ok": true, "said": {...}}   or   {"ok": false, "error": "..."}
+    {"command": "speed", "argument": "10"}   ->   {"ok": true, "said": {...}}   or   {"ok": false, "error": "..."}
 
-Rules: a JSON object a line, each way. Whoever reaches this is the owner: nothing here asks whether clients may do it.
-Whatever is asked wrongly is told with what would be right, and changes nothing.
+One JSON object per line, in each direction. Only the owner of the server can open the socket, so there are no further
+permissions. An invalid request is answered with what is valid, and changes nothing.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from nclient.errors import ControlError, NomadError
 from nclient.faults.frames import total
 from nclient.faults.plan import parse_plan, plan_text
 from nserver_emu.persistence import snapshot
-from nserver_emu.server.context import FASTEST, SLOWEST
+from nserver_emu.server.context import MAX_TIME_FACTOR, MIN_TIME_FACTOR
 from nserver_emu.server.handlers.runtime_settings import (
-    WANTED,
+    OBSTACLE_USAGE,
     change_obstacle,
     noise_of,
     noise_words,
@@ -32,79 +32,79 @@ from nserver_emu.server.handlers.runtime_settings import (
     show_world,
     switch_noise,
 )
-from nserver_emu.server.handlers.server import LONGEST_STEP_MS
+from nserver_emu.server.handlers.server import MAX_STEP_MS
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.link import FaultController
 
 log = logging.getLogger(__name__)
 
 MAX_SPEED: Final = "max"
+# The operator in an emergency stop.
 OPERATOR: Final = "nserver ctl"
-"""Who holds a robot that was stopped from here."""
-Said = dict[str, Any]
+JsonObject = dict[str, Any]
 
 
-class Served(Protocol):
-    """A daemon, as far as it is controlled."""
+class ControlledServer(Protocol):
+    """The parts of a server that are controlled."""
 
     emulator: Emulator
     faults: FaultController
 
     def step(self, dt_s: float) -> None:
-        """Let simulated time pass."""
+        """Advance simulated time."""
         ...
 
-    def paced(self) -> None:
-        """The emulator's pace was changed."""
+    def record_clock(self) -> None:
+        """Record that the clock was changed."""
         ...
 
-    def changed(self, what: Mapping[str, Any]) -> None:
-        """The simulation was changed so (switches.py), by no client's request."""
+    def record_change(self, change: Mapping[str, Any]) -> None:
+        """Record a change of the simulation (runtime_settings.py)."""
         ...
 
     def hold(self, robot_ids: Iterable[int], by: str) -> None:
-        """Stop these robots, and let nobody move them until they are released."""
+        """Stop these robots and ignore motion commands until they are released."""
         ...
 
     def release(self, robot_ids: Iterable[int]) -> None:
-        """They may be moved again."""
+        """Release these robots."""
         ...
 
     def lines(self) -> Mapping[str, str]:
-        """The lines there are, by name, and where each is reached."""
+        """Return the address of each line by its name."""
         ...
 
-    def connected_clients(self) -> list[Said]:
-        """Who is connected: name, robot, waiting, refused."""
+    def connected_clients(self) -> list[JsonObject]:
+        """Return name, robot, waiting and refused of each connection."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class ControlCommand:
-    """A row: its name, what its argument is called ("" for none, in brackets where it may be left out), what it is
-    for, what it does."""
+    """A command."""
 
     name: str
+    # Name of the argument: empty for none, in brackets if optional.
     argument: str
     about: str
-    does: Callable[[Served, Any], Said]
+    run: Callable[[ControlledServer, Any], JsonObject]
 
     @property
-    def wants(self) -> bool:
-        """Whether it cannot do without its argument."""
+    def requires_argument(self) -> bool:
+        """True if the argument is required."""
         return bool(self.argument) and not self.argument.startswith("[")
 
 
-def answer_line(served: Served, line: bytes) -> bytes:
-    """The answer to one line of text."""
+def answer_line(server: ControlledServer, line: bytes) -> bytes:
+    """Return the response line to a request line."""
     try:
-        answer = {"ok": True, "said": _done(served, line)}
+        answer = {"ok": True, "said": _execute(server, line)}
     except NomadError as error:
         answer = {"ok": False, "error": str(error)}
     return json.dumps(answer).encode() + b"\n"
 
 
-def _done(served: Served, line: bytes) -> Said:
+def _execute(server: ControlledServer, line: bytes) -> JsonObject:
     try:
         request = json.loads(line)
         name, argument = request["command"], request.get("argument")
@@ -113,207 +113,208 @@ def _done(served: Served, line: bytes) -> Said:
     row = BY_NAME.get(name) if isinstance(name, str) else None
     if row is None:
         raise ControlError(f"no command {name!r}; there are {', '.join(BY_NAME)}{suggest(str(name), BY_NAME)}")
-    if row.wants and argument is None:
-        raise ControlError(f"{row.name} wants {row.argument}")
-    return row.does(served, argument)
+    if row.requires_argument and argument is None:
+        raise ControlError(f"{row.name} requires {row.argument}")
+    return row.run(server, argument)
 
 
-def status(served: Served, _: object = None) -> Said:
-    """Everything at a glance: time, world, robots as they really stand, lines, clients, faults."""
-    emulator, pace = served.emulator, served.emulator.clock
+def status(server: ControlledServer, _: object = None) -> JsonObject:
+    """Return time, world, actual poses of robots, lines, clients and faults."""
+    emulator, clock = server.emulator, server.emulator.clock
     simulation = emulator.simulation
     return {
         "version": version(), "world": simulation.world.name, "seed": simulation.seed,
-        "time_s": round(simulation.time_s, 6), "speed": MAX_SPEED if pace.factor is None else pace.factor,
-        "paused": pace.paused, "lockstep_s": pace.lockstep_s,
+        "time_s": round(simulation.time_s, 6), "speed": MAX_SPEED if clock.factor is None else clock.factor,
+        "paused": clock.paused, "lockstep_s": clock.lockstep_s,
         "robots": [
             {
                 "number": number, "model": robot.model.name, "moving": any(robot.moving), "bumpers": robot.bumpers,
                 "x_in": round(robot.actual.x_in, 3), "y_in": round(robot.actual.y_in, 3),
                 "steering_deg": round(math.degrees(robot.actual.steering_rad), 2),
                 "turret_deg": round(math.degrees(robot.actual.turret_rad), 2), "noise": noise_of(robot),
-                "held": None if (hold := emulator.estop.of(number)) is None else hold.told(),
+                "held": None if (hold := emulator.estop.get(number)) is None else hold.as_dict(),
             }
             for number, robot in simulation.robots.items()
         ],
-        "lines": dict(served.lines()),
-        "connections": served.connected_clients(),
-        "faults": {"rules": len(served.faults.plan.rules), "struck": _struck(served.faults)},
+        "lines": dict(server.lines()),
+        "connections": server.connected_clients(),
+        "faults": {"rules": len(server.faults.plan.rules), "struck": _injected(server.faults)},
     }  # fmt: skip
 
 
-def _struck(desk: FaultController) -> dict[str, int]:
-    together: Counter[str] = Counter()
-    for rules in desk.counts().values():
-        together.update(total(rules))
-    return {kind: count for kind, count in together.items() if count}
+def _injected(faults: FaultController) -> dict[str, int]:
+    totals: Counter[str] = Counter()
+    for rules in faults.counts().values():
+        totals.update(total(rules))
+    return {kind: count for kind, count in totals.items() if count}
 
 
-def _pause(served: Served, _: object) -> Said:
-    served.emulator.clock.paused = True
-    return _time(served)
+def _pause(server: ControlledServer, _: object) -> JsonObject:
+    server.emulator.clock.paused = True
+    return _time(server)
 
 
-def _resume(served: Served, _: object) -> Said:
-    served.emulator.clock.paused = False
-    return _time(served)
+def _resume(server: ControlledServer, _: object) -> JsonObject:
+    server.emulator.clock.paused = False
+    return _time(server)
 
 
-def _speed(served: Served, argument: object) -> Said:
-    if served.emulator.clock.lockstep_s is not None:
-        raise ControlError("speed: time moves when a client asks; start nserver without --lockstep to let it run")
+def _speed(server: ControlledServer, argument: object) -> JsonObject:
+    if server.emulator.clock.lockstep_s is not None:
+        raise ControlError("speed: in lockstep time advances with requests only; start nserver without --lockstep")
     if argument == MAX_SPEED:
-        served.emulator.clock.factor = None
+        server.emulator.clock.factor = None
     else:
-        served.emulator.clock.factor = _number(argument, SLOWEST, FASTEST, f"speed: {MAX_SPEED}, or a number")
-    return _time(served)
+        usage = f"speed: {MAX_SPEED}, or a number"
+        server.emulator.clock.factor = _number(argument, MIN_TIME_FACTOR, MAX_TIME_FACTOR, usage)
+    return _time(server)
 
 
-def _step(served: Served, argument: object) -> Said:
-    served.step(_number(argument, 0.0, LONGEST_STEP_MS / 1000, "step: seconds"))
-    return _time(served)
+def _step(server: ControlledServer, argument: object) -> JsonObject:
+    server.step(_number(argument, 0.0, MAX_STEP_MS / 1000, "step: seconds"))
+    return _time(server)
 
 
-def _time(served: Served) -> Said:
-    served.emulator.invalidate_state_cache()
-    served.paced()
-    told = status(served)
-    return {key: told[key] for key in ("time_s", "speed", "paused", "lockstep_s")}
+def _time(server: ControlledServer) -> JsonObject:
+    server.emulator.invalidate_state_cache()
+    server.record_clock()
+    everything = status(server)
+    return {key: everything[key] for key in ("time_s", "speed", "paused", "lockstep_s")}
 
 
-def _stop(served: Served, argument: object) -> Said:
-    served.hold(_robots(served, argument, "stop"), OPERATOR)
-    return {"held": served.emulator.estop.told()}
+def _stop(server: ControlledServer, argument: object) -> JsonObject:
+    server.hold(_robots(server, argument, "stop"), OPERATOR)
+    return {"held": server.emulator.estop.as_dict()}
 
 
-def _release(served: Served, argument: object) -> Said:
-    served.release(_robots(served, argument, "release"))
-    return {"held": served.emulator.estop.told()}
+def _release(server: ControlledServer, argument: object) -> JsonObject:
+    server.release(_robots(server, argument, "release"))
+    return {"held": server.emulator.estop.as_dict()}
 
 
-def _robots(served: Served, argument: object, command: str) -> list[int]:
-    """The robot of that number; every robot where none was said."""
-    there = list(served.emulator.simulation.robots)
+def _robots(server: ControlledServer, argument: object, command: str) -> list[int]:
+    """Return the robot of a number, all robots if there is no argument."""
+    robot_ids = list(server.emulator.simulation.robots)
     if argument is None:
-        return there
+        return robot_ids
     number = int(argument) if isinstance(argument, str) and argument.isdecimal() else argument
-    if not isinstance(number, int) or number not in there:
-        raise ControlError(f"{command}: no robot {argument}; there are {', '.join(map(str, there))}")
+    if not isinstance(number, int) or number not in robot_ids:
+        raise ControlError(f"{command}: no robot {argument}; there are {', '.join(map(str, robot_ids))}")
     return [number]
 
 
-def _save(served: Served, argument: object) -> Said:
+def _save(server: ControlledServer, argument: object) -> JsonObject:
     path = Path(_text(argument, "save: the name of a file"))
-    snapshot.save(served.emulator, path)
+    snapshot.save(server.emulator, path)
     return {"saved": str(path)}
 
 
-def _show(served: Served, _: object) -> Said:
-    return {"plan": plan_text(served.faults.plan)}
+def _show(server: ControlledServer, _: object) -> JsonObject:
+    return {"plan": plan_text(server.faults.plan)}
 
 
-def _set(served: Served, argument: object) -> Said:
-    """The plan in the argument: its text, and the name of its file for what is wrong with it."""
-    wanted = "faults set: the text of a plan, and the name of its file"
+def _set(server: ControlledServer, argument: object) -> JsonObject:
+    """Put a plan in force; the argument is its text and the name of its file for error messages."""
+    usage = "faults set: the text of a plan, and the name of its file"
     if not isinstance(argument, dict):
-        raise ControlError(f'{wanted}: {{"text": ..., "file": ...}}')
-    plan = parse_plan(_text(argument.get("text"), wanted), str(argument.get("file", "plan")))
-    served.faults.put(plan, served.lines())
+        raise ControlError(f'{usage}: {{"text": ..., "file": ...}}')
+    plan = parse_plan(_text(argument.get("text"), usage), str(argument.get("file", "plan")))
+    server.faults.put(plan, server.lines())
     log.info("faults: %d rules in force", len(plan.rules))
     return {"rules": len(plan.rules)}
 
 
-def _clear(served: Served, _: object) -> Said:
-    counts = served.faults.counts()
-    served.faults.clear()
+def _clear(server: ControlledServer, _: object) -> JsonObject:
+    counts = server.faults.counts()
+    server.faults.clear()
     return {"counts": counts}
 
 
-def _counts(served: Served, _: object) -> Said:
-    return {"counts": served.faults.counts()}
+def _counts(server: ControlledServer, _: object) -> JsonObject:
+    return {"counts": server.faults.counts()}
 
 
-def _reset(served: Served, _: object) -> Said:
-    counts = served.faults.counts()
-    served.faults.reset()
+def _reset(server: ControlledServer, _: object) -> JsonObject:
+    counts = server.faults.counts()
+    server.faults.reset()
     return {"counts": counts}
 
 
-def _help(_served: Served, _: object) -> Said:
+def _help(_served: ControlledServer, _: object) -> JsonObject:
     return {"commands": {row.name: [row.argument, row.about] for row in COMMANDS}}
 
 
-def _noise(served: Served, argument: object) -> Said:
-    wanted = noise_words(argument) if isinstance(argument, str) else argument
-    if not isinstance(wanted, dict):
+def _noise(server: ControlledServer, argument: object) -> JsonObject:
+    change = noise_words(argument) if isinstance(argument, str) else argument
+    if not isinstance(change, dict):
         raise ControlError(f"noise: a text or an object, not {argument!r}")
-    said = {"noise": switch_noise(served.emulator, wanted)}
-    served.changed({"noise": wanted})
-    return said
+    result = {"noise": switch_noise(server.emulator, change)}
+    server.record_change({"noise": change})
+    return result
 
 
-def _show_world(served: Served, _: object) -> Said:
-    text = show_world(served.emulator)
-    served.changed({"shown": True})
+def _show_world(server: ControlledServer, _: object) -> JsonObject:
+    text = show_world(server.emulator)
+    server.record_change({"shown": True})
     return {"text": text}
 
 
-def _put_world(served: Served, argument: object) -> Said:
-    wanted = "world set: the text of a world file, and its name"
+def _put_world(server: ControlledServer, argument: object) -> JsonObject:
+    usage = "world set: the text of a world file, and its name"
     if not isinstance(argument, dict):
-        raise ControlError(f'{wanted}: {{"text": ..., "file": ...}}')
-    text, file = _text(argument.get("text"), wanted), _text(argument.get("file", "world.toml"), wanted)
-    world = put_world(served.emulator, text, file)
-    served.changed({"world": {"text": text, "file": file}})
+        raise ControlError(f'{usage}: {{"text": ..., "file": ...}}')
+    text, file = _text(argument.get("text"), usage), _text(argument.get("file", "world.toml"), usage)
+    world = put_world(server.emulator, text, file)
+    server.record_change({"world": {"text": text, "file": file}})
     return {"world": world.name}
 
 
-def _obstacle(served: Served, argument: object) -> Said:
+def _obstacle(server: ControlledServer, argument: object) -> JsonObject:
     try:
-        wanted = json.loads(argument) if isinstance(argument, str) else argument
+        change = json.loads(argument) if isinstance(argument, str) else argument
     except (ValueError, RecursionError):
-        wanted = None
-    if not isinstance(wanted, dict):
-        raise ControlError(f"{WANTED}, not {argument!r:.200}")
-    told = change_obstacle(served.emulator, wanted)
-    served.changed({"obstacle": wanted})
-    return told
+        change = None
+    if not isinstance(change, dict):
+        raise ControlError(f"{OBSTACLE_USAGE}, not {argument!r:.200}")
+    result = change_obstacle(server.emulator, change)
+    server.record_change({"obstacle": change})
+    return result
 
 
-def _number(argument: object, least: float, most: float, wanted: str) -> float:
+def _number(argument: object, low: float, high: float, usage: str) -> float:
     try:
         value = float(argument) if isinstance(argument, int | float | str) and argument is not True else math.nan
     except (ValueError, OverflowError):
         value = math.nan
-    if not least <= value <= most:
-        raise ControlError(f"{wanted} from {least:g} to {most:g}, not {argument!r:.60}")
+    if not low <= value <= high:
+        raise ControlError(f"{usage} from {low:g} to {high:g}, not {argument!r:.60}")
     return value
 
 
-def _text(argument: object, wanted: str) -> str:
+def _text(argument: object, usage: str) -> str:
     if not isinstance(argument, str):
-        raise ControlError(f"{wanted}, not {argument!r}")
+        raise ControlError(f"{usage}, not {argument!r}")
     return argument
 
 
 COMMANDS: Final = (
-    ControlCommand("status", "", "time, robots, lines, clients, faults", status),
-    ControlCommand("faults show", "", "the plan of faults in force, as TOML", _show),
-    ControlCommand("faults set", "FILE", "put a plan of faults in force, its counts at 0", _set),
-    ControlCommand("faults clear", "", "no faults any more", _clear),
-    ControlCommand("faults counts", "", "what the plan did so far, by line and rule", _counts),
-    ControlCommand("faults reset", "", "the same, and count from 0 again", _reset),
-    ControlCommand("noise", "WORDS", "what errs how: 'sensors=measured motion=ideal robot=1'", _noise),
-    ControlCommand("world show", "", "the world as it stands, as TOML", _show_world),
-    ControlCommand("world set", "WORLD", "put another world in its place; robots stay where they are", _put_world),
-    ControlCommand("obstacle", "JSON", "move an obstacle by its corners (by, to), take it away, put one", _obstacle),
-    ControlCommand("pause", "", "let simulated time stand", _pause),
-    ControlCommand("resume", "", "let it go on", _resume),
-    ControlCommand("speed", "X", f"simulated seconds a second, or {MAX_SPEED}", _speed),
-    ControlCommand("step", "SECONDS", "let so much simulated time pass at once", _step),
-    ControlCommand("stop", "[ROBOT]", "stop a robot, or all, and let nobody move it until it is released", _stop),
-    ControlCommand("release", "[ROBOT]", "let clients move it again", _release),
+    ControlCommand("status", "", "show time, robots, lines, clients, faults", status),
+    ControlCommand("faults show", "", "show the fault plan in force, as TOML", _show),
+    ControlCommand("faults set", "FILE", "put a fault plan in force, with all counts at 0", _set),
+    ControlCommand("faults clear", "", "remove the fault plan", _clear),
+    ControlCommand("faults counts", "", "show the number of injected faults by line and rule", _counts),
+    ControlCommand("faults reset", "", "show the counts and set them to 0", _reset),
+    ControlCommand("noise", "WORDS", "set noise models: 'sensors=measured motion=ideal robot=1'", _noise),
+    ControlCommand("world show", "", "show the current world, as TOML", _show_world),
+    ControlCommand("world set", "WORLD", "replace the world; robots keep their poses", _put_world),
+    ControlCommand("obstacle", "JSON", "move (by, to), remove or add (put) an obstacle", _obstacle),
+    ControlCommand("pause", "", "pause simulated time", _pause),
+    ControlCommand("resume", "", "resume simulated time", _resume),
+    ControlCommand("speed", "X", f"set simulated seconds per second, or {MAX_SPEED}", _speed),
+    ControlCommand("step", "SECONDS", "advance simulated time at once", _step),
+    ControlCommand("stop", "[ROBOT]", "stop a robot, or all, and ignore motion commands until it is released", _stop),
+    ControlCommand("release", "[ROBOT]", "release a robot, or all", _release),
     ControlCommand("save", "FILE", "save the simulation", _save),
-    ControlCommand("help", "", "the commands there are", _help),
+    ControlCommand("help", "", "show the commands", _help),
 )
 BY_NAME: Final = {row.name: row for row in COMMANDS}

@@ -1,8 +1,4 @@
-"""The options of `nserver` for faults on purpose and for its owner's control while it runs.
-
-    --faults FILE    --control [PATH]
-
-Rules: the socket is one line on stdout, for programs.
+"""The options of `nserver` for injected faults and for control at run time: --faults FILE, --control [PATH].
 """
 
 from __future__ import annotations
@@ -23,33 +19,33 @@ if TYPE_CHECKING:
     from nserver_emu.server.daemon import Daemon
 
 _SUFFIX: Final = ".sock"
-_USERS_OWN: Final = Path()
+# The value of --control without a path: the default path.
+_DEFAULT: Final = Path()
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """The options of this room."""
+    """Add the options."""
     group = parser.add_argument_group("faults and control")
     group.add_argument("--faults", type=Path, metavar="FILE",
-                       help="a plan of faults on purpose, in TOML: what is lost, late, corrupted or refused, on "
-                       "which line")
-    group.add_argument("--control", type=_socket_after_a_world, nargs="?", const=_USERS_OWN, metavar="PATH",
-                       help="let `nserver ctl` control the daemon over a socket that only you can open (default: one "
-                       "in your runtime folder)")
+                       help="inject faults by this plan (TOML): bytes lost, late, corrupted or refused, by line")
+    group.add_argument("--control", type=_socket_after_a_world, nargs="?", const=_DEFAULT, metavar="PATH",
+                       help="listen for `nserver ctl` on a Unix socket that only you can open (default: in your "
+                       "runtime folder)")
 
 
 def may_have_faults(options: argparse.Namespace) -> bool:
-    """Whether a plan can come into force."""
+    """Return True if a fault plan can come into force."""
     return options.faults is not None or options.control is not None
 
 
 @asynccontextmanager
 async def controlled(daemon: Daemon, options: argparse.Namespace) -> AsyncIterator[list[str]]:
-    """Faults and control as the options say, while it lasts; what to print of it.
+    """Load the fault plan and open the control socket; yield the lines to print.
 
-    Raises FaultPlanError or ConnectionLost, naming the remedy; the daemon is then closed.
+    Raises FaultPlanError or ConnectionLost, with a remedy; the daemon is then closed.
     """
     try:
-        control = await _begun(daemon, options)
+        control = await _open(daemon, options)
     except NomadError:
         await daemon.close()
         raise
@@ -62,19 +58,20 @@ async def controlled(daemon: Daemon, options: argparse.Namespace) -> AsyncIterat
         control.close()
 
 
-async def _begun(daemon: Daemon, options: argparse.Namespace) -> ControlSocket | None:
+async def _open(daemon: Daemon, options: argparse.Namespace) -> ControlSocket | None:
     if options.faults:
         daemon.faults.put(load_plan(options.faults), daemon.lines())
     if options.control is None:
         return None
-    path = default_path(os.environ) if options.control == _USERS_OWN else options.control
+    path = default_path(os.environ) if options.control == _DEFAULT else options.control
     control = ControlSocket(path, lambda line: answer_line(daemon, line))
     await control.open()
     return control
 
 
 def socket_path(text: str) -> Path:
-    """What may follow --control, of the daemon and of `nserver ctl`: no world and no command, which have no slash."""
+    """Parse the path after --control of the daemon and of `nserver ctl`."""
+    # Without a slash or suffix it is a world or a command that follows an option without a path.
     if "/" not in text and not text.endswith(_SUFFIX):
         wanted = f"a path with a slash or ending in {_SUFFIX}, such as ./nserver{_SUFFIX}"
         raise argparse.ArgumentTypeError(f"{wanted}, not {text!r}")

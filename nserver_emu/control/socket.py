@@ -1,7 +1,7 @@
-"""The daemon's control socket: a Unix socket that only its owner can open, a JSON object a line each way (control.py).
+"""The control socket: a Unix socket that only its owner can open, one JSON object per line (commands.py).
 
-Rules: mode 0600 before the first who could connect. A socket left behind by a daemon that is gone is replaced, one of
-a daemon that lives is not, and no file that is no socket is ever touched. Gone when the daemon ends.
+It has mode 0600 before the first client can connect. A socket left by a server that has ended is replaced; the socket
+of a running server, and files that are no sockets, are not touched. It is removed when the server ends.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ log = logging.getLogger(__name__)
 
 NAME: Final = "nserver.sock"
 OWNER_ONLY, OWNERS_FOLDER = 0o600, 0o700
-LONGEST_LINE: Final = 8 * MAX_BYTES
-"""A plan of faults as JSON at its longest, and more."""
+# Longer than the longest fault plan as JSON.
+MAX_LINE: Final = 8 * MAX_BYTES
 
 
 def default_path(environment: Mapping[str, str]) -> Path:
-    """Where daemon and `nserver ctl` meet when nobody says: the user's runtime folder, else one of theirs in /tmp."""
+    """Return the default path: in the user's runtime folder, else in a folder of theirs in /tmp."""
     runtime = environment.get("XDG_RUNTIME_DIR", "")
     if runtime and Path(runtime).is_dir():
         return Path(runtime) / NAME
@@ -36,61 +36,61 @@ def default_path(environment: Mapping[str, str]) -> Path:
 
 
 class ControlSocket:
-    """See the head of this file. `answer`: a line in, a line out."""
+    """A listening control socket; `answer` returns the response to a request line."""
 
     def __init__(self, path: Path, answer: Callable[[bytes], bytes]) -> None:
         self.path = path
         self._answer = answer
         self._server: asyncio.Server | None = None
         self._identity: tuple[int, int] | None = None
-        self._talks: set[asyncio.Task[None]] = set()
+        self._clients: set[asyncio.Task[None]] = set()
 
     async def open(self) -> None:
-        """Listen. Raises ConnectionLost, naming the remedy."""
-        _make_way(self.path)
-        door = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        """Listen. Raise ConnectionLost with a remedy."""
+        _prepare(self.path)
+        listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
-            door.bind(str(self.path))
+            listener.bind(str(self.path))
             self.path.chmod(OWNER_ONLY)
-            self._server = await asyncio.start_unix_server(self._meet, sock=door, limit=LONGEST_LINE)
+            self._server = await asyncio.start_unix_server(self._serve, sock=listener, limit=MAX_LINE)
         except OSError as error:
-            door.close()
+            listener.close()
             raise _cannot(self.path, error.strerror or str(error)) from error
         self._identity = _identity(self.path)
 
     def close(self) -> None:
-        """Stop listening; the socket is gone, unless somebody else's is in its place."""
-        for talk in self._talks:
-            talk.cancel()
+        """Stop listening and remove the socket, unless another has replaced it."""
+        for client in self._clients:
+            client.cancel()
         if self._server is None:
             return
         self._server.close()
         if self._identity is not None and _identity(self.path) == self._identity:
             self.path.unlink(missing_ok=True)
 
-    async def _meet(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        talk = asyncio.current_task()
-        assert talk is not None
-        self._talks.add(talk)
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        task = asyncio.current_task()
+        assert task is not None
+        self._clients.add(task)
         try:
-            await self._talk(reader, writer)
-        except (ConnectionError, ValueError) as error:  # ValueError: a line beyond LONGEST_LINE
+            await self._answer_lines(reader, writer)
+        except (ConnectionError, ValueError) as error:  # ValueError: a line beyond MAX_LINE
             log.warning("control: closed: %s", error)
         except Exception:
-            log.exception("control: closed because of a fault of ours")
+            log.exception("control: internal error; connection closed")
         finally:
-            self._talks.discard(talk)
+            self._clients.discard(task)
             writer.close()
 
-    async def _talk(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def _answer_lines(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         while line := await reader.readline():
             log.debug("control: %s", line[:200])
             writer.write(self._answer(line))
             await writer.drain()
 
 
-def _make_way(path: Path) -> None:
-    """The folder is there, and nothing stands where the socket will. Raises ConnectionLost."""
+def _prepare(path: Path) -> None:
+    """Create the folder and remove a socket without a server. Raise ConnectionLost if something else is there."""
     try:
         if path.name == NAME:
             path.parent.mkdir(mode=OWNERS_FOLDER, exist_ok=True)
@@ -99,9 +99,9 @@ def _make_way(path: Path) -> None:
         if not path.exists() and not path.is_symlink():
             return
         if not stat.S_ISSOCK(path.stat().st_mode):
-            raise _cannot(path, "something that is no socket is there")
-        if _answers(path):
-            raise _cannot(path, "another nserver is reached there")
+            raise _cannot(path, "it exists and is no socket")
+        if _has_server(path):
+            raise _cannot(path, "another nserver listens there")
         path.unlink()
     except OSError as error:
         if isinstance(error, ConnectionLost):
@@ -109,22 +109,22 @@ def _make_way(path: Path) -> None:
         raise _cannot(path, error.strerror or str(error)) from error
 
 
-def _answers(path: Path) -> bool:
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as caller:
+def _has_server(path: Path) -> bool:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as client:
         try:
-            caller.connect(str(path))
+            client.connect(str(path))
         except ConnectionRefusedError:
             return False
     return True
 
 
 def _cannot(path: Path, reason: str) -> ConnectionLost:
-    return ConnectionLost(f"cannot be controlled at {path}: {reason}; --control PATH takes another place")
+    return ConnectionLost(f"cannot open the control socket {path}: {reason}; choose another with --control PATH")
 
 
 def _identity(path: Path) -> tuple[int, int] | None:
     try:
-        found = path.lstat()
+        status = path.lstat()
     except OSError:
         return None
-    return found.st_dev, found.st_ino
+    return status.st_dev, status.st_ino

@@ -29,7 +29,7 @@ from nclient.protocol.types import BUMPER_SLOT, COMPASS_SLOT, LASER_SLOT, Model,
 from nclient.protocol.wire_state import LINES, PIXELS, POINTS
 from nserver_emu.server.handlers.world import done
 from nserver_emu.server.session import BAD_VALUES, NOT_AVAILABLE, ConnectionContext, error_reply
-from nserver_emu.server.state_encoder import INFRARED_NOTHING, as_sent
+from nserver_emu.server.state_encoder import INFRARED_NOTHING, apply_mask
 from nserver_emu.simulation.laser import COLUMNS, PIXEL_IN, LineFit, lines, points
 from worlds.geometry import FloatArray
 from worlds.robots import BODIES, Body
@@ -132,7 +132,7 @@ def state_for(context: ConnectionContext, reply: Reply, link: Link) -> Reply:
         slots[LASER_SLOT] = context.wire_state.laser_mode
         wire_state = context.wire_state
         laser = shaped(reply.laser, wire_state.laser_width, link) if wire_state.mask.has(LASER_SLOT) else None
-    return replace(reply, slots=dict(enumerate(as_sent(context, slots))), laser=laser)
+    return replace(reply, slots=dict(enumerate(apply_mask(context, slots))), laser=laser)
 
 
 def laser_for(context: ConnectionContext, reply: Reply, link: Link, *, segments: bool) -> Reply:
@@ -200,7 +200,7 @@ def _done(_context: ConnectionContext, _reply: Reply, _link: Link) -> Reply:
 def _numbers(context: ConnectionContext, reply: Reply, link: Link) -> Reply:
     """Reply to a query that sets slots of State; later state replies repeat them."""
     clean = replace(reply, slots=link.clean(reply.slots))
-    context.keep(clean.slots)
+    context.update_last_sent(clean.slots)
     return clean
 
 

@@ -28,7 +28,7 @@ import numpy as np
 from nclient.common.files import read_text, write_atomic
 from nclient.common.hints import version
 from nclient.errors import SnapshotError
-from nserver_emu.server.context import SimulationClock, Transcript, Utterance
+from nserver_emu.server.context import SimulationClock, SpeechLog, Utterance
 from nserver_emu.server.graphics import Graphics, GraphicsState, Traces, TracesState
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.limits import SNAPSHOT_BYTES
@@ -85,7 +85,7 @@ class SnapshotState:
         """Return the state of an emulator."""
         return cls(
             emulator.simulation.to_state(), emulator.clock, emulator.graphics.to_state(), emulator.traces.to_state(),
-            emulator.transcript.said, {robot_id: arm.to_state() for robot_id, arm in emulator.arms.items()},
+            emulator.transcript.utterances, {robot_id: arm.to_state() for robot_id, arm in emulator.arms.items()},
         )  # fmt: skip
 
     def restore(self, emulator: Emulator) -> None:
@@ -100,7 +100,7 @@ class SnapshotState:
         if not all(0.0 <= arm.time_s <= simulation.time_s for arm in arms.values()):
             raise ValueError("an arm of another time")
         graphics, traces = Graphics.from_state(self.graphics), Traces.from_state(self.traces)
-        transcript = Transcript()
+        transcript = SpeechLog()
         for utterance in self.transcript:
             transcript.add(utterance)
         # 2. A trial of a second simulation from the same state.

@@ -1,23 +1,6 @@
-"""Who comes in at a port: asked before there is a conversation, by the address and by how many are there.
+"""Limits on connections, without I/O except for `AdmissionProtocol`: admission, request rate, timeouts.
 
-    socket ──> Doorkeeper ──> Connection      or closed at once, without a word, logged once and counted
-
-Rules: a newcomer costs nothing but this question. Who was let in has the socket from then on.
-
-How fast one connection may be answered: a token bucket. Pure; the clock is handed in.
-
-    spend(n, now)      so many answers were given        wait_s(now)      how long until the next may be
-
-Rules: an idle client saves up a tenth of a second's worth, or one turn's; a turn that began is finished, and what it
-took too much is waited for before the next.
-
-How long a connection is put up with that says nothing, or stops in the middle. Pure; the clock is handed in.
-
-    idle     nothing came for so long, and no answer is outstanding
-    stuck    a request is begun, or replies are not taken, and nothing was answered for so long: a byte now and then
-             does not count
-
-Rules: looked at a few times within the shortest limit (`look_s`), so that nothing is counted at each request.
+    socket -> AdmissionProtocol -> TcpConnection      or closed at once without a reply, logged once and counted
 """
 
 from __future__ import annotations
@@ -33,18 +16,33 @@ from nserver_emu.server.limits import Limits
 
 log = logging.getLogger(__name__)
 
+# Seconds of unused rate that an idle client accumulates.
+BURST_S: Final = 0.1
+# Timeout checks within the shortest timeout: it is exceeded by at most a quarter.
+_CHECKS_PER_TIMEOUT: Final = 4
+
 
 @dataclass(slots=True)
 class AdmissionControl:
-    """The rules of all ports. `turned_away` counts those who were not let in."""
+    """The rules of all listening ports."""
 
     limits: Limits = field(default_factory=Limits)
     access: Allowlist = field(default_factory=Allowlist)
+    # Number of rejected connections.
     rejected: int = 0
 
     def rejection_reason(self, host: str, present: Collection[str], at: str = "") -> str:
-        """Why a newcomer from this address may not come in; empty: he may. `present`: addresses of those who are;
-        `at`: the one of ours that he came to."""
+        """Return the reason to reject a new connection, empty to accept it.
+
+        Parameters
+        ----------
+        host
+            Address of the client.
+        present
+            Addresses of all open connections.
+        at
+            The local address that the client connected to.
+        """
         if not self.access.allows(host, at):
             return NOT_ALLOWED
         if len(present) >= self.limits.connections:
@@ -54,100 +52,126 @@ class AdmissionControl:
         return ""
 
     def reject(self, host: str, reason: str) -> None:
-        """He was not let in."""
+        """Count and log a rejected connection; only the first is a warning, so that a flood does not fill the log."""
         self.rejected += 1
         level = logging.WARNING if self.rejected == 1 else logging.DEBUG
-        log.log(level, "%s: turned away: %s (further ones are counted, and logged at debug)", host, reason)
+        log.log(level, "%s: rejected: %s (further ones are counted, and logged at debug)", host, reason)
 
 
-class Rules(Protocol):
-    """Whose port it is: whether a newcomer may come in, and who is told where not."""
+class AdmissionRules(Protocol):
+    """The rules of one port."""
 
     def rejection_reason(self, host: str, present: Collection[str], at: str = "") -> str:
-        """As Door has it."""
+        """Return the reason to reject a new connection, empty to accept it."""
         ...
 
     def reject(self, host: str, reason: str) -> None:
-        """As Door has it."""
+        """Count and log a rejected connection."""
         ...
 
 
 class AdmissionProtocol(asyncio.Protocol):
-    """See the head of this file. `who` makes the one who talks, `present` tells the addresses of those who do."""
+    """Accept or reject a new connection, then hand its transport to the protocol that serves it.
+
+    Parameters
+    ----------
+    rules
+        The rules of the port.
+    present
+        Returns the addresses of all open connections.
+    new_protocol
+        Creates the protocol of an accepted connection.
+    """
 
     def __init__(
-        self, door: Rules, present: Callable[[], Collection[str]], who: Callable[[], asyncio.BaseProtocol]
+        self,
+        rules: AdmissionRules,
+        present: Callable[[], Collection[str]],
+        new_protocol: Callable[[], asyncio.BaseProtocol],
     ) -> None:
-        self._door, self._present, self._who = door, present, who
+        self._rules, self._present, self._new_protocol = rules, present, new_protocol
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         peer, own = transport.get_extra_info("peername"), transport.get_extra_info("sockname")
         host = peer[0] if peer else ""
-        reason = self._door.rejection_reason(host, self._present(), own[0] if own else "")
+        reason = self._rules.rejection_reason(host, self._present(), own[0] if own else "")
         if reason:
-            self._door.reject(host, reason)
+            self._rules.reject(host, reason)
             transport.close()
             return
-        inside = self._who()
-        transport.set_protocol(inside)
-        inside.connection_made(transport)
-
-
-SAVED_S: Final = 0.1
+        protocol = self._new_protocol()
+        transport.set_protocol(protocol)
+        protocol.connection_made(transport)
 
 
 class TokenBucket:
-    """`rate`: answers a second, more than 0; `turn`: the most that are given at once."""
+    """A limit on requests per second.
+
+    The bucket holds up to BURST_S of the rate, at least one turn. It may become negative by the last turn, which is
+    then waited for before the next. Times are seconds of a monotonic clock.
+    """
 
     def __init__(self, rate: float, turn: int, now_s: float) -> None:
         self._rate = rate
-        self._most = max(rate * SAVED_S, turn)
-        self._left = self._most
-        self._at_s = now_s
+        self._capacity = max(rate * BURST_S, turn)
+        self._tokens = self._capacity
+        self._updated_s = now_s
 
     def consume(self, count: int, now_s: float) -> None:
-        """So many were given."""
-        self._left = min(self._most, self._left + self._rate * (now_s - self._at_s)) - count
-        self._at_s = now_s
+        """Take tokens for `count` answered requests."""
+        self._tokens = min(self._capacity, self._tokens + self._rate * (now_s - self._updated_s)) - count
+        self._updated_s = now_s
 
     def wait_s(self, now_s: float) -> float:
-        """Seconds until one more may be given; 0 for now."""
-        return max(0.0, -self._left / self._rate - (now_s - self._at_s))
-
-
-_LOOKS: Final = 4
-"""Looks within the shortest limit: a limit is kept to a quarter of it."""
+        """Return the seconds until a request may be answered, 0 for now."""
+        return max(0.0, -self._tokens / self._rate - (now_s - self._updated_s))
 
 
 @dataclass(slots=True)
 class ConnectionTimeouts:
-    """Limits in seconds, 0 for none, and since when the connection is as it is."""
+    """Idle and stall timeouts of one connection; 0 disables one. Times are seconds of a monotonic clock.
+
+    idle     nothing was received for `idle_s`, and no reply is deferred
+    stall    a request is incomplete or replies are not read, and nothing was answered for `stall_s`; single bytes do
+             not reset it
+    """
 
     idle_s: float
     stall_s: float
     now_s: float
-    _stuck_s: float | None = None
+    # Since when the connection is stalled, and the requests answered by then.
+    _stalled_s: float | None = None
     _answered: int = 0
-    _heard_s: float = 0.0
+    _active_s: float = 0.0
 
     def __post_init__(self) -> None:
-        self._heard_s = self.now_s
+        self._active_s = self.now_s
 
     @property
     def check_interval_s(self) -> float | None:
-        """How often to look; None: never."""
-        return min((limit / _LOOKS for limit in (self.idle_s, self.stall_s) if limit), default=None)
+        """Seconds between checks, None for no checks: cheaper than a timer restarted at each request."""
+        return min((limit / _CHECKS_PER_TIMEOUT for limit in (self.idle_s, self.stall_s) if limit), default=None)
 
-    def heard(self, now_s: float) -> None:
-        """Something came, or is being waited for."""
-        self._heard_s = now_s
+    def on_activity(self, now_s: float) -> None:
+        """Reset the idle timeout."""
+        self._active_s = now_s
 
-    def timeout_reason(self, now_s: float, answered: int, stuck: bool) -> str:
-        """Why the connection should end; empty for not yet. `answered`: requests so far; `stuck`: in the middle."""
-        if not stuck or answered != self._answered or self._stuck_s is None:
-            self._stuck_s, self._answered = now_s if stuck else None, answered
-        elif self.stall_s and now_s - self._stuck_s >= self.stall_s:
-            return f"stopped in the middle of a request, or took no replies, for {self.stall_s:g} s"
-        if self.idle_s and now_s - self._heard_s >= self.idle_s:
-            return f"said nothing for {self.idle_s:g} s"
+    def timeout_reason(self, now_s: float, answered: int, is_stalled: bool) -> str:
+        """Return the reason to close the connection, empty to keep it open.
+
+        Parameters
+        ----------
+        now_s
+            Current time.
+        answered
+            Number of requests answered so far.
+        is_stalled
+            True if a request is incomplete or replies are not read.
+        """
+        if not is_stalled or answered != self._answered or self._stalled_s is None:
+            self._stalled_s, self._answered = now_s if is_stalled else None, answered
+        elif self.stall_s and now_s - self._stalled_s >= self.stall_s:
+            return f"incomplete request, or replies not read, for {self.stall_s:g} s"
+        if self.idle_s and now_s - self._active_s >= self.idle_s:
+            return f"idle for {self.idle_s:g} s"
         return ""

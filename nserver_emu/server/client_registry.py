@@ -1,12 +1,15 @@
-"""Who is connected from where, for clients that go on over a second connection without another CONNECT.
+"""Identities of connected clients, for old clients that continue over a second connection without another CONNECT.
 
-    second connection from an address  ──>  first: one whose connection said nothing since its CONNECT, the oldest
-                                            else:  the one that connected last
+Such a client's second connection continues, of the connections from the same address,
 
-Rules: a width of words that the newcomer's first bytes tell leaves out all others. A connection goes on for one only,
-as long as there are silent ones. Whoever closes is forgotten, once nobody is there from that address who has yet to say
-who he is; so is, at a DISCONNECT over the second connection, the first. No sockets: a guest is whatever stands for a
-connection.
+- the oldest that has sent nothing since its CONNECT and that no other connection continues already, or else
+- the one that connected last.
+
+A word size seen in the first bytes of the second connection excludes clients of the other size. The entry of a closed
+connection is kept while an unidentified connection from the same address is pending. A DISCONNECT over the second
+connection removes the entry of the first too.
+
+No sockets: a connection is represented by any hashable key.
 """
 
 from __future__ import annotations
@@ -17,72 +20,84 @@ from typing import Final
 
 from nserver_emu.server.session import ClientIdentity
 
+# Seconds. The close of one connection may be seen this much earlier than the opening of the one that continues it.
 CLOSED_RETENTION_S: Final = 0.2
-"""Who closes a connection and goes on over one made before is seen to close before the other is seen to be there."""
 
 
 @dataclass(slots=True)
-class _Guest:
+class _Entry:
     host: str
     identity: ClientIdentity
-    continued: bool = False
-    gone: bool = False
+    is_continued: bool = False
+    is_closed: bool = False
 
 
 class ClientRegistry:
-    """See the head of this file."""
+    """Identities of all connections, in the order in which they were registered."""
 
     def __init__(self) -> None:
-        self._guests: dict[Hashable, _Guest] = {}
-        self._first_of: dict[Hashable, Hashable] = {}
-        self._unknown: dict[Hashable, str] = {}
+        self._entries: dict[Hashable, _Entry] = {}
+        # For a connection without CONNECT: the connection that it continues.
+        self._continued: dict[Hashable, Hashable] = {}
+        # Addresses of connections that have not sent enough to be identified.
+        self._pending: dict[Hashable, str] = {}
 
     def __len__(self) -> int:
-        return len(self._guests)
+        return len(self._entries)
 
-    def add_pending(self, guest: Hashable, host: str) -> None:
-        """Somebody has connected, and said nothing yet."""
-        self._unknown[guest] = host
+    def add_pending(self, connection: Hashable, host: str) -> None:
+        """Add a new connection that is not yet identified."""
+        self._pending[connection] = host
 
-    def register(self, guest: Hashable, host: str, met: ClientIdentity | None) -> None:
-        """What a connection has agreed by now; None: nothing."""
-        known = self._guests.get(guest)
-        if met is None:
-            self._guests.pop(guest, None)
-        elif known is None:
-            self._guests[guest] = _Guest(host, met)
+    def register(self, connection: Hashable, host: str, identity: ClientIdentity | None) -> None:
+        """Set the identity of a connection, None to remove it."""
+        entry = self._entries.get(connection)
+        if identity is None:
+            self._entries.pop(connection, None)
+        elif entry is None:
+            self._entries[connection] = _Entry(host, identity)
         else:
-            known.identity = met
-        self._tell_apart(guest)
+            entry.identity = identity
+        self._resolve(connection)
 
-    def lookup(self, guest: Hashable, host: str, wide: bool | None) -> ClientIdentity | None:
-        """Whom a new connection from this address goes on for; `wide` as its first bytes tell, None: they do not."""
-        here = {
-            other: known
-            for other, known in self._guests.items()
-            if known.host == host and (wide is None or known.identity.wide == wide)
+    def lookup(self, connection: Hashable, host: str, wide: bool | None) -> ClientIdentity | None:
+        """Return the identity that a new connection without CONNECT continues, None if there is none.
+
+        Parameters
+        ----------
+        connection, host
+            The new connection and its address.
+        wide
+            True for 64-bit words, False for 32-bit words, None if the first bytes do not show it.
+        """
+        # 1. Entries from this address with a matching word size.
+        matching = {
+            other: entry
+            for other, entry in self._entries.items()
+            if entry.host == host and (wide is None or entry.identity.wide == wide)
         }
-        silent = [other for other, known in here.items() if known.identity.silent and not known.continued]
-        first = silent[0] if silent else next(reversed(here), None)
+        # 2. Prefer one that only sent CONNECT: old clients open their second connection right after it.
+        silent = [other for other, entry in matching.items() if entry.identity.silent and not entry.is_continued]
+        first = silent[0] if silent else next(reversed(matching), None)
         if first is not None:
-            here[first].continued = True
-            self._first_of[guest] = first
-        self._tell_apart(guest)
-        return None if first is None else here[first].identity
+            matching[first].is_continued = True
+            self._continued[connection] = first
+        self._resolve(connection)
+        return None if first is None else matching[first].identity
 
-    def remove(self, guest: Hashable, *, disconnected: bool = False) -> None:
-        """The connection is closed; `disconnected`: it said so, and for its first one too."""
-        if guest in self._guests:
-            self._guests[guest].gone = True
-        first = self._first_of.pop(guest, None)
+    def remove(self, connection: Hashable, *, disconnected: bool = False) -> None:
+        """Mark a connection as closed; `disconnected`: after DISCONNECT, which ends the one it continued too."""
+        if connection in self._entries:
+            self._entries[connection].is_closed = True
+        first = self._continued.pop(connection, None)
         if disconnected:
-            self._guests.pop(guest, None)
-            self._guests.pop(first, None)
-        self._tell_apart(guest)
+            self._entries.pop(connection, None)
+            self._entries.pop(first, None)
+        self._resolve(connection)
 
-    def _tell_apart(self, guest: Hashable) -> None:
-        """This one is no longer unknown: nobody waits any more for those who have gone, where it was the last."""
-        self._unknown.pop(guest, None)
-        waiting = set(self._unknown.values())
-        for other in [other for other, known in self._guests.items() if known.gone and known.host not in waiting]:
-            del self._guests[other]
+    def _resolve(self, connection: Hashable) -> None:
+        """End the pending state of a connection and drop closed entries that no pending connection can continue."""
+        self._pending.pop(connection, None)
+        pending_hosts = set(self._pending.values())
+        for other in [other for other, e in self._entries.items() if e.is_closed and e.host not in pending_hosts]:
+            del self._entries[other]

@@ -1,12 +1,20 @@
-"""One who talks with the server or with a robot, whatever port it comes by: its session asked a few requests a turn.
+"""Connections to the server: bytes from a port, through a session, and back. All asyncio code of the request path.
 
-    port ──> cable ──> session ──> cable ──> port        no cable: bytes pass in no time, as over TCP
+The path of a TCP request, file by file (no other module of this package runs; the gateway only with `--real`):
 
-Rules: nobody waits for another: so many bytes and requests a turn, the rest after the others' turn, and until then the
-port is not read; what goes wrong in a session costs that connection only. The port's own ways are its class's:
-Connection (TCP), SerialLine (a pseudo-terminal).
+1. `connection.py`         `TcpConnection.buffer_updated`: bytes from the socket
+2. `session.py`            `Session.receive`, `process_requests`: framing, decoding, one reply per request in order
+3. `handlers/table.py`     `Emulator.answer`: time in lockstep, emergency stop, then the handler of the command
+4. `handlers/motion.py`    (or `sensors`, `world`, `server`, `graphics`): the command itself, on `ServerState`
+5. `context.py`            `ServerState.state_reply`: the reply with the robot's state, cached between two time steps
+6. `state_encoder.py`      inches and radians to the wire's State vector
 
-One client's socket and the session behind it: an Nserver's client here, a robot's own line in lines.py.
+Framing and field encoding are shared with the client (`nclient.protocol`). The reply returns the same way:
+`Session` encodes it, `ConnectionHandler.send` passes it to the socket.
+
+Fair scheduling: a connection processes at most `MAX_BYTES_PER_TURN` bytes and `MAX_REQUESTS_PER_TURN` requests per
+event-loop turn. While requests are left over, or the client does not read its replies, its port is not read, so that
+memory stays bounded. An exception in a session closes that connection only.
 """
 
 from __future__ import annotations
@@ -17,352 +25,365 @@ import socket
 import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Final, cast
+from typing import Any, Final, Protocol, cast
 
 from nclient.faults.frames import Language, TcpLanguage
 from nclient.protocol.types import N150
-from nclient.recording.recorder import NULL_RECORDER, TCP, ConnectionRecorder
-from nserver_emu.server.admission import ConnectionTimeouts, TokenBucket
-from nserver_emu.server.client_registry import CLOSED_RETENTION_S
-from nserver_emu.server.link import Arrival, FaultyChannel, SerialChannel
-from nserver_emu.server.session import BaseSession, ClientIdentity, Host, Session
-
-if TYPE_CHECKING:
-    from nserver_emu.server.daemon import Daemon
+from nclient.recording.recorder import NULL_RECORDER, TCP, ConnectionRecorder, TrafficRecorder
+from nserver_emu.server.admission import AdmissionControl, ConnectionTimeouts, TokenBucket
+from nserver_emu.server.client_registry import CLOSED_RETENTION_S, ClientRegistry
+from nserver_emu.server.context import ServerState
+from nserver_emu.server.link import Arrival, FaultController, FaultyChannel, SerialChannel
+from nserver_emu.server.session import BaseSession, ClientIdentity, CommandHandler, Session
 
 log = logging.getLogger(__name__)
 
+# Bytes read from a port at once.
 READ_SIZE: Final = 4096
-"""Bytes that are read from a port at once."""
+# Per event-loop turn and connection. A request has at least 4 bytes and takes 2 us to be framed, 25 us to be answered:
+# the two limits are the delay that a flooding client adds for each other client.
 MAX_BYTES_PER_TURN: Final = 512
-"""Bytes that are looked at before it is the others' turn: a request has four at least, and takes 2 us to be found."""
 MAX_REQUESTS_PER_TURN: Final = 5
-"""Requests that are answered, 25 us each, before it is the others' turn. Both are what a flood adds to their wait."""
+
+
+class Server(Protocol):
+    """The parts of a server that its connections use."""
+
+    # The command handler behind the port of Nserver: the emulator, or the gateway to real robots.
+    handler: CommandHandler
+    recorder: TrafficRecorder
+    # Open connections of all kinds; a connection adds and removes itself.
+    connections: set[ConnectionHandler]
+    client_registry: ClientRegistry
+    admission: AdmissionControl
+    faults: FaultController
+    # Totals of connections that are closed.
+    closed_answered: int
+    closed_refused: int
+
+    @property
+    def emulator(self) -> ServerState:
+        """The simulation with the server's settings."""
+        ...
 
 
 class ConnectionHandler(ABC):
-    """See the head of this file. `session` and `_tape` are there once the port is open."""
+    """A connection to the server or to a robot's own line, whatever its transport.
 
+    Data flow, where a channel is a serial line's rate or injected faults (none: no delay):
+
+        port -> data_received -> channel -> process -> session -> send -> channel -> _write -> port
+
+    Subclasses implement the transport: `TcpConnection`, `PtyConnection` (serial_lines.py).
+    """
+
+    # Created by the subclass as soon as the port is open.
     session: BaseSession[Any]
+    # Name of this line in a fault plan.
     line: str
-    """What a plan of faults calls this line."""
 
-    def __init__(self, daemon: Daemon, cable: SerialChannel | None = None) -> None:
-        self._daemon = daemon
+    def __init__(self, server: Server, channel: SerialChannel | None = None) -> None:
+        self._server = server
         self._loop = asyncio.get_running_loop()
-        self._cable = cable
-        self._faulty = False
-        self._delivering = False
-        self._tape: ConnectionRecorder = NULL_RECORDER
-        self._allowance: TokenBucket | None = None
-        """How fast it is answered; None: as fast as it asks."""
-        self.here = True
-        """Whether there is anybody: a port may be open with nobody at its other end."""
-        self.blocked = False
-        """Whether what is said is not taken at present."""
-        self._held_back = False
-        """Whether it is not read from because too much was on its way when that was looked at last."""
+        # Delay and faults between port and session; None passes bytes at once.
+        self._channel = channel
+        self._has_faults = False
+        # True while `_deliver` runs: replies to delivered bytes must not recurse into it.
+        self._is_delivering = False
+        self._recorder: ConnectionRecorder = NULL_RECORDER
+        # Rate limit; None is unlimited.
+        self._rate_limit: TokenBucket | None = None
+        # False while a port is open without a peer (a pseudo-terminal that no host has opened).
+        self.is_connected = True
+        # True while the peer does not read its replies.
+        self.is_write_paused = False
+        # True if the channel was full when last checked, so that reading is suspended.
+        self._is_channel_full = False
+        # Bytes received and not yet given to the session.
         self._receive_backlog = b""
-        """What came and was not looked at yet."""
+        # The scheduled next turn.
         self._turn: asyncio.Handle | None = None
-        self._alarm: asyncio.TimerHandle | None = None
-        self._moment_s: float | None = None
+        # Fires when bytes in the channel are due.
+        self._delivery_timer: asyncio.TimerHandle | None = None
+        # Time at which the bytes being processed left the channel; None without one.
+        self._delivered_at_s: float | None = None
 
-    def tick(self) -> None:
-        """Time has passed: an answer may be there."""
-        if self.session.waiting or self.session.unfinished:
-            self._guarded(self.session.tick, by_time=True)
-            self._answer()
+    # Input.
 
     def data_received(self, data: bytes) -> None:
-        """Bytes from the port."""
+        """Accept bytes from the port."""
         self._install_faults()
-        if self._cable is None:
+        if self._channel is None:
             self.process(data)
             return
-        self._cable.to_robot(data, self._loop.time())
-        self._deliver()
-
-    def send(self, data: bytes) -> None:
-        self._install_faults()
-        if self._cable is None:
-            self._send(data)
-            return
-        self._cable.to_host(data, self._loop.time() if self._moment_s is None else self._moment_s)
+        self._channel.to_robot(data, self._loop.time())
         self._deliver()
 
     def process(self, data: bytes) -> None:
+        """Give bytes to the session, at most MAX_BYTES_PER_TURN of them now, and send the replies."""
         if self._receive_backlog or len(data) > MAX_BYTES_PER_TURN:
             self._receive_backlog += data
             data = b"" if self._turn else self._next_chunk()
         if data:
-            self._tape.to_robot(data)
+            self._recorder.to_robot(data)
             self.session.receive(data)
-        self._answer()
+        self._process_requests()
+
+    def tick(self) -> None:
+        """Send a deferred reply if simulated time has completed it."""
+        if self.session.waiting or self.session.unfinished:
+            self._run_session(self.session.tick, by_time=True)
+            self._process_requests()
 
     def _next_chunk(self) -> bytes:
-        """What is to be looked at in this turn."""
+        """Take from the backlog what may be processed in this turn."""
         if not self._has_backlog:
             return b""
-        data, self._receive_backlog = (
-            self._receive_backlog[:MAX_BYTES_PER_TURN],
-            self._receive_backlog[MAX_BYTES_PER_TURN:],
-        )
-        return data
+        chunk = self._receive_backlog[:MAX_BYTES_PER_TURN]
+        self._receive_backlog = self._receive_backlog[MAX_BYTES_PER_TURN:]
+        return chunk
 
     @property
     def _has_backlog(self) -> bool:
-        """Whether something came that is to be looked at now."""
-        return bool(self._receive_backlog) and not (
-            self.session.ready or self.session.is_queue_full or self.session.closing
-        )
+        """True if received bytes wait and the session can take them."""
+        session = self.session
+        return bool(self._receive_backlog) and not (session.ready or session.is_queue_full or session.closing)
 
-    def _answer(self) -> None:
-        if not self.blocked and self._turn is None:
-            if self._owed_s():
-                self._pace()
+    # Requests and replies.
+
+    def _process_requests(self) -> None:
+        """Answer the requests of this turn, unless the peer does not read or its rate limit is used up."""
+        if not self.is_write_paused and self._turn is None:
+            if self._rate_limit_wait_s():
+                self._schedule()
                 return
             before = self.session.answered
-            self._guarded(lambda: self.session.process_requests(MAX_REQUESTS_PER_TURN))
-            if self._allowance is not None:
-                self._allowance.consume(self.session.answered - before, self._loop.time())
-        self._pace()
+            self._run_session(lambda: self.session.process_requests(MAX_REQUESTS_PER_TURN))
+            if self._rate_limit is not None:
+                self._rate_limit.consume(self.session.answered - before, self._loop.time())
+        self._schedule()
 
-    def _guarded(self, speak: Callable[[], bytes], by_time: bool = False) -> None:
-        asked = self.session.ready and not by_time
+    def _run_session(self, step: Callable[[], bytes], by_time: bool = False) -> None:
+        """Run a step of the session, record and send its replies; an exception closes this connection only."""
+        has_request = self.session.ready and not by_time
         try:
-            replies = speak()
+            replies = step()
         except Exception:
-            log.exception("%s: closed because of a fault of ours", self.session.name)
+            log.exception("%s: internal error; connection closed", self.session.name)
             self._abort()
             return
-        if asked or replies:
-            self._tape.to_host(replies, by_time)
+        if has_request or replies:
+            self._recorder.to_host(replies, by_time)
         if replies:
             self.send(replies)
         if self.session.closing:
-            self._hang_up()
+            self._close_port()
 
-    def _pace(self) -> None:
-        """Read on when what was read is answered; the rest of it gets its turn after the others'.
+    def send(self, data: bytes) -> None:
+        """Send replies to the peer, through the channel if there is one."""
+        self._install_faults()
+        if self._channel is None:
+            self._write(data)
+            return
+        self._channel.to_host(data, self._loop.time() if self._delivered_at_s is None else self._delivered_at_s)
+        self._deliver()
 
-        While an answer takes its time the reading goes on, up to a crowd, so that a client's leaving is seen.
+    # Scheduling.
+
+    def _schedule(self) -> None:
+        """Schedule the next turn if work is left, and read from the port only if none is.
+
+        During a deferred reply (ws, zr) reading continues until the queue is full, so that a closed connection is
+        noticed.
         """
-        ready = (self.session.ready or self._has_backlog) and not self.blocked
-        if ready and self._turn is None:
-            owed_s = self._owed_s()
-            later = self._loop.call_later
-            self._turn = later(owed_s, self._next_turn) if owed_s else self._loop.call_soon(self._next_turn)
-        self._held_back = self._cable is not None and self._cable.full
-        self._listen(not (ready or self.blocked or self._held_back or self.session.is_queue_full))
+        is_ready = (self.session.ready or self._has_backlog) and not self.is_write_paused
+        if is_ready and self._turn is None:
+            wait_s = self._rate_limit_wait_s()
+            call_later = self._loop.call_later
+            self._turn = call_later(wait_s, self._next_turn) if wait_s else self._loop.call_soon(self._next_turn)
+        self._is_channel_full = self._channel is not None and self._channel.full
+        self._set_reading(
+            not (is_ready or self.is_write_paused or self._is_channel_full or self.session.is_queue_full)
+        )
 
     def _next_turn(self) -> None:
         self._turn = None
         self.process(b"")
 
-    def _deliver(self) -> None:
-        """What has come through the cable, to where it goes; for what is still on its way an alarm is set.
+    def _rate_limit_wait_s(self) -> float:
+        """Return the seconds until the rate limit allows the next turn, 0 for now."""
+        return 0.0 if self._rate_limit is None else self._rate_limit.wait_s(self._loop.time())
 
-        What is answered meanwhile takes its turn in the same loop: answers to answers would pile up on the stack.
-        """
-        cable = self._cable
-        if self._delivering or cable is None:
-            return
-        was_full, self._delivering = cable.full, True  # or it gets full by answers on the way, and empty again
-        try:
-            while arrival := cable.arrived(self._loop.time()):
-                self._arrived(arrival)
-        finally:
-            self._delivering = False
-        if self._alarm is not None:
-            self._alarm.cancel()
-        due_s = cable.due_s
-        self._alarm = None if due_s is None else self._loop.call_at(due_s, self._deliver)
-        if was_full or self._held_back:
-            self._pace()
-
-    def _arrived(self, arrival: Arrival) -> None:
-        if arrival.hang_up:
-            log.info("%s: hung up on purpose", self.session.name)
-            self._hang_up()
-        elif arrival.to_robot:
-            self._moment_s = arrival.at_s
-            self.process(arrival.data)
-            self._moment_s = None
-        else:
-            self._send(arrival.data)
-
-    def _install_faults(self) -> None:
-        """From the first plan that acts on this line on, its faults lie between port and session."""
-        desk, line = self._daemon.faults, self.line
-        if self._faulty or not desk.plan.rules or self._unfinished or not desk.acts_on(line):
-            return
-        self._faulty = True
-        self._cable = FaultyChannel(self._language(), lambda: desk.injector(line), self._cable)
-
-    @property
-    def _unfinished(self) -> bool:
-        """Whether more is needed of what was begun, or is to be looked at."""
-        return bool(self.session.unfinished or self._receive_backlog)
-
-    def _silence(self) -> None:
-        """Nothing more comes through the cable, and nobody gets a turn."""
-        for handle in (self._turn, self._alarm):
+    def _cancel_timers(self) -> None:
+        """Cancel the next turn and deliveries that are due later."""
+        for handle in (self._turn, self._delivery_timer):
             if handle is not None:
                 handle.cancel()
-        self._turn = self._alarm = None
+        self._turn = self._delivery_timer = None
 
-    def _owed_s(self) -> float:
-        """How long the next turn has to wait, for this one has asked too fast."""
-        return 0.0 if self._allowance is None else self._allowance.wait_s(self._loop.time())
+    # The channel: baud rate and faults.
+
+    def _deliver(self) -> None:
+        """Pass on the bytes that have come through the channel, and set a timer for those still on their way.
+
+        Replies produced meanwhile are delivered by the same loop instead of by recursion.
+        """
+        channel = self._channel
+        if self._is_delivering or channel is None:
+            return
+        # 1. Deliver all that is due. A reply may fill the channel, and a delivery empty it again.
+        was_full, self._is_delivering = channel.full, True
+        try:
+            while arrival := channel.arrived(self._loop.time()):
+                self._handle_arrival(arrival)
+        finally:
+            self._is_delivering = False
+        # 2. Wake up for the next piece.
+        if self._delivery_timer is not None:
+            self._delivery_timer.cancel()
+        due_s = channel.due_s
+        self._delivery_timer = None if due_s is None else self._loop.call_at(due_s, self._deliver)
+        # 3. Resume reading if it was suspended for a full channel.
+        if was_full or self._is_channel_full:
+            self._schedule()
+
+    def _handle_arrival(self, arrival: Arrival) -> None:
+        if arrival.hang_up:
+            log.info("%s: closed by an injected fault", self.session.name)
+            self._close_port()
+        elif arrival.to_robot:
+            self._delivered_at_s = arrival.at_s
+            self.process(arrival.data)
+            self._delivered_at_s = None
+        else:
+            self._write(arrival.data)
+
+    def _install_faults(self) -> None:
+        """Put the fault injector into the channel, as soon as a plan acts on this line and no frame is incomplete."""
+        faults, line = self._server.faults, self.line
+        if self._has_faults or not faults.plan.rules or self._is_mid_request or not faults.acts_on(line):
+            return
+        self._has_faults = True
+        self._channel = FaultyChannel(self._language(), lambda: faults.injector(line), self._channel)
+
+    @property
+    def _is_mid_request(self) -> bool:
+        """True if part of a request was received, or bytes wait in the backlog."""
+        return bool(self.session.unfinished or self._receive_backlog)
+
+    # Implemented by the transport.
 
     @abstractmethod
     def _language(self) -> Language:
-        """What is spoken here, for a plan of faults to know its frames; between two frames."""
+        """Return the framing of this line, which the fault injector needs; called between two frames."""
 
     @abstractmethod
-    def _send(self, data: bytes) -> None:
-        """Give these to the port; what it cannot take at once is the port's own matter."""
+    def _write(self, data: bytes) -> None:
+        """Write to the port, which buffers what it cannot take at once."""
 
     @abstractmethod
-    def _listen(self, on: bool) -> None:
-        """Read from the port, or let it wait."""
+    def _set_reading(self, on: bool) -> None:
+        """Read from the port, or suspend reading."""
 
     @abstractmethod
-    def _hang_up(self) -> None:
-        """End the connection, once what was said is sent."""
+    def _close_port(self) -> None:
+        """Close the connection after the replies in its buffer are sent."""
 
     @abstractmethod
     def _abort(self) -> None:
-        """End the connection now."""
+        """Close the connection now and drop its buffer."""
 
     @abstractmethod
     def close(self) -> None:
-        """Say nothing more, for the daemon ends."""
+        """Close the connection because the server stops."""
 
 
-if TYPE_CHECKING:
-    from nserver_emu.server.daemon import Daemon
-
-
-class Connection(ConnectionHandler, asyncio.BufferedProtocol):
-    """A client's socket."""
+class TcpConnection(ConnectionHandler, asyncio.BufferedProtocol):
+    """A client's TCP connection to the port of Nserver."""
 
     line = "nserver"
 
-    def __init__(self, daemon: Daemon) -> None:
-        super().__init__(daemon)
-        self._behind: Host = daemon.host
-        self._inbox = bytearray(READ_SIZE)
-        self._met: ClientIdentity | None = None
-        limits, now_s = daemon.admission.limits, self._loop.time()
-        self._allowance = TokenBucket(limits.rate, MAX_REQUESTS_PER_TURN, now_s) if limits.rate else None
-        self._patience = ConnectionTimeouts(limits.idle, limits.stall, now_s)
-        self._look: asyncio.TimerHandle | None = None
-        self._closed_by_us = False
+    def __init__(self, server: Server) -> None:
+        super().__init__(server)
+        self._handler: CommandHandler = server.handler
+        # Receive buffer, reused: asyncio fills it in place.
+        self._buffer = bytearray(READ_SIZE)
+        # The identity last reported to the client registry.
+        self._identity: ClientIdentity | None = None
+        limits, now_s = server.admission.limits, self._loop.time()
+        self._rate_limit = TokenBucket(limits.rate, MAX_REQUESTS_PER_TURN, now_s) if limits.rate else None
+        self._timeouts = ConnectionTimeouts(limits.idle, limits.stall, now_s)
+        self._timeout_check: asyncio.TimerHandle | None = None
+        self._is_closed_by_timeout = False
+        # Address of the client.
         self.host = ""
-        """The address that it came from."""
+
+    # asyncio.BufferedProtocol.
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._transport = cast(asyncio.Transport, transport)
         peer = transport.get_extra_info("peername")
         transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         self.host = peer[0] if peer else ""
-        self._transport.set_write_buffer_limits(high=self._daemon.admission.limits.write_queue)
-        self._meet(f"{peer[0]}:{peer[1]}" if peer else "client")
-        self._daemon.connections.add(self)
-        self._daemon.client_registry.add_pending(self, self.host)
-        self._look_later()
+        self._transport.set_write_buffer_limits(high=self._server.admission.limits.write_queue)
+        self._start_session(f"{peer[0]}:{peer[1]}" if peer else "client")
+        self._server.connections.add(self)
+        self._server.client_registry.add_pending(self, self.host)
+        self._schedule_timeout_check()
         log.info("%s: connected", self.session.name)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        self._silence()
-        if self._look is not None:
-            self._look.cancel()
-        self._daemon.connections.discard(self)
-        if self.session.closing:
-            self._daemon.client_registry.remove(self, disconnected=True)
+        session, registry = self.session, self._server.client_registry
+        # 1. No more turns and timers.
+        self._cancel_timers()
+        if self._timeout_check is not None:
+            self._timeout_check.cancel()
+        self._server.connections.discard(self)
+        # 2. After DISCONNECT the registry entry ends at once; otherwise it stays for a second connection of the client
+        #    that may continue without CONNECT.
+        if session.closing:
+            registry.remove(self, disconnected=True)
         else:
-            self._loop.call_later(CLOSED_RETENTION_S, self._daemon.client_registry.remove, self)
-        if not self._closed_by_us and (exc or self.session.unfinished):
-            log.warning(
-                "%s: vanished%s%s",
-                self.session.name,
-                " in mid-request" if self.session.unfinished else "",
-                f": {exc}" if exc else "",
-            )
-        self._behind.on_disconnect(self.session.context)
-        self._daemon.gone_answered += self.session.answered
-        self._daemon.gone_refused += self.session.refused
-        self._tape.close()
-        self.session.closing = True
-        log.info("%s: gone after %d refusals", self.session.name, self.session.refused)
+            self._loop.call_later(CLOSED_RETENTION_S, registry.remove, self)
+        if not self._is_closed_by_timeout and (exc or session.unfinished):
+            log.warning("%s: connection lost%s%s", session.name, " in mid-request" if session.unfinished else "",
+                        f": {exc}" if exc else "")
+        # 3. Axes that this connection set in motion stop.
+        self._handler.on_disconnect(session.context)
+        self._server.closed_answered += session.answered
+        self._server.closed_refused += session.refused
+        self._recorder.close()
+        session.closing = True
+        log.info("%s: closed after %d refused requests", session.name, session.refused)
 
     def get_buffer(self, sizehint: int) -> bytearray:
         del sizehint
-        return self._inbox
+        return self._buffer
 
     def buffer_updated(self, nbytes: int) -> None:
-        self._patience.heard(self._loop.time())
-        self.data_received(bytes(self._inbox[:nbytes]))
+        self._timeouts.on_activity(self._loop.time())
+        self.data_received(bytes(self._buffer[:nbytes]))
 
     def pause_writing(self) -> None:
-        self.blocked = True
-        self._pace()
+        self.is_write_paused = True
+        self._schedule()
 
     def resume_writing(self) -> None:
-        self.blocked = False
-        self._answer()
+        self.is_write_paused = False
+        self._process_requests()
+
+    # ConnectionHandler.
 
     def close(self) -> None:
         self._transport.close()
 
-    def _look_later(self) -> None:
-        check_interval_s = self._patience.check_interval_s
-        self._look = None if check_interval_s is None else self._loop.call_later(check_interval_s, self._look_at)
-
-    def _look_at(self) -> None:
-        """Whether this one is still to be put up with."""
-        now_s, waiting = self._loop.time(), self.session.waiting
-        if waiting:
-            self._patience.heard(now_s)
-        stuck = self.blocked or (bool(self.session.unfinished) and not waiting)
-        reason = self._patience.timeout_reason(now_s, self.session.answered, stuck)
-        if not reason:
-            self._look_later()
-            return
-        log.warning("%s: closed: %s", self.session.name, reason)
-        self._closed_by_us = True
-        self._abort()
-
-    def _meet(self, name: str) -> None:
-        """Begin the conversation."""
-        # A session that held its connection would keep both until Python looks for garbage, seldom (garbage.py).
-        asks = weakref.WeakMethod(self._met_before)
-        self.session = Session(
-            self._behind.answer,
-            name,
-            lambda wide: ask(wide) if (ask := asks()) else None,
-            self._daemon.emulator.allowed.frame,
-        )
-        self._tape = self._daemon.recorder.open(name, TCP, N150)
-
-    def _met_before(self, wide: bool | None) -> ClientIdentity | None:
-        return self._daemon.client_registry.lookup(self, self.host, wide)
-
-    def _guarded(self, speak: Callable[[], bytes], by_time: bool = False) -> None:
-        super()._guarded(speak, by_time)
-        if self.session.identity != self._met:
-            self._met = self.session.identity
-            self._daemon.client_registry.register(self, self.host, self._met)
-
     def _language(self) -> Language:
         return TcpLanguage(None if self.session.identity is None else self.session.identity.wide)
 
-    def _send(self, data: bytes) -> None:
+    def _write(self, data: bytes) -> None:
         self._transport.write(data)
 
-    def _listen(self, on: bool) -> None:
+    def _set_reading(self, on: bool) -> None:
         if self._transport.is_closing():
             return
         if on:
@@ -370,8 +391,49 @@ class Connection(ConnectionHandler, asyncio.BufferedProtocol):
         else:
             self._transport.pause_reading()
 
-    def _hang_up(self) -> None:
+    def _close_port(self) -> None:
         self._transport.close()
 
     def _abort(self) -> None:
         self._transport.abort()
+
+    def _run_session(self, step: Callable[[], bytes], by_time: bool = False) -> None:
+        super()._run_session(step, by_time)
+        if self.session.identity != self._identity:
+            self._identity = self.session.identity
+            self._server.client_registry.register(self, self.host, self._identity)
+
+    def _start_session(self, name: str) -> None:
+        """Create the session; `name` is the client's in logs and recordings."""
+        # The session must not hold a reference to its connection: the cycle would live until the next garbage
+        # collection, and those are rare (garbage.py).
+        lookup = weakref.WeakMethod(self._lookup_identity)
+        self.session = Session(
+            self._handler.answer, name, lambda wide: method(wide) if (method := lookup()) else None,
+            self._server.emulator.allowed.frame,
+        )  # fmt: skip
+        self._recorder = self._server.recorder.open(name, TCP, N150)
+
+    def _lookup_identity(self, wide: bool | None) -> ClientIdentity | None:
+        return self._server.client_registry.lookup(self, self.host, wide)
+
+    # Timeouts.
+
+    def _schedule_timeout_check(self) -> None:
+        interval_s = self._timeouts.check_interval_s
+        self._timeout_check = None if interval_s is None else self._loop.call_later(interval_s, self._check_timeouts)
+
+    def _check_timeouts(self) -> None:
+        """Close the connection if it is idle or stalled for too long."""
+        now_s, is_waiting = self._loop.time(), self.session.waiting
+        if is_waiting:
+            # A client that waits for a deferred reply is not idle.
+            self._timeouts.on_activity(now_s)
+        is_stalled = self.is_write_paused or (bool(self.session.unfinished) and not is_waiting)
+        reason = self._timeouts.timeout_reason(now_s, self.session.answered, is_stalled)
+        if not reason:
+            self._schedule_timeout_check()
+            return
+        log.warning("%s: closed: %s", self.session.name, reason)
+        self._is_closed_by_timeout = True
+        self._abort()

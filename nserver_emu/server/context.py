@@ -1,27 +1,9 @@
-"""How simulated time goes along with real time: a value that the daemon follows and `sim_control` changes. No clock.
+"""The state of a server that commands act on: the simulation and everything a server adds to it. No I/O, no wire units.
 
-    real time        factor x the real seconds that passed; factor None: as fast as it can
-    paused           time stands until `resume`, but for single steps
-    lockstep         time moves by `lockstep_s` when a client asks something, and at no other moment
+    ServerState   simulation | clock | graphics | traces | transcript | arms | ownership | emergency stop | permissions
 
-get_robot_conf: who waits for a pose to be clicked in the window of a robot, and the pose once it is. Pure.
-
-Rules: one click answers all who wait at that robot then. While no page is open that may click, nobody waits: they
-are told where the robot is. Who asked and is gone is forgotten.
-
-What the robots were told to say: a talking robot's last words, kept to be read out. Pure.
-
-Answers that only time can bring: who waits for what, asked each time some time has passed.
-
-Rules: an answer is made at the moment it is there, however long its session takes to fetch it; a promise is asked no
-more once it is kept, or once whoever waits has gone. No time passes here.
-
-What the commands act upon: the simulation with all that a server adds to it. No wire units, no command by name.
-
-    Stage    simulation | pace | graphics | traces | transcript | arms | who drives which robot | what the setup allows
-
-Rules: handlers change it, the daemon and the viewer read it. Connections come and go; everything else is what a
-snapshot keeps, but for what people at a window do: waiting clicks, holds.
+Handlers change it; daemon and viewer read it. A snapshot contains it except for what belongs to connections and
+operators (ownership, emergency stop, pending pose requests).
 """
 
 from __future__ import annotations
@@ -39,63 +21,71 @@ from nserver_emu.server.layers import layers
 from nserver_emu.server.limits import Limits
 from nserver_emu.server.ownership import ALL_AXES, AxisOwnership, EStop
 from nserver_emu.server.session import CachedStateReply, ConnectionContext, DeferredReply
-from nserver_emu.server.state_encoder import StateSnapshot, clock_ms, state_reply
+from nserver_emu.server.state_encoder import StateSnapshot, build_state_reply, clock_ms
 from nserver_emu.simulation.arm import Arm
 from nserver_emu.simulation.robot import SimulatedRobot
 from nserver_emu.simulation.segments import PS_PER_S, to_ps, to_s
 from nserver_emu.simulation.simulation import Simulation
 from worlds.world import World
 
-SLOWEST: Final = 0.1
-FASTEST: Final = 999.0
+# Limits of the ratio of simulated to real time.
+MIN_TIME_FACTOR: Final = 0.1
+MAX_TIME_FACTOR: Final = 999.0
+# Simulated seconds per request in lockstep.
 MAX_LOCKSTEP_S: Final = 10.0
-"""The longest step in lockstep, simulated seconds."""
-AS_FAST_AS_IT_CAN: Final = 9999
-"""What State[0] shows where the simulated time runs as fast as it can."""
+# State[0] at unlimited speed.
+UNLIMITED_SPEED: Final = 9999
 
 
 @dataclass(slots=True)
 class SimulationClock:
-    """See the head of this file; `factor` within SLOWEST..FASTEST, `lockstep_s` None or above 0."""
+    """The relation of simulated to real time; changed by `sim_control`, obeyed by the daemon.
 
+    Field names are keys in recordings.
+    """
+
+    # Simulated seconds per real second, MIN_TIME_FACTOR to MAX_TIME_FACTOR; None is unlimited.
     factor: float | None = 1.0
     paused: bool = False
+    # In lockstep: simulated seconds per request, and time passes at no other moment. None: no lockstep.
     lockstep_s: float | None = None
 
     def check(self) -> None:
-        """Raises ValueError where this is no pace: a value that came from outside may be anything."""
-        steps = (self.factor, SLOWEST, FASTEST), (self.lockstep_s, 0.0, MAX_LOCKSTEP_S)
-        for value, low, high in steps:
+        """Raise ValueError for values out of range; they may come from a file."""
+        ranges = (self.factor, MIN_TIME_FACTOR, MAX_TIME_FACTOR), (self.lockstep_s, 0.0, MAX_LOCKSTEP_S)
+        for value, low, high in ranges:
             if value is not None and (isinstance(value, bool) or not low <= value <= high):
-                raise ValueError(f"a pace of {value}")
+                raise ValueError(f"simulation clock: {value} is not within {low:g} to {high:g}")
         if not isinstance(self.paused, bool) or self.lockstep_s == 0.0:
-            raise ValueError("a pace that neither passes nor stands")
+            raise ValueError("simulation clock: paused must be a boolean, and lockstep_s above 0")
 
     @property
     def is_free_running(self) -> bool:
-        """Whether time passes by itself."""
+        """True if time passes without requests."""
         return not self.paused and self.lockstep_s is None
 
     @property
-    def asked_s(self) -> float:
-        """Simulated seconds that pass because a client asks something."""
+    def step_per_request_s(self) -> float:
+        """Simulated seconds that pass per request."""
         return 0.0 if self.paused or self.lockstep_s is None else self.lockstep_s
 
     @property
     def speed_tenths(self) -> int:
-        """State[0]: the factor x 10, 0 when paused or in lockstep, 9999 for as fast as it can."""
+        """State[0]: the factor x 10, 0 when paused or in lockstep, UNLIMITED_SPEED for no limit."""
         if not self.is_free_running:
             return 0
-        return AS_FAST_AS_IT_CAN if self.factor is None else round(10 * self.factor)
+        return UNLIMITED_SPEED if self.factor is None else round(10 * self.factor)
 
 
+# get_robot_conf: a pose clicked in the viewer.
+
+# x, y, steering and turret in tenths.
 ClickedPose = tuple[int, int, int, int]
-"""x, y, steering and turret in tenths."""
 
 
 @dataclass(eq=False, slots=True)
 class PoseRequest:
-    """One who waits."""
+    """A connection that waits for a pose."""
 
     robot_id: int
     context: ConnectionContext
@@ -103,125 +93,141 @@ class PoseRequest:
 
 
 class PoseRequests:
-    """See the head of this file. `open`: whether a page is there to click at."""
+    """Pending requests for a clicked pose. One click answers all requests for that robot."""
 
     def __init__(self) -> None:
+        # True while a viewer with permission to click is open; without one, requests are answered at once.
         self.open = False
-        self._wishes: list[PoseRequest] = []
+        self._requests: list[PoseRequest] = []
 
-    def ask(
-        self, robot_id: int, context: ConnectionContext, otherwise: Callable[[], ClickedPose]
+    def add(
+        self, robot_id: int, context: ConnectionContext, default: Callable[[], ClickedPose]
     ) -> Callable[[], ClickedPose | None]:
-        """Wait for a pose of this robot: what to ask again until it gives one. `otherwise`: without a page."""
-        wish = PoseRequest(robot_id, context)
-        self._wishes.append(wish)
+        """Request a pose of a robot.
 
-        def clicked() -> ClickedPose | None:
-            if wish.pose is None and not self.open:
-                self._wishes = [other for other in self._wishes if other is not wish]
-                wish.pose = otherwise()
-            return wish.pose
+        Returns
+        -------
+        Callable
+            Poll it until it returns a pose. It returns `default()` as soon as no viewer is open.
+        """
+        request = PoseRequest(robot_id, context)
+        self._requests.append(request)
 
-        return clicked
+        def poll() -> ClickedPose | None:
+            if request.pose is None and not self.open:
+                self._requests = [other for other in self._requests if other is not request]
+                request.pose = default()
+            return request.pose
 
-    def asked(self) -> dict[int, int]:
-        """How many wait, at each robot where somebody does."""
+        return poll
+
+    def counts(self) -> dict[int, int]:
+        """Return the number of pending requests by robot."""
         counts: dict[int, int] = {}
-        for wish in self._wishes:
-            counts[wish.robot_id] = counts.get(wish.robot_id, 0) + 1
+        for request in self._requests:
+            counts[request.robot_id] = counts.get(request.robot_id, 0) + 1
         return counts
 
     def answer(self, robot_id: int, pose: ClickedPose) -> bool:
-        """A pose was clicked; whether anybody waited for it."""
-        waiting = [wish for wish in self._wishes if wish.robot_id == robot_id]
-        for wish in waiting:
-            wish.pose = pose
-        self._wishes = [wish for wish in self._wishes if wish.pose is None]
-        return bool(waiting)
+        """Answer the requests for a robot with a clicked pose; return True if there were any."""
+        pending = [request for request in self._requests if request.robot_id == robot_id]
+        for request in pending:
+            request.pose = pose
+        self._requests = [request for request in self._requests if request.pose is None]
+        return bool(pending)
 
-    def forget(self, context: ConnectionContext) -> None:
-        """This connection is gone."""
-        self._wishes = [wish for wish in self._wishes if wish.context is not context]
+    def cancel(self, context: ConnectionContext) -> None:
+        """Drop the requests of a closed connection."""
+        self._requests = [request for request in self._requests if request.context is not context]
 
 
-KEPT: Final = 1000
-"""Utterances kept; older ones are forgotten, so that a robot that chatters for days fills no memory."""
+# tk: speech output of robots.
+
+# Older utterances are dropped, so that clients that speak for days do not fill memory.
+MAX_UTTERANCES: Final = 1000
 
 
 class Utterance(NamedTuple):
-    """Who said what, and at which simulated second."""
+    """A text spoken by a robot."""
 
+    # Simulated seconds.
     time_s: float
     robot_id: int
     text: str
 
 
-class Transcript:
-    """Utterances in their order, the latest last."""
+class SpeechLog:
+    """The last texts spoken by robots, oldest first."""
 
     def __init__(self) -> None:
-        self._said: deque[Utterance] = deque(maxlen=KEPT)
+        self._utterances: deque[Utterance] = deque(maxlen=MAX_UTTERANCES)
 
     @property
-    def said(self) -> tuple[Utterance, ...]:
-        """All that is kept."""
-        return tuple(self._said)
+    def utterances(self) -> tuple[Utterance, ...]:
+        """All stored texts."""
+        return tuple(self._utterances)
 
     def add(self, utterance: Utterance) -> None:
-        """Note what was said now."""
-        self._said.append(utterance)
+        """Append a text."""
+        self._utterances.append(utterance)
+
+
+# Replies that need simulated time.
 
 
 class PolledReply:
-    """A Later that holds on to its reply."""
+    """A deferred reply that is built at the moment it is due, however late its session fetches it."""
 
-    def __init__(self, context: ConnectionContext, later: DeferredReply) -> None:
+    def __init__(self, context: ConnectionContext, poll: DeferredReply) -> None:
         self.context = context
         self.reply: Reply | None = None
-        self._later = later
+        self._poll = poll
 
     def __call__(self) -> Reply | None:
-        """The reply, if it is there by now."""
+        """Return the reply if it exists now."""
         if self.reply is None:
-            self.reply = self._later()
+            self.reply = self._poll()
         return self.reply
 
 
 class DeferredReplies:
-    """All that is yet to be kept."""
+    """All deferred replies, polled each time simulated time has passed."""
 
     def __init__(self) -> None:
-        self._open: list[PolledReply] = []
+        self._pending: list[PolledReply] = []
 
     def __len__(self) -> int:
-        return len(self._open)
+        return len(self._pending)
 
-    def make(self, context: ConnectionContext, later: DeferredReply) -> PolledReply:
-        """Note that this connection waits for this answer."""
-        promise = PolledReply(context, later)
-        self._open.append(promise)
-        return promise
+    def add(self, context: ConnectionContext, poll: DeferredReply) -> PolledReply:
+        """Add the deferred reply of a connection."""
+        reply = PolledReply(context, poll)
+        self._pending.append(reply)
+        return reply
 
-    def ask(self) -> None:
-        """Time has passed: keep those that can be kept."""
-        self._open = [promise for promise in self._open if promise() is None]
+    def poll(self) -> None:
+        """Build the replies that are due."""
+        self._pending = [reply for reply in self._pending if reply() is None]
 
-    def drop(self, context: ConnectionContext) -> None:
-        """This connection no longer waits."""
-        self._open = [promise for promise in self._open if promise.context is not context]
+    def cancel(self, context: ConnectionContext) -> None:
+        """Drop the deferred replies of a connection."""
+        self._pending = [reply for reply in self._pending if reply.context is not context]
 
+
+# The server.
 
 _LIMITS: Final = Limits()
-PIECE_PS: Final = PS_PER_S // 10
-"""The longest time that passes before those who wait for it are asked, a tenth of a second."""
+# Simulated time between polls of deferred replies, a tenth of a second.
+POLL_INTERVAL_PS: Final = PS_PER_S // 10
 
 
 @dataclass(frozen=True, slots=True)
 class Allowed:
-    """What clients may do beyond driving robots: end the server (`quit`), change the time (`control`); and the limits
-    that decide answers (limits.py)."""
+    """Permissions of clients and the limits that decide replies (limits.py). Field names are keys in recordings."""
 
+    # End the server with quit_server.
     quit: bool = False
+    # Change simulated time with sim_control.
     control: bool = False
     obstacles: int = _LIMITS.obstacles
     graphics: int = _LIMITS.graphics
@@ -229,7 +235,17 @@ class Allowed:
 
 
 class ServerState:
-    """See the head of this file. `port` is what CONNECT answers; `quitting` is set once a client ended the server."""
+    """A simulation and everything that a server adds to it.
+
+    Parameters
+    ----------
+    simulation
+        The simulated robots and their world.
+    port
+        The port in the reply to CONNECT.
+    clock, allowed
+        Speed of simulated time, and permissions of clients; None for the defaults.
+    """
 
     def __init__(
         self,
@@ -243,131 +259,148 @@ class ServerState:
         self.port = port
         self.clock = clock or SimulationClock()
         self.allowed = allowed or Allowed()
+        # True after a client ended the server.
         self.quitting = False
         self.graphics = Graphics()
         self.traces = Traces()
-        self.traces.note(simulation)
-        self.transcript = Transcript()
+        self.traces.update(simulation)
+        self.transcript = SpeechLog()
+        # Arms that were used, by robot.
         self.arms: dict[int, Arm] = {}
         self.axis_ownership = AxisOwnership()
         self.estop = EStop()
-        self.shown: dict[str, World] = {}
-        """Worlds whose text was told to somebody, who may want to have them back (switches.py)."""
-        self._serial_wire_states: dict[int, WireState] = {}
+        # Worlds that were exported, by their text, so that they can be restored exactly (runtime_settings.py).
+        self.exported_worlds: dict[str, World] = {}
         self.pose_requests = PoseRequests()
-        self._looked: dict[int, tuple[float, StateSnapshot]] = {}
-        self._promises = DeferredReplies()
+        # Mask and laser mode of robots' own lines.
+        self._serial_wire_states: dict[int, WireState] = {}
+        # The last state snapshot of each robot and its time.
+        self._snapshots: dict[int, tuple[float, StateSnapshot]] = {}
+        self._deferred = DeferredReplies()
 
-    def on_disconnect(self, context: ConnectionContext) -> None:
-        """A connection is gone: what moves by its commands stops."""
-        self.invalidate_state_cache()
-        self._promises.drop(context)
-        self.pose_requests.forget(context)
-        self.axis_ownership.on_disconnect(context, self.simulation.robots)
-        for robot_id in self.axis_ownership.release_arms(context):
-            self.stop_arm(robot_id)
-
-    def hold(self, robot_id: int, by: str) -> None:
-        """Stop a robot, and let nobody move it until it is released (holds.py). Raises KeyError for no robot."""
-        self.simulation.robots[robot_id].stop()
-        self.stop_arm(robot_id)
-        self.invalidate_state_cache()
-        self.estop.put(robot_id, by)
+    # Time.
 
     def pass_time(self, seconds: float) -> None:
-        """Let simulated time pass, for whatever reason; who waits for it is answered as of the moment it is due."""
+        """Advance simulated time; deferred replies are built as of the moment they are due."""
         left_ps = to_ps(seconds)
         while left_ps:
-            piece_ps = min(left_ps, PIECE_PS)
-            self.simulation.step(to_s(piece_ps))
-            self.traces.note(self.simulation)
+            step_ps = min(left_ps, POLL_INTERVAL_PS)
+            self.simulation.step(to_s(step_ps))
+            self.traces.update(self.simulation)
             for robot_id in self.arms:
-                self._arm(robot_id)
-            self._promises.ask()
-            left_ps -= piece_ps
-
-    def promise(self, context: ConnectionContext, later: DeferredReply) -> DeferredReply:
-        """The same answer, made at the moment it is there even if nobody asks for it then."""
-        return self._promises.make(context, later)
-
-    def cancel_deferred(self, context: ConnectionContext) -> None:
-        """This connection is told no more of what it waited for."""
-        self._promises.drop(context)
-
-    def invalidate_state_cache(self) -> None:
-        """Something changed other than by time: no look at a robot is still good."""
-        self._looked.clear()
-
-    def robot_of(self, context: ConnectionContext) -> SimulatedRobot:
-        """The robot that this connection talks to."""
-        assert context.robot_id is not None
-        return self.simulation.robots[context.robot_id]
-
-    def feed(self, context: ConnectionContext) -> None:
-        """A connection asks something, or waits: the time-out of its robot begins anew, unless only others drive it."""
-        assert context.robot_id is not None
-        robot = self.robot_of(context)
-        if self.axis_ownership.may_feed_watchdog(context, context.robot_id, robot):
-            robot.feed()
-
-    def drive(self, context: ConnectionContext, axes: Iterable[int] = ALL_AXES) -> SimulatedRobot:
-        """The robot, these axes of it from now on obeying this connection."""
-        assert context.robot_id is not None
-        self.axis_ownership.take(context, context.robot_id, axes)
-        return self.robot_of(context)
-
-    def serial_wire_state(self, robot_id: int) -> WireState:
-        """Mask and laser mode in force on a robot's own lines: the robot's, whoever asks by which of them, and after
-        he has left. As at power-on in a simulation that is restored."""
-        if robot_id not in self._serial_wire_states:
-            family = self.simulation.robots[robot_id].model.family
-            self._serial_wire_states[robot_id] = serial_wire_state(get_model(family))
-        return self._serial_wire_states[robot_id]
-
-    def arm_of(self, context: ConnectionContext) -> Arm:
-        """The arm of the connection's robot, as it is now."""
-        assert context.robot_id is not None
-        self.arms.setdefault(context.robot_id, Arm())
-        return self._arm(context.robot_id)
-
-    def stop_arm(self, robot_id: int) -> None:
-        """An arm stops, where that robot has one that was ever moved."""
-        if robot_id in self.arms:
-            self._arm(robot_id).stop()
-
-    def _arm(self, robot_id: int) -> Arm:
-        """An arm as it is now; the robot's time-out has stopped it when it struck."""
-        arm, struck_s = self.arms[robot_id], self.simulation.robots[robot_id].timed_out_s
-        if struck_s is not None and arm.time_s < struck_s:
-            arm.advance_to(struck_s)
-            arm.stop()
-        arm.advance_to(self.simulation.time_s)
-        return arm
-
-    def state(self, context: ConnectionContext) -> Reply:
-        """The state reply that most commands answer with.
-
-        Between two steps a robot changes by commands only, so many who ask cost one look at it; on a line they get
-        the same reply.
-        """
-        assert context.robot_id is not None
-        robot, now_s = self.simulation.robots[context.robot_id], self.simulation.time_s
-        looked_s, look = self._looked.get(context.robot_id, (None, None))
-        if look is None or looked_s != now_s:
-            look = StateSnapshot(robot, self.clock.speed_tenths)
-            self._looked[context.robot_id] = (now_s, look)
-        if not context.wire_state.line:
-            return state_reply(robot, context, now_s, look)
-        told, mask, mode = context.told, context.wire_state.mask, context.wire_state.laser_mode
-        if told is None or told.look is not look or told.mask is not mask or told.laser_mode != mode:
-            told = context.told = CachedStateReply(look, mask, mode, state_reply(robot, context, now_s, look))
-        return told.reply
-
-    def layers(self, robot_id: int) -> dict[str, Any]:
-        """What the window of a robot shows now, as plain data (layers.py). Raises KeyError for no robot."""
-        return layers(robot_id, self.simulation.robots[robot_id], self.traces, self.graphics)
+                self._advance_arm(robot_id)
+            self._deferred.poll()
+            left_ps -= step_ps
 
     @property
     def clock_ms(self) -> int:
         """Simulated milliseconds since the start."""
         return clock_ms(self.simulation.time_s)
+
+    # Deferred replies.
+
+    def defer(self, context: ConnectionContext, poll: DeferredReply) -> DeferredReply:
+        """Register a deferred reply; returns one that is built at the moment it is due."""
+        return self._deferred.add(context, poll)
+
+    def cancel_deferred(self, context: ConnectionContext) -> None:
+        """Drop the deferred replies of a connection."""
+        self._deferred.cancel(context)
+
+    # Connections.
+
+    def robot_of(self, context: ConnectionContext) -> SimulatedRobot:
+        """Return the robot that a connection is connected to."""
+        assert context.robot_id is not None
+        return self.simulation.robots[context.robot_id]
+
+    def claim_axes(self, context: ConnectionContext, axes: Iterable[int] = ALL_AXES) -> SimulatedRobot:
+        """Make a connection the owner of axes of its robot, and return the robot."""
+        assert context.robot_id is not None
+        self.axis_ownership.claim(context, context.robot_id, axes)
+        return self.robot_of(context)
+
+    def feed_watchdog(self, context: ConnectionContext) -> None:
+        """Restart the command timeout (conf_tm) of a connection's robot, unless only other connections move it."""
+        assert context.robot_id is not None
+        robot = self.robot_of(context)
+        if self.axis_ownership.may_feed_watchdog(context, context.robot_id, robot):
+            robot.feed()
+
+    def on_disconnect(self, context: ConnectionContext) -> None:
+        """Stop what a closed connection set in motion, and drop its pending requests."""
+        self.invalidate_state_cache()
+        self._deferred.cancel(context)
+        self.pose_requests.cancel(context)
+        self.axis_ownership.on_disconnect(context, self.simulation.robots)
+        for robot_id in self.axis_ownership.release_arms(context):
+            self.stop_arm(robot_id)
+
+    def hold(self, robot_id: int, by: str) -> None:
+        """Stop a robot and ignore motion commands until it is released. Raise KeyError if there is no such robot."""
+        self.simulation.robots[robot_id].stop()
+        self.stop_arm(robot_id)
+        self.invalidate_state_cache()
+        self.estop.engage(robot_id, by)
+
+    def serial_wire_state(self, robot_id: int) -> WireState:
+        """Return mask and laser mode in force on a robot's own lines.
+
+        They belong to the robot and outlive connections; after a restore they are as at power-on.
+        """
+        if robot_id not in self._serial_wire_states:
+            model = get_model(self.simulation.robots[robot_id].model.family)
+            self._serial_wire_states[robot_id] = serial_wire_state(model)
+        return self._serial_wire_states[robot_id]
+
+    # Arms.
+
+    def arm_of(self, context: ConnectionContext) -> Arm:
+        """Return the arm of a connection's robot as of now."""
+        assert context.robot_id is not None
+        self.arms.setdefault(context.robot_id, Arm())
+        return self._advance_arm(context.robot_id)
+
+    def stop_arm(self, robot_id: int) -> None:
+        """Stop the arm of a robot if it was ever used."""
+        if robot_id in self.arms:
+            self._advance_arm(robot_id).stop()
+
+    def _advance_arm(self, robot_id: int) -> Arm:
+        """Advance an arm to now; a command timeout of its robot has stopped it at that time."""
+        arm, timed_out_s = self.arms[robot_id], self.simulation.robots[robot_id].timed_out_s
+        if timed_out_s is not None and arm.time_s < timed_out_s:
+            arm.advance_to(timed_out_s)
+            arm.stop()
+        arm.advance_to(self.simulation.time_s)
+        return arm
+
+    # Readings.
+
+    def state_reply(self, context: ConnectionContext) -> Reply:
+        """Return the state reply, with which most commands answer.
+
+        Between two steps a robot changes by commands only, so all connections share one snapshot of it; on a serial
+        line, where nothing else enters the packet, they share the reply.
+        """
+        assert context.robot_id is not None
+        robot, now_s = self.simulation.robots[context.robot_id], self.simulation.time_s
+        taken_s, snapshot = self._snapshots.get(context.robot_id, (None, None))
+        if snapshot is None or taken_s != now_s:
+            snapshot = StateSnapshot(robot, self.clock.speed_tenths)
+            self._snapshots[context.robot_id] = (now_s, snapshot)
+        if not context.wire_state.line:
+            return build_state_reply(robot, context, now_s, snapshot)
+        cached, mask, mode = context.cached_state, context.wire_state.mask, context.wire_state.laser_mode
+        if cached is None or cached.snapshot is not snapshot or cached.mask is not mask or cached.laser_mode != mode:
+            reply = build_state_reply(robot, context, now_s, snapshot)
+            cached = context.cached_state = CachedStateReply(snapshot, mask, mode, reply)
+        return cached.reply
+
+    def invalidate_state_cache(self) -> None:
+        """Discard all state snapshots after a change that is not due to time."""
+        self._snapshots.clear()
+
+    def layers(self, robot_id: int) -> dict[str, Any]:
+        """Return what a robot's window shows as plain data (layers.py). Raise KeyError if there is no such robot."""
+        return layers(robot_id, self.simulation.robots[robot_id], self.traces, self.graphics)

@@ -1,12 +1,11 @@
 """The emulator in the client's own process: the address `sim:WORLD?robot=n150&seed=1&noisy=1`.
 
-    send(bytes) ──> session ──> simulated time advances by `step_s` ──> answers, read with receive()
+    send(bytes) -> session -> simulated time advances by `step_s` -> replies, read with receive()
 
-Rules: no socket, no clock; simulated time passes in lockstep, with each exchange and at no other moment, so that a run
-repeats to the bit. Connecting and asking for the truth take no time. The client may control the time: it is its own;
-to wait while it is paused is ERROR 5, for nobody else could let it pass.
-With `line=1` the robot speaks as on its own line (line_session.py): no stamps, no words but its own; silence to what
-it does not understand takes a step of time, too. nclient finds this by entry point and does not import it.
+No socket and no clock: simulated time advances with each exchange only (lockstep), so that a run is repeatable bit by
+bit. Connecting and sim_truth take no time. The client may control the time; waiting while it is paused is ERROR 5,
+because nothing else could advance it. With `line=1` the robot speaks the protocol of its own serial line
+(serial_session.py). nclient finds this module by entry point and does not import it.
 """
 
 from __future__ import annotations
@@ -27,16 +26,27 @@ from nserver_emu.server.session import REFUSED, BaseSession, Session
 from worlds.io import DEFAULT_WORLD
 
 SCHEME = "sim"
+# Simulated seconds per exchange.
 DEFAULT_STEP_S = 0.1
+# Options after the ? of an address (docs/addresses.md).
 OPTIONS = ("robot", "robots", "model_file", "start", "seed", "noisy", "setup", "step_s", "line")
-"""What may stand behind the ? of an address, by name; docs/addresses.md has them too."""
-_FOR_EACH = ("robot", "start")
-"""Options that may come again, for robot 2 and so on."""
+# Options that may be repeated for robot 2 and so on.
+_REPEATABLE = ("robot", "start")
 _FLAGS = {"1": True, "true": True, "yes": True, "0": False, "false": False, "no": False}
 
 
 class InProcess:
-    """One client's end: what it sends is answered at once, in simulated time."""
+    """The client's end of a connection to an emulator in the same process.
+
+    Parameters
+    ----------
+    emulator
+        The emulator, whose clock is set to lockstep.
+    step_s
+        Simulated seconds per exchange.
+    session
+        The session; None for one over TCP.
+    """
 
     def __init__(
         self, emulator: Emulator, step_s: float = DEFAULT_STEP_S, session: BaseSession[Any] | None = None
@@ -47,31 +57,34 @@ class InProcess:
         self._outgoing = bytearray()
 
     def send(self, data: bytes) -> None:
-        """Requests, in any cuts."""
+        """Send request bytes, split anywhere; time advances until all whole requests are answered."""
         self._session.receive(data)
-        while self._session.ready or (self._session.waiting and self.emulator.clock.asked_s):
+        while self._session.ready or (self._session.waiting and self.emulator.clock.step_per_request_s):
+            # 1. A deferred reply needs time.
             if self._session.waiting:
-                self.emulator.pass_time(self.emulator.clock.asked_s)
+                self.emulator.pass_time(self.emulator.clock.step_per_request_s)
                 self._outgoing += self._session.tick()
-            self._outgoing += self._session.process_requests(most=1)
-            if self._session.waiting and not self.emulator.clock.asked_s:
+            # 2. The next request.
+            self._outgoing += self._session.process_requests(max_requests=1)
+            # 3. A reply that cannot come because time is paused.
+            if self._session.waiting and not self.emulator.clock.step_per_request_s:
                 self.emulator.cancel_deferred(self._session.context)
                 self._outgoing += self._session.cancel_deferred(REFUSED)
 
     def receive(self) -> bytes:
-        """What has been answered; empty when no more will come before something is sent."""
+        """Return the reply bytes; empty if there are none before the next request."""
         answered = bytes(self._outgoing)
         self._outgoing.clear()
         return answered
 
     def close(self) -> None:
-        """The client is gone; its robot stops."""
+        """Disconnect the client; its robot stops."""
         self._session.closing = True
         self.emulator.on_disconnect(self._session.context)
 
 
 class InProcessLine(InProcess):
-    """The end of one on robot 1's own line."""
+    """The host's end of robot 1's own serial line."""
 
     def __init__(self, emulator: Emulator, step_s: float = DEFAULT_STEP_S) -> None:
         model = get_model(emulator.simulation.robots[FIRST_ROBOT].model.family)
@@ -84,20 +97,20 @@ class InProcessLine(InProcess):
 
     def send(self, data: bytes) -> None:
         super().send(data)
-        if not self._outgoing and self.emulator.clock.asked_s:
-            self.emulator.pass_time(self.emulator.clock.asked_s)
+        # Bytes that get no reply take a step too: a frame timeout depends on it.
+        if not self._outgoing and self.emulator.clock.step_per_request_s:
+            self.emulator.pass_time(self.emulator.clock.step_per_request_s)
             self._outgoing += self._session.tick()
 
     def beside(self) -> InProcess:
-        """The simulation behind the line, as a server has it."""
+        """Return a connection over the TCP protocol to the simulation behind the line."""
         return InProcess(self.emulator, self.emulator.clock.lockstep_s or DEFAULT_STEP_S)
 
 
 def open_address(address: str) -> InProcess:
-    """The simulation that an address names.
+    """Create the simulation of an address.
 
-    `sim:WORLD?robot=n150&seed=1&noisy=1&start=0,0,0,0&step_s=0.1`; the world is a shipped name or a file, every
-    option may be left out.
+    `sim:WORLD?robot=n150&seed=1&noisy=1&start=0,0,0,0&step_s=0.1`; WORLD is a name or a file, options are optional.
 
     robots      how many, 1 to 1000: the client's own is number 1, the others stand there; `robot` and `start` may
                 come again for them. Each address opened is a world of its own, so they are nobody else's to drive
@@ -114,7 +127,7 @@ def open_address(address: str) -> InProcess:
         if name not in OPTIONS:
             hint = suggest(name, OPTIONS)
             raise AddressError(f"{address}: no option {name!r}{hint} There are {', '.join(OPTIONS)}.")
-        if len(values) > 1 and name not in _FOR_EACH:
+        if len(values) > 1 and name not in _REPEATABLE:
             raise AddressError(f"{address}: {name} is given {len(values)} times; expected once")
     options = {name: values[-1] for name, values in given.items()}
     count = _count(address, options.get("robots", "1"))

@@ -1,12 +1,10 @@
-"""What the window of a robot shows, layer by layer, as plain data for whoever draws or prints it.
+"""The contents of a robot's window by layer, as plain data (numbers, texts, lists, dictionaries).
 
     actual_trace, encoder_trace     [[x, y] ...] in inches, the oldest first
     bumper                          the bits of State[33]
-    infrared, sonar                 16 readings each; none of a robot without
-    laser                           [[x, y] ...] in inches, in the robot's frame, as far as it has a laser
+    infrared, sonar                 16 readings each, empty without the sensor
+    laser                           [[x, y] ...] in inches, in the robot's frame, empty without a laser
     client_graphics                 [{"figure", "numbers" (tenths, as drawn), "colour", "xor"} ...]
-
-Rules: numbers, texts, lists and dictionaries only, as they are at the moment of asking; asking changes nothing.
 """
 
 from __future__ import annotations
@@ -19,15 +17,15 @@ from nserver_emu.simulation.robot import SimulatedRobot
 
 
 def layers(robot_id: int, robot: SimulatedRobot, traces: Traces, graphics: Graphics) -> dict[str, Any]:
-    """Every layer by its name; see the head of this file."""
-    seen = points(robot.scan_laser(), robot.model.body).tolist() if robot.model.has_light_sensors else []
+    """Return each layer by its name, as of now."""
+    laser_points = points(robot.scan_laser(), robot.model.body).tolist() if robot.model.has_light_sensors else []
     return {
         Layer.ACTUAL_TRACE.value: _track(traces.actual.get(robot_id)),
         Layer.ENCODER_TRACE.value: _track(traces.encoder.get(robot_id)),
         Layer.BUMPER.value: robot.bumpers,
         Layer.INFRARED.value: [] if robot.infrared is None else list(robot.infrared.readings),
         Layer.SONAR.value: list(robot.sonar.readings_in),
-        Layer.LASER.value: seen,
+        Layer.LASER.value: laser_points,
         Layer.CLIENT.value: [
             {"figure": shape.figure.value, "numbers": list(shape.numbers), "colour": shape.colour, "xor": shape.xor}
             for shape in graphics.shapes

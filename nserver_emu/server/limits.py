@@ -16,7 +16,7 @@ from typing import Final, NamedTuple
 from nclient.protocol.tcp_framing import MAX_UNKNOWN_WORDS
 
 _LIMIT: Final = "limit"
-FOR_A_PAGE: Final = 7
+CONNECTIONS_PER_PAGE: Final = 7
 """Connections that a browser opens for a page at once: six for files, and the websocket."""
 SNAPSHOT_BYTES: Final = 1 << 29
 """Maximum size of a snapshot. With default limits it takes a few MB; with a million shapes 200 MB."""
@@ -29,8 +29,8 @@ class Limit(NamedTuple):
 
     name: str
     default: int
-    least: int
-    most: int
+    min: int
+    max: int
     unit: str
     guards: str
     reached: str
@@ -80,7 +80,8 @@ class Limits:
     viewers: int = _limit(
         50, (1, 1000), "pages", "open viewer pages",
         "the page's websocket is refused with HTTP 503 and retried by the page. The port accepts "
-        f"{FOR_A_PAGE} times as many connections; idle ones are closed as by --limit-stall", "viewer/server.py")
+        f"{CONNECTIONS_PER_PAGE} times as many connections; idle ones are closed as by --limit-stall",
+        "viewer/server.py")
     obstacles: int = _limit(
         1000, (1, 100_000), "polygons", "obstacles in the world",
         "ERROR 5 to add_obstacle", "server/handlers/world.py")
@@ -95,7 +96,7 @@ class Limits:
     @property
     def page_connections(self) -> int:
         """Return the maximum number of connections to the viewer's port."""
-        return FOR_A_PAGE * self.viewers
+        return CONNECTIONS_PER_PAGE * self.viewers
 
 
 TABLE: Final[tuple[Limit, ...]] = tuple(
@@ -120,9 +121,9 @@ def limits_of(options: argparse.Namespace) -> Limits:
 def _reader(row: Limit) -> Callable[[str], int]:
     def read(text: str) -> int:
         number = int(text) if text.isdecimal() else -1
-        if not row.least <= number <= row.most and not (row.may_be_none and number == NONE):
+        if not row.min <= number <= row.max and not (row.may_be_none and number == NONE):
             none = f", or {NONE} for none" if row.may_be_none else ""
-            raise argparse.ArgumentTypeError(f"{row.least} to {row.most} {row.unit}{none}, not {text!r}")
+            raise argparse.ArgumentTypeError(f"{row.min} to {row.max} {row.unit}{none}, not {text!r}")
         return number
 
     return read
@@ -130,7 +131,7 @@ def _reader(row: Limit) -> Callable[[str], int]:
 
 log = logging.getLogger(__name__)
 
-OWN: Final = 64
+OTHER_DESCRIPTORS: Final = 64
 """File descriptors of the daemon itself: ports, logs, recordings, lines, event loop."""
 
 
@@ -140,7 +141,7 @@ def make_room(connections: int) -> None:
         import resource
     except ImportError:
         return
-    wanted = connections + OWN
+    wanted = connections + OTHER_DESCRIPTORS
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if soft == resource.RLIM_INFINITY or soft >= wanted:
         return

@@ -1,24 +1,14 @@
-"""What lies between a port and the session behind it, without I/O: bytes go in at once and come out when it is time.
+"""Channels between a port and its session, without I/O: bytes enter at once and leave when they are due.
 
-    to_robot(bytes, now), to_host(bytes, now) ──> arrived(now): what has come through to either side, in order
-    PacedCable    a serial cable at a baud rate: 8N1, ten bits a byte, each way by itself
+    to_robot(bytes, now), to_host(bytes, now) -> arrived(now): what has come through in either direction, in order
 
-Rules: the clock is handed in. What a late look at the clock took from the host is given back to it: a request that
-follows at once counts from the moment the answer was due, so that the rate holds however coarse alarms are.
+    ImmediateChannel     no delay
+    RateLimitedChannel   a serial line at a baud rate: 8N1, ten bits a byte, each direction by itself
+    FaultyChannel        a fault plan in front of another channel:  host -> FaultyLine -> delay -> channel -> robot
+    FaultController      the fault plan of a server, with one injector for each of its lines
 
-A cable under a plan of faults, around another cable or none: what passes goes through the plan first. No I/O.
-
-    host ──> FaultyLine ──> late? ──> the cable ──> robot          and back the same way
-
-Rules: it is plugged in between two frames and then stays. A hang-up ends the connection when what was sent before it
-has come through, and what was sent behind it is lost.
-
-Which plan of faults is in force in a daemon, and an injector for each of its lines. Pure: the clock is handed in.
-
-    put(plan) ──> injector("serial:1")  injector("nserver")  ...        counts of all lines together
-
-Rules: one injector a line, whoever talks over it and however often: its counts outlive connections. Without a plan
-there are injectors without rules, so that who once asked goes on asking.
+Times are seconds of a monotonic clock, passed in. A fault channel is installed between two frames and then stays. An
+injected hang-up ends the connection after everything sent before it has come through; what follows is lost.
 """
 
 from __future__ import annotations
@@ -33,87 +23,97 @@ from nclient.faults.frames import Injector, Language
 from nclient.faults.inject import DelayQueue, FaultyLine
 from nclient.faults.plan import Plan
 
-BITS_A_BYTE: Final = 10
-PIECE: Final = 64
-"""Bytes that come out of a wire together; a longer answer comes piece by piece."""
-MOST_ON_A_WIRE: Final = 16_384
-"""Bytes on their way; a cable that holds more takes no more in, and loses what is put in all the same."""
-MOST_GIVEN_BACK_S: Final = 0.02
-"""Of a longer lateness the rest is lost to the host."""
+BITS_PER_BYTE: Final = 10
+# Bytes that leave a line together; a longer reply arrives in pieces.
+PIECE_BYTES: Final = 64
+# Bytes in transit in one direction; the port is not read while there are more, and further replies are lost.
+MAX_IN_TRANSIT: Final = 16_384
+# Maximum delay of the event loop that is compensated.
+MAX_COMPENSATED_S: Final = 0.02
 
 
 class Arrival(NamedTuple):
-    """Bytes that came through, when they did, and to which end; and whether the connection ends with them."""
+    """Bytes that have come through a channel."""
 
+    # Time at which they arrived, which may be before now.
     at_s: float
     data: bytes
+    # True if they are for the robot, False for the host.
     to_robot: bool
+    # True if the connection ends after them.
     hang_up: bool = False
 
 
 class SerialChannel(Protocol):
-    """See the head of this file."""
+    """A channel between a host and a robot."""
 
     @property
     def due_s(self) -> float | None:
-        """When something will have come through; None: nothing is on its way."""
+        """Time of the next arrival, None if nothing is in transit."""
         ...
 
     @property
     def full(self) -> bool:
-        """Whether no more should be read from the host."""
+        """True if no more should be read from the host."""
         ...
 
     def to_robot(self, data: bytes, now_s: float) -> None:
-        """The host sends these."""
+        """Send bytes from the host."""
         ...
 
     def to_host(self, data: bytes, now_s: float) -> None:
-        """The robot sends these."""
+        """Send bytes from the robot."""
         ...
 
     def arrived(self, now_s: float) -> Arrival | None:
-        """What has come through next by now; None: nothing more."""
+        """Return the next arrival by now, None if there is none."""
         ...
 
 
 class WiredChannel:
-    """One direction of a serial cable."""
+    """One direction of a serial line."""
 
     def __init__(self, baud: int) -> None:
-        self._byte_s = BITS_A_BYTE / baud
+        self._byte_s = BITS_PER_BYTE / baud
+        # Time at which all bytes in transit will have arrived.
         self._free_s = -math.inf
         self._pieces: deque[tuple[float, bytes]] = deque()
         self.size = 0
 
     def put(self, data: bytes, now_s: float) -> None:
-        """Send these behind what is on its way."""
+        """Send bytes behind those in transit."""
         self._free_s = max(self._free_s, now_s)
-        for start in range(0, len(data), PIECE):
-            piece = data[start : start + PIECE]
+        for start in range(0, len(data), PIECE_BYTES):
+            piece = data[start : start + PIECE_BYTES]
             self._free_s += len(piece) * self._byte_s
             self._pieces.append((self._free_s, piece))
             self.size += len(piece)
 
     @property
     def due_s(self) -> float:
-        """When the next piece will be through; infinity where none is on its way."""
+        """Time of arrival of the next piece, infinity if there is none."""
         return self._pieces[0][0] if self._pieces else math.inf
 
     def take(self) -> tuple[float, bytes]:
-        """The next piece, and when it is through."""
+        """Remove the next piece; return its time of arrival and its bytes."""
         at_s, piece = self._pieces.popleft()
         self.size -= len(piece)
         return at_s, piece
 
 
 class RateLimitedChannel:
-    """A serial cable at so many bits a second. `lost`: bytes to a host that asks more than the wire can carry."""
+    """A serial line at a baud rate.
+
+    Event-loop timers are coarse. The delay of a reply by a late timer is given back to the host: a request that follows
+    at once counts from the moment when the reply was due, so that the rate is exact.
+    """
 
     def __init__(self, baud: int) -> None:
         self._in, self._out = WiredChannel(baud), WiredChannel(baud)
+        # Delay of the last reply by a late timer, and when it was delivered.
         self._late_s = 0.0
-        self._answered_s = -math.inf
+        self._replied_s = -math.inf
+        # Number of bytes lost because a host requested more than the line carries.
         self.lost = 0
 
     @property
@@ -123,15 +123,15 @@ class RateLimitedChannel:
 
     @property
     def full(self) -> bool:
-        return self._in.size >= MOST_ON_A_WIRE
+        return self._in.size >= MAX_IN_TRANSIT
 
     def to_robot(self, data: bytes, now_s: float) -> None:
-        at_once = now_s - self._answered_s < MOST_GIVEN_BACK_S
-        self._in.put(data, now_s - self._late_s if at_once else now_s)
+        is_immediate = now_s - self._replied_s < MAX_COMPENSATED_S
+        self._in.put(data, now_s - self._late_s if is_immediate else now_s)
         self._late_s = 0.0
 
     def to_host(self, data: bytes, now_s: float) -> None:
-        if self._out.size >= MOST_ON_A_WIRE:
+        if self._out.size >= MAX_IN_TRANSIT:
             self.lost += len(data)
             return
         self._out.put(data, now_s)
@@ -143,62 +143,72 @@ class RateLimitedChannel:
             return None
         at_s, data = wire.take()
         if not inward:
-            self._late_s, self._answered_s = min(now_s - at_s, MOST_GIVEN_BACK_S), now_s
+            self._late_s, self._replied_s = min(now_s - at_s, MAX_COMPENSATED_S), now_s
         return Arrival(at_s, data, inward)
 
 
 class FaultyChannel:
-    """See the head of this file. `injector`: what acts on this line at present; `cable`: what lies behind."""
+    """A fault plan in front of another channel.
+
+    Parameters
+    ----------
+    language
+        The framing of the line.
+    injector
+        Returns the fault injector of the line at present.
+    channel
+        The channel behind the faults; None for no delay.
+    """
 
     def __init__(
-        self, language: Language, injector: Callable[[], Injector], cable: SerialChannel | None = None
+        self, language: Language, injector: Callable[[], Injector], channel: SerialChannel | None = None
     ) -> None:
         self._line = FaultyLine(language, injector)
-        self._cable = ImmediateChannel() if cable is None else cable
-        self._asked, self._answered = DelayQueue(), DelayQueue()
-        self._patient_until_s: float | None = None
+        self._channel = ImmediateChannel() if channel is None else channel
+        # Bytes delayed by a fault, to the robot and to the host.
+        self._to_robot, self._to_host = DelayQueue(), DelayQueue()
+        # Time at which an incomplete request is passed on; None if there is none.
+        self._request_due_s: float | None = None
+        # True after an injected hang-up, until the channel is empty.
         self._ending = False
 
     @property
     def due_s(self) -> float | None:
-        """When something will have come through, or must be looked at."""
-        moments = (self._asked.next_s, self._answered.next_s, self._cable.due_s, self._patient_until_s)
-        return min((moment for moment in moments if moment is not None), default=None)
+        times = (self._to_robot.next_s, self._to_host.next_s, self._channel.due_s, self._request_due_s)
+        return min((time_s for time_s in times if time_s is not None), default=None)
 
     @property
     def full(self) -> bool:
-        """Whether no more should be read from the host."""
-        return self._cable.full or max(self._asked.size, self._answered.size) >= MOST_ON_A_WIRE
+        """True if no more should be read from the host."""
+        return self._channel.full or max(self._to_robot.size, self._to_host.size) >= MAX_IN_TRANSIT
 
     def to_robot(self, data: bytes, now_s: float) -> None:
-        """The host sends these."""
+        """Send bytes from the host."""
         deliveries = self._line.request(data, now_s)
-        self._asked.add((delivery for delivery in deliveries if not delivery.to_sender), now_s)
-        self._answered.add((delivery for delivery in deliveries if delivery.to_sender), now_s)
-        patience_s = self._line.partial_timeout_s
-        self._patient_until_s = (
-            now_s + patience_s if self._line.has_partial_request and patience_s is not None else None
-        )
+        self._to_robot.add((delivery for delivery in deliveries if not delivery.to_sender), now_s)
+        self._to_host.add((delivery for delivery in deliveries if delivery.to_sender), now_s)
+        timeout_s = self._line.partial_timeout_s
+        self._request_due_s = now_s + timeout_s if self._line.has_partial_request and timeout_s is not None else None
 
     def to_host(self, data: bytes, now_s: float) -> None:
-        """The robot sends these."""
-        self._answered.add(self._line.reply(data, now_s), now_s)
+        """Send bytes from the robot."""
+        self._to_host.add(self._line.reply(data, now_s), now_s)
 
     def arrived(self, now_s: float) -> Arrival | None:
-        """What has come through next by now; None: nothing more."""
-        self._move_on(now_s)
-        arrival = self._cable.arrived(now_s)
-        if arrival is None and self._ending and self._cable.due_s is None:
-            self._ending, self._asked, self._answered = False, DelayQueue(), DelayQueue()
+        """Return the next arrival by now, None if there is none."""
+        self._advance(now_s)
+        arrival = self._channel.arrived(now_s)
+        if arrival is None and self._ending and self._channel.due_s is None:
+            self._ending, self._to_robot, self._to_host = False, DelayQueue(), DelayQueue()
             return Arrival(now_s, b"", to_robot=False, hang_up=True)
         return arrival
 
-    def _move_on(self, now_s: float) -> None:
-        """What was late enters the cable; a part of a request that has waited long enough goes as it is."""
-        if self._patient_until_s is not None and now_s >= self._patient_until_s:
-            self._patient_until_s = None
-            self._asked.add(self._line.flush_request(now_s), now_s)
-        for transit, enter in ((self._asked, self._cable.to_robot), (self._answered, self._cable.to_host)):
+    def _advance(self, now_s: float) -> None:
+        """Pass delayed bytes and an incomplete request that waited long enough to the channel."""
+        if self._request_due_s is not None and now_s >= self._request_due_s:
+            self._request_due_s = None
+            self._to_robot.add(self._line.flush_request(now_s), now_s)
+        for transit, enter in ((self._to_robot, self._channel.to_robot), (self._to_host, self._channel.to_host)):
             while not self._ending and (late := transit.take(now_s)):
                 at_s, delivery = late
                 if delivery.data:
@@ -207,84 +217,99 @@ class FaultyChannel:
 
 
 class ImmediateChannel:
-    """A cable that takes no time. What comes through together comes out together, as it does from a socket."""
+    """A channel without delay. Bytes sent at the same time arrive together, as from a socket."""
 
     full = False
 
     def __init__(self) -> None:
-        self._through: deque[Arrival] = deque()
+        self._arrivals: deque[Arrival] = deque()
 
     @property
     def due_s(self) -> float | None:
-        """At once, if anything is there."""
-        return self._through[0].at_s if self._through else None
+        """Time of the next arrival: at once."""
+        return self._arrivals[0].at_s if self._arrivals else None
 
     def to_robot(self, data: bytes, now_s: float) -> None:
-        """As Cable says."""
+        """Implement SerialChannel."""
         self._put(Arrival(now_s, data, to_robot=True))
 
     def to_host(self, data: bytes, now_s: float) -> None:
-        """As Cable says."""
+        """Implement SerialChannel."""
         self._put(Arrival(now_s, data, to_robot=False))
 
     def arrived(self, now_s: float) -> Arrival | None:
-        """As Cable says."""
+        """Implement SerialChannel."""
         del now_s
-        return self._through.popleft() if self._through else None
+        return self._arrivals.popleft() if self._arrivals else None
 
     def _put(self, arrival: Arrival) -> None:
-        last = self._through[-1] if self._through else None
+        last = self._arrivals[-1] if self._arrivals else None
         if last is not None and (last.at_s, last.to_robot) == (arrival.at_s, arrival.to_robot):
-            self._through[-1] = last._replace(data=last.data + arrival.data)
+            self._arrivals[-1] = last._replace(data=last.data + arrival.data)
         else:
-            self._through.append(arrival)
+            self._arrivals.append(arrival)
 
 
-NOTHING = Plan()
+# The plan without rules.
+NO_FAULTS = Plan()
 
 
 class FaultController:
-    """See the head of this file. `clock`: seconds that only grow."""
+    """The fault plan in force and an injector for each line, whose counts outlive connections.
+
+    `clock` returns monotonic seconds.
+    """
 
     def __init__(self, clock: Callable[[], float]) -> None:
         self._clock = clock
         self._since_s = clock()
         self._injectors: dict[str, Injector] = {}
-        self.plan = NOTHING
+        self.plan = NO_FAULTS
 
     def put(self, plan: Plan, lines: Iterable[str]) -> None:
-        """This plan is in force from now on, all its counts at 0. `lines`: those that there are.
+        """Put a plan in force with all counts at 0.
 
-        Raises FaultPlanError where a rule names a line that is not there; the plan before it then stays.
+        Parameters
+        ----------
+        plan
+            The fault plan.
+        lines
+            Names of all lines.
+
+        Raises
+        ------
+        FaultPlanError
+            If a rule names a line that does not exist; the previous plan then stays in force.
         """
         lines = tuple(lines)
         for rule in plan.rules:
             for named in rule.lines:
                 if not any(named in (line, line.partition(":")[0]) for line in lines):
-                    raise FaultPlanError(f"rule {rule.name!r}: line: there is no {named} here, but {', '.join(lines)}")
+                    existing = ", ".join(lines)
+                    raise FaultPlanError(f"rule {rule.name!r}: line: there is no {named}; the lines are {existing}")
         self.plan = plan
         self._since_s = self._clock()
         self._injectors = {line: Injector(plan, line, self._since_s) for line in lines}
 
     def clear(self) -> None:
-        """No plan from now on."""
-        self.put(NOTHING, ())
+        """Remove the plan."""
+        self.put(NO_FAULTS, ())
 
     def acts_on(self, line: str) -> bool:
-        """Whether a rule in force is for that line."""
+        """Return True if a rule in force applies to a line."""
         return any(rule.acts_on(line) for rule in self.plan.rules)
 
     def injector(self, line: str) -> Injector:
-        """What acts on that line at present."""
+        """Return the injector of a line."""
         if line not in self._injectors:
             self._injectors[line] = Injector(self.plan, line, self._since_s)
         return self._injectors[line]
 
     def counts(self) -> dict[str, dict[str, dict[str, int]]]:
-        """What happened under this plan: by line, by rule, by kind (nclient.faults.frames.Injector.counts)."""
+        """Return the number of injected faults by line, rule and kind."""
         return {line: injector.counts for line, injector in self._injectors.items() if injector.counts}
 
     def reset(self) -> None:
-        """Count from 0 again."""
+        """Set all counts to 0."""
         for injector in self._injectors.values():
             injector.reset()

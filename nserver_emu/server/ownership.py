@@ -1,17 +1,17 @@
-"""Robots that somebody stopped for good: held, they stand until they are released, whatever a client says.
+"""Emergency stop of robots, and ownership of their axes.
 
-    what moves a robot    is taken for st: the answer is the state, as ever, and the velocities are 0
-    what moves its arm    ERROR 5, as is a user packet, which may move anything
-    all else              as ever: questions, settings, place_robot
+Emergency stop: a stopped robot ignores motion commands until an operator releases it, in the viewer or with
+`nserver ctl release`.
 
-Rules: as with the emergency button on a robot's head, it makes no difference who pressed it: he is held as well. It
-belongs to the people who watch, not to the simulation: no snapshot has it. A recording does, for it changes answers.
-No program is told, so the log says when the first motion came to nothing. Otherwise pure.
+    motion command (vm, pr, pa, mv, zr, lp)    executed as st: the reply is the state, with velocities 0
+    arm motion, user packet                    ERROR 5
+    any other command                          executed as usual
 
-Who drives which axis of which robot, so that an axis stops when the one who set it going leaves.
+It applies to all clients, like the emergency button on a robot. It is no part of a snapshot, but of a recording,
+because it changes replies. Clients get no notification, so the log reports the first ignored motion command.
 
-Rules: a driver counts as long as the axis still moves by his command; who comes later takes the axis over. Nobody's
-leaving touches what others have set going. Connections are told apart by what they are, not by number.
+Axis ownership: the connection that last commanded an axis owns it while it moves. When the connection closes, its axes
+stop; axes that other connections set in motion continue.
 """
 
 from __future__ import annotations
@@ -31,13 +31,16 @@ log = logging.getLogger(__name__)
 ARM_MOTIONS: Final = frozenset({"arm_zr", "arm_mv"})
 MOTIONS: Final = frozenset({"vm", "pr", "pa", "mv", "zr"}) | ARM_MOTIONS
 STOP: Final = Call("st", ())
-_STOPPED: Final = (MOTIONS - ARM_MOTIONS) | {"lp"}
+ALL_AXES: Final = (0, 1, 2)
+# Commands to a stopped robot: executed as st, and refused. A user packet may move anything, so it is refused too.
+_EXECUTED_AS_STOP: Final = (MOTIONS - ARM_MOTIONS) | {"lp"}
 _REFUSED: Final = ARM_MOTIONS | {"special_request"}
+# Modes of mv that move an axis or release it; 4 and 5 only set its limits.
 _MV_MOTIONS: Final = (1, 2, 3)
 
 
 def moves(call: Call) -> bool:
-    """Whether this call moves the robot; an mv does where one of its modes moves an axis or lets it go."""
+    """Return True if a call moves the robot; an mv does so if one of its modes moves or releases an axis."""
     if call.name == "mv":
         return any(mode in _MV_MOTIONS for mode in call.args[::2])
     return call.name in MOTIONS
@@ -45,109 +48,114 @@ def moves(call: Call) -> bool:
 
 @dataclass(slots=True)
 class RobotHold:
-    """One robot is held. `by`: who stopped it; `ignored`: how often it was told to move since."""
+    """The emergency stop of one robot."""
 
+    # The operator who stopped it.
     by: str
+    # Number of motion commands ignored since.
     ignored: int = 0
 
-    def told(self) -> dict[str, Any]:
-        """The same as plain data."""
+    def as_dict(self) -> dict[str, Any]:
+        """Return it as plain data."""
         return {"by": self.by, "ignored": self.ignored}
 
 
 class EStop:
-    """See the head of this file."""
+    """The robots under emergency stop."""
 
     def __init__(self) -> None:
         self._holds: dict[int, RobotHold] = {}
 
-    def put(self, robot_id: int, by: str) -> None:
-        """A robot is held from now on; who stopped it first is told of."""
+    def engage(self, robot_id: int, by: str) -> None:
+        """Stop a robot; a robot that is stopped already keeps its first operator."""
         self._holds.setdefault(robot_id, RobotHold(by))
 
     def release(self, robot_id: int) -> None:
-        """It is held no more, if it was."""
+        """Release a robot, stopped or not."""
         self._holds.pop(robot_id, None)
 
-    def of(self, robot_id: int | None) -> RobotHold | None:
-        """How a robot is held; None where it is not."""
+    def get(self, robot_id: int | None) -> RobotHold | None:
+        """Return the emergency stop of a robot, None if it is not stopped."""
         return None if robot_id is None else self._holds.get(robot_id)
 
-    def told(self) -> dict[str, dict[str, Any]]:
-        """Every robot that is held, as plain data."""
-        return {str(robot_id): hold.told() for robot_id, hold in self._holds.items()}
+    def as_dict(self) -> dict[str, dict[str, Any]]:
+        """Return all stopped robots as plain data."""
+        return {str(robot_id): hold.as_dict() for robot_id, hold in self._holds.items()}
 
     def effective_call(self, call: Call, robot_id: int | None) -> Call | None:
-        """What is done in place of a call to this robot: the call itself, st, or None for a refusal."""
-        hold = self.of(robot_id)
-        if hold is None or call.name not in _STOPPED | _REFUSED:
+        """Return the call to execute instead: the same, st for a motion of a stopped robot, None to refuse it."""
+        hold = self._holds.get(robot_id) if self._holds and robot_id is not None else None
+        if hold is None or call.name not in _EXECUTED_AS_STOP | _REFUSED:
             return call
         if call.name == "mv" and not moves(call):
             return call
-        told_to_move = any(call.args) or not call.args
-        hold.ignored += told_to_move
-        if told_to_move and hold.ignored == 1:
-            log.warning("robot %s is told to move (%s) and stands: it is held by %s until somebody releases it, at the "
-                        "page or by nserver ctl release (further ones are counted)", robot_id, call.name, hold.by)
-        return STOP if call.name in _STOPPED else None
-
-
-ALL_AXES: Final = (0, 1, 2)
+        # A motion with all arguments 0 is a stop itself and not reported as ignored.
+        is_motion = any(call.args) or not call.args
+        hold.ignored += is_motion
+        if is_motion and hold.ignored == 1:
+            log.warning("robot %s: motion command %s ignored: emergency stop by %s; release in the viewer or with "
+                        "nserver ctl release (further ones are counted)", robot_id, call.name, hold.by)  # fmt: skip
+        return STOP if call.name in _EXECUTED_AS_STOP else None
 
 
 class AxisOwnership:
-    """See the head of this file."""
+    """The owner of each moving axis and arm, by robot."""
 
     def __init__(self) -> None:
-        self._drivers: dict[int, list[ConnectionContext | None]] = {}
-        self._of_arm: dict[int, ConnectionContext] = {}
-        self._orphans: set[int] = set()
+        # Owner of each of the three axes; None for an axis that nobody commanded.
+        self._owners: dict[int, list[ConnectionContext | None]] = {}
+        self._arm_owners: dict[int, ConnectionContext] = {}
+        # Robots of a restored simulation that no connection has claimed yet.
+        self._unowned: set[int] = set()
 
-    def take(self, context: ConnectionContext, robot_id: int, axes: Iterable[int]) -> None:
-        """These axes of a robot obey this connection from now on."""
-        drivers = self._drivers.setdefault(robot_id, [None] * len(ALL_AXES))
+    def claim(self, context: ConnectionContext, robot_id: int, axes: Iterable[int]) -> None:
+        """Make a connection the owner of these axes."""
+        owners = self._owners.setdefault(robot_id, [None] * len(ALL_AXES))
         for axis in axes:
-            drivers[axis] = context
+            owners[axis] = context
 
     def claim_arm(self, context: ConnectionContext, robot_id: int) -> None:
-        """The arm of a robot obeys this connection from now on."""
-        self._of_arm[robot_id] = context
+        """Make a connection the owner of a robot's arm."""
+        self._arm_owners[robot_id] = context
 
     def release_arms(self, context: ConnectionContext) -> list[int]:
-        """This connection is gone: the robots whose arms obeyed it."""
-        robot_ids = [robot_id for robot_id, driver in self._of_arm.items() if driver is context]
+        """End the ownership of arms by a closed connection; return the robots."""
+        robot_ids = [robot_id for robot_id, owner in self._arm_owners.items() if owner is context]
         for robot_id in robot_ids:
-            del self._of_arm[robot_id]
+            del self._arm_owners[robot_id]
         return robot_ids
 
     def release_all(self, robot_ids: Iterable[int]) -> None:
-        """These robots come from elsewhere, and whoever set them going is not here: nobody drives them."""
-        self._drivers.clear()
-        self._of_arm.clear()
-        self._orphans = set(robot_ids)
+        """Remove all owners: these robots come from a snapshot, and their connections do not exist any more."""
+        self._owners.clear()
+        self._arm_owners.clear()
+        self._unowned = set(robot_ids)
 
     def claim_unowned(self, context: ConnectionContext, robot_id: int, robot: SimulatedRobot) -> None:
-        """The first to connect to such a robot answers for what still moves on its own."""
-        if robot_id not in self._orphans:
+        """Give the axes that still move after a restore to the first connection to their robot."""
+        if robot_id not in self._unowned:
             return
-        self._orphans.discard(robot_id)
-        self._of_arm.setdefault(robot_id, context)
-        drivers = self._drivers.get(robot_id, [None] * len(ALL_AXES))
-        self.take(context, robot_id, [axis for axis in ALL_AXES if robot.moving[axis] and drivers[axis] is None])
+        self._unowned.discard(robot_id)
+        self._arm_owners.setdefault(robot_id, context)
+        owners = self._owners.get(robot_id, [None] * len(ALL_AXES))
+        self.claim(context, robot_id, [axis for axis in ALL_AXES if robot.moving[axis] and owners[axis] is None])
 
     def may_feed_watchdog(self, context: ConnectionContext, robot_id: int, robot: SimulatedRobot) -> bool:
-        """Whether the time-out of a robot begins anew at what this connection asks: it drives it, or nobody does."""
-        drivers = self._drivers.get(robot_id, ())
-        driving = [driver for driver, moves in zip(drivers, robot.moving, strict=False) if moves and driver is not None]
-        if robot_id in self._of_arm:
-            driving.append(self._of_arm[robot_id])
-        return not driving or any(driver is context for driver in driving)
+        """Return True if a request of this connection restarts the robot's command timeout (conf_tm).
+
+        It does if the connection owns a moving axis or the arm, or if nobody does.
+        """
+        axis_owners = self._owners.get(robot_id, ())
+        owners = [owner for owner, moves in zip(axis_owners, robot.moving, strict=False) if moves and owner is not None]
+        if robot_id in self._arm_owners:
+            owners.append(self._arm_owners[robot_id])
+        return not owners or any(owner is context for owner in owners)
 
     def on_disconnect(self, context: ConnectionContext, robots: Mapping[int, SimulatedRobot]) -> None:
-        """This connection is gone: what still moves because of it brakes and holds."""
-        for robot_id, drivers in self._drivers.items():
+        """Stop the axes that a closed connection owns."""
+        for robot_id, owners in self._owners.items():
             robot = robots[robot_id]
-            for axis in (axis for axis in ALL_AXES if drivers[axis] is context):
-                drivers[axis] = None
+            for axis in (axis for axis in ALL_AXES if owners[axis] is context):
+                owners[axis] = None
                 if robot.moving[axis]:
                     robot.command_axis(axis, Command.VELOCITY, 0.0)

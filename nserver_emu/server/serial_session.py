@@ -1,14 +1,14 @@
-"""A conversation on a robot's own line, without I/O: bytes in, bytes out, in the direct language (PROTOCOL.md, 2).
+"""A session on a robot's own serial line, without I/O: bytes in, bytes out (PROTOCOL.md, section 2).
 
-    receive(bytes) ──> framer ──> queue ──> answer(call, visit) ──> state packets, answers of get_, NAK
-                                                └─ later (ws, zr, the arm): tick() asks again until there is one
+    receive(bytes) -> framer -> queue -> answer(call, context) -> state packets, replies of get_ commands, NAK
+                                               `- deferred (ws, zr, arm): tick() polls until the reply exists
 
-Rules: the line is the robot's, so there is no CONNECT; who writes to it drives that robot. Mask and laser mode are the
-robot's too: they stay in force when a host leaves, and hold on all its lines. What the model's line does
-not have, wrong data and what the robot refuses get a NAK; what is no frame gets silence, and the host asks again.
-A frame that is not whole `EXPIRY_S` after it began is given up, so that it hides those behind it no longer.
-A host asks one thing at a time: one that asks while an answer is outstanding has given up on that answer, and does
-not get it any more (decision of ours: so that st is heard during ws).
+The line belongs to one robot, so there is no CONNECT. Mask and laser mode belong to the robot too: they stay in force
+when a host disconnects and apply to all its lines. Commands that the model lacks, wrong data and refused commands get a
+NAK; bytes that form no frame get no reply, and the host repeats its request.
+
+A host sends one request at a time. A new request during a deferred reply means that the host gave up on that reply, so
+it is cancelled; `st` therefore works during `ws` (project decision: no source says what the original does).
 """
 
 from __future__ import annotations
@@ -26,20 +26,33 @@ from nclient.protocol.types import BUMPER_SLOT, Model, Stamp
 from nclient.protocol.wire_state import WireState, serial_wire_state
 from nserver_emu.server.session import Answer, BaseSession, ConnectionContext
 
-EXPIRY_S: Final = 0.5
-"""A frame must be whole so long after its first byte: half the time that a host waits, and twice what the longest
-frame of a host takes at 9600 baud."""
-MOST_KNOWN: Final = 256
-"""Different requests of a host that are kept with what they mean: most hosts ask the same all the time."""
+# Seconds after its first byte within which a frame must be complete: half of a host's timeout, and twice the duration
+# of a host's longest frame at 9600 baud. After that its bytes are searched for frames inside it.
+FRAME_TIMEOUT_S: Final = 0.5
+# Decoded requests cached by their bytes: most hosts repeat the same few requests.
+MAX_CACHED_CALLS: Final = 256
 NAK: Final = Reply("nak")
 _POSITION_SLOTS: Final = (34, 35)
-_SHORT, _LONG = 0x7FFF, 0x7FFFFFFF
-"""The farthest that sign-magnitude numbers of two and of four bytes go."""
+# Limits of sign-magnitude numbers of two and four bytes.
+_MAX_SHORT, _MAX_LONG = 0x7FFF, 0x7FFFFFFF
 
 
 class SerialSession(BaseSession[SerialFrame]):
-    """One host on the line of robot `robot_id`. `clock`: seconds that only grow, of any beginning; `terms`: what is in
-    force on that robot's lines, None: as at power-on."""
+    """A session with one host on the line of a robot.
+
+    Parameters
+    ----------
+    answer
+        Executes calls.
+    robot_id, model
+        The robot of this line.
+    clock
+        Monotonic seconds of any origin.
+    name
+        Name of the line in logs.
+    wire_state
+        Mask and laser mode in force on the robot's lines; None for those at power-on.
+    """
 
     def __init__(
         self,
@@ -54,14 +67,17 @@ class SerialSession(BaseSession[SerialFrame]):
         self.model = model
         self._clock = clock
         self._framer = SerialFramer(limit=HOST_LIMIT)
-        self._begun_s: float | None = None
+        # Time of the first byte of the incomplete frame; None if there is none.
+        self._frame_start_s: float | None = None
+        # Frames and skipped bytes when that time was taken: a change means that another frame is first now.
         self._progress = (0, 0)
-        self._known: dict[SerialFrame, Call] = {}
-        self._told: tuple[Reply | None, dict[str, bytes]] = (None, {})
+        self._cached_calls: dict[SerialFrame, Call] = {}
+        # The last state reply and its encoded packets, by command.
+        self._cached_packets: tuple[Reply | None, dict[str, bytes]] = (None, {})
 
     @property
     def greeting(self) -> bytes:
-        """What the robot says first when it is reached over TCP: the hello of a N200, of others nothing."""
+        """The handshake that a N200 sends when a host connects over TCP; empty for other models."""
         wire_state = self.context.wire_state
         return build_handshake(Handshake(wire_state.mask, wire_state.laser_mode)) if self.model.sends_mask else b""
 
@@ -71,92 +87,93 @@ class SerialSession(BaseSession[SerialFrame]):
 
     @property
     def skipped_bytes(self) -> int:
-        """Bytes that belonged to no frame."""
+        """Number of bytes that belonged to no frame."""
         return self._framer.skipped_bytes
 
     @property
     def ready(self) -> bool:
+        # A deferred reply does not block the next request: it is cancelled.
         return bool(self._queue) and not self.closing
 
     def receive(self, data: bytes) -> None:
         if self.closing:
             return
-        self._expire()
+        self._drop_expired_frame()
         self._queue.extend(self._framer.receive(data))
-        if self._framer.pending or self._begun_s is not None:
-            self._note_beginning()
+        if self._framer.pending or self._frame_start_s is not None:
+            self._update_frame_start()
 
     def tick(self) -> bytes:
-        """What time brings: the answer that was to come later, and those to frames behind one that is given up."""
+        """Return the deferred reply if it exists now; also drop an expired frame, which frees those behind it."""
         if self._framer.pending:
-            self._expire()
+            self._drop_expired_frame()
         return super().tick()
 
-    def _note_beginning(self) -> None:
-        """A frame that has now come to the front began now, or since then: nobody looked before."""
+    def _update_frame_start(self) -> None:
+        """Take the time if an incomplete frame has become the first one."""
         progress = (self._framer.frames, self._framer.skipped_bytes)
-        if self._framer.pending and (progress != self._progress or self._begun_s is None):
-            self._begun_s = self._clock()
+        if self._framer.pending and (progress != self._progress or self._frame_start_s is None):
+            self._frame_start_s = self._clock()
         elif not self._framer.pending:
-            self._begun_s = None
+            self._frame_start_s = None
         self._progress = progress
 
-    def _expire(self) -> None:
-        if self._begun_s is not None and self._clock() - self._begun_s > EXPIRY_S:
+    def _drop_expired_frame(self) -> None:
+        if self._frame_start_s is not None and self._clock() - self._frame_start_s > FRAME_TIMEOUT_S:
             self._queue.extend(self._framer.expire())
-            self._note_beginning()
+            self._update_frame_start()
 
-    def _answer_one(self, request: SerialFrame) -> bytes:
-        self._later = None
+    def _process_one(self, request: SerialFrame) -> bytes:
+        self._deferred = None
         wire_state = self.context.wire_state
-        call = self._known.get(request)
+        call = self._cached_calls.get(request)
         if call is None:
             try:
                 call = codec.decode_serial_request(request, wire_state)
             except WireError as error:
-                self._count_refusal(str(error))
+                self._count_refused(str(error))
                 return codec.encode_serial_reply(BY_NAME["gs"], NAK, wire_state)
-            if len(self._known) < MOST_KNOWN:
-                self._known[request] = call
+            if len(self._cached_calls) < MAX_CACHED_CALLS:
+                self._cached_calls[request] = call
         codec.update_from_request(call, wire_state)
-        return self._say(call.name, self._answer(call, self.context))
+        return self._reply_or_defer(call.name, self._answer(call, self.context))
 
     def _encode(self, name: str, reply: Reply) -> bytes:
         if reply.kind == "error":
-            self._count_refusal(f"{name}: error {reply.values[0]}")
+            self._count_refused(f"{name}: error {reply.values[0]}")
             reply = NAK
         if reply.kind == "state":
-            return self._state_frame(name, reply)
-        return codec.encode_serial_reply(BY_NAME[name], as_the_line_has_it(reply, self.model), self.context.wire_state)
+            return self._state_packet(name, reply)
+        return codec.encode_serial_reply(BY_NAME[name], to_line_units(reply, self.model), self.context.wire_state)
 
-    def _state_frame(self, name: str, reply: Reply) -> bytes:
-        """A state packet; the one reply that is told again and again between two steps is built once a command."""
-        told, frames = self._told
-        if told is not reply:
-            frames = {}
-            self._told = (reply, frames)
-        if name not in frames:
-            frames[name] = codec.encode_serial_reply(
-                BY_NAME[name], as_the_line_has_it(reply, self.model), self.context.wire_state
-            )
-        return frames[name]
+    def _state_packet(self, name: str, reply: Reply) -> bytes:
+        """Return the packet of a state reply, encoded once per command while the reply is the same object."""
+        cached, packets = self._cached_packets
+        if cached is not reply:
+            packets = {}
+            self._cached_packets = (reply, packets)
+        if name not in packets:
+            packets[name] = codec.encode_serial_reply(
+                BY_NAME[name], to_line_units(reply, self.model), self.context.wire_state
+            )  # fmt: skip
+        return packets[name]
 
 
-def as_the_line_has_it(reply: Reply, model: Model) -> Reply:
-    """The reply in numbers that the line can carry: bumper bits as they rest, positions no farther than 3276.7 in."""
-    changed = {slot: _within(reply.slots[slot], _SHORT) for slot in _POSITION_SLOTS if slot in reply.slots}
+def to_line_units(reply: Reply, model: Model) -> Reply:
+    """Return the reply as a line carries it: bumper bits with their rest value, positions clamped to +-3276.7 in."""
+    changed = {slot: _clamp(reply.slots[slot], _MAX_SHORT) for slot in _POSITION_SLOTS if slot in reply.slots}
     if BUMPER_SLOT in reply.slots:
         changed[BUMPER_SLOT] = reply.slots[BUMPER_SLOT] | model.bumper_rest
     if not changed and not reply.stamps:
         return reply
-    stamps = {key: _fitting(stamp) for key, stamp in reply.stamps.items()}
+    stamps = {key: _clamp_stamp(stamp) for key, stamp in reply.stamps.items()}
     slots = {**reply.slots, **changed}
     return Reply(reply.kind, slots, reply.laser, stamps, reply.clock, reply.volts, reply.values)
 
 
-def _fitting(stamp: Stamp) -> Stamp:
-    return stamp._replace(x=_within(stamp.x, _LONG), y=_within(stamp.y, _LONG))
+def _clamp_stamp(stamp: Stamp) -> Stamp:
+    return stamp._replace(x=_clamp(stamp.x, _MAX_LONG), y=_clamp(stamp.y, _MAX_LONG))
 
 
-def _within(number: int, farthest: int) -> int:
-    return max(-farthest, min(farthest, number))
+def _clamp(number: int, limit: int) -> int:
+    return max(-limit, min(limit, number))

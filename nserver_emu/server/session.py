@@ -1,25 +1,20 @@
-"""What the first message of a connection gives away that says no CONNECT: how wide its sender's words are.
+"""A session with one client of Nserver's TCP protocol, without I/O: bytes in, bytes out.
 
-    32 bits   type, count | word   word   ...          a 64-bit client sends every word as
-    64 bits   type, count | 0 word 0 word ...          four zero bytes and then its value
+    receive(bytes) -> framer -> queue -> answer(call, context) -> process_requests() -> reply bytes
+                                               `- deferred (ws, zr): tick() polls until the reply exists
 
-Rules: bytes in, an answer out. A word that is not 0 where a 64-bit client sends zeros tells for certain; zeros in all
-those places tell nothing by themselves, but for a mask (ct), that a client begins with and that has bits in its first
-byte. Nobody is kept waiting for bytes that do not have to come.
+`BaseSession` is independent of the protocol, `Session` speaks the TCP protocol (PROTOCOL.md, section 1),
+`SerialSession` (serial_session.py) a robot's own line.
 
-A conversation with one client, without I/O: bytes in, bytes out.
+One reply per request, in order: requests behind a deferred reply wait. The command handler is passed in, so that one
+session class serves simulations and real robots. An invalid request gets an ERROR reply; it closes the connection only
+if the start of the next frame cannot be found.
 
-    receive(bytes) ──> framer ──> queue ──> answer(call, visit) ──> replies
-                                                └─ later: tick() asks again until there is one
+An old client may open a second connection and continue there without CONNECT. The first bytes of a connection show if
+it starts with CONNECT and, in most cases, the client's word size:
 
-    Conversation    that course of things, in whatever language        Session    over TCP, with a CONNECT
-
-An old client may go on over a second connection without another CONNECT: it is then taken for the one that
-`acquaintance` knows, robot and word width. Its first message tells: it is a CONNECT or it is not (first_bytes.py).
-
-Rules: one request, one reply, in order; a request behind one that is answered later waits its turn. Who answers is
-handed in, so the same conversation serves a simulation and a gateway. Nothing here knows a socket or a clock.
-Every bad request costs its sender an ERROR reply, or the connection once its stream has lost its frame.
+    32-bit client    type, count | word   word   ...
+    64-bit client    type, count | 0 word 0 word ...      each word is sent as four zero bytes and its value
 """
 
 from __future__ import annotations
@@ -41,60 +36,70 @@ from nclient.protocol.types import N150, Mask
 from nclient.protocol.wire_state import WireState, tcp_wire_state
 from nserver_emu.server.limits import Limits
 
+log = logging.getLogger(__name__)
+
+# Codes of ERROR replies (PROTOCOL.md, section 1).
+BAD_VALUES, NOT_CONNECTED, NOT_AVAILABLE, REFUSED = 2, 3, 4, 5
+
+# Requests that may wait in a session; its port is not read while there are more.
+MAX_QUEUED_REQUESTS: Final = 100
+
+# The header of a TCP frame: type and number of words, two bytes each.
 _HEADER_BYTES: Final = 4
 _WORD_BYTES: Final = 4
-_MOST_WORDS: Final = 8
-"""Words that are looked at, of a message that has more."""
+# Words examined for the word size; more would only delay the first reply.
+_MAX_SNIFFED_WORDS: Final = 8
 
-_CONNECTS: Final = ("connect_robot", "create_robot", "disconnect_robot")
-_CONNECT_TYPES: Final = frozenset(BY_NAME[name].tcp_type for name in _CONNECTS)
+# Requests that are valid before a robot is chosen.
+_CONNECT_NAMES: Final = frozenset({"connect_robot", "create_robot", "disconnect_robot"})
+_CONNECT_TYPES: Final = frozenset(BY_NAME[name].tcp_type for name in _CONNECT_NAMES)
 _MASK_TYPE: Final = BY_NAME["ct"].tcp_type
 
 
+# The first bytes of a connection.
+
+
 def has_header(head: bytes) -> bool:
-    """Whether these first bytes tell all that they can."""
+    """Return True if these first bytes suffice for `is_connect` and `sniff_word_size`, or no more need to come."""
     if len(head) < _HEADER_BYTES:
-        return len(head) >= 2 and (is_connect(head) or request_bounds(_type(head)) is None)
-    bounds = request_bounds(_type(head))
-    if is_connect(head) or bounds is None or not bounds[0] <= _count(head) <= bounds[1]:
+        return len(head) >= 2 and (is_connect(head) or request_bounds(_frame_type(head)) is None)
+    bounds = request_bounds(_frame_type(head))
+    if is_connect(head) or bounds is None or not bounds[0] <= _word_count(head) <= bounds[1]:
         return True
-    return len(head) >= _HEADER_BYTES + _WORD_BYTES * min(_count(head), _MOST_WORDS)
+    return len(head) >= _HEADER_BYTES + _WORD_BYTES * min(_word_count(head), _MAX_SNIFFED_WORDS)
 
 
 def is_connect(head: bytes) -> bool:
-    """Whether the first message says by itself who comes."""
-    return _type(head) in _CONNECT_TYPES
+    """Return True if the first message is a CONNECT, which identifies the client by itself."""
+    return _frame_type(head) in _CONNECT_TYPES
 
 
 def sniff_word_size(head: bytes) -> bool | None:
-    """True for words of 64 bits, False for 32, None where these bytes do not tell."""
+    """Return True for 64-bit words, False for 32-bit words, None if these bytes do not show it."""
     words = [head[at : at + _WORD_BYTES] for at in range(_HEADER_BYTES, len(head) - 3, _WORD_BYTES)]
-    words = words[: _count(head)]
+    words = words[: _word_count(head)]
+    # A 64-bit client sends zeros at even places; anything else there comes from a 32-bit client.
     if any(any(word) for word in words[::2]):
         return False
-    return True if _type(head) == _MASK_TYPE and any(any(word) for word in words) else None
+    # Zeros there prove nothing, except in a sensor mask (ct): its first word has bits set.
+    return True if _frame_type(head) == _MASK_TYPE and any(any(word) for word in words) else None
 
 
-def _type(head: bytes) -> int:
+def _frame_type(head: bytes) -> int:
     return int.from_bytes(head[:2], "big", signed=True)
 
 
-def _count(head: bytes) -> int:
+def _word_count(head: bytes) -> int:
     return int.from_bytes(head[2:_HEADER_BYTES], "big")
 
 
-log = logging.getLogger(__name__)
-
-BAD_VALUES, NOT_CONNECTED, NOT_AVAILABLE, REFUSED = 2, 3, 4, 5
-"""Codes of ERROR replies."""
-CROWD = 100
-_CONNECTS_SESSION = frozenset({"connect_robot", "create_robot", "disconnect_robot"})
+# What a session knows of its connection.
 
 
 class CachedStateReply(NamedTuple):
-    """A state reply, and what it was made from: one look at the robot, on these terms."""
+    """A state reply with the inputs that it was built from, valid while they are the same objects."""
 
-    look: object
+    snapshot: object
     mask: Mask
     laser_mode: int
     reply: Reply
@@ -102,168 +107,192 @@ class CachedStateReply(NamedTuple):
 
 @dataclass(slots=True, eq=False)
 class ConnectionContext:
-    """What the server knows of one connection: whose robot, on what terms, and the State values last sent.
+    """Settings and state of one connection."""
 
-    told             the state last told on a robot's own line, where nothing else decides what a packet says
-    laser_columns    how many columns of the laser count, 0: all; segments: threshold and gap in tenths of an inch and
-                     fewest points of a laser line, in the order of conf_sg; None: as at power-on
-    """
-
+    # Protocol, word size, sensor mask and laser mode.
     wire_state: WireState = field(default_factory=lambda: tcp_wire_state(N150))
+    # The robot chosen by CONNECT; None before.
     robot_id: int | None = None
-    kept: list[int] = field(default_factory=lambda: [0] * STATE_SIZE)
-    told: CachedStateReply | None = None
+    # State[0..44] as last sent. Slots that the mask excludes keep these values.
+    last_sent: list[int] = field(default_factory=lambda: [0] * STATE_SIZE)
+    # On a robot's own line, where a state packet depends on nothing else: the last one.
+    cached_state: CachedStateReply | None = None
+    # Number of laser columns in use; 0 is all.
     laser_columns: int = 0
+    # Line extraction of the laser as in conf_sg: threshold and gap (tenths of an inch), minimum number of points in
+    # between. None is the default at power-on.
     segments: tuple[int, int, int] | None = None
 
-    def keep(self, slots: Mapping[int, int]) -> None:
-        """These were sent, too; the list itself may be another connection's as well, so it is not changed."""
-        self.kept = [slots.get(slot, value) for slot, value in enumerate(self.kept)]
-
-
-DeferredReply = Callable[[], Reply | None]
-"""An answer that is not there yet: ask again until it gives one."""
-Answer = Callable[[Call, ConnectionContext], Reply | DeferredReply]
-"""Who answers: a reply, or a promise of one."""
-
-
-class Host(Protocol):
-    """Who answers all connections, and is told when one is gone."""
-
-    def answer(self, call: Call, context: ConnectionContext) -> Reply | DeferredReply:
-        """What an Answer gives."""
-        ...
-
-    def on_disconnect(self, context: ConnectionContext) -> None:
-        """The connection is gone; what it drove stops."""
-        ...
-
-    def hold(self, robot_id: int, by: str) -> None:
-        """Stop this robot, and let nobody move it until it is released (holds.py)."""
-        ...
+    def update_last_sent(self, slots: Mapping[int, int]) -> None:
+        """Record State slots sent in a reply that is not a state packet."""
+        # A new list: the old one may be shared with other connections.
+        self.last_sent = [slots.get(slot, value) for slot, value in enumerate(self.last_sent)]
 
 
 class ClientIdentity(NamedTuple):
-    """What a CONNECT agreed: which robot, whether the client is a 64-bit one, and whether it said nothing since."""
+    """The result of a CONNECT."""
 
     robot_id: int
+    # True for a client with 64-bit words.
     wide: bool
+    # True while the client has sent nothing since its CONNECT.
     silent: bool = False
 
 
+# A reply that does not exist yet: call it again until it returns one.
+DeferredReply = Callable[[], Reply | None]
+Answer = Callable[[Call, ConnectionContext], Reply | DeferredReply]
+
+
+class CommandHandler(Protocol):
+    """The command handler of all connections: the emulator, or the gateway to real robots."""
+
+    def answer(self, call: Call, context: ConnectionContext) -> Reply | DeferredReply:
+        """Execute a call and return its reply."""
+        ...
+
+    def on_disconnect(self, context: ConnectionContext) -> None:
+        """Stop the motions that a closed connection started."""
+        ...
+
+    def hold(self, robot_id: int, by: str) -> None:
+        """Stop a robot and ignore motion commands until it is released (ownership.py)."""
+        ...
+
+
 def error_reply(code: int) -> Reply:
-    """The ERROR reply with this code (PROTOCOL.md, section 1)."""
+    """Return the ERROR reply with this code."""
     return Reply("error", values=(code,))
 
+
+# Sessions.
 
 Request = TypeVar("Request")
 
 
 class BaseSession(ABC, Generic[Request]):
-    """What a conversation is in either language: requests in their order, one answer that may come later."""
+    """A queue of requests with one reply each, of which one may be deferred."""
 
     def __init__(self, answer: Answer, name: str, context: ConnectionContext) -> None:
         self.context = context
+        # Name of the client in logs and recordings.
         self.name = name
+        # True if the connection is to be closed after the returned bytes are sent.
         self.closing = False
-        """Whether the connection is to be closed, once what was given back is sent."""
+        # Number of requests answered with an error, and with any reply.
         self.refused = 0
         self.answered = 0
         self._answer = answer
         self._queue: deque[Request] = deque()
-        self._later: tuple[str, DeferredReply] | None = None
+        # Name of the command whose reply is deferred, and the function to poll.
+        self._deferred: tuple[str, DeferredReply] | None = None
 
     @property
     def ready(self) -> bool:
-        """Whether a request waits that could be answered now."""
-        return bool(self._queue) and self._later is None and not self.closing
+        """True if a request can be answered now."""
+        return bool(self._queue) and self._deferred is None and not self.closing
 
     @property
     def is_queue_full(self) -> bool:
-        """Whether so many requests wait that no more should be read."""
-        return len(self._queue) >= CROWD
+        """True if no more should be read from the port."""
+        return len(self._queue) >= MAX_QUEUED_REQUESTS
 
     @property
     def waiting(self) -> bool:
-        """Whether an answer is outstanding that only time can bring."""
-        return self._later is not None
+        """True while a reply is deferred."""
+        return self._deferred is not None
 
     @property
     def identity(self) -> ClientIdentity | None:
-        """What the conversation has agreed that another connection may go on with; None for nothing."""
+        """The identity that another connection may continue; None if there is none."""
         return None
 
     @property
     @abstractmethod
     def unfinished(self) -> int:
-        """Bytes of a request that is not whole yet."""
+        """Number of received bytes that do not form a whole request yet."""
 
     @abstractmethod
     def receive(self, data: bytes) -> None:
-        """Take in what the client sent; `answers` gives what there is to say to it."""
+        """Add bytes from the client; `process_requests` returns the replies."""
 
-    def process_requests(self, most: int) -> bytes:
-        """The replies to at most so many of the requests that wait."""
+    def process_requests(self, max_requests: int) -> bytes:
+        """Return the replies to at most `max_requests` of the waiting requests."""
         replies = bytearray()
-        while most > 0 and self.ready:
-            replies += self._answer_one(self._queue.popleft())
-            most -= 1
+        while max_requests > 0 and self.ready:
+            replies += self._process_one(self._queue.popleft())
+            max_requests -= 1
             self.answered += 1
         return bytes(replies)
 
     def tick(self) -> bytes:
-        """The reply that was to come later, if it is there now."""
-        if self._later is None:
+        """Return the deferred reply if it exists now, else nothing."""
+        if self._deferred is None:
             return b""
-        name, later = self._later
-        reply = later()
+        name, poll = self._deferred
+        reply = poll()
         if reply is None:
             return b""
-        self._later = None
+        self._deferred = None
         return self._encode(name, reply)
 
     def cancel_deferred(self, code: int) -> bytes:
-        """The ERROR reply to a request whose answer cannot come; the conversation goes on."""
-        if self._later is None:
+        """Give up a deferred reply and return an ERROR reply in its place; the session continues."""
+        if self._deferred is None:
             return b""
-        name, self._later = self._later[0], None
+        name, self._deferred = self._deferred[0], None
         return self._encode(name, error_reply(code))
 
-    def _say(self, name: str, answer: Reply | DeferredReply) -> bytes:
-        """An answer to a command: now, or when it is there."""
+    def _reply_or_defer(self, name: str, answer: Reply | DeferredReply) -> bytes:
+        """Return the encoded reply, or defer it."""
         if isinstance(answer, Reply):
             return self._encode(name, answer)
-        self._later = (name, answer)
+        self._deferred = (name, answer)
         return self.tick()
 
-    def _count_refusal(self, reason: str) -> None:
+    def _count_refused(self, reason: str) -> None:
+        # Log the first only: a client in a loop would fill the log.
         self.refused += 1
         if self.refused == 1:
             log.warning("%s: refused: %s (further refusals are counted, not logged)", self.name, reason)
 
     @abstractmethod
-    def _answer_one(self, request: Request) -> bytes: ...
+    def _process_one(self, request: Request) -> bytes: ...
 
     @abstractmethod
     def _encode(self, name: str, reply: Reply) -> bytes: ...
 
 
 class Session(BaseSession[TcpFrame | InvalidFrame]):
-    """One client's conversation. `name` stands in the log; `acquaintance` tells who came from that address before, of
-    the word width that the first bytes show (None: they do not); a request has `most_words` at most."""
+    """A session over TCP.
+
+    Parameters
+    ----------
+    answer
+        Executes calls.
+    name
+        Name of the client in logs.
+    find_identity
+        Called for a connection that does not start with CONNECT, with the word size that its first bytes show (True 64,
+        False 32 bits, None unknown); returns the identity that it continues, or None.
+    max_words
+        Maximum length of a request.
+    """
 
     def __init__(
         self,
         answer: Answer,
         name: str = "client",
         find_identity: Callable[[bool | None], ClientIdentity | None] = lambda _: None,
-        most_words: int = Limits().frame,
+        max_words: int = Limits().frame,
     ) -> None:
         super().__init__(answer, name, ConnectionContext())
         self._find_identity = find_identity
+        # The first bytes until they identify the client, then None.
         self._head: bytes | None = b""
+        # True while the last request was a CONNECT.
         self._silent = False
-        self._framer = TcpFramer(limit_words(request_bounds, most_words), drop_after_loss=True)
+        self._framer = TcpFramer(limit_words(request_bounds, max_words), drop_after_loss=True)
 
     @property
     def unfinished(self) -> int:
@@ -271,7 +300,7 @@ class Session(BaseSession[TcpFrame | InvalidFrame]):
 
     @property
     def identity(self) -> ClientIdentity | None:
-        """What this connection has agreed so far; None before its CONNECT and after one that found no robot."""
+        """The result of CONNECT; None before it, and after one that named no existing robot."""
         robot_id = self.context.robot_id
         return None if robot_id is None else ClientIdentity(robot_id, self.context.wire_state.wide, self._silent)
 
@@ -283,44 +312,50 @@ class Session(BaseSession[TcpFrame | InvalidFrame]):
             if not has_header(data):
                 return
             self._head = None
-            self._recognise(data)
+            self._identify(data)
         self._queue.extend(self._framer.receive(data))
 
-    def _recognise(self, head: bytes) -> None:
-        known = None if is_connect(head) else self._find_identity(sniff_word_size(head))
-        if known is not None:
-            log.info("%s: goes on without CONNECT, as robot %d", self.name, known.robot_id)
-            self.context.robot_id = known.robot_id
-            self._framer.wide = known.wide
+    def _identify(self, head: bytes) -> None:
+        """Continue the session of another connection if this one does not start with CONNECT."""
+        identity = None if is_connect(head) else self._find_identity(sniff_word_size(head))
+        if identity is not None:
+            log.info("%s: continues without CONNECT, as robot %d", self.name, identity.robot_id)
+            self.context.robot_id = identity.robot_id
+            self._framer.wide = identity.wide
 
-    def _answer_one(self, request: TcpFrame | InvalidFrame) -> bytes:
+    def _process_one(self, request: TcpFrame | InvalidFrame) -> bytes:
+        # 1. Frames that are no request.
         if isinstance(request, InvalidFrame):
             self.closing = request.fatal
             if request.fatal:
                 log.warning("%s: closed: %s", self.name, request.reason)
             return self._refuse(request.code, request.reason)
+        # 2. Decode, and require a CONNECT.
         try:
             call = codec.decode_tcp_request(request)
         except WireError as error:
             return self._refuse(BAD_VALUES, str(error))
         row = BY_NAME[call.name]
-        if self.context.robot_id is None and call.name not in _CONNECTS_SESSION:
+        if self.context.robot_id is None and call.name not in _CONNECT_NAMES:
             return self._refuse(NOT_CONNECTED, f"{call.name} before connect_robot")
+        # 3. Settings of the protocol that the request changes take effect in its own reply.
         self.context.wire_state.wide = bool(self._framer.wide)
         codec.update_from_request(call, self.context.wire_state)
+        # 4. Execute and reply. A request without a reply (disconnect_robot) ends the connection.
         answer = self._answer(call, self.context)
-        self._silent = call.name in _CONNECTS_SESSION
+        self._silent = call.name in _CONNECT_NAMES
         self.closing = not row.has_tcp_reply
         if self.closing:
             return b""
-        return self._say(call.name, answer)
+        return self._reply_or_defer(call.name, answer)
 
     def _encode(self, name: str, reply: Reply) -> bytes:
         if reply.kind == "error":
-            self._count_refusal(f"{name}: error {reply.values[0]}")
+            self._count_refused(f"{name}: error {reply.values[0]}")
         return codec.encode_tcp_reply(BY_NAME[name], reply, self.context.wire_state)
 
     def _refuse(self, code: int, reason: str) -> bytes:
-        self._count_refusal(reason)
+        self._count_refused(reason)
         self.context.wire_state.wide = bool(self._framer.wide)
+        # An ERROR reply has the same form for every command.
         return codec.encode_tcp_reply(BY_NAME["gs"], error_reply(code), self.context.wire_state)

@@ -63,9 +63,9 @@ class ViewerClient(ConnectionHandler):
 
     def __init__(self, daemon: Daemon, name: str) -> None:
         super().__init__(daemon)
-        self._behind = daemon.host
-        self.session = Session(daemon.host.answer, name)
-        self._tape = daemon.recorder.open(name, TCP, N150)
+        self._handler = daemon.handler
+        self.session = Session(daemon.handler.answer, name)
+        self._recorder = daemon.recorder.open(name, TCP, N150)
         self._wire_state = tcp_wire_state(N150)
         self._framer = TcpFramer(reply_bounds, wide=False)
         self._waiting: deque[tuple[str, OnAnswer]] = deque()
@@ -89,18 +89,18 @@ class ViewerClient(ConnectionHandler):
 
     def close(self) -> None:
         """Close the connection: stop what it moves, answer pending calls with an error. May be called twice."""
-        if self not in self._daemon.connections:
+        if self not in self._server.connections:
             return
-        self._silence()
-        self._daemon.connections.discard(self)
-        self._behind.on_disconnect(self.session.context)
-        self._tape.close()
+        self._cancel_timers()
+        self._server.connections.discard(self)
+        self._handler.on_disconnect(self.session.context)
+        self._recorder.close()
         self.session.closing = True
         while self._waiting:
             name, on_answer = self._waiting.popleft()
             on_answer({"ok": False, "error": f"{name}: the connection to the robot was closed"})
 
-    def _send(self, data: bytes) -> None:
+    def _write(self, data: bytes) -> None:
         for frame in self._framer.receive(data):
             if not isinstance(frame, TcpFrame) or not self._waiting:
                 log.error("%s: closed: %r answers no request", self.session.name, frame)
@@ -115,10 +115,10 @@ class ViewerClient(ConnectionHandler):
     def _language(self) -> Language:
         return TcpLanguage(False)
 
-    def _listen(self, on: bool) -> None:
+    def _set_reading(self, on: bool) -> None:
         """Do nothing: there is no socket to read."""
 
-    def _hang_up(self) -> None:
+    def _close_port(self) -> None:
         self.close()
 
     def _abort(self) -> None:
@@ -152,7 +152,7 @@ class ViewerClients:
                 return
             self._clients[robot_id] = client
         self._driven.pop(robot_id, None)
-        hold = self._daemon.emulator.estop.of(robot_id)
+        hold = self._daemon.emulator.estop.get(robot_id)
         if hold is not None and (name in ALWAYS_MOVE or (name in MOTIONS and any(args))):
             error = f"robot {robot_id} is held by {hold.by}: release it first"
             on_answer({"ok": False, "held": hold.by, "error": error})
@@ -162,7 +162,7 @@ class ViewerClients:
     def drive(self, robot_id: int, args: list[int], now: float, on_answer: OnAnswer) -> None:
         """Drive at these velocities; the robot stops if the next call does not come within DRIVE_TIMEOUT_S."""
         self.call(robot_id, "vm", args, on_answer)
-        if any(args) and self._daemon.emulator.estop.of(robot_id) is None:
+        if any(args) and self._daemon.emulator.estop.get(robot_id) is None:
             self._driven[robot_id] = now + DRIVE_TIMEOUT_S
 
     def is_driving(self, robot_id: int) -> bool:
@@ -317,7 +317,7 @@ class ViewerController:
         viewer.notify(encode_message("answer", id=number, ok=False, error=error))
 
     def _send_pose_requests(self) -> None:
-        requests = self.daemon.emulator.pose_requests.asked()
+        requests = self.daemon.emulator.pose_requests.counts()
         if requests != self._pose_requests:
             self._pose_requests = requests
             self.broadcaster.notify(encode_message("asked", robots=requests))
@@ -370,7 +370,7 @@ def _release(controller: ViewerController, viewer: Viewer, message: Message, _no
 
 
 def _reply_held(controller: ViewerController, viewer: Viewer, message: Message) -> None:
-    _replier(viewer, message["id"])({"ok": True, "held": controller.daemon.emulator.estop.told()})
+    _replier(viewer, message["id"])({"ok": True, "held": controller.daemon.emulator.estop.as_dict()})
 
 
 def _control(controller: ViewerController, viewer: Viewer, message: Message, _now: float) -> None:

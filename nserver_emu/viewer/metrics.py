@@ -30,9 +30,9 @@ class Metric(NamedTuple):
 
 def all_metrics(daemon: Daemon, viewers: int, tasks: int) -> Iterator[Metric]:
     """Yield all metrics; `viewers` is the number of open pages, `tasks` of asyncio tasks."""
-    emulator, connected = daemon.emulator, [connection for connection in daemon.connections if connection.here]
-    answered = daemon.gone_answered + sum(connection.session.answered for connection in connected)
-    refused = daemon.gone_refused + sum(connection.session.refused for connection in connected)
+    emulator, connected = daemon.emulator, [connection for connection in daemon.connections if connection.is_connected]
+    answered = daemon.closed_answered + sum(connection.session.answered for connection in connected)
+    refused = daemon.closed_refused + sum(connection.session.refused for connection in connected)
     yield Metric("connections", GAUGE, "Clients and hosts that are connected.", len(connected))
     yield Metric("turned_away_total", COUNTER, "Connections that were rejected.", daemon.admission.rejected)
     yield Metric("answers_total", COUNTER, "Requests that were answered.", answered)

@@ -62,7 +62,7 @@ def laser_modes(connections: Iterable[ConnectionHandler], robots: Collection[int
     found: dict[int, list[tuple[str, int]]] = {number: [] for number in robots}
     for connection in connections:
         context = connection.session.context
-        if connection.here and connection.line != VIEWER and context.robot_id in found:
+        if connection.is_connected and connection.line != VIEWER and context.robot_id in found:
             found[context.robot_id].append((connection.session.name, context.wire_state.laser_mode))
     return {number: sorted(clients, key=_on_first)[:MAX_NAMED] for number, clients in found.items()}
 
@@ -157,7 +157,7 @@ class SceneHistory:
         if new.laser_modes != old.laser_modes:
             picture["laser_modes"] = {str(n): clients for n, clients in self._modes.items()}
         if new.said is not old.said:
-            picture["said"] = [list(utterance) for utterance in self._server_state.transcript.said]
+            picture["said"] = [list(utterance) for utterance in self._server_state.transcript.utterances]
         grown = {"traces": self._grown(old.traces, new.traces), "beams": _changed_beams(old.pings, new.pings)}
         return picture | {name: more for name, more in grown.items() if more}
 
@@ -178,9 +178,9 @@ class SceneHistory:
 
     def _revision(self) -> Revision:
         server_state = self._server_state
-        said = server_state.transcript.said
+        said = server_state.transcript.utterances
         traces = server_state.traces
-        counts = {n: (trace.gone, traces.encoder[n].gone) for n, trace in traces.actual.items()}
+        counts = {n: (trace.count, traces.encoder[n].count) for n, trace in traces.actual.items()}
         simulation = server_state.simulation
         return Revision(
             self.number + 1, tuple((n, robot.setup) for n, robot in simulation.robots.items()),
@@ -242,7 +242,7 @@ def _now(server_state: ServerState) -> Plain:
             str(number): {
                 "state": list(StateSnapshot(robot, pace.speed_tenths).slots()), "actual": _pose(robot.actual),
                 "encoder": _pose(robot.encoder), "front": round(robot.front_rad, ANGLE_DIGITS),
-                "held": None if (hold := server_state.estop.of(number)) is None else hold.told(),
+                "held": None if (hold := server_state.estop.get(number)) is None else hold.as_dict(),
             }
             for number, robot in server_state.simulation.robots.items()
         },

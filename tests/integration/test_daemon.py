@@ -18,7 +18,7 @@ from nclient.protocol import codec
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.tcp_framing import InvalidFrame, TcpFrame
-from nserver_emu.server.connection import MAX_BYTES_PER_TURN, MAX_REQUESTS_PER_TURN, Connection
+from nserver_emu.server.connection import MAX_BYTES_PER_TURN, MAX_REQUESTS_PER_TURN, TcpConnection
 from nserver_emu.server.context import Allowed, SimulationClock
 from nserver_emu.server.daemon import Daemon, stop_on_signals
 from nserver_emu.server.handlers.table import Emulator
@@ -102,7 +102,7 @@ async def test_bytes_and_requests_per_turn_are_limited(monkeypatch: pytest.Monke
     received: Counter[int] = Counter()
     answered: Counter[int] = Counter()
     turn = 0
-    receive, answer = Session.receive, Session._answer_one
+    receive, answer = Session.receive, Session._process_one
 
     def receiving(session: Session, data: bytes) -> None:
         received[turn] += len(data)
@@ -121,7 +121,7 @@ async def test_bytes_and_requests_per_turn_are_limited(monkeypatch: pytest.Monke
     async with running_server() as server:
         flooding = await server.connect_client()
         monkeypatch.setattr(Session, "receive", receiving)
-        monkeypatch.setattr(Session, "_answer_one", answering)
+        monkeypatch.setattr(Session, "_process_one", answering)
         counting = asyncio.create_task(turns())
         flooding.writer.write(GS * 3000)
         for _ in range(3000):
@@ -134,14 +134,14 @@ async def test_bytes_and_requests_per_turn_are_limited(monkeypatch: pytest.Monke
 
 async def test_reading_pauses_while_reply_is_deferred(monkeypatch: pytest.MonkeyPatch) -> None:
     turns = 0
-    next_turn_original = Connection._next_turn
+    next_turn_original = TcpConnection._next_turn
 
-    def next_turn(connection: Connection) -> None:
+    def next_turn(connection: TcpConnection) -> None:
         nonlocal turns
         turns += 1
         next_turn_original(connection)
 
-    monkeypatch.setattr(Connection, "_next_turn", next_turn)
+    monkeypatch.setattr(TcpConnection, "_next_turn", next_turn)
     async with running_server() as server:
         waiting, other = await server.connect_client(), await server.connect_client()
         await waiting.ask("vm", 0, 0, 20)
@@ -163,14 +163,14 @@ async def test_slow_reader_delays_no_other_and_loses_nothing() -> None:
         slow.transport.pause_reading()
         count = 60_000
         slow.writer.write(GS * count)
-        while not any(connection.blocked for connection in server.daemon.connections):
+        while not any(connection.is_write_paused for connection in server.daemon.connections):
             assert (await other.ask("gs")).kind == "state"
         for _ in range(20):
             assert (await other.ask("gs")).kind == "state"
         slow.transport.resume_reading()
         for _ in range(count):
             assert (await slow.reply("gs")).kind == "state"
-        assert not any(connection.blocked for connection in server.daemon.connections)
+        assert not any(connection.is_write_paused for connection in server.daemon.connections)
 
 
 async def test_client_lost_during_wait_stops_its_robot() -> None:
@@ -218,8 +218,8 @@ async def test_incomplete_request_and_reset_log_one_line_each(caplog: pytest.Log
         while len(server.daemon.connections) > 1:
             assert (await other.ask("gs")).kind == "state"
     messages = [record.getMessage() for record in caplog.records]
-    assert len([message for message in messages if "vanished in mid-request" in message]) == 1
-    assert len([message for message in messages if "vanished:" in message]) == 1
+    assert len([message for message in messages if "connection lost in mid-request" in message]) == 1
+    assert len([message for message in messages if "connection lost:" in message]) == 1
 
 
 async def test_internal_error_closes_one_connection(caplog: pytest.LogCaptureFixture) -> None:
@@ -236,7 +236,7 @@ async def test_internal_error_closes_one_connection(caplog: pytest.LogCaptureFix
             client.writer.write(GS)
             received.append(bool(await client.reader.read(1000)))
         assert sorted(received) == [False, True]
-    assert "because of a fault of ours" in caplog.text
+    assert "internal error; connection closed" in caplog.text
 
 
 async def test_used_port_error_names_remedy() -> None:
@@ -273,7 +273,7 @@ async def test_nohup_ignores_sighup() -> None:
 def test_suspended_time_is_skipped_and_logged(caplog: pytest.LogCaptureFixture) -> None:
     daemon = Daemon(Emulator(simulation()), speed=2.0)
     with caplog.at_level(logging.INFO):
-        daemon._pass_time(10.25)
+        daemon._advance(10.25)
     assert "10.00 s of real time lost" in caplog.text
     assert daemon.emulator.simulation.time_s == pytest.approx(0.5)
 
@@ -292,7 +292,7 @@ async def test_pause_step_and_resume() -> None:
         client = await server.connect_client()
         await client.ask("vm", 100, 0, 0)
         assert (await client.ask("gs")).slots[0] == 0
-        server.daemon._pass_time(5.0)
+        server.daemon._advance(5.0)
         assert (await client.ask("gs")).clock == 0
         assert (await client.ask("sim_control", 4, 1000)).values == (1, 1000, 10, 1)
         assert (await client.ask("get_rc")).slots[34] == 100
@@ -305,7 +305,7 @@ async def test_lockstep_time_advances_with_requests() -> None:
     async with running_server(emulator=Emulator(simulation(), clock=SimulationClock(lockstep_s=0.1))) as server:
         client = await server.connect_client()
         await client.ask("sp", 100, 450, 450)
-        server.daemon._pass_time(5.0)
+        server.daemon._advance(5.0)
         assert (await client.ask("gs")).clock == 200
         await client.ask("pr", 200, 0, 0)
         reply = await client.ask("ws", 1, 1, 1, 100)

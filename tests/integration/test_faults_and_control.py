@@ -161,7 +161,7 @@ def test_control_of_time_and_its_errors(folder: Path, capsys: pytest.CaptureFixt
     ("words", "lines"),
     [
         (["--faults", "nowhere.toml"], "nowhere.toml: cannot be read"),
-        (["--control", "/nowhere/s.sock"], "cannot be controlled at /nowhere/s.sock"),
+        (["--control", "/nowhere/s.sock"], "cannot open the control socket /nowhere/s.sock"),
     ],
 )
 def test_failure_exits_1(words: list[str], lines: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -200,7 +200,7 @@ def test_default_control_socket_is_in_runtime_dir(
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder))
     (folder / "nserver.sock").write_text("no socket")
     assert cli.main(["--port", "0", "--control"]) == 1
-    assert f"cannot be controlled at {folder / 'nserver.sock'}: something that is no socket" in capsys.readouterr().err
+    assert f"control socket {folder / 'nserver.sock'}: it exists and is no socket" in capsys.readouterr().err
 
 
 def test_fault_plan_without_control_socket(folder: Path) -> None:

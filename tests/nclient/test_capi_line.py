@@ -34,7 +34,7 @@ def fresh(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 @pytest.fixture
 def opened(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
-    """What was opened; the peer that answers next is `peers[0]`."""
+    """Return the lines that were opened; `peers[0]` answers the next one."""
     calls: list[tuple[Any, ...]] = []
     peers.clear()
 

@@ -52,7 +52,7 @@ def test_dead_sonars() -> None:
     columns[3], columns[9] = [0], [255]
     findings = diagnostics.sonars(rings(columns))
     assert grades(findings) == [("FAIL", "sonar 3"), ("WARN", "sonars")]
-    assert "hear nothing while both neighbours do: 9" in findings[1].seen
+    assert "no echo while both neighbours have some: 9" in findings[1].seen
     assert grades(diagnostics.sonars(rings([[255]] * 16))) == [("WARN", "sonars")]
 
 
@@ -103,7 +103,7 @@ def test_batteries_by_the_formula(raw: int, grade: str, seen: str) -> None:
 @pytest.mark.parametrize(("times", "grade", "text"), [
     ([0, 100, 200], "OK", "went forward 0.2 s"), ([2**32 - 50, 50], "OK", "went forward 0.1 s"),
     ([500, 400, 900], "FAIL", "went back 1 times, by 0.1 s"), ([7, 7], "WARN", "stands still"),
-    ([None, 7], "WARN", "never told"),
+    ([None, 7], "WARN", "never received"),
 ])
 def test_the_clock(times: list[int | None], grade: str, text: str) -> None:
     found = diagnostics.clock([state(clock_ms=each) for each in times], 0.1)

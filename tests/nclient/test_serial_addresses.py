@@ -19,7 +19,7 @@ from tests.nclient.scripted_server import ScriptedServer
 
 
 class Bench:
-    """Where lines lead to, and what was opened."""
+    """A scripted robot behind every serial line, and the lines that were opened."""
 
     def __init__(self) -> None:
         self.robot = ScriptedLine()

@@ -83,7 +83,7 @@ def test_a_foreign_address_is_not_blamed_on_the_port(capsys: pytest.CaptureFixtu
     assert cli.main(["--port", "0", "--bind", "192.0.2.1"]) == 1
     output = capsys.readouterr().err
     assert "cannot listen on 192.0.2.1:0" in output
-    assert output.endswith("--bind wants an address of this machine, and ports below 1024 are the system's\n")
+    assert output.endswith("--bind needs an address of this machine, and ports below 1024 are reserved for root\n")
 
 
 def test_a_folder_as_save_file_is_reported_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

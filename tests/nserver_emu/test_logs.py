@@ -131,7 +131,7 @@ def test_every_line_of_a_daemon_is_an_object() -> None:
         _, fields = daemon.communicate(timeout=60)
     lines = [json.loads(line) for line in fields.splitlines()]
     assert "paused, and no client can resume: --allow-control lets them" in [line["message"] for line in lines]
-    assert {"%s: connected", "%s: gone after %d refusals"} <= {line["template"] for line in lines}
+    assert {"%s: connected", "%s: closed after %d refused requests"} <= {line["template"] for line in lines}
 
 
 class Disk(io.StringIO):

@@ -58,7 +58,7 @@ CHECKS = (
     Check(LOCALIZE, "2 of 2 way-points reached"),
     Check(("python", str(USER_SCRIPT)), "nearest .*turned 90 deg"),
     Check(("nomad", "completion", "bash"), "_nomad_whole_words nomad.*_nserver_whole_words nserver", "shell"),
-    Check(("python", "-c", "from nclient.cli.shell import PromptReader; print('reads')"), "reads", "shell",
+    Check(("python", "-c", "from nclient.cli.shell_prompt import PromptReader; print('reads')"), "reads", "shell",
           is_hinted=False),
     Check((*LOCALIZE, "--picture", "run.png"), "2 of 2 way-points reached", "plot"),
     Check((*EXPERIMENT, "--jobs", "1"), "5.2", "plot"),

@@ -49,7 +49,7 @@ def by_x(discs: list[tuple[float, float, float]]) -> FloatArray:
 @example((3.0, 3.0), (0.0, 1.0), SQUARE, [(3.0, 5.0, 1.0), (3.0, 3.0, 8.0)], 1)
 @example((0.0, 0.0), (1.0, 0.0), np.zeros((0, 4)), [(-400.0, 0.0, 5.0), (9.0, 0.0, 5.0), (600.0, 0.0, 5.0)], 1)
 @example((0.0, 0.0), (1.0, 0.0), np.zeros((0, 4)), [(600.0, 0.0, 5.0), (-600.0, 0.0, 20.0)], 6)
-def test_machine_code_numbers_and_arrays_are_the_same_to_the_bit(
+def test_compiled_numbers_and_arrays_agree_to_the_bit(
     kernel: CompiledKernel,
     place: tuple[float, float],
     way: tuple[float, float],
@@ -67,7 +67,7 @@ def test_machine_code_numbers_and_arrays_are_the_same_to_the_bit(
     assert found.hex() == in_numbers.hex() == min(to_wall, to_disc).hex()
 
 
-def test_arrays_that_may_be_written_and_those_that_may_not_are_taken_by_the_same_code(kernel: CompiledKernel) -> None:
+def test_writable_and_read_only_arrays_use_the_same_code(kernel: CompiledKernel) -> None:
     assert kernel.run is not None
     fixed = SQUARE.copy()
     fixed.setflags(write=False)
@@ -133,7 +133,7 @@ def test_without_numba_there_is_none_and_it_is_sought_once(monkeypatch: pytest.M
     assert sought == ["numba"]
 
 
-def test_where_nothing_can_be_cached_it_is_compiled_all_the_same() -> None:
+def test_without_a_writable_cache_it_is_compiled_as_well() -> None:
     caches: list[bool] = []
 
     def njit(signature: object, cache: bool = False) -> object:

@@ -1,14 +1,13 @@
-"""Commands that draw into the window or have it redrawn: a function a command. What they leave is in graphics.py.
+"""Handlers of client graphics, speech, and user packets (the arm): one function per command, with the command's name.
 
-Speech, and the user packets of special_request, among them the arm's three: a function a command.
+A user packet is a special_request; its reply is a list of bytes, one per word:
 
-    answer      length low, length high (its own four bytes included), serial 0, packet type, bytes; one byte a word
-    arm         bytes: int32 result, low byte first; after arm_ws the uint32 rest of the time-out too
+    length low, length high (including these four bytes), serial 0, packet type, data
+    arm      data: int32 result, low byte first; after arm_ws also the uint32 rest of the timeout
 
-Decisions of ours, for no source tells them: modes are those of mv; values 1/100 inch (per second, per second squared);
-result 1 done, 0 not (arm_ws: the time-out came first); the time-out in ms, 0 asks at once. arm_mv answers at once,
-arm_zr when both axes are at 0, whatever its override says. A user packet of another type has no program that would
-answer it: ERROR 4.
+No source defines the arm's packets. Decisions of this project: modes are those of mv; values are 1/100 inch (per
+second, per second squared); result 1 is done, 0 not done (arm_ws: timeout); the timeout is in ms, 0 returns at once.
+arm_mv replies at once, arm_zr when both axes are at 0 regardless of its override. Any other packet type is ERROR 4.
 """
 
 from __future__ import annotations
@@ -24,7 +23,8 @@ from nserver_emu.simulation.arm import Arm
 from nserver_emu.simulation.axis import Command
 
 _SENSORS = (Layer.BUMPER, Layer.INFRARED, Layer.SONAR, Layer.LASER)
-_REDRAWN = {
+# Layers redrawn by each refresh command.
+_REFRESHED_LAYERS = {
     "refresh_all": tuple(Layer),
     "refresh_all_traces": (Layer.ACTUAL_TRACE, Layer.ENCODER_TRACE),
     "refresh_actual_trace": (Layer.ACTUAL_TRACE,),
@@ -38,33 +38,33 @@ _REDRAWN = {
 }
 
 
-def draw_robot(server: ServerState, _visit: ConnectionContext, args: tuple[int, ...]) -> Reply:
+def draw_robot(server: ServerState, _context: ConnectionContext, args: tuple[int, ...]) -> Reply:
     """Draw a robot with its steering and turret."""
     return _draw(server, Figure.ROBOT, args)
 
 
-def draw_line(server: ServerState, _visit: ConnectionContext, args: tuple[int, ...]) -> Reply:
+def draw_line(server: ServerState, _context: ConnectionContext, args: tuple[int, ...]) -> Reply:
     """Draw a line between two points."""
     return _draw(server, Figure.LINE, args)
 
 
-def draw_arc(server: ServerState, _visit: ConnectionContext, args: tuple[int, ...]) -> Reply:
+def draw_arc(server: ServerState, _context: ConnectionContext, args: tuple[int, ...]) -> Reply:
     """Draw part of the ellipse in a box."""
     return _draw(server, Figure.ARC, args)
 
 
-def refresher(layers: tuple[Layer, ...]) -> Callable[[ServerState, ConnectionContext, tuple[int, ...]], Reply]:
-    """The command that has these layers redrawn."""
+def make_refresher(layers: tuple[Layer, ...]) -> Callable[[ServerState, ConnectionContext, tuple[int, ...]], Reply]:
+    """Return the handler of a command that redraws these layers."""
 
-    def refresh(server: ServerState, _visit: ConnectionContext, _args: tuple[int, ...]) -> Reply:
+    def refresh(server: ServerState, _context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
         server.graphics.redraw(*layers)
         return done()
 
     return refresh
 
 
-REFRESHERS = {name: refresher(layers) for name, layers in _REDRAWN.items()}
-"""The ten refresh commands by their names."""
+# The ten refresh commands by name.
+REFRESHERS = {name: make_refresher(layers) for name, layers in _REFRESHED_LAYERS.items()}
 
 
 def _draw(server: ServerState, figure: Figure, args: tuple[int, ...]) -> Reply:
@@ -73,26 +73,29 @@ def _draw(server: ServerState, figure: Figure, args: tuple[int, ...]) -> Reply:
     return done()
 
 
+# Speech and user packets.
+
 ARM_MODELS = frozenset({"n200"})
+# Packet types of arm_zr, arm_ws and arm_mv.
 ZERO_PACKET, WAIT_PACKET, MOVE_PACKET = 40, 41, 42
 _MOTIONS = frozenset({Command.VELOCITY, Command.RELATIVE, Command.LIMP})
-_UNITS_AN_INCH = 100.0
+_UNITS_PER_INCH = 100.0
 _FAILED, _SUCCEEDED = 0, 1
 
 
 def tk(server: ServerState, context: ConnectionContext, args: tuple[str, ...]) -> Reply:
-    """Say a text: it is kept in the transcript. On the robot's own line the answer is the state."""
+    """Speak a text, which is appended to the speech log; on the robot's own line the reply is the state."""
     server.transcript.add(Utterance(server.simulation.time_s, context.robot_id or 0, args[0]))
-    return server.state(context) if context.wire_state.line else done()
+    return server.state_reply(context) if context.wire_state.line else done()
 
 
-def special_request(_stage: ServerState, _visit: ConnectionContext, _args: tuple[int, ...]) -> Reply:
-    """A user packet: none but the arm's is known to this robot."""
+def special_request(_stage: ServerState, _context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
+    """Refuse a user packet other than the arm's."""
     return error_reply(NOT_AVAILABLE)
 
 
 def arm_mv(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Reply:
-    """Lift and grip each in a mode of its own."""
+    """Command lift and grip, each in its own mode."""
     if not _has_arm(server, context):
         return error_reply(NOT_AVAILABLE)
     modes = args[::2]
@@ -100,7 +103,7 @@ def arm_mv(server: ServerState, context: ConnectionContext, args: tuple[int, ...
         return error_reply(BAD_VALUES)
     arm = server.arm_of(context)
     for slide, mode, value in zip((arm.lift, arm.grip), modes, args[1::2], strict=True):
-        slide.command(Command(mode), value / _UNITS_AN_INCH)
+        slide.command(Command(mode), value / _UNITS_PER_INCH)
     assert context.robot_id is not None
     if not _MOTIONS.isdisjoint(modes):
         server.axis_ownership.claim_arm(context, context.robot_id)
@@ -108,42 +111,43 @@ def arm_mv(server: ServerState, context: ConnectionContext, args: tuple[int, ...
 
 
 def arm_zr(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply | DeferredReply:
-    """Send the arm to its zero; the answer comes when it is there."""
+    """Move the arm to its zero; reply when it is there."""
     if not _has_arm(server, context):
         return error_reply(NOT_AVAILABLE)
     server.arm_of(context).zero()
     assert context.robot_id is not None
     server.axis_ownership.claim_arm(context, context.robot_id)
-    return lambda: _packet(ZERO_PACKET, _SUCCEEDED) if _waited_arm(server, context).is_still() else None
+    return lambda: _packet(ZERO_PACKET, _SUCCEEDED) if _awaited_arm(server, context).is_still() else None
 
 
 def arm_ws(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Reply | DeferredReply:
-    """The answer comes when lift and grip, as named, are still, or when the time-out (ms) is over."""
+    """Reply when the selected axes (lift, grip) are still or the timeout (ms) is over."""
     if not _has_arm(server, context):
         return error_reply(NOT_AVAILABLE)
     lift, grip, timeout_ms = args
     end_s = server.simulation.time_s + timeout_ms / 1000
 
-    def waited() -> Reply | None:
+    def poll() -> Reply | None:
         left_ms = round(1000 * (end_s - server.simulation.time_s))
-        if _waited_arm(server, context).is_still(bool(lift), bool(grip)):
+        if _awaited_arm(server, context).is_still(bool(lift), bool(grip)):
             return _packet(WAIT_PACKET, _SUCCEEDED, max(left_ms, 0))
         return None if left_ms > 0 else _packet(WAIT_PACKET, _FAILED, 0)
 
-    return waited
+    return poll
 
 
 def _has_arm(server: ServerState, context: ConnectionContext) -> bool:
     return server.robot_of(context).model.family in ARM_MODELS
 
 
-def _waited_arm(server: ServerState, context: ConnectionContext) -> Arm:
-    """The arm as it is now; who waits for it feeds the time-out, as with the robot's own motion."""
-    server.feed(context)
+def _awaited_arm(server: ServerState, context: ConnectionContext) -> Arm:
+    """Return the arm as of now; waiting for it restarts the command timeout, as for the robot's own motion."""
+    server.feed_watchdog(context)
     return server.arm_of(context)
 
 
 def _packet(packet_type: int, *numbers: int) -> Reply:
+    # A packet is its length and type, then int32 numbers, one byte per word.
     data = b"".join(number.to_bytes(4, "little", signed=False) for number in numbers)
     length = len(data) + 4
     return Reply("special", values=(length & 255, length >> 8, 0, packet_type, *data))

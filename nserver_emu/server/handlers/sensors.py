@@ -1,11 +1,7 @@
-"""Infrareds, compass and laser: their questions and settings, a function a command. The N150 has but the compass,
-the Scout none of them.
+"""Handlers of sensor queries and sensor settings: one function per command, with the command's name.
 
-Rules: as in questions.py; bytes of a setting are taken as the line carries them, and what no robot has is ERROR 2.
-
-Questions about a robot and its sensors, and the sensors' settings: a function a command, wire units out.
-
-Rules: a question changes nothing; a sensor that the model lacks is ERROR 4, never a made-up reading.
+Queries change nothing. A sensor that the model lacks is ERROR 4 (the N150 has only the compass, the Scout none of
+infrared, compass and laser); a setting that no robot has is ERROR 2.
 """
 
 from __future__ import annotations
@@ -32,163 +28,47 @@ from nserver_emu.server.state_encoder import (
 from nserver_emu.simulation.compass import CompassMode
 from nserver_emu.simulation.infrared import INFRAREDS
 
+# First State slots of infrared, sonar, pose and velocities.
+_INFRARED_SLOT, _SONAR_SLOT, _POSE_SLOT, _VELOCITY_SLOT = 1, 17, 34, 38
+# In an order of sensors: no more follow.
 _END_OF_ORDER = 255
-_HIGHEST_BYTE = 255
-CALIBRATED, NOT_CALIBRATED = (9, 9, 1), (0, 0, 0)
-"""Calibration scores."""
-
-
-def conf_ir(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Reply:
-    """The infrareds' history in tenths, more than 9 taken as 9, and which of them look."""
-    robot, (history, *order) = server.robot_of(context), args
-    if robot.infrared is None:
-        return error_reply(NOT_AVAILABLE)
-    end = order.index(_END_OF_ORDER) if _END_OF_ORDER in order else len(order)
-    if history < 0 or not all(0 <= number < INFRAREDS for number in order[:end]):
-        return error_reply(BAD_VALUES)
-    robot.configure_infrareds(history, order[:end])
-    return server.state(context)
-
-
-def get_ir(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
-    """All sixteen infrareds, mask or not."""
-    robot = server.robot_of(context)
-    if robot.infrared is None:
-        return error_reply(NOT_AVAILABLE)
-    stamps = infrared_stamps(robot) if context.wire_state.mask.position & Position.INFRARED else {}
-    slots = dict(enumerate(robot.infrared.readings, start=1))
-    return Reply("infrared", slots, stamps=stamps, clock=robot_clock_ms(robot, server.simulation.time_s))
-
-
-def conf_cp(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Reply:
-    """The compass off, on, or calibrating, which a full turn of the turret completes.
-
-    On the robot's own line the answer is the three scores of the calibration (decision of ours, for no source says
-    what they mean: quality and surroundings 0..9, and how many there were, 0 or 1).
-    """
-    robot = server.robot_of(context)
-    if robot.compass is None:
-        return error_reply(NOT_AVAILABLE)
-    if args[0] not in list(CompassMode):
-        return error_reply(BAD_VALUES)
-    robot.configure_compass(args[0])
-    if context.wire_state.line:
-        return Reply("compass", values=CALIBRATED if robot.compass.calibrated else NOT_CALIBRATED)
-    return server.state(context)
-
-
-def get_cp(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
-    """The direction of the turret as the compass last told it."""
-    robot, now_s = server.robot_of(context), server.simulation.time_s
-    if robot.compass is None:
-        return error_reply(NOT_AVAILABLE)
-    stamps = compass_stamps(robot, now_s) if context.wire_state.mask.position & Position.COMPASS else {}
-    slots = {COMPASS_SLOT: heading_tenths(robot.compass.direction_rad)}
-    return Reply("compass", slots, stamps=stamps, clock=robot_clock_ms(robot, now_s))
-
-
-def conf_ls(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Reply:
-    """How many columns of the laser count (0: all) on this connection; the session has noted the mode.
-
-    Threshold, width and processing tell a camera's picture from its noise; there is no picture here, and no source
-    that tells their units: they have no effect.
-    """
-    if not server.robot_of(context).model.has_light_sensors:
-        return error_reply(NOT_AVAILABLE)
-    context.laser_columns = max(0, args[3])
-    return server.state(context)
-
-
-def get_ls(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
-    """What the laser sees, in the shape of its mode."""
-    return _laser(server, context, context.wire_state.get_laser_width)
-
-
-def conf_sg(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Reply:
-    """How laser points become lines on this connection: threshold and gap in tenths of an inch, fewest points."""
-    if not server.robot_of(context).model.has_light_sensors:
-        return error_reply(NOT_AVAILABLE)
-    if not all(0 <= number <= _HIGHEST_BYTE for number in args):
-        return error_reply(BAD_VALUES)
-    threshold, min_points, gap = args
-    context.segments = (threshold, min_points, gap)
-    return server.state(context)
-
-
-def get_sg(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
-    """The lines that the laser sees."""
-    return _laser(server, context, LINES)
-
-
-def _laser(server: ServerState, context: ConnectionContext, width: int) -> Reply:
-    robot, now_s = server.robot_of(context), server.simulation.time_s
-    if not robot.model.has_light_sensors:
-        return error_reply(NOT_AVAILABLE)
-    seen = laser_vector(robot, context, width) if is_on(context.wire_state.laser_mode) else (0,)
-    stamps = {"laser": stamp_now(robot, now_s)} if context.wire_state.mask.position & Position.LASER else {}
-    return Reply("laser", laser=seen, stamps=stamps, clock=robot_clock_ms(robot, now_s))
-
-
+_MAX_BYTE = 255
 _INT32_MAX = 0x7FFFFFFF
+# Scores of the compass calibration on a robot's own line: quality, surroundings (0 to 9), number of calibrations.
+CALIBRATED, NOT_CALIBRATED = (9, 9, 1), (0, 0, 0)
 
 
-def conf_sn(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Reply:
-    """The sonars' firing rate, clamped, and order, which ends at the first that is no sonar; the ring starts anew."""
-    rate, *order = args
-    server.robot_of(context).configure_sonars(rate, tuple(order))
-    return server.state(context)
-
-
-def conf_ser(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
-    """The speed of another serial port of the robot: nothing is plugged in there, so nothing changes."""
-    return server.state(context)
-
-
-def ct(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
-    """The session has noted the mask; the reply shows it at work."""
-    return server.state(context)
+# State and encoders.
 
 
 def gs(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
-    """The state."""
-    return server.state(context)
+    """Return the state."""
+    return server.state_reply(context)
 
 
-def get_sn(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
-    """All sixteen sonars, mask or not."""
-    robot = server.robot_of(context)
-    slots = dict(enumerate(robot.sonar.readings_in, start=17))
-    stamps = sonar_stamps(robot) if context.wire_state.mask.position & Position.SONAR else {}
-    return Reply("sonar", slots, stamps=stamps, clock=robot_clock_ms(robot, server.simulation.time_s))
+def ct(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
+    """Return the state with the new sensor mask, which the session has already set."""
+    return server.state_reply(context)
 
 
 def get_rc(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
-    """Position and angles."""
-    return Reply("configuration", dict(enumerate(pose_tenths(server.robot_of(context)), start=34)))
+    """Return position and angles."""
+    return Reply("configuration", dict(enumerate(pose_tenths(server.robot_of(context)), start=_POSE_SLOT)))
 
 
 def get_rv(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
-    """The three velocities."""
-    return Reply("velocity", dict(enumerate(velocity_tenths(server.robot_of(context)), start=38)))
+    """Return the three velocities."""
+    return Reply("velocity", dict(enumerate(velocity_tenths(server.robot_of(context)), start=_VELOCITY_SLOT)))
 
 
 def get_ra(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
-    """The three accelerations, in the places of the velocities; 0 where axes jump to their speed."""
+    """Return the three accelerations in the slots of the velocities; 0 where speeds change at once."""
     robot = server.robot_of(context)
-    return Reply("velocity", dict(enumerate(axis_tenths(robot, robot.accelerations), start=38)))
-
-
-def get_bp(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
-    """The bumpers."""
-    robot = server.robot_of(context)
-    asked = context.wire_state.mask.position & Position.BUMPER
-    now_s = server.simulation.time_s
-    stamps = {"bumper": stamp_now(robot, now_s)} if asked else {}
-    return Reply("bumper", {BUMPER_SLOT: robot.bumpers}, stamps=stamps, clock=robot_clock_ms(robot, now_s))
+    return Reply("velocity", dict(enumerate(axis_tenths(robot, robot.accelerations), start=_VELOCITY_SLOT)))
 
 
 def sim_truth(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
-    """Where the actual robot is; the filter never sees it."""
+    """Return the actual pose of the robot in thousandths; for evaluation only, the filter does not use it."""
     pose = server.robot_of(context).actual
     values = (
         1,
@@ -201,3 +81,134 @@ def sim_truth(server: ServerState, context: ConnectionContext, _args: tuple[int,
         context.robot_id or 0,
     )
     return Reply("truth", values=values)
+
+
+# Bumpers and sonars.
+
+
+def get_bp(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
+    """Return the bumpers."""
+    robot, now_s = server.robot_of(context), server.simulation.time_s
+    stamps = {"bumper": stamp_now(robot, now_s)} if context.wire_state.mask.position & Position.BUMPER else {}
+    return Reply("bumper", {BUMPER_SLOT: robot.bumpers}, stamps=stamps, clock=robot_clock_ms(robot, now_s))
+
+
+def conf_sn(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Reply:
+    """Set the sonars' firing rate (clamped) and order, which ends at the first number that is no sonar."""
+    rate, *order = args
+    server.robot_of(context).configure_sonars(rate, tuple(order))
+    return server.state_reply(context)
+
+
+def get_sn(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
+    """Return all 16 sonars regardless of the mask."""
+    robot = server.robot_of(context)
+    slots = dict(enumerate(robot.sonar.readings_in, start=_SONAR_SLOT))
+    stamps = sonar_stamps(robot) if context.wire_state.mask.position & Position.SONAR else {}
+    return Reply("sonar", slots, stamps=stamps, clock=robot_clock_ms(robot, server.simulation.time_s))
+
+
+def conf_ser(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
+    """Accept the speed of the robot's other serial port; nothing is connected there."""
+    return server.state_reply(context)
+
+
+# Infrared sensors.
+
+
+def conf_ir(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Reply:
+    """Set the infrareds' history (tenths, at most 9) and which of them measure."""
+    robot, (history, *order) = server.robot_of(context), args
+    if robot.infrared is None:
+        return error_reply(NOT_AVAILABLE)
+    end = order.index(_END_OF_ORDER) if _END_OF_ORDER in order else len(order)
+    if history < 0 or not all(0 <= number < INFRAREDS for number in order[:end]):
+        return error_reply(BAD_VALUES)
+    robot.configure_infrareds(history, order[:end])
+    return server.state_reply(context)
+
+
+def get_ir(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
+    """Return all 16 infrareds regardless of the mask."""
+    robot = server.robot_of(context)
+    if robot.infrared is None:
+        return error_reply(NOT_AVAILABLE)
+    stamps = infrared_stamps(robot) if context.wire_state.mask.position & Position.INFRARED else {}
+    slots = dict(enumerate(robot.infrared.readings, start=_INFRARED_SLOT))
+    return Reply("infrared", slots, stamps=stamps, clock=robot_clock_ms(robot, server.simulation.time_s))
+
+
+# Compass.
+
+
+def conf_cp(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Reply:
+    """Switch the compass off, on, or to calibration, which a full turn of the turret completes.
+
+    On the robot's own line the reply has the three scores of the calibration. No source says what they mean; quality
+    and surroundings 0 to 9 and the number of calibrations are a decision of this project.
+    """
+    robot = server.robot_of(context)
+    if robot.compass is None:
+        return error_reply(NOT_AVAILABLE)
+    if args[0] not in list(CompassMode):
+        return error_reply(BAD_VALUES)
+    robot.configure_compass(args[0])
+    if context.wire_state.line:
+        return Reply("compass", values=CALIBRATED if robot.compass.calibrated else NOT_CALIBRATED)
+    return server.state_reply(context)
+
+
+def get_cp(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
+    """Return the turret's direction of the last compass reading."""
+    robot, now_s = server.robot_of(context), server.simulation.time_s
+    if robot.compass is None:
+        return error_reply(NOT_AVAILABLE)
+    stamps = compass_stamps(robot, now_s) if context.wire_state.mask.position & Position.COMPASS else {}
+    slots = {COMPASS_SLOT: heading_tenths(robot.compass.direction_rad)}
+    return Reply("compass", slots, stamps=stamps, clock=robot_clock_ms(robot, now_s))
+
+
+# Laser.
+
+
+def conf_ls(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Reply:
+    """Set the number of laser columns in use on this connection (0: all); the session has set the mode.
+
+    Threshold, width and processing separate signal from noise in a camera picture. There is no picture here, and no
+    source gives their units: they have no effect.
+    """
+    if not server.robot_of(context).model.has_light_sensors:
+        return error_reply(NOT_AVAILABLE)
+    context.laser_columns = max(0, args[3])
+    return server.state_reply(context)
+
+
+def get_ls(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
+    """Return the laser readings in the form of the laser mode."""
+    return _laser_reply(server, context, context.wire_state.get_laser_width)
+
+
+def conf_sg(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Reply:
+    """Set the line extraction of this connection: threshold and gap in tenths of an inch, minimum number of points."""
+    if not server.robot_of(context).model.has_light_sensors:
+        return error_reply(NOT_AVAILABLE)
+    if not all(0 <= number <= _MAX_BYTE for number in args):
+        return error_reply(BAD_VALUES)
+    threshold, min_points, gap = args
+    context.segments = (threshold, min_points, gap)
+    return server.state_reply(context)
+
+
+def get_sg(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
+    """Return the laser readings as lines."""
+    return _laser_reply(server, context, LINES)
+
+
+def _laser_reply(server: ServerState, context: ConnectionContext, width: int) -> Reply:
+    """Return the laser readings with `width` words each, none if the laser is off."""
+    robot, now_s = server.robot_of(context), server.simulation.time_s
+    if not robot.model.has_light_sensors:
+        return error_reply(NOT_AVAILABLE)
+    readings = laser_vector(robot, context, width) if is_on(context.wire_state.laser_mode) else (0,)
+    stamps = {"laser": stamp_now(robot, now_s)} if context.wire_state.mask.position & Position.LASER else {}
+    return Reply("laser", laser=readings, stamps=stamps, clock=robot_clock_ms(robot, now_s))

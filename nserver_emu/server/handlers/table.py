@@ -1,10 +1,10 @@
-"""The one table of what the emulator does at each command, and the answer it gives a Session.
+"""The table of command handlers, and the emulator that dispatches calls to it.
 
-    HANDLERS    C name -> function(stage, visit, args) -> Reply, or a Later that gives one
-    rooms       motion.py | questions.py | ground.py (the world) | window.py | packets.py | hosting.py (the server)
+    HANDLERS   command name -> function(server, context, args) -> Reply or DeferredReply
+    modules    motion.py | sensors.py | world.py (obstacles, poses) | graphics.py (window, speech, arm) | server.py
 
-Rules: a command without a handler answers ERROR 4, never silence, never a wrong success. A handler's function has the
-command's name. No handler lives here.
+To add a command: a row in `nclient/protocol/commands.py`, and a function with the command's name, listed in HANDLERS. A
+command without a handler gets ERROR 4.
 """
 
 from __future__ import annotations
@@ -15,52 +15,47 @@ from typing import Any
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nserver_emu.server.context import ServerState
-from nserver_emu.server.handlers import (
-    graphics,
-    motion,
-    sensors,
-    server,
-    world,
-)
+from nserver_emu.server.handlers import graphics, motion, sensors, server, world
 from nserver_emu.server.session import NOT_AVAILABLE, REFUSED, ConnectionContext, DeferredReply, error_reply
 
 Handler = Callable[[ServerState, ConnectionContext, tuple[Any, ...]], "Reply | DeferredReply"]
 
 
 class Emulator(ServerState):
-    """A simulation behind the protocol: its `answer` is what a Session is handed."""
+    """A simulation behind the protocol: sessions call `answer`."""
 
     def answer(self, call: Call, context: ConnectionContext) -> Reply | DeferredReply:
-        """The reply to a call, or a promise of it; ERROR 4 where there is nothing that could answer.
-
-        In lockstep the simulated time moves first, so that the answer shows where it led.
-        """
-        if self.clock.asked_s and call.name not in TIMELESS:
-            self.pass_time(self.clock.asked_s)
+        """Execute a call and return its reply, ERROR 4 if there is no handler."""
+        # 1. In lockstep, time advances before the call, so that the reply shows the result.
+        if self.clock.step_per_request_s and call.name not in TIMELESS:
+            self.pass_time(self.clock.step_per_request_s)
+        # 2. Any command but those restarts the command timeout of the robot.
         if context.robot_id is not None and call.name not in TIMELESS:
-            self.feed(context)
-        if call.name not in QUESTIONS:
+            self.feed_watchdog(context)
+        if call.name not in QUERIES:
             self.invalidate_state_cache()
-        meant = self.estop.effective_call(call, context.robot_id)
-        answer = error_reply(REFUSED) if meant is None else self._done(meant, context)
-        if call.name in SHOWN and isinstance(answer, Reply):
-            context.keep(answer.slots)
-        return answer if isinstance(answer, Reply) else self.promise(context, answer)
+        # 3. Under emergency stop, motions become st or are refused.
+        effective = self.estop.effective_call(call, context.robot_id)
+        answer = error_reply(REFUSED) if effective is None else self._execute(effective, context)
+        # 4. These replies contain State slots: they count as sent for slots that the mask excludes.
+        if call.name in STATE_QUERIES and isinstance(answer, Reply):
+            context.update_last_sent(answer.slots)
+        return answer if isinstance(answer, Reply) else self.defer(context, answer)
 
-    def _done(self, call: Call, context: ConnectionContext) -> Reply | DeferredReply:
+    def _execute(self, call: Call, context: ConnectionContext) -> Reply | DeferredReply:
         handler = HANDLERS.get(call.name)
         return handler(self, context, call.args) if handler else error_reply(NOT_AVAILABLE)
 
 
-QUESTIONS = frozenset({"gs", "ct", "get_sn", "get_rc", "get_rv", "get_ra", "get_bp", "get_rpx", "sim_truth",
+# Commands that do not change the robot.
+QUERIES = frozenset({"gs", "ct", "get_sn", "get_rc", "get_rv", "get_ra", "get_bp", "get_rpx", "sim_truth",
     "get_ir", "get_cp", "get_ls", "get_sg"})  # fmt: skip
-"""Commands that change nothing about a robot."""
 
-SHOWN = frozenset({"get_ir", "get_sn", "get_rc", "get_rv", "get_cp", "get_bp"})
-"""Questions whose answers put State's own numbers: they count as sent, for what the mask leaves out."""
+# Queries whose replies contain State slots.
+STATE_QUERIES = frozenset({"get_ir", "get_sn", "get_rc", "get_rv", "get_cp", "get_bp"})
 
+# Commands that take no time in lockstep and do not restart the command timeout: observers must not keep a robot moving.
 TIMELESS = frozenset({"connect_robot", "create_robot", "disconnect_robot", "sim_truth", "sim_control"})
-"""Commands that take no time where time moves with each exchange, and feed no time-out: who watches drives nothing."""
 
 HANDLERS: dict[str, Handler] = {
     handler.__name__: handler
@@ -79,5 +74,4 @@ HANDLERS: dict[str, Handler] = {
         graphics.tk, graphics.special_request, graphics.arm_mv, graphics.arm_zr, graphics.arm_ws,
     )
 }  # fmt: skip
-"""Every command the emulator has something to say to."""
 HANDLERS.update(graphics.REFRESHERS)

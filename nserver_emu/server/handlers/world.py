@@ -1,14 +1,11 @@
-"""Where a line or an arc first meets a wall: the geometry of motion_check. Pure; inches and radians in and out.
+"""Handlers of commands on the world: obstacles, robot poses, predictions, and motion_check. One function per command.
 
-The path is the line or arc itself, without the robot's body: a program that wants room asks for a path beside its own.
-The normal is the wall's, on the side from which the path comes: it points into the free room.
+An obstacle is identified by its corners in tenths, starting at any corner and in either direction. A command that would
+place an obstacle on a robot or a robot on an obstacle is ERROR 2.
 
-    on a wall p + t (q - p), 0 <= t <= 1, an arc's circle |p + t (q - p) - c| = r is a quadratic in t
-
-Commands that change or ask the world: obstacles, where robots stand, what would be met. A function a command.
-
-Rules: an obstacle is known by its corners in tenths, from whichever corner and whichever way round they are named.
-Nothing is put where a robot stands, and no robot where something stands: ERROR 2.
+motion_check: where a line or an arc first meets a wall. The path is the line or arc itself, without the robot's body.
+The normal is the wall's on the side from which the path comes. On a wall p + t (q - p), 0 <= t <= 1, the circle of an
+arc |p + t (q - p) - c| = r gives a quadratic equation in t.
 """
 
 from __future__ import annotations
@@ -25,7 +22,7 @@ from nclient.protocol.requests import MOTION_LINE
 from nclient.protocol.types import heading_tenths, rad_from_tenths, tenths
 from nserver_emu.server.context import ClickedPose, ServerState
 from nserver_emu.server.session import BAD_VALUES, REFUSED, ConnectionContext, DeferredReply, error_reply
-from nserver_emu.server.state_encoder import state_slots, with_laser
+from nserver_emu.server.state_encoder import add_laser, state_slots
 from nserver_emu.simulation.multi_robot import discs_of
 from nserver_emu.simulation.noise import IDEAL
 from nserver_emu.simulation.robot import SimulatedRobot
@@ -34,15 +31,14 @@ from worlds.geometry import FloatArray, area, crossing, inside, lengths, nearest
 from worlds.raycast import cast_rays
 from worlds.world import Polygon, StartPose
 
+# A path that misses a wall by at most this meets it: coordinates up to 1e5 in have rounding errors of 1e-11.
 TOUCH_IN: Final = 1e-9
-"""A path that misses a wall by no more meets it: coordinates up to 1e5 in are rounded at 1e-11."""
-
-SLANT: Final = 1e-9
-"""A path steeper to a wall than this comes from one of its sides; one that is not runs along it or touches it."""
+# Sine of the angle below which a path is parallel to a wall, so that it comes from neither of its sides.
+MIN_SLANT: Final = 1e-9
 
 
 class Hit(NamedTuple):
-    """The first meeting: where, and the direction of the wall's normal in (-pi, pi]."""
+    """The first intersection of a path, and the direction of the wall's normal in (-pi, pi]."""
 
     x_in: float
     y_in: float
@@ -50,7 +46,7 @@ class Hit(NamedTuple):
 
 
 class Arc(NamedTuple):
-    """Part of a circle, from one polar angle to another: counter-clockwise where the second is the larger one."""
+    """An arc from one polar angle to another, counter-clockwise if the second is larger."""
 
     centre_x_in: float
     centre_y_in: float
@@ -60,28 +56,29 @@ class Arc(NamedTuple):
 
 
 def line_hit(start: tuple[float, float], end: tuple[float, float], walls: FloatArray) -> Hit | None:
-    """Where the way from `start` to `end` first meets one of the walls (m, 4); None: nowhere."""
+    """Return the first intersection of a line with walls of shape (m, 4), None if there is none."""
     if not len(walls):
         return None
     along_x, along_y = end[0] - start[0], end[1] - start[1]
     length = hypot(along_x, along_y)
-    way = (along_x / length, along_y / length) if length else (1.0, 0.0)
+    direction = (along_x / length, along_y / length) if length else (1.0, 0.0)
     if not length:
         _, distances = nearest_points(start, walls)
         row = int(distances.argmin())
-        met = float(distances[row])
+        distance = float(distances[row])
     else:
-        ranges, rows = cast_rays(start, way, walls)
-        met, row = float(ranges), int(rows)
-    if met > length + TOUCH_IN:
+        ranges, rows = cast_rays(start, direction, walls)
+        distance, row = float(ranges), int(rows)
+    if distance > length + TOUCH_IN:
         return None
-    reach = min(met, length)
-    normal = _normal(walls[row].tolist(), way, (-way[0], -way[1]))
-    return Hit(start[0] + reach * way[0], start[1] + reach * way[1], normal)
+    reach = min(distance, length)
+    normal = _normal(walls[row].tolist(), direction, (-direction[0], -direction[1]))
+    return Hit(start[0] + reach * direction[0], start[1] + reach * direction[1], normal)
 
 
 def arc_hit(arc: Arc, walls: FloatArray) -> Hit | None:
-    """Where the arc first meets one of the walls (m, 4); None: nowhere."""
+    """Return the first intersection of an arc with walls of shape (m, 4), None if there is none."""
+    # Of all intersections of the circle within the arc, the one with the smallest swept angle.
     first: tuple[float, float, int] | None = None
     turn = copysign(1.0, arc.to_rad - arc.from_rad)
     sweep = abs(arc.to_rad - arc.from_rad)
@@ -96,58 +93,59 @@ def arc_hit(arc: Arc, walls: FloatArray) -> Hit | None:
         return None
     _, angle, row = first
     outward = (cos(angle), sin(angle))
-    way = (-turn * outward[1], turn * outward[0])
-    normal = _normal(walls[row].tolist(), way, (-outward[0], -outward[1]))
+    # The path runs along the tangent there.
+    direction = (-turn * outward[1], turn * outward[0])
+    normal = _normal(walls[row].tolist(), direction, (-outward[0], -outward[1]))
     x, y = arc.centre_x_in + arc.radius_in * outward[0], arc.centre_y_in + arc.radius_in * outward[1]
     return Hit(x, y, normal)
 
 
 def _circle_angles(arc: Arc, wall: list[float]) -> list[float]:
-    """The polar angles at which the arc's whole circle meets a wall: none, one or two; of a wall on it, its ends'."""
+    """Return the polar angles of the intersections of an arc's whole circle with a wall, at most two."""
+    # 1. Foot of the perpendicular from the centre: position along the wall, and distance from it.
     x1, y1 = wall[0] - arc.centre_x_in, wall[1] - arc.centre_y_in
     along_x, along_y = wall[2] - wall[0], wall[3] - wall[1]
     length = hypot(along_x, along_y)
     unit_x, unit_y = along_x / length, along_y / length
     foot = -(x1 * unit_x + y1 * unit_y)
-    aside = x1 * unit_y - y1 * unit_x
-    if abs(aside) > arc.radius_in + TOUCH_IN:
+    distance = x1 * unit_y - y1 * unit_x
+    if abs(distance) > arc.radius_in + TOUCH_IN:
         return []
-    half = float(np.sqrt(max((arc.radius_in - aside) * (arc.radius_in + aside), 0.0)))
+    # 2. Half the chord, then the ends of the chord that lie on the wall.
+    half = float(np.sqrt(max((arc.radius_in - distance) * (arc.radius_in + distance), 0.0)))
     places = [place for place in (foot - half, foot + half) if -TOUCH_IN <= place <= length + TOUCH_IN]
     return [atan2(y1 + place * unit_y, x1 + place * unit_x) for place in places]
 
 
-def _normal(wall: list[float], way: tuple[float, float], aside: tuple[float, float]) -> float:
-    """The wall's normal that faces a path going `way`; the one towards `aside` where the path runs along the wall."""
+def _normal(wall: list[float], direction: tuple[float, float], side: tuple[float, float]) -> float:
+    """Return the angle of the wall's normal that faces a path; towards `side` if the path is parallel to the wall."""
     normal = atan2(wall[2] - wall[0], wall[1] - wall[3])
-    facing = cos(normal) * way[0] + sin(normal) * way[1]
-    if abs(facing) <= SLANT:
-        facing = -(cos(normal) * aside[0] + sin(normal) * aside[1])
+    facing = cos(normal) * direction[0] + sin(normal) * direction[1]
+    if abs(facing) <= MIN_SLANT:
+        facing = -(cos(normal) * side[0] + sin(normal) * side[1])
     turned = remainder(normal + (pi if facing > 0.0 else 0.0), tau)
     return turned if turned > -pi else pi
 
 
-MOST_ROBOTS_TOLD: Final = 341
-"""What a reply to get_rpx can carry: 1 + 3 x 341 of 1024 words."""
-
-EDGE_IN: Final = 1e5
-"""The map ends here in every direction: rays are exact so far, and all numbers fit into their words."""
-
-TOUCH_IN_GROUND: Final = 1e-3
-"""A robot may touch what it stands beside: an obstacle this little inside its rim does not stand in it."""
-
-_PREDICTED = 44
-_PATH_UNIT_IN = 10_000.0
-"""Arguments of motion_check are thousandths of the C call's numbers, and those are tenths of an inch."""
+# Robots in a reply to get_rpx: 1 + 3 x 341 = 1024 words, the maximum of a reply.
+MAX_ROBOTS_IN_REPLY: Final = 341
+# Half the size of the map: rays are exact so far, and all numbers fit into their words.
+MAX_COORDINATE_IN: Final = 1e5
+# A robot may touch an obstacle: overlap up to this does not count.
+MAX_OVERLAP_IN: Final = 1e-3
+# Number of State slots in a prediction: all but the error.
+_PREDICTED_SLOTS = 44
+# Arguments of motion_check are thousandths of the C call's numbers, which are tenths of an inch.
+_PATH_UNITS_PER_INCH = 10_000.0
 
 _Corners = tuple[tuple[int, int], ...]
 
 
-def add_obstacle(server: ServerState, _visit: ConnectionContext, args: tuple[int, ...]) -> Reply:
+def add_obstacle(server: ServerState, _context: ConnectionContext, args: tuple[int, ...]) -> Reply:
     """Add a polygon of three corners or more that encloses some area and no robot."""
     world = server.simulation.world
     polygon = _polygon(_corners(args))
-    if not sound(polygon) or stands_in_a_robot(server, polygon):
+    if not is_valid_polygon(polygon) or overlaps_robot(server, polygon):
         return error_reply(BAD_VALUES)
     if len(world.obstacles) >= server.allowed.obstacles:
         return error_reply(REFUSED)
@@ -155,8 +153,8 @@ def add_obstacle(server: ServerState, _visit: ConnectionContext, args: tuple[int
     return done()
 
 
-def delete_obstacle(server: ServerState, _visit: ConnectionContext, args: tuple[int, ...]) -> Reply:
-    """Take away the polygon with these corners; the latest where there are several."""
+def delete_obstacle(server: ServerState, _context: ConnectionContext, args: tuple[int, ...]) -> Reply:
+    """Remove the obstacle with these corners, the last one if there are several."""
     obstacles = list(server.simulation.world.obstacles)
     number = _number_of(obstacles, _corners(args))
     if number is None:
@@ -166,8 +164,8 @@ def delete_obstacle(server: ServerState, _visit: ConnectionContext, args: tuple[
     return done()
 
 
-def move_obstacle(server: ServerState, _visit: ConnectionContext, args: tuple[int, ...]) -> Reply:
-    """Shift the polygon with these corners; the answer is their number and where they are now."""
+def move_obstacle(server: ServerState, _context: ConnectionContext, args: tuple[int, ...]) -> Reply:
+    """Shift the obstacle with these corners; the reply is their number and new positions."""
     *_, dx, dy = args
     corners = _corners(args[:-2])
     obstacles = list(server.simulation.world.obstacles)
@@ -175,23 +173,23 @@ def move_obstacle(server: ServerState, _visit: ConnectionContext, args: tuple[in
     if number is None:
         return error_reply(BAD_VALUES)
     moved = obstacles[number].moved(dx / 10, dy / 10)
-    if not sound(moved) or stands_in_a_robot(server, moved):
+    if not is_valid_polygon(moved) or overlaps_robot(server, moved):
         return error_reply(BAD_VALUES)
     obstacles[number] = moved
     server.simulation.change_world(server.simulation.world.with_obstacles(obstacles))
     return Reply("simple", values=(len(corners), *[at for x, y in corners for at in (x + dx, y + dy)]))
 
 
-def new_world(server: ServerState, _visit: ConnectionContext, _args: tuple[int, ...]) -> Reply:
-    """Take all obstacles away, the world file's as well; walls stay."""
+def new_world(server: ServerState, _context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
+    """Remove all obstacles, those of the world file too; walls stay."""
     server.simulation.change_world(server.simulation.world.with_obstacles(()))
     return done()
 
 
 def place_robot(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Reply:
-    """Put the robot somewhere; a place where it would touch a wall or another robot is refused."""
+    """Place the robot; a pose where it would touch a wall or another robot is refused."""
     robot, place = server.robot_of(context), _start(args)
-    if max(abs(place.x_in), abs(place.y_in)) > EDGE_IN:
+    if max(abs(place.x_in), abs(place.y_in)) > MAX_COORDINATE_IN:
         return error_reply(BAD_VALUES)
     try:
         server.simulation.require_free(place.x_in, place.y_in, robot.model.body.radius_in, context.robot_id)
@@ -202,17 +200,17 @@ def place_robot(server: ServerState, context: ConnectionContext, args: tuple[int
     return done()
 
 
-def get_rpx(server: ServerState, _visit: ConnectionContext, _args: tuple[int, ...]) -> Reply:
-    """Where all actual robots are and which way they head, in the order of their ids."""
-    robots = [robot.actual for _, robot in sorted(server.simulation.robots.items())][:MOST_ROBOTS_TOLD]
+def get_rpx(server: ServerState, _context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
+    """Return actual position and heading of all robots, ordered by number."""
+    robots = [robot.actual for _, robot in sorted(server.simulation.robots.items())][:MAX_ROBOTS_IN_REPLY]
     numbers = [n for at in robots for n in (tenths(at.x_in), tenths(at.y_in), heading_tenths(at.steering_rad))]
     return Reply("simple", values=(len(robots), *numbers))
 
 
 def get_robot_conf(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply | DeferredReply:
-    """A pose clicked in the window; without one, where the actual robot is.
+    """Return a pose clicked in the viewer, the actual pose of the robot if no viewer is open.
 
-    In lockstep nobody is waited for: time would run as long as it takes.
+    In lockstep the reply is not deferred: simulated time would run until somebody clicks.
     """
     robot = server.robot_of(context)
 
@@ -223,37 +221,37 @@ def get_robot_conf(server: ServerState, context: ConnectionContext, _args: tuple
     if not server.pose_requests.open or server.clock.lockstep_s is not None:
         return Reply("configuration", values=here())
     assert context.robot_id is not None
-    clicked = server.pose_requests.ask(context.robot_id, context, here)
+    poll_pose = server.pose_requests.add(context.robot_id, context, here)
 
-    def later() -> Reply | None:
-        pose = clicked()
+    def poll() -> Reply | None:
+        pose = poll_pose()
         return None if pose is None else Reply("configuration", values=pose)
 
-    return later
+    return poll
 
 
 def predict_sensors(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Reply:
-    """What the sensors would read at another place of the map, ideal ones without noise; no robot goes there."""
+    """Return the noise-free readings of the sensors at another pose; the robot does not move."""
     simulation, robot = server.simulation, server.robot_of(context)
     others = {number: other for number, other in simulation.robots.items() if other is not robot}
-    seen = RobotPositions(np.vstack((discs_of(others.values()), (0.0, 0.0, 0.0))))
+    others_there = RobotPositions(np.vstack((discs_of(others.values()), (0.0, 0.0, 0.0))))
     there = SimulatedRobot(
-        robot.rng_factory, _start(args), simulation.world.walls, robot.model, IDEAL, positions=seen,
+        robot.rng_factory, _start(args), simulation.world.walls, robot.model, IDEAL, positions=others_there,
         self_index=len(others),
-    )  # fmt: skip
-    slots, laser = with_laser(there, context, state_slots(there, server.clock.speed_tenths))
-    return Reply("prediction", values=tuple(slots[:_PREDICTED]), laser=laser)
+    )
+    slots, laser = add_laser(there, context, state_slots(there, server.clock.speed_tenths))
+    return Reply("prediction", values=tuple(slots[:_PREDICTED_SLOTS]), laser=laser)
 
 
-def motion_check(server: ServerState, _visit: ConnectionContext, args: tuple[float, ...]) -> Reply:
-    """Whether a line or an arc meets a wall or an obstacle; where, and which way the wall faces there."""
+def motion_check(server: ServerState, _context: ConnectionContext, args: tuple[float, ...]) -> Reply:
+    """Return if a line or an arc meets a wall or obstacle, where, and the normal of the wall there."""
     kind, *numbers = args
     walls = server.simulation.world.walls
     if kind == MOTION_LINE:
-        x1, y1, x2, y2 = (number / _PATH_UNIT_IN for number in numbers)
+        x1, y1, x2, y2 = (number / _PATH_UNITS_PER_INCH for number in numbers)
         hit = line_hit((x1, y1), (x2, y2), walls)
     else:
-        radius, x, y = (number / _PATH_UNIT_IN for number in numbers[4:])
+        radius, x, y = (number / _PATH_UNITS_PER_INCH for number in numbers[4:])
         if radius < 0.0:
             return error_reply(BAD_VALUES)
         hit = arc_hit(Arc(x, y, radius, numbers[2] / 1000, numbers[3] / 1000), walls)
@@ -263,7 +261,7 @@ def motion_check(server: ServerState, _visit: ConnectionContext, args: tuple[flo
 
 
 def done() -> Reply:
-    """The reply of a command that has nothing to say."""
+    """Return the reply of a command without a result."""
     return Reply("simple", values=(0,))
 
 
@@ -280,40 +278,40 @@ def _polygon(corners: _Corners) -> Polygon:
     return Polygon(tuple((x / 10, y / 10) for x, y in corners))
 
 
-def sound(polygon: Polygon) -> bool:
-    """Whether the corners go round some area of the map without crossing their own way."""
+def is_valid_polygon(polygon: Polygon) -> bool:
+    """Return True if the corners enclose an area of the map and no sides cross."""
     edges = polygon.segments()
     return (
         len(edges) >= 3
-        and float(abs(edges).max()) <= EDGE_IN
+        and float(abs(edges).max()) <= MAX_COORDINATE_IN
         and bool(lengths(edges).all())
         and crossing(edges) is None
         and abs(area(polygon.corners_in)) > 0.0
     )
 
 
-def stands_in_a_robot(server: ServerState, polygon: Polygon) -> bool:
-    """Whether an obstacle would stand where a robot does."""
+def overlaps_robot(server: ServerState, polygon: Polygon) -> bool:
+    """Return True if an obstacle overlaps a robot."""
     edges = polygon.segments()
     for robot in server.simulation.robots.values():
         *place, radius_in = robot.disc
         _, distances = nearest_points(place, edges)
-        if distances.min() < radius_in - TOUCH_IN_GROUND or inside(place, edges).any():
+        if distances.min() < radius_in - MAX_OVERLAP_IN or inside(place, edges).any():
             return True
     return False
 
 
 def _number_of(obstacles: Sequence[Polygon], corners: _Corners) -> int | None:
-    """The latest of the obstacles that has these corners."""
-    wanted = _canonical(corners)
+    """Return the index of the last obstacle with these corners, None if there is none."""
+    outline = _canonical(corners)
     for number in reversed(range(len(obstacles))):
         there = tuple((tenths(x), tenths(y)) for x, y in obstacles[number].corners_in)
-        if len(there) == len(corners) and _canonical(there) == wanted:
+        if len(there) == len(corners) and _canonical(there) == outline:
             return number
     return None
 
 
 def _canonical(corners: _Corners) -> _Corners:
-    """The same outline, named from one corner and one way round, whatever they were."""
-    ways = (corners, corners[::-1])
-    return min(way[first:] + way[:first] for way in ways for first in range(len(way)))
+    """Return the same outline with a unique first corner and direction."""
+    directions = (corners, corners[::-1])
+    return min(order[first:] + order[:first] for order in directions for first in range(len(order)))

@@ -1,4 +1,4 @@
-"""Values of a belief: headings wrap, differences go the short way, standard deviations come back."""
+"""Beliefs: wrapped headings, differences by the shorter turn, standard deviations."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_adding_changes_neither_operand() -> None:
     assert change.tolist() == [1.0, 1.0, 1.0]
 
 
-def test_an_independent_belief_has_the_standard_deviations_it_was_given() -> None:
+def test_an_independent_belief_has_its_standard_deviations() -> None:
     belief = independent([[1.0, 2.0, 4.0], [0.0, 0.0, 0.0]], (0.1, 0.2, 0.3))
     assert belief.cov.shape == (2, 3, 3)
     assert belief.cov[0] == pytest.approx(np.diag([0.01, 0.04, 0.09]))
@@ -72,6 +72,6 @@ def test_a_belief_cannot_be_changed_in_place() -> None:
         belief.mean = np.ones(3)  # type: ignore[misc]
 
 
-def test_a_part_of_one_state_is_a_scalar_and_of_many_an_array() -> None:
+def test_a_component_is_a_scalar_of_one_state() -> None:
     assert isinstance(component(np.array([1.0, 2.0]), 1), np.float64)
     assert component(np.array([[1.0, 2.0], [3.0, 4.0]]), 1).tolist() == [2.0, 4.0]

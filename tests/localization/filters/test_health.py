@@ -1,4 +1,4 @@
-"""The monitor: a CUSUM by hand, its false alarms against Wald's bound, and each reason to be in doubt."""
+"""The monitor: a CUSUM by hand, its false alarms against Wald's bound, and each status."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def outcome(outlier_probability: float = 0.0, nis: float = 1.0) -> UpdateResult:
     return UpdateResult(Refusal.NONE, 0.0, nis, outlier_probability)
 
 
-def test_evidence_adds_up_from_its_highest_and_each_reading_counts_so_much_at_most() -> None:
+def test_evidence_falls_from_its_maximum_within_limits() -> None:
     monitor = IntegrityMonitor(HealthLimits(lost_nats=10.0, max_loss_nats=4.0, max_gain_nats=1.0))
     for likelihood, expected in ((10.0, 0.0), (exp(-2.0), 2.0), (exp(1.0), 1.0), (1e-9, 5.0), (1e9, 4.0)):
         monitor.add_evidence(likelihood, 1.0, None)
@@ -35,9 +35,9 @@ def test_evidence_adds_up_from_its_highest_and_each_reading_counts_so_much_at_mo
 
 def test_false_alarms_are_no_more_frequent_than_walds_bound() -> None:
     """Readings that really come from the estimate: two gaussians a standard deviation apart, in place of ranges."""
-    chance, alarms, readings = np.random.default_rng(5), 0, 20_000
+    rng, alarms, readings = np.random.default_rng(5), 0, 20_000
     monitor = IntegrityMonitor(HealthLimits(lost_nats=3.5, max_loss_nats=50.0, max_gain_nats=50.0))
-    for z in chance.standard_normal(readings).tolist():
+    for z in rng.standard_normal(readings).tolist():
         monitor.add_evidence(exp(-0.5 * z * z), exp(-0.5 * (z - 1.0) ** 2), None)
         if monitor.health(SHARP).status is HealthStatus.LOST:
             alarms += 1
@@ -64,7 +64,7 @@ def test_few_explained_echoes_degrade() -> None:
     assert monitor.health(SHARP) == HEALTHY
 
 
-def test_large_innovations_degrade_and_those_of_bad_readings_do_not_count() -> None:
+def test_large_innovations_degrade_except_of_outliers() -> None:
     monitor = IntegrityMonitor(HealthLimits(window=10))
     for _ in range(10):
         monitor.add_evidence(1.0, 1.0, outcome(outlier_probability=0.2, nis=4.0))
@@ -82,7 +82,7 @@ def test_logarithms_are_natural() -> None:
     assert monitor.fall_nats == pytest.approx(log(2.0))
 
 
-def test_falling_evidence_or_few_explained_echoes_are_a_reason_to_doubt() -> None:
+def test_falling_evidence_or_few_matches_are_suspicious() -> None:
     monitor = IntegrityMonitor(HealthLimits(suspicious_nats=6.0, lost_nats=10.0, window=4, min_matched=0.5))
     assert not monitor.is_suspicious
     monitor.add_evidence(1e-9, 1.0, None)

@@ -37,26 +37,26 @@ class Refusing:
         return Association(self._refusal, x[0])
 
 
-def told_by(refusal: Refusal, readings: int) -> KalmanFilter:
-    known = KalmanFilter(HERE, MeasurementUpdate(Refusing(refusal)), OdometryNoise())
+def refusing_filter(refusal: Refusal, readings: int) -> KalmanFilter:
+    kalman = KalmanFilter(HERE, MeasurementUpdate(Refusing(refusal)), OdometryNoise())
     for _ in range(readings):
-        known.update(0, 0.0, 50.0)
-    return known
+        kalman.update(0, 0.0, 50.0)
+    return kalman
 
 
 @pytest.mark.parametrize("refusal", [Refusal.GATE, Refusal.NO_WALL])
-def test_readings_that_nothing_explains_degrade_once_there_are_enough(refusal: Refusal) -> None:
-    assert told_by(refusal, WINDOW - 1).health == HEALTHY
-    health = told_by(refusal, WINDOW).health
+def test_enough_unexplained_readings_degrade(refusal: Refusal) -> None:
+    assert refusing_filter(refusal, WINDOW - 1).health == HEALTHY
+    health = refusing_filter(refusal, WINDOW).health
     assert health == (HealthStatus.DEGRADED, f"only 0% of the last {WINDOW} echoes are explained")
 
 
 @pytest.mark.parametrize("refusal", [Refusal.LIMIT, Refusal.AMBIGUOUS_WALL, Refusal.GRAZING])
-def test_readings_that_are_left_out_whatever_they_say_tell_nothing(refusal: Refusal) -> None:
-    assert told_by(refusal, 3 * WINDOW).health == HEALTHY
+def test_uninformative_refusals_do_not_degrade(refusal: Refusal) -> None:
+    assert refusing_filter(refusal, 3 * WINDOW).health == HEALTHY
 
 
-def test_a_real_ring_that_is_elsewhere_than_believed_degrades_and_one_that_is_there_does_not() -> None:
+def test_a_ring_away_from_its_estimate_degrades() -> None:
     """Ranges that the map itself gives: at the believed place, and 12 in off it."""
     model = measurement_model(load_world("thesis_room").walls, N150, ConeSonar())
 
@@ -69,12 +69,12 @@ def test_a_real_ring_that_is_elsewhere_than_believed_degrades_and_one_that_is_th
 
     there = independent([32.0, 29.0, 0.3], HERE.std)
     for place, status in ((HERE, HealthStatus.OK), (there, HealthStatus.DEGRADED)):
-        heard = readings(place)
-        known = KalmanFilter(HERE, MeasurementUpdate(model), OdometryNoise(0.0, 0.0, 0.0))
-        for sonar, reading_in in heard * (WINDOW // len(heard) + 1):
-            known.update(sonar, 0.0, round(reading_in))
-            known._x, known._P = unpack(HERE)  # keep the belief: a filter this certain would hardly move
-        assert known.health.status is status, place
+        readings_there = readings(place)
+        kalman = KalmanFilter(HERE, MeasurementUpdate(model), OdometryNoise(0.0, 0.0, 0.0))
+        for sonar, reading_in in readings_there * (WINDOW // len(readings_there) + 1):
+            kalman.update(sonar, 0.0, round(reading_in))
+            kalman._x, kalman._P = unpack(HERE)  # keep the belief: a filter this certain would hardly move
+        assert kalman.health.status is status, place
 
 
 def test_an_estimate_that_is_too_wide_says_so() -> None:
@@ -102,25 +102,25 @@ def tracking(kind: str) -> KalmanFilter | GlobalLocalizer:
 
 
 @pytest.mark.parametrize("kind", ["kalman", "finder"])
-def test_the_same_echo_again_tells_nothing_more_until_the_robot_moves(kind: str) -> None:
-    known = tracking(kind)
-    known.update(0, 0.0, AHEAD_IN)
-    once = known.belief
+def test_a_repeated_echo_adds_nothing_until_the_robot_moves(kind: str) -> None:
+    kalman = tracking(kind)
+    kalman.update(0, 0.0, AHEAD_IN)
+    once = kalman.belief
     assert once.cov[0, 0] < 0.8 * MIDST.cov[0, 0]
     for _ in range(5):
-        assert known.update(0, 0.0, AHEAD_IN).refusal is Refusal.NONE
-    np.testing.assert_allclose(known.belief.cov, once.cov, rtol=1e-6)
-    known.predict(0.5, 0.0)
-    before = known.belief.cov
-    known.update(0, 0.0, AHEAD_IN)
-    assert known.belief.cov[0, 0] < 0.9 * before[0, 0]
+        assert kalman.update(0, 0.0, AHEAD_IN).refusal is Refusal.NONE
+    np.testing.assert_allclose(kalman.belief.cov, once.cov, rtol=1e-6)
+    kalman.predict(0.5, 0.0)
+    before = kalman.belief.cov
+    kalman.update(0, 0.0, AHEAD_IN)
+    assert kalman.belief.cov[0, 0] < 0.9 * before[0, 0]
 
 
 @pytest.mark.parametrize("kind", ["kalman", "finder"])
 @pytest.mark.parametrize("refused_in", [AHEAD_IN - 20.0, 255.0])
-def test_a_reading_that_was_refused_takes_nothing_from_the_next(kind: str, refused_in: float) -> None:
-    known, once = tracking(kind), tracking(kind)
-    assert known.update(0, 0.0, refused_in).refusal is not Refusal.NONE
-    for each in (known, once):
+def test_a_refused_reading_does_not_count_as_repeated(kind: str, refused_in: float) -> None:
+    kalman, once = tracking(kind), tracking(kind)
+    assert kalman.update(0, 0.0, refused_in).refusal is not Refusal.NONE
+    for each in (kalman, once):
         each.update(0, 0.0, AHEAD_IN)
-    np.testing.assert_array_equal(known.belief.cov, once.belief.cov)
+    np.testing.assert_array_equal(kalman.belief.cov, once.belief.cov)

@@ -51,7 +51,7 @@ def test_limits_are_no_ranges(kind: Likelihood) -> None:
 
 
 @pytest.mark.parametrize("kind", [RAYS, CONES])
-def test_what_a_reading_adds_counts_what_particles_cannot_resolve_as_an_error_that_stays(kind: Likelihood) -> None:
+def test_the_widening_counts_as_a_constant_error(kind: Likelihood) -> None:
     """At 100 in the sonars' noise is 1 in: of the rounding next to nothing stays, of the widening, 0.25 in2, all."""
     variance, constant = 1.0 + 1 / 12 + 0.25, 0.25 + exp(-4.0 * pi**2) / 12
     assert [kind.information(100.0, times) for times in (1, 2, 5)] == pytest.approx(
@@ -66,7 +66,7 @@ def test_a_ray_into_nothing_leaves_only_bad_readings() -> None:
 
 
 @pytest.mark.parametrize("kind", [RAYS, CONES])
-def test_what_is_left_far_from_all_that_could_be_heard_is_of_bad_readings(kind: Likelihood) -> None:
+def test_far_from_every_echo_only_outliers_remain(kind: Likelihood) -> None:
     """So it is by definition: the part of bad readings does not know what was read, the rest is gone there."""
     near, far = (kind.at(POSES, 3, 0.4, reading_in) for reading_in in (30.0, 5000.0))
     np.testing.assert_allclose(far.total, far.outlier)

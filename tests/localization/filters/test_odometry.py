@@ -61,7 +61,7 @@ def moved_from(pose: Floats, step: Floats, row: int, shift: float) -> Floats:
 
 
 @given(poses, steps)
-def test_the_derivative_by_the_pose_is_that_of_central_differences(pose: Floats, step: Floats) -> None:
+def test_f_is_that_of_central_differences(pose: Floats, step: Floats) -> None:
     width = 1e-6
     columns = [
         difference(moved_from(pose, step, row, width), moved_from(pose, step, row, -width)) / (2 * width)
@@ -71,7 +71,7 @@ def test_the_derivative_by_the_pose_is_that_of_central_differences(pose: Floats,
 
 
 @given(poses, steps)
-def test_the_covariance_added_is_that_of_central_differences_by_the_step(pose: Floats, step: Floats) -> None:
+def test_gqg_is_that_of_central_differences_by_the_step(pose: Floats, step: Floats) -> None:
     width = 1e-6
     columns = [
         difference(move(pose, step + width * unit), move(pose, step - width * unit)) / (2 * width) for unit in np.eye(2)
@@ -95,7 +95,7 @@ def test_the_covariance_added_has_rank_two() -> None:
     assert np.linalg.matrix_rank(covariance) == 2
 
 
-def test_variances_grow_with_the_distance_whichever_way_it_goes() -> None:
+def test_variances_grow_with_the_distance_in_both_directions() -> None:
     assert step_variance(np.array([-3.0, -0.5]), NOISE) == pytest.approx([0.01 * 3, 0.04 * 0.5 + 0.0009 * 3])
     assert step_variance(np.array([0.0, 0.0]), NOISE).tolist() == [0.0, 0.0]
 
@@ -106,7 +106,7 @@ def test_two_half_steps_add_the_variance_of_one() -> None:
 
 
 @given(poses, steps)
-def test_the_step_between_two_poses_leads_from_one_to_the_other(pose: Floats, step: Floats) -> None:
+def test_step_between_is_the_inverse_of_move(pose: Floats, step: Floats) -> None:
     assert step_between(pose, move(pose, step)) == pytest.approx(step, abs=1e-9)
 
 

@@ -42,11 +42,11 @@ class Ruler:
 
 
 def filter_of(count: int, seed: int = 1, **more: object) -> ParticleFilter:
-    chance = np.random.default_rng(seed)
-    return ParticleFilter(draw_particles(BELIEF, count, chance), Ruler(), OdometryNoise(), chance, **more)  # type: ignore[arg-type]
+    rng = np.random.default_rng(seed)
+    return ParticleFilter(draw_particles(BELIEF, count, rng), Ruler(), OdometryNoise(), rng, **more)  # type: ignore[arg-type]
 
 
-def test_on_a_linear_problem_it_agrees_with_the_kalman_filter() -> None:
+def test_a_linear_problem_agrees_with_the_kalman_filter() -> None:
     particles, gaussian = filter_of(200_000), BELIEF
     step = np.array([1.0, 0.05])
     for reading in (41.3, 42.0, 43.4):
@@ -75,7 +75,7 @@ def test_limits_say_nothing() -> None:
 
 
 @pytest.mark.parametrize("start", [0.0, 0.37, 0.999])
-def test_resampling_keeps_each_as_often_as_its_weight_says_to_less_than_one(start: float) -> None:
+def test_resampling_is_proportional_to_the_weights(start: float) -> None:
     weights = np.random.default_rng(2).dirichlet(np.ones(50))
     counts = np.bincount(resample_low_variance(weights, start), minlength=50)
     assert counts.sum() == 50
@@ -100,7 +100,7 @@ def test_the_same_seed_gives_the_same_particles() -> None:
     np.testing.assert_array_equal(runs[0], runs[1])
 
 
-def test_drawn_particles_have_the_moments_they_are_draw_particles() -> None:
+def test_drawn_particles_have_the_moments_of_the_belief() -> None:
     root = np.array([[0.5, 0, 0], [0.2, 0.4, 0], [0.01, 0.0, 0.02]])
     belief = Belief(np.array([1.0, 2.0, 3.1]), root @ root.T)
     states = draw_particles(belief, 100_000, np.random.default_rng(3))
@@ -109,40 +109,40 @@ def test_drawn_particles_have_the_moments_they_are_draw_particles() -> None:
     np.testing.assert_allclose(found.cov, belief.cov, atol=0.004)
 
 
-def test_how_likely_a_reading_was_bad_is_bayes_over_all_particles() -> None:
-    chance = np.random.default_rng(5)
+def test_the_outlier_probability_is_bayes_over_all_particles() -> None:
+    rng = np.random.default_rng(5)
     likelihood = RayLikelihood(ROOM, N150, WIRE_SONAR)
-    particles = ParticleFilter(draw_particles(BELIEF, 50, chance), likelihood, OdometryNoise(), chance)
+    particles = ParticleFilter(draw_particles(BELIEF, 50, rng), likelihood, OdometryNoise(), rng)
     reading = _reading(BELIEF.mean, 2)
     whole, bad = np.sum([likelihood.at(state[None, :], 2, 0.0, reading) for state in particles.states], axis=0)
     assert particles.update(2, 0.0, reading).outlier_probability == pytest.approx(float(bad[0] / whole[0]))
 
 
-def test_a_cloud_that_is_elsewhere_than_the_robot_degrades_and_one_that_is_there_does_not() -> None:
+def test_a_cloud_away_from_the_robot_degrades() -> None:
     for off_in, status in ((0.0, HealthStatus.OK), (12.0, HealthStatus.DEGRADED)):
-        chance, truth = np.random.default_rng(8), BELIEF.mean + np.array([off_in, -off_in, 0.0])
+        rng, truth = np.random.default_rng(8), BELIEF.mean + np.array([off_in, -off_in, 0.0])
         likelihood = RayLikelihood(ROOM, N150, WIRE_SONAR)
-        cloud = ParticleFilter(draw_particles(BELIEF, 500, chance), likelihood, OdometryNoise(0.0, 0.0, 0.0), chance)
+        cloud = ParticleFilter(draw_particles(BELIEF, 500, rng), likelihood, OdometryNoise(0.0, 0.0, 0.0), rng)
         refused = 0
         for sonar in [*range(16)] * 4:
             refused += cloud.update(sonar, 0.0, _reading(truth, sonar)).refusal is Refusal.GATE
-            cloud.states = draw_particles(BELIEF, 500, chance)  # held where it is believed to be
+            cloud.states = draw_particles(BELIEF, 500, rng)  # held where it is believed to be
         assert cloud.health.status is status
         assert (refused > 32) is (off_in > 0.0)
 
 
 def test_a_cloud_that_is_too_wide_says_so() -> None:
-    chance = np.random.default_rng(9)
-    states = draw_particles(independent([0.0, 0.0, 0.0], [0.2, 4.0, 0.01]), 20_000, chance)
-    wide = ParticleFilter(states, Ruler(), OdometryNoise(), chance)
+    rng = np.random.default_rng(9)
+    states = draw_particles(independent([0.0, 0.0, 0.0], [0.2, 4.0, 0.01]), 20_000, rng)
+    wide = ParticleFilter(states, Ruler(), OdometryNoise(), rng)
     assert wide.health == (HealthStatus.DEGRADED, "the position is known to 4.0 in only")
 
 
 def test_readings_of_the_room_bring_a_spread_cloud_together() -> None:
-    chance, truth = np.random.default_rng(4), np.array([42.0, 44.0, 0.28])
+    rng, truth = np.random.default_rng(4), np.array([42.0, 44.0, 0.28])
     wide = independent(BELIEF.mean, [3.0, 3.0, 0.1])
     likelihood = RayLikelihood(ROOM, N150, WIRE_SONAR)
-    cloud = ParticleFilter(draw_particles(wide, 2000, chance), likelihood, OdometryNoise(), chance)
+    cloud = ParticleFilter(draw_particles(wide, 2000, rng), likelihood, OdometryNoise(), rng)
     for _ in range(4):
         for sonar in range(16):
             cloud.predict(0.02, 0.0)
@@ -154,9 +154,9 @@ def test_readings_of_the_room_bring_a_spread_cloud_together() -> None:
 
 def test_a_robot_that_stands_keeps_its_cloud() -> None:
     """Readings of whole inches, the same again and again: taken for news, they leave a handful of particles."""
-    chance, truth = np.random.default_rng(6), np.array([40.5, 45.2, 0.31])
+    rng, truth = np.random.default_rng(6), np.array([40.5, 45.2, 0.31])
     likelihood = RayLikelihood(ROOM, N150, WIRE_SONAR)
-    cloud = ParticleFilter(draw_particles(BELIEF, 1000, chance), likelihood, OdometryNoise(), chance)
+    cloud = ParticleFilter(draw_particles(BELIEF, 1000, rng), likelihood, OdometryNoise(), rng)
     after = []
     for _ in range(40):
         for sonar in range(16):

@@ -1,4 +1,4 @@
-"""Which part of a reading's error is the same each time: rounding, against its covariance by quadrature."""
+"""The constant part of a reading's error: rounding, against its covariance by quadrature."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_rounding_errs_the_same_way_until_noise_shakes_it(std: float, step: floa
     assert told <= noise.variance_at(30.0)
 
 
-def test_without_noise_it_is_all_of_rounding_and_without_rounding_nothing() -> None:
+def test_without_noise_all_of_the_rounding_is_constant() -> None:
     assert RangeNoise(0.0, 1e-6, 1 / 12).constant_variance_at(50.0) == pytest.approx(1 / 12)
     assert RangeNoise().constant_variance_at(50.0) == 0.0
 

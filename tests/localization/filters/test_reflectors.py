@@ -1,4 +1,4 @@
-"""What sound meets in a map: which ends of walls are vertices, and which of them are square corners."""
+"""Reflectors of a map: which ends of walls are vertices, and which of them square corners."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def test_a_wall_that_goes_straight_on_has_no_vertex_there() -> None:
     assert not around.square.any()
 
 
-def test_where_three_walls_meet_there_is_a_vertex_that_is_not_square() -> None:
+def test_three_walls_meet_in_a_vertex_that_is_not_square() -> None:
     around = reflectors([[0, 0, 10, 0], [0, 0, 0, 10], [0, 0, -10, -10]])
     at_origin = (around.vertices == 0).all(axis=-1)
     assert at_origin.sum() == 1
@@ -35,7 +35,7 @@ def test_normals_and_lengths_by_hand() -> None:
     np.testing.assert_allclose(around.normals, [[-0.8, 0.6]])
 
 
-def test_the_shipped_room_with_a_wedge_has_its_tip_as_no_square_corner() -> None:
+def test_the_tip_of_a_wedge_is_no_square_corner() -> None:
     around = reflectors(load_world("centre_vertex").walls)
     tip = (around.vertices == (45, 20)).all(axis=-1)
     assert tip.sum() == 1

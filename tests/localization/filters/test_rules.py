@@ -159,7 +159,7 @@ def test_where_the_range_is_straight_all_are_the_same(rule: Rule) -> None:
 
 
 @pytest.mark.parametrize("reading", [4.5, 5.6])
-def test_the_density_of_the_reading_is_that_of_the_whole_belief(reading: float) -> None:
+def test_the_density_of_a_reading_is_that_of_drawn_states(reading: float) -> None:
     """Against draws from the belief: each rule's density is within a tenth of what they average to."""
     rng = np.random.default_rng(3)
     states = rng.multivariate_normal(BELIEF.mean, BELIEF.cov, 400_000)
@@ -171,7 +171,7 @@ def test_the_density_of_the_reading_is_that_of_the_whole_belief(reading: float) 
         assert density == pytest.approx(drawn, rel=0.1)
 
 
-def test_sigma_points_come_nearest_to_the_posterior_where_the_range_curves() -> None:
+def test_sigma_points_are_best_where_the_range_curves() -> None:
     """Close by a vertex: the mean of the posterior on a grid."""
     belief = Belief(np.array([2.0, 4.0, 0.0]), np.diag([0.16, 0.16, 1e-6]))
     x, y = np.meshgrid(np.linspace(0, 4, 801), np.linspace(2, 6, 801))
@@ -181,7 +181,7 @@ def test_sigma_points_come_nearest_to_the_posterior_where_the_range_curves() -> 
     assert off[unscented] < 0.5 * off[linear]
 
 
-def test_longer_states_are_corrected_through_their_correlation() -> None:
+def test_longer_states_are_corrected_by_correlation() -> None:
     cov = np.diag([1.0, 0.5, 0.01, 0.0025])
     cov[0, 3] = cov[3, 0] = 0.04
     belief = Belief(np.array([0.0, 0.0, 0.3, 0.0]), cov)

@@ -1,4 +1,4 @@
-"""Finding a robot nobody knows the place of, from a ring of echoes: where it is, and where it also may be."""
+"""The search for an unknown pose from a ring of echoes: the pose, and its alternatives."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ KINDS: dict[str, RaySonar | ConeSonar] = {"ideal": EXACT_RAYS, "measured": ConeS
 
 
 @cache
-def atlas_of(world: str, setup: str) -> RangeTable:
+def table_of(world: str, setup: str) -> RangeTable:
     return build_range_table(load_world(world).walls, N150, KINDS[setup], N150.radius_in)
 
 
 Place = tuple[float, float, float]
 
 
-def clues_at(world: str, setup: str, pose: Place, way_in: float = 0.0) -> tuple[list[EchoRecord], Floats]:
+def records_at(world: str, setup: str, pose: Place, way_in: float = 0.0) -> tuple[list[EchoRecord], Floats]:
     """A ring of echoes, taken while driving `way_in` ahead; and the true pose at the last."""
     x, y, heading_deg = pose
     address = f"sim:{world}?setup={setup}&seed=5&start={x},{y},{heading_deg},{heading_deg}&step_s=0.06"
@@ -42,26 +42,26 @@ def clues_at(world: str, setup: str, pose: Place, way_in: float = 0.0) -> tuple[
         robot.configure_sonars(rate=15, order=DEFAULT_SONAR_ORDER)
         if way_in:
             robot.drive(translation_in_s=way_in, steering_rad_s=0.0)
-        clues = []
+        records = []
         for sonar in DEFAULT_SONAR_ORDER:
             state, truth = robot.refresh(), robot.truth()
             encoders = np.array([state.x_in, state.y_in, state.steering_rad])
             offset = state.turret_rad - state.steering_rad
             reading = float(state.sonars_in[sonar])
-            clues.append(EchoRecord(encoders, offset + N150.sonar_angles_rad[sonar], sonar, offset, reading))
-    return clues, np.array([truth.x_in, truth.y_in, truth.steering_rad])
+            records.append(EchoRecord(encoders, offset + N150.sonar_angles_rad[sonar], sonar, offset, reading))
+    return records, np.array([truth.x_in, truth.y_in, truth.steering_rad])
 
 
-def found_at(world: str, setup: str, clues: list[EchoRecord]) -> list[Hypothesis]:
-    hearing = update_for(load_world(world).walls, N150, KINDS[setup])
-    return search(clues, atlas_of(world, setup), hearing, QUIET)
+def found_at(world: str, setup: str, records: list[EchoRecord]) -> list[Hypothesis]:
+    measurement = update_for(load_world(world).walls, N150, KINDS[setup])
+    return search(records, table_of(world, setup), measurement, QUIET)
 
 
 @pytest.mark.parametrize("setup", KINDS)
 @pytest.mark.parametrize("way_in", [0.0, 5.0])
-def test_in_an_asymmetric_room_it_is_found_standing_and_driving(setup: str, way_in: float) -> None:
-    clues, truth = clues_at("several_walls", setup, (30.0, 60.0, 20.0), way_in)
-    best = found_at("several_walls", setup, clues)[0]
+def test_an_asymmetric_room_gives_one_pose(setup: str, way_in: float) -> None:
+    records, truth = records_at("several_walls", setup, (30.0, 60.0, 20.0), way_in)
+    best = found_at("several_walls", setup, records)[0]
     off = difference(best.belief.mean, truth)
     assert np.hypot(off[0], off[1]) < 3.0
     assert abs(off[2]) < 0.15
@@ -70,8 +70,8 @@ def test_in_an_asymmetric_room_it_is_found_standing_and_driving(setup: str, way_
 
 @pytest.mark.parametrize("setup", KINDS)
 def test_a_square_room_has_four_places_that_look_alike(setup: str) -> None:
-    clues, truth = clues_at("thesis_room", setup, (20.0, 35.0, 10.0))
-    found = found_at("thesis_room", setup, clues)
+    records, truth = records_at("thesis_room", setup, (20.0, 35.0, 10.0))
+    found = found_at("thesis_room", setup, records)
     assert len(found) == 4
     centre = np.array([45.085, 45.085])
     turned = []
@@ -79,34 +79,34 @@ def test_a_square_room_has_four_places_that_look_alike(setup: str) -> None:
         cos, sin = math.cos(quarter * math.pi / 2), math.sin(quarter * math.pi / 2)
         turned.append(centre + np.array([[cos, -sin], [sin, cos]]) @ (truth[:2] - centre))
     for place in turned:
-        assert min(np.hypot(*(known.belief.mean[:2] - place)) for known in found) < 3.0
-    assert sum(known.probability for known in found) == pytest.approx(1.0)
-    assert max(known.probability for known in found) < 0.8
+        assert min(np.hypot(*(hypothesis.belief.mean[:2] - place)) for hypothesis in found) < 3.0
+    assert sum(hypothesis.probability for hypothesis in found) == pytest.approx(1.0)
+    assert max(hypothesis.probability for hypothesis in found) < 0.8
 
 
 def test_nothing_heard_and_nowhere_to_stand_find_nothing() -> None:
-    hearing = update_for(load_world("thesis_room").walls, N150, EXACT_RAYS)
-    clues, _ = clues_at("thesis_room", "ideal", (20.0, 35.0, 10.0))
-    assert search([], atlas_of("thesis_room", "ideal"), hearing, QUIET) == []
+    measurement = update_for(load_world("thesis_room").walls, N150, EXACT_RAYS)
+    records, _ = records_at("thesis_room", "ideal", (20.0, 35.0, 10.0))
+    assert search([], table_of("thesis_room", "ideal"), measurement, QUIET) == []
     narrow = build_range_table([[0, 0, 10, 0], [10, 0, 10, 10], [10, 10, 0, 10], [0, 10, 0, 0]], N150, EXACT_RAYS, 9.0)
     assert not narrow.free.any()
-    assert search(clues, narrow, hearing, QUIET) == []
+    assert search(records, narrow, measurement, QUIET) == []
 
 
-def test_hypotheses_that_came_to_the_same_place_are_one_and_the_unlikely_none() -> None:
+def test_equal_hypotheses_merge_and_improbable_ones_drop() -> None:
     here, beside, there = (independent([x, 0.0, 0.0], [0.5, 0.5, 0.02]) for x in (0.0, 1.0, 30.0))
     found = merged([(beside, -3.0), (here, -1.0), (there, -2.0), (independent([60, 0, 0], [1, 1, 1]), -40.0)])
-    assert [known.belief for known in found] == [here, there]
+    assert [hypothesis.belief for hypothesis in found] == [here, there]
     assert found[0].probability == pytest.approx(1.0 / (1.0 + math.exp(-1.0)))
     assert merged([]) == []
 
 
-def test_the_atlas_says_what_a_sonar_in_the_middle_of_a_cell_hears() -> None:
-    atlas, around = atlas_of("several_walls", "measured"), reflectors(load_world("several_walls").walls)
-    place = atlas.places_in[100]
+def test_the_table_holds_the_echo_at_the_middle_of_a_cell() -> None:
+    table, around = table_of("several_walls", "measured"), reflectors(load_world("several_walls").walls)
+    place = table.places_in[100]
     for turn in range(0, 120, 7):
         pose = np.array([[*place, math.radians(3.0 * turn) - 0.4]])
-        range_in, chance = (float(column[0]) for column in atlas.look_up(pose, 0.4))
+        range_in, chance = (float(column[0]) for column in table.look_up(pose, 0.4))
         exact = expected_echoes(pose[0] + [0, 0, 0.4], np.array(0.015), SonarMount(0.0, 9.06), around, ConeSonar())
         best = int(exact.probability.argmax())
         assert chance == pytest.approx(exact.probability[best], abs=0.05)
@@ -116,27 +116,27 @@ def test_the_atlas_says_what_a_sonar_in_the_middle_of_a_cell_hears() -> None:
 
 def test_off_the_floor_nothing_is_heard() -> None:
     poses = np.array([[-500.0, 20.0, 0.0], [-12.0, 20.0, 0.0], [20.0, 9e3, 0.0]])
-    ranges, chances = atlas_of("thesis_room", "ideal").look_up(poses, 0.0)
+    ranges, chances = table_of("thesis_room", "ideal").look_up(poses, 0.0)
     assert not ranges.any()
     assert not chances.any()
 
 
 @pytest.mark.parametrize("setup", KINDS)
 def test_readings_taken_anywhere_have_a_density(setup: str) -> None:
-    atlas = atlas_of("several_walls", setup)
-    assert sum(atlas.density(reading) for reading in range(255)) + atlas.density(255) == pytest.approx(1.0, abs=0.31)
-    assert min(atlas.density(reading) for reading in range(256)) > 0.0
-    assert atlas.density(400) == atlas.density(255)
+    table = table_of("several_walls", setup)
+    assert sum(table.density(reading) for reading in range(255)) + table.density(255) == pytest.approx(1.0, abs=0.31)
+    assert min(table.density(reading) for reading in range(256)) > 0.0
+    assert table.density(400) == table.density(255)
 
 
 @pytest.mark.parametrize("setup", KINDS)
-def test_a_wrong_place_has_a_rival_and_the_right_one_has_none(setup: str) -> None:
-    clues, truth = clues_at("several_walls", setup, (30.0, 60.0, 20.0))
-    atlas = atlas_of("several_walls", setup)
-    hearing = update_for(load_world("several_walls").walls, N150, KINDS[setup])
+def test_only_a_wrong_pose_has_an_alternative(setup: str) -> None:
+    records, truth = records_at("several_walls", setup, (30.0, 60.0, 20.0))
+    table = table_of("several_walls", setup)
+    measurement = update_for(load_world("several_walls").walls, N150, KINDS[setup])
     right, wrong = (independent(place, (0.2, 0.2, 0.01)) for place in (truth, truth + np.array([25.0, 5.0, 1.0])))
-    assert alternatives(right, clues, atlas, hearing, QUIET).lead_nats < 0.5 * MIN_LEAD_NATS
-    found = alternatives(wrong, clues, atlas, hearing, QUIET)
+    assert alternatives(right, records, table, measurement, QUIET).lead_nats < 0.5 * MIN_LEAD_NATS
+    found = alternatives(wrong, records, table, measurement, QUIET)
     assert found.lead_nats > MIN_LEAD_NATS
     assert found.elsewhere is not None
     off = difference(found.elsewhere.mean, truth)
@@ -144,21 +144,25 @@ def test_a_wrong_place_has_a_rival_and_the_right_one_has_none(setup: str) -> Non
 
 
 def test_where_nothing_is_found_there_is_no_rival() -> None:
-    clues, truth = clues_at("several_walls", "ideal", (30.0, 60.0, 20.0))
+    records, truth = records_at("several_walls", "ideal", (30.0, 60.0, 20.0))
     walls = load_world("several_walls").walls
     nowhere = build_range_table(walls, N150, KINDS["ideal"], 500.0)
-    hearing = update_for(walls, N150, KINDS["ideal"])
-    assert alternatives(independent(truth, (0.2, 0.2, 0.01)), clues, nowhere, hearing, QUIET) == (None, None, -math.inf)
+    measurement = update_for(walls, N150, KINDS["ideal"])
+    assert alternatives(independent(truth, (0.2, 0.2, 0.01)), records, nowhere, measurement, QUIET) == (
+        None,
+        None,
+        -math.inf,
+    )
 
 
 @pytest.mark.parametrize("heading_std", [0.02, 0.15])
-def test_a_heading_that_slipped_has_its_right_place_near_by_and_not_elsewhere(heading_std: float) -> None:
+def test_a_slipped_heading_has_its_alternative_nearby(heading_std: float) -> None:
     """A robot that turned on the spot with poor encoders, whether it knows how far its heading may be off or not."""
-    clues, truth = clues_at("several_walls", "measured", (30.0, 60.0, 20.0))
+    records, truth = records_at("several_walls", "measured", (30.0, 60.0, 20.0))
     walls = load_world("several_walls").walls
-    hearing = update_for(walls, N150, KINDS["measured"])
+    measurement = update_for(walls, N150, KINDS["measured"])
     turned = independent(truth + np.array([0.0, 0.0, 0.3]), (0.2, 0.2, heading_std))
-    found = alternatives(turned, clues, atlas_of("several_walls", "measured"), hearing, QUIET)
+    found = alternatives(turned, records, table_of("several_walls", "measured"), measurement, QUIET)
     assert found.near is not None
     off = difference(found.near.mean, truth)
     assert np.hypot(off[0], off[1]) < 2.0

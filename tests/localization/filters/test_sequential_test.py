@@ -1,4 +1,4 @@
-"""Places held against each other by fresh echoes: nats by hand, and wrong winners no more often than Ville's bound."""
+"""The sequential test: log likelihoods by hand, and wrong winners no more often than Ville's bound."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from math import exp, log, pi, sqrt
 import numpy as np
 import pytest
 
-from localization.filters import global_localization as contest_module
+from localization.filters import global_localization as module
 from localization.filters.belief import Belief, independent
 from localization.filters.global_localization import DECISION_NATS, EchoRecord, SequentialTest, Side
 from localization.filters.odometry import OdometryNoise, predict
@@ -18,16 +18,16 @@ NOISE = OdometryNoise(0.1, 0.1, 0.005)
 
 
 class Wall:
-    """All sonars read a robot's x, give or take STD_IN; nothing is learnt from it. `taken` readings are kept."""
+    """All sonars read a robot's x with STD_IN; beliefs do not change. `seen` records the readings."""
 
     def __init__(self) -> None:
-        self.taken: list[tuple[int, float, float]] = []
+        self.seen: list[tuple[int, float, float]] = []
 
     def associate(
         self, x: State, P: Covariance, sonar: int, turret_offset_rad: float, reading_in: float
     ) -> Association:
         del P
-        self.taken.append((sonar, turret_offset_rad, reading_in))
+        self.seen.append((sonar, turret_offset_rad, reading_in))
         return Association(Refusal.GATE, density(reading_in, x[0]))
 
 
@@ -40,14 +40,14 @@ def at(x_in: float) -> Belief:
     return independent([x_in, 0.0, 0.0], [0.5, 0.5, 0.03])
 
 
-def clue(reading_in: float) -> EchoRecord:
+def record(reading_in: float) -> EchoRecord:
     return EchoRecord(np.zeros(3), 0.0, 0, 0.0, reading_in)
 
 
-def test_each_side_gets_the_logarithm_of_how_it_explains_an_echo_and_a_bad_one_costs_so_much_at_most() -> None:
-    contest = SequentialTest(at(52.0), at(90.0), MeasurementUpdate(Wall()), NOISE)
+def test_each_side_gains_the_log_likelihood_of_an_echo() -> None:
+    sequential = SequentialTest(at(52.0), at(90.0), MeasurementUpdate(Wall()), NOISE)
     for reading, here in ((51.0, 0.2), (90.0, 0.0), (30.0, 0.01)):
-        contest.update(clue(reading), here)
+        sequential.update(record(reading), here)
     bad = 0.3 / SPAN_IN
     expected = {
         Side.HERE: log(0.7 * 0.2 + bad) + log(bad) + log(0.7 * 0.01 + bad),
@@ -55,69 +55,69 @@ def test_each_side_gets_the_logarithm_of_how_it_explains_an_echo_and_a_bad_one_c
         Side.ELSEWHERE: log(bad) + log(0.7 * density(90.0, 90.0) + bad) + log(bad),
     }
     first, second = sorted(expected.values())[:0:-1]
-    assert contest.echoes == 3
-    assert contest.lead_nats == pytest.approx(first - second)
-    assert contest.winner is None
+    assert sequential.echoes == 3
+    assert sequential.lead_nats == pytest.approx(first - second)
+    assert sequential.winner is None
 
 
 def test_silence_is_weighed_as_a_chance() -> None:
-    contest = SequentialTest(None, at(90.0), MeasurementUpdate(Wall()), NOISE)
-    contest.update(clue(255.0), 1.0)
-    assert contest.lead_nats == pytest.approx(log(1.0 / 0.3))
+    sequential = SequentialTest(None, at(90.0), MeasurementUpdate(Wall()), NOISE)
+    sequential.update(record(255.0), 1.0)
+    assert sequential.lead_nats == pytest.approx(log(1.0 / 0.3))
 
 
 def test_rivals_move_with_the_encoders_and_hear() -> None:
     wall, step = Wall(), np.array([2.0, 0.3])
-    contest = SequentialTest(at(52.0), at(90.0), MeasurementUpdate(wall), NOISE)
-    contest.predict(*step.tolist())
-    contest.update(EchoRecord(np.zeros(3), 0.5, 7, 0.2, 50.0), 0.1)
+    sequential = SequentialTest(at(52.0), at(90.0), MeasurementUpdate(wall), NOISE)
+    sequential.predict(*step.tolist())
+    sequential.update(EchoRecord(np.zeros(3), 0.5, 7, 0.2, 50.0), 0.1)
     for side, x_in in ((Side.NEAR, 52.0), (Side.ELSEWHERE, 90.0)):
         moved = predict(at(x_in), step, NOISE)
-        np.testing.assert_array_equal(contest.belief(side).mean, moved.mean)
-        np.testing.assert_array_equal(contest.belief(side).cov, moved.cov)
-    assert wall.taken == [(7, 0.2, 50.0)] * 2
+        np.testing.assert_array_equal(sequential.belief(side).mean, moved.mean)
+        np.testing.assert_array_equal(sequential.belief(side).cov, moved.cov)
+    assert wall.seen == [(7, 0.2, 50.0)] * 2
 
 
 @pytest.mark.parametrize(("true_in", "winner"), [(50.0, Side.HERE), (54.0, Side.NEAR), (90.0, Side.ELSEWHERE)])
 def test_the_right_side_wins_after_a_handful_of_echoes(true_in: float, winner: Side) -> None:
-    chance = np.random.default_rng(4)
-    contest = SequentialTest(at(54.0), at(90.0), MeasurementUpdate(Wall()), NOISE)
-    while contest.winner is None:
-        reading = true_in + STD_IN * float(chance.standard_normal())
-        contest.update(clue(reading), density(reading, 50.0))
-    assert contest.winner is winner
-    assert contest.lead_nats >= DECISION_NATS
-    assert contest.echoes <= 12
+    rng = np.random.default_rng(4)
+    sequential = SequentialTest(at(54.0), at(90.0), MeasurementUpdate(Wall()), NOISE)
+    while sequential.winner is None:
+        reading = true_in + STD_IN * float(rng.standard_normal())
+        sequential.update(record(reading), density(reading, 50.0))
+    assert sequential.winner is winner
+    assert sequential.lead_nats >= DECISION_NATS
+    assert sequential.echoes <= 12
 
 
-def test_a_third_place_does_not_win_because_the_estimate_has_slipped() -> None:
-    """The truth is near, and a third of all echoes fits elsewhere by chance: enough against the estimate alone."""
+def test_a_slipped_estimate_does_not_let_a_third_pose_win() -> None:
+    """The truth is near, and a third of all echoes fits elsewhere: enough against the estimate alone."""
 
     def readings(near: Belief | None) -> SequentialTest:
-        contest = SequentialTest(near, at(90.0), MeasurementUpdate(Wall()), NOISE)
+        sequential = SequentialTest(near, at(90.0), MeasurementUpdate(Wall()), NOISE)
         for reading in (54.0, 54.0, 90.0) * 4:
-            contest.update(clue(reading), density(reading, 44.0))
-        return contest
+            sequential.update(record(reading), density(reading, 44.0))
+        return sequential
 
     assert readings(None).winner is Side.ELSEWHERE
     assert readings(at(54.0)).winner is Side.NEAR
 
 
-def test_while_the_estimate_is_right_a_rival_wins_no_more_often_than_villes_bound(
+def test_wrong_winners_stay_within_villes_bound(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Three tenths of the echoes bad, wherever the rival stands, looked at after every one of 40."""
     nats = 2.5
-    monkeypatch.setattr(contest_module, "DECISION_NATS", nats)
-    chance, runs, wrong = np.random.default_rng(6), 3000, 0
-    hearing = MeasurementUpdate(Wall())
+    monkeypatch.setattr(module, "DECISION_NATS", nats)
+    rng, runs, wrong = np.random.default_rng(6), 3000, 0
+    measurement = MeasurementUpdate(Wall())
     for _ in range(runs):
-        contest = SequentialTest(None, at(float(chance.uniform(48.0, 60.0))), hearing, NOISE)
-        good = chance.random(40) >= 0.3
-        heard = np.where(good, 50.0 + STD_IN * chance.standard_normal(40), chance.uniform(6.0, 255.0, 40))
-        for reading in heard.tolist():
-            contest.update(clue(reading), density(reading, 50.0))
-            if contest.winner is not None:
+        sequential = SequentialTest(None, at(float(rng.uniform(48.0, 60.0))), measurement, NOISE)
+        good = rng.random(40) >= 0.3
+        readings_in = np.where(good, 50.0 + STD_IN * rng.standard_normal(40), rng.uniform(6.0, 255.0, 40))
+        for reading in readings_in.tolist():
+            sequential.update(record(reading), density(reading, 50.0))
+            if sequential.winner is not None:
                 break
-        wrong += contest.winner is Side.ELSEWHERE
+        wrong += sequential.winner is Side.ELSEWHERE
     assert 0 < wrong <= runs * exp(-nats)

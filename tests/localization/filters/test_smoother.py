@@ -48,7 +48,7 @@ def smoother(belief: Belief, lag: int) -> FixedLagSmoother:
 @pytest.mark.parametrize("lag", [1, 5, 12])
 @pytest.mark.parametrize("size", [3, 4])
 def test_it_is_filterpys_rts_over_the_last_moves(lag: int, size: int) -> None:
-    """filterpy smooths errors about the predicted way: x_k+1 - F x_k there is what `later - predicted` is here."""
+    """filterpy smooths errors about the predicted path: x_k+1 - F x_k there is what `later - predicted` is here."""
     rng = np.random.default_rng(7)
     made = smoother(with_parameters(independent([1.0, 2.0, 0.3], [0.1, 0.1, 0.01]), (0.02,) * (size - 3)), lag)
     filtered, predicted, by_state, noise = [made.belief], [made.belief], [], []
@@ -97,7 +97,7 @@ def test_a_lag_of_nothing_is_refused() -> None:
         smoother(independent([0.0, 0.0, 0.0], [1.0, 1.0, 1.0]), 0)
 
 
-def test_looking_back_it_is_nearer_to_the_truth_than_the_filter_was_and_as_sure_as_it_says() -> None:
+def test_smoothing_is_more_accurate_and_consistent() -> None:
     rng = np.random.default_rng(11)
     start, lag = independent([0.0, 0.0, 0.0], [0.3, 0.3, 0.02]), 8
     squared, normalised = np.zeros(2), []

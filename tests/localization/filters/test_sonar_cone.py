@@ -1,4 +1,4 @@
-"""Returns out of a cone: ranges by hand, derivatives by finite differences, and chances against a simple count."""
+"""The cone model: ranges by hand, derivatives by finite differences, probabilities against a count."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ MODEL = ConeSonar()
 FRONT = SonarMount(0.0, 9.0)
 
 
-def test_a_wall_met_head_on_is_heard_at_its_distance_from_the_ring() -> None:
+def test_a_perpendicular_wall_is_detected_at_its_distance() -> None:
     found = expected_echoes(np.zeros(3), SURE, FRONT, reflectors(SQUARE_ROOM), MODEL)
     assert found.ranges_in[RIGHT_WALL] == pytest.approx(41.0)
     assert found.probability[RIGHT_WALL] == pytest.approx(1.0, abs=1e-6)
     assert found.probability.sum() == pytest.approx(1.0, abs=1e-6)
 
 
-def test_within_the_cone_a_slanted_wall_tells_its_perpendicular_distance() -> None:
+def test_a_slanted_wall_gives_its_perpendicular_distance() -> None:
     pose = np.array([0.0, 0.0, radians(10.0)])
     found = expected_echoes(pose, SURE, FRONT, reflectors(SQUARE_ROOM), MODEL)
     assert found.ranges_in[RIGHT_WALL] == pytest.approx(50.0 - 9.0 * cos(radians(10.0)))
@@ -42,10 +42,10 @@ def test_beyond_the_cone_nothing_of_it_comes_back() -> None:
 def test_a_square_corner_is_heard_at_its_vertex() -> None:
     around = reflectors(SQUARE_ROOM)
     found = expected_echoes(np.array([0.0, 0.0, pi / 4]), SURE, FRONT, around, MODEL)
-    heard = np.flatnonzero(found.probability > 0.5)
-    assert len(heard) == 1
-    assert tuple(around.vertices[heard[0] - len(around.walls)]) == (50.0, 50.0)
-    assert found.ranges_in[heard[0]] == pytest.approx(hypot(50, 50) - 9.0)
+    detected = np.flatnonzero(found.probability > 0.5)
+    assert len(detected) == 1
+    assert tuple(around.vertices[detected[0] - len(around.walls)]) == (50.0, 50.0)
+    assert found.ranges_in[detected[0]] == pytest.approx(hypot(50, 50) - 9.0)
 
 
 def test_an_edge_is_too_faint_where_a_square_corner_is_not() -> None:
@@ -62,7 +62,7 @@ def test_who_stands_in_front_hides_what_is_behind() -> None:
     assert found.probability[4] == pytest.approx(1.0, abs=1e-6)
 
 
-def test_the_nearer_of_two_is_heard_and_the_farther_only_where_the_nearer_is_not() -> None:
+def test_the_nearer_reflector_comes_first() -> None:
     beside = reflectors([*SQUARE_ROOM, [30, 1, 30, 40]])
     found = expected_echoes(np.zeros(3), SURE, FRONT, beside, MODEL)
     edge = len(beside.walls) + int(np.flatnonzero((beside.vertices == (30, 1)).all(axis=-1))[0])
@@ -76,11 +76,11 @@ def test_the_nearer_of_two_is_heard_and_the_farther_only_where_the_nearer_is_not
 @pytest.mark.parametrize("direction", [0.0, 0.4, -2.9])
 def test_the_derivative_against_finite_differences(heading: float, direction: float) -> None:
     around, tiny = reflectors([*SQUARE_ROOM, [10, 20, 30, 35]]), 1e-6
-    pose, ear = np.array([3.0, -7.0, heading]), SonarMount(direction, 9.06)
-    found = expected_echoes(pose, SURE, ear, around, MODEL)
+    pose, mount = np.array([3.0, -7.0, heading]), SonarMount(direction, 9.06)
+    found = expected_echoes(pose, SURE, mount, around, MODEL)
     for axis, unit in enumerate(np.eye(3)):
-        ahead = expected_echoes(pose + tiny * unit, SURE, ear, around, MODEL).ranges_in
-        behind = expected_echoes(pose - tiny * unit, SURE, ear, around, MODEL).ranges_in
+        ahead = expected_echoes(pose + tiny * unit, SURE, mount, around, MODEL).ranges_in
+        behind = expected_echoes(pose - tiny * unit, SURE, mount, around, MODEL).ranges_in
         np.testing.assert_allclose(found.H[:, axis], (ahead - behind) / (2 * tiny), atol=1e-6)
 
 
@@ -104,13 +104,13 @@ def test_many_poses_at_once_are_each_their_own() -> None:
         np.testing.assert_allclose(together.probability[at], alone.probability, atol=1e-12)
 
 
-def test_variance_is_a_share_of_the_range_a_floor_and_rounding() -> None:
+def test_the_variance_has_a_relative_part_a_floor_and_rounding() -> None:
     np.testing.assert_allclose(MODEL.variance(np.array([1.0, 100.0])), [0.05**2 + 1 / 12, 1.0 + 1 / 12])
 
 
 def test_the_ring_stands_where_the_heading_carries_it() -> None:
-    ear, pose = SonarMount(pi / 2, 9.0), np.array([10.0, 0.0, 0.0])
-    found = expected_echoes(pose, SURE, ear, reflectors([[-50, 40, 50, 40]]), MODEL)
+    mount, pose = SonarMount(pi / 2, 9.0), np.array([10.0, 0.0, 0.0])
+    found = expected_echoes(pose, SURE, mount, reflectors([[-50, 40, 50, 40]]), MODEL)
     assert found.ranges_in[0] == pytest.approx(40.0 - 9.0 * sin(pi / 2))
 
 
@@ -118,10 +118,10 @@ def test_the_ring_stands_where_the_heading_carries_it() -> None:
 def test_of_a_cloud_what_is_left_out_is_heard_from_nowhere(spread: tuple[float, float, float]) -> None:
     around, rng = reflectors(load_world("several_walls").walls), np.random.default_rng(9)
     for direction in np.linspace(-3.0, 3.0, 9):
-        ear = SonarMount(float(direction), 9.06)
+        mount = SonarMount(float(direction), 9.06)
         poses = np.array([45.0, 40.0, 0.7]) + spread * rng.uniform(-1.0, 1.0, size=(60, 3))
-        every = expected_echoes(poses, np.full(60, 0.03), ear, around, MODEL)
-        ranges, chances = echo_probabilities(poses, np.array(0.03), ear, around, MODEL)
-        heard = every.probability.any(axis=0)
-        np.testing.assert_allclose(ranges, every.ranges_in[:, heard], atol=1e-12)
-        np.testing.assert_allclose(chances, every.probability[:, heard], atol=1e-15)
+        every = expected_echoes(poses, np.full(60, 0.03), mount, around, MODEL)
+        ranges, probabilities = echo_probabilities(poses, np.array(0.03), mount, around, MODEL)
+        detected = every.probability.any(axis=0)
+        np.testing.assert_allclose(ranges, every.ranges_in[:, detected], atol=1e-12)
+        np.testing.assert_allclose(probabilities, every.probability[:, detected], atol=1e-15)

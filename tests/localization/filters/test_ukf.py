@@ -1,4 +1,4 @@
-"""Sigma points against filterpy's, the closed form of a linear step, and drawn robots."""
+"""The unscented filter: sigma points against filterpy's, the closed form of a linear step, and drawn robots."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_a_certain_coordinate_has_a_root_too() -> None:
 
 
 @pytest.mark.parametrize("size", [3, 4, 6])
-def test_a_prediction_is_that_of_filterpys_filter_on_the_state_with_its_noise(size: int) -> None:
+def test_a_prediction_is_that_of_filterpys_augmented_filter(size: int) -> None:
     belief, step = some_belief(size), np.array([3.0, 0.4])
     whole = np.zeros((size + 2, size + 2))
     whole[:size, :size] = belief.cov
@@ -69,7 +69,7 @@ def test_a_prediction_is_that_of_filterpys_filter_on_the_state_with_its_noise(si
     np.testing.assert_allclose(predicted.cov, peer.P[:size, :size], atol=1e-12)
 
 
-def test_where_motion_is_nearly_linear_it_is_the_extended_filters() -> None:
+def test_nearly_linear_motion_is_predicted_as_by_the_ekf() -> None:
     belief, step = independent([1.0, 2.0, 3.1], [0.1, 0.2, 1e-4]), np.array([2.0, 0.1])
     quiet = OdometryNoise(0.01, 1e-4, 1e-5)
     sigma, extended = predict(belief, step, quiet), odometry.predict(belief, step, quiet)
@@ -86,7 +86,7 @@ def test_standing_still_changes_nothing() -> None:
 
 
 def test_a_wide_heading_bends_the_mean_as_drawn_robots_show() -> None:
-    """100 in ahead, heading known to 0.3 rad: the mean comes short by 4.4 %, which no derivative at the mean tells."""
+    """100 in ahead, heading std 0.3 rad: the mean falls short by 4.4 %, which no derivative at the mean shows."""
     rng = np.random.default_rng(5)
     belief, step = independent([0.0, 0.0, 0.0], [1.0, 1.0, 0.3]), np.array([100.0, 0.0])
     drawn = belief.mean + belief.std * rng.standard_normal((200_000, 3))

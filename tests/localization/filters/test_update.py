@@ -1,4 +1,4 @@
-"""The update by a reading of several reflectors, against the same mixture worked out on a fine grid."""
+"""The update by a reading of several reflectors, against the mixture integrated on a fine grid."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_moments_of_the_mixture_by_quadrature(reading: float) -> None:
     assert sum(result.beta) == pytest.approx(1.0)
 
 
-def test_one_certain_reflector_without_outliers_is_the_kalman_filter() -> None:
+def test_one_certain_reflector_is_the_kalman_update() -> None:
     sure = replace(MODEL, outlier_probability=0.0)
     one = returns((40.0, (-0.8, 0.6, 2.0), 1.0), model=sure)
     after, result = updated(BELIEF, 41.0, one)
@@ -105,7 +105,7 @@ def after_readings(readings: Floats) -> Belief:
     return belief
 
 
-def test_the_variance_after_repeated_readings_is_the_true_one() -> None:
+def test_repeated_readings_give_the_true_variance() -> None:
     """The estimate is linear in the readings; its true variance follows from their whole covariance."""
     count, prior = 6, BELIEF.cov[0, 0]
     none = after_readings(np.full(count, 40.0)).mean[0]

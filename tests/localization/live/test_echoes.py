@@ -1,4 +1,4 @@
-"""Which echo is new: against a ring written out firing by firing."""
+"""New echoes, against a ring simulated firing by firing."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ def written_out(schedule: FiringSchedule, until_s: float) -> list[FiringTime]:
     return [firing for firing in firings if firing.instant_s <= until_s + 1e-9]
 
 
-def test_the_default_ring_fires_every_60_ms_and_goes_round_in_960() -> None:
+def test_the_default_ring_fires_every_60_ms() -> None:
     schedule = FiringSchedule(0.0)
     assert schedule.interval_s == pytest.approx(0.060)
     assert schedule.round_s == pytest.approx(0.960)
     assert [f.sonar for f in schedule.readable(-1.0, 0.2)] == [0, 2, 15, 1]
 
 
-def test_an_echo_is_handed_out_once_and_only_a_clock_step_later() -> None:
+def test_an_echo_is_readable_once_a_clock_step_later() -> None:
     schedule = FiringSchedule(10.0)
     assert schedule.readable(9.0, 10.0) == []
     assert [f.sonar for f in schedule.readable(9.0, 10.0 + CLOCK_STEP_S)] == [0]

@@ -1,4 +1,4 @@
-"""What a clock in steps leaves unknown, against drawn lags; and that it is only told."""
+"""The uncertain instants of a stepped clock, against drawn lags."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def encoders(clock_s: float, pose: Floats) -> EncoderPose:
     return EncoderPose.of(clock_s, pose, 0.0)
 
 
-def test_it_is_the_spread_of_poses_at_instants_within_one_step() -> None:
+def test_the_lag_is_that_of_instants_within_one_step() -> None:
     """The encoders' frame is turned against the map's, and nearly once round."""
     pose, rates = np.array([3.0, -4.0, 0.7]), np.array([5.0, 0.3])
     chance = np.random.default_rng(1)

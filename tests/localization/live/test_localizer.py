@@ -1,4 +1,4 @@
-"""The live filter on made-up reports: a robot that goes exactly as its encoders say, sonars in whole inches."""
+"""The live localizer on made-up states: a robot that moves exactly as its encoders report, sonars in whole inches."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def test_a_reading_off_by_a_foot_is_refused_by_the_gate() -> None:
     assert Refusal.NONE not in {echo.refusal for echo in estimate.echoes}
 
 
-def test_the_same_state_twice_and_an_older_one_change_nothing() -> None:
+def test_a_repeated_or_older_state_changes_nothing() -> None:
     robot, filtered = Robot(3.0), localizer()
     for k in range(20):
         estimate = filtered.update(robot.report(0.1 * k))
@@ -111,7 +111,7 @@ def test_a_state_without_a_clock_is_told_apart() -> None:
         localizer().update(replace(Robot(0.0).report(0.0), clock_s=None))
 
 
-def test_the_estimate_is_carried_to_the_clock_of_the_state_by_odometry() -> None:
+def test_odometry_predicts_to_the_clock_of_the_state() -> None:
     robot, filtered = Robot(10.0), localizer(independent([20, 30, 0.5], [1e-6, 1e-6, 1e-6]))
     for k in range(30):
         estimate = filtered.update(robot.report(0.1 * k))
@@ -119,7 +119,7 @@ def test_the_estimate_is_carried_to_the_clock_of_the_state_by_odometry() -> None
         assert estimate.pose[:2] == pytest.approx(robot.pose(0.1 * k), abs=0.4)
 
 
-def test_a_method_that_smooths_tells_where_the_robot_was_a_while_ago() -> None:
+def test_a_smoothing_method_reports_a_past_belief() -> None:
     robot = Robot(5.0)
     belief = independent([20.4, 29.7, 0.52], [0.5, 0.5, 0.03])
     looking_back = Localizer(LocalizationConfig(ROOM, N150), belief, FiringSchedule(0.0), "smoother")

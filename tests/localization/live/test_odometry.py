@@ -43,7 +43,7 @@ def test_outside_of_what_was_polled_the_nearest_pose_stands() -> None:
     assert history.at(9.0).pose[0] == 4.0
 
 
-def test_the_oldest_poses_are_forgotten_but_never_the_last_two() -> None:
+def test_the_oldest_poses_are_dropped_but_not_the_last_two() -> None:
     history = PoseHistory()
     for k in range(1000):
         history.add(pose(0.1 * k, float(k)))

@@ -18,7 +18,7 @@ GS, VM = Call("gs"), Call("vm", (100, 0, 0))
 
 
 @pytest.mark.parametrize("model", [N150, N200, SCOUT])
-def test_a_hit_while_moving_sends_st_and_is_told(model: Model) -> None:
+def test_a_hit_while_moving_sends_st_and_raises(model: Model) -> None:
     robot = ScriptedLine(model=model)
     backend = BumperStop(direct_on(robot))
     robot.calls.clear()
@@ -47,7 +47,7 @@ def test_a_robot_stopped_by_the_wall_counts_as_moving() -> None:
         backend.execute(Call("get_bp"))
 
 
-def test_it_can_leave_the_wall_and_other_bumpers_still_count() -> None:
+def test_a_robot_can_leave_the_wall() -> None:
     robot = ScriptedLine()
     backend = BumperStop(direct_on(robot))
     robot.slots[33] |= 1
@@ -67,7 +67,7 @@ def test_it_can_leave_the_wall_and_other_bumpers_still_count() -> None:
         backend.execute(GS)
 
 
-def test_who_pushes_a_robot_at_rest_stops_nothing() -> None:
+def test_pushing_a_robot_at_rest_stops_nothing() -> None:
     robot = ScriptedLine()
     backend = BumperStop(direct_on(robot))
     backend.execute(GS)
@@ -77,7 +77,7 @@ def test_who_pushes_a_robot_at_rest_stops_nothing() -> None:
     assert robot.names() == ["gs", "gs", "get_rc"]
 
 
-def test_a_robot_that_touches_when_one_connects() -> None:
+def test_bumpers_closed_on_connecting_do_not_count() -> None:
     robot = ScriptedLine(model=N200)
     robot.slots[33] |= 1
     backend = BumperStop(direct_on(robot))
@@ -85,7 +85,7 @@ def test_a_robot_that_touches_when_one_connects() -> None:
     assert backend.execute(VM).slots[33] & 1
 
 
-def test_st_is_said_until_it_is_answered() -> None:
+def test_st_is_repeated_until_it_is_answered() -> None:
     silences: list[Answer] = [None, None]
     robot = ScriptedLine({"st": silences})
     backend = BumperStop(direct_on(robot))
@@ -100,13 +100,13 @@ def test_st_is_said_until_it_is_answered() -> None:
         backend.execute(VM)
 
 
-def test_the_error_can_be_sent_to_another_process() -> None:
+def test_bumper_hit_can_be_pickled() -> None:
     hit = pickle.loads(pickle.dumps(BumperHit("vm", (3, 4))))
     assert (hit.command, hit.bumpers, str(hit)) == ("vm", (3, 4), str(BumperHit("vm", (3, 4))))
 
 
 @pytest.mark.parametrize("timeout_s", [0, 5, 60])
-def test_a_hit_during_ws_is_seen_within_a_second(timeout_s: int) -> None:
+def test_a_hit_during_ws_is_noticed_within_a_second(timeout_s: int) -> None:
     rolling = ScriptedLine()
     rolling.slots[41] = 1
     rolling.clock = 1050

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from nclient.cli.state_text import shown
+from nclient.cli.state_text import format_reply
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import N150
@@ -14,7 +14,7 @@ STATE = RobotState(N150, (0,) * 45)
 
 
 @pytest.mark.parametrize(("name", "reply", "told"), [
-    ("vm", Reply("nak"), "the robot said no (NAK)"),
+    ("vm", Reply("nak"), "refused by the robot (NAK)"),
     ("tk", Reply("simple", values=(1,)), "ok"),
     ("conf_cp", Reply("compass", values=(1, 2, 3)), "1 2 3"),
     ("get_ra", Reply("velocity", {38: 100, 39: 5, 40: -5}),
@@ -24,7 +24,7 @@ STATE = RobotState(N150, (0,) * 45)
     ("motion_check", Reply("simple", values=(1, 1000, -2000, 1570796)),
      "hits at x 1.0 in  y -2.0 in, normal 1.571 rad"),
     ("sim_truth", Reply("truth", values=(1, -1, 1000, 2000, 90000, 0, 3, 2)),
-     "in truth x 1.000 in  y 2.000 in  heading 90.000 deg  turret 0.000 deg | 4294967.295 s | robot 2, seed 3"),
+     "ground truth x 1.000 in  y 2.000 in  heading 90.000 deg  turret 0.000 deg | 4294967.295 s | robot 2, seed 3"),
 ])
 def test_what_is_shown(name: str, reply: Reply, told: str) -> None:
-    assert list(shown(Call(name), reply, STATE)) == [told]
+    assert list(format_reply(Call(name), reply, STATE)) == [told]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from nclient.cli.shell_help import ParsedCommand, parse
-from nclient.cli.shell_session import call_of
+from nclient.cli.shell_session import build_call
 from nclient.errors import ShellError, WireError
 from nclient.protocol.commands import Call
 from nclient.protocol.types import EVERYTHING, N150, N200
@@ -16,9 +16,9 @@ PID = 4711
 
 
 def call(text: str, wire_state: WireState = TCP) -> Call:
-    (order,) = parse(text)
-    assert isinstance(order, ParsedCommand)
-    return call_of(order, wire_state, EVERYTHING.smask, PID)
+    (command,) = parse(text)
+    assert isinstance(command, ParsedCommand)
+    return build_call(command, wire_state, EVERYTHING.smask, PID)
 
 
 @pytest.mark.parametrize(("text", "args"), [
@@ -48,15 +48,15 @@ def test_arguments_are_those_of_the_table(text: str, args: tuple[object, ...]) -
     ("zzzzzz", "no command 'zzzzzz'; help lists them all"),
     ("conf_ser 1 9600", "there is no conf_ser over TCP"),
     ("pr 240", "pr takes 3 numbers, not 1: pr translation steering turret"),
-    ("st 1", "st takes nothing, not 1: st"),
+    ("st 1", "st takes no numbers, not 1: st"),
     ("conf_sn 15", r"conf_sn takes 2 to 17 numbers, not 1: conf_sn rate order\[16\]"),
     ("pr {1 2 3}", "pr takes 3 numbers, not 3"),
     ("conf_sn {15} 0 1", "conf_sn takes 2 to 17 numbers"),
-    ("pr a 0 0", "pr: a number is wanted, not 'a'"),
-    ("pr 2.5 0 0", "pr: whole numbers are wanted .*not 2.5 0 0"),
-    ("pr 1e999 0 0", "pr: finite numbers are wanted"),
-    (f"pr {10**400} 0 0", "pr: finite numbers are wanted, of 64 bits at most, not 1000"),
-    (f"motion_check 0 -{10**400} 0 0 0", "motion_check: finite numbers"),
+    ("pr a 0 0", "pr: expected a number, not 'a'"),
+    ("pr 2.5 0 0", "pr: expected whole numbers .*not 2.5 0 0"),
+    ("pr 1e999 0 0", "pr: expected finite numbers"),
+    (f"pr {10**400} 0 0", "pr: expected finite numbers of at most 64 bits, not 1000"),
+    (f"motion_check 0 -{10**400} 0 0 0", "motion_check: expected finite numbers"),
     ("ct 1 2 3", "ct: a mask has 44 numbers, not 3"),
 ])
 def test_what_is_no_call_is_told(text: str, told: str) -> None:
@@ -77,7 +77,9 @@ def test_numbers_that_cannot_be_sent_are_the_wires_to_refuse(text: str, wire_sta
 
 def test_a_robots_own_line_has_commands_of_its_own() -> None:
     assert call("conf_ser 1 9600", serial_wire_state(N150)).args == (1, 9600)
-    with pytest.raises(ShellError, match="there is no sim_truth on the own line of a n200; help sim_truth says where"):
+    with pytest.raises(
+        ShellError, match="there is no sim_truth on the serial line of a n200; help sim_truth shows where"
+    ):
         call("sim_truth", serial_wire_state(N200))
-    with pytest.raises(ShellError, match="there is no pa on the own line of a n150"):
+    with pytest.raises(ShellError, match="there is no pa on the serial line of a n150"):
         call("pa 0 0 0", serial_wire_state(N150))

@@ -11,7 +11,7 @@ import pytest
 from nclient.backends.base import Backend
 from nclient.backends.nserver import NserverBackend
 from nclient.cli import doctor, main
-from nclient.cli.stop import Stopping
+from nclient.cli.stop import RobotStopper
 from nclient.errors import ConnectionLost
 from nclient.protocol import codec
 from nclient.protocol.commands import Call
@@ -65,7 +65,7 @@ def test_senseless_counts(count: str) -> None:
 
 def test_a_simulated_robot_is_stopped(capsys: pytest.CaptureFixture[str]) -> None:
     assert main.main(["stop", "sim:thesis_room"]) == 0
-    assert capsys.readouterr().out == "stands still at x 0.0 in, y 0.0 in; told 1 time\n"
+    assert capsys.readouterr().out == "stands still at x 0.0 in, y 0.0 in; st sent 1 time\n"
 
 
 def test_without_an_address_it_is_the_one_that_all_commands_take(
@@ -132,29 +132,29 @@ class Time:
 
 @pytest.mark.parametrize(("runaway", "told", "faults"), [
     (Runaway(), "1 time", ""), (Runaway(obeys=5), "1 time", ""), (Runaway(obeys=25), "2 times", ""),
-    (Runaway(st_answers=(None, None)), "3 times", ", 2 faults on the way"),
-    (Runaway(st_answers=(Reply("error", values=(6,)),) * 2, obeys=1), "3 times", ", 2 faults on the way"),
-    (Runaway(absent=4), "1 time", ", 4 faults on the way"),
+    (Runaway(st_answers=(None, None)), "3 times", ", 2 errors"),
+    (Runaway(st_answers=(Reply("error", values=(6,)),) * 2, obeys=1), "3 times", ", 2 errors"),
+    (Runaway(absent=4), "1 time", ", 4 errors"),
 ])
 def test_it_is_told_until_it_stands(
     capsys: pytest.CaptureFixture[str], runaway: Runaway, told: str, faults: str
 ) -> None:
     time = Time()
-    assert Stopping(runaway.opens, time.clock, time.sleep).run(10) == 0
-    assert capsys.readouterr().out == f"stands still at x 1.5 in, y 0.0 in; told {told}{faults}\n"
+    assert RobotStopper(runaway.opens, time.clock, time.sleep).run(10) == 0
+    assert capsys.readouterr().out == f"stands still at x 1.5 in, y 0.0 in; st sent {told}{faults}\n"
     assert runaway.script.closed
 
 
 def test_one_that_does_not_stop(capsys: pytest.CaptureFixture[str]) -> None:
     time = Time()
-    assert Stopping(Runaway(obeys=10**6).opens, time.clock, time.sleep).run(3) == 1
-    assert capsys.readouterr().out.startswith("NOT STOPPED: last seen at 10.0 in/s; told ")
+    assert RobotStopper(Runaway(obeys=10**6).opens, time.clock, time.sleep).run(3) == 1
+    assert capsys.readouterr().out.startswith("NOT STOPPED: last seen at 10.0 in/s; st sent ")
     assert 3 <= time.now_s < 4.1
 
 
 def test_one_that_is_not_there(capsys: pytest.CaptureFixture[str]) -> None:
     time = Time()
-    assert Stopping(Runaway(absent=10**6).opens, time.clock, time.sleep).run(1) == 1
+    assert RobotStopper(Runaway(absent=10**6).opens, time.clock, time.sleep).run(1) == 1
     told = capsys.readouterr()
-    assert told.out == "NOT STOPPED: nobody answered; told 0 times, 20 faults on the way\n"
+    assert told.out == "NOT STOPPED: no reply; st sent 0 times, 20 errors\n"
     assert told.err == "nomad: nobody answers\n", "each trouble is told once"

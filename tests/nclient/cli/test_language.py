@@ -62,7 +62,7 @@ def test_any_text_is_orders_or_an_error_of_ours(text: str) -> None:
         found = parse(text)
     except ShellError:
         return
-    assert all(isinstance(order, ParsedCommand | Element) for order in found)
+    assert all(isinstance(command, ParsedCommand | Element) for command in found)
 
 
 @given(st.lists(st.integers(-(2**31), 2**31 - 1), max_size=8))

@@ -14,7 +14,7 @@ from prompt_toolkit.document import Document
 from prompt_toolkit.input import create_pipe_input
 from prompt_toolkit.output import DummyOutput
 
-from nclient.cli.shell import Names, PromptReader
+from nclient.cli.shell_prompt import CommandCompleter, PromptReader
 from nclient.protocol.types import N150
 from nclient.protocol.wire_state import WireState, tcp_wire_state
 
@@ -47,12 +47,12 @@ def test_ctrl_c_and_ctrl_d(key: str, raised: type[BaseException]) -> None:
     ("get_rp", "get_rpx"), ("st; get_rp", "st; get_rpx"), ("help new", "help new_world"), ("st;get_rp", "st;get_rpx"),
 ])
 def test_a_name_takes_the_place_of_what_was_typed_of_it(line: str, completed: str) -> None:
-    (one,) = Names(wire_state).get_completions(Document(line), CompleteEvent())
+    (one,) = CommandCompleter(wire_state).get_completions(Document(line), CompleteEvent())
     assert line[: len(line) + one.start_position] + one.text == completed
 
 
 def test_names_come_with_what_they_are_for() -> None:
-    found = list(Names(wire_state).get_completions(Document("pr 1 2 3; get_s"), CompleteEvent()))
+    found = list(CommandCompleter(wire_state).get_completions(Document("pr 1 2 3; get_s"), CompleteEvent()))
     assert [(one.text, one.start_position, one.display_meta_text) for one in found] == [
         ("get_sn", -5, "ask for the sonars"), ("get_sg", -5, "ask for the laser's line segments"),
     ]

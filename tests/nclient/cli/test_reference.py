@@ -6,7 +6,7 @@ import pytest
 
 from nclient import capi
 from nclient.cli.shell_help import _EXAMPLES, ParsedCommand, help_lines, model_note, parameters, parse, summaries, usage
-from nclient.cli.shell_session import call_of
+from nclient.cli.shell_session import build_call
 from nclient.protocol.commands import BY_NAME, COMMANDS
 from nclient.protocol.types import MODELS, N150, SCOUT
 from nclient.protocol.wire_state import serial_wire_state, tcp_wire_state
@@ -35,10 +35,10 @@ def test_as_many_arguments_as_the_c_call_has(name: str) -> None:
     ("vm", ["translation  1/10 in/s", "steering     1/10 deg/s", "such as: vm 100 0 0"]),
     ("ac", ["turret       1/10 deg/s2"]),
     ("ws", ["translation  0 or 1", "timeout_s    s"]),
-    ("pa", ["over TCP, on the own line of n200"]),
-    ("conf_ser", ["not over TCP, on the own line of n150, scout"]),
+    ("pa", ["over TCP, on the serial line of n200"]),
+    ("conf_ser", ["not over TCP, on the serial line of n150, scout"]),
     ("gs", ["robot.refresh; over TCP"]),
-    ("sim_truth", ["over TCP, on no robot's own line"]),
+    ("sim_truth", ["over TCP, on no serial line"]),
 ])
 def test_help_tells_units_and_where_a_command_exists(name: str, lines: list[str]) -> None:
     told = "\n".join(help_lines(name, tcp_wire_state(N150)))
@@ -68,6 +68,6 @@ def test_the_list_has_what_there_is_with_this_robot() -> None:
 
 @pytest.mark.parametrize("example", _EXAMPLES.values())
 def test_examples_are_calls(example: str) -> None:
-    (order,) = parse(example)
-    assert isinstance(order, ParsedCommand)
-    assert call_of(order, tcp_wire_state(N150), (), 1).name == example.split()[0]
+    (command,) = parse(example)
+    assert isinstance(command, ParsedCommand)
+    assert build_call(command, tcp_wire_state(N150), (), 1).name == example.split()[0]

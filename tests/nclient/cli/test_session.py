@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from nclient.backends.nserver import NserverBackend
-from nclient.cli.shell_help import OWN
+from nclient.cli.shell_help import BUILTINS
 from nclient.cli.shell_session import Session
 from nclient.connect import open_backend
 from nclient.errors import RobotRefused, ShellError
@@ -55,7 +55,7 @@ def test_a_motion_and_its_end() -> None:
     ("get_bp", "bumpers     free"),
     ("get_robot_conf", "x 0.0 in  y 0.0 in  steering 0.0 deg"),
     ("get_rpx", "robot 1: x 0.0 in  y 0.0 in  heading 0.0 deg"),
-    ("sim_truth", "in truth x 0.000 in  y 0.000 in  heading 0.000 deg"),
+    ("sim_truth", "ground truth x 0.000 in  y 0.000 in  heading 0.000 deg"),
     ("sim_control 4 500", "simulated time 0."),
     ("sim_control 1 0", "paused"),
     ("motion_check 0 0 0 40000 0", "hits at x "),
@@ -95,7 +95,7 @@ def test_the_mask_is_set_and_sent_as_in_c() -> None:
 
 def test_help_is_as_wide_as_a_terminal_but_for_long_lines() -> None:
     lines = told(session_on(), "help").splitlines()
-    assert all(name in "\n".join(lines) for name in OWN)
+    assert all(name in "\n".join(lines) for name in BUILTINS)
     assert any(line.startswith(" " * 36) for line in lines)
 
 
@@ -106,16 +106,16 @@ def test_help_is_as_wide_as_a_terminal_but_for_long_lines() -> None:
     ("help foo", "help: no command 'foo'; help lists them all"),
     ("help slep", "did you mean sleep?"),
     ("state sonars", "no part 'sonars'"),
-    ("sleep", r"sleep SECONDS: a number of seconds is wanted, 0 to 86400"),
+    ("sleep", r"sleep SECONDS: expected a number of seconds, 0 to 86400"),
     ("sleep long", "sleep SECONDS"),
     ("sleep -1", "sleep SECONDS"),
-    ("wait 1 2", r"wait \[SECONDS\]: a number"),
-    ("quit now", "quit takes nothing"),
-    ("State[45]", "State has 45 numbers, 0 to 44, and no 45"),
+    ("wait 1 2", r"wait \[SECONDS\]: expected a number"),
+    ("quit now", "quit takes no arguments"),
+    ("State[45]", "State has 45 numbers, 0 to 44, not 45"),
     ("Smask[44] = 1", "Smask has 44 numbers"),
     ("Smask[1] = 2", r"Smask\[0\] is a sum"),
     ("Smask[0] = 32", r"Smask\[0\] is a sum"),
-    ("Laser[1]", "Laser holds 1 numbers now, and no 1"),
+    ("Laser[1]", "Laser holds 1 numbers now, not 1"),
     ("gs; prr", "no command 'prr'"),
 ])
 def test_what_makes_no_sense_is_told_before_anything_is_done(text: str, why: str) -> None:
@@ -167,7 +167,7 @@ def test_sleep_goes_by_the_robots_clock_where_time_runs_by_itself() -> None:
 
 
 def test_sleep_says_when_the_robots_clock_stands() -> None:
-    with pytest.raises(ShellError, match="the robot's clock stands; a paused simulation goes on with sim_control 2 0"):
+    with pytest.raises(ShellError, match="the clock has stopped; resume a paused simulation with sim_control 2 0"):
         told(session_on(), "sim_control 1 0; sleep 1")
 
 
@@ -202,9 +202,9 @@ def test_what_follows_on_the_line_is_not_done(text: str) -> None:
 
 def test_a_time_out_of_ones_own_is_noted() -> None:
     session = session_on()
-    assert not session.keeps_time_out
+    assert not session.user_set_timeout
     told(session, "conf_tm 3; gs")
-    assert session.keeps_time_out
+    assert session.user_set_timeout
 
 
 def test_halting_says_st() -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from nclient.backends.nserver import NserverBackend
 from nclient.cli import main, shell
-from nclient.cli.shell import MOST_BYTES, StatusPoller
+from nclient.cli.shell import MAX_BYTES, StatusPoller
 from nclient.cli.shell_session import Session
 from nclient.transports.memory import MemoryStream
 from tests.nclient.scripted_server import ScriptedServer
@@ -64,9 +64,9 @@ def test_a_script_that_cannot_be_read(tmp_path: Path, capsys: pytest.CaptureFixt
     (tmp_path / "bytes").write_bytes(b"gs\n\xff")
     assert main.main(["shell", SIM, "--script", str(tmp_path / "bytes")]) == 1
     assert "bytes: expected text in UTF-8, found other bytes at 3: invalid start byte" in capsys.readouterr().err
-    (tmp_path / "long").write_bytes(b"#" * (MOST_BYTES + 1))
+    (tmp_path / "long").write_bytes(b"#" * (MAX_BYTES + 1))
     assert main.main(["shell", SIM, "--script", str(tmp_path / "long")]) == 1
-    assert f"long: is longer than {MOST_BYTES} bytes" in capsys.readouterr().err
+    assert f"long: is longer than {MAX_BYTES} bytes" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("words", [["--script", "-"], []])
@@ -88,7 +88,7 @@ def test_one_line_and_the_address_of_the_environment(
 ) -> None:
     monkeypatch.setenv("NOMAD_ROBOT", SIM + "?start=10,5,0,0")
     assert main.main(["shell", "-c", "sim_truth"]) == 0
-    assert "in truth x 10.000 in  y 5.000 in" in capsys.readouterr().out
+    assert "ground truth x 10.000 in  y 5.000 in" in capsys.readouterr().out
     assert main.main(["shell", "-c", "zzz"]) == 1
     assert "nomad: --command:1: no command 'zzz'" in capsys.readouterr().err
 
@@ -130,7 +130,7 @@ def test_a_conversation_goes_on_after_a_mistake_and_leaving_stops(capsys: pytest
     assert converse(server, "prr", "gs", "") == 0
     printed = capsys.readouterr()
     assert "no command 'prr'" in printed.err
-    assert "help lists all commands; Ctrl-C stops the robot, Ctrl-D leaves" in printed.out
+    assert "help lists all commands; Ctrl-C stops the robot, Ctrl-D exits" in printed.out
     assert server.names() == ["gs", "st", "disconnect_robot"]
 
 
@@ -170,6 +170,6 @@ def test_a_lost_robot_ends_it_with_1(capsys: pytest.CaptureFixture[str]) -> None
 
 def test_keys_are_read_where_there_is_a_terminal(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     keys = Typed("gs")
-    monkeypatch.setattr(shell, "reader", lambda *_: keys)
+    monkeypatch.setattr(shell, "open_reader", lambda *_: keys)
     assert main.main(["shell", SIM, "--history", str(tmp_path / "history")]) == 0
     assert keys.closed

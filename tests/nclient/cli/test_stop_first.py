@@ -7,7 +7,7 @@ import pytest
 from nclient.backends.base import Backend
 from nclient.backends.direct import DirectBackend
 from nclient.cli import main
-from nclient.cli.stop import StopFirst, Stopping
+from nclient.cli.stop import RobotStopper, StopFirstConnector
 from nclient.errors import ReplyTimeout
 from nclient.protocol.client_state import Handshake, build_handshake
 from nclient.protocol.types import EVERYTHING, MODELS, N150, N200, SCOUT, Model
@@ -30,15 +30,15 @@ class Time:
         self.now_s += seconds
 
 
-def stopped(robot: ScriptedLine, model: Model, patience_s: float = 1) -> tuple[int, StopFirst]:
+def stopped(robot: ScriptedLine, model: Model, patience_s: float = 1) -> tuple[int, StopFirstConnector]:
     """The exit code, and who opened the conversations."""
 
     def talks(stream: ByteStream) -> Backend:
         return DirectBackend(stream, model)
 
     time = Time()
-    first = StopFirst(lambda: MemoryStream(robot), talks, model)
-    return Stopping(first, time.clock, time.sleep).run(patience_s), first
+    first = StopFirstConnector(lambda: MemoryStream(robot), talks, model)
+    return RobotStopper(first, time.clock, time.sleep).run(patience_s), first
 
 
 @pytest.mark.parametrize("model", MODELS.values())
@@ -48,7 +48,7 @@ def test_the_first_bytes_are_st(model: Model, capsys: pytest.CaptureFixture[str]
     assert code == 0
     assert robot.names()[0] == "st"
     assert bytes(robot.requests[:6]) == bytes.fromhex("01 02 00 09 0c 5c")
-    assert capsys.readouterr().out == "stands still at x 0.0 in, y 0.0 in; told 2 times\n"
+    assert capsys.readouterr().out == "stands still at x 0.0 in, y 0.0 in; st sent 2 times\n"
 
 
 def test_a_n200_that_does_not_answer_ct_is_stopped_all_the_same(capsys: pytest.CaptureFixture[str]) -> None:
@@ -56,8 +56,8 @@ def test_a_n200_that_does_not_answer_ct_is_stopped_all_the_same(capsys: pytest.C
     code, first = stopped(robot, N200)
     assert code == 1
     assert robot.names()[:2] == ["st", "ct"]
-    assert first.answers
-    assert capsys.readouterr().out.startswith(f"{UNSEEN}; told ")
+    assert first.replies
+    assert capsys.readouterr().out.startswith(f"{UNSEEN}; st sent ")
 
 
 def test_a_hello_before_the_answer_is_no_answer() -> None:
@@ -72,15 +72,15 @@ def test_another_model_than_the_address_says(real: Model, said: Model, capsys: p
     code, first = stopped(ScriptedLine(model=real), said)
     out = capsys.readouterr().out
     assert code == 1
-    assert first.answers
-    assert out.startswith(f"{UNSEEN}; it looks like a {real.name}'s: write model={real.name} in the address; told ")
+    assert first.replies
+    assert out.startswith(f"{UNSEEN}; it looks like a {real.name}'s: write model={real.name} in the address; st sent ")
 
 
 def test_st_is_said_again_until_it_is_answered() -> None:
     answers: list[Answer] = [None, None]
     robot = ScriptedLine({"st": answers})
     code, first = stopped(robot, N150)
-    assert (code, first.told) == (0, 3)
+    assert (code, first.stops_sent) == (0, 3)
     assert robot.names()[:3] == ["st", "st", "st"]
 
 
@@ -89,15 +89,15 @@ def test_a_nak_is_no_answer() -> None:
     answers: list[Answer] = [nak]
     robot = ScriptedLine({"st": answers})
     code, first = stopped(robot, N150)
-    assert (code, first.told) == (0, 2)
+    assert (code, first.stops_sent) == (0, 2)
 
 
 def test_nobody_answers_and_the_line_is_let_go(capsys: pytest.CaptureFixture[str]) -> None:
     robot = ScriptedLine({"st": None})
     code, first = stopped(robot, N150, patience_s=0.1)
-    assert (code, first.told, robot.closed) == (1, 6, 2)
+    assert (code, first.stops_sent, robot.closed) == (1, 6, 2)
     told = capsys.readouterr()
-    assert told.out == "NOT STOPPED: nobody answered; told 6 times, 2 faults on the way\n"
+    assert told.out == "NOT STOPPED: no reply; st sent 6 times, 2 errors\n"
     assert told.err == "nomad: st was not answered within 1 s, 3 times\n"
     assert set(robot.names()) == {"st"}
     with pytest.raises(ReplyTimeout):

@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from nclient.cli import shell
-from nclient.cli.shell import PlainReader, PromptReader, default_history, reader
+from nclient.cli.shell import PlainReader, default_history, open_reader
+from nclient.cli.shell_prompt import PromptReader
 from nclient.protocol.types import N150
 from nclient.protocol.wire_state import WireState, tcp_wire_state
 
@@ -25,13 +26,13 @@ def test_history_stands_where_the_users_states_do() -> None:
 
 def test_prompt_toolkit_reads_where_it_is_installed(tmp_path: Path) -> None:
     history = tmp_path / "deep" / "history"
-    assert isinstance(reader(wire_state, lambda: "", history), PromptReader)
+    assert isinstance(open_reader(wire_state, lambda: "", history), PromptReader)
     assert history.stat().st_mode & 0o777 == 0o600
 
 
 def test_readline_does_where_it_is_not(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
-    plain = reader(wire_state, lambda: "", tmp_path / "history")
+    plain = open_reader(wire_state, lambda: "", tmp_path / "history")
     assert isinstance(plain, PlainReader)
 
 
@@ -67,7 +68,7 @@ def test_readline_keeps_the_lines_and_has_them_again(tmp_path: Path) -> None:
 
 
 def test_no_history_is_wanted(tmp_path: Path) -> None:
-    assert isinstance(reader(wire_state, lambda: "", None), PromptReader)
+    assert isinstance(open_reader(wire_state, lambda: "", None), PromptReader)
     assert not list(tmp_path.iterdir())
 
 
@@ -82,6 +83,6 @@ def test_libedit_is_bound_in_its_own_way(monkeypatch: pytest.MonkeyPatch) -> Non
 
 def test_a_history_that_cannot_be_kept_stops_nobody(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "file").write_text("")
-    kept = shell._prepared(tmp_path / "file" / "history")
+    kept = shell._create_history(tmp_path / "file" / "history")
     assert kept is None
-    assert "nomad: no history is kept: " in capsys.readouterr().err
+    assert "nomad: no history is saved: " in capsys.readouterr().err

@@ -43,7 +43,7 @@ def test_it_looks_only_while_it_is_let() -> None:
 def test_it_leaves_a_robot_alone_whose_time_out_is_tried() -> None:
     server = ScriptedServer()
     session, watcher = watched(server)
-    session.keeps_time_out = True
+    session.user_set_timeout = True
     watcher.begin()
     time.sleep(0.02)
     watcher.close()
@@ -66,7 +66,7 @@ def test_a_refusal_is_shown_and_goes_with_the_next_answer() -> None:
     server = ScriptedServer({"gs": error(6)})
     _, watcher = watched(server)
     watcher.begin()
-    until(lambda: watcher.line().startswith("gs was refused: the real robot did not answer (error 6) | last seen: x"))
+    until(lambda: watcher.line().startswith("gs was refused: the real robot did not answer (error 6) | last known: x"))
     del server.answers["gs"]
     until(lambda: watcher.line().startswith("x 0.0 in"))
     watcher.close()
@@ -76,6 +76,6 @@ def test_a_lost_robot_is_told_and_looked_at_no_more() -> None:
     session, watcher = watched(ScriptedServer())
     session.robot.disconnect()
     watcher.begin()
-    until(lambda: "connect again | last seen:" in watcher.line())
+    until(lambda: "connect again | last known:" in watcher.line())
     until(lambda: not watcher._thread.is_alive())
     watcher.close()

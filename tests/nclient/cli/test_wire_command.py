@@ -67,7 +67,7 @@ def test_encode_a_mask(nomad: Nomad) -> None:
 @pytest.mark.parametrize(("words", "wrong"), [
     ("fly 1", "no command 'fly'; nomad wire encode --help lists them all"),
     ("vn 1 2 3", "no command 'vn'; did you mean vm?; nomad wire encode --help lists them all"),
-    ("vm 1 2", "vm takes 3 numbers"), ("vm 1 2 up", "a number is wanted, not 'up'"),
+    ("vm 1 2", "vm takes 3 numbers"), ("vm 1 2 up", "expected a number, not 'up'"),
     ("ct 1", "give the mask with --mask"), ("special_request 1", "needs its --packet-type"),
     ("pa 1 2 3 --line serial", "does not exist on the line of a n150"),
     ("vm 40000 0 0 --line serial", "translation is 40000, and a robot"),
@@ -171,7 +171,7 @@ def test_dump_as_a_process_answers_each_line_at_once() -> None:
 def test_help_lists_the_calls(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit, match="0"):
         main.main(["wire", "encode", "--help"])
-    assert set(BY_NAME) <= set(capsys.readouterr().out.partition("The calls:")[2].split())
+    assert set(BY_NAME) <= set(capsys.readouterr().out.partition("Calls:")[2].split())
 
 
 @pytest.mark.parametrize("words", ["wire", "wire encode", "wire decode", "wire dump"])

@@ -35,11 +35,11 @@ class House(FakeServer):
     def step(self, dt_s: float) -> None:
         self.emulator.simulation.step(dt_s)
 
-    def paced(self) -> None:
+    def record_clock(self) -> None:
         self.paces.append((self.emulator.clock.factor, self.emulator.clock.paused))
 
-    def changed(self, what: Mapping[str, Any]) -> None:
-        self.changes.append(dict(what))
+    def record_change(self, change: Mapping[str, Any]) -> None:
+        self.changes.append(dict(change))
 
     def told(self, request: object) -> dict[str, Any]:
         line = request if isinstance(request, bytes) else json.dumps(request).encode()
@@ -159,7 +159,7 @@ def test_the_commands_tell_of_themselves() -> None:
         (b"[" * 100_000, "a request is a line"),
         ({"command": "puase"}, "no command 'puase'; there are status, .*; did you mean pause?"),
         ({"command": 5}, "no command 5"),
-        ({"command": "speed"}, "speed wants X"),
+        ({"command": "speed"}, "speed requires X"),
         ({"command": "speed", "argument": "fast"}, "speed: max, or a number from 0.1 to 999, not 'fast'"),
         ({"command": "speed", "argument": 1000}, "from 0.1 to 999, not 1000"),
         ({"command": "speed", "argument": True}, "not True"),
@@ -173,7 +173,7 @@ def test_the_commands_tell_of_themselves() -> None:
         ({"command": "faults set", "argument": "x"}, "faults set: the text of a plan"),
         ({"command": "faults set", "argument": {}}, "faults set: the text of a plan"),
         ({"command": "faults set", "argument": {"text": "x", "file": "p.toml"}}, "p.toml: is no TOML"),
-        ({"command": "faults set", "argument": {"text": "[[rule]]\ndo='nak'\nline='serial:2'"}}, "no serial:2 here"),
+        ({"command": "faults set", "argument": {"text": "[[rule]]\ndo='nak'\nline='serial:2'"}}, "no serial:2"),
     ],
 )
 def test_what_is_asked_wrongly_changes_nothing_and_says_what_is_right(request_: object, words: str) -> None:

@@ -25,7 +25,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def backwards(line: bytes) -> bytes:
     if line == b"fault\n":
-        raise RuntimeError("a fault of ours")
+        raise RuntimeError("a bug")
     return line.strip()[::-1] + b"\n"
 
 
@@ -74,13 +74,13 @@ def test_a_fault_of_ours_costs_one_connection(folder: Path, caplog: pytest.LogCa
         assert await ask(path, b"abc\n") == b"cba\n"
 
     served(path, scenario)
-    assert "closed because of a fault of ours" in caplog.text
+    assert "internal error; connection closed" in caplog.text
 
 
 def test_a_line_without_end_is_given_up(
     folder: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(control_socket, "LONGEST_LINE", 100)
+    monkeypatch.setattr(control_socket, "MAX_LINE", 100)
     path = folder / "s"
 
     async def scenario(_: ControlSocket) -> None:
@@ -113,7 +113,7 @@ def test_a_socket_that_a_dead_daemon_left_is_replaced_and_a_living_one_s_is_not(
         left.bind(str(path))
 
     async def scenario(_: ControlSocket) -> None:
-        with pytest.raises(ConnectionLost, match="another nserver is reached there; --control PATH takes another"):
+        with pytest.raises(ConnectionLost, match="another nserver listens there"):
             await ControlSocket(path, backwards).open()
         assert await ask(path, b"abc\n") == b"cba\n"
 
@@ -123,7 +123,7 @@ def test_a_socket_that_a_dead_daemon_left_is_replaced_and_a_living_one_s_is_not(
 def test_what_is_no_socket_is_never_touched(folder: Path) -> None:
     path = folder / "s"
     path.write_text("mine")
-    with pytest.raises(ConnectionLost, match="something that is no socket is there"):
+    with pytest.raises(ConnectionLost, match="no socket"):
         served(path, lambda _: asyncio.sleep(0))
     assert path.read_text() == "mine"
     (folder / "dangling").symlink_to(folder / "nowhere")
@@ -132,7 +132,7 @@ def test_what_is_no_socket_is_never_touched(folder: Path) -> None:
 
 
 def test_a_place_where_none_can_be(folder: Path) -> None:
-    with pytest.raises(ConnectionLost, match=r"cannot be controlled at .*nowhere.*: No such file"):
+    with pytest.raises(ConnectionLost, match="No such file"):
         served(folder / "nowhere" / "s", lambda _: asyncio.sleep(0))
     ControlSocket(folder / "never opened", backwards).close()
     with pytest.raises(ConnectionLost, match="path too long"):
@@ -162,5 +162,5 @@ def test_the_users_own_place(folder: Path, monkeypatch: pytest.MonkeyPatch) -> N
 
     served(own, scenario)
     monkeypatch.setattr(os, "getuid", lambda: 4711)
-    with pytest.raises(ConnectionLost, match="its folder is another user's"):
+    with pytest.raises(ConnectionLost, match="another user"):
         served(own, scenario)

@@ -128,7 +128,7 @@ def test_everything_at_a_glance(path: Path, capsys: pytest.CaptureFixture[str]) 
         "time 12.500 s, 2 x real time",
         "robot 1: n150 at 1.2, -3.0 in, 90.0 deg, moving, sensors ideal, motion worn",
         "robot 2: scout at 0.0, 0.0 in, 0.0 deg, standing, bumpers 0x5, sensors measured, motion noisy, "
-        "held by viewer 1, told to move 4 times since",
+        "held by viewer 1, 4 motion commands ignored since",
         "line nserver: 127.0.0.1:7019",
         "line serial:1: /tmp/nomad",
         "client 127.0.0.1:5: robot 1, 2 refused, waiting",
@@ -147,16 +147,16 @@ def test_everything_at_a_glance(path: Path, capsys: pytest.CaptureFixture[str]) 
         ({"counts": {"serial:1": {"it": {"seen": 3, "drop": 1}}}}, "serial:1, it: seen 3, drop 1"),
         ({"time_s": 1, "paused": True, "lockstep_s": None, "speed": 1}, "time 1.000 s, paused"),
         ({"time_s": 1, "paused": False, "lockstep_s": 0.1, "speed": 1}, "time 1.000 s, lockstep, 0.1 s a request"),
-        ({"time_s": 1, "paused": False, "lockstep_s": None, "speed": "max"}, "time 1.000 s, as fast as it can"),
+        ({"time_s": 1, "paused": False, "lockstep_s": None, "speed": "max"}, "time 1.000 s, unlimited speed"),
         ({"saved": "/x"}, "saved: /x"),
         ({"held": {}}, "no robot is held"),
-        ({"held": {"2": {"by": "page", "ignored": 0}}}, "robot 2, held by page, told to move 0 times since"),
+        ({"held": {"2": {"by": "page", "ignored": 0}}}, "robot 2, held by page, 0 motion commands ignored since"),
         ({"text": 'name = "w"\n'}, 'name = "w"'),
         ({"noise": {"2": {"sensors": "ideal", "motion": "worn"}}}, "robot 2: sensors ideal, motion worn"),
     ],
 )
 def test_answers_are_shown_for_people(said: dict[str, Any], shown: str) -> None:
-    assert "\n".join(ctl_answers.shown(said)) == shown
+    assert "\n".join(ctl_answers.format_result(said)) == shown
 
 
 def test_a_refusal_is_told_with_exit_code_1(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -170,14 +170,14 @@ def test_where_nobody_answers_the_remedy_is_told(
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(path.parent))
     assert cli.main(["ctl", "status"]) == 1
     told = capsys.readouterr().err
-    assert f"no daemon answers at {default_path({'XDG_RUNTIME_DIR': str(path.parent)})} (No such file" in told
+    assert f"no nserver answers at {default_path({'XDG_RUNTIME_DIR': str(path.parent)})} (No such file" in told
     assert "start it with nserver --control" in told
     with answering(path, b""):
         assert cli.main(["ctl", "--control", str(path), "status"]) == 1
-    assert "hung up" in capsys.readouterr().err
+    assert "closed the connection" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(("command", "patience"), [("stop", "QUICK_S"), ("counts", "PATIENCE_S")])
+@pytest.mark.parametrize(("command", "patience"), [("stop", "URGENT_TIMEOUT_S"), ("counts", "TIMEOUT_S")])
 def test_a_daemon_that_hangs_is_told_from_one_that_is_not_there(
     command: str, patience: str, path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -187,7 +187,7 @@ def test_a_daemon_that_hangs_is_told_from_one_that_is_not_there(
         silent.listen()
         words = ["faults", command] if command == "counts" else [command]
         assert cli.main(["ctl", "--control", str(path), *words]) == 1
-    assert f"the daemon at {path} did not answer in 0.05 s: it hangs" in capsys.readouterr().err
+    assert f"the nserver at {path} did not answer in 0.05 s: it hangs" in capsys.readouterr().err
 
 
 def test_what_answers_and_is_no_daemon_is_told(
@@ -196,10 +196,10 @@ def test_what_answers_and_is_no_daemon_is_told(
     with answering(path, b'{"ok": true}\n'):
         assert cli.main(["ctl", "--control", str(path), "status"]) == 1
     assert f"nserver ctl: {ctl_answers.NO_ANSWER}" in capsys.readouterr().err
-    monkeypatch.setattr(ctl, "LONGEST_LINE", 100_000)
+    monkeypatch.setattr(ctl, "MAX_LINE", 100_000)
     with answering(path.with_name("t"), b"x" * 150_000):
         assert cli.main(["ctl", "--control", str(path.with_name("t")), "status"]) == 1
-    assert "goes on without an end" in capsys.readouterr().err
+    assert "too long" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -234,5 +234,5 @@ def test_ctrl_c_ends_with_130(monkeypatch: pytest.MonkeyPatch, path: Path) -> No
     def interrupted(*_: object) -> dict[str, Any]:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(ctl, "ask", interrupted)
+    monkeypatch.setattr(ctl, "request", interrupted)
     assert cli.main(["ctl", "--control", str(path), "status"]) == 130

@@ -99,7 +99,7 @@ class EmulatedLine:
         codec.update_from_request(call, self.wire_state)
         self.emulator.simulation.step(self._step_s)
         self._session.receive(request)
-        answer = self._session.process_requests(most=1)
+        answer = self._session.process_requests(max_requests=1)
         while not answer:
             self.emulator.simulation.step(self._step_s)
             answer = self._session.tick()
@@ -169,7 +169,7 @@ class GatewayClient:
 
     def _exchange(self, data: bytes) -> bytes:
         self.session.receive(data)
-        answer = self.session.process_requests(most=100)
+        answer = self.session.process_requests(max_requests=100)
         for _ in range(1000):
             if answer:
                 break

@@ -511,7 +511,7 @@ def test_a_hold_stops_the_real_robot_and_refuses_motions() -> None:
         assert client.ask(name, *args).slots[38] == 0
         assert real.is_still((0, 1, 2))
     assert refusal(client.ask("arm_mv", 2, 10, 2, 10)) == (5,)
-    assert harness.emulator.estop.told() == {"1": {"by": "viewer 1", "ignored": 5}}
+    assert harness.emulator.estop.as_dict() == {"1": {"by": "viewer 1", "ignored": 5}}
     harness.emulator.estop.release(1)
     assert client.ask("vm", 100, 0, 0).slots[38] == 100
 

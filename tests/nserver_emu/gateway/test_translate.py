@@ -95,9 +95,9 @@ def test_replies_of_get_robot_conf_and_get_ra() -> None:
     velocities = Reply("velocity", {38: 1, 39: 2, 40: 3})
     asking = context()
     assert shaped("get_ra", velocities, of=asking) == velocities
-    assert asking.kept[38] == 0
+    assert asking.last_sent[38] == 0
     assert shaped("get_rv", velocities, of=asking) == velocities
-    assert asking.kept[38:41] == [1, 2, 3]
+    assert asking.last_sent[38:41] == [1, 2, 3]
 
 
 def test_replies_after_conf_cp_and_tk() -> None:

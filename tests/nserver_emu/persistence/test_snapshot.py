@@ -23,7 +23,7 @@ from nclient.protocol.types import EVERYTHING
 from nserver_emu.persistence import snapshot
 from nserver_emu.persistence.snapshot import decoder, validate_snapshot
 from nserver_emu.server.config import SimulationConfig
-from nserver_emu.server.graphics import MOST_POINTS, Figure
+from nserver_emu.server.graphics import MAX_POINTS, Figure
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.inprocess import open_address
 from nserver_emu.simulation.arm import Arm
@@ -77,7 +77,7 @@ def test_restored_simulation_continues_bit_for_bit(tmp_path: Path) -> None:
     assert restored.simulation.robots[1].sonar.pings == pings
     assert len({ping.x_in for ping in pings if ping}) >= 3
     assert restored.graphics.redrawn == emulator.graphics.redrawn
-    assert restored.transcript.said == emulator.transcript.said
+    assert restored.transcript.utterances == emulator.transcript.utterances
     assert snapshot.dumps(restored) == snapshot.dumps(emulator)
     again, _ = meet(restored)
     assert future(restored, again) == future(emulator, client)
@@ -91,8 +91,8 @@ def test_long_runs_are_saved_in_little_memory() -> None:
     emulator = Emulator(simulation())
     emulator.pass_time(0.1)
     for trace in (emulator.traces.actual[1], emulator.traces.encoder[1]):
-        for number in range(MOST_POINTS):
-            trace.go(number + 1 / 3, 0.1 * number)
+        for number in range(MAX_POINTS):
+            trace.add(number + 1 / 3, 0.1 * number)
     for number in range(2000):
         emulator.graphics.draw(Figure.LINE, (number, 1000, 2000, 3000), 1)
     tracemalloc.start()

@@ -68,6 +68,6 @@ def meet_on_line(emulator: Emulator, robot_id: int = 1) -> tuple[LineHost, Seria
 
     def exchange(data: bytes) -> bytes:
         session.receive(data)
-        return session.process_requests(most=100) + session.tick()
+        return session.process_requests(max_requests=100) + session.tick()
 
     return LineHost(exchange, model), session

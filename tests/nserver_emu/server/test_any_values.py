@@ -52,7 +52,7 @@ def test_whatever_is_asked_is_answered_and_the_robot_goes_on(model: str, asked: 
         session.receive(data)
         if session.context.robot_id is None:
             break
-        session.process_requests(most=1)
+        session.process_requests(max_requests=1)
         for _ in range(3):
             emulator.simulation.step(0.2)
             session.tick()

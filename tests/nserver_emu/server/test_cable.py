@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nserver_emu.server.link import MOST_GIVEN_BACK_S, MOST_ON_A_WIRE, PIECE, Arrival, RateLimitedChannel
+from nserver_emu.server.link import MAX_COMPENSATED_S, MAX_IN_TRANSIT, PIECE_BYTES, Arrival, RateLimitedChannel
 
 BAUD = 38400
 BYTE_S = 10 / BAUD
@@ -47,11 +47,11 @@ def test_a_long_answer_comes_piece_by_piece() -> None:
     cable.to_host(whole, 0.0)
     half_way = all_arrived(cable, 256 * BYTE_S + 1e-9)
     assert b"".join(arrival.data for arrival in half_way) == whole[:256]
-    assert {len(arrival.data) for arrival in half_way} == {PIECE}
+    assert {len(arrival.data) for arrival in half_way} == {PIECE_BYTES}
     assert b"".join(arrival.data for arrival in all_arrived(cable, 1.0)) == whole[256:]
 
 
-@given(st.lists(st.floats(0.0, MOST_GIVEN_BACK_S / 3), min_size=5, max_size=60))
+@given(st.lists(st.floats(0.0, MAX_COMPENSATED_S / 3), min_size=5, max_size=60))
 def test_late_alarms_cost_a_host_that_asks_at_once_nothing(lateness: list[float]) -> None:
     """Requests of 6 bytes, answers of 48: 54 bytes an exchange, and at the end the lateness of the last answer."""
     cable, now_s = RateLimitedChannel(BAUD), 0.0
@@ -77,12 +77,12 @@ def test_a_host_that_takes_its_time_gets_nothing_back() -> None:
 
 def test_what_a_wire_cannot_hold_is_lost_on_the_way_back_and_not_read_on_the_way_in() -> None:
     cable = RateLimitedChannel(BAUD)
-    cable.to_host(bytes(MOST_ON_A_WIRE), 0.0)
+    cable.to_host(bytes(MAX_IN_TRANSIT), 0.0)
     cable.to_host(bytes(48), 0.0)
     assert cable.lost == 48
     full = [cable.full]
-    cable.to_robot(bytes(MOST_ON_A_WIRE), 0.0)
+    cable.to_robot(bytes(MAX_IN_TRANSIT), 0.0)
     full.append(cable.full)
     arrived = all_arrived(cable, 60.0)
-    assert sum(len(arrival.data) for arrival in arrived) == 2 * MOST_ON_A_WIRE
+    assert sum(len(arrival.data) for arrival in arrived) == 2 * MAX_IN_TRANSIT
     assert [*full, cable.full] == [False, True, False]

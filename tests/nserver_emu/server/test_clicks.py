@@ -26,13 +26,13 @@ def test_a_click_answers_all_who_wait_at_that_robot() -> None:
     emulator.pose_requests.open = True
     ends = [waiting(emulator) for _ in range(2)]
     emulator.pass_time(5.0)
-    assert emulator.pose_requests.asked() == {1: 2}
+    assert emulator.pose_requests.counts() == {1: 2}
     assert not emulator.pose_requests.answer(2, CLICKED)
     assert emulator.pose_requests.answer(1, CLICKED)
     for client, session in ends:
         (reply,) = client.read("get_robot_conf", session.tick())
         assert reply.values == CLICKED
-    assert emulator.pose_requests.asked() == {}
+    assert emulator.pose_requests.counts() == {}
 
 
 def test_when_the_page_closes_nobody_waits_on() -> None:
@@ -42,7 +42,7 @@ def test_when_the_page_closes_nobody_waits_on() -> None:
     emulator.pose_requests.open = False
     (reply,) = client.read("get_robot_conf", session.tick())
     assert reply.values == HERE
-    assert emulator.pose_requests.asked() == {}
+    assert emulator.pose_requests.counts() == {}
 
 
 def test_who_is_gone_is_asked_for_no_more() -> None:
@@ -51,9 +51,9 @@ def test_who_is_gone_is_asked_for_no_more() -> None:
     _, session = waiting(emulator)
     _, other = waiting(emulator)
     emulator.on_disconnect(session.context)
-    assert emulator.pose_requests.asked() == {1: 1}
+    assert emulator.pose_requests.counts() == {1: 1}
     emulator.on_disconnect(other.context)
-    assert emulator.pose_requests.asked() == {}
+    assert emulator.pose_requests.counts() == {}
 
 
 def test_in_lockstep_time_does_not_run_while_somebody_looks_for_the_mouse() -> None:

@@ -9,7 +9,7 @@ import weakref
 import pytest
 
 from nclient.faults.plan import Delay, Plan, Rule
-from nserver_emu.server.connection import Connection, ConnectionHandler
+from nserver_emu.server.connection import ConnectionHandler, TcpConnection
 from tests.nserver_emu.server.running_server import RunningServer, run_scenario
 
 
@@ -27,7 +27,7 @@ def test_nothing_of_it_is_left(talks: bool, faults: bool) -> None:
         while not server.daemon.connections:
             await asyncio.sleep(0.005)
         gone: list[weakref.ref[ConnectionHandler]] = [weakref.ref(one) for one in server.daemon.connections]
-        assert [type(one()) for one in gone] == [Connection]
+        assert [type(one()) for one in gone] == [TcpConnection]
         client.writer.close()
         async with asyncio.timeout(30):
             while any(one() for one in gone):

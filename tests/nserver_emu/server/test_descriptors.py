@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from nserver_emu.server.limits import OWN, make_room
+from nserver_emu.server.limits import OTHER_DESCRIPTORS, make_room
 
 Pair = tuple[int, int]
 
@@ -29,7 +29,8 @@ class _System:
 
 
 @pytest.mark.parametrize(("soft", "hard", "after", "enough"), [
-    (100, 4096, 500 + OWN, True), (100, resource.RLIM_INFINITY, 500 + OWN, True), (100, 300, 300, False),
+    (100, 4096, 500 + OTHER_DESCRIPTORS, True),
+    (100, resource.RLIM_INFINITY, 500 + OTHER_DESCRIPTORS, True), (100, 300, 300, False),
     (1024, 4096, 1024, True), (resource.RLIM_INFINITY, resource.RLIM_INFINITY, resource.RLIM_INFINITY, True),
 ])  # fmt: skip
 def test_room_is_made_as_far_as_may_be(

@@ -22,7 +22,7 @@ def pair(emulator: Emulator) -> tuple[WireClient, Session, WireClient]:
 def test_who_has_finished_stops_nobody(emulator: Emulator) -> None:
     first, session, second = pair(emulator)
     session.receive(b"\x00\x14\x00\x00")  # zr
-    session.process_requests(most=1)
+    session.process_requests(max_requests=1)
     emulator.pass_time(1.0)
     assert not session.waiting or session.tick()
     second.ask("mv", 0, 0, 0, 0, 1, 50)
@@ -83,7 +83,7 @@ def test_a_search_for_zero_ends_with_who_asked_for_it(emulator: Emulator) -> Non
     first, session, second = pair(emulator)
     first.ask("place_robot", 0, 0, 900, 900)
     session.receive(b"\x00\x14\x00\x00")  # zr
-    assert session.process_requests(most=1) == b""
+    assert session.process_requests(max_requests=1) == b""
     emulator.on_disconnect(session.context)
     assert second.ask("get_rv").slots == {38: 0, 39: 0, 40: 0}
     assert not emulator.simulation.robots[1].zeroing

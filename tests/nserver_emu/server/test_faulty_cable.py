@@ -7,7 +7,7 @@ import pytest
 from nclient.faults.frames import LINE_NAK, Injector, LineLanguage, TcpLanguage
 from nclient.faults.plan import BOTH, Corrupt, Delay, Direction, Drop, Fault, HangUp, Nak, Plan, Rule, When
 from nclient.protocol.serial_framing import build_frame
-from nserver_emu.server.link import MOST_ON_A_WIRE, Arrival, FaultyChannel, RateLimitedChannel
+from nserver_emu.server.link import MAX_IN_TRANSIT, Arrival, FaultyChannel, RateLimitedChannel
 
 GS, VM = build_frame(7), build_frame(5, bytes(6))
 REQUEST = frozenset({Direction.REQUEST})
@@ -127,7 +127,7 @@ def test_half_a_request_over_tcp_waits_for_the_rest() -> None:
 
 def test_a_cable_with_too_much_in_it_is_full() -> None:
     bench = Bench(rule(Delay(100.0)))
-    bench.cable.to_host(GS * (MOST_ON_A_WIRE // len(GS) + 1), 0.0)
+    bench.cable.to_host(GS * (MAX_IN_TRANSIT // len(GS) + 1), 0.0)
     assert bench.cable.full
     assert bench.come(100.0)
     assert not bench.cable.full

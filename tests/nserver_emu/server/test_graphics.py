@@ -67,7 +67,7 @@ def test_another_colour_erases_nothing(window: Graphics) -> None:
 
 def test_the_oldest_shape_makes_room(window: Graphics) -> None:
     for number in range(5):
-        window.draw(Figure.LINE, (number, 0, 0, 0), 1, most=3)
+        window.draw(Figure.LINE, (number, 0, 0, 0), 1, max_shapes=3)
     assert [shape.numbers[0] for shape in window.shapes] == [2, 3, 4]
 
 
@@ -75,7 +75,7 @@ def test_what_changed_since_is_what_went_and_what_came(window: Graphics) -> None
     had: list[tuple[int, list[tuple[int, Shape]]]] = []
     for number in range(30):
         had.append((window.drawn, window.numbered))
-        window.draw(Figure.LINE, (number * number % 7, 0, 0, 0), 1 + number % 3, most=3)
+        window.draw(Figure.LINE, (number * number % 7, 0, 0, 0), 1 + number % 3, max_shapes=3)
     for drawn, shapes in had:
         changes = window.changes(drawn, window.drawn)
         assert changes is not None
@@ -84,7 +84,7 @@ def test_what_changed_since_is_what_went_and_what_came(window: Graphics) -> None
 
 
 def test_what_changed_too_long_ago_is_not_known(window: Graphics) -> None:
-    for number in range(2 * graphics.MOST_GONE):
+    for number in range(2 * graphics.MAX_REMOVALS):
         window.draw(Figure.LINE, LINE, 2)
         if number == 100:
             assert window.changes(0, window.drawn) == ([], window.numbered)

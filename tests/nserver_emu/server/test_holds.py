@@ -40,7 +40,7 @@ def test_what_would_move_it_is_answered_with_the_state_and_moves_nothing(name: s
     assert [reply.slots[slot] for slot in (38, 39, 40)] == [0, 0, 0]
     emulator.pass_time(2.0)
     assert emulator.simulation.robots[1].actual == before
-    assert emulator.estop.told() == {"1": {"by": "viewer 1", "ignored": 1}}
+    assert emulator.estop.as_dict() == {"1": {"by": "viewer 1", "ignored": 1}}
 
 
 def test_it_stops_at_once_where_it_was_moving_and_whoever_waits_for_that_is_answered() -> None:
@@ -65,7 +65,7 @@ def test_all_else_is_done_as_ever() -> None:
     ):  # fmt: skip
         assert client.ask(name, *args).kind != "error"
     assert math.degrees(emulator.simulation.robots[1].actual.steering_rad) == pytest.approx(90.0)
-    assert emulator.estop.told() == {"1": {"by": "viewer 1", "ignored": 0}}
+    assert emulator.estop.as_dict() == {"1": {"by": "viewer 1", "ignored": 0}}
 
 
 def test_a_program_that_says_stop_by_zero_velocities_is_not_one_that_would_move() -> None:
@@ -73,16 +73,16 @@ def test_a_program_that_says_stop_by_zero_velocities_is_not_one_that_would_move(
     client, _ = meet(emulator)
     client.ask("vm", 0, 0, 0)
     client.ask("vm", 0, 1, 0)
-    assert emulator.estop.told()["1"]["ignored"] == 1
+    assert emulator.estop.as_dict()["1"]["ignored"] == 1
 
 
 def test_who_stopped_it_first_is_told_of_until_it_is_released() -> None:
     emulator = held()
     emulator.hold(1, "viewer 2")
-    assert emulator.estop.told()["1"]["by"] == "viewer 1"
+    assert emulator.estop.as_dict()["1"]["by"] == "viewer 1"
     emulator.estop.release(1)
     emulator.estop.release(1)
-    assert emulator.estop.told() == {}
+    assert emulator.estop.as_dict() == {}
     client, _ = meet(emulator)
     assert client.ask("vm", 100, 0, 0).slots[38] == 100
     emulator.pass_time(1.0)
@@ -114,7 +114,7 @@ def test_the_first_motion_that_comes_to_nothing_is_in_the_log(caplog: pytest.Log
         client.ask(name, *args)
     told = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
     assert len(told) == 1
-    assert told[0].startswith("robot 1 is told to move (pr) and stands: it is held by viewer 1 until")
+    assert told[0].startswith("robot 1: motion command pr ignored: emergency stop by viewer 1;")
     assert "nserver ctl release" in told[0]
 
 
@@ -136,7 +136,7 @@ def test_no_command_moves_a_held_robot(name: str) -> None:
 
 def test_holds_know_whose_call_it_is() -> None:
     holds = EStop()
-    holds.put(3, "x")
+    holds.engage(3, "x")
     call = Call("vm", (1, 0, 0))
     assert holds.effective_call(call, None) is call
     assert holds.effective_call(call, 1) is call

@@ -9,7 +9,7 @@ from math import cos, hypot, sin
 import pytest
 
 from nserver_emu.persistence.snapshot import dumps, loads
-from nserver_emu.server.graphics import FORGOTTEN_AT_ONCE, MOST_POINTS, POINT_IN, Layer, Trace
+from nserver_emu.server.graphics import MAX_POINTS, POINT_SPACING_IN, REMOVED_TOGETHER, Layer, Trace
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.simulation.models import N200
 from nserver_emu.simulation.noise import MEASURED
@@ -27,27 +27,27 @@ def n200() -> Emulator:
 
 def test_a_track_has_a_point_every_half_inch_and_forgets_its_oldest() -> None:
     trace = Trace()
-    for number in range(20 * MOST_POINTS):
-        trace.go(0.1 * number, 0.0)
-    assert len(trace.points) == MOST_POINTS
+    for number in range(20 * MAX_POINTS):
+        trace.add(0.1 * number, 0.0)
+    assert len(trace.points) == MAX_POINTS
     gaps = [after[0] - before[0] for before, after in zip(trace.points[:-1], trace.points[1:], strict=True)]
-    assert min(gaps) >= POINT_IN
-    assert max(gaps) < POINT_IN + 0.11
-    assert trace.points[-1][0] > 0.1 * 20 * MOST_POINTS - 1.0
+    assert min(gaps) >= POINT_SPACING_IN
+    assert max(gaps) < POINT_SPACING_IN + 0.11
+    assert trace.points[-1][0] > 0.1 * 20 * MAX_POINTS - 1.0
 
 
 def test_a_full_track_takes_little_memory() -> None:
     tracemalloc.start()
     try:
         trace = Trace()
-        for number in range(MOST_POINTS + FORGOTTEN_AT_ONCE - 1):
-            trace.go(float(number), 0.5)
+        for number in range(MAX_POINTS + REMOVED_TOGETHER - 1):
+            trace.add(float(number), 0.5)
         taken, _ = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    assert trace.points == trace.at(range(trace.first, trace.gone + 1))
+    assert trace.points == trace.at(range(trace.first, trace.count + 1))
     assert trace.points[-1] == (float(number), 0.5)
-    assert taken < 20 * (MOST_POINTS + FORGOTTEN_AT_ONCE), "two coordinates of eight bytes, and room to grow"
+    assert taken < 20 * (MAX_POINTS + REMOVED_TOGETHER), "two coordinates of eight bytes, and room to grow"
 
 
 def test_the_two_robots_leave_tracks_that_dp_and_noise_tell_apart() -> None:
@@ -64,8 +64,8 @@ def test_the_two_robots_leave_tracks_that_dp_and_noise_tell_apart() -> None:
     assert actual[0] == [0.0, 0.0]
     assert believed[0] == [0.0, 0.0]
     assert believed[1] == pytest.approx([100.5, 100.0], abs=0.6)
-    assert hypot(actual[-1][0] - robot.actual.x_in, actual[-1][1] - robot.actual.y_in) < POINT_IN
-    assert hypot(believed[-1][0] - robot.encoder.x_in, believed[-1][1] - robot.encoder.y_in) < POINT_IN
+    assert hypot(actual[-1][0] - robot.actual.x_in, actual[-1][1] - robot.actual.y_in) < POINT_SPACING_IN
+    assert hypot(believed[-1][0] - robot.encoder.x_in, believed[-1][1] - robot.encoder.y_in) < POINT_SPACING_IN
     assert 20 < len(actual) <= 62
     client.ask("refresh_all")
     assert emulator.layers(1) == shown
@@ -116,22 +116,22 @@ def test_a_robot_that_is_made_or_restored_has_its_track() -> None:
 def test_a_track_knows_where_the_robot_was_put_down_and_gives_points_by_number() -> None:
     trace = Trace()
     for number in range(30):
-        trace.go(number + (50.0 if number >= 10 else 0.0), 0.0)
-    trace.go(0.0, 0.0)
-    assert (trace.gone, trace.first, trace.jumps) == (31, 1, (11, 31))
+        trace.add(number + (50.0 if number >= 10 else 0.0), 0.0)
+    trace.add(0.0, 0.0)
+    assert (trace.count, trace.first, trace.jumps) == (31, 1, (11, 31))
     assert trace.at([1, 10, 11, 31]) == [(0.0, 0.0), (9.0, 0.0), (60.0, 0.0), (0.0, 0.0)]
-    for number in range(MOST_POINTS - 1):
-        trace.go(float(number + 1), 0.0)
+    for number in range(MAX_POINTS - 1):
+        trace.add(float(number + 1), 0.0)
     assert (trace.first, trace.jumps) == (31, (11, 31))
-    trace.go(0.0, 0.0)
+    trace.add(0.0, 0.0)
     assert trace.first == 32
-    assert trace.jumps == (trace.gone,), "those of points that are forgotten are forgotten"
-    assert trace.at(range(trace.first, trace.gone + 1)) == trace.points
+    assert trace.jumps == (trace.count,), "those of points that are forgotten are forgotten"
+    assert trace.at(range(trace.first, trace.count + 1)) == trace.points
 
 
 def test_a_track_that_goes_round_and_round_never_jumps() -> None:
     trace = Trace()
     for number in range(1000):
-        trace.go(5.0 * cos(number), 5.0 * sin(number))
-    assert trace.gone == 1000
+        trace.add(5.0 * cos(number), 5.0 * sin(number))
+    assert trace.count == 1000
     assert trace.jumps == ()

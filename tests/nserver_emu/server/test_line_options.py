@@ -103,17 +103,17 @@ def test_what_cannot_be_is_wrong_usage(
 
 
 def test_what_cannot_be_opened_says_why_and_leaves_nothing(tmp_path: Path) -> None:
-    with pytest.raises(AddressError, match="a line for robot 4: there is no such robot, but 1, 2, 3"):
+    with pytest.raises(AddressError, match="robot 4: there is no such robot, only 1, 2, 3"):
         opened("--serial-link", str(tmp_path / "a"), "--serial-link", f"{tmp_path}/b@4")
     (tmp_path / "precious").write_text("x")
-    with pytest.raises(ConnectionLost, match="precious is there and no symbolic link"):
+    with pytest.raises(ConnectionLost, match="no symbolic link"):
         opened("--serial-link", str(tmp_path / "a"), "--serial-link", str(tmp_path / "precious"))
     assert [entry.name for entry in tmp_path.iterdir()] == ["precious"]
 
 
 def test_a_system_without_pseudo_terminals_has_robotd(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "nserver_emu.server.pty", None)
-    with pytest.raises(ConnectionLost, match="this system has no pseudo-terminals; use --robotd"):
+    with pytest.raises(ConnectionLost, match="use --robotd"):
         opened("--serial-link", str(tmp_path / "a"))
 
 

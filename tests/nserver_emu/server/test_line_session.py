@@ -18,7 +18,7 @@ from nclient.protocol.serial_framing import SerialFrame, SerialFramer, build_fra
 from nclient.protocol.types import CPU_RANGE_V, EVERYTHING, MODELS, MOTOR_RANGE_V, N150, N200, Mask, Position, volts
 from nclient.protocol.wire_state import serial_wire_state
 from nserver_emu.server.context import SimulationClock
-from nserver_emu.server.serial_session import EXPIRY_S, SerialSession
+from nserver_emu.server.serial_session import FRAME_TIMEOUT_S, SerialSession
 from nserver_emu.server.session import ConnectionContext
 from nserver_emu.simulation.models import MODELS as SIMULATED
 from nserver_emu.simulation.noise import MEASURED
@@ -182,7 +182,7 @@ def test_the_small_answers() -> None:
     host, _ = meet_on_line(emulator)
     assert host.frame("get_ra").data == b""
     assert host.ask("tk", "hello").slots.keys() >= {34, 35}
-    assert [said.text for said in emulator.transcript.said] == ["hello"]
+    assert [said.text for said in emulator.transcript.utterances] == ["hello"]
     host.ask("da", -900, 450)
     assert host.ask("get_rc").slots == {34: 0, 35: 0, 36: 2700, 37: 450}
     host.ask("vm", 0, -100, 20)
@@ -286,7 +286,7 @@ def test_after_any_rubbish_and_a_pause_the_next_request_is_answered(rubbish: byt
         session.receive(rubbish[:cut])
         rubbish = rubbish[cut:]
         session.process_requests(99)
-    emulator.simulation.step(EXPIRY_S + 0.1)
+    emulator.simulation.step(FRAME_TIMEOUT_S + 0.1)
     session.tick()
     session.process_requests(99)
     session.receive(GS_REQUEST)
@@ -308,16 +308,16 @@ def test_a_cut_frame_hides_those_behind_it_until_its_time_is_over_and_not_longer
     session = SerialSession(emulated().answer, 1, N150, lambda: now_s[0])
     session.receive(b"\x01\xf0\x00\x05")
     for _ in range(3):
-        now_s[0] += EXPIRY_S / 4
+        now_s[0] += FRAME_TIMEOUT_S / 4
         session.receive(GS_REQUEST)
         assert session.process_requests(9) == session.tick() == b""
     assert session.unfinished == 4 + 3 * 6
-    now_s[0] += EXPIRY_S / 4 + 0.001
+    now_s[0] += FRAME_TIMEOUT_S / 4 + 0.001
     assert session.tick() == b""
     assert session.unfinished == 0
     assert [frame.type for frame in SerialFramer().receive(session.process_requests(9))] == [GS] * 3
     session.receive(GS_REQUEST[:3])
-    now_s[0] += 2 * EXPIRY_S
+    now_s[0] += 2 * FRAME_TIMEOUT_S
     session.receive(GS_REQUEST)
     assert [frame.type for frame in SerialFramer().receive(session.process_requests(9))] == [GS]
 
@@ -328,7 +328,7 @@ def test_a_frame_that_comes_slowly_is_not_given_up_before_its_time() -> None:
     session.receive(GS_REQUEST + GS_REQUEST[:2])
     assert parse_single_frame(session.process_requests(9)).type == GS
     for place in range(2, 6):
-        now_s[0] += EXPIRY_S / 5
+        now_s[0] += FRAME_TIMEOUT_S / 5
         session.tick()
         session.receive(GS_REQUEST[place : place + 1])
     assert parse_single_frame(session.process_requests(9)).type == GS

@@ -22,4 +22,4 @@ from nserver_emu.server.context import SimulationClock
 def test_the_factor_is_told_and_time_passes_as_it_says(
     pace: SimulationClock, shown: int, alone: bool, asked_s: float
 ) -> None:
-    assert (pace.speed_tenths, pace.is_free_running, pace.asked_s) == (shown, alone, asked_s)
+    assert (pace.speed_tenths, pace.is_free_running, pace.step_per_request_s) == (shown, alone, asked_s)

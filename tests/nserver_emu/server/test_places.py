@@ -45,5 +45,5 @@ def test_robots_of_two_sizes_share_the_starts_and_the_room_ends() -> None:
 
 def test_a_world_without_rooms_ends_with_the_last_ring() -> None:
     simulation = Simulation(World("plain"))
-    tried = list(islice(StartPoseAllocator(simulation)._places(20.0), 100_000))
+    tried = list(islice(StartPoseAllocator(simulation)._candidates(20.0), 100_000))
     assert len(tried) == 1 + 3 * MAX_RINGS * (MAX_RINGS + 1)

@@ -23,7 +23,7 @@ def waiting(emulator: Emulator, seconds: int) -> tuple[WireClient, Session]:
     client, session = meet(emulator)
     client.ask(*(("pr", *TURN) if seconds > 10 else ("vm", *TURN)))
     session.receive(codec.encode_tcp_request(Call("ws", (1, 1, 1, seconds))))
-    assert session.process_requests(most=1) == b""
+    assert session.process_requests(max_requests=1) == b""
     return client, session
 
 
@@ -44,7 +44,7 @@ def test_who_waits_is_answered_in_time_at_a_hundred_times_the_speed() -> None:
     emulator = Emulator(simulation())
     daemon = Daemon(emulator, speed=100.0)
     client, session = waiting(emulator, 1)
-    daemon._pass_time(0.25)
+    daemon._advance(0.25)
     (reply,) = client.read("ws", session.tick())
     assert (reply.clock, emulator.simulation.time_s) == (1000, 25.0)
 
@@ -84,9 +84,9 @@ def test_whoever_has_gone_is_asked_no_more() -> None:
     promises, one, other = DeferredReplies(), ConnectionContext(), ConnectionContext()
     asked: list[ConnectionContext] = []
     for context in (one, other):
-        promises.make(context, lambda context=context: asked.append(context))  # type: ignore[misc]
-    promises.drop(one)
-    promises.ask()
+        promises.add(context, lambda context=context: asked.append(context))  # type: ignore[misc]
+    promises.cancel(one)
+    promises.poll()
     assert asked == [other]
     assert len(promises) == 1
 
@@ -94,9 +94,9 @@ def test_whoever_has_gone_is_asked_no_more() -> None:
 def test_a_connection_that_leaves_while_it_waits_is_forgotten() -> None:
     emulator = Emulator(simulation())
     _, session = waiting(emulator, 60)
-    assert len(emulator._promises) == 1
+    assert len(emulator._deferred) == 1
     emulator.on_disconnect(session.context)
-    assert len(emulator._promises) == 0
+    assert len(emulator._deferred) == 0
 
 
 @pytest.mark.parametrize("call", ["ws", "zr"])
@@ -111,7 +111,7 @@ def test_whoever_waits_feeds_the_time_out_until_it_is_answered(call: str) -> Non
     else:
         client.ask("pr", 0, 900, 900)
         session.receive(codec.encode_tcp_request(Call("ws", (1, 1, 1, 25))))
-    assert session.process_requests(most=1) == b""
+    assert session.process_requests(max_requests=1) == b""
     emulator.pass_time(24.0)
     assert emulator.simulation.robots[1].moving[1:] == (True, True)
     emulator.pass_time(6.5)

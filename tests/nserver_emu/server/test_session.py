@@ -41,22 +41,22 @@ def error_codes(data: bytes) -> list[int]:
 def connected() -> Session:
     session = Session(answer)
     session.receive(CONNECT)
-    assert types(session.process_requests(most=5)) == [82]
+    assert types(session.process_requests(max_requests=5)) == [82]
     return session
 
 
 def test_replies_come_one_a_request_in_order() -> None:
     session = connected()
     session.receive(GS + codec.encode_tcp_request(Call("tk", ("hi",))) + GS)
-    assert types(session.process_requests(most=10)) == [80, 82, 80]
+    assert types(session.process_requests(max_requests=10)) == [80, 82, 80]
 
 
 def test_no_more_than_asked_are_answered_at_a_time() -> None:
     session = connected()
     session.receive(GS * 5)
-    assert types(session.process_requests(most=2)) == [80, 80]
+    assert types(session.process_requests(max_requests=2)) == [80, 80]
     assert session.ready
-    assert types(session.process_requests(most=9)) == [80, 80, 80]
+    assert types(session.process_requests(max_requests=9)) == [80, 80, 80]
     assert not session.ready
 
 
@@ -68,7 +68,7 @@ def test_any_cuts_give_the_same_replies(cuts: list[int]) -> None:
     for cut in [*cuts, len(stream)]:
         session.receive(stream[:cut])
         stream = stream[cut:]
-        replies += session.process_requests(most=10)
+        replies += session.process_requests(max_requests=10)
     assert types(replies) == [82, 80, 80, 80]
 
 
@@ -82,15 +82,15 @@ def test_a_request_behind_a_later_answer_waits_its_turn() -> None:
 
     session = Session(slow)
     session.receive(CONNECT)
-    session.process_requests(most=1)
+    session.process_requests(max_requests=1)
     session.receive(codec.encode_tcp_request(Call("ws", (1, 1, 1, 5))) + codec.encode_tcp_request(Call("tk", ("x",))))
-    assert session.process_requests(most=9) == b""
+    assert session.process_requests(max_requests=9) == b""
     assert session.waiting
     assert not session.ready
     assert session.tick() == b""
     promised.append(Reply("state", clock=1))
     assert types(session.tick()) == [80]
-    assert types(session.process_requests(most=9)) == [82]
+    assert types(session.process_requests(max_requests=9)) == [82]
     assert session.tick() == b""
 
 
@@ -105,7 +105,7 @@ def test_a_request_behind_a_later_answer_waits_its_turn() -> None:
 def test_a_bad_request_costs_an_error_and_the_conversation_goes_on(request_bytes: bytes, code: int) -> None:
     session = connected()
     session.receive(request_bytes + GS)
-    replies = session.process_requests(most=9)
+    replies = session.process_requests(max_requests=9)
     assert types(replies) == [91, 80]
     assert error_codes(replies) == [code]
     assert not session.closing
@@ -115,39 +115,39 @@ def test_a_bad_request_costs_an_error_and_the_conversation_goes_on(request_bytes
 def test_a_stream_that_lost_its_frame_is_answered_once_and_closed() -> None:
     session = connected()
     session.receive(b"GET / HTTP/1.1\r\nHost: somebody\r\n\r\n" + GS)
-    assert error_codes(session.process_requests(most=9)) == [1]
+    assert error_codes(session.process_requests(max_requests=9)) == [1]
     assert session.closing
     session.receive(GS)
-    assert session.process_requests(most=9) == b""
+    assert session.process_requests(max_requests=9) == b""
 
 
 def test_nothing_but_connect_is_answered_before_connect() -> None:
     session = Session(answer)
     session.receive(GS)
-    assert error_codes(session.process_requests(most=1)) == [3]
+    assert error_codes(session.process_requests(max_requests=1)) == [3]
 
 
 def test_disconnect_has_no_reply_and_closes() -> None:
     session = connected()
     session.receive(codec.encode_tcp_request(Call("disconnect_robot", (1, 7))))
-    assert session.process_requests(most=1) == b""
+    assert session.process_requests(max_requests=1) == b""
     assert session.closing
 
 
 def test_a_64_bit_client_is_known_by_its_connect_and_answered_in_kind() -> None:
     session = Session(answer)
     session.receive(codec.encode_tcp_request(Call("connect_robot", (1, 7)), wide=True))
-    reply = session.process_requests(most=1)
+    reply = session.process_requests(max_requests=1)
     assert reply == bytes.fromhex("00520001") + bytes.fromhex("00001b6b00000000")
     session.receive(b"\x00\x0c\x00\x02" + bytes(16) + codec.encode_tcp_request(Call("gs"), wide=True))
-    assert types(session.process_requests(most=2), wide=True) == [91, 80]
+    assert types(session.process_requests(max_requests=2), wide=True) == [91, 80]
 
 
 def test_only_the_first_refusal_is_logged(caplog: pytest.LogCaptureFixture) -> None:
     session = connected()
     with caplog.at_level(logging.WARNING):
         session.receive(b"\x00\x0c\x00\x02" + bytes(8) + b"\x03\xe7\x00\x00")
-        session.process_requests(most=9)
+        session.process_requests(max_requests=9)
     assert session.refused == 2
     assert len(caplog.records) == 1
     assert "takes 3 words, not 2" in caplog.text
@@ -159,7 +159,7 @@ def test_any_bytes_get_errors_or_nothing(data: bytes) -> None:
     session = connected()
     session.receive(data)
     while session.ready:
-        replies = session.process_requests(most=100)
+        replies = session.process_requests(max_requests=100)
         assert len(types(replies)) >= 1
 
 
@@ -174,7 +174,7 @@ def test_an_old_client_goes_on_over_a_second_connection_without_connect(wide: bo
         Call("gs"), wide=wide
     ):
         session.receive(bytes([byte]))
-    assert types(session.process_requests(most=5), wide=wide) == [82, 80]
+    assert types(session.process_requests(max_requests=5), wide=wide) == [82, 80]
     assert session.identity == ClientIdentity(3, wide)
 
 
@@ -182,7 +182,7 @@ def test_a_second_connection_that_connects_is_taken_for_what_it_says() -> None:
     session = second_connection(wide=True)
     assert session.identity is None
     session.receive(CONNECT + GS)
-    assert types(session.process_requests(most=5)) == [82, 80]
+    assert types(session.process_requests(max_requests=5)) == [82, 80]
     assert session.identity == ClientIdentity(1, wide=False)
 
 
@@ -190,7 +190,7 @@ def test_who_says_nothing_after_connect_is_silent_until_it_does() -> None:
     session = connected()
     assert session.identity == ClientIdentity(1, wide=False, silent=True)
     session.receive(GS)
-    session.process_requests(most=1)
+    session.process_requests(max_requests=1)
     assert session.identity == ClientIdentity(1, wide=False)
 
 

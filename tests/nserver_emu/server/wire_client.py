@@ -62,7 +62,7 @@ def meet(emulator: Emulator) -> tuple[WireClient, Session]:
 
     def exchange(data: bytes) -> bytes:
         session.receive(data)
-        return session.process_requests(most=100)
+        return session.process_requests(max_requests=100)
 
     client = WireClient(exchange)
     client.ask("connect_robot", 1, 4711)

@@ -82,6 +82,6 @@ def test_without_calibration_the_setup_applies() -> None:
 def test_model_files_contain_calibrations() -> None:
     text = '[[model]]\nname = "n150"\n[model.odometry]\nway_scale = 1.04\n[[model]]\nname = "twin"\nlike = "n150"\n'
     models = parse_models(text, "mine.toml")
-    assert models["n150"].calibration == models["twin"].calibration == Calibration(way_scale=1.04)
+    assert models["n150"].calibration == models["twin"].calibration == Calibration(distance_scale=1.04)
     assert models["n200"].calibration is None
     assert apply_calibration(models["n150"], IDEAL).odometry.scales[0] == 1.04

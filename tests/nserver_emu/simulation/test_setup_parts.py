@@ -122,7 +122,8 @@ def test_switching_a_sonar_dead_and_back() -> None:
 
 
 def test_calibrations_stay_when_parts_are_switched() -> None:
-    calibration = Calibration(way_scale=1.02, turn_scale=0.97, offsets_in=tuple(0.1 * number for number in range(16)))
+    offsets_in = tuple(0.1 * number for number in range(16))
+    calibration = Calibration(distance_scale=1.02, turn_scale=0.97, offsets_in=offsets_in)
     twin = replace(N150, calibration=calibration)
     choices = part_choices("sensors", twin, apply_calibration(twin, IDEAL))
     assert {setup.sonar.offsets_in for setup in choices.values()} == {calibration.offsets_in}

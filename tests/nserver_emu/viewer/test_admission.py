@@ -9,7 +9,7 @@ from collections.abc import Awaitable, Callable
 import pytest
 
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.server.limits import FOR_A_PAGE, Limits
+from nserver_emu.server.limits import CONNECTIONS_PER_PAGE, Limits
 from nserver_emu.viewer.auth import HTTP_LOG
 from tests.nserver_emu.server.wire_client import simulation
 from tests.nserver_emu.viewer.page_client import HOST, Served, serve_viewer
@@ -60,7 +60,7 @@ def test_a_connection_without_a_request_is_closed() -> None:
     at(Limits(stall=1), scenario)
 
 
-@pytest.mark.parametrize(("limits", "most"), [(Limits(viewers=1), FOR_A_PAGE), (Limits(per_address=3), 3)])
+@pytest.mark.parametrize(("limits", "most"), [(Limits(viewers=1), CONNECTIONS_PER_PAGE), (Limits(per_address=3), 3)])
 def test_there_are_no_more_than_pages_want(limits: Limits, most: int, caplog: pytest.LogCaptureFixture) -> None:
     async def scenario(here: Served) -> None:
         inside = [await comes(here) for _ in range(most)]
@@ -90,7 +90,7 @@ def test_bytes_that_are_no_http_are_logged_without_a_traceback(caplog: pytest.Lo
 
     at(Limits(), scenario)
     (picture,) = [record for record in caplog.records if record.levelno >= logging.WARNING]
-    assert picture.getMessage().startswith(f"{HOST}: turned away: what it says at the page's port is no HTTP")
+    assert picture.getMessage().startswith(f"{HOST}: rejected: what it says at the page's port is no HTTP")
     assert HTTP_LOG.filters == []
 
 

@@ -14,7 +14,7 @@ async def test_pose_requests_are_sent_once_and_withdrawn() -> None:
     async with serve_viewer(Emulator(simulation())) as here, here.page() as page:
         assert (await page.until(lambda message: message["type"] == "asked"))["robots"] == {}
         context = ConnectionContext(robot_id=1)
-        clicked = here.daemon.emulator.pose_requests.ask(1, context, lambda: (0, 0, 0, 0))
+        clicked = here.daemon.emulator.pose_requests.add(1, context, lambda: (0, 0, 0, 0))
         assert (await page.until(lambda message: message["type"] == "asked"))["robots"] == {"1": 1}
         await page.send_message(do="click", robot=1, pose=[1, 2, 3, 4])
         assert (await page.until(lambda message: message["type"] == "asked"))["robots"] == {}

@@ -81,7 +81,7 @@ def test_of_many_clients_those_with_the_laser_on_come_first() -> None:
     class Connection:
         """As much of a connection as counts."""
 
-        here, line = True, "nserver"
+        is_connected, line = True, "nserver"
 
         def __init__(self, name: str, mode: int) -> None:
             wire_state = type("WireState", (), {"laser_mode": mode})()

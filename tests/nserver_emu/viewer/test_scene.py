@@ -11,7 +11,7 @@ import pytest
 
 from nclient.protocol import codec
 from nclient.protocol.commands import Call
-from nserver_emu.server.graphics import MOST_GONE, Figure
+from nserver_emu.server.graphics import MAX_REMOVALS, Figure
 from nserver_emu.server.handlers.runtime_settings import switch_noise
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.simulation.models import N200, SCOUT, RobotModel
@@ -213,7 +213,7 @@ def test_a_viewer_far_behind_gets_all_drawings_again() -> None:
     emulator = Emulator(simulation())
     history = SceneHistory(emulator)
     history.take()
-    for _ in range(2 * MOST_GONE + 2):
+    for _ in range(2 * MAX_REMOVALS + 2):
         emulator.graphics.draw(Figure.LINE, (0, 0, 9, 9), 4)
     history.take()
     assert history.since(1)["graphics"] == []

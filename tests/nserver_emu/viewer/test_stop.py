@@ -126,7 +126,7 @@ def test_stop_and_release_are_logged_with_the_viewer(caplog: pytest.LogCaptureFi
 
     asyncio.run(scenario())
     assert [record.getMessage() for record in caplog.records if record.levelname == "WARNING"] == [
-        "stopped and held by nserver ctl: robot 1, until somebody lets go, at the page or by nserver ctl release",
+        "emergency stop by nserver ctl: robot 1; release in the viewer or with nserver ctl release",
         "released: robot 1",
     ]
 
@@ -137,7 +137,7 @@ async def test_a_watcher_neither_stops_nor_releases() -> None:
         for number, word in enumerate(("stop", "release")):
             await page.send_message(do=word, id=number)
             assert (await page.answer(number))["error"] == "this link only looks"
-        assert here.daemon.emulator.estop.told() == {"1": {"by": "viewer 9", "ignored": 0}}
+        assert here.daemon.emulator.estop.as_dict() == {"1": {"by": "viewer 9", "ignored": 0}}
 
 
 async def test_a_hold_outlasts_the_page_that_pressed_stop() -> None:

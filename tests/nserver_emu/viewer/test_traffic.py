@@ -59,7 +59,7 @@ def listened(wide: bool = False) -> tuple[TrafficMonitor, WireClient, Session]:
     def exchange(data: bytes) -> bytes:
         tape.to_robot(data)
         session.receive(data)
-        answered = session.process_requests(most=100)
+        answered = session.process_requests(max_requests=100)
         tape.to_host(answered)
         return answered
 

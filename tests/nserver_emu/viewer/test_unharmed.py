@@ -53,7 +53,7 @@ async def test_an_unexpected_reply_closes_only_that_connection(caplog: pytest.Lo
         assert (await page.answer(1))["ok"]
         (viewer,) = here.viewer_server.broadcaster.viewers
         client = here.viewer_server.controller.clients(viewer)._clients[1]
-        client._send(bytes([0, 2, 0, 0, 0]))
+        client._write(bytes([0, 2, 0, 0, 0]))
         assert "answers no request" in caplog.text
         assert client.session.closing
         await page.send_message(do="call", id=2, robot=1, call="st", args=[])

@@ -39,7 +39,7 @@ def test_what_is_no_robot_id_is_not_made(robot_id: int, caplog: pytest.LogCaptur
     assert client.ask("create_robot", robot_id, 1).values == (0,)
     assert client.ask("gs").kind == "state"
     assert len(emulator.simulation.robots) == 1
-    assert caplog.messages == [f"robot {robot_id} is not made: a robot's number is 1 to 32767"]
+    assert caplog.messages == [f"robot {robot_id} not created: a robot's number is 1 to 32767"]
 
 
 def test_robots_are_made_while_there_is_room_and_no_more_than_allowed(
@@ -56,12 +56,12 @@ def test_robots_are_made_while_there_is_room_and_no_more_than_allowed(
     assert min(gaps) > 2 * 9.72
     assert min(emulator.simulation.world.clearance(*robot[:2]) for robot in robots) > 9.72
     assert caplog.messages[-1] == (
-        f"robot 39 is not made: no room around the starts of thesis_room, beside {len(robots)} robots"
+        f"robot 39 not created: no free space around the starts of thesis_room for one more than {len(robots)}"
     )
     monkeypatch.setattr(server, "MAX_ROBOTS", 2)
     client, _ = allowed()
     assert [client.ask("create_robot", number, 1).values[0] for number in (2, 3)] == [7019, 0]
-    assert caplog.messages[-1] == "robot 3 is not made: there are 2 robots already, the most there can be"
+    assert caplog.messages[-1] == "robot 3 not created: there are 2 robots already, the maximum"
 
 
 def test_a_simulation_has_no_real_robot() -> None:

@@ -8,7 +8,7 @@ from nclient.protocol import codec
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nserver_emu.persistence.snapshot import dumps, loads
-from nserver_emu.server.context import KEPT, Transcript, Utterance
+from nserver_emu.server.context import MAX_UTTERANCES, SpeechLog, Utterance
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.session import Session
 from nserver_emu.simulation.models import MODELS
@@ -55,14 +55,14 @@ def later(emulator: Emulator, session: Session, client: WireClient, name: str, *
 def test_what_is_said_is_kept_with_who_and_when(emulator: Emulator, connected: tuple[WireClient, Session]) -> None:
     emulator.simulation.step(1.5)
     connected[0].send("tk", codec.encode_tcp_request(Call("tk", ("hello",))))
-    assert emulator.transcript.said == (Utterance(1.5, 1, "hello"),)
+    assert emulator.transcript.utterances == (Utterance(1.5, 1, "hello"),)
 
 
 def test_a_transcript_forgets_its_oldest() -> None:
-    transcript = Transcript()
-    for number in range(KEPT + 5):
+    transcript = SpeechLog()
+    for number in range(MAX_UTTERANCES + 5):
         transcript.add(Utterance(0.0, 1, str(number)))
-    assert (len(transcript.said), transcript.said[0].text) == (KEPT, "5")
+    assert (len(transcript.utterances), transcript.utterances[0].text) == (MAX_UTTERANCES, "5")
 
 
 def test_the_arm_moves_and_wait_answers_when_it_is_there(
@@ -174,7 +174,7 @@ def test_who_waits_for_the_arm_feeds_the_time_out(emulator: Emulator) -> None:
     client.ask("arm_mv", 5, 100, 0, 0)
     client.ask("arm_mv", 2, 500, 0, 0)
     session.receive(codec.encode_tcp_request(Call("arm_ws", (1, 1, 30_000))))
-    assert session.process_requests(most=1) == b""
+    assert session.process_requests(max_requests=1) == b""
     assert settled_in(emulator) == pytest.approx(5.0)
     (reply,) = client.read("arm_ws", session.tick())
     assert answer(reply)[:2] == (41, 1)

@@ -12,7 +12,7 @@ from nclient.errors import ControlError, WorldFileError
 from nserver_emu.persistence import snapshot
 from nserver_emu.server.config import SimulationConfig
 from nserver_emu.server.handlers.runtime_settings import (
-    MOST_SHOWN,
+    MAX_EXPORTED_WORLDS,
     noise_of,
     noise_words,
     put_world,
@@ -114,7 +114,7 @@ def test_a_snapshot_keeps_what_was_switched(tmp_path: Path) -> None:
         ({"sensors": "noisy", "robot": 7}, "no robot 7; there are 1"),
         ({"sensors": "noisy", "robot": "1"}, "no robot 1"),
         ({"sensors": "noisy", "turret": "x"}, "not 'turret'"),
-        ({"robot": 1}, "sensors and motion were both left out"),
+        ({"robot": 1}, "both omitted"),
     ],
 )  # fmt: skip
 def test_what_is_no_noise_is_refused_with_what_is(wanted: dict[str, Any], said: str) -> None:
@@ -145,7 +145,7 @@ def test_another_world_takes_the_place_of_the_one_there() -> None:
 def test_a_world_where_a_robot_has_no_room_or_that_is_none_changes_nothing() -> None:
     emulator = Emulator(simulation())
     world = emulator.simulation.world
-    with pytest.raises(ControlError, match=r"far\.toml: robot 1 stands where there is no room for it"):
+    with pytest.raises(ControlError, match=r"far\.toml: .*robot 1"):
         put_world(emulator, "[[room]]\ncorners_in = [[500, 0], [600, 0], [600, 100]]\n", "far.toml")
     with pytest.raises(WorldFileError, match=r"bad\.toml: is no TOML"):
         put_world(emulator, "[[room", "bad.toml")
@@ -185,8 +185,8 @@ def test_no_more_worlds_are_kept_than_steps_can_be_taken_back() -> None:
     emulator = Emulator(simulation())
     first = emulator.simulation.world
     text = show_world(emulator)
-    for k in range(MOST_SHOWN):
+    for k in range(MAX_EXPORTED_WORLDS):
         emulator.simulation.change_world(World(f"w{k}", "", (ROOM,)))
         show_world(emulator)
-    assert len(emulator.shown) == MOST_SHOWN
+    assert len(emulator.exported_worlds) == MAX_EXPORTED_WORLDS
     assert put_world(emulator, text, "first") is not first

@@ -1,4 +1,4 @@
-"""The table of methods."""
+"""The registry of filters."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ def test_an_unknown_method_is_refused() -> None:
 
 
 def test_robots_on_the_same_map_share_its_range_table() -> None:
-    known = KNOWN
-    one, other = finder(known, None), finder(replace(known, odometry=OdometryNoise(0.0, 0.0, 0.0)), None)
+    config = KNOWN
+    one, other = finder(config, None), finder(replace(config, odometry=OdometryNoise(0.0, 0.0, 0.0)), None)
     assert one._table is other._table
-    drawn = build_range_table(known.walls, N150, known.sonar, known.clearance_in)
-    assert (one._table.ranges_in == drawn.ranges_in).all()
-    assert finder(replace(known, clearance_in=12.0), None)._table is not one._table
+    built = build_range_table(config.walls, N150, config.sonar, config.clearance_in)
+    assert (one._table.ranges_in == built.ranges_in).all()
+    assert finder(replace(config, clearance_in=12.0), None)._table is not one._table
 
 
 def test_offsets_estimates_the_parameters_of_the_belief() -> None:

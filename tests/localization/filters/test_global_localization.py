@@ -1,4 +1,4 @@
-"""A filter that knows when it is lost: kidnapped, it says so within seconds and finds itself again."""
+"""Global localization: LOST within seconds after a displacement, and recovery."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def off_in(robot: Robot, estimate: Estimate) -> float:
     return math.hypot(estimate.pose[0] - truth.x_in, estimate.pose[1] - truth.y_in)
 
 
-def test_told_its_place_it_tracks_like_the_kalman_filter_and_all_is_well() -> None:
+def test_from_a_belief_it_tracks_like_the_kalman_filter() -> None:
     with open_at("several_walls", START) as robot:
         localizer = localizer_of(robot, finder(ROOM, independent(START, (0.2, 0.2, 0.01))))
         estimate = turn(robot, localizer, 4.0)
@@ -72,7 +72,7 @@ def test_told_nothing_it_finds_itself_where_the_room_allows() -> None:
         assert off_in(robot, estimate) < 2.0
 
 
-def test_in_a_square_room_it_says_that_four_places_look_alike() -> None:
+def test_in_a_square_room_four_places_look_alike() -> None:
     with open_at("thesis_room", (20.0, 35.0, 0.3)) as robot:
         several = finder(SQUARE, None)
         estimate = turn(robot, localizer_of(robot, several), 4.0)
@@ -84,7 +84,7 @@ def test_in_a_square_room_it_says_that_four_places_look_alike() -> None:
         assert min(math.hypot(place[0] - truth.x_in, place[1] - truth.y_in) for place in places) < 2.0
 
 
-def test_kidnapped_it_says_lost_within_five_seconds_and_finds_itself_again() -> None:
+def test_kidnapped_it_is_lost_within_5_s_and_recovers() -> None:
     with open_at("several_walls", START) as robot:
         localizer = localizer_of(robot, finder(ROOM, independent(START, (0.2, 0.2, 0.01))))
         turn(robot, localizer, 3.0)
@@ -92,9 +92,9 @@ def test_kidnapped_it_says_lost_within_five_seconds_and_finds_itself_again() -> 
         robot.place(Pose(80.0, 75.0, 2.0, 2.0))
         robot.set_position(x_in=told.x_in, y_in=told.y_in)
         robot.set_angles(steering_rad=told.steering_rad, turret_rad=told.turret_rad)
-        said = (turn(robot, localizer, 0.1).health for _ in range(100))
+        reports = (turn(robot, localizer, 0.1).health for _ in range(100))
         lost_after, health = next(
-            (0.1 * tick, told) for tick, told in enumerate(said) if told.status is HealthStatus.LOST
+            (0.1 * tick, told) for tick, told in enumerate(reports) if told.status is HealthStatus.LOST
         )
         assert lost_after <= 5.0
         assert "another place" in health.reason
@@ -110,24 +110,24 @@ def test_a_found_pose_has_odometry_parameters() -> None:
     np.testing.assert_allclose(lost.predicted(1.0, 0.0).mean[:2], [1.0, 0.0])
 
 
-def test_where_the_evidence_alone_falls_it_is_lost_without_a_search(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_falling_evidence_alone_means_lost(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         "localization.filters.global_localization.alternatives", lambda *_: Alternatives(None, None, -math.inf)
     )
     with open_at("several_walls", START) as robot:
         localizer = localizer_of(robot, finder(ROOM, independent((80.0, 75.0, 2.0), (0.2, 0.2, 0.01))))
-        said = (turn(robot, localizer, 0.1).health for _ in range(200))
-        assert "anywhere" in next(health for health in said if health.status is HealthStatus.LOST).reason
+        reports = (turn(robot, localizer, 0.1).health for _ in range(200))
+        assert "anywhere" in next(health for health in reports if health.status is HealthStatus.LOST).reason
 
 
 @pytest.mark.parametrize("slip_rad", [0.35, -0.35])
-def test_a_heading_that_slipped_is_set_right_and_never_called_lost(slip_rad: float) -> None:
+def test_a_slipped_heading_is_corrected_without_being_lost(slip_rad: float) -> None:
     """Far more standard deviations off than a filter comes back from by itself, but the place is the right one."""
     with open_at("several_walls", START) as robot:
         told = independent((*START[:2], START[2] + slip_rad), (0.2, 0.2, 0.02))
         localizer = localizer_of(robot, finder(ROOM, told, parameter_stds=(0.05,)))
-        said = [turn(robot, localizer, 0.1) for _ in range(40)]
-        assert HealthStatus.LOST not in {estimate.health.status for estimate in said}
-        assert off_in(robot, said[-1]) < 1.0
-        off_rad = said[-1].pose[2] - robot.truth().steering_rad
+        reports = [turn(robot, localizer, 0.1) for _ in range(40)]
+        assert HealthStatus.LOST not in {estimate.health.status for estimate in reports}
+        assert off_in(robot, reports[-1]) < 1.0
+        off_rad = reports[-1].pose[2] - robot.truth().steering_rad
         assert abs(math.remainder(off_rad, math.tau)) < 0.15
