@@ -146,13 +146,13 @@ def test_it_finds_what_it_was_given_and_knows_how_well() -> None:
         found, spread = calibration_in(method.belief), calibration_in(method.belief).spread
         true = state[OFFSET] + state[OWN:]
         off += [
-            (found.way_scale - 1.0 - state[3]) / spread.way_scale,
+            (found.distance_scale - 1.0 - state[3]) / spread.distance_scale,
             (found.turn_scale - 1.0 - state[4]) / spread.turn_scale,
             (found.drift_rad_in - state[5]) / spread.drift_rad_in,
             (found.turned_rad - state[RING_TURN]) / spread.turned_rad,
             *((np.array(found.offsets_in) - true) / spread.offsets_in),
         ]
-        assert spread.way_scale < 0.5 * stds[0]
+        assert spread.distance_scale < 0.5 * stds[0]
         assert max(spread.offsets_in) < 0.2
     assert 0.5 < np.mean(np.square(off)) < 1.6
 

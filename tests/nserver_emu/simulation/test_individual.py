@@ -82,6 +82,6 @@ def test_a_model_of_which_nothing_is_known_is_as_its_setup() -> None:
 def test_model_files_say_it() -> None:
     text = '[[model]]\nname = "n150"\n[model.odometry]\nway_scale = 1.04\n[[model]]\nname = "twin"\nlike = "n150"\n'
     models = parse_models(text, "mine.toml")
-    assert models["n150"].calibration == models["twin"].calibration == Calibration(way_scale=1.04)
+    assert models["n150"].calibration == models["twin"].calibration == Calibration(distance_scale=1.04)
     assert models["n200"].calibration is None
     assert apply_calibration(models["n150"], IDEAL).odometry.scales[0] == 1.04

@@ -122,7 +122,8 @@ def test_a_sonar_that_is_switched_dead_reads_nothing_at_once_and_hears_again_whe
 
 
 def test_what_a_robot_errs_by_itself_stays_whatever_is_switched() -> None:
-    calibration = Calibration(way_scale=1.02, turn_scale=0.97, offsets_in=tuple(0.1 * number for number in range(16)))
+    offsets_in = tuple(0.1 * number for number in range(16))
+    calibration = Calibration(distance_scale=1.02, turn_scale=0.97, offsets_in=offsets_in)
     twin = replace(N150, calibration=calibration)
     choices = part_choices("sensors", twin, apply_calibration(twin, IDEAL))
     assert {setup.sonar.offsets_in for setup in choices.values()} == {calibration.offsets_in}
