@@ -1,4 +1,4 @@
-"""The control socket: its owner's only, never in the place of anything else, and serves on whatever is said to it."""
+"""The control socket: for its owner only, never replacing other files, robust against any input."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_a_line_in_a_line_out_for_the_owner_only(folder: Path) -> None:
     assert not path.exists()
 
 
-def test_a_fault_of_ours_costs_one_connection(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_an_internal_error_closes_one_connection(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
     path = folder / "s"
 
     async def scenario(_: ControlSocket) -> None:
@@ -92,7 +92,7 @@ def test_a_line_without_end_is_given_up(
     assert "control: closed" in caplog.text
 
 
-def test_who_still_talks_when_it_closes_is_let_go(folder: Path) -> None:
+def test_open_connections_are_closed_with_the_socket(folder: Path) -> None:
     path = folder / "s"
 
     async def scenario(control: ControlSocket) -> None:
@@ -107,7 +107,7 @@ def test_who_still_talks_when_it_closes_is_let_go(folder: Path) -> None:
     served(path, scenario)
 
 
-def test_a_socket_that_a_dead_daemon_left_is_replaced_and_a_living_one_s_is_not(folder: Path) -> None:
+def test_only_a_stale_socket_is_replaced(folder: Path) -> None:
     path = folder / "s"
     with socket.socket(socket.AF_UNIX) as left:
         left.bind(str(path))

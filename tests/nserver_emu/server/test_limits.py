@@ -112,7 +112,7 @@ def test_from_another_address_there_is_room() -> None:
     assert "--limit-connections" in door.rejection_reason("10.0.0.2", ["10.0.0.1", "10.0.0.3"])
 
 
-def test_who_is_not_allowed_is_turned_away_and_logged_once(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_rejected_address_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
     door = AdmissionControl(access=Allowlist(()))
     assert not door.rejection_reason("10.0.0.1", [])
     fenced = AdmissionControl(access=Allowlist((ip_network("10.9.9.0/24"),)))
@@ -124,7 +124,7 @@ def test_who_is_not_allowed_is_turned_away_and_logged_once(caplog: pytest.LogCap
     assert door.rejected == 2
 
 
-def test_who_asks_too_fast_is_slowed_loses_nothing_and_slows_nobody() -> None:
+def test_a_fast_client_is_slowed_without_loss() -> None:
     async def scenario(server: RunningServer) -> None:
         fast, other = await server.connect_client(), await server.connect_client()
         count, began = 60 + MAX_REQUESTS_PER_TURN, time.monotonic()
@@ -137,7 +137,7 @@ def test_who_asks_too_fast_is_slowed_loses_nothing_and_slows_nobody() -> None:
     at_home(Limits(rate=200), scenario)
 
 
-def test_who_asks_too_fast_one_by_one_is_slowed_as_well() -> None:
+def test_a_fast_client_without_pipelining_is_slowed() -> None:
     async def scenario(server: RunningServer) -> None:
         fast, began = await server.connect_client(), time.monotonic()
         for _ in range(60):
@@ -158,25 +158,25 @@ def test_a_request_that_is_too_long_is_refused_and_passed_over() -> None:
     at_home(Limits(), scenario, Emulator(simulation(), allowed=Allowed(frame=17)))
 
 
-def test_who_says_nothing_is_closed_and_who_talks_or_waits_is_not(caplog: pytest.LogCaptureFixture) -> None:
+def test_only_idle_connections_are_closed(caplog: pytest.LogCaptureFixture) -> None:
     async def scenario(server: RunningServer) -> None:
-        silent, talker, waiting = [await server.connect_client() for _ in range(3)]
+        silent, active, waiting = [await server.connect_client() for _ in range(3)]
         await waiting.ask("vm", 10, 0, 0)
         waiting.writer.write(codec.encode_tcp_request(Call("ws", (1, 1, 1, 200))))
         while not any(one.session.waiting for one in server.daemon.connections):
             await asyncio.sleep(0.01)
         closed = asyncio.create_task(is_closed(silent))
         while not closed.done():
-            await talker.ask("gs")
+            await active.ask("gs")
             await asyncio.sleep(0.01)
         assert len(server.daemon.connections) == 2
-        assert (await talker.ask("gs")).kind == "state"
+        assert (await active.ask("gs")).kind == "state"
 
     at_home(Limits(idle=2), scenario)
     assert "idle for 2 s" in caplog.text
 
 
-def test_who_stops_in_the_middle_is_closed_though_bytes_still_drip() -> None:
+def test_a_stalled_request_is_closed_despite_single_bytes() -> None:
     async def scenario(server: RunningServer) -> None:
         stalled, other = await server.connect_client(), await server.connect_client()
         await stalled.ask("vm", 100, 0, 0)
@@ -192,7 +192,7 @@ def test_who_stops_in_the_middle_is_closed_though_bytes_still_drip() -> None:
     at_home(Limits(stall=1), scenario)
 
 
-def test_who_stops_in_the_middle_of_what_is_passed_over_is_closed_and_told_of_once(
+def test_a_stalled_skipped_request_is_closed_and_logged_once(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     async def scenario(server: RunningServer) -> None:
@@ -206,7 +206,7 @@ def test_who_stops_in_the_middle_of_what_is_passed_over_is_closed_and_told_of_on
     assert "connection lost" not in caplog.text  # it was we who closed it
 
 
-def test_who_takes_no_replies_is_left_alone_and_then_closed(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_client_that_does_not_read_is_closed(caplog: pytest.LogCaptureFixture) -> None:
     async def scenario(server: RunningServer) -> None:
         other, deaf = await server.connect_client(), socket.socket()
         deaf.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
