@@ -72,8 +72,8 @@ def test_the_gain_matches_finite_differences(sonar: int) -> None:
     expected = range_of(before.mean, sonar, offset_rad)
     assert method.update(sonar, offset_rad, expected + 0.2).refusal is Refusal.NONE
     slope = np.array([
-        (range_of(before.mean + way, sonar, offset_rad) - range_of(before.mean - way, sonar, offset_rad)) / 2e-6
-        for way in 1e-6 * np.eye(SIZE)
+        (range_of(before.mean + change, sonar, offset_rad) - range_of(before.mean - change, sonar, offset_rad)) / 2e-6
+        for change in 1e-6 * np.eye(SIZE)
     ])  # fmt: skip
     spread = slope @ before.cov @ slope + EXACT_RAYS.variance(np.array([expected]))[0]
     gain = before.cov @ slope / spread
