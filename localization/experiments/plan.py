@@ -278,8 +278,8 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m localization.experiments plan",
         description="Drive a simulated N150 between random positions of the shipped worlds on the estimate, "
-        "as `nomad go` does, and report arrivals, contacts, and path lengths relative to the shortest path. Results are "
-        "cached.",
+        "as `nomad go` does, and report arrivals, contacts, and path lengths relative to the shortest path. Results "
+        "are cached.",
         epilog="example: python -m localization.experiments plan --pairs 10 --worlds several_walls",
     )
     parser.add_argument(
