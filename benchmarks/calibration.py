@@ -83,7 +83,7 @@ def outcome(seed: int, true: Calibration, said: dict[str, Any]) -> Outcome:
     off = offsets - true.offsets_in
     worst = int(np.argmax(np.abs(off / true.offsets_in)))
     rows = (
-        (said["way_scale"] - true.way_scale, true.way_scale - 1.0, spread["way_scale"]),
+        (said["way_scale"] - true.distance_scale, true.distance_scale - 1.0, spread["way_scale"]),
         (said["turn_scale"] - true.turn_scale, true.turn_scale - 1.0, spread["turn_scale"]),
         (said["drift_rad_in"] - true.drift_rad_in, true.drift_rad_in, spread["drift_rad_in"]),
         (float(off.mean()), float(np.mean(true.offsets_in)), float(offset_stds.mean())),

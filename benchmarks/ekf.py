@@ -22,7 +22,7 @@ import numpy as np
 from ekf_peers import FilterPy, Linear, StoneSoup
 
 from localization.experiments.execution import drive
-from localization.experiments.figure_trial import FIGURES, course_of, run
+from localization.experiments.figure_trial import FIGURES, figure_setup, run
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import Belief, Floats, independent
 from localization.filters.ekf import update_ring
@@ -229,7 +229,7 @@ def particle_ring(sonar: RaySonar | ConeSonar) -> Callable[[], object]:
 
 def batch_steps_per_s(seeds: int) -> float:
     """Return steps a second of whole trials (figure 5.6: truth, readings, bound, filter) of so many seeds at once."""
-    course = course_of(FIGURES["5.6"])
+    course = figure_setup(FIGURES["5.6"])
     begin = time.thread_time()
     runs = run(course, range(seeds))
     return float(runs.steps.sum()) / (time.thread_time() - begin)

@@ -25,7 +25,13 @@ from localization.cli.options import START_STD
 from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig
 from localization.filters.belief import independent
 from localization.live.run import Run, RunMoment, TruthSample
-from localization.navigation.waypoints import STOP_RADIUS_IN, Navigator, Speeds, begin, follow
+from localization.navigation.waypoints import (
+    STOP_RADIUS_IN,
+    Navigator,
+    Speeds,
+    follow_waypoints,
+    start_localizer,
+)
 from nclient import Robot, connect
 from worlds.io import load_world
 from worlds.robots import BODIES
@@ -59,11 +65,11 @@ def localized(address: str, observer: Robot) -> Run:
         state = robot.refresh()
         belief = independent([state.x_in, state.y_in, state.steering_rad], START_STD)
         navigator = Navigator(WAYPOINTS, Speeds(), STOP_RADIUS_IN)
-        for progress in follow(robot, begin(robot, config, belief), navigator, time.sleep):
+        for progress in follow_waypoints(robot, start_localizer(robot, config, belief), navigator, time.sleep):
             truth_before, truth_after = truth_after, _truth(observer)
             state = progress.state
             odometry = (state.x_in, state.y_in, state.steering_rad)
-            truth = truth_before.towards(truth_after, progress.estimate.clock_s)
+            truth = truth_before.interpolate(truth_after, progress.estimate.clock_s)
             run.add(RunMoment(progress.estimate, odometry, truth, progress.passed))
             if run.duration_s > TIME_LIMIT_S:
                 break

@@ -1,13 +1,13 @@
-"""How fast the simulation is: one robot, fifty, a thousand, and ir-sim doing the same scene.
+"""Speed of the simulation: one robot, fifty, a thousand, and ir-sim in the same scene.
 
     python benchmarks/simulation.py [--setup NAME] [--robots N ...] [--rounds N] [--json]
     python benchmarks/simulation.py --growth       the table of README.md: cost by robots, walls and cone rays
 
-Yardstick: cast_rays of 16 rays against the 50 walls of the scene, timed in the same run, turn about. A ratio to it
-moves less from machine to machine than steps a second do. All times are of the processor, the best of some rounds.
+Yardstick: cast_rays of 16 rays against the 50 walls of the scene, timed alternately in the same run. A ratio to it
+depends less on the machine than steps per second do. All times are processor time, the best of some rounds.
 
-Where numba is installed (extra `fast`), crowds load machine code; with NOMAD_COMPILED=always the single robot does too,
-with NOMAD_COMPILED=never nobody. `compiled` tells.
+With numba (extra `fast`), large groups use compiled code; with NOMAD_COMPILED=always the single robot does too, with
+NOMAD_COMPILED=never none does. `compiled` shows it.
 """
 
 from __future__ import annotations
@@ -37,40 +37,40 @@ Result = dict[str, float | int | str]
 
 DT_S: Final = 0.1
 CROWD_DT_S: Final = 0.12
-"""A crowd's step: two firings of a ring."""
+"""Step of a group: two firings of a ring."""
 TARGET_STEPS_PER_S: Final = 10_000
 TARGETS: Final = {50: 10.0, 1000: 1.0}
-"""How many times real time so many robots must reach."""
+"""Required speed by number of robots, as a multiple of real time."""
 BUNCHED_S: Final = (15, 20)
-"""A crowd whose robots all drive on bunches: these seconds are a row of their own."""
+"""Robots that all drive on gather in clusters: these seconds are measured separately."""
 CASTS: Final = 30
 
 
 def best_s(works: Sequence[Callable[[], object]], rounds: int) -> list[float]:
-    """The least processor time that each of some pieces of work takes, turn about."""
-    least = [float("inf")] * len(works)
+    """Return the shortest processor time of each function, called alternately."""
+    shortest = [float("inf")] * len(works)
     for _ in range(rounds):
         for number, work in enumerate(works):
             begin = process_time()
             work()
-            least[number] = min(least[number], process_time() - begin)
-    return least
+            shortest[number] = min(shortest[number], process_time() - begin)
+    return shortest
 
 
 def yardstick(walls: FloatArray) -> Callable[[], None]:
-    """CASTS times 16 rays all around against these walls."""
+    """Return a function that casts 16 rays in all directions against walls, CASTS times."""
     angles = np.arange(16) * tau / 16
-    ways = np.stack((np.cos(angles), np.sin(angles)), axis=-1)
+    directions = np.stack((np.cos(angles), np.sin(angles)), axis=-1)
 
     def cast() -> None:
         for _ in range(CASTS):
-            cast_rays((0.0, 0.0), ways, walls)
+            cast_rays((0.0, 0.0), directions, walls)
 
     return cast
 
 
 def one_robot(setup: RobotSetup, rounds: int, walls: int = WALLS, look_every: int = 1, steps: int = 300) -> Result:
-    """Steps a second of one robot, its sonars read every so many steps."""
+    """Measure the steps per second of one robot whose sonars are read every `look_every` steps."""
     simulation = alone(setup, walls)
     cast = yardstick(alone(IDEAL).world.walls)
     step_s, cast_s = best_s((lambda: roam(simulation, steps, DT_S, look_every), cast), rounds)
@@ -87,7 +87,7 @@ def one_robot(setup: RobotSetup, rounds: int, walls: int = WALLS, look_every: in
 
 
 def many_robots(robots: int, setup: RobotSetup, rounds: int, look_every: int = 8, places_for: int = 0) -> Result:
-    """How many times real time a crowd runs; every ring is read every so many steps, 0 never."""
+    """Measure the speed of a group whose rings are read every `look_every` steps, 0 never."""
     simulation, simulated_s = crowd(robots, setup, places_for), 8 * CROWD_DT_S
     gc.collect()
     gc.freeze()
@@ -107,11 +107,11 @@ def many_robots(robots: int, setup: RobotSetup, rounds: int, look_every: int = 8
 
 
 def bunched(robots: int, setup: RobotSetup) -> Result:
-    """How many times real time a crowd runs in the seconds BUNCHED_S, in all of them; rings are read as before.
+    """Measure the speed of a group in the seconds BUNCHED_S, with rings read as before.
 
-    Its robots drive on as they did in the first second; those that are stopped drive back and meet again. The mean of
-    these seconds counts, which a busy machine pulls down as it does not the best of some rounds. Beside it: the fastest
-    of their pieces of 0.96 s, and the slowest of all pieces since the beginning.
+    Its robots continue as in the first second; blocked ones drive back and meet again. The result is the mean of these
+    seconds, which, unlike the best of some rounds, drops on a busy machine; beside it the fastest of their pieces of
+    0.96 s, and the slowest piece since the start.
     """
     simulation, cast = crowd(robots, setup), yardstick(alone(IDEAL).world.walls)
     gc.collect()
@@ -123,13 +123,13 @@ def bunched(robots: int, setup: RobotSetup) -> Result:
         cast_s = min(cast_s, some_s)
     late_s = [piece_s for end_s, piece_s in pieces_s if end_s - 8 * CROWD_DT_S >= BUNCHED_S[0]]
     simulated_s = 8 * CROWD_DT_S * len(late_s)
-    crew = list(simulation.robots.values())
+    group = list(simulation.robots.values())
     return {
         "robots": robots,
         "setup": setup.name,
         "compiled": NEAREST_OBSTACLE.run is not None,
-        "near_others": len({row for pair in candidate_pairs(crew, SPAN_PS) for row in pair}),
-        "stopped": sum(not robot.moving[0] for robot in crew),
+        "near_others": len({row for pair in candidate_pairs(group, SPAN_PS) for row in pair}),
+        "stopped": sum(not robot.moving[0] for robot in group),
         "times_real_time": round(simulated_s / sum(late_s), 2),
         "fastest": round(8 * CROWD_DT_S / min(late_s), 2),
         "slowest": round(8 * CROWD_DT_S / max(piece_s for _, piece_s in pieces_s), 2),
@@ -139,7 +139,7 @@ def bunched(robots: int, setup: RobotSetup) -> Result:
 
 
 def against_peer(rounds: int) -> Result | None:
-    """Steps a second of ours and of ir-sim in the same scene; None where that is not installed."""
+    """Measure the steps per second of this simulation and of ir-sim in one scene; None if that is not installed."""
     simulations = [alone(IDEAL), alone(IDEAL)]
     theirs = peer(simulations[0].world)
     if theirs is None:
@@ -167,11 +167,11 @@ def against_peer(rounds: int) -> Result | None:
 
 
 def growth(rounds: int) -> str:
-    """The table of README.md: each row changes one thing. Costs are in casts of the yardstick, a robot and second."""
+    """Return the table of README.md: each row changes one quantity. Costs per robot and second, in yardsticks."""
     rows = ["| what | | us a robot and second | in yardsticks |", "|---|---|---|---|"]
 
-    def add(what: str, much: str, result: Result, us: float) -> None:
-        rows.append(f"| {what} | {much} | {us:.0f} | {us / float(result['yardstick_us']):.1f} |")
+    def add(what: str, amount: str, result: Result, us: float) -> None:
+        rows.append(f"| {what} | {amount} | {us:.0f} | {us / float(result['yardstick_us']):.1f} |")
 
     for robots in (1, 10, 100, 1000):
         result = many_robots(robots, IDEAL, rounds, places_for=1000)
@@ -191,7 +191,7 @@ def growth(rounds: int) -> str:
 
 
 def report(setup: RobotSetup, crowds: Iterable[int], rounds: int) -> dict[str, Result | str]:
-    """All that is measured, by name."""
+    """Return all measurements by name."""
     found: dict[str, Result | str] = {
         "one": one_robot(setup, rounds) | {"target_steps_per_s": TARGET_STEPS_PER_S},
         "one, sonars never read": one_robot(setup, rounds, look_every=0),
@@ -208,9 +208,10 @@ def report(setup: RobotSetup, crowds: Iterable[int], rounds: int) -> dict[str, R
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--setup", choices=sorted(SETUPS), default="ideal", help="how robots are simulated")
-    parser.add_argument("--robots", type=int, nargs="*", default=sorted(TARGETS), help="crowds (default 50 1000)")
-    parser.add_argument("--rounds", type=int, default=5, help="rounds, the best counts (5)")
+    parser.add_argument("--setup", choices=sorted(SETUPS), default="ideal", help="setup of the robots (default: ideal)")
+    parser.add_argument("--robots", type=int, nargs="*", default=sorted(TARGETS),
+                        help="sizes of groups (default: 50 1000)")
+    parser.add_argument("--rounds", type=int, default=5, help="rounds, of which the best counts (default: 5)")
     parser.add_argument("--growth", action="store_true", help="print the table of README.md and nothing else")
     parser.add_argument("--json", action="store_true", help="print JSON")
     options = parser.parse_args(arguments)
@@ -223,8 +224,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(json.dumps(found))
         return 0
     for name, result in found.items():
-        told = result if isinstance(result, str) else ", ".join(f"{key} {value}" for key, value in result.items())
-        print(f"{name}: {told}")
+        text = result if isinstance(result, str) else ", ".join(f"{key} {value}" for key, value in result.items())
+        print(f"{name}: {text}")
     return 0
 
 

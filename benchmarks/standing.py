@@ -1,9 +1,10 @@
-"""How sure a filter becomes of a robot that only stands: many robots, each where it was set down, against the truth.
+"""Consistency of a filter for a robot that stands still: the NEES of its pose against the ground truth.
 
     python benchmarks/standing.py [--noise exact noisy measured] [--seeds N] [--at S ...] [--method ekf]
 
-Every seed sets an N150 down somewhere in the world, its belief as far off as it says, and listens. NEES of the pose has
-a mean of 3 where the filter is as sure as it may be. Rules: simulated time; one process. Nothing here is a test.
+Every seed places an N150 at a free pose of the world, draws the initial error of its belief, and measures with the
+sonars. The normalised estimation error squared (NEES) of a pose has a mean of 3 for a consistent filter (Bar-Shalom, Li
+and Kirubarajan, Estimation with Applications to Tracking and Navigation, section 5.4). Simulated time, one process.
 """
 
 from __future__ import annotations
@@ -33,40 +34,42 @@ SECONDS: Final = (2.0, 10.0, 60.0, 300.0)
 MARGIN_IN: Final = 1.0
 
 
-def somewhere(chance: np.random.Generator) -> Floats:
-    """A pose (3,) at which the robot touches nothing."""
+def draw_free_pose(rng: np.random.Generator) -> Floats:
+    """Return a random pose (3,) at which the robot touches nothing."""
     corners = WORLD.walls.reshape(-1, 2)
     while True:
-        pose: Floats = chance.uniform((*corners.min(axis=0), -np.pi), (*corners.max(axis=0), np.pi))
+        pose: Floats = rng.uniform((*corners.min(axis=0), -np.pi), (*corners.max(axis=0), np.pi))
         if WORLD.clearance(*pose[:2].tolist()) > N150.radius_in + MARGIN_IN:
             return pose
 
 
-def stood(scenario: Scenario, seed: int, at_s: Sequence[float], method: str = "ekf") -> Floats:
-    """NEES of the pose and its error in inches after each of those seconds, (n, 2)."""
-    known = LocalizationConfig(WORLD.walls, N150, scenario.odometry, scenario.sonar)
-    chance = np.random.default_rng([seed, 99])
-    truth = somewhere(chance)
-    belief = independent(truth + np.array(START_STD) * chance.standard_normal(3), START_STD)
+def measure_nees(scenario: Scenario, seed: int, at_s: Sequence[float], method: str = "ekf") -> Floats:
+    """Return the NEES of the pose and its position error in inches at each of these times, (n, 2)."""
+    config = LocalizationConfig(WORLD.walls, N150, scenario.odometry, scenario.sonar)
+    # 1. True pose, and a belief that is wrong by its own standard deviations.
+    rng = np.random.default_rng([seed, 99])
+    truth = draw_free_pose(rng)
+    belief = independent(truth + np.array(START_STD) * rng.standard_normal(3), START_STD)
     x, y, heading = truth.tolist()
     start = f"{x},{y},{degrees(heading)},{degrees(heading)}"
-    found = []
+    # 2. The live localizer on a simulated robot, compared with the true pose.
+    rows = []
     with connect(f"sim:{WORLD.name}?setup={scenario.base}&seed={seed}&start={start}&step_s=0.5") as robot:
         state = robot.configure_sonars(rate=DEFAULT_SONAR_RATE, order=DEFAULT_SONAR_ORDER)
         start_s = state.clock_s or 0.0
-        localizer = Localizer(known, belief, FiringSchedule(start_s), make(method, known, belief, seed))
+        localizer = Localizer(config, belief, FiringSchedule(start_s), make(method, config, belief, seed))
         estimate = localizer.update(state)
         for until_s in at_s:
             while estimate.clock_s < start_s + until_s:
                 estimate = localizer.update(robot.refresh())
             pose = estimate.belief.pose
-            off = difference(pose.mean, truth)
-            found.append((float(off @ np.linalg.solve(pose.cov, off)), float(np.hypot(off[0], off[1]))))
-    return np.array(found)
+            error = difference(pose.mean, truth)
+            rows.append((float(error @ np.linalg.solve(pose.cov, error)), float(np.hypot(error[0], error[1]))))
+    return np.array(rows)
 
 
 def options_parser() -> argparse.ArgumentParser:
-    """The command's words."""
+    """Return the parser of the command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--noise", nargs="+", choices=NOISES, default=NOISES)
     parser.add_argument("--seeds", type=int, default=20)
@@ -81,7 +84,8 @@ def main(words: Sequence[str] | None = None) -> None:
     options = options_parser().parse_args(words)
     rows: list[dict[str, Any]] = []
     for name in options.noise:
-        runs = np.array([stood(SCENARIOS[name], seed, options.at, options.method) for seed in range(options.seeds)])
+        seeds = range(options.seeds)
+        runs = np.array([measure_nees(SCENARIOS[name], seed, options.at, options.method) for seed in seeds])
         for after_s, (nees, error_in) in zip(options.at, runs.transpose(1, 2, 0), strict=True):
             rmse = float(np.sqrt((error_in**2).mean()))
             rows.append({"noise": name, "after_s": after_s, "nees": float(nees.mean()), "worst": float(nees.max()),

@@ -1,12 +1,13 @@
-"""Where a robot is, by its encoders and its sonars in a map of walls; and what is driven and found out on that.
+"""Localization of a robot by encoders and sonars in a map of walls, and navigation on the estimate.
 
-experiments/      the thesis' figures and more, with the emulator: nothing below knows of them
-cli               `nomad localize`; missions/ (`go`, `mission`), calibration/ (`calibrate`), maps/ (`map`)
-command_line/     what such commands begin with; runs/: what comes of them; keeping/: going on after a stop
-taken/            what is taken for true of a robot that nobody has told: its body, its sonars, its walls
-planning/         the shortest way and how to follow it; driving/: to way-points, or without an estimate
-live/             localizer: states of a robot in, estimates out
-filters/          who does it, all of one interface; filters/finding: where else the robot may be
-sonar/            what a sonar reads in the map, and which readings may correct
-estimation/       a belief, predicted and corrected: ekf
+Packages, from the lowest layer to the highest:
+
+filters/          belief, odometry, sonar models, and the filters (EKF, UKF, smoother, particles, global localization)
+live/             the localizer of a connected robot: states in, estimates out; saved estimates, publishing, pictures
+navigation/       paths, roadmap, planner, path follower, obstacles, pilot
+mapping/          observability of maps
+calibration/      systematic errors of wheels and sonars
+missions/         missions as programs or lists of steps
+cli/              the commands localize, go, mission, calibrate, map of `nomad`
+experiments/      figures of the thesis and further experiments with simulated robots
 """

@@ -1,6 +1,6 @@
-"""The ground a robot drives on: bodies, walls, rays, world files. Code and data that filter, physics and page share.
+"""Maps, geometry, ray casting, robot bodies and world files, shared by simulation, filters and viewer.
 
-Knows nothing of robots' languages, of physics, of filters. Inches, radians, counter-clockwise positive.
+Inches and radians, counter-clockwise positive. No protocol, no simulation, no filters.
 """
 
 from worlds.io import load_world, world_names

@@ -1,9 +1,9 @@
-"""Small array kernels of plane geometry: nearest points, distances, inside or outside, crossing outlines.
+"""Plane geometry on arrays: nearest points, distances, point in polygon, crossing outlines.
 
-Arrays in, arrays out; inches; nothing here knows what a wall, a room or a robot is. Rays live in raycast.py.
+Lengths in inches. Rays are cast in raycast.py.
 
     segments (m, 4)     rows x1 y1 x2 y2
-    corners (n, 2)      a closed polygon; the edge from the last corner to the first goes without saying
+    corners (n, 2)      a closed polygon; the edge from the last corner to the first is implied
 """
 
 from __future__ import annotations
@@ -16,26 +16,26 @@ BoolArray = npt.NDArray[np.bool_]
 
 
 def polyline_segments(points: npt.ArrayLike) -> FloatArray:
-    """The k - 1 segments (k - 1, 4) that join k >= 1 points (k, 2) in their order."""
+    """Return the segments (k - 1, 4) that join k >= 1 points (k, 2) in order."""
     array = np.asarray(points, dtype=np.float64).reshape(-1, 2)
     return np.concatenate((array[:-1], array[1:]), axis=1)
 
 
 def polygon_segments(corners: npt.ArrayLike) -> FloatArray:
-    """The n edges (n, 4) of the closed polygon with n corners (n, 2), the closing edge last."""
+    """Return the edges (n, 4) of the closed polygon with corners (n, 2), the closing edge last."""
     array = np.asarray(corners, dtype=np.float64).reshape(-1, 2)
     return np.concatenate((array, np.concatenate((array[1:], array[:1]))), axis=1)
 
 
 def lengths(segments: FloatArray) -> FloatArray:
-    """Lengths (m,) of segments (m, 4)."""
+    """Return the lengths (m,) of segments (m, 4)."""
     return np.hypot(segments[..., 2] - segments[..., 0], segments[..., 3] - segments[..., 1])
 
 
 def normals(segments: FloatArray) -> FloatArray:
-    """Unit normals (m, 2) to the left of each segment (m, 4) seen from its first end; none may have length 0.
+    """Return unit normals (m, 2) to the left of segments (m, 4), seen from the first end; no segment may have length 0.
 
-    For a polygon whose corners run counter-clockwise the left is the inside.
+    Of a polygon with counter-clockwise corners the left is the inside.
     """
     across = np.stack((segments[..., 1] - segments[..., 3], segments[..., 2] - segments[..., 0]), axis=-1)
     unit: FloatArray = across / lengths(segments)[..., np.newaxis]
@@ -43,28 +43,49 @@ def normals(segments: FloatArray) -> FloatArray:
 
 
 def nearest_points(points: npt.ArrayLike, segments: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """For points (..., 2) and segments (m, 4): nearest points (..., m, 2) and their distances (..., m).
+    """Return the nearest point of each segment to each point, and its distance.
 
-    The foot of the perpendicular, held between the two ends; a segment of length 0 is its point.
+    Parameters
+    ----------
+    points : (..., 2) array
+    segments : (m, 4) array
+        A segment of length 0 is a point.
+
+    Returns
+    -------
+    nearest : (..., m, 2) array
+    distances : (..., m) array
     """
     here = np.asarray(points, dtype=np.float64)[..., np.newaxis]
     x, y = here[..., 0, :], here[..., 1, :]
     x1, y1, x2, y2 = segments.T
     along_x, along_y = x2 - x1, y2 - y1
+    # The foot of the perpendicular, as a fraction of the segment, limited to its two ends.
     squared = along_x * along_x + along_y * along_y
     squared[squared == 0.0] = 1.0
-    share = ((x - x1) * along_x + (y - y1) * along_y) / squared
-    share = np.minimum(np.maximum(share, 0.0), 1.0)
-    nearest_x, nearest_y = x1 + share * along_x, y1 + share * along_y
+    fraction = ((x - x1) * along_x + (y - y1) * along_y) / squared
+    fraction = np.minimum(np.maximum(fraction, 0.0), 1.0)
+    nearest_x, nearest_y = x1 + fraction * along_x, y1 + fraction * along_y
     return np.stack((nearest_x, nearest_y), axis=-1), np.hypot(x - nearest_x, y - nearest_y)
 
 
 def inside(points: npt.ArrayLike, edges: FloatArray, firsts: npt.ArrayLike = (0,)) -> BoolArray:
-    """For points (..., 2) and p closed polygons: inside which of them each lies, (..., p).
+    """Return True where a point lies inside a closed polygon.
 
-    edges (n, 4) are those of all polygons, one below the other, either way round; firsts (p,) the row at which each
-    polygon begins. Even-odd rule: a point is inside when a half line from it to the right crosses an odd number of
-    edges; a test of signs, without a division. A point on an edge may count as either.
+    Even-odd rule: a point is inside if a half line to the right crosses an odd number of edges. The test compares
+    signs and needs no division. A point on an edge may count as inside or outside.
+
+    Parameters
+    ----------
+    points : (..., 2) array
+    edges : (n, 4) array
+        Edges of all p polygons, one polygon after the other, in either orientation.
+    firsts : (p,) array of int
+        Row of the first edge of each polygon.
+
+    Returns
+    -------
+    (..., p) array of bool
     """
     here = np.asarray(points, dtype=np.float64)[..., np.newaxis]
     x, y = here[..., 0, :], here[..., 1, :]
@@ -77,16 +98,17 @@ def inside(points: npt.ArrayLike, edges: FloatArray, firsts: npt.ArrayLike = (0,
 
 
 def area(corners: npt.ArrayLike) -> float:
-    """The area of a polygon with corners (n, 2), positive where they run counter-clockwise (shoelace formula)."""
+    """Return the area of a polygon with corners (n, 2), positive if they run counter-clockwise (shoelace formula)."""
     x1, y1, x2, y2 = polygon_segments(corners).T
-    x0, y0 = x1[0], y1[0]  # from a corner, not from a far origin: nothing cancels
+    # Relative to a corner instead of a distant origin, to avoid cancellation.
+    x0, y0 = x1[0], y1[0]
     return float(((x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)).sum() / 2.0)
 
 
 def crossing(edges: FloatArray) -> tuple[int, int] | None:
-    """The first two of the edges (n, 4) that cross each other, as rows (i, j) with i < j; None if no two do.
+    """Return the rows (i, j), i < j, of the first two of edges (n, 4) that cross; None if no two do.
 
-    Only crossings count where each edge has its ends on both sides of the other: edges that touch do not cross.
+    Two edges cross if each has its ends on both sides of the other: edges that only touch do not cross.
     """
     first, second = edges[:, :2], edges[:, 2:]
     sides_1 = _sides(first, second, first)
@@ -97,7 +119,7 @@ def crossing(edges: FloatArray) -> tuple[int, int] | None:
 
 
 def _sides(first: FloatArray, second: FloatArray, points: FloatArray) -> FloatArray:
-    """Sides (n, k) of k points against the lines from n first to n second ends: left positive."""
+    """Return the sides (n, k) of k points relative to lines from n first to n second ends: left positive."""
     along = (second - first)[:, np.newaxis]
     offset = points[np.newaxis] - first[:, np.newaxis]
     sides: FloatArray = along[..., 0] * offset[..., 1] - along[..., 1] * offset[..., 0]

@@ -1,23 +1,20 @@
-"""The bodies of the three robots: what filter, physics and page must agree on. Numbers as in ROBOTS.md.
+"""Robot bodies, and the calibration of one robot: systematic errors of its wheels and sonars.
 
-Lives here: radii, where the sonars and the bumpers sit. Lives elsewhere: what the wire says of a model
-(nclient/protocol/types.py), speeds and limits (simulation). No arithmetic but degrees to radians.
+Bodies contain what simulation, filters and viewer must agree on (numbers as in ROBOTS.md). The protocol's view of a
+model is in nclient.protocol.types; speeds and accelerations are in the simulation.
 
     frame       x to the front, y to the left, angles counter-clockwise, inches and radians
-    sonars      fixed to the turret (Scout: to the body); a beam points away from the axis, so its reading is
-                the range from the axis less the radius of the ring
-    bumpers     fixed to the body, which on the synchro drives never turns: not turret, not steering
+    sonars      fixed to the turret (Scout: to the body); a beam points away from the axis, so its reading is the
+                range from the axis minus the radius of the ring
+    bumpers     fixed to the body, which never turns on the synchro drives
 
-What one robot gets wrong every time, as it was found out: wheels and sonars. A part of model files.
+A calibration is a part of model files:
 
     [[model]]
     name = "n150"
-    [model.odometry]    way_scale, turn_scale, drift_rad_in       true way a counted way, turn a turn; turn an inch
-    [model.sonar]       offsets_in, turned_deg                    readings less ranges; the ring against the turret
-    [model.spread]      all of these keys                         standard deviations: how well each is known
-
-Physics makes a robot that errs so (model_files.py), a filter one that knows it. Rules: values, and their reading and
-writing as text; inches, radians. Whatever is wrong is a WorldFileError: file, key, what was expected.
+    [model.odometry]    way_scale, turn_scale, drift_rad_in    true per counted distance and turn; turn per inch
+    [model.sonar]       offsets_in, turned_deg                 reading minus range; rotation of the ring
+    [model.spread]      all of these keys                      standard deviations
 """
 
 from __future__ import annotations
@@ -33,19 +30,26 @@ from nclient.errors import WorldFileError
 from worlds.schema import Table, parse_toml, read_text
 
 SONARS: Final = 16
-"""Sonars in a ring, number i at i x 22.5 degrees from the front."""
+"""Sonars of a ring; sonar i looks i x 22.5 degrees counter-clockwise from the front."""
 
 
 @dataclass(frozen=True, slots=True)
 class Body:
-    """The outside of one model: a vertical cylinder with a ring of sonars and a band of bumpers.
+    """Shape of a robot model: a vertical cylinder with a ring of sonars and a band of bumpers.
 
-    name                    "n150", "n200" or "scout"
-    radius_in               the cylinder that touches walls, inches
-    sonar_ring_radius_in    distance of the sonars from the axis, inches (on the N200 0.06 in more than the
-                            body: cast from the axis, never from the ring, and no beam starts behind a wall)
-    sonar_angles_rad        16 angles against the front of the turret (Scout: of the body)
-    bumper_angles_rad       20 angles (Scout: 6) against the body
+    Attributes
+    ----------
+    name
+        "n150", "n200" or "scout".
+    radius_in
+        Radius of the cylinder that touches walls, inches.
+    sonar_ring_radius_in
+        Distance of the sonars from the axis, inches. On the N200 it is 0.06 in more than the body: rays are cast from
+        the axis, so that no beam starts behind a wall.
+    sonar_angles_rad
+        16 angles relative to the front of the turret (Scout: of the body).
+    bumper_angles_rad
+        20 angles (Scout: 6) relative to the body.
     """
 
     name: str
@@ -56,34 +60,37 @@ class Body:
 
 
 def _evenly(count: int) -> tuple[float, ...]:
-    """`count` angles around the circle in radians, the first at 0, counter-clockwise."""
+    """Return `count` evenly spaced angles in radians, the first at 0, counter-clockwise."""
     return tuple(radians(360.0 * number / count) for number in range(count))
 
 
 N150: Final = Body("n150", 9.72, 9.06, _evenly(SONARS), _evenly(20))
 N200: Final = Body("n200", 9.0, 9.06, _evenly(SONARS), _evenly(20))
-# The radii of the Scout and the places of its six bumpers are decisions of ours: no source gives them.
+# The radii of the Scout and the positions of its six bumpers are assumptions: no source states them.
 SCOUT: Final = Body("scout", 8.0, 8.0, _evenly(SONARS), _evenly(6))
 
 BODIES: Final[Mapping[str, Body]] = MappingProxyType({body.name: body for body in (N150, N200, SCOUT)})
-"""Every body by its name."""
+"""All bodies by name."""
 
 
 TABLES: Final = ("odometry", "sonar", "spread")
-"""The tables of a model that are a calibration's."""
-_ODOMETRY: Final = ("way_scale", "turn_scale", "drift_rad_in")
+"""Tables of a [[model]] that belong to a calibration."""
+_ODOMETRY: Final = MappingProxyType(
+    {"way_scale": "distance_scale", "turn_scale": "turn_scale", "drift_rad_in": "drift_rad_in"}
+)
+"""Keys of [model.odometry] and the attributes they set."""
 _SONAR: Final = ("offsets_in", "turned_deg")
-FARTHEST_OFFSET_IN: Final = 24.0
-LARGEST_DRIFT: Final = 0.1
-WIDEST_TURN_DEG: Final = 45.0
+MAX_OFFSET_IN: Final = 24.0
+MAX_DRIFT_RAD_IN: Final = 0.1
+MAX_RING_TURN_DEG: Final = 45.0
 _NONE: Final = (0.0,) * SONARS
 
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """Standard deviations of a calibration's numbers, 0 where nothing is left to find out."""
+    """Standard deviations of a calibration's numbers; 0 if a number is known exactly."""
 
-    way_scale: float = 0.0
+    distance_scale: float = 0.0
     turn_scale: float = 0.0
     drift_rad_in: float = 0.0
     offsets_in: tuple[float, ...] = _NONE
@@ -92,9 +99,25 @@ class Spread:
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """See the head of this file. `offsets_in`: 16, what each sonar reads more than the range."""
+    """Systematic errors of one robot.
 
-    way_scale: float = 1.0
+    Attributes
+    ----------
+    distance_scale
+        True distance per counted distance.
+    turn_scale
+        True turn per counted turn.
+    drift_rad_in
+        Turn per distance, rad/in.
+    offsets_in
+        16 numbers: reading minus range of each sonar.
+    turned_rad
+        Rotation of the sonar ring relative to the turret.
+    spread
+        Standard deviations of all these numbers.
+    """
+
+    distance_scale: float = 1.0
     turn_scale: float = 1.0
     drift_rad_in: float = 0.0
     offsets_in: tuple[float, ...] = _NONE
@@ -102,29 +125,41 @@ class Calibration:
     spread: Spread = Spread()
 
 
+def calibration_as_json(calibration: Calibration) -> dict[str, Any]:
+    """Return a calibration as plain data, with the keys of a model file's tables."""
+
+    def numbers(part: Calibration | Spread) -> dict[str, Any]:
+        scales = {key: getattr(part, attribute) for key, attribute in _ODOMETRY.items()}
+        return {**scales, "offsets_in": part.offsets_in, "turned_rad": part.turned_rad}
+
+    return {**numbers(calibration), "spread": numbers(calibration.spread)}
+
+
 IDEAL_CALIBRATION: Final = Calibration()
-"""Of a robot that does what it says."""
+"""A robot without systematic errors."""
 
 
 def parse_calibration(model: Table) -> Calibration:
-    """What the table of a model says of it; faultless where it says nothing."""
+    """Return the calibration in the table of a model; missing numbers are ideal."""
     spread = Spread(**dict(_spreads(model.table("spread")))) if "spread" in model.values else Spread()
+    # Wheels.
     found: dict[str, Any] = {}
     if "odometry" in model.values:
         table = model.table("odometry")
         table.allow(_ODOMETRY)
-        limits = ((0.5, 2.0), (0.5, 2.0), (-LARGEST_DRIFT, LARGEST_DRIFT))
+        limits = ((0.5, 2.0), (0.5, 2.0), (-MAX_DRIFT_RAD_IN, MAX_DRIFT_RAD_IN))
         found |= {
-            key: table.number(key, *limit)
+            _ODOMETRY[key]: table.number(key, *limit)
             for key, limit in zip(_ODOMETRY, limits, strict=True) if key in table.values
         }  # fmt: skip
+    # Sonar ring.
     if "sonar" in model.values:
         table = model.table("sonar")
         table.allow(_SONAR)
         if "offsets_in" in table.values:
-            found["offsets_in"] = table.numbers("offsets_in", SONARS, -FARTHEST_OFFSET_IN, FARTHEST_OFFSET_IN)
+            found["offsets_in"] = table.numbers("offsets_in", SONARS, -MAX_OFFSET_IN, MAX_OFFSET_IN)
         if "turned_deg" in table.values:
-            found["turned_rad"] = radians(table.number("turned_deg", -WIDEST_TURN_DEG, WIDEST_TURN_DEG))
+            found["turned_rad"] = radians(table.number("turned_deg", -MAX_RING_TURN_DEG, MAX_RING_TURN_DEG))
     return Calibration(**found, spread=spread)
 
 
@@ -132,15 +167,15 @@ def _spreads(table: Table) -> Iterator[tuple[str, Any]]:
     table.allow((*_ODOMETRY, *_SONAR))
     for key in _ODOMETRY:
         if key in table.values:
-            yield key, table.number(key, 0.0, 1.0)
+            yield _ODOMETRY[key], table.number(key, 0.0, 1.0)
     if "offsets_in" in table.values:
-        yield "offsets_in", table.numbers("offsets_in", SONARS, 0.0, FARTHEST_OFFSET_IN)
+        yield "offsets_in", table.numbers("offsets_in", SONARS, 0.0, MAX_OFFSET_IN)
     if "turned_deg" in table.values:
-        yield "turned_rad", radians(table.number("turned_deg", 0.0, WIDEST_TURN_DEG))
+        yield "turned_rad", radians(table.number("turned_deg", 0.0, MAX_RING_TURN_DEG))
 
 
 def load_calibration(path: Path, name: str) -> Calibration:
-    """The calibration of the model `name` in a model file. Raises WorldFileError, also where there is none of it."""
+    """Return the calibration of the model `name` in a model file. Raises WorldFileError if there is none."""
     text = read_text(path)
     values = parse_toml(text, str(path))
     names = []
@@ -148,14 +183,14 @@ def load_calibration(path: Path, name: str) -> Calibration:
         names.append(model.text("name", ""))
         if names[-1] == name:
             return parse_calibration(model)
-    raise WorldFileError(f"{path}: has no model {name!r}, but {', '.join(map(repr, names)) or 'none'}")
+    raise WorldFileError(f"{path}: has no model {name!r}; it has {', '.join(map(repr, names)) or 'none'}")
 
 
-def format_calibration(name: str, found: Calibration, said: str = "") -> str:
-    """A model file of one model; `said` stands above it as a comment, line by line."""
+def format_calibration(name: str, found: Calibration, comment: str = "") -> str:
+    """Return the text of a model file with one model; each line of `comment` precedes it as a comment."""
     spread = found.spread
     lines = [
-        *(f"# {line}" for line in said.splitlines()),
+        *(f"# {line}" for line in comment.splitlines()),
         "[[model]]", f'name = "{name}"', "", "[model.odometry]", *_numbers(found),
         "", "[model.sonar]", *_offsets(found), "", "[model.spread]", *_numbers(spread), *_offsets(spread),
     ]  # fmt: skip
@@ -163,7 +198,7 @@ def format_calibration(name: str, found: Calibration, said: str = "") -> str:
 
 
 def _numbers(of: Calibration | Spread) -> list[str]:
-    return [f"{key} = {getattr(of, key):.6g}" for key in _ODOMETRY]
+    return [f"{key} = {getattr(of, attribute):.6g}" for key, attribute in _ODOMETRY.items()]
 
 
 def _offsets(of: Calibration | Spread) -> list[str]:

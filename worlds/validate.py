@@ -1,13 +1,12 @@
-"""What is wrong with a map, or looks like it: walls that nearly meet, walls twice, crumbs, rooms nobody can enter.
+"""Find problems of a map: walls that nearly meet, doubled walls, short walls, starts without space, closed-off space.
 
-    gap         an end of a wall that stops a little short of another wall: sonars see through, robots do not pass
-    doubled     two walls on one line, one over the other for a way
-    crumb       a wall shorter than anything a sonar can tell
-    start       a start at which the robot does not fit
+    gap         an end of a wall that stops just before another wall: sonars measure through, robots do not fit
+    doubled     two parallel walls that overlap at almost no distance
+    crumb       a wall too short for any sonar to measure
+    start       a start where the robot does not fit
     closed off  space that the robot fits into and cannot reach from the starts
 
-Rules: pure; a world in, findings out. Space is looked at on a grid: a passage that is wider than the robot by less than
-two steps of the grid may count as closed.
+Space is searched on a grid: a passage wider than the robot by less than two grid steps may count as closed.
 """
 
 from __future__ import annotations
@@ -23,36 +22,36 @@ from worlds.geometry import BoolArray, FloatArray, lengths, nearest_points
 from worlds.world import AT_ORIGIN, World
 
 TOUCHING_IN: Final = 1e-6
-"""Ends within this of a wall are on it."""
-MOST_CELLS: Final = 40_000
-ROBOTS_ACROSS: Final = 24.0
-"""Steps of the grid across a robot at most: finer tells nothing."""
+"""Ends within this distance of a wall touch it."""
+MAX_CELLS: Final = 40_000
+CELLS_PER_ROBOT: Final = 24.0
+"""Finest grid: cells across a robot's diameter."""
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
-    """What is looked for, inches: the widest gap; how far apart and how long doubled walls are; the longest crumb; the
-    smallest closed-off space in square inches."""
+class ValidationLimits:
+    """Limits in inches: widest gap; distance and overlap of doubled walls; longest short segment; smallest closed-off
+    space (square inches)."""
 
     gap_in: float = 4.0
     apart_in: float = 0.5
     overlap_in: float = 1.0
-    crumb_in: float = 0.5
+    short_segment_in: float = 0.5
     space_in2: float = 16.0
 
 
 class Finding(NamedTuple):
-    """One thing: its kind, where (x, y) in inches, and in words with numbers."""
+    """A problem: kind, position (x, y) in inches, description."""
 
     kind: str
     place_in: tuple[float, float]
     words: str
 
 
-class Space(NamedTuple):
-    """The places on a grid (n, k) where a robot fits, and which of them can be reached from the starts.
+class FreeSpace(NamedTuple):
+    """Grid of positions where a robot fits (n, k), and which of them can be reached from the starts.
 
-    `xs` (n,) and `ys` (k,) in inches, `step_in` apart.
+    `xs` (n,) and `ys` (k,) are in inches, `step_in` apart.
     """
 
     xs: FloatArray
@@ -62,44 +61,50 @@ class Space(NamedTuple):
     reached: BoolArray
 
 
-def findings(world: World, radius_in: float, limits: Limits | None = None) -> list[Finding]:
-    """All that is found in a world for a robot of this radius."""
-    limits = limits or Limits()
+def validate_world(world: World, radius_in: float, limits: ValidationLimits | None = None) -> list[Finding]:
+    """Return all problems of a world for a robot of this radius."""
+    limits = limits or ValidationLimits()
     return [
         *_gaps(world.walls, limits),
         *_doubled(world.walls, limits),
-        *_crumbs(world.walls, limits),
+        *_short_segments(world.walls, limits),
         *_starts(world, radius_in),
-        *_closed_off(space(world, radius_in), limits),
+        *_closed_off(find_free_space(world, radius_in), limits),
     ]
 
 
-def space(world: World, radius_in: float, step_in: float = 0.0) -> Space:
-    """Where a robot fits and gets to; `step_in` of the grid, 0: a twelfth of the robot, coarser in a wide world."""
+def find_free_space(world: World, radius_in: float, step_in: float = 0.0) -> FreeSpace:
+    """Return where a robot fits and what it can reach.
+
+    `step_in` is the grid step; 0 selects a twelfth of the robot's radius, coarser in a large world.
+    """
+    # 1. Grid.
     ends = world.walls.reshape(-1, 2)
     low, size = ends.min(axis=0), np.ptp(ends, axis=0)
-    finest = max(2.0 * radius_in / ROBOTS_ACROSS, float(np.sqrt(size.prod() / MOST_CELLS)))
+    finest = max(2.0 * radius_in / CELLS_PER_ROBOT, float(np.sqrt(size.prod() / MAX_CELLS)))
     step = min(step_in or finest, radius_in)
-    xs, ys = (np.arange(begin, begin + way + step, step) for begin, way in zip(low, size, strict=True))
+    xs, ys = (np.arange(begin, begin + extent + step, step) for begin, extent in zip(low, size, strict=True))
     columns = [np.stack((np.full(len(ys), x), ys), axis=-1) for x in xs]
+    # 2. Where the robot fits.
     fits = np.array([world.clearances(points) >= radius_in for points in columns])
+    # 3. What is connected to a start.
     reached = np.zeros_like(fits)
     for start in world.starts:
         seed = _nearest_fit(fits, (start.x_in - low[0]) / step, (start.y_in - low[1]) / step)
         if seed is not None:
             _flood(fits, reached, seed)
-    return Space(xs, ys, step, fits, reached)
+    return FreeSpace(xs, ys, step, fits, reached)
 
 
 def _nearest_fit(fits: BoolArray, column: float, row: float) -> tuple[int, int] | None:
-    """The node of the grid nearest to a place where the robot fits; None where none of the four around it does."""
+    """Return the nearest of the four surrounding grid nodes where the robot fits; None if it fits at none."""
     around = [(int(column) + i, int(row) + k) for i in (0, 1) for k in (0, 1)]
     there = [node for node in around if 0 <= node[0] < fits.shape[0] and 0 <= node[1] < fits.shape[1] and fits[node]]
     return min(there, key=lambda node: (node[0] - column) ** 2 + (node[1] - row) ** 2, default=None)
 
 
 def _flood(fits: BoolArray, reached: BoolArray, seed: tuple[int, int]) -> None:
-    """Mark all that hangs together with a node. No step is longer than the radius: none leads through a wall."""
+    """Mark all nodes connected to a node. Steps are no longer than the radius, so none leads through a wall."""
     if reached[seed]:
         return
     reached[seed] = True
@@ -112,14 +117,15 @@ def _flood(fits: BoolArray, reached: BoolArray, seed: tuple[int, int]) -> None:
                 open_nodes.append(node)
 
 
-def _gaps(walls: FloatArray, limits: Limits) -> Iterator[Finding]:
-    """Crumbs, and walls that lie over one another, are told of by themselves: their ends are no gaps."""
+def _gaps(walls: FloatArray, limits: ValidationLimits) -> Iterator[Finding]:
+    """Yield ends of walls that stop just before another wall; short segments and doubled walls are excluded."""
     ends = walls.reshape(-1, 2)
     points, far = nearest_points(ends, walls)
     far[np.arange(len(ends)), np.arange(len(ends)) // 2] = np.inf
-    crumbs = np.flatnonzero(lengths(walls) < limits.crumb_in)
-    far[:, crumbs] = far[np.concatenate((2 * crumbs, 2 * crumbs + 1))] = np.inf
-    for one, other, *_ in _over(walls, limits):
+    # Short segments and doubled walls are reported separately.
+    short = np.flatnonzero(lengths(walls) < limits.short_segment_in)
+    far[:, short] = far[np.concatenate((2 * short, 2 * short + 1))] = np.inf
+    for one, other, *_ in _overlaps(walls, limits):
         far[[2 * one, 2 * one + 1], other] = far[[2 * other, 2 * other + 1], one] = np.inf
     nearest = far.argmin(axis=1) if len(walls) > 1 else np.zeros(0, dtype=int)
     for end, other in enumerate(nearest):
@@ -127,20 +133,28 @@ def _gaps(walls: FloatArray, limits: Limits) -> Iterator[Finding]:
         if TOUCHING_IN < gap <= limits.gap_in:
             x, y = ends[end]
             at_x, at_y = points[end, other]
-            yield Finding("gap", (float(x), float(y)), f"{_wall(walls, end // 2)} stops {gap:.3g} in short of "
-                          f"({at_x:g}, {at_y:g}) on {_wall(walls, int(other))}")
+            yield Finding(
+                "gap",
+                (float(x), float(y)),
+                f"{_wall(walls, end // 2)} stops {gap:.3g} in short of "
+                f"({at_x:g}, {at_y:g}) on {_wall(walls, int(other))}",
+            )
 
 
-def _doubled(walls: FloatArray, limits: Limits) -> Iterator[Finding]:
-    for one, other, (x, y), overlap, apart in _over(walls, limits):
-        yield Finding("doubled", (x, y), f"{_wall(walls, one)} and {_wall(walls, other)} lie "
-                      f"over one another for {overlap:.3g} in, {apart:.3g} in apart at most")
+def _doubled(walls: FloatArray, limits: ValidationLimits) -> Iterator[Finding]:
+    for one, other, (x, y), overlap, apart in _overlaps(walls, limits):
+        yield Finding(
+            "doubled",
+            (x, y),
+            f"{_wall(walls, one)} and {_wall(walls, other)} lie "
+            f"over one another for {overlap:.3g} in, {apart:.3g} in apart at most",
+        )
 
 
-def _over(
-    walls: FloatArray, limits: Limits
+def _overlaps(
+    walls: FloatArray, limits: ValidationLimits
 ) -> Iterator[tuple[int, int, tuple[float, float], float, float]]:
-    """Pairs of doubled walls, the middle of where they are, for how long, and how far apart."""
+    """Yield pairs of doubled walls: rows, middle of the overlap, its length, and their distance."""
     for number, wall in enumerate(walls):
         along = (wall[2:] - wall[:2]) / np.hypot(*(wall[2:] - wall[:2]))
         length = float(np.hypot(*(wall[2:] - wall[:2])))
@@ -154,8 +168,8 @@ def _over(
                 yield number, other, (float(x), float(y)), overlap, float(apart)
 
 
-def _crumbs(walls: FloatArray, limits: Limits) -> Iterator[Finding]:
-    for number in np.flatnonzero(lengths(walls) < limits.crumb_in):
+def _short_segments(walls: FloatArray, limits: ValidationLimits) -> Iterator[Finding]:
+    for number in np.flatnonzero(lengths(walls) < limits.short_segment_in):
         x, y = walls[number, :2]
         words = f"{_wall(walls, int(number))} is {float(lengths(walls[number])):.3g} in long"
         yield Finding("crumb", (float(x), float(y)), words)
@@ -171,8 +185,8 @@ def _starts(world: World, radius_in: float) -> Iterator[Finding]:
             yield Finding("start", (start.x_in, start.y_in), words)
 
 
-def _closed_off(found: Space, limits: Limits) -> Iterator[Finding]:
-    """Each space by itself, the largest first."""
+def _closed_off(found: FreeSpace, limits: ValidationLimits) -> Iterator[Finding]:
+    """Yield each closed-off space, the largest first."""
     seen = found.reached.copy()
     spaces = []
     for i, k in np.argwhere(found.fits & ~found.reached).tolist():

@@ -1,10 +1,9 @@
-"""The world a robot drives in: rooms, walls, obstacles, starts, and the paths of the figures. Values, never changed.
+"""The map a robot drives in: rooms, walls, obstacles, starts, and the paths of the figures. Immutable values.
 
-Lives here: what stands where, what is free, how much room a robot has. Lives elsewhere: files (files.py), rays
-(raycast.py), arithmetic (geometry.py). Inches, radians; free space is inside a room (if there is any) and outside
-every obstacle. Walls and rooms stay; obstacles are what clients may add, move and delete: `with_obstacles`.
+Inches and radians. Free space is inside a room (if there are rooms) and outside of all obstacles. Walls and rooms are
+fixed; obstacles may be added, moved and deleted by clients (`with_obstacles`).
 
-    walls (m, 4)    = fixed_walls | obstacles        a fixed wall keeps its row whatever happens to the obstacles
+    walls (m, 4)    = fixed_walls | obstacles        a fixed wall keeps its row when obstacles change
     fixed_walls     = outlines of the rooms | inner_walls
 """
 
@@ -25,28 +24,28 @@ from worlds.raycast import ON_WALL_IN
 Point = tuple[float, float]
 
 MARGIN_IN: Final = 0.1
-"""How far from a wall a place is that a refusal proposes, beyond the radius, inches: a tenth, to be seen."""
+"""Extra distance from walls of the alternative position in an error message, inches."""
 
 
 @dataclass(frozen=True, slots=True)
 class Polygon:
-    """A closed outline of a room (free inside) or an obstacle (solid inside); corners in inches, either way round."""
+    """A closed outline of a room (free inside) or an obstacle (solid inside); corners in inches, any orientation."""
 
     corners_in: tuple[Point, ...]
     name: str = ""
 
     def segments(self) -> FloatArray:
-        """The edges (n, 4), inches, in the order of the corners, the closing one last."""
+        """Return the edges (n, 4) in inches, in the order of the corners, the closing one last."""
         return polygon_segments(self.corners_in)
 
     def moved(self, dx_in: float, dy_in: float) -> Polygon:
-        """The same polygon, shifted."""
+        """Return the polygon shifted by (dx_in, dy_in)."""
         return replace(self, corners_in=tuple((x + dx_in, y + dy_in) for x, y in self.corners_in))
 
 
 @dataclass(frozen=True, slots=True)
 class StartPose:
-    """Where a robot is put at the beginning; angles counter-clockwise from the x axis."""
+    """Initial pose of a robot; angles counter-clockwise from the x axis."""
 
     x_in: float
     y_in: float
@@ -55,12 +54,12 @@ class StartPose:
 
 
 AT_ORIGIN: Final = (StartPose(0.0, 0.0),)
-"""The starts of a world that names none."""
+"""Starts of a world that defines none."""
 
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """The way-points of a figure. The first of `points_in` is where the robot stands at the beginning."""
+    """Waypoints of a figure of the thesis; the first of `points_in` is the start."""
 
     name: str
     figure: str
@@ -69,7 +68,7 @@ class Path:
 
     @property
     def goals_in(self) -> tuple[Point, ...]:
-        """The way-points to drive to, in order: all but the first point."""
+        """Waypoints to drive to, in order: all but the first point."""
         return self.points_in[1:]
 
 
@@ -79,7 +78,7 @@ def _no_walls() -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class World:
-    """All that stands in a world; see the head of this file. Arrays are read-only, rows x1 y1 x2 y2 in inches."""
+    """A map, immutable. Arrays are read-only; rows are x1 y1 x2 y2 in inches."""
 
     name: str
     title: str = ""
@@ -110,19 +109,18 @@ class World:
             object.__setattr__(self, name, value)
 
     def with_obstacles(self, obstacles: Iterable[Polygon]) -> World:
-        """This world with these obstacles in place of its own; fixed walls keep their rows."""
+        """Return this world with other obstacles; fixed walls keep their rows."""
         return replace(self, obstacles=tuple(obstacles))
 
     def clearance(self, x_in: float, y_in: float) -> float:
-        """Distance from a point to the nearest wall, inches; inf where there are no walls.
+        """Return the distance from a point to the nearest wall, inches; inf if there are no walls.
 
-        Negative where the point is not free: outside every room, or inside an obstacle; then it is the distance to
-        the nearest wall with its sign turned. A robot of radius r fits where clearance > r.
+        It is negative outside of all rooms and inside obstacles. A robot of radius r fits where clearance > r.
         """
         return self._nearest(x_in, y_in)[0]
 
     def clearances(self, points_in: FloatArray) -> FloatArray:
-        """The same of many points (..., 2) at once, (...,)."""
+        """Return the clearance (...) of points (..., 2)."""
         far: FloatArray = nearest_points(points_in, self.walls)[1].min(axis=-1, initial=inf)
         if self._firsts:
             within, rooms = inside(points_in, self._edges, self._firsts), len(self.rooms)
@@ -131,25 +129,24 @@ class World:
         return far
 
     def require_free(self, x_in: float, y_in: float, radius_in: float) -> None:
-        """Refuse a start where a robot of this radius does not fit.
+        """Raise StartError if a robot of this radius does not fit at a start.
 
-        Raises StartError, which says what the robot touches or that it lies outside, and where it would fit.
+        The message states what the robot touches, or that the start lies outside, and where it would fit.
         """
         place = f"the start ({x_in:g}, {y_in:g}) in"
         if not (isfinite(x_in) and isfinite(y_in)):
-            raise StartError(f"{place} is no place: expected two finite numbers")
+            raise StartError(f"{place} is not a position: expected two finite numbers")
         clearance, row, _ = self._nearest(x_in, y_in)
         if clearance > radius_in:
             return
-        trouble = self._solid_around(x_in, y_in)
-        if not trouble or abs(clearance) <= ON_WALL_IN:
-            trouble = (
-                f"touches {self._called(row)}: {abs(clearance):.2f} in away, the robot's radius is {radius_in:g} in"
-            )
-        raise StartError(f"{place} {trouble}; {self._proposal(x_in, y_in, radius_in)}")
+        problem = self._solid_around(x_in, y_in)
+        if not problem or abs(clearance) <= ON_WALL_IN:
+            wall = self._describe_wall(row)
+            problem = f"touches {wall}: {abs(clearance):.2f} in away, the robot's radius is {radius_in:g} in"
+        raise StartError(f"{place} {problem}; {self._proposal(x_in, y_in, radius_in)}")
 
     def _nearest(self, x_in: float, y_in: float) -> tuple[float, int, Point]:
-        """Clearance of a point, the row of its nearest wall (-1: none) and the nearest point on it."""
+        """Return the clearance of a point, the row of its nearest wall (-1: none) and the nearest point on it."""
         if not len(self.walls):
             return inf, -1, (x_in, y_in)
         points, distances = nearest_points((x_in, y_in), self.walls)
@@ -159,7 +156,7 @@ class World:
         return (-distance if self._solid_around(x_in, y_in) else distance), row, nearest
 
     def _solid_around(self, x_in: float, y_in: float) -> str:
-        """Why a point is not free space, as the end of a sentence; "" where it is."""
+        """Return why a point is not in free space, as the end of a sentence; "" if it is."""
         if not self._firsts:
             return ""
         within = inside((x_in, y_in), self._edges, self._firsts).tolist()
@@ -173,8 +170,8 @@ class World:
         solids = [thing for thing, holds in zip(self.obstacles, within[rooms:], strict=True) if holds]
         return f"lies inside {_titled(solids[0], 'an obstacle')}" if solids else ""
 
-    def _called(self, row: int) -> str:
-        """What the wall in this row is to a person."""
+    def _describe_wall(self, row: int) -> str:
+        """Return a description of the wall in this row."""
         kinds = [_titled(room, "the outline of a room") for room in self.rooms for _ in room.corners_in]
         kinds += ["a wall"] * len(self.inner_walls)
         kinds += [_titled(thing, "an obstacle") for thing in self.obstacles for _ in thing.corners_in]
@@ -182,18 +179,19 @@ class World:
         return f"{kinds[row]} ({x1:g}, {y1:g})-({x2:g}, {y2:g})"
 
     def _proposal(self, x_in: float, y_in: float, radius_in: float) -> str:
-        """A place near by, or a start of this world, where the robot fits; as the end of a sentence."""
+        """Return a nearby position or a start of this world where the robot fits, as the end of a sentence."""
         candidates = [self._pushed_free(x_in, y_in, radius_in), *((start.x_in, start.y_in) for start in self.starts)]
         for x, y in candidates:
             if self.clearance(x, y) > radius_in:
                 return f"it fits at ({x:g}, {y:g}) in"
-        return "no place near by is wide enough: start elsewhere or take a smaller robot"
+        return "there is no free position nearby: start elsewhere or use a smaller robot"
 
     def _pushed_free(self, x_in: float, y_in: float, radius_in: float) -> Point:
-        """The point after it was pushed off its nearest wall, again and again; it need not end up free."""
+        """Return the point after moving it repeatedly away from its nearest wall; it may still not be free."""
         x, y = x_in, y_in
         for _ in range(20):
             clearance, row, (near_x, near_y) = self._nearest(x, y)
+            # Move by the missing distance, away from the nearest wall.
             lack = radius_in + MARGIN_IN - clearance
             if lack <= 0.0:
                 break
@@ -210,12 +208,12 @@ def _titled(polygon: Polygon, kind: str) -> str:
 
 
 def _stacked(parts: Sequence[FloatArray]) -> FloatArray:
-    """Segments one below the other (m, 4), a read-only copy."""
+    """Return segments concatenated (m, 4), as a read-only copy."""
     whole = np.concatenate([_no_walls(), *parts])
     whole.setflags(write=False)
     return whole
 
 
 def _first_rows(parts: Sequence[FloatArray]) -> tuple[int, ...]:
-    """The row at which each part begins when they lie one below the other."""
+    """Return the row at which each part begins after concatenation."""
     return tuple(sum(len(before) for before in parts[:number]) for number in range(len(parts)))

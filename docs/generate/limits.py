@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from nclient.recording.format import MAX_LINE
 from nserver_emu.server.limits import SNAPSHOT_BYTES, TABLE
-from worlds.schema import MOST_BYTES
+from worlds.schema import MAX_BYTES
 
 
 def blocks() -> dict[str, Iterator[str]]:
@@ -23,6 +23,6 @@ def _limits() -> Iterator[str]:
 
 def _files() -> Iterator[str]:
     yield from ("| file | maximum size |", "|---|---|")
-    yield f"| world, setup, model, calibration | {MOST_BYTES >> 20} MiB |"
+    yield f"| world, setup, model, calibration | {MAX_BYTES >> 20} MiB |"
     yield f"| snapshot | {SNAPSHOT_BYTES >> 20} MiB; `--save` writes no larger file |"
     yield f"| recording | unlimited, read line by line; a line up to {MAX_LINE >> 20} Mi characters |"

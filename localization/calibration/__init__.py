@@ -1,1 +1,1 @@
-"""What a robot's wheels and sonars get wrong every time: found out on a guided run, and written as a model file."""
+"""Calibration of a robot's wheels and sonars by a guided run."""

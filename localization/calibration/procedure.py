@@ -1,21 +1,16 @@
-"""The guided run: UMBmark's square both ways round, and turns on the spot at its corners.
+"""The guided calibration run: UMBmark's square in both directions, with turns in place at its corners.
 
-    place       the largest square along the axes of the map whose sides keep clear of all walls, near the robot
-    way to it   the shortest, with room for a robot that errs
-    tasks       Go(x, y): turn towards it on the spot, then roll; Spin(angle): turn on the spot
-    driver      from a pose to the velocities of the task at hand
+    square      the largest one parallel to the map's axes whose sides keep clear of all walls, near the robot
+    path        the shortest to the square, with space for an inaccurate robot
+    tasks       DriveTo(x, y): turn towards it in place, then roll; Spin(angle): turn in place
+    laps        one in each direction, and more until the result is accurate enough
 
-Ways are long and turns many, both ways round: errors of scale add up, those that cancel one way do not the other
-(Borenstein and Feng 1996). Rules: pure; no robot, no filter.
+Long distances and many turns in both directions accumulate errors of scale; errors that cancel in one direction do not
+cancel in the other.
 
-As many laps as it takes: one each way, and again, until it is enough or there were too many.
-
-Rules: values; what is enough is asked.
-
-The guided run on a robot: drive the tasks on the estimate, hear, until all is done.
-
-Rules: speaks to a robot through nclient's names only; waiting is handed in. The turret, where there is one, turns with
-the steering, so that every sonar sees every wall.
+References
+----------
+Borenstein, Feng: Measurement and correction of systematic odometry errors in mobile robots (1996).
 """
 
 from __future__ import annotations
@@ -31,15 +26,16 @@ from localization.filters.base import Filter, LocalizationConfig
 from localization.filters.belief import HEADING, Floats, wrap_angle
 from localization.live.localizer import Estimate, Localizer
 from localization.live.sensor_input import FiringSchedule
-from localization.navigation.path import waypoints
-from localization.navigation.roadmap import NoPathError, Roadmap, clearances
-from localization.navigation.speed import bearing_error, distance_to
+from localization.navigation.control_law import bearing_error, distance_to
+from localization.navigation.limits import (
+    VelocityCommand,
+)
+from localization.navigation.path import sample_waypoints
+from localization.navigation.roadmap import NoPathError, Roadmap, segment_clearances
 from localization.navigation.waypoints import (
     COMMAND_TIMEOUT_S,
-    PERIOD_S,
-    SHORTEST_WAIT_S,
-    Command,
     stop_on_exit,
+    wait_for_next_state,
 )
 from nclient.errors import NomadError
 from nclient.protocol.types import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
@@ -49,40 +45,42 @@ from worlds.geometry import nearest_points
 from worlds.world import World
 
 MARGIN_IN: Final = 6.0
-"""How far the sides keep from walls beyond the robot's radius: it errs, that is why it is here."""
-WAY_MARGINS_IN: Final = (MARGIN_IN, 4.0, 2.0, 1.0)
-"""Likewise on the way to the square; the last is the least."""
-LARGEST_IN: Final = 160.0
-SMALLEST_IN: Final = 12.0
+"""Space between the sides and walls beyond the robot's radius: an uncalibrated robot is inaccurate."""
+PATH_MARGINS_IN: Final = (MARGIN_IN, 4.0, 2.0, 1.0)
+"""Space on the path to the square; the first that allows a path is used."""
+MAX_SIDE_IN: Final = 160.0
+MIN_SIDE_IN: Final = 12.0
 _GRID_IN: Final = 4.0
 
 AIMED_RAD: Final = 0.03
+"""A turn in place ends within this heading error."""
 REACHED_IN: Final = 1.0
-_FAR_OFF_RAD: Final = 0.5
+MAX_HEADING_ERROR_RAD: Final = 0.5
+"""With a larger heading error the robot stops and turns in place."""
 
 
 class NoSquareError(NomadError):
-    """There is no room for the guided run."""
+    """There is no space for the guided run."""
 
 
-class Go(NamedTuple):
-    """To a point, by turning on the spot and rolling straight."""
+class DriveTo(NamedTuple):
+    """Task: drive to a point, by turning in place and rolling straight."""
 
     x_in: float
     y_in: float
 
 
 class Spin(NamedTuple):
-    """On the spot by so much, counter-clockwise."""
+    """Task: turn in place by an angle, counter-clockwise positive."""
 
     angle_rad: float
 
 
-Task = Go | Spin
+Task = DriveTo | Spin
 
 
 class Square(NamedTuple):
-    """A square along the axes: its lower left corner and its side, inches."""
+    """A square parallel to the axes: lower left corner and side, inches."""
 
     x_in: float
     y_in: float
@@ -90,42 +88,58 @@ class Square(NamedTuple):
 
     @property
     def corners(self) -> tuple[tuple[float, float], ...]:
-        """Counter-clockwise."""
+        """Corners, counter-clockwise."""
         x, y, side = self
         return (x, y), (x + side, y), (x + side, y + side), (x, y + side)
 
 
 def largest_square(world: World, radius_in: float, near: tuple[float, float]) -> Square:
-    """The largest square whose sides a robot of this radius can drive, the nearest of those to a point.
+    """Return the largest square whose sides a robot can drive, the nearest one to a point.
 
-    Sides in steps of 4 in, 12 to 160. Raises NoSquareError.
+    Parameters
+    ----------
+    world : World
+    radius_in : float
+        Radius of the robot.
+    near : (x, y)
+
+    Returns
+    -------
+    Square
+        Its side is a multiple of 4 in, from 12 to 160.
+
+    Raises
+    ------
+    NoSquareError
     """
-    room_in = radius_in + MARGIN_IN
+    # 1. Grid points with enough space.
+    space_in = radius_in + MARGIN_IN
     ends = world.walls.reshape(-1, 2)
     low, size = ends.min(axis=0), np.ceil(np.ptp(ends, axis=0) / _GRID_IN).astype(int) + 1
     along_x, along_y = np.indices(size)
     grid = low + _GRID_IN * np.stack((along_x, along_y), axis=-1)
-    wide = nearest_points(grid.reshape(-1, 2), world.walls)[1].min(axis=-1).reshape(size) >= room_in
-    for steps in range(min(int(LARGEST_IN / _GRID_IN), size.min() - 1), int(SMALLEST_IN / _GRID_IN) - 1, -1):
+    wide = nearest_points(grid.reshape(-1, 2), world.walls)[1].min(axis=-1).reshape(size) >= space_in
+    # 2. Squares whose corners are all such points, the largest first; then check the sides.
+    for steps in range(min(int(MAX_SIDE_IN / _GRID_IN), size.min() - 1), int(MIN_SIDE_IN / _GRID_IN) - 1, -1):
         whole = wide[:-steps, :-steps] & wide[steps:, :-steps] & wide[:-steps, steps:] & wide[steps:, steps:]
         squares = [Square(float(x), float(y), steps * _GRID_IN) for x, y in grid[:-steps, :-steps][whole]]
-        for square in sorted(squares, key=lambda square: min(_far(corner, near) for corner in square.corners)):
+        for square in sorted(squares, key=lambda square: min(_distance(corner, near) for corner in square.corners)):
             if is_clear(square, world, radius_in):
                 return square
     raise NoSquareError(
-        f"{world.name} has no room for a square of {SMALLEST_IN:g} in that keeps {MARGIN_IN:g} in from all walls: "
+        f"{world.name} has no space for a square of {MIN_SIDE_IN:g} in that keeps {MARGIN_IN:g} in from all walls: "
         "calibrate in a larger room"
     )
 
 
 def is_clear(square: Square, world: World, radius_in: float) -> bool:
-    """Whether a robot of this radius can drive its sides, and errs a little while it does."""
-    room_in = radius_in + MARGIN_IN
-    free = all(world.clearance(*corner) >= room_in for corner in square.corners)
-    return free and bool((clearances(_sides(square), world.walls) >= room_in).all())
+    """Return True if a robot of this radius can drive the sides with MARGIN_IN of space."""
+    space_in = radius_in + MARGIN_IN
+    free = all(world.clearance(*corner) >= space_in for corner in square.corners)
+    return free and bool((segment_clearances(_sides(square), world.walls) >= space_in).all())
 
 
-def _far(point: tuple[float, float], near: tuple[float, float]) -> float:
+def _distance(point: tuple[float, float], near: tuple[float, float]) -> float:
     return hypot(point[0] - near[0], point[1] - near[1])
 
 
@@ -135,33 +149,32 @@ def _sides(square: Square) -> Floats:
 
 
 def tasks(square: Square, near: tuple[float, float], laps: int, spins: int) -> list[Task]:
-    """So many laps each way from the corner that is nearest, with `spins` turns on the spot at each corner."""
+    """Return the tasks of `laps` laps in each direction from the nearest corner, `spins` full turns at each corner."""
     corners = list(square.corners)
-    first = min(range(len(corners)), key=lambda number: _far(corners[number], near))
-    found: list[Task] = [Go(*corners[first])]
-    for way in (1, -1):
+    first = min(range(len(corners)), key=lambda number: _distance(corners[number], near))
+    found: list[Task] = [DriveTo(*corners[first])]
+    for direction in (1, -1):
         for side in range(len(corners) * laps):
-            found += [Spin(way * tau * spins)] if spins else []
-            found.append(Go(*corners[(first + way * (side + 1)) % len(corners)]))
+            found += [Spin(direction * tau * spins)] if spins else []
+            found.append(DriveTo(*corners[(first + direction * (side + 1)) % len(corners)]))
     return found
 
 
-def way_to(goal: tuple[float, float], start: tuple[float, float], world: World, radius_in: float) -> list[Go]:
-    """The shortest way from where the robot stands, with as much room of WAY_MARGINS_IN as there is. Raises
-    NoPathError."""
-    *wide, least_in = WAY_MARGINS_IN
+def path_to(goal: tuple[float, float], start: tuple[float, float], world: World, radius_in: float) -> list[DriveTo]:
+    """Return the shortest path to a point with the largest possible margin. Raises NoPathError."""
+    *wide, narrow_in = PATH_MARGINS_IN
     for margin_in in wide:
         with suppress(NoPathError):
-            return _way(goal, start, world, radius_in + margin_in)
-    return _way(goal, start, world, radius_in + least_in)
+            return _path(goal, start, world, radius_in + margin_in)
+    return _path(goal, start, world, radius_in + narrow_in)
 
 
-def _way(goal: tuple[float, float], start: tuple[float, float], world: World, room_in: float) -> list[Go]:
-    return [Go(*point) for point in waypoints(Roadmap(world.walls, room_in).path(start, goal))]
+def _path(goal: tuple[float, float], start: tuple[float, float], world: World, space_in: float) -> list[DriveTo]:
+    return [DriveTo(*point) for point in sample_waypoints(Roadmap(world.walls, space_in).path(start, goal))]
 
 
 class Driver:
-    """From task to task. `more`: asked for tasks when all are done, until there are none."""
+    """Controller from task to task; `more` is called for further tasks when all are done, until it returns none."""
 
     def __init__(
         self, tasks: Sequence[Task], speed_in_s: float, turn_rad_s: float, more: Callable[[], Sequence[Task]] = tuple
@@ -169,30 +182,30 @@ class Driver:
         self._tasks, self._more = list(tasks), more
         self._speed_in_s, self._turn_rad_s = speed_in_s, turn_rad_s
         self.done = 0
-        """How many tasks are behind."""
+        """Number of completed tasks."""
         self._aimed = False
         self._turned_rad = 0.0
         self._heading: float | None = None
 
     @property
     def count(self) -> int:
-        """How many tasks are known of by now."""
+        """Number of tasks so far."""
         return len(self._tasks)
 
     @property
     def goal(self) -> Floats | None:
-        """The place (2,) that it drives to; None while it turns on the spot, or is done."""
+        """Current goal (2,); None during turns in place and at the end."""
         task = self._tasks[self.done] if self.done < len(self._tasks) else None
-        return np.array(task) if isinstance(task, Go) else None
+        return np.array(task) if isinstance(task, DriveTo) else None
 
-    def command(self, pose: Floats) -> Command | None:
-        """What to do at this pose (3,); None when all is done."""
+    def command(self, pose: Floats) -> VelocityCommand | None:
+        """Return the velocities at a pose (3,); None when all tasks are done."""
         if self._heading is not None:
             self._turned_rad += float(wrap_angle(np.asarray(pose[HEADING] - self._heading)))
         self._heading = float(pose[HEADING])
         while self.done < len(self._tasks):
             task = self._tasks[self.done]
-            command = self._spin(task) if isinstance(task, Spin) else self._go(pose, task)
+            command = self._spin(task) if isinstance(task, Spin) else self._drive_to(pose, task)
             if command is not None:
                 return command
             self.done += 1
@@ -201,44 +214,47 @@ class Driver:
                 self._tasks += self._more()
         return None
 
-    def _spin(self, task: Spin) -> Command | None:
+    def _spin(self, task: Spin) -> VelocityCommand | None:
         left = task.angle_rad - self._turned_rad
         if left * task.angle_rad <= 0.0 or abs(left) < AIMED_RAD:
             return None
-        return Command(0.0, self._towards(left))
+        return VelocityCommand(0.0, self._turn_rate(left))
 
-    def _go(self, pose: Floats, task: Go) -> Command | None:
+    def _drive_to(self, pose: Floats, task: DriveTo) -> VelocityCommand | None:
         goal = np.array(task)
         away, off = float(distance_to(pose, goal)), float(bearing_error(pose, goal))
         if away < REACHED_IN or (self._aimed and abs(off) > pi / 2 and away < 4.0 * REACHED_IN):
             return None
-        self._aimed = abs(off) < (_FAR_OFF_RAD if self._aimed else AIMED_RAD)
+        self._aimed = abs(off) < (MAX_HEADING_ERROR_RAD if self._aimed else AIMED_RAD)
         if not self._aimed:
-            return Command(0.0, self._towards(off))
-        return Command(min(self._speed_in_s, 0.5 + away) * max(cos(off), 0.0), self._towards(off))
+            return VelocityCommand(0.0, self._turn_rate(off))
+        return VelocityCommand(min(self._speed_in_s, 0.5 + away) * max(cos(off), 0.0), self._turn_rate(off))
 
-    def _towards(self, off_rad: float) -> float:
-        """A rate that comes to rest there."""
+    def _turn_rate(self, off_rad: float) -> float:
+        """Return a turning rate that decays with the remaining angle."""
         return float(np.clip(2.0 * off_rad, -self._turn_rad_s, self._turn_rad_s))
 
 
-class Rounds:
-    """The laps after the first. `lap`: once each way; `most`: with the first; `enough`: asked after each."""
+class LapPolicy:
+    """Laps after the first: more until `is_enough()`, at most `maximum` including the first.
 
-    def __init__(self, lap: Sequence[Task], most: int, enough: Callable[[], bool]) -> None:
-        self._lap, self._most, self._enough = lap, most, enough
+    `lap` contains the tasks of one lap in each direction.
+    """
+
+    def __init__(self, lap: Sequence[Task], maximum: int, is_enough: Callable[[], bool]) -> None:
+        self._lap, self._maximum, self._is_enough = lap, maximum, is_enough
         self.begun = 1
 
     def more(self) -> Sequence[Task]:
-        """What is to be driven now that all before is done; nothing where it is enough."""
-        if self.begun >= self._most or self._enough():
+        """Return the tasks of another lap, or none if that is enough."""
+        if self.begun >= self._maximum or self._is_enough():
             return ()
         self.begun += 1
         return self._lap
 
 
-class Progress(NamedTuple):
-    """A period of the run."""
+class CalibrationStep(NamedTuple):
+    """One period of the run: estimate, state, number of completed tasks."""
 
     estimate: Estimate
     state: RobotState
@@ -246,29 +262,28 @@ class Progress(NamedTuple):
 
 
 def run(
-    robot: Robot, known: LocalizationConfig, method: Filter, driver: Driver, wait: Callable[[float], None]
-) -> Generator[Progress, None, None]:
-    """Drive until the driver is done, and tell of each period; the robot stands at the end, however it ends."""
+    robot: Robot, config: LocalizationConfig, method: Filter, driver: Driver, wait: Callable[[float], None]
+) -> Generator[CalibrationStep, None, None]:
+    """Drive all tasks and yield each period; the robot is stopped at the end in any case.
+
+    `wait(seconds)` lets real time pass. A turret turns with the steering, so that every sonar measures every wall.
+    """
     state = robot.configure_sonars(rate=DEFAULT_SONAR_RATE, order=DEFAULT_SONAR_ORDER)
     assert state.clock_s is not None
-    localizer = Localizer(known, method.belief, FiringSchedule(state.clock_s), method)
+    localizer = Localizer(config, method.belief, FiringSchedule(state.clock_s), method)
     robot.set_timeout(COMMAND_TIMEOUT_S)
     with stop_on_exit(robot):
         while True:
             estimate = localizer.update(state)
             command = driver.command(estimate.pose)
-            yield Progress(estimate, state, driver.done)
+            yield CalibrationStep(estimate, state, driver.done)
             if command is None:
                 return
-            after = _drive(robot, command)
-            left_s = PERIOD_S - ((after.clock_s or 0.0) - (state.clock_s or 0.0))
-            if left_s >= SHORTEST_WAIT_S:
-                wait(left_s / (after.speed_factor or 1.0))
-            state = robot.refresh()
+            state = wait_for_next_state(robot, state, _drive(robot, command), wait)
 
 
-def _drive(robot: Robot, command: Command) -> RobotState:
-    rolled, turned = command
+def _drive(robot: Robot, command: VelocityCommand) -> RobotState:
+    translation_in_s, steering_rad_s = command
     if not robot.model.has_turret:
-        return robot.drive(translation_in_s=rolled, steering_rad_s=turned)
-    return robot.drive(translation_in_s=rolled, steering_rad_s=turned, turret_rad_s=turned)
+        return robot.drive(translation_in_s=translation_in_s, steering_rad_s=steering_rad_s)
+    return robot.drive(translation_in_s=translation_in_s, steering_rad_s=steering_rad_s, turret_rad_s=steering_rad_s)

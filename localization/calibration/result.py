@@ -1,13 +1,4 @@
-"""Whether a calibration is known well enough, and what of it is nothing but noise.
-
-    wanted      a standard deviation of a thirtieth of what was found, or of what is typical where that is more: then
-                10 % of it are three standard deviations
-    noise       what was found is no more than two of its own standard deviations: it may as well be 0
-
-Rules: values and words.
-
-What a calibrating filter has found, as a calibration and as a table. Rules: values and words.
-"""
+"""The result of a calibration: from the belief of the calibrating filter to numbers with accuracies and a table."""
 
 from __future__ import annotations
 
@@ -22,15 +13,16 @@ from localization.filters.calibration import OFFSET, OWN, RING_TURN, SIZE
 from localization.filters.odometry import OdometryParameter
 from worlds.robots import Calibration, Spread
 
-WAY, TURN, DRIFT, RING, SONAR = 0.03, 0.03, 0.00075, radians(3.0), 1.0
-"""Typical: wheels 3 % off, 0.75 mrad/in, a ring 3 degrees, a sonar 1 in."""
-SHARE: Final = 1.0 / 30.0
+TYPICAL_SCALE, TYPICAL_DRIFT, TYPICAL_RING, TYPICAL_SONAR = 0.03, 0.00075, radians(3.0), 1.0
+"""Typical systematic errors: wheels 3 %, 0.75 mrad/in, ring 3 degrees, sonar 1 in."""
+REQUIRED_PRECISION: Final = 1.0 / 30.0
+"""Required standard deviation relative to the number: 10 % of it are then three standard deviations."""
 NOISE_STDS: Final = 2.0
+"""A number within this many standard deviations of 0 may be 0."""
 
 
-class Number(NamedTuple):
-    """One number of a calibration: how far it is from what a faultless robot has, how well it is known, and how much is
-    typical."""
+class CalibrationNumber(NamedTuple):
+    """One number of a calibration: its difference from an ideal robot, standard deviation, typical value."""
 
     name: str
     off: float
@@ -38,47 +30,48 @@ class Number(NamedTuple):
     typical: float
 
     @property
-    def enough(self) -> bool:
-        """Whether it is known as well as wanted."""
-        return self.std <= SHARE * max(abs(self.off), self.typical)
+    def is_enough(self) -> bool:
+        """True if the number is accurate enough."""
+        return self.std <= REQUIRED_PRECISION * max(abs(self.off), self.typical)
 
     @property
     def is_noise(self) -> bool:
-        """Whether it may as well be nothing."""
+        """True if the number may be 0."""
         return abs(self.off) <= NOISE_STDS * self.std
 
     @property
     def words(self) -> str:
-        """How well it is known, beside itself."""
-        return "within noise of zero" if self.is_noise else f"known to {self.std / abs(self.off):.1%}"
+        """Accuracy of the number relative to itself, as text."""
+        return "within noise of zero" if self.is_noise else f"accurate to {self.std / abs(self.off):.1%}"
 
 
-def numbers(found: Calibration) -> list[Number]:
-    """All that was found: way, turn, drift, ring, and the sonars in their order."""
+def numbers(found: Calibration) -> list[CalibrationNumber]:
+    """Return all numbers of a calibration: distance, turn, drift, ring, and the sonars in order."""
     spread = found.spread
     sonars = enumerate(zip(found.offsets_in, spread.offsets_in, strict=True))
     return [
-        Number("way", found.way_scale - 1.0, spread.way_scale, WAY),
-        Number("turn", found.turn_scale - 1.0, spread.turn_scale, TURN),
-        Number("drift", found.drift_rad_in, spread.drift_rad_in, DRIFT),
-        Number("ring", found.turned_rad, spread.turned_rad, RING),
-        *(Number(f"sonar {sonar}", off, std, SONAR) for sonar, (off, std) in sonars),
+        CalibrationNumber("way", found.distance_scale - 1.0, spread.distance_scale, TYPICAL_SCALE),
+        CalibrationNumber("turn", found.turn_scale - 1.0, spread.turn_scale, TYPICAL_SCALE),
+        CalibrationNumber("drift", found.drift_rad_in, spread.drift_rad_in, TYPICAL_DRIFT),
+        CalibrationNumber("ring", found.turned_rad, spread.turned_rad, TYPICAL_RING),
+        *(CalibrationNumber(f"sonar {sonar}", off, std, TYPICAL_SONAR) for sonar, (off, std) in sonars),
     ]
 
 
 def missing(found: Calibration) -> list[str]:
-    """The names of what is not known as well as wanted."""
-    return [number.name for number in numbers(found) if not number.enough]
+    """Return the names of numbers that are not accurate enough."""
+    return [number.name for number in numbers(found) if not number.is_enough]
 
 
 def noise_in(found: Calibration) -> list[str]:
-    """The names of what may as well be nothing."""
+    """Return the names of numbers that may be 0."""
     return [number.name for number in numbers(found) if number.is_noise]
 
 
 def calibration_in(belief: Belief) -> Calibration:
-    """The constants of a belief over states (24,), with their standard deviations."""
+    """Return the calibration in a belief over states (24,), with its standard deviations."""
     mean, std, cov = belief.mean, belief.std, belief.cov
+    # Each sonar has the common offset plus its own; their covariance counts.
     offsets = mean[OFFSET] + mean[OWN:SIZE]
     spread = np.sqrt(cov[OFFSET, OFFSET] + np.diagonal(cov)[OWN:SIZE] + 2.0 * cov[OFFSET, OWN:SIZE])
     return Calibration(
@@ -98,14 +91,14 @@ def calibration_in(belief: Belief) -> Calibration:
 
 
 def table(found: Calibration) -> str:
-    """For people: each number with its standard deviation, and how well that is known of what it is."""
+    """Return a table of all numbers with their standard deviations and accuracies."""
     return "\n".join(_rows(found))
 
 
 def _rows(found: Calibration) -> Iterator[str]:
-    way, turn, drift, ring, *sonars = numbers(found)
+    distance, turn, drift, ring, *sonars = numbers(found)
     yield f"{'':24}{'found':>12}{'± std':>12}"
-    yield _row("way, true / counted", 1.0 + way.off, way.std, 4, way.words)
+    yield _row("distance, true / counted", 1.0 + distance.off, distance.std, 4, distance.words)
     yield _row("turn, true / counted", 1.0 + turn.off, turn.std, 4, turn.words)
     yield _row("drift, rad/in", drift.off, drift.std, 5, drift.words)
     yield _row("ring turned, deg", degrees(ring.off), degrees(ring.std), 2, ring.words)

@@ -1,7 +1,6 @@
-"""Drive a robot from way-point to way-point on the filter's estimate, on whatever address.
+"""`nomad localize`: drive a robot from waypoint to waypoint on the filter's estimate.
 
-Rules: reads options, prints, waits on the real clock; what drives and what estimates is navigation's and localizer's.
-Where the other end is our simulation the true error is printed beside the estimate; the filter never sees the truth.
+For a simulated robot the true error is printed beside the estimate; the filter never uses the ground truth.
 """
 
 from __future__ import annotations
@@ -14,25 +13,36 @@ import sys
 import time
 from pathlib import Path
 
-from localization.cli import options as resuming
 from localization.cli.options import (
     UNKNOWN,
-    add_options,
+    add_localization_options,
+    add_map_option,
     check_writable,
     open_robot,
-    point,
-    positive,
+    parse_point,
+    parse_positive,
+    parse_seconds,
+    parse_start,
     prepare_localization,
-    seconds,
-    start,
+    resolve_world,
+    save_run,
 )
 from localization.filters.registry import DEFAULT_METHOD, FINDER, finder
-from localization.live.assumptions import add_map_option, resolve_robot_model, resolve_world
-from localization.live.publish import Publisher, message
+from localization.live.assumptions import (
+    resolve_robot_model,
+)
+from localization.live.publish import Publisher, build_message
 from localization.live.run import GroundTruth, Run, RunMoment
+from localization.navigation.limits import PoseSmoother
 from localization.navigation.recovery import StallDetector
-from localization.navigation.speed import PoseSmoother
-from localization.navigation.waypoints import STOP_RADIUS_IN, Navigator, Progress, Speeds, begin, follow
+from localization.navigation.waypoints import (
+    STOP_RADIUS_IN,
+    NavigationStep,
+    Navigator,
+    Speeds,
+    follow_waypoints,
+    start_localizer,
+)
 from nclient import NomadError, Robot, WorldFileError
 from nclient.common.exit_codes import ExitCode
 from nclient.common.process import TerminatedBySignal
@@ -41,70 +51,80 @@ from worlds.world import World
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `nomad localize`."""
-    parser.description = "Drive a robot to way-points, localizing it by its sonars against a map of walls."
+    """Add the options of `nomad localize`."""
+    parser.description = "Drive a robot to waypoints and localize it by its sonars in a map of walls."
     parser.epilog = "example: nomad localize 'sim:thesis_room?noisy=1&seed=1' --waypoints 0,0 60,40"
     parser.add_argument(
         "address",
         nargs="?",
         metavar="ADDRESS",
-        help="nserver://host[:port]/id, serial:///dev/ttyUSB0?model=n150, robotd://host or "
+        help="address of the robot: nserver://host[:port]/id, serial:///dev/ttyUSB0?model=n150, robotd://host or "
         "sim:WORLD?noisy=1 (default: NOMAD_ROBOT, or a local nserver)",
     )
     add_map_option(parser)
     goals = parser.add_mutually_exclusive_group()
-    goals.add_argument("--waypoints", nargs="+", type=point, metavar="X,Y", help="where to go, in inches, in order")
-    goals.add_argument("--path", metavar="NAME", help="a path of the map, by its figure's number, such as 5.8")
+    goals.add_argument(
+        "--waypoints", nargs="+", type=parse_point, metavar="X,Y", help="drive to these positions in order, inches"
+    )
+    goals.add_argument(
+        "--path", metavar="NAME", help="drive a path of the map, given by the number of its figure, such as 5.8"
+    )
     parser.add_argument(
         "--start",
-        type=start,
+        type=parse_start,
         metavar="X,Y,HEADING",
-        help="where the robot stands now, inches and degrees; its encoders are set to it "
-        f"(default: what they say); {UNKNOWN}: it finds itself first (method finder)",
+        help="set the encoders to this initial pose, inches and degrees (default: keep them); "
+        f"{UNKNOWN}: find the pose first (method finder)",
     )
-    add_options(
+    add_localization_options(
         parser,
         DEFAULT_METHOD,
-        "the filter: extended, iterated or unscented Kalman filter, particles, one that finds itself again; a "
-        "smoother drives as ekf",
-        "; way-points set there are gone to instead",
+        "filter: extended, iterated or unscented Kalman filter, particles, or one that recovers when lost; smoother "
+        "drives like ekf",
+        "; waypoints set there replace the current ones",
     )
     parser.set_defaults(method=None)
     parser.add_argument(
         "--radius",
-        type=positive,
+        type=parse_positive,
         default=STOP_RADIUS_IN,
         metavar="IN",
-        help="a way-point is reached within this (default %(default)s in)",
+        help="count a waypoint as reached within this distance in in (default: %(default)s)",
     )
     parser.add_argument(
         "--smooth",
-        type=seconds,
+        type=parse_seconds,
         default=0.0,
         metavar="S",
-        help="spread corrections over S seconds for the steering; the estimate stays as it is (default %(default)s)",
+        help="smooth the pose used for steering over S seconds; the estimate is unaffected (default: %(default)s)",
     )
     parser.add_argument(
         "--time-limit",
-        type=positive,
+        type=parse_positive,
         default=300.0,
         metavar="S",
-        help="give up after so many seconds of the robot's clock (default %(default)s)",
+        help="give up after this time in s of the robot's clock (default: %(default)s)",
     )
-    parser.add_argument("--picture", type=Path, metavar="PNG", help="draw the run (needs the extra `plot`)")
+    parser.add_argument(
+        "--picture", type=Path, metavar="PNG", help="draw the run into this file (needs the extra `plot`)"
+    )
     parser.add_argument(
         "--stay",
         action="store_true",
-        help="with --publish: where there is nowhere left to go, or no way-point was given, stand and "
-        "wait for way-points of the page, until the time limit or Ctrl-C",
+        help="with --publish: after the last waypoint, or without any, stand and wait for waypoints "
+        "set on the page, until the time limit or Ctrl-C",
     )
-    parser.add_argument("--json", action="store_true", help="print the result as JSON, alone on stdout")
+    parser.add_argument("--json", action="store_true", help="print only the result, as JSON, on stdout")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Do it. 0 when every way-point was reached, 3 when one was not; interrupted it still saves and tells."""
+    """Run the command and return its exit code: 0 if all waypoints were reached, 3 if not.
+
+    After Ctrl-C or a signal results are still saved and printed.
+    """
+    # 1. Everything that can fail without a robot.
     world = resolve_world(options)
-    options.method = _method(options)
+    options.method = _select_method(options)
     check_writable(options.save)
     points = _goals(options, world)
     if options.picture is not None:
@@ -112,6 +132,7 @@ def run(options: argparse.Namespace) -> int:
 
         check_picture(options.picture)
     publisher = Publisher(options.publish) if options.publish else None
+    # 2. Drive.
     robot, simulated = open_robot(options.address)
     done = Run(points)
     with robot:
@@ -122,22 +143,23 @@ def run(options: argparse.Namespace) -> int:
             with contextlib.suppress(NomadError):
                 robot.stop()
             if done.moments:
-                _tell(options, world, done)
+                _write_results(options, world, done)
             raise
         finally:
             if publisher:
                 publisher.close()
-    written = _tell(options, world, done)
+    # 3. Results.
+    written = _write_results(options, world, done)
     if done.reached < len(done.waypoints):
         return ExitCode.NOT_REACHED
     return ExitCode.DONE if written else ExitCode.FAILED
 
 
-def _method(options: argparse.Namespace) -> str:
-    """The one asked for, or the default; of a robot that nothing is known of another."""
+def _select_method(options: argparse.Namespace) -> str:
+    """Return the method of --method, its default, or the one for an unconfig start."""
     if options.start == UNKNOWN:
         if options.resume:
-            options.refuse(f"--start {UNKNOWN} begins with nothing, and --resume goes on: leave one of them out")
+            options.refuse(f"--start {UNKNOWN} and --resume exclude each other: give one of them")
         if options.method not in (None, FINDER):
             options.refuse(
                 f"--start {UNKNOWN} is found out by --method {FINDER} alone: leave --method {options.method} out"
@@ -147,11 +169,10 @@ def _method(options: argparse.Namespace) -> str:
     return method
 
 
-def _tell(options: argparse.Namespace, world: World, done: Run) -> bool:
-    """What a run leaves: --save, --picture, the verdict. False where one could not be written, which is told on stderr:
-    what has ended the run stays what it was."""
+def _write_results(options: argparse.Namespace, world: World, done: Run) -> bool:
+    """Write --save and --picture and print the result; return False if a file could not be written (see stderr)."""
     written = True
-    for write in (resuming.save, _draw):
+    for write in (save_run, _draw):
         try:
             write(options, world, done)
         except NomadError as error:
@@ -172,42 +193,44 @@ def _drive(
     robot: Robot, world: World, done: Run, options: argparse.Namespace, simulated: bool,
     publisher: Publisher | None = None,
 ) -> None:  # fmt: skip
-    belief, known, done.sonars = prepare_localization(robot, simulated, world, options)
+    belief, config, done.sonars = prepare_localization(robot, simulated, world, options)
     stays = options.stay and publisher is not None
     navigator = Navigator(done.waypoints, Speeds(translation_in_s=options.speed), options.radius, stays=stays)
-    method = finder(known, None, options.scale_std) if options.start == UNKNOWN else options.method
-    localizer = begin(robot, known, belief, method)
-    witness, obstruction, told_s = GroundTruth(robot, simulated), StallDetector(options.speed), -math.inf
-    for progress in follow(robot, localizer, navigator, time.sleep, PoseSmoother(options.smooth)):
+    method = finder(config, None, options.scale_std) if options.start == UNKNOWN else options.method
+    localizer = start_localizer(robot, config, belief, method)
+    ground_truth, stall_detector, printed_s = GroundTruth(robot, simulated), StallDetector(options.speed), -math.inf
+    for progress in follow_waypoints(robot, localizer, navigator, time.sleep, PoseSmoother(options.smooth)):
         clock_s, state = progress.estimate.clock_s, progress.state
-        done.add(_moment(progress, witness))
+        # Record, publish, print.
+        done.add(_moment(progress, ground_truth))
         if publisher:
-            _publish(publisher, done, navigator, witness.robot_id)
-        if not options.json and clock_s >= told_s + 1.0:
-            told_s = clock_s
+            _publish(publisher, done, navigator, ground_truth.robot_id)
+        if not options.json and clock_s >= printed_s + 1.0:
+            printed_s = clock_s
             print(done.line(), flush=True)
+        # End on a stall or at the time limit.
         aim = None if done.moments[-1].lost else navigator.goal
-        done.stopped = obstruction.reason(clock_s, state, progress.estimate.pose, aim)
+        done.stopped = stall_detector.reason(clock_s, state, progress.estimate.pose, aim)
         if not done.stopped and done.duration_s > options.time_limit:
-            done.stopped = f"its time is over: {options.time_limit:g} s (--time-limit)"
+            done.stopped = f"time limit exceeded: {options.time_limit:g} s (--time-limit)"
         if done.stopped:
             break
 
 
-def _moment(progress: Progress, witness: GroundTruth) -> RunMoment:
+def _moment(progress: NavigationStep, ground_truth: GroundTruth) -> RunMoment:
     state = progress.state
-    truth = witness.at(progress.estimate.clock_s)
+    truth = ground_truth.at(progress.estimate.clock_s)
     odometry = (state.x_in, state.y_in, state.steering_rad)
     return RunMoment(progress.estimate, odometry, truth, progress.passed, state.turret_rad)
 
 
 def _publish(publisher: Publisher, done: Run, navigator: Navigator, robot_id: int) -> None:
-    """Show the last moment; way-points that the page has set are gone to from now on."""
+    """Publish the last period; waypoints set on the page replace the current ones."""
     last = done.moments[-1]
-    wanted = publisher.tell(message(robot_id, last, last.turret_rad - last.odometry[2], done.waypoints))
-    if wanted is not None:
-        navigator.go(wanted)
-        done.waypoints = wanted
+    waypoints = publisher.publish(build_message(robot_id, last, last.turret_rad - last.odometry[2], done.waypoints))
+    if waypoints is not None:
+        navigator.set_waypoints(waypoints)
+        done.waypoints = waypoints
 
 
 def _goals(options: argparse.Namespace, world: World) -> list[tuple[float, float]]:
@@ -216,12 +239,12 @@ def _goals(options: argparse.Namespace, world: World) -> list[tuple[float, float
     if options.path is not None:
         return _points_of(world, options.path)
     if not (options.stay and options.publish):
-        options.refuse("where to? --waypoints X,Y or --path NAME; only --stay with --publish waits for the page's")
+        options.refuse("a goal is required: --waypoints X,Y or --path NAME, or --stay with --publish")
     return []
 
 
 def _points_of(world: World, name: str) -> list[tuple[float, float]]:
     if name not in world.paths:
-        there = ", ".join(world.paths) or "none"
-        raise WorldFileError(f"the map {world.name} has no path {name!r}; it has {there}")
+        names = ", ".join(world.paths) or "none"
+        raise WorldFileError(f"the map {world.name} has no path {name!r}; it has {names}")
     return list(world.paths[name].points_in)

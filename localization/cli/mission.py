@@ -1,85 +1,179 @@
-"""Run a mission: a program in Python or a list of steps in TOML, on whatever address.
+"""`nomad mission`: run a mission, a Python program or a list of steps in TOML.
 
     nomad mission docs/missions/rounds.toml "sim:several_walls?noisy=1&seed=3&start=5,5"
     nomad mission docs/missions/look_around.py nserver://localhost:7019/1 --map several_walls --report r.json
 
-Exit code 0: all was done; 3: a step failed. The robot stands at the end, on an error and on Ctrl-C, and the report is
-told all the same. Rules: reads options, prints, writes the report; what is done is the file's.
+Exit code 0: completed; 3: a step failed. The robot is stopped at the end, after errors and on Ctrl-C, and the report is
+written in all cases.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
-from collections.abc import Callable
+import sys
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Final, NamedTuple
 
-from localization.cli.driving import MissionContext, add_options, open_mission
+from localization.cli.options import (
+    add_localization_options,
+    add_map_option,
+    check_writable,
+    open_robot,
+    parse_pose,
+    prepare_localization,
+    resolve_world,
+    save_estimate,
+)
+from localization.live.assumptions import SonarAssumption, resolve_robot_model, sonar_mismatch_hint
+from localization.live.localizer import Echo
+from localization.live.publish import Publisher
+from localization.live.run import GroundTruth
+from localization.missions.controller import ProgressPublisher, RobotController
 from localization.missions.mission import Mission, run_mission
 from localization.missions.report import Report
-from localization.missions.settings import Settings
+from localization.missions.settings import Point, Settings
 from localization.missions.steps import load_mission
+from nclient import NomadError, Robot
 from nclient.common.exit_codes import ExitCode
 from nclient.common.files import describe_write_error
 from nclient.errors import MissionFileError
 from worlds.io import load_world
+from worlds.robots import BODIES
+from worlds.world import World
 
-FAILED = ExitCode.NOT_REACHED
+METHOD: Final = "finder"
+"""Default filter: it detects when it is lost."""
+FAILED: Final = ExitCode.NOT_REACHED
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `nomad mission`."""
-    parser.add_argument("file", metavar="FILE", help="the mission, .toml or .py (docs/missions.md)")
+    """Add the options of `nomad mission`."""
+    parser.add_argument("file", metavar="FILE", help="mission file, .toml or .py (docs/missions.md)")
     parser.add_argument(
-        "address", nargs="?", metavar="ADDRESS", help="the robot (default: NOMAD_ROBOT, or a local nserver)"
+        "address", nargs="?", metavar="ADDRESS", help="address of the robot (default: NOMAD_ROBOT, or a local nserver)"
     )
+    parser.add_argument("--check", action="store_true", help="check the file and its map, report errors, move nothing")
+    parser.add_argument("--report", type=Path, metavar="JSON", help="write the report to this file")  # fmt: skip
+    add_mission_options(parser)
+
+
+def add_mission_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options shared by `nomad mission` and `nomad go`."""
+    add_map_option(parser, "that of the mission, or ")
     parser.add_argument(
-        "--check", action="store_true", help="read the file and its map, say what is wrong with them, move nothing"
+        "--start",
+        type=parse_pose,
+        metavar="X,Y,HEADING",
+        help="set the encoders to this initial pose, inches and degrees (default: keep them)",
     )
-    parser.add_argument("--report", type=Path, metavar="JSON", help="write the report there")
-    add_options(parser)
+    add_localization_options(parser, METHOD, "filter; only finder detects that it is lost", "")
+    parser.add_argument("--json", action="store_true", help="print only the report, as JSON, on stdout")  # fmt: skip
 
 
 def run(options: argparse.Namespace) -> int:
-    """Do it; the exit code."""
-    orders = load_mission(options.file)
+    """Run the command and return its exit code."""
+    spec = load_mission(options.file)
     if options.map:
         load_world(options.map)
     else:
-        orders.check_map()
+        spec.check_map()
     if options.check:
-        print(f"{options.file}: a mission{f', {orders.settings.title}' if orders.settings.title else ''}")
+        print(f"{options.file}: a mission{f', {spec.settings.title}' if spec.settings.title else ''}")
         return 0
-    with open_mission(options, orders.settings.map) as out:
-        return carry_out(out, orders.settings, orders.run, options)
+    with open_mission(options, spec.settings.map) as context:
+        return execute_mission(context, spec.settings, spec.run, options)
 
 
-def carry_out(
-    out: MissionContext, settings: Settings, act: Callable[[Mission], object], options: argparse.Namespace
+class MissionContext(NamedTuple):
+    """A controlled robot and what its mission's report and page need."""
+
+    controller: RobotController
+    robot: Robot
+    simulated: bool
+    sonars: SonarAssumption
+    echoes: list[Echo]
+    goals: list[Point]
+    """Waypoints shown on the page."""
+    world: World
+
+    def complete_report(self, report: Report) -> Report:
+        """Stop the robot and add its final pose to the report."""
+        with contextlib.suppress(NomadError):
+            self.robot.stop()
+        report.hint = sonar_mismatch_hint(self.sonars, self.echoes)
+        estimate = self.controller.last.estimate
+        x, y, heading = (float(value) for value in estimate.pose)
+        report.pose = x, y, heading
+        std_x, std_y, std_heading = (float(value) for value in estimate.belief.std[:3])
+        report.std = std_x, std_y, std_heading
+        with contextlib.suppress(NomadError):
+            if self.simulated:
+                truth = self.robot.truth()
+                report.truth = truth.x_in, truth.y_in, truth.steering_rad
+        return report
+
+    def save(self, options: argparse.Namespace) -> bool:
+        """Save the estimate for --save; return False if that failed, which is printed on stderr."""
+        estimate, state = self.controller.last
+        encoders = (state.x_in, state.y_in, state.steering_rad)
+        try:
+            save_estimate(options, self.world, estimate, encoders, state.turret_rad)
+        except NomadError as error:
+            print(f"nomad: {error}", file=sys.stderr)
+            return False
+        return True
+
+
+@contextlib.contextmanager
+def open_mission(options: argparse.Namespace, map_name: str = "") -> Iterator[MissionContext]:
+    """Connect to the robot and start localizing it; stop it at the end in any case."""
+    # 1. Everything that can fail without a robot.
+    world = resolve_world(options, map_name)
+    check_writable(options.save, options.report)
+    publisher = Publisher(options.publish) if options.publish else None
+    # 2. Robot and filter.
+    robot, simulated = open_robot(options.address)
+    with robot, contextlib.closing(publisher) if publisher else contextlib.nullcontext():
+        options.body = resolve_robot_model(options.body, robot.model.name, options.address)
+        belief, config, sonars = prepare_localization(robot, simulated, world, options)
+        body = BODIES[options.body]
+        with RobotController(robot, config, body, belief, time.sleep, options.method, options.speed) as controller:
+            context = MissionContext(controller, robot, simulated, sonars, [], [], world)
+            # 3. Observers.
+            controller.observers.append(lambda observation: context.echoes.extend(observation.estimate.echoes))
+            if publisher:
+                progress = ProgressPublisher(publisher, GroundTruth(robot, simulated), context.goals)
+                controller.observers.append(progress)
+                progress(controller.last)
+            yield context
+
+
+def execute_mission(
+    context: MissionContext, settings: Settings, act: Callable[[Mission], object], options: argparse.Namespace
 ) -> int:
-    """Act as a mission; however that ends, its report is told and what is believed is kept. The exit code."""
-    mission = Mission(out.controller, settings)
+    """Run a mission, write its report and save the estimate, however it ends; return the exit code."""
+    mission = Mission(context.controller, settings)
     try:
         run_mission(mission, act)
     finally:
         try:
-            tell(out.close(mission.report), options)
+            write_report(context.complete_report(mission.report), options)
         finally:
-            kept = out.keep(options)
-    return FAILED if not mission.report.done else ExitCode.DONE if kept else ExitCode.FAILED
+            saved = context.save(options)
+    return FAILED if not mission.report.done else ExitCode.DONE if saved else ExitCode.FAILED
 
 
-def tell(report: Report, options: argparse.Namespace) -> None:
-    """Print a report, and write it where that is asked for. Raises MissionFileError where that cannot be."""
+def write_report(report: Report, options: argparse.Namespace) -> None:
+    """Print a report, and write it to --report. Raises MissionFileError if that fails."""
     try:
-        _write(report, options)
+        if options.report:
+            try:
+                options.report.write_text(json.dumps(report.as_json(), indent=1) + "\n", encoding="utf-8")
+            except OSError as error:
+                raise MissionFileError(describe_write_error(options.report, error, "the report")) from error
     finally:
         print(json.dumps(report.as_json()) if options.json else report.text(), flush=True)
-
-
-def _write(report: Report, options: argparse.Namespace) -> None:
-    if options.report:
-        try:
-            options.report.write_text(json.dumps(report.as_json(), indent=1) + "\n", encoding="utf-8")
-        except OSError as error:
-            raise MissionFileError(describe_write_error(options.report, error, "the report")) from error

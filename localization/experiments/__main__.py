@@ -20,7 +20,7 @@ from localization.experiments import live, output
 from localization.experiments import lost as lost_command
 from localization.experiments import plan as plan_command
 from localization.experiments.execution import drive, drive_on_cluster, progress
-from localization.experiments.figure_trial import FIGURES, Figure, course_of
+from localization.experiments.figure_trial import FIGURES, Figure, figure_setup
 from localization.experiments.output import NO_PICTURES, add_shared, table
 from localization.experiments.results import summarize
 from localization.live.plot import require_matplotlib
@@ -100,7 +100,7 @@ def _drive_figures(arguments: Sequence[str]) -> None:
 
 
 def _drive_figure(figure: Figure, options: argparse.Namespace) -> None:
-    course = course_of(figure)
+    course = figure_setup(figure)
     total = options.seeds * course.least_steps
     with progress(total, f"figure {figure.name}", "steps") as report:
         if options.cluster:

@@ -41,8 +41,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, TypeVar
 
 import numpy as np
 
-from localization.experiments.figure_trial import Figure, course_of, run
-from localization.experiments.results import Outcome, joined, outcome_of
+from localization.experiments.figure_trial import Figure, figure_setup, run
+from localization.experiments.results import FigureResult, figure_result, join_results
 from nclient.common.files import write_atomic
 from nclient.errors import ExtraMissing, NomadError, OutputFileError
 
@@ -61,7 +61,7 @@ class ClusterError(NomadError, RuntimeError):
     """A cluster that cannot do the work: not there, without workers, or with other code than this process."""
 
 
-def here(work: Callable[[Item], Result], items: Sequence[Item], jobs: int) -> Iterator[Result]:
+def run_locally(work: Callable[[Item], Result], items: Sequence[Item], jobs: int) -> Iterator[Result]:
     """On this machine, so many processes at a time; one job stays in this process."""
     if jobs == 1 or len(items) <= 1:
         yield from map(work, items)
@@ -126,7 +126,7 @@ def progress(total: int, title: str, unit: str) -> Iterator[Tally]:
         yield advance
 
 
-class Kept:
+class ResultCache:
     """A folder of results that code of that fingerprint made."""
 
     def __init__(self, folder: Path, code: str) -> None:
@@ -207,17 +207,17 @@ def parts_of(seeds: Sequence[int], jobs: int) -> list[Sequence[int]]:
     return [seeds[first : first + size] for first in range(0, len(seeds), size)]
 
 
-def drive_part(figure: Figure, seeds: Sequence[int], tick: Tally = lambda _: None) -> Outcome:
+def drive_part(figure: Figure, seeds: Sequence[int], tick: Tally = lambda _: None) -> FigureResult:
     """Drive a figure once with each seed and keep what the summary and the pictures need; `tick` per step."""
-    return outcome_of(run(course_of(figure), seeds, tick), figure.filtered)
+    return figure_result(run(figure_setup(figure), seeds, tick), figure.filtered)
 
 
-def drive(figure: Figure, seeds: Sequence[int], jobs: int, report: Tally = lambda _: None) -> Outcome:
+def drive(figure: Figure, seeds: Sequence[int], jobs: int, report: Tally = lambda _: None) -> FigureResult:
     """Drive a figure with all seeds, `jobs` processes at a time; one job stays in this process."""
     parts = parts_of(seeds, jobs)
     if len(parts) == 1 or jobs == 1:
         tick = _counting(report)
-        return joined([drive_part(figure, part, tick) for part in parts])
+        return join_results([drive_part(figure, part, tick) for part in parts])
     context = multiprocessing.get_context("spawn")
     odometer = context.Value("q", 0)
     with ProcessPoolExecutor(min(jobs, len(parts)), context, _adopt, (odometer,)) as workers:
@@ -226,12 +226,12 @@ def drive(figure: Figure, seeds: Sequence[int], jobs: int, report: Tally = lambd
         while waiting:
             waiting = wait(waiting, timeout=_LOOK_EVERY_S).not_done
             report(odometer.value)
-        return joined([future.result() for future in futures])
+        return join_results([future.result() for future in futures])
 
 
 def drive_on_cluster(
     figure: Figure, seeds: Sequence[int], address: str, report: Tally = lambda _: None
-) -> Outcome:
+) -> FigureResult:
     """Drive a figure with all seeds on a Dask cluster, in parts of equal length."""
     items = [(figure, seeds[first : first + _CLUSTER_PART]) for first in range(0, len(seeds), _CLUSTER_PART)]
     parts = []
@@ -239,10 +239,10 @@ def drive_on_cluster(
     for part in on_cluster(_drive_item, items, address, code_hash):
         parts.append(part)
         tick(sum(result.steps for result in part.results))
-    return joined(sorted(parts, key=lambda part: part.results[0].seed))
+    return join_results(sorted(parts, key=lambda part: part.results[0].seed))
 
 
-def _drive_item(item: tuple[Figure, Sequence[int]]) -> Outcome:
+def _drive_item(item: tuple[Figure, Sequence[int]]) -> FigureResult:
     return drive_part(*item)
 
 
@@ -262,7 +262,7 @@ def _adopt(odometer: Synchronized[int]) -> None:
     _Odometer.steps = odometer
 
 
-def _drive_part_counting(figure: Figure, seeds: Sequence[int]) -> Outcome:
+def _drive_part_counting(figure: Figure, seeds: Sequence[int]) -> FigureResult:
     """In a worker: as `drive_part`, telling the parent about the steps."""
     return drive_part(figure, seeds, _tell_parent)
 

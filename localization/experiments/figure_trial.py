@@ -53,7 +53,7 @@ from localization.filters.sonar_ray import (
     ranges_from,
     wall_map,
 )
-from localization.navigation.speed import ControlGains, next_step, reached
+from localization.navigation.control_law import ControlGains, is_reached, next_step
 from worlds.io import load_world
 from worlds.raycast import NO_WALL
 from worlds.robots import N150
@@ -105,7 +105,7 @@ FIGURES: Final[Mapping[str, Figure]] = MappingProxyType(
 
 
 @dataclass(frozen=True, slots=True)
-class Course:
+class FigureSetup:
     """All that a trial needs: where the robot starts (3,), where it must go (k, 2), what it sees, and how it errs."""
 
     start: Floats
@@ -141,11 +141,11 @@ class Course:
         return PATIENCE * self.least_steps + 1
 
 
-def course_of(figure: Figure) -> Course:
+def figure_setup(figure: Figure) -> FigureSetup:
     """The figure laid out in its world: the N150's ring, its turret turning with the steering as in the thesis."""
     world = load_world(figure.world)
     path = world.paths[figure.name]
-    return Course(
+    return FigureSetup(
         start=np.array([path.start.x_in, path.start.y_in, path.start.steering_rad]),
         goals_in=np.array(path.goals_in, dtype=np.float64),
         walls=wall_map(world.walls),
@@ -161,12 +161,12 @@ _BLOCK: Final = 128
 """Steps drawn at once: a call a step and seed would cost more than the filter."""
 
 
-def start_errors(seeds: Sequence[int]) -> Floats:
+def draw_start_errors(seeds: Sequence[int]) -> Floats:
     """Standard normals (seeds, 3) for the error of the first estimate."""
     return np.stack([_generator(seed, _START).standard_normal(3) for seed in seeds])
 
 
-def step_errors(seeds: Sequence[int], beams: int) -> Iterator[tuple[Floats, Floats]]:
+def draw_step_errors(seeds: Sequence[int], beams: int) -> Iterator[tuple[Floats, Floats]]:
     """For each step, without end: standard normals (seeds, 2) for the motion and (seeds, beams) for the sonars."""
     motion = [_generator(seed, _MOTION) for seed in seeds]
     sonar = [_generator(seed, _SONAR) for seed in seeds]
@@ -256,12 +256,12 @@ class Runs:
     used: Indices
 
 
-def run(course: Course, seeds: Sequence[int], tick: Callable[[int], None] = lambda _: None) -> Runs:
+def run(course: FigureSetup, seeds: Sequence[int], tick: Callable[[int], None] = lambda _: None) -> Runs:
     """Drive the course once with each seed; after each step `tick` is told how many robots took it."""
     batch = _start(course, seeds)
     history: list[Batch] = []
     steps = np.zeros(len(seeds), dtype=np.intp)
-    chance = step_errors(seeds, len(course.body.sonar_angles_rad))
+    chance = draw_step_errors(seeds, len(course.body.sonar_angles_rad))
     for motion_error, sonar_error in islice(chance, course.most_steps):
         driving = batch.leg < len(course.goals_in)
         if not driving.any():
@@ -283,17 +283,17 @@ def run(course: Course, seeds: Sequence[int], tick: Callable[[int], None] = lamb
     )
 
 
-def _start(course: Course, seeds: Sequence[int]) -> Batch:
+def _start(course: FigureSetup, seeds: Sequence[int]) -> Batch:
     """All robots at the start; each filter a little off, as its covariance says; without the filter exactly there."""
     count = len(seeds)
     truth = np.tile(course.start, (count, 1))
     std = np.array(course.start_std) if course.filtered else np.zeros(3)
-    belief = independent(add(truth, std * start_errors(seeds)), std)
+    belief = independent(add(truth, std * draw_start_errors(seeds)), std)
     nothing = np.zeros(count, dtype=np.intp)
     return Batch(truth, belief, belief.cov, nothing, np.zeros(count), nothing)
 
 
-def _advance(course: Course, batch: Batch, motion_error: Floats, sonar_error: Floats) -> Batch:
+def _advance(course: FigureSetup, batch: Batch, motion_error: Floats, sonar_error: Floats) -> Batch:
     """One step of all robots: command, move, predict, and with the filter look and correct."""
     driving = batch.leg < len(course.goals_in)
     goals = course.goals_in[np.minimum(batch.leg, len(course.goals_in) - 1)]
@@ -306,11 +306,11 @@ def _advance(course: Course, batch: Batch, motion_error: Floats, sonar_error: Fl
         belief, nis, used = _correct(course, belief, readings)
         F, G = step_jacobians(batch.truth, step)
         bound = bound_step(bound, F, process_covariance(G, step, course.noise), gain)
-    arrived = driving & reached(belief.mean, goals, course.waypoint_radius_in)
+    arrived = driving & is_reached(belief.mean, goals, course.waypoint_radius_in)
     return Batch(truth, belief, bound, batch.leg + arrived, nis, used)
 
 
-def _sound(course: Course, truth: Floats, sonar_error: Floats) -> tuple[Floats, Floats]:
+def _sound(course: FigureSetup, truth: Floats, sonar_error: Floats) -> tuple[Floats, Floats]:
     """The readings (n, 16) the sonars make at the truth (n, 3), and what a perfect filter could gain from all beams
     that meet a wall: information (n, 3, 3)."""
     expected = ranges_from(truth, course.angles_rad, course.body, course.walls)
@@ -321,7 +321,7 @@ def _sound(course: Course, truth: Floats, sonar_error: Floats) -> tuple[Floats, 
     return expected.range_in + np.sqrt(variance) * sonar_error, gain
 
 
-def _correct(course: Course, belief: Belief, readings_in: Floats) -> tuple[Belief, Floats, Indices]:
+def _correct(course: FigureSetup, belief: Belief, readings_in: Floats) -> tuple[Belief, Floats, Indices]:
     """Beliefs corrected by readings (n, 16): the beliefs, the NIS (n,) of the correction and the beams used (n,)."""
     observation = observe_ring(belief, course.angles_rad, readings_in, course.body, course.walls, course.sonar)
     corrected, nis = update_ring(belief, observation)

@@ -33,18 +33,18 @@ import numpy as np
 
 from localization.cli.options import make_folder
 from localization.experiments import live_trial as matrix
-from localization.experiments.execution import Kept, Tally, code_hash, progress
+from localization.experiments.execution import ResultCache, Tally, code_hash, progress
 from localization.experiments.live_trial import (
     COMPARED,
     COURSES,
-    MOST_PERIODS,
+    MAX_PERIODS,
     SCENARIOS,
     Cell,
-    Done,
-    Job,
+    FinishedTrial,
     LiveSummary,
     Record,
     Trial,
+    TrialJob,
     TrialResult,
     trials,
 )
@@ -191,11 +191,11 @@ def write_tum(folder: Path, trial: Trial, record: Record) -> None:
         path.write_text(lines(record.clock_s, poses[name]), encoding="utf-8")
 
 
-class Store:
+class TrialCache:
     """A folder of results of trials run by code of that fingerprint."""
 
     def __init__(self, folder: Path, code: str) -> None:
-        self._kept = Kept(folder, code)
+        self._kept = ResultCache(folder, code)
 
     def path(self, trial: Trial) -> Path:
         """Where the result of a trial is kept."""
@@ -212,7 +212,7 @@ class Store:
         self._kept.put(self.path(trial), asdict(result))
 
 
-Executor = Callable[[Sequence[Job]], Iterator[Done]]
+Executor = Callable[[Sequence[TrialJob]], Iterator[FinishedTrial]]
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -222,7 +222,7 @@ def main(arguments: Sequence[str]) -> None:
         require_matplotlib()
     make_folder(options.out)
     wanted = trials(options.scenario, options.figures, options.methods, options.seeds, options.periods)
-    store = Store(options.out / "trials", code_hash())
+    store = TrialCache(options.out / "trials", code_hash())
     with progress(len(wanted), "live", "trials") as tally:
         results = collect(wanted, store, options.tum, executor_for(matrix.run, options), tally)
     found = matrix.summaries(results)
@@ -232,7 +232,7 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def collect(
-    wanted: Sequence[Trial], store: Store, paths: Path | None, work: Executor, tally: Tally
+    wanted: Sequence[Trial], store: TrialCache, paths: Path | None, work: Executor, tally: Tally
 ) -> dict[Trial, TrialResult]:
     """The results of all trials in their order: from the store, and what is not there by work, kept as it is done.
 
@@ -240,7 +240,7 @@ def collect(
     """
     results = {trial: store.get(trial) for trial in wanted}
     jobs = [
-        Job(trial, paths is not None)
+        TrialJob(trial, paths is not None)
         for trial, result in results.items()
         if result is None or (paths and not _drawn(paths, trial, store))
     ]
@@ -254,7 +254,7 @@ def collect(
     return {trial: result for trial, result in results.items() if result}
 
 
-def _drawn(folder: Path, trial: Trial, store: Store) -> bool:
+def _drawn(folder: Path, trial: Trial, store: TrialCache) -> bool:
     """Whether the paths of a trial are written, no earlier than its result."""
     since = store.path(trial).stat().st_mtime_ns
     return all(path.exists() and path.stat().st_mtime_ns >= since for path in paths(folder, trial).values())
@@ -274,7 +274,7 @@ def _parser() -> argparse.ArgumentParser:
                         help=f"whose path: {', '.join(COURSES)} (all)")
     parser.add_argument("--methods", nargs="+", choices=list(METHODS), default=list(COMPARED), metavar="METHOD",
                         help=f"of {', '.join(METHODS)} (default {' '.join(COMPARED)})")
-    parser.add_argument("--periods", type=positive, default=MOST_PERIODS, metavar="N",
+    parser.add_argument("--periods", type=positive, default=MAX_PERIODS, metavar="N",
                         help="give a trial up after so many tenths of a second (%(default)s)")
     parser.add_argument("--tum", type=Path, metavar="DIR", help="write the paths of all trials there, for evo")
     add_shared(parser, Path("out/experiments"), "row of the table")

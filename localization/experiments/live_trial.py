@@ -171,7 +171,7 @@ class BadReadings:
 Timer = Callable[[], float]
 
 EXCHANGES_A_PERIOD: Final = 2
-MOST_PERIODS: Final = 3000
+MAX_PERIODS: Final = 3000
 """Five minutes: longer than any path takes three times over."""
 START: Final = 0
 """Stream of a seed's chance from which the error of the first estimate is drawn."""
@@ -212,7 +212,7 @@ class Record:
 
 
 def drive(
-    scenario: Scenario, figure: str, seed: int, periods: int = MOST_PERIODS, timer: Timer = lambda: 0.0
+    scenario: Scenario, figure: str, seed: int, periods: int = MAX_PERIODS, timer: Timer = lambda: 0.0
 ) -> Record:
     """Run one trial of so many periods at most in a simulation of its own; `timer` tells seconds."""
     world = load_world(COURSES[figure])
@@ -417,7 +417,7 @@ class Trial:
     scenario: Scenario
     figure: str
     seed: int
-    periods: int = MOST_PERIODS
+    periods: int = MAX_PERIODS
 
     @property
     def cell(self) -> Cell:
@@ -425,7 +425,7 @@ class Trial:
         return Cell(self.scenario.name, self.figure, self.scenario.method)
 
 
-class Done(NamedTuple):
+class FinishedTrial(NamedTuple):
     """A trial with what is kept of it, and all of it where that was asked for."""
 
     trial: Trial
@@ -433,7 +433,7 @@ class Done(NamedTuple):
     record: Record | None
 
 
-class Job(NamedTuple):
+class TrialJob(NamedTuple):
     """A trial to run, and whether its whole record is wanted."""
 
     trial: Trial
@@ -441,7 +441,7 @@ class Job(NamedTuple):
 
 
 def trials(
-    scenarios: Iterable[str], figures: Sequence[str], methods: Sequence[str], seeds: int, periods: int = MOST_PERIODS
+    scenarios: Iterable[str], figures: Sequence[str], methods: Sequence[str], seeds: int, periods: int = MAX_PERIODS
 ) -> list[Trial]:
     """All trials of a matrix, cell by cell."""
     return [
@@ -453,11 +453,11 @@ def trials(
     ]
 
 
-def run(job: Job) -> Done:
+def run(job: TrialJob) -> FinishedTrial:
     """Run one trial here and now; the time it takes is the processor's, whatever else the machine does."""
     scenario, figure, seed, periods = job.trial.scenario, job.trial.figure, job.trial.seed, job.trial.periods
     record = drive(scenario, figure, seed, periods, time.thread_time)
-    return Done(job.trial, result_of(record, scenario.judged_after_in), record if job.whole else None)
+    return FinishedTrial(job.trial, result_of(record, scenario.judged_after_in), record if job.whole else None)
 
 
 def summaries(results: Mapping[Trial, TrialResult]) -> dict[Cell, LiveSummary]:

@@ -17,9 +17,9 @@ from pathlib import Path
 from typing import Final, NamedTuple, TypedDict
 
 from localization.cli.options import make_folder
-from localization.experiments.execution import Kept, code_hash, progress
+from localization.experiments.execution import ResultCache, code_hash, progress
 from localization.experiments.live_trial import SCENARIOS
-from localization.experiments.lost_trial import Case, Kind, Outcome, drive
+from localization.experiments.lost_trial import Case, Kind, LostResult, drive
 from localization.experiments.output import add_work, executor_for, positive
 from worlds.io import world_names
 
@@ -53,7 +53,7 @@ class LostSummary(TypedDict):
     found_s: tuple[float, float] | None
 
 
-def summaries(outcomes: Mapping[Case, Outcome]) -> list[LostSummary]:
+def summaries(outcomes: Mapping[Case, LostResult]) -> list[LostSummary]:
     """The numbers of each kind, world and scenario, in the order of the cases."""
 
     def group(case: Case) -> tuple[Kind, str, str]:
@@ -64,7 +64,7 @@ def summaries(outcomes: Mapping[Case, Outcome]) -> list[LostSummary]:
     ]
 
 
-def summarize(kind: Kind, world: str, scenario: str, outcomes: Sequence[Outcome]) -> LostSummary:
+def summarize(kind: Kind, world: str, scenario: str, outcomes: Sequence[LostResult]) -> LostSummary:
     """The numbers of one run or more."""
     seconds = sum(outcome.seconds for outcome in outcomes)
     summary = LostSummary(
@@ -91,20 +91,20 @@ def summarize(kind: Kind, world: str, scenario: str, outcomes: Sequence[Outcome]
     return summary
 
 
-def _rmse_in(outcomes: Sequence[Outcome]) -> float | None:
+def _rmse_in(outcomes: Sequence[LostResult]) -> float | None:
     """Of all the time in which a place was believed."""
     squares = [(outcome.rmse_in**2, outcome.seconds) for outcome in outcomes if outcome.rmse_in is not None]
     weight = sum(share for _, share in squares)
     return sqrt(sum(square * share for square, share in squares) / weight) if weight else None
 
 
-def _add_told(summary: LostSummary, outcomes: Sequence[Outcome]) -> None:
+def _add_told(summary: LostSummary, outcomes: Sequence[LostResult]) -> None:
     after = [outcome.lost_after_s for outcome in outcomes if outcome.lost_after_s is not None]
     summary["told"], summary["told_s"] = len(after), _spread(after)
     summary["soon"] = sum(seconds <= SOON_S for seconds in after)
 
 
-def _add_found(summary: LostSummary, outcomes: Sequence[Outcome]) -> None:
+def _add_found(summary: LostSummary, outcomes: Sequence[LostResult]) -> None:
     after = [(outcome.found_after_s, outcome.right) for outcome in outcomes if outcome.found_after_s is not None]
     rightly = [seconds for seconds, right in after if right]
     summary["found"], summary["found_s"] = len(rightly), _spread(rightly)
@@ -151,7 +151,7 @@ class Done(NamedTuple):
     """A run and what came of it."""
 
     case: Case
-    outcome: Outcome
+    outcome: LostResult
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -163,7 +163,7 @@ def main(arguments: Sequence[str]) -> None:
         for kind in options.kinds
         for seed in range(options.runs or RUNS[kind])
     ]
-    found = summaries(_outcomes(cases, Kept(options.out / "runs", code_hash()), options))
+    found = summaries(_outcomes(cases, ResultCache(options.out / "runs", code_hash()), options))
     path = options.out / "lost.json"
     path.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     print(json.dumps(found) if options.json else "\n".join(map(words, found)), flush=True)
@@ -175,11 +175,11 @@ def run(case: Case) -> Done:
     return Done(case, drive(case))
 
 
-def _outcomes(cases: Sequence[Case], kept: Kept, options: argparse.Namespace) -> dict[Case, Outcome]:
+def _outcomes(cases: Sequence[Case], kept: ResultCache, options: argparse.Namespace) -> dict[Case, LostResult]:
     """What came of all cases, in their order: what is kept, and what is not by work."""
     paths = {case: kept.path(case.name, (case,)) for case in cases}
     there = {case: found for case, path in paths.items() if (found := kept.get(path)) is not None}
-    outcomes = {case: Outcome(**found) for case, found in there.items()}
+    outcomes = {case: LostResult(**found) for case, found in there.items()}
     with progress(len(cases), "lost", "runs") as tally:
         tally(len(outcomes))
         for case, outcome in executor_for(run, options)([case for case in cases if case not in there]):

@@ -36,11 +36,18 @@ from localization.filters.odometry import with_parameters
 from localization.filters.registry import finder
 from localization.live.localizer import Estimate, Localizer
 from localization.live.sensor_input import FiringSchedule
-from localization.navigation.path import waypoints
+from localization.navigation.control_law import bearing_error
+from localization.navigation.limits import (
+    VelocityCommand,
+)
+from localization.navigation.path import sample_waypoints
 from localization.navigation.recovery import TURN_RAD_S, RecoveryBehavior, SonarState
 from localization.navigation.roadmap import NoPathError, Roadmap
-from localization.navigation.speed import bearing_error
-from localization.navigation.waypoints import PERIOD_S, Command, Navigator, Speeds
+from localization.navigation.waypoints import (
+    PERIOD_S,
+    Navigator,
+    Speeds,
+)
 from nclient import connect
 from nclient.protocol.types import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
 from nclient.robot import Robot
@@ -50,7 +57,7 @@ from worlds.io import load_world
 from worlds.robots import N150
 from worlds.world import World
 
-STAND: Final = Command(0.0, 0.0)
+STAND: Final = VelocityCommand(0.0, 0.0)
 TURN_FIRST_RAD: Final = 1.0
 """Farther off the bearing than this the robot turns on the spot: the law alone would drive a circle."""
 
@@ -63,7 +70,7 @@ class RandomExplorer:
         self._navigator: Navigator | None = None
         self._groping = RecoveryBehavior(PERIOD_S)
 
-    def command(self, pose: Floats) -> Command:
+    def command(self, pose: Floats) -> VelocityCommand:
         """What to do at a pose (3,) that is believed."""
         self._groping.reset()
         if self._navigator is None or (command := self._navigator.command(pose)) is None:
@@ -73,13 +80,13 @@ class RandomExplorer:
         assert goal is not None
         error = float(bearing_error(pose, goal))
         if abs(error) > TURN_FIRST_RAD:
-            return Command(0.0, float(np.copysign(TURN_RAD_S, error)))
+            return VelocityCommand(0.0, float(np.copysign(TURN_RAD_S, error)))
         return command
 
-    def grope(self, state: SonarState) -> Command:
+    def grope(self, state: SonarState) -> VelocityCommand:
         """What to do when nothing is believed."""
         self._navigator = None
-        return Command(*self._groping.command(state))
+        return VelocityCommand(*self._groping.command(state))
 
     def _somewhere(self, pose: Floats) -> Navigator | None:
         goal = self._places[self._chance.integers(len(self._places))]
@@ -87,7 +94,7 @@ class RandomExplorer:
             path = self._roadmap.path((float(pose[0]), float(pose[1])), (float(goal[0]), float(goal[1])))
         except NoPathError:
             return None
-        return Navigator(waypoints(path), self._speeds)
+        return Navigator(sample_waypoints(path), self._speeds)
 
 
 EXCHANGES_A_PERIOD: Final = 2
@@ -132,7 +139,7 @@ class Case:
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class LostResult:
     """What came of a run of `seconds`; times in seconds, None for what never was.
 
     alarms          how often LOST was said before the robot was kidnapped, or at all in a calm run
@@ -156,7 +163,7 @@ class Outcome:
         return asdict(self)
 
 
-def drive(case: Case) -> Outcome:
+def drive(case: Case) -> LostResult:
     """Make one run in a simulation of its own."""
     world = load_world(case.world)
     places = _places(world)
@@ -200,7 +207,7 @@ class _Run:
         self._truth = _pose(pose)
         self._now_s = 0.0
 
-    def drive(self) -> Outcome:
+    def drive(self) -> LostResult:
         """All of it."""
         match self._case.kind:
             case Kind.TRACKING:
@@ -251,7 +258,7 @@ class _Run:
                 return self._now_s - since_s, self._now_s
         return None, self._now_s
 
-    def _find(self, lost_after_s: float | None, since_s: float) -> Outcome:
+    def _find(self, lost_after_s: float | None, since_s: float) -> LostResult:
         """Until it has found itself, for so long as there is patience, and whether that is so."""
         sure_s: float | None = None
         while self._now_s < since_s + PATIENCE_S:
@@ -277,17 +284,17 @@ class _Run:
         self._robot.drive(translation_in_s=command.translation_in_s, steering_rad_s=command.steering_rad_s)
         return estimate
 
-    def _command(self, state: RobotState, estimate: Estimate) -> Command:
+    def _command(self, state: RobotState, estimate: Estimate) -> VelocityCommand:
         if estimate.health.status is HealthStatus.LOST:
             return self._wanderer.grope(state)
         return self._wanderer.command(estimate.pose)
 
     def _outcome(
         self, lost_after_s: float | None = None, found_after_s: float | None = None, right: bool = False
-    ) -> Outcome:
+    ) -> LostResult:
         rmse = float(np.sqrt(np.mean(self._squares))) if self._squares else None
         degraded = self._degraded / self._polls if self._polls else 0.0
-        return Outcome(self._now_s, self._alarms, degraded, rmse, lost_after_s, found_after_s, right)
+        return LostResult(self._now_s, self._alarms, degraded, rmse, lost_after_s, found_after_s, right)
 
 
 def _places(world: World) -> Floats:

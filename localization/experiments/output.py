@@ -23,7 +23,7 @@ import numpy as np
 
 from localization.experiments import execution
 from localization.experiments.execution import code_hash
-from localization.experiments.figure_trial import Course, Figure
+from localization.experiments.figure_trial import Figure, FigureSetup
 from localization.experiments.results import Summary, Track, typical
 from localization.filters.belief import Floats, difference
 from localization.live.plot import (
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure as Picture
 
 
-def draw(figure: Figure, course: Course, tracks: Sequence[Track], folder: Path) -> list[Path]:
+def draw(figure: Figure, course: FigureSetup, tracks: Sequence[Track], folder: Path) -> list[Path]:
     """Write the trajectory and the errors of a figure as PNG files into `folder`; where they are."""
     track = typical(tracks)
     errors_name = figure.errors_figure or f"{figure.name}_errors"
@@ -56,7 +56,7 @@ def draw(figure: Figure, course: Course, tracks: Sequence[Track], folder: Path) 
     return list(pictures)
 
 
-def trajectory(figure: Figure, course: Course, track: Track) -> Picture:
+def trajectory(figure: Figure, course: FigureSetup, track: Track) -> Picture:
     """The world with its way-points, the true way and the estimated one; without the filter 3-sigma ellipses."""
     picture = blank(7.2, 7.0)
     axes = picture.add_subplot(aspect="equal")
@@ -106,7 +106,7 @@ def _estimate_name(figure: Figure) -> str:
     return "estimate" if figure.filtered else "odometry"
 
 
-def table(figure: Figure, course: Course, summary: Summary) -> str:
+def table(figure: Figure, course: FigureSetup, summary: Summary) -> str:
     """The summary, a line a number, each beside what it is measured against."""
     thesis = summary["steps_thesis"]
     rows = [
@@ -134,7 +134,7 @@ def _beside_bound(summary: Summary) -> str:
     return f"{summary['rmse_position_in'] / bound:.3f} x the Cramer-Rao bound of {bound:.4f} in"
 
 
-def _step_note(course: Course, summary: Summary) -> list[str]:
+def _step_note(course: FigureSetup, summary: Summary) -> list[str]:
     """Where the text counts fewer steps than the printed law needs, say so."""
     thesis = summary["steps_thesis"]
     stride = course.gains.drho_max_in
@@ -183,7 +183,7 @@ def executor_for(
     """Who does this work with items, as the options of `add_work` say."""
     if options.cluster:
         return partial(execution.on_cluster, work, address=options.cluster, code=code_hash)
-    return partial(execution.here, work, jobs=options.jobs)
+    return partial(execution.run_locally, work, jobs=options.jobs)
 
 
 def positive(text: str) -> int:

@@ -30,7 +30,7 @@ from typing import Any, Final
 import numpy as np
 
 from localization.cli.options import make_folder
-from localization.experiments.execution import Kept, Tally, code_hash, progress
+from localization.experiments.execution import ResultCache, Tally, code_hash, progress
 from localization.experiments.live_trial import SCENARIOS, START_STD, Scenario
 from localization.experiments.output import add_work, executor_for, positive
 from localization.filters.base import LocalizationConfig
@@ -39,8 +39,8 @@ from localization.filters.odometry import with_parameters
 from localization.missions.controller import Observation, RobotController
 from localization.missions.mission import Mission, run_mission
 from localization.missions.settings import Settings
-from localization.navigation.path import room
-from localization.navigation.roadmap import Roadmap, length_in
+from localization.navigation.path import total_length_in, wall_distances
+from localization.navigation.roadmap import Roadmap
 from localization.navigation.waypoints import PERIOD_S
 from nclient import connect
 from nclient.robot import Robot
@@ -58,7 +58,7 @@ METHOD: Final = "finder"
 
 
 @dataclass(frozen=True, slots=True)
-class Pair:
+class DrivePair:
     """A drive: the world, the number of the pair in it, and the name of what errs (live.scenario)."""
 
     world: str
@@ -72,7 +72,7 @@ class Pair:
 
 
 @dataclass(frozen=True, slots=True)
-class Ends:
+class DriveEnds:
     """Where a drive begins, and where it is to end: inches, degrees."""
 
     start: tuple[float, float]
@@ -80,7 +80,7 @@ class Ends:
     goal: tuple[float, float]
 
 
-def ends_of(pair: Pair) -> Ends:
+def ends_of(pair: DrivePair) -> DriveEnds:
     """The ends of a pair."""
     world = load_world(pair.world)
     chance = np.random.default_rng([WORLDS.index(pair.world), pair.number])
@@ -90,10 +90,10 @@ def ends_of(pair: Pair) -> Ends:
     while True:
         start, goal = (np.round(chance.uniform(low, high), 1) for _ in range(2))
         heading = float(np.round(chance.uniform(0.0, 360.0), 1))
-        free = room(np.stack((start, goal)), walls).min() >= N150.radius_in + ROOM_IN
+        free = wall_distances(np.stack((start, goal)), walls).min() >= N150.radius_in + ROOM_IN
         within = bool(np.all(inside(np.stack((start, goal)), outline)))
         if free and within and hypot(*(goal - start)) >= APART_IN:
-            return Ends((float(start[0]), float(start[1])), heading, (float(goal[0]), float(goal[1])))
+            return DriveEnds((float(start[0]), float(start[1])), heading, (float(goal[0]), float(goal[1])))
 
 
 EXCHANGES_A_PERIOD: Final = 2
@@ -103,7 +103,7 @@ START: Final = 3
 
 
 @dataclass(frozen=True, slots=True)
-class Driven:
+class DriveResult:
     """What is kept of a drive. `ending`: "done" where it arrived; `least_in`: the least true room between body and
     walls; `off_in`: from the goal, in truth; lengths in inches, `driven_in` in truth."""
 
@@ -142,7 +142,7 @@ class TruthRecorder:
         self.least_in = min(self.least_in, self._world.clearance(truth.x_in, truth.y_in) - N150.radius_in)
 
 
-def drive(pair: Pair) -> tuple[Pair, Driven]:
+def drive(pair: DrivePair) -> tuple[DrivePair, DriveResult]:
     """Drive a pair here and now."""
     world, ends = load_world(pair.world), ends_of(pair)
     start = f"{ends.start[0]},{ends.start[1]},{ends.heading_deg},{ends.heading_deg}"
@@ -152,14 +152,14 @@ def drive(pair: Pair) -> tuple[Pair, Driven]:
         step_s = PERIOD_S / EXCHANGES_A_PERIOD
         address = f"sim:{pair.world}?setup={setup}&seed={pair.number}&start={start}&step_s={step_s}"
         with connect(address) as robot, _helm(robot, world, pair) as controller:
-            onlooker = TruthRecorder(robot, world)
-            controller.watchers.append(onlooker)
+            recorder = TruthRecorder(robot, world)
+            controller.observers.append(recorder)
             mission = Mission(controller, Settings(time_limit_s=LIMIT_S))
             run_mission(mission, lambda driver: driver.go_to(*ends.goal))
-    return pair, _driven(pair, world, ends, mission, onlooker)
+    return pair, _driven(pair, world, ends, mission, recorder)
 
 
-def _helm(robot: Robot, world: World, pair: Pair) -> RobotController:
+def _helm(robot: Robot, world: World, pair: DrivePair) -> RobotController:
     """The helm of a robot that stands a little beside where it believes to be; time passes with exchanges alone."""
     errs, state = pair.errs, robot.refresh()
     off = np.array(START_STD) * np.random.default_rng([pair.number, START]).standard_normal(3)
@@ -169,21 +169,21 @@ def _helm(robot: Robot, world: World, pair: Pair) -> RobotController:
     return RobotController(robot, known, N150, belief, lambda _: None, METHOD, SPEED_IN_S)
 
 
-def _driven(pair: Pair, world: World, ends: Ends, mission: Mission, onlooker: TruthRecorder) -> Driven:
+def _driven(pair: DrivePair, world: World, ends: DriveEnds, mission: Mission, recorder: TruthRecorder) -> DriveResult:
     walls = np.asarray(world.walls)
-    shortest = length_in(Roadmap(walls, N150.radius_in).path(ends.start, ends.goal))
-    report, truth = mission.report, onlooker.last
-    return Driven(
+    shortest = total_length_in(Roadmap(walls, N150.radius_in).path(ends.start, ends.goal))
+    report, truth = mission.report, recorder.last
+    return DriveResult(
         world=pair.world,
         number=pair.number,
         ending=report.ending,
         reason=report.reason,
-        touched=onlooker.touched,
-        least_in=onlooker.least_in,
+        touched=recorder.touched,
+        least_in=recorder.least_in,
         off_in=hypot(truth.x_in - ends.goal[0], truth.y_in - ends.goal[1]),
         shortest_in=shortest,
         planned_in=report.steps[0].planned_in,
-        driven_in=onlooker.way_in,
+        driven_in=recorder.way_in,
         plans=report.steps[0].plans,
         duration_s=report.duration_s,
     )
@@ -191,15 +191,15 @@ def _driven(pair: Pair, world: World, ends: Ends, mission: Mission, onlooker: Tr
 
 NEAR: Final = 1.05
 """A way is as good as the shortest up to this many times as long."""
-Executor = Callable[[Sequence[Pair]], Iterator[tuple[Pair, Driven]]]
+Executor = Callable[[Sequence[DrivePair]], Iterator[tuple[DrivePair, DriveResult]]]
 
 
 def main(arguments: Sequence[str]) -> None:
     """Run the command. Raises what the crew and the files raise."""
     options = _parser().parse_args(arguments)
     make_folder(options.out)
-    wanted = [Pair(world, number, options.scenario) for number in range(options.pairs) for world in options.worlds]
-    kept = Kept(options.out / "drives", code_hash())
+    wanted = [DrivePair(world, number, options.scenario) for number in range(options.pairs) for world in options.worlds]
+    kept = ResultCache(options.out / "drives", code_hash())
     with progress(len(wanted), "plan", "drives") as tally:
         results = collect(wanted, kept, executor_for(drive, options), tally)
     rows = [row(world, [results[pair] for pair in wanted if pair.world == world]) for world in options.worlds]
@@ -210,11 +210,13 @@ def main(arguments: Sequence[str]) -> None:
     print(f"written: {written}", file=sys.stderr if options.json else sys.stdout, flush=True)
 
 
-def collect(wanted: Sequence[Pair], kept: Kept, work: Executor, tally: Tally) -> dict[Pair, Driven]:
+def collect(
+    wanted: Sequence[DrivePair], kept: ResultCache, work: Executor, tally: Tally
+) -> dict[DrivePair, DriveResult]:
     """All results: from disk, and what is not there by work, kept as it is done."""
     paths = {pair: kept.path(f"{pair.world}_{pair.scenario}_{pair.number:04d}", (asdict(pair),)) for pair in wanted}
     found = {pair: kept.get(path) for pair, path in paths.items()}
-    results = {pair: Driven(**values) for pair, values in found.items() if values is not None}
+    results = {pair: DriveResult(**values) for pair, values in found.items() if values is not None}
     left = [pair for pair in wanted if pair not in results]
     tally(len(results))
     for pair, driven in work(left):
@@ -224,7 +226,7 @@ def collect(wanted: Sequence[Pair], kept: Kept, work: Executor, tally: Tally) ->
     return results
 
 
-def row(world: str, drives: Sequence[Driven]) -> dict[str, Any]:
+def row(world: str, drives: Sequence[DriveResult]) -> dict[str, Any]:
     """The numbers of a world; ways as multiples of the shortest."""
     planned = [drive.planned_in / drive.shortest_in for drive in drives]
     driven = [drive.driven_in / drive.shortest_in for drive in drives]
@@ -253,7 +255,7 @@ _COLUMNS: Final = (
 )  # fmt: skip
 
 
-def table(rows: Sequence[dict[str, Any]], drives: Sequence[Driven]) -> str:
+def table(rows: Sequence[dict[str, Any]], drives: Sequence[DriveResult]) -> str:
     """For people; the drives that did not arrive, or touched, below."""
     lines = [["world", *(title for title, _, _ in _COLUMNS)]]
     lines += [[row["world"], *(format(row[key], form) for _, key, form in _COLUMNS)] for row in rows]
@@ -276,12 +278,23 @@ def _parser() -> argparse.ArgumentParser:
         epilog="example: python -m localization.experiments plan --pairs 10 --worlds several_walls",
     )
     parser.add_argument("--pairs", "--seeds", type=positive, default=100, metavar="N", help="in each world (100)")
-    parser.add_argument("--worlds", nargs="+", choices=WORLDS, default=list(WORLDS), metavar="WORLD",
-                        help=f"of {', '.join(WORLDS)} (all)")
-    parser.add_argument("--scenario", choices=list(SCENARIOS), default="noisy",
-                        help="what errs, without its bad readings (default %(default)s)")
+    parser.add_argument(
+        "--worlds",
+        nargs="+",
+        choices=WORLDS,
+        default=list(WORLDS),
+        metavar="WORLD",
+        help=f"of {', '.join(WORLDS)} (all)",
+    )
+    parser.add_argument(
+        "--scenario",
+        choices=list(SCENARIOS),
+        default="noisy",
+        help="what errs, without its bad readings (default %(default)s)",
+    )
     add_work(parser)
-    parser.add_argument("--out", type=Path, default=Path("out/experiments"), metavar="DIR",
-                        help="for the numbers (%(default)s)")
+    parser.add_argument(
+        "--out", type=Path, default=Path("out/experiments"), metavar="DIR", help="for the numbers (%(default)s)"
+    )
     parser.add_argument("--json", action="store_true", help="print JSON, alone on stdout")
     return parser

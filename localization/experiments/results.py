@@ -49,7 +49,7 @@ class Track:
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class FigureResult:
     """What came of a figure, or of a part of its seeds."""
 
     results: tuple[SeedResult, ...]
@@ -79,7 +79,7 @@ class Summary(TypedDict):
     pcrb_position_in: float | None
 
 
-def outcome_of(runs: Runs, filtered: bool) -> Outcome:
+def figure_result(runs: Runs, filtered: bool) -> FigureResult:
     """What is kept of runs; NEES, NIS and the bound only where there was a filter."""
     results = []
     tracks = []
@@ -92,7 +92,7 @@ def outcome_of(runs: Runs, filtered: bool) -> Outcome:
         results.append(_result(track, bool(runs.reached[row]), filtered, sums))
         if seed < TRACKED_SEEDS:
             tracks.append(track)
-    return Outcome(tuple(results), tuple(tracks))
+    return FigureResult(tuple(results), tuple(tracks))
 
 
 def _result(track: Track, reached: bool, filtered: bool, sums: list[float]) -> SeedResult:
@@ -113,9 +113,9 @@ def _result(track: Track, reached: bool, filtered: bool, sums: list[float]) -> S
     )
 
 
-def joined(parts: Sequence[Outcome]) -> Outcome:
+def join_results(parts: Sequence[FigureResult]) -> FigureResult:
     """The outcomes of parts of the seeds as one, in the order given."""
-    return Outcome(
+    return FigureResult(
         tuple(result for part in parts for result in part.results),
         tuple(track for part in parts for track in part.tracks),
     )

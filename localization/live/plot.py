@@ -1,7 +1,7 @@
-"""Pictures of runs: what all of them share, and the picture of a live one.
+"""Pictures of live runs, and drawing functions shared with the experiments.
 
-Rules: draws what it is given and computes nothing but ellipses; never touches the screen (figures of their own, no
-pyplot, so no backend is chosen and no state is shared). matplotlib is the extra `plot`: imported where it is needed.
+Nothing is drawn on the screen: figures are created without pyplot, so no backend is selected and no state is shared.
+matplotlib is the extra `plot` and imported where it is needed.
 """
 
 from __future__ import annotations
@@ -33,40 +33,40 @@ WALL: Final = "#52616b"
 FAINT: Final = "#9fb4c7"
 
 ELLIPSES: Final = 8
-"""Ellipses along a run."""
+"""Number of ellipses along a run."""
 ELLIPSE_POINTS: Final = 60
 DPI: Final = 140
 
 
 class PlotExtraMissing(ExtraMissing):
-    """A picture was asked for and matplotlib is not installed; the message names the extra."""
+    """matplotlib is required and not installed; the message names the extra."""
 
 
 def require_matplotlib() -> None:
-    """Raise PlotExtraMissing if no picture can be drawn: before a long run rather than after it."""
+    """Raise PlotExtraMissing if matplotlib is missing, before a long run instead of after it."""
     try:
-        import matplotlib.figure  # noqa: F401  # the import is the question
+        import matplotlib.figure  # noqa: F401
     except ImportError as error:
-        message = "pictures need matplotlib: pip install 'nomad-nserver[plot]', or ask for none"
+        message = "pictures need matplotlib: pip install 'nomad-nserver[plot]', or run without pictures"
         raise PlotExtraMissing(message) from error
 
 
 def check_picture(path: Path) -> None:
-    """Likewise, and whether it is a PNG's name. Raises OutputFileError."""
+    """Raise OutputFileError if the path is not a PNG's, and PlotExtraMissing if matplotlib is missing."""
     if path.is_dir() or path.suffix.lower() != SUFFIX:
         raise OutputFileError(f"{str(path)!r}: pictures are written as PNG: name a file that ends in {SUFFIX}")
     require_matplotlib()
 
 
 def blank(width_in: float, height_in: float) -> Picture:
-    """An empty picture of that size on paper."""
+    """Return an empty picture of this size in inches on paper."""
     from matplotlib.figure import Figure as MatplotlibFigure
 
     return MatplotlibFigure(figsize=(width_in, height_in), layout="constrained", facecolor="white")
 
 
 def save(picture: Picture, path: Path) -> None:
-    """Write a PNG file, and the folders it stands in. Raises OutputFileError."""
+    """Write a PNG file, creating its folders. Raises OutputFileError."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         picture.savefig(path, dpi=DPI)
@@ -75,19 +75,19 @@ def save(picture: Picture, path: Path) -> None:
 
 
 def draw_walls(axes: Axes, walls: npt.ArrayLike) -> None:
-    """Wall segments (m, 4) in inches."""
+    """Draw wall segments (m, 4) in inches."""
     for x1, y1, x2, y2 in np.asarray(walls):
         axes.plot([x1, x2], [y1, y2], color=WALL, linewidth=3, solid_capstyle="round")
 
 
 def draw_points(axes: Axes, start: Floats, goals: npt.ArrayLike) -> None:
-    """The start and the way-points (k, 2)."""
+    """Draw the start and the waypoints (k, 2)."""
     axes.plot(start[0], start[1], marker="o", color=GOAL, markersize=7, linestyle="", label="start")
-    axes.plot(*np.asarray(goals).T, marker="X", color=GOAL, markersize=10, linestyle="", label="way-points")
+    axes.plot(*np.asarray(goals).T, marker="X", color=GOAL, markersize=10, linestyle="", label="waypoints")
 
 
 def draw_ellipses(axes: Axes, means: Floats, covs: Floats, sigmas: float = 3.0) -> None:
-    """Ellipses along a run of means (k, 3) and covariances (k, 3, 3)."""
+    """Draw error ellipses along a run of means (k, 3) and covariances (k, 3, 3)."""
     rows = np.linspace(len(means) / ELLIPSES, len(means) - 1, ELLIPSES).astype(int)
     for k, row in enumerate(rows):
         outline = ellipse(means[row], covs[row], sigmas)
@@ -96,37 +96,39 @@ def draw_ellipses(axes: Axes, means: Floats, covs: Floats, sigmas: float = 3.0) 
 
 
 def draw_body(axes: Axes, pose: Floats, body: Body, color: str) -> None:
-    """The outline of a robot at a pose (3,), and where it heads."""
+    """Draw the outline of a robot at a pose (3,) and its heading."""
     axes.plot(*(pose[:2] + body.radius_in * circle()).T, color=color, linewidth=1, alpha=0.7)
     nose = pose[:2] + body.radius_in * np.array([math.cos(pose[2]), math.sin(pose[2])])
     axes.plot([pose[0], nose[0]], [pose[1], nose[1]], color=color, linewidth=1, alpha=0.7)
 
 
 def ellipse(mean: Floats, cov: Floats, sigmas: float) -> Floats:
-    """The outline (k, 2) of the positions `sigmas` standard deviations from `mean` (3,) under `cov` (3, 3)."""
+    """Return the outline (k, 2) of positions `sigmas` standard deviations from `mean` (3,) under `cov` (3, 3)."""
+    # Axes of the ellipse: eigenvectors, scaled by the square roots of the eigenvalues.
     values, axes = np.linalg.eigh(cov[:2, :2])
     spread = axes * np.sqrt(np.maximum(values, 0.0))
     return np.asarray(mean[:2] + sigmas * circle() @ spread.T, dtype=np.float64)
 
 
 def circle() -> Floats:
-    """Points (k, 2) of the unit circle."""
+    """Return points (k, 2) of the unit circle."""
     angle = np.linspace(0.0, 2.0 * np.pi, ELLIPSE_POINTS)
     return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
 
 def draw_run(path: Path, world: World, done: Run, body: Body) -> None:
-    """The picture of a live run as a PNG file: the way, true and estimated, and the error over time if it is known."""
-    known = done.moments[-1].truth is not None
-    picture = blank(12.0 if known else 7.2, 7.0)
-    columns = picture.subplots(1, 2 if known else 1, squeeze=False, width_ratios=[3, 2] if known else None)[0]
-    _draw_way(columns[0], world, done, body)
-    if known:
+    """Draw a live run into a PNG file: true and estimated path, and the error over time if there is ground truth."""
+    # A second panel shows the errors.
+    has_truth = done.moments[-1].truth is not None
+    picture = blank(12.0 if has_truth else 7.2, 7.0)
+    columns = picture.subplots(1, 2 if has_truth else 1, squeeze=False, width_ratios=[3, 2] if has_truth else None)[0]
+    _draw_path(columns[0], world, done, body)
+    if has_truth:
         _draw_errors(columns[1], done)
     save(picture, path)
 
 
-def _draw_way(axes: Axes, world: World, done: Run, body: Body) -> None:
+def _draw_path(axes: Axes, world: World, done: Run, body: Body) -> None:
     axes.set_aspect("equal")
     draw_walls(axes, world.walls)
     beliefs = [moment.estimate.belief for moment in done.moments]
@@ -141,7 +143,7 @@ def _draw_way(axes: Axes, world: World, done: Run, body: Body) -> None:
     draw_ellipses(axes, means, np.array([belief.cov for belief in beliefs]))
     draw_body(axes, (truth if len(truth) else means)[-1], body, TRUTH)
     axes.set(xlabel="x (in)", ylabel="y (in)")
-    axes.set_title(f"{world.title or world.name}: {done.reached} of {len(done.waypoints)} way-points reached")
+    axes.set_title(f"{world.title or world.name}: {done.reached} of {len(done.waypoints)} waypoints reached")
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=3, frameon=False)
 
 
@@ -154,5 +156,5 @@ def _draw_errors(axes: Axes, done: Run) -> None:
     axes.fill_between(times, 0, sigma, color=ESTIMATE, alpha=0.15, linewidth=0, label="3 sigma")
     axes.set(xlabel="robot's clock (s)", ylabel="distance from the truth (in)", ylim=(0, None))
     axes.margins(x=0.0)
-    axes.set_title(f"{done.errors_in()[-1]:.2f} in off at the end")
+    axes.set_title(f"{done.errors_in()[-1]:.2f} in position error at the end")
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=3, frameon=False)

@@ -1,11 +1,10 @@
-"""Tells the page of an nserver what the filter thinks, and brings back where to go (--publish URL of
-`nomad localize`, go and mission).
+"""Publish a run to the page of an nserver (--publish URL) and receive waypoints set there.
 
-    moment ──> POST URL/publish ──> {"waypoints": ..., "set": n} ──> new way-points, once they were set anew
+    period ──> POST URL/publish ──> {"waypoints": ..., "set": n} ──> new waypoints, if n has changed
 
-Rules: the page's address is the one that nserver printed, its token in it. Inches and radians. A page that cannot be
-reached at the beginning is an error; one that is lost on the way is told of and tried again now and then, and the robot
-drives on: nothing waits for a page longer than a fraction of a second. What it missed last it is told at the end.
+Inches and radians. A page that cannot be reached at the beginning is an error. A connection lost later is logged and
+retried at intervals while the robot drives on: no request takes longer than a fraction of a second. The last message
+that could not be sent is sent at the end.
 """
 
 from __future__ import annotations
@@ -27,20 +26,20 @@ log = logging.getLogger(__name__)
 
 FIRST_TIMEOUT_S: Final = 5.0
 TIMEOUT_S: Final = 0.25
-"""On the way: the robot stops by itself when nothing is said to it for 2 s."""
+"""During a run: the robot stops by itself after 2 s without a command."""
 LAST_TIMEOUT_S: Final = 1.0
-"""At the end, when the robot stands."""
-AGAIN_S: Final = 3.0
-"""From a loss to the next try."""
-MOST_PLACES: Final = 20
-"""So many of the places where the robot may be, the likeliest first."""
+"""At the end of a run, when the robot stands."""
+RETRY_S: Final = 3.0
+"""Time from a lost connection to the next attempt."""
+MAX_HYPOTHESES: Final = 20
+"""Largest number of published hypotheses, the most probable first."""
 Points = list[tuple[float, float]]
 
 
-def message(
+def build_message(
     robot: int, moment: RunMoment, turret_rad: float, waypoints: Sequence[tuple[float, float]]
 ) -> dict[str, Any]:
-    """What is published of a moment; `turret_rad`: the turret's direction against the steering's."""
+    """Return the published message of a period; `turret_rad` is the turret's angle relative to the steering."""
     estimate = moment.estimate
     return {
         "robot": robot, "clock_s": estimate.clock_s, "pose": estimate.pose.tolist(),
@@ -55,28 +54,44 @@ def message(
         "trust": estimate.health.status.value, "reason": estimate.health.reason,
         "places": [
             {"pose": place.belief.mean[:3].tolist(), "share": place.probability}
-            for place in estimate.places[:MOST_PLACES]
+            for place in estimate.places[:MAX_HYPOTHESES]
         ],
     }  # fmt: skip
 
 
 def parse_answer(answer: bytes) -> tuple[Points, int]:
-    """The way-points that a page answers, none where they were cleared, and how often they were set.
+    """Return the waypoints in the page's answer, empty if they were cleared, and how often they have been set.
 
-    Raises ValueError for whatever is no such answer.
+    Raises
+    ------
+    ValueError
+        If the answer is invalid.
     """
     try:
-        said = json.loads(answer)
-        wanted = [(float(x), float(y)) for x, y in said["waypoints"] or ()]
-        if not all(map(math.isfinite, (number for point in wanted for number in point))):
-            raise ValueError("a way-point that is no number")
-        return wanted, int(said["set"])
+        values = json.loads(answer)
+        waypoints = [(float(x), float(y)) for x, y in values["waypoints"] or ()]
+        if not all(map(math.isfinite, (number for point in waypoints for number in point))):
+            raise ValueError("a waypoint is not a finite number")
+        return waypoints, int(values["set"])
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
-        raise ValueError(f"no answer of a page: {type(error).__name__}: {error}") from None
+        raise ValueError(f"invalid answer of the page: {type(error).__name__}: {error}") from None
 
 
 class Publisher:
-    """The way to one page; `clock`: seconds that only grow. Raises AddressError for a URL that is none of a page's."""
+    """Connection to one page.
+
+    Parameters
+    ----------
+    url : str
+        The address that nserver printed, with its token.
+    clock : callable
+        Monotonic clock in seconds.
+
+    Raises
+    ------
+    AddressError
+        If the URL is not that of a page.
+    """
 
     def __init__(self, url: str, clock: Callable[[], float] = time.monotonic) -> None:
         parts = urlsplit(url)
@@ -85,49 +100,53 @@ class Publisher:
         except ValueError:
             port = None
         if parts.scheme != "http" or not parts.hostname or not port or not parts.query.startswith("token="):
-            raise AddressError(f"{url!r} is no page: take the address that nserver --viewer printed, "
-                               "such as http://127.0.0.1:7080/?token=...")
-        self._place = f"{parts.hostname}:{port}"
+            raise AddressError(
+                f"{url!r} is not the address of a page: use the one that nserver --viewer printed, "
+                "such as http://127.0.0.1:7080/?token=..."
+            )
+        self._address = f"{parts.hostname}:{port}"
         self._path = f"/publish?{parts.query}"
         self._connection = http.client.HTTPConnection(parts.hostname, port, timeout=FIRST_TIMEOUT_S)
         self._clock = clock
         self._set: int | None = None
         self._lost_s: float | None = None
-        self._unsaid: dict[str, Any] | None = None
+        self._unsent: dict[str, Any] | None = None
 
-    def tell(self, said: dict[str, Any]) -> Points | None:
-        """Publish; way-points that were set at the page since, none where they were cleared. Raises ConnectionLost at
-        the first time only."""
-        first, self._unsaid = self._set is None, said
-        if self._lost_s is not None and self._clock() - self._lost_s < AGAIN_S:
+    def publish(self, message: dict[str, Any]) -> Points | None:
+        """Publish a message and return waypoints set on the page since the last one, None if there are no new ones.
+
+        Raises ConnectionLost at the first message only; a connection lost later is logged and retried.
+        """
+        first, self._unsent = self._set is None, message
+        if self._lost_s is not None and self._clock() - self._lost_s < RETRY_S:
             return None
         try:
-            wanted, number = parse_answer(self._post(json.dumps(said | {"began": True} if first else said)))
+            waypoints, number = parse_answer(self._post(json.dumps(message | {"began": True} if first else message)))
             before, self._set = self._set, number
         except (OSError, http.client.HTTPException, ValueError) as error:
             self._lose(error)
             return None
-        self._unsaid = None
+        self._unsent = None
         if self._lost_s is not None:
-            log.warning("%s is there again", self._place)
+            log.warning("%s is connected again", self._address)
             self._lost_s = None
-        return None if first or before == self._set else wanted
+        return None if first or before == self._set else waypoints
 
     def _lose(self, error: Exception) -> None:
         self._connection.close()
         if self._set is None:
-            raise ConnectionLost(f"cannot publish to {self._place}: {error}") from error
+            raise ConnectionLost(f"cannot publish to {self._address}: {error}") from error
         if self._lost_s is None:
-            log.warning("%s is lost, tried again now and then: %s", self._place, error)
+            log.warning("%s is lost, retrying: %s", self._address, error)
         self._lost_s = self._clock()
 
     def close(self) -> None:
-        """Tell the page what it missed last, if it is there again, and let go of the connection. Twice is fine."""
-        unsaid, self._unsaid = self._unsaid, None
-        if unsaid is not None and self._set is not None:
+        """Send the last unsent message if possible, and close the connection; may be called twice."""
+        unsent, self._unsent = self._unsent, None
+        if unsent is not None and self._set is not None:
             self._connection.timeout = LAST_TIMEOUT_S
             with contextlib.suppress(OSError, http.client.HTTPException, ValueError):
-                self._post(json.dumps(unsaid))
+                self._post(json.dumps(unsent))
         self._connection.close()
 
     def _post(self, text: str) -> bytes:

@@ -1,11 +1,4 @@
-"""What a live run leaves: its moments, and what they come to in words and numbers.
-
-Rules: values and sums; no robot, no file, no drawing.
-
-Where a simulated robot is in truth, at the instants of the estimates that are shown beside it.
-
-Rules: asks the robot once a call; of a real robot nothing is known. No filter ever asks here.
-"""
+"""Record of a live run, its results as numbers and text, and the ground truth of simulated robots."""
 
 from __future__ import annotations
 
@@ -21,39 +14,38 @@ import numpy as np
 from localization.filters.belief import Floats, add, difference
 from localization.filters.health import HealthStatus
 from localization.filters.update import Refusal
-from localization.live.assumptions import AS_CONES, Taken, hint
+from localization.live.assumptions import ASSUME_CONES, SonarAssumption, sonar_mismatch_hint
 from localization.live.localizer import Echo, Estimate
 from localization.live.sensor_input import MAX_GAP_S
 from nclient.robot import Robot
 
-MOST_PLACES = 4
-"""So many are told of in a line."""
+MAX_HYPOTHESES = 4
+"""Largest number of hypotheses in a line of output."""
 Pose = tuple[float, float, float]
-"""x_in, y_in, heading of the steering in radians."""
+"""x and y in inches, heading of the steering in radians."""
 
 
 class TruthSample(NamedTuple):
-    """The truth, and the clock it belongs to."""
+    """A true pose and the robot clock it belongs to."""
 
     clock_s: float
     pose: Pose
 
-    def towards(self, later: TruthSample, clock_s: float) -> Pose:
-        """The truth between this sighting and a later one, at a clock between theirs: evenly on the way.
+    def interpolate(self, later: TruthSample, clock_s: float) -> Pose:
+        """Return the true pose at a clock between this sample and a later one, by linear interpolation.
 
-        The truth is asked for after the state, so that the robot has gone on by then; each estimate is to be
-        compared with the truth of its own instant.
+        The truth is requested after the state, when the robot has already moved on; each estimate must be compared
+        with the truth of its own time.
         """
-        way_s = later.clock_s - self.clock_s
-        share = min(1.0, max(0.0, (clock_s - self.clock_s) / way_s)) if way_s > 0 else 1.0
+        interval_s = later.clock_s - self.clock_s
+        fraction = min(1.0, max(0.0, (clock_s - self.clock_s) / interval_s)) if interval_s > 0 else 1.0
         start = np.array(self.pose)
-        x, y, heading = add(start, share * difference(np.array(later.pose), start))
+        x, y, heading = add(start, fraction * difference(np.array(later.pose), start))
         return float(x), float(y), float(heading)
 
 
 class RunMoment(NamedTuple):
-    """One period of a run: estimate, what the encoders say (`turret_rad` apart), the truth at that clock if known,
-    way-points behind."""
+    """One period of a run: estimate, encoder pose, true pose if available, waypoints reached, turret angle."""
 
     estimate: Estimate
     odometry: Pose
@@ -63,60 +55,71 @@ class RunMoment(NamedTuple):
 
     @property
     def lost(self) -> bool:
-        """Whether no place is believed."""
+        """True if the estimate is LOST."""
         return self.estimate.health.status is HealthStatus.LOST
 
     @property
     def error(self) -> Floats | None:
-        """Estimate less truth, (3,) in inches and radians; None where the truth is not known, or no place believed."""
+        """Estimate minus truth (3,), in and rad; None without ground truth and when lost."""
         return None if self.truth is None or self.lost else difference(self.estimate.pose, np.array(self.truth))
 
 
 @dataclass
 class Run:
-    """The moments of a run to `waypoints`; `stopped`: why it was given up before its time, "" where it was not;
-    `sonars`: for what they are taken."""
+    """Record of a run.
+
+    Attributes
+    ----------
+    waypoints
+        Goals, inches.
+    moments
+        One entry per period.
+    stopped
+        Why the run was given up; "" if it was not.
+    sonars
+        Assumed sonar model.
+    """
 
     waypoints: list[tuple[float, float]]
     moments: list[RunMoment] = field(default_factory=list)
     stopped: str = ""
-    sonars: Taken = AS_CONES
+    sonars: SonarAssumption = ASSUME_CONES
 
     def add(self, moment: RunMoment) -> None:
-        """The next moment."""
+        """Append a period."""
         self.moments.append(moment)
 
     @property
     def reached(self) -> int:
-        """How many way-points were reached."""
+        """Number of waypoints reached."""
         return self.moments[-1].passed if self.moments else 0
 
     @property
     def duration_s(self) -> float:
-        """Seconds of the robot's clock."""
+        """Duration in seconds of the robot's clock."""
         return self.moments[-1].estimate.clock_s - self.moments[0].estimate.clock_s if self.moments else 0.0
 
     @property
     def longest_gap_s(self) -> float:
-        """The longest time between two states; 0 before there are two."""
+        """Longest time between two states; 0 for fewer than two."""
         clocks = [moment.estimate.clock_s for moment in self.moments]
         return max((after - before for before, after in pairwise(clocks)), default=0.0)
 
     def errors_in(self) -> Floats:
-        """Distance between estimate and truth, (k,) inches, of the moments whose truth is known."""
+        """Return the position errors (k,) of the estimate in inches, of periods with ground truth."""
         found = [moment.error for moment in self.moments]
         return np.array([math.hypot(error[0], error[1]) for error in found if error is not None])
 
     def odometry_errors_in(self) -> Floats:
-        """Distance between what the encoders say and the truth, (k,) inches, likewise."""
+        """Return the position errors (k,) of the encoders in inches, of periods with ground truth."""
         pairs = [(moment.odometry, moment.truth) for moment in self.moments if moment.truth]
-        return np.array([math.hypot(told[0] - true[0], told[1] - true[1]) for told, true in pairs])
+        return np.array([math.hypot(pose[0] - true[0], pose[1] - true[1]) for pose, true in pairs])
 
     def line(self) -> str:
-        """The last moment in one line."""
+        """Return the last period as one line of text."""
         moment = self.moments[-1]
         if moment.lost:
-            return f"{self.duration_s:6.1f} s  {_told(moment.estimate)}"
+            return f"{self.duration_s:6.1f} s  {_format_health(moment.estimate)}"
         x, y, heading = moment.estimate.pose
         std = moment.estimate.belief.std
         text = (
@@ -124,7 +127,7 @@ class Run:
             f"  ± {max(std[0], std[1]):.2f} in {math.degrees(std[2]):.2f} deg"
         )
         if moment.estimate.health.reason:
-            text += f"  {_told(moment.estimate)}"
+            text += f"  {_format_health(moment.estimate)}"
         error = moment.error
         if error is None or moment.truth is None:
             return text
@@ -134,7 +137,7 @@ class Run:
         )
 
     def summary(self) -> dict[str, Any]:
-        """The run in numbers; null where there is no truth to compare with."""
+        """Return the results of the run as plain data; errors are None without ground truth."""
         echoes = [echo for moment in self.moments for echo in moment.estimate.echoes]
         last = self.moments[-1]
         return {
@@ -145,7 +148,7 @@ class Run:
             "stopped": self.stopped or None,
             "hint": self.hint() or None,
             "echoes_used": sum(echo.refusal is Refusal.NONE for echo in echoes),
-            "echoes_refused": _refused(echoes),
+            "echoes_refused": _count_refusals(echoes),
             "trust": last.estimate.health.status.value,
             "reason": last.estimate.health.reason,
             "lost_share": sum(moment.lost for moment in self.moments) / len(self.moments),
@@ -154,11 +157,11 @@ class Run:
             ],
             "estimate": [float(value) for value in last.estimate.pose],
             "truth": list(last.truth) if last.truth else None,
-            **self._off(),
+            **self._errors(),
         }
 
-    def _off(self) -> dict[str, float | None]:
-        """How far the estimate and the encoders are off, as summary has it."""
+    def _errors(self) -> dict[str, float | None]:
+        """Return the position errors of the summary."""
         errors = self.errors_in()
         if not len(errors):
             return dict.fromkeys(("end_error_in", "rmse_position_in", "odometry_end_error_in"))
@@ -169,15 +172,15 @@ class Run:
         }
 
     def hint(self) -> str:
-        """What to say where readings do not fit what the sonars are taken for."""
-        return hint(self.sonars, (echo for moment in self.moments for echo in moment.estimate.echoes))
+        """Return a hint if the readings do not fit the assumed sonar model; else ""."""
+        return sonar_mismatch_hint(self.sonars, (echo for moment in self.moments for echo in moment.estimate.echoes))
 
     def verdict(self) -> str:
-        """What became of it, in two or three lines."""
+        """Return the results of the run as a few lines of text."""
         result = self.summary()
         lines = [
             f"{self.line().strip()}",
-            f"{result['reached']} of {result['waypoints']} way-points reached in {result['duration_s']:.1f} s; "
+            f"{result['reached']} of {result['waypoints']} waypoints reached in {result['duration_s']:.1f} s; "
             f"{result['echoes_used']} echoes used, {sum(result['echoes_refused'].values())} refused",
         ]
         if result["end_error_in"] is not None:
@@ -191,46 +194,49 @@ class Run:
             lines.append(result["hint"])
         if self.longest_gap_s > MAX_GAP_S:
             lines.append(
-                f"states came up to {self.longest_gap_s:.1f} s apart: the filter wants them within {MAX_GAP_S} s; "
-                "let the time run slower"
+                f"states came up to {self.longest_gap_s:.1f} s apart: the filter needs them within {MAX_GAP_S} s; "
+                "run the simulation slower"
             )
         return "\n".join(lines)
 
 
-def _refused(echoes: Sequence[Echo]) -> dict[str, int]:
-    """How many were refused by what, in the order of the reasons; only those that came up."""
+def _count_refusals(echoes: Sequence[Echo]) -> dict[str, int]:
+    """Return the number of refused echoes by reason, in the order of the reasons; zeros are omitted."""
     counts = Counter(echo.refusal for echo in echoes)
     return {refusal.name.lower(): counts[refusal] for refusal in Refusal if refusal and refusal in counts}
 
 
-def _told(estimate: Estimate) -> str:
-    """How far an estimate can be believed and why, and where else the robot may be."""
+def _format_health(estimate: Estimate) -> str:
+    """Return health status, reason and alternative hypotheses of an estimate as text."""
     text = f"{estimate.health.status.value}: {estimate.health.reason}"
     if len(estimate.places) < 2:
         return text
-    places = [(*place.belief.mean[:3].tolist(), place.probability) for place in estimate.places[:MOST_PLACES]]
+    places = [(*place.belief.mean[:3].tolist(), place.probability) for place in estimate.places[:MAX_HYPOTHESES]]
     return f"{text}: " + ", ".join(
         f"({x:.1f}, {y:.1f}) in {math.degrees(heading):.0f} deg {share:.0%}" for x, y, heading, share in places
     )
 
 
 class GroundTruth:
-    """Of one robot; `robot_id` is 1 where nobody tells."""
+    """True poses of a simulated robot, at the times of estimates; `robot_id` is 1 for a real robot.
+
+    Filters never use it.
+    """
 
     def __init__(self, robot: Robot, simulated: bool) -> None:
         self._robot = robot
-        self._seen: TruthSample | None = None
+        self._sample: TruthSample | None = None
         self.robot_id = 1
         if simulated:
-            self.robot_id, self._seen = self._look()
+            self.robot_id, self._sample = self._request()
 
     def at(self, clock_s: float) -> tuple[float, float, float] | None:
-        """Truth (x in, y in, heading rad) at an instant since the last call; None of a real robot."""
-        if self._seen is None:
+        """Return the true pose (in, in, rad) at a time since the last call; None for a real robot."""
+        if self._sample is None:
             return None
-        before, (_, self._seen) = self._seen, self._look()
-        return before.towards(self._seen, clock_s)
+        before, (_, self._sample) = self._sample, self._request()
+        return before.interpolate(self._sample, clock_s)
 
-    def _look(self) -> tuple[int, TruthSample]:
+    def _request(self) -> tuple[int, TruthSample]:
         truth = self._robot.truth()
         return truth.robot_id, TruthSample(truth.time_s, (truth.x_in, truth.y_in, truth.steering_rad))

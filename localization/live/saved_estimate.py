@@ -1,21 +1,14 @@
-"""What a filter held to be true when its program ended, and what of that still holds when another goes on from it.
+"""The saved estimate of a run, and its validity when another run continues from it (--save, --resume).
 
-    encoders as they were                        the robot stood: the belief holds as it is
-    encoders a drive of somebody's farther       it went there by a way nobody saw: moved, and widened for that way
-    encoders set, or the robot switched off      they tell nothing of the time between: refused, unless whoever starts
-                                                 says how far the robot may have been moved (`moved_std`)
-    another map or robot                         refused
+    encoders unchanged                       the robot stood: the belief is unchanged
+    encoders moved by a possible drive       the robot was driven on an unknown path: belief moved and widened
+    encoders set, or robot switched off      rejected, unless the possible displacement is given (`displacement_std`)
+    another map or robot                     rejected
 
-Rules: values; no file (kept_file.py), no robot, no clock but the robot's. What is refused is an EstimateFileError with
-the reason and the remedy.
-
-A kept belief on disk: JSON, every key checked when it is read.
+The file is JSON; every key is checked when it is read:
 
     {"format": "nomad estimate 1", "world", "walls", "body", "clock_s", "encoders": [x_in, y_in, steering_rad],
      "turret_rad", "mean": [n numbers], "cov": [n rows of n numbers]}
-
-Rules: the only file here that touches the disk; a file is whole, or it is the old one. Whatever is wrong is an
-EstimateFileError that names the file and the key.
 """
 
 from __future__ import annotations
@@ -36,26 +29,28 @@ from nclient.common.files import read_text, write_atomic
 from nclient.errors import EstimateFileError
 from worlds.world import World
 
-ROUNDABOUT: Final = 3.0
-"""How much longer than straight a way may have been that nobody saw."""
-UNSEEN_TURN_RAD: Final = pi
-"""And how much more it may have turned than the encoders' difference."""
-FARTHEST_IN: Final = 60.0
-"""A robot that was driven farther than this without the filter is to be found anew."""
+DETOUR_FACTOR: Final = 3.0
+"""Assumed length of an unobserved drive, relative to its straight distance."""
+EXTRA_TURN_RAD: Final = pi
+"""Assumed turning of an unobserved drive in addition to the difference of the encoders."""
+MAX_DISPLACEMENT_IN: Final = 60.0
+"""After a longer unobserved drive the saved estimate is useless."""
 TOP_SPEED_IN_S: Final = 40.0
-"""No robot of these drives faster: encoders that say so were set."""
+"""No robot drives faster: a faster change means that the encoders were set."""
 STANDS_IN: Final = 0.15
 STANDS_RAD: Final = 0.003
-"""Encoders tell tenths of an inch and of a degree; within this they are as they were."""
+"""Encoders have a resolution of 0.1 in and 0.1 deg; within this the robot stood."""
 _SLACK_IN: Final = 1.0
-_SAID: Final = "say how far it may have been moved (--moved-std X,Y,HEADING; 0,0,0: it stood), or leave --resume out"
+_REMEDY: Final = (
+    "give the possible displacement (--displacement-std X,Y,HEADING; 0,0,0 if the robot stood), or omit --resume"
+)
 
-Moved = tuple[float, float, float]
+DisplacementStd = tuple[float, float, float]
 """Standard deviations in inches, inches, radians."""
 
 
 class MapSignature(NamedTuple):
-    """What a belief is about: a map by its name and a digest of its walls, and a robot's body by its name."""
+    """Identity of map and robot: name of the map, digest of its walls, name of the robot's body."""
 
     world: str
     walls: str
@@ -63,156 +58,177 @@ class MapSignature(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Kept:
-    """A belief over states (n,) about a site, and the encoders at the clock it is of."""
+class SavedEstimate:
+    """A belief over states (n,), the map and robot it belongs to, and the encoders at its time."""
 
-    site: MapSignature
+    signature: MapSignature
     encoders: EncoderPose
     belief: Belief
 
 
 def map_signature(world: World, body: str) -> MapSignature:
-    """The site of a map and a body. Walls count as the same within a millionth of an inch, in whatever order."""
+    """Return the signature of a map and a body; order of walls and differences below 1e-6 in are ignored."""
     ends = np.round(world.walls.reshape(-1, 2, 2), 6) + 0.0
     walls = sorted(sorted(wall) for wall in ends.tolist())
     return MapSignature(world.name, sha256(repr(walls).encode()).hexdigest()[:16], body)
 
 
 def resume_belief(
-    kept: Kept, site: MapSignature, now: EncoderPose, noise: OdometryNoise, moved_std: Moved | None = None
+    saved: SavedEstimate,
+    signature: MapSignature,
+    now: EncoderPose,
+    noise: OdometryNoise,
+    displacement_std: DisplacementStd | None = None,
 ) -> Belief:
-    """The belief now, of a robot whose encoders say `now`. `moved_std`: how far it may have been moved besides.
+    """Return the belief of a robot after a pause.
 
-    Raises EstimateFileError where nothing can be said.
+    Parameters
+    ----------
+    saved : SavedEstimate
+    signature : MapSignature
+        Current map and robot.
+    now : EncoderPose
+        Current encoders.
+    noise : OdometryNoise
+    displacement_std : (in, in, rad), optional
+        Standard deviations of a displacement that the encoders did not measure.
+
+    Raises
+    ------
+    EstimateFileError
+        If the saved estimate does not apply; the message states why and what to do.
     """
-    _same_site(kept.site, site)
-    if moved_std is None:
-        _same_counting(kept.encoders, now)
-        return _driven_on(kept, now, noise)
-    belief = _driven_on(kept, now, noise) if _counted_on(kept.encoders, now) else kept.belief
+    _require_same_map(saved.signature, signature)
+    if displacement_std is None:
+        _require_continuous(saved.encoders, now)
+        return _predict_unobserved(saved, now, noise)
+    belief = _predict_unobserved(saved, now, noise) if _is_continuous(saved.encoders, now) else saved.belief
     cov = belief.cov.copy()
-    cov[:POSE, :POSE] += np.diag(np.square(moved_std))
+    cov[:POSE, :POSE] += np.diag(np.square(displacement_std))
     return Belief(belief.mean, cov)
 
 
-def _same_site(kept: MapSignature, here: MapSignature) -> None:
-    if kept.walls != here.walls:
+def _require_same_map(old: MapSignature, current: MapSignature) -> None:
+    if old.walls != current.walls:
         raise EstimateFileError(
-            f"the estimate is of the map {kept.world!r}, whose walls are not those of {here.world!r}: "
-            f"take --map {kept.world} as it was then, or leave --resume out"
+            f"the estimate is of the map {old.world!r}, whose walls are not those of {current.world!r}: "
+            f"use the original --map {old.world}, or omit --resume"
         )
-    if kept.body != here.body:
+    if old.body != current.body:
         raise EstimateFileError(
-            f"the estimate is of a {kept.body}, not of a {here.body}: take --body {kept.body}, or leave --resume out"
+            f"the estimate is of a {old.body}, not of a {current.body}: use --body {old.body}, or omit --resume"
         )
 
 
-def _same_counting(kept: EncoderPose, now: EncoderPose) -> None:
-    """Raises EstimateFileError where the encoders have not counted on from where they were."""
-    if now.clock_s < kept.clock_s:
+def _require_continuous(before: EncoderPose, now: EncoderPose) -> None:
+    """Raise EstimateFileError unless the encoders have counted continuously since the estimate was saved."""
+    if now.clock_s < before.clock_s:
         raise EstimateFileError(
-            f"the robot's clock went back, from {kept.clock_s:.1f} to {now.clock_s:.1f} s: it was switched off and on, "
-            f"and its encoders tell nothing of that time; {_SAID}"
+            f"the robot's clock went back from {before.clock_s:.1f} to {now.clock_s:.1f} s: it was switched off "
+            f"and on, and its encoders did not measure that time; {_REMEDY}"
         )
-    if not _counted_on(kept, now):
+    if not _is_continuous(before, now):
         x, y, _ = now.pose
         raise EstimateFileError(
-            f"the encoders were set meanwhile: they say ({x:.1f}, {y:.1f}) in, and said "
-            f"({kept.pose[0]:.1f}, {kept.pose[1]:.1f}) when the estimate was saved; {_SAID}"
+            f"the encoders were set meanwhile: they read ({x:.1f}, {y:.1f}) in, and read "
+            f"({before.pose[0]:.1f}, {before.pose[1]:.1f}) when the estimate was saved; {_REMEDY}"
         )
-    way = _way_in(kept, now)
-    if way > FARTHEST_IN:
+    distance_in = _distance_in(before, now)
+    if distance_in > MAX_DISPLACEMENT_IN:
         raise EstimateFileError(
-            f"the robot was driven {way:.0f} in away while no filter ran; beyond {FARTHEST_IN:.0f} in the estimate is "
-            "worth nothing: leave --resume out"
+            f"the robot was driven {distance_in:.0f} in away without a filter; beyond "
+            f"{MAX_DISPLACEMENT_IN:.0f} in the estimate is useless: omit --resume"
         )
 
 
-def _counted_on(kept: EncoderPose, now: EncoderPose) -> bool:
-    """Whether the encoders may have come to where they are by driving."""
-    passed_s = now.clock_s - kept.clock_s
-    zeroed = not now.pose.any() and not _stood(kept, now)
-    return passed_s >= 0.0 and not zeroed and _way_in(kept, now) <= TOP_SPEED_IN_S * passed_s + _SLACK_IN
+def _is_continuous(before: EncoderPose, now: EncoderPose) -> bool:
+    """Return True if the change of the encoders can be the result of driving."""
+    passed_s = now.clock_s - before.clock_s
+    zeroed = not now.pose.any() and not _has_stood(before, now)
+    return passed_s >= 0.0 and not zeroed and _distance_in(before, now) <= TOP_SPEED_IN_S * passed_s + _SLACK_IN
 
 
-def _driven_on(kept: Kept, now: EncoderPose, noise: OdometryNoise) -> Belief:
-    """The belief moved as the encoders were, by a way that is unknown: in the frame of the pose it began at,
+def _predict_unobserved(saved: SavedEstimate, now: EncoderPose, noise: OdometryNoise) -> Belief:
+    """Return the belief moved by the difference of the encoders along an unknown path.
 
-    P' = F P F' + Q, Q without direction: heading by turns and way, position by the way and, along its length, by that
-    heading.
+    P' = F P F' + Q with an isotropic Q: the heading is uncertain by turns and distance, the position by the distance
+    and, along it, by that heading.
     """
-    belief = kept.belief
-    if _stood(kept.encoders, now):
+    belief = saved.belief
+    if _has_stood(saved.encoders, now):
         return belief
-    change = difference(now.pose, kept.encoders.pose)
-    apart = float(belief.mean[HEADING] - kept.encoders.pose[HEADING])
+    # 1. Difference of the encoders, rotated into the frame of the belief.
+    change = difference(now.pose, saved.encoders.pose)
+    apart = float(belief.mean[HEADING] - saved.encoders.pose[HEADING])
     dx = cos(apart) * change[0] - sin(apart) * change[1]
     dy = sin(apart) * change[0] + cos(apart) * change[1]
-    by_state = np.eye(len(belief.mean))
-    by_state[0, HEADING], by_state[1, HEADING] = -dy, dx
-    cov = by_state @ belief.cov @ by_state.T
-    cov[:POSE, :POSE] += np.diag(_unseen_variance(hypot(dx, dy), abs(float(change[HEADING])), noise))
+    # 2. Covariance.
+    jacobian = np.eye(len(belief.mean))
+    jacobian[0, HEADING], jacobian[1, HEADING] = -dy, dx
+    cov = jacobian @ belief.cov @ jacobian.T
+    cov[:POSE, :POSE] += np.diag(_unobserved_variance(hypot(dx, dy), abs(float(change[HEADING])), noise))
+    # 3. Mean.
     mean = belief.mean.copy()
     mean[:POSE] = add(belief.mean[:POSE], np.array([dx, dy, change[HEADING]]))
     return Belief(mean, cov)
 
 
-def _unseen_variance(straight_in: float, turned_rad: float, noise: OdometryNoise) -> Floats:
-    """Variances (3,) that a way has left which came to so much: longer and more winding than that."""
-    way, turn = ROUNDABOUT * straight_in, ROUNDABOUT * turned_rad + UNSEEN_TURN_RAD
-    heading = noise.rotation_std**2 * turn + noise.drift_std**2 * way
-    place = noise.translation_std**2 * way + heading * way * way
-    return np.array([place, place, heading])
+def _unobserved_variance(straight_in: float, turned_rad: float, noise: OdometryNoise) -> Floats:
+    """Return variances (3,) of a drive with this net displacement, assumed longer and more winding than that."""
+    distance, turn = DETOUR_FACTOR * straight_in, DETOUR_FACTOR * turned_rad + EXTRA_TURN_RAD
+    heading = noise.rotation_std**2 * turn + noise.drift_std**2 * distance
+    position = noise.translation_std**2 * distance + heading * distance * distance
+    return np.array([position, position, heading])
 
 
-def _stood(kept: EncoderPose, now: EncoderPose) -> bool:
-    turned = abs(float(difference(now.pose, kept.pose)[HEADING]))
-    return _way_in(kept, now) <= STANDS_IN and turned <= STANDS_RAD
+def _has_stood(before: EncoderPose, now: EncoderPose) -> bool:
+    turned = abs(float(difference(now.pose, before.pose)[HEADING]))
+    return _distance_in(before, now) <= STANDS_IN and turned <= STANDS_RAD
 
 
-def _way_in(kept: EncoderPose, now: EncoderPose) -> float:
-    return hypot(*(now.pose - kept.pose)[:HEADING])
+def _distance_in(before: EncoderPose, now: EncoderPose) -> float:
+    return hypot(*(now.pose - before.pose)[:HEADING])
 
 
 FORMAT: Final = "nomad estimate 1"
 KEYS: Final = ("format", "world", "walls", "body", "clock_s", "encoders", "turret_rad", "mean", "cov")
-MOST_BYTES: Final = 1 << 16
-"""Twenty times the largest state's; a longer file is something else."""
-FARTHEST: Final = 1e12
-"""No second, inch or radian of a run, and no square of one, is farther from 0."""
-SMALLEST_EIGENVALUE: Final = -1e-9
-"""Rounding may leave a covariance that is zero somewhere a little below it."""
+MAX_BYTES: Final = 1 << 16
+"""Twenty times the size of the largest state."""
+MAX_NUMBER: Final = 1e12
+"""No time, length or angle of a run, and no square of one, is larger."""
+MIN_EIGENVALUE: Final = -1e-9
+"""Rounding may make a singular covariance slightly negative."""
 
 
-def save(path: Path, kept: Kept) -> None:
-    """Write it. Raises EstimateFileError where that cannot be."""
+def save(path: Path, saved: SavedEstimate) -> None:
+    """Write a saved estimate; the file is replaced as a whole. Raises EstimateFileError."""
     values = {
         "format": FORMAT,
-        **kept.site._asdict(),
-        "clock_s": kept.encoders.clock_s,
-        "encoders": kept.encoders.pose.tolist(),
-        "turret_rad": kept.encoders.turret_rad,
-        "mean": kept.belief.mean.tolist(),
-        "cov": kept.belief.cov.tolist(),
+        **saved.signature._asdict(),
+        "clock_s": saved.encoders.clock_s,
+        "encoders": saved.encoders.pose.tolist(),
+        "turret_rad": saved.encoders.turret_rad,
+        "mean": saved.belief.mean.tolist(),
+        "cov": saved.belief.cov.tolist(),
     }
     write_atomic(path, json.dumps(values, indent=1) + "\n", EstimateFileError)
 
 
-def load(path: Path) -> Kept:
-    """Read it. Raises EstimateFileError for whatever is no such file."""
-    text = read_text(path, MOST_BYTES, EstimateFileError)
+def load(path: Path) -> SavedEstimate:
+    """Read a saved estimate and check every key. Raises EstimateFileError."""
+    text = read_text(path, MAX_BYTES, EstimateFileError)
     try:
         values = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise EstimateFileError(f"{path}: is no JSON: {error}") from error
+        raise EstimateFileError(f"{path}: is not valid JSON: {error}") from error
     if not isinstance(values, dict) or values.get("format") != FORMAT:
         _fail(path, "format", f"expected {FORMAT!r}: a file that `nomad localize --save` wrote")
     for key in {*KEYS} ^ {*values}:
         _fail(path, key, "is missing" if key in KEYS else "unknown key")
-    site = MapSignature(*(_text(path, key, values[key]) for key in MapSignature._fields))
+    signature = MapSignature(*(_text(path, key, values[key]) for key in MapSignature._fields))
     clock_s, turret_rad = _numbers(path, "clock_s", values, ()), _numbers(path, "turret_rad", values, ())
     encoders = EncoderPose.of(float(clock_s), _numbers(path, "encoders", values, (POSE,)), float(turret_rad))
-    return Kept(site, encoders, _belief(path, values))
+    return SavedEstimate(signature, encoders, _belief(path, values))
 
 
 def _belief(path: Path, values: dict[str, Any]) -> Belief:
@@ -220,19 +236,19 @@ def _belief(path: Path, values: dict[str, Any]) -> Belief:
     if not POSE <= size <= MAX_STATE:
         _fail(path, "mean", f"expected {POSE} to {MAX_STATE} numbers")
     mean, cov = _numbers(path, "mean", values, (size,)), _numbers(path, "cov", values, (size, size))
-    if not np.allclose(cov, cov.T) or np.linalg.eigvalsh(cov)[0] < SMALLEST_EIGENVALUE:
-        _fail(path, "cov", "is no covariance: expected it symmetric, and no variance below 0")
+    if not np.allclose(cov, cov.T) or np.linalg.eigvalsh(cov)[0] < MIN_EIGENVALUE:
+        _fail(path, "cov", "is not a covariance: expected a symmetric, positive semidefinite matrix")
     return Belief(mean, 0.5 * (cov + cov.T))
 
 
 def _numbers(path: Path, key: str, values: dict[str, Any], shape: tuple[int, ...]) -> Floats:
-    wanted = " by ".join(map(str, shape)) + " numbers" if shape else "a number"
+    expected = " by ".join(map(str, shape)) + " numbers" if shape else "a number"
     try:
         found = np.array(values[key], dtype=np.float64)
     except (ValueError, TypeError, OverflowError):
-        _fail(path, key, f"expected {wanted}")
-    if found.shape != shape or not all(abs(number) <= FARTHEST for number in found.ravel().tolist()):
-        _fail(path, key, f"expected {wanted}, none beyond {FARTHEST:g}")
+        _fail(path, key, f"expected {expected}")
+    if found.shape != shape or not all(abs(number) <= MAX_NUMBER for number in found.ravel().tolist()):
+        _fail(path, key, f"expected {expected}, none beyond {MAX_NUMBER:g}")
     return found
 
 

@@ -77,8 +77,8 @@ def with_wheels(pose: Belief, calibration: Calibration) -> Belief:
     if calibration is IDEAL_CALIBRATION:
         return pose
     spread = calibration.spread
-    belief = with_parameters(pose, (spread.way_scale, spread.turn_scale, spread.drift_rad_in))
-    belief.mean[POSE:] = calibration.way_scale - 1.0, calibration.turn_scale - 1.0, calibration.drift_rad_in
+    belief = with_parameters(pose, (spread.distance_scale, spread.turn_scale, spread.drift_rad_in))
+    belief.mean[POSE:] = calibration.distance_scale - 1.0, calibration.turn_scale - 1.0, calibration.drift_rad_in
     return belief
 
 

@@ -1,1 +1,1 @@
-"""Maps: where a map makes a robot localizable."""
+"""Evaluation of maps for localization."""

@@ -1,4 +1,4 @@
-"""What a robot shall do, as a program of a few verbs or a list of them in a file, and the report of what it did."""
+"""Missions: robot tasks as Python programs or lists of steps in TOML, and the report of a run."""
 
 from localization.missions.mission import Mission, Seen
 from localization.missions.report import MissionOver, StepFailed

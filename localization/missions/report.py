@@ -1,14 +1,11 @@
-"""Why a step of a mission ended before it was done, or all of it, and how that is told.
+"""How a mission and its steps ended: exceptions, values, JSON and text.
 
-    StepFailed (NomadError)         a step; it may be tried again, and a program may catch it and do something else
-    MissionOver (BaseException)     the mission; nothing more is driven: its time is over, it left the fence, is lost
+    StepFailed (NomadError)         a step failed; it may be retried, and a program may catch it
+    MissionOver (BaseException)     the mission is over; nothing more is driven
 
-Rules: `ending` in a word, the message in words. The end of a mission is no error that a program handles on its way: as
-KeyboardInterrupt it passes by `except Exception`, and what catches it all the same gets it again from every verb.
-
-What became of a mission, step by step: values, their JSON, and lines for people.
-
-Rules: values and words; no robot, no file. Times are of the robot's clock, from the start of the mission.
+MissionOver is raised on timeout, outside the fence and when lost. Like KeyboardInterrupt it passes `except Exception`;
+a program that catches it anyway gets it again from the next step. Times are of the robot's clock, from the start of
+the mission.
 """
 
 from __future__ import annotations
@@ -22,9 +19,12 @@ from localization.live.run import Pose
 from nclient.common.process import TerminatedBySignal
 from nclient.errors import NomadError
 
+DONE: Final = "done"
+INTERRUPTED: Final = "interrupted"
+
 
 class StepFailed(NomadError):
-    """A step ended before it was done."""
+    """A step ended before it was done; `ending` is one word."""
 
     def __init__(self, ending: str, reason: str) -> None:
         self.ending = ending
@@ -32,18 +32,15 @@ class StepFailed(NomadError):
 
 
 class MissionOver(BaseException):
-    """The mission ended before it was done."""
+    """The mission ended before it was done; `ending` is one word."""
 
     def __init__(self, ending: str, reason: str) -> None:
         self.ending = ending
         super().__init__(reason)
 
 
-INTERRUPTED: Final = "interrupted"
-
-
 def ending_of(error: BaseException) -> tuple[str, str]:
-    """How a step or a mission ends that raised this, in a word and in words; what interrupts is Ctrl-C, or a signal."""
+    """Return how a step or mission that raised this ended: one word, and the reason as text."""
     if isinstance(error, StepFailed | MissionOver):
         return error.ending, str(error)
     if isinstance(error, KeyboardInterrupt | TerminatedBySignal):
@@ -54,17 +51,33 @@ def ending_of(error: BaseException) -> tuple[str, str]:
 
 @dataclass
 class Step:
-    """One step. `ending`: "done", or why not in a word (planning.pilot's endings, timeout, fence, condition,
-    interrupted, error); `reason` in words; `planned_in`, the length of its first plan; `notes`: (seconds, words)."""
+    """One step of a mission.
 
-    verb: str
-    words: str
+    Attributes
+    ----------
+    name, arguments
+        The step's name, such as "go_to", and its arguments as text.
+    began_s, ended_s
+        Seconds since the start of the mission.
+    ending, reason
+        "done", or why not in one word (an Ending of the pilot, timeout, fence, condition, interrupted, error); the
+        reason as text.
+    tries, touches, plans
+        Number of attempts, contacts and plans.
+    driven_in, planned_in
+        Distance driven; length of the first plan.
+    notes
+        Pairs of seconds and text.
+    """
+
+    name: str
+    arguments: str
     began_s: float
     ended_s: float = 0.0
     ending: str = ""
     reason: str = ""
     tries: int = 0
-    way_in: float = 0.0
+    driven_in: float = 0.0
     touches: int = 0
     plans: int = 0
     planned_in: float = 0.0
@@ -72,26 +85,51 @@ class Step:
 
     @property
     def done(self) -> bool:
-        """Whether it did what it was to do."""
+        """True if the step was completed."""
         return self.ending == DONE
 
     def line(self) -> str:
-        """In one line."""
+        """Return the step as one line of text."""
         ended = "done  " if self.done else INTERRUPTED if self.ending == INTERRUPTED else "FAILED"
-        text = f"{self.began_s:7.1f} s  {ended}  {self.verb} {self.words}".rstrip()
-        more = [f"{self.ended_s - self.began_s:.1f} s", f"{self.way_in:.0f} in"]
-        more += [f"{self.tries} tries"] * (self.tries > 1) + [f"{self.touches} touches"] * (self.touches > 0)
-        more += [f"planned {self.plans} times"] * (self.plans > 1)
-        return f"{text}  ({', '.join(more)})" + ("" if self.done else f": {self.reason}")
+        text = f"{self.began_s:7.1f} s  {ended}  {self.name} {self.arguments}".rstrip()
+        details = [f"{self.ended_s - self.began_s:.1f} s", f"{self.driven_in:.0f} in"]
+        details += [f"{self.tries} tries"] * (self.tries > 1) + [f"{self.touches} touches"] * (self.touches > 0)
+        details += [f"planned {self.plans} times"] * (self.plans > 1)
+        return f"{text}  ({', '.join(details)})" + ("" if self.done else f": {self.reason}")
 
-
-DONE = "done"
+    def as_json(self) -> dict[str, Any]:
+        """Return the step as plain data; the keys are documented in docs/missions.md."""
+        return {
+            "do": self.name,
+            "what": self.arguments,
+            "ending": self.ending,
+            "reason": self.reason,
+            "began_s": round(self.began_s, 3),
+            "duration_s": round(self.ended_s - self.began_s, 3),
+            "tries": self.tries,
+            "way_in": round(self.driven_in, 2),
+            "touches": self.touches,
+            "plans": self.plans,
+            "planned_in": round(self.planned_in, 2),
+            "notes": [{"at_s": round(at, 3), "words": words} for at, words in self.notes],
+        }
 
 
 @dataclass
 class Report:
-    """Of a mission: its steps, and how it ended as a whole; `pose` as estimated at the end, `truth` where known;
-    `hint`: where readings do not fit what the sonars are taken for."""
+    """Report of a mission.
+
+    Attributes
+    ----------
+    steps, ending, reason, duration_s
+        The steps, and how the mission ended.
+    pose, std
+        Final estimate and its standard deviations (in, in, rad).
+    truth
+        Final true pose, of simulated robots.
+    hint
+        Hint that the readings do not fit the assumed sonar model; "" if they do.
+    """
 
     title: str
     steps: list[Step] = field(default_factory=list)
@@ -105,27 +143,27 @@ class Report:
 
     @property
     def done(self) -> bool:
-        """Whether all of it was done."""
+        """True if the whole mission was completed."""
         return self.ending == DONE
 
     def as_json(self) -> dict[str, Any]:
-        """As plain data: inches, seconds, and degrees where it says so."""
+        """Return the report as plain data: inches, seconds, degrees."""
         return {
             "title": self.title,
             "ending": self.ending,
             "reason": self.reason,
             "duration_s": round(self.duration_s, 3),
-            "way_in": round(sum(step.way_in for step in self.steps), 2),
+            "way_in": round(sum(step.driven_in for step in self.steps), 2),
             "touches": sum(step.touches for step in self.steps),
-            "pose": _pose(self.pose),
-            "std": _pose(self.std),
-            "truth": _pose(self.truth),
+            "pose": _pose_as_json(self.pose),
+            "std": _pose_as_json(self.std),
+            "truth": _pose_as_json(self.truth),
             "hint": self.hint or None,
-            "steps": [_step(step) for step in self.steps],
+            "steps": [step.as_json() for step in self.steps],
         }
 
     def text(self) -> str:
-        """For people."""
+        """Return the report as text."""
         lines = [self.title] if self.title else []
         for step in self.steps:
             lines.append(step.line())
@@ -136,34 +174,17 @@ class Report:
         lines.append(f"{self.duration_s:7.1f} s  {self.ending}{where}" + (f": {self.reason}" if self.reason else ""))
         if self.truth:
             x, y, heading = self.truth
-            lines.append(f"           in truth at ({x:.1f}, {y:.1f}) in, {_degrees(heading):.0f} deg")
+            lines.append(f"           true pose ({x:.1f}, {y:.1f}) in, {_degrees(heading):.0f} deg")
         lines += [self.hint] * bool(self.hint)
         return "\n".join(lines)
 
 
-def _pose(pose: Pose | None) -> dict[str, float] | None:
+def _pose_as_json(pose: Pose | None) -> dict[str, float] | None:
     if pose is None:
         return None
     return {"x_in": round(pose[0], 3), "y_in": round(pose[1], 3), "heading_deg": round(_degrees(pose[2]), 3)}
 
 
 def _degrees(heading_rad: float) -> float:
-    """From -180 to 180, of encoders and of estimates alike."""
+    """Return degrees in [-180, 180], for encoders and estimates alike."""
     return degrees(wrap_angle(heading_rad))
-
-
-def _step(step: Step) -> dict[str, Any]:
-    return {
-        "do": step.verb,
-        "what": step.words,
-        "ending": step.ending,
-        "reason": step.reason,
-        "began_s": round(step.began_s, 3),
-        "duration_s": round(step.ended_s - step.began_s, 3),
-        "tries": step.tries,
-        "way_in": round(step.way_in, 2),
-        "touches": step.touches,
-        "plans": step.plans,
-        "planned_in": round(step.planned_in, 2),
-        "notes": [{"at_s": round(at, 3), "words": words} for at, words in step.notes],
-    }

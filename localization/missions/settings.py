@@ -1,15 +1,8 @@
-"""What verbs and Settings are given, by a program or by a list: the bounds, and what is said of a value beyond them.
+"""Settings of a mission, and the checks of the arguments of steps.
 
-    go_to: x_in: expected a length, a number, found the text '15'
-
-Rules: pure; values of a program are read as if they stood in a file (worlds.schema), so that both are refused in the
-same words. What is wrong is a MissionFileError: who was given it, which argument, what was expected and what was found;
-files.py puts file and line before it.
-
-What a mission is bound to: time, place, and what is done when the robot no longer knows where it is.
-
-Rules: values. `settings_in` reads them, one by one, from the top of a list and from what a program hands to Settings,
-so that both are refused in the same words.
+Arguments of a Python program are read as if they stood in a file (worlds.schema), so that both get the same error
+messages, for example "go_to: x_in: expected a length, a number, found the text '15'". All errors are MissionFileError:
+which step or settings, which argument, what was expected and what was found.
 """
 
 from __future__ import annotations
@@ -27,124 +20,50 @@ import numpy as np
 
 from nclient.common.hints import suggest
 from nclient.errors import MissionFileError, WorldFileError
-from worlds.schema import Point, Table, found, require_outline
+from worlds.schema import Point, Table, describe_value, require_outline
 
-__all__ = ["OnLost", "Point", "Settings", "settings_in"]
+__all__ = ["OnLost", "Point", "Settings", "read_settings"]
 
-LEAST_S, LONGEST_S = 0.1, 86_400.0
-LEAST_WITHIN_IN, MOST_WITHIN_IN = 0.1, 100.0
-MOST_RETRIES, MOST_ROUNDS = 100, 10_000
-MOST_TURN_DEG: Final = 3600.0
-"""Ten times around: farther is nearly always a mistake, such as another unit."""
-
-
-@contextmanager
-def given(name: str, values: Mapping[str, object]) -> Iterator[Table]:
-    """What `name` was given, as a table to read. Raises MissionFileError where a reader refuses."""
-    try:
-        yield Table(name, "", {key: plain(value) for key, value in values.items()})
-    except WorldFileError as error:
-        raise MissionFileError(str(error)) from None
-
-
-def check(verb: str, **arguments: object) -> None:
-    """Refuse arguments that the verb can do nothing with; heading_deg and by_deg of None are not given, but for a
-    dock. Raises MissionFileError."""
-    stated = {key: value for key, value in arguments.items() if value is not None or (verb, key) not in _LEFT_OUT}
-    with given(verb, stated) as table:
-        for key in stated:
-            _READERS[key](table)
-
-
-def points(verb: str, points_in: object) -> tuple[Point, ...]:
-    """At least one point, as plain numbers. Raises MissionFileError."""
-    with given(verb, {"points_in": points_in}) as table:
-        return table.points_in("points", least=1)
-
-
-def plain(value: object) -> object:
-    """As a file would have it: collections and arrays are lists, numpy's numbers are Python's, a path is its text."""
-    if isinstance(value, np.ndarray | np.generic):
-        value = value.tolist()
-    if isinstance(value, Collection) and not isinstance(value, str | bytes | Mapping):
-        return [plain(one) for one in value]
-    return fspath(value) if isinstance(value, PathLike) else value
-
-
-def by_deg(table: Table) -> float:
-    """How far to turn, to the left; the key is there."""
-    return table.number("by_deg", -MOST_TURN_DEG, MOST_TURN_DEG)
-
-
-def within_in(table: Table) -> float:
-    """How near counts as there."""
-    return table.number("within_in", LEAST_WITHIN_IN, MOST_WITHIN_IN) if "within_in" in table.values else 1.0
-
-
-def retries(table: Table) -> int:
-    """How often a step is tried again."""
-    return table.index("retries", MOST_RETRIES + 1) or 0
-
-
-def rounds(table: Table) -> int:
-    """How often a patrol goes around."""
-    return table.index("rounds", MOST_ROUNDS + 1, least=1) or 1
-
-
-def _limit(table: Table) -> object:
-    """Seconds that are left for it, as a program may have counted them: none is none, and inf no limit."""
-    return table.values["limit_s"] == inf or table.number("limit_s", 0.0, LONGEST_S)
-
-
-def _condition(table: Table) -> None:
-    condition = table.values["condition"]
-    if not callable(condition):
-        table.fail("condition", f"expected a function of what is seen, found {found(condition)}")
-
-
-_LEFT_OUT: Final = frozenset({("go_to", "heading_deg"), ("turn", "heading_deg"), ("turn", "by_deg")})
-_READERS: Final[Mapping[str, Callable[[Table], object]]] = MappingProxyType(
-    {
-        "x_in": lambda table: table.length_in("x"),
-        "y_in": lambda table: table.length_in("y"),
-        "heading_deg": lambda table: table.angle_rad("heading"),
-        "by_deg": by_deg,
-        "within_in": within_in,
-        "seconds": lambda table: table.number("seconds", 0.0, LONGEST_S),
-        "condition": _condition,
-        "words": lambda table: table.text("words", ""),
-        "rounds": rounds,
-        "limit_s": _limit,
-        "retries": retries,
-    }
-)
-"""Every argument of a verb by its name, but points."""
-
-
+MIN_TIME_S, MAX_TIME_S = 0.1, 86_400.0
+MIN_WITHIN_IN, MAX_WITHIN_IN = 0.1, 100.0
+MAX_RETRIES, MAX_ROUNDS = 100, 10_000
+MAX_TURN_DEG: Final = 3600.0
+"""Ten revolutions: a larger angle is nearly always a mistake, such as a wrong unit."""
 TIME_LIMIT_S: Final = 600.0
 
 
 class OnLost(Enum):
-    """What to do on LOST, for as long as lost_s."""
+    """What to do when the estimate is LOST, for at most lost_s."""
 
     STOP = "stop"
-    """Stand and listen; go on once the place is known again."""
+    """Stand until the robot is localized again."""
     SEARCH = "search"
-    """Turn about, then drive where there is room, until the place is known again."""
+    """Turn, then drive where there is free space, until the robot is localized again."""
     GIVE_UP = "give_up"
     """End the mission."""
 
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """Of a mission.
+    """Settings of a mission.
 
-    title           what the report calls it              map       the walls: a shipped world or a TOML file, "": given
-    time_limit_s    seconds of the robot's clock that all of it may take         otherwise
-    fence_in        corners of a polygon that the robot keeps inside of, none: no fence
-    on_lost, lost_s what to do on LOST, and for how long
+    Attributes
+    ----------
+    title
+        Title of the report.
+    map
+        Walls: a shipped world or a TOML file; "" if given on the command line.
+    time_limit_s
+        Time limit of the mission, seconds of the robot's clock.
+    fence_in
+        Corners of a polygon that the robot must stay inside; empty for no fence.
+    on_lost, lost_s
+        Behaviour when the estimate is LOST (or its name), and for how long.
 
-    Raises MissionFileError, which names the one that is wrong; a word of OnLost stands for it.
+    Raises
+    ------
+    MissionFileError
+        If a value is wrong; the message names it.
     """
 
     title: str = ""
@@ -155,46 +74,131 @@ class Settings:
     lost_s: float = 60.0
 
     def __post_init__(self) -> None:
-        values = {field.name: plain(getattr(self, field.name)) for field in fields(self)}
+        values = {field.name: to_plain_value(getattr(self, field.name)) for field in fields(self)}
         values["on_lost"] = self.on_lost.value if isinstance(self.on_lost, OnLost) else values["on_lost"]
-        stated = {key: value for key, value in values.items() if key not in _NONE or value != _NONE[key]}
-        with given("Settings", stated) as table:
-            for key, value in settings_in(table).items():
+        stated = {key: value for key, value in values.items() if key not in _EMPTY or value != _EMPTY[key]}
+        with as_table("Settings", stated) as table:
+            for key, value in read_settings(table).items():
                 object.__setattr__(self, key, value)
 
 
-_NONE: Final[Mapping[str, object]] = MappingProxyType({"title": "", "map": "", "fence_in": []})
-"""What says that there is none of it; a list leaves the key out."""
+_EMPTY: Final[Mapping[str, object]] = MappingProxyType({"title": "", "map": "", "fence_in": []})
+"""Values that mean "not given" in a program; a TOML file omits the key instead."""
 
 
-def settings_in(table: Table) -> dict[str, Any]:
-    """Those that are given in the table, by their names. Raises WorldFileError."""
-    read = {key: reader(table) for key, reader in _READERS_SETTINGS.items() if key in table.values}
+def read_settings(table: Table) -> dict[str, Any]:
+    """Return the settings that are in a table, by name. Raises WorldFileError."""
+    values = {key: reader(table) for key, reader in _SETTING_READERS.items() if key in table.values}
     if any(key.startswith("fence_") for key in table.values):
-        read["fence_in"] = _fence(table)
-    return read
+        values["fence_in"] = _read_fence(table)
+    return values
 
 
-def _policy(table: Table) -> OnLost:
-    word, words = table.values["on_lost"], [policy.value for policy in OnLost]
-    if word not in words:
-        told = f"{word!r}{suggest(word, words)}" if isinstance(word, str) else found(word)
-        table.fail("on_lost", f"expected one of {', '.join(words)}, found {told}")
-    return OnLost(word)
+def _read_on_lost(table: Table) -> OnLost:
+    value, names = table.values["on_lost"], [policy.value for policy in OnLost]
+    if value not in names:
+        description = f"{value!r}{suggest(value, names)}" if isinstance(value, str) else describe_value(value)
+        table.fail("on_lost", f"expected one of {', '.join(names)}, found {description}")
+    return OnLost(value)
 
 
-def _fence(table: Table) -> tuple[Point, ...]:
-    corners = table.points_in("fence", least=3)
+def _read_fence(table: Table) -> tuple[Point, ...]:
+    corners = table.points_in("fence", minimum=3)
     require_outline(table, table.key_of("fence"), corners)
     return corners
 
 
-_READERS_SETTINGS: Final[Mapping[str, Callable[[Table], object]]] = MappingProxyType(
+_SETTING_READERS: Final[Mapping[str, Callable[[Table], object]]] = MappingProxyType(
     {
         "title": lambda table: table.text("title", ""),
         "map": lambda table: table.text("map", ""),
-        "time_limit_s": lambda table: table.number("time_limit_s", LEAST_S, LONGEST_S),
-        "on_lost": _policy,
-        "lost_s": lambda table: table.number("lost_s", LEAST_S, LONGEST_S),
+        "time_limit_s": lambda table: table.number("time_limit_s", MIN_TIME_S, MAX_TIME_S),
+        "on_lost": _read_on_lost,
+        "lost_s": lambda table: table.number("lost_s", MIN_TIME_S, MAX_TIME_S),
     }
 )
+
+
+# arguments of steps
+
+
+@contextmanager
+def as_table(name: str, values: Mapping[str, object]) -> Iterator[Table]:
+    """Provide the values given to `name` as a table; errors of its readers become MissionFileError."""
+    try:
+        yield Table(name, "", {key: to_plain_value(value) for key, value in values.items()})
+    except WorldFileError as error:
+        raise MissionFileError(str(error)) from None
+
+
+def check_arguments(step: str, **arguments: object) -> None:
+    """Check the arguments of a step; optional ones may be None. Raises MissionFileError."""
+    stated = {key: value for key, value in arguments.items() if value is not None or (step, key) not in _OPTIONAL}
+    with as_table(step, stated) as table:
+        for key in stated:
+            _ARGUMENT_READERS[key](table)
+
+
+def read_points(step: str, points_in: object) -> tuple[Point, ...]:
+    """Return one or more points as plain numbers. Raises MissionFileError."""
+    with as_table(step, {"points_in": points_in}) as table:
+        return table.points_in("points", minimum=1)
+
+
+def to_plain_value(value: object) -> object:
+    """Return a value as a file would contain it: lists for collections and arrays, Python numbers, text for paths."""
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, Collection) and not isinstance(value, str | bytes | Mapping):
+        return [to_plain_value(one) for one in value]
+    return fspath(value) if isinstance(value, PathLike) else value
+
+
+def read_by_deg(table: Table) -> float:
+    """Return the angle to turn by, counter-clockwise; the key must be present."""
+    return table.number("by_deg", -MAX_TURN_DEG, MAX_TURN_DEG)
+
+
+def read_within_in(table: Table) -> float:
+    """Return the distance at which a goal counts as reached. Default: 1."""
+    return table.number("within_in", MIN_WITHIN_IN, MAX_WITHIN_IN) if "within_in" in table.values else 1.0
+
+
+def read_retries(table: Table) -> int:
+    """Return the number of retries. Default: 0."""
+    return table.index("retries", MAX_RETRIES + 1) or 0
+
+
+def read_rounds(table: Table) -> int:
+    """Return the number of rounds of a patrol. Default: 1."""
+    return table.index("rounds", MAX_ROUNDS + 1, minimum=1) or 1
+
+
+def _read_limit(table: Table) -> object:
+    """Check a time limit that a program may have computed: 0 is allowed, and inf means no limit."""
+    return table.values["limit_s"] == inf or table.number("limit_s", 0.0, MAX_TIME_S)
+
+
+def _check_condition(table: Table) -> None:
+    condition = table.values["condition"]
+    if not callable(condition):
+        table.fail("condition", f"expected a function of what is seen, found {describe_value(condition)}")
+
+
+_OPTIONAL: Final = frozenset({("go_to", "heading_deg"), ("turn", "heading_deg"), ("turn", "by_deg")})
+_ARGUMENT_READERS: Final[Mapping[str, Callable[[Table], object]]] = MappingProxyType(
+    {
+        "x_in": lambda table: table.length_in("x"),
+        "y_in": lambda table: table.length_in("y"),
+        "heading_deg": lambda table: table.angle_rad("heading"),
+        "by_deg": read_by_deg,
+        "within_in": read_within_in,
+        "seconds": lambda table: table.number("seconds", 0.0, MAX_TIME_S),
+        "condition": _check_condition,
+        "words": lambda table: table.text("words", ""),
+        "rounds": read_rounds,
+        "limit_s": _read_limit,
+        "retries": read_retries,
+    }
+)
+"""Reader of every argument of a step, except points."""

@@ -1,1 +1,1 @@
-"""Path planning and path following."""
+"""Path planning, path following and point-to-point navigation on an estimate."""

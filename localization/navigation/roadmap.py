@@ -1,17 +1,19 @@
-"""How near straight ways come to walls. Rules: pure arrays of plane geometry; inches; no robot, no path.
+"""Shortest paths for a round robot among walls: exact, of straight lines and arcs about the ends of walls.
 
-    ways (n, 4), walls (m, 4)    rows x1 y1 x2 y2
+Walls inflated by the radius have borders of lines and arcs. The shortest path among them is a taut string: lines that
+touch two of the circles about the walls' ends, and free arcs of those circles in between.
 
-The shortest way for a round robot among walls: straight lines and arcs about the ends of walls, exactly.
+    nodes    points where such a tangent touches a circle
+    edges    free tangents, and free arcs from one node to the next on a circle
+    path     A* from the start to the goal, whose own tangents are added to the graph
 
-    walls grown by the radius have borders of lines and arcs; the shortest way among them is a taut string: lines that
-    touch two of the circles about the walls' ends, and free arcs of those circles between
-    nodes    where such a line touches a circle         edges    free lines, and free arcs from one node to the next
-    path     A* over them, from a start and to a goal whose own tangents are added
+A start or goal nearer to a wall than the radius is left, or reached, by the shortest straight line that comes no
+nearer. A Roadmap is built once and used for many paths. Lengths in inches, angles in radians.
 
-(the visibility graph of Lozano-Perez and Wesley 1979, for circles as Liu and Arimoto 1992.) A start or goal nearer to a
-wall than the radius is left, or reached, by the shortest straight way that comes no nearer.
-Rules: pure; walls of the map, a radius, points; no robot, no estimate. A Roadmap is built once for many paths.
+References
+----------
+Lozano-Perez, Wesley: An algorithm for planning collision-free paths among polyhedral obstacles (1979).
+Liu, Arimoto: Path planning using a tangent graph for mobile robots among polygonal and curved obstacles (1992).
 """
 
 from __future__ import annotations
@@ -20,69 +22,167 @@ import heapq
 from collections import defaultdict
 from collections.abc import Sequence
 from itertools import pairwise
-from math import inf, pi, tau
-from typing import NamedTuple
+from math import acos, atan2, hypot, inf, pi, tau
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from localization.filters.belief import Floats
-from localization.navigation.path import (
-    SLACK_IN,
-    CornerCircle,
-    Leg,
-    on_circles,
-    room,
-    straight,
-    tangents,
-    tangents_from,
-)
+from localization.navigation.path import SLACK_IN, PathElement, line_between, wall_distances
 from nclient.errors import NomadError
 from worlds.geometry import nearest_points
 
-
-def clearances(ways: Floats, walls: Floats) -> Floats:
-    """The least distance (n,) of each way to any wall; 0 where they cross, inf where there are no walls.
-
-    Two segments that do not cross are nearest at an end of one of them.
-    """
-    if not len(walls) or not len(ways):
-        return np.full(len(ways), np.inf)
-    nearest = np.full(len(ways), np.inf)
-    for end in (slice(0, 2), slice(2, 4)):
-        _, of_way = nearest_points(ways[:, end], walls)
-        _, of_wall = nearest_points(walls[:, end], ways)
-        nearest = np.minimum(nearest, np.minimum(of_way.min(axis=1), of_wall.min(axis=0)))
-    nearest[_crossing(ways, walls).any(axis=1)] = 0.0
-    return nearest
-
-
-def _crossing(ways: Floats, walls: Floats) -> np.typing.NDArray[np.bool_]:
-    """Which way crosses which wall, (n, m)."""
-    one, other = ways[:, None, :], walls[None, :, :]
-    sides = _side(one, other[..., :2]) * _side(one, other[..., 2:])
-    other_sides = _side(other, one[..., :2]) * _side(other, one[..., 2:])
-    crossing: np.typing.NDArray[np.bool_] = (sides < 0.0) & (other_sides < 0.0)
-    return crossing
-
-
-def _side(segments: Floats, points: Floats) -> Floats:
-    along = segments[..., 2:] - segments[..., :2]
-    off = points - segments[..., :2]
-    side: Floats = along[..., 0] * off[..., 1] - along[..., 1] * off[..., 0]
-    return side
-
-
 START, GOAL = 0, 1
-_REACH_IN, _STEP_IN, _DIRECTIONS = 12.0, 0.25, 72
+ESCAPE_IN, ESCAPE_STEP_IN, ESCAPE_DIRECTIONS = 12.0, 0.25, 72
+"""How far, in which steps and in how many directions a free point near a start or goal is searched."""
+_MIN_DISTANCE: Final = 1e-12
 Point = tuple[float, float]
+Indices = np.typing.NDArray[np.intp]
+Mask = np.typing.NDArray[np.bool_]
 
 
 class NoPathError(NomadError):
-    """There is no way that the robot fits through."""
+    """The robot does not fit through anywhere between start and goal."""
+
+
+def segment_clearances(segments: Floats, walls: Floats) -> Floats:
+    """Return the smallest distance (n,) of each segment (n, 4) to any wall (m, 4); 0 where they cross.
+
+    Rows are x1 y1 x2 y2 in inches; the result is inf if there are no walls. Two segments that do not cross are
+    nearest at an end of one of them.
+    """
+    if not len(walls) or not len(segments):
+        return np.full(len(segments), np.inf)
+    nearest = np.full(len(segments), np.inf)
+    for end in (slice(0, 2), slice(2, 4)):
+        _, from_segment = nearest_points(segments[:, end], walls)
+        _, from_wall = nearest_points(walls[:, end], segments)
+        nearest = np.minimum(nearest, np.minimum(from_segment.min(axis=1), from_wall.min(axis=0)))
+    nearest[_crossings(segments, walls).any(axis=1)] = 0.0
+    return nearest
+
+
+def _crossings(segments: Floats, walls: Floats) -> Mask:
+    """Return a matrix (n, m): True where a segment crosses a wall."""
+    one, other = segments[:, None, :], walls[None, :, :]
+    sides = _side(one, other[..., :2]) * _side(one, other[..., 2:])
+    other_sides = _side(other, one[..., :2]) * _side(other, one[..., 2:])
+    crossings: Mask = (sides < 0.0) & (other_sides < 0.0)
+    return crossings
+
+
+def _side(segments: Floats, points: Floats) -> Floats:
+    """Return the cross product that is positive for points to the left of a segment."""
+    along = segments[..., 2:] - segments[..., :2]
+    offset = points - segments[..., :2]
+    side: Floats = along[..., 0] * offset[..., 1] - along[..., 1] * offset[..., 0]
+    return side
+
+
+class CornerCircle:
+    """Circle of the robot's radius about an end of a wall, with the arcs that keep that distance to all walls."""
+
+    def __init__(self, centre: Floats, walls: Floats, radius_in: float) -> None:
+        # Between the angles where the circle meets an inflated wall an arc is free as a whole, or not at all.
+        borders = np.unique(np.concatenate(([0.0], _border_angles(centre, walls, radius_in))))
+        middles = borders + 0.5 * np.diff(borders, append=borders[0] + tau)
+        points = centre + radius_in * np.stack((np.cos(middles), np.sin(middles)), axis=-1)
+        self._borders = borders
+        self._free = wall_distances(points, walls) >= radius_in - SLACK_IN
+
+    def free(self, angles: Floats) -> list[bool]:
+        """Return for each angle if the arc from it to the next one, and from the last to the first, is free.
+
+        Parameters
+        ----------
+        angles : (n,) array
+            Sorted angles in [0, 2 pi), n > 0.
+        """
+        blocked = ~self._free
+        ends = np.append(self._borders[1:], tau)
+        found = []
+        for first, last in zip(angles, np.append(angles[1:], angles[0] + tau), strict=True):
+            # An arc across angle 0 is checked as two spans.
+            spans = [(first, min(last, tau)), (0.0, last - tau)]
+            found.append(not any(self._overlaps_blocked(a, b, blocked, ends) for a, b in spans if b > a))
+        return found
+
+    def _overlaps_blocked(self, first: float, last: float, blocked: Mask, ends: Floats) -> bool:
+        return bool((blocked & (self._borders < last - _MIN_DISTANCE) & (ends > first + _MIN_DISTANCE)).any())
+
+
+def _border_angles(centre: Floats, walls: Floats, radius_in: float) -> Floats:
+    """Return the angles in [0, 2 pi) where the circle meets the border of a wall inflated by the same radius."""
+    found: list[float] = []
+    for x1, y1, x2, y2 in (walls - np.tile(centre, 2)).tolist():
+        # 1. The circles about the two ends of the wall.
+        for x, y in ((x1, y1), (x2, y2)):
+            distance = hypot(x, y)
+            if _MIN_DISTANCE < distance <= 2.0 * radius_in:
+                found += [atan2(y, x) + side * acos(0.5 * distance / radius_in) for side in (-1.0, 1.0)]
+        # 2. The two lines parallel to the wall.
+        length = hypot(x2 - x1, y2 - y1)
+        if length <= _MIN_DISTANCE:
+            continue
+        normal, offset = atan2(x2 - x1, y1 - y2), (x2 * y1 - x1 * y2) / length
+        for line in (offset - radius_in, offset + radius_in):
+            if abs(line) <= radius_in + SLACK_IN:
+                turn = acos(max(-1.0, min(1.0, line / radius_in)))
+                found += [normal - turn, normal + turn]
+    return np.array(found) % tau
+
+
+def common_tangents(centres: Floats, radius_in: float) -> tuple[Floats, Indices]:
+    """Return all common tangents of circles of one radius.
+
+    Two circles have two outer tangents, parallel to the line of their centres, and, if they do not overlap, two inner
+    ones, at the angle acos(2 radius / distance) from it.
+
+    Parameters
+    ----------
+    centres : (n, 2) array
+
+    Returns
+    -------
+    angles : (k, 2) array
+        Angle of the two touching points, each on its circle.
+    circles : (k, 2) array of int
+        The circles that these points lie on.
+    """
+    one, other = np.triu_indices(len(centres), 1)
+    offset = centres[other] - centres[one]
+    distance, along = np.hypot(offset[:, 0], offset[:, 1]), np.arctan2(offset[:, 1], offset[:, 0])
+    apart = distance >= 2.0 * radius_in
+    cross = np.arccos(np.minimum(1.0, 2.0 * radius_in / distance))
+    angles, circles = [], []
+    for side in (-1.0, 1.0):
+        outer = along + side * 0.5 * pi
+        angles.append(np.stack((outer, outer), axis=-1))
+        inner = (along + side * cross)[apart]
+        angles.append(np.stack((inner, inner + pi), axis=-1))
+        pair = np.stack((one, other), axis=-1)
+        circles += [pair, pair[apart]]
+    return np.concatenate(angles) % tau, np.concatenate(circles)
+
+
+def tangents_from(point: Floats, centres: Floats, radius_in: float) -> tuple[Floats, Indices]:
+    """Return the tangents from a point to circles (n, 2): angles (k,) of the touching points, their circles (k,)."""
+    offset = point - centres
+    distance, along = np.hypot(offset[:, 0], offset[:, 1]), np.arctan2(offset[:, 1], offset[:, 0])
+    outside = np.flatnonzero(distance >= radius_in)
+    turn = np.arccos(radius_in / distance[outside])
+    angles = np.concatenate((along[outside] - turn, along[outside] + turn)) % tau
+    return angles, np.concatenate((outside, outside))
+
+
+def points_on_circles(centres: Floats, circles: Indices, angles: Floats, radius_in: float) -> Floats:
+    """Return the points (k, 2) at angles (k,) on circles (k,)."""
+    points: Floats = centres[circles] + radius_in * np.stack((np.cos(angles), np.sin(angles)), axis=-1)
+    return points
 
 
 class _Arc(NamedTuple):
-    """An edge along a circle: the circle, the angle it begins at, and the turn about the centre."""
+    """An edge along a circle: the circle's number, the start angle, and the turn about the centre."""
 
     circle: int
     from_rad: float
@@ -90,40 +190,42 @@ class _Arc(NamedTuple):
 
 
 class _Graph:
-    """Nodes (n, 2), the first two start and goal; `edges` of each: length, the other end, the arc or None."""
+    """Nodes (n, 2), the first two being start and goal; `edges` per node: length, other node, arc or None."""
 
     def __init__(self, points: Floats) -> None:
         self.points = points
         self.edges: dict[int, list[tuple[float, int, _Arc | None]]] = defaultdict(list)
 
     def join(self, one: int, other: int, length_in: float, arc: _Arc | None = None) -> None:
+        """Add an edge in both directions."""
         back = arc and _Arc(arc.circle, arc.from_rad + arc.turn_rad, -arc.turn_rad)
         self.edges[one].append((length_in, other, arc))
         self.edges[other].append((length_in, one, back))
 
     def shortest(self) -> list[tuple[int, int, _Arc | None]] | None:
-        """The edges from start to goal, in order (A*, the straight line as what is left at least)."""
-        left = np.hypot(*(self.points - self.points[GOAL]).T).tolist()
+        """Return the edges from start to goal in order, by A*; None if they are not connected."""
+        # The straight distance to the goal never exceeds the remaining length: an admissible heuristic.
+        heuristic = np.hypot(*(self.points - self.points[GOAL]).T).tolist()
         reached: dict[int, float] = {START: 0.0}
         before: dict[int, tuple[int, _Arc | None]] = {}
-        queue: list[tuple[float, int]] = [(left[START], START)]
+        queue: list[tuple[float, int]] = [(heuristic[START], START)]
         done: set[int] = set()
         while queue:
             _, node = heapq.heappop(queue)
             if node == GOAL:
-                return _back(before)
+                return _trace_back(before)
             if node in done:
                 continue
             done.add(node)
             for length, other, arc in self.edges[node]:
-                further = reached[node] + length
-                if further < reached.get(other, inf):
-                    reached[other], before[other] = further, (node, arc)
-                    heapq.heappush(queue, (further + left[other], other))
+                total = reached[node] + length
+                if total < reached.get(other, inf):
+                    reached[other], before[other] = total, (node, arc)
+                    heapq.heappush(queue, (total + heuristic[other], other))
         return None
 
 
-def _back(before: dict[int, tuple[int, _Arc | None]]) -> list[tuple[int, int, _Arc | None]]:
+def _trace_back(before: dict[int, tuple[int, _Arc | None]]) -> list[tuple[int, int, _Arc | None]]:
     node, edges = GOAL, []
     while node != START:
         earlier, arc = before[node]
@@ -133,135 +235,156 @@ def _back(before: dict[int, tuple[int, _Arc | None]]) -> list[tuple[int, int, _A
 
 
 class Roadmap:
-    """Ways among walls (m, 4) for a robot whose axis keeps `radius_in` from them all."""
+    """Tangent graph among walls (m, 4) for a robot whose axis keeps `radius_in` from all of them."""
 
     def __init__(self, walls: Floats, radius_in: float) -> None:
         self.walls, self.radius_in = np.asarray(walls, dtype=np.float64).reshape(-1, 4), radius_in
         self._centres = np.unique(self.walls.reshape(-1, 2), axis=0)
-        self._rims = [CornerCircle(centre, self.walls, radius_in) for centre in self._centres]
-        angles, circles = tangents(self._centres, radius_in)
-        ends = [on_circles(self._centres, circles[:, k], angles[:, k], radius_in) for k in (0, 1)]
-        free = self._free(np.concatenate(ends, axis=1), radius_in)
+        self._corner_circles = [CornerCircle(centre, self.walls, radius_in) for centre in self._centres]
+        angles, circles = common_tangents(self._centres, radius_in)
+        ends = [points_on_circles(self._centres, circles[:, k], angles[:, k], radius_in) for k in (0, 1)]
+        free = self._is_free(np.concatenate(ends, axis=1), radius_in)
         self._angles, self._circles = angles[free].reshape(-1), circles[free].reshape(-1)
         self._nodes = np.stack(ends, axis=1)[free].reshape(-1, 2)
 
-    def path(self, start: Point, goal: Point, least_room_in: float | None = None) -> list[Leg]:
-        """The shortest way from start to goal; none where they are one point.
+    def path(self, start: Point, goal: Point, min_goal_distance_in: float | None = None) -> list[PathElement]:
+        """Return the shortest path from start to goal; empty if they are the same point.
 
-        `least_room_in`: how near to a wall the goal may lie (the radius, where it is not given). Raises NoPathError
-        where there is no way, saying which end has no room.
+        Parameters
+        ----------
+        start, goal : (x, y)
+            Inches.
+        min_goal_distance_in : float, optional
+            Required distance of the goal from walls. Default: the radius.
+
+        Raises
+        ------
+        NoPathError
+            If there is no path, or no space at the goal.
         """
         ends = np.array([start, goal], dtype=np.float64)
-        rooms = room(ends, self.walls)
-        least = self.radius_in if least_room_in is None else least_room_in
-        if rooms[1] < least - SLACK_IN:
-            raise NoPathError(f"no room at ({goal[0]:g}, {goal[1]:g}): {rooms[1]:.1f} in to a wall, {least:.1f} wanted")
-        if self._free(ends.reshape(1, 4), min(self.radius_in, *rooms))[0]:
-            return [straight(start, goal)]
-        inner = np.stack([self._pushed(end, far) for end, far in zip(ends, rooms, strict=True)])
-        legs = self._among(inner)
-        if legs is None:
+        distances = wall_distances(ends, self.walls)
+        required = self.radius_in if min_goal_distance_in is None else min_goal_distance_in
+        if distances[1] < required - SLACK_IN:
             raise NoPathError(
-                f"no way from ({start[0]:g}, {start[1]:g}) to ({goal[0]:g}, {goal[1]:g}) for a robot of "
+                f"no space at ({goal[0]:g}, {goal[1]:g}): {distances[1]:.1f} in to a wall, {required:.1f} in needed"
+            )
+        # 1. The straight line, if it is free.
+        if self._is_free(ends.reshape(1, 4), min(self.radius_in, *distances))[0]:
+            return [line_between(start, goal)]
+        # 2. Otherwise from a free point near the start to one near the goal.
+        inner = np.stack([self._free_point_near(end, far) for end, far in zip(ends, distances, strict=True)])
+        elements = self._search(inner)
+        if elements is None:
+            raise NoPathError(
+                f"no path from ({start[0]:g}, {start[1]:g}) to ({goal[0]:g}, {goal[1]:g}) for a robot of "
                 f"{self.radius_in:.1f} in radius"
             )
-        return [straight(start, inner[START].tolist()), *legs, straight(inner[GOAL].tolist(), goal)]
+        return [
+            line_between(start, inner[START].tolist()),
+            *elements,
+            line_between(inner[GOAL].tolist(), goal),
+        ]
 
     def require_free(self, points: Sequence[Point]) -> None:
-        """Raises NoPathError, naming it, for the first straight way from point to point that comes too near to a wall;
-        the first point alone may lie nearer."""
-        ways = np.array([[*one, *other] for one, other in pairwise(points)], dtype=np.float64).reshape(-1, 4)
-        wanted = np.full(len(ways), self.radius_in)
-        wanted[:1] = np.minimum(wanted[:1], room(ways[:1, :2], self.walls))
-        near = clearances(ways, self.walls)
-        for (x1, y1, x2, y2), far, least in zip(ways.tolist(), near, wanted, strict=True):
-            if far < least - SLACK_IN:
+        """Raise NoPathError for the first straight line between points that comes too near to a wall.
+
+        Only the first point may lie nearer to a wall than the radius.
+        """
+        lines = np.array([[*one, *other] for one, other in pairwise(points)], dtype=np.float64).reshape(-1, 4)
+        required = np.full(len(lines), self.radius_in)
+        required[:1] = np.minimum(required[:1], wall_distances(lines[:1, :2], self.walls))
+        clearances = segment_clearances(lines, self.walls)
+        for (x1, y1, x2, y2), distance, least in zip(lines.tolist(), clearances, required, strict=True):
+            if distance < least - SLACK_IN:
                 raise NoPathError(
-                    f"the way from ({x1:g}, {y1:g}) to ({x2:g}, {y2:g}) comes within {far:.1f} in of a "
-                    f"wall, {least:.1f} wanted"
+                    f"the line from ({x1:g}, {y1:g}) to ({x2:g}, {y2:g}) comes within {distance:.1f} in of a "
+                    f"wall, {least:.1f} in needed"
                 )
 
-    def _free(self, ways: Floats, wanted_in: float) -> np.typing.NDArray[np.bool_]:
-        """Which straight ways (n, 4) keep so far from all walls."""
-        free: np.typing.NDArray[np.bool_] = clearances(ways, self.walls) >= wanted_in - SLACK_IN
+    def _is_free(self, segments: Floats, distance_in: float) -> Mask:
+        """Return True (n,) for segments (n, 4) that keep the distance to all walls."""
+        free: Mask = segment_clearances(segments, self.walls) >= distance_in - SLACK_IN
         return free
 
-    def _pushed(self, point: Floats, room_in: float) -> Floats:
-        """The nearest point with room that is reached straight, coming no nearer; the point itself where it has room,
-        or where there is none."""
-        if room_in >= self.radius_in - SLACK_IN:
+    def _free_point_near(self, point: Floats, distance_in: float) -> Floats:
+        """Return the nearest point with enough distance that is reached straight, coming no nearer to a wall.
+
+        Returns the point itself if its distance suffices, or if none is found.
+        """
+        if distance_in >= self.radius_in - SLACK_IN:
             return point
-        angles = np.arange(_DIRECTIONS) * (tau / _DIRECTIONS)
-        ways = np.stack((np.cos(angles), np.sin(angles)), axis=-1)
-        for far in np.arange(_STEP_IN, _REACH_IN, _STEP_IN):
-            there = point + far * ways
-            there = there[room(there, self.walls) >= self.radius_in]
+        angles = np.arange(ESCAPE_DIRECTIONS) * (tau / ESCAPE_DIRECTIONS)
+        directions = np.stack((np.cos(angles), np.sin(angles)), axis=-1)
+        for offset in np.arange(ESCAPE_STEP_IN, ESCAPE_IN, ESCAPE_STEP_IN):
+            there = point + offset * directions
+            there = there[wall_distances(there, self.walls) >= self.radius_in]
             here = np.broadcast_to(point, there.shape)
-            free = self._free(np.concatenate((here, there), axis=1), room_in)
+            free = self._is_free(np.concatenate((here, there), axis=1), distance_in)
             if free.any():
-                pushed: Floats = there[free][0]
-                return pushed
+                found: Floats = there[free][0]
+                return found
         return point
 
-    def _among(self, ends: Floats) -> list[Leg] | None:
-        """The shortest way from ends[0] to ends[1] (2, 2); None where there is none."""
+    def _search(self, ends: Floats) -> list[PathElement] | None:
+        """Return the shortest path from ends[0] to ends[1] (2, 2); None if there is none."""
         points, angles, circles = [ends], [], []
         lines: list[tuple[int, int, float]] = []
-        if self._free(ends.reshape(1, 4), self.radius_in)[0]:
+        # 1. The direct line.
+        if self._is_free(ends.reshape(1, 4), self.radius_in)[0]:
             lines.append((START, GOAL, float(np.hypot(*(ends[1] - ends[0])))))
+        # 2. Free tangents from start and goal to all circles.
         count = 2
         for number, end in enumerate(ends):
             angle, circle = tangents_from(end, self._centres, self.radius_in)
-            there = on_circles(self._centres, circle, angle, self.radius_in)
-            free = self._free(np.concatenate((np.broadcast_to(end, there.shape), there), axis=1), self.radius_in)
+            there = points_on_circles(self._centres, circle, angle, self.radius_in)
+            free = self._is_free(np.concatenate((np.broadcast_to(end, there.shape), there), axis=1), self.radius_in)
             points.append(there[free])
             angles.append(angle[free])
             circles.append(circle[free])
             lengths = np.hypot(*(there[free] - end).T)
             lines += [(number, count + k, float(length)) for k, length in enumerate(lengths)]
             count += len(lengths)
+        # 3. The graph: these lines, the roadmap's tangents, and free arcs.
         graph = _Graph(np.concatenate([*points, self._nodes]))
         for line in lines:
             graph.join(*line)
         for k in range(0, len(self._nodes), 2):
             graph.join(count + k, count + k + 1, float(np.hypot(*(self._nodes[k + 1] - self._nodes[k]))))
         self._join_arcs(graph, np.concatenate([*angles, self._angles]), np.concatenate([*circles, self._circles]))
+        # 4. Search.
         edges = graph.shortest()
-        return None if edges is None else _joined([self._leg(graph, *edge) for edge in edges])
+        return None if edges is None else _join_elements([self._element(graph, *edge) for edge in edges])
 
-    def _join_arcs(self, graph: _Graph, angles: Floats, circles: np.typing.NDArray[np.intp]) -> None:
-        """Join the nodes on each circle to the next ones where the arc between is free; nodes are counted from 2."""
-        for number, rim in enumerate(self._rims):
+    def _join_arcs(self, graph: _Graph, angles: Floats, circles: Indices) -> None:
+        """Join neighbouring nodes on each circle where the arc between them is free; nodes are counted from 2."""
+        for number, corner in enumerate(self._corner_circles):
             there = np.flatnonzero(circles == number)
             if not len(there):
                 continue
             there = there[np.argsort(angles[there])]
             turns = np.diff(angles[there], append=angles[there[0]] + tau)
-            around = zip(there, np.roll(there, -1), turns, rim.free(angles[there]), strict=True)
+            around = zip(there, np.roll(there, -1), turns, corner.free(angles[there]), strict=True)
             for one, other, turn, free in around:
                 if free:
                     arc = _Arc(number, float(angles[one]), float(turn))
                     graph.join(int(one) + 2, int(other) + 2, self.radius_in * float(turn), arc)
 
-    def _leg(self, graph: _Graph, one: int, other: int, arc: _Arc | None) -> Leg:
+    def _element(self, graph: _Graph, one: int, other: int, arc: _Arc | None) -> PathElement:
         x, y = graph.points[one].tolist()
         if arc is None:
-            return straight((x, y), graph.points[other].tolist())
+            return line_between((x, y), graph.points[other].tolist())
         left = 1.0 if arc.turn_rad >= 0.0 else -1.0
-        return Leg(x, y, arc.from_rad + left * 0.5 * pi, left / self.radius_in, self.radius_in * abs(arc.turn_rad))
+        heading = arc.from_rad + left * 0.5 * pi
+        return PathElement(x, y, heading, left / self.radius_in, self.radius_in * abs(arc.turn_rad))
 
 
-def _joined(legs: list[Leg]) -> list[Leg]:
-    """The same way, arcs that go on in one another as one."""
-    joined: list[Leg] = []
-    for leg in legs:
-        if joined and leg.curvature and leg.curvature == joined[-1].curvature:
-            joined[-1] = joined[-1]._replace(length_in=joined[-1].length_in + leg.length_in)
+def _join_elements(elements: list[PathElement]) -> list[PathElement]:
+    """Return the same path with consecutive arcs of one circle joined."""
+    joined: list[PathElement] = []
+    for element in elements:
+        if joined and element.curvature and element.curvature == joined[-1].curvature:
+            joined[-1] = joined[-1]._replace(length_in=joined[-1].length_in + element.length_in)
         else:
-            joined.append(leg)
+            joined.append(element)
     return joined
-
-
-def length_in(legs: list[Leg]) -> float:
-    """The length of a way."""
-    return sum(leg.length_in for leg in legs)

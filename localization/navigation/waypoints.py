@@ -1,9 +1,9 @@
-"""Driving to way-points on an estimate: the thesis' control law, turned into velocities for a real robot's axes.
+"""Point-to-point navigation on an estimate: the control law of the thesis as velocities for a real robot's axes.
 
-    refresh ──> localizer ──> navigator ──> drive ──> wait for the rest of the period, and round again
+    refresh ──> localizer ──> navigator ──> drive ──> wait for the rest of the period, and again
 
-Rules: speaks to a robot through nclient's names only; waiting is handed in, so the loop knows no clock of its own.
-The law's limits are a step's; at a step every PERIOD_S they are speeds.
+The limits of the control law are per step; with one step every PERIOD_S they are speeds. Waiting is a parameter, so
+the loop has no clock of its own.
 """
 
 from __future__ import annotations
@@ -21,26 +21,27 @@ from localization.filters.health import HealthStatus
 from localization.filters.registry import DEFAULT_METHOD
 from localization.live.localizer import Estimate, Localizer
 from localization.live.sensor_input import FiringSchedule
+from localization.navigation.control_law import ControlGains, distance_to, next_step
+from localization.navigation.limits import STAND, PoseSmoother, StateGapLimiter, VelocityCommand
 from localization.navigation.recovery import RecoveryBehavior
-from localization.navigation.speed import ControlGains, Pace, PoseSmoother, distance_to, next_step
 from nclient.errors import NomadError
 from nclient.protocol.types import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
 from nclient.robot import Robot
 from nclient.state import RobotState
 
 PERIOD_S = 0.1
-"""The law's step (ROBOTS.md)."""
+"""Control period (ROBOTS.md)."""
 STOP_RADIUS_IN = 1.0
-"""A way-point of a live run counts as reached within this."""
-SHORTEST_WAIT_S = 0.001
-"""A robot's clock counts in milliseconds at the finest."""
+"""Distance at which a waypoint of a live run counts as reached."""
+MIN_WAIT_S = 0.001
+"""Resolution of the finest robot clock, 1 ms."""
 COMMAND_TIMEOUT_S = 2
-"""The robot stops by itself when no command comes for so long."""
+"""The robot stops by itself after this time without a command."""
 
 
 @dataclass(frozen=True, slots=True)
 class Speeds:
-    """Limits of a live run. The shares of the error that a period corrects are the thesis'."""
+    """Speed limits of a live run; the gains (fraction of the error corrected per period) are those of the thesis."""
 
     translation_in_s: float = 5.0
     steering_rad_s: float = 0.5
@@ -49,22 +50,25 @@ class Speeds:
 
     @property
     def gains(self) -> ControlGains:
-        """The same as limits of one step."""
+        """The same limits per step of PERIOD_S."""
         return ControlGains(
             self.translation_in_s * PERIOD_S, self.steering_rad_s * PERIOD_S, self.alpha_rho, self.alpha_theta
         )
 
 
-class Command(NamedTuple):
-    """Velocities to drive at."""
-
-    translation_in_s: float
-    steering_rad_s: float
-
-
 class Navigator:
-    """From way-point to way-point. `waypoints`: (x, y) in inches, visited in order; `stays`: where there is nowhere
-    left to go the robot stands, ready to be sent on."""
+    """Controller from waypoint to waypoint.
+
+    Parameters
+    ----------
+    waypoints : sequence of (x, y)
+        Inches, visited in order.
+    speeds : Speeds, optional
+    radius_in : float
+        Distance at which a waypoint counts as reached.
+    stays : bool
+        Stand after the last waypoint and wait for new ones instead of ending.
+    """
 
     def __init__(
         self,
@@ -79,90 +83,114 @@ class Navigator:
         self._gains = (speeds or Speeds()).gains
         self._radius_in = radius_in
         self.passed = 0
-        """How many way-points are behind."""
+        """Number of waypoints reached."""
 
     @property
     def finished(self) -> bool:
-        """Whether the last way-point was reached."""
+        """True once the last waypoint is reached."""
         return self.passed == len(self._goals)
 
     @property
     def goal(self) -> Floats | None:
-        """The way-point ahead (2,); None behind the last."""
+        """Current waypoint (2,); None after the last."""
         return None if self.finished else self._goals[self.passed]
 
-    def go(self, waypoints: Sequence[tuple[float, float]]) -> None:
-        """Leave the way-points that are left, and go to these."""
+    def set_waypoints(self, waypoints: Sequence[tuple[float, float]]) -> None:
+        """Replace the remaining waypoints."""
         self._goals = [np.array(point, dtype=np.float64) for point in waypoints]
         self.passed = 0
 
-    def command(self, pose: Floats) -> Command | None:
-        """What to do at this pose (3,); None when there is nowhere left to go and nothing to wait for."""
+    def command(self, pose: Floats) -> VelocityCommand | None:
+        """Return the velocities at a pose (3,); None at the end."""
         while not self.finished and distance_to(pose, self._goals[self.passed]) <= self._radius_in:
             self.passed += 1
         if self.finished:
-            return Command(0.0, 0.0) if self._stays else None
+            return STAND if self._stays else None
         step = next_step(pose, self._goals[self.passed], self._gains) / PERIOD_S
-        return Command(float(step[0]), float(step[1]))
+        return VelocityCommand(float(step[0]), float(step[1]))
 
 
-class Progress(NamedTuple):
-    """A moment of a run."""
+class NavigationStep(NamedTuple):
+    """One period of a run: estimate, state, number of waypoints reached."""
 
     estimate: Estimate
     state: RobotState
     passed: int
 
 
-def begin(robot: Robot, known: LocalizationConfig, belief: Belief, method: str | Filter = DEFAULT_METHOD) -> Localizer:
-    """Restart the robot's ring, so that its firing instants are known, and start a filter on it: a name of
-    filters.table, or one that is made."""
+def start_localizer(
+    robot: Robot, config: LocalizationConfig, belief: Belief, method: str | Filter = DEFAULT_METHOD
+) -> Localizer:
+    """Restart the robot's sonar ring, so that its firing times are known, and start a filter.
+
+    Parameters
+    ----------
+    robot : Robot
+    config : LocalizationConfig
+        Map, robot, sensor and noise models.
+    belief : Belief
+        Initial belief.
+    method : str or Filter
+        Name of a filter (see localization.filters.registry), or a filter.
+    """
     state = robot.configure_sonars(rate=DEFAULT_SONAR_RATE, order=DEFAULT_SONAR_ORDER)
     assert state.clock_s is not None
-    localizer = Localizer(known, belief, FiringSchedule(state.clock_s), method)
+    localizer = Localizer(config, belief, FiringSchedule(state.clock_s), method)
     localizer.update(state)
     return localizer
 
 
-def follow(
+def follow_waypoints(
     robot: Robot,
     localizer: Localizer,
     navigator: Navigator,
     wait: Callable[[float], None],
-    steady: PoseSmoother | None = None,
-) -> Generator[Progress, None, None]:
-    """Drive until the navigator is done, and tell of each period; the robot stands at the end, however it ends. While
-    it is LOST it looks for itself (groping) instead. Where states come far apart it goes slower (pace).
+    smoother: PoseSmoother | None = None,
+) -> Generator[NavigationStep, None, None]:
+    """Drive until the navigator is finished and yield each period; the robot is stopped at the end in any case.
 
-    `wait(seconds)` lets real time pass; it is asked only for what the robot's own clock has not gone by itself.
-    `steady`: what makes the pose to steer by of the estimates; the estimates themselves where there is none.
+    While the estimate is LOST the robot searches (RecoveryBehavior). Where states arrive far apart it drives slower
+    (StateGapLimiter).
+
+    Parameters
+    ----------
+    robot : Robot
+    localizer : Localizer
+    navigator : Navigator
+    wait : callable
+        `wait(seconds)` lets real time pass; called only for what the robot's clock has not advanced by itself.
+    smoother : PoseSmoother, optional
+        Smooths the pose to steer by. Default: steer by the estimates.
     """
-    steady, groping, pace = steady or PoseSmoother(0.0), RecoveryBehavior(PERIOD_S), Pace()
+    smoother, recovery, gap_limiter = smoother or PoseSmoother(0.0), RecoveryBehavior(PERIOD_S), StateGapLimiter()
     robot.set_timeout(COMMAND_TIMEOUT_S)
     state = robot.refresh()
     with stop_on_exit(robot):
         while True:
+            # 1. Estimate.
             estimate = localizer.update(state)
+            # 2. Control, or recovery if the estimate is lost.
             encoders = np.array([state.x_in, state.y_in, state.steering_rad])
-            command: Command | None
+            command: VelocityCommand | None
             if estimate.health.status is HealthStatus.LOST:
-                steady.forget()
-                command = Command(*groping.command(state))
+                smoother.reset()
+                command = VelocityCommand(*recovery.command(state))
             else:
-                groping.reset()
-                command = navigator.command(steady.update(estimate.clock_s, estimate.pose, encoders))
-            yield Progress(estimate, state, navigator.passed)
+                recovery.reset()
+                command = navigator.command(smoother.update(estimate.clock_s, estimate.pose, encoders))
+            yield NavigationStep(estimate, state, navigator.passed)
             if command is None:
                 return
-            translation_in_s, steering_rad_s = (pace.share(estimate.clock_s) * speed for speed in command)
+            # 3. Drive for the rest of the period.
+            fraction = gap_limiter.speed_fraction(estimate.clock_s)
+            translation_in_s, steering_rad_s = (fraction * speed for speed in command)
             after = robot.drive(translation_in_s=translation_in_s, steering_rad_s=steering_rad_s)
             state = wait_for_next_state(robot, state, after, wait)
 
 
 @contextlib.contextmanager
 def stop_on_exit(robot: Robot) -> Iterator[None]:
-    """The robot stands at the end of this, however it ends; where an error ends it, that is what is told, not what
-    stopping has against it."""
+    """Stop the robot at the end of the block; an error of the block takes precedence over one of stopping."""
     try:
         yield
     except BaseException:
@@ -175,8 +203,8 @@ def stop_on_exit(robot: Robot) -> Iterator[None]:
 def wait_for_next_state(
     robot: Robot, before: RobotState, after: RobotState, wait: Callable[[float], None]
 ) -> RobotState:
-    """The state a period after `before`. A real robot shows no speed of time: its time is ours."""
-    left_s = PERIOD_S - ((after.clock_s or 0.0) - (before.clock_s or 0.0))
-    if left_s >= SHORTEST_WAIT_S:
-        wait(left_s / (after.speed_factor or 1.0))
+    """Return the state one period after `before`; a real robot has no speed factor and runs in real time."""
+    remaining_s = PERIOD_S - ((after.clock_s or 0.0) - (before.clock_s or 0.0))
+    if remaining_s >= MIN_WAIT_S:
+        wait(remaining_s / (after.speed_factor or 1.0))
     return robot.refresh()

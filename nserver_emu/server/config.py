@@ -16,7 +16,7 @@ from nserver_emu.simulation.models import MODELS, RobotModel, load_models
 from nserver_emu.simulation.noise import IDEAL, NOISY, setup_named
 from nserver_emu.simulation.simulation import Simulation
 from worlds.io import DEFAULT_WORLD, load_world
-from worlds.schema import FARTHEST_IN
+from worlds.schema import MAX_COORDINATE_IN
 from worlds.world import StartPose
 
 # Distance between neighbours in a ring.
@@ -137,8 +137,8 @@ def pose_from_text(text: str) -> StartPose:
         numbers = [float(part) for part in parts]
     except ValueError:
         numbers = []
-    if not 2 <= len(numbers) <= 4 or not all(abs(number) <= FARTHEST_IN for number in numbers):
+    if not 2 <= len(numbers) <= 4 or not all(abs(number) <= MAX_COORDINATE_IN for number in numbers):
         raise AddressError(f"a start is X,Y,STEER,TURRET in inches and degrees, such as 10,20,90,0, none beyond "
-                           f"{FARTHEST_IN:g}; got {text!r}")
+                           f"{MAX_COORDINATE_IN:g}; got {text!r}")
     x, y, steering, turret = (*numbers, *[0.0] * (4 - len(numbers)))
     return StartPose(x, y, math.radians(steering), math.radians(turret))

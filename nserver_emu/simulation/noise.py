@@ -339,7 +339,7 @@ def apply_calibration(model: RobotModel, setup: RobotSetup) -> RobotSetup:
 
 
 def _calibrated_odometry(calibration: Calibration, odometry: Odometry, track_in: float | None) -> Odometry:
-    distance, turn, drift = calibration.way_scale, calibration.turn_scale, calibration.drift_rad_in
+    distance, turn, drift = calibration.distance_scale, calibration.turn_scale, calibration.drift_rad_in
     turret = odometry.scales[2]
     if track_in is None:
         return replace(odometry, scales=(distance, turn, turret), drifts=(drift, 0.0))

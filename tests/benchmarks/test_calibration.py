@@ -15,7 +15,7 @@ def estimate(off: float) -> dict[str, Any]:
     stds = dict.fromkeys(("way_scale", "turn_scale", "drift_rad_in", "turned_rad"), 0.01)
     factor = 1.0 + off
     return {
-        "way_scale": 1.0 + factor * (true.way_scale - 1.0),
+        "way_scale": 1.0 + factor * (true.distance_scale - 1.0),
         "turn_scale": 1.0 + factor * (true.turn_scale - 1.0),
         "drift_rad_in": factor * true.drift_rad_in,
         "offsets_in": [factor * offset for offset in true.offsets_in],
@@ -28,7 +28,7 @@ def test_fractions_and_counts() -> None:
     true = calibration.robot(3)
     outcomes = [calibration.outcome(3, true, estimate(off)) for off in (0.05, -0.2)]
     assert outcomes[0].shares == pytest.approx([0.05] * 6)
-    assert outcomes[1].sigmas[0] == pytest.approx(-0.2 * (true.way_scale - 1.0) / 0.01)
+    assert outcomes[1].sigmas[0] == pytest.approx(-0.2 * (true.distance_scale - 1.0) / 0.01)
     lines = calibration.table(outcomes).splitlines()
     assert lines[2].startswith("| root mean square | 14.6% | 14.6%")
     assert lines[4] == "| runs within 10 % | 1 | 1 | 1 | 1 | 1 | 1 |"
@@ -36,7 +36,7 @@ def test_fractions_and_counts() -> None:
 
 def test_robots_have_the_given_noise() -> None:
     robots = [calibration.robot(seed) for seed in range(30)]
-    assert all(0.03 <= abs(robot.way_scale - 1.0) <= 0.06 for robot in robots)
+    assert all(0.03 <= abs(robot.distance_scale - 1.0) <= 0.06 for robot in robots)
     assert all(1.0 <= abs(offset) <= 2.0 for robot in robots for offset in robot.offsets_in)
     assert {robot.turned_rad > 0.0 for robot in robots} == {True, False}
 

@@ -27,4 +27,4 @@ def test_model_file_of_the_page_is_valid(tmp_path: Path) -> None:
     (text,) = code_blocks("calibration.md", "toml")
     file = tmp_path / "mine.toml"
     file.write_text(text)
-    assert load_calibration(file, "n150").spread.way_scale == 0.001
+    assert load_calibration(file, "n150").spread.distance_scale == 0.001

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from localization.missions.steps import CONDITIONS, VERBS, parse_list, parse_program
+from localization.missions.steps import CONDITIONS, STEP_PARSERS, parse_program, parse_step_list
 from tests.docs.pages import DOCS, ROOT, code_blocks, command_lines, run
 
 PAGE = "missions.md"
@@ -28,10 +28,10 @@ def test_command_runs(command: str, tmp_path: Path) -> None:
 
 def test_list_and_program_are_missions() -> None:
     (steps,), (program,) = code_blocks(PAGE, "toml"), code_blocks(PAGE, "python")
-    assert parse_list(steps, "page").settings.title == "Rounds"
+    assert parse_step_list(steps, "page").settings.title == "Rounds"
     assert parse_program(program, "page").settings.title == "Mail"
 
 
 def test_page_has_every_step_and_condition() -> None:
     text = (DOCS / PAGE).read_text(encoding="utf-8")
-    assert [word for word in (*VERBS, *CONDITIONS) if f"`{word}`" not in text] == []
+    assert [word for word in (*STEP_PARSERS, *CONDITIONS) if f"`{word}`" not in text] == []

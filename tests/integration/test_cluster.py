@@ -13,8 +13,8 @@ from localization.experiments import __main__ as experiments
 from localization.experiments import live_trial
 from localization.experiments.execution import ClusterError, code_hash, drive_on_cluster, drive_part, on_cluster
 from localization.experiments.figure_trial import FIGURES
-from localization.experiments.live import Store
-from localization.experiments.live_trial import Job, trials
+from localization.experiments.live import TrialCache
+from localization.experiments.live_trial import TrialJob, trials
 
 distributed = pytest.importorskip("distributed")
 
@@ -32,11 +32,11 @@ def test_live_trials_are_identical(address: str, tmp_path: Path) -> None:
     arguments = ["--scenario", "exact", "measured", "--figures", "5.4", "--methods", "ekf", "mcl", "--seeds", "2"]
     whole = ["live", *arguments, "--periods", "12", "--no-pictures", "--out", str(tmp_path), "--cluster", address]
     assert experiments.main(whole) == 0
-    store = Store(tmp_path / "trials", code_hash())
+    store = TrialCache(tmp_path / "trials", code_hash())
     for trial in trials(["exact", "measured"], ["5.4"], ["ekf", "mcl"], 2, 12):
         there = store.get(trial)
         assert there is not None
-        assert live_trial.run(Job(trial)).result.same_numbers(there)
+        assert live_trial.run(TrialJob(trial)).result.same_numbers(there)
 
 
 def test_figures_are_identical(address: str) -> None:

@@ -152,7 +152,7 @@ def test_control_of_time_and_its_errors(folder: Path, capsys: pytest.CaptureFixt
         assert saved.exists()
         (folder / "bad.toml").write_text("[[rule]]\ndo = 'drop'\nline = 'serial:7'")
         assert cli.main(["ctl", "--control", daemon.control, "faults", "set", str(folder / "bad.toml")]) == 1
-        assert "there is no serial:7 here, but nserver, serial:1" in capsys.readouterr().err
+        assert "there is no serial:7; the lines are nserver, serial:1" in capsys.readouterr().err
         with closing(daemon.over_tcp()) as tcp:
             assert tcp.execute(GS).slots[0] == 9999
 

@@ -66,7 +66,7 @@ def test_signal_stops_robot_and_writes_results(
     elif command == "mission":
         assert json.loads(written.read_text())["ending"] == "interrupted"
     elif command == "localize":
-        assert "0 of 1 way-points reached" in output
+        assert "0 of 1 waypoints reached" in output
         assert written.read_text()
     else:
         assert not written.exists(), "an incomplete square gives no calibration"

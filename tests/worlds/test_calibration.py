@@ -28,8 +28,8 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
     assert found.offsets_in == OFFSETS
     assert found.spread.offsets_in == FOUND.spread.offsets_in
     for one, other in ((found, FOUND), (found.spread, FOUND.spread)):
-        assert (one.way_scale, one.turn_scale, one.drift_rad_in, one.turned_rad) == pytest.approx(
-            (other.way_scale, other.turn_scale, other.drift_rad_in, other.turned_rad), rel=1e-5
+        assert (one.distance_scale, one.turn_scale, one.drift_rad_in, one.turned_rad) == pytest.approx(
+            (other.distance_scale, other.turn_scale, other.drift_rad_in, other.turned_rad), rel=1e-5
         )
     assert path.read_text().startswith("# of mine\n# in May\n[[model]]\n")
 
@@ -37,15 +37,15 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
 def test_what_a_file_leaves_out_is_faultless(tmp_path: Path) -> None:
     text = '[[model]]\nname = "n200"\n[[model]]\nname = "n150"\nradius_in = 9\n[model.odometry]\nway_scale = 1.1\n'
     path = written(tmp_path, text)
-    assert load_calibration(path, "n150") == Calibration(way_scale=1.1)
+    assert load_calibration(path, "n150") == Calibration(distance_scale=1.1)
     assert load_calibration(path, "n200") == IDEAL_CALIBRATION
 
 
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ('[[model]]\nname = "n200"\n', "has no model 'n150', but 'n200'"),
-        ("", "has no model 'n150', but none"),
+        ('[[model]]\nname = "n200"\n', "has no model 'n150'"),
+        ("", "has no model 'n150'"),
         ("[[model", "is no TOML"),
         ('[[model]]\nname = "n150"\n[model.odometry]\nway_scal = 1\n', "did you mean way_scale"),
         ('[[model]]\nname = "n150"\n[model.odometry]\nway_scale = 3\n', r"model\[0\].odometry.way_scale: .* 0.5 to 2"),

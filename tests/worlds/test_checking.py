@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from worlds.io import load_world, parse_world, world_names
-from worlds.validate import Limits, findings, space
+from worlds.validate import ValidationLimits, find_free_space, validate_world
 from worlds.world import Polygon, StartPose, World
 
 pytestmark = pytest.mark.long
@@ -20,16 +20,16 @@ def room(*walls: tuple[float, float, float, float], starts: tuple[StartPose, ...
 
 
 def kinds(world: World) -> list[str]:
-    return [finding.kind for finding in findings(world, RADIUS_IN)]
+    return [finding.kind for finding in validate_world(world, RADIUS_IN)]
 
 
 @pytest.mark.parametrize("name", world_names())
 def test_shipped_worlds_are_well(name: str) -> None:
-    assert findings(load_world(name), 9.72) == []
+    assert validate_world(load_world(name), 9.72) == []
 
 
 def test_an_end_that_stops_short_is_a_gap_and_one_that_touches_is_none() -> None:
-    (found,) = findings(room((100.0, 0.0, 100.0, 97.5)), RADIUS_IN, Limits(space_in2=1e9))
+    (found,) = validate_world(room((100.0, 0.0, 100.0, 97.5)), RADIUS_IN, ValidationLimits(space_in2=1e9))
     assert found.kind == "gap"
     assert found.place_in == (100.0, 97.5)
     assert "stops 2.5 in short of (100, 100)" in found.words
@@ -38,7 +38,7 @@ def test_an_end_that_stops_short_is_a_gap_and_one_that_touches_is_none() -> None
 
 
 def test_a_gap_closes_off_what_lies_behind_it() -> None:
-    gap, behind = findings(room((100.0, 0.0, 100.0, 97.5)), RADIUS_IN)
+    gap, behind = validate_world(room((100.0, 0.0, 100.0, 97.5)), RADIUS_IN)
     assert (gap.kind, behind.kind) == ("gap", "closed off")
     area = float(behind.words.split()[0])
     assert area == pytest.approx((200 - 100 - 18) * (100 - 18), rel=0.05)
@@ -51,7 +51,7 @@ def test_a_door_as_wide_as_the_robot_is_a_way() -> None:
 
 
 def test_each_space_is_told_the_largest_first() -> None:
-    found = findings(room((70.0, 0.0, 70.0, 100.0), (160.0, 0.0, 160.0, 100.0)), RADIUS_IN)
+    found = validate_world(room((70.0, 0.0, 70.0, 100.0), (160.0, 0.0, 160.0, 100.0)), RADIUS_IN)
     assert [finding.kind for finding in found] == ["closed off"] * 2
     assert found[0].place_in[0] == pytest.approx(115.0, abs=2.0)
     assert found[1].place_in[0] == pytest.approx(180.0, abs=2.0)
@@ -59,27 +59,29 @@ def test_each_space_is_told_the_largest_first() -> None:
 
 def test_ends_of_crumbs_and_of_doubled_walls_are_no_gaps_besides() -> None:
     doubled = room((50.0, 50.0, 90.0, 50.0), (120.0, 50.2, 80.0, 50.2))
-    assert [found.kind for found in findings(doubled, RADIUS_IN)] == ["doubled"]
+    assert [found.kind for found in validate_world(doubled, RADIUS_IN)] == ["doubled"]
     crumb = room((50.0, 50.0, 50.3, 50.0), (52.0, 50.0, 90.0, 50.0))
-    assert [found.kind for found in findings(crumb, RADIUS_IN)] == ["crumb"]
+    assert [found.kind for found in validate_world(crumb, RADIUS_IN)] == ["crumb"]
     beside = room((50.0, 50.0, 90.0, 50.0), (120.0, 50.2, 80.0, 50.2), (70.0, 52.0, 70.0, 80.0))
-    assert [found.kind for found in findings(beside, RADIUS_IN)] == ["gap", "doubled"]
+    assert [found.kind for found in validate_world(beside, RADIUS_IN)] == ["gap", "doubled"]
 
 
 def test_walls_over_one_another_are_doubled() -> None:
-    (found,) = findings(room((50.0, 50.0, 90.0, 50.0), (120.0, 50.2, 80.0, 50.2)), RADIUS_IN, Limits(gap_in=0.1))
+    (found,) = validate_world(
+        room((50.0, 50.0, 90.0, 50.0), (120.0, 50.2, 80.0, 50.2)), RADIUS_IN, ValidationLimits(gap_in=0.1)
+    )
     assert found.kind == "doubled"
     assert found.place_in == (85.0, 50.0)
     assert "for 10 in, 0.2 in apart" in found.words
-    limits = Limits(gap_in=0.1)
-    assert findings(room((50.0, 50.0, 90.0, 50.0), (90.0, 50.0, 130.0, 50.0)), RADIUS_IN, limits) == []
-    assert findings(room((50.0, 50.0, 90.0, 50.0), (60.0, 51.0, 80.0, 51.0)), RADIUS_IN, limits) == []
-    assert findings(room((50.0, 50.0, 90.0, 50.0), (70.0, 50.0, 70.0, 30.0)), RADIUS_IN, limits) == []
+    limits = ValidationLimits(gap_in=0.1)
+    assert validate_world(room((50.0, 50.0, 90.0, 50.0), (90.0, 50.0, 130.0, 50.0)), RADIUS_IN, limits) == []
+    assert validate_world(room((50.0, 50.0, 90.0, 50.0), (60.0, 51.0, 80.0, 51.0)), RADIUS_IN, limits) == []
+    assert validate_world(room((50.0, 50.0, 90.0, 50.0), (70.0, 50.0, 70.0, 30.0)), RADIUS_IN, limits) == []
 
 
 def test_crumbs_and_starts_without_room() -> None:
     world = room((50.0, 50.0, 50.2, 50.0), starts=(StartPose(30.0, 50.0), StartPose(195.0, 50.0)))
-    found = findings(world, RADIUS_IN)
+    found = validate_world(world, RADIUS_IN)
     assert [finding.kind for finding in found] == ["crumb", "start"]
     assert "0.2 in long" in found[0].words
     assert "start 1 has 5 in of room" in found[1].words
@@ -91,16 +93,16 @@ def test_without_a_start_that_fits_all_is_closed_off() -> None:
 
 def test_a_wide_world_is_looked_at_more_coarsely_and_never_through_walls() -> None:
     hall = Polygon(((0.0, 0.0), (9000.0, 0.0), (9000.0, 6000.0), (0.0, 6000.0)))
-    found = space(World("hall", rooms=(hall,), starts=(StartPose(30.0, 50.0),)), RADIUS_IN)
+    found = find_free_space(World("hall", rooms=(hall,), starts=(StartPose(30.0, 50.0),)), RADIUS_IN)
     assert found.step_in == RADIUS_IN
     assert found.reached.sum() == found.fits.sum() > 100_000
-    assert space(room(), RADIUS_IN, 50.0).step_in == RADIUS_IN
+    assert find_free_space(room(), RADIUS_IN, 50.0).step_in == RADIUS_IN
 
 
 def test_obstacles_and_the_outside_are_no_space() -> None:
     block = Polygon(((80.0, 20.0), (120.0, 20.0), (120.0, 80.0), (80.0, 80.0)))
     world = World("block", rooms=(OUTLINE,), obstacles=(block,), starts=(StartPose(30.0, 50.0),))
-    found = space(world, RADIUS_IN)
+    found = find_free_space(world, RADIUS_IN)
     for i, k in np.argwhere(found.fits).tolist()[::37]:
         assert world.clearance(float(found.xs[i]), float(found.ys[k])) >= RADIUS_IN
     for i, k in np.argwhere(~found.fits).tolist()[::37]:
@@ -109,7 +111,7 @@ def test_obstacles_and_the_outside_are_no_space() -> None:
 
 def test_of_a_map_without_starts_it_is_said_that_none_is_given() -> None:
     far = parse_world("[[room]]\ncorners_in = [[100, 100], [200, 100], [200, 200], [100, 200]]\n", "far.toml", "far")
-    told = [finding.words for finding in findings(far, 9.0) if finding.kind == "start"]
+    told = [finding.words for finding in validate_world(far, 9.0) if finding.kind == "start"]
     assert told == [
         "no [[start]] is given, and (0, 0) lies outside of all rooms or in a wall; the robot's radius is 9 in"
     ]

@@ -220,7 +220,7 @@ def test_keys_that_are_unknown_missing_or_given_twice(text: str, parts: list[str
         ),
         (
             "[[room]]\ncorners_m = [[0, 0], [9000, 0], [0, 1]]",
-            "room[0].corners_m[1][0]: expected at most 2540 either way, found 9000; is the unit right?",
+            "room[0].corners_m[1][0]: expected at most 2540 in either direction, found 9000; is the unit right?",
         ),
         (
             "[[wall]]\npoints_in = 3",
@@ -297,7 +297,7 @@ def test_paths_that_cannot_be_used(path: str, message: str) -> None:
 @pytest.mark.parametrize("key", ["figure", "name"])
 def test_two_paths_cannot_share_a_key(key: str) -> None:
     path = f"[[path]]\n{key} = '7.1'\npoints_in = [[0, 0], [5, 5]]\n"
-    assert complaint(ROOM + path + path) == f"path[1].{key}: '7.1' is taken by an earlier path; expected another"
+    assert complaint(ROOM + path + path) == f"path[1].{key}: '7.1' is used by an earlier path; expected another"
 
 
 def test_what_is_no_toml_is_told_where() -> None:

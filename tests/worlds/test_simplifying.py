@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from worlds.io import load_world, world_names
-from worlds.simplify import apart_in, simplified
+from worlds.simplify import hausdorff_distance_in, simplify_world
 from worlds.world import Polygon, World
 
 OUTLINE = Polygon(((0.0, 0.0), (200.0, 0.0), (200.0, 100.0), (0.0, 100.0)), "hall")
@@ -26,7 +26,7 @@ def room(*walls: tuple[float, float, float, float]) -> World:
 
 def test_walls_on_one_line_become_one() -> None:
     world = room((50, 50, 70, 50), (100, 50, 60, 50), (100.1, 50, 120, 50), (130, 50, 140, 50), (60, 60, 60, 80))
-    walls = simplified(world, 0.5).inner_walls.tolist()
+    walls = simplify_world(world, 0.5).inner_walls.tolist()
     assert sorted(sorted((wall[:2], wall[2:])) for wall in walls) == [
         [[50.0, 50.0], [120.0, 50.0]],
         [[60.0, 60.0], [60.0, 80.0]],
@@ -37,36 +37,36 @@ def test_walls_on_one_line_become_one() -> None:
 def test_a_line_that_hangs_together_loses_what_hardly_bends() -> None:
     bent = [(50.0, 50.0), (60.0, 50.1), (70.0, 49.9), (80.0, 50.0), (80.0, 70.0), (79.9, 80.0)]
     walls = [(*one, *other) for one, other in pairwise(bent)]
-    simpler = simplified(room(*walls), 0.5).inner_walls
+    simpler = simplify_world(room(*walls), 0.5).inner_walls
     assert len(simpler) == 2
-    assert apart_in(np.array(walls), simpler) < 0.5
+    assert hausdorff_distance_in(np.array(walls), simpler) < 0.5
 
 
 def test_walls_that_meet_in_threes_stay_apart() -> None:
     walls = [(50, 50, 60, 50), (60, 50, 70, 60), (60, 50, 70, 40)]
-    assert len(simplified(room(*walls), 0.5).inner_walls) == 3
+    assert len(simplify_world(room(*walls), 0.5).inner_walls) == 3
 
 
 def test_an_outline_loses_corners_that_are_none() -> None:
     bent = [(0.0, 0.0), (50.0, 0.1), (100.0, 0.0), (100.0, 50.0), (100.1, 80.0), (100.0, 100.0), (0.0, 100.0)]
     ring = Polygon((*bent, (0.1, 50.0)), "ring")
-    (simpler,) = simplified(World("ring", rooms=(ring,)), 0.3).rooms
+    (simpler,) = simplify_world(World("ring", rooms=(ring,)), 0.3).rooms
     assert list(simpler.corners_in) == [(0.0, 0.0), (100.0, 0.0), (100.0, 100.0), (0.0, 100.0)]
     assert simpler.name == "ring"
 
 
 def test_one_that_would_be_none_any_more_stays() -> None:
     sliver = Polygon(((0.0, 0.0), (50.0, 0.1), (100.0, 0.0), (50.0, -0.1)))
-    (kept,) = simplified(World("sliver", obstacles=(sliver,)), 1.0).obstacles
+    (kept,) = simplify_world(World("sliver", obstacles=(sliver,)), 1.0).obstacles
     assert kept is sliver
 
 
 @pytest.mark.parametrize("name", world_names())
 def test_a_map_without_too_much_stays_as_it_is(name: str) -> None:
     world = load_world(name)
-    simpler = simplified(world, 0.5)
+    simpler = simplify_world(world, 0.5)
     assert len(simpler.walls) == len(world.walls)
-    assert apart_in(world.walls, simpler.walls) < 1e-9
+    assert hausdorff_distance_in(world.walls, simpler.walls) < 1e-9
     assert (simpler.starts, simpler.rooms) == (world.starts, world.rooms)
 
 
@@ -74,9 +74,9 @@ def test_a_map_without_too_much_stays_as_it_is(name: str) -> None:
 @settings(max_examples=60)
 def test_no_wall_moves_farther_than_the_tolerance(walls: list[Wall], far_in: float) -> None:
     world = World("walls", inner_walls=np.array(walls))
-    simpler = simplified(world, far_in)
+    simpler = simplify_world(world, far_in)
     assert len(simpler.walls) <= len(walls)
-    assert apart_in(world.walls, simpler.walls) <= far_in + 1e-9
+    assert hausdorff_distance_in(world.walls, simpler.walls) <= far_in + 1e-9
 
 
 @given(st.lists(st.floats(5.0, 40.0), min_size=3, max_size=24), st.sampled_from([0.2, 2.0, 10.0]))
@@ -86,17 +86,17 @@ def test_nor_does_an_outline(radii: list[float], far_in: float) -> None:
     pairs = zip(radii, angles.tolist(), strict=True)
     corners = tuple((radius * cos(angle), radius * sin(angle)) for radius, angle in pairs)
     world = World("star", rooms=(Polygon(corners),))
-    simpler = simplified(world, far_in)
-    assert apart_in(world.walls, simpler.walls) <= far_in + 1e-9
+    simpler = simplify_world(world, far_in)
+    assert hausdorff_distance_in(world.walls, simpler.walls) <= far_in + 1e-9
     assert len(simpler.rooms[0].corners_in) >= 3
 
 
 def test_how_far_walls_are_apart_is_seen_both_ways() -> None:
     one, other = np.array([[0.0, 0.0, 10.0, 0.0]]), np.array([[0.0, 0.0, 4.0, 0.0]])
-    assert apart_in(one, other) == apart_in(other, one) == pytest.approx(6.0)
+    assert hausdorff_distance_in(one, other) == hausdorff_distance_in(other, one) == pytest.approx(6.0)
 
 
 @pytest.mark.parametrize("tolerance", [0.0, -1.0, float("nan")])
 def test_a_tolerance_is_above_nothing(tolerance: float) -> None:
     with pytest.raises(ValueError, match="above 0"):
-        simplified(room(), tolerance)
+        simplify_world(room(), tolerance)

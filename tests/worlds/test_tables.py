@@ -7,7 +7,7 @@ import datetime
 import pytest
 
 from nclient.errors import WorldFileError
-from worlds.schema import Table, found
+from worlds.schema import Table, describe_value
 
 
 @pytest.mark.parametrize(
@@ -25,12 +25,12 @@ from worlds.schema import Table, found
     ],
 )
 def test_found_names_kind_and_value(value: object, words: str) -> None:
-    assert found(value) == words
+    assert describe_value(value) == words
 
 
 def test_found_is_never_long() -> None:
-    assert len(found("x" * 1000)) < 80
-    assert found(list(range(1000))).endswith("...")
+    assert len(describe_value("x" * 1000)) < 80
+    assert describe_value(list(range(1000))).endswith("...")
 
 
 TABLE = Table("f", "t", {"n": 2, "on": True, "ns": [1, 2.5], "of": [3, 0], "no": "x"})

@@ -12,7 +12,7 @@ from nserver_emu.simulation.models import load_models
 from nserver_emu.simulation.noise import load_setup
 from worlds.io import load_world
 from worlds.robots import load_calibration
-from worlds.schema import MOST_BYTES, read_text
+from worlds.schema import MAX_BYTES, read_text
 
 READERS: dict[str, Callable[[Path], object]] = {
     "world": load_world, "setup": load_setup, "models": load_models,
@@ -22,10 +22,10 @@ READERS: dict[str, Callable[[Path], object]] = {
 
 def test_a_file_may_be_so_long_and_no_longer(tmp_path: Path) -> None:
     file = tmp_path / "long.toml"
-    file.write_bytes(b"#" * MOST_BYTES)
-    assert len(read_text(file)) == MOST_BYTES
-    file.write_bytes(b"#" * (MOST_BYTES + 1))
-    with pytest.raises(WorldFileError, match=rf"long\.toml: is longer than {MOST_BYTES} bytes"):
+    file.write_bytes(b"#" * MAX_BYTES)
+    assert len(read_text(file)) == MAX_BYTES
+    file.write_bytes(b"#" * (MAX_BYTES + 1))
+    with pytest.raises(WorldFileError, match=rf"long\.toml: is longer than {MAX_BYTES} bytes"):
         read_text(file)
 
 
@@ -33,8 +33,8 @@ def test_a_file_may_be_so_long_and_no_longer(tmp_path: Path) -> None:
 def test_every_reader_of_such_files_stops_there(kind: str, tmp_path: Path) -> None:
     file = tmp_path / "long.toml"
     with file.open("wb") as hole:
-        hole.truncate(50 * MOST_BYTES)
-    with pytest.raises(WorldFileError, match=rf"long\.toml: is longer than {MOST_BYTES} bytes"):
+        hole.truncate(50 * MAX_BYTES)
+    with pytest.raises(WorldFileError, match=rf"long\.toml: is longer than {MAX_BYTES} bytes"):
         READERS[kind](file)
 
 

@@ -171,7 +171,7 @@ def test_a_start_of_the_world_is_proposed_where_pushing_off_does_not_help() -> N
 
 
 def test_nothing_is_proposed_where_nothing_fits() -> None:
-    assert "start elsewhere or take a smaller robot" in refusal(WORLD, 50.0, 70.0, 60.0)
+    assert "use a smaller robot" in refusal(WORLD, 50.0, 70.0, 60.0)
 
 
 def test_an_obstacle_without_a_name_is_an_obstacle() -> None:

@@ -59,8 +59,8 @@ def test_a_start_and_a_path_that_an_obstacle_stands_on_are_left_out_and_the_file
     assert start.steering_rad == pytest.approx(0.7)
     assert list(again.paths) == ["5.1"]
     assert again.paths["5.1"].start.steering_rad == pytest.approx(0.7)
-    assert "# left out, since something stands there: a start at 10.0, 10.0" in text
-    assert '# left out, since something stands on it: the path "short"' in text
+    assert "# omitted because an obstacle stands there: a start at 10.0, 10.0" in text
+    assert '# omitted because an obstacle stands on it: the path "short"' in text
 
 
 def test_walls_that_go_on_in_one_another_are_one_line_and_a_comment_stands_above() -> None:

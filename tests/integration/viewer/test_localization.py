@@ -31,7 +31,7 @@ def test_estimate_is_shown_and_waypoints_are_reached(browser: Browser) -> None:
             page.wait("/([12]) of \\1 reached/.test(document.querySelector('#window-localization').innerText)", 60.0)
             out, _ = localizer.communicate(timeout=60)
         assert localizer.returncode == 0
-        assert re.search(r"([12]) of \1 way-points reached", out)
+        assert re.search(r"([12]) of \1 waypoints reached", out)
         x, y = page.value("nserver.scene.robots['1'].actual.slice(0, 2)")
         assert (x, y) == pytest.approx((30, 30), abs=2)
         text = page.value("document.querySelector('#window-localization').innerText")

@@ -18,10 +18,10 @@ def test_what_is_small_is_wanted_to_a_thirtieth_of_what_is_typical_and_may_be_no
     assert "turn" not in noise_in(found)
     assert "sonar 1" not in noise_in(found)
     assert noise_in(found)[:3] == ["way", "ring", "sonar 0"]
-    assert [number.words for number in numbers(found)[:2]] == ["within noise of zero", "known to 47.6%"]
+    assert [number.words for number in numbers(found)[:2]] == ["within noise of zero", "accurate to 47.6%"]
 
 
 def test_what_is_large_is_wanted_to_a_thirtieth_of_itself() -> None:
-    spread = replace(KNOWN, way_scale=0.0019, drift_rad_in=0.00005)
+    spread = replace(KNOWN, distance_scale=0.0019, drift_rad_in=0.00005)
     assert missing(Calibration(0.94, 1.0, 0.0015, spread=spread)) == []
     assert missing(Calibration(0.95, 1.0, -0.00149, spread=spread)) == ["way", "drift"]

@@ -11,18 +11,18 @@ import pytest
 from localization.calibration.procedure import (
     MARGIN_IN,
     Driver,
-    Go,
+    DriveTo,
     NoSquareError,
     Spin,
     Square,
     is_clear,
     largest_square,
+    path_to,
     tasks,
-    way_to,
 )
 from localization.filters.belief import HEADING
 from localization.filters.odometry import move
-from localization.navigation.roadmap import NoPathError, clearances
+from localization.navigation.roadmap import NoPathError, segment_clearances
 from localization.navigation.waypoints import PERIOD_S
 from worlds.io import load_world, world_names
 from worlds.world import Polygon, World
@@ -49,7 +49,7 @@ def test_it_is_the_largest_and_the_nearest() -> None:
 
 def test_a_cupboard_has_none() -> None:
     cupboard = World("cupboard", rooms=(Polygon(((0.0, 0.0), (40.0, 0.0), (40.0, 40.0), (0.0, 40.0))),))
-    with pytest.raises(NoSquareError, match="cupboard has no room"):
+    with pytest.raises(NoSquareError, match="no space"):
         largest_square(cupboard, RADIUS_IN, (20.0, 20.0))
     assert not is_clear(Square(-30.0, -30.0, 12.0), cupboard, RADIUS_IN)
 
@@ -60,10 +60,10 @@ def test_the_way_to_it_leaves_room_for_a_robot_that_errs(start: tuple[float, flo
     world = load_world("several_walls")
     square = largest_square(world, RADIUS_IN, start)
     corner = min(square.corners, key=lambda corner: hypot(corner[0] - start[0], corner[1] - start[1]))
-    places = [start, *(tuple(task) for task in way_to(corner, start, world, RADIUS_IN))]
+    places = [start, *(tuple(task) for task in path_to(corner, start, world, RADIUS_IN))]
     assert places[-1] == pytest.approx(corner)
     ways = np.array([[*one, *other] for one, other in pairwise(places)])
-    assert clearances(ways[1:], world.walls).min() > RADIUS_IN + 0.8
+    assert segment_clearances(ways[1:], world.walls).min() > RADIUS_IN + 0.8
 
 
 def test_a_way_through_a_gap_leaves_what_there_is_and_one_through_none_is_refused() -> None:
@@ -72,14 +72,14 @@ def test_a_way_through_a_gap_leaves_what_there_is_and_one_through_none_is_refuse
         posts = np.array([[100.0, 0.0, 100.0, 50.0 - wide_in / 2], [100.0, 50.0 + wide_in / 2, 100.0, 100.0]])
         return World("door", rooms=(Polygon(sides),), inner_walls=posts)
 
-    assert way_to((160.0, 50.0), (40.0, 50.0), door(24.0), 9.0)[-1] == (160.0, 50.0)
+    assert path_to((160.0, 50.0), (40.0, 50.0), door(24.0), 9.0)[-1] == (160.0, 50.0)
     with pytest.raises(NoPathError, match=r"10\.0 in radius"):
-        way_to((160.0, 50.0), (40.0, 50.0), door(19.0), 9.0)
+        path_to((160.0, 50.0), (40.0, 50.0), door(19.0), 9.0)
 
 
 def test_laps_go_both_ways_round_from_the_nearest_corner() -> None:
     found = tasks(Square(0.0, 0.0, 10.0), (9.0, 1.0), 1, 2)
-    places = [tuple(task) for task in found if isinstance(task, Go)]
+    places = [tuple(task) for task in found if isinstance(task, DriveTo)]
     assert places[0] == (10.0, 0.0)
     assert places[1:5] == [(10.0, 10.0), (0.0, 10.0), (0.0, 0.0), (10.0, 0.0)]
     assert places[5:] == [(0.0, 0.0), (0.0, 10.0), (10.0, 10.0), (10.0, 0.0)]
@@ -112,14 +112,14 @@ def test_the_driver_goes_round_and_turns_as_told() -> None:
 
 
 def test_a_goal_that_was_passed_by_is_behind() -> None:
-    driver = Driver([Go(10.0, 0.0)], 10.0, 0.5)
+    driver = Driver([DriveTo(10.0, 0.0)], 10.0, 0.5)
     assert driver.command(np.array([0.0, 0.0, 0.0])) is not None
     assert driver.command(np.array([12.0, 0.5, 0.0])) is None
     assert driver.done == 1
 
 
 def test_one_that_lies_off_is_turned_to_before_it_is_rolled_to() -> None:
-    driver = Driver([Go(0.0, 10.0)], 10.0, 0.5)
+    driver = Driver([DriveTo(0.0, 10.0)], 10.0, 0.5)
     command = driver.command(np.array([0.0, 0.0, 0.0]))
     assert command is not None
     assert command.translation_in_s == 0.0

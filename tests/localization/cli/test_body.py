@@ -24,7 +24,7 @@ def test_the_address_comes_first_then_the_option(option: str | None, model: str,
 
 @pytest.mark.parametrize("address", ["sim:thesis_room", "nserver://host/1?model=n150"])
 def test_they_may_not_contradict(address: str) -> None:
-    with pytest.raises(AddressError, match=r"--body scout: the robot at .* is of model n150; leave --body out"):
+    with pytest.raises(AddressError, match=r"--body scout: the robot at .* is of model n150; omit --body"):
         resolve_robot_model("scout", "n150", address)
 
 
@@ -43,7 +43,7 @@ def test_every_command_that_drives_refuses_another_body(words: list[str], capsys
     assert main([*words, "--body", "n150"]) == 2
     told = capsys.readouterr()
     assert told.out == ""
-    assert "is of model n200; leave --body out" in told.err
+    assert "is of model n200; omit --body" in told.err
 
 
 def test_calibrate_writes_the_robots_own_name(tmp_path: Path) -> None:

@@ -51,7 +51,7 @@ def test_what_a_robot_gets_wrong_is_found_within_a_tenth(
     assert " of 17 done" in said
     assert "sonar 15 reads more, in" in said
     found = load_calibration(out, "n150")
-    assert found.way_scale - 1.0 == pytest.approx(true.way_scale - 1.0, rel=0.1)
+    assert found.distance_scale - 1.0 == pytest.approx(true.distance_scale - 1.0, rel=0.1)
     assert found.turn_scale - 1.0 == pytest.approx(true.turn_scale - 1.0, rel=0.1)
     assert found.drift_rad_in == pytest.approx(true.drift_rad_in, rel=0.1)
     assert found.turned_rad == pytest.approx(true.turned_rad, rel=0.1)
@@ -82,7 +82,7 @@ def test_a_scout_has_no_turret_and_is_calibrated_as_well(tmp_path: Path) -> None
     words = ["--world", "thesis_room", "--body", "scout", "--laps", "1", "--odometry-noise", "0.005,0.005,0.0001"]
     assert main.main(["calibrate", address, *words, "--out", str(out)]) == 0
     found = load_calibration(out, "scout")
-    assert found.way_scale - 1.0 == pytest.approx(0.04, rel=0.1)
+    assert found.distance_scale - 1.0 == pytest.approx(0.04, rel=0.1)
     assert found.turn_scale - 1.0 == pytest.approx(-0.05, rel=0.1)
     assert found.drift_rad_in == pytest.approx(0.001, rel=0.1)
 
@@ -125,7 +125,7 @@ def test_a_robot_that_stands_elsewhere_than_it_is_said_does_not_push_at_walls(
 ) -> None:
     assert main.main(["calibrate", "sim:thesis_room", "--start", "40,40,0", "--laps", "1"]) == 3
     said = capsys.readouterr().out
-    assert "it presses against something 5 s long" in said
+    assert "the robot presses against something for 5 s" in said
     assert "is --start right" in said
 
 

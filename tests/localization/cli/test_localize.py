@@ -31,7 +31,7 @@ def test_it_prints_estimate_against_truth_and_draws_the_run(
     out = capsys.readouterr().out
     lines = out.splitlines()
     assert sum("estimate" in line and "truth" in line and "off" in line for line in lines) >= 10
-    assert "2 of 2 way-points reached" in out
+    assert "2 of 2 waypoints reached" in out
     assert "odometry alone is" in out
     assert picture.read_bytes().startswith(b"\x89PNG")
 
@@ -82,7 +82,7 @@ def test_way_points_may_begin_with_a_minus(capsys: pytest.CaptureFixture[str]) -
 
 def test_giving_up_at_the_time_limit_exits_3(capsys: pytest.CaptureFixture[str]) -> None:
     assert localize(NOISY, *TO_GOAL, "--time-limit", "2") == 3
-    assert "1 of 2 way-points reached in 2" in capsys.readouterr().out
+    assert "1 of 2 waypoints reached in 2" in capsys.readouterr().out
 
 
 def test_a_measured_ring_is_heard_as_cones_and_the_encoders_scale_is_found(
@@ -193,7 +193,7 @@ def test_places_that_look_alike_are_told_of_and_nothing_is_driven_to(capsys: pyt
     out = capsys.readouterr().out
     assert "LOST: searching: the start is unknown" in out
     assert "LOST: 4 places look alike, the likeliest with " in out
-    assert out.splitlines()[-2].startswith("0 of 1 way-points reached")
+    assert out.splitlines()[-2].startswith("0 of 1 waypoints reached")
     assert localize(*asked, "--json") == 3
     result = json.loads(capsys.readouterr().out)
     assert result["trust"] == "LOST"
@@ -205,7 +205,7 @@ def test_places_that_look_alike_are_told_of_and_nothing_is_driven_to(capsys: pyt
 @pytest.mark.parametrize(("words", "remedy"), [
     (["--method", "mcl"], "by --method finder alone: leave --method mcl out"),
     (["--method", "ekf"], "by --method finder alone: leave --method ekf out"),
-    (["--resume", "there.json"], "--resume goes on: leave one of them out"),
+    (["--resume", "there.json"], "--resume exclude each other"),
 ])  # fmt: skip
 def test_an_unknown_start_is_for_the_finder_alone(
     words: list[str], remedy: str, capsys: pytest.CaptureFixture[str]
@@ -226,7 +226,7 @@ def test_a_lost_estimate_is_not_saved_and_all_else_is_told(tmp_path: Path, capsy
 
 def test_it_says_that_its_time_is_over(capsys: pytest.CaptureFixture[str]) -> None:
     assert localize(NOISY, "--map", "thesis_room", "--waypoints", "60,40", "--time-limit", "1") == 3
-    assert capsys.readouterr().out.endswith("stopped: its time is over: 1 s (--time-limit)\n")
+    assert capsys.readouterr().out.endswith("stopped: time limit exceeded: 1 s (--time-limit)\n")
 
 
 @pytest.mark.parametrize("name", ["", ".", "run.xyz", "run"])
@@ -239,10 +239,10 @@ def test_a_picture_that_is_no_png_is_told_before_the_drive(
 
 
 @pytest.mark.parametrize(("words", "told"), [
-    (["--start", "unknwon"], "3 numbers with commas between them, inches, inches and degrees, or unknown, not 'unkn"),
-    (["--waypoints", "0cm,0"], "2 numbers with commas between them, inches, such as 20,40, not '0cm,0'"),
-    (["--waypoints", "1,1", "--speed", "5in"], "argument --speed: a number, not '5in'"),
-    (["--waypoints", "1,1", "--scale-std", "5%"], "argument --scale-std: a number, not '5%'"),
+    (["--start", "unknwon"], "3 numbers separated by commas, inches, inches and degrees, or unknown, not 'unkn"),
+    (["--waypoints", "0cm,0"], "2 numbers separated by commas, inches, such as 20,40, not '0cm,0'"),
+    (["--waypoints", "1,1", "--speed", "5in"], "argument --speed: expected a number, not '5in'"),
+    (["--waypoints", "1,1", "--scale-std", "5%"], "argument --scale-std: expected a number, not '5%'"),
 ])  # fmt: skip
 def test_options_that_cannot_be_read_say_what_is_wanted(
     words: list[str], told: str, capsys: pytest.CaptureFixture[str]
@@ -266,7 +266,7 @@ def test_an_interrupted_run_is_saved_and_told(
     kept = tmp_path / "kept"
     words = [NOISY, *TO_GOAL, "--time-limit", "1"]
     assert localize(*words, "--save", str(kept)) in (130, 143)
-    assert "1 of 2 way-points reached" in capsys.readouterr().out
+    assert "1 of 2 waypoints reached" in capsys.readouterr().out
     assert kept.exists()
     (tmp_path / "gone").mkdir()
     monkeypatch.setattr(localization_cli, "check_writable", lambda *_: (tmp_path / "gone").rmdir())
@@ -281,7 +281,7 @@ def test_a_file_that_cannot_be_written_is_told_before_the_drive(
     monkeypatch.setattr(localization_cli, "open_robot", lambda _: pytest.fail("it drives"))
     (tmp_path / "file").touch()
     in_the_way = tmp_path / "file"
-    for file, told in ((tmp_path, f"{str(tmp_path)!r}: cannot be written there"),
+    for file, told in ((tmp_path, f"{str(tmp_path)!r}: cannot be written"),
                        (in_the_way / "x", f"{in_the_way}: cannot be written: File exists")):
         assert localize(NOISY, *TO_GOAL, "--save", str(file)) == 1
         assert told in capsys.readouterr().err
@@ -301,11 +301,11 @@ def test_interrupted_before_anything_was_seen_there_is_nothing_to_tell(
 def test_a_way_point_behind_a_wall_ends_it_soon_with_the_reason(capsys: pytest.CaptureFixture[str]) -> None:
     assert localize(NOISY, "--map", "thesis_room", "--waypoints", "300,0") == 3
     told = capsys.readouterr().out
-    assert "stopped: it presses against something 5 s long" in told
+    assert "stopped: the robot presses against something for 5 s" in told
     assert "bumpers 0" in told
     assert localize(NOISY, "--map", "thesis_room", "--waypoints", "300,0", "--json") == 3
     result = json.loads(capsys.readouterr().out)
-    assert result["stopped"].startswith("it presses against something")
+    assert result["stopped"].startswith("the robot presses against something")
     assert result["duration_s"] < 40.0
 
 
@@ -316,7 +316,7 @@ def test_the_guess_of_rays_is_told_first_and_doubted_where_readings_do_not_fit(
     monkeypatch.setattr("localization.live.assumptions.sonar_model_of_address", lambda _: None)
     assert localize(NOISY, *TO_GOAL) == 0
     told = capsys.readouterr().out
-    assert told.startswith("sonars are taken for exact rays, this being a simulation (of setup measured: --sonars c")
+    assert told.startswith("assuming that sonars measure exact rays, as this is a simulation")
     assert "do not believe this" not in told
     measured = "sim:thesis_room?setup=measured&seed=1"
     assert localize(measured, *TO_GOAL) == 0

@@ -42,7 +42,7 @@ def test_check_tells_what_is_wrong_and_where(room: str, capsys: pytest.CaptureFi
 
 def test_check_of_a_good_map_says_so(capsys: pytest.CaptureFixture[str]) -> None:
     assert main.main(["map", "check", "several_walls"]) == 0
-    assert capsys.readouterr().out == "several_walls: 8 walls, all well\n"
+    assert capsys.readouterr().out == "several_walls: 8 walls, no problems\n"
 
 
 def test_simplify_writes_a_world_with_fewer_walls(

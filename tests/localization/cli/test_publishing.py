@@ -20,7 +20,7 @@ from localization.filters.health import FilterHealth, HealthStatus
 from localization.filters.odometry import with_parameters
 from localization.filters.update import Refusal
 from localization.live.localizer import Echo, Estimate
-from localization.live.publish import AGAIN_S, MOST_PLACES, Publisher, message, parse_answer
+from localization.live.publish import MAX_HYPOTHESES, RETRY_S, Publisher, build_message, parse_answer
 from localization.live.run import RunMoment
 from localization.navigation.waypoints import COMMAND_TIMEOUT_S, Navigator
 from nclient.errors import AddressError, ConnectionLost
@@ -42,7 +42,7 @@ def a_page(*answers: tuple[int, str]) -> Iterator[tuple[str, list[Any]]]:
 
 
 def test_a_moment_as_it_is_published() -> None:
-    said = message(2, a_moment((1, 2, 3)), 0.25, [(5, 6)])
+    said = build_message(2, a_moment((1, 2, 3)), 0.25, [(5, 6)])
     assert json.loads(json.dumps(said)) == {
         "robot": 2, "clock_s": 1.4, "pose": [1, 2, 0.5], "turret": 0.75,
         "cov": [[0.1, 0, 0], [0, 0.2, 0], [0, 0, 0.3]], "odometry": [1.1, 2.1, 0.4], "truth": [1, 2, 3],
@@ -52,23 +52,23 @@ def test_a_moment_as_it_is_published() -> None:
         ],
         "waypoints": [[5, 6]], "passed": 1, "trust": "OK", "reason": "", "places": [],
     }  # fmt: skip
-    assert message(1, a_moment(), 0.0, [])["truth"] is None
+    assert build_message(1, a_moment(), 0.0, [])["truth"] is None
 
 
 def test_how_far_it_is_believed_and_where_else_it_may_be_is_published() -> None:
     moment, verdict = a_moment(), FilterHealth(HealthStatus.LOST, "2 places look alike")
     elsewhere = with_parameters(Belief(np.array([7.0, 8.0, -1.0]), np.eye(3)), (0.05,))
     places = (Place(moment.estimate.belief, 0.75), *[Place(elsewhere, 0.01)] * 25)
-    said = message(1, moment._replace(estimate=replace(moment.estimate, health=verdict, places=places)), 0.0, [])
+    said = build_message(1, moment._replace(estimate=replace(moment.estimate, health=verdict, places=places)), 0.0, [])
     assert (said["trust"], said["reason"]) == ("LOST", "2 places look alike")
     assert said["places"][:2] == [{"pose": [1, 2, 0.5], "share": 0.75}, {"pose": [7, 8, -1], "share": 0.01}]
-    assert len(said["places"]) == MOST_PLACES
+    assert len(said["places"]) == MAX_HYPOTHESES
 
 
 def test_of_a_longer_state_the_pose_is_published() -> None:
     moment = a_moment()
     longer = with_parameters(moment.estimate.belief, (0.05, 0.01))
-    said = message(1, moment._replace(estimate=replace(moment.estimate, belief=longer)), 0.0, [])
+    said = build_message(1, moment._replace(estimate=replace(moment.estimate, belief=longer)), 0.0, [])
     assert said["pose"] == [1, 2, 0.5]
     assert said["cov"] == [[0.1, 0, 0], [0, 0.2, 0], [0, 0, 0.3]]
 
@@ -78,7 +78,7 @@ def test_waypoints_set_since_come_back_and_those_of_before_do_not() -> None:
                {"waypoints": [], "set": 6}]  # fmt: skip
     with a_page(*((200, json.dumps(answer)) for answer in answers)) as (url, told):
         publisher = Publisher(url)
-        found = [publisher.tell({"n": n}) for n in range(4)]
+        found = [publisher.publish({"n": n}) for n in range(4)]
         publisher.close()
     assert found == [None, None, [(1.0, 2.0)], []]
     assert told == [("/publish?token=secret", {"n": n} | ({"began": True} if n == 0 else {})) for n in range(4)]
@@ -86,7 +86,7 @@ def test_waypoints_set_since_come_back_and_those_of_before_do_not() -> None:
 
 def test_a_page_that_refuses_at_the_beginning_is_an_error_with_its_reason() -> None:
     with a_page((403, "the token is wrong")) as (url, _), pytest.raises(ConnectionLost, match="the token is wrong"):
-        Publisher(url).tell({})
+        Publisher(url).publish({})
 
 
 def test_a_page_lost_on_the_way_is_told_of_tried_again_and_nobody_stops(caplog: pytest.LogCaptureFixture) -> None:
@@ -95,15 +95,15 @@ def test_a_page_lost_on_the_way_is_told_of_tried_again_and_nobody_stops(caplog: 
     with a_page(fine, (500, ""), (200, "{}"), sent) as (url, told):
         publisher = Publisher(url, lambda: now_s)
         found = []
-        for now_s in (0.0, 1.0, 2.0, 1.0 + AGAIN_S, 1.0 + 1.5 * AGAIN_S, 1.0 + 2 * AGAIN_S):
-            found.append(publisher.tell({"at": now_s}))
+        for now_s in (0.0, 1.0, 2.0, 1.0 + RETRY_S, 1.0 + 1.5 * RETRY_S, 1.0 + 2 * RETRY_S):
+            found.append(publisher.publish({"at": now_s}))
         publisher.close()
-    assert [said["at"] for _, said in told] == [0.0, 1.0, 1.0 + AGAIN_S, 1.0 + 2 * AGAIN_S]
+    assert [said["at"] for _, said in told] == [0.0, 1.0, 1.0 + RETRY_S, 1.0 + 2 * RETRY_S]
     assert found == [None] * 5 + [[(3.0, 4.0)]]
     words = [record.getMessage() for record in caplog.records if record.levelno == logging.WARNING]
     assert len(words) == 2
-    assert "is lost, tried again now and then" in words[0]
-    assert "is there again" in words[1]
+    assert "is lost, retrying" in words[0]
+    assert "is connected again" in words[1]
 
 
 @pytest.mark.parametrize(("ends_s", "last"), [(1.5, 1.5), (1.0, 1.0)])
@@ -113,7 +113,7 @@ def test_what_a_page_missed_last_it_is_told_at_the_end(ends_s: float, last: floa
     with a_page(fine, (500, ""), fine) as (url, told):
         publisher = Publisher(url, lambda: now_s)
         for now_s in (0.0, 1.0, ends_s):
-            publisher.tell({"at": now_s})
+            publisher.publish({"at": now_s})
         publisher.close()
         publisher.close()
     assert [said["at"] for _, said in told] == [0.0, 1.0, last]
@@ -122,11 +122,11 @@ def test_what_a_page_missed_last_it_is_told_at_the_end(ends_s: float, last: floa
 def test_a_page_that_answers_nothing_holds_up_the_robot_for_a_fraction_of_a_second() -> None:
     with a_page((200, '{"waypoints": null, "set": 0}')) as (url, _):
         publisher = Publisher(url)
-        publisher.tell({})
+        publisher.publish({})
         publisher.close()
     with socket.create_server(("127.0.0.1", int(url.split(":")[2].split("/")[0]))):  # takes it, and says nothing
         began = time.monotonic()
-        assert publisher.tell({}) is None
+        assert publisher.publish({}) is None
         assert time.monotonic() - began < COMMAND_TIMEOUT_S / 2
         publisher.close()
 
@@ -142,7 +142,7 @@ def test_an_answer_is_waypoints_and_how_often_they_were_set() -> None:
     b'{"waypoints": [[1' + b"0" * 400 + b', 1]], "set": 1}', b'{"waypoints": 1e999, "set": 1}',
 ])  # fmt: skip
 def test_what_is_no_answer_of_a_page_is_one_kind_of_error(answer: bytes) -> None:
-    with pytest.raises(ValueError, match="no answer of a page: "):
+    with pytest.raises(ValueError, match="invalid answer of the page: "):
         parse_answer(answer)
 
 
@@ -156,7 +156,7 @@ def test_a_navigator_can_be_sent_elsewhere() -> None:
     navigator = Navigator([(0, 0), (50, 0)])
     navigator.command(np.zeros(3))
     assert navigator.passed == 1
-    navigator.go([(0, 40)])
+    navigator.set_waypoints([(0, 40)])
     assert navigator.passed == 0
     assert not navigator.finished
     command = navigator.command(np.array([0.0, 0.0, 0.0]))
@@ -169,9 +169,9 @@ def test_a_navigator_that_stays_stands_where_it_is_done_and_can_be_sent_on() -> 
     navigator = Navigator([(0, 0)], stays=True)
     assert navigator.command(np.zeros(3)) == (0.0, 0.0)
     assert navigator.finished
-    navigator.go([])
+    navigator.set_waypoints([])
     assert navigator.command(np.zeros(3)) == (0.0, 0.0)
-    navigator.go([(0, 40)])
+    navigator.set_waypoints([(0, 40)])
     command = navigator.command(np.zeros(3))
     assert command is not None
     assert command.steering_rad_s > 0

@@ -99,9 +99,18 @@ def test_encoders_that_were_set_are_refused_until_it_is_said_how_far(
     code, out = localize("--waypoints", "35,55", "--resume", file)
     assert code == 1
     assert "set meanwhile" in out
-    assert "--moved-std" in out
+    assert "--displacement-std" in out
     code, out = localize(
-        "--waypoints", "35,55", "--resume", file, "--moved-std", "0,0,0", "--scale-std", "0.01,0.01", "--save", file
+        "--waypoints",
+        "35,55",
+        "--resume",
+        file,
+        "--displacement-std",
+        "0,0,0",
+        "--scale-std",
+        "0.01,0.01",
+        "--save",
+        file,
     )
     assert code == 0
     assert json.loads(out)["end_error_in"] < 1.0
@@ -114,7 +123,7 @@ def test_another_world_is_refused(localize: Localize, tmp_path: Path) -> None:
     code, out = localize("--waypoints", "35,55", "--resume", file, world="thesis_room")
     assert code == 1
     assert "'several_walls'" in out
-    assert "take --map several_walls" in out
+    assert "original --map several_walls" in out
 
 
 def test_what_is_lost_is_not_saved(tmp_path: Path) -> None:
@@ -122,12 +131,12 @@ def test_what_is_lost_is_not_saved(tmp_path: Path) -> None:
     lost = Estimate(1.0, independent(np.zeros(3), np.ones(3)), (), FilterHealth(HealthStatus.LOST, "searching"))
     done = Run([], [RunMoment(lost, (0.0, 0.0, 0.0), None, 0)])
     with pytest.raises(EstimateFileError, match="is lost: searching"):
-        options.save(argparse.Namespace(save=file, body="n150"), load_world("thesis_room"), done)
+        options.save_run(argparse.Namespace(save=file, body="n150"), load_world("thesis_room"), done)
     assert not file.exists()
 
 
 def test_options_that_do_not_go_together(localize: Localize, tmp_path: Path) -> None:
-    code, out = localize("--waypoints", "1,1", "--moved-std", "1,1,1")
+    code, out = localize("--waypoints", "1,1", "--displacement-std", "1,1,1")
     assert (code, "--resume FILE" in out) == (1, True)
     code, out = localize("--waypoints", "1,1", "--start", "1,1,1", "--resume", str(tmp_path / "x"))
     assert (code, "give one of them" in out) == (1, True)
@@ -136,5 +145,5 @@ def test_options_that_do_not_go_together(localize: Localize, tmp_path: Path) -> 
 @pytest.mark.parametrize("text", ["1,2", "a,b,c", "1,-1,0", "inf,0,0"])
 def test_a_spread_that_is_none_is_wrong_usage(localize: Localize, text: str) -> None:
     with pytest.raises(SystemExit) as stop:
-        localize("--waypoints", "1,1", "--moved-std", text)
+        localize("--waypoints", "1,1", "--displacement-std", text)
     assert stop.value.code == 2

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from localization.live.assumptions import Taken, sonar_model_of_address, taken
+from localization.live.assumptions import SonarAssumption, resolve_sonar_model, sonar_model_of_address
 from nserver_emu.server.inprocess import open_address
 from nserver_emu.simulation.acoustics import Polaroid
 from nserver_emu.simulation.noise import SETUPS
@@ -31,8 +31,8 @@ def test_a_simulation_in_this_process_says_what_it_is(query: str) -> None:
     address = f"sim:thesis_room{query}"
     rays = simulated_rays(address)
     assert sonar_model_of_address(address) is rays
-    assert taken(None, True, address) == Taken(rays, guessed=False)
-    assert taken(None, True, address).line() == ""
+    assert resolve_sonar_model(None, True, address) == SonarAssumption(rays, guessed=False)
+    assert resolve_sonar_model(None, True, address).line() == ""
 
 
 @pytest.mark.parametrize("name", FILES)
@@ -54,14 +54,14 @@ def test_a_file_that_is_none_says_nothing_wrong(text: str, tmp_path: Path) -> No
 
 
 def test_a_server_does_not_tell_and_a_robot_has_cones(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert taken(None, True, "nserver://localhost/1") == Taken(rays=True, guessed=True)
-    assert "taken for exact rays" in taken(None, True, "nserver://localhost/1").line()
-    assert taken(None, False, "serial:///dev/ttyUSB0") == Taken(rays=False, guessed=True)
-    assert taken(None, False, "serial:///dev/ttyUSB0").line() == ""
+    assert resolve_sonar_model(None, True, "nserver://localhost/1") == SonarAssumption(rays=True, guessed=True)
+    assert "exact rays" in resolve_sonar_model(None, True, "nserver://localhost/1").line()
+    assert resolve_sonar_model(None, False, "serial:///dev/ttyUSB0") == SonarAssumption(rays=False, guessed=True)
+    assert resolve_sonar_model(None, False, "serial:///dev/ttyUSB0").line() == ""
     monkeypatch.setenv("NOMAD_ROBOT", "sim:thesis_room?setup=measured")
-    assert taken(None, True, None) == Taken(rays=False, guessed=False)
+    assert resolve_sonar_model(None, True, None) == SonarAssumption(rays=False, guessed=False)
 
 
 def test_the_option_decides() -> None:
-    assert taken("rays", False, "sim:?setup=measured") == Taken(rays=True, guessed=False)
-    assert taken("cones", True, "sim:") == Taken(rays=False, guessed=False)
+    assert resolve_sonar_model("rays", False, "sim:?setup=measured") == SonarAssumption(rays=True, guessed=False)
+    assert resolve_sonar_model("cones", True, "sim:") == SonarAssumption(rays=False, guessed=False)

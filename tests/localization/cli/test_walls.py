@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from localization.live.assumptions import add_map_option, resolve_world
+from localization.cli.options import add_map_option, resolve_world
 from nclient.cli.main import main
 from nclient.errors import AddressError
 from worlds.io import DEFAULT_WORLD
@@ -47,7 +47,7 @@ def test_where_nobody_tells_the_remedy_is_told(
     monkeypatch.delenv("NOMAD_ROBOT", raising=False)
     with pytest.raises(SystemExit, match="2"):
         resolve_world(said(None, address))
-    assert "which walls are there? --map WORLD" in capsys.readouterr().err
+    assert "a map is required: --map WORLD" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("address", ["thesis_room", "sin:thesis_room"])
@@ -67,7 +67,7 @@ def test_every_command_asks_before_it_connects(
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SystemExit, match="2"):
         main(words)
-    assert "which walls are there? --map WORLD" in capsys.readouterr().err
+    assert "a map is required: --map WORLD" in capsys.readouterr().err
 
 
 def test_a_simulation_is_localized_in_its_own_walls(capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,8 +10,8 @@ import pytest
 
 from localization.experiments import __main__ as experiments
 from localization.experiments import live_trial
-from localization.experiments.live import Store, collect
-from localization.experiments.live_trial import Done, Job, trials
+from localization.experiments.live import TrialCache, collect
+from localization.experiments.live_trial import FinishedTrial, TrialJob, trials
 
 SHORT = ["--scenario", "exact", "--figures", "5.4", "--methods", "ekf", "ukf", "--seeds", "2", "--periods", "8"]
 WANTED = trials(["exact"], ["5.4"], ["ekf"], 3, 8)
@@ -21,9 +21,9 @@ class Executor:
     """Works here, and remembers how much."""
 
     def __init__(self) -> None:
-        self.jobs: list[Job] = []
+        self.jobs: list[TrialJob] = []
 
-    def __call__(self, jobs: Sequence[Job]) -> Iterator[Done]:
+    def __call__(self, jobs: Sequence[TrialJob]) -> Iterator[FinishedTrial]:
         for job in jobs:
             self.jobs.append(job)
             yield live_trial.run(job)
@@ -57,7 +57,7 @@ def test_two_processes_make_the_same_numbers(tmp_path: Path) -> None:
 
 
 def test_what_is_on_disk_is_not_driven_again(tmp_path: Path) -> None:
-    store, crew, tallies = Store(tmp_path, "code"), Executor(), list[int]()
+    store, crew, tallies = TrialCache(tmp_path, "code"), Executor(), list[int]()
     collect(WANTED[:2], store, None, crew, tallies.append)
     whole = collect(WANTED, store, None, crew, tallies.append)
     assert [job.trial.seed for job in crew.jobs] == [0, 1, 2]
@@ -68,25 +68,25 @@ def test_what_is_on_disk_is_not_driven_again(tmp_path: Path) -> None:
 
 
 def test_an_interrupted_run_keeps_what_was_done(tmp_path: Path) -> None:
-    def interrupted(jobs: Sequence[Job]) -> Iterator[Done]:
+    def interrupted(jobs: Sequence[TrialJob]) -> Iterator[FinishedTrial]:
         yield live_trial.run(jobs[0])
         raise KeyboardInterrupt
 
-    store = Store(tmp_path, "code")
+    store = TrialCache(tmp_path, "code")
     with pytest.raises(KeyboardInterrupt):
         collect(WANTED, store, None, interrupted, lambda _: None)
     assert [store.get(trial) is not None for trial in WANTED] == [True, False, False]
 
 
 def test_paths_that_are_missing_or_older_are_driven_for(tmp_path: Path) -> None:
-    store, crew = Store(tmp_path / "trials", "code"), Executor()
+    store, crew = TrialCache(tmp_path / "trials", "code"), Executor()
     collect(WANTED[:1], store, None, crew, lambda _: None)
     collect(WANTED[:1], store, tmp_path / "tum", crew, lambda _: None)
     assert [job.whole for job in crew.jobs] == [False, True]
     assert len(list((tmp_path / "tum").iterdir())) == 3
     collect(WANTED[:1], store, tmp_path / "tum", crew, lambda _: None)
     assert len(crew.jobs) == 2
-    store.put(WANTED[0], live_trial.run(Job(WANTED[0])).result)
+    store.put(WANTED[0], live_trial.run(TrialJob(WANTED[0])).result)
     collect(WANTED[:1], store, tmp_path / "tum", crew, lambda _: None)
     assert len(crew.jobs) == 3
 

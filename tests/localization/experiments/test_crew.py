@@ -7,22 +7,28 @@ import sys
 
 import pytest
 
-from localization.experiments.execution import ClusterError, ClusterExtraMissing, _check, here, on_cluster
+from localization.experiments.execution import (
+    ClusterError,
+    ClusterExtraMissing,
+    _check,
+    on_cluster,
+    run_locally,
+)
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_every_item_is_worked_on_once(jobs: int) -> None:
-    assert sorted(here(math.factorial, range(6), jobs)) == [1, 1, 2, 6, 24, 120]
+    assert sorted(run_locally(math.factorial, range(6), jobs)) == [1, 1, 2, 6, 24, 120]
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_what_the_work_raises_is_raised(jobs: int) -> None:
     with pytest.raises(ValueError, match="negative"):
-        list(here(math.factorial, [1, -1], jobs))
+        list(run_locally(math.factorial, [1, -1], jobs))
 
 
 def test_nothing_to_do_is_nothing_done() -> None:
-    assert list(here(math.factorial, [], 2)) == []
+    assert list(run_locally(math.factorial, [], 2)) == []
 
 
 def test_without_distributed_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

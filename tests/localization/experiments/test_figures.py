@@ -9,7 +9,7 @@ import pytest
 from matplotlib.figure import Figure as Picture
 
 from localization.experiments import output
-from localization.experiments.figure_trial import FIGURES, course_of
+from localization.experiments.figure_trial import FIGURES, figure_setup
 from localization.experiments.results import Track
 from localization.filters.belief import Floats
 
@@ -30,14 +30,14 @@ def lines(picture: Picture, row: int = 0) -> dict[str, Floats]:
 
 def test_the_trajectory_shows_world_way_points_truth_and_estimate() -> None:
     figure, track = FIGURES["5.8"], made_up_track()
-    course = course_of(figure)
+    course = figure_setup(figure)
     picture = output.trajectory(figure, course, track)
     (axes,) = picture.axes
     drawn = lines(picture)
     assert axes.get_aspect() == 1.0
     assert drawn["truth"][1:] == pytest.approx(track.truth[:, :2])
     assert drawn["estimate"] == pytest.approx(track.mean[:, :2])
-    assert drawn["way-points"] == pytest.approx(course.goals_in)
+    assert drawn["waypoints"] == pytest.approx(course.goals_in)
     ends = [tuple(np.asarray(line.get_xydata()).ravel()) for line in axes.get_lines()]
     assert all(tuple(wall) in ends for wall in course.walls.segments)
     assert "0.0" in axes.get_title()
@@ -45,7 +45,7 @@ def test_the_trajectory_shows_world_way_points_truth_and_estimate() -> None:
 
 def test_without_the_filter_the_estimate_is_odometry_and_its_doubt_is_drawn() -> None:
     figure = FIGURES["5.2"]
-    drawn = lines(output.trajectory(figure, course_of(figure), made_up_track()))
+    drawn = lines(output.trajectory(figure, figure_setup(figure), made_up_track()))
     assert "odometry" in drawn
     assert "3 sigma" in drawn
 
@@ -66,6 +66,6 @@ def test_the_errors_are_estimate_less_truth_in_inches_and_degrees() -> None:
 )
 def test_two_files_are_written_for_a_figure(name: str, files: set[str], tmp_path: Path) -> None:
     figure = FIGURES[name]
-    written = output.draw(figure, course_of(figure), [made_up_track()], tmp_path / "new" / "folder")
+    written = output.draw(figure, figure_setup(figure), [made_up_track()], tmp_path / "new" / "folder")
     assert {path.name for path in written} == files
     assert all(path.read_bytes().startswith(PNG) for path in written)

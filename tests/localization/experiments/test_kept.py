@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from localization.experiments.execution import Kept
+from localization.experiments.execution import ResultCache
 
 
 def test_what_is_kept_is_found_by_the_same_key_and_code_alone(tmp_path: Path) -> None:
-    kept = Kept(tmp_path / "new", "code")
+    kept = ResultCache(tmp_path / "new", "code")
     path = kept.path("run_1", (1, "a"))
     assert kept.get(path) is None
     kept.put(path, {"x": 0.1, "y": None})
-    assert Kept(tmp_path / "new", "code").get(kept.path("run_1", (1, "a"))) == {"x": 0.1, "y": None}
+    assert ResultCache(tmp_path / "new", "code").get(kept.path("run_1", (1, "a"))) == {"x": 0.1, "y": None}
     assert path.name.startswith("run_1_")
-    assert len({path, kept.path("run_1", (2, "a")), Kept(tmp_path / "new", "other").path("run_1", (1, "a"))}) == 3
+    assert (
+        len({path, kept.path("run_1", (2, "a")), ResultCache(tmp_path / "new", "other").path("run_1", (1, "a"))}) == 3
+    )
     assert [file.name for file in (tmp_path / "new").iterdir()] == [path.name]

@@ -9,7 +9,7 @@ import pytest
 
 from localization.experiments import lost as lost_command
 from localization.experiments.__main__ import main
-from localization.experiments.lost_trial import Case, Kind, Outcome
+from localization.experiments.lost_trial import Case, Kind, LostResult
 
 
 @pytest.fixture
@@ -17,9 +17,9 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[Case]:
     """The cases that were driven."""
     driven: list[Case] = []
 
-    def drive(case: Case) -> Outcome:
+    def drive(case: Case) -> LostResult:
         driven.append(case)
-        return Outcome(60.0, 0, 0.0, 0.25, 2.0, 1.0, True)
+        return LostResult(60.0, 0, 0.0, 0.25, 2.0, 1.0, True)
 
     monkeypatch.setattr(lost_command, "drive", drive)
     return driven

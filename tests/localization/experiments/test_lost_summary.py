@@ -6,7 +6,7 @@ import pytest
 
 from localization.experiments.live_trial import SCENARIOS
 from localization.experiments.lost import summaries, words
-from localization.experiments.lost_trial import Case, Kind, Outcome
+from localization.experiments.lost_trial import Case, Kind, LostResult
 
 
 def case(kind: Kind, seed: int) -> Case:
@@ -15,9 +15,9 @@ def case(kind: Kind, seed: int) -> Case:
 
 def test_calm_runs_count_their_alarms_and_weigh_by_time() -> None:
     (found,) = summaries({
-        case(Kind.TRACKING, 0): Outcome(600.0, 0, 0.1, 1.0),
-        case(Kind.TRACKING, 1): Outcome(300.0, 3, 0.4, 2.0),
-        case(Kind.TRACKING, 2): Outcome(900.0, 0, 0.0, None),
+        case(Kind.TRACKING, 0): LostResult(600.0, 0, 0.1, 1.0),
+        case(Kind.TRACKING, 1): LostResult(300.0, 3, 0.4, 2.0),
+        case(Kind.TRACKING, 2): LostResult(900.0, 0, 0.0, None),
     })
     assert (found["runs"], found["false_alarms"], found["alarmed"], found["hours"]) == (3, 3, 1, 0.5)
     assert found["degraded"] == pytest.approx((60.0 + 120.0) / 1800.0)
@@ -28,10 +28,10 @@ def test_calm_runs_count_their_alarms_and_weigh_by_time() -> None:
 
 def test_kidnappings_count_who_was_told_of_in_time_and_who_was_found_rightly() -> None:
     (found,) = summaries({
-        case(Kind.KIDNAPPED, 0): Outcome(40.0, 0, 0.0, 0.3, 2.0, 1.0, True),
-        case(Kind.KIDNAPPED, 1): Outcome(40.0, 0, 0.0, 0.3, 7.0, 9.0, True),
-        case(Kind.KIDNAPPED, 2): Outcome(40.0, 0, 0.0, 0.3, 3.0, 2.0, False),
-        case(Kind.KIDNAPPED, 3): Outcome(40.0, 0, 0.0, 0.3, None, None, False),
+        case(Kind.KIDNAPPED, 0): LostResult(40.0, 0, 0.0, 0.3, 2.0, 1.0, True),
+        case(Kind.KIDNAPPED, 1): LostResult(40.0, 0, 0.0, 0.3, 7.0, 9.0, True),
+        case(Kind.KIDNAPPED, 2): LostResult(40.0, 0, 0.0, 0.3, 3.0, 2.0, False),
+        case(Kind.KIDNAPPED, 3): LostResult(40.0, 0, 0.0, 0.3, None, None, False),
     })
     assert (found["told"], found["soon"], found["found"], found["mistaken"]) == (3, 2, 2, 1)
     assert found["told_s"] == (3.0, 7.0)
@@ -42,12 +42,12 @@ def test_kidnappings_count_who_was_told_of_in_time_and_who_was_found_rightly() -
 
 
 def test_of_those_that_never_found_themselves_no_time_is_said() -> None:
-    (found,) = summaries({case(Kind.UNKNOWN_START, 0): Outcome(90.0, 0, 0.0, None)})
+    (found,) = summaries({case(Kind.UNKNOWN_START, 0): LostResult(90.0, 0, 0.0, None)})
     assert found["found"] == 0
     assert words(found).splitlines()[1] == "  found again rightly: 0; a wrong place believed: 0"
 
 
 def test_each_kind_has_its_own_numbers_in_the_order_of_the_cases() -> None:
-    outcome = Outcome(60.0, 0, 0.0, 0.2)
+    outcome = LostResult(60.0, 0, 0.0, 0.2)
     found = summaries({case(kind, 0): outcome for kind in (Kind.UNKNOWN_START, Kind.TRACKING)})
     assert [summary["kind"] for summary in found] == ["nowhere", "calm"]

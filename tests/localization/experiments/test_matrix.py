@@ -4,7 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from localization.experiments.live_trial import SCENARIOS, Cell, Job, Trial, result_of, run, summaries, trials
+from localization.experiments.live_trial import (
+    SCENARIOS,
+    Cell,
+    Trial,
+    TrialJob,
+    result_of,
+    run,
+    summaries,
+    trials,
+)
 
 
 def test_every_combination_has_its_seeds() -> None:
@@ -22,7 +31,7 @@ def test_every_combination_has_its_seeds() -> None:
 
 def test_a_job_is_one_trial_and_its_record_comes_where_it_is_wanted() -> None:
     (trial,) = trials(["exact"], ["5.4"], ["ukf"], 1, 12)
-    done, again = run(Job(trial, whole=True)), run(Job(trial))
+    done, again = run(TrialJob(trial, whole=True)), run(TrialJob(trial))
     assert done.trial == trial
     assert done.record is not None
     assert again.record is None
@@ -34,7 +43,7 @@ def test_a_job_is_one_trial_and_its_record_comes_where_it_is_wanted() -> None:
 
 def test_a_summary_does_not_depend_on_the_order_trials_came_in() -> None:
     every = trials(["exact"], ["5.4"], ["ekf"], 3, 12)
-    results = {trial: run(Job(trial)).result for trial in every}
+    results = {trial: run(TrialJob(trial)).result for trial in every}
     turned = dict(reversed(results.items()))
     assert summaries(turned) == summaries(results)
     assert list(summaries(results)) == [Cell("exact", "5.4", "ekf")]

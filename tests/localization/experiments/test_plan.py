@@ -13,30 +13,30 @@ import pytest
 from localization.experiments import execution
 from localization.experiments import plan as plan_command
 from localization.experiments.__main__ import main
-from localization.experiments.execution import Kept
-from localization.experiments.plan import APART_IN, ROOM_IN, WORLDS, Driven, Pair, drive, ends_of
+from localization.experiments.execution import ResultCache
+from localization.experiments.plan import APART_IN, ROOM_IN, WORLDS, DrivePair, DriveResult, drive, ends_of
 from worlds.io import load_world
 from worlds.robots import N150
 
-DRIVEN = Driven("thesis_room", 0, "done", "", False, 2.0, 0.4, 50.0, 50.5, 51.0, 1, 12.0)
+DRIVEN = DriveResult("thesis_room", 0, "done", "", False, 2.0, 0.4, 50.0, 50.5, 51.0, 1, 12.0)
 
 
 @pytest.mark.parametrize("world", WORLDS)
 def test_pairs_have_room_are_apart_and_differ(world: str) -> None:
-    drawn = [ends_of(Pair(world, number, "noisy")) for number in range(100)]
+    drawn = [ends_of(DrivePair(world, number, "noisy")) for number in range(100)]
     place = load_world(world)
     for ends in drawn:
         assert min(place.clearance(*ends.start), place.clearance(*ends.goal)) >= N150.radius_in + ROOM_IN - 1e-9
         assert hypot(ends.start[0] - ends.goal[0], ends.start[1] - ends.goal[1]) >= APART_IN
         assert -12 < ends.start[0] < 102.17
     assert len(set(drawn)) == 100
-    assert ends_of(Pair(world, 3, "exact")) == drawn[3]
+    assert ends_of(DrivePair(world, 3, "exact")) == drawn[3]
 
 
 @pytest.mark.parametrize("world", WORLDS)
 def test_a_drive_arrives_without_touching_and_is_little_longer_than_the_shortest(world: str) -> None:
-    pair, driven = drive(Pair(world, 7, "noisy"))
-    assert (pair, driven.ending, driven.contact) == (Pair(world, 7, "noisy"), "done", False)
+    pair, driven = drive(DrivePair(world, 7, "noisy"))
+    assert (pair, driven.ending, driven.contact) == (DrivePair(world, 7, "noisy"), "done", False)
     assert driven.off_in < 1.5
     assert driven.least_in > 0.3
     assert 1.0 - 1.0 / driven.shortest_in <= driven.driven_in / driven.shortest_in <= plan_command.NEAR
@@ -45,20 +45,20 @@ def test_a_drive_arrives_without_touching_and_is_little_longer_than_the_shortest
 
 
 def test_what_was_driven_is_kept_and_not_driven_again(tmp_path: Path) -> None:
-    pairs = [Pair("thesis_room", number, "noisy") for number in range(3)]
-    worked: list[Pair] = []
+    pairs = [DrivePair("thesis_room", number, "noisy") for number in range(3)]
+    worked: list[DrivePair] = []
 
-    def work(left: Sequence[Pair]) -> Iterator[tuple[Pair, Driven]]:
+    def work(left: Sequence[DrivePair]) -> Iterator[tuple[DrivePair, DriveResult]]:
         worked.extend(left)
         yield from ((pair, replace(DRIVEN, number=pair.number)) for pair in left)
 
     told: list[int] = []
-    first = plan_command.collect(pairs[:2], Kept(tmp_path, "code"), work, told.append)
-    again = plan_command.collect(pairs, Kept(tmp_path, "code"), work, told.append)
+    first = plan_command.collect(pairs[:2], ResultCache(tmp_path, "code"), work, told.append)
+    again = plan_command.collect(pairs, ResultCache(tmp_path, "code"), work, told.append)
     assert worked == pairs
     assert told == [0, 1, 2, 2, 3]
     assert {pair: again[pair] for pair in pairs[:2]} == first
-    plan_command.collect(pairs[:1], Kept(tmp_path, "other"), work, told.append)
+    plan_command.collect(pairs[:1], ResultCache(tmp_path, "other"), work, told.append)
     assert worked[-1] == pairs[0]
     assert not list(tmp_path.glob("*.part"))
 
@@ -89,7 +89,9 @@ def test_the_command_prints_a_table_or_json_and_writes_all(
     assert json.loads(capsys.readouterr().out)[0]["reached"] == 2
     asked: list[str] = []
 
-    def on_cluster(_: object, items: Sequence[Pair], address: str, **__: object) -> Iterator[tuple[Pair, Driven]]:
+    def on_cluster(
+        _: object, items: Sequence[DrivePair], address: str, **__: object
+    ) -> Iterator[tuple[DrivePair, DriveResult]]:
         asked.append(address)
         yield from ((pair, DRIVEN) for pair in items)
 

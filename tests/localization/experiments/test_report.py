@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from localization.experiments.figure_trial import FIGURES, course_of
+from localization.experiments.figure_trial import FIGURES, figure_setup
 from localization.experiments.output import table
 from localization.experiments.results import Summary
 
@@ -26,7 +26,7 @@ def some_summary(name: str, *, filtered: bool = True) -> Summary:
 
 def format_entry(name: str, *, filtered: bool = True) -> list[str]:
     figure = FIGURES[name]
-    return table(figure, course_of(figure), some_summary(name, filtered=filtered)).splitlines()
+    return table(figure, figure_setup(figure), some_summary(name, filtered=filtered)).splitlines()
 
 
 def test_every_number_is_beside_what_it_is_measured_against() -> None:

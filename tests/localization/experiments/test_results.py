@@ -10,11 +10,11 @@ import pytest
 from localization.experiments.figure_trial import FIGURES, Runs
 from localization.experiments.results import (
     TRACKED_SEEDS,
-    Outcome,
+    FigureResult,
     SeedResult,
     Summary,
-    joined,
-    outcome_of,
+    figure_result,
+    join_results,
     summarize,
     typical,
 )
@@ -40,7 +40,7 @@ def made_up_runs(first_seed: int = 0) -> Runs:
 
 
 def test_a_seed_is_summed_over_its_own_steps() -> None:
-    first, second = outcome_of(made_up_runs(), filtered=True).results
+    first, second = figure_result(made_up_runs(), filtered=True).results
     assert first == SeedResult(
         seed=0,
         steps=2,
@@ -58,7 +58,7 @@ def test_a_seed_is_summed_over_its_own_steps() -> None:
 
 
 def test_a_figure_is_summed_over_all_steps_of_all_seeds() -> None:
-    summary = summarize(FIGURES["5.4"], outcome_of(made_up_runs(), filtered=True).results)
+    summary = summarize(FIGURES["5.4"], figure_result(made_up_runs(), filtered=True).results)
     assert list(summary) == list(Summary.__annotations__)
     assert summary["figure"] == "5.4"
     assert (summary["seeds"], summary["reached"]) == (2, 1)
@@ -73,32 +73,32 @@ def test_a_figure_is_summed_over_all_steps_of_all_seeds() -> None:
 
 
 def test_without_the_filter_its_numbers_have_no_meaning() -> None:
-    summary = summarize(FIGURES["5.2"], outcome_of(made_up_runs(), filtered=False).results)
+    summary = summarize(FIGURES["5.2"], figure_result(made_up_runs(), filtered=False).results)
     empty = {key for key, value in summary.items() if value is None}
     assert empty == {"steps_thesis", "nees_mean", "nees_band95", "nis_mean", "pcrb_position_in"}
     assert summary["rmse_position_in"] == pytest.approx(math.sqrt(50 / 5))
 
 
 def test_where_no_beam_was_ever_used_there_is_no_nis() -> None:
-    (result, _) = outcome_of(made_up_runs(), filtered=False).results
+    (result, _) = figure_result(made_up_runs(), filtered=False).results
     assert summarize(FIGURES["5.4"], [result])["nis_mean"] is None
 
 
 def test_whole_runs_are_kept_of_the_first_seeds_only() -> None:
-    assert [track.seed for track in outcome_of(made_up_runs(), True).tracks] == [0, 1]
-    assert [track.seed for track in outcome_of(made_up_runs(TRACKED_SEEDS - 1), True).tracks] == [TRACKED_SEEDS - 1]
-    assert outcome_of(made_up_runs(), True).tracks[0].mean.shape == (2, 3)
+    assert [track.seed for track in figure_result(made_up_runs(), True).tracks] == [0, 1]
+    assert [track.seed for track in figure_result(made_up_runs(TRACKED_SEEDS - 1), True).tracks] == [TRACKED_SEEDS - 1]
+    assert figure_result(made_up_runs(), True).tracks[0].mean.shape == (2, 3)
 
 
 def test_parts_are_joined_in_their_order() -> None:
-    parts = [outcome_of(made_up_runs(seed), True) for seed in (0, 2)]
-    whole = joined(parts)
+    parts = [figure_result(made_up_runs(seed), True) for seed in (0, 2)]
+    whole = join_results(parts)
     assert [result.seed for result in whole.results] == [0, 1, 2, 3]
     assert [track.seed for track in whole.tracks] == [0, 1, 2, 3]
-    assert joined([]) == Outcome((), ())
+    assert join_results([]) == FigureResult((), ())
 
 
 def test_the_typical_run_ends_with_the_median_error() -> None:
-    tracks = outcome_of(made_up_runs(), True).tracks
+    tracks = figure_result(made_up_runs(), True).tracks
     assert typical([tracks[1], tracks[0], tracks[1]]) is tracks[1]
     assert typical([tracks[1], tracks[0]]) is tracks[0]

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from localization.experiments.figure_trial import FIGURES, NOISE, START_STD, WAYPOINT_RADIUS_IN, course_of
+from localization.experiments.figure_trial import FIGURES, NOISE, START_STD, WAYPOINT_RADIUS_IN, figure_setup
 from localization.filters.sonar_ray import IDEAL_SONAR
 from nserver_emu.simulation.noise import NOISY
 
@@ -33,7 +33,7 @@ def test_the_noise_is_the_one_the_experiments_were_fixed_with() -> None:
     ],
 )
 def test_each_figure_drives_from_its_start_through_its_goals(name: str, goals: list[list[float]]) -> None:
-    course = course_of(FIGURES[name])
+    course = figure_setup(FIGURES[name])
     assert course.goals_in.tolist() == goals
     assert course.filtered == (name != "5.2")
     gains = (0.5, 0.5, 0.08, 0.8) if name == "5.6" else (0.05, 0.05, 0.1, 0.1)
@@ -42,7 +42,7 @@ def test_each_figure_drives_from_its_start_through_its_goals(name: str, goals: l
 
 
 def test_the_text_cannot_have_covered_its_way_in_1199_steps() -> None:
-    course = course_of(FIGURES["5.4"])
+    course = figure_setup(FIGURES["5.4"])
     assert course.length_in == pytest.approx(math.hypot(60, 40))
     assert course.least_steps == 1442
     assert course.most_steps > 3 * 1442

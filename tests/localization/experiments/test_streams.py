@@ -6,13 +6,13 @@ from itertools import islice
 
 import numpy as np
 
-from localization.experiments.figure_trial import start_errors, step_errors
+from localization.experiments.figure_trial import draw_start_errors, draw_step_errors
 from localization.filters.belief import Floats
 
 
 def first(seeds: list[int], count: int) -> tuple[Floats, Floats]:
     """Motion (count, seeds, 2) and sonar (count, seeds, 16) errors."""
-    moves, sounds = zip(*islice(step_errors(seeds, 16), count), strict=True)
+    moves, sounds = zip(*islice(draw_step_errors(seeds, 16), count), strict=True)
     return np.stack(moves), np.stack(sounds)
 
 
@@ -21,12 +21,12 @@ def test_a_seed_meets_the_same_noise_in_any_company() -> None:
     alone_moves, alone_sounds = first([7], 150)
     assert moves[:150, 1].tolist() == alone_moves[:, 0].tolist()
     assert sounds[:150, 1].tolist() == alone_sounds[:, 0].tolist()
-    assert start_errors([3, 7])[1].tolist() == start_errors([7])[0].tolist()
+    assert draw_start_errors([3, 7])[1].tolist() == draw_start_errors([7])[0].tolist()
 
 
 def test_seeds_and_purposes_share_nothing() -> None:
     moves, sounds = first(list(range(8)), 500)
-    starts = start_errors(range(8))
+    starts = draw_start_errors(range(8))
     numbers = np.concatenate([moves.ravel(), sounds.ravel(), starts.ravel()])
     assert len(np.unique(numbers)) == numbers.size
 

@@ -8,25 +8,33 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from localization.experiments.figure_trial import FIGURES, Course, Runs, course_of, mean_band, run, start_errors
-from localization.experiments.results import Summary, outcome_of, summarize
+from localization.experiments.figure_trial import (
+    FIGURES,
+    FigureSetup,
+    Runs,
+    draw_start_errors,
+    figure_setup,
+    mean_band,
+    run,
+)
+from localization.experiments.results import Summary, figure_result, summarize
 from localization.filters.belief import difference
 from localization.filters.odometry import process_covariance, step_jacobians
 from localization.filters.sonar_ray import ranges_from, wall_map
-from localization.navigation.speed import ControlGains, next_step
+from localization.navigation.control_law import ControlGains, next_step
 
 pytestmark = pytest.mark.long
 
 
-def short_course(filtered: bool = True) -> Course:
+def short_course(filtered: bool = True) -> FigureSetup:
     """The first inches of figure 5.4, at the speed of 5.6."""
-    course = course_of(FIGURES["5.4"])
+    course = figure_setup(FIGURES["5.4"])
     return replace(course, goals_in=np.array([[8.0, 5.0], [3.0, 9.0]]), gains=FIGURES["5.6"].gains, filtered=filtered)
 
 
 def summary_of(name: str, seeds: int) -> Summary:
     figure = FIGURES[name]
-    return summarize(figure, outcome_of(run(course_of(figure), range(seeds)), figure.filtered).results)
+    return summarize(figure, figure_result(run(figure_setup(figure), range(seeds)), figure.filtered).results)
 
 
 @pytest.fixture(scope="module")
@@ -56,12 +64,12 @@ def test_the_other_figures_arrive_and_stay_consistent(name: str) -> None:
     """The guided paths at four times their speed, so that the test is four times as short."""
     seeds = 30
     figure = FIGURES[name]
-    course = course_of(figure)
+    course = figure_setup(figure)
     if name != "5.6":
         course = replace(
             course, gains=ControlGains(drho_max_in=0.2, dtheta_max_rad=0.2, alpha_rho=0.1, alpha_theta=0.1)
         )
-    summary = summarize(figure, outcome_of(run(course, range(seeds)), filtered=True).results)
+    summary = summarize(figure, figure_result(run(course, range(seeds)), filtered=True).results)
     low, high = mean_band(3, seeds, probability=0.999)
     assert summary["reached"] == seeds
     assert summary["nees_mean"] is not None
@@ -72,10 +80,10 @@ def test_the_other_figures_arrive_and_stay_consistent(name: str) -> None:
 
 def test_a_batch_is_its_seeds_to_the_bit() -> None:
     seeds = range(9)
-    whole = outcome_of(run(short_course(), seeds), filtered=True)
+    whole = figure_result(run(short_course(), seeds), filtered=True)
     for cut in (1, 4):
         parts = [
-            outcome_of(run(short_course(), seeds[first : first + cut]), filtered=True) for first in range(0, 9, cut)
+            figure_result(run(short_course(), seeds[first : first + cut]), filtered=True) for first in range(0, 9, cut)
         ]
         assert [result for part in parts for result in part.results] == list(whole.results)
 
@@ -116,7 +124,7 @@ def test_the_bound_is_taken_at_the_truth_whatever_the_filter_believes() -> None:
     """One step by hand, in the form of information, from a start the filter is far wrong about."""
     course = replace(short_course(), start_std=(1.0, 1.0, 0.5))
     runs = run(course, [3])
-    believed = course.start + course.start_std * start_errors([3])[0]
+    believed = course.start + course.start_std * draw_start_errors([3])[0]
     command = next_step(believed, course.goals_in[0], course.gains)
     F, G = step_jacobians(course.start, command)
     Q = process_covariance(G, command, course.noise)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from localization.experiments import live as live_command
-from localization.experiments.live_trial import Job, run, trials
+from localization.experiments.live_trial import TrialJob, run, trials
 
 
 def test_a_line_is_time_metres_and_a_unit_quaternion() -> None:
@@ -19,7 +19,7 @@ def test_a_line_is_time_metres_and_a_unit_quaternion() -> None:
 
 def test_a_trial_has_three_paths_of_the_same_instants(tmp_path: Path) -> None:
     (trial,) = trials(["exact"], ["5.4"], ["ekf"], 1, 12)
-    record = run(Job(trial, whole=True)).record
+    record = run(TrialJob(trial, whole=True)).record
     assert record is not None
     live_command.write_tum(tmp_path / "new", trial, record)
     files = live_command.paths(tmp_path / "new", trial)

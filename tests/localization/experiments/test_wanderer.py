@@ -8,9 +8,14 @@ from typing import NamedTuple
 import numpy as np
 
 from localization.experiments.lost_trial import STAND, RandomExplorer
+from localization.navigation.limits import (
+    VelocityCommand,
+)
 from localization.navigation.recovery import TURN_RAD_S
 from localization.navigation.roadmap import Roadmap
-from localization.navigation.waypoints import Command, Speeds
+from localization.navigation.waypoints import (
+    Speeds,
+)
 from worlds.geometry import polygon_segments
 
 ROOM = polygon_segments([(0.0, 0.0), (100.0, 0.0), (100.0, 100.0), (0.0, 100.0)])
@@ -31,9 +36,9 @@ def test_it_plans_standing_then_turns_on_the_spot_then_drives_and_plans_anew_whe
     one = explorer()
     assert one.command(np.array([20.0, 20.0, pi])) == STAND
     assert one.command(np.array([20.0, 20.0, pi])).translation_in_s == 0.0
-    assert one.command(np.array([20.0, 20.0, -2.0])) == Command(0.0, TURN_RAD_S)
-    assert one.command(np.array([20.0, 20.0, 2.0])) == Command(0.0, -TURN_RAD_S)
-    assert one.command(np.array([20.0, 20.0, 0.0])) == Command(5.0, 0.0)
+    assert one.command(np.array([20.0, 20.0, -2.0])) == VelocityCommand(0.0, TURN_RAD_S)
+    assert one.command(np.array([20.0, 20.0, 2.0])) == VelocityCommand(0.0, -TURN_RAD_S)
+    assert one.command(np.array([20.0, 20.0, 0.0])) == VelocityCommand(5.0, 0.0)
     assert one.command(np.array([79.5, 20.0, 0.0])) == STAND
 
 
@@ -46,6 +51,6 @@ def test_where_there_is_no_way_it_stands_and_tries_the_next_place() -> None:
 def test_lost_it_gropes_and_plans_anew_when_it_is_found() -> None:
     one = explorer()
     one.command(np.array([20.0, 20.0, 0.0]))
-    assert one.command(np.array([20.0, 20.0, 0.0])) == Command(5.0, 0.0)
-    assert one.grope(Ring((255,) * 16)) == Command(0.0, TURN_RAD_S)
+    assert one.command(np.array([20.0, 20.0, 0.0])) == VelocityCommand(5.0, 0.0)
+    assert one.grope(Ring((255,) * 16)) == VelocityCommand(0.0, TURN_RAD_S)
     assert one.command(np.array([20.0, 20.0, 0.0])) == STAND

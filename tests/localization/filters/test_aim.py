@@ -1,4 +1,4 @@
-"""Where a sonar looks by what it hears: against the posterior of very many drawn axes, by the array model of cones."""
+"""The direction of a sonar from what it detects, against the posterior of many drawn axes."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_head_on_a_wall_tells_nothing_of_the_angle() -> None:
 
 
 def test_turns_about_leave_little_doubt() -> None:
-    """A ring that is mounted 3 degrees off, heard all round before one wall: its middle is found, either way round."""
+    """A ring mounted 3 degrees off, turned in front of one wall: the offset is found in either direction."""
     for turned_deg in (3.0, -3.0):
         aiming, mean, std = ConeAim(WALL, N150, MODEL), 0.0, radians(5.0)
         for angle_deg in np.concatenate([np.arange(phase - 30.0, 30.0, 1.37) for phase in (0.0, 0.4, 0.8, 1.2)]):

@@ -1,4 +1,4 @@
-"""Values of a belief: headings wrap, differences go the short way, standard deviations come back."""
+"""Beliefs: wrapped headings, differences by the shorter turn, standard deviations."""
 
 from __future__ import annotations
 

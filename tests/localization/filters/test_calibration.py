@@ -1,4 +1,4 @@
-"""The long state: against the shorter filter, against finite differences, and how far it knows what it has found."""
+"""The long state against the shorter filter and finite differences, and the errors of its estimates."""
 
 from __future__ import annotations
 
@@ -72,8 +72,8 @@ def test_the_gain_matches_finite_differences(sonar: int) -> None:
     expected = range_of(before.mean, sonar, offset_rad)
     assert method.update(sonar, offset_rad, expected + 0.2).refusal is Refusal.NONE
     slope = np.array([
-        (range_of(before.mean + way, sonar, offset_rad) - range_of(before.mean - way, sonar, offset_rad)) / 2e-6
-        for way in 1e-6 * np.eye(SIZE)
+        (range_of(before.mean + change, sonar, offset_rad) - range_of(before.mean - change, sonar, offset_rad)) / 2e-6
+        for change in 1e-6 * np.eye(SIZE)
     ])  # fmt: skip
     spread = slope @ before.cov @ slope + EXACT_RAYS.variance(np.array([expected]))[0]
     gain = before.cov @ slope / spread
@@ -82,7 +82,7 @@ def test_the_gain_matches_finite_differences(sonar: int) -> None:
 
 
 def test_the_aim_corrects_heading_and_ring_together(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Conditioning on their sum, by the block formulas; what is not known to differ stays so."""
+    """Conditioning on the sum, by the block formulas; the difference stays as it is."""
     aims: list[AimReading] = []
 
     def posterior(_: ConeAim, aim: AimReading) -> tuple[float, float]:
@@ -128,7 +128,7 @@ def test_what_is_no_range_or_none_of_the_map_is_refused() -> None:
 
 
 def test_it_finds_what_it_was_given_and_knows_how_well() -> None:
-    """A robot that goes round and round with drawn errors, heard by exact rays: errors are as large as told."""
+    """A robot that circles with drawn errors, measured by exact rays: errors are as large as their std says."""
     off = []
     for seed in range(4):
         rng = np.random.default_rng(seed)
@@ -146,13 +146,13 @@ def test_it_finds_what_it_was_given_and_knows_how_well() -> None:
         found, spread = calibration_in(method.belief), calibration_in(method.belief).spread
         true = state[OFFSET] + state[OWN:]
         off += [
-            (found.way_scale - 1.0 - state[3]) / spread.way_scale,
+            (found.distance_scale - 1.0 - state[3]) / spread.distance_scale,
             (found.turn_scale - 1.0 - state[4]) / spread.turn_scale,
             (found.drift_rad_in - state[5]) / spread.drift_rad_in,
             (found.turned_rad - state[RING_TURN]) / spread.turned_rad,
             *((np.array(found.offsets_in) - true) / spread.offsets_in),
         ]
-        assert spread.way_scale < 0.5 * stds[0]
+        assert spread.distance_scale < 0.5 * stds[0]
         assert max(spread.offsets_in) < 0.2
     assert 0.5 < np.mean(np.square(off)) < 1.6
 

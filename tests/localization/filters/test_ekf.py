@@ -1,4 +1,4 @@
-"""The filter against the linear Kalman filter in closed form, filterpy, and what a covariance must be."""
+"""`update_ring` against the linear Kalman filter in closed form, filterpy, and the properties of a covariance."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def test_the_spread_of_drawn_robots_is_the_one_predicted() -> None:
 
 @given(st.integers(0, 1000), st.floats(-12, 0), st.floats(-12, 3))
 def test_a_covariance_stays_symmetric_and_never_negative(seed: int, log_noise: float, log_spread: float) -> None:
-    """Also where readings are a trillion times better than the belief, or the other way round."""
+    """Also where readings are a trillion times better than the belief, or worse."""
     rng = np.random.default_rng(seed)
     belief = Belief(np.zeros(3), 10**log_spread * some_belief(rng).cov)
     seen = some_observation(rng)

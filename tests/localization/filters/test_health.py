@@ -1,4 +1,4 @@
-"""The monitor: a CUSUM by hand, its false alarms against Wald's bound, and each reason to be in doubt."""
+"""The monitor: a CUSUM by hand, its false alarms against Wald's bound, and each status."""
 
 from __future__ import annotations
 

@@ -189,11 +189,11 @@ def test_parameters_begin_at_zero_with_their_std() -> None:
 
 def test_another_pose_keeps_the_parameters() -> None:
     root = np.random.default_rng(3).standard_normal((5, 5))
-    known, pose = Belief(STATE[:5], root @ root.T), independent([7.0, 8.0, -3.0], [0.1, 0.2, 0.03])
-    moved = with_pose(pose, known)
+    parameters, pose = Belief(STATE[:5], root @ root.T), independent([7.0, 8.0, -3.0], [0.1, 0.2, 0.03])
+    moved = with_pose(pose, parameters)
     np.testing.assert_array_equal(moved.mean, [7.0, 8.0, -3.0, *STATE[3:5]])
     np.testing.assert_array_equal(moved.cov[:3, :3], pose.cov)
-    np.testing.assert_array_equal(moved.cov[3:, 3:], known.cov[3:, 3:])
+    np.testing.assert_array_equal(moved.cov[3:, 3:], parameters.cov[3:, 3:])
     assert not moved.cov[:3, 3:].any()
     assert not moved.cov[3:, :3].any()
 

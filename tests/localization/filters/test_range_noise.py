@@ -1,4 +1,4 @@
-"""Which part of a reading's error is the same each time: rounding, against its covariance by quadrature."""
+"""The constant part of a reading's error: rounding, against its covariance by quadrature."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ def covariance_of_rounding(std: float, step: float) -> float:
 @pytest.mark.parametrize("std", [0.01, 0.05, 0.1, 0.2, 0.3])
 def test_rounding_errs_the_same_way_until_noise_shakes_it(std: float, step: float) -> None:
     noise = RangeNoise(range_std_relative=0.0, range_std_floor_in=std * step, rounding_var_in2=step * step / 12.0)
-    there, told = covariance_of_rounding(std * step, step), noise.constant_variance_at(30.0)
-    assert there - 1e-3 * step * step <= told <= 1.7 * there + 1e-9 * step * step
-    assert told <= noise.variance_at(30.0)
+    there, constant = covariance_of_rounding(std * step, step), noise.constant_variance_at(30.0)
+    assert there - 1e-3 * step * step <= constant <= 1.7 * there + 1e-9 * step * step
+    assert constant <= noise.variance_at(30.0)
 
 
 def test_without_noise_all_of_the_rounding_is_constant() -> None:

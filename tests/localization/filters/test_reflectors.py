@@ -1,4 +1,4 @@
-"""What sound meets in a map: which ends of walls are vertices, and which of them are square corners."""
+"""Reflectors of a map: which ends of walls are vertices, and which of them square corners."""
 
 from __future__ import annotations
 

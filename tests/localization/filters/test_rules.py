@@ -26,9 +26,9 @@ READING_IN = 5.6
 
 def to_vertex(poses: Floats) -> tuple[Floats, Floats]:
     """Range to the vertex and its derivative: it curves with the distance."""
-    way = poses[..., :2] - VERTEX
-    ranges = np.hypot(way[..., 0], way[..., 1])
-    return ranges, np.concatenate((way / ranges[..., None], np.zeros((*ranges.shape, 1))), axis=-1)
+    offset = poses[..., :2] - VERTEX
+    ranges = np.hypot(offset[..., 0], offset[..., 1])
+    return ranges, np.concatenate((offset / ranges[..., None], np.zeros((*ranges.shape, 1))), axis=-1)
 
 
 def associated(belief: Belief) -> Association:

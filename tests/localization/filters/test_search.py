@@ -1,4 +1,4 @@
-"""Finding a robot nobody knows the place of, from a ring of echoes: where it is, and where it also may be."""
+"""The search for an unknown pose from a ring of echoes: the pose, and its alternatives."""
 
 from __future__ import annotations
 
@@ -106,11 +106,11 @@ def test_the_table_holds_the_echo_at_the_middle_of_a_cell() -> None:
     place = table.places_in[100]
     for turn in range(0, 120, 7):
         pose = np.array([[*place, math.radians(3.0 * turn) - 0.4]])
-        range_in, chance = (float(column[0]) for column in table.look_up(pose, 0.4))
+        range_in, expected = (float(column[0]) for column in table.look_up(pose, 0.4))
         exact = expected_echoes(pose[0] + [0, 0, 0.4], np.array(0.015), SonarMount(0.0, 9.06), around, ConeSonar())
         best = int(exact.probability.argmax())
-        assert chance == pytest.approx(exact.probability[best], abs=0.05)
-        if chance > 0.5:
+        assert expected == pytest.approx(exact.probability[best], abs=0.05)
+        if expected > 0.5:
             assert range_in == pytest.approx(exact.ranges_in[best], abs=1e-3)
 
 

@@ -1,4 +1,4 @@
-"""Places held against each other by fresh echoes: nats by hand, and wrong winners no more often than Ville's bound."""
+"""The sequential test: log likelihoods by hand, and wrong winners no more often than Ville's bound."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ NOISE = OdometryNoise(0.1, 0.1, 0.005)
 
 
 class Wall:
-    """All sonars read a robot's x, give or take STD_IN; nothing is learnt from it. `taken` readings are kept."""
+    """All sonars read a robot's x with STD_IN; beliefs do not change. `seen` records the readings."""
 
     def __init__(self) -> None:
         self.seen: list[tuple[int, float, float]] = []
@@ -91,7 +91,7 @@ def test_the_right_side_wins_after_a_handful_of_echoes(true_in: float, winner: S
 
 
 def test_a_slipped_estimate_does_not_let_a_third_pose_win() -> None:
-    """The truth is near, and a third of all echoes fits elsewhere by chance: enough against the estimate alone."""
+    """The truth is near, and a third of all echoes fits elsewhere: enough against the estimate alone."""
 
     def readings(near: Belief | None) -> SequentialTest:
         sequential = SequentialTest(near, at(90.0), MeasurementUpdate(Wall()), NOISE)

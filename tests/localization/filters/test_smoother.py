@@ -48,7 +48,7 @@ def smoother(belief: Belief, lag: int) -> FixedLagSmoother:
 @pytest.mark.parametrize("lag", [1, 5, 12])
 @pytest.mark.parametrize("size", [3, 4])
 def test_it_is_filterpys_rts_over_the_last_moves(lag: int, size: int) -> None:
-    """filterpy smooths errors about the predicted way: x_k+1 - F x_k there is what `later - predicted` is here."""
+    """filterpy smooths errors about the predicted path: x_k+1 - F x_k there is what `later - predicted` is here."""
     rng = np.random.default_rng(7)
     made = smoother(with_parameters(independent([1.0, 2.0, 0.3], [0.1, 0.1, 0.01]), (0.02,) * (size - 3)), lag)
     filtered, predicted, by_state, noise = [made.belief], [made.belief], [], []

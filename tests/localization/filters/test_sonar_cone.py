@@ -1,4 +1,4 @@
-"""Returns out of a cone: ranges by hand, derivatives by finite differences, and chances against a simple count."""
+"""The cone model: ranges by hand, derivatives by finite differences, probabilities against a count."""
 
 from __future__ import annotations
 
@@ -89,9 +89,9 @@ def test_an_uncertain_heading_makes_the_rim_of_the_cone_soft() -> None:
     std, loud = radians(3.0), replace(MODEL, margin_db=90.0)
     for off_deg in (8.0, 12.5, 15.0):
         pose = np.array([0.0, 0.0, radians(off_deg)])
-        told = expected_echoes(pose, np.array(std), FRONT, reflectors(SQUARE_ROOM), loud).probability[RIGHT_WALL]
+        detection = expected_echoes(pose, np.array(std), FRONT, reflectors(SQUARE_ROOM), loud).probability[RIGHT_WALL]
         headings = np.abs(radians(off_deg) + std * np.random.default_rng(3).normal(size=20_000))
-        assert told == pytest.approx((headings <= radians(12.5)).mean(), abs=0.03)
+        assert detection == pytest.approx((headings <= radians(12.5)).mean(), abs=0.03)
 
 
 def test_many_poses_at_once_are_each_their_own() -> None:

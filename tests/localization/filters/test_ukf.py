@@ -1,4 +1,4 @@
-"""Sigma points against filterpy's, the closed form of a linear step, and drawn robots."""
+"""The unscented filter: sigma points against filterpy's, the closed form of a linear step, and drawn robots."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def test_standing_still_changes_nothing() -> None:
 
 
 def test_a_wide_heading_bends_the_mean_as_drawn_robots_show() -> None:
-    """100 in ahead, heading known to 0.3 rad: the mean comes short by 4.4 %, which no derivative at the mean tells."""
+    """100 in ahead, heading std 0.3 rad: the mean falls short by 4.4 %, which no derivative at the mean shows."""
     rng = np.random.default_rng(5)
     belief, step = independent([0.0, 0.0, 0.0], [1.0, 1.0, 0.3]), np.array([100.0, 0.0])
     drawn = belief.mean + belief.std * rng.standard_normal((200_000, 3))

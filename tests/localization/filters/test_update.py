@@ -1,4 +1,4 @@
-"""The update by a reading of several reflectors, against the same mixture worked out on a fine grid."""
+"""The update by a reading of several reflectors, against the mixture integrated on a fine grid."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a robot tells that is known to err, as one that does not would."""
+"""States corrected by a calibration."""
 
 from __future__ import annotations
 

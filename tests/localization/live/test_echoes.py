@@ -1,4 +1,4 @@
-"""Which echo is new: against a ring written out firing by firing."""
+"""New echoes, against a ring simulated firing by firing."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ import pytest
 
 from localization.filters.belief import difference, independent
 from localization.filters.odometry import OdometryNoise, move, step_between, step_variance
-from localization.live.saved_estimate import Kept, map_signature, resume_belief
+from localization.live.saved_estimate import SavedEstimate, map_signature, resume_belief
 from localization.live.sensor_input import EncoderPose
 from nclient.errors import EstimateFileError
 from worlds.io import load_world
@@ -23,7 +23,7 @@ def encoders(x: float, y: float, heading: float, clock_s: float = 100.0) -> Enco
     return EncoderPose.of(clock_s, np.array([x, y, heading]), heading)
 
 
-KEPT = Kept(SITE, encoders(10.0, 20.0, 0.3), independent([11.0, 19.0, 0.4, 0.02], [0.2, 0.1, 0.01, 0.005]))
+KEPT = SavedEstimate(SITE, encoders(10.0, 20.0, 0.3), independent([11.0, 19.0, 0.4, 0.02], [0.2, 0.1, 0.01, 0.005]))
 
 
 def test_a_robot_that_stood_is_where_it_was() -> None:
@@ -72,10 +72,10 @@ def test_walls_in_another_order_are_the_same_map() -> None:
 @pytest.mark.parametrize(
     ("now", "told"),
     [
-        (encoders(10.0, 20.0, 0.3, 50.0), "clock went back.*--moved-std"),
-        (encoders(0.0, 0.0, 0.0, 900.0), r"set meanwhile.*\(0.0, 0.0\).*\(10.0, 20.0\).*--moved-std"),
+        (encoders(10.0, 20.0, 0.3, 50.0), "clock went back.*--displacement-std"),
+        (encoders(0.0, 0.0, 0.0, 900.0), r"set meanwhile.*\(0.0, 0.0\).*\(10.0, 20.0\).*--displacement-std"),
         (encoders(60.0, 20.0, 0.3, 101.0), "set meanwhile"),
-        (encoders(90.0, 20.0, 0.3, 900.0), "driven 80 in away.*leave --resume out"),
+        (encoders(90.0, 20.0, 0.3, 900.0), "driven 80 in away.*omit --resume"),
     ],
 )
 def test_encoders_that_tell_nothing_are_refused(now: EncoderPose, told: str) -> None:

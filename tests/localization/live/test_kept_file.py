@@ -11,11 +11,11 @@ import pytest
 
 from localization.filters.belief import Belief, independent
 from localization.filters.odometry import MAX_STATE
-from localization.live.saved_estimate import KEYS, MOST_BYTES, Kept, MapSignature, load, save
+from localization.live.saved_estimate import KEYS, MAX_BYTES, MapSignature, SavedEstimate, load, save
 from localization.live.sensor_input import EncoderPose
 from nclient.errors import EstimateFileError
 
-KEPT = Kept(
+KEPT = SavedEstimate(
     MapSignature("thesis_room", "0123456789abcdef", "n150"),
     EncoderPose.of(12.3, np.array([1.1, -2.2, 3.0]), 0.1),
     independent([1.0, -2.0, 3.1, 1 / 3], [0.1, 0.2, 0.01, 0.05]),
@@ -31,7 +31,7 @@ def file(tmp_path: Path) -> Path:
 
 def test_it_comes_back_to_the_bit(file: Path) -> None:
     back = load(file)
-    assert back.site == KEPT.site
+    assert back.signature == KEPT.signature
     assert back.encoders.clock_s == 12.3
     assert back.encoders.turret_rad == 0.1
     assert (back.encoders.pose == KEPT.encoders.pose).all()
@@ -75,11 +75,16 @@ def test_what_is_no_such_file_is_told(file: Path, text: str) -> None:
 
 def test_the_largest_state_fits_and_a_longer_file_is_not_read(file: Path) -> None:
     cov = np.full((MAX_STATE, MAX_STATE), -1.2345678901234567e-300) + np.eye(MAX_STATE)
-    save(file, Kept(MapSignature("x" * 1000, *KEPT.site[1:]), KEPT.encoders, Belief(np.full(MAX_STATE, -1 / 3e9), cov)))
-    assert file.stat().st_size < MOST_BYTES / 10
+    save(
+        file,
+        SavedEstimate(
+            MapSignature("x" * 1000, *KEPT.signature[1:]), KEPT.encoders, Belief(np.full(MAX_STATE, -1 / 3e9), cov)
+        ),
+    )
+    assert file.stat().st_size < MAX_BYTES / 10
     assert len(load(file).belief.mean) == MAX_STATE
-    file.write_text(file.read_text() + " " * MOST_BYTES)
-    with pytest.raises(EstimateFileError, match=rf"here\.json: is longer than {MOST_BYTES} bytes"):
+    file.write_text(file.read_text() + " " * MAX_BYTES)
+    with pytest.raises(EstimateFileError, match=rf"here\.json: is longer than {MAX_BYTES} bytes"):
         load(file)
 
 

@@ -1,4 +1,4 @@
-"""What a clock in steps leaves unknown, against drawn lags; and that it is only told."""
+"""The uncertain instants of a stepped clock, against drawn lags."""
 
 from __future__ import annotations
 

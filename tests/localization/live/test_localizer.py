@@ -1,4 +1,4 @@
-"""The live filter on made-up reports: a robot that goes exactly as its encoders say, sonars in whole inches."""
+"""The live localizer on made-up states: a robot that moves exactly as its encoders report, sonars in whole inches."""
 
 from __future__ import annotations
 

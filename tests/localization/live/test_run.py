@@ -68,7 +68,7 @@ def test_the_line_tells_estimate_spread_truth_and_error() -> None:
 
 def test_the_verdict_tells_goals_echoes_and_errors() -> None:
     verdict = run(with_truth=True).verdict()
-    assert "2 of 2 way-points reached in 1.0 s; 2 echoes used, 6 refused" in verdict
+    assert "2 of 2 waypoints reached in 1.0 s; 2 echoes used, 6 refused" in verdict
     assert "the estimate is 0.50 in off at the end (RMSE 0.50 in); odometry alone is 1.00 in off" in verdict
 
 
@@ -87,20 +87,20 @@ def test_a_truth_that_was_asked_late_is_compared_at_the_estimates_own_instant(la
 
     before = TruthSample(1.0 + late_s, true_pose(1.0 + late_s))
     after = TruthSample(1.3 + late_s, true_pose(1.3 + late_s))
-    x, y, heading = before.towards(after, 1.3)
+    x, y, heading = before.interpolate(after, 1.3)
     assert (x, y) == pytest.approx(true_pose(1.3)[:2])
     assert math.remainder(heading - true_pose(1.3)[2], math.tau) == pytest.approx(0.0, abs=1e-12)
 
 
 def test_beyond_two_sightings_nothing_is_made_up() -> None:
     first, second = TruthSample(1.0, (0.0, 0.0, 0.0)), TruthSample(2.0, (1.0, 1.0, 0.5))
-    assert first.towards(second, 0.5) == pytest.approx(first.pose)
-    assert first.towards(second, 3.0) == pytest.approx(second.pose)
-    assert first.towards(first, 1.0) == pytest.approx(first.pose)
+    assert first.interpolate(second, 0.5) == pytest.approx(first.pose)
+    assert first.interpolate(second, 3.0) == pytest.approx(second.pose)
+    assert first.interpolate(first, 1.0) == pytest.approx(first.pose)
 
 
 def test_states_that_come_too_rarely_are_told_of() -> None:
     done = run(with_truth=True)
     assert done.longest_gap_s == pytest.approx(1.0)
-    assert "let the time run slower" in done.verdict()
+    assert "run the simulation slower" in done.verdict()
     assert Run([]).longest_gap_s == 0.0

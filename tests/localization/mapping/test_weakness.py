@@ -14,7 +14,14 @@ from localization.filters.odometry import OdometryNoise, move, step_variance
 from localization.filters.registry import make
 from localization.filters.sonar_cone import ConeSonar
 from localization.filters.update import Refusal
-from localization.mapping.observability import HEADINGS, ROUND_S, ROUNDS, START_STD, WAYS, compute_observability
+from localization.mapping.observability import (
+    CYCLE_S,
+    CYCLES,
+    DIRECTIONS,
+    HEADINGS,
+    START_STD,
+    compute_observability,
+)
 from worlds.raycast import cast_rays
 from worlds.robots import N150, SONARS
 
@@ -48,7 +55,7 @@ def test_the_end_of_the_recursion_solves_riccatis_equation() -> None:
             steep = np.where(walls % 2 == 0, np.abs(aimed[:, 1]), np.abs(aimed[:, 0])) >= 0.3
             information += (slope[steep].T / EXACT_RAYS.variance(ranges(pose)[steep])) @ slope[steep] / HEADINGS
         off = []
-        for way in np.arange(WAYS) * 2 * np.pi / WAYS:
+        for way in np.arange(DIRECTIONS) * 2 * np.pi / DIRECTIONS:
             pose, step = np.array([0.0, 0.0, way]), np.array([4.8, 0.0])
             moved = np.array([(move(pose + by, step) - move(pose - by, step)) / 2e-5 for by in 1e-5 * np.eye(3)]).T
             strays = np.array([(move(pose, step + by) - move(pose, step - by)) / 2e-5 for by in 1e-5 * np.eye(2)]).T
@@ -62,7 +69,7 @@ def test_the_end_of_the_recursion_solves_riccatis_equation() -> None:
 def test_nobody_knows_how_far_along_a_corridor_he_is(sonar: ConeSonar) -> None:
     """Driving along it costs what the odometry strays; the best way is across, and costs less."""
     bound = compute_observability(LocalizationConfig(CORRIDOR, N150, QUIET, sonar), np.array([[0.0, 30.0]]), 5.0)
-    along = sqrt(START_STD[0] ** 2 + ROUNDS * 0.05**2 * 5.0 * ROUND_S)
+    along = sqrt(START_STD[0] ** 2 + CYCLES * 0.05**2 * 5.0 * CYCLE_S)
     assert START_STD[0] < bound.worst_in[0] <= along
     assert sqrt(bound.cov[0, 1, 1]) < 0.2
     assert bound.heading_rad[0] < 0.1
@@ -73,7 +80,7 @@ def test_no_filter_beats_it_and_a_good_one_comes_near() -> None:
     this."""
     known = LocalizationConfig(ROOM, N150, QUIET, EXACT_RAYS)
     chance = np.random.default_rng(8)
-    way = 5.0 * ROUND_S
+    way = 5.0 * CYCLE_S
     squares, headings = [], []
     for _ in range(12):
         true = np.array([55.0, 45.0, chance.uniform(-3.0, 3.0)])
@@ -104,7 +111,7 @@ def test_nor_does_one_that_drives_straight_on() -> None:
         method = make("ekf", known, independent(true, [0.3, 0.3, 0.02]))
         model = measurement_model(hall, N150, ConeSonar())
         for round_ in range(80):
-            step = np.array([5.0 * ROUND_S, -0.2 * true[2]])
+            step = np.array([5.0 * CYCLE_S, -0.2 * true[2]])
             true = move(true, step + np.sqrt(step_variance(step, QUIET)) * chance.standard_normal(2))
             method.predict(*step.tolist())
             for sonar in range(SONARS):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from localization.missions.mission import Mission
-from localization.missions.settings import check, points
+from localization.missions.settings import check_arguments, read_points
 from nclient.errors import MissionFileError
 
 
@@ -55,7 +55,7 @@ from nclient.errors import MissionFileError
         (lambda robot: robot.dock(1, 2, nan),
          "dock: heading_deg: expected an angle in degrees, a finite number, found nan"),
         (lambda robot: robot.dock(1e9, 2, 0),
-         "dock: x_in: expected at most 100000 either way, found 1000000000.0; is the unit right?"),
+         "dock: x_in: expected at most 100000 in either direction, found 1000000000.0; is the unit right?"),
     ],
 )  # fmt: skip
 def test_what_a_verb_can_do_nothing_with_is_refused_before_anything(verb: Callable[[Any], object], said: str) -> None:
@@ -65,8 +65,8 @@ def test_what_a_verb_can_do_nothing_with_is_refused_before_anything(verb: Callab
 
 
 def test_what_is_not_given_and_numbers_of_numpy_pass() -> None:
-    check("go_to", x_in=np.float64(1), y_in=np.int64(2), heading_deg=None, limit_s=inf, retries=np.int32(0))
-    check("turn", heading_deg=None, by_deg=np.float32(3600))
+    check_arguments("go_to", x_in=np.float64(1), y_in=np.int64(2), heading_deg=None, limit_s=inf, retries=np.int32(0))
+    check_arguments("turn", heading_deg=None, by_deg=np.float32(3600))
 
 
 @pytest.mark.parametrize(
@@ -74,4 +74,4 @@ def test_what_is_not_given_and_numbers_of_numpy_pass() -> None:
     [[(1, 2), (3, 4)], ((1.0, 2.0), [3.0, 4.0]), np.array([[1, 2], [3, 4]]), {"a": (1, 2), "b": (3, 4)}.values()],
 )
 def test_points_come_in_whatever_collection(given: object) -> None:
-    assert points("follow", given) == ((1.0, 2.0), (3.0, 4.0))
+    assert read_points("follow", given) == ((1.0, 2.0), (3.0, 4.0))

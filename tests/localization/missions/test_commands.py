@@ -13,7 +13,17 @@ from typing import Any
 import pytest
 
 from localization.cli import go, mission
-from localization.cli.options import MOST_NOISE, constants, noise, numbers, point, pose, positive, seconds, stds
+from localization.cli.options import (
+    MAX_NOISE,
+    parse_numbers,
+    parse_odometry_noise,
+    parse_point,
+    parse_pose,
+    parse_pose_std,
+    parse_positive,
+    parse_scale_std,
+    parse_seconds,
+)
 from localization.live import saved_estimate
 from localization.missions.mission import Mission, run_mission
 from localization.missions.report import Report, Step, StepFailed
@@ -24,7 +34,7 @@ from nclient.errors import ConnectionLost, MissionFileError
 from worlds.robots import Calibration, format_calibration
 
 ROOT = Path(__file__).parents[3]
-GUESS = "sonars are taken for exact rays, this being a simulation (of setup measured: --sonars cones)"
+GUESS = "assuming that sonars measure exact rays, as this is a simulation (with setup measured use --sonars cones)"
 SIM = "sim:thesis_room?noisy=1&seed=1"
 
 
@@ -36,14 +46,14 @@ def test_go_arrives_tells_of_each_second_and_reports(capsys: pytest.CaptureFixtu
     assert sum(line.endswith("OK") for line in lines) >= 4
     assert lines[-3].lstrip().startswith("0.0 s  done    go_to (20, 12)")
     assert " s  done at (" in lines[-2]
-    assert lines[-1].lstrip().startswith("in truth at (")
+    assert lines[-1].lstrip().startswith("true pose (")
 
 
 def test_go_that_cannot_says_why_and_json_is_alone(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["go", SIM, "--to", "-11,0,90", "--json"]) == 3
     report = json.loads(capsys.readouterr().out)
     assert (report["ending"], report["steps"][0]["ending"]) == ("blocked", "blocked")
-    assert report["reason"].startswith("no room at (-11, 0)")
+    assert report["reason"].startswith("no space at (-11, 0)")
     assert report["truth"]["x_in"] == pytest.approx(0.0, abs=0.2)
 
 
@@ -83,7 +93,7 @@ def test_a_mission_is_checked_run_and_its_report_written(tmp_path: Path, capsys:
 def test_a_report_that_cannot_be_written_after_all_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     options = argparse.Namespace(report=tmp_path / "no" / "r.json", json=False)
     with pytest.raises(MissionFileError, match="the report cannot be written"):
-        mission.tell(Report("T", ending="done"), options)
+        mission.write_report(Report("T", ending="done"), options)
     assert "done" in capsys.readouterr().out
 
 
@@ -100,12 +110,12 @@ def test_go_goes_on_from_what_it_saved_with_the_robots_calibration(
     assert report["pose"]["x_in"] == pytest.approx(report["truth"]["x_in"], abs=0.5)
     assert len(saved_estimate.load(kept).belief.mean) == 6
     assert main([*words, "--to", "40,10", "--resume", str(kept), "--start", "0,0,0"]) == 1
-    assert "--start begins anew" in capsys.readouterr().err
+    assert "--start and --resume" in capsys.readouterr().err
     there = "{x_in},{y_in},{heading_deg},{heading_deg}".format(**report["truth"])
     on = [words[0], f"{address}&start={there}", *words[2:], "--to", "40,20", "--resume", str(kept)]
     assert main(on) == 1
-    assert "--moved-std" in capsys.readouterr().err
-    assert main([*on, "--moved-std", "0.2,0.2,1"]) == 0
+    assert "--displacement-std" in capsys.readouterr().err
+    assert main([*on, "--displacement-std", "0.2,0.2,1"]) == 0
     report = json.loads(capsys.readouterr().out)
     assert report["truth"]["y_in"] == pytest.approx(20.0, abs=1.5)
     assert main([*words, "--to", "5,0", "--calibration", str(tmp_path / "none.toml")]) == 1
@@ -116,7 +126,7 @@ def test_what_cannot_be_saved_in_the_end_is_told_and_the_ending_stays(
 ) -> None:
     folder = tmp_path / "gone"
     folder.mkdir()
-    monkeypatch.setattr("localization.cli.driving.check_writable", lambda *_: folder.rmdir())
+    monkeypatch.setattr("localization.cli.mission.check_writable", lambda *_: folder.rmdir())
     assert main(["go", SIM, "--to", "5,0", "--save", str(folder / "kept")]) == 1
     told = capsys.readouterr()
     assert "done at (" in told.out
@@ -162,11 +172,11 @@ def test_a_program_that_exits_has_failed(exit_words: str, tmp_path: Path, capsys
     file.write_text(f"import sys\ndef mission(robot):\n    robot.look(0.2)\n    {exit_words}\n")
     assert main(["mission", str(file), SIM]) == 1
     told = capsys.readouterr()
-    assert f"nomad: {file}: line 4: leaves by SystemExit(" in told.err
+    assert f"nomad: {file}: line 4: calls sys.exit (" in told.err
     assert "  error at (" in told.out
     file.write_text(f"import sys\n{exit_words}\n")
     assert main(["mission", str(file), "--check"]) == 1
-    assert f"nomad: {file}: line 2: leaves by SystemExit(" in capsys.readouterr().err
+    assert f"nomad: {file}: line 2: calls sys.exit (" in capsys.readouterr().err
 
 
 def test_a_map_that_is_not_there_is_told_by_check_and_by_the_run_unless_another_is_given(
@@ -245,18 +255,19 @@ def test_a_report_in_words_and_as_data() -> None:
 
 
 def test_what_command_lines_say() -> None:
-    assert point("1,-2") == (1.0, -2.0)
-    assert pose("1,2,180") == pytest.approx((1.0, 2.0, 3.141592653589793))
-    assert seconds("0") == 0.0
-    assert constants("0.05,0.01") == (0.05, 0.01)
-    for reader, text in ((numbers_of_two, "1"), (point, "1,nan"), (stds, "1,-1,1"), (noise, f"0,0,{MOST_NOISE + 1}"),
-                         (constants, "-1"), (constants, "1,1,1,1"), (seconds, "-1"), (positive, "0")):  # fmt: skip
+    assert parse_point("1,-2") == (1.0, -2.0)
+    assert parse_pose("1,2,180") == pytest.approx((1.0, 2.0, 3.141592653589793))
+    assert parse_seconds("0") == 0.0
+    assert parse_scale_std("0.05,0.01") == (0.05, 0.01)
+    for reader, text in ((numbers_of_two, "1"), (parse_point, "1,nan"), (parse_pose_std, "1,-1,1"),
+                         (parse_odometry_noise, f"0,0,{MAX_NOISE + 1}"), (parse_scale_std, "-1"),
+                         (parse_scale_std, "1,1,1,1"), (parse_seconds, "-1"), (parse_positive, "0")):  # fmt: skip
         with pytest.raises(argparse.ArgumentTypeError):
             reader(text)
 
 
 def numbers_of_two(text: str) -> list[float]:
-    return numbers(text, 2)
+    return parse_numbers(text, 2)
 
 
 def test_the_commands_have_help(capsys: pytest.CaptureFixture[str]) -> None:
@@ -266,7 +277,7 @@ def test_the_commands_have_help(capsys: pytest.CaptureFixture[str]) -> None:
         assert (module.__doc__ or "").splitlines()[0] in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("name", sorted(point.name for point in entry_points(group="nomad.commands")))
+@pytest.mark.parametrize("name", sorted(parse_point.name for parse_point in entry_points(group="nomad.commands")))
 def test_help_keeps_rules_to_itself_and_names_files_that_are_there(
     name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

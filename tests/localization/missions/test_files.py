@@ -11,7 +11,7 @@ import pytest
 
 from localization.missions.mission import Seen
 from localization.missions.settings import OnLost, Settings
-from localization.missions.steps import MOST_BYTES, load_mission, parse_list
+from localization.missions.steps import MAX_BYTES, load_mission, parse_step_list
 from nclient.errors import MissionFileError
 
 SEEN = Seen(1.0, 0.0, 0.0, 0.0, 0.3, "OK", (20,) * 15 + (12,), True, (3,), 1)
@@ -29,7 +29,7 @@ class Told:
 
 def told(text: str) -> list[tuple[str, tuple[Any, ...], dict[str, Any]]]:
     robot: Any = Told()
-    parse_list(text, "m.toml").run(robot)
+    parse_step_list(text, "m.toml").run(robot)
     said: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = robot.said
     return said
 
@@ -93,12 +93,12 @@ def test_what_is_waited_for(key: str, holds: bool) -> None:
 
 def test_settings_are_read_and_have_defaults() -> None:
     step = '[[step]]\ndo = "look"\n'
-    assert parse_list(step, "m").settings == Settings()
+    assert parse_step_list(step, "m").settings == Settings()
     text = (
         'title = "T"\nmap = "w"\ntime_limit_s = 9\nfence_m = [[0, 0], [0, 2.54], [2.54, 0]]\n'
         'on_lost = "give_up"\nlost_s = 3\n'
     )
-    read = parse_list(text + step, "m").settings
+    read = parse_step_list(text + step, "m").settings
     np.testing.assert_allclose(read.fence_in, [(0.0, 0.0), (0.0, 100.0), (100.0, 0.0)])
     assert (read.title, read.map, read.time_limit_s, read.on_lost, read.lost_s) == ("T", "w", 9.0, OnLost.GIVE_UP, 3.0)
 
@@ -111,8 +111,8 @@ def test_settings_are_read_and_have_defaults() -> None:
         ("step = 3", "m.toml: line 1: step: expected tables under [[step]], each with its double brackets, found 3"),
         ('tite = "x"', "m.toml: line 1: tite: unknown key; expected one of title, map, time_limit_s, on_lost, lost_s, "
                        "step, fence_in, fence_cm, fence_m; did you mean title?"),
-        ('[[step]]\ndo = "go_too"\n', "m.toml: line 2: step[0].do: expected one of go_to, follow, turn, look, "
-         "wait_for, patrol, dock, note, found 'go_too'; did you mean go_to?"),
+        ('[[step]]\ndo = "go_too"\n', "m.toml: line 2: step[0].do: expected one of go_to, follow, turn, "
+         "look, wait_for, patrol, dock, note, found 'go_too'; did you mean go_to?"),
         ('[[step]]\ndo = "look"\n\n[[step]]\n\ndo = "go_to"\nto_in = [1, "x"]\n',
          "m.toml: line 7: step[1].to_in[1]: expected a length, a number, found the text 'x'"),
         ('[[step]]\ndo = "go_to"\nto_in = [1, 2, 3]\n',
@@ -121,18 +121,19 @@ def test_settings_are_read_and_have_defaults() -> None:
                                      "none of them"),
         ('[[step]]\ndo = "turn"\n', "m.toml: line 1: step[0]: expected heading_deg or by_deg, one of them"),
         ('[[step]]\ndo = "dock"\nto_in = [1, 2]\n',
-         "m.toml: line 1: step[0].heading_deg: is wanted: which way to drive in, in degrees"),
-        ('[[step]]\nwords = "hello"\n', "m.toml: line 1: step[0].do: is wanted; there are go_to, follow, turn, look, "
-         "wait_for, patrol, dock, note"),
+         "m.toml: line 1: step[0].heading_deg: is missing: the heading to drive in, in degrees"),
+        ('[[step]]\nwords = "hello"\n',
+         "m.toml: line 1: step[0].do: is missing; expected one of go_to, follow, turn, "
+         "look, wait_for, patrol, dock, note"),
         ('[[step]]\ndo = "patrol"\npoints_in = [[1, 2]]\nrounds = 0\n',
          "m.toml: line 4: step[0].rounds: expected a whole number from 1 to 10000, found 0"),
         ('[[step]]\ndo = "turn"\nby_deg = 3601\n',
          "m.toml: line 3: step[0].by_deg: expected -3600 to 3600, found 3601"),
-        ('[[step]]\ndo = "note"\n', "m.toml: line 1: step[0].words: is wanted: what to write into the report"),
+        ('[[step]]\ndo = "note"\n', "m.toml: line 1: step[0].words: is missing: the text for the report"),
         ('[[step]]\ndo = "wait_for"\ntime_limit_s = 3\n', "m.toml: line 1: step[0]: expected one of touching, "
          "nearer_than_in, farther_than_in, known_to_in, finds, found none"),
         ('[[step]]\ndo = "wait_for"\nfinds = 3\n',
-         "m.toml: line 1: step[0].time_limit_s: is wanted: how many seconds to wait at most"),
+         "m.toml: line 1: step[0].time_limit_s: is missing: the longest time to wait, in seconds"),
         ('[[step]]\ndo = "look"\nretries = 3\n',
          "m.toml: line 3: step[0].retries: unknown key; expected one of do, for_s"),
         ('[[step]]\ndo = "turn"\nby_deg = 3\nretries = -1\n',
@@ -152,7 +153,7 @@ def test_settings_are_read_and_have_defaults() -> None:
 )  # fmt: skip
 def test_a_list_that_is_wrong_is_told_with_its_line(text: str, said: str) -> None:
     with pytest.raises(MissionFileError) as refused:
-        parse_list(text, "m.toml")
+        parse_step_list(text, "m.toml")
     assert str(refused.value) == said
 
 
@@ -168,10 +169,10 @@ def test_files_are_read_by_their_ending(tmp_path: Path) -> None:
     ("name", "content", "said"),
     [
         ("m.txt", b"", r"expected a mission as .toml or .py, found '.txt'"),
-        ("m", b"", r"found 'no ending'"),
+        ("m", b"", r"found 'no suffix'"),
         ("m.toml", None, "cannot be read: No such file or directory"),
         ("m.toml", b"\xff\xfe", "expected text in UTF-8, found other bytes at 0"),
-        ("m.toml", b"#" * (MOST_BYTES + 1), "is longer than"),
+        ("m.toml", b"#" * (MAX_BYTES + 1), "is longer than"),
     ],
 )
 def test_files_that_cannot_be_read(tmp_path: Path, name: str, content: bytes | None, said: str) -> None:

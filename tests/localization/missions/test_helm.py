@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 
 from localization.missions.controller import RobotController
-from localization.navigation.path_follower import Velocities
+from localization.navigation.limits import VelocityCommand
 from nclient.errors import BumperHit, ConnectionLost
 
 MakeHelm = Callable[..., RobotController]
@@ -15,20 +15,20 @@ MakeHelm = Callable[..., RobotController]
 
 def test_a_period_drives_and_is_watched(helm_at: MakeHelm) -> None:
     controller, clocks = helm_at("thesis_room"), []
-    controller.watchers.append(lambda sight: clocks.append(sight.estimate.clock_s))
+    controller.observers.append(lambda sight: clocks.append(sight.estimate.clock_s))
     start = controller.clock_s
     for _ in range(10):
-        sight = controller.period(Velocities(5.0, 0.0))
+        sight = controller.period(VelocityCommand(5.0, 0.0))
     assert sight.state.x_in == pytest.approx(5.0, abs=0.6)
     assert clocks == pytest.approx([start + 0.1 * (k + 1) for k in range(10)])
     with controller:
-        controller.period(Velocities(5.0, 0.0))
+        controller.period(VelocityCommand(5.0, 0.0))
     assert controller.robot.refresh().translation_in_s == 0.0
 
 
 def test_where_states_come_far_apart_it_goes_no_farther_between_two_than_in_half_a_second(helm_at: MakeHelm) -> None:
     controller = helm_at("thesis_room", step_s=0.55)
-    ways = [controller.period(Velocities(5.0, 0.0)).state.x_in for _ in range(6)]
+    ways = [controller.period(VelocityCommand(5.0, 0.0)).state.x_in for _ in range(6)]
     assert ways[-1] - ways[-2] == pytest.approx(2.5, abs=0.2)
 
 
@@ -57,11 +57,11 @@ def test_a_touch_that_others_stop_is_seen_by_the_next_question(
 
     monkeypatch.setattr(controller.robot, "drive", hit)
     before = controller.clock_s
-    assert controller.period(Velocities(5.0, 0.0)).estimate.clock_s > before
+    assert controller.period(VelocityCommand(5.0, 0.0)).estimate.clock_s > before
 
 
 def test_a_fence_is_a_wall_to_the_planner(helm_at: MakeHelm) -> None:
     controller = helm_at("thesis_room")
     walls = len(controller.planner.walls)
-    controller.fence(controller.planner.walls[:2] + 5.0)
+    controller.add_fence(controller.planner.walls[:2] + 5.0)
     assert len(controller.planner.walls) == walls + 2

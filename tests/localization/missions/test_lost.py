@@ -10,11 +10,11 @@ import pytest
 
 from localization.filters.health import FilterHealth, HealthStatus
 from localization.missions.controller import Observation, RobotController
-from localization.missions.mission import Mission, _searching
+from localization.missions.mission import Mission, _search_commands
 from localization.missions.report import MissionOver
 from localization.missions.settings import OnLost, Settings
-from localization.navigation.path_follower import Velocities
-from localization.navigation.recovery import DRIVE_IN_S, LOOK_RAD, TURN_RAD_S, RecoveryBehavior
+from localization.navigation.limits import VelocityCommand
+from localization.navigation.recovery import DRIVE_IN_S, SCAN_RAD, TURN_RAD_S, RecoveryBehavior
 from localization.navigation.waypoints import PERIOD_S
 from nclient.state import Pose
 
@@ -28,19 +28,19 @@ class Kidnapper:
     wheels would turn on under the hands that hold it, and the ring stand otherwise on the body."""
 
     def __init__(self, controller: RobotController, pose: Pose, at_s: float = 2.0) -> None:
-        self._helm, self._pose, self._at_s, self.done = controller, pose, at_s, False
+        self._controller, self._pose, self._at_s, self.done = controller, pose, at_s, False
         self.lost_s = 0.0
-        controller.watchers.append(self)
+        controller.observers.append(self)
 
     def __call__(self, sight: Observation) -> None:
         if not self.done and sight.estimate.clock_s > self._at_s:
             self.done = True
-            self._helm.robot.stop()
-            told = self._helm.robot.wait_until_still(timeout_s=5)
+            self._controller.robot.stop()
+            told = self._controller.robot.wait_until_still(timeout_s=5)
             front = self._pose.steering_rad + told.turret_rad - told.steering_rad
-            self._helm.robot.place(replace(self._pose, turret_rad=front))
-            self._helm.robot.set_position(x_in=told.x_in, y_in=told.y_in)
-            self._helm.robot.set_angles(steering_rad=told.steering_rad, turret_rad=told.turret_rad)
+            self._controller.robot.place(replace(self._pose, turret_rad=front))
+            self._controller.robot.set_position(x_in=told.x_in, y_in=told.y_in)
+            self._controller.robot.set_angles(steering_rad=told.steering_rad, turret_rad=told.turret_rad)
         if sight.estimate.health.status is HealthStatus.LOST:
             self.lost_s = self.lost_s or sight.estimate.clock_s
 
@@ -65,7 +65,7 @@ def test_found_again_by_a_search_the_mission_goes_on(helm_at: MakeHelm) -> None:
     mission, kidnapper = kidnapped(helm_at, Settings(on_lost=OnLost.SEARCH))
     mission.go_to(35, 55)
     assert kidnapper.lost_s > 0.0
-    truth = mission._helm.robot.truth()
+    truth = mission._controller.robot.truth()
     assert hypot(truth.x_in - 35, truth.y_in - 55) < 1.5
     assert any(words.startswith("found again after") for _, words in mission.report.steps[0].notes)
 
@@ -92,20 +92,20 @@ def test_lost_while_turning_it_is_found_before_the_turn_goes_on(helm_at: MakeHel
 
 def test_a_search_gropes_and_is_set_back_by_a_touch(helm_at: MakeHelm) -> None:
     controller = helm_at("thesis_room", "45,45,0,0")
-    groping, commands = RecoveryBehavior(PERIOD_S), _searching(controller)
-    for _ in range(round(LOOK_RAD / TURN_RAD_S / PERIOD_S) + 5):
+    groping, commands = RecoveryBehavior(PERIOD_S), _search_commands(controller)
+    for _ in range(round(SCAN_RAD / TURN_RAD_S / PERIOD_S) + 5):
         command = next(commands)
-        assert tuple(command) == groping.command(controller.sight.state)
+        assert tuple(command) == groping.command(controller.last.state)
         controller.period(command)
     assert command.translation_in_s == DRIVE_IN_S
-    free = controller.sight
-    controller.sight = free._replace(state=replace(free.state, raw=(*free.state.raw[:33], 1, *free.state.raw[34:])))
-    assert controller.sight.state.touching
+    free = controller.last
+    controller.last = free._replace(state=replace(free.state, raw=(*free.state.raw[:33], 1, *free.state.raw[34:])))
+    assert controller.last.state.touching
     back = [next(commands)]
-    controller.sight = free
+    controller.last = free
     back += [next(commands) for _ in range(14)]
-    assert back == [Velocities(-DRIVE_IN_S, 0.0)] * 15
-    assert next(commands) == Velocities(0.0, TURN_RAD_S)
+    assert back == [VelocityCommand(-DRIVE_IN_S, 0.0)] * 15
+    assert next(commands) == VelocityCommand(0.0, TURN_RAD_S)
 
 
 def test_lost_on_the_last_foot_into_a_dock_it_stands_and_begins_anew(helm_at: MakeHelm) -> None:
@@ -118,9 +118,9 @@ def test_lost_on_the_last_foot_into_a_dock_it_stands_and_begins_anew(helm_at: Ma
         if sight.estimate.pose[0] > 41.0 and len(lost) < 20:
             lost.append(sight)
             nowhere = replace(sight.estimate, health=FilterHealth(HealthStatus.LOST, "nothing fits"))
-            controller.sight = sight._replace(estimate=nowhere)
+            controller.last = sight._replace(estimate=nowhere)
 
-    controller.watchers.insert(0, on_the_last_foot)
+    controller.observers.insert(0, on_the_last_foot)
     mission.dock(50, 5, 0)
     assert len(lost) == 20
     assert {sight.state.translation_in_s for sight in lost[10:]} == {0.0}

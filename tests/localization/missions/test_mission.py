@@ -29,7 +29,7 @@ def place(mission: Mission) -> tuple[float, float]:
 
 
 def endings(mission: Mission) -> list[tuple[str, str]]:
-    return [(step.verb, step.ending) for step in mission.report.steps]
+    return [(step.name, step.ending) for step in mission.report.steps]
 
 
 def test_go_to_arrives_in_truth_and_is_reported(helm_at: MakeHelm) -> None:
@@ -42,8 +42,14 @@ def test_go_to_arrives_in_truth_and_is_reported(helm_at: MakeHelm) -> None:
     assert seen.heading_deg == pytest.approx(90, abs=3)
     assert (seen.trust, seen.touching, seen.bumpers, seen.finds) == ("OK", False, (), 0)
     (step,) = mission.report.steps
-    assert (step.verb, step.words, step.ending, step.tries, step.plans) == ("go_to", "(30, 20) 90 deg", "done", 1, 1)
-    assert step.way_in == pytest.approx(hypot(30, 20), rel=0.05)
+    assert (step.name, step.arguments, step.ending, step.tries, step.plans) == (
+        "go_to",
+        "(30, 20) 90 deg",
+        "done",
+        1,
+        1,
+    )
+    assert step.driven_in == pytest.approx(hypot(30, 20), rel=0.05)
     assert step.planned_in == pytest.approx(hypot(30, 20), rel=0.05)
     assert not controller.robot.refresh().moving
 
@@ -52,12 +58,12 @@ def test_what_the_map_does_not_have_is_gone_around(helm_at: MakeHelm) -> None:
     controller = helm_at("thesis_room", setup="noisy")
     controller.robot.add_obstacle(corners_in=BOX)
     touched = []
-    controller.watchers.append(lambda sight: touched.append(sight.state.touching))
+    controller.observers.append(lambda sight: touched.append(sight.state.touching))
     mission = Mission(controller)
     mission.go_to(80, 0)
     assert not any(touched)
     assert mission.report.steps[0].plans > 1
-    assert mission.report.steps[0].way_in > 82.0
+    assert mission.report.steps[0].driven_in > 82.0
 
 
 def test_follow_patrol_turn_look_and_note(helm_at: MakeHelm) -> None:
@@ -76,7 +82,7 @@ def test_follow_patrol_turn_look_and_note(helm_at: MakeHelm) -> None:
     mission.note("well")
     assert [verb for verb, _ in endings(mission)] == ["follow", *["patrol"] * 4, "turn", "turn", "look", "note"]
     assert {ending for _, ending in endings(mission)} == {"done"}
-    assert mission.report.steps[0].words == "(10, 0) (10, 10)"
+    assert mission.report.steps[0].arguments == "(10, 0) (10, 10)"
 
 
 def test_waiting_ends_by_the_condition_or_by_its_limit(helm_at: MakeHelm) -> None:
@@ -104,7 +110,7 @@ def test_a_dock_is_entered_straight_and_a_touch_before_it_fails(helm_at: MakeHel
 
 def test_a_step_that_fails_is_tried_again(helm_at: MakeHelm) -> None:
     mission = Mission(helm_at("thesis_room"))
-    with pytest.raises(StepFailed, match=r"no room at \(0, -11\)"):
+    with pytest.raises(StepFailed, match=r"no space at \(0, -11\)"):
         mission.go_to(0, -11, retries=2)
     (step,) = mission.report.steps
     assert (step.tries, step.ending) == (3, "blocked")
@@ -158,7 +164,7 @@ def test_a_fence_is_planned_within_and_left_by_nobody(helm_at: MakeHelm) -> None
     fence = ((-11.0, -11.0), (70.0, -11.0), (70.0, 40.0), (-11.0, 40.0))
     controller = helm_at("thesis_room", setup="noisy")
     mission = Mission(controller, Settings(fence_in=fence))
-    with pytest.raises(StepFailed, match=r"no room at \(40, 60\)|no way from") as failed:
+    with pytest.raises(StepFailed, match=r"no space at \(40, 60\)|no path from") as failed:
         mission.go_to(40, 60)
     assert failed.value.ending == "blocked"
     mission.go_to(50, 20)
@@ -201,7 +207,7 @@ def test_after_the_fence_every_verb_refuses(helm_at: MakeHelm) -> None:
         with pytest.raises(MissionOver, match="outside of the fence"):
             verb()
     robot.note("left the fence")
-    assert [step.verb for step in robot.report.steps] == ["look", "note"]
+    assert [step.name for step in robot.report.steps] == ["look", "note"]
 
 
 def test_an_interruption_that_was_swallowed_still_ends_it(helm_at: MakeHelm) -> None:
@@ -237,7 +243,7 @@ def test_what_goes_wrong_with_the_robot_is_reported_and_raised(helm_at: MakeHelm
     def lose(_: object) -> None:
         raise ConnectionLost("the cable is out")
 
-    controller.watchers.append(lose)
+    controller.observers.append(lose)
     with pytest.raises(ConnectionLost):
         mission.go_to(30, 0)
     (step,) = mission.report.steps
@@ -246,7 +252,7 @@ def test_what_goes_wrong_with_the_robot_is_reported_and_raised(helm_at: MakeHelm
     def break_off(_: object) -> None:
         raise KeyboardInterrupt
 
-    controller.watchers[-1] = break_off
+    controller.observers[-1] = break_off
     with pytest.raises(KeyboardInterrupt):
         mission.turn(90)
     assert (mission.report.steps[-1].ending, mission.report.steps[-1].reason) == ("interrupted", "Ctrl-C")
@@ -262,7 +268,7 @@ def test_a_turn_by_so_much_is_turned_by_so_much_in_truth(helm_at: MakeHelm, by_d
         now = controller.robot.truth().steering_rad
         turned, before = turned + angle_difference(before, now), now
 
-    controller.watchers.append(add_up)
+    controller.observers.append(add_up)
     mission = Mission(controller)
     mission.turn(by_deg=by_deg)
     assert degrees(turned) == pytest.approx(by_deg, abs=4)
@@ -282,7 +288,7 @@ def test_a_signal_ends_a_step_by_its_name(helm_at: MakeHelm) -> None:
     def leave(_: object) -> None:
         raise TerminatedBySignal("SIGTERM")
 
-    controller.watchers.append(leave)
+    controller.observers.append(leave)
     mission = Mission(controller)
     with pytest.raises(TerminatedBySignal):
         run_mission(mission, lambda robot: robot.patrol([(20, 0)]))
@@ -310,7 +316,7 @@ def test_touches_are_counted(helm_at: MakeHelm) -> None:
     controller = helm_at("thesis_room")
     controller.robot.add_obstacle(corners_in=BOX)
     spare: Any = lambda *_: None  # noqa: E731
-    controller.unmapped.hear = spare  # type: ignore[method-assign]
+    controller.obstacles.add_reading = spare  # type: ignore[method-assign]
     mission = Mission(controller)
     mission.go_to(80, 0)
     (step,) = mission.report.steps

@@ -26,10 +26,10 @@ class Told:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("def mission(robot)\n  pass", "m.py: line 1: is no Python: expected ':'"),
+        ("def mission(robot)\n  pass", "m.py: line 1: is not valid Python: expected ':'"),
         ("x = 1\ny = x / 0\n", "m.py: line 2: ZeroDivisionError: division by zero"),
         ("def mision(robot): pass",
-         "m.py: expected a function mission(robot), found none; its verbs: docs/missions.md"),
+         "m.py: expected a function mission(robot), found none; see docs/missions.md"),
         ("settings = 3\ndef mission(robot): pass", "m.py: settings: expected Settings(...), found int"),
     ],
 )  # fmt: skip
@@ -71,12 +71,12 @@ EXIT = "expected mission(robot) to return, or to raise StepFailed"
 def test_a_program_that_exits_is_wrong_at_its_top_and_in_its_function(words: str) -> None:
     with pytest.raises(MissionFileError) as refused:
         parse_program(f"import sys\nsys.exit({words})\n", "m.py")
-    assert str(refused.value) == f"m.py: line 2: leaves by SystemExit({words}); {EXIT}"
+    assert str(refused.value) == f"m.py: line 2: calls sys.exit ({words}); {EXIT}"
     robot: Any = Told()
     program = parse_program(f"import sys\ndef mission(robot):\n    robot.look()\n    sys.exit({words})\n", "m.py")
     with pytest.raises(MissionFileError) as refused:
         program.run(robot)
-    assert str(refused.value) == f"m.py: line 4: leaves by SystemExit({words}); {EXIT}"
+    assert str(refused.value) == f"m.py: line 4: calls sys.exit ({words}); {EXIT}"
 
 
 PLAIN = "m.py: line 1: expected a plain function mission(robot), found"

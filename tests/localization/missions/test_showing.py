@@ -52,7 +52,7 @@ def test_localize_that_stays_needs_no_way_point_of_its_own(capsys: pytest.Captur
         assert main(["localize", SIM, *words]) == 0
     assert told[0]["waypoints"] == []
     assert told[-1]["waypoints"] == [[15, 10]]
-    assert "1 of 1 way-points reached" in capsys.readouterr().out
+    assert "1 of 1 waypoints reached" in capsys.readouterr().out
 
 
 def test_a_mission_shows_as_well(tmp_path: Path) -> None:
@@ -73,4 +73,4 @@ def test_a_page_that_is_not_there_is_told_before_anything_moves(capsys: pytest.C
     assert "cannot publish to 127.0.0.1:" in shown.err
     assert "go_to" not in shown.out
     assert main(["go", SIM, "--to", "20,12", "--publish", "nowhere"]) != 0
-    assert "is no page" in capsys.readouterr().err
+    assert "is not the address of a page" in capsys.readouterr().err

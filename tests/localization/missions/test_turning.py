@@ -13,7 +13,7 @@ from localization.missions.mission import TurnProgress
 def test_it_goes_by_so_much_in_that_direction_wherever_headings_wrap(by_deg: float) -> None:
     by, step, heading, turned = radians(by_deg), radians(7), radians(170), 0.0
     turning = TurnProgress(heading, by)
-    while abs(left := turning.left_rad(remainder(heading, tau))) > 1e-9:
+    while abs(left := turning.remaining_rad(remainder(heading, tau))) > 1e-9:
         assert left == pytest.approx(by - turned, abs=1e-9)
         move = max(-step, min(step, left))
         heading, turned = heading + move, turned + move
@@ -21,4 +21,4 @@ def test_it_goes_by_so_much_in_that_direction_wherever_headings_wrap(by_deg: flo
 
 
 def test_what_was_turned_too_far_is_turned_back() -> None:
-    assert TurnProgress(0.0, 1.0).left_rad(1.2) == pytest.approx(-0.2)
+    assert TurnProgress(0.0, 1.0).remaining_rad(1.2) == pytest.approx(-0.2)

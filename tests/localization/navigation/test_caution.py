@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from localization.navigation.speed import ENOUGH, allowed_speed_fraction
+from localization.navigation.limits import FULL_SPEED_RATIO, allowed_speed_fraction
 
 WALL = np.array([[10.0, -100.0, 10.0, 100.0]])
 
@@ -18,7 +18,7 @@ def share(x: float, ahead: float, std: float, heading_std: float = 0.0) -> float
 def test_full_speed_with_room_none_without_and_between_in_proportion() -> None:
     assert share(0.0, 1.0, 0.1) == 1.0
     assert share(0.0, 2.0, 1.0) == 0.0
-    halfway = 3.0 / (3.0 * 0.5 * (1.0 + ENOUGH))
+    halfway = 3.0 / (3.0 * 0.5 * (1.0 + FULL_SPEED_RATIO))
     assert share(0.0, 2.0, halfway) == pytest.approx(0.5)
 
 
@@ -49,6 +49,6 @@ def test_the_spread_is_that_of_places_drawn_at_random() -> None:
     way = np.array([4.0, 3.0])
     ends = poses[:, 0] + way[0] * np.cos(poses[:, 2]) - way[1] * np.sin(poses[:, 2])
     sigma = float(ends.std())
-    room = 3.0 * sigma * 0.5 * (1.0 + ENOUGH)
+    room = 3.0 * sigma * 0.5 * (1.0 + FULL_SPEED_RATIO)
     wall = np.array([[4.0 + 5.0 + room, -100.0, 4.0 + 5.0 + room, 100.0]])
     assert allowed_speed_fraction(np.zeros(3), way, cov, wall, 5.0) == pytest.approx(0.5, abs=0.03)

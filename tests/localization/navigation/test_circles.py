@@ -7,7 +7,15 @@ from math import pi, tau
 import numpy as np
 import pytest
 
-from localization.navigation.path import CornerCircle, on_circles, room, tangents, tangents_from
+from localization.navigation.path import (
+    wall_distances,
+)
+from localization.navigation.roadmap import (
+    CornerCircle,
+    common_tangents,
+    points_on_circles,
+    tangents_from,
+)
 from worlds.geometry import nearest_points
 from worlds.io import load_world
 
@@ -23,7 +31,7 @@ def test_arcs_are_free_where_every_point_of_them_is(world: str) -> None:
         for free, first, last in zip(rim.free(angles), angles, np.append(angles[1:], angles[0] + tau), strict=True):
             turns = np.linspace(first, last, 2001)
             points = centre + RADIUS_IN * np.stack((np.cos(turns), np.sin(turns)), axis=-1)
-            assert free == (room(points, walls).min() >= RADIUS_IN - 1e-4)
+            assert free == (wall_distances(points, walls).min() >= RADIUS_IN - 1e-4)
             seen.add(free)
     assert seen == {True, False}
 
@@ -41,9 +49,9 @@ def test_a_rim_alone_is_free_all_around_and_one_angle_goes_around_it() -> None:
 
 def test_tangents_touch_both_circles_and_cut_neither() -> None:
     centres = np.array([[0.0, 0.0], [50.0, 10.0], [60.0, 0.0]])
-    angles, circles = tangents(centres, RADIUS_IN)
+    angles, circles = common_tangents(centres, RADIUS_IN)
     assert len(angles) == 4 + 4 + 2
-    ends = [on_circles(centres, circles[:, k], angles[:, k], RADIUS_IN) for k in (0, 1)]
+    ends = [points_on_circles(centres, circles[:, k], angles[:, k], RADIUS_IN) for k in (0, 1)]
     ways = np.concatenate(ends, axis=1)
     for k in (0, 1):
         _, far = nearest_points(centres, ways)
@@ -55,9 +63,9 @@ def test_tangents_from_a_point_stand_square_on_the_radius_and_none_comes_from_in
     centres, point = np.array([[0.0, 0.0], [50.0, 10.0]]), np.array([5.0, 0.0])
     angles, circles = tangents_from(point, centres, RADIUS_IN)
     assert circles.tolist() == [1, 1]
-    for touch, centre in zip(on_circles(centres, circles, angles, RADIUS_IN), centres[circles], strict=True):
+    for touch, centre in zip(points_on_circles(centres, circles, angles, RADIUS_IN), centres[circles], strict=True):
         assert np.dot(touch - centre, touch - point) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_without_walls_there_is_all_the_room() -> None:
-    assert room(np.zeros((2, 2)), np.zeros((0, 4))).tolist() == [np.inf, np.inf]
+    assert wall_distances(np.zeros((2, 2)), np.zeros((0, 4))).tolist() == [np.inf, np.inf]

@@ -10,7 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from localization.filters.odometry import move
-from localization.navigation.speed import ControlGains, bearing_error, distance_to, next_step, reached
+from localization.navigation.control_law import (
+    ControlGains,
+    bearing_error,
+    distance_to,
+    is_reached,
+    next_step,
+)
 
 GAINS = ControlGains(drho_max_in=0.05, dtheta_max_rad=0.05, alpha_rho=0.1, alpha_theta=0.1)
 
@@ -49,11 +55,11 @@ def test_without_noise_the_law_arrives_from_any_side() -> None:
     poses = np.zeros((9, 3))
     for _ in range(700):
         poses = move(poses, next_step(poses, goals, GAINS))
-    assert reached(poses, goals, 0.25).all()
+    assert is_reached(poses, goals, 0.25).all()
 
 
 def test_reached_means_within_the_radius() -> None:
     goal = np.array([3.0, 4.0])
     assert distance_to(np.zeros(3), goal) == 5.0
-    assert reached(np.zeros(3), goal, 5.0)
-    assert not reached(np.zeros(3), goal, 4.99)
+    assert is_reached(np.zeros(3), goal, 5.0)
+    assert not is_reached(np.zeros(3), goal, 4.99)

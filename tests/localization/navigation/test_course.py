@@ -7,59 +7,71 @@ from math import cos, hypot, pi, sin
 import numpy as np
 import pytest
 
-from localization.navigation.path import Leg, Stretch, angle_difference, length_of, straight, stretches, waypoints
+from localization.navigation.path import (
+    PathElement,
+    PathSection,
+    angle_difference,
+    line_between,
+    sample_waypoints,
+    split_into_sections,
+    total_length_in,
+)
 
-ARC = Leg(10.0, -5.0, 0.7, 0.08, 30.0)
+ARC = PathElement(10.0, -5.0, 0.7, 0.08, 30.0)
 
 
-def walked(leg: Leg, along: float, steps: int = 20_000) -> tuple[float, float, float]:
-    x, y, heading, step = leg.x_in, leg.y_in, leg.heading_rad, along / steps
+def walked(element: PathElement, along: float, steps: int = 20_000) -> tuple[float, float, float]:
+    x, y, heading, step = element.x_in, element.y_in, element.heading_rad, along / steps
     for _ in range(steps):
-        middle = heading + 0.5 * step * leg.curvature
-        x, y, heading = x + step * cos(middle), y + step * sin(middle), heading + step * leg.curvature
+        middle = heading + 0.5 * step * element.curvature
+        x, y, heading = x + step * cos(middle), y + step * sin(middle), heading + step * element.curvature
     return x, y, heading
 
 
 @pytest.mark.parametrize("curvature", [0.08, -0.15, 0.0])
 def test_a_leg_is_where_small_steps_lead(curvature: float) -> None:
-    leg = ARC._replace(curvature=curvature)
+    element = ARC._replace(curvature=curvature)
     for along in (0.0, 7.5, 30.0):
-        assert leg.at(along) == pytest.approx((*walked(leg, along), curvature), abs=1e-6)
+        assert element.at(along) == pytest.approx((*walked(element, along), curvature), abs=1e-6)
 
 
 @pytest.mark.parametrize("curvature", [0.08, -0.15, 0.0, 0.2])
 def test_the_nearest_place_of_a_leg_is_that_of_many_looked_at(curvature: float) -> None:
-    leg, chance = ARC._replace(curvature=curvature), np.random.default_rng(5)
-    along = np.linspace(0.0, leg.length_in, 3001)
-    places = np.array([leg.at(float(value))[:2] for value in along])
+    element, chance = ARC._replace(curvature=curvature), np.random.default_rng(5)
+    along = np.linspace(0.0, element.length_in, 3001)
+    places = np.array([element.at(float(value))[:2] for value in along])
     for x, y in chance.uniform(-30.0, 50.0, (60, 2)):
         far = np.hypot(*(places - [x, y]).T)
-        found = leg.at(leg.nearest(float(x), float(y)))
+        found = element.at(element.nearest(float(x), float(y)))
         assert hypot(found.x_in - x, found.y_in - y) == pytest.approx(far.min(), abs=1e-3)
 
 
 def test_a_straight_leg_between_two_points() -> None:
-    leg = straight((1.0, 2.0), (4.0, 6.0))
-    assert leg.at(5.0)[:2] == pytest.approx((4.0, 6.0))
-    assert leg.length_in == 5.0
+    element = line_between((1.0, 2.0), (4.0, 6.0))
+    assert element.at(5.0)[:2] == pytest.approx((4.0, 6.0))
+    assert element.length_in == 5.0
 
 
 def test_legs_in_one_direction_are_one_stretch_and_corners_part_them() -> None:
-    first = straight((0.0, 0.0), (10.0, 0.0))
-    arc = Leg(10.0, 0.0, 0.0, 0.1, 0.5 * pi / 0.1)
-    up = straight((20.0, 10.0), (20.0, 30.0))
-    course = stretches([first, straight((10, 0), (10, 0)), arc, up, straight((20.0, 30.0), (0.0, 30.0))])
-    assert [len(stretch.legs) for stretch in course] == [3, 1]
-    assert length_of(course) == pytest.approx(10.0 + 5.0 * pi + 20.0 + 20.0)
-    joined = course[0]
+    first = line_between((0.0, 0.0), (10.0, 0.0))
+    arc = PathElement(10.0, 0.0, 0.0, 0.1, 0.5 * pi / 0.1)
+    up = line_between((20.0, 10.0), (20.0, 30.0))
+    path = split_into_sections(
+        [first, line_between((10, 0), (10, 0)), arc, up, line_between((20.0, 30.0), (0.0, 30.0))]
+    )
+    assert [len(section.elements) for section in path] == [3, 1]
+    assert total_length_in(path) == pytest.approx(10.0 + 5.0 * pi + 20.0 + 20.0)
+    joined = path[0]
     assert joined.at(10.0 + 5.0 * pi + 4.0) == pytest.approx((20.0, 14.0, 0.5 * pi, 0.0))
     assert joined.at(1e9)[:2] == pytest.approx((20.0, 30.0))
     assert joined.at(-1.0)[:2] == (0.0, 0.0)
-    assert stretches([]) == ()
+    assert split_into_sections([]) == ()
 
 
 def test_a_stretch_is_looked_at_between_two_places_only() -> None:
-    there_and_back = Stretch((straight((0, 0), (20, 0)), straight((20, 0), (20, 10)), straight((20, 10), (0, 10))))
+    there_and_back = PathSection(
+        (line_between((0, 0), (20, 0)), line_between((20, 0), (20, 10)), line_between((20, 10), (0, 10)))
+    )
     assert there_and_back.nearest(5.0, 4.0) == pytest.approx(5.0)
     assert there_and_back.nearest(5.0, 4.0, 22.0) == pytest.approx(45.0)
     assert there_and_back.nearest(5.0, 4.0, 22.0, 30.0) == pytest.approx(24.0)
@@ -76,8 +88,8 @@ def test_turns_go_the_short_way(one: float, other: float, turn: float) -> None:
 
 
 def test_waypoints_are_the_ends_of_straight_legs_and_points_along_curved_ones() -> None:
-    legs = [straight((0.0, 0.0), (10.0, 0.0)), Leg(10.0, 0.0, 0.0, 0.1, 5.0 * pi)]
-    found = waypoints(legs, step_in=4.0)
+    elements = [line_between((0.0, 0.0), (10.0, 0.0)), PathElement(10.0, 0.0, 0.0, 0.1, 5.0 * pi)]
+    found = sample_waypoints(elements, step_in=4.0)
     assert found[0] == pytest.approx((10.0, 0.0))
     assert len(found) == 5
     for x, y in found[1:]:

@@ -1,4 +1,4 @@
-"""Following a course: a robot made of the drive's own arithmetic, axes that ramp, a tenth of a second a period."""
+"""Following a path: a robot made of the drive's own arithmetic, axes that ramp, a tenth of a second a period."""
 
 from __future__ import annotations
 
@@ -8,17 +8,23 @@ import numpy as np
 import pytest
 
 from localization.filters.belief import Floats
-from localization.navigation.path import Leg, Stretch, straight, stretches
-from localization.navigation.path_follower import STAND, Follower, turn
+from localization.navigation.limits import (
+    MODEL_LIMITS,
+    STAND,
+)
+from localization.navigation.path import PathElement, PathSection, line_between, split_into_sections
+from localization.navigation.path_follower import (
+    PathFollower,
+    turn_command,
+)
 from localization.navigation.planner import Planner
-from localization.navigation.speed import LIMITS
 from worlds.io import load_world
 from worlds.robots import N150
 
-AXES = LIMITS["n150"].capped(8.0)
+AXES = MODEL_LIMITS["n150"].capped(8.0)
 
 
-def drive(follower: Follower, pose: Floats, periods: int = 2000, share: float = 1.0) -> Floats:
+def drive(follower: PathFollower, pose: Floats, periods: int = 2000, share: float = 1.0) -> Floats:
     """Poses (n, 3) until the end; axes ramp at their accelerations in steps of 10 ms."""
     speed = rate = 0.0
     poses = [pose.copy()]
@@ -40,16 +46,16 @@ def drive(follower: Follower, pose: Floats, periods: int = 2000, share: float = 
 def test_it_keeps_to_a_planned_course_and_stops_at_its_end(goal: tuple[float, float]) -> None:
     planner = Planner(np.array(load_world("several_walls").walls), N150.radius_in)
     plan = planner.plan((5.0, 5.0), goal)
-    poses = drive(Follower(plan.course, AXES), np.array([5.0, 5.0, -2.0]))
+    poses = drive(PathFollower(plan.sections, AXES), np.array([5.0, 5.0, -2.0]))
     assert hypot(poses[-1][0] - goal[0], poses[-1][1] - goal[1]) < 0.6
-    on_course = np.concatenate([stretch.points(0.1) for stretch in plan.course])
+    on_course = np.concatenate([section.points(0.1) for section in plan.sections])
     far = np.hypot(*(poses[:, None, :2] - on_course[None]).transpose(2, 0, 1)).min(axis=1)
     assert far.max() < 0.5
     assert load_world("several_walls").clearance(*map(float, poses[-1][:2])) > N150.radius_in
 
 
 def test_it_comes_back_to_the_course_without_swinging_over() -> None:
-    follower = Follower([Stretch((straight((0, 0), (100, 0)),))], AXES)
+    follower = PathFollower([PathSection((line_between((0, 0), (100, 0)),))], AXES)
     follower.command(np.array([0.0, 0.0, 0.0]))
     poses = drive(follower, np.array([0.0, 2.5, 0.0]))
     assert poses[:, 1].min() > -0.4
@@ -57,8 +63,8 @@ def test_it_comes_back_to_the_course_without_swinging_over() -> None:
 
 
 def test_turned_away_it_turns_first_and_a_corner_is_turned_in_place() -> None:
-    corner = stretches([straight((0, 0), (30, 0)), straight((30, 0), (30, 30))])
-    follower = Follower(corner, AXES)
+    corner = split_into_sections([line_between((0, 0), (30, 0)), line_between((30, 0), (30, 30))])
+    follower = PathFollower(corner, AXES)
     first = follower.command(np.array([0.0, 0.0, 3.0]))
     assert first.translation_in_s == 0.0
     assert first.steering_rad_s < 0.0
@@ -67,35 +73,37 @@ def test_turned_away_it_turns_first_and_a_corner_is_turned_in_place() -> None:
     assert np.hypot(*(poses[:, :2] - [30.0, 0.0]).T).min() < 0.5
     assert hypot(poses[-1][0] - 30.0, poses[-1][1] - 30.0) < 0.5
     assert follower.command(poses[-1]) == STAND
-    assert follower.left().shape == (0, 2)
+    assert follower.remaining_points().shape == (0, 2)
     assert follower.ahead(2.0) is None
 
 
 def test_pushed_around_it_stops_and_turns_back() -> None:
-    follower = Follower([Stretch((straight((0, 0), (100, 0)),))], AXES)
+    follower = PathFollower([PathSection((line_between((0, 0), (100, 0)),))], AXES)
     assert follower.command(np.array([0.0, 0.0, 0.0])).translation_in_s > 0.0
     assert follower.command(np.array([0.0, 0.0, 1.0])) == pytest.approx((0.0, -AXES.steering_rad_s))
     assert follower.command(np.array([0.0, 0.0, 0.2])).translation_in_s == 0.0
 
 
 def test_a_share_of_the_speed_and_what_is_left() -> None:
-    follower = Follower([Stretch((straight((0, 0), (100, 0)), Leg(100.0, 0.0, 0.0, 0.1, 5.0 * pi)))], AXES)
+    follower = PathFollower(
+        [PathSection((line_between((0, 0), (100, 0)), PathElement(100.0, 0.0, 0.0, 0.1, 5.0 * pi)))], AXES
+    )
     for along in (6.0, 13.0, 20.0):
         full = follower.command(np.array([along, 0.0, 0.0]))
     half = follower.command(np.array([20.0, 0.0, 0.0]), 0.5)
     assert half.translation_in_s == pytest.approx(0.5 * full.translation_in_s)
     assert follower.command(np.array([20.0, 0.0, 0.0]), 0.0).translation_in_s == 0.0
-    assert follower.left(1.0)[0] == pytest.approx((20.0, 0.0))
-    assert follower.left(1.0)[-1] == pytest.approx((110.0, 10.0))
-    assert len(follower.left(1.0, 5.0)) == 5
+    assert follower.remaining_points(1.0)[0] == pytest.approx((20.0, 0.0))
+    assert follower.remaining_points(1.0)[-1] == pytest.approx((110.0, 10.0))
+    assert len(follower.remaining_points(1.0, 5.0)) == 5
     ahead = follower.ahead(3.0)
     assert ahead is not None
     assert ahead == pytest.approx((23.0, 0.0))
     follower.command(np.array([-4.0, -3.0, 0.0]))
-    assert abs(follower.aside_in) >= 3.0
+    assert abs(follower.lateral_error_in) >= 3.0
 
 
 def test_a_turn_in_place_brakes_before_its_end() -> None:
-    assert turn(3.0, AXES).steering_rad_s == AXES.steering_rad_s
-    assert turn(-0.1, AXES).steering_rad_s == pytest.approx(-np.sqrt(AXES.steering_rad_s2 * 0.1))
-    assert 0.0 < turn(0.001, AXES).steering_rad_s < 0.06
+    assert turn_command(3.0, AXES).steering_rad_s == AXES.steering_rad_s
+    assert turn_command(-0.1, AXES).steering_rad_s == pytest.approx(-np.sqrt(AXES.steering_rad_s2 * 0.1))
+    assert 0.0 < turn_command(0.001, AXES).steering_rad_s < 0.06

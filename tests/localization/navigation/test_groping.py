@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import pytest
 
-from localization.navigation.recovery import DRIVE_IN_S, LOOK_RAD, TURN_RAD_S, RecoveryBehavior
+from localization.navigation.recovery import DRIVE_IN_S, SCAN_RAD, TURN_RAD_S, RecoveryBehavior
 
 PERIOD_S = 0.1
 
@@ -28,7 +28,7 @@ def test_it_looks_around_and_then_drives_where_there_is_room_ahead(
     readings: tuple[int, ...], speed_in_s: float
 ) -> None:
     heard, one = Ring(readings), RecoveryBehavior(PERIOD_S)
-    turning = [one.command(heard) for _ in range(round(LOOK_RAD / TURN_RAD_S / PERIOD_S))]
+    turning = [one.command(heard) for _ in range(round(SCAN_RAD / TURN_RAD_S / PERIOD_S))]
     assert set(turning) == {(0.0, TURN_RAD_S)}
     one.command(heard)
     assert one.command(heard)[0] == speed_in_s

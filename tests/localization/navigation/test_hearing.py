@@ -1,4 +1,4 @@
-"""What sonars say of unmapped things, on an emulated robot: a box is found, and spared to the filter."""
+"""What sonars say of obstacles things, on an emulated robot: a box is found, and spared to the filter."""
 
 from __future__ import annotations
 
@@ -12,7 +12,12 @@ from localization.filters.belief import independent
 from localization.filters.health import HEALTHY, FilterHealth, HealthStatus
 from localization.filters.update import Refusal
 from localization.live.localizer import Echo, Estimate
-from localization.navigation.obstacles import MOST_SPARED, ObstacleTracker, filter_unmapped, update_obstacles
+from localization.navigation.obstacles import (
+    MAX_FILTERED,
+    ObstacleTracker,
+    filter_unmapped,
+    update_obstacles,
+)
 from nclient import connect
 from nclient.robot import Robot
 from nclient.state import RobotState
@@ -53,35 +58,35 @@ def test_what_is_nearer_than_the_map_allows_is_spared_and_all_else_told_as_it_is
 
 
 def test_where_most_is_too_near_the_estimate_is_to_blame(robot: Robot) -> None:
-    unmapped, state = ObstacleTracker(np.zeros((0, 4)), N150.sonar_ring_radius_in), robot.refresh()
+    obstacles, state = ObstacleTracker(np.zeros((0, 4)), N150.sonar_ring_radius_in), robot.refresh()
     near = sum(6 <= reading <= 60 for reading in state.sonars_in)
-    assert near > MOST_SPARED
-    assert filter_unmapped(unmapped, estimate(state), state, ANGLES).sonars_in == state.sonars_in
+    assert near > MAX_FILTERED
+    assert filter_unmapped(obstacles, estimate(state), state, ANGLES).sonars_in == state.sonars_in
 
 
 def test_the_box_is_found_where_it_stands(robot: Robot) -> None:
-    unmapped, state = ObstacleTracker(WALLS, N150.sonar_ring_radius_in), robot.refresh()
+    obstacles, state = ObstacleTracker(WALLS, N150.sonar_ring_radius_in), robot.refresh()
     for _ in range(3):
-        update_obstacles(unmapped, estimate(state, 0, 8, 4), state, ANGLES)
-    ((x1, y1, x2, y2),) = unmapped.segments
+        update_obstacles(obstacles, estimate(state, 0, 8, 4), state, ANGLES)
+    ((x1, y1, x2, y2),) = obstacles.confirmed
     assert (0.5 * (x1 + x2), 0.5 * (y1 + y2)) == pytest.approx((28.0, 16.0), abs=0.6)
 
 
 def test_an_echo_was_heard_where_the_robot_was(robot: Robot) -> None:
-    unmapped = ObstacleTracker(WALLS, N150.sonar_ring_radius_in)
+    obstacles = ObstacleTracker(WALLS, N150.sonar_ring_radius_in)
     robot.drive(translation_in_s=5.0)
     for _ in range(4):
         state = robot.refresh()
-        update_obstacles(unmapped, estimate(state, 0), state, ANGLES)
-    ((x1, y1, x2, y2),) = unmapped.segments
+        update_obstacles(obstacles, estimate(state, 0), state, ANGLES)
+    ((x1, y1, x2, y2),) = obstacles.confirmed
     assert hypot(0.5 * (x1 + x2) - 28.0, 0.5 * (y1 + y2) - 16.0) < 3.0
 
 
 def test_one_who_is_lost_forgets_and_spares_nothing(robot: Robot) -> None:
-    unmapped, state = ObstacleTracker(WALLS, N150.sonar_ring_radius_in), robot.refresh()
+    obstacles, state = ObstacleTracker(WALLS, N150.sonar_ring_radius_in), robot.refresh()
     for _ in range(3):
-        update_obstacles(unmapped, estimate(state, 0), state, ANGLES)
+        update_obstacles(obstacles, estimate(state, 0), state, ANGLES)
     lost = estimate(state, 0, health=FilterHealth(HealthStatus.LOST, "searching"))
-    assert filter_unmapped(unmapped, lost, state, ANGLES).sonars_in == state.sonars_in
-    update_obstacles(unmapped, lost, state, ANGLES)
-    assert len(unmapped.segments) == 0
+    assert filter_unmapped(obstacles, lost, state, ANGLES).sonars_in == state.sonars_in
+    update_obstacles(obstacles, lost, state, ANGLES)
+    assert len(obstacles.confirmed) == 0

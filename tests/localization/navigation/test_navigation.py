@@ -11,7 +11,14 @@ from localization.filters.base import LocalizationConfig
 from localization.filters.belief import difference, independent
 from localization.filters.health import HealthStatus
 from localization.filters.sonar_cone import ConeSonar
-from localization.navigation.waypoints import PERIOD_S, Navigator, Progress, Speeds, begin, follow
+from localization.navigation.waypoints import (
+    PERIOD_S,
+    NavigationStep,
+    Navigator,
+    Speeds,
+    follow_waypoints,
+    start_localizer,
+)
 from nclient import connect
 from worlds.io import load_world
 from worlds.robots import N150
@@ -21,12 +28,12 @@ def never(seconds: float) -> None:
     raise AssertionError(f"asked to wait {seconds} s where simulated time passes by itself")
 
 
-def drive(address: str, world: str, waypoints: list[tuple[float, float]]) -> list[Progress]:
+def drive(address: str, world: str, waypoints: list[tuple[float, float]]) -> list[NavigationStep]:
     with connect(address) as robot:
         state = robot.refresh()
         belief = independent([state.x_in, state.y_in, state.steering_rad], [0.1, 0.1, 0.01])
-        localizer = begin(robot, LocalizationConfig(load_world(world).walls, N150), belief)
-        progress = list(follow(robot, localizer, Navigator(waypoints), never))
+        localizer = start_localizer(robot, LocalizationConfig(load_world(world).walls, N150), belief)
+        progress = list(follow_waypoints(robot, localizer, Navigator(waypoints), never))
         truth = robot.truth()
         last = progress[-1].estimate
         assert not robot.wait_until_still(1).moving
@@ -69,8 +76,8 @@ def test_real_time_is_waited_for_what_the_robots_clock_has_not_gone() -> None:
     with connect("sim:thesis_room?step_s=0.02") as robot:
         state = robot.refresh()
         belief = independent([state.x_in, state.y_in, state.steering_rad], [0.1, 0.1, 0.01])
-        localizer = begin(robot, LocalizationConfig(load_world("thesis_room").walls, N150), belief)
-        run = follow(robot, localizer, Navigator([(3.0, 0.0)]), waited.append)
+        localizer = start_localizer(robot, LocalizationConfig(load_world("thesis_room").walls, N150), belief)
+        run = follow_waypoints(robot, localizer, Navigator([(3.0, 0.0)]), waited.append)
         for _ in range(5):
             next(run)
         run.close()
@@ -91,8 +98,8 @@ def test_states_that_come_rarely_slow_it_down_and_the_estimate_stays_honest(seed
     with connect(f"{RARELY}{seed}") as robot:
         state = robot.refresh()
         belief = independent([state.x_in, state.y_in, state.steering_rad], [0.1, 0.1, 0.01])
-        localizer = begin(robot, LocalizationConfig(load_world("thesis_room").walls, N150), belief)
-        for progress in follow(robot, localizer, Navigator(ROUND), never):
+        localizer = start_localizer(robot, LocalizationConfig(load_world("thesis_room").walls, N150), belief)
+        for progress in follow_waypoints(robot, localizer, Navigator(ROUND), never):
             truth, estimate = robot.truth(), progress.estimate
             assert truth.time_s == pytest.approx(estimate.clock_s, abs=0.05)
             error = difference(estimate.pose, np.array([truth.x_in, truth.y_in, truth.steering_rad]))
@@ -119,8 +126,8 @@ def test_commands_are_the_navigators_to_the_bit_where_states_come_often_enough(
         monkeypatch.setattr(robot, "drive", noted)
         state = robot.refresh()
         belief = independent([state.x_in, state.y_in, state.steering_rad], [0.1, 0.1, 0.01])
-        localizer = begin(robot, LocalizationConfig(load_world("thesis_room").walls, N150), belief)
-        poses = [progress.estimate.pose for progress in follow(robot, localizer, Navigator(ROUND), never)]
+        localizer = start_localizer(robot, LocalizationConfig(load_world("thesis_room").walls, N150), belief)
+        poses = [progress.estimate.pose for progress in follow_waypoints(robot, localizer, Navigator(ROUND), never)]
     assert len(driven) > 100
     assert driven == [navigator.command(pose) for pose in poses[:-1]]
 
@@ -132,7 +139,7 @@ def test_readings_that_do_not_fit_are_told_of_however_rarely_states_come() -> No
         state = robot.refresh()
         belief = independent([state.x_in, state.y_in, state.steering_rad], [0.1, 0.1, 0.01])
         known = LocalizationConfig(load_world("thesis_room").walls, N150, sonar=ConeSonar())
-        for progress in follow(robot, begin(robot, known, belief), Navigator(ROUND), never):
+        for progress in follow_waypoints(robot, start_localizer(robot, known, belief), Navigator(ROUND), never):
             said.append(progress.estimate.health)
             if progress.estimate.clock_s > 15.0:
                 break

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from localization.navigation.recovery import PATIENCE_S, StallDetector
+from localization.navigation.recovery import STALL_S, StallDetector
 
 GOAL = np.array([20.0, 0.0])
 
@@ -28,14 +28,14 @@ def told(obstruction: StallDetector, seconds: float, at: Any, speed_in_s: float 
 def test_pressing_is_told_with_the_bumpers_though_wheels_slip() -> None:
     reasons = told(StallDetector(5.0), 6.0, lambda second: state(5.0 * second, 0, 1))
     assert reasons[:10] == [""] * 10
-    assert reasons[10] == "it presses against something 5 s long, 20.0 in before (20, 0): bumpers 0, 1 touch"
+    assert reasons[10] == "the robot presses against something for 5 s, 20.0 in before (20, 0): bumpers 0, 1 touch"
 
 
 def test_wheels_that_stand_are_told_though_nothing_touches() -> None:
     reasons = told(StallDetector(5.0), 6.0, lambda _: state(3.0))
     assert reasons[9:11] == [
-        "", "it makes no way 5 s long, 20.0 in before (20, 0), though it is told to drive: is it held (nserver ctl "
-        "status tells), or its emergency button pressed?",
+        "", "the robot does not move for 5 s, 20.0 in before (20, 0), although commanded to: is it held "
+        "(see nserver ctl status), or its emergency button pressed?",
     ]  # fmt: skip
 
 
@@ -62,6 +62,6 @@ def test_another_way_point_or_none_begins_anew() -> None:
     assert obstruction.reason(14.8, state(0.0), np.zeros(3), np.array([0.0, 9.0]))
 
 
-@pytest.mark.parametrize(("speed_in_s", "patience_s"), [(5.0, PATIENCE_S), (0.01, 40.0)])
-def test_the_slower_the_more_patient(speed_in_s: float, patience_s: float) -> None:
-    assert StallDetector(speed_in_s).patience_s == pytest.approx(patience_s)
+@pytest.mark.parametrize(("speed_in_s", "limit_s"), [(5.0, STALL_S), (0.01, 40.0)])
+def test_the_slower_the_more_patient(speed_in_s: float, limit_s: float) -> None:
+    assert StallDetector(speed_in_s).limit_s == pytest.approx(limit_s)

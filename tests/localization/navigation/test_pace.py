@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from localization.navigation.speed import REMEMBERED, Pace
+from localization.navigation.limits import OBSERVED_STATES, StateGapLimiter
 
 
 def shares(clocks_s: list[float]) -> list[float]:
-    pace = Pace()
-    return [pace.share(clock_s) for clock_s in clocks_s]
+    limiter = StateGapLimiter()
+    return [limiter.speed_fraction(clock_s) for clock_s in clocks_s]
 
 
 def test_states_that_come_often_enough_leave_the_speed_as_it_is_to_the_bit() -> None:
@@ -23,6 +23,6 @@ def test_between_two_states_it_goes_as_far_as_in_half_a_second_at_full_speed() -
 
 
 def test_a_long_gap_is_remembered_for_some_states_and_forgotten_then() -> None:
-    told = shares([0.0, 2.0, *(2.0 + 0.1 * tick for tick in range(1, REMEMBERED + 1))])
-    assert told[1:REMEMBERED] == [0.25] * (REMEMBERED - 1)
-    assert told[REMEMBERED:] == [1.0] * 2
+    told = shares([0.0, 2.0, *(2.0 + 0.1 * tick for tick in range(1, OBSERVED_STATES + 1))])
+    assert told[1:OBSERVED_STATES] == [0.25] * (OBSERVED_STATES - 1)
+    assert told[OBSERVED_STATES:] == [1.0] * 2

@@ -12,12 +12,11 @@ import pytest
 from localization.filters.belief import Belief
 from localization.filters.health import HEALTHY, FilterHealth, HealthStatus
 from localization.live.localizer import Estimate
+from localization.navigation.limits import MODEL_LIMITS, STAND
 from localization.navigation.obstacles import ObstacleTracker
-from localization.navigation.path import room
-from localization.navigation.path_follower import STAND
-from localization.navigation.pilot import Ending, Patience, Pilot
+from localization.navigation.path import wall_distances
+from localization.navigation.pilot import Ending, Pilot, RetryPolicy
 from localization.navigation.planner import MARGINS_IN, Planner
-from localization.navigation.speed import LIMITS
 from nclient.protocol.types import N150 as MODEL
 from nclient.state import RobotState
 from worlds.io import load_world
@@ -28,7 +27,7 @@ pytestmark = pytest.mark.long
 WALLS = np.array(load_world("several_walls").walls)
 PLANNER = Planner(WALLS, N150.radius_in)
 WIDE = Planner(np.array(load_world("thesis_room").walls), N150.radius_in)
-AXES = LIMITS["n150"].capped(8.0)
+AXES = MODEL_LIMITS["n150"].capped(8.0)
 Feels = Callable[[float, float, float], bool]
 """Whether a bumper touches at a place, at a clock."""
 
@@ -40,7 +39,7 @@ class World:
         self.pose = np.array([x, y, 0.0])
         self.clock_s, self.std_in, self.feels = 0.0, std_in, feels
         self.health = HEALTHY
-        self.unmapped = ObstacleTracker(WALLS, N150.sonar_ring_radius_in)
+        self.obstacles = ObstacleTracker(WALLS, N150.sonar_ring_radius_in)
         self.least_room = np.inf
 
     def estimate(self) -> Estimate:
@@ -54,28 +53,28 @@ class World:
         return RobotState(MODEL, tuple(raw))
 
     def drive(self, pilot: Pilot, limit_s: float = 200.0) -> None:
-        while pilot.outcome is None and self.clock_s < limit_s:
+        while pilot.result is None and self.clock_s < limit_s:
             command = pilot.step(self.estimate(), self.state())
             middle = self.pose[2] + 0.05 * command.steering_rad_s
             step = 0.1 * command.translation_in_s
             self.pose += [step * cos(middle), step * sin(middle), 0.1 * command.steering_rad_s]
             self.clock_s += 0.1
-            self.least_room = min(self.least_room, float(room(self.pose[None, :2], WALLS)[0]))
+            self.least_room = min(self.least_room, float(wall_distances(self.pose[None, :2], WALLS)[0]))
 
 
 def pilot_of(world: World, *goals: tuple[float, float], heading: float | None = None,
-             patience: Patience | None = None) -> Pilot:  # fmt: skip
-    return Pilot(PLANNER, AXES, world.unmapped, goals, heading, patience)
+             policy: RetryPolicy | None = None) -> Pilot:  # fmt: skip
+    return Pilot(PLANNER, AXES, world.obstacles, goals, heading, policy)
 
 
 def ending(pilot: Pilot) -> Ending:
-    assert pilot.outcome is not None
-    return pilot.outcome.ending
+    assert pilot.result is not None
+    return pilot.result.ending
 
 
 def reason(pilot: Pilot) -> str:
-    assert pilot.outcome is not None
-    return pilot.outcome.reason
+    assert pilot.result is not None
+    return pilot.result.reason
 
 
 def test_it_arrives_and_turns_to_the_heading() -> None:
@@ -96,7 +95,7 @@ def test_way_points_are_passed_by_without_stopping_or_planned_to_one_by_one() ->
     world.drive(pilot)
     assert ending(pilot) is Ending.ARRIVED
     assert len(pilot.log.plans) == 1
-    assert pilot.goals_left == ((90.0, 55.0),)
+    assert pilot.remaining_goals == ((90.0, 55.0),)
     blocked = World()
     pilot = pilot_of(blocked, (35.0, 55.0), (90.0, 0.0))
     blocked.drive(pilot)
@@ -106,10 +105,10 @@ def test_way_points_are_passed_by_without_stopping_or_planned_to_one_by_one() ->
 
 def test_a_find_in_the_way_is_gone_around() -> None:
     world = World()
-    pilot = Pilot(WIDE, AXES, world.unmapped, [(40.0, 60.0)])
+    pilot = Pilot(WIDE, AXES, world.obstacles, [(40.0, 60.0)])
     world.drive(pilot, 3.0)
     for _ in range(4):
-        world.unmapped._add(25.0, 30.0, 1.0)
+        world.obstacles._add(25.0, 30.0, 1.0)
     world.drive(pilot)
     assert ending(pilot) is Ending.ARRIVED
     assert len(pilot.log.plans) == 2
@@ -118,8 +117,8 @@ def test_a_find_in_the_way_is_gone_around() -> None:
 
 def test_way_points_with_a_find_between_are_gone_around_too() -> None:
     world = World()
-    world.unmapped.touch(0.0, (20.0, 20.0), 1.0, 9.0)
-    pilot = Pilot(WIDE, AXES, world.unmapped, [(35.0, 55.0), (60.0, 55.0)])
+    world.obstacles.add_contact(0.0, (20.0, 20.0), 1.0, 9.0)
+    pilot = Pilot(WIDE, AXES, world.obstacles, [(35.0, 55.0), (60.0, 55.0)])
     world.drive(pilot)
     assert ending(pilot) is Ending.ARRIVED
     assert len(pilot.log.plans) >= 2
@@ -131,13 +130,13 @@ def test_it_waits_for_what_is_in_the_way_and_gives_up_or_goes_on() -> None:
 
     def surround() -> None:
         for x, y in ((40.0, 50.0), (40.0, 70.0), (30.0, 60.0), (50.0, 60.0)):
-            world.unmapped.touch(0.0, (x, y), 0.0, 0.0)
+            world.obstacles.add_contact(0.0, (x, y), 0.0, 0.0)
 
     surround()
     world.drive(pilot, 10.0)
-    assert pilot.outcome is None
+    assert pilot.result is None
     assert hypot(*(world.pose[:2] - [5.0, 5.0])) == 0.0
-    world.unmapped.forget()
+    world.obstacles.clear()
     world.drive(pilot)
     assert ending(pilot) is Ending.ARRIVED
     world = World()
@@ -145,7 +144,7 @@ def test_it_waits_for_what_is_in_the_way_and_gives_up_or_goes_on() -> None:
     surround()
     world.drive(pilot)
     assert ending(pilot) is Ending.BLOCKED
-    assert "something that the map does not have is in the way: no room at (40, 60)" in reason(pilot)
+    assert "blocked by an obstacle that is not in the map: no space at (40, 60)" in reason(pilot)
     assert 20.0 <= world.clock_s < 23.0
 
 
@@ -154,7 +153,7 @@ def test_no_way_in_the_map_is_told_at_once() -> None:
     pilot = pilot_of(world, (50.0, 30.0))
     world.drive(pilot)
     assert ending(pilot) is Ending.BLOCKED
-    assert reason(pilot).startswith("no room at (50, 30): 0.0 in")
+    assert reason(pilot).startswith("no space at (50, 30): 0.0 in")
     assert world.clock_s < 0.2
 
 
@@ -167,7 +166,7 @@ def test_a_touch_is_backed_off_from_and_gone_around() -> None:
         return near
 
     world = World(feels=feels)
-    pilot = pilot_of(world, (40.0, 60.0), patience=Patience(most_touches=10))
+    pilot = pilot_of(world, (40.0, 60.0), policy=RetryPolicy(max_touches=10))
     world.drive(pilot)
     assert ending(pilot) is Ending.ARRIVED
     assert 1 <= len(pilot.log.touches) < 6
@@ -187,7 +186,7 @@ def test_too_many_touches_end_it() -> None:
 def test_one_that_cannot_back_off_stops_trying() -> None:
     """The wheels turn, and the encoders stand: as on a robot that is held."""
     world = World(feels=lambda _x, _y, clock: clock > 1.0)
-    pilot = pilot_of(world, (40.0, 60.0), patience=Patience(most_touches=2, back_off_s=2.0))
+    pilot = pilot_of(world, (40.0, 60.0), policy=RetryPolicy(max_touches=2, back_off_s=2.0))
     still = replace(world.state(), raw=(0,) * 33 + (1,) + (0,) * 11)
     for _ in range(60):
         pilot.step(world.estimate(), still)
@@ -207,14 +206,14 @@ def test_an_uncertain_robot_slows_down_stands_and_gives_up() -> None:
     assert ending(pilot) is Ending.UNCERTAIN
     assert "known to 12.0 in (3 sigma)" in reason(pilot)
     assert hopeless.least_room - N150.radius_in > 0.0
-    assert 1 <= sum("known too badly" in words for _, words in pilot.log.notes) < len(MARGINS_IN)
+    assert 1 <= sum("too uncertain" in words for _, words in pilot.log.notes) < len(MARGINS_IN)
 
 
 def test_uncertainty_that_passes_is_waited_for() -> None:
     world = World(std_in=3.0)
     pilot = pilot_of(world, (90.0, 55.0))
     world.drive(pilot, 8.0)
-    assert pilot.outcome is None
+    assert pilot.result is None
     world.std_in = 0.1
     world.drive(pilot)
     assert ending(pilot) is Ending.ARRIVED
@@ -226,7 +225,7 @@ def test_one_who_is_lost_says_so() -> None:
     world.drive(pilot, 5.0)
     world.health = FilterHealth(HealthStatus.LOST, "searching")
     world.drive(pilot)
-    assert pilot.outcome == (Ending.LOST, "searching")
+    assert pilot.result == (Ending.LOST, "searching")
 
 
 def test_moved_beside_its_course_it_plans_anew_but_not_for_ever() -> None:
@@ -237,10 +236,10 @@ def test_moved_beside_its_course_it_plans_anew_but_not_for_ever() -> None:
     world.drive(pilot)
     assert ending(pilot) is Ending.ARRIVED
     assert len(pilot.log.plans) == 2
-    assert "beside the course" in pilot.log.notes[0][1]
+    assert "beside the path" in pilot.log.notes[0][1]
     world = World()
-    pilot = pilot_of(world, (90.0, 55.0), patience=Patience(most_plans=3))
-    while pilot.outcome is None:
+    pilot = pilot_of(world, (90.0, 55.0), policy=RetryPolicy(max_plans=3))
+    while pilot.result is None:
         world.drive(pilot, world.clock_s + 2.0)
         world.pose[:2] = [5.0, 5.0 + 6.0 * (len(pilot.log.plans) % 2)]
     assert ending(pilot) is Ending.ASTRAY
@@ -249,11 +248,11 @@ def test_moved_beside_its_course_it_plans_anew_but_not_for_ever() -> None:
 
 def test_at_the_end_of_its_course_but_not_there_it_plans_again() -> None:
     world = World()
-    pilot = pilot_of(world, (30.0, 30.0), patience=Patience(within_in=0.6))
+    pilot = pilot_of(world, (30.0, 30.0), policy=RetryPolicy(within_in=0.6))
     world.drive(pilot, 4.0)
     while hypot(*(world.pose[:2] - [30.0, 30.0])) > 0.5:
         world.drive(pilot, world.clock_s + 0.1)
-        assert pilot.outcome is None
+        assert pilot.result is None
     world.pose[:2] += [0.9, 0.9]
     world.drive(pilot)
     assert ending(pilot) is Ending.ARRIVED
@@ -264,10 +263,10 @@ def test_at_the_end_of_its_course_but_not_there_it_plans_again() -> None:
 def test_going_backwards_a_touch_is_behind() -> None:
     world = World()
     pilot = pilot_of(world, (90.0, 55.0))
-    pilot._towards = -1.0
+    pilot._last_speed_in_s = -1.0
     world.feels = lambda *_: True
     pilot.step(world.estimate(), world.state())
-    ((x1, _, x2, _),) = world.unmapped.segments
+    ((x1, _, x2, _),) = world.obstacles.confirmed
     assert (x1, x2) == pytest.approx((5.0 - N150.radius_in,) * 2)
     world.feels = lambda *_: False
     assert pilot.step(world.estimate(), world.state()).translation_in_s > 0.0
@@ -278,12 +277,12 @@ def test_beside_a_find_and_before_a_suspect_it_is_slow() -> None:
     pilot = pilot_of(world, (90.0, 55.0))
     world.drive(pilot, 3.0)
     free = pilot.step(world.estimate(), world.state()).translation_in_s
-    world.unmapped._add(float(world.pose[0]) + 25.0, 55.0, 0.0)
+    world.obstacles._add(float(world.pose[0]) + 25.0, 55.0, 0.0)
     suspicious = pilot.step(world.estimate(), world.state()).translation_in_s
     assert 0.0 < suspicious < 0.7 * free
-    world.unmapped.forget()
-    world.unmapped._add(float(world.pose[0]), 35.0, 0.0)
+    world.obstacles.clear()
+    world.obstacles._add(float(world.pose[0]), 35.0, 0.0)
     assert pilot.step(world.estimate(), world.state()).translation_in_s == pytest.approx(free)
     for _ in range(3):
-        world.unmapped._add(float(world.pose[0]), 36.0, 0.0)
+        world.obstacles._add(float(world.pose[0]), 36.0, 0.0)
     assert pilot.step(world.estimate(), world.state()).translation_in_s == pytest.approx(3.0)

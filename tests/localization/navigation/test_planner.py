@@ -5,10 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from localization.navigation.path import room
-from localization.navigation.planner import LONGER, MARGINS_IN, Plan, Planner
-from localization.navigation.roadmap import NoPathError, Roadmap, length_in
-from localization.navigation.speed import LIMITS
+from localization.navigation.limits import MODEL_LIMITS
+from localization.navigation.path import (
+    total_length_in,
+    wall_distances,
+)
+from localization.navigation.planner import DETOUR, MARGINS_IN, PlannedPath, Planner
+from localization.navigation.roadmap import (
+    NoPathError,
+    Roadmap,
+)
 from worlds.io import load_world
 from worlds.robots import N150
 
@@ -16,9 +22,9 @@ WALLS = np.array(load_world("several_walls").walls)
 PLANNER = Planner(WALLS, N150.radius_in)
 
 
-def least_room(plan: Plan) -> float:
-    points = np.concatenate([stretch.points(0.2) for stretch in plan.course])
-    return float(room(points, WALLS).min()) - N150.radius_in
+def least_room(plan: PlannedPath) -> float:
+    points = np.concatenate([section.points(0.2) for section in plan.sections])
+    return float(wall_distances(points, WALLS).min()) - N150.radius_in
 
 
 @pytest.mark.parametrize("goal", [(90.0, 55.0), (90.0, 0.0), (40.0, 90.0), (0.0, 60.0)])
@@ -26,8 +32,8 @@ def test_a_plan_keeps_its_margin_and_is_little_longer_than_the_shortest(goal: tu
     plan = PLANNER.plan((5.0, 5.0), goal)
     assert plan.margin_in in MARGINS_IN
     assert least_room(plan) >= plan.margin_in - 1e-4
-    shortest = length_in(Roadmap(WALLS, N150.radius_in).path((5.0, 5.0), goal))
-    assert plan.length_in <= shortest * (1.0 + LONGER) + 1e-6 or plan.margin_in == MARGINS_IN[0]
+    shortest = total_length_in(Roadmap(WALLS, N150.radius_in).path((5.0, 5.0), goal))
+    assert plan.length_in <= shortest * (1.0 + DETOUR) + 1e-6 or plan.margin_in == MARGINS_IN[0]
     assert plan.length_in <= shortest * 1.05
 
 
@@ -37,30 +43,30 @@ def test_where_there_is_room_for_nothing_but_the_least_it_takes_the_least() -> N
 
 
 def test_more_room_can_be_asked_for_and_a_near_goal_is_entered_straight() -> None:
-    wide = PLANNER.plan((5.0, 5.0), (90.0, 60.0), least_in=3.0)
+    wide = PLANNER.plan((5.0, 5.0), (90.0, 60.0), min_margin_in=3.0)
     assert wide.margin_in >= 3.0
     assert wide.length_in > PLANNER.plan((5.0, 5.0), (90.0, 60.0)).length_in
-    assert PLANNER.plan((5.0, 5.0), (40.0, 60.0), least_in=7.5).margin_in == 7.5
+    assert PLANNER.plan((5.0, 5.0), (40.0, 60.0), min_margin_in=7.5).margin_in == 7.5
 
 
 def test_finds_are_gone_around_and_may_leave_no_way() -> None:
     find = np.array([[28.0, 22.0, 24.0, 26.0]])
     straight_way, around = PLANNER.plan((5.0, 5.0), (40.0, 60.0)), PLANNER.plan((5.0, 5.0), (40.0, 60.0), find)
     assert around.length_in > straight_way.length_in
-    points = np.concatenate([stretch.points(0.2) for stretch in around.course])
-    assert room(points, find).min() >= N150.radius_in + MARGINS_IN[0] - 1e-4
-    with pytest.raises(NoPathError, match="no way from"):
+    points = np.concatenate([section.points(0.2) for section in around.sections])
+    assert wall_distances(points, find).min() >= N150.radius_in + MARGINS_IN[0] - 1e-4
+    with pytest.raises(NoPathError, match="no path from"):
         PLANNER.plan((5.0, 5.0), (90.0, 0.0), np.array([[50.0, 35.0, 60.0, 75.0], [60.0, 75.0, 102.0, 60.0]]))
 
 
 def test_given_points_are_passed_by_on_straight_ways() -> None:
     points = [(5.0, 5.0), (35.0, 55.0), (90.0, 55.0)]
-    plan = PLANNER.along(points, 1.0, LIMITS["n150"])
-    (stretch,) = plan.course
-    place = stretch.at(stretch.nearest(35.0, 55.0))
+    plan = PLANNER.along(points, 1.0, MODEL_LIMITS["n150"])
+    (section,) = plan.sections
+    place = section.at(section.nearest(35.0, 55.0))
     assert np.hypot(place.x_in - 35.0, place.y_in - 55.0) <= 1.0 + 1e-9
     with pytest.raises(NoPathError, match=r"from \(5, 5\) to \(90, 0\) comes within 0.0 in of a wall"):
-        PLANNER.along([(5.0, 5.0), (90.0, 0.0)], 1.0, LIMITS["n150"])
+        PLANNER.along([(5.0, 5.0), (90.0, 0.0)], 1.0, MODEL_LIMITS["n150"])
 
 
 def test_around_finds_there_is_the_widest_room_there_is() -> None:

@@ -14,8 +14,15 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import ConvexHull
 
 from localization.filters.belief import Floats
-from localization.navigation.path import Leg
-from localization.navigation.roadmap import NoPathError, Roadmap, clearances, length_in
+from localization.navigation.path import (
+    PathElement,
+    total_length_in,
+)
+from localization.navigation.roadmap import (
+    NoPathError,
+    Roadmap,
+    segment_clearances,
+)
 from worlds.geometry import nearest_points
 from worlds.io import load_world
 from worlds.robots import N150
@@ -25,18 +32,20 @@ CORNERS = 24
 WORLDS = ["thesis_room", "several_walls", "centre_vertex"]
 
 
-def points_of(legs: list[Leg]) -> Floats:
-    return np.array([leg.at(share * leg.length_in)[:2] for leg in legs for share in np.linspace(0.0, 1.0, 60)])
+def points_of(elements: list[PathElement]) -> Floats:
+    return np.array(
+        [element.at(share * element.length_in)[:2] for element in elements for share in np.linspace(0.0, 1.0, 60)]
+    )
 
 
-def end_of(legs: list[Leg]) -> tuple[float, float]:
-    last = legs[-1].at(legs[-1].length_in)
+def end_of(elements: list[PathElement]) -> tuple[float, float]:
+    last = elements[-1].at(elements[-1].length_in)
     return last.x_in, last.y_in
 
 
 def test_in_an_empty_world_the_way_is_straight() -> None:
-    (leg,) = Roadmap(np.zeros((0, 4)), 10.0).path((0.0, 0.0), (30.0, 40.0))
-    assert leg == pytest.approx((0.0, 0.0, atan2(4.0, 3.0), 0.0, 50.0))
+    (element,) = Roadmap(np.zeros((0, 4)), 10.0).path((0.0, 0.0), (30.0, 40.0))
+    assert element == pytest.approx((0.0, 0.0, atan2(4.0, 3.0), 0.0, 50.0))
 
 
 @pytest.mark.parametrize("height", [0.0, 5.0, -20.0])
@@ -49,7 +58,7 @@ def test_around_the_end_of_a_wall_it_is_two_tangents_and_an_arc(height: float) -
     exact = 2.0 * sqrt(far * far - 100.0) + 10.0 * max(arc, 0.0)
     if arc <= 0.0:
         exact = 2.0 * half
-    assert length_in(path) == pytest.approx(exact, abs=1e-5)
+    assert total_length_in(path) == pytest.approx(exact, abs=1e-5)
 
 
 class Polygons:
@@ -132,9 +141,9 @@ def test_between_random_places_it_is_free_and_the_shortest(world: str) -> None:
         path = roadmap.path(start, goal)
         assert nearest_points(points_of(path), walls)[1].min() >= RADIUS_IN - 1e-5
         assert end_of(path) == pytest.approx(goal, abs=1e-6)
-        for leg, following in pairwise(path):
-            assert leg.at(leg.length_in)[:2] == pytest.approx((following.x_in, following.y_in), abs=1e-6)
-        length = length_in(path)
+        for element, following in pairwise(path):
+            assert element.at(element.length_in)[:2] == pytest.approx((following.x_in, following.y_in), abs=1e-6)
+        length = total_length_in(path)
         assert within.length_in(start, goal) - 1e-5 <= length <= around.length_in(start, goal) + 1e-5
         on_grid = grid_length(walls, start, goal)
         assert on_grid / 1.028 - 3.0 <= length <= on_grid * 1.005 + 0.5
@@ -142,10 +151,10 @@ def test_between_random_places_it_is_free_and_the_shortest(world: str) -> None:
 
 def test_lines_go_over_into_arcs_without_a_turn() -> None:
     path = Roadmap(np.array(load_world("several_walls").walls), RADIUS_IN).path((5.0, 5.0), (90.0, 0.0))
-    legs = [leg for leg in path if leg.length_in > 1e-6]
-    assert [bool(leg.curvature) for leg in legs] == [False, True, False, True, False]
-    for leg, following in pairwise(legs):
-        assert np.cos(leg.at(leg.length_in).heading_rad - following.heading_rad) == pytest.approx(1.0, abs=1e-9)
+    elements = [element for element in path if element.length_in > 1e-6]
+    assert [bool(element.curvature) for element in elements] == [False, True, False, True, False]
+    for element, following in pairwise(elements):
+        assert np.cos(element.at(element.length_in).heading_rad - following.heading_rad) == pytest.approx(1.0, abs=1e-9)
 
 
 def test_a_start_too_near_a_wall_is_left_straight_and_a_goal_too_near_is_refused() -> None:
@@ -153,36 +162,36 @@ def test_a_start_too_near_a_wall_is_left_straight_and_a_goal_too_near_is_refused
     path = roadmap.path((-2.0, 10.0), (80.0, 0.0))
     assert (path[0].x_in, path[0].y_in) == (-2.0, 10.0)
     assert path[0].length_in == pytest.approx(0.72, abs=0.3)
-    assert length_in(path) < length_in(roadmap.path((-1.2, 10.0), (80.0, 0.0))) + 2.0
-    with pytest.raises(NoPathError, match=r"no room at \(-2, 40\): 0.0 in to a wall, 10.7 wanted"):
+    assert total_length_in(path) < total_length_in(roadmap.path((-1.2, 10.0), (80.0, 0.0))) + 2.0
+    with pytest.raises(NoPathError, match=r"no space at \(-2, 40\): 0.0 in to a wall, 10.7 in needed"):
         roadmap.path((60.0, 60.0), (-2.0, 40.0))
     assert end_of(roadmap.path((80.0, 0.0), (-2.0, 10.0), 9.72)) == pytest.approx((-2.0, 10.0))
 
 
 def test_a_start_without_any_room_has_no_way() -> None:
     narrow = np.array([[-500.0, 0.0, 500.0, 0.0], [-500.0, 12.0, 500.0, 12.0]])
-    with pytest.raises(NoPathError, match=r"no way from \(0, 6\) to \(0, 60\)"):
+    with pytest.raises(NoPathError, match=r"no path from \(0, 6\) to \(0, 60\)"):
         Roadmap(narrow, 10.0).path((0.0, 6.0), (0.0, 60.0))
 
 
 def test_where_there_is_no_way_it_says_so() -> None:
     box = np.array([[0, 0, 60, 0], [60, 0, 60, 60], [60, 60, 0, 60], [0, 60, 0, 0]], dtype=float)
-    with pytest.raises(NoPathError, match="no way from"):
+    with pytest.raises(NoPathError, match="no path from"):
         Roadmap(box, 10.0).path((30.0, 30.0), (200.0, 30.0))
 
 
 def test_given_ways_are_refused_where_they_come_too_near() -> None:
     roadmap = Roadmap(np.array([[0.0, 0.0, 0.0, -500.0]]), 10.0)
     roadmap.require_free([(-5.0, 0.0), (-20.0, 0.0), (-20.0, 30.0)])
-    with pytest.raises(NoPathError, match=r"from \(-20, 0\) to \(20, 0\) comes within 0.0 in of a wall, 10.0 wanted"):
+    with pytest.raises(NoPathError, match=r"from \(-20, 0\) to \(20, 0\) comes within"):
         roadmap.require_free([(-20.0, 20.0), (-20.0, 0.0), (20.0, 0.0)])
 
 
 def test_clearances_by_hand() -> None:
     walls = np.array([[0.0, 0.0, 0.0, 10.0]])
     ways = np.array([[3.0, 0.0, 3.0, 5.0], [-1.0, 5.0, 1.0, 5.0], [3.0, 14.0, -3.0, 14.0], [5.0, -3.0, 4.0, 20.0]])
-    np.testing.assert_allclose(clearances(ways, walls)[:3], [3.0, 0.0, 4.0])
+    np.testing.assert_allclose(segment_clearances(ways, walls)[:3], [3.0, 0.0, 4.0])
     dense = np.linspace(ways[3, :2], ways[3, 2:], 10_001)
-    np.testing.assert_allclose(clearances(ways, walls)[3], nearest_points(dense, walls)[1].min(), atol=1e-3)
-    assert clearances(ways, np.zeros((0, 4))).min() == np.inf
-    assert clearances(np.zeros((0, 4)), walls).shape == (0,)
+    np.testing.assert_allclose(segment_clearances(ways, walls)[3], nearest_points(dense, walls)[1].min(), atol=1e-3)
+    assert segment_clearances(ways, np.zeros((0, 4))).min() == np.inf
+    assert segment_clearances(np.zeros((0, 4)), walls).shape == (0,)

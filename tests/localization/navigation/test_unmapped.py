@@ -7,7 +7,7 @@ from math import atan2, cos, hypot, pi, sin, tau
 import numpy as np
 import pytest
 
-from localization.navigation.obstacles import FADE_S, MOST, SURE, ObstacleTracker
+from localization.navigation.obstacles import CONFIRM_WEIGHT, DECAY_S, MAX_WEIGHT, ObstacleTracker
 from worlds.io import load_world
 from worlds.raycast import cast_rays
 from worlds.robots import N150
@@ -17,17 +17,17 @@ RING_IN = N150.sonar_ring_radius_in
 HERE = (20.0, 20.0)
 
 
-def hear(unmapped: ObstacleTracker, towards: float, reading: float, times: int = 1, clock_s: float = 0.0) -> None:
+def hear(obstacles: ObstacleTracker, towards: float, reading: float, times: int = 1, clock_s: float = 0.0) -> None:
     for _ in range(times):
-        unmapped.hear(clock_s, HERE, towards, reading, 0.2)
+        obstacles.add_reading(clock_s, HERE, towards, reading, 0.2)
 
 
 def test_the_same_thing_heard_again_is_sure_and_stands_where_it_was_heard() -> None:
-    unmapped = ObstacleTracker(WALLS, RING_IN)
-    hear(unmapped, 0.3, 15.0, times=2)
-    assert not len(unmapped.segments)
-    hear(unmapped, 0.35, 15.0)
-    ((x1, y1, x2, y2),) = unmapped.segments
+    obstacles = ObstacleTracker(WALLS, RING_IN)
+    hear(obstacles, 0.3, 15.0, times=2)
+    assert not len(obstacles.confirmed)
+    hear(obstacles, 0.35, 15.0)
+    ((x1, y1, x2, y2),) = obstacles.confirmed
     assert hypot(x2 - x1, y2 - y1) == pytest.approx(10.0)
     assert (0.5 * (x1 + x2), 0.5 * (y1 + y2)) == pytest.approx(
         (20.0 + 24.06 * cos(0.32), 20.0 + 24.06 * sin(0.32)), abs=0.6
@@ -37,19 +37,21 @@ def test_the_same_thing_heard_again_is_sure_and_stands_where_it_was_heard() -> N
 
 def test_what_the_map_explains_is_no_find_in_any_direction() -> None:
     """Exact ranges of rays, and longer ones as second echoes are, from many places."""
-    unmapped, chance = ObstacleTracker(WALLS, RING_IN), np.random.default_rng(2)
+    obstacles, chance = ObstacleTracker(WALLS, RING_IN), np.random.default_rng(2)
     for _ in range(300):
         place, towards = chance.uniform(12.0, 30.0, 2), float(chance.uniform(0.0, tau))
         ray = float(cast_rays(place, np.array([cos(towards), sin(towards)]), WALLS)[0]) - RING_IN
         for reading in (ray, ray + float(chance.exponential(30.0)), 255.0):
-            unmapped.hear(0.0, (float(place[0]), float(place[1])), towards, float(np.round(max(reading, 0.0))), 0.2)
-    assert not len(unmapped.segments)
+            obstacles.add_reading(
+                0.0, (float(place[0]), float(place[1])), towards, float(np.round(max(reading, 0.0))), 0.2
+            )
+    assert not len(obstacles.confirmed)
 
 
 def test_a_fifth_of_all_readings_drawn_at_random_finds_nothing() -> None:
     """Ten minutes of a standing robot in the square room: the rest goes through to the walls."""
     walls, chance = np.array(load_world("thesis_room").walls), np.random.default_rng(7)
-    unmapped, found = ObstacleTracker(walls, RING_IN), 0
+    obstacles, found = ObstacleTracker(walls, RING_IN), 0
     angles = np.array(N150.sonar_angles_rad)
     ways = np.stack((np.cos(angles), np.sin(angles)), axis=-1)
     true = cast_rays(np.broadcast_to(np.array((45.0, 45.0)), ways.shape), ways, walls)[0] - RING_IN
@@ -57,51 +59,51 @@ def test_a_fifth_of_all_readings_drawn_at_random_finds_nothing() -> None:
         sonar = number % 16
         bad = chance.random() < 0.2
         reading = float(chance.integers(6, 256)) if bad else float(round(true[sonar]))
-        unmapped.hear(number * 0.06, (45.0, 45.0), float(angles[sonar]), reading, 0.2)
-        found += len(unmapped.segments) > 0
+        obstacles.add_reading(number * 0.06, (45.0, 45.0), float(angles[sonar]), reading, 0.2)
+        found += len(obstacles.confirmed) > 0
     assert found / (600 * 16) < 0.02
 
 
 def test_it_is_seen_through_and_gone_where_readings_pass() -> None:
-    unmapped = ObstacleTracker(WALLS, RING_IN)
-    hear(unmapped, 0.3, 15.0, times=4)
-    hear(unmapped, 0.3 + 0.3, 40.0, times=10)
-    assert len(unmapped.segments) == 1
-    hear(unmapped, 0.3, 40.0, times=10)
-    assert len(unmapped.segments) == 0
+    obstacles = ObstacleTracker(WALLS, RING_IN)
+    hear(obstacles, 0.3, 15.0, times=4)
+    hear(obstacles, 0.3 + 0.3, 40.0, times=10)
+    assert len(obstacles.confirmed) == 1
+    hear(obstacles, 0.3, 40.0, times=10)
+    assert len(obstacles.confirmed) == 0
 
 
 def test_it_fades_with_time_and_no_weight_is_beyond_the_most() -> None:
-    unmapped = ObstacleTracker(WALLS, RING_IN)
-    hear(unmapped, 0.3, 15.0, times=100)
-    hear(unmapped, pi, 200.0, clock_s=FADE_S * np.log(MOST) - 0.5)
-    assert len(unmapped.segments) == 1
-    hear(unmapped, pi, 200.0, clock_s=FADE_S * np.log(MOST) + 0.5)
-    assert len(unmapped.segments) == 0
-    assert SURE < MOST
+    obstacles = ObstacleTracker(WALLS, RING_IN)
+    hear(obstacles, 0.3, 15.0, times=100)
+    hear(obstacles, pi, 200.0, clock_s=DECAY_S * np.log(MAX_WEIGHT) - 0.5)
+    assert len(obstacles.confirmed) == 1
+    hear(obstacles, pi, 200.0, clock_s=DECAY_S * np.log(MAX_WEIGHT) + 0.5)
+    assert len(obstacles.confirmed) == 0
+    assert CONFIRM_WEIGHT < MAX_WEIGHT
 
 
 def test_what_is_felt_is_sure_at_once_and_not_seen_through() -> None:
-    unmapped = ObstacleTracker(WALLS, RING_IN)
-    unmapped.touch(0.0, HERE, pi / 2.0, 9.72)
-    np.testing.assert_allclose(unmapped.segments, [[25.0, 29.72, 15.0, 29.72]])
-    hear(unmapped, pi / 2.0, 72.0, times=20)
-    assert len(unmapped.segments) == 1
-    hear(unmapped, pi / 2.0, 21.0, times=2)
-    assert len(unmapped.segments) == 1
-    unmapped.forget()
-    assert len(unmapped.segments) == 0
+    obstacles = ObstacleTracker(WALLS, RING_IN)
+    obstacles.add_contact(0.0, HERE, pi / 2.0, 9.72)
+    np.testing.assert_allclose(obstacles.confirmed, [[25.0, 29.72, 15.0, 29.72]])
+    hear(obstacles, pi / 2.0, 72.0, times=20)
+    assert len(obstacles.confirmed) == 1
+    hear(obstacles, pi / 2.0, 21.0, times=2)
+    assert len(obstacles.confirmed) == 1
+    obstacles.clear()
+    assert len(obstacles.confirmed) == 0
 
 
 @pytest.mark.parametrize(("reading", "std"), [(0.0, 0.2), (5.0, 0.2), (15.0, 2.0), (70.0, 0.2)])
 def test_dead_sonars_far_readings_and_one_who_does_not_know_his_place_add_nothing(reading: float, std: float) -> None:
-    unmapped = ObstacleTracker(np.array(load_world("thesis_room").walls), RING_IN)
+    obstacles = ObstacleTracker(np.array(load_world("thesis_room").walls), RING_IN)
     for _ in range(5):
-        unmapped.hear(0.0, (0.0, 0.0), 0.7, reading, std)
-    assert len(unmapped.segments) == 0
+        obstacles.add_reading(0.0, (0.0, 0.0), 0.7, reading, std)
+    assert len(obstacles.confirmed) == 0
 
 
 def test_where_the_map_is_empty_everything_near_is_unmapped() -> None:
-    unmapped = ObstacleTracker(np.zeros((0, 4)), RING_IN)
-    near = unmapped.too_near(HERE, np.array([0.0, 1.0, 2.0]), np.array([20.0, 5.0, 255.0]), 0.1)
+    obstacles = ObstacleTracker(np.zeros((0, 4)), RING_IN)
+    near = obstacles.find_unmapped(HERE, np.array([0.0, 1.0, 2.0]), np.array([20.0, 5.0, 255.0]), 0.1)
     assert near.tolist() == [True, False, False]

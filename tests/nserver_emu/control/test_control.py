@@ -23,8 +23,8 @@ from worlds.io import parse_world
 PLAN = Plan((Rule("it", (Drop(),), commands=("gs",)),), seed=4)
 
 
-class House(FakeServer):
-    """A daemon without a socket, that remembers what it was told."""
+class RecordingServer(FakeServer):
+    """A daemon without a socket, that records its calls."""
 
     def __init__(self, pace: SimulationClock | None = None) -> None:
         self.emulator = Emulator(simulation(seed=5), clock=pace)
@@ -41,7 +41,7 @@ class House(FakeServer):
     def record_change(self, change: Mapping[str, Any]) -> None:
         self.changes.append(dict(change))
 
-    def told(self, request: object) -> dict[str, Any]:
+    def send(self, request: object) -> dict[str, Any]:
         line = request if isinstance(request, bytes) else json.dumps(request).encode()
         answer = answer_line(self, line)
         assert answer.endswith(b"\n")
@@ -49,102 +49,103 @@ class House(FakeServer):
         whole: dict[str, Any] = json.loads(answer)
         return whole
 
-    def said(self, command: str, argument: object = None) -> dict[str, Any]:
-        answer = self.told({"command": command, "argument": argument})
+    def request(self, command: str, argument: object = None) -> dict[str, Any]:
+        answer = self.send({"command": command, "argument": argument})
         assert answer["ok"], answer
-        said: dict[str, Any] = answer["said"]
-        return said
+        result: dict[str, Any] = answer["said"]
+        return result
 
 
 def test_a_look_at_everything() -> None:
-    house = House()
-    robot = house.emulator.simulation.robots[1]
+    server = RecordingServer()
+    robot = server.emulator.simulation.robots[1]
     robot.set_velocities(10.0, 0.0, 0.0)
-    house.step(1.0)
-    said = house.said("status")
-    assert (said["world"], said["seed"], said["time_s"], said["speed"], said["paused"]) == (
+    server.step(1.0)
+    result = server.request("status")
+    assert (result["world"], result["seed"], result["time_s"], result["speed"], result["paused"]) == (
         "thesis_room", 5, 1.0, 1.0, False,
     )  # fmt: skip
-    (told,) = said["robots"]
-    assert (told["number"], told["model"], told["moving"], told["bumpers"]) == (1, "n150", True, 0)
-    assert (told["x_in"], told["y_in"]) == pytest.approx((robot.actual.x_in, robot.actual.y_in), abs=1e-3)
-    assert told["x_in"] > ORIGIN.x_in
-    assert told["steering_deg"] == pytest.approx(math.degrees(robot.actual.steering_rad), abs=0.01)
-    assert said["lines"] == {"nserver": "127.0.0.1:7019", "serial:1": "/tmp/robot"}
-    assert said["connections"][0]["name"] == "127.0.0.1:1"
-    assert said["faults"] == {"rules": 0, "struck": {}}
+    (status,) = result["robots"]
+    assert (status["number"], status["model"], status["moving"], status["bumpers"]) == (1, "n150", True, 0)
+    assert (status["x_in"], status["y_in"]) == pytest.approx((robot.actual.x_in, robot.actual.y_in), abs=1e-3)
+    assert status["x_in"] > ORIGIN.x_in
+    assert status["steering_deg"] == pytest.approx(math.degrees(robot.actual.steering_rad), abs=0.01)
+    assert result["lines"] == {"nserver": "127.0.0.1:7019", "serial:1": "/tmp/robot"}
+    assert result["connections"][0]["name"] == "127.0.0.1:1"
+    assert result["faults"] == {"rules": 0, "struck": {}}
 
 
 def test_time_is_the_owners() -> None:
-    house = House()
-    assert house.said("pause") == {"time_s": 0.0, "speed": 1.0, "paused": True, "lockstep_s": None}
-    assert house.said("step", "0.5")["time_s"] == 0.5
-    assert house.said("step", 0.25)["time_s"] == 0.75
-    assert house.said("resume")["paused"] is False
-    assert house.said("speed", "10")["speed"] == 10.0
-    assert house.said("speed", "max")["speed"] == "max"
-    assert house.paces == [(1.0, True)] * 3 + [(1.0, False), (10.0, False), (None, False)]
+    server = RecordingServer()
+    assert server.request("pause") == {"time_s": 0.0, "speed": 1.0, "paused": True, "lockstep_s": None}
+    assert server.request("step", "0.5")["time_s"] == 0.5
+    assert server.request("step", 0.25)["time_s"] == 0.75
+    assert server.request("resume")["paused"] is False
+    assert server.request("speed", "10")["speed"] == 10.0
+    assert server.request("speed", "max")["speed"] == "max"
+    assert server.paces == [(1.0, True)] * 3 + [(1.0, False), (10.0, False), (None, False)]
 
 
 def test_in_lockstep_there_is_no_speed() -> None:
-    house = House(SimulationClock(lockstep_s=0.1))
-    answer = house.told({"command": "speed", "argument": "2"})
+    server = RecordingServer(SimulationClock(lockstep_s=0.1))
+    answer = server.send({"command": "speed", "argument": "2"})
     assert (answer["ok"], "start nserver without --lockstep" in answer["error"]) == (False, True)
-    assert house.said("pause")["lockstep_s"] == 0.1
+    assert server.request("pause")["lockstep_s"] == 0.1
 
 
 def test_a_plan_comes_into_force_counts_and_goes() -> None:
-    house = House()
-    assert house.said("faults set", {"text": plan_text(PLAN), "file": "p.toml"}) == {"rules": 1}
-    assert house.faults.plan == PLAN
-    assert house.said("faults show") == {"plan": plan_text(PLAN)}
-    house.faults.injector("serial:1").process_frame(b"x", "gs", Direction.REPLY, 0.0)
+    server = RecordingServer()
+    assert server.request("faults set", {"text": plan_text(PLAN), "file": "p.toml"}) == {"rules": 1}
+    assert server.faults.plan == PLAN
+    assert server.request("faults show") == {"plan": plan_text(PLAN)}
+    server.faults.injector("serial:1").process_frame(b"x", "gs", Direction.REPLY, 0.0)
     counts = {"nserver": {"it": {"seen": 0, "drop": 0}}, "serial:1": {"it": {"seen": 1, "drop": 1}}}
-    assert house.said("faults counts") == {"counts": counts}
-    assert house.said("status")["faults"] == {"rules": 1, "struck": {"drop": 1}}
-    assert house.said("faults reset") == {"counts": counts}
-    assert house.said("status")["faults"] == {"rules": 1, "struck": {}}
-    house.faults.injector("serial:1").process_frame(b"x", "gs", Direction.REPLY, 0.0)
-    assert house.said("faults clear") == {"counts": counts}
-    assert house.said("faults counts") == {"counts": {}}
+    assert server.request("faults counts") == {"counts": counts}
+    assert server.request("status")["faults"] == {"rules": 1, "struck": {"drop": 1}}
+    assert server.request("faults reset") == {"counts": counts}
+    assert server.request("status")["faults"] == {"rules": 1, "struck": {}}
+    server.faults.injector("serial:1").process_frame(b"x", "gs", Direction.REPLY, 0.0)
+    assert server.request("faults clear") == {"counts": counts}
+    assert server.request("faults counts") == {"counts": {}}
 
 
-def test_noise_is_switched_told_and_noted() -> None:
-    house = House()
-    assert house.said("noise", "sensors=measured") == {"noise": {"1": {"sensors": "measured", "motion": "ideal"}}}
-    assert house.said("noise", {"motion": "noisy", "robot": 1})["noise"]["1"]["motion"] == "noisy"
-    assert house.said("status")["robots"][0]["noise"] == {"sensors": "measured", "motion": "noisy"}
+def test_noise_is_changed_returned_and_recorded() -> None:
+    server = RecordingServer()
+    assert server.request("noise", "sensors=measured") == {"noise": {"1": {"sensors": "measured", "motion": "ideal"}}}
+    assert server.request("noise", {"motion": "noisy", "robot": 1})["noise"]["1"]["motion"] == "noisy"
+    assert server.request("status")["robots"][0]["noise"] == {"sensors": "measured", "motion": "noisy"}
     for wrong in (7, "loud", {"sensors": "loud"}):
-        assert "noise: " in house.told({"command": "noise", "argument": wrong})["error"]
-    assert house.changes == [{"noise": {"sensors": "measured"}}, {"noise": {"motion": "noisy", "robot": 1}}]
+        assert "noise: " in server.send({"command": "noise", "argument": wrong})["error"]
+    assert server.changes == [{"noise": {"sensors": "measured"}}, {"noise": {"motion": "noisy", "robot": 1}}]
 
 
 def test_the_world_is_shown_and_another_put_in_its_place() -> None:
-    house = House()
-    text = house.said("world show")["text"]
+    server = RecordingServer()
+    text = server.request("world show")["text"]
     assert parse_world(text, "", "").name == "thesis_room"
     changed = {"text": text.replace("thesis_room", "mine"), "file": "x.toml"}
-    assert house.said("world set", changed) == {"world": "mine"}
-    assert house.said("status")["world"] == "mine"
+    assert server.request("world set", changed) == {"world": "mine"}
+    assert server.request("status")["world"] == "mine"
     for wrong in ("name", {"file": "x"}, {"text": text, "file": 3}):
-        assert "world set: the text of a world file" in house.told({"command": "world set", "argument": wrong})["error"]
+        error = server.send({"command": "world set", "argument": wrong})["error"]
+        assert "world set: the text of a world file" in error
     broken = {"command": "world set", "argument": {"text": "]", "file": "x.toml"}}
-    assert "x.toml: is no TOML" in house.told(broken)["error"]
-    assert house.changes == [{"shown": True}, {"world": changed}]
+    assert "x.toml: is no TOML" in server.send(broken)["error"]
+    assert server.changes == [{"shown": True}, {"world": changed}]
 
 
 def test_the_simulation_is_saved(tmp_path: Path) -> None:
-    house = House()
-    house.step(2.0)
+    server = RecordingServer()
+    server.step(2.0)
     path = tmp_path / "now.json"
-    assert house.said("save", str(path)) == {"saved": str(path)}
+    assert server.request("save", str(path)) == {"saved": str(path)}
     again = Emulator(simulation())
     snapshot.restore(again, path)
     assert again.simulation.time_s == 2.0
 
 
-def test_the_commands_tell_of_themselves() -> None:
-    commands = House().said("help")["commands"]
+def test_help_lists_every_command() -> None:
+    commands = RecordingServer().request("help")["commands"]
     assert list(commands) == list(BY_NAME)
     assert commands["speed"][0] == "X"
 
@@ -176,43 +177,43 @@ def test_the_commands_tell_of_themselves() -> None:
         ({"command": "faults set", "argument": {"text": "[[rule]]\ndo='nak'\nline='serial:2'"}}, "no serial:2"),
     ],
 )
-def test_what_is_asked_wrongly_changes_nothing_and_says_what_is_right(request_: object, words: str) -> None:
-    house = House()
-    before = house.said("status")
-    answer = house.told(request_)
+def test_an_invalid_request_changes_nothing(request_: object, words: str) -> None:
+    server = RecordingServer()
+    before = server.request("status")
+    answer = server.send(request_)
     assert answer["ok"] is False
     for part in words.split(".*"):
         assert part in answer["error"]
-    assert house.said("status") == before
+    assert server.request("status") == before
 
 
 def test_robots_are_stopped_for_good_and_released() -> None:
-    house = House()
-    house.emulator.simulation.robots[1].set_velocities(10.0, 0.0, 0.0)
-    assert house.said("stop") == {"held": {"1": {"by": "nserver ctl", "ignored": 0}}}
-    assert house.emulator.simulation.robots[1].is_still((0, 1, 2))
-    assert house.said("status")["robots"][0]["held"] == {"by": "nserver ctl", "ignored": 0}
-    assert house.said("release", "1") == {"held": {}}
-    assert house.said("stop", 1)["held"]
-    assert house.said("release")["held"] == {}
-    assert house.said("status")["robots"][0]["held"] is None
+    server = RecordingServer()
+    server.emulator.simulation.robots[1].set_velocities(10.0, 0.0, 0.0)
+    assert server.request("stop") == {"held": {"1": {"by": "nserver ctl", "ignored": 0}}}
+    assert server.emulator.simulation.robots[1].is_still((0, 1, 2))
+    assert server.request("status")["robots"][0]["held"] == {"by": "nserver ctl", "ignored": 0}
+    assert server.request("release", "1") == {"held": {}}
+    assert server.request("stop", 1)["held"]
+    assert server.request("release")["held"] == {}
+    assert server.request("status")["robots"][0]["held"] is None
     for wrong in ("7", "all", 1.0, [1]):
-        error = house.told({"command": "stop", "argument": wrong})["error"]
+        error = server.send({"command": "stop", "argument": wrong})["error"]
         assert error == f"stop: no robot {wrong}; there are 1"
-    assert house.said("status")["robots"][0]["held"] is None
+    assert server.request("status")["robots"][0]["held"] is None
 
 
 def test_an_obstacle_is_moved_by_its_corners() -> None:
-    house = House()
-    house.emulator.simulation.change_world(parse_world(WITH_OBSTACLE, "w", "w"))
+    server = RecordingServer()
+    server.emulator.simulation.change_world(parse_world(WITH_OBSTACLE, "w", "w"))
     wanted = {"corners": [[60, 60], [70, 60], [70, 70]], "by": [1, 2]}
-    assert house.said("obstacle", wanted)["is"] == [[61, 62], [71, 62], [71, 72]]
-    assert house.emulator.simulation.world.obstacles[0].corners_in[0] == (61.0, 62.0)
-    assert house.said("obstacle", '{"corners": [[61, 62], [71, 62], [71, 72]]}')["obstacles"] == 0
-    assert len(house.changes) == 2
+    assert server.request("obstacle", wanted)["is"] == [[61, 62], [71, 62], [71, 72]]
+    assert server.emulator.simulation.world.obstacles[0].corners_in[0] == (61.0, 62.0)
+    assert server.request("obstacle", '{"corners": [[61, 62], [71, 62], [71, 72]]}')["obstacles"] == 0
+    assert len(server.changes) == 2
     for wrong in (3, "{", [1]):
-        assert "obstacle: such as" in house.told({"command": "obstacle", "argument": wrong})["error"]
-    assert len(house.changes) == 2
+        assert "obstacle: such as" in server.send({"command": "obstacle", "argument": wrong})["error"]
+    assert len(server.changes) == 2
 
 
 WITH_OBSTACLE = """

@@ -1,4 +1,4 @@
-"""`nserver ctl`: what it sends, what it shows, and what it says where nobody answers or something is wrong."""
+"""`nserver ctl`: requests, output, and errors without a server."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("c") / "s"
 
 
-def run(path: Path, *words: str, said: object = None, error: str = "") -> tuple[int, dict[str, Any]]:
-    answer = {"ok": False, "error": error} if error else {"ok": True, "said": said or {}}
+def run(path: Path, *words: str, result: object = None, error: str = "") -> tuple[int, dict[str, Any]]:
+    answer = {"ok": False, "error": error} if error else {"ok": True, "said": result or {}}
     with answering(path, json.dumps(answer).encode() + b"\n") as asked:
         code = cli.main(["ctl", "--control", str(path), *words])
     (request,) = asked
@@ -72,7 +72,7 @@ def test_words_become_a_request(path: Path, words: list[str], sent: dict[str, An
 def test_files_are_read_here_and_named_whole(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     Path("p.toml").write_text("seed = 3")
-    code, request = run(path, "faults", "set", "p.toml", said={"rules": 0})
+    code, request = run(path, "faults", "set", "p.toml", result={"rules": 0})
     assert (code, request["argument"]) == (0, {"file": "p.toml", "text": "seed = 3"})
     Path("w.toml").write_text("# a world")
     world = run(path.with_name("w"), "world", "set", "w.toml")[1]
@@ -95,7 +95,7 @@ def test_a_path_is_one_that_the_daemon_takes_as_well(words: list[str], capsys: p
     assert f"{wanted}; the world goes before --control" in capsys.readouterr().err
 
 
-def test_a_file_that_is_not_there_is_told_without_asking(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_missing_file_is_an_error_without_a_server(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["ctl", "--control", "/nowhere", "faults", "set", str(tmp_path / "x.toml")]) == 1
     assert "x.toml: cannot be read" in capsys.readouterr().err
     assert cli.main(["ctl", "--control", "/nowhere", "world", "set", str(tmp_path / "w.toml")]) == 1
@@ -122,7 +122,7 @@ STATUS = {
 
 
 def test_everything_at_a_glance(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    run(path, "status", said=STATUS)
+    run(path, "status", result=STATUS)
     assert capsys.readouterr().out.splitlines() == [
         "nserver 0.1.0, thesis_room, seed 1",
         "time 12.500 s, 2 x real time",
@@ -135,12 +135,12 @@ def test_everything_at_a_glance(path: Path, capsys: pytest.CaptureFixture[str]) 
         "client 127.0.0.1:6: no robot yet, 0 refused",
         "faults: 2 rules, so far drop 3",
     ]
-    run(path.with_name("t"), "--json", "status", said=STATUS)
+    run(path.with_name("t"), "--json", "status", result=STATUS)
     assert json.loads(capsys.readouterr().out) == STATUS
 
 
 @pytest.mark.parametrize(
-    ("said", "shown"),
+    ("result", "shown"),
     [
         ({"plan": "seed = 3\n"}, "seed = 3"),
         ({"counts": {}}, "no faults"),
@@ -155,30 +155,30 @@ def test_everything_at_a_glance(path: Path, capsys: pytest.CaptureFixture[str]) 
         ({"noise": {"2": {"sensors": "ideal", "motion": "worn"}}}, "robot 2: sensors ideal, motion worn"),
     ],
 )
-def test_answers_are_shown_for_people(said: dict[str, Any], shown: str) -> None:
-    assert "\n".join(ctl_answers.format_result(said)) == shown
+def test_answers_are_shown_for_people(result: dict[str, Any], shown: str) -> None:
+    assert "\n".join(ctl_answers.format_result(result)) == shown
 
 
-def test_a_refusal_is_told_with_exit_code_1(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_refusal_exits_with_1(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(path, "pause", error="it cannot be")[0] == 1
     assert capsys.readouterr().err == "nserver ctl: it cannot be\n"
 
 
-def test_where_nobody_answers_the_remedy_is_told(
+def test_without_a_server_the_remedy_is_printed(
     path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(path.parent))
     assert cli.main(["ctl", "status"]) == 1
-    told = capsys.readouterr().err
-    assert f"no nserver answers at {default_path({'XDG_RUNTIME_DIR': str(path.parent)})} (No such file" in told
-    assert "start it with nserver --control" in told
+    output = capsys.readouterr().err
+    assert f"no nserver answers at {default_path({'XDG_RUNTIME_DIR': str(path.parent)})} (No such file" in output
+    assert "start it with nserver --control" in output
     with answering(path, b""):
         assert cli.main(["ctl", "--control", str(path), "status"]) == 1
     assert "closed the connection" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("command", "patience"), [("stop", "URGENT_TIMEOUT_S"), ("counts", "TIMEOUT_S")])
-def test_a_daemon_that_hangs_is_told_from_one_that_is_not_there(
+def test_a_hanging_server_is_reported(
     command: str, patience: str, path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(ctl, patience, 0.05)
@@ -190,7 +190,7 @@ def test_a_daemon_that_hangs_is_told_from_one_that_is_not_there(
     assert f"the nserver at {path} did not answer in 0.05 s: it hangs" in capsys.readouterr().err
 
 
-def test_what_answers_and_is_no_daemon_is_told(
+def test_a_peer_that_is_no_server_is_reported(
     path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with answering(path, b'{"ok": true}\n'):
@@ -203,7 +203,7 @@ def test_what_answers_and_is_no_daemon_is_told(
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "output"),
     [
         ([], "the following arguments are required: COMMAND"),
         (["fly"], "no command 'fly'; there are status, faults show"),
@@ -213,11 +213,11 @@ def test_what_answers_and_is_no_daemon_is_told(
         (["pause", "now"], "pause takes no argument, not now"),
     ],
 )
-def test_wrong_usage_exits_2(words: list[str], told: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_usage_exits_2(words: list[str], output: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stop:
         cli.main(["ctl", *words])
     assert stop.value.code == 2
-    assert told in capsys.readouterr().err
+    assert output in capsys.readouterr().err
 
 
 def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:

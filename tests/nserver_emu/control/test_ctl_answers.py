@@ -15,12 +15,12 @@ from nserver_emu.control.cli import NO_ANSWER, format_result, parse_response
         b'{"ok": true}\n', b'{"ok": true, "said": 3}\n', b"1" * 5000 + b"\n",
     ],
 )  # fmt: skip
-def test_what_is_no_answer_is_told(answer: bytes) -> None:
+def test_an_invalid_response_is_an_error(answer: bytes) -> None:
     with pytest.raises(ControlError, match=NO_ANSWER):
         parse_response(answer)
 
 
-def test_a_refusal_says_why_or_that_it_does_not() -> None:
+def test_a_refusal_has_its_reason_or_none() -> None:
     with pytest.raises(ControlError, match="it cannot be"):
         parse_response(b'{"ok": false, "error": "it cannot be"}')
     for wordless in (b"", b" ", rb"\n\t"):
@@ -31,12 +31,12 @@ def test_a_refusal_says_why_or_that_it_does_not() -> None:
 
 
 @pytest.mark.parametrize(
-    "said", ['{"plan": 3}', '{"robots": [{}]}', '{"held": [1]}', '{"counts": {"a": 1}}', '{"noise": "x"}',
+    "result", ['{"plan": 3}', '{"robots": [{}]}', '{"held": [1]}', '{"counts": {"a": 1}}', '{"noise": "x"}',
              '{"time_s": 1' + 400 * "0" + ', "paused": true}'],
 )  # fmt: skip
-def test_what_another_version_says_is_told_and_json_shows_it(said: str) -> None:
+def test_an_unknown_result_names_the_json_option(result: str) -> None:
     with pytest.raises(ControlError, match="--json"):
-        format_result(parse_response(b'{"ok": true, "said": %s}' % said.encode()))
+        format_result(parse_response(b'{"ok": true, "said": %s}' % result.encode()))
 
 
 def test_half_a_surrogate_is_shown_as_it_was_spelt() -> None:

@@ -31,7 +31,7 @@ async def until(there: Callable[[], bool]) -> None:
             await asyncio.sleep(0.005)
 
 
-def test_now_and_then_while_it_lasts(tmp_path: Path) -> None:
+def test_saves_at_intervals_while_open(tmp_path: Path) -> None:
     emulator, path = Emulator(simulation()), tmp_path / "saved.json"
 
     async def scenario() -> None:
@@ -47,7 +47,7 @@ def test_now_and_then_while_it_lasts(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_older_state_that_was_long_on_its_way_takes_no_newer_ones_place(
+def test_a_slow_older_save_does_not_replace_a_newer_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     emulator, path = Emulator(simulation()), tmp_path / "saved.json"
@@ -72,7 +72,7 @@ def test_an_older_state_that_was_long_on_its_way_takes_no_newer_ones_place(
     assert saved_s(path) == 2.0
 
 
-def test_what_cannot_be_saved_is_told_once_and_again_when_it_can(
+def test_a_failing_save_is_logged_once_and_its_recovery(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     path = tmp_path / "folder" / "saved.json"
@@ -95,18 +95,18 @@ def test_what_cannot_be_saved_is_told_once_and_again_when_it_can(
     assert json.loads(path.read_text())["format"] == snapshot.FORMAT
 
 
-@pytest.mark.parametrize(("words", "told"), [
+@pytest.mark.parametrize(("words", "message"), [
     (["--autosave", "60"], "--autosave needs a file: add --save FILE"),
     (["--save", "x", "--autosave", "0.5"], "seconds from 1 to 86400, not '0.5'"),
     (["--save", "x", "--autosave", "nan"], "not 'nan'"),
     (["--save", "x", "--autosave", "often"], "not 'often'"),
 ])
-def test_wrong_usage(words: list[str], told: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_usage(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
     parser = Parser(prog="nserver")
     autosave.add_options(parser)
     with pytest.raises(SystemExit, match="2"):
         autosave.check_options(parser, parser.parse_args(words))
-    assert told in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
 def test_right_usage() -> None:

@@ -70,7 +70,7 @@ async def three_at_once(server: RunningServer) -> None:
     await asyncio.gather(*[talk_of(server, robot_id, 25) for robot_id in (1, 2, 3)])
 
 
-def test_a_lockstep_daemon_says_every_byte_again(tmp_path: Path) -> None:
+def test_a_lockstep_recording_replays_byte_by_byte(tmp_path: Path) -> None:
     async def scenario(server: RunningServer) -> None:
         await converse(await server.connect_client(), 0, 120)
 
@@ -96,7 +96,7 @@ def test_three_noisy_robots_and_as_many_clients(tmp_path: Path, pace: Simulation
     assert len(recording.connections()) == 3
 
 
-def test_who_vanishes_pipelines_or_goes_on_without_connecting(tmp_path: Path) -> None:
+def test_replay_of_vanishing_pipelining_and_unconnected_clients(tmp_path: Path) -> None:
     """One motion stops as its client vanishes, another's many requests wait their turn, a third knows the robot."""
 
     async def scenario(server: RunningServer) -> None:
@@ -123,7 +123,7 @@ def test_who_vanishes_pipelines_or_goes_on_without_connecting(tmp_path: Path) ->
         assert outcome.difference == ""
 
 
-def test_what_the_owner_did_meanwhile_is_done_again_and_faults_are_not(tmp_path: Path) -> None:
+def test_replay_repeats_control_commands_but_no_faults(tmp_path: Path) -> None:
     async def scenario(server: RunningServer) -> None:
         client, shown = await server.connect_client(), []
         await client.ask("vm", 100, 0, 0)
@@ -144,7 +144,7 @@ def test_what_the_owner_did_meanwhile_is_done_again_and_faults_are_not(tmp_path:
     assert (replay(recording).answers, replay(recording).difference) == (8, "")
 
 
-def test_noise_and_world_are_changed_again_where_they_were(tmp_path: Path) -> None:
+def test_replay_repeats_changes_of_noise_and_world(tmp_path: Path) -> None:
     async def scenario(server: RunningServer) -> None:
         client = await server.connect_client()
         other = format_world(load_world("several_walls"))
@@ -165,26 +165,26 @@ def test_noise_and_world_are_changed_again_where_they_were(tmp_path: Path) -> No
     assert replay(tape).difference
 
 
-def test_worlds_shown_and_put_back_and_obstacles_moved_are_so_again(tmp_path: Path) -> None:
+def test_replay_repeats_changes_of_obstacles_and_worlds(tmp_path: Path) -> None:
     async def scenario(server: RunningServer) -> None:
-        def told(command: str, argument: object = None) -> dict[str, Any]:
+        def control(command: str, argument: object = None) -> dict[str, Any]:
             line = json.dumps({"command": command, "argument": argument}).encode()
             answer = json.loads(answer_line(server.daemon, line))
             assert answer["ok"]
-            said: dict[str, Any] = answer["said"]
-            return said
+            reply: dict[str, Any] = answer["said"]
+            return reply
 
         client = await server.connect_client()
         await client.ask("add_obstacle", 3, 200, -100, 260, -100, 260, 100)
-        told("obstacle", {"corners": [[20, -10], [26, -10], [26, 10]], "by": [-2.345, 0]})
+        control("obstacle", {"corners": [[20, -10], [26, -10], [26, 10]], "by": [-2.345, 0]})
         server.daemon.step(1.5)
         await client.ask("gs")
-        before = told("world show")["text"]
+        before = control("world show")["text"]
         await client.ask("new_world")
-        told("world set", {"text": before, "file": "before"})
+        control("world set", {"text": before, "file": "before"})
         server.daemon.step(1.5)
         await client.ask("gs")
-        told("obstacle", {"corners": [[17.655, -10], [23.655, -10], [23.655, 10]]})
+        control("obstacle", {"corners": [[17.655, -10], [23.655, -10], [23.655, 10]]})
         server.daemon.step(1.5)
         await client.ask("gs")
 
@@ -194,7 +194,7 @@ def test_worlds_shown_and_put_back_and_obstacles_moved_are_so_again(tmp_path: Pa
     assert replay(tape).difference
 
 
-def test_a_hold_holds_again_where_it_did(tmp_path: Path) -> None:
+def test_replay_repeats_emergency_stops(tmp_path: Path) -> None:
     async def scenario(server: RunningServer) -> None:
         client = await server.connect_client()
         await client.ask("vm", 100, 0, 0)
@@ -213,7 +213,7 @@ def test_a_hold_holds_again_where_it_did(tmp_path: Path) -> None:
     assert replay(tape).difference
 
 
-def test_a_run_that_went_on_from_a_snapshot(tmp_path: Path) -> None:
+def test_replay_of_a_run_that_continued_a_snapshot(tmp_path: Path) -> None:
     emulator = LOCKSTEP.create_emulator()
     emulator.simulation.robots[1].set_velocities(10.0, 0.1, 0.0)
     emulator.simulation.step(1.0)
@@ -231,7 +231,7 @@ def test_a_run_that_went_on_from_a_snapshot(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("field", ["world", "setup", "model_file"])
-def test_a_file_that_has_changed_since_is_named(field: str, tmp_path: Path) -> None:
+def test_a_changed_file_is_named(field: str, tmp_path: Path) -> None:
     """Else the first other byte would be blamed."""
     mine = tmp_path / "mine.toml"
     room = SHIPPED.joinpath("thesis_room.toml").read_text()
@@ -250,7 +250,7 @@ def test_a_file_that_has_changed_since_is_named(field: str, tmp_path: Path) -> N
         replay(recording)
 
 
-def test_another_seed_says_other_bytes_and_the_place_is_named(tmp_path: Path) -> None:
+def test_a_difference_is_reported_with_its_position(tmp_path: Path) -> None:
     async def scenario(server: RunningServer) -> None:
         await converse(await server.connect_client(), 0, 60)
 
@@ -263,7 +263,7 @@ def test_another_seed_says_other_bytes_and_the_place_is_named(tmp_path: Path) ->
     assert " instead of " in outcome.difference
 
 
-def test_what_is_missing_in_the_end_is_a_difference_too(tmp_path: Path) -> None:
+def test_missing_bytes_at_the_end_are_a_difference(tmp_path: Path) -> None:
     async def scenario(server: RunningServer) -> None:
         await server.connect_client()
 
@@ -276,7 +276,7 @@ def test_what_is_missing_in_the_end_is_a_difference_too(tmp_path: Path) -> None:
     assert "from byte 8 on nothing instead of 07 (8 and 9 bytes)" in replay(changed).difference
 
 
-def test_a_clients_recording_of_the_emulator_in_its_process(tmp_path: Path) -> None:
+def test_a_client_recording_of_an_in_process_emulator(tmp_path: Path) -> None:
     address = "sim:thesis_room?noisy=1&seed=4"
     whole = []
     for _ in range(2):
@@ -293,7 +293,7 @@ def test_a_clients_recording_of_the_emulator_in_its_process(tmp_path: Path) -> N
     assert (outcome.answers, outcome.difference) == (51, "")
 
 
-def test_recordings_that_cannot_be_asked_again(tmp_path: Path) -> None:
+def test_recordings_that_cannot_be_replayed(tmp_path: Path) -> None:
     path = tmp_path / "run.log"
     RecordingWriter(path, {"address": "serial:///dev/ttyUSB0"}).close()
     with pytest.raises(RecordingError, match=r"serial:///dev/ttyUSB0.*nomad play"):
@@ -313,7 +313,7 @@ def test_recordings_that_cannot_be_asked_again(tmp_path: Path) -> None:
         replay(read_recording(path))
 
 
-@pytest.mark.parametrize(("changes", "told"), [
+@pytest.mark.parametrize(("changes", "message"), [
     ({"steps": 3}, "line 2: not an entry of a server"), ({"steps": [["x", 1]]}, "line 2: not an entry"),
     ({"steps": [[float("nan"), 1]]}, "line 2: nothing that"), ({"steps": [[10**400, 1]]}, "line 2: nothing that"),
     ({"steps": [[250.1, 1]]}, "line 2: nothing that"), ({"steps": [[1e300, 1]]}, r"a step of 1e\+300 s"),
@@ -323,29 +323,29 @@ def test_recordings_that_cannot_be_asked_again(tmp_path: Path) -> None:
     ({"hold": {"robots": [1]}}, r"line 2: not an entry of a server \(KeyError\('by'\)\)"),
     ({"hold": {"robots": [9], "by": "a"}}, "line 2: not an entry of a server"),
 ])  # fmt: skip
-def test_entries_that_no_daemon_writes_are_named(tmp_path: Path, changes: dict[str, Any], told: str) -> None:
+def test_invalid_entries_are_named(tmp_path: Path, changes: dict[str, Any], message: str) -> None:
     path = tmp_path / "run.log"
     writer = RecordingWriter(path, LOCKSTEP.to_json("", port=1, requests_a_turn=20))
     writer.write(Entry(0.0, "time", more=changes))
     writer.close()
-    with pytest.raises(RecordingError, match=told):
+    with pytest.raises(RecordingError, match=message):
         replay(read_recording(path))
 
 
 @pytest.mark.parametrize("missing", ["wire", "model"])
-def test_a_connection_that_is_opened_without_what_it_takes_is_told_by_that(tmp_path: Path, missing: str) -> None:
+def test_opening_entries_with_missing_values_are_named(tmp_path: Path, missing: str) -> None:
     path = tmp_path / "run.log"
     writer = RecordingWriter(path, LOCKSTEP.to_json("", port=1, requests_a_turn=20))
-    told = {"wire": "tcp", "model": "n150"}
-    del told[missing]
-    writer.write(Entry(0.0, "open", "a", more=told))
+    fields = {"wire": "tcp", "model": "n150"}
+    del fields[missing]
+    writer.write(Entry(0.0, "open", "a", more=fields))
     writer.close()
     with pytest.raises(RecordingError, match=rf"line 2: not an entry of a server \(KeyError\('{missing}'\)\)"):
         replay(read_recording(path))
 
 
 @pytest.mark.parametrize("kind", ["out", "in", "close"])
-def test_a_connection_that_has_gone_is_told(tmp_path: Path, kind: str) -> None:
+def test_entries_of_closed_connections_are_refused(tmp_path: Path, kind: str) -> None:
     path = tmp_path / "run.log"
     writer = RecordingWriter(path, LOCKSTEP.to_json("", port=1, requests_a_turn=20))
     for each in ("open", "close", kind):
@@ -355,7 +355,7 @@ def test_a_connection_that_has_gone_is_told(tmp_path: Path, kind: str) -> None:
         replay(read_recording(path))
 
 
-def test_a_step_is_no_longer_than_a_daemon_at_its_fastest_makes_up_for() -> None:
+def test_the_step_limit_covers_all_steps_of_a_server() -> None:
     assert MAX_STEP_S >= MAX_TIME_FACTOR * MAX_CATCH_UP_S
     assert MAX_STEP_S >= MAX_STEP_MS / 1000
 
@@ -365,7 +365,7 @@ def test_a_step_is_no_longer_than_a_daemon_at_its_fastest_makes_up_for() -> None
     ("setting", {"seed": "x"}), ("setting", {"world": 3}), ("setting", {"robot": None}),
     ("setting", {"start": {"x_in": 1}}),
 ])  # fmt: skip
-def test_a_beginning_that_no_daemon_had_is_told(tmp_path: Path, part: str, wrong: dict[str, Any]) -> None:
+def test_invalid_headers_are_refused(tmp_path: Path, part: str, wrong: dict[str, Any]) -> None:
     head = LOCKSTEP.to_json("", port=1, requests_a_turn=20)
     path = tmp_path / "run.log"
     RecordingWriter(path, head | {part: head[part] | wrong}).close()
@@ -373,7 +373,7 @@ def test_a_beginning_that_no_daemon_had_is_told(tmp_path: Path, part: str, wrong
         replay(read_recording(path))
 
 
-def test_a_beginning_comes_back_whole(tmp_path: Path) -> None:
+def test_a_header_survives_a_round_trip(tmp_path: Path) -> None:
     saved, models = tmp_path / "saved.json", tmp_path / "models.toml"
     saved.write_text("all of it")
     models.touch()

@@ -1,4 +1,4 @@
-"""What hosts on robots' own lines were told is told again, byte by byte: half frames, giving up, several at once."""
+"""Replay of serial lines, byte by byte: partial frames, hosts that give up, several at once."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ TWO = SimulationConfig(
 
 
 class Host:
-    """Somebody at a robot's own line over TCP."""
+    """A host on a robot's serial line over TCP."""
 
     def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, model: Model) -> None:
         self.reader, self.writer, self.wire_state = reader, writer, serial_wire_state(model)
@@ -61,13 +61,13 @@ class RunningServer:
 
     def __init__(self, daemon: Daemon) -> None:
         self.daemon = daemon
-        self.guests = contextlib.AsyncExitStack()
+        self.hosts = contextlib.AsyncExitStack()
 
     async def host(self, robot_id: int) -> Host:
         daemon, own = self.daemon, robot_line(self.daemon, robot_id)
         port = await daemon.open_listener(lambda: RobotdConnection(daemon, own), "127.0.0.1", 0, "--robotd")
         reader, writer = await asyncio.open_connection("127.0.0.1", port)
-        self.guests.callback(writer.close)
+        self.hosts.callback(writer.close)
         host = Host(reader, writer, own.model)
         if own.model.sends_mask:
             apply_handshake(read_handshake(await reader.readexactly(HANDSHAKE_SIZE)), host.wire_state)
@@ -83,7 +83,7 @@ def recorded(path: Path, pace: SimulationClock, scenario: Callable[[RunningServe
         port = await daemon.listen("127.0.0.1", 0)
         daemon.record(path, run_header.to_json("2026-01-01T00:00:00", port=port, requests_a_turn=20))
         server = RunningServer(daemon)
-        async with serving(daemon), server.guests:
+        async with serving(daemon), server.hosts:
             await scenario(server)
 
     asyncio.run(evening())
@@ -118,7 +118,7 @@ def test_two_robots_on_their_lines_at_once(tmp_path: Path) -> None:
         check(recording, 2 * 14 + 1)
 
 
-def test_half_frames_stray_bytes_and_a_host_that_does_not_wait(tmp_path: Path) -> None:
+def test_partial_frames_stray_bytes_and_impatient_hosts(tmp_path: Path) -> None:
     async def scenario(server: RunningServer) -> None:
         host = await server.host(1)
         await host.ask("vm", 50, 0, 0)

@@ -27,7 +27,7 @@ class LineHost:
 
     def __init__(self, exchange: Callable[[bytes], bytes], model: Model) -> None:
         self.wire_state = serial_wire_state(model)
-        """What the host knows: as at power-on, until it is told otherwise."""
+        """The settings of the host: as at power-on until changed."""
         self._exchange = exchange
         self._framer = SerialFramer()
 

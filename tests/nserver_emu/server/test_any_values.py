@@ -1,4 +1,4 @@
-"""Any values of any command: an answer that can be sent, and a robot that still answers; never a fault of ours."""
+"""Any values of any command: an answer that can be sent, and a robot that still answers, never an internal error."""
 
 from __future__ import annotations
 
@@ -98,6 +98,6 @@ def test_clocks_go_round_after_their_longest_time(days: int) -> None:
     assert 0 <= clock_ms(86400.0 * days) < 2**32
 
 
-def test_a_request_that_cannot_be_built_is_no_fault_of_the_servers() -> None:
+def test_an_invalid_request_is_no_server_error() -> None:
     with pytest.raises(WireError):
         codec.encode_tcp_request(Call("vm", (2**31, 0, 0)))

@@ -8,7 +8,7 @@ from nserver_emu.simulation.arm import GRIP_TRAVEL_IN, LIFT_TRAVEL_IN, Arm
 from nserver_emu.simulation.axis import Command
 
 
-def test_a_lift_goes_its_way_in_the_time_of_a_trapezoid() -> None:
+def test_a_lift_moves_in_the_time_of_a_trapezoid() -> None:
     arm = Arm()
     arm.lift.command(Command.RELATIVE, 20.0)
     seconds = 20.0 / 5.0 + 5.0 / 10.0
@@ -20,10 +20,10 @@ def test_a_lift_goes_its_way_in_the_time_of_a_trapezoid() -> None:
     assert arm.lift.position_in == pytest.approx(20.0)
 
 
-@pytest.mark.parametrize(("way_in", "end_in"), [(999.0, LIFT_TRAVEL_IN), (-5.0, 0.0)])
-def test_a_relative_target_stays_between_the_ends(way_in: float, end_in: float) -> None:
+@pytest.mark.parametrize(("distance_in", "end_in"), [(999.0, LIFT_TRAVEL_IN), (-5.0, 0.0)])
+def test_a_relative_target_stays_between_the_ends(distance_in: float, end_in: float) -> None:
     arm = Arm()
-    arm.lift.command(Command.RELATIVE, way_in)
+    arm.lift.command(Command.RELATIVE, distance_in)
     arm.advance_to(60.0)
     assert arm.is_still()
     assert arm.lift.position_in == pytest.approx(end_in)

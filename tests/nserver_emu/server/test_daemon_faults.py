@@ -1,4 +1,4 @@
-"""A plan of faults in a daemon, on real sockets: late answers keep their order, and a flood of them stalls nobody."""
+"""A fault plan in a daemon, on real sockets: late replies keep their order and stall no other client."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def run_scenario(
     asyncio.run(evening())
 
 
-def test_a_flood_of_late_answers_comes_whole_in_order_and_the_others_go_on() -> None:
+def test_delayed_replies_stay_complete_and_in_order() -> None:
     late, count = Plan((Rule("late", (Delay(0.3),), commands=("gs", "get_rc")),)), 1200
 
     async def scenario(daemon: Daemon, open_client: Knock) -> None:
@@ -89,8 +89,8 @@ def test_a_flood_of_late_answers_comes_whole_in_order_and_the_others_go_on() -> 
     run_scenario(late, scenario)
 
 
-def test_answers_that_filled_the_cable_and_left_it_at_once_stop_nobody_from_being_read() -> None:
-    """Twenty answers with a laser's columns are more than may be on the way, and none of them is late."""
+def test_a_briefly_full_channel_does_not_suspend_reading() -> None:
+    """Twenty answers with a laser's columns exceed the transit limit, and none is late."""
     plan = Plan((Rule("late", (Delay(0.01),), commands=("get_rc",)),))
     laser = Simulation(load_world("thesis_room"))
     laser.add_robot(1, ORIGIN, N200)
@@ -119,7 +119,7 @@ def test_a_client_of_any_width_is_refused_and_goes_on(wide: bool) -> None:
             assert await client.types(1) == [answer]
         client.send(Call("get_rc"))
         assert await client.types(1) == [88]
-        assert [visitor["refused"] for visitor in daemon.connected_clients()] == [0]
+        assert [client["refused"] for client in daemon.connected_clients()] == [0]
 
     run_scenario(plan, scenario)
 

@@ -1,4 +1,4 @@
-"""Room for as many connections as the limits let in: raised where it may be, and said where it is not enough."""
+"""Room for as many connections as the limits let in: raised where permitted, logged where insufficient."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Pair = tuple[int, int]
 
 
 class _System:
-    """A system with these limits; `obeys`: whether it lets itself be told."""
+    """A system with these limits; `obeys`: True if it permits a change."""
 
     def __init__(self, soft: int, hard: int, obeys: bool = True) -> None:
         self.now, self.obeys, self.asked = (soft, hard), obeys, 0
@@ -50,7 +50,7 @@ def test_room_is_made_as_far_as_may_be(
     assert ("may have 300 files open" in caplog.text) != enough
 
 
-def test_a_system_that_forbids_it_is_told_of(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_forbidden_raise_is_logged(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
     system = _System(100, 4096, obeys=False)
     monkeypatch.setattr(resource, "getrlimit", system.getrlimit)
     monkeypatch.setattr(resource, "setrlimit", system.setrlimit)

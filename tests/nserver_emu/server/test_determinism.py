@@ -31,12 +31,12 @@ def test_replies_are_the_same_in_two_processes(replies: int, options: str) -> No
         return subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env={"PYTHONHASHSEED": hash_seed})
 
     with start("1") as one, start("2") as other:
-        said = [process.communicate(timeout=300)[0] for process in (one, other)]
-    assert len(said[0]) == 65
-    assert said[0] == said[1]
+        outputs = [process.communicate(timeout=300)[0] for process in (one, other)]
+    assert len(outputs[0]) == 65
+    assert outputs[0] == outputs[1]
 
 
-def test_another_seed_says_something_else() -> None:
+def test_another_seed_gives_other_bytes() -> None:
     assert run(1, 200) == run(1, 200)
     assert run(1, 200) != run(2, 200)
 
@@ -46,7 +46,7 @@ CROWD = ("--robot", "n150", "--robot", "n200", "--robot", "scout", "--start", "2
 
 
 @pytest.mark.parametrize("setup", ["noisy", "measured", "worn"])
-def test_a_daemon_in_lockstep_says_the_same_bytes_to_three_clients_of_three_models(setup: str) -> None:
+def test_lockstep_is_repeatable_with_three_clients(setup: str) -> None:
     words = ["--port", "0", "--lockstep", "0.1", "--seed", "5", "--setup", setup, *CROWD]
     command = [sys.executable, "-m", "nserver_emu", *words]
     with contextlib.ExitStack() as stack:
@@ -54,26 +54,27 @@ def test_a_daemon_in_lockstep_says_the_same_bytes_to_three_clients_of_three_mode
             stack.enter_context(subprocess.Popen(command, stdout=subprocess.PIPE, text=True)) for _ in range(2)
         ]
         try:
-            said = [talk(int(daemon.stdout.readline().rpartition(":")[2])) for daemon in daemons if daemon.stdout]
+            ports = [int(daemon.stdout.readline().rpartition(":")[2]) for daemon in daemons if daemon.stdout]
+            outputs = [exchange(port) for port in ports]
         finally:
             for daemon in daemons:
                 daemon.terminate()
-    assert said[0] == said[1]
+    assert outputs[0] == outputs[1]
 
 
-def talk(port: int) -> bytes:
-    """What three clients hear who ask in turn, everything that their robots have."""
+def exchange(port: int) -> bytes:
+    """The replies to three clients that request in turn, with all sensors."""
     with contextlib.ExitStack() as stack:
         clients = [stack.enter_context(socket.create_connection(("127.0.0.1", port), timeout=20)) for _ in range(3)]
-        heard = b""
+        received = b""
         for number in range(60):
             for robot_id, client in enumerate(clients, start=1):
                 call = Call("connect_robot", (robot_id, 1)) if number == 0 else question(number)
                 client.sendall(codec.encode_tcp_request(call))
                 answer = whole_reply(client)
-                heard += b"" if number == 0 else answer
-    assert len(heard) > 10_000
-    return heard
+                received += b"" if number == 0 else answer
+    assert len(received) > 10_000
+    return received
 
 
 def question(number: int) -> Call:

@@ -43,7 +43,7 @@ def test_modes_of_robots(window: Graphics, mode: int, colour: str, xor: bool) ->
     assert window.shapes == (Shape(Figure.ROBOT, POSE, colour, xor),)
 
 
-def test_a_robot_with_an_arrow_is_erased_by_drawing_it_again_but_its_arrow_stays(window: Graphics) -> None:
+def test_drawing_a_robot_twice_leaves_its_arrow(window: Graphics) -> None:
     window.draw(Figure.ROBOT, POSE, 2)
     assert [shape.figure for shape in window.shapes] == [Figure.ROBOT, Figure.ARROW]
     window.draw(Figure.ROBOT, POSE, 2)
@@ -83,7 +83,7 @@ def test_what_changed_since_is_what_went_and_what_came(window: Graphics) -> None
         assert [shape for shape in shapes if shape[0] not in gone] + come == window.numbered
 
 
-def test_what_changed_too_long_ago_is_not_known(window: Graphics) -> None:
+def test_old_changes_are_dropped(window: Graphics) -> None:
     for number in range(2 * graphics.MAX_REMOVALS):
         window.draw(Figure.LINE, LINE, 2)
         if number == 100:

@@ -50,7 +50,7 @@ def test_a_later_answer_comes_in_the_same_exchange() -> None:
     assert 1000 < reply.clock < 1500
 
 
-def test_the_same_seed_gives_the_same_run_and_another_one_another() -> None:
+def test_a_run_depends_on_the_seed_only() -> None:
     def run(seed: int) -> list[tuple[int, ...]]:
         client, _ = connected(f"sim:thesis_room?noisy=1&seed={seed}&start=10,10,30,0")
         client.ask("vm", 50, 100, 0)
@@ -60,7 +60,7 @@ def test_the_same_seed_gives_the_same_run_and_another_one_another() -> None:
     assert run(3) != run(4)
 
 
-def test_the_start_is_where_the_address_says() -> None:
+def test_the_start_is_taken_from_the_address() -> None:
     client, _ = connected("sim:thesis_room?start=-1,20,90")
     assert client.ask("get_rc").slots == {34: -10, 35: 200, 36: 900, 37: 0}
 
@@ -98,7 +98,7 @@ def test_a_bad_address_names_the_guilty(address: str, words: str) -> None:
         open_address(address)
 
 
-def test_a_world_that_is_not_there_and_a_start_in_a_wall_say_so() -> None:
+def test_a_missing_world_or_obstructed_start_is_an_error() -> None:
     with pytest.raises(WorldFileError, match="thesis_room"):
         open_address("sim:thesis_rom")
     with pytest.raises(StartError):
@@ -139,7 +139,7 @@ def test_a_setup_of_ones_own(tmp_path: Path) -> None:
         open_address("sim:?setup=nowhere.toml")
 
 
-def test_other_robots_stand_there_each_address_a_world_of_its_own() -> None:
+def test_each_address_has_its_own_world_and_robots() -> None:
     client, end = connected("sim:?robots=2&start=0,0&start=60,0")
     alone, _ = connected("sim:")
     robots = end.emulator.simulation.robots
@@ -167,7 +167,7 @@ def test_the_ring_starts_in_the_order_that_clients_count_on() -> None:
 
 
 @pytest.mark.parametrize(("name", "args"), [("ws", (1, 1, 1, 5)), ("zr", ())])
-def test_to_wait_while_time_stands_is_refused_and_the_conversation_goes_on(name: str, args: tuple[int, ...]) -> None:
+def test_waiting_while_paused_is_refused(name: str, args: tuple[int, ...]) -> None:
     client, _ = connected("sim:")
     client.ask("place_robot", 0, 0, 900, 900)
     client.ask("vm", 0, 100, 0)
@@ -178,14 +178,14 @@ def test_to_wait_while_time_stands_is_refused_and_the_conversation_goes_on(name:
     assert client.ask("ws", 1, 1, 1, 1).kind == "state"
 
 
-def test_the_page_of_addresses_and_what_is_said_here_have_every_option_and_no_other() -> None:
+def test_the_documented_options_are_complete() -> None:
     page = (Path(__file__).parents[3] / "docs" / "addresses.md").read_text()
-    (told,) = re.findall(r"^\| `sim:WORLD` \|.*options of its own besides \(([^)]*)\)", page, re.MULTILINE)
-    assert tuple(told.split(", ")) == OPTIONS
+    (listed,) = re.findall(r"^\| `sim:WORLD` \|.*options of its own besides \(([^)]*)\)", page, re.MULTILINE)
+    assert tuple(listed.split(", ")) == OPTIONS
     with pytest.raises(AddressError) as refused:
         open_address("sim:?nothing=1")
     assert str(refused.value).endswith(f" There are {', '.join(OPTIONS)}.")
     for name in OPTIONS:
-        with pytest.raises((AddressError, StartError, WorldFileError)) as known:
+        with pytest.raises((AddressError, StartError, WorldFileError)) as caught:
             open_address(f"sim:?{name}=~")
-        assert "no option" not in str(known.value)
+        assert "no option" not in str(caught.value)

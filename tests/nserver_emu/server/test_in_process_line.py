@@ -36,7 +36,7 @@ def watcher(end: InProcessLine) -> WireClient:
     return client
 
 
-def test_a_line_says_no_stamps_and_its_bumpers_rest() -> None:
+def test_a_line_has_no_stamps_and_resting_bumpers() -> None:
     host = host_on(opened("sim:thesis_room?line=1&step_s=0.25"))
     replies = [host.ask("gs") for _ in range(3)]
     assert [reply.clock for reply in replies] == [250, 500, 750]
@@ -50,7 +50,7 @@ def test_a_wait_is_answered_in_the_same_exchange() -> None:
     assert host.ask("ws", 1, 1, 1, 30).slots[34] == 100
 
 
-def test_a_n200_is_told_its_mask_and_says_no_hello() -> None:
+def test_a_n200_accepts_a_mask_and_sends_no_handshake() -> None:
     end = opened("sim:?line=1&robot=n200")
     assert end.receive() == b""
     host = host_on(end, N200)
@@ -58,7 +58,7 @@ def test_a_n200_is_told_its_mask_and_says_no_hello() -> None:
     assert host.ask("gs").clock
 
 
-def test_silence_takes_a_step_and_a_broken_frame_is_given_up_by_it() -> None:
+def test_requests_without_reply_take_a_step() -> None:
     end = opened("sim:?line=1&step_s=0.1")
     client = watcher(end)
     question = codec.encode_serial_request(Call("gs"), serial_wire_state(N150))
@@ -78,7 +78,7 @@ def test_silence_takes_nothing_where_time_stands() -> None:
     assert client.ask("sim_truth").values[1] == 0
 
 
-def test_beside_it_the_same_simulation_is_looked_at_and_nothing_moves() -> None:
+def test_the_side_connection_reads_the_same_simulation() -> None:
     end = opened("sim:thesis_room?line=1&start=10,20,0,0&step_s=0.05")
     client = watcher(end)
     assert client.ask("sim_truth").values[1:4] == (0, 10_000, 20_000)

@@ -1,4 +1,4 @@
-"""What a window can show: tracks that are kept bounded, and every layer as plain data."""
+"""The layers of a window as plain data, and traces of bounded size."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def n200() -> Emulator:
     return Emulator(made)
 
 
-def test_a_track_has_a_point_every_half_inch_and_forgets_its_oldest() -> None:
+def test_a_trace_has_half_inch_points_and_drops_the_oldest() -> None:
     trace = Trace()
     for number in range(20 * MAX_POINTS):
         trace.add(0.1 * number, 0.0)
@@ -50,7 +50,7 @@ def test_a_full_track_takes_little_memory() -> None:
     assert taken < 20 * (MAX_POINTS + REMOVED_TOGETHER), "two coordinates of eight bytes, and room to grow"
 
 
-def test_the_two_robots_leave_tracks_that_dp_and_noise_tell_apart() -> None:
+def test_actual_and_encoder_traces_differ_by_dp_and_noise() -> None:
     emulator = Emulator(simulation(noisy=True, seed=3))
     client, _ = meet(emulator)
     client.ask("dp", 1000, 1000)
@@ -71,7 +71,7 @@ def test_the_two_robots_leave_tracks_that_dp_and_noise_tell_apart() -> None:
     assert emulator.layers(1) == shown
 
 
-def test_every_layer_is_plain_data_and_says_what_the_wire_says() -> None:
+def test_every_layer_is_plain_data_equal_to_the_wire() -> None:
     emulator = n200()
     client, _ = meet(emulator)
     client.ask("draw_line", 1, 2, 3, 4, 3)
@@ -113,7 +113,7 @@ def test_a_robot_that_is_made_or_restored_has_its_track() -> None:
     assert len(track) > 15
 
 
-def test_a_track_knows_where_the_robot_was_put_down_and_gives_points_by_number() -> None:
+def test_a_trace_marks_placements_and_finds_points_by_number() -> None:
     trace = Trace()
     for number in range(30):
         trace.add(number + (50.0 if number >= 10 else 0.0), 0.0)

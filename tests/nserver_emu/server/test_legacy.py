@@ -25,7 +25,7 @@ END_S = 20
 
 
 class OldClient:
-    """The C library as it was compiled then, or (`wide`) as the same source becomes on 64 bits."""
+    """The C library as compiled at the time, or (`wide`) as the same source becomes on 64 bits."""
 
     def __init__(self, host: str, port: int, wide: bool = False) -> None:
         self._socket = socket.create_connection((host, port), timeout=END_S)
@@ -33,13 +33,13 @@ class OldClient:
 
     def ask(self, message_type: int, *words: int) -> tuple[int, list[int]]:
         """Type and words of the answer."""
-        self.tell(message_type, *words)
+        self.send(message_type, *words)
         answered, count = struct.unpack(">hH", self._read(4))
         layout = ">i4x" if self._wide else ">i"
         data = self._read(count * struct.calcsize(layout))
         return answered, [word for (word,) in struct.iter_unpack(layout, data)]
 
-    def tell(self, message_type: int, *words: int) -> None:
+    def send(self, message_type: int, *words: int) -> None:
         """Send a request and wait for nothing."""
         layout = ">4xi" if self._wide else ">i"
         data = b"".join(struct.pack(layout, word) for word in words)
@@ -95,15 +95,15 @@ def test_teambots_waits_for_a_motion_by_asking_for_velocities(client: OldClient)
     """mv relative, then get_rv until all three are 0: never 0 before the robot is there."""
     client.ask(SP, 100, 300, 300)
     asked = 0
-    for way, target in ((300, 300), (-300, 0), (1, 1)):
-        client.ask(MV, 2, way, 0, 0, 0, 0)
+    for distance, target in ((300, 300), (-300, 0), (1, 1)):
+        client.ask(MV, 2, distance, 0, 0, 0, 0)
         while client.ask(GET_RV)[1] != [0, 0, 0]:
             asked += 1
         assert client.ask(GET_RC)[1][0] == target
     assert asked > 0  # over all three: a tenth of an inch may be gone between two questions on a busy machine
 
 
-def test_a_ping_of_mv_that_leaves_all_axes_alone_moves_nothing_and_stops_nothing(client: OldClient) -> None:
+def test_an_mv_that_leaves_all_axes_changes_nothing(client: OldClient) -> None:
     client.ask(VM, 0, 50, 0)
     for _ in range(20):
         kind, state = client.ask(MV, 0, 0, 0, 0, 0, 0)
@@ -113,7 +113,7 @@ def test_a_ping_of_mv_that_leaves_all_axes_alone_moves_nothing_and_stops_nothing
     assert client.ask(MV, 0, 0, 0, 0, 0, 0)[1][38:41] == [0, 0, 0]
 
 
-def test_a_loop_of_three_questions_and_two_motions_as_fast_as_it_goes(client: OldClient) -> None:
+def test_a_fast_loop_of_queries_and_motions(client: OldClient) -> None:
     client.ask(PLACE, 450, 450, 0, 0)
     client.ask(CONF_SN, 15, *ORDER)
     client.ask(CONF_TM, 5)
@@ -127,7 +127,7 @@ def test_a_loop_of_three_questions_and_two_motions_as_fast_as_it_goes(client: Ol
         assert (kind, state[38:41]) == (STATE, [speed, 20, -20])
 
 
-def test_limits_given_the_wrong_way_round_are_clamped_without_a_word(client: OldClient) -> None:
+def test_swapped_limits_are_clamped_silently(client: OldClient) -> None:
     """Steering's numbers first, translation's last, one of them negative, some far too high."""
     assert client.ask(AC, 500, 500, 300)[0] == STATE
     assert client.ask(SP, 450, 450, TOP_SPEED)[0] == STATE
@@ -143,7 +143,7 @@ def test_limits_given_the_wrong_way_round_are_clamped_without_a_word(client: Old
 
 
 @pytest.mark.parametrize("wide", [False, True])
-def test_a_second_connection_to_the_returned_port_goes_on_without_connect(port: int, wide: bool) -> None:
+def test_a_second_connection_continues_without_connect(port: int, wide: bool) -> None:
     first = OldClient("127.0.0.1", port, wide)
     returned = first.connect_robot()
     second = OldClient("127.0.0.1", returned, wide)
@@ -151,7 +151,7 @@ def test_a_second_connection_to_the_returned_port_goes_on_without_connect(port: 
     assert second.ask(PLACE, 100, 200, 0, 0) == (82, [0])
     kind, state = second.ask(GS)
     assert (kind, state[34:36]) == (STATE, [100, 200])
-    second.tell(DISCONNECT, 1, 4711)
+    second.send(DISCONNECT, 1, 4711)
     second.close()
 
 
@@ -173,7 +173,7 @@ def test_the_port_that_many_programs_use() -> None:
         try:
             probe.bind(("127.0.0.1", 7654))
         except OSError:
-            pytest.skip("somebody listens on port 7654")
+            pytest.skip("port is in use: 7654")
     with nserver("-port", "7654") as number:
         assert number == 7654
         client = OldClient("127.0.0.1", 7654)

@@ -35,7 +35,7 @@ def written(folder: Path, name: str, text: str) -> Path:
     return path
 
 
-def test_both_files_are_read_for_the_keys_that_are_known(tmp_path: Path) -> None:
+def test_both_files_are_read_for_supported_keys(tmp_path: Path) -> None:
     files = [written(tmp_path, "robot.setup", ROBOT), written(tmp_path, "world.setup", WORLD)]
     assert read_setups(files) == LegacySetup(7654, "n200", (1.5, 2, 3, 4, 5, 6, 7, -0.8), (10, 20))
     assert read_setups([]) == LegacySetup()
@@ -72,7 +72,7 @@ def test_a_fault_is_named_by_file_and_line(tmp_path: Path, text: str, match: str
         read_setups([written(tmp_path, "robot.setup", text)])
 
 
-def test_what_cannot_be_read_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unreadable_file_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(SetupFileError, match=r"nothing.setup: cannot be read"):
         read_setups([tmp_path / "nothing.setup"])
     monkeypatch.setattr(legacy_setup, "MAX_BYTES", 10)

@@ -47,34 +47,34 @@ def opened(*words: str) -> tuple[list[str], dict[str, str]]:
     async def start() -> tuple[list[str], dict[str, str]]:
         daemon = Daemon(three_robots())
         try:
-            told = await open_lines(daemon, parsed(*words))
-            return told, dict(daemon.places)
+            printed = await open_lines(daemon, parsed(*words))
+            return printed, dict(daemon.places)
         finally:
             await daemon.close()
 
     return asyncio.run(start())
 
 
-def test_lines_are_for_the_robots_in_their_order_unless_they_name_one(tmp_path: Path) -> None:
+def test_lines_belong_to_robots_in_order_unless_numbered(tmp_path: Path) -> None:
     a, b, c = (str(tmp_path / name) for name in "abc")
-    told, places = opened("--serial-link", a, "--serial-link", f"{b}@3", "--serial-link", f"{c}@2", "--robotd", "0",
+    printed, places = opened("--serial-link", a, "--serial-link", f"{b}@3", "--serial-link", f"{c}@2", "--robotd", "0",
                           "--robotd=0@3")  # fmt: skip
-    assert told[2:] == [f"listening serial {path}" for path in (a, b, c)]
-    assert all(line.startswith("listening robotd 127.0.0.1:") for line in told[:2])
+    assert printed[2:] == [f"listening serial {path}" for path in (a, b, c)]
+    assert all(line.startswith("listening robotd 127.0.0.1:") for line in printed[:2])
     assert {name: places[name] for name in ("serial:1", "serial:2", "serial:3")} == {
         "serial:1": a, "serial:2": c, "serial:3": b}  # fmt: skip
-    assert [f"listening robotd {places[name]}" for name in ("robotd:1", "robotd:3")] == told[:2]
+    assert [f"listening robotd {places[name]}" for name in ("robotd:1", "robotd:3")] == printed[:2]
     assert list(tmp_path.iterdir()) == []
 
 
-def test_of_several_lines_of_one_robot_all_are_told(tmp_path: Path) -> None:
+def test_all_lines_of_one_robot_are_printed(tmp_path: Path) -> None:
     a, b = (str(tmp_path / name) for name in "ab")
-    told, places = opened("--serial-link", f"{a}@1", "--serial-link", f"{b}@1", "--robotd", "0@1", "--robotd", "0@1")
+    printed, places = opened("--serial-link", f"{a}@1", "--serial-link", f"{b}@1", "--robotd", "0@1", "--robotd", "0@1")
     assert places["serial:1"] == f"{a}, {b}"
-    assert [f"listening robotd {place}" for place in places["robotd:1"].split(", ")] == told[:2]
+    assert [f"listening robotd {place}" for place in places["robotd:1"].split(", ")] == printed[:2]
 
 
-def test_robotd_without_a_number_takes_the_usual_port_and_an_at_in_a_folder_is_part_of_the_path() -> None:
+def test_robotd_has_a_default_port_and_folders_may_contain_at() -> None:
     options = parsed("--robotd", "--serial-link", "/tmp/me@home/q")
     assert options.robotd == [("65001", None)]
     assert options.serial_link == [("/tmp/me@home/q", None)]
@@ -102,7 +102,7 @@ def test_what_cannot_be_is_wrong_usage(
     assert complaint in capsys.readouterr().err
 
 
-def test_what_cannot_be_opened_says_why_and_leaves_nothing(tmp_path: Path) -> None:
+def test_a_line_that_cannot_be_opened_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(AddressError, match="robot 4: there is no such robot, only 1, 2, 3"):
         opened("--serial-link", str(tmp_path / "a"), "--serial-link", f"{tmp_path}/b@4")
     (tmp_path / "precious").write_text("x")

@@ -60,7 +60,7 @@ def test_the_fixed_packet_of_a_model_without_mask(model: str, bumpers: str) -> N
     assert volts(data[-1], MOTOR_RANGE_V) == pytest.approx(12.0, abs=0.9)
 
 
-def test_velocities_go_sign_magnitude_and_the_motor_byte_says_which_axes_move() -> None:
+def test_velocities_are_sign_magnitude_and_motors_are_flagged() -> None:
     host, _ = meet_on_line(emulated())
     data = host.frame("vm", 100, -50, 0).data
     assert data[VELOCITIES : VELOCITIES + 6].hex() == "640032800000"
@@ -70,7 +70,7 @@ def test_velocities_go_sign_magnitude_and_the_motor_byte_says_which_axes_move() 
     assert data[MOTORS] == 0
 
 
-def test_the_clock_of_a_robot_that_is_not_ideal_goes_in_its_own_steps() -> None:
+def test_the_clock_of_a_measured_robot_has_coarse_steps() -> None:
     emulator = emulated(setup=MEASURED)
     host, _ = meet_on_line(emulator)
     emulator.simulation.step(0.1)
@@ -79,7 +79,7 @@ def test_the_clock_of_a_robot_that_is_not_ideal_goes_in_its_own_steps() -> None:
 
 @pytest.mark.parametrize(("model", "order"), [("n150", (2, 1, 0)), ("n200", (2, 1, 0)), ("scout", (0, 1, 2))])
 def test_the_bumper_bits_of_a_robot_that_touches(model: str, order: tuple[int, int, int]) -> None:
-    """Byte by byte: b0 = 16..19 with its high half set, b1 = 8..15, b2 = 0..7; the Scout the other way round."""
+    """Byte by byte: b0 = 16..19 with its high half set, b1 = 8..15, b2 = 0..7; the Scout in the reverse order."""
     emulator = emulated(model)
     host, _ = meet_on_line(emulator)
     host.ask("vm", -200, 0 if model != "scout" else -200, 0)
@@ -92,7 +92,7 @@ def test_the_bumper_bits_of_a_robot_that_touches(model: str, order: tuple[int, i
     assert host.ask("gs").slots[33] == whole
 
 
-def test_a_robot_farther_out_than_the_line_can_say_shows_the_farthest() -> None:
+def test_positions_beyond_the_line_range_are_clamped() -> None:
     emulator = emulated("n200")
     host, _ = meet_on_line(emulator)
     emulator.simulation.robots[1].define_position(-1e9, 4e5)
@@ -106,7 +106,7 @@ def test_a_robot_farther_out_than_the_line_can_say_shows_the_farthest() -> None:
 # The mask of the N200
 
 
-def test_the_mask_says_what_a_state_packet_holds_and_time_voltage_and_motors_always_come() -> None:
+def test_the_mask_selects_slots_but_not_time_voltage_motors() -> None:
     host, _ = meet_on_line(emulated("n200"))
     assert set(host.ask("ct", *pose_only().smask).slots) == {34, 35, 36, 37, 41}
     assert len(host.frame("gs").data) == 8 + 1 + 4 + 2
@@ -127,7 +127,7 @@ def test_infrareds_are_nibbles_low_half_first() -> None:
     assert host.frame("gs").data[:2] == bytes((seen[7] | seen[8] << 4, seen[9]))
 
 
-def test_stamps_come_for_sensors_in_the_mask_alone_and_whole_in_the_answers_of_get() -> None:
+def test_stamps_follow_the_mask_and_are_complete_in_get_replies() -> None:
     emulator = emulated("n200")
     host, _ = meet_on_line(emulator)
     emulator.simulation.step(1.0)
@@ -143,7 +143,7 @@ def test_stamps_come_for_sensors_in_the_mask_alone_and_whole_in_the_answers_of_g
 # What each command answers
 
 
-def test_the_laser_gives_pixels_or_lines_by_its_mode_and_get_ls_always_pixels() -> None:
+def test_the_laser_mode_selects_pixels_or_lines() -> None:
     host, _ = meet_on_line(emulated("n200"))
     columns = (host.ask("gs").laser or (0,))[0]
     assert columns == 482
@@ -182,7 +182,7 @@ def test_the_small_answers() -> None:
     host, _ = meet_on_line(emulator)
     assert host.frame("get_ra").data == b""
     assert host.ask("tk", "hello").slots.keys() >= {34, 35}
-    assert [said.text for said in emulator.transcript.utterances] == ["hello"]
+    assert [utterance.text for utterance in emulator.transcript.utterances] == ["hello"]
     host.ask("da", -900, 450)
     assert host.ask("get_rc").slots == {34: 0, 35: 0, 36: 2700, 37: 450}
     host.ask("vm", 0, -100, 20)
@@ -226,7 +226,7 @@ def test_ws_and_zr_are_answered_when_they_are_over() -> None:
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_what_the_line_of_a_model_does_not_have_gets_a_nak_and_what_it_has_an_answer(model: str) -> None:
+def test_commands_that_the_model_lacks_get_a_nak(model: str) -> None:
     _, session = meet_on_line(emulated(model))
     arguments = {"ct": EVERYTHING.smask, "tk": ("x",), "conf_sn": (15, *range(16)), "conf_ir": (0, *range(16))}
     for row in BY_NAME.values():
@@ -239,7 +239,7 @@ def test_what_the_line_of_a_model_does_not_have_gets_a_nak_and_what_it_has_an_an
     assert session.refused > 0
 
 
-def test_the_compass_of_an_n150_shows_in_its_state_and_is_not_to_be_asked_for_on_its_line() -> None:
+def test_the_n150_line_has_the_compass_in_the_state_only() -> None:
     host, _ = meet_on_line(emulated())
     assert host.raw(build_frame(GET_CP)) == [SerialFrame(8, b"")]
     assert 43 in host.ask("gs").slots
@@ -256,7 +256,7 @@ def test_the_compass_of_an_n150_shows_in_its_state_and_is_not_to_be_asked_for_on
         build_frame(43, bytes((7, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0))),
     ],
 )
-def test_unknown_types_wrong_data_and_values_that_cannot_be_get_a_nak_and_nothing_else(request_bytes: bytes) -> None:
+def test_invalid_requests_get_a_single_nak(request_bytes: bytes) -> None:
     _, session = meet_on_line(emulated())
     session.receive(request_bytes + GS_REQUEST)
     answers = session.process_requests(9)
@@ -279,7 +279,7 @@ def test_only_the_first_refusal_is_logged(caplog: pytest.LogCaptureFixture) -> N
 
 @given(st.binary(max_size=300), st.lists(st.integers(1, 60), max_size=6))
 @settings(max_examples=80)
-def test_after_any_rubbish_and_a_pause_the_next_request_is_answered(rubbish: bytes, cuts: list[int]) -> None:
+def test_a_request_after_garbage_and_a_pause_is_answered(rubbish: bytes, cuts: list[int]) -> None:
     emulator = emulated()
     _, session = meet_on_line(emulator)
     for cut in [*cuts, len(rubbish)]:
@@ -303,7 +303,7 @@ def test_a_frame_with_a_wrong_checksum_is_met_with_silence() -> None:
     assert session.refused == 0
 
 
-def test_a_cut_frame_hides_those_behind_it_until_its_time_is_over_and_not_longer() -> None:
+def test_an_incomplete_frame_expires() -> None:
     now_s = [100.0]
     session = SerialSession(emulated().answer, 1, N150, lambda: now_s[0])
     session.receive(b"\x01\xf0\x00\x05")
@@ -322,7 +322,7 @@ def test_a_cut_frame_hides_those_behind_it_until_its_time_is_over_and_not_longer
     assert [frame.type for frame in SerialFramer().receive(session.process_requests(9))] == [GS]
 
 
-def test_a_frame_that_comes_slowly_is_not_given_up_before_its_time() -> None:
+def test_a_slow_frame_is_not_dropped_before_its_timeout() -> None:
     now_s = [0.0]
     session = SerialSession(emulated().answer, 1, N150, lambda: now_s[0])
     session.receive(GS_REQUEST + GS_REQUEST[:2])
@@ -337,7 +337,7 @@ def test_a_frame_that_comes_slowly_is_not_given_up_before_its_time() -> None:
 # Who drives, and time
 
 
-def test_one_that_asks_while_an_answer_is_outstanding_has_given_up_on_it() -> None:
+def test_a_new_request_cancels_the_deferred_reply() -> None:
     emulator = emulated()
     host, session = meet_on_line(emulator)
     host.ask("vm", 100, 0, 0)
@@ -361,7 +361,7 @@ def test_the_robot_stops_when_the_host_on_its_line_leaves() -> None:
     assert not any(emulator.simulation.robots[1].moving)
 
 
-def test_a_closing_line_says_and_hears_nothing_more() -> None:
+def test_a_closing_line_sends_and_receives_nothing() -> None:
     _, session = meet_on_line(emulated())
     session.closing = True
     session.receive(GS_REQUEST)
@@ -369,7 +369,7 @@ def test_a_closing_line_says_and_hears_nothing_more() -> None:
     assert session.process_requests(9) == b""
 
 
-def test_over_tcp_an_n200_says_first_which_mask_and_laser_mode_are_in_force() -> None:
+def test_over_tcp_an_n200_first_sends_mask_and_laser_mode() -> None:
     _, session = meet_on_line(emulated("n200"))
     assert session.greeting.hex() == "ffffffffff0101" + "33" + "000000"
     assert read_handshake(session.greeting) == (EVERYTHING, 51)
@@ -388,9 +388,9 @@ def test_mask_and_laser_mode_are_the_robots_and_outlive_a_host() -> None:
     hello = read_handshake(session.greeting)
     assert hello == (Mask((*few.smask[:41], 1, *few.smask[42:])), 1)
     apply_handshake(hello, again.wire_state)
-    told = again.ask("gs").slots
-    assert {34, 35, 36, 37} <= set(told)
-    assert not set(range(1, 34)) & set(told)
+    slots = again.ask("gs").slots
+    assert {34, 35, 36, 37} <= set(slots)
+    assert not set(range(1, 34)) & set(slots)
     again.ask("ct", *EVERYTHING.smask)
     again.ask("conf_ls", 51, 20, 20, 20, 4)
     assert read_handshake(meet_on_line(emulator)[1].greeting) == (EVERYTHING, 51)
@@ -407,17 +407,17 @@ def test_another_robot_has_a_mask_of_its_own() -> None:
 
 
 @pytest.mark.parametrize("session_name", LINE_SESSIONS)
-def test_replies_of_the_recorded_robot_go_out_byte_by_byte_as_it_sent_them(session_name: str) -> None:
+def test_recorded_replies_are_encoded_to_the_same_bytes(session_name: str) -> None:
     """A robot in the recorded state, so to speak; its bumpers' high half reads 1111 where the model has it."""
     model = model_of(session_name)
-    said: list[Reply] = []
-    session = SerialSession(lambda _call, _visit: said.pop(), 1, model, lambda: 0.0)
+    replies: list[Reply] = []
+    session = SerialSession(lambda _call, _context: replies.pop(), 1, model, lambda: 0.0)
     wire_state = serial_wire_state(model)
     count = 0
     for exchange in exchanges(SERIAL[session_name], model):
         codec.update_from_request(exchange.call, wire_state)
         reply = codec.decode_serial_reply(parse_single_frame(exchange.reply), wire_state)
-        said.append(reply)
+        replies.append(reply)
         session.receive(exchange.request)
         expected = exchange.reply
         if 33 in reply.slots:
@@ -429,7 +429,7 @@ def test_replies_of_the_recorded_robot_go_out_byte_by_byte_as_it_sent_them(sessi
 
 
 @pytest.mark.parametrize("session_name", LINE_SESSIONS)
-def test_the_emulator_answers_the_recorded_requests_in_frames_of_the_recorded_shape(session_name: str) -> None:
+def test_replies_have_the_recorded_frame_shape(session_name: str) -> None:
     """Same type and, but for the laser's readings, same length; no program here answers user packets, though."""
     model = model_of(session_name)
     emulator = emulated(model.name, StartPose(50.0, 50.0, 0.0, 0.0))

@@ -1,4 +1,4 @@
-"""Lines on real ports in one process: hosts that come, go, do not read, talk rubbish, and a daemon that goes on."""
+"""Lines on real ports in one process: hosts that connect, disconnect, do not read or send garbage."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import logging
 import os
 import socket
 import struct
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from pathlib import Path
 
 import pytest
@@ -38,7 +38,7 @@ SHORTEST_S = 54 * 10 / BAUD
 
 
 class Host:
-    """Somebody at a line: `send` and `some`, a coroutine that gives what has come."""
+    """A host at a line: `send`, and `some`, a coroutine that returns received bytes."""
 
     def __init__(self, model: str, send: Callable[[bytes], object], some: Callable[[], Awaitable[bytes]]) -> None:
         self.wire_state = serial_wire_state(MODELS[model])
@@ -63,7 +63,7 @@ class RunningServer:
 
     def __init__(self, daemon: Daemon, line: PtyConnection, port: int, model: str) -> None:
         self.daemon, self.line, self.port, self.model = daemon, line, port, model
-        self.guests = contextlib.AsyncExitStack()
+        self.hosts = contextlib.AsyncExitStack()
 
     @property
     def moving(self) -> bool:
@@ -88,12 +88,12 @@ class RunningServer:
                 loop.remove_reader(fd)
                 os.close(fd)
 
-        self.guests.callback(leave)
+        self.hosts.callback(leave)
         return Host(self.model, lambda data: os.write(fd, data), some), leave
 
     async def at_port(self) -> tuple[Host, asyncio.StreamWriter]:
         reader, writer = await asyncio.open_connection("127.0.0.1", self.port)
-        self.guests.callback(writer.close)
+        self.hosts.callback(writer.close)
         return Host(self.model, writer.write, lambda: reader.read(65536)), writer
 
     async def until(self, true: Callable[[], bool]) -> None:
@@ -101,25 +101,23 @@ class RunningServer:
             await asyncio.sleep(0.002)
 
 
-def with_house(
+@contextlib.asynccontextmanager
+async def running_lines(
     path: Path,
-    scenario: Callable[[RunningServer], Awaitable[None]],
     emulator: Emulator | None = None,
     new_channel: Callable[[], RateLimitedChannel] | None = None,
     model: str = "n150",
-) -> None:
-    async def evening() -> None:
-        daemon = Daemon(emulator or emulated(model))
-        own = robot_line(daemon, 1)
-        line = PtyConnection(daemon, own, PseudoTerminal(path), new_channel)
-        port = await daemon.open_listener(lambda: RobotdConnection(daemon, own), "127.0.0.1", 0, "--robotd")
-        server = RunningServer(daemon, line, port, model)
-        async with serving(daemon), server.guests:
-            await scenario(server)
-        assert not daemon.connections
-        assert not os.path.lexists(path)
-
-    asyncio.run(evening())
+) -> AsyncIterator[RunningServer]:
+    """Run a daemon with a serial link at `path` and a robotd port, both of robot 1."""
+    daemon = Daemon(emulator or emulated(model))
+    robot = robot_line(daemon, 1)
+    line = PtyConnection(daemon, robot, PseudoTerminal(path), new_channel)
+    port = await daemon.open_listener(lambda: RobotdConnection(daemon, robot), "127.0.0.1", 0, "--robotd")
+    server = RunningServer(daemon, line, port, model)
+    async with serving(daemon), server.hosts:
+        yield server
+    assert not daemon.connections
+    assert not os.path.lexists(path)
 
 
 @pytest.fixture
@@ -128,8 +126,8 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "nomad"
 
 
-def test_a_robot_is_driven_over_its_line_and_stops_when_the_host_leaves(path: Path) -> None:
-    async def scenario(server: RunningServer) -> None:
+async def test_a_robot_stops_when_its_host_closes_the_line(path: Path) -> None:
+    async with running_lines(path) as server:
         for _ in range(3):
             host, leave = server.at_link()
             assert (await host.ask("vm", 0, 100, 0)).slots[39] == 100
@@ -137,11 +135,9 @@ def test_a_robot_is_driven_over_its_line_and_stops_when_the_host_leaves(path: Pa
             leave()
             await server.until(lambda: not server.moving)
 
-    with_house(path, scenario)
 
-
-def test_one_who_opens_the_link_beside_its_host_and_goes_stops_nobody(path: Path) -> None:
-    async def scenario(server: RunningServer) -> None:
+async def test_a_second_opening_of_the_link_stops_nothing(path: Path) -> None:
+    async with running_lines(path) as server:
         host, _ = server.at_link()
         await host.ask("vm", 0, 100, 0)
         for _ in range(3):
@@ -150,36 +146,30 @@ def test_one_who_opens_the_link_beside_its_host_and_goes_stops_nobody(path: Path
             leave()
             assert (await host.ask("gs")).slots[39] == 100
 
-    with_house(path, scenario)
 
-
-def test_a_link_that_somebody_removes_is_put_back_and_logged(path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    async def scenario(server: RunningServer) -> None:
+async def test_a_removed_link_is_restored_and_logged(path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.WARNING)
+    async with running_lines(path) as server:
         path.unlink()
         async with asyncio.timeout(1.0):
             await server.until(path.is_symlink)
         assert (await server.at_link()[0].ask("gs")).kind == "state"
-
-    with caplog.at_level(logging.WARNING):
-        with_house(path, scenario)
     assert "symbolic link was removed" in caplog.text
 
 
-def test_only_who_is_there_is_a_visitor(path: Path) -> None:
-    async def scenario(server: RunningServer) -> None:
+async def test_a_line_without_host_is_no_client(path: Path) -> None:
+    async with running_lines(path) as server:
         assert server.daemon.connected_clients() == []
         host, leave = server.at_link()
         await host.ask("gs")
-        (visitor,) = server.daemon.connected_clients()
-        assert (visitor["name"], visitor["robot"]) == (f"serial {path}", 1)
+        (client,) = server.daemon.connected_clients()
+        assert (client["name"], client["robot"]) == (f"serial {path}", 1)
         leave()
         await server.until(lambda: not server.daemon.connected_clients())
 
-    with_house(path, scenario)
 
-
-def test_it_stops_too_when_a_host_on_its_port_vanishes(path: Path) -> None:
-    async def scenario(server: RunningServer) -> None:
+async def test_it_stops_too_when_a_host_on_its_port_vanishes(path: Path) -> None:
+    async with running_lines(path) as server:
         host, writer = await server.at_port()
         assert (await host.ask("vm", 0, 100, 0)).slots[39] == 100
         linger = struct.pack("ii", 1, 0)
@@ -187,11 +177,9 @@ def test_it_stops_too_when_a_host_on_its_port_vanishes(path: Path) -> None:
         writer.transport.abort()
         await server.until(lambda: not server.moving)
 
-    with_house(path, scenario)
 
-
-def test_who_leaves_without_having_driven_stops_nobody(path: Path) -> None:
-    async def scenario(server: RunningServer) -> None:
+async def test_a_host_that_moved_nothing_stops_nothing(path: Path) -> None:
+    async with running_lines(path) as server:
         driver, _ = await server.at_port()
         await driver.ask("vm", 0, 100, 0)
         host, leave = server.at_link()
@@ -200,22 +188,18 @@ def test_who_leaves_without_having_driven_stops_nobody(path: Path) -> None:
         await server.until(lambda: not server.line.is_connected)
         assert server.moving
 
-    with_house(path, scenario)
 
-
-def test_an_n200_says_hello_over_tcp_and_nothing_on_its_serial_line(path: Path) -> None:
-    async def scenario(server: RunningServer) -> None:
+async def test_an_n200_sends_a_handshake_over_tcp_only(path: Path) -> None:
+    async with running_lines(path, model="n200") as server:
         host, _ = await server.at_port()
         assert read_handshake(await host.some()) == (EVERYTHING, 51)
         assert (await host.ask("gs")).laser is not None
         serial, _ = server.at_link()
         assert (await serial.ask("get_rv")).slots == {38: 0, 39: 0, 40: 0}
 
-    with_house(path, scenario, model="n200")
 
-
-def test_what_a_host_on_one_line_asked_for_the_hello_of_another_tells(path: Path) -> None:
-    async def scenario(server: RunningServer) -> None:
+async def test_the_handshake_contains_the_mask_of_another_line(path: Path) -> None:
+    async with running_lines(path, model="n200") as server:
         serial, leave = server.at_link()
         few = Mask((0,) * 34 + (1,) * 10)
         serial.wire_state.set_mask(few)
@@ -229,22 +213,18 @@ def test_what_a_host_on_one_line_asked_for_the_hello_of_another_tells(path: Path
         await writer.wait_closed()
         await server.until(lambda: not server.daemon.connected_clients())
 
-    with_house(path, scenario, model="n200")
 
-
-def test_ws_is_answered_when_the_robot_stands_in_real_time_and_in_lockstep(path: Path) -> None:
-    async def scenario(server: RunningServer) -> None:
+@pytest.mark.parametrize("lockstep_s", [None, 0.1])
+async def test_ws_replies_when_the_robot_is_still(path: Path, lockstep_s: float | None) -> None:
+    async with running_lines(path, emulated(pace=SimulationClock(lockstep_s=lockstep_s))) as server:
         host, _ = server.at_link()
         await host.ask("pr", 0, 90, 0)
         assert (await host.ask("ws", 1, 1, 1, 20)).slots[36] == 90
         assert not server.moving
 
-    with_house(path, scenario)
-    with_house(path, scenario, emulated(pace=SimulationClock(lockstep_s=0.1)))
 
-
-def test_a_host_that_does_not_read_is_obeyed_and_keeps_nobody(path: Path) -> None:
-    async def scenario(server: RunningServer) -> None:
+async def test_a_host_that_does_not_read_blocks_nothing(path: Path) -> None:
+    async with running_lines(path) as server:
         deaf, _ = server.at_link()
         other, _ = await server.at_port()
         while not server.line.lost:
@@ -254,17 +234,15 @@ def test_a_host_that_does_not_read_is_obeyed_and_keeps_nobody(path: Path) -> Non
         await server.until(lambda: not server.line.session.ready)
         deaf.send(codec.encode_serial_request(Call("vm", (0, 100, 0)), deaf.wire_state))
         await server.until(lambda: server.moving)
-        heard = 0
-        while heard < 1000:
-            heard += len(await deaf.some())
+        received = 0
+        while received < 1000:
+            received += len(await deaf.some())
         await server.until(lambda: not server.line._write_buffer)
         assert (await deaf.ask("get_rv")).kind in ("state", "velocity")
 
-    with_house(path, scenario)
 
-
-def test_what_one_host_did_not_read_the_next_does_not_get(path: Path) -> None:
-    async def scenario(server: RunningServer) -> None:
+async def test_what_one_host_did_not_read_the_next_does_not_get(path: Path) -> None:
+    async with running_lines(path) as server:
         deaf, leave = server.at_link()
         while not server.line.lost:
             with contextlib.suppress(BlockingIOError):
@@ -276,32 +254,26 @@ def test_what_one_host_did_not_read_the_next_does_not_get(path: Path) -> None:
         host, _ = server.at_link()
         assert (await host.ask("get_rc")).kind == "configuration"
 
-    with_house(path, scenario)
 
-
-def test_a_crowd_of_requests_is_answered_in_turns_in_full(path: Path) -> None:
-    async def scenario(server: RunningServer) -> None:
+async def test_a_crowd_of_requests_is_answered_in_turns_in_full(path: Path) -> None:
+    async with running_lines(path) as server:
         host, _ = server.at_link()
         host.send(GS * 300)
         for _ in range(300):
             assert (await host.reply()).kind == "state"
         assert not server.line.lost
 
-    with_house(path, scenario)
 
-
-def test_a_cut_frame_is_given_up_while_the_host_waits(path: Path) -> None:
-    async def scenario(server: RunningServer) -> None:
+async def test_a_cut_frame_is_given_up_while_the_host_waits(path: Path) -> None:
+    async with running_lines(path) as server:
         host, _ = server.at_link()
         host.send(b"\x01\xf0\x00\x05" + GS)
         assert (await host.reply()).kind == "state"
         assert server.line.session.unfinished == 0
 
-    with_house(path, scenario)
 
-
-def test_a_paced_line_is_as_slow_as_a_cable(path: Path) -> None:
-    async def scenario(server: RunningServer) -> None:
+async def test_a_paced_line_is_as_slow_as_a_cable(path: Path) -> None:
+    async with running_lines(path, new_channel=lambda: RateLimitedChannel(BAUD)) as server:
         loop = asyncio.get_running_loop()
         host, leave = server.at_link()
         await host.ask("gs")
@@ -315,13 +287,12 @@ def test_a_paced_line_is_as_slow_as_a_cable(path: Path) -> None:
         again, _ = server.at_link()
         assert (await again.ask("get_rc")).kind == "configuration"
 
-    with_house(path, scenario, new_channel=lambda: RateLimitedChannel(BAUD))
 
-
-def test_a_fault_of_ours_pulls_the_line_and_the_next_host_finds_it_whole(
+async def test_an_internal_error_hangs_up_and_the_line_recovers(
     path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    async def scenario(server: RunningServer) -> None:
+    caplog.set_level(logging.ERROR)
+    async with running_lines(path) as server:
         host, _ = server.at_link()
         await host.ask("vm", 0, 100, 0)
 
@@ -334,14 +305,14 @@ def test_a_fault_of_ours_pulls_the_line_and_the_next_host_finds_it_whole(
         assert not server.moving
         again, _ = server.at_link()
         assert (await again.ask("gs")).kind == "state"
-
-    with caplog.at_level(logging.ERROR):
-        with_house(path, scenario)
     assert "internal error" in caplog.text
 
 
-def test_a_plan_pulls_the_line_under_its_host_and_the_next_host_finds_it_whole(path: Path) -> None:
-    async def scenario(server: RunningServer) -> None:
+@pytest.mark.parametrize("new_channel", [None, lambda: RateLimitedChannel(BAUD)], ids=["unlimited", "baud"])
+async def test_an_injected_hang_up_leaves_a_working_line(
+    path: Path, new_channel: Callable[[], RateLimitedChannel] | None
+) -> None:
+    async with running_lines(path, new_channel=new_channel) as server:
         rule = Rule("pulled", (HangUp(),), When(at=(3,)), lines=("serial",))
         server.daemon.faults.put(Plan((rule,)), ["serial:1", "robotd:1"])
         host, _ = server.at_link()
@@ -356,33 +327,26 @@ def test_a_plan_pulls_the_line_under_its_host_and_the_next_host_finds_it_whole(p
             assert (await again.ask("gs")).kind == (await other.ask("gs")).kind == "state"
         assert server.daemon.faults.counts()["serial:1"]["pulled"]["hang_up"] == 1
 
-    with_house(path, scenario)
-    with_house(path, scenario, new_channel=lambda: RateLimitedChannel(BAUD))
 
-
-def test_a_plan_knows_the_hello_of_an_n200_from_what_follows(path: Path) -> None:
-    async def scenario(server: RunningServer) -> None:
+async def test_a_plan_knows_the_hello_of_an_n200_from_what_follows(path: Path) -> None:
+    async with running_lines(path, model="n200") as server:
         rule = Rule("mumbled", (Cut(keep=3),), commands=(GREETING,))
         server.daemon.faults.put(Plan((rule,)), ["serial:1", "robotd:1"])
         host, _ = await server.at_port()
         assert await host.some() == b"\xff\xff\xff"
         assert (await host.ask("get_rv")).kind == "velocity"
 
-    with_house(path, scenario, model="n200")
 
-
-def test_a_line_for_a_robot_that_is_not_there_names_those_that_are() -> None:
+def test_a_line_for_a_missing_robot_names_the_robots() -> None:
     daemon = Daemon(emulated())
     with pytest.raises(AddressError, match="robot 3"):
         robot_line(daemon, 3)
 
 
-def test_a_port_that_is_taken_names_the_remedy_for_robotd(path: Path) -> None:
-    async def scenario(server: RunningServer) -> None:
+async def test_a_port_that_is_taken_names_the_remedy_for_robotd(path: Path) -> None:
+    async with running_lines(path) as server:
         with pytest.raises(ConnectionLost, match="--robotd 0 takes a free port"):
             await server.daemon.open_listener(
                 lambda: RobotdConnection(server.daemon, robot_line(server.daemon, 1)),
                 "127.0.0.1", server.port, "--robotd",
             )
-
-    with_house(path, scenario)

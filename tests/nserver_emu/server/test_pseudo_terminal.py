@@ -1,4 +1,4 @@
-"""The pseudo-terminal and its link: what is replaced, what stays, and what shows of hosts that come and go."""
+"""The pseudo-terminal and its link: replacement, cleanup, and detection of hosts."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def opened(path: Path) -> int:
     return os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
 
 
-def test_bytes_go_both_ways_as_they_are(terminal: PseudoTerminal, path: Path) -> None:
+def test_bytes_pass_unchanged_in_both_directions(terminal: PseudoTerminal, path: Path) -> None:
     host = opened(path)
     every_byte = bytes(range(256))
     os.write(host, every_byte)
@@ -46,14 +46,14 @@ def test_hosts_that_come_and_go_are_seen(terminal: PseudoTerminal, path: Path) -
     closed = [terminal.is_closed]
     host = opened(path)
     closed.append(terminal.is_closed)
-    os.write(host, b"last words")
+    os.write(host, b"last bytes")
     os.close(host)
     assert [*closed, terminal.is_closed] == [True, False, True]
-    assert terminal.read(1000) == b"last words"
+    assert terminal.read(1000) == b"last bytes"
     assert terminal.read(1000) is None
 
 
-def test_the_next_host_finds_neither_bytes_nor_settings_of_the_last(terminal: PseudoTerminal, path: Path) -> None:
+def test_reset_discards_bytes_and_settings(terminal: PseudoTerminal, path: Path) -> None:
     host = opened(path)
     settings = termios.tcgetattr(host)
     settings[tty.LFLAG] |= termios.ECHO | termios.ICANON
@@ -69,7 +69,7 @@ def test_the_next_host_finds_neither_bytes_nor_settings_of_the_last(terminal: Ps
     os.close(host)
 
 
-def test_a_host_that_does_not_read_makes_nobody_wait(terminal: PseudoTerminal, path: Path) -> None:
+def test_writing_to_a_full_terminal_does_not_block(terminal: PseudoTerminal, path: Path) -> None:
     host = opened(path)
     while terminal.write(bytes(1000)):
         pass
@@ -77,7 +77,7 @@ def test_a_host_that_does_not_read_makes_nobody_wait(terminal: PseudoTerminal, p
     os.close(host)
 
 
-def test_a_pulled_one_is_dead_to_its_host_and_the_link_leads_to_another(terminal: PseudoTerminal, path: Path) -> None:
+def test_replace_hangs_up_and_links_a_new_terminal(terminal: PseudoTerminal, path: Path) -> None:
     host = opened(path)
     terminal.replace()
     assert os.read(host, 10) == b""
@@ -98,7 +98,7 @@ def test_the_link_is_gone_at_the_end(path: Path) -> None:
     terminal.close()
 
 
-def test_a_link_that_a_killed_daemon_left_is_replaced_and_one_that_somebody_else_made_since_stays(path: Path) -> None:
+def test_a_stale_link_is_replaced_and_a_foreign_one_stays(path: Path) -> None:
     path.symlink_to("/dev/pts/no-more")
     terminal = PseudoTerminal(path)
     assert path.resolve().is_char_device()
@@ -132,7 +132,7 @@ def test_the_line_of_another_daemon_stays_its_own(terminal: PseudoTerminal, path
     assert path.readlink() == Path(terminal.device)
 
 
-def test_without_a_way_to_tell_other_daemons_the_last_one_has_the_link(
+def test_without_abstract_sockets_the_last_server_has_the_link(
     path: Path, terminal: PseudoTerminal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("sys.platform", "darwin")
@@ -141,12 +141,12 @@ def test_without_a_way_to_tell_other_daemons_the_last_one_has_the_link(
     other.close()
 
 
-def test_a_place_that_is_none_says_so(tmp_path: Path) -> None:
+def test_a_missing_folder_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(ConnectionLost, match="No such file or directory"):
         PseudoTerminal(tmp_path / "no" / "where")
 
 
-def test_what_is_written_for_nobody_is_gone_and_other_errors_are_told(path: Path) -> None:
+def test_writes_without_host_are_dropped(path: Path) -> None:
     terminal = PseudoTerminal(path)
     os.close(terminal.fd)
     assert terminal.write(b"x") == 1

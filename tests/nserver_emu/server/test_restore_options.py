@@ -44,7 +44,7 @@ def started(monkeypatch: pytest.MonkeyPatch) -> list[Emulator]:
             return port + len(host)
 
         async def serve(self, *_: object) -> None:
-            """Nobody comes."""
+            """No client connects."""
 
     monkeypatch.setattr(cli, "Daemon", Doorless)
     return emulators
@@ -76,23 +76,23 @@ def test_what_the_file_decides_is_refused(
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "error"),
     [
         (["several_walls", "--robots", "3", "--noisy", "--start", "5,5"],
          "of its own: leave out --robots, --start, --noisy, the world several_walls\n"),
         (["--restore", "saved.json"], "of its own: leave out --restore\n"),
-        (["--save", "kept.json", "--restore", "kept.json"], "of its own: leave out --restore\n"),
-        (["--save", "kept.json", "--autosave", "60"], "and writes no file: leave out --save, --autosave\n"),
+        (["--save", "saved.json", "--restore", "saved.json"], "of its own: leave out --restore\n"),
+        (["--save", "saved.json", "--autosave", "60"], "and writes no file: leave out --save, --autosave\n"),
         (["--record", "again.log"], "it compares and stops, and writes no file: leave out --record\n"),
     ],
 )  # fmt: skip
-def test_a_replay_takes_its_beginning_from_the_recording_and_leaves_no_file(
-    words: list[str], told: str, recorded: Path, capsys: pytest.CaptureFixture[str]
+def test_a_replay_starts_from_the_recording_alone(
+    words: list[str], error: str, recorded: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit, match="2"):
         cli.main([*words, "--replay", str(recorded)])
-    said = capsys.readouterr()
-    assert (said.out, said.err[-len(told) :]) == ("", told)
+    output = capsys.readouterr()
+    assert (output.out, output.err[-len(error) :]) == ("", error)
 
 
 @pytest.mark.parametrize(
@@ -103,7 +103,7 @@ def test_a_replay_takes_its_beginning_from_the_recording_and_leaves_no_file(
     ],
     ids=" ".join,
 )  # fmt: skip
-def test_what_a_daemon_is_told_besides_may_stand_beside_a_replay(
+def test_other_options_may_accompany_a_replay(
     words: list[str], recorded: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert cli.main([*words, "--replay", str(recorded)]) == 0
@@ -135,7 +135,7 @@ def test_a_robot_of_a_setup_file_is_refused_and_its_port_is_not(
         (["--port", "0", "--allow-control"], SAVED_PACE),
     ],
 )
-def test_it_goes_on_at_its_own_pace_unless_told_another(
+def test_a_restored_run_keeps_its_speed_unless_given(
     words: list[str], pace: SimulationClock, saved: Path, started: list[Emulator]
 ) -> None:
     assert cli.main([*words, "--restore", str(saved)]) == 0
@@ -163,7 +163,7 @@ def test_a_strangers_pace_is_refused(pace: SimulationClock) -> None:
     assert emulator.clock == SimulationClock()
 
 
-def test_the_first_to_connect_to_a_restored_robot_in_motion_answers_for_it() -> None:
+def test_the_first_client_owns_a_restored_moving_robot() -> None:
     emulator = Emulator(simulation())
     meet(emulator)[0].ask("vm", 50, 0, 100)
     emulator.pass_time(1.0)
@@ -183,7 +183,7 @@ def test_the_first_to_connect_to_a_restored_robot_in_motion_answers_for_it() -> 
     del first
 
 
-def test_what_another_robots_client_already_drives_is_not_adopted() -> None:
+def test_axes_with_an_owner_are_not_claimed() -> None:
     emulator = Emulator(simulation())
     client, _ = meet(emulator)
     client.ask("create_robot", 2, 1)
@@ -195,19 +195,19 @@ def test_what_another_robots_client_already_drives_is_not_adopted() -> None:
     assert restored.simulation.robots[2].moving[2]
 
 
-def test_a_run_that_is_kept_begins_where_there_is_no_file_yet_and_says_so(
+def test_a_saved_run_starts_anew_without_a_file(
     started: list[Emulator], tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    kept = tmp_path / "now.json"
-    words = ["several_walls", "--robots", "2", "--seed", "7", "--save", str(kept), "--restore", str(kept)]
+    saved = tmp_path / "now.json"
+    words = ["several_walls", "--robots", "2", "--seed", "7", "--save", str(saved), "--restore", str(saved)]
     assert cli.main(words) == 0
     assert (started[0].simulation.world.name, len(started[0].simulation.robots)) == ("several_walls", 2)
     assert started[0].simulation.seed == 7
     (record,) = caplog.records
-    assert record.getMessage() == f"{kept}: not there yet: the simulation begins, and is saved there"
+    assert record.getMessage() == f"{saved}: not there yet: the simulation begins, and is saved there"
 
 
-def test_a_run_that_is_kept_goes_on_with_what_is_in_the_file_whatever_the_options_said_at_its_beginning(
+def test_a_saved_run_continues_from_its_file(
     saved: Path, started: list[Emulator], tmp_path: Path, caplog: pytest.LogCaptureFixture,
     monkeypatch: pytest.MonkeyPatch
 ) -> None:  # fmt: skip
@@ -223,7 +223,7 @@ def test_a_run_that_is_kept_goes_on_with_what_is_in_the_file_whatever_the_option
 
 
 @pytest.mark.parametrize("save", [(), ("--save", "other.json"), ("--save", "other.json", "--autosave", "60")])
-def test_a_file_that_is_not_there_is_an_error_where_it_is_not_the_one_that_is_saved(
+def test_a_missing_file_is_an_error_if_not_also_saved(
     save: tuple[str, ...], started: list[Emulator], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert cli.main([*save, "--restore", str(tmp_path / "now.json")]) == 1
@@ -231,11 +231,11 @@ def test_a_file_that_is_not_there_is_an_error_where_it_is_not_the_one_that_is_sa
     assert not started
 
 
-def test_a_file_that_is_damaged_is_an_error_and_is_not_begun_anew(
+def test_a_damaged_file_is_an_error(
     started: list[Emulator], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    kept = tmp_path / "now.json"
-    kept.touch()
-    assert cli.main(["--save", str(kept), "--restore", str(kept)]) == 1
+    saved = tmp_path / "now.json"
+    saved.touch()
+    assert cli.main(["--save", str(saved), "--restore", str(saved)]) == 1
     assert "is no snapshot of an nserver" in capsys.readouterr().err
-    assert (started, kept.read_text()) == ([], "")
+    assert (started, saved.read_text()) == ([], "")

@@ -102,7 +102,7 @@ def test_a_request_behind_a_later_answer_waits_its_turn() -> None:
         (b"\x00\x32\x00\x03" + b"\x00\x00\x00\x63" * 3, 2),
     ],
 )
-def test_a_bad_request_costs_an_error_and_the_conversation_goes_on(request_bytes: bytes, code: int) -> None:
+def test_a_bad_request_gets_an_error_and_the_session_goes_on(request_bytes: bytes, code: int) -> None:
     session = connected()
     session.receive(request_bytes + GS)
     replies = session.process_requests(max_requests=9)
@@ -112,9 +112,9 @@ def test_a_bad_request_costs_an_error_and_the_conversation_goes_on(request_bytes
     assert session.refused == 1
 
 
-def test_a_stream_that_lost_its_frame_is_answered_once_and_closed() -> None:
+def test_a_stream_without_frames_gets_one_error_and_is_closed() -> None:
     session = connected()
-    session.receive(b"GET / HTTP/1.1\r\nHost: somebody\r\n\r\n" + GS)
+    session.receive(b"GET / HTTP/1.1\r\nHost: example\r\n\r\n" + GS)
     assert error_codes(session.process_requests(max_requests=9)) == [1]
     assert session.closing
     session.receive(GS)
@@ -134,7 +134,7 @@ def test_disconnect_has_no_reply_and_closes() -> None:
     assert session.closing
 
 
-def test_a_64_bit_client_is_known_by_its_connect_and_answered_in_kind() -> None:
+def test_a_64_bit_client_is_recognised_by_its_connect() -> None:
     session = Session(answer)
     session.receive(codec.encode_tcp_request(Call("connect_robot", (1, 7)), wide=True))
     reply = session.process_requests(max_requests=1)
@@ -168,7 +168,7 @@ def second_connection(wide: bool = False) -> Session:
 
 
 @pytest.mark.parametrize("wide", [False, True])
-def test_an_old_client_goes_on_over_a_second_connection_without_connect(wide: bool) -> None:
+def test_an_old_client_continues_without_connect(wide: bool) -> None:
     session = second_connection(wide)
     for byte in codec.encode_tcp_request(Call("tk", ("hi",)), wide=wide) + codec.encode_tcp_request(
         Call("gs"), wide=wide
@@ -178,7 +178,7 @@ def test_an_old_client_goes_on_over_a_second_connection_without_connect(wide: bo
     assert session.identity == ClientIdentity(3, wide)
 
 
-def test_a_second_connection_that_connects_is_taken_for_what_it_says() -> None:
+def test_a_second_connection_with_connect_is_independent() -> None:
     session = second_connection(wide=True)
     assert session.identity is None
     session.receive(CONNECT + GS)
@@ -186,7 +186,7 @@ def test_a_second_connection_that_connects_is_taken_for_what_it_says() -> None:
     assert session.identity == ClientIdentity(1, wide=False)
 
 
-def test_who_says_nothing_after_connect_is_silent_until_it_does() -> None:
+def test_a_client_is_silent_until_a_request_after_connect() -> None:
     session = connected()
     assert session.identity == ClientIdentity(1, wide=False, silent=True)
     session.receive(GS)

@@ -23,17 +23,17 @@ from worlds.world import StartPose
 def casts(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
     """How often a sonar's echo and a flash of the infrareds were worked out."""
     counted: Counter[str] = Counter()
-    hear, look = SonarNoise.measured_ranges, InfraredRing._ranges
+    measure, look = SonarNoise.measured_ranges, InfraredRing._ranges
 
-    def heard(model: SonarNoise, pings: Sequence[Ping], *args: object) -> list[float]:
+    def count_pings(model: SonarNoise, pings: Sequence[Ping], *args: object) -> list[float]:
         counted["sonar"] += len(pings)
-        return hear(model, pings, *args)  # type: ignore[arg-type]
+        return measure(model, pings, *args)  # type: ignore[arg-type]
 
     def looked(*args: object) -> object:
         counted["infrared"] += 1
         return look(*args)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(SonarNoise, "measured_ranges", heard)
+    monkeypatch.setattr(SonarNoise, "measured_ranges", count_pings)
     monkeypatch.setattr(InfraredRing, "_ranges", looked)
     return counted
 
@@ -74,7 +74,7 @@ def test_a_mask_pays_for_what_it_shows(
     assert casts == cast
 
 
-def test_who_asks_at_the_same_moment_with_other_masks_shares_what_is_known(
+def test_connections_with_other_masks_share_the_snapshot(
     emulator: Emulator, client: WireClient, casts: Counter[str]
 ) -> None:
     emulator.simulation.robots[1].place(300.0, 200.0, 1.0, 2.0)

@@ -14,7 +14,7 @@ from worlds.world import Polygon, StartPose, World
 
 @pytest.fixture
 def room() -> World:
-    """Free from -100 to 100 in both ways, and nothing inside."""
+    """Return a room from -100 to 100 in in both directions, with nothing inside."""
     return World("room", rooms=(Polygon(((-100.0, -100.0), (100.0, -100.0), (100.0, 100.0), (-100.0, 100.0))),))
 
 

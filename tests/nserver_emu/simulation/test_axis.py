@@ -1,4 +1,4 @@
-"""Axes against the closed form of trapezoids, against sums of fine steps, and cut in any way."""
+"""Axes against the closed form of trapezoids, against sums of fine steps, and in steps of any size."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def ramped(speed: float = 20.0, acceleration: float = 30.0, velocity: float = 0.
     return axis
 
 
-def test_instant_velocity_runs_until_told_otherwise() -> None:
+def test_instant_velocity_lasts_until_the_next_command() -> None:
     axis = instant()
     axis.move_at(-12.5)
     assert (axis.moving, axis.velocity, axis.shown_velocity) == (True, -12.5, -12.5)
@@ -105,7 +105,7 @@ def test_ramps_keep_speed_and_acceleration_and_reach_the_target(motion: tuple[fl
 
 @settings(max_examples=60)
 @given(motions, st.lists(st.floats(0.0, 1.0), max_size=30), st.booleans())
-def test_how_time_is_cut_changes_nothing(
+def test_step_size_changes_nothing(
     motion: tuple[float, float, float, float], cuts: list[float], ramps: bool
 ) -> None:
     start, distance, speed, rate = motion
@@ -119,7 +119,7 @@ def test_how_time_is_cut_changes_nothing(
         assert whole.velocity == pytest.approx(cut.velocity, abs=1e-6)
 
 
-def test_a_target_inside_the_braking_distance_is_approached_from_the_other_side() -> None:
+def test_a_target_inside_the_braking_distance_is_overshot() -> None:
     axis = ramped(20.0, 10.0, velocity=20.0)
     axis.move_by(5.0)
     brake = axis.advance(2.0)
@@ -197,7 +197,7 @@ def test_halt_stands_at_once_where_stop_needs_a_ramp() -> None:
     assert axis.mode is Mode.HOLD
 
 
-def test_limp_runs_out_and_says_so() -> None:
+def test_limp_runs_down_and_stays_limp() -> None:
     axis = ramped(acceleration=10.0, velocity=10.0)
     axis.limp()
     assert (axis.moving, axis.mode) == (True, Mode.LIMP)
@@ -207,7 +207,7 @@ def test_limp_runs_out_and_says_so() -> None:
     assert axis.mode is Mode.HOLD
 
 
-def test_speed_set_during_a_motion_counts_from_the_next_one() -> None:
+def test_speed_set_during_a_motion_applies_to_the_next() -> None:
     axis = instant()
     axis.move_by(10.0)
     axis.set_speed(1.0)

@@ -29,5 +29,5 @@ def test_midway_sets_both_neighbours_and_touches_add_up() -> None:
 
 
 @given(st.floats(-20.0, 20.0))
-def test_no_touch_goes_unnoticed(direction: float) -> None:
+def test_every_touch_sets_a_bumper(direction: float) -> None:
     assert 1 <= pressed_bumpers([direction], RING).bit_count() <= 2

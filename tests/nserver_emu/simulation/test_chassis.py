@@ -21,21 +21,21 @@ def chassis(x: float, y: float) -> Chassis:
     return Chassis(N150, WallSet(WALLS), x, y)
 
 
-def test_the_cached_room_changes_no_contact() -> None:
+def test_cached_clearance_changes_no_contact() -> None:
     rng = np.random.default_rng(2)
-    kept = chassis(0.0, 0.0)
+    cached = chassis(0.0, 0.0)
     contacts = 0
     for _ in range(400):
         steering = rng.uniform(-pi, pi)
         segment = ConstantAccelerationSegment(
             rng.uniform(0.01, 0.6), rng.uniform(-20.0, 20.0), 0.0, rng.uniform(-0.7, 0.7), 0.0
         )
-        fresh = chassis(*kept.pose(0.0, 0.0)[:2])
-        found = kept.first_contact(segment, steering)
+        fresh = chassis(*cached.pose(0.0, 0.0)[:2])
+        found = cached.first_contact(segment, steering)
         assert found == fresh.first_contact(segment, steering)
         contacts += found is not None
-        kept.follow(segment, segment.duration_s if found is None else found.time_s, steering)
-        assert kept.bumpers(0.0) == chassis(*kept.pose(0.0, 0.0)[:2]).bumpers(0.0)
+        cached.follow(segment, segment.duration_s if found is None else found.time_s, steering)
+        assert cached.bumpers(0.0) == chassis(*cached.pose(0.0, 0.0)[:2]).bumpers(0.0)
     assert contacts > 10
 
 
@@ -43,7 +43,7 @@ def test_standing_in_a_wall_and_only_steering_is_no_contact() -> None:
     assert chassis(45.0, 0.0).first_contact(ConstantAccelerationSegment(1.0, 0.0, 0.0, 0.5, 0.0), 0.0) is None
 
 
-def test_bumpers_turn_with_the_body_and_see_both_walls_of_a_corner() -> None:
+def test_bumpers_turn_with_the_body_and_touch_both_walls() -> None:
     robot = chassis(50.0 - N150.radius_in, 40.0 - N150.radius_in)
     assert robot.bumpers(0.0) == 1 << 0 | 1 << 5
     robot.turn(radians(18.0))
@@ -59,7 +59,7 @@ def test_touching_is_a_thousandth_of_an_inch() -> None:
     assert chassis(50.0 - N150.radius_in - 1.1e-3, 0.0).bumpers(0.0) == 0
 
 
-def test_a_new_ground_is_seen_at_once() -> None:
+def test_new_walls_and_robots_count_at_once() -> None:
     robot = chassis(0.0, 0.0)
     ahead = ConstantAccelerationSegment(1.0, 5.0, 0.0, 0.0, 0.0)
     assert robot.first_contact(ahead, 0.0) is None

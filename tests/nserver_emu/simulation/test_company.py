@@ -1,4 +1,4 @@
-"""Several robots: they stop at one another, see one another, and none has the way for ever."""
+"""Several robots: contact, detection of one another, and no permanent priority."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_a_robot_stops_at_one_that_stands(room: World) -> None:
 
 
 @pytest.mark.parametrize("step_s", [0.1, 0.0137, 1.0])
-def test_two_that_meet_stop_in_the_middle_and_never_overlap(room: World, step_s: float) -> None:
+def test_approaching_robots_stop_and_never_overlap(room: World, step_s: float) -> None:
     simulation = two(room, 40.0)
     for robot in simulation.robots.values():
         robot.set_velocities(10.0, 0.0, 0.0)
@@ -75,7 +75,7 @@ def test_two_that_meet_stop_in_the_middle_and_never_overlap(room: World, step_s:
     assert first.actual.x_in + second.actual.x_in == pytest.approx(0.0, abs=0.21)
 
 
-def test_a_crowd_never_overlaps_and_runs_the_same_twice(room: World) -> None:
+def test_many_robots_never_overlap_and_runs_repeat(room: World) -> None:
     def motion() -> list[tuple[float, ...]]:
         simulation, rng = Simulation(room, 3), np.random.default_rng(4)
         for number in range(6):
@@ -92,7 +92,7 @@ def test_a_crowd_never_overlaps_and_runs_the_same_twice(room: World) -> None:
     assert motion() == motion()
 
 
-def test_sonars_see_the_others(room: World) -> None:
+def test_sonars_detect_other_robots(room: World) -> None:
     simulation = two(room, 40.0)
     first, second = simulation.robots.values()
     simulation.step(1.0)
@@ -104,13 +104,13 @@ def test_sonars_see_the_others(room: World) -> None:
     assert first.sonar.readings_in[0] > 100
 
 
-def test_a_robot_is_seen_from_its_first_moment_and_sees(room: World) -> None:
+def test_a_new_robot_is_detected_and_detects_at_once(room: World) -> None:
     simulation = two(room, 40.0)
     assert simulation.robots[2].sonar.readings_in[0] == 41
     assert simulation.robots[1].sonar.readings_in[0] == round(100.0 + 0.5 * (40.0 + TOUCHING) - 9.06)
 
 
-def test_a_moving_robot_is_seen_where_it_was_a_hundredth_of_a_second_ago_however_time_is_cut(room: World) -> None:
+def test_moving_robots_are_detected_where_they_were_a_tick_ago(room: World) -> None:
     readings = []
     for step_s in (0.5, 0.01, 0.007):
         simulation = two(room, 60.0)
@@ -143,7 +143,7 @@ def test_neighbours_by_their_gaps() -> None:
 
 
 @pytest.mark.parametrize("count", [2, 7, 60])
-def test_neighbours_are_those_that_a_look_at_all_pairs_finds(count: int) -> None:
+def test_neighbours_equal_a_search_of_all_pairs(count: int) -> None:
     rng = np.random.default_rng(count)
     discs = np.column_stack((rng.uniform(-100.0, 100.0, (count, 2)), rng.uniform(5.0, 9.0, count)))
     pairs = combinations(enumerate(discs.tolist()), 2)
@@ -152,7 +152,7 @@ def test_neighbours_are_those_that_a_look_at_all_pairs_finds(count: int) -> None
 
 
 @pytest.mark.parametrize("model", [N150, SCOUT])
-def test_who_may_meet_depends_on_how_fast_they_go(room: World, model: RobotModel) -> None:
+def test_candidate_pairs_depend_on_speed(room: World, model: RobotModel) -> None:
     simulation = Simulation(room)
     robots = [simulation.add_robot(number, StartPose(35.0 * number, 0.0), model) for number in (0, 1)]
     gap = 35.0 - 2.0 * model.body.radius_in
@@ -164,7 +164,7 @@ def test_who_may_meet_depends_on_how_fast_they_go(room: World, model: RobotModel
 
 
 @pytest.mark.parametrize("model", [N150, SCOUT])
-def test_noise_and_bad_wheels_reach_farther(room: World, model: RobotModel) -> None:
+def test_noise_and_odometry_errors_widen_the_bounds(room: World, model: RobotModel) -> None:
     noise = RobotSetup("sideways", False, MotionNoise(alpha3=0.01, alpha4=0.04), SonarNoise())
     robots = [
         Simulation(room).add_robot(1, model=model, setup=setup)
@@ -183,7 +183,7 @@ def test_noise_and_bad_wheels_reach_farther(room: World, model: RobotModel) -> N
 
 
 def roaming(seed: int, world: World, setup: RobotSetup, count: int = 14) -> Iterator[Simulation]:
-    """So many robots of three kinds in a small room, told something new every 0.3 s: at each of these instants."""
+    """Yield a simulation of several robots of three models in a small room, at each new command, every 0.3 s."""
     rng, simulation = np.random.default_rng(seed), Simulation(world, seed)
     for number in range(count):
         start = StartPose(-75.0 + 37.0 * (number % 5), -60.0 + 40.0 * (number // 5), number, number)
@@ -207,7 +207,7 @@ def by_ticks(simulation: Simulation, begin_ps: int, end_ps: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_running_those_who_may_meet_is_running_all_by_ticks_but_for_rounding(room: World, seed: int) -> None:
+def test_advancing_pairs_equals_advancing_all_by_ticks(room: World, seed: int) -> None:
     """To the bit it cannot be: a path that is not cut at ticks sums up otherwise, and a contact is solved to 1e-10."""
     touched = 0
     ramps = RobotSetup("ramps", seed % 2 == 0, IDEAL.motion, IDEAL.sonar)
@@ -223,20 +223,20 @@ def test_running_those_who_may_meet_is_running_all_by_ticks_but_for_rounding(roo
 
 
 @pytest.mark.parametrize("setup", [IDEAL, NOISY])
-def test_a_crowd_that_meets_runs_the_same_twice_and_from_a_copy(room: World, setup: RobotSetup) -> None:
-    def told(simulation: Simulation) -> list[object]:
+def test_meeting_robots_repeat_also_after_a_restore(room: World, setup: RobotSetup) -> None:
+    def states(simulation: Simulation) -> list[object]:
         return [(robot.actual, robot.encoder, robot.bumpers) for robot in simulation.robots.values()]
 
     for step, (first, again) in enumerate(zip(roaming(9, room, setup), roaming(9, room, setup), strict=True)):
         twin = Simulation.from_state(first.to_state()) if step % 8 == 0 else again
         for simulation in {id(one): one for one in (first, again, twin)}.values():
             simulation.step(0.3)
-        assert told(first) == told(again) == told(twin)
+        assert states(first) == states(again) == states(twin)
         assert apart(first) > -1e-6
 
 
 @pytest.mark.parametrize("setup", [IDEAL, RobotSetup("ramps", True, IDEAL.motion, IDEAL.sonar)])
-def test_where_a_robot_was_a_while_ago(room: World, setup: RobotSetup) -> None:
+def test_past_positions_follow_the_trajectory(room: World, setup: RobotSetup) -> None:
     def robots() -> Simulation:
         simulation = two(room, 60.0, setup)
         simulation.step(0.0037)
@@ -268,7 +268,7 @@ def test_a_robot_far_from_the_others_runs_as_if_alone(room: World) -> None:
     assert alone.robots[2].actual != alone.robots[2].encoder
 
 
-def test_a_copy_of_a_crowd_goes_on_bit_for_bit(room: World) -> None:
+def test_restored_robots_continue_bit_for_bit(room: World) -> None:
     simulation = two(room, 20.0, NOISY)
     for robot in simulation.robots.values():
         robot.set_velocities(6.0, 0.05, radians(10.0))
@@ -281,7 +281,7 @@ def test_a_copy_of_a_crowd_goes_on_bit_for_bit(room: World) -> None:
         assert robot.sonar.readings_in == other.sonar.readings_in
 
 
-def test_a_change_of_the_world_keeps_the_company(room: World) -> None:
+def test_a_change_of_the_world_keeps_the_other_robots(room: World) -> None:
     simulation = two(room, 1.0)
     simulation.step(0.1)
     simulation.change_world(simulation.world.with_obstacles(()))
@@ -290,7 +290,7 @@ def test_a_change_of_the_world_keeps_the_company(room: World) -> None:
     assert apart(simulation) == pytest.approx(0.0, abs=1e-9)
 
 
-def test_bumpers_go_on_feeling_a_robot_when_the_world_changes_elsewhere(room: World) -> None:
+def test_bumpers_stay_pressed_when_the_world_changes(room: World) -> None:
     simulation = two(room, 10.0)
     first, second = simulation.robots.values()
     first.set_velocities(20.0, 0.0, 0.0)
@@ -309,7 +309,7 @@ def test_bumpers_go_on_feeling_a_robot_when_the_world_changes_elsewhere(room: Wo
 
 
 @pytest.mark.parametrize("before_s", [0.0, 0.013, 0.02])
-def test_a_robot_put_elsewhere_is_seen_and_felt_there_at_the_same_instant(room: World, before_s: float) -> None:
+def test_a_placed_robot_is_detected_there_at_once(room: World, before_s: float) -> None:
     simulation = Simulation(room)
     watcher = simulation.add_robot(1, StartPose(0.0, 0.0), N200)
     other = simulation.add_robot(2, StartPose(50.0, 0.0))
@@ -328,7 +328,7 @@ def test_a_robot_put_elsewhere_is_seen_and_felt_there_at_the_same_instant(room: 
     assert watcher.sonar.readings_in[4] == round(100.0 - N200.body.sonar_ring_radius_in)
 
 
-def test_robots_that_wake_together_see_each_other_whoever_came_first(room: World) -> None:
+def test_robots_powered_on_together_detect_each_other(room: World) -> None:
     def wakes(order: tuple[int, ...]) -> list[tuple[int, ...]]:
         simulation = Simulation(room)
         for number in order:
@@ -349,7 +349,7 @@ def test_robots_that_wake_together_see_each_other_whoever_came_first(room: World
 
 
 def strayed(room: World, seed: int, *others: StartPose, speed: float = 0.0) -> tuple[float, float]:
-    """How far a noisy robot ends from where it was sent, beside such others: along its way and across it."""
+    """Return the final deviations of a noisy robot among others: along its path and across it."""
     simulation = Simulation(room, seed)
     robot = simulation.add_robot(1, StartPose(-60.0, 0.0), setup=NOISY)
     for number, start in enumerate(others, start=2):
@@ -360,16 +360,16 @@ def strayed(room: World, seed: int, *others: StartPose, speed: float = 0.0) -> t
 
 
 BESIDE = StartPose(-10.0 + TOUCHING + 4.0, 0.0, pi, 0.0)
-"""Before the end of the way."""
+"""Return True before the end of the path."""
 
 
-def test_who_is_far_or_stands_does_not_change_a_robots_chance(room: World) -> None:
+def test_distant_or_standing_robots_change_no_random_draws(room: World) -> None:
     alone = strayed(room, 3)
     assert alone == strayed(room, 3, StartPose(60.0, 60.0), StartPose(60.0, -60.0), speed=1.0)
     assert alone == strayed(room, 3, BESIDE)
 
 
-def test_who_moves_near_changes_the_numbers_drawn_and_not_their_spread(room: World) -> None:
+def test_near_moving_robots_change_draws_but_not_their_spread(room: World) -> None:
     alone = np.array([strayed(room, seed) for seed in range(120)])
     near_another = np.array([strayed(room, seed, BESIDE, speed=0.5) for seed in range(120)])
     assert (alone != near_another).any(axis=1).sum() > 20

@@ -35,7 +35,7 @@ def compass(noise: CompassNoise = NO_COMPASS_NOISE) -> Compass:
     return Compass(noise, 0.0, 0, np.random.default_rng(2))
 
 
-def test_a_reading_is_due_every_tenth_of_a_second_and_the_last_one_counts() -> None:
+def test_readings_are_due_every_tenth_of_a_second() -> None:
     needle = compass()
     assert needle.due_ps == INTERVAL_PS
     assert last_reading_ps(INTERVAL_PS) == INTERVAL_PS
@@ -45,7 +45,7 @@ def test_a_reading_is_due_every_tenth_of_a_second_and_the_last_one_counts() -> N
 
 
 @pytest.mark.parametrize("step_s", [0.01, 0.037, 0.5, 3.0])
-def test_it_shows_where_the_turret_pointed_at_the_last_tenth_however_time_is_cut(lone: Lone, step_s: float) -> None:
+def test_the_step_size_changes_no_compass_reading(lone: Lone, step_s: float) -> None:
     simulation, robot = lone()
     robot.set_velocities(0.0, 0.0, 0.7)
     for _ in range(round(3.0 / step_s)):
@@ -55,7 +55,7 @@ def test_it_shows_where_the_turret_pointed_at_the_last_tenth_however_time_is_cut
     assert robot.actual.turret_rad == pytest.approx(0.7 * 3.05)
 
 
-def test_it_follows_a_turn_that_ends_in_between_and_a_robot_put_elsewhere(lone: Lone) -> None:
+def test_it_follows_turns_that_end_between_readings(lone: Lone) -> None:
     simulation, robot = lone(StartPose(0.0, 0.0, 0.0, 0.5), RobotSetup("r", True, IDEAL.motion, IDEAL.sonar))
     assert needle_of(robot).direction_rad == 0.5
     robot.configure_sonars(15, ())
@@ -67,7 +67,7 @@ def test_it_follows_a_turn_that_ends_in_between_and_a_robot_put_elsewhere(lone: 
     assert needle_of(robot).direction_rad == pytest.approx(2.0)
 
 
-def test_the_iron_of_the_robot_bends_it_until_a_full_turn_while_calibrating() -> None:
+def test_calibration_by_a_full_turn_removes_the_deviation() -> None:
     needle = compass(IRON)
 
     def turn(count: int) -> None:
@@ -87,7 +87,7 @@ def test_the_iron_of_the_robot_bends_it_until_a_full_turn_while_calibrating() ->
     assert needle.direction_rad == pytest.approx(14.5 - 2 * tau)
 
 
-def test_switched_off_it_keeps_its_reading_and_no_mode_is_refused() -> None:
+def test_off_keeps_the_reading_and_unknown_modes_are_refused() -> None:
     needle = compass()
     needle.read(INTERVAL_PS, 1.0, 1.0)
     needle.configure(0, 1.0)
@@ -101,7 +101,7 @@ def test_switched_off_it_keeps_its_reading_and_no_mode_is_refused() -> None:
         needle.configure(7, 0.0)
 
 
-def test_noise_has_its_spread_and_each_reading_its_own_whether_looked_at_or_not() -> None:
+def test_each_reading_has_noise_of_its_own() -> None:
     noise = CompassNoise(std_rad=0.01)
     each, last = compass(noise), compass(noise)
     read = []
@@ -114,22 +114,22 @@ def test_noise_has_its_spread_and_each_reading_its_own_whether_looked_at_or_not(
     assert np.std(read) == pytest.approx(0.01, rel=0.08)
 
 
-def turned(simulation: Simulation, robot: SimulatedRobot, way_rad: float) -> bool:
-    """Turn the turret, wait for it, and tell whether the compass is calibrated by then."""
-    robot.move_relative(0.0, 0.0, way_rad)
-    simulation.step(abs(way_rad) / radians(45.0) + 0.2)
+def turned(simulation: Simulation, robot: SimulatedRobot, turn_rad: float) -> bool:
+    """Turn the turret, wait for it, and return True if the compass is calibrated by then."""
+    robot.move_relative(0.0, 0.0, turn_rad)
+    simulation.step(abs(turn_rad) / radians(45.0) + 0.2)
     return needle_of(robot).calibrated
 
 
-def test_a_turn_of_exactly_360_degrees_calibrates_and_a_degree_less_does_not(lone: Lone) -> None:
-    for way_rad, done in ((tau, True), (-tau, True), (radians(359.0), False), (radians(-359.0), False)):
+def test_a_turn_of_359_degrees_does_not_calibrate(lone: Lone) -> None:
+    for turn_rad, done in ((tau, True), (-tau, True), (radians(359.0), False), (radians(-359.0), False)):
         simulation, robot = lone(StartPose(0.0, 0.0, 0.0, radians(359.0)))
         simulation.step(0.05)
         robot.configure_compass(2)
-        assert turned(simulation, robot, way_rad) is done
+        assert turned(simulation, robot, turn_rad) is done
 
 
-def test_what_was_turned_before_and_while_off_counts_for_nothing(lone: Lone) -> None:
+def test_turns_before_calibration_and_while_off_do_not_count(lone: Lone) -> None:
     simulation, robot = lone()
     turned(simulation, robot, 2.0)
     robot.configure_compass(0)
@@ -139,10 +139,10 @@ def test_what_was_turned_before_and_while_off_counts_for_nothing(lone: Lone) -> 
     assert turned(simulation, robot, radians(10.0))
 
 
-def test_wiggling_is_no_turn(lone: Lone) -> None:
+def test_turning_to_and_fro_is_no_full_turn(lone: Lone) -> None:
     simulation, robot = lone()
     robot.configure_compass(2)
-    assert not any(turned(simulation, robot, way) for way in (0.2, -0.2) * 40)
+    assert not any(turned(simulation, robot, turn) for turn in (0.2, -0.2) * 40)
 
 
 def test_a_robot_that_is_put_elsewhere_has_not_turned(lone: Lone) -> None:
@@ -158,7 +158,7 @@ def test_a_robot_that_is_put_elsewhere_has_not_turned(lone: Lone) -> None:
     assert turned(simulation, robot, radians(1.0))
 
 
-def test_a_zero_that_is_found_after_whole_turns_has_not_turned_them_back(lone: Lone) -> None:
+def test_finding_zero_after_whole_turns_is_no_turn(lone: Lone) -> None:
     simulation, robot = lone()
     turned(simulation, robot, 2 * tau)
     robot.configure_compass(2)

@@ -40,7 +40,7 @@ def test_head_on() -> None:
         assert (contact.away_x, contact.away_y) == pytest.approx((-1.0, 0.0))
 
 
-def test_too_short_a_way_touches_nothing() -> None:
+def test_too_short_a_path_touches_nothing() -> None:
     assert first_contact(PlacedSegment(0.0, 3.0, 0.0, straight(10.0, 4.0)), RADIUS, all_of(WALL)) is None
     assert first_contact(PlacedSegment(0.0, 0.0, 0.0, straight(10.0, 4.0)), RADIUS, ()) is None
 
@@ -97,9 +97,9 @@ motions = st.builds(
 @given(scenes, motions, st.floats(-pi, pi), st.sampled_from((1.0, -1.0)))
 @example(np.array([[0.0, 11.0, 6.0, 9.0]]), ConstantAccelerationSegment(3.0, 1.0, 9.0, 0.0, 0.0), 0.0, 1.0)
 def test_a_slow_march_finds_the_same(
-    capsules: np.ndarray, motion: ConstantAccelerationSegment, heading: float, way: float
+    capsules: np.ndarray, motion: ConstantAccelerationSegment, heading: float, sign: float
 ) -> None:
-    motion = motion._replace(speed=way * motion.speed, acceleration=way * motion.acceleration)
+    motion = motion._replace(speed=sign * motion.speed, acceleration=sign * motion.acceleration)
     if gap(capsules, 0.0, 0.0) < 0.5:
         return
     placed = PlacedSegment(0.0, 0.0, heading, motion)
@@ -114,7 +114,7 @@ def test_a_slow_march_finds_the_same(
         )
 
 
-def test_a_robot_that_touches_may_leave_and_slide_but_not_press_on() -> None:
+def test_a_touching_robot_may_leave_and_slide_but_not_press() -> None:
     ground = all_of(WALL)
     for inset in (0.0, 1e-9, -1e-9, 2.0):
         x = 50.0 - RADIUS + inset
@@ -150,12 +150,12 @@ def test_a_grazing_arc_is_found_within_the_chord_error() -> None:
     assert deepest < TOUCH_IN / 5.0
 
 
-def test_an_arc_around_a_post_that_its_chords_cut_is_no_worse_than_its_chords() -> None:
+def test_arcs_around_a_post_are_as_exact_as_their_chords() -> None:
     post = (Capsule.disc(0.0, 0.0, 5.0),)
-    for extra, way in ((2e-5, 1.0), (2e-5, -1.0), (1e-3, 1.0)):
+    for extra, sign in ((2e-5, 1.0), (2e-5, -1.0), (1e-3, 1.0)):
         radius = RADIUS + 5.0 + extra
         placed = PlacedSegment(
-            radius, 0.0, way * pi / 2, ConstantAccelerationSegment(2.0, 10.0, 0.0, way * 10.0 / radius, 0.0)
+            radius, 0.0, sign * pi / 2, ConstantAccelerationSegment(2.0, 10.0, 0.0, sign * 10.0 / radius, 0.0)
         )
         contact = first_contact(placed, RADIUS, post)
         assert (contact is None) == (extra > 2e-4)
@@ -168,7 +168,7 @@ def test_a_centre_on_the_wall_may_go_anywhere() -> None:
     assert Capsule.disc(50.0, 0.0, 9.0).gap_to(1.0, 50.0, 0.0) == (-10.0, 0.0, 0.0)
 
 
-def test_the_ground_tells_the_walls_near_and_how_far_the_others_are() -> None:
+def test_near_walls_and_the_distance_of_the_others() -> None:
     capsules, rest = WallSet(np.concatenate((WALL, LONG_WALL + 30.0))).within(0.0, 0.0, 50.0)
     assert (capsules, rest) == (all_of(WALL), 80.0)
     assert WallSet(WALL).within(0.0, 0.0, 50.0) == (all_of(WALL), inf)
@@ -176,7 +176,7 @@ def test_the_ground_tells_the_walls_near_and_how_far_the_others_are() -> None:
     assert WallSet(np.empty((0, 4))).within(0.0, 0.0, 1e4) == ((), inf)
 
 
-def test_pressing_knows_forward_from_backward() -> None:
+def test_pressing_depends_on_the_direction_of_motion() -> None:
     wall_ahead = Contact(0.0, -1.0, 0.0)
     assert wall_ahead.pressed_by(0.0, 1.0)
     assert not wall_ahead.pressed_by(0.0, -1.0)

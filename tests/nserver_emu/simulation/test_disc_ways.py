@@ -54,19 +54,19 @@ def rays(count: int) -> tuple[FloatArray, FloatArray]:
     return angles, np.stack((np.cos(angles), np.sin(angles)), axis=1)
 
 
-def met_by(ways: FloatArray, discs: FloatArray, walls: FloatArray) -> tuple[FloatArray, FloatArray]:
+def met_by(directions: FloatArray, discs: FloatArray, walls: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Where rays from the transducer first meet a disc: ranges (count,), FAR where none or a wall before it; and the
     cosines of incidence. Slow and plain: every ray with every disc and wall by the quadratic and by Cramer."""
-    ranges, cosines = np.full(len(ways), FAR), np.zeros(len(ways))
-    for ray, way in enumerate(ways):
+    ranges, cosines = np.full(len(directions), FAR), np.zeros(len(directions))
+    for ray, direction in enumerate(directions):
         for x, y, radius in discs:
             to = np.array([x - FACE, y])
-            root = (to @ way) ** 2 - to @ to + radius**2
-            reach = to @ way - sqrt(root) if root >= 0.0 else FAR
+            root = (to @ direction) ** 2 - to @ to + radius**2
+            reach = to @ direction - sqrt(root) if root >= 0.0 else FAR
             if 0.0 < reach < ranges[ray]:
-                ranges[ray], cosines[ray] = reach, -way @ (reach * way - to) / radius
+                ranges[ray], cosines[ray] = reach, -direction @ (reach * direction - to) / radius
         for x1, y1, x2, y2 in walls:
-            reach, share = np.linalg.solve([[way[0], x1 - x2], [way[1], y1 - y2]], [x1 - FACE, y1])
+            reach, share = np.linalg.solve([[direction[0], x1 - x2], [direction[1], y1 - y2]], [x1 - FACE, y1])
             if 0.0 < reach < ranges[ray] and 0.0 <= share <= 1.0:
                 ranges[ray] = FAR
     return ranges, cosines
@@ -76,7 +76,7 @@ def met_by(ways: FloatArray, discs: FloatArray, walls: FloatArray) -> tuple[Floa
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_the_nearest_loud_point_of_the_robots_in_the_cone_is_heard(seed: int) -> None:
+def test_the_nearest_loud_point_of_a_robot_is_the_echo(seed: int) -> None:
     """What comes back of 4001 rays: the skin's points, each with its loss, and those that are struck head-on."""
     rng = np.random.default_rng(seed)
     discs = np.concatenate([disc(rng.uniform(15.0, 120.0), rng.uniform(-0.6, 0.6), rng.uniform(7.0, 10.0))
@@ -85,18 +85,18 @@ def test_the_nearest_loud_point_of_the_robots_in_the_cone_is_heard(seed: int) ->
     along = 4.0 * np.array([cos(turn), sin(turn)])
     walls = np.array([[*(middle - along), *(middle + along)]])
     model = replace(MODEL, edge_loss_db=inf)
-    angles, ways = rays(4001)
-    ranges, cosines = met_by(ways, discs, walls)
+    angles, directions = rays(4001)
+    ranges, cosines = met_by(directions, discs, walls)
     rim_db = MODEL.cone_loss_db * (angles / HALF) ** 2 + MODEL.absorption_db_in * ranges
     loud = rim_db + MODEL.skin_loss_db <= MODEL.margin_db
     for x, y, radius in discs:
         spread_db = 10.0 * log10(1.0 + (hypot(x - FACE, y) - radius) / radius)
-        ours = np.abs(np.hypot(FACE + ranges * ways[:, 0] - x, ranges * ways[:, 1] - y) - radius) < 1e-6
+        ours = np.abs(np.hypot(FACE + ranges * directions[:, 0] - x, ranges * directions[:, 1] - y) - radius) < 1e-6
         loud |= ours & (cosines > 1.0 - 1e-5) & (rim_db + spread_db <= MODEL.margin_db)
     expected = ranges[loud].min(initial=inf)
     off_the_wall = model.first_echo_in(ping(), (), ReflectorMap(walls), N150)
-    heard = first(discs, model, walls)
-    assert heard == pytest.approx(min(expected - MODEL.recess_in, off_the_wall), abs=0.5)
+    measured = first(discs, model, walls)
+    assert measured == pytest.approx(min(expected - MODEL.recess_in, off_the_wall), abs=0.5)
 
 
 @pytest.mark.parametrize("distance", [12.0, 40.0, 90.0, 250.0])
@@ -117,8 +117,8 @@ def test_a_round_robot_spreads_the_sound_as_a_bundle_of_rays(distance: float) ->
 
 
 @pytest.mark.parametrize(("bearing_deg", "distance"), [(5.0, 50.0), (11.25, 80.0), (16.0, 30.0)])
-def test_a_neighbour_hears_off_the_round_what_obeys_the_law_of_reflection(bearing_deg: float, distance: float) -> None:
-    """The shortest way by the rim, sought over 200,001 of its points, is the mirror's."""
+def test_neighbours_receive_what_obeys_the_law_of_reflection(bearing_deg: float, distance: float) -> None:
+    """The shortest path over 200,001 points of the rim is the specular one."""
     one, other = ping(0.0), ping(radians(22.5), 0.001)
     target = disc(distance, radians(bearing_deg))
     x, y, radius = target[0]
@@ -137,7 +137,7 @@ def test_a_neighbour_hears_off_the_round_what_obeys_the_law_of_reflection(bearin
 # Closed forms of the cone
 
 
-def test_a_robot_is_heard_as_far_as_its_nearest_point_in_the_cone() -> None:
+def test_a_robot_echoes_from_its_nearest_point_in_the_cone() -> None:
     for bearing in (-0.2, 0.0, 0.1, HALF - 1e-9):
         assert first(disc(60.0, bearing), LOUD) == pytest.approx(60.0 - RADIUS - MODEL.recess_in)
     for bearing in (HALF + 0.01, 0.3, -0.35):
@@ -150,7 +150,7 @@ def test_a_robot_is_heard_as_far_as_its_nearest_point_in_the_cone() -> None:
     assert first(disc(RADIUS + 0.2, 2.5)) == inf
 
 
-def test_a_robot_is_heard_at_slants_at_which_a_wall_is_lost() -> None:
+def test_a_robot_echoes_at_angles_at_which_a_wall_does_not() -> None:
     """A wall through the nearest point of the robot, 45 degrees off, mirrors all away; a robot always faces one."""
     x = FACE + 40.0
     wall = np.array([[x - 5.0, -5.0, x + 5.0, 5.0]])
@@ -160,7 +160,7 @@ def test_a_robot_is_heard_at_slants_at_which_a_wall_is_lost() -> None:
     assert first(turned, mute) == pytest.approx(39.5)
 
 
-def test_inside_a_robot_nothing_comes_back_from_it() -> None:
+def test_inside_a_robot_there_is_no_echo_from_it() -> None:
     assert first(disc(5.0)) == inf
 
 
@@ -182,7 +182,7 @@ def test_a_robot_hides_walls_and_a_wall_hides_robots() -> None:
     assert first(disc(90.0), LOUD, slanted) == inf
 
 
-def test_a_slanted_wall_shows_the_robot_that_it_mirrors_too_far_away() -> None:
+def test_a_robot_reflected_in_a_slanted_wall_appears_too_far() -> None:
     x = FACE + 50.0
     mirror = np.array([[x - 10.0, -10.0, x + 10.0, 10.0]])
     robot = np.array([[x, 70.0, RADIUS]])
@@ -193,7 +193,7 @@ def test_a_slanted_wall_shows_the_robot_that_it_mirrors_too_far_away() -> None:
     assert first(robot, replace(mute, margin_db=needed_db - 0.01), mirror) == inf
 
 
-def test_in_the_measured_setup_a_robot_beside_the_axis_is_heard(room: World) -> None:
+def test_a_robot_beside_the_axis_is_measured_in_the_ring(room: World) -> None:
     simulation = Simulation(room, 1)
     simulation.add_robot(1, StartPose(0.0, 0.0), N150_MODEL, MEASURED)
     simulation.add_robot(2, StartPose(50.0, 11.0), N150_MODEL, MEASURED)
@@ -217,26 +217,26 @@ def two_measured(room: World) -> Simulation:
     return simulation
 
 
-def heard(simulation: Simulation) -> list[tuple[int, ...]]:
+def measured(simulation: Simulation) -> list[tuple[int, ...]]:
     return [robot.sonar.readings_in for robot in simulation.robots.values()]
 
 
-def test_what_is_heard_of_a_passing_robot_does_not_depend_on_how_time_is_cut_or_who_looks(room: World) -> None:
+def test_step_size_and_reading_change_no_echo_of_a_robot(room: World) -> None:
     results = []
     for step_s in (0.5, 0.01, 0.007):
         simulation = two_measured(room)
         while simulation.time_s < 1.5 - 1e-9:
             simulation.step(min(step_s, 1.5 - simulation.time_s))
             if step_s == 0.007:
-                heard(simulation)
-        results.append(heard(simulation))
+                measured(simulation)
+        results.append(measured(simulation))
     assert results[0] == results[1] == results[2]
 
 
-def test_a_copy_goes_on_with_what_its_robots_hear_of_one_another(room: World) -> None:
+def test_restored_robots_continue_to_measure_one_another(room: World) -> None:
     simulation = two_measured(room)
     simulation.step(0.777)
     twin = Simulation.from_state(simulation.to_state())
     for one in (simulation, twin):
         one.step(1.0)
-    assert heard(simulation) == heard(twin)
+    assert measured(simulation) == measured(twin)

@@ -17,7 +17,7 @@ def drive(ramps: bool = False) -> SynchroDrive:
     return SynchroDrive(N150.axes, ramps)
 
 
-def test_a_stretch_ends_where_a_wheel_changes_its_acceleration() -> None:
+def test_segments_end_where_an_axis_changes_acceleration() -> None:
     wheels = drive()
     assert wheels.segment(5.0) == ConstantAccelerationSegment(5.0, 0.0, 0.0, 0.0, 0.0)
     wheels.translation.move_by(-10.0)
@@ -54,7 +54,7 @@ def test_a_blocked_drive_still_steers() -> None:
 
 
 @pytest.mark.parametrize("steering", [0.0, 0.4, -0.4, pi + 0.1, 9.0 * pi])
-def test_zero_is_sought_the_short_way(steering: float) -> None:
+def test_zero_is_sought_along_the_shorter_arc(steering: float) -> None:
     wheels = drive()
     wheels.set_angles(steering, -steering)
     wheels.steering.set_speed(0.3)
@@ -74,7 +74,7 @@ def test_zero_is_sought_the_short_way(steering: float) -> None:
 
 
 def two_wheels(right: float, left: float, ramps: bool = False) -> DifferentialDrive:
-    """A Scout's drive told to run its wheels at these speeds."""
+    """Return a Scout's drive with these wheel speeds."""
     wheels = DifferentialDrive(SCOUT.axes, ramps, SCOUT_TRACK_IN)
     wheels.right.move_at(right)
     wheels.left.move_at(left)
@@ -109,14 +109,14 @@ def marched(right: float, left: float, span_s: float, ramp: float, steps: int = 
         v_right = min(abs(right), ramp * time) * (1.0 if right > 0.0 else -1.0)
         v_left = min(abs(left), ramp * time) * (1.0 if left > 0.0 else -1.0)
         turn = (v_right - v_left) / 13.5902 * dt
-        way = 0.5 * (v_right + v_left) * dt
-        x += way * cos(heading + 0.5 * turn)
-        y += way * sin(heading + 0.5 * turn)
+        distance = 0.5 * (v_right + v_left) * dt
+        x += distance * cos(heading + 0.5 * turn)
+        y += distance * sin(heading + 0.5 * turn)
         heading += turn
     return x, y, heading
 
 
-def test_a_degree_on_the_spot_takes_the_rate_constant_of_each_wheel() -> None:
+def test_a_degree_on_the_spot_is_the_rate_constant_of_a_wheel() -> None:
     wheels = DifferentialDrive(SCOUT.axes, False, SCOUT_TRACK_IN)
     wheels.right.move_by(90.0 * 0.118597)
     wheels.left.move_by(-90.0 * 0.118597)
@@ -143,7 +143,7 @@ def test_ramps_follow_a_slow_march(right: float, left: float, back_r: bool, back
     assert displacement_of(two_wheels(right, left, ramps=True), span) == pytest.approx(expected, abs=2e-3)
 
 
-def test_a_stretch_ends_where_the_robot_turns_back() -> None:
+def test_segments_end_where_the_robot_reverses() -> None:
     wheels = two_wheels(20.0, 4.0, ramps=True)
     wheels.advance(2.0)
     wheels.right.move_at(-20.0)
@@ -163,7 +163,7 @@ def test_steering_turret_and_bumpers_are_the_heading() -> None:
     assert wheels.steering_rad == wheels.turret_rad == wheels.bumper_frame_rad == 0.5
 
 
-def test_a_blocked_scout_stops_both_wheels_and_the_third_axis_never_moves() -> None:
+def test_a_blocked_scout_stops_both_wheels() -> None:
     wheels = two_wheels(5.0, -3.0)
     wheels.axes[2].move_at(10.0)
     wheels.axes[2].move_by(10.0)

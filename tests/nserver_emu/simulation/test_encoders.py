@@ -1,4 +1,4 @@
-"""The encoder robot: reckoning along its own steering, whatever it was told its angles are."""
+"""The encoder pose: dead reckoning along its own steering, for any defined angles."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from nserver_emu.simulation.segments import ConstantAccelerationSegment
 AHEAD = ConstantAccelerationSegment(2.0, 5.0, 0.0, 0.0, 0.0)
 
 
-def test_reckoning_follows_the_steering_it_believes() -> None:
+def test_dead_reckoning_follows_the_encoder_heading() -> None:
     encoders = Encoders(1.0, 2.0)
     encoders.follow(AHEAD, 2.0, 0.0)
     assert encoders.pose(0.0, 0.5) == pytest.approx((11.0, 2.0, 0.0, 0.5))

@@ -25,7 +25,7 @@ def robot_of(model: RobotModel) -> SimulatedRobot:
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_ways_and_turns_are_as_the_file_says_on_every_drive(name: str) -> None:
+def test_calibrated_distances_and_turns_on_every_drive(name: str) -> None:
     """Ten inches and half a turn counted, whatever the axes are."""
     robot = robot_of(replace(MODELS[name], calibration=ERRS))
     track = MODELS[name].track_in
@@ -47,7 +47,7 @@ def test_ways_and_turns_are_as_the_file_says_on_every_drive(name: str) -> None:
     assert chord == pytest.approx(10.4 * np.sin(bend / 2.0) / (bend / 2.0), rel=1e-6)
 
 
-def test_each_sonar_reads_more_and_the_ring_looks_elsewhere() -> None:
+def test_calibrated_offsets_and_ring_angle() -> None:
     offsets = ERRS.offsets_in
     plain = robot_of(N150)
     shifted = robot_of(replace(N150, calibration=replace(ERRS, turned_rad=0.0)))
@@ -60,18 +60,18 @@ def test_each_sonar_reads_more_and_the_ring_looks_elsewhere() -> None:
     assert turned.sonar.readings_in != plain.sonar.readings_in
 
 
-def test_a_polaroid_ring_errs_the_same_way() -> None:
+def test_a_polaroid_ring_has_the_same_calibration() -> None:
     plain = SimulatedRobot(RngFactory(1, 0), START, WALLS, N150, MEASURED)
     calibration = Calibration(offsets_in=(3.0,) * 16)
     shifted = SimulatedRobot(RngFactory(1, 0), START, WALLS, replace(N150, calibration=calibration), MEASURED)
     pairs = list(zip(plain.sonar.readings_in, shifted.sonar.readings_in, strict=True))
-    heard = [(one, other) for one, other in pairs if one < 250]
-    assert len(heard) > 4
-    assert all(other == one + 3 for one, other in heard)
+    measured = [(one, other) for one, other in pairs if one < 250]
+    assert len(measured) > 4
+    assert all(other == one + 3 for one, other in measured)
     assert [other for one, other in pairs if one == 255] == [255] * sum(one == 255 for one, _ in pairs)
 
 
-def test_a_model_of_which_nothing_is_known_is_as_its_setup() -> None:
+def test_without_calibration_the_setup_applies() -> None:
     assert apply_calibration(N150, WORN) is WORN
     setup = apply_calibration(replace(N150, calibration=ERRS), WORN)
     assert setup.odometry.slip_in == WORN.odometry.slip_in
@@ -79,9 +79,9 @@ def test_a_model_of_which_nothing_is_known_is_as_its_setup() -> None:
     assert setup.sonar.range_std_relative == WORN.sonar.range_std_relative
 
 
-def test_model_files_say_it() -> None:
+def test_model_files_contain_calibrations() -> None:
     text = '[[model]]\nname = "n150"\n[model.odometry]\nway_scale = 1.04\n[[model]]\nname = "twin"\nlike = "n150"\n'
     models = parse_models(text, "mine.toml")
-    assert models["n150"].calibration == models["twin"].calibration == Calibration(way_scale=1.04)
+    assert models["n150"].calibration == models["twin"].calibration == Calibration(distance_scale=1.04)
     assert models["n200"].calibration is None
     assert apply_calibration(models["n150"], IDEAL).odometry.scales[0] == 1.04

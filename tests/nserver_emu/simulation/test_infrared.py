@@ -24,8 +24,8 @@ def stamp(time_s: float = 0.0) -> Stamp:
 
 def wall(gap: float, slant_rad: float = 0.0) -> np.ndarray:
     """Before sensor 0, a wall whose point on the axis is that far from the body."""
-    middle, way = np.array([N200.radius_in + gap, 0.0]), np.array([-np.sin(slant_rad), np.cos(slant_rad)])
-    return np.array([[*(middle - way), *(middle + way)]])
+    middle, direction = np.array([N200.radius_in + gap, 0.0]), np.array([-np.sin(slant_rad), np.cos(slant_rad)])
+    return np.array([[*(middle - direction), *(middle + direction)]])
 
 
 def ring(walls: np.ndarray, noise: InfraredNoise = NO_INFRARED_NOISE) -> InfraredRing:
@@ -33,7 +33,7 @@ def ring(walls: np.ndarray, noise: InfraredNoise = NO_INFRARED_NOISE) -> Infrare
 
 
 @pytest.mark.parametrize(("gap", "reading"), [(0.0, 0), (0.4, 0), (7.6, 8), (14.4, 14), (14.6, 15), (24.5, 15)])
-def test_readings_are_whole_inches_from_the_body_and_15_is_nothing(gap: float, reading: int) -> None:
+def test_readings_are_whole_inches_and_15_is_nothing(gap: float, reading: int) -> None:
     sensors = ring(wall(gap))
     assert sensors.readings == (15,) * 16
     sensors.flash_due(HERE, stamp())
@@ -61,7 +61,7 @@ def test_sensors_that_are_not_in_the_order_keep_their_readings() -> None:
 
 
 @pytest.mark.parametrize("history", [0, 3, 9, 10, 12])
-def test_history_is_the_share_of_the_reading_before(history: int) -> None:
+def test_history_is_the_weight_of_the_previous_reading(history: int) -> None:
     sensors = ring(wall(5.0))
     sensors.configure(history, ALL, 0)
     share = min(history, 9) / 10
@@ -71,7 +71,7 @@ def test_history_is_the_share_of_the_reading_before(history: int) -> None:
         assert sensors.readings[0] == pytest.approx(level, abs=0.5 + 1e-9)
 
 
-def test_looking_often_or_late_gives_the_same_readings() -> None:
+def test_reading_often_or_late_gives_the_same_values() -> None:
     walls = np.array([[-20.0, -20.0, 20.0, -20.0], [20.0, -20.0, 20.0, 20.0]])
     often, late = ring(walls, InfraredNoise(0.1)), ring(walls, InfraredNoise(0.1))
     for sensors in (often, late):
@@ -93,7 +93,7 @@ def test_a_flash_meets_the_walls_of_its_instant_and_other_robots() -> None:
     assert sensors.readings[0] == 8
 
 
-def test_slanted_walls_look_farther_and_ranges_are_noisy_as_told() -> None:
+def test_slanted_walls_appear_farther_and_ranges_are_noisy() -> None:
     slant = radians(50.0)
     sensors = ring(wall(8.0, slant), InfraredNoise(slanted=True))
     sensors.flash_due(HERE, stamp())
@@ -119,17 +119,17 @@ def test_the_nearest_of_walls_and_robots_counts_at_its_own_slant(seed: int) -> N
     turret = rng.uniform(-3.0, 3.0)
     sensors.flash_due(SensorPose(0.0, 0.0, turret, RobotPositions(discs), 2), stamp())
     for number, reading in enumerate(sensors.readings):
-        way = np.array([cos(turret + number * radians(22.5)), np.sin(turret + number * radians(22.5))])
+        direction = np.array([cos(turret + number * radians(22.5)), np.sin(turret + number * radians(22.5))])
         met = [(float("inf"), 1.0)]
         for x, y, radius in others:
-            ahead = float(way @ (x, y))
+            ahead = float(direction @ (x, y))
             root = ahead**2 - x * x - y * y + radius**2
             if root >= 0.0 < ahead:
                 met.append((ahead - sqrt(root), sqrt(root) / radius))
         for x1, y1, x2, y2 in walls:
-            far, share = np.linalg.solve([[way[0], x1 - x2], [way[1], y1 - y2]], [x1, y1])
+            far, share = np.linalg.solve([[direction[0], x1 - x2], [direction[1], y1 - y2]], [x1, y1])
             if far > 0.0 and 0.0 <= share <= 1.0:
-                met.append((far, abs(float(way @ (y1 - y2, x2 - x1))) / float(np.hypot(x2 - x1, y2 - y1))))
+                met.append((far, abs(float(direction @ (y1 - y2, x2 - x1))) / float(np.hypot(x2 - x1, y2 - y1))))
         far, cosine = min(met)
         seen = (far - N200.radius_in) / sqrt(cosine)
         assert reading == (round(min(seen, 15.0)) if seen <= 24.0 else 15)

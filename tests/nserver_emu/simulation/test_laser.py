@@ -19,7 +19,7 @@ def ahead(gap: float, half: float = 500.0) -> np.ndarray:
     return np.array([[RADIUS + gap, -half, RADIUS + gap, half]])
 
 
-def test_a_wall_ahead_is_seen_from_6_to_180_in_by_every_column_in_reach() -> None:
+def test_walls_are_measured_from_6_to_180_inches() -> None:
     for gap in (6.01, 60.0, 155.0):
         assert ranges(HERE, ahead(gap), N200) == pytest.approx(gap / np.cos(ANGLES_RAD))
     assert (ranges(HERE, ahead(5.0), N200)[240:242] == inf).all()
@@ -41,13 +41,13 @@ def test_points_lie_on_the_wall_in_the_frame_of_the_turret() -> None:
     assert (np.diff(found[:, 1]) > 0.0).all()
 
 
-def test_another_robot_is_seen() -> None:
+def test_another_robot_is_measured() -> None:
     discs = np.array([[0.0, 0.0, 9.0], [0.0, 50.0, 9.0]])
     seen = ranges(SensorPose(0.0, 0.0, pi / 2, RobotPositions(discs), 0), np.empty((0, 4)), N200)
     assert seen.min() == pytest.approx(50.0 - 18.0, abs=1e-3)
 
 
-def test_another_robot_shows_its_arc_and_hides_the_wall_behind_it() -> None:
+def test_another_robot_hides_the_wall_behind_its_arc() -> None:
     discs = np.array([[70.0, 5.0, 9.72], [0.0, 0.0, 9.0]])
     found = points(ranges(SensorPose(0.0, 0.0, 0.0, RobotPositions(discs), 1), ahead(100.0), N200), N200)
     assert len(found) == COLUMNS
@@ -58,7 +58,7 @@ def test_another_robot_shows_its_arc_and_hides_the_wall_behind_it() -> None:
     assert (on_arc == (np.abs(ANGLES_RAD - middle) < asin(9.72 / distance))).all()
 
 
-def test_pixels_grow_towards_the_robot_and_columns_can_be_thinned() -> None:
+def test_pixels_grow_with_nearness_and_columns_are_selected() -> None:
     rows = pixels(ranges(HERE, ahead(6.5, 1.0), N200))
     assert max(rows) == round(2880 / 6.5)
     assert rows[0] == 0
@@ -96,12 +96,12 @@ def test_settings_decide_what_is_a_line() -> None:
 @pytest.mark.parametrize("turn", [0.0, 40.0, 90.0, 133.0, 270.0])
 def test_a_line_is_the_one_of_least_squared_distances(turn: float) -> None:
     rng = np.random.default_rng(1)
-    way = np.array([cos(radians(turn)), sin(radians(turn))])
-    found = 50.0 + np.outer(np.linspace(0.0, 40.0, 60), way) + rng.normal(0.0, 0.2, (60, 2))
+    direction = np.array([cos(radians(turn)), sin(radians(turn))])
+    found = 50.0 + np.outer(np.linspace(0.0, 40.0, 60), direction) + rng.normal(0.0, 0.2, (60, 2))
     (line,) = lines(found, LineFit(threshold_in=5.0))
     values, vectors = np.linalg.eigh(np.cov(found.T))
     fitted = line[2:] - line[:2]
     assert abs(fitted @ vectors[:, 1]) == pytest.approx(np.hypot(*fitted))
     assert values[1] > values[0]
-    assert fitted @ way > 0.0
+    assert fitted @ direction > 0.0
     assert abs((line[:2] - found.mean(axis=0)) @ vectors[:, 0]) < 1e-9

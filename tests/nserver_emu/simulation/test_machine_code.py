@@ -12,7 +12,7 @@ from worlds.world import Polygon, StartPose, World
 
 
 @pytest.mark.parametrize("setup", [IDEAL, NOISY], ids=lambda setup: setup.name)
-def test_machine_code_changes_no_bit_of_a_simulation(setup: RobotSetup, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_compiled_code_changes_no_bit_of_a_simulation(setup: RobotSetup, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("numba")
     loaded = CompiledKernel()
     assert loaded.load()
@@ -23,15 +23,15 @@ def test_machine_code_changes_no_bit_of_a_simulation(setup: RobotSetup, monkeypa
         simulation = Simulation(World("square", rooms=(square,)), seed=9)
         for number in range(3):
             simulation.add_robot(number + 1, StartPose(-40.0 + 40.0 * number, 3.0 * number, number, 0.0), setup=setup)
-        told: list[object] = []
+        rows: list[object] = []
         for step in range(60):
             for number, robot in simulation.robots.items():
                 if step % 12 == 0:
                     robot.set_velocities(14.0, 0.4 * (number - 2), 0.3)
-                told.append((robot.actual, robot.encoder, robot.sonar.readings_in, robot.sonar.stamps))
+                rows.append((robot.actual, robot.encoder, robot.sonar.readings_in, robot.sonar.stamps))
             simulation.step(0.15)
             if step == 30:
                 simulation = Simulation.from_state(simulation.to_state())
-        return told
+        return rows
 
     assert lived(loaded) == lived(CompiledKernel())

@@ -37,7 +37,7 @@ top_speed_in = 20
 """
 
 
-def test_known_models_stay_and_new_ones_are_made_from_them() -> None:
+def test_new_models_derive_from_predefined_ones() -> None:
     models = parse_models(GOOD, "mine.toml")
     assert list(models) == ["n150", "n200", "scout", "tortoise", "wide"]
     assert (models["n200"], models["scout"]) == (N200, SCOUT)
@@ -103,7 +103,7 @@ def test_a_differential_drive_has_wheels_and_a_track() -> None:
         ('[[model]]\nname = "n150"\n[[model]]\nname = "n150"', r"model\[1\].name: 'n150' is taken"),
     ],
 )
-def test_what_is_wrong_is_named_with_its_place(text: str, words: str) -> None:
+def test_errors_name_the_key(text: str, words: str) -> None:
     with pytest.raises(WorldFileError, match=words):
         parse_models(text, "m")
 

@@ -12,7 +12,7 @@ NOISE = MotionNoise.walk(along=0.1, turn=0.1, drift=0.005)
 
 
 def strays(segment: ConstantAccelerationSegment, draws: int, pieces: int = 1) -> np.ndarray:
-    """(draws, 2): by how much way and turn of a stretch, driven in equal pieces, differ from the command."""
+    """Return the deviations (draws, 2) of distance and turn of a segment driven in equal pieces."""
     rng = np.random.default_rng(7)
     piece = segment._replace(duration_s=segment.duration_s / pieces)
     result = np.zeros((draws, 2))
@@ -28,10 +28,10 @@ def strays(segment: ConstantAccelerationSegment, draws: int, pieces: int = 1) ->
 
 
 @pytest.mark.parametrize("pieces", [1, 5])
-def test_variances_grow_with_way_and_turn(pieces: int) -> None:
-    way, turn, draws = 10.0, -0.6, 4000
-    found = strays(ConstantAccelerationSegment(2.0, way / 2.0, 0.0, turn / 2.0, 0.0), draws, pieces)
-    expected = np.array([0.1**2 * way, 0.1**2 * abs(turn) + 0.005**2 * way])
+def test_variances_grow_with_distance_and_turn(pieces: int) -> None:
+    distance, turn, draws = 10.0, -0.6, 4000
+    found = strays(ConstantAccelerationSegment(2.0, distance / 2.0, 0.0, turn / 2.0, 0.0), draws, pieces)
+    expected = np.array([0.1**2 * distance, 0.1**2 * abs(turn) + 0.005**2 * distance])
     error_of_variance = np.sqrt(2.0 / draws)
     np.testing.assert_allclose(found.var(axis=0) / expected, 1.0, atol=4.0 * error_of_variance)
     assert np.all(np.abs(found.mean(axis=0)) < 4.0 * np.sqrt(expected / draws))
@@ -44,22 +44,22 @@ def test_steering_on_the_spot_turns_the_body_only() -> None:
     assert found[:, 1].var() == pytest.approx(0.01 * 0.5, rel=0.15)
 
 
-def test_the_settings_of_the_experiments_in_the_names_of_other_localizers() -> None:
+def test_the_settings_of_the_experiments_as_alphas() -> None:
     assert MotionNoise.walk(along=0.1, turn=0.2, drift=0.005) == MotionNoise(0.2**2, 0.005**2, 0.1**2, 0.0)
 
 
-@pytest.mark.parametrize(("way", "turn"), [(8.0, 0.6), (0.0, -0.6), (-8.0, 0.0)])
-def test_each_alpha_has_its_role(way: float, turn: float) -> None:
+@pytest.mark.parametrize(("distance", "turn"), [(8.0, 0.6), (0.0, -0.6), (-8.0, 0.0)])
+def test_each_alpha_has_its_role(distance: float, turn: float) -> None:
     alphas, draws, rng = MotionNoise(0.01, 0.002, 0.03, 0.5), 4000, np.random.default_rng(5)
-    segment = ConstantAccelerationSegment(2.0, way / 2.0, 0.0, turn / 2.0, 0.0)
+    segment = ConstantAccelerationSegment(2.0, distance / 2.0, 0.0, turn / 2.0, 0.0)
     disturbed = [alphas.disturbed(segment, rng) for _ in range(draws)]
-    ways, turns = [one.distance_at(2.0) for one in disturbed], [one.turn_at(2.0) for one in disturbed]
+    distances, turns = [one.distance_at(2.0) for one in disturbed], [one.turn_at(2.0) for one in disturbed]
     error_of_variance = 4.0 * np.sqrt(2.0 / draws)
-    assert np.var(turns) == pytest.approx(0.01 * abs(turn) + 0.002 * abs(way), rel=error_of_variance)
-    assert np.var(ways) == pytest.approx(0.03 * abs(way) + 0.5 * abs(turn), rel=error_of_variance)
+    assert np.var(turns) == pytest.approx(0.01 * abs(turn) + 0.002 * abs(distance), rel=error_of_variance)
+    assert np.var(distances) == pytest.approx(0.03 * abs(distance) + 0.5 * abs(turn), rel=error_of_variance)
 
 
-def test_an_accelerated_stretch_keeps_its_time_and_shape() -> None:
+def test_an_accelerated_segment_keeps_duration_and_shape() -> None:
     segment = ConstantAccelerationSegment(0.5, 2.0, 8.0, 0.1, 0.2)
     disturbed = NOISE.disturbed(segment, np.random.default_rng(1))
     assert disturbed.duration_s == 0.5

@@ -31,14 +31,14 @@ def robot_with(
 
 
 def square(
-    room: World, odometry: Odometry, model: RobotModel, way: int, leg_in: float = LEG_IN
+    room: World, odometry: Odometry, model: RobotModel, sense: int, leg_in: float = LEG_IN
 ) -> tuple[complex, float]:
     """(place, turn) at the end of the actual robot, after four legs and four quarter turns back by its encoders."""
-    corner = StartPose(-leg_in / 2, -way * leg_in / 2)
+    corner = StartPose(-leg_in / 2, -sense * leg_in / 2)
     simulation, robot = robot_with(room, odometry, model, corner)
-    wheel = way * radians(90.0) * SCOUT_TRACK_IN / 2
+    wheel = sense * radians(90.0) * SCOUT_TRACK_IN / 2
     legs = (leg_in, leg_in, 0.0) if model is SCOUT else (leg_in, 0.0, 0.0)
-    turns = (wheel, -wheel, 0.0) if model is SCOUT else (0.0, way * pi / 2, 0.0)
+    turns = (wheel, -wheel, 0.0) if model is SCOUT else (0.0, sense * pi / 2, 0.0)
     for _ in range(4):
         for motion in (legs, turns):
             robot.move_relative(*motion)
@@ -58,34 +58,34 @@ def composed(steps: list[tuple[complex, float]]) -> tuple[complex, float]:
     return place, turn
 
 
-def arc(way: float, turn: float) -> tuple[complex, float]:
+def arc(length: float, turn: float) -> tuple[complex, float]:
     """The end of an arc of this length and turn, started along the x axis."""
-    return (way * (exp(1j * turn) - 1.0) / (1j * turn) if turn else complex(way)), turn
+    return (length * (exp(1j * turn) - 1.0) / (1j * turn) if turn else complex(length)), turn
 
 
-@pytest.mark.parametrize("way", [CCW, CW])
-def test_an_exact_square_closes(room: World, way: int) -> None:
-    place, _ = square(room, Odometry(), N150, way)
+@pytest.mark.parametrize("sense", [CCW, CW])
+def test_an_exact_square_closes(room: World, sense: int) -> None:
+    place, _ = square(room, Odometry(), N150, sense)
     assert abs(place) < 1e-9
 
 
-@pytest.mark.parametrize("way", [CCW, CW])
-def test_a_synchro_square_is_the_closed_form(room: World, way: int) -> None:
+@pytest.mark.parametrize("sense", [CCW, CW])
+def test_a_synchro_square_is_the_closed_form(room: World, sense: int) -> None:
     odometry = Odometry(scales=(1.02, 0.99, 1.0), drifts=(radians(0.05), 0.004))
-    place, turn = square(room, odometry, N150, way)
+    place, turn = square(room, odometry, N150, sense)
     piece = arc(1.02 * LEG_IN, radians(0.05) * LEG_IN)
-    corner = (0j, way * (0.99 + 0.004) * pi / 2)
+    corner = (0j, sense * (0.99 + 0.004) * pi / 2)
     expected, turned = composed([piece, corner])
     assert (place.real, place.imag) == pytest.approx((expected.real, expected.imag), abs=1e-6)
     assert phase(exp(1j * (turn - turned))) == pytest.approx(0.0, abs=1e-9)
 
 
-@pytest.mark.parametrize("way", [CCW, CW])
-def test_a_scouts_square_is_the_closed_form(room: World, way: int) -> None:
+@pytest.mark.parametrize("sense", [CCW, CW])
+def test_a_scouts_square_is_the_closed_form(room: World, sense: int) -> None:
     right, left, share = 1.006, 0.997, 0.98
     outward = (1.0 / share - 1.0) / SCOUT_TRACK_IN
-    place, turn = square(room, Odometry((right, left, 1.0), (outward, -outward)), SCOUT, way)
-    counted = way * pi / 2 * SCOUT_TRACK_IN / 2
+    place, turn = square(room, Odometry((right, left, 1.0), (outward, -outward)), SCOUT, sense)
+    counted = sense * pi / 2 * SCOUT_TRACK_IN / 2
     track = SCOUT_TRACK_IN
     piece = arc(LEG_IN * (right + left) / 2, LEG_IN * (right - left) / track)
     corner = arc(counted * (right - left) / 2, counted * (right + left) / track + outward * 2.0 * counted)
@@ -95,12 +95,12 @@ def test_a_scouts_square_is_the_closed_form(room: World, way: int) -> None:
 
 
 @pytest.mark.parametrize(("diameters", "share"), [(1.004, 1.0), (1.0, 0.99), (0.998, 1.006)])
-def test_umbmark_finds_the_diameters_and_the_wheelbase_again(room: World, diameters: float, share: float) -> None:
+def test_umbmark_recovers_diameters_and_wheelbase(room: World, diameters: float, share: float) -> None:
     """Its formulas hold for small errors: alpha by the sum, beta by the difference of the two centres of gravity."""
     outward = (1.0 / share - 1.0) / SCOUT_TRACK_IN
     mean = (diameters + 1.0) / 2.0
     odometry = Odometry((diameters / mean, 1.0 / mean, 1.0), (outward, -outward))
-    errors = {way: square(room, odometry, SCOUT, way)[0] for way in (CCW, CW)}
+    errors = {sense: square(room, odometry, SCOUT, sense)[0] for sense in (CCW, CW)}
     alpha = (errors[CW].real + errors[CCW].real) / (-4.0 * LEG_IN)
     beta = (errors[CW].real - errors[CCW].real) / (-4.0 * LEG_IN)
     across = 2.0 * sin(beta / 2.0) / LEG_IN
@@ -109,8 +109,8 @@ def test_umbmark_finds_the_diameters_and_the_wheelbase_again(room: World, diamet
     assert (pi / 2) / (pi / 2 - alpha) == pytest.approx(share, abs=5e-4)
 
 
-def test_worn_is_as_far_off_after_a_square_of_4_m_as_it_says(room: World) -> None:
-    """UMBmark's systematic error: the farther of the two ends, without the chance. First by its closed form."""
+def test_worn_errors_after_a_square_of_4_m_are_as_documented(room: World) -> None:
+    """Return UMBmark's systematic error, the larger of both ends, without noise: by the closed form and simulated."""
     leg_in, odometry = 4.0 / 0.0254, WORN.odometry
     scale, _, _ = odometry.scales
     drift, _ = odometry.drifts
@@ -118,19 +118,20 @@ def test_worn_is_as_far_off_after_a_square_of_4_m_as_it_says(room: World) -> Non
         wheels = (SCOUT_TRACK_IN, scale - 1.0) if model is SCOUT else (1.0, 0.0)
         counted = pi / 4 * SCOUT_TRACK_IN
         ends, errors = [], []
-        for way in (CCW, CW):
+        for sense in (CCW, CW):
             if model is SCOUT:
                 piece = arc(leg_in * (scale + 1.0) / 2.0, leg_in * (wheels[1] / wheels[0] + drift))
-                corner = arc(way * counted * wheels[1] / 2.0, way * counted * ((scale + 1.0) / SCOUT_TRACK_IN + drift))
+                turn = sense * counted * ((scale + 1.0) / SCOUT_TRACK_IN + drift)
+                corner = arc(sense * counted * wheels[1] / 2.0, turn)
             else:
-                piece, corner = arc(leg_in * scale, leg_in * drift), (0j, way * pi / 2)
+                piece, corner = arc(leg_in * scale, leg_in * drift), (0j, sense * pi / 2)
             ends.append(abs(composed([piece, corner])[0]) * 25.4)
-            errors.append(abs(square(room, odometry, model, way, leg_in)[0]) * 25.4)
+            errors.append(abs(square(room, odometry, model, sense, leg_in)[0]) * 25.4)
         assert errors == pytest.approx(ends, abs=0.01)
         assert max(ends) == pytest.approx(off_mm, abs=0.5)
 
 
-def test_slip_is_what_the_encoders_count_beyond_the_wall(room: World) -> None:
+def test_encoders_count_the_slip_at_a_wall(room: World) -> None:
     simulation, robot = robot_with(room, Odometry(slip_in=0.4))
     robot.define_angles(pi / 2, 0.0)
     robot.set_velocities(10.0, 0.0, 0.0)
@@ -145,7 +146,7 @@ def test_slip_is_what_the_encoders_count_beyond_the_wall(room: World) -> None:
     assert robot.encoder.y_in == pytest.approx(reach + 0.4 - 2.0 * reach - 0.4)
 
 
-def test_a_turret_whose_gears_err_is_right_again_at_its_zero(room: World) -> None:
+def test_finding_zero_corrects_the_turret(room: World) -> None:
     simulation, robot = robot_with(room, Odometry(scales=(1.0, 1.0, 1.05)))
     robot.move_relative(0.0, 0.0, 1.0)
     simulation.step(5.0)
@@ -165,7 +166,7 @@ def test_a_wall_is_met_where_the_body_really_is(room: World) -> None:
     assert robot.encoder.x_in == pytest.approx(reach / 1.25)
 
 
-def test_a_scout_that_turns_astray_on_the_spot_is_held_by_the_wall_but_turns_on(room: World) -> None:
+def test_a_wall_holds_a_drifting_scout_while_it_turns(room: World) -> None:
     start = StartPose(100.0 - SCOUT.body.radius_in, 0.0, radians(180.0))
     simulation, robot = robot_with(room, Odometry(scales=(1.2, 0.8, 1.0)), SCOUT, StartPose(0.0, 0.0))
     robot.place(start.x_in, start.y_in, start.steering_rad, 0.0)

@@ -39,18 +39,18 @@ def both(whole: SimulatedRobot, cut: SimulatedRobot, begin: int, steps: int) -> 
 
 
 def apart(pose: Pose, other: Pose) -> float:
-    """The greatest difference of two poses, angles the short way round."""
+    """Return the greatest difference of two poses, angles wrapped to (-pi, pi]."""
     angles = (pose.steering_rad - other.steering_rad, pose.turret_rad - other.turret_rad)
     return max(abs(pose.x_in - other.x_in), abs(pose.y_in - other.y_in), *(abs(remainder(by, tau)) for by in angles))
 
 
 @pytest.mark.parametrize("model", [N150, N200, SCOUT], ids=lambda model: model.name)
 @pytest.mark.parametrize("ramps", [False, True])
-def test_firing_inside_a_motion_is_firing_where_motion_was_cut(room: World, model: RobotModel, ramps: bool) -> None:
+def test_firing_inside_a_segment_equals_firing_between_segments(room: World, model: RobotModel, ramps: bool) -> None:
     setup = replace(IDEAL, ramps=ramps)
     whole, cut = driven_robot(room, model, setup), driven_robot(room, model, setup)
-    stopped, step, told = 0, 0, [(15.0, 0.4, -0.5), (-12.0, 0.0, 0.3), (18.0, 16.0, 0.0), (0.0, 0.0, 0.2)]
-    for number, speeds in enumerate(told * 2):
+    stopped, step, commands = 0, 0, [(15.0, 0.4, -0.5), (-12.0, 0.0, 0.3), (18.0, 16.0, 0.0), (0.0, 0.0, 0.2)]
+    for number, speeds in enumerate(commands * 2):
         for robot in (whole, cut):
             robot.set_timeout(0.9 if number % 2 else 0.0)
             if number == 4:
@@ -72,7 +72,7 @@ def test_firing_inside_a_motion_is_firing_where_motion_was_cut(room: World, mode
     assert stopped
 
 
-def test_a_moment_tells_the_same_whenever_it_is_asked(room: World) -> None:
+def test_stamps_do_not_depend_on_when_they_are_read(room: World) -> None:
     asked, left = driven_robot(room, N150, IDEAL), driven_robot(room, N150, IDEAL)
     for robot in (asked, left):
         robot.set_velocities(10.0, 0.5, -0.5)
@@ -85,8 +85,8 @@ def test_a_moment_tells_the_same_whenever_it_is_asked(room: World) -> None:
     assert asked.sonar.stamps == left.sonar.stamps == at_once
 
 
-def test_wheels_that_err_by_chance_move_from_firing_to_firing(room: World, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Their chance is drawn once for each piece: pieces stay what they were."""
+def test_noisy_motion_is_divided_at_firings(room: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Noise is drawn once for each piece, so the pieces must not change."""
     pieces: list[float] = []
     moved = Axis.advance
 
@@ -103,20 +103,20 @@ def test_wheels_that_err_by_chance_move_from_firing_to_firing(room: World, monke
         assert pieces[::3] == pytest.approx(expected_s)
 
 
-def test_a_snapshot_between_firings_goes_on_bit_for_bit(room: World) -> None:
+def test_a_snapshot_between_firings_continues_bit_for_bit(room: World) -> None:
     def emulator() -> Emulator:
         simulation = Simulation(room, seed=4)
         simulation.add_robot(1, StartPose(70.0, 20.0, 0.3, 1.0))
         return Emulator(simulation)
 
-    kept, again = emulator(), emulator()
-    robot = kept.simulation.robots[1]
+    original, again = emulator(), emulator()
+    robot = original.simulation.robots[1]
     robot.set_velocities(10.0, 0.5, -0.5)
-    kept.simulation.step(0.17)
-    text = dumps(kept)
+    original.simulation.step(0.17)
+    text = dumps(original)
     loads(again, text)
     assert dumps(again) == text
-    for one in (kept, again):
+    for one in (original, again):
         one.simulation.step(0.3)
     back = again.simulation.robots[1]
     assert (back.sonar.stamps, back.sonar.readings_in) == (robot.sonar.stamps, robot.sonar.readings_in)

@@ -1,4 +1,4 @@
-"""The echo model of the setup `measured`: ways of sound against a ray tracer, levels and times against closed forms."""
+"""The Polaroid model: acoustic paths against a ray tracer, levels and times against closed forms."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ pytestmark = pytest.mark.long
 
 MODEL = Polaroid()
 LOUD = replace(MODEL, margin_db=1e6, edge_loss_db=inf)
-"""Hears every way off walls, and no edge."""
+"""Every path off walls is loud enough, none off edges."""
 RING = N150.sonar_ring_radius_in
 FACE = RING - MODEL.recess_in
 MIDDLE = (0.0, 0.0)
@@ -42,44 +42,44 @@ def wall(normal_rad: float, distance_in: float, half_in: float = 500.0) -> list[
     return [foot_x - along_x, foot_y - along_y, foot_x + along_x, foot_y + along_y]
 
 
-# Ways of sound
+# Acoustic paths
 
 
 def traced(walls: FloatArray, source: Ping, receiver: Ping, rays: int = 30001) -> list[float]:
-    """Lengths of the ways from one transducer to another, found by rays that bounce: within 0.03 in of it is a hit."""
+    """Return the lengths of the paths between two transducers by tracing rays; within 0.03 in is a hit."""
     start, end = (FACE * np.array([cos(c.direction_rad), sin(c.direction_rad)]) for c in (source, receiver))
     half = MODEL.cone_rad / 2.0
     angles = source.direction_rad + np.linspace(-half, half, rays)
-    at, way = np.tile(start, (rays, 1)), np.stack((np.cos(angles), np.sin(angles)), axis=1)
+    at, direction = np.tile(start, (rays, 1)), np.stack((np.cos(angles), np.sin(angles)), axis=1)
     gone, sequence, found = np.zeros(rays), [np.full(rays, -1)], []
     for _ in range(4):
         a, b = walls[:, :2], walls[:, 2:]
         side = b - a
-        turned = way[:, :1] * side[:, 1] - way[:, 1:] * side[:, 0]
+        turned = direction[:, :1] * side[:, 1] - direction[:, 1:] * side[:, 0]
         off = a - at[:, np.newaxis]
         ahead = (off[..., 0] * side[:, 1] - off[..., 1] * side[:, 0]) / turned
-        share = (off[..., 0] * way[:, 1:] - off[..., 1] * way[:, :1]) / turned
+        share = (off[..., 0] * direction[:, 1:] - off[..., 1] * direction[:, :1]) / turned
         ahead[(share < 0) | (share > 1) | (ahead < 1e-7)] = inf
         ahead[np.arange(rays), sequence[-1]] = np.where(sequence[-1] < 0, ahead[np.arange(rays), sequence[-1]], inf)
         hit, reach = ahead.argmin(axis=1), ahead.min(axis=1)
-        passing = ((end - at) * way).sum(axis=1)
-        miss = np.hypot(*(at + passing[:, np.newaxis] * way - end).T)
-        back = -way @ np.array([cos(receiver.direction_rad), sin(receiver.direction_rad)])
+        passing = ((end - at) * direction).sum(axis=1)
+        miss = np.hypot(*(at + passing[:, np.newaxis] * direction - end).T)
+        back = -direction @ np.array([cos(receiver.direction_rad), sin(receiver.direction_rad)])
         met = (len(sequence) > 1) & (passing > 0) & (passing < reach) & (miss < 0.03) & (back > cos(half))
         if len(sequence) == 4:
             met &= sequence[1] == sequence[3]
         found += (gone + passing)[met].tolist()
         alive = np.isfinite(reach)
-        at = at + np.where(alive, reach, 0.0)[:, np.newaxis] * way
+        at = at + np.where(alive, reach, 0.0)[:, np.newaxis] * direction
         gone = np.where(alive, gone + reach, 1e9)
         normal = np.stack((-side[hit, 1], side[hit, 0]), axis=1) / np.hypot(*side[hit].T)[:, np.newaxis]
-        way = way - 2.0 * (way * normal).sum(axis=1)[:, np.newaxis] * normal
+        direction = direction - 2.0 * (direction * normal).sum(axis=1)[:, np.newaxis] * normal
         sequence.append(hit)
     return sorted(found)
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_the_first_echo_is_the_shortest_way_that_bouncing_rays_find(seed: int) -> None:
+def test_the_first_echo_is_the_shortest_path_of_traced_rays(seed: int) -> None:
     rng = np.random.default_rng(seed)
     turns = rng.uniform(-pi, pi, 7)
     middles = rng.uniform(-90.0, 90.0, (7, 2))
@@ -90,11 +90,11 @@ def test_the_first_echo_is_the_shortest_way_that_bouncing_rays_find(seed: int) -
         mine = ping(radians(22.5 * number))
         lengths = traced(walls, mine, mine)
         expected = lengths[0] / 2.0 - MODEL.recess_in if lengths else inf
-        heard = LOUD.first_echo_in(mine, (), ReflectorMap(walls), N150)
-        assert heard == pytest.approx(expected, abs=0.02)
+        measured = LOUD.first_echo_in(mine, (), ReflectorMap(walls), N150)
+        assert measured == pytest.approx(expected, abs=0.02)
 
 
-def test_of_a_slanted_wall_the_nearest_point_is_heard_inside_the_cone_and_nothing_outside() -> None:
+def test_a_slanted_wall_echoes_only_inside_the_cone() -> None:
     for degrees in (-12.0, -5.0, 0.0, 8.0, 12.0):
         assert first([wall(radians(degrees), 60.0)], ping()) == pytest.approx(59.5)
     for degrees in (-13.0, 13.0, 30.0):
@@ -109,7 +109,7 @@ def test_a_square_corner_sends_all_back_from_its_vertex() -> None:
         assert first(walls, ping(), LOUD) == pytest.approx(79.5)
 
 
-def test_a_slanted_wall_shows_what_it_mirrors_too_far_away() -> None:
+def test_walls_reflected_in_a_slanted_wall_appear_too_far() -> None:
     x = FACE + 50.0
     mirror, other = [x - 10.0, -10.0, x + 10.0, 10.0], [x - 30.0, 70.0, x + 30.0, 70.0]
     assert first([mirror, other], ping(), LOUD) == pytest.approx(50.0 + 70.0 - 0.5)
@@ -117,7 +117,7 @@ def test_a_slanted_wall_shows_what_it_mirrors_too_far_away() -> None:
     assert first([mirror, other, screen], ping(), LOUD) != pytest.approx(119.5)
 
 
-def test_edges_are_heard_from_all_sides_but_not_where_a_wall_goes_straight_on() -> None:
+def test_edges_scatter_but_not_where_a_wall_continues() -> None:
     end, far = [FACE + 40.0, 0.0, FACE + 90.0, 50.0], [FACE + 90.0, 50.0, FACE + 91.0, 51.0]
     assert first([end], ping()) == pytest.approx(39.5)
     assert ReflectorMap(np.array([end, far])).edges.tolist() == [FACE + 40.0, FACE + 91.0 + 51.0j]
@@ -132,7 +132,7 @@ def test_walls_without_a_length_reflect_nothing() -> None:
 # Levels
 
 
-def test_far_and_slanted_walls_are_lost_where_the_levels_say() -> None:
+def test_far_and_slanted_walls_are_lost_at_their_levels() -> None:
     for degrees in (0.0, 6.25, 12.49):
         lost = MODEL.cone_loss_db * (degrees / 12.5) ** 2
         reach = (MODEL.margin_db - lost) / MODEL.absorption_db_in
@@ -140,30 +140,30 @@ def test_far_and_slanted_walls_are_lost_where_the_levels_say() -> None:
         assert first([wall(radians(degrees), reach + 0.1)], ping()) == inf
 
 
-def test_near_the_limit_echoes_are_lost_as_often_as_the_level_chance_says() -> None:
+def test_echoes_near_the_limit_are_lost_by_the_level_noise() -> None:
     rng = np.random.default_rng(3)
     model = replace(MODEL, edge_loss_db=inf)
     above_db, pings = 2.0, 2000
     reflectors = ReflectorMap(np.array([wall(0.0, (MODEL.margin_db - above_db) / MODEL.absorption_db_in)]))
-    heard = sum(model.first_echo_in(ping(noise=model.draw(rng)), (), reflectors, N150) < inf for _ in range(pings))
+    measured = sum(model.first_echo_in(ping(noise=model.draw(rng)), (), reflectors, N150) < inf for _ in range(pings))
     expected = 0.5 * (1.0 + erf(above_db / MODEL.margin_std_db / sqrt(2.0)))
-    assert heard / pings == pytest.approx(expected, abs=4.0 * sqrt(expected * (1.0 - expected) / pings))
+    assert measured / pings == pytest.approx(expected, abs=4.0 * sqrt(expected * (1.0 - expected) / pings))
 
 
-def test_a_range_has_one_per_cent_of_noise_and_a_least() -> None:
+def test_ranges_have_one_percent_of_noise_and_a_floor() -> None:
     rng = np.random.default_rng(4)
     for distance, std in ((100.0, 0.995), (3.0, 0.05)):
         reflectors = ReflectorMap(np.array([wall(0.0, distance)]))
-        heard = [MODEL.measured_range(ping(noise=MODEL.draw(rng)), (), reflectors, N150) for _ in range(1500)]
-        assert np.mean(heard) == pytest.approx(distance - 0.5, abs=4.0 * std / sqrt(1500))
-        assert np.std(heard) == pytest.approx(std, rel=0.08)
+        measured = [MODEL.measured_range(ping(noise=MODEL.draw(rng)), (), reflectors, N150) for _ in range(1500)]
+        assert np.mean(measured) == pytest.approx(distance - 0.5, abs=4.0 * std / sqrt(1500))
+        assert np.std(measured) == pytest.approx(std, rel=0.08)
     assert MODEL.measured_range(ping(), (), ReflectorMap(np.empty((0, 4))), N150) == inf
 
 
 # Neighbours
 
 
-def test_a_neighbours_cry_is_heard_too_near_by_its_head_start() -> None:
+def test_cross_talk_is_too_short_by_the_head_start() -> None:
     midway, distance = radians(11.25), 100.0
     at = np.array([cos(midway), sin(midway)]) * distance
     along = np.array([-sin(midway), cos(midway)]) * 300.0
@@ -197,7 +197,7 @@ def too_short(rate: int, order: tuple[int, ...]) -> float:
     return short / 320
 
 
-def test_neighbours_disturb_one_another_at_fast_firing_only() -> None:
+def test_neighbours_interfere_only_at_fast_firing() -> None:
     in_turn = tuple(range(16))
     assert too_short(15, in_turn) == 0.0
     assert 0.15 < too_short(1, in_turn) < 0.8
@@ -206,7 +206,7 @@ def test_neighbours_disturb_one_another_at_fast_firing_only() -> None:
 # The ring
 
 
-def test_looking_often_or_late_gives_the_same_readings() -> None:
+def test_reading_often_or_late_gives_the_same_values() -> None:
     often, late = ring(), ring()
     for sonars in (often, late):
         sonars.configure(1, tuple(range(16)), 0)
@@ -217,7 +217,7 @@ def test_looking_often_or_late_gives_the_same_readings() -> None:
     assert late.readings_in == seen
 
 
-def test_near_walls_read_6_and_dead_sonars_0_for_ever() -> None:
+def test_near_walls_read_6_and_dead_sonars_0() -> None:
     close = ring(side=12.0, model=replace(MODEL, dead=(4, 5)))
     before = close.readings_in
     close.emit_all(SensorPose(*MIDDLE, 0.0), STAMP)
@@ -226,7 +226,7 @@ def test_near_walls_read_6_and_dead_sonars_0_for_ever() -> None:
     assert (readings[0], readings[4], readings[5], readings[8]) == (6, 0, 0, 6)
 
 
-def test_in_a_smooth_room_some_sonars_hear_nothing_and_readings_are_none_of_a_ray() -> None:
+def test_in_a_smooth_room_readings_differ_from_rays() -> None:
     sonars = ring()
     sonars.emit_all(SensorPose(*MIDDLE, 0.0), STAMP)
     readings = sonars.readings_in

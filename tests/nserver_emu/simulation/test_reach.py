@@ -19,7 +19,7 @@ RAMPS = replace(IDEAL, name="ramps", ramps=True)
 
 @pytest.mark.parametrize("setup", [IDEAL, RAMPS, WORN], ids=lambda setup: setup.name)
 @pytest.mark.parametrize("model", [N150, SCOUT], ids=lambda model: model.name)
-def test_no_way_is_longer_than_its_reach(room: World, model: RobotModel, setup: RobotSetup) -> None:
+def test_no_path_is_longer_than_its_bound(room: World, model: RobotModel, setup: RobotSetup) -> None:
     rng = np.random.default_rng(7)
     closest = np.inf
     for number in range(60):
@@ -46,7 +46,7 @@ def test_no_way_is_longer_than_its_reach(room: World, model: RobotModel, setup: 
     assert closest < (1.5 if setup is WORN else 0.5)
 
 
-def test_a_robot_that_goes_away_comes_no_nearer(room: World) -> None:
+def test_a_robot_that_drives_away_comes_no_nearer(room: World) -> None:
     robot = Simulation(room).add_robot(1, StartPose(0.0, 0.0))
     assert robot.swept_bounds(1.0) is STATIONARY
     robot.set_velocities(0.0, 0.5, 0.5)
@@ -60,7 +60,7 @@ def test_a_robot_that_goes_away_comes_no_nearer(room: World) -> None:
     assert robot.swept_bounds(0.5).towards(-1.0, 0.0) == pytest.approx(5.5)
 
 
-def test_ramps_that_turn_back_reach_both_ways(room: World) -> None:
+def test_reversing_ramps_reach_ahead_and_behind(room: World) -> None:
     robot = (simulation := Simulation(room)).add_robot(1, StartPose(0.0, 0.0), setup=RAMPS)
     robot.set_velocities(10.0, 0.0, 0.0)
     simulation.step(2.0)

@@ -25,7 +25,7 @@ def still(robot: SimulatedRobot) -> bool:
     return robot.is_still((0, 1, 2))
 
 
-def test_a_robot_wakes_where_it_was_put_with_all_sonars_read(lone: Lone) -> None:
+def test_at_power_on_all_sonars_have_readings(lone: Lone) -> None:
     _, robot = lone(StartPose(10.0, -20.0, 0.5, -0.5))
     assert robot.encoder == robot.actual == pytest.approx((10.0, -20.0, 0.5, tau - 0.5))
     assert robot.velocities == (0.0, 0.0, 0.0)
@@ -35,7 +35,7 @@ def test_a_robot_wakes_where_it_was_put_with_all_sonars_read(lone: Lone) -> None
     assert all(stamp.pose == robot.encoder and stamp.sensor_time_s == 0.0 for stamp in robot.sonar.stamps)
 
 
-def test_velocities_draw_an_arc_until_told_otherwise(lone: Lone) -> None:
+def test_velocities_draw_an_arc_until_the_next_command(lone: Lone) -> None:
     simulation, robot = lone()
     robot.set_velocities(10.0, 0.5, -0.25)
     assert robot.velocities == (10.0, 0.5, -0.25)
@@ -62,7 +62,7 @@ def test_relative_moves_run_all_at_once_each_at_its_speed(lone: Lone) -> None:
     assert robot.encoder == pytest.approx((-10.0, 0.0, 0.0, 1.0))
 
 
-def test_mv_tells_each_axis_its_own(lone: Lone) -> None:
+def test_mv_commands_each_axis_separately(lone: Lone) -> None:
     simulation, robot = lone()
     robot.set_velocities(1.0, 0.0, 0.3)
     robot.command_axis(0, 0, 99.0)
@@ -86,13 +86,13 @@ def test_mv_sets_accelerations(lone: Lone) -> None:
 
 
 @pytest.mark.parametrize("command", [-1, 6, 7, 8])
-def test_mv_knows_six_commands(lone: Lone, command: int) -> None:
+def test_mv_has_six_commands(lone: Lone, command: int) -> None:
     _, robot = lone()
     with pytest.raises(ValueError, match=str(command)):
         robot.command_axis(0, command, 1.0)
 
 
-def test_ramps_stop_smoothly_and_show_a_velocity_from_first_to_last(lone: Lone) -> None:
+def test_ramps_stop_smoothly_and_always_show_a_velocity(lone: Lone) -> None:
     simulation, robot = lone(setup=RAMPS_ONLY)
     robot.set_accelerations(10.0, radians(100.0), radians(100.0))
     robot.set_velocities(20.0, 0.0, 0.0)
@@ -110,7 +110,7 @@ def test_ramps_stop_smoothly_and_show_a_velocity_from_first_to_last(lone: Lone) 
     assert still(robot)
 
 
-def test_dp_and_da_change_what_the_encoders_say_only(lone: Lone) -> None:
+def test_dp_and_da_change_only_the_encoders(lone: Lone) -> None:
     simulation, robot = lone(StartPose(5.0, 5.0, 0.2, 0.1))
     robot.define_position(-7.0, 3.0)
     robot.define_angles(pi / 2, 1.0)
@@ -256,7 +256,7 @@ def test_leaving_sliding_and_pressing_on(lone: Lone) -> None:
     assert robot.bumpers == 1
 
 
-def test_a_disc_blocks_like_a_wall_and_sonars_do_not_see_it_yet(lone: Lone) -> None:
+def test_a_disc_blocks_like_a_wall_without_echoes(lone: Lone) -> None:
     simulation, robot = lone()
     robot.set_obstacles([(60.0, 0.0, 9.72)])
     robot.set_velocities(20.0, 0.0, 0.0)
@@ -279,7 +279,7 @@ def test_a_robot_set_into_a_wall_can_only_leave_it(lone: Lone) -> None:
     assert robot.bumpers == 0
 
 
-def test_noise_may_hold_a_leaving_robot_at_the_wall_but_never_stops_its_wheels(lone: Lone) -> None:
+def test_noise_never_stops_the_wheels_of_a_leaving_robot(lone: Lone) -> None:
     simulation, robot = lone(setup=NOISY)
     held = 0
     for _ in range(60):
@@ -321,7 +321,7 @@ def test_sonars_fire_in_their_order_and_stamp_the_encoder_pose(lone: Lone) -> No
     assert robot.time_s == pytest.approx(0.195)
 
 
-def test_sonars_see_from_the_actual_robot(lone: Lone) -> None:
+def test_sonars_measure_from_the_actual_pose(lone: Lone) -> None:
     simulation, robot = lone()
     robot.define_position(50.0, 50.0)
     robot.define_angles(1.0, 1.0)

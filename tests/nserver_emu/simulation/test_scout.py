@@ -13,7 +13,7 @@ from nserver_emu.simulation.simulation import Simulation
 from worlds.world import StartPose, World
 
 QUARTER_IN = 90.0 * 0.118597
-"""Way of each wheel for a quarter turn on the spot."""
+"""Travel of each wheel for a quarter turn on the spot."""
 
 
 def scout(room: World, x: float = 0.0, y: float = 0.0, heading: float = 0.0) -> tuple[Simulation, SimulatedRobot]:

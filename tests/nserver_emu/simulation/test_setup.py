@@ -22,13 +22,13 @@ def test_noisy_has_the_settings_of_the_experiments() -> None:
     assert noisy.sonar == SonarNoise(range_std_relative=0.01, range_std_floor_in=0.05)
 
 
-def test_measured_is_noisy_with_the_ears_of_a_polaroid_ring() -> None:
+def test_measured_is_noisy_with_a_polaroid_ring() -> None:
     measured = SETUPS["measured"]
     assert (measured.name, measured.ramps, measured.motion) == ("measured", True, SETUPS["noisy"].motion)
     assert measured.sonar == Polaroid()
 
 
-def test_worn_is_noisy_on_wheels_that_err() -> None:
+def test_worn_is_noisy_with_odometry_errors() -> None:
     worn = SETUPS["worn"]
     assert replace(worn, name="noisy", odometry=EXACT) == SETUPS["noisy"]
     assert worn.odometry != EXACT

@@ -32,7 +32,7 @@ def test_every_field_that_is_noise_is_in_one_part() -> None:
     assert sorted(fields) == sorted({*RobotSetup.__dataclass_fields__} - {"name", "ramps", "clock_step_s"})
 
 
-def test_parts_are_called_after_the_first_setup_that_has_them() -> None:
+def test_parts_are_named_after_the_first_setup_that_has_them() -> None:
     assert list(part_choices("sensors", N150, IDEAL)) == ["ideal", "noisy", "measured"]
     assert list(part_choices("motion", N150, IDEAL)) == ["ideal", "noisy", "worn"]
     assert part_name("motion", MEASURED, N150, IDEAL) == "noisy"
@@ -42,7 +42,7 @@ def test_parts_are_called_after_the_first_setup_that_has_them() -> None:
             assert part_name(part, with_part(IDEAL, part, setup), N150, IDEAL) == part_name(part, setup, N150, IDEAL)
 
 
-def test_what_a_robot_began_with_can_be_chosen_again() -> None:
+def test_the_initial_setup_can_be_chosen_again() -> None:
     twin = replace(NOISY, name="room 12", sonar=SonarNoise(range_std_relative=0.3))
     assert list(part_choices("sensors", N150, twin)) == ["ideal", "noisy", "measured", "room 12"]
     assert list(part_choices("motion", N150, twin)) == ["ideal", "noisy", "worn"]
@@ -69,7 +69,7 @@ def test_ramps_and_clock_stay_and_noise_changes() -> None:
 
 
 @pytest.mark.parametrize("after", [NOISY, MEASURED])
-def test_what_was_sensed_before_stays_and_what_comes_is_as_if_always_so(after: RobotSetup) -> None:
+def test_a_switch_changes_only_later_readings(after: RobotSetup) -> None:
     before = a_simulation(IDEAL)
     robot = before.robots[1]
     before.step(2.0)
@@ -78,18 +78,18 @@ def test_what_was_sensed_before_stays_and_what_comes_is_as_if_always_so(after: R
     assert robot.sonar.readings_in == ideal
     assert robot.infrared
     assert robot.infrared.readings == infrared
-    heard = set()
+    measured = set()
     for _ in range(5):
         before.step(1.0)
-        heard.add(robot.sonar.readings_in)
-    assert len(heard) == 5
+        measured.add(robot.sonar.readings_in)
+    assert len(measured) == 5
     robot.set_noise_model(IDEAL)
     before.step(1.0)
     assert robot.sonar.readings_in == ideal
     assert robot.infrared.readings == infrared
 
 
-def test_motion_strays_from_the_switch_on_and_no_more_from_the_switch_off() -> None:
+def test_motion_noise_applies_while_switched_on() -> None:
     simulation = Simulation(load_world("thesis_room"), seed=3)
     robot = simulation.add_robot(1, StartPose(20.0, 20.0, 0.3), N150, IDEAL)
 
@@ -109,7 +109,7 @@ def test_motion_strays_from_the_switch_on_and_no_more_from_the_switch_off() -> N
     assert robot.actual.steering_rad - robot.encoder.steering_rad == pytest.approx(turned_rad, abs=1e-12)
 
 
-def test_a_sonar_that_is_switched_dead_reads_nothing_at_once_and_hears_again_when_it_lives() -> None:
+def test_switching_a_sonar_dead_and_back() -> None:
     simulation = a_simulation(IDEAL)
     robot = simulation.robots[1]
     simulation.step(1.0)
@@ -121,8 +121,9 @@ def test_a_sonar_that_is_switched_dead_reads_nothing_at_once_and_hears_again_whe
     assert robot.sonar.readings_in == alive
 
 
-def test_what_a_robot_errs_by_itself_stays_whatever_is_switched() -> None:
-    calibration = Calibration(way_scale=1.02, turn_scale=0.97, offsets_in=tuple(0.1 * number for number in range(16)))
+def test_calibrations_stay_when_parts_are_switched() -> None:
+    offsets_in = tuple(0.1 * number for number in range(16))
+    calibration = Calibration(distance_scale=1.02, turn_scale=0.97, offsets_in=offsets_in)
     twin = replace(N150, calibration=calibration)
     choices = part_choices("sensors", twin, apply_calibration(twin, IDEAL))
     assert {setup.sonar.offsets_in for setup in choices.values()} == {calibration.offsets_in}

@@ -95,7 +95,7 @@ def parts(setup: RobotSetup) -> set[tuple[str, str]]:
     return found
 
 
-def test_every_field_of_every_setup_has_its_key_and_no_key_is_without_a_field() -> None:
+def test_every_field_has_a_key_and_every_key_a_field() -> None:
     assert {(key.table, key.field) for key in KEYS} == parts(IDEAL) | parts(MEASURED)
     assert len(set(KEYS)) == len({(key.table, key.field) for key in KEYS})
     only_polaroid = {name for table, name in parts(MEASURED) - parts(IDEAL) if table == "sonar"}
@@ -144,7 +144,7 @@ def test_values_of_named_setups_lie_in_the_ranges() -> None:
 
 
 
-def test_the_page_has_a_row_for_each_key_with_the_values_of_the_setups() -> None:
+def test_the_page_has_a_row_for_each_key() -> None:
     tables = PAGE.read_text(encoding="utf-8").split("\n## ")[1:]
     rows = {
         (title.split("`")[1].strip("[]") if "`[" in title.splitlines()[0] else "", line.split("`")[1]): line
@@ -192,7 +192,7 @@ def test_the_example_of_the_page_is_a_setup() -> None:
         ("[sonar]\nstd = 1", "sonar.std: unknown key"),
     ],
 )
-def test_what_is_wrong_is_named_with_its_place(text: str, words: str) -> None:
+def test_errors_name_the_key(text: str, words: str) -> None:
     with pytest.raises(WorldFileError, match=words):
         parsed(text)
 

@@ -1,4 +1,4 @@
-"""A whole simulation: cut in any way, copied, pickled, repeated."""
+"""A whole simulation: in steps of any size, restored, repeated."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def test_the_same_seed_gives_the_same_run_and_another_another(lone: Lone) -> Non
     assert motions[0] != motions[2]
 
 
-def test_robots_have_their_own_chance_whoever_else_is_there(room: World) -> None:
+def test_robots_have_random_streams_of_their_own(room: World) -> None:
     alone, together = Simulation(room, 3), Simulation(room, 3)
     for simulation in (alone, together):
         simulation.add_robot(2, StartPose(50.0, 50.0), setup=NOISY)
@@ -82,7 +82,7 @@ def test_robots_have_their_own_chance_whoever_else_is_there(room: World) -> None
     assert other.actual.x_in != other.encoder.x_in
 
 
-def test_looking_changes_nothing(lone: Lone) -> None:
+def test_reading_sensors_changes_nothing(lone: Lone) -> None:
     watched, blind = lone(setup=NOISY), lone(setup=NOISY)
     seen = roam(*watched, 20)
     simulation, robot = blind
@@ -120,7 +120,7 @@ def test_time_runs_forward_only(lone: Lone) -> None:
     assert simulation.time_s == 0.0
 
 
-def test_a_changed_world_is_met_and_seen(lone: Lone) -> None:
+def test_a_changed_world_is_touched_and_measured(lone: Lone) -> None:
     simulation, robot = lone()
     before = robot.sonar.readings_in[0]
     block = Polygon(((30.0, -20.0), (50.0, -20.0), (50.0, 20.0), (30.0, 20.0)))

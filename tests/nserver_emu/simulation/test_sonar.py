@@ -43,7 +43,7 @@ def fire(sonars: SonarRing, until_s: float) -> list[tuple[int, int]]:
     return fired
 
 
-def test_entry_k_fires_rate_times_4_ms_times_k_later_and_round_again() -> None:
+def test_entry_k_fires_rate_times_4_ms_times_k_later() -> None:
     sonars = ring()
     sonars.configure(15, DEFAULT_ORDER, to_ps(0.5))
     fired = fire(sonars, 0.5 + 17 * 0.06)
@@ -58,7 +58,7 @@ def test_rates_are_clamped(rate: int, interval_ms: int) -> None:
 
 
 @pytest.mark.parametrize("order", [(), (255, 0, 1), (-1,), (16, 0)])
-def test_no_first_sonar_switches_the_ring_off_and_keeps_the_readings(order: tuple[int, ...]) -> None:
+def test_an_empty_order_switches_the_ring_off(order: tuple[int, ...]) -> None:
     sonars = ring()
     sonars.emit_all(HERE, stamp())
     before = sonars.readings_in
@@ -73,9 +73,9 @@ def test_readings_are_whole_inches_from_the_ring() -> None:
     turret, x, y = radians(10.0), 20.0, -30.0
     sonars.emit_all(SensorPose(x, y, turret), stamp())
     for number, reading in enumerate(sonars.readings_in):
-        way = turret + radians(22.5) * number
-        to_x = (100.0 * np.sign(cos(way)) - x) / cos(way)
-        to_y = (100.0 * np.sign(sin(way)) - y) / sin(way)
+        along_ray = turret + radians(22.5) * number
+        to_x = (100.0 * np.sign(cos(along_ray)) - x) / cos(along_ray)
+        to_y = (100.0 * np.sign(sin(along_ray)) - y) / sin(along_ray)
         assert reading == round(min(to_x, to_y) - 9.06)
 
 
@@ -90,7 +90,7 @@ def test_limits(gap: float, reading: int) -> None:
     assert all(type(value) is int for value in sonars.readings_in)
 
 
-def test_noise_has_the_spread_it_is_given() -> None:
+def test_noise_has_its_standard_deviation() -> None:
     noise = SonarNoise(range_std_relative=0.01, range_std_floor_in=0.05)
     assert (noise.std_in(1.0), noise.std_in(200.0)) == (0.05, 2.0)
     sonars = ring(noise, walls=SQUARE * 2.0)
@@ -105,7 +105,7 @@ def test_noise_has_the_spread_it_is_given() -> None:
     assert nothing.readings_in == (255,) * 16
 
 
-def test_looking_often_or_late_gives_the_same_readings() -> None:
+def test_reading_often_or_late_gives_the_same_values() -> None:
     noise = SonarNoise(range_std_relative=0.05)
     often, late = ring(noise), ring(noise)
     for sonars in (often, late):
@@ -127,7 +127,7 @@ def test_an_echo_meets_the_walls_of_its_instant() -> None:
     assert sonars.readings_in[0] == 255
 
 
-def test_an_eye_sees_all_others_that_are_not_too_far_and_those_on_a_line_that_a_ray_meets() -> None:
+def test_sensors_detect_robots_in_range_and_on_rays() -> None:
     rng = np.random.default_rng(3)
     discs = np.column_stack((rng.uniform(-900.0, 900.0, (80, 2)), rng.uniform(5.0, 60.0, 80)))
     sensor_pose = SensorPose(float(discs[7, 0]), float(discs[7, 1]) + 0.2, 0.0, RobotPositions(discs), 7)
@@ -139,27 +139,27 @@ def test_an_eye_sees_all_others_that_are_not_too_far_and_those_on_a_line_that_a_
     )
     assert far.any()
     blind = SensorPose(0.0, 0.0, 0.0, RobotPositions(), 0)
-    ways = [complex(cos(angle), sin(angle)) for angle in np.linspace(0.0, 6.0, 13).tolist()]
+    along_rays = [complex(cos(angle), sin(angle)) for angle in np.linspace(0.0, 6.0, 13).tolist()]
     met: list[list[list[float]]] = [[] for _ in range(14)]
-    for ray, disc in robots_on_rays([sensor_pose] * 13 + [blind], [*ways, 1j], [inf] * 14):
+    for ray, disc in robots_on_rays([sensor_pose] * 13 + [blind], [*along_rays, 1j], [inf] * 14):
         met[ray].append(disc)
     assert met[13] == []
-    for way, on_line in zip(ways, met[:13], strict=True):
-        here, direction = (sensor_pose.x_in, sensor_pose.y_in), (way.real, way.imag)
+    for along_ray, on_line in zip(along_rays, met[:13], strict=True):
+        here, direction = (sensor_pose.x_in, sensor_pose.y_in), (along_ray.real, along_ray.imag)
         of_all = float(cast_discs(here, direction, np.delete(discs, 7, axis=0)))
         assert float(cast_discs(here, direction, on_line)) == of_all or of_all > MAX_ROBOT_RANGE_IN - 60.0
     assert 1 < sum(map(len, met)) < 3 * 13
     for wall_in in (0.0, 90.0, 300.0):
-        nearer = list(robots_on_rays([sensor_pose] * 13, ways, [wall_in] * 13))
-        for ray, way in enumerate(ways):
+        nearer = list(robots_on_rays([sensor_pose] * 13, along_rays, [wall_in] * 13))
+        for ray, along_ray in enumerate(along_rays):
             hidden = [disc for other, disc in nearer if other == ray]
-            here, direction = (sensor_pose.x_in, sensor_pose.y_in), (way.real, way.imag)
+            here, direction = (sensor_pose.x_in, sensor_pose.y_in), (along_ray.real, along_ray.imag)
             seen = min(wall_in, float(cast_discs(here, direction, hidden)))
             assert seen == min(wall_in, float(cast_discs(here, direction, np.delete(discs, 7, axis=0))))
         assert len(nearer) < sum(map(len, met))
 
 
-def test_each_reading_keeps_where_it_was_cried_until_the_robot_is_carried_elsewhere() -> None:
+def test_pings_are_forgotten_when_a_robot_is_placed() -> None:
     sonars = ring()
     before = sonars.pings
     assert before == (None,) * 16
@@ -167,11 +167,11 @@ def test_each_reading_keeps_where_it_was_cried_until_the_robot_is_carried_elsewh
     for x, turret in ((0.0, 0.0), (7.0, 0.5), (9.0, 0.75)):
         sonars.emit_due(SensorPose(x, -x, turret), stamp())
     step = radians(22.5)
-    kept = {k: (ping.x_in, ping.y_in, ping.direction_rad) for k, ping in enumerate(sonars.pings) if ping}
-    assert kept == {3: (9.0, -9.0, 0.75 + 3 * step), 4: (7.0, -7.0, 0.5 + 4 * step)}
-    for k, (x, y, way) in kept.items():
-        to_x = (100.0 * np.sign(cos(way)) - x) / cos(way)
-        to_y = (100.0 * np.sign(sin(way)) - y) / sin(way)
+    poses = {k: (ping.x_in, ping.y_in, ping.direction_rad) for k, ping in enumerate(sonars.pings) if ping}
+    assert poses == {3: (9.0, -9.0, 0.75 + 3 * step), 4: (7.0, -7.0, 0.5 + 4 * step)}
+    for k, (x, y, along_ray) in poses.items():
+        to_x = (100.0 * np.sign(cos(along_ray)) - x) / cos(along_ray)
+        to_y = (100.0 * np.sign(sin(along_ray)) - y) / sin(along_ray)
         assert sonars.readings_in[k] == round(min(to_x, to_y) - 9.06)
     readings = sonars.readings_in
     sonars.forget_pings()

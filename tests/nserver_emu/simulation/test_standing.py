@@ -1,4 +1,4 @@
-"""Who is in the way: the squares against asking everybody, and a simulation that keeps them."""
+"""The spatial hash against an exhaustive search, and in a simulation."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from nserver_emu.simulation.spatial_hash import SpatialHash
 from worlds.world import StartPose, World
 
 
-def test_squares_find_whom_asking_everybody_finds() -> None:
+def test_cells_find_what_an_exhaustive_search_finds() -> None:
     rng = np.random.default_rng(5)
     discs = np.column_stack((rng.uniform(-300.0, 300.0, (150, 2)), rng.uniform(2.0, 70.0, 150))).tolist()
     spatial_hash = SpatialHash()
@@ -29,7 +29,7 @@ def test_squares_find_whom_asking_everybody_finds() -> None:
     assert SpatialHash().touched(0.0, 0.0, 9.0) == []
 
 
-def test_who_moved_or_was_moved_is_in_the_way_where_it_is_now() -> None:
+def test_moved_robots_block_their_new_positions() -> None:
     simulation = Simulation(World("plain"))
     simulation.add_robot(7, StartPose(0.0, 0.0)).set_velocities(20.0, 0.0, 0.0)
     simulation.step(2.0)
@@ -44,7 +44,7 @@ def test_who_moved_or_was_moved_is_in_the_way_where_it_is_now() -> None:
         simulation.require_free(100.0, 0.0, N150.body.radius_in)
 
 
-def test_robots_that_are_never_woken_still_meet() -> None:
+def test_robots_without_power_still_collide() -> None:
     simulation = Simulation(World("plain"))
     for number, x in enumerate((0.0, 30.0)):
         simulation.add_robot(number + 1, StartPose(x, 0.0), powered=False).set_velocities(20.0, 0.0, 0.0)

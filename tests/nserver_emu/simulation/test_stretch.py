@@ -43,7 +43,7 @@ def test_a_faint_turn_is_nearly_straight(rate: float) -> None:
     assert dy == pytest.approx(10.0 * rate / 2.0, abs=1e-11)
 
 
-def test_an_accelerated_straight_way() -> None:
+def test_an_accelerated_straight_path() -> None:
     segment = ConstantAccelerationSegment(2.0, 3.0, 4.0, 0.0, 0.0)
     assert segment.distance_at(2.0) == 14.0
     assert segment.displacement(0.5, 2.0) == pytest.approx((14.0 * cos(0.5), 14.0 * sin(0.5)))

@@ -22,7 +22,7 @@ FACING_WEST, FACING_UP = math.pi, math.pi / 2
 
 
 def exact_line_share(start: tuple[int, int], end: tuple[int, int], wall: tuple[int, ...]) -> list[Fraction]:
-    """The least share 0..1 of the way at which it meets the wall, in fractions; empty: it does not."""
+    """Return the smallest fraction 0..1 of the path at which it meets the wall; empty if it does not."""
     (x, y), (dx, dy) = start, (end[0] - start[0], end[1] - start[1])
     px, py, qx, qy = wall[0] - x, wall[1] - y, wall[2] - wall[0], wall[3] - wall[1]
     cross = dx * qy - dy * qx
@@ -39,7 +39,7 @@ def exact_line_share(start: tuple[int, int], end: tuple[int, int], wall: tuple[i
 
 @given(st.tuples(GRID, GRID), st.tuples(GRID, GRID), WALLS)
 @settings(max_examples=300)
-def test_a_line_meets_what_fractions_say_it_meets(
+def test_line_hits_agree_with_exact_fractions(
     start: tuple[int, int], end: tuple[int, int], walls: list[tuple[int, ...]]
 ) -> None:
     if start == end:
@@ -72,7 +72,7 @@ def exact_sweeps(centre: tuple[int, int], radius: int, wall: tuple[int, ...]) ->
     st.tuples(GRID, GRID), st.integers(1, 40), st.integers(-60, 60), st.integers(-60, 60), WALLS
 )
 @settings(max_examples=300)
-def test_an_arc_meets_what_fifty_digits_say_it_meets(
+def test_arc_hits_agree_with_fifty_digit_arithmetic(
     centre: tuple[int, int], radius: int, begin: int, end: int, walls: list[tuple[int, ...]]
 ) -> None:
     first, last = begin / 10 + 0.0123, end / 10 + 0.0456

@@ -31,7 +31,7 @@ def ahead(emulator: Emulator, client: WireClient) -> int:
     return reading
 
 
-def test_an_obstacle_is_met_by_sonar_and_wheels_and_gone_when_deleted(emulator: Emulator, client: WireClient) -> None:
+def test_an_obstacle_affects_sonar_and_wheels_until_deleted(emulator: Emulator, client: WireClient) -> None:
     empty = ahead(emulator, client)
     assert client.ask("add_obstacle", 4, *BOX).values == (0,)
     assert ahead(emulator, client) == round(40 - 9.06)
@@ -46,9 +46,9 @@ def test_an_obstacle_is_met_by_sonar_and_wheels_and_gone_when_deleted(emulator: 
 
 
 @pytest.mark.parametrize("first", range(4))
-@pytest.mark.parametrize("way", [1, -1])
-def test_an_obstacle_is_known_from_any_corner_either_way_round(client: WireClient, first: int, way: int) -> None:
-    corners = [BOX[k : k + 2] for k in range(0, 8, 2)][::way]
+@pytest.mark.parametrize("direction", [1, -1])
+def test_an_obstacle_is_found_from_any_corner_and_direction(client: WireClient, first: int, direction: int) -> None:
+    corners = [BOX[k : k + 2] for k in range(0, 8, 2)][::direction]
     client.ask("add_obstacle", 4, *BOX)
     turned = [number for corner in corners[first:] + corners[:first] for number in corner]
     assert client.ask("delete_obstacle", 4, *turned).values == (0,)
@@ -107,7 +107,7 @@ def test_a_robot_cannot_be_placed_where_an_obstacle_stands(client: WireClient) -
     assert client.ask("place_robot", 302, 0, 0, 0).values == (0,)
 
 
-def test_a_robot_cannot_be_placed_into_another_but_where_it_stands(client: WireClient) -> None:
+def test_a_robot_cannot_be_placed_on_another(client: WireClient) -> None:
     client.ask("create_robot", 2, 1)
     client.ask("place_robot", 300, 0, 0, 0)
     assert client.ask("place_robot", 190, 0, 0, 0).values == (2,)
@@ -121,7 +121,7 @@ def test_a_prediction_sees_the_other_robots(client: WireClient) -> None:
     assert client.ask("predict_sensors", 300, 600, 0, 0).values[17] == round(30 - 9.72 - 9.06)
 
 
-def test_the_places_of_all_robots_are_the_true_ones_in_the_order_of_their_ids(client: WireClient) -> None:
+def test_get_rpx_returns_actual_positions_by_robot_number(client: WireClient) -> None:
     client.ask("create_robot", 7, 1)
     client.ask("place_robot", 500, 600, 900, 450)
     client.ask("dp", 1, 2)
@@ -135,7 +135,7 @@ def test_without_a_window_the_pose_clicked_is_the_actual_one(client: WireClient)
     assert client.ask("get_robot_conf").values == (100, 200, 900, 450)
 
 
-def test_a_prediction_is_what_the_sensors_read_once_the_robot_is_there(emulator: Emulator, client: WireClient) -> None:
+def test_a_prediction_equals_the_readings_at_that_pose(emulator: Emulator, client: WireClient) -> None:
     client.ask("add_obstacle", 4, *BOX)
     before = client.ask("gs").slots
     predicted = client.ask("predict_sensors", 200, 300, 900, 3150)
@@ -149,7 +149,7 @@ def test_a_prediction_is_what_the_sensors_read_once_the_robot_is_there(emulator:
     assert predicted.values[34:38] == tuple(slots[k] for k in range(34, 38))
 
 
-def test_motion_check_tells_place_and_facing_normal_in_its_own_units(client: WireClient) -> None:
+def test_motion_check_returns_position_and_normal(client: WireClient) -> None:
     client.ask("add_obstacle", 4, *BOX)
     thousandths = (0, 0, 0, 1_000_000, 0)
     assert client.ask("motion_check", *thousandths).values == (1, 40_000, 0, round(math.pi * 1e6))

@@ -55,7 +55,7 @@ REFUSALS = {
 
 
 @pytest.mark.parametrize("row", ANSWERED_AT_ONCE, ids=lambda row: row.name)
-def test_every_command_is_answered_and_what_is_not_there_says_so(row: Command, client: WireClient) -> None:
+def test_every_command_gets_a_reply_or_an_error(row: Command, client: WireClient) -> None:
     reply = client.ask(row.name, *arguments(row))
     code = REFUSALS.get(row.name, 0 if row.name in HANDLERS else 4)
     if code:
@@ -64,7 +64,7 @@ def test_every_command_is_answered_and_what_is_not_there_says_so(row: Command, c
         assert reply.kind == row.tcp_reply.kind
 
 
-def test_connect_answers_the_port_and_0_for_a_robot_that_is_not_there(emulator: Emulator) -> None:
+def test_connect_returns_the_port_or_0_without_a_robot(emulator: Emulator) -> None:
     session = Session(emulator.answer)
 
     def exchange(data: bytes) -> bytes:
@@ -97,14 +97,14 @@ def test_vm_shows_a_velocity_at_once_and_none_after_st(emulator: Emulator, clien
     assert [slots[k] for k in (38, 39, 40, 41)] == [0, 0, 0, 0]
 
 
-def test_a_noisy_robot_ramps_but_its_first_answer_shows_a_velocity() -> None:
+def test_a_noisy_robot_ramps_but_reports_a_velocity_at_once() -> None:
     noisy, _ = meet(Emulator(simulation(noisy=True)))
     slots = noisy.ask("vm", 100, 0, 0).slots
     assert 0 < slots[38] < 100
     assert slots[41] == 1
 
 
-def test_pr_goes_its_way_at_the_speed_of_sp_and_stops_exactly_there(emulator: Emulator, client: WireClient) -> None:
+def test_pr_moves_exactly_its_distance_at_the_speed_of_sp(emulator: Emulator, client: WireClient) -> None:
     client.ask("sp", 50, 450, 450)
     client.ask("pr", 100, 900, -900)
     emulator.simulation.step(1.0)
@@ -114,7 +114,7 @@ def test_pr_goes_its_way_at_the_speed_of_sp_and_stops_exactly_there(emulator: Em
     assert [client.ask("get_rc").slots[k] for k in (36, 37)] == [900, 2700]
 
 
-def test_pa_goes_to_positions_and_the_short_way_round(emulator: Emulator, client: WireClient) -> None:
+def test_pa_turns_the_shorter_direction(emulator: Emulator, client: WireClient) -> None:
     client.ask("pr", 60, 0, 0)
     emulator.simulation.step(2.0)
     client.ask("da", 1800, 0)
@@ -130,7 +130,7 @@ def test_pa_goes_to_positions_and_the_short_way_round(emulator: Emulator, client
     assert client.ask("pa", 0, 1900, 3500).slots[41] == 0
 
 
-def test_get_ra_tells_accelerations_in_the_places_of_velocities() -> None:
+def test_get_ra_returns_accelerations_in_velocity_slots() -> None:
     emulator = Emulator(simulation(noisy=True))
     client, _ = meet(emulator)
     client.ask("ac", 100, 200, 300)
@@ -192,7 +192,7 @@ def test_ws_answers_after_its_timeout_without_stopping_anything(emulator: Emulat
     assert client.ask("get_rv").slots[38] == 20
 
 
-def test_zr_is_answered_at_the_bumpers_zero_with_all_read_as_zero(emulator: Emulator) -> None:
+def test_zr_replies_at_zero_with_all_encoders_zero(emulator: Emulator) -> None:
     client, session = meet(emulator)
     client.ask("pr", 100, 900, 450)
     emulator.simulation.step(5.0)
@@ -204,7 +204,7 @@ def test_zr_is_answered_at_the_bumpers_zero_with_all_read_as_zero(emulator: Emul
     assert client.ask("get_rc").slots == {34: 0, 35: 0, 36: 0, 37: 0}
 
 
-def test_dp_and_da_change_what_the_encoders_say_and_not_where_the_robot_is(client: WireClient) -> None:
+def test_dp_and_da_set_encoders_but_do_not_move_the_robot(client: WireClient) -> None:
     sonars = client.ask("get_sn").slots
     client.ask("dp", -1234, 5678)
     client.ask("da", 900, -1800)
@@ -266,7 +266,7 @@ def test_sonars_fire_in_the_order_and_at_the_rate_of_conf_sn(emulator: Emulator,
     ],
 )
 def test_conf_sn_takes_of_what_no_ring_has_what_it_can(args: tuple[int, ...], like: tuple[int, ...]) -> None:
-    def heard(numbers: tuple[int, ...]) -> list[Reply]:
+    def replies_to(numbers: tuple[int, ...]) -> list[Reply]:
         emulator = Emulator(simulation())
         client, _ = meet(emulator)
         client.ask("ct", *EVERYTHING.with_position(Position.SONAR).smask)
@@ -277,11 +277,11 @@ def test_conf_sn_takes_of_what_no_ring_has_what_it_can(args: tuple[int, ...], li
             replies.append(client.ask("gs"))
         return replies
 
-    assert heard(args) == heard(like)
-    assert heard(args)[0].kind == "state"
+    assert replies_to(args) == replies_to(like)
+    assert replies_to(args)[0].kind == "state"
 
 
-def test_a_masked_sensor_keeps_the_value_last_sent_on_its_connection(emulator: Emulator, client: WireClient) -> None:
+def test_a_masked_slot_repeats_the_last_value_sent(emulator: Emulator, client: WireClient) -> None:
     no_sonar_3 = Mask(tuple(0 if slot in (0, 20, 34) else 1 for slot in range(44)))
     first = client.ask("gs").slots
     client.ask("ct", *no_sonar_3.smask)
@@ -324,7 +324,7 @@ def test_the_bumper_that_touches_is_set_and_the_motor_bit_clears() -> None:
     assert client.ask("gs").slots[33] == 0
 
 
-def test_the_robot_of_a_client_that_is_gone_stops_but_not_another_ones(emulator: Emulator) -> None:
+def test_only_the_robot_of_a_closed_client_stops(emulator: Emulator) -> None:
     first, first_session = meet(emulator)
     second, second_session = meet(emulator)
     first.ask("vm", 100, 0, 0)
@@ -371,7 +371,7 @@ def test_the_clock_goes_round_like_its_word(days: float, emulator: Emulator, cli
     assert client.ask("sim_truth").values[1] % 2**32 == round(days * 86_400_000) % 2**32
 
 
-def test_only_the_axes_of_a_client_that_is_gone_stop_and_limits_are_no_motion(emulator: Emulator) -> None:
+def test_only_the_axes_of_a_closed_client_stop(emulator: Emulator) -> None:
     driver, driver_session = meet(emulator)
     helper, helper_session = meet(emulator)
     driver.ask("vm", 50, 0, 20)

@@ -20,7 +20,7 @@ def allowed(pace: SimulationClock | None = None) -> tuple[WireClient, Emulator]:
     return meet(emulator)[0], emulator
 
 
-def test_a_created_robot_stands_beside_the_others_and_obeys_its_maker() -> None:
+def test_a_created_robot_obeys_its_client() -> None:
     client, emulator = allowed()
     assert client.ask("create_robot", 2, 1).values == (7019,)
     first, second = (emulator.simulation.robots[number].actual for number in (1, 2))
@@ -42,7 +42,7 @@ def test_what_is_no_robot_id_is_not_made(robot_id: int, caplog: pytest.LogCaptur
     assert caplog.messages == [f"robot {robot_id} not created: a robot's number is 1 to 32767"]
 
 
-def test_robots_are_made_while_there_is_room_and_no_more_than_allowed(
+def test_robots_are_created_while_space_and_limit_allow(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO)

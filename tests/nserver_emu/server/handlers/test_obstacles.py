@@ -1,4 +1,4 @@
-"""One obstacle is moved, taken away, put back; what is told undoes it to the bit, and others stay as they are."""
+"""Moving, removing and restoring an obstacle; the result undoes a change exactly."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ TWELVE = tuple(
 )
 ROOM = Polygon(((-30.0, -30.0), (120.0, -30.0), (120.0, 120.0), (-30.0, 120.0)), "hall")
 TABLE = Polygon(((20.25, 80.0), (30.1, 80.0), (30.1, 90.0)), "table")
-STATE_QUERIES = [[round(x, 3), round(y, 3)] for x, y in TWELVE]
+DISPLAYED = [[round(x, 3), round(y, 3)] for x, y in TWELVE]
 
 
 def a_stage(allowed: int = 50) -> Emulator:
@@ -29,36 +29,36 @@ def a_stage(allowed: int = 50) -> Emulator:
     return emulator
 
 
-def test_an_obstacle_of_any_number_of_corners_is_moved_and_taken_away() -> None:
+def test_obstacles_with_many_corners_move_and_are_removed() -> None:
     emulator = a_stage()
-    told = change_obstacle(emulator, {"corners": STATE_QUERIES, "by": [1.5, -0.25]})
+    result = change_obstacle(emulator, {"corners": DISPLAYED, "by": [1.5, -0.25]})
     moved = emulator.simulation.world.obstacles
     assert moved == (Polygon(tuple((x + 1.5, y - 0.25) for x, y in TWELVE), "pillar"), TABLE)
-    assert told == {"obstacles": 2, "was": [list(corner) for corner in TWELVE], "name": "pillar", "at": 0,
+    assert result == {"obstacles": 2, "was": [list(corner) for corner in TWELVE], "name": "pillar", "at": 0,
                     "is": [list(corner) for corner in moved[0].corners_in]}  # fmt: skip
     with pytest.raises(ControlError, match="there is none with these corners"):
-        change_obstacle(emulator, {"corners": STATE_QUERIES})
-    told = change_obstacle(emulator, {"corners": [[x + 1.5, y - 0.25] for x, y in STATE_QUERIES]})
-    assert (told["obstacles"], told["is"]) == (1, None)
+        change_obstacle(emulator, {"corners": DISPLAYED})
+    result = change_obstacle(emulator, {"corners": [[x + 1.5, y - 0.25] for x, y in DISPLAYED]})
+    assert (result["obstacles"], result["is"]) == (1, None)
     assert emulator.simulation.world.obstacles == (TABLE,)
 
 
-def test_what_was_told_undoes_it_to_the_bit_through_json_and_leaves_what_others_did() -> None:
+def test_the_result_undoes_a_change_exactly() -> None:
     emulator = a_stage()
     before = emulator.simulation.world.obstacles
-    moved = json.loads(json.dumps(change_obstacle(emulator, {"corners": STATE_QUERIES, "by": [0.1, 0.7]})))
+    moved = json.loads(json.dumps(change_obstacle(emulator, {"corners": DISPLAYED, "by": [0.1, 0.7]})))
     meet(emulator)[0].ask("add_obstacle", 3, 700, 0, 800, 0, 800, 100)
     theirs = emulator.simulation.world.obstacles[2]
     change_obstacle(emulator, {"corners": moved["is"], "to": moved["was"]})
     assert emulator.simulation.world.obstacles == (*before, theirs)
-    gone = json.loads(json.dumps(change_obstacle(emulator, {"corners": STATE_QUERIES})))
+    gone = json.loads(json.dumps(change_obstacle(emulator, {"corners": DISPLAYED})))
     assert emulator.simulation.world.obstacles == (TABLE, theirs)
     put = {"put": gone["was"], "name": gone["name"], "at": gone["at"]}
     assert change_obstacle(emulator, put) == {**gone, "obstacles": 3, "was": None, "is": gone["was"]}
     assert emulator.simulation.world.obstacles == (*before, theirs)
 
 
-def test_one_is_put_last_where_no_place_is_named_or_one_behind_all() -> None:
+def test_a_new_obstacle_is_last_by_default() -> None:
     emulator = a_stage()
     assert change_obstacle(emulator, {"put": [[80, 0], [90, 0], [90, 9]]})["at"] == 2
     assert change_obstacle(emulator, {"put": [[80, 20], [90, 20], [90, 29]], "name": "b", "at": 99})["at"] == 3
@@ -98,4 +98,4 @@ def test_no_more_are_put_than_may_be() -> None:
     emulator = a_stage(allowed=2)
     with pytest.raises(ControlError, match="there are 2 already"):
         change_obstacle(emulator, {"put": ONE})
-    change_obstacle(emulator, {"corners": STATE_QUERIES, "by": [1, 0]})
+    change_obstacle(emulator, {"corners": DISPLAYED, "by": [1, 0]})

@@ -52,7 +52,7 @@ def later(emulator: Emulator, session: Session, client: WireClient, name: str, *
     raise AssertionError("never answered")
 
 
-def test_what_is_said_is_kept_with_who_and_when(emulator: Emulator, connected: tuple[WireClient, Session]) -> None:
+def test_spoken_texts_are_logged_with_robot_and_time(emulator: Emulator, connected: tuple[WireClient, Session]) -> None:
     emulator.simulation.step(1.5)
     connected[0].send("tk", codec.encode_tcp_request(Call("tk", ("hello",))))
     assert emulator.transcript.utterances == (Utterance(1.5, 1, "hello"),)
@@ -79,7 +79,7 @@ def test_the_arm_moves_and_wait_answers_when_it_is_there(
     assert answer(client.ask("arm_ws", 1, 1, 500)) == (41, 1, 500)
 
 
-def test_wait_answers_0_after_its_time_out_and_only_for_what_it_names(
+def test_arm_ws_returns_0_on_timeout_of_selected_axes(
     emulator: Emulator, connected: tuple[WireClient, Session]
 ) -> None:
     client, session = connected
@@ -114,7 +114,7 @@ def test_a_robot_without_an_arm_refuses(name: str, args: tuple[int, ...]) -> Non
     assert client.ask(name, *args).values == (4,)
 
 
-def test_a_user_packet_nobody_wrote_a_program_for_is_refused(connected: tuple[WireClient, Session]) -> None:
+def test_an_unknown_user_packet_is_refused(connected: tuple[WireClient, Session]) -> None:
     assert connected[0].ask("special_request", 99, 1, 2, 3).values == (4,)
 
 
@@ -150,7 +150,7 @@ def test_only_its_clients_leaving_stops_an_arm(emulator: Emulator) -> None:
     assert 0.9 < settled_in(emulator) < 1.1
 
 
-def test_a_client_that_takes_the_arm_over_goes_on_when_the_first_leaves(emulator: Emulator) -> None:
+def test_the_arm_keeps_moving_for_its_new_owner(emulator: Emulator) -> None:
     _, session = running(emulator)
     other, _ = meet(emulator)
     other.ask("arm_mv", 2, 1000, 2, 100)
@@ -168,7 +168,7 @@ def test_the_time_out_stops_the_arm_when_it_strikes(emulator: Emulator, step_s: 
     assert settled_in(emulator) == pytest.approx(3.0, abs=0.1)
 
 
-def test_who_waits_for_the_arm_feeds_the_time_out(emulator: Emulator) -> None:
+def test_waiting_for_the_arm_feeds_the_watchdog(emulator: Emulator) -> None:
     client, session = meet(emulator)
     client.ask("conf_tm", 1)
     client.ask("arm_mv", 5, 100, 0, 0)
@@ -180,7 +180,7 @@ def test_who_waits_for_the_arm_feeds_the_time_out(emulator: Emulator) -> None:
     assert answer(reply)[:2] == (41, 1)
 
 
-def test_the_arm_of_a_restored_robot_stops_with_who_finds_it(emulator: Emulator) -> None:
+def test_a_restored_arm_stops_with_its_first_client(emulator: Emulator) -> None:
     running(emulator)
     restored = Emulator(simulation())
     loads(restored, dumps(emulator))

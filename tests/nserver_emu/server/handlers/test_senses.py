@@ -154,7 +154,7 @@ def test_other_robots_are_in_laser_and_infrareds_of_state() -> None:
     assert client.ask("gs").slots[3] == round(math.hypot(22.0, 22.0) - 18.72) == 12
 
 
-def test_each_connection_has_its_own_laser_mode_and_even_modes_are_off(emulator: Emulator, client: WireClient) -> None:
+def test_each_connection_has_its_own_laser_mode(emulator: Emulator, client: WireClient) -> None:
     other, _ = meet(emulator)
     assert client.ask("conf_ls", 50, 0, 0, 0, 0).laser == (0,)
     assert client.ask("get_ls").laser == (0,)
@@ -167,7 +167,7 @@ def test_each_connection_has_its_own_laser_mode_and_even_modes_are_off(emulator:
     assert other.ask("ct", *no_laser.smask).laser == (0,)
 
 
-def test_conf_ls_takes_the_number_of_columns_and_conf_sg_what_a_line_is() -> None:
+def test_conf_ls_sets_columns_and_conf_sg_line_extraction() -> None:
     client, _ = meet(n200(BEFORE_A_WALL))
     few = client.ask("conf_ls", 51, 0, 0, 20, 0).laser
     assert few is not None
@@ -195,7 +195,7 @@ def test_columns_and_lines_are_each_connections_own() -> None:
 
 
 @pytest.mark.parametrize("mode", [3, 33, 51])
-def test_threshold_width_and_processing_of_conf_ls_have_no_effect(mode: int) -> None:
+def test_other_arguments_of_conf_ls_have_no_effect(mode: int) -> None:
     client, _ = meet(n200(StartPose(20.0, 45.0, 0.3, 0.2), MEASURED))
     plain = client.ask("conf_ls", mode, 0, 0, 100, 0).laser
     for numbers in ((255, 0, 100, 0), (0, 255, 100, 0), (0, 0, 100, 255), (120, 7, 100, 1)):
@@ -203,7 +203,7 @@ def test_threshold_width_and_processing_of_conf_ls_have_no_effect(mode: int) -> 
     assert client.ask("conf_ls", mode, 0, 0, 50, 0).laser != plain
 
 
-def test_a_prediction_has_infrareds_compass_and_laser_of_the_other_place(client: WireClient) -> None:
+def test_a_prediction_has_infrared_compass_and_laser(client: WireClient) -> None:
     here = client.ask("gs")
     reply = client.ask("predict_sensors", 400, 450, 0, 900)
     assert (reply.values[1:17], reply.values[42:44]) == ((15,) * 16, (51, 900))
@@ -212,7 +212,7 @@ def test_a_prediction_has_infrareds_compass_and_laser_of_the_other_place(client:
     assert client.ask("gs").laser == here.laser
 
 
-def test_a_measured_robot_goes_on_from_a_snapshot_with_all_its_senses() -> None:
+def test_a_measured_robot_continues_from_a_snapshot() -> None:
     emulator = n200(setup=MEASURED)
     client, _ = meet(emulator)
     client.ask("conf_sn", 1, *range(16))

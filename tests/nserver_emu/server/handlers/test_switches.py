@@ -1,4 +1,4 @@
-"""Noise and world changed while it runs: clients hear it, snapshots keep it, the same switches give the same bytes."""
+"""Noise and world changed while it runs: visible to clients, saved in snapshots, repeatable."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def sonars(client: WireClient) -> tuple[int, ...]:
     return tuple(slots[slot] for slot in range(17, 33))
 
 
-def heard(emulator: Emulator, client: WireClient, looks: int = 6) -> set[tuple[int, ...]]:
+def readings(emulator: Emulator, client: WireClient, looks: int = 6) -> set[tuple[int, ...]]:
     """What a client's sonars read, a whole round of the ring apart."""
     found = set()
     for _ in range(looks):
@@ -41,16 +41,16 @@ def heard(emulator: Emulator, client: WireClient, looks: int = 6) -> set[tuple[i
     return found
 
 
-def test_a_client_hears_the_noise_switched_on_and_off() -> None:
+def test_noise_changes_take_effect_for_clients() -> None:
     emulator = Emulator(simulation(seed=4))
     client, _ = meet(emulator)
-    (exact,) = heard(emulator, client)
+    (exact,) = readings(emulator, client)
     assert switch_noise(emulator, {"sensors": "noisy", "robot": 1}) == {"1": {"sensors": "noisy", "motion": "ideal"}}
     assert sonars(client) == exact
-    assert len(heard(emulator, client)) == 6
+    assert len(readings(emulator, client)) == 6
     assert switch_noise(emulator, {"sensors": "ideal"})["1"]["sensors"] == "ideal"
     emulator.pass_time(1.0)
-    assert heard(emulator, client) == {exact}
+    assert readings(emulator, client) == {exact}
 
 
 def test_odometry_strays_robot_by_robot() -> None:
@@ -71,12 +71,12 @@ def test_odometry_strays_robot_by_robot() -> None:
 
 
 def a_run(switches: dict[int, dict[str, Any]], saved: Path | None = None) -> list[object]:
-    """What a client is told over twenty seconds, noise switched meanwhile; at half of it saved and restored."""
+    """The replies to a client over twenty seconds, noise switched meanwhile; at half of it saved and restored."""
     setting = SimulationConfig(robot="n200", seed=8, start=StartPose(40.0, 40.0))
     emulator = Emulator(setting.simulation())
     client, _ = meet(emulator)
     client.ask("pr", 200, 900, 300)
-    told: list[object] = []
+    replies: list[object] = []
     for second in range(20):
         if second in switches:
             switch_noise(emulator, switches[second])
@@ -86,8 +86,8 @@ def a_run(switches: dict[int, dict[str, Any]], saved: Path | None = None) -> lis
             snapshot.restore(emulator, saved)
             client, _ = meet(emulator)
         emulator.pass_time(1.0)
-        told += [client.ask("gs"), client.ask("sim_truth").values]
-    return told
+        replies += [client.ask("gs"), client.ask("sim_truth").values]
+    return replies
 
 
 SWITCHES: dict[int, dict[str, Any]] = {
@@ -95,18 +95,18 @@ SWITCHES: dict[int, dict[str, Any]] = {
 }  # fmt: skip
 
 
-def test_the_same_switches_give_the_same_bytes_and_others_give_others() -> None:
+def test_the_same_changes_give_the_same_bytes() -> None:
     assert a_run(SWITCHES) == a_run(SWITCHES)
     assert a_run(SWITCHES) != a_run(SWITCHES | {15: {"sensors": "ideal"}})
     assert a_run(SWITCHES) != a_run({})
 
 
 def test_a_snapshot_keeps_what_was_switched(tmp_path: Path) -> None:
-    assert a_run(SWITCHES, tmp_path / "kept.json") == a_run(SWITCHES)
+    assert a_run(SWITCHES, tmp_path / "saved.json") == a_run(SWITCHES)
 
 
 @pytest.mark.parametrize(
-    ("wanted", "said"),
+    ("wanted", "error"),
     [
         ({"sensors": "loud"}, "sensors is one of ideal, noisy, measured, not loud"),
         ({"motion": 3}, "motion is one of ideal, noisy, worn, not 3"),
@@ -117,9 +117,9 @@ def test_a_snapshot_keeps_what_was_switched(tmp_path: Path) -> None:
         ({"robot": 1}, "both omitted"),
     ],
 )  # fmt: skip
-def test_what_is_no_noise_is_refused_with_what_is(wanted: dict[str, Any], said: str) -> None:
+def test_what_is_no_noise_is_refused_with_what_is(wanted: dict[str, Any], error: str) -> None:
     emulator = Emulator(simulation())
-    with pytest.raises(ControlError, match=said):
+    with pytest.raises(ControlError, match=error):
         switch_noise(emulator, wanted)
     assert emulator.simulation.robots[1].setup == IDEAL
 
@@ -142,7 +142,7 @@ def test_another_world_takes_the_place_of_the_one_there() -> None:
     assert sonars(client) != before
 
 
-def test_a_world_where_a_robot_has_no_room_or_that_is_none_changes_nothing() -> None:
+def test_an_invalid_world_changes_nothing() -> None:
     emulator = Emulator(simulation())
     world = emulator.simulation.world
     with pytest.raises(ControlError, match=r"far\.toml: .*robot 1"):
@@ -181,7 +181,7 @@ def test_a_world_that_was_shown_comes_back_as_the_very_same() -> None:
     assert put_world(emulator, before + "# edited", "edited.toml") is not world
 
 
-def test_no_more_worlds_are_kept_than_steps_can_be_taken_back() -> None:
+def test_exported_worlds_are_limited_to_the_undo_steps() -> None:
     emulator = Emulator(simulation())
     first = emulator.simulation.world
     text = show_world(emulator)

@@ -38,7 +38,7 @@ def test_a_refresh_marks_its_layers_and_loses_nothing(name: str) -> None:
     assert len(emulator.graphics.shapes) == 1
 
 
-def test_what_is_drawn_stands_in_the_order_it_came_whoever_drew_it() -> None:
+def test_shapes_are_in_drawing_order() -> None:
     emulator = Emulator(simulation())
     first, _ = meet(emulator)
     second, _ = meet(emulator)

@@ -19,7 +19,7 @@ def pair(emulator: Emulator) -> tuple[WireClient, Session, WireClient]:
     return *meet(emulator), meet(emulator)[0]
 
 
-def test_who_has_finished_stops_nobody(emulator: Emulator) -> None:
+def test_a_finished_client_stops_nothing(emulator: Emulator) -> None:
     first, session, second = pair(emulator)
     session.receive(b"\x00\x14\x00\x00")  # zr
     session.process_requests(max_requests=1)
@@ -31,7 +31,7 @@ def test_who_has_finished_stops_nobody(emulator: Emulator) -> None:
     del first
 
 
-def test_one_axis_done_and_another_taken_over_leave_the_rest_alone(emulator: Emulator) -> None:
+def test_taken_over_axes_are_not_stopped(emulator: Emulator) -> None:
     first, session, second = pair(emulator)
     first.ask("pr", 100, 0, 900)
     emulator.pass_time(1.0)
@@ -41,7 +41,7 @@ def test_one_axis_done_and_another_taken_over_leave_the_rest_alone(emulator: Emu
     assert second.ask("get_rv").slots == {38: 0, 39: 60, 40: 0}
 
 
-def test_who_drives_robots_one_after_another_stops_them_all(emulator: Emulator) -> None:
+def test_a_client_of_several_robots_stops_all(emulator: Emulator) -> None:
     first, session, _ = pair(emulator)
     first.ask("create_robot", 2, 1)
     first.ask("vm", 0, 0, 100)
@@ -53,7 +53,7 @@ def test_who_drives_robots_one_after_another_stops_them_all(emulator: Emulator) 
     emulator.on_disconnect(session.context)
 
 
-def test_who_only_watches_keeps_no_robot_going_that_another_drives(emulator: Emulator) -> None:
+def test_an_observer_does_not_feed_the_watchdog(emulator: Emulator) -> None:
     first, _, second = pair(emulator)
     first.ask("conf_tm", 2)
     first.ask("vm", 0, 0, 100)
@@ -65,7 +65,7 @@ def test_who_only_watches_keeps_no_robot_going_that_another_drives(emulator: Emu
     assert not emulator.simulation.robots[1].moving[2]
 
 
-def test_any_question_of_who_drives_keeps_it_going_and_anybodys_where_nobody_drives(emulator: Emulator) -> None:
+def test_queries_of_the_owner_feed_the_watchdog(emulator: Emulator) -> None:
     first, session, second = pair(emulator)
     first.ask("conf_tm", 2)
     first.ask("vm", 0, 0, 100)
@@ -79,7 +79,7 @@ def test_any_question_of_who_drives_keeps_it_going_and_anybodys_where_nobody_dri
     assert second.ask("get_rv").slots == {38: 0, 39: 0, 40: 0}
 
 
-def test_a_search_for_zero_ends_with_who_asked_for_it(emulator: Emulator) -> None:
+def test_zr_ends_when_its_client_disconnects(emulator: Emulator) -> None:
     first, session, second = pair(emulator)
     first.ask("place_robot", 0, 0, 900, 900)
     session.receive(b"\x00\x14\x00\x00")  # zr

@@ -27,7 +27,7 @@ def test_robots_with_and_without_a_start() -> None:
         assert all(hypot(x - u, y - v) > radius + other for u, v, other in discs[:at])
 
 
-def test_who_finds_no_room_is_told_so() -> None:
+def test_a_robot_without_space_is_an_error() -> None:
     with pytest.raises(StartError, match="robot"):
         SimulationConfig(others=(("n150", None),) * 60).simulation()
     with pytest.raises(StartError, match="touches robot 1"):
@@ -56,6 +56,6 @@ def test_sonars_see_at_power_on_robots_with_higher_numbers_too() -> None:
 
 
 @pytest.mark.parametrize("text", ["10", "1,2,3,4,5", "a,b", "nan,1", "inf,1", "10,1e308", "1e6,0", "1,2,1e999"])
-def test_a_start_that_no_map_has_is_told(text: str) -> None:
+def test_a_start_beyond_the_map_is_an_error(text: str) -> None:
     with pytest.raises(AddressError, match=r"a start is X,Y,STEER,TURRET .*, none beyond 100000; got"):
         pose_from_text(text)

@@ -9,26 +9,24 @@ import pytest
 
 from nclient.common.allowlist import Allowlist
 from nserver_emu import cli
-from tests.nserver_emu.server.running_server import RunningServer, run_scenario
+from tests.nserver_emu.server.running_server import running_server
 
 
-def test_who_is_not_let_in_is_closed_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def scenario(server: RunningServer) -> None:
+async def test_a_rejected_connection_is_closed_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    async with running_server() as server:
         inside = await server.connect_client()
         with monkeypatch.context() as patched:
             patched.setattr("nclient.common.allowlist.is_loopback", lambda _host: False)
             server.daemon.admission.access = Allowlist((ipaddress.ip_network("192.0.2.0/24"),))
             outsider = await server.open_client(of="127.0.0.2")
             assert await outsider.reader.read() == b""
-            assert (await (await server.connect_client()).ask("gs")).kind == "state"  # from the address that he calls
+            assert (await (await server.connect_client()).ask("gs")).kind == "state"  # from the address that it calls
         assert server.daemon.admission.rejected == 1
         assert (await inside.ask("gs")).kind == "state"
         assert (await (await server.connect_client()).ask("gs")).kind == "state"
 
-    run_scenario(scenario)
 
-
-def test_the_daemon_says_so_at_its_start(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_warning_is_printed_at_start(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cli, "stop_on_signals", lambda stop: asyncio.get_running_loop().call_later(0.05, stop.set))
     assert cli.main(["--port", "0", "--bind", "0.0.0.0"]) == 0
     assert "open to the network at 0.0.0.0" in caplog.text

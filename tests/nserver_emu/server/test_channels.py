@@ -32,7 +32,7 @@ def test_bytes_take_ten_bits_each_and_come_out_on_the_other_side() -> None:
     assert cable.due_s is None
 
 
-def test_each_way_goes_by_itself_and_what_follows_queues() -> None:
+def test_directions_are_independent_and_bytes_queue() -> None:
     cable = RateLimitedChannel(BAUD)
     cable.to_robot(bytes(10), 0.0)
     cable.to_robot(b"x", 0.0)
@@ -45,9 +45,9 @@ def test_a_long_answer_comes_piece_by_piece() -> None:
     cable = RateLimitedChannel(BAUD)
     whole = bytes(range(256)) * 2
     cable.to_host(whole, 0.0)
-    half_way = all_arrived(cable, 256 * BYTE_S + 1e-9)
-    assert b"".join(arrival.data for arrival in half_way) == whole[:256]
-    assert {len(arrival.data) for arrival in half_way} == {PIECE_BYTES}
+    first_half = all_arrived(cable, 256 * BYTE_S + 1e-9)
+    assert b"".join(arrival.data for arrival in first_half) == whole[:256]
+    assert {len(arrival.data) for arrival in first_half} == {PIECE_BYTES}
     assert b"".join(arrival.data for arrival in all_arrived(cable, 1.0)) == whole[256:]
 
 
@@ -75,7 +75,7 @@ def test_a_host_that_takes_its_time_gets_nothing_back() -> None:
     assert cable.due_s == pytest.approx(5.0 + BYTE_S)
 
 
-def test_what_a_wire_cannot_hold_is_lost_on_the_way_back_and_not_read_on_the_way_in() -> None:
+def test_a_full_channel_drops_replies_and_suspends_reading() -> None:
     cable = RateLimitedChannel(BAUD)
     cable.to_host(bytes(MAX_IN_TRANSIT), 0.0)
     cable.to_host(bytes(48), 0.0)

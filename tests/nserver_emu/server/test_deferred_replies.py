@@ -28,7 +28,7 @@ def waiting(emulator: Emulator, seconds: int) -> tuple[WireClient, Session]:
 
 
 @pytest.mark.parametrize("seconds", [1, 60])
-def test_who_waits_is_answered_as_of_a_second_though_another_steps_a_minute(seconds: int) -> None:
+def test_a_deferred_reply_has_its_due_time_in_a_long_step(seconds: int) -> None:
     emulator = Emulator(simulation(), clock=SimulationClock(paused=True), allowed=Allowed(control=True))
     client, session = waiting(emulator, seconds)
     other, _ = meet(emulator)
@@ -40,7 +40,7 @@ def test_who_waits_is_answered_as_of_a_second_though_another_steps_a_minute(seco
     assert session.tick() == b""
 
 
-def test_who_waits_is_answered_in_time_at_a_hundred_times_the_speed() -> None:
+def test_a_deferred_reply_has_its_due_time_at_high_speed() -> None:
     emulator = Emulator(simulation())
     daemon = Daemon(emulator, speed=100.0)
     client, session = waiting(emulator, 1)
@@ -49,7 +49,7 @@ def test_who_waits_is_answered_in_time_at_a_hundred_times_the_speed() -> None:
     assert (reply.clock, emulator.simulation.time_s) == (1000, 25.0)
 
 
-def test_who_waits_is_answered_in_time_though_anothers_question_takes_long() -> None:
+def test_a_deferred_reply_has_its_due_time_in_lockstep() -> None:
     emulator = Emulator(simulation())
     client, session = waiting(emulator, 1)
     emulator.clock.lockstep_s = 10.0
@@ -80,7 +80,7 @@ def test_steps_of_any_size_add_up_exactly() -> None:
         emulator.pass_time(-1.0)
 
 
-def test_whoever_has_gone_is_asked_no_more() -> None:
+def test_cancelled_replies_are_not_polled() -> None:
     promises, one, other = DeferredReplies(), ConnectionContext(), ConnectionContext()
     asked: list[ConnectionContext] = []
     for context in (one, other):
@@ -100,7 +100,7 @@ def test_a_connection_that_leaves_while_it_waits_is_forgotten() -> None:
 
 
 @pytest.mark.parametrize("call", ["ws", "zr"])
-def test_whoever_waits_feeds_the_time_out_until_it_is_answered(call: str) -> None:
+def test_waiting_feeds_the_watchdog_until_the_reply(call: str) -> None:
     emulator = Emulator(simulation())
     client, session = meet(emulator)
     client.ask("conf_tm", 1)

@@ -1,4 +1,4 @@
-"""A filter that knows when it is lost: kidnapped, it says so within seconds and finds itself again."""
+"""Global localization: LOST within seconds after a displacement, and recovery."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def test_in_a_square_room_four_places_look_alike() -> None:
         assert len(several.hypotheses) == 4
         assert estimate.health.status is HealthStatus.LOST
         assert "4 places look alike" in estimate.health.reason
-        places = [known.belief.mean for known in several.hypotheses]
+        places = [hypothesis.belief.mean for hypothesis in several.hypotheses]
         truth = robot.truth()
         assert min(math.hypot(place[0] - truth.x_in, place[1] - truth.y_in) for place in places) < 2.0
 
@@ -88,13 +88,13 @@ def test_kidnapped_it_is_lost_within_5_s_and_recovers() -> None:
     with open_at("several_walls", START) as robot:
         localizer = localizer_of(robot, finder(ROOM, independent(START, (0.2, 0.2, 0.01))))
         turn(robot, localizer, 3.0)
-        told = robot.refresh()
+        displaced = robot.refresh()
         robot.place(Pose(80.0, 75.0, 2.0, 2.0))
-        robot.set_position(x_in=told.x_in, y_in=told.y_in)
-        robot.set_angles(steering_rad=told.steering_rad, turret_rad=told.turret_rad)
+        robot.set_position(x_in=displaced.x_in, y_in=displaced.y_in)
+        robot.set_angles(steering_rad=displaced.steering_rad, turret_rad=displaced.turret_rad)
         reports = (turn(robot, localizer, 0.1).health for _ in range(100))
         lost_after, health = next(
-            (0.1 * tick, told) for tick, told in enumerate(reports) if told.status is HealthStatus.LOST
+            (0.1 * tick, report) for tick, report in enumerate(reports) if report.status is HealthStatus.LOST
         )
         assert lost_after <= 5.0
         assert "another place" in health.reason
@@ -124,8 +124,8 @@ def test_falling_evidence_alone_means_lost(monkeypatch: pytest.MonkeyPatch) -> N
 def test_a_slipped_heading_is_corrected_without_being_lost(slip_rad: float) -> None:
     """Far more standard deviations off than a filter comes back from by itself, but the place is the right one."""
     with open_at("several_walls", START) as robot:
-        told = independent((*START[:2], START[2] + slip_rad), (0.2, 0.2, 0.02))
-        localizer = localizer_of(robot, finder(ROOM, told, parameter_stds=(0.05,)))
+        slipped = independent((*START[:2], START[2] + slip_rad), (0.2, 0.2, 0.02))
+        localizer = localizer_of(robot, finder(ROOM, slipped, parameter_stds=(0.05,)))
         reports = [turn(robot, localizer, 0.1) for _ in range(40)]
         assert HealthStatus.LOST not in {estimate.health.status for estimate in reports}
         assert off_in(robot, reports[-1]) < 1.0

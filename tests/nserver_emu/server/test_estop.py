@@ -1,4 +1,4 @@
-"""A robot that is held stands whatever is said to it, answers as ever, and goes again once it is released."""
+"""A robot under emergency stop ignores motions, replies as usual, and moves again after release."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def held() -> Emulator:
 
 
 @pytest.mark.parametrize("name", MOVING)
-def test_what_would_move_it_is_answered_with_the_state_and_moves_nothing(name: str) -> None:
+def test_motions_return_the_state_and_move_nothing(name: str) -> None:
     emulator = held()
     client, _ = meet(emulator)
     before = emulator.simulation.robots[1].actual
@@ -43,7 +43,7 @@ def test_what_would_move_it_is_answered_with_the_state_and_moves_nothing(name: s
     assert emulator.estop.as_dict() == {"1": {"by": "viewer 1", "ignored": 1}}
 
 
-def test_it_stops_at_once_where_it_was_moving_and_whoever_waits_for_that_is_answered() -> None:
+def test_a_moving_robot_stops_and_ws_replies() -> None:
     emulator = Emulator(simulation())
     client, _ = meet(emulator)
     client.ask("vm", 100, 300, 0)
@@ -68,7 +68,7 @@ def test_all_else_is_done_as_ever() -> None:
     assert emulator.estop.as_dict() == {"1": {"by": "viewer 1", "ignored": 0}}
 
 
-def test_a_program_that_says_stop_by_zero_velocities_is_not_one_that_would_move() -> None:
+def test_zero_velocities_are_not_counted_as_motion() -> None:
     emulator = held()
     client, _ = meet(emulator)
     client.ask("vm", 0, 0, 0)
@@ -76,7 +76,7 @@ def test_a_program_that_says_stop_by_zero_velocities_is_not_one_that_would_move(
     assert emulator.estop.as_dict()["1"]["ignored"] == 1
 
 
-def test_who_stopped_it_first_is_told_of_until_it_is_released() -> None:
+def test_the_first_operator_is_reported_until_release() -> None:
     emulator = held()
     emulator.hold(1, "viewer 2")
     assert emulator.estop.as_dict()["1"]["by"] == "viewer 1"
@@ -112,10 +112,10 @@ def test_the_first_motion_that_comes_to_nothing_is_in_the_log(caplog: pytest.Log
     client, _ = meet(emulator)
     for name, args in (("vm", (0, 0, 0)), ("gs", ()), ("pr", (100, 0, 0)), ("vm", (50, 0, 0))):
         client.ask(name, *args)
-    told = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
-    assert len(told) == 1
-    assert told[0].startswith("robot 1: motion command pr ignored: emergency stop by viewer 1;")
-    assert "nserver ctl release" in told[0]
+    messages = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
+    assert len(messages) == 1
+    assert messages[0].startswith("robot 1: motion command pr ignored: emergency stop by viewer 1;")
+    assert "nserver ctl release" in messages[0]
 
 
 def test_another_robot_goes_on() -> None:

@@ -1,4 +1,4 @@
-"""One sonar's cone in plain numbers against the same in arrays."""
+"""The cone model for one pose in numbers, against many in arrays."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Readings from one place: how many there are, what they are worth, and that a robot that stands is not too sure."""
+"""Repeated readings from one pose: their count and information, and a standing robot that stays consistent."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""get_robot_conf: waits for a click while a page is open, in its turn, and for nobody who is gone."""
+"""get_robot_conf: pending while a page is open, dropped with the connection."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def test_without_a_page_it_is_where_the_robot_is() -> None:
     assert client.ask("get_robot_conf").values == HERE
 
 
-def test_a_click_answers_all_who_wait_at_that_robot() -> None:
+def test_a_click_answers_all_requests_for_that_robot() -> None:
     emulator = Emulator(simulation())
     emulator.pose_requests.open = True
     ends = [waiting(emulator) for _ in range(2)]
@@ -35,7 +35,7 @@ def test_a_click_answers_all_who_wait_at_that_robot() -> None:
     assert emulator.pose_requests.counts() == {}
 
 
-def test_when_the_page_closes_nobody_waits_on() -> None:
+def test_closing_the_page_answers_pending_requests() -> None:
     emulator = Emulator(simulation())
     emulator.pose_requests.open = True
     client, session = waiting(emulator)
@@ -45,7 +45,7 @@ def test_when_the_page_closes_nobody_waits_on() -> None:
     assert emulator.pose_requests.counts() == {}
 
 
-def test_who_is_gone_is_asked_for_no_more() -> None:
+def test_requests_of_closed_connections_are_dropped() -> None:
     emulator = Emulator(simulation())
     emulator.pose_requests.open = True
     _, session = waiting(emulator)
@@ -56,7 +56,7 @@ def test_who_is_gone_is_asked_for_no_more() -> None:
     assert emulator.pose_requests.counts() == {}
 
 
-def test_in_lockstep_time_does_not_run_while_somebody_looks_for_the_mouse() -> None:
+def test_in_lockstep_the_pose_is_returned_at_once() -> None:
     emulator = Emulator(simulation())
     emulator.pose_requests.open = True
     emulator.clock.lockstep_s = 0.1

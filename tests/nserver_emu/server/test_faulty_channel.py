@@ -1,4 +1,4 @@
-"""A cable under a plan: both ways, around a paced cable or none, with a plan that changes while it lies there."""
+"""A cable under a plan: both directions, around a paced cable or none, with a plan that changes while it lies there."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_what_no_rule_strikes_passes_at_once_and_in_order() -> None:
     assert not bench.cable.full
 
 
-def test_both_ways_are_under_the_plan() -> None:
+def test_the_plan_applies_to_both_directions() -> None:
     bench = Bench(rule(Drop()))
     bench.cable.to_robot(GS + VM, 0.0)
     bench.cable.to_host(VM + GS, 0.0)

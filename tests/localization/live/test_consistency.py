@@ -1,4 +1,4 @@
-"""Whether readings fit."""
+"""Consistency of a run's readings."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@ import pytest
 from nserver_emu.server.admission import ConnectionTimeouts
 
 
-def test_the_idle_end_and_who_is_heard_does_not() -> None:
+def test_an_idle_connection_times_out() -> None:
     timeouts = ConnectionTimeouts(10.0, 0.0, 100.0)
     assert not timeouts.timeout_reason(109.9, 3, is_stalled=False)
     assert "idle for 10 s" in timeouts.timeout_reason(110.0, 3, is_stalled=False)
@@ -15,7 +15,7 @@ def test_the_idle_end_and_who_is_heard_does_not() -> None:
     assert not timeouts.timeout_reason(119.0, 3, is_stalled=False)
 
 
-def test_the_stuck_end_though_they_are_heard() -> None:
+def test_a_stalled_connection_times_out_despite_bytes() -> None:
     timeouts = ConnectionTimeouts(0.0, 4.0, 0.0)
     for now in range(4):
         timeouts.on_activity(now)
@@ -23,7 +23,7 @@ def test_the_stuck_end_though_they_are_heard() -> None:
     assert "for 4 s" in timeouts.timeout_reason(5.0, 7, is_stalled=True)
 
 
-def test_who_gets_on_is_not_stuck() -> None:
+def test_progress_resets_the_stall_timeout() -> None:
     timeouts = ConnectionTimeouts(0.0, 4.0, 0.0)
     assert not any(timeouts.timeout_reason(float(now), now, is_stalled=True) for now in range(50))
     assert not timeouts.timeout_reason(60.0, 49, is_stalled=False)

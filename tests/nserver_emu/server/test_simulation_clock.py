@@ -1,4 +1,4 @@
-"""How simulated time goes, as State[0] tells it."""
+"""The simulation clock and State[0]."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from nserver_emu.server.context import SimulationClock
         (SimulationClock(2.0, paused=True, lockstep_s=0.1), 0, False, 0.0),
     ],
 )
-def test_the_factor_is_told_and_time_passes_as_it_says(
+def test_speed_and_step_follow_the_clock_mode(
     pace: SimulationClock, shown: int, alone: bool, asked_s: float
 ) -> None:
     assert (pace.speed_tenths, pace.is_free_running, pace.step_per_request_s) == (shown, alone, asked_s)

@@ -1,0 +1,77 @@
+"""The control law of the thesis: from an estimated pose to the next small step towards a goal.
+
+All functions accept arrays with leading dimensions. In the batch experiments the limits are inches and radians per
+step; in live runs a step is made every T seconds, so a limit divided by T is a speed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from localization.filters.belief import HEADING, Floats, wrap_angle
+
+
+@dataclass(frozen=True, slots=True)
+class ControlGains:
+    """Limits of one step and the fraction of the error that one step corrects.
+
+    Attributes
+    ----------
+    drho_max_in, dtheta_max_rad
+        Longest step (in) and largest turn (rad).
+    alpha_rho, alpha_theta
+        Proportional gains of distance and bearing error, 0 to 1.
+    """
+
+    drho_max_in: float = 0.05
+    dtheta_max_rad: float = 0.05
+    alpha_rho: float = 0.1
+    alpha_theta: float = 0.1
+
+
+def distance_to(pose: Floats, goal: Floats) -> Floats:
+    """Return the distance (...) in inches from poses (..., 3) to goals (..., 2)."""
+    distance: Floats = np.hypot(goal[..., 0] - pose[..., 0], goal[..., 1] - pose[..., 1])
+    return distance
+
+
+def is_reached(pose: Floats, goal: Floats, radius_in: float) -> npt.NDArray[np.bool_]:
+    """Return True (...) where poses (..., 3) are within `radius_in` of their goals (..., 2)."""
+    within: npt.NDArray[np.bool_] = distance_to(pose, goal) <= radius_in
+    return within
+
+
+def bearing_error(pose: Floats, goal: Floats) -> Floats:
+    """Return the angle (...) in [-pi, pi] from the heading of poses (..., 3) to the direction of goals (..., 2)."""
+    direction = np.arctan2(goal[..., 1] - pose[..., 1], goal[..., 0] - pose[..., 0])
+    return wrap_angle(direction - pose[..., HEADING])
+
+
+def next_step(pose: Floats, goal: Floats, gains: ControlGains) -> Floats:
+    """Return the commanded step towards a goal.
+
+    The robot keeps rolling at full length even when the goal lies behind it: it then turns on a circle of radius
+    drho_max / dtheta_max.
+
+    Parameters
+    ----------
+    pose : (..., 3) array
+        x, y in inches, heading in radians.
+    goal : (..., 2) array
+        x, y in inches.
+    gains : ControlGains
+
+    Returns
+    -------
+    (..., 2) array
+        drho in inches and dtheta in radians, with the bearing error delta:
+        drho = min(drho_max, alpha_rho distance), dtheta = sign(delta) min(dtheta_max, alpha_theta abs(delta)).
+    """
+    delta = bearing_error(pose, goal)
+    step = np.empty((*delta.shape, 2))
+    step[..., 0] = np.minimum(gains.drho_max_in, gains.alpha_rho * distance_to(pose, goal))
+    step[..., 1] = np.clip(gains.alpha_theta * delta, -gains.dtheta_max_rad, gains.dtheta_max_rad)
+    return step
