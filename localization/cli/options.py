@@ -313,7 +313,7 @@ def prepare_localization(robot: Robot, simulated: bool, world: World, options: a
 
 
 def _set_start(robot: Robot, state: RobotState, start: Sequence[float] | str) -> RobotState:
-    """Set the encoders to the start pose, the turret keeping its angle to the body, and return the new state."""
+    """Set the encoders to the start pose, with the same angle between turret and body, and return the new state."""
     if start == UNKNOWN:
         return state
     x, y, heading = map(float, start)

@@ -235,7 +235,7 @@ class _Run:
                 self._squares.append(hypot(*(estimate.pose - self._truth)[:2]) ** 2)
 
     def _kidnap(self) -> None:
-        """Stop the robot and move it elsewhere, keeping turret angle and encoders.
+        """Stop the robot and move it elsewhere with unchanged turret angle and encoders.
 
         A moving robot would continue turning meanwhile, and the ring would no longer agree with the encoders.
         """

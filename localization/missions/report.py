@@ -1,4 +1,4 @@
-"""How a mission and its steps ended: exceptions, values, JSON and text.
+"""Outcome of a mission and its steps: exceptions, values, JSON and text.
 
     StepFailed (NomadError)         a step failed; it may be retried, and a program may catch it
     MissionOver (BaseException)     the mission is over; nothing more is driven

@@ -33,7 +33,7 @@ TIME_LIMIT_S: Final = 600.0
 
 
 class OnLost(Enum):
-    """What to do when the estimate is LOST, for at most lost_s."""
+    """Behaviour when the estimate is LOST, for at most lost_s."""
 
     STOP = "stop"
     """Stand until the robot is localized again."""

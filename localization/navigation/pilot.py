@@ -43,7 +43,7 @@ class Ending(Enum):
 
 
 class PilotResult(NamedTuple):
-    """How a drive ended, and why in words."""
+    """The ending of a drive, and the reason as text."""
 
     ending: Ending
     reason: str

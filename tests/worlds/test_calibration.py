@@ -56,7 +56,7 @@ def test_what_a_file_leaves_out_is_faultless(tmp_path: Path) -> None:
         ('[[model]]\nname = "n150"\n[model.spread]\nfar = -1\n', "unknown key"),
     ],
 )
-def test_what_is_wrong_is_told(tmp_path: Path, text: str, told: str) -> None:
+def test_what_is_wrong_is_reported(tmp_path: Path, text: str, told: str) -> None:
     with pytest.raises(WorldFileError, match=told):
         load_calibration(written(tmp_path, text), "n150")
 

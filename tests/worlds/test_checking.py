@@ -45,12 +45,12 @@ def test_a_gap_closes_off_what_lies_behind_it() -> None:
     assert behind.place_in[0] == pytest.approx(150.0, abs=2.0)
 
 
-def test_a_door_as_wide_as_the_robot_is_a_way() -> None:
+def test_a_door_as_wide_as_the_robot_is_a_path() -> None:
     assert kinds(room((100.0, 0.0, 100.0, 78.0))) == []
     assert kinds(room((100.0, 0.0, 100.0, 83.0))) == ["closed off"]
 
 
-def test_each_space_is_told_the_largest_first() -> None:
+def test_each_space_is_reported_the_largest_first() -> None:
     found = validate_world(room((70.0, 0.0, 70.0, 100.0), (160.0, 0.0, 160.0, 100.0)), RADIUS_IN)
     assert [finding.kind for finding in found] == ["closed off"] * 2
     assert found[0].place_in[0] == pytest.approx(115.0, abs=2.0)
@@ -109,9 +109,9 @@ def test_obstacles_and_the_outside_are_no_space() -> None:
         assert world.clearance(float(found.xs[i]), float(found.ys[k])) < RADIUS_IN
 
 
-def test_of_a_map_without_starts_it_is_said_that_none_is_given() -> None:
+def test_of_a_map_without_starts_it_is_stated_that_none_is_given() -> None:
     far = parse_world("[[room]]\ncorners_in = [[100, 100], [200, 100], [200, 200], [100, 200]]\n", "far.toml", "far")
-    told = [finding.words for finding in validate_world(far, 9.0) if finding.kind == "start"]
-    assert told == [
+    output = [finding.words for finding in validate_world(far, 9.0) if finding.kind == "start"]
+    assert output == [
         "no [[start]] is given, and (0, 0) lies outside of all rooms or in a wall; the robot's radius is 9 in"
     ]

@@ -1,4 +1,4 @@
-"""World files: the shipped ones are what the figures need, the format is read whole, and what is wrong is said well."""
+"""World files: shipped worlds, the format, and error messages."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SHIPPED = ("centre_vertex", "several_walls", "thesis_room")
 
 
 def complaint(text: str) -> str:
-    """What parse_world says of a text, without the name of the file in front."""
+    """What parse_world states of a text, without the name of the file in front."""
     with pytest.raises(WorldFileError) as caught:
         parse_world(text, "there/room.toml", "room")
     message = str(caught.value)
@@ -74,7 +74,7 @@ def test_the_thesis_room_is_290_cm_square_and_has_its_figures() -> None:
     )
 
 
-def test_the_worlds_of_figures_5_8_and_5_9_have_their_walls_and_way_points() -> None:
+def test_the_worlds_of_figures_5_8_and_5_9_have_their_walls_and_path_points() -> None:
     several, vertex = load_world("several_walls"), load_world("centre_vertex")
     assert several.inner_walls.tolist() == [
         [-12, 40, 10, 40],
@@ -141,7 +141,7 @@ def test_everything_a_file_may_hold_is_read_in_inches_and_radians() -> None:
     np.testing.assert_allclose(world.paths["9.9"].points_in, [(10, 10), (20, 10)])
 
 
-def test_what_is_not_said_has_a_default() -> None:
+def test_what_is_not_stated_has_a_default() -> None:
     world = parse_world(ROOM, "some/place.toml", "place")
     assert (world.name, world.title, world.starts, dict(world.paths)) == ("place", "place", (StartPose(0.0, 0.0),), {})
     assert world.obstacles == ()
@@ -161,7 +161,7 @@ def test_a_length_is_the_same_in_every_unit(inches: float, unit: tuple[str, floa
     assert float(diagonal) == pytest.approx(inches / 2**0.5)
 
 
-# What is wrong, and how it is said
+# What is wrong, and how it is stated
 
 
 @pytest.mark.parametrize(
@@ -300,7 +300,7 @@ def test_two_paths_cannot_share_a_key(key: str) -> None:
     assert complaint(ROOM + path + path) == f"path[1].{key}: '7.1' is used by an earlier path; expected another"
 
 
-def test_what_is_no_toml_is_told_where() -> None:
+def test_what_is_no_toml_is_reported_where() -> None:
     assert "is no TOML: " in complaint(ROOM + "[[wall\n")
     assert "line 3" in complaint(ROOM + "[[wall\n")
     assert complaint("x = " + 5000 * "[") == "is no TOML: nested too deeply"
@@ -308,7 +308,7 @@ def test_what_is_no_toml_is_told_where() -> None:
 
 
 def outcome(text: str) -> str:
-    """What comes of a text: a world, or what a WorldFileError says; any other error fails the test."""
+    """What comes of a text: a world, or what a WorldFileError states; any other error fails the test."""
     try:
         return str(parse_world(text, "x.toml", "x"))
     except WorldFileError as error:
@@ -369,7 +369,7 @@ def test_a_path_that_exists_is_that_file_and_a_bare_name_is_the_shipped_world(
         ("a\0b", "no such file"),
     ],
 )
-def test_a_world_that_is_nowhere_is_told_which_there_are(name: str, says: str) -> None:
+def test_a_world_that_is_nowhere_is_reported_which_there_are(name: str, says: str) -> None:
     with pytest.raises(WorldFileError) as caught:
         load_world(name)
     assert says in str(caught.value)
@@ -385,14 +385,14 @@ def test_a_directory_and_a_pipe_are_no_world_files(tmp_path: Path) -> None:
         load_world(tmp_path / "pipe.toml")
 
 
-def test_bytes_that_are_no_utf_8_are_told_where(tmp_path: Path) -> None:
+def test_bytes_that_are_no_utf_8_are_reported_where(tmp_path: Path) -> None:
     file = tmp_path / "latin.toml"
     file.write_bytes(b"name = 'caf\xe9'\n")
     with pytest.raises(WorldFileError, match=r"latin\.toml: expected text in UTF-8, found other bytes at 11: "):
         load_world(file)
 
 
-def test_a_file_that_cannot_be_read_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_that_cannot_be_read_states_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object) -> bytes:
         raise PermissionError(13, "Permission denied")
 
@@ -415,7 +415,7 @@ def test_a_name_too_long_for_the_system_is_an_error_of_ours() -> None:
         ('[[path]]\nname = "p"\npoints_in = [[0, 0], [90, 90]]\n', r"path\[0\]: .*found \(90, 90\) in"),
     ],
 )
-def test_a_start_or_a_way_point_where_no_robot_can_be_is_a_mistake_of_the_file(lines: str, place: str) -> None:
+def test_a_start_or_a_path_point_where_no_robot_can_be_is_a_mistake_of_the_file(lines: str, place: str) -> None:
     room = "[[room]]\ncorners_in = [[-20, -20], [40, -20], [40, 40], [-20, 40]]\n"
     with pytest.raises(WorldFileError, match=place):
         parse_world(room + lines, "hall.toml", "hall")

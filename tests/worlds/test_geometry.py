@@ -1,4 +1,4 @@
-"""The kernels of plane geometry against slower ways to the same numbers: sampling, fractions, sums of angles."""
+"""The kernels of plane geometry against slower paths to the same numbers: sampling, fractions, sums of angles."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def test_inside_is_an_odd_number_of_turns_of_the_outline(here: tuple[int, int], 
     assert inside(point, edges).tolist() == [_winding(point, corners) % 2 == 1]
 
 
-def test_inside_tells_several_polygons_apart_for_many_points() -> None:
+def test_inside_reports_several_polygons_apart_for_many_points() -> None:
     shifted = np.array(SQUARE)[::-1] + np.array([3.0, 0.0])
     edges = np.concatenate((polygon_segments(SQUARE), polygon_segments(shifted)))
     within = inside([[(1.0, 1.0), (3.5, 1.0)], [(6.0, 1.0), (9.0, 9.0)]], edges, (0, 4))

@@ -1,4 +1,4 @@
-"""Outlines that are none, and what is said of them."""
+"""Outlines that are none, and what is stated of them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ SQUARE = ((0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (0.0, 4.0))
 
 
 @pytest.mark.parametrize("corners", [SQUARE, SQUARE[::-1], (*SQUARE, SQUARE[0])])
-def test_either_way_round_and_closed_by_its_first_corner_it_is_one(corners: tuple[Point, ...]) -> None:
+def test_either_path_round_and_closed_by_its_first_corner_it_is_one(corners: tuple[Point, ...]) -> None:
     require_outline(TABLE, "fence_in", corners)
 
 

@@ -61,7 +61,7 @@ def alone(origin: Pair, direction: Pair, walls: npt.ArrayLike) -> tuple[float, i
 
 
 def among(origin: Pair, direction: Pair, walls: npt.ArrayLike) -> tuple[float, int]:
-    """One ray through the path for many, beside another that points the other way."""
+    """One ray through the path for many, beside another that points the other path."""
     ranges, rows = cast_rays(origin, [direction, (-direction[0], -direction[1])], walls)
     assert ranges.shape == rows.shape == (2,)
     return float(ranges[0]), int(rows[0])

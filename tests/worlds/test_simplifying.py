@@ -1,4 +1,4 @@
-"""Fewer walls within a tolerance: the bound is kept whatever the map."""
+"""Fewer walls within a tolerance: the bound is saved whatever the map."""
 
 from __future__ import annotations
 
@@ -57,8 +57,8 @@ def test_an_outline_loses_corners_that_are_none() -> None:
 
 def test_one_that_would_be_none_any_more_stays() -> None:
     sliver = Polygon(((0.0, 0.0), (50.0, 0.1), (100.0, 0.0), (50.0, -0.1)))
-    (kept,) = simplify_world(World("sliver", obstacles=(sliver,)), 1.0).obstacles
-    assert kept is sliver
+    (saved,) = simplify_world(World("sliver", obstacles=(sliver,)), 1.0).obstacles
+    assert saved is sliver
 
 
 @pytest.mark.parametrize("name", world_names())
@@ -91,7 +91,7 @@ def test_nor_does_an_outline(radii: list[float], far_in: float) -> None:
     assert len(simpler.rooms[0].corners_in) >= 3
 
 
-def test_how_far_walls_are_apart_is_seen_both_ways() -> None:
+def test_how_far_walls_are_apart_is_seen_both_paths() -> None:
     one, other = np.array([[0.0, 0.0, 10.0, 0.0]]), np.array([[0.0, 0.0, 4.0, 0.0]])
     assert hausdorff_distance_in(one, other) == hausdorff_distance_in(other, one) == pytest.approx(6.0)
 

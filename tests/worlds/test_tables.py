@@ -1,4 +1,4 @@
-"""What a table gives, what it says of a value that it refuses."""
+"""What a table gives, what it states of a value that it refuses."""
 
 from __future__ import annotations
 

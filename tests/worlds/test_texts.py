@@ -1,4 +1,4 @@
-"""Files that somebody wrote, read as far as they may be long."""
+"""Files that another wrote, read as far as they may be long."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_what_cannot_be_read_is_named(name: str, said: str, tmp_path: Path) -> N
 
 @pytest.mark.parametrize("kind", READERS)
 @pytest.mark.parametrize(("text", "told"), [("x =", "Invalid value"), ("x = " + 5000 * "[", "nested too deeply")])
-def test_every_reader_of_such_files_tells_what_is_no_toml(kind: str, text: str, told: str, tmp_path: Path) -> None:
+def test_every_reader_of_such_files_reports_what_is_no_toml(kind: str, text: str, told: str, tmp_path: Path) -> None:
     file = tmp_path / "bad.toml"
     file.write_text(text)
     with pytest.raises(WorldFileError, match=rf"bad\.toml: is no TOML: {told}"):

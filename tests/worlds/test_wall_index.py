@@ -23,7 +23,7 @@ def asked(origins: FloatArray, directions: FloatArray, walls: FloatArray) -> tup
 
 
 @pytest.mark.parametrize("walls", [ROOM, ROOM[:3], MANY])
-def test_any_rays_meet_what_the_ray_caster_says(walls: FloatArray) -> None:
+def test_any_rays_meet_what_the_ray_caster_states(walls: FloatArray) -> None:
     rng = np.random.default_rng(3)
     origins, angles = rng.uniform(-20.0, 110.0, size=(400, 2)), rng.uniform(-np.pi, np.pi, size=400)
     directions = np.stack((np.cos(angles), np.sin(angles)), axis=-1)
@@ -62,6 +62,6 @@ def test_a_wall_parallel_to_the_ray_is_no_division_by_zero() -> None:
     assert index.nearest(0.0, 0.0, 1.0, 0.0) == (30.0, 1)
 
 
-def test_no_walls_are_met_by_nobody() -> None:
+def test_no_walls_are_met_by_nothing() -> None:
     nowhere = WallIndex(np.empty((0, 4)))
     assert nowhere.nearest(1.0, 2.0, 1.0, 0.0) == (inf, NO_WALL)

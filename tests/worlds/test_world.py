@@ -1,4 +1,4 @@
-"""Worlds: what is free, how much room there is, what a refused start is told, and obstacles that come and go."""
+"""Worlds: what is free, how much room there is, what a refused start is reported, and obstacles that come and go."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_walls_are_rooms_then_inner_walls_then_obstacles_and_read_only() -> None
         WORLD.name = "other"  # type: ignore[misc]
 
 
-def test_a_world_keeps_copies_of_what_it_was_made_of() -> None:
+def test_a_world_retains_copies_of_what_it_was_made_of() -> None:
     walls = np.array([[0.0, 0.0, 1.0, 0.0]])
     paths = {"1": Path("a", "1", StartPose(0.0, 0.0), ((0.0, 0.0), (1.0, 1.0)))}
     world = World("copy", inner_walls=walls, paths=paths)
@@ -59,7 +59,7 @@ def test_obstacles_come_and_go_and_fixed_walls_keep_their_rows() -> None:
     assert len(WORLD.walls) == 5 + 4
 
 
-def test_a_moved_polygon_keeps_its_shape_and_name() -> None:
+def test_a_moved_polygon_retains_its_shape_and_name() -> None:
     moved = CRATE.moved(1.0, -2.0)
     assert moved.corners_in[0] == (41.0, 28.0)
     assert moved.name == "crate"
@@ -136,7 +136,7 @@ def test_a_free_start_passes_and_one_that_just_touches_does_not() -> None:
         (0.0, 40.0, "(0, 80)-(0, 0): 0.00 in away"),
     ],
 )
-def test_a_refused_start_is_told_what_it_touches_and_where_it_would_fit(x: float, y: float, says: str) -> None:
+def test_a_refused_start_is_reported_what_it_touches_and_where_it_would_fit(x: float, y: float, says: str) -> None:
     message = refusal(WORLD, x, y, N150.radius_in)
     assert says in message
     fits = FITS.search(message)

@@ -1,4 +1,4 @@
-"""A world written down is read back as it was; what no longer has room is left out and said."""
+"""A world written down is read back as it was; what no longer has room is left out and stated."""
 
 from __future__ import annotations
 

@@ -11,8 +11,8 @@ LAP: list[Task] = [Spin(0.01), DriveTo(0.0, 0.0)]
 
 
 def test_a_round_more_until_it_is_enough_or_there_were_too_many() -> None:
-    said = iter([False, False, True])
-    rounds = LapPolicy(LAP, 9, lambda: next(said))
+    text = iter([False, False, True])
+    rounds = LapPolicy(LAP, 9, lambda: next(text))
     assert [rounds.more(), rounds.more(), rounds.more()] == [LAP, LAP, ()]
     assert rounds.begun == 3
     assert LapPolicy(LAP, 1, lambda: False).more() == ()

@@ -1,4 +1,4 @@
-"""The square and the way round it."""
+"""The square and the path round it."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ RADIUS_IN = 9.72
 
 
 @pytest.mark.parametrize("name", world_names())
-def test_every_shipped_world_has_one_that_keeps_clear(name: str) -> None:
+def test_every_shipped_world_has_one_that_retains_clear(name: str) -> None:
     world = load_world(name)
     square = largest_square(world, RADIUS_IN, (0.0, 0.0))
     for (x1, y1), (x2, y2) in zip(square.corners, square.corners[1:] + square.corners[:1], strict=True):
@@ -55,7 +55,7 @@ def test_a_cupboard_has_none() -> None:
 
 
 @pytest.mark.parametrize("start", [(5.0, 5.0), (80.0, 0.0), (0.0, 0.0)])
-def test_the_way_to_it_leaves_room_for_a_robot_that_errs(start: tuple[float, float]) -> None:
+def test_the_path_to_it_leaves_room_for_a_robot_that_errs(start: tuple[float, float]) -> None:
     """Its arcs are driven as chords, from point to point: cut to the body's own radius, they would touch."""
     world = load_world("several_walls")
     square = largest_square(world, RADIUS_IN, start)
@@ -66,7 +66,7 @@ def test_the_way_to_it_leaves_room_for_a_robot_that_errs(start: tuple[float, flo
     assert segment_clearances(ways[1:], world.walls).min() > RADIUS_IN + 0.8
 
 
-def test_a_way_through_a_gap_leaves_what_there_is_and_one_through_none_is_refused() -> None:
+def test_a_path_through_a_gap_leaves_what_there_is_and_one_through_none_is_refused() -> None:
     def door(wide_in: float) -> World:
         sides = ((0.0, 0.0), (200.0, 0.0), (200.0, 100.0), (0.0, 100.0))
         posts = np.array([[100.0, 0.0, 100.0, 50.0 - wide_in / 2], [100.0, 50.0 + wide_in / 2, 100.0, 100.0]])
@@ -77,7 +77,7 @@ def test_a_way_through_a_gap_leaves_what_there_is_and_one_through_none_is_refuse
         path_to((160.0, 50.0), (40.0, 50.0), door(19.0), 9.0)
 
 
-def test_laps_go_both_ways_round_from_the_nearest_corner() -> None:
+def test_laps_go_both_paths_round_from_the_nearest_corner() -> None:
     found = tasks(Square(0.0, 0.0, 10.0), (9.0, 1.0), 1, 2)
     places = [tuple(task) for task in found if isinstance(task, DriveTo)]
     assert places[0] == (10.0, 0.0)
@@ -88,7 +88,7 @@ def test_laps_go_both_ways_round_from_the_nearest_corner() -> None:
     assert not any(isinstance(task, Spin) for task in tasks(Square(0.0, 0.0, 10.0), (0.0, 0.0), 1, 0))
 
 
-def test_the_driver_goes_round_and_turns_as_told() -> None:
+def test_the_driver_goes_round_and_turns_as_reported() -> None:
     square = Square(10.0, 10.0, 60.0)
     driver = Driver(tasks(square, (0.0, 0.0), 1, 1), 10.0, 0.7)
     pose, turned, places = np.array([0.0, 0.0, 2.0]), [0.0, 0.0], []

@@ -41,9 +41,9 @@ def test_the_default_address_counts(monkeypatch: pytest.MonkeyPatch) -> None:
 ])  # fmt: skip
 def test_every_command_that_drives_refuses_another_body(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert main([*words, "--body", "n150"]) == 2
-    told = capsys.readouterr()
-    assert told.out == ""
-    assert "is of model n200; omit --body" in told.err
+    output = capsys.readouterr()
+    assert output.out == ""
+    assert "is of model n200; omit --body" in output.err
 
 
 def test_calibrate_writes_the_robots_own_name(tmp_path: Path) -> None:

@@ -47,9 +47,9 @@ def test_what_a_robot_gets_wrong_is_found_within_a_tenth(
     address = f"sim:thesis_room?seed={seed}&setup={setup}&model_file={model}&start=1,-1,2,2"
     words = ["--world", "thesis_room", "--out", str(out), "--start", "0.8,-0.7,1", "--odometry-noise", SMOOTH]
     assert main.main(["calibrate", address, *words, "--speed", "15", "--turn-speed", "45", "--laps", "1"]) == 0
-    said = capsys.readouterr().out
-    assert " of 17 done" in said
-    assert "sonar 15 reads more, in" in said
+    text = capsys.readouterr().out
+    assert " of 17 done" in text
+    assert "sonar 15 reads more, in" in text
     found = load_calibration(out, "n150")
     assert found.distance_scale - 1.0 == pytest.approx(true.distance_scale - 1.0, rel=0.1)
     assert found.turn_scale - 1.0 == pytest.approx(true.turn_scale - 1.0, rel=0.1)
@@ -97,16 +97,16 @@ def test_without_a_number_of_laps_it_drives_until_all_is_known(
     words = ["--world", "thesis_room", "--spins", "0", "--speed", "15", "--turn-speed", "90", "--square", "5,5,60"]
     address = f"sim:thesis_room?seed=3&setup={setup}"
     assert main.main(["calibrate", address, *words, "--out", str(out)]) == 0
-    told = capsys.readouterr().out
-    (line,) = [line for line in told.splitlines() if line.startswith("after 2 laps each way: ")]
+    output = capsys.readouterr().out
+    (line,) = [line for line in output.splitlines() if line.startswith("after 2 laps each way: ")]
     assert "drift" in line
     assert "could be known better: more --laps" in line
     assert ": 2 laps each way" in out.read_text()
     monkeypatch.setattr("localization.calibration.result.SHARE", 10.0)
     assert main.main(["calibrate", address, *words, "--json"]) == 0
-    said = json.loads(capsys.readouterr().out)
-    assert (said["laps"], said["known_too_little"]) == (1, [])
-    assert "within noise of zero" in told
+    text = json.loads(capsys.readouterr().out)
+    assert (text["laps"], text["known_too_little"]) == (1, [])
+    assert "within noise of zero" in output
 
 
 def test_it_gives_up_at_the_time_limit_and_writes_nothing(
@@ -115,32 +115,32 @@ def test_it_gives_up_at_the_time_limit_and_writes_nothing(
     out = tmp_path / "found.toml"
     words = ["--world", "thesis_room", "--time-limit", "3", "--out", str(out), "--json"]
     assert main.main(["calibrate", "sim:thesis_room", *words]) == 3
-    said = capsys.readouterr()
-    assert ("given up after 3 s" in said.err, said.out) == (True, "")
+    text = capsys.readouterr()
+    assert ("given up after 3 s" in text.err, text.out) == (True, "")
     assert not out.exists()
 
 
-def test_a_robot_that_stands_elsewhere_than_it_is_said_does_not_push_at_walls(
+def test_a_robot_that_stands_elsewhere_than_it_is_stated_does_not_push_at_walls(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert main.main(["calibrate", "sim:thesis_room", "--start", "40,40,0", "--laps", "1"]) == 3
-    said = capsys.readouterr().out
-    assert "the robot presses against something for 5 s" in said
-    assert "is --start right" in said
+    text = capsys.readouterr().out
+    assert "the robot presses against something for 5 s" in text
+    assert "is --start right" in text
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")
-def test_what_was_found_is_told_where_it_cannot_be_written(capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_was_found_is_reported_where_it_cannot_be_written(capsys: pytest.CaptureFixture[str]) -> None:
     words = ["--laps", "1", "--spins", "0", "--speed", "15", "--turn-speed", "90", "--square", "5,5,60", "--json"]
     address = ["sim:thesis_room", "--world", "thesis_room"]
     assert main.main(["calibrate", *address, *words, "--out", "/dev/full"]) == 1
-    said = capsys.readouterr()
-    assert json.loads(said.out)["laps"] == 1
-    assert "nomad: /dev/full: cannot be written: No space left on device; make room" in said.err
+    text = capsys.readouterr()
+    assert json.loads(text.out)["laps"] == 1
+    assert "nomad: /dev/full: cannot be written: No space left on device; make room" in text.err
 
 
 @pytest.mark.parametrize("words", [[], ["--json"]])
-def test_readings_that_do_not_fit_are_told_and_nothing_is_written(
+def test_readings_that_do_not_fit_are_reported_and_nothing_is_written(
     words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A real ring's cones, taken for rays."""
@@ -148,9 +148,9 @@ def test_readings_that_do_not_fit_are_told_and_nothing_is_written(
     quick = ["--laps", "1", "--square", "5,5,60", "--spins", "0", "--speed", "15", "--turn-speed", "90"]
     address = "sim:thesis_room?setup=measured&seed=1"
     code = main.main(["calibrate", address, "--sonars", "rays", "--out", str(out), *quick, *words])
-    said = capsys.readouterr()
+    text = capsys.readouterr()
     assert code == 4
-    assert "do not believe this" in said.out + said.err
+    assert "do not believe this" in text.out + text.err
     assert not out.exists()
 
 

@@ -23,9 +23,7 @@ def localize(*words: str) -> int:
     return main.main(["localize", *words])
 
 
-def test_it_prints_estimate_against_truth_and_draws_the_run(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_it_prints_estimate_against_truth_and_draws_the_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     picture = tmp_path / "deep" / "run.png"
     assert localize(NOISY, *TO_GOAL, "--picture", str(picture)) == 0
     out = capsys.readouterr().out
@@ -74,7 +72,7 @@ def test_a_start_is_given_to_the_encoders_too(capsys: pytest.CaptureFixture[str]
     assert 0 < result["odometry_end_error_in"] < 1.0
 
 
-def test_way_points_may_begin_with_a_minus(capsys: pytest.CaptureFixture[str]) -> None:
+def test_path_points_may_begin_with_a_minus(capsys: pytest.CaptureFixture[str]) -> None:
     words = ["--map", "thesis_room", "--waypoints", "-1,0", "-2,-0.5", "--start-std=0.1,0.1,1", "--json"]
     assert localize("sim:", *words) == 0
     assert json.loads(capsys.readouterr().out)["reached"] == 2
@@ -85,7 +83,7 @@ def test_giving_up_at_the_time_limit_exits_3(capsys: pytest.CaptureFixture[str])
     assert "1 of 2 waypoints reached in 2" in capsys.readouterr().out
 
 
-def test_a_measured_ring_is_heard_as_cones_and_the_encoders_scale_is_found(
+def test_a_measured_ring_is_measured_as_cones_and_the_encoders_scale_is_found(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     words = [*TO_GOAL, "--sonars", "cones", "--scale-std", "0.05", "--smooth", "0.5", "--json"]
@@ -127,7 +125,7 @@ def test_wrong_usage_exits_2(words: list[str], capsys: pytest.CaptureFixture[str
         (["nserver://127.0.0.1:1/1", "--map", "thesis_room", "--waypoints", "0,0"], "127.0.0.1:1"),
     ],
 )
-def test_what_cannot_be_done_says_why_and_exits_1(
+def test_what_cannot_be_done_states_why_and_exits_1(
     words: list[str], said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert localize(*words) == 1
@@ -166,18 +164,18 @@ def test_a_calibrated_robot_errs_no_more(tmp_path: Path, capsys: pytest.CaptureF
 def test_sonars_that_read_too_much_are_found_out_while_driving(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    mine, kept = tmp_path / "mine.toml", tmp_path / "kept.json"
+    mine, saved = tmp_path / "mine.toml", tmp_path / "kept.json"
     mine.write_text(format_calibration("n150", Calibration(offsets_in=(2.0,) * 16)))
     ends = []
     for method in ("ekf", "offsets"):
-        words = [*TO_GOAL, "--method", method, "--save", str(kept), "--json"]
+        words = [*TO_GOAL, "--method", method, "--save", str(saved), "--json"]
         localize(f"sim:thesis_room?setup=noisy&seed=2&model_file={mine}", *words, "--time-limit", "60")
         ends.append(json.loads(capsys.readouterr().out)["rmse_position_in"])
     assert ends[1] < 0.5 * ends[0]
-    assert len(json.loads(kept.read_text())["mean"]) == 6
+    assert len(json.loads(saved.read_text())["mean"]) == 6
 
 
-def test_told_nothing_of_the_place_it_finds_itself_and_drives(capsys: pytest.CaptureFixture[str]) -> None:
+def test_reported_nothing_of_the_place_it_finds_itself_and_drives(capsys: pytest.CaptureFixture[str]) -> None:
     robot = "sim:several_walls?noisy=1&seed=3&start=30,60,20,20"
     assert localize(robot, "--map", "several_walls", "--start", "unknown", "--waypoints", "45,65", "--json") == 0
     result = json.loads(capsys.readouterr().out)
@@ -186,7 +184,7 @@ def test_told_nothing_of_the_place_it_finds_itself_and_drives(capsys: pytest.Cap
     assert result["rmse_position_in"] < 0.5
 
 
-def test_places_that_look_alike_are_told_of_and_nothing_is_driven_to(capsys: pytest.CaptureFixture[str]) -> None:
+def test_places_that_look_alike_are_reported_of_and_nothing_is_driven_to(capsys: pytest.CaptureFixture[str]) -> None:
     robot = "sim:thesis_room?noisy=1&seed=3&start=20,35,20,20"
     asked = [robot, "--map", "thesis_room", "--start", "unknown", "--waypoints", "60,40", "--time-limit", "8"]
     assert localize(*asked) == 3
@@ -215,8 +213,10 @@ def test_an_unknown_start_is_for_the_finder_alone(
     assert remedy in capsys.readouterr().err
 
 
-def test_a_lost_estimate_is_not_saved_and_all_else_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The way-point was not reached: that is what it ends with."""
+def test_a_lost_estimate_is_not_saved_and_all_else_is_reported(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The path-point was not reached: that is what it ends with."""
     words = ["--start", "unknown", "--waypoints", "20,20", "--time-limit", "5", "--json"]
     assert localize("sim:thesis_room", *words, "--save", str(tmp_path / "x.json")) == 3
     said = capsys.readouterr()
@@ -224,13 +224,13 @@ def test_a_lost_estimate_is_not_saved_and_all_else_is_told(tmp_path: Path, capsy
     assert "x.json: not written, the estimate is lost" in said.err
 
 
-def test_it_says_that_its_time_is_over(capsys: pytest.CaptureFixture[str]) -> None:
+def test_it_states_that_its_time_is_over(capsys: pytest.CaptureFixture[str]) -> None:
     assert localize(NOISY, "--map", "thesis_room", "--waypoints", "60,40", "--time-limit", "1") == 3
     assert capsys.readouterr().out.endswith("stopped: time limit exceeded: 1 s (--time-limit)\n")
 
 
 @pytest.mark.parametrize("name", ["", ".", "run.xyz", "run"])
-def test_a_picture_that_is_no_png_is_told_before_the_drive(
+def test_a_picture_that_is_no_png_is_reported_before_the_drive(
     name: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(localization_cli, "open_robot", lambda _: pytest.fail("it drives"))
@@ -253,7 +253,7 @@ def test_options_that_cannot_be_read_say_what_is_wanted(
 
 
 @pytest.mark.parametrize("ending", [KeyboardInterrupt, lambda: TerminatedBySignal("SIGTERM")])
-def test_an_interrupted_run_is_saved_and_told(
+def test_an_interrupted_run_is_saved_and_reported(
     ending: Callable[[], BaseException], tmp_path: Path, capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
@@ -263,11 +263,11 @@ def test_an_interrupted_run_is_saved_and_told(
 
     drive: Callable[..., None] = localization_cli._drive
     monkeypatch.setattr(localization_cli, "_drive", interrupted)
-    kept = tmp_path / "kept"
+    saved = tmp_path / "kept"
     words = [NOISY, *TO_GOAL, "--time-limit", "1"]
-    assert localize(*words, "--save", str(kept)) in (130, 143)
+    assert localize(*words, "--save", str(saved)) in (130, 143)
     assert "1 of 2 waypoints reached" in capsys.readouterr().out
-    assert kept.exists()
+    assert saved.exists()
     (tmp_path / "gone").mkdir()
     monkeypatch.setattr(localization_cli, "check_writable", lambda *_: (tmp_path / "gone").rmdir())
     file = tmp_path / "gone" / "kept"
@@ -275,19 +275,21 @@ def test_an_interrupted_run_is_saved_and_told(
     assert str(file) in capsys.readouterr().err
 
 
-def test_a_file_that_cannot_be_written_is_told_before_the_drive(
+def test_a_file_that_cannot_be_written_is_reported_before_the_drive(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(localization_cli, "open_robot", lambda _: pytest.fail("it drives"))
     (tmp_path / "file").touch()
     in_the_way = tmp_path / "file"
-    for file, told in ((tmp_path, f"{str(tmp_path)!r}: cannot be written"),
-                       (in_the_way / "x", f"{in_the_way}: cannot be written: File exists")):
+    for file, told in (
+        (tmp_path, f"{str(tmp_path)!r}: cannot be written"),
+        (in_the_way / "x", f"{in_the_way}: cannot be written: File exists"),
+    ):
         assert localize(NOISY, *TO_GOAL, "--save", str(file)) == 1
         assert told in capsys.readouterr().err
 
 
-def test_interrupted_before_anything_was_seen_there_is_nothing_to_tell(
+def test_interrupted_before_anything_was_seen_there_is_nothing_to_report(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def at_once(*_: object) -> None:
@@ -298,7 +300,7 @@ def test_interrupted_before_anything_was_seen_there_is_nothing_to_tell(
     assert capsys.readouterr().out == ""
 
 
-def test_a_way_point_behind_a_wall_ends_it_soon_with_the_reason(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_path_point_behind_a_wall_ends_it_soon_with_the_reason(capsys: pytest.CaptureFixture[str]) -> None:
     assert localize(NOISY, "--map", "thesis_room", "--waypoints", "300,0") == 3
     told = capsys.readouterr().out
     assert "stopped: the robot presses against something for 5 s" in told
@@ -309,10 +311,10 @@ def test_a_way_point_behind_a_wall_ends_it_soon_with_the_reason(capsys: pytest.C
     assert result["duration_s"] < 40.0
 
 
-def test_the_guess_of_rays_is_told_first_and_doubted_where_readings_do_not_fit(
+def test_the_guess_of_rays_is_reported_first_and_doubted_where_readings_do_not_fit(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As of a server, which does not tell its setup."""
+    """As of a server, which does not report its setup."""
     monkeypatch.setattr("localization.live.assumptions.sonar_model_of_address", lambda _: None)
     assert localize(NOISY, *TO_GOAL) == 0
     told = capsys.readouterr().out
@@ -330,7 +332,7 @@ def test_the_guess_of_rays_is_told_first_and_doubted_where_readings_do_not_fit(
     assert json.loads(capsys.readouterr().out)["hint"] is None, "of few readings nothing is said"
 
 
-def test_a_measured_ring_has_cones_without_being_told(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_measured_ring_has_cones_without_being_reported(capsys: pytest.CaptureFixture[str]) -> None:
     results = []
     for words in ([], ["--sonars", "cones"]):
         assert localize("sim:thesis_room?setup=measured&seed=1", *TO_GOAL, "--json", *words) == 0

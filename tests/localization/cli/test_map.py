@@ -30,7 +30,7 @@ def room(tmp_path: Path) -> str:
     return str(path)
 
 
-def test_check_tells_what_is_wrong_and_where(room: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_check_reports_what_is_wrong_and_where(room: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main.main(["map", "check", room]) == 3
     lines = capsys.readouterr().out.splitlines()
     assert [line.split("(")[0].strip() for line in lines] == ["gap", "doubled", "closed off"]
@@ -40,7 +40,7 @@ def test_check_tells_what_is_wrong_and_where(room: str, capsys: pytest.CaptureFi
     assert found[0]["place_in"] == [100.0, 57.5]
 
 
-def test_check_of_a_good_map_says_so(capsys: pytest.CaptureFixture[str]) -> None:
+def test_check_of_a_good_map_states_so(capsys: pytest.CaptureFixture[str]) -> None:
     assert main.main(["map", "check", "several_walls"]) == 0
     assert capsys.readouterr().out == "several_walls: 8 walls, no problems\n"
 
@@ -59,7 +59,7 @@ def test_simplify_writes_a_world_with_fewer_walls(
     assert main.main(["map", "simplify", room, "--out", str(tmp_path / "made" / "x.toml")]) == 0
 
 
-def test_show_tells_the_bound_and_draws_it(room: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_show_reports_the_bound_and_draws_it(room: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     picture = tmp_path / "deep" / "map.png"
     assert main.main(["map", "show", room, "--out", str(picture), "--cell", "6"]) == 0
     out = capsys.readouterr().out

@@ -1,4 +1,4 @@
-"""Publishing an estimate: what is said, what comes back, and that a page that is lost stops nobody."""
+"""Publishing an estimate: what is stated, what comes back, and that a page that is lost stops nothing."""
 
 from __future__ import annotations
 
@@ -35,15 +35,15 @@ def a_moment(truth: tuple[float, float, float] | None = None) -> RunMoment:
 
 @contextmanager
 def a_page(*answers: tuple[int, str]) -> Iterator[tuple[str, list[Any]]]:
-    """A page that answers so, one after the other; its address and what it was told."""
+    """A page that answers so, one after the other; its address and what it was reported."""
     left = iter(answers)
     with page_that(lambda _: next(left)) as there:
         yield there
 
 
 def test_a_moment_as_it_is_published() -> None:
-    said = build_message(2, a_moment((1, 2, 3)), 0.25, [(5, 6)])
-    assert json.loads(json.dumps(said)) == {
+    text = build_message(2, a_moment((1, 2, 3)), 0.25, [(5, 6)])
+    assert json.loads(json.dumps(text)) == {
         "robot": 2, "clock_s": 1.4, "pose": [1, 2, 0.5], "turret": 0.75,
         "cov": [[0.1, 0, 0], [0, 0.2, 0], [0, 0, 0.3]], "odometry": [1.1, 2.1, 0.4], "truth": [1, 2, 3],
         "echoes": [
@@ -59,29 +59,29 @@ def test_how_far_it_is_believed_and_where_else_it_may_be_is_published() -> None:
     moment, verdict = a_moment(), FilterHealth(HealthStatus.LOST, "2 places look alike")
     elsewhere = with_parameters(Belief(np.array([7.0, 8.0, -1.0]), np.eye(3)), (0.05,))
     places = (Place(moment.estimate.belief, 0.75), *[Place(elsewhere, 0.01)] * 25)
-    said = build_message(1, moment._replace(estimate=replace(moment.estimate, health=verdict, places=places)), 0.0, [])
-    assert (said["trust"], said["reason"]) == ("LOST", "2 places look alike")
-    assert said["places"][:2] == [{"pose": [1, 2, 0.5], "share": 0.75}, {"pose": [7, 8, -1], "share": 0.01}]
-    assert len(said["places"]) == MAX_HYPOTHESES
+    text = build_message(1, moment._replace(estimate=replace(moment.estimate, health=verdict, places=places)), 0.0, [])
+    assert (text["trust"], text["reason"]) == ("LOST", "2 places look alike")
+    assert text["places"][:2] == [{"pose": [1, 2, 0.5], "share": 0.75}, {"pose": [7, 8, -1], "share": 0.01}]
+    assert len(text["places"]) == MAX_HYPOTHESES
 
 
 def test_of_a_longer_state_the_pose_is_published() -> None:
     moment = a_moment()
     longer = with_parameters(moment.estimate.belief, (0.05, 0.01))
-    said = build_message(1, moment._replace(estimate=replace(moment.estimate, belief=longer)), 0.0, [])
-    assert said["pose"] == [1, 2, 0.5]
-    assert said["cov"] == [[0.1, 0, 0], [0, 0.2, 0], [0, 0, 0.3]]
+    text = build_message(1, moment._replace(estimate=replace(moment.estimate, belief=longer)), 0.0, [])
+    assert text["pose"] == [1, 2, 0.5]
+    assert text["cov"] == [[0.1, 0, 0], [0, 0.2, 0], [0, 0, 0.3]]
 
 
 def test_waypoints_set_since_come_back_and_those_of_before_do_not() -> None:
     answers = [{"waypoints": [[9, 9]], "set": 4}, {"waypoints": [[9, 9]], "set": 4}, {"waypoints": [[1, 2]], "set": 5},
                {"waypoints": [], "set": 6}]  # fmt: skip
-    with a_page(*((200, json.dumps(answer)) for answer in answers)) as (url, told):
+    with a_page(*((200, json.dumps(answer)) for answer in answers)) as (url, output):
         publisher = Publisher(url)
         found = [publisher.publish({"n": n}) for n in range(4)]
         publisher.close()
     assert found == [None, None, [(1.0, 2.0)], []]
-    assert told == [("/publish?token=secret", {"n": n} | ({"began": True} if n == 0 else {})) for n in range(4)]
+    assert output == [("/publish?token=secret", {"n": n} | ({"began": True} if n == 0 else {})) for n in range(4)]
 
 
 def test_a_page_that_refuses_at_the_beginning_is_an_error_with_its_reason() -> None:
@@ -89,16 +89,16 @@ def test_a_page_that_refuses_at_the_beginning_is_an_error_with_its_reason() -> N
         Publisher(url).publish({})
 
 
-def test_a_page_lost_on_the_way_is_told_of_tried_again_and_nobody_stops(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_page_lost_on_the_path_is_reported_of_tried_again_and_nothing_stops(caplog: pytest.LogCaptureFixture) -> None:
     now_s = 0.0
     fine, sent = (200, '{"waypoints": null, "set": 0}'), (200, '{"waypoints": [[3, 4]], "set": 1}')
-    with a_page(fine, (500, ""), (200, "{}"), sent) as (url, told):
+    with a_page(fine, (500, ""), (200, "{}"), sent) as (url, output):
         publisher = Publisher(url, lambda: now_s)
         found = []
         for now_s in (0.0, 1.0, 2.0, 1.0 + RETRY_S, 1.0 + 1.5 * RETRY_S, 1.0 + 2 * RETRY_S):
             found.append(publisher.publish({"at": now_s}))
         publisher.close()
-    assert [said["at"] for _, said in told] == [0.0, 1.0, 1.0 + RETRY_S, 1.0 + 2 * RETRY_S]
+    assert [text["at"] for _, text in output] == [0.0, 1.0, 1.0 + RETRY_S, 1.0 + 2 * RETRY_S]
     assert found == [None] * 5 + [[(3.0, 4.0)]]
     words = [record.getMessage() for record in caplog.records if record.levelno == logging.WARNING]
     assert len(words) == 2
@@ -107,16 +107,16 @@ def test_a_page_lost_on_the_way_is_told_of_tried_again_and_nobody_stops(caplog: 
 
 
 @pytest.mark.parametrize(("ends_s", "last"), [(1.5, 1.5), (1.0, 1.0)])
-def test_what_a_page_missed_last_it_is_told_at_the_end(ends_s: float, last: float) -> None:
-    """Else it would go on showing a robot on its way that has arrived: whatever was lost, and when."""
+def test_what_a_page_missed_last_it_is_reported_at_the_end(ends_s: float, last: float) -> None:
+    """Else it would go on showing a robot on its path that has arrived: whatever was lost, and when."""
     now_s, fine = 0.0, (200, '{"waypoints": null, "set": 0}')
-    with a_page(fine, (500, ""), fine) as (url, told):
+    with a_page(fine, (500, ""), fine) as (url, output):
         publisher = Publisher(url, lambda: now_s)
         for now_s in (0.0, 1.0, ends_s):
             publisher.publish({"at": now_s})
         publisher.close()
         publisher.close()
-    assert [said["at"] for _, said in told] == [0.0, 1.0, last]
+    assert [text["at"] for _, text in output] == [0.0, 1.0, last]
 
 
 def test_a_page_that_answers_nothing_holds_up_the_robot_for_a_fraction_of_a_second() -> None:
@@ -124,7 +124,7 @@ def test_a_page_that_answers_nothing_holds_up_the_robot_for_a_fraction_of_a_seco
         publisher = Publisher(url)
         publisher.publish({})
         publisher.close()
-    with socket.create_server(("127.0.0.1", int(url.split(":")[2].split("/")[0]))):  # takes it, and says nothing
+    with socket.create_server(("127.0.0.1", int(url.split(":")[2].split("/")[0]))):  # takes it, and states nothing
         began = time.monotonic()
         assert publisher.publish({}) is None
         assert time.monotonic() - began < COMMAND_TIMEOUT_S / 2
@@ -147,7 +147,7 @@ def test_what_is_no_answer_of_a_page_is_one_kind_of_error(answer: bytes) -> None
 
 
 @pytest.mark.parametrize("url", ["", "127.0.0.1:7080", "http://127.0.0.1/?token=x", "http://h:7080/", "http://h:x/?token=y"])
-def test_an_address_that_is_no_page_s_is_told(url: str) -> None:
+def test_an_address_that_is_no_page_s_is_reported(url: str) -> None:
     with pytest.raises(AddressError, match="nserver --viewer printed"):
         Publisher(url)
 

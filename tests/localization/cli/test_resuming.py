@@ -63,8 +63,8 @@ def localize(lasting: Lasting, capsys: pytest.CaptureFixture[str]) -> Localize:
 def test_it_goes_on_where_it_was_and_knows_how_well(localize: Localize, lasting: Lasting, tmp_path: Path) -> None:
     file = str(tmp_path / "here.json")
     assert localize("--waypoints", "20,30", "--save", file)[0] == 0
-    kept = saved_estimate.load(Path(file))
-    assert kept.belief.std[:2].max() < 0.5
+    saved = saved_estimate.load(Path(file))
+    assert saved.belief.std[:2].max() < 0.5
     code, out = localize("--waypoints", "35,55", "--resume", file, "--save", file)
     assert code == 0
     result = json.loads(out)
@@ -73,7 +73,7 @@ def test_it_goes_on_where_it_was_and_knows_how_well(localize: Localize, lasting:
     truth = lasting.robot.truth()
     error = after.belief.mean[:3] - [truth.x_in, truth.y_in, truth.steering_rad]
     assert np.hypot(*error[:2]) < 1.0
-    assert after.encoders.clock_s > kept.encoders.clock_s
+    assert after.encoders.clock_s > saved.encoders.clock_s
 
 
 def test_driven_by_hand_meanwhile_it_is_found_where_that_led(
@@ -88,7 +88,7 @@ def test_driven_by_hand_meanwhile_it_is_found_where_that_led(
     assert json.loads(out)["end_error_in"] < 1.0
 
 
-def test_encoders_that_were_set_are_refused_until_it_is_said_how_far(
+def test_encoders_that_were_set_are_refused_until_it_is_stated_how_far(
     localize: Localize, lasting: Lasting, tmp_path: Path
 ) -> None:
     file = str(tmp_path / "here.json")

@@ -27,7 +27,7 @@ def simulated_rays(address: str) -> bool:
 
 
 @pytest.mark.parametrize("query", ["", "?noisy=1&seed=1", *(f"?seed=2&setup={name}" for name in SETUPS)])
-def test_a_simulation_in_this_process_says_what_it_is(query: str) -> None:
+def test_a_simulation_in_this_process_states_what_it_is(query: str) -> None:
     address = f"sim:thesis_room{query}"
     rays = simulated_rays(address)
     assert sonar_model_of_address(address) is rays
@@ -44,7 +44,7 @@ def test_so_does_one_of_a_setup_of_ones_own(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("text", ["base = ", "sonar = 3"])
-def test_a_file_that_is_none_says_nothing_wrong(text: str, tmp_path: Path) -> None:
+def test_a_file_that_is_none_states_nothing_wrong(text: str, tmp_path: Path) -> None:
     file = tmp_path / "bad.toml"
     file.write_text(text)
     assert sonar_model_of_address(f"sim:?setup={file}") is (None if text.endswith("= ") else True)
@@ -53,7 +53,7 @@ def test_a_file_that_is_none_says_nothing_wrong(text: str, tmp_path: Path) -> No
     assert sonar_model_of_address(f"sim:?setup={file}") is None
 
 
-def test_a_server_does_not_tell_and_a_robot_has_cones(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_server_does_not_report_and_a_robot_has_cones(monkeypatch: pytest.MonkeyPatch) -> None:
     assert resolve_sonar_model(None, True, "nserver://localhost/1") == SonarAssumption(rays=True, guessed=True)
     assert "exact rays" in resolve_sonar_model(None, True, "nserver://localhost/1").line()
     assert resolve_sonar_model(None, False, "serial:///dev/ttyUSB0") == SonarAssumption(rays=False, guessed=True)

@@ -41,7 +41,7 @@ def test_the_default_address_counts(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("address", ["nserver://host/1", "serial:///dev/ttyUSB0?model=n150", None])
-def test_where_nobody_tells_the_remedy_is_told(
+def test_where_nothing_reports_the_remedy_is_reported(
     address: str | None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.delenv("NOMAD_ROBOT", raising=False)
@@ -51,7 +51,7 @@ def test_where_nobody_tells_the_remedy_is_told(
 
 
 @pytest.mark.parametrize("address", ["thesis_room", "sin:thesis_room"])
-def test_an_address_that_is_none_is_told_of_before_the_walls_are_asked_for(address: str) -> None:
+def test_an_address_that_is_none_is_reported_of_before_the_walls_are_asked_for(address: str) -> None:
     with pytest.raises(AddressError, match="is no address"):
         resolve_world(said(None, address))
 

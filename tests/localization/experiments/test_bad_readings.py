@@ -41,5 +41,5 @@ def test_an_echo_stays_what_it_was_shown_as_until_its_sonar_fires_again() -> Non
 
 @pytest.mark.parametrize(("share", "clock_s"), [(0.0, 3.0), (0.5, None)])
 def test_where_there_is_nothing_to_spoil_the_report_is_the_robots(share: float, clock_s: float | None) -> None:
-    told = report(clock_s)
-    assert made_bad(share).apply(told) is told
+    output = report(clock_s)
+    assert made_bad(share).apply(output) is output

@@ -31,9 +31,9 @@ class Executor:
 
 def test_people_get_a_table_and_files(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert experiments.main(["live", *SHORT, "--jobs", "1", "--out", str(tmp_path)]) == 0
-    printed, told = capsys.readouterr()
+    printed, output = capsys.readouterr()
     assert [line.split()[2] for line in printed.splitlines()[1:3]] == ["ekf", "ukf"]
-    assert "live: 100%" in told
+    assert "live: 100%" in output
     assert {path.name for path in tmp_path.iterdir()} == {"live.csv", "live.json", "live.png", "trials"}
     assert len(list((tmp_path / "trials").iterdir())) == 4
     assert "live.png" in printed
@@ -41,9 +41,9 @@ def test_people_get_a_table_and_files(capsys: pytest.CaptureFixture[str], tmp_pa
 
 def test_json_is_alone_on_stdout(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert experiments.main(["live", *SHORT, "--jobs", "1", "--json", "--no-pictures", "--out", str(tmp_path)]) == 0
-    printed, told = capsys.readouterr()
+    printed, output = capsys.readouterr()
     assert [row["method"] for row in json.loads(printed)] == ["ekf", "ukf"]
-    assert "live.csv" in told
+    assert "live.csv" in output
     assert not (tmp_path / "live.png").exists()
 
 
@@ -67,7 +67,7 @@ def test_what_is_on_disk_is_not_driven_again(tmp_path: Path) -> None:
     assert len(crew.jobs) == 3
 
 
-def test_an_interrupted_run_keeps_what_was_done(tmp_path: Path) -> None:
+def test_an_interrupted_run_retains_what_was_done(tmp_path: Path) -> None:
     def interrupted(jobs: Sequence[TrialJob]) -> Iterator[FinishedTrial]:
         yield live_trial.run(jobs[0])
         raise KeyboardInterrupt

@@ -1,4 +1,4 @@
-"""Who does the work: all of it, once, and failures told. Clusters are in tests/integration."""
+"""Who does the work: all of it, once, and failures reported. Clusters are in tests/integration."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ def lines(picture: Picture, row: int = 0) -> dict[str, Floats]:
     return {str(line.get_label()): np.asarray(line.get_xydata()) for line in picture.axes[row].get_lines()}
 
 
-def test_the_trajectory_shows_world_way_points_truth_and_estimate() -> None:
+def test_the_trajectory_shows_world_path_points_truth_and_estimate() -> None:
     figure, track = FIGURES["5.8"], made_up_track()
     course = figure_setup(figure)
     picture = output.trajectory(figure, course, track)

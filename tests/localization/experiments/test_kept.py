@@ -7,14 +7,14 @@ from pathlib import Path
 from localization.experiments.execution import ResultCache
 
 
-def test_what_is_kept_is_found_by_the_same_key_and_code_alone(tmp_path: Path) -> None:
-    kept = ResultCache(tmp_path / "new", "code")
-    path = kept.path("run_1", (1, "a"))
-    assert kept.get(path) is None
-    kept.put(path, {"x": 0.1, "y": None})
-    assert ResultCache(tmp_path / "new", "code").get(kept.path("run_1", (1, "a"))) == {"x": 0.1, "y": None}
+def test_what_is_saved_is_found_by_the_same_key_and_code_alone(tmp_path: Path) -> None:
+    saved = ResultCache(tmp_path / "new", "code")
+    path = saved.path("run_1", (1, "a"))
+    assert saved.get(path) is None
+    saved.put(path, {"x": 0.1, "y": None})
+    assert ResultCache(tmp_path / "new", "code").get(saved.path("run_1", (1, "a"))) == {"x": 0.1, "y": None}
     assert path.name.startswith("run_1_")
     assert (
-        len({path, kept.path("run_1", (2, "a")), ResultCache(tmp_path / "new", "other").path("run_1", (1, "a"))}) == 3
+        len({path, saved.path("run_1", (2, "a")), ResultCache(tmp_path / "new", "other").path("run_1", (1, "a"))}) == 3
     )
     assert [file.name for file in (tmp_path / "new").iterdir()] == [path.name]

@@ -1,4 +1,4 @@
-"""The matrix told: the same numbers in words, CSV, JSON, and a picture of them."""
+"""The matrix reported: the same numbers in words, CSV, JSON, and a picture of them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Live trials: short ones, all the way through the simulation."""
+"""Live trials: short ones, all the path through the simulation."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_the_timer_is_asked_before_and_after_each_estimate() -> None:
     assert next(ticks) == 20
 
 
-def test_a_smoothers_record_is_of_the_past_and_the_robot_goes_the_same_way() -> None:
+def test_a_smoothers_record_is_of_the_past_and_the_robot_goes_the_same_path() -> None:
     plain = drive(SCENARIOS["exact"], "5.8", 3, PERIODS)
     looking = drive(replace(SCENARIOS["exact"], method="smoother"), "5.8", 3, PERIODS)
     assert looking.clock_s[0] == plain.clock_s[0]
@@ -62,7 +62,7 @@ def test_a_smoothers_record_is_of_the_past_and_the_robot_goes_the_same_way() -> 
     assert np.hypot(*looking.error[:, :2].T).max() < 0.5
 
 
-def test_between_two_polls_the_heading_takes_the_short_way() -> None:
+def test_between_two_polls_the_heading_takes_the_short_path() -> None:
     poses = np.array([[0.0, 0.0, 3.0], [1.0, 2.0, -3.0]])
     middle = live_trial._interpolate(np.array([0.5]), np.array([0.0, 1.0]), poses)
     np.testing.assert_allclose(np.abs(middle), [[0.5, 1.0, np.pi]], atol=1e-12)

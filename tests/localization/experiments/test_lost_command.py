@@ -1,4 +1,4 @@
-"""The command: what it prints and keeps."""
+"""The command: what it prints and retains."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[Case]:
     return driven
 
 
-def test_runs_that_are_kept_are_not_made_again(
+def test_runs_that_are_saved_are_not_made_again(
     made: list[Case], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     asked = ["lost", "calm", "kidnapped", "--runs", "2", "--minutes", "1", "--jobs", "1", "--out", str(tmp_path)]

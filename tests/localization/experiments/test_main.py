@@ -60,7 +60,7 @@ def test_all_is_every_figure_and_then_the_live_matrix(monkeypatch: pytest.Monkey
     (["5.4", "--seeds", "few"], "argument --seeds: expected a whole number of 1 or more, not 'few'"),
     (["all", "--scenario", "exact"], "unrecognized arguments: --scenario exact"),
 ])  # fmt: skip
-def test_what_it_does_not_know_is_told_with_what_it_does(
+def test_what_it_does_not_know_is_reported_with_what_it_does(
     words: list[str], told: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit, match="2"):
@@ -68,7 +68,7 @@ def test_what_it_does_not_know_is_told_with_what_it_does(
     assert told in capsys.readouterr().err
 
 
-def test_help_of_all_says_what_it_runs_and_where_other_options_go(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_of_all_states_what_it_runs_and_where_other_options_go(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit, match="0"):
         __main__.main(["all", "--help"])
     told = " ".join(capsys.readouterr().out.split())

@@ -1,4 +1,4 @@
-"""The experiment of random ways: pairs, one drive in each world, results kept, the table."""
+"""The experiment of random paths: pairs, one drive in each world, results saved, the table."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_a_drive_arrives_without_touching_and_is_little_longer_than_the_shortest
     assert driven.plans >= 1
 
 
-def test_what_was_driven_is_kept_and_not_driven_again(tmp_path: Path) -> None:
+def test_what_was_driven_is_saved_and_not_driven_again(tmp_path: Path) -> None:
     pairs = [DrivePair("thesis_room", number, "noisy") for number in range(3)]
     worked: list[DrivePair] = []
 
@@ -52,13 +52,13 @@ def test_what_was_driven_is_kept_and_not_driven_again(tmp_path: Path) -> None:
         worked.extend(left)
         yield from ((pair, replace(DRIVEN, number=pair.number)) for pair in left)
 
-    told: list[int] = []
-    first = plan_command.collect(pairs[:2], ResultCache(tmp_path, "code"), work, told.append)
-    again = plan_command.collect(pairs, ResultCache(tmp_path, "code"), work, told.append)
+    output: list[int] = []
+    first = plan_command.collect(pairs[:2], ResultCache(tmp_path, "code"), work, output.append)
+    again = plan_command.collect(pairs, ResultCache(tmp_path, "code"), work, output.append)
     assert worked == pairs
-    assert told == [0, 1, 2, 2, 3]
+    assert output == [0, 1, 2, 2, 3]
     assert {pair: again[pair] for pair in pairs[:2]} == first
-    plan_command.collect(pairs[:1], ResultCache(tmp_path, "other"), work, told.append)
+    plan_command.collect(pairs[:1], ResultCache(tmp_path, "other"), work, output.append)
     assert worked[-1] == pairs[0]
     assert not list(tmp_path.glob("*.part"))
 

@@ -1,4 +1,4 @@
-"""Work shared out: the same numbers to the bit, whoever does it."""
+"""Work shared out: the same numbers to the bit, any does it."""
 
 from __future__ import annotations
 

@@ -13,9 +13,9 @@ def test_a_bar_fills_up_and_never_over(capsys: pytest.CaptureFixture[str]) -> No
     with progress(4, "work", "parts") as tally:
         tally(1)
         tally(9)
-    told = capsys.readouterr().err
-    assert "work: 100%" in told
-    assert "4.00/4.00" in told
+    output = capsys.readouterr().err
+    assert "work: 100%" in output
+    assert "4.00/4.00" in output
 
 
 def test_without_tqdm_nothing_is_drawn(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,4 +1,4 @@
-"""The table says what each number is measured against, and where the text cannot be right."""
+"""The table states what each number is measured against, and where the text cannot be right."""
 
 from __future__ import annotations
 
@@ -44,14 +44,14 @@ def test_every_number_is_beside_what_it_is_measured_against() -> None:
         assert note in line
 
 
-def test_it_says_that_the_text_counts_too_few_steps() -> None:
+def test_it_states_that_the_text_counts_too_few_steps() -> None:
     note = " ".join(format_entry("5.4")[-2:])
     assert "1199 steps cannot be" in note
     assert "1442 at least" in note
     assert "1438 to come within 0.25 in" in note
 
 
-def test_where_the_text_may_be_right_it_says_nothing() -> None:
+def test_where_the_text_may_be_right_it_states_nothing() -> None:
     assert not any("cannot be" in line for name in ("5.6", "5.8") for line in format_entry(name))
 
 

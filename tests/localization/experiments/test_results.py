@@ -84,7 +84,7 @@ def test_where_no_beam_was_ever_used_there_is_no_nis() -> None:
     assert summarize(FIGURES["5.4"], [result])["nis_mean"] is None
 
 
-def test_whole_runs_are_kept_of_the_first_seeds_only() -> None:
+def test_whole_runs_are_saved_of_the_first_seeds_only() -> None:
     assert [track.seed for track in figure_result(made_up_runs(), True).tracks] == [0, 1]
     assert [track.seed for track in figure_result(made_up_runs(TRACKED_SEEDS - 1), True).tracks] == [TRACKED_SEEDS - 1]
     assert figure_result(made_up_runs(), True).tracks[0].mean.shape == (2, 3)

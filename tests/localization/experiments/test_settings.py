@@ -1,4 +1,4 @@
-"""The settings that are fixed for all figures, and how long a figure's way is."""
+"""The settings that are fixed for all figures, and how long a figure's path is."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_each_figure_drives_from_its_start_through_its_goals(name: str, goals: l
     assert (course.gains.alpha_rho, course.gains.alpha_theta) == gains[2:]
 
 
-def test_the_text_cannot_have_covered_its_way_in_1199_steps() -> None:
+def test_the_text_cannot_have_covered_its_path_in_1199_steps() -> None:
     course = figure_setup(FIGURES["5.4"])
     assert course.length_in == pytest.approx(math.hypot(60, 40))
     assert course.min_steps == 1442

@@ -1,4 +1,4 @@
-"""Results kept: to the bit, and never another trial's."""
+"""Results saved: to the bit, and never another trial's."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ TRIAL = Trial(SCENARIOS["measured"], "5.4", 7)
 RESULT = TrialResult(7, True, 10, 0.1 + 0.2, 1e-17, 2.0 / 3.0, 9, 1.0, 2.0, 3.0, 4.5)
 
 
-def test_what_is_kept_comes_back_to_the_bit(tmp_path: Path) -> None:
+def test_what_is_saved_comes_back_to_the_bit(tmp_path: Path) -> None:
     store = TrialCache(tmp_path / "new", "code")
     assert store.get(TRIAL) is None
     store.put(TRIAL, RESULT)

@@ -1,4 +1,4 @@
-"""The chance of a seed is its own: neither company nor length changes it."""
+"""The rng of a seed is its own: neither company nor length changes it."""
 
 from __future__ import annotations
 

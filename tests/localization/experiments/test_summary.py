@@ -25,12 +25,12 @@ def record(errors: list[tuple[float, float, float]], seed: int = 0, *, reached: 
 def test_the_numbers_of_one_trial() -> None:
     result = result_of(record([(0.2, 0.0, 0.1), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0)]))
     assert (result.seed, result.reached, result.judged, result.within, result.lost) == (0, True, 3, 2, False)
-    told = (result.position_in2, result.heading_rad2, result.nees, result.worst_in, result.spent_us)
-    assert told == pytest.approx((1.04, 0.01, 1.0 + 1.0 + 25.0, 1.0, 2.0))
+    output = (result.position_in2, result.heading_rad2, result.nees, result.worst_in, result.spent_us)
+    assert output == pytest.approx((1.04, 0.01, 1.0 + 1.0 + 25.0, 1.0, 2.0))
     assert (result.estimate_steps_in2, result.odometry_steps_in2) == pytest.approx((0.04 + 1.0, 0.02))
 
 
-def test_what_comes_before_the_judged_way_counts_for_the_jitter_alone() -> None:
+def test_what_comes_before_the_judged_path_counts_for_the_jitter_alone() -> None:
     result = result_of(record([(9.0, 0.0, 1.0), (0.2, 0.0, 0.1)]), after_in=10.0)
     assert result.judged == 1
     assert result.worst_in == pytest.approx(0.2)

@@ -112,7 +112,7 @@ def test_without_the_filter_odometry_steers_and_nothing_is_looked_at() -> None:
     assert (runs.used == 0).all()
 
 
-def test_both_ways_of_driving_meet_the_same_motion_noise() -> None:
+def test_both_paths_of_driving_meet_the_same_motion_noise() -> None:
     """On the first step, where the commands differ only by the error of the first estimate."""
     filtered, blind = (run(short_course(filtered), range(5)) for filtered in (True, False))
     start = short_course().start
@@ -135,7 +135,7 @@ def test_the_bound_is_taken_at_the_truth_whatever_the_filter_believes() -> None:
     assert runs.bound[0, 0] == pytest.approx(np.linalg.inv(np.linalg.inv(prior) + information), rel=1e-6)
 
 
-def test_where_nothing_is_to_be_seen_the_filter_is_odometry_from_a_start_it_was_not_told() -> None:
+def test_where_nothing_is_to_be_seen_the_filter_is_odometry_from_a_start_it_was_not_reported() -> None:
     course = replace(short_course(), walls=wall_map(np.empty((0, 4))), start_std=(2.0, 3.0, 0.1))
     runs = run(course, range(300))
     first = difference(runs.mean[0], runs.truth[0])
@@ -159,9 +159,9 @@ def test_a_run_that_never_arrives_ends_and_is_not_counted() -> None:
     assert len(runs.truth) == circling.max_steps
 
 
-def test_each_step_is_told_with_the_robots_that_took_it() -> None:
-    told: list[int] = []
-    runs = run(short_course(), range(4), told.append)
-    assert sum(told) == runs.steps.sum()
-    assert len(told) == runs.steps.max()
-    assert told == sorted(told, reverse=True)
+def test_each_step_is_reported_with_the_robots_that_took_it() -> None:
+    output: list[int] = []
+    runs = run(short_course(), range(4), output.append)
+    assert sum(output) == runs.steps.sum()
+    assert len(output) == runs.steps.max()
+    assert output == sorted(output, reverse=True)

@@ -42,7 +42,7 @@ def test_it_plans_standing_then_turns_on_the_spot_then_drives_and_plans_anew_whe
     assert one.command(np.array([79.5, 20.0, 0.0])) == STAND
 
 
-def test_where_there_is_no_way_it_stands_and_tries_the_next_place() -> None:
+def test_where_there_is_no_path_it_stands_and_tries_the_next_place() -> None:
     one = explorer(np.array([[2.0, 2.0]]))
     assert one.command(np.array([20.0, 20.0, 0.0])) == STAND
     assert one.command(np.array([20.0, 20.0, 0.0])) == STAND

@@ -42,11 +42,11 @@ def test_wheels_begin_at_what_was_found() -> None:
     np.testing.assert_allclose(belief.std, [0.1, 0.2, 0.3, 0.01, 0.02, 1e-4])
 
 
-def test_a_localizer_hears_what_is_corrected() -> None:
+def test_a_localizer_measures_what_is_corrected() -> None:
     walls = load_world("thesis_room").walls
     start = independent([2.0, 3.0, 0.5], [0.1, 0.1, 0.01])
-    known = LocalizationConfig(walls, N150, sonar=WIRE_SONAR, calibration=ERRS)
-    localizer = Localizer(known, start, FiringSchedule(1.0))
+    config = LocalizationConfig(walls, N150, sonar=WIRE_SONAR, calibration=ERRS)
+    localizer = Localizer(config, start, FiringSchedule(1.0))
     localizer.update(TOLD)
     estimate = localizer.update(SensorData(2.0, 2.0, 3.0, 0.5, 0.6, TOLD.sonars_in))
     assert {echo.sonar: echo.reading_in for echo in estimate.echoes}[15] == 52.0

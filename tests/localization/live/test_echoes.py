@@ -52,7 +52,7 @@ def test_polled_anyhow_each_readable_echo_comes_once(
     start_s: float, rate: int, order: tuple[int, ...], gaps_s: list[float]
 ) -> None:
     schedule = FiringSchedule(start_s, rate, order)
-    heard: list[FiringTime] = []
+    echo: list[FiringTime] = []
     last_s, now_s = start_s - 1.0, start_s
     for gap_s in gaps_s:
         now_s += gap_s
@@ -62,9 +62,9 @@ def test_polled_anyhow_each_readable_echo_comes_once(
             newest = [f for f in written_out(schedule, now_s) if f.sonar == firing.sonar][-1]
             assert newest.instant_s == pytest.approx(firing.instant_s)
             assert newest.sonar == firing.sonar
-        heard += fresh
+        echo += fresh
         last_s = fresh[-1].instant_s if fresh else last_s
-    assert len({round(f.instant_s, 6) for f in heard}) == len(heard)
+    assert len({round(f.instant_s, 6) for f in echo}) == len(echo)
     if schedule.round_s > max(gaps_s) + 2 * CLOCK_STEP_S + schedule.interval_s:
         due = [f for f in written_out(schedule, now_s) if f.instant_s < now_s - CLOCK_STEP_S - 1e-6]
-        assert [f.sonar for f in heard[: len(due)]] == [f.sonar for f in due]
+        assert [f.sonar for f in echo[: len(due)]] == [f.sonar for f in due]

@@ -1,4 +1,4 @@
-"""What of a kept belief still holds: against drawn ways, and refused with the remedy."""
+"""What of a saved belief still holds: against drawn paths, and refused with the remedy."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ def test_a_robot_that_stood_is_where_it_was() -> None:
 
 
 def test_one_that_was_driven_on_is_where_that_led() -> None:
-    """Out and home again by winding ways of chance: the truth lies as the covariance says, or nearer."""
-    chance = np.random.default_rng(5)
+    """Out and home again by winding paths of rng: the truth lies as the covariance states, or nearer."""
+    rng = np.random.default_rng(5)
     off = []
     for _ in range(300):
-        told, true = KEPT.encoders.pose, np.array([11.0, 19.0, 0.4]) + [0.2, 0.1, 0.01] * chance.standard_normal(3)
+        told, true = KEPT.encoders.pose, np.array([11.0, 19.0, 0.4]) + [0.2, 0.1, 0.01] * rng.standard_normal(3)
         for _ in range(12):
-            step = np.array([chance.uniform(0.0, 2.0), chance.uniform(-0.5, 0.5)])
-            true = move(true, step + np.sqrt(step_variance(step, NOISE)) * chance.standard_normal(2))
+            step = np.array([rng.uniform(0.0, 2.0), rng.uniform(-0.5, 0.5)])
+            true = move(true, step + np.sqrt(step_variance(step, NOISE)) * rng.standard_normal(2))
             told = move(told, step)
         held = resume_belief(KEPT, SITE, EncoderPose.of(200.0, told, 0.0), NOISE)
         error = difference(held.mean[:3], true)
@@ -50,7 +50,7 @@ def test_one_that_was_driven_on_is_where_that_led() -> None:
 
 
 def test_the_frame_of_the_encoders_may_be_any() -> None:
-    """The same drive told in the encoders' frame and turned into the map's."""
+    """The same drive reported in the encoders' frame and turned into the map's."""
     step = np.array([8.0, 0.6])
     held = resume_belief(KEPT, SITE, EncoderPose.of(200.0, move(KEPT.encoders.pose, step), 0.0), NOISE)
     np.testing.assert_allclose(step_between(KEPT.belief.mean[:3], held.mean[:3]), step)
@@ -78,13 +78,13 @@ def test_walls_in_another_order_are_the_same_map() -> None:
         (encoders(90.0, 20.0, 0.3, 900.0), "driven 80 in away.*omit --resume"),
     ],
 )
-def test_encoders_that_tell_nothing_are_refused(now: EncoderPose, told: str) -> None:
+def test_encoders_that_report_nothing_are_refused(now: EncoderPose, told: str) -> None:
     with pytest.raises(EstimateFileError, match=told):
         resume_belief(KEPT, SITE, now, NOISE)
 
 
 @pytest.mark.parametrize("now", [encoders(10.0, 20.0, 0.3, 50.0), encoders(0.0, 0.0, 0.0, 900.0)])
-def test_who_says_how_far_it_was_moved_goes_on(now: EncoderPose) -> None:
+def test_who_states_how_far_it_was_moved_goes_on(now: EncoderPose) -> None:
     held = resume_belief(KEPT, SITE, now, NOISE, (0.3, 0.4, 0.02))
     assert (held.mean == KEPT.belief.mean).all()
     np.testing.assert_allclose(held.std[:3] ** 2, KEPT.belief.std[:3] ** 2 + np.square([0.3, 0.4, 0.02]))

@@ -1,4 +1,4 @@
-"""A kept belief on disk: back to the bit, and whatever is no such file is told by its key."""
+"""A saved belief on disk: back to the bit, and whatever is no such file is reported by its key."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_it_comes_back_to_the_bit(file: Path) -> None:
 
 
 @pytest.mark.parametrize("key", KEYS)
-def test_a_missing_key_is_told(file: Path, key: str) -> None:
+def test_a_missing_key_is_reported(file: Path, key: str) -> None:
     values = json.loads(file.read_text())
     del values[key]
     file.write_text(json.dumps(values))
@@ -60,14 +60,14 @@ def test_a_missing_key_is_told(file: Path, key: str) -> None:
         ("cov", (1e308 * np.eye(4)).tolist()), ("clock_s", 1e13), ("colour", "red"), ("format", "nomad estimate 0"),
     ],
 )  # fmt: skip
-def test_a_wrong_value_is_told(file: Path, key: str, value: Any) -> None:
+def test_a_wrong_value_is_reported(file: Path, key: str, value: Any) -> None:
     file.write_text(json.dumps(json.loads(file.read_text()) | {key: value}))
     with pytest.raises(EstimateFileError, match=f"here.json: {key}: "):
         load(file)
 
 
 @pytest.mark.parametrize("text", ["", "[" * 100_000, "\x00", "3", "[]"])
-def test_what_is_no_such_file_is_told(file: Path, text: str) -> None:
+def test_what_is_no_such_file_is_reported(file: Path, text: str) -> None:
     file.write_text(text)
     with pytest.raises(EstimateFileError, match=r"here\.json: "):
         load(file)

@@ -18,21 +18,21 @@ def encoders(clock_s: float, pose: Floats) -> EncoderPose:
 def test_the_lag_is_that_of_instants_within_one_step() -> None:
     """The encoders' frame is turned against the map's, and nearly once round."""
     pose, rates = np.array([3.0, -4.0, 0.7]), np.array([5.0, 0.3])
-    chance = np.random.default_rng(1)
-    late = CLOCK_STEP_S * (chance.uniform(0.0, 1.0, 200_000) - chance.uniform(0.0, 1.0, 200_000))
+    rng = np.random.default_rng(1)
+    late = CLOCK_STEP_S * (rng.uniform(0.0, 1.0, 200_000) - rng.uniform(0.0, 1.0, 200_000))
     drawn = move(pose, late[:, None] * rates)
     before = np.array([10.0, 20.0, 3.13])
-    told = with_lag(independent(pose, np.zeros(3)), encoders(1.0, before), encoders(1.2, move(before, 0.2 * rates)))
-    np.testing.assert_allclose(told.cov, np.cov(drawn.T), rtol=0.01, atol=1e-7)
-    assert (told.mean == pose).all()
+    output = with_lag(independent(pose, np.zeros(3)), encoders(1.0, before), encoders(1.2, move(before, 0.2 * rates)))
+    np.testing.assert_allclose(output.cov, np.cov(drawn.T), rtol=0.01, atol=1e-7)
+    assert (output.mean == pose).all()
 
 
 def test_the_rest_of_a_state_and_the_belief_itself_stay() -> None:
     belief = independent([0.0, 0.0, 0.0, 0.01], [0.1, 0.1, 0.01, 0.05])
     before = belief.cov.copy()
-    told = with_lag(belief, encoders(0.0, np.zeros(3)), encoders(0.5, np.array([10.0, 0.0, 0.0])))
-    assert told.cov[0, 0] == pytest.approx(0.1**2 + (20.0 * CLOCK_STEP_S) ** 2 / 6.0)
-    assert told.cov[3, 3] == before[3, 3]
+    output = with_lag(belief, encoders(0.0, np.zeros(3)), encoders(0.5, np.array([10.0, 0.0, 0.0])))
+    assert output.cov[0, 0] == pytest.approx(0.1**2 + (20.0 * CLOCK_STEP_S) ** 2 / 6.0)
+    assert output.cov[3, 3] == before[3, 3]
     assert (belief.cov == before).all()
 
 

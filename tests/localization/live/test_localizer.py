@@ -65,7 +65,7 @@ def test_a_wrong_start_is_mended_while_the_robot_drives(speed_in_s: float, turre
     assert (np.abs(estimate.pose - [*robot.pose(10.0), 0.5]) < 4 * estimate.belief.std).all()
 
 
-def test_each_echo_is_told_once_with_what_became_of_it() -> None:
+def test_each_echo_is_reported_once_with_what_became_of_it() -> None:
     robot, filtered = Robot(2.0), localizer()
     echoes = [echo for k in range(60) for echo in filtered.update(robot.report(0.1 * k)).echoes]
     instants = [echo.instant_s for echo in echoes]
@@ -106,7 +106,7 @@ def test_a_repeated_or_older_state_changes_nothing() -> None:
     assert (older.pose == estimate.pose).all()
 
 
-def test_a_state_without_a_clock_is_told_apart() -> None:
+def test_a_state_without_a_clock_is_reported_apart() -> None:
     with pytest.raises(ValueError, match="refresh"):
         localizer().update(replace(Robot(0.0).report(0.0), clock_s=None))
 

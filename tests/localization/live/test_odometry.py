@@ -24,7 +24,7 @@ def test_between_two_polls_the_robot_went_evenly() -> None:
     assert history.at(1.5).pose == pytest.approx(history.latest.pose - [1.0, 2.0, 0.0])
 
 
-def test_angles_go_the_short_way_round() -> None:
+def test_angles_go_the_short_path_round() -> None:
     history = PoseHistory()
     history.add(pose(0.0, 0.0, 2 * math.pi - 0.1, 0.1))
     history.add(pose(1.0, 0.0, 0.1, 2 * math.pi - 0.1))

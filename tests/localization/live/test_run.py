@@ -58,7 +58,7 @@ def test_without_a_truth_nothing_is_made_up() -> None:
     assert "off at the end" not in done.verdict()
 
 
-def test_the_line_tells_estimate_spread_truth_and_error() -> None:
+def test_the_line_reports_estimate_spread_truth_and_error() -> None:
     line = run(with_truth=True).line()
     assert "estimate (   3.00,    4.00) in" in line
     assert f"{math.degrees(3.1):.2f} deg" in line
@@ -66,7 +66,7 @@ def test_the_line_tells_estimate_spread_truth_and_error() -> None:
     assert "truth (   3.30,    3.60)  off 0.50 in -5.73 deg" in line
 
 
-def test_the_verdict_tells_goals_echoes_and_errors() -> None:
+def test_the_verdict_reports_goals_echoes_and_errors() -> None:
     verdict = run(with_truth=True).verdict()
     assert "2 of 2 waypoints reached in 1.0 s; 2 echoes used, 6 refused" in verdict
     assert "the estimate is 0.50 in off at the end (RMSE 0.50 in); odometry alone is 1.00 in off" in verdict
@@ -99,7 +99,7 @@ def test_beyond_two_sightings_nothing_is_made_up() -> None:
     assert first.interpolate(first, 1.0) == pytest.approx(first.pose)
 
 
-def test_states_that_come_too_rarely_are_told_of() -> None:
+def test_states_that_come_too_rarely_are_reported_of() -> None:
     done = run(with_truth=True)
     assert done.longest_gap_s == pytest.approx(1.0)
     assert "run the simulation slower" in done.verdict()

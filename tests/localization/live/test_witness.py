@@ -1,4 +1,4 @@
-"""What is told of the truth beside an estimate."""
+"""What is reported of the truth beside an estimate."""
 
 from __future__ import annotations
 

@@ -42,9 +42,9 @@ def ranges(pose: Floats) -> Floats:
 
 
 def test_the_end_of_the_recursion_solves_riccatis_equation() -> None:
-    """P^-1 = (F P F' + Q)^-1 + J on some way, with J, F and Q by central differences."""
+    """P^-1 = (F P F' + Q)^-1 + J on some path, with J, F and Q by central differences."""
     bound = compute_observability(LocalizationConfig(ROOM, N150, QUIET, EXACT_RAYS), PLACES, 5.0)
-    chance = np.diag([0.05**2 * 4.8, 0.002**2 * 4.8])
+    rng = np.diag([0.05**2 * 4.8, 0.002**2 * 4.8])
     for place, cov in zip(PLACES, bound.cov, strict=True):
         information = np.zeros((3, 3))
         for turn in np.arange(HEADINGS) * 2 * np.pi / SONARS / HEADINGS:
@@ -59,15 +59,15 @@ def test_the_end_of_the_recursion_solves_riccatis_equation() -> None:
             pose, step = np.array([0.0, 0.0, way]), np.array([4.8, 0.0])
             moved = np.array([(move(pose + by, step) - move(pose - by, step)) / 2e-5 for by in 1e-5 * np.eye(3)]).T
             strays = np.array([(move(pose, step + by) - move(pose, step - by)) / 2e-5 for by in 1e-5 * np.eye(2)]).T
-            lost = strays @ chance @ strays.T
+            lost = strays @ rng @ strays.T
             off.append(np.linalg.inv(moved @ cov @ moved.T + lost) + information - np.linalg.inv(cov))
         least = min(off, key=lambda matrix: float(np.abs(matrix).max()))
         np.testing.assert_allclose(least, 0.0, atol=2e-4 * np.abs(np.linalg.inv(cov)).max())
 
 
 @pytest.mark.parametrize("sonar", [EXACT_RAYS, ConeSonar()])
-def test_nobody_knows_how_far_along_a_corridor_he_is(sonar: ConeSonar) -> None:
-    """Driving along it costs what the odometry strays; the best way is across, and costs less."""
+def test_nothing_knows_how_far_along_a_corridor_it_is(sonar: ConeSonar) -> None:
+    """Driving along it costs what the odometry strays; the best path is across, and costs less."""
     bound = compute_observability(LocalizationConfig(CORRIDOR, N150, QUIET, sonar), np.array([[0.0, 30.0]]), 5.0)
     along = sqrt(START_STD[0] ** 2 + CYCLES * 0.05**2 * 5.0 * CYCLE_S)
     assert START_STD[0] < bound.worst_in[0] <= along
@@ -76,18 +76,18 @@ def test_nobody_knows_how_far_along_a_corridor_he_is(sonar: ConeSonar) -> None:
 
 
 def test_no_filter_beats_it_and_a_good_one_comes_near() -> None:
-    """A robot that goes in circles about a place, its sixteen sonars heard at once, by a filter that is no part of
+    """A robot that goes in circles about a place, its sixteen sonars measured at once, by a filter that is no part of
     this."""
-    known = LocalizationConfig(ROOM, N150, QUIET, EXACT_RAYS)
-    chance = np.random.default_rng(8)
+    config = LocalizationConfig(ROOM, N150, QUIET, EXACT_RAYS)
+    rng = np.random.default_rng(8)
     way = 5.0 * CYCLE_S
     squares, headings = [], []
     for _ in range(12):
-        true = np.array([55.0, 45.0, chance.uniform(-3.0, 3.0)])
-        method = make("ekf", known, independent(true, [0.3, 0.3, 0.02]))
+        true = np.array([55.0, 45.0, rng.uniform(-3.0, 3.0)])
+        method = make("ekf", config, independent(true, [0.3, 0.3, 0.02]))
         for round_ in range(60):
             step = np.array([way, 0.35])
-            true = move(true, step + np.sqrt(step_variance(step, QUIET)) * chance.standard_normal(2))
+            true = move(true, step + np.sqrt(step_variance(step, QUIET)) * rng.standard_normal(2))
             method.predict(*step.tolist())
             for sonar, far in enumerate(ranges(true)):
                 method.update(sonar, 0.0, float(np.floor(far + 0.5)))
@@ -95,39 +95,39 @@ def test_no_filter_beats_it_and_a_good_one_comes_near() -> None:
                 error = difference(method.belief.mean, true)
                 squares.append(0.5 * (error[0] ** 2 + error[1] ** 2))
                 headings.append(error[2] ** 2)
-    bound = compute_observability(known, np.array([[55.0, 45.0]]), 5.0)
+    bound = compute_observability(config, np.array([[55.0, 45.0]]), 5.0)
     assert 0.9 * bound.worst_in[0] < sqrt(np.mean(squares)) < 1.6 * bound.worst_in[0]
     assert 0.9 * bound.heading_rad[0] < sqrt(np.mean(headings))
 
 
 def test_nor_does_one_that_drives_straight_on() -> None:
-    """Down a long hall, where the way driven tells the heading far better than the ranges of a moment."""
+    """Down a long hall, where the path driven reports the heading far better than the ranges of a moment."""
     hall = np.array([[0, 0, 500, 0], [500, 0, 500, 100], [500, 100, 0, 100], [0, 100, 0, 0]], dtype=np.float64)
-    known = LocalizationConfig(hall, N150, QUIET, ConeSonar())
-    chance = np.random.default_rng(3)
+    config = LocalizationConfig(hall, N150, QUIET, ConeSonar())
+    rng = np.random.default_rng(3)
     squares, stds = [], []
     for _ in range(16):
         true = np.array([40.0, 50.0, 0.0])
-        method = make("ekf", known, independent(true, [0.3, 0.3, 0.02]))
+        method = make("ekf", config, independent(true, [0.3, 0.3, 0.02]))
         model = measurement_model(hall, N150, ConeSonar())
         for round_ in range(80):
             step = np.array([5.0 * CYCLE_S, -0.2 * true[2]])
-            true = move(true, step + np.sqrt(step_variance(step, QUIET)) * chance.standard_normal(2))
+            true = move(true, step + np.sqrt(step_variance(step, QUIET)) * rng.standard_normal(2))
             method.predict(*step.tolist())
             for sonar in range(SONARS):
                 x, P = unpack(independent(true, [1e-3] * 3))
                 found = model.associate(x, P, sonar, 0.0, 50.0)
-                if found.refusal is not Refusal.NONE or chance.random() > sum(found.probability):
+                if found.refusal is not Refusal.NONE or rng.random() > sum(found.probability):
                     continue
                 probability = np.array(found.probability)
-                range_in = float(chance.choice(found.ranges_in, p=probability / probability.sum()))
-                range_in += sqrt(ConeSonar().variance_at(range_in) - 1.0 / 12.0) * chance.standard_normal()
-                bad = chance.random() < ConeSonar().outlier_probability
-                method.update(sonar, 0.0, float(np.floor((chance.uniform(7.0, 254.0) if bad else range_in) + 0.5)))
+                range_in = float(rng.choice(found.ranges_in, p=probability / probability.sum()))
+                range_in += sqrt(ConeSonar().variance_at(range_in) - 1.0 / 12.0) * rng.standard_normal()
+                bad = rng.random() < ConeSonar().outlier_probability
+                method.update(sonar, 0.0, float(np.floor((rng.uniform(7.0, 254.0) if bad else range_in) + 0.5)))
             if round_ > 30:
                 squares.append(difference(method.belief.mean, true)[2] ** 2)
                 stds.append(sqrt(method.belief.cov[2, 2]))
-    (bound,) = compute_observability(known, np.array([[250.0, 50.0]]), 5.0).heading_rad
+    (bound,) = compute_observability(config, np.array([[250.0, 50.0]]), 5.0).heading_rad
     assert bound < np.mean(stds) < 1.6 * bound
     assert 0.9 * bound < sqrt(np.mean(squares)) < 2.0 * bound
 

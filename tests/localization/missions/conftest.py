@@ -30,8 +30,8 @@ def helm_at() -> Iterator[MakeHelm]:
             state = robot.refresh()
             belief = independent([state.x_in, state.y_in, state.steering_rad], (0.1, 0.1, 0.01))
             body = BODIES[str(options.get("robot", "n150"))]
-            known = LocalizationConfig(load_world(world).walls, body)
-            return closing.enter_context(RobotController(robot, known, body, belief, _idle, method, 10.0))
+            config = LocalizationConfig(load_world(world).walls, body)
+            return closing.enter_context(RobotController(robot, config, body, belief, _idle, method, 10.0))
 
         yield make
 

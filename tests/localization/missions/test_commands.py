@@ -38,7 +38,7 @@ GUESS = "assuming that sonars measure exact rays, as this is a simulation (with 
 SIM = "sim:thesis_room?noisy=1&seed=1"
 
 
-def test_go_arrives_tells_of_each_second_and_reports(capsys: pytest.CaptureFixture[str]) -> None:
+def test_go_arrives_reports_of_each_second_and_reports(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["go", SIM, "--to", "20,12", "--speed", "8", "--within", "2", "--time-limit", "60"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].split()[1:3] == ["s", "("]
@@ -49,7 +49,7 @@ def test_go_arrives_tells_of_each_second_and_reports(capsys: pytest.CaptureFixtu
     assert lines[-1].lstrip().startswith("true pose (")
 
 
-def test_go_that_cannot_says_why_and_json_is_alone(capsys: pytest.CaptureFixture[str]) -> None:
+def test_go_that_cannot_states_why_and_json_is_alone(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["go", SIM, "--to", "-11,0,90", "--json"]) == 3
     report = json.loads(capsys.readouterr().out)
     assert (report["ending"], report["steps"][0]["ending"]) == ("blocked", "blocked")
@@ -68,7 +68,7 @@ def test_go_refuses_what_a_mission_would(words: list[str], said: str, capsys: py
     assert said in capsys.readouterr().err
 
 
-def test_where_it_stands_can_be_told_and_what_it_is_is_the_address_word(capsys: pytest.CaptureFixture[str]) -> None:
+def test_where_it_stands_can_be_reported_and_what_it_is_is_the_address_word(capsys: pytest.CaptureFixture[str]) -> None:
     address = "sim:thesis_room?robot=scout&start=40,40,90"
     assert main(["go", address, "--to", "40,46", "--start", "40,40,90", "--sonars", "cones", "--method", "ekf"]) == 0
     assert "done at (40." in capsys.readouterr().out.replace("(39.", "(40.")
@@ -85,12 +85,14 @@ def test_a_mission_is_checked_run_and_its_report_written(tmp_path: Path, capsys:
     assert (written["title"], written["ending"], written["steps"][0]["do"]) == ("T", "done", "turn")
     describe_write_error = report / "r.json"
     assert main(["mission", str(file), SIM, "--report", str(describe_write_error)]) == 1
-    told = capsys.readouterr()
-    assert f"nomad: {report}: cannot be written: File exists" in told.err
-    assert told.out == "", "before the drive"
+    output = capsys.readouterr()
+    assert f"nomad: {report}: cannot be written: File exists" in output.err
+    assert output.out == "", "before the drive"
 
 
-def test_a_report_that_cannot_be_written_after_all_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_report_that_cannot_be_written_after_all_is_reported(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     options = argparse.Namespace(report=tmp_path / "no" / "r.json", json=False)
     with pytest.raises(MissionFileError, match="the report cannot be written"):
         mission.write_report(Report("T", ending="done"), options)
@@ -100,19 +102,19 @@ def test_a_report_that_cannot_be_written_after_all_is_told(tmp_path: Path, capsy
 def test_go_goes_on_from_what_it_saved_with_the_robots_calibration(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    model, kept = tmp_path / "model.toml", tmp_path / "kept.json"
+    model, saved = tmp_path / "model.toml", tmp_path / "kept.json"
     offsets = tuple(1.5 for _ in range(16))
     model.write_text(format_calibration("n150", Calibration(1.04, 1.0, 0.0, offsets)))
     address = f"sim:thesis_room?noisy=1&seed=2&model_file={model}"
     words = ["go", address, "--calibration", str(model), "--json"]
-    assert main([*words, "--to", "40,10", "--save", str(kept)]) == 0
+    assert main([*words, "--to", "40,10", "--save", str(saved)]) == 0
     report = json.loads(capsys.readouterr().out)
     assert report["pose"]["x_in"] == pytest.approx(report["truth"]["x_in"], abs=0.5)
-    assert len(saved_estimate.load(kept).belief.mean) == 6
-    assert main([*words, "--to", "40,10", "--resume", str(kept), "--start", "0,0,0"]) == 1
+    assert len(saved_estimate.load(saved).belief.mean) == 6
+    assert main([*words, "--to", "40,10", "--resume", str(saved), "--start", "0,0,0"]) == 1
     assert "--start and --resume" in capsys.readouterr().err
     there = "{x_in},{y_in},{heading_deg},{heading_deg}".format(**report["truth"])
-    on = [words[0], f"{address}&start={there}", *words[2:], "--to", "40,20", "--resume", str(kept)]
+    on = [words[0], f"{address}&start={there}", *words[2:], "--to", "40,20", "--resume", str(saved)]
     assert main(on) == 1
     assert "--displacement-std" in capsys.readouterr().err
     assert main([*on, "--displacement-std", "0.2,0.2,1"]) == 0
@@ -121,26 +123,26 @@ def test_go_goes_on_from_what_it_saved_with_the_robots_calibration(
     assert main([*words, "--to", "5,0", "--calibration", str(tmp_path / "none.toml")]) == 1
 
 
-def test_what_cannot_be_saved_in_the_end_is_told_and_the_ending_stays(
+def test_what_cannot_be_saved_in_the_end_is_reported_and_the_ending_stays(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = tmp_path / "gone"
     folder.mkdir()
     monkeypatch.setattr("localization.cli.mission.check_writable", lambda *_: folder.rmdir())
     assert main(["go", SIM, "--to", "5,0", "--save", str(folder / "kept")]) == 1
-    told = capsys.readouterr()
-    assert "done at (" in told.out
-    assert "cannot be written" in told.err
+    output = capsys.readouterr()
+    assert "done at (" in output.out
+    assert "cannot be written" in output.err
 
 
-def test_headings_of_estimate_and_truth_are_told_in_one_range() -> None:
+def test_headings_of_estimate_and_truth_are_reported_in_one_range() -> None:
     report = Report("", ending="done", pose=(1.0, 2.0, radians(-9.0)), truth=(1.0, 2.0, radians(351.0)))
     assert report.text().count("-9 deg") == 2
-    told = report.as_json()
-    assert told["pose"] == told["truth"] == {"x_in": 1.0, "y_in": 2.0, "heading_deg": -9.0}
+    output = report.as_json()
+    assert output["pose"] == output["truth"] == {"x_in": 1.0, "y_in": 2.0, "heading_deg": -9.0}
 
 
-def test_a_robot_that_is_gone_is_what_is_told_not_that_it_cannot_be_stopped() -> None:
+def test_a_robot_that_is_gone_is_what_is_reported_not_that_it_cannot_be_stopped() -> None:
     class Gone:
         stopped = 0
 
@@ -171,25 +173,25 @@ def test_a_program_that_exits_has_failed(exit_words: str, tmp_path: Path, capsys
     file = tmp_path / "m.py"
     file.write_text(f"import sys\ndef mission(robot):\n    robot.look(0.2)\n    {exit_words}\n")
     assert main(["mission", str(file), SIM]) == 1
-    told = capsys.readouterr()
-    assert f"nomad: {file}: line 4: calls sys.exit (" in told.err
-    assert "  error at (" in told.out
+    output = capsys.readouterr()
+    assert f"nomad: {file}: line 4: calls sys.exit (" in output.err
+    assert "  error at (" in output.out
     file.write_text(f"import sys\n{exit_words}\n")
     assert main(["mission", str(file), "--check"]) == 1
     assert f"nomad: {file}: line 2: calls sys.exit (" in capsys.readouterr().err
 
 
-def test_a_map_that_is_not_there_is_told_by_check_and_by_the_run_unless_another_is_given(
+def test_a_map_that_is_not_there_is_reported_by_check_and_by_the_run_unless_another_is_given(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "m.toml"
     file.write_text('map = "thesis_rom"\n[[step]]\ndo = "look"\n')
     for words in ([str(file), "--check"], [str(file), SIM]):
         assert main(["mission", *words]) == 1
-        told = capsys.readouterr()
-        assert told.err.startswith(f"nomad: {file}: line 1: map: thesis_rom: no such file")
-        assert "did you mean thesis_room?" in told.err
-        assert told.out == ""
+        output = capsys.readouterr()
+        assert output.err.startswith(f"nomad: {file}: line 1: map: thesis_rom: no such file")
+        assert "did you mean thesis_room?" in output.err
+        assert output.out == ""
     assert main(["mission", str(file), SIM, "--map", "thesis_room"]) == 0
     assert main(["mission", str(file), "--check", "--map", "thesis_rom"]) == 1
     assert "nomad: thesis_rom: no such file" in capsys.readouterr().err
@@ -233,7 +235,7 @@ def fail(error: BaseException) -> Any:
         (SystemExit(), "error", "SystemExit (SystemExit)"),
     ],
 )
-def test_however_it_ends_the_report_says_so(error: BaseException, ending: str, reason: str) -> None:
+def test_however_it_ends_the_report_states_so(error: BaseException, ending: str, reason: str) -> None:
     report = mission_of(fail(error))
     assert (report.ending, report.reason, report.duration_s) == (ending, reason, 5.0)
     assert mission_of(lambda _: None).done
@@ -278,26 +280,26 @@ def test_the_commands_have_help(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.parametrize("name", sorted(parse_point.name for parse_point in entry_points(group="nomad.commands")))
-def test_help_keeps_rules_to_itself_and_names_files_that_are_there(
+def test_help_retains_rules_to_itself_and_names_files_that_are_there(
     name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit, match="0"):
         main([name, "--help"])
-    told = capsys.readouterr().out
-    assert "Rules:" not in told
-    assert all((ROOT / path).exists() for path in re.findall(r"docs/[\w/.]+\w", told))
+    output = capsys.readouterr().out
+    assert "Rules:" not in output
+    assert all((ROOT / path).exists() for path in re.findall(r"docs/[\w/.]+\w", output))
 
 
 def test_a_guess_of_rays_that_does_not_fit_is_doubted(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As of a server, which does not tell its setup."""
+    """As of a server, which does not report its setup."""
     monkeypatch.setattr("localization.live.assumptions.sonar_model_of_address", lambda _: None)
     words = ["go", "sim:thesis_room?setup=measured&seed=1", "--to", "60,40", "--method", "ekf", "--speed", "8"]
     main([*words, "--json"])
-    told = capsys.readouterr()
-    assert told.err == f"{GUESS}\n"
-    assert "--sonars cones" in json.loads(told.out)["hint"]
+    output = capsys.readouterr()
+    assert output.err == f"{GUESS}\n"
+    assert "--sonars cones" in json.loads(output.out)["hint"]
     main(words)
     assert "do not believe this" in capsys.readouterr().out.splitlines()[-1]
     main([*words, "--sonars", "rays"])

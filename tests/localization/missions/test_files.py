@@ -1,4 +1,4 @@
-"""Missions from files: what is read, and what is said of files that are wrong."""
+"""Missions from files: what is read, and what is stated of files that are wrong."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SEEN = Seen(1.0, 0.0, 0.0, 0.0, 0.3, "OK", (20,) * 15 + (12,), True, (3,), 1)
 
 
 class Told:
-    """In place of a Mission: writes down what it is told."""
+    """In place of a Mission: writes down what it is reported."""
 
     def __init__(self) -> None:
         self.said: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = []
@@ -34,7 +34,7 @@ def told(text: str) -> list[tuple[str, tuple[Any, ...], dict[str, Any]]]:
     return said
 
 
-def test_every_verb_says_what_its_step_says() -> None:
+def test_every_verb_states_what_its_step_states() -> None:
     said = told("""
         [[step]]
         do = "go_to"
@@ -151,7 +151,7 @@ def test_settings_are_read_and_have_defaults() -> None:
          "on_lost, lost_s, step, fence_in, fence_cm, fence_m; did you mean step?"),
     ],
 )  # fmt: skip
-def test_a_list_that_is_wrong_is_told_with_its_line(text: str, said: str) -> None:
+def test_a_list_that_is_wrong_is_reported_with_its_line(text: str, said: str) -> None:
     with pytest.raises(MissionFileError) as refused:
         parse_step_list(text, "m.toml")
     assert str(refused.value) == said
@@ -190,7 +190,7 @@ def test_files_that_cannot_be_read(tmp_path: Path, name: str, content: bytes | N
          "def mission(robot): pass\n", "settings: map: several_wals: no such file"),
     ],
 )  # fmt: skip
-def test_a_map_that_is_not_there_is_told_with_file_and_key(tmp_path: Path, name: str, text: str, told: str) -> None:
+def test_a_map_that_is_not_there_is_reported_with_file_and_key(tmp_path: Path, name: str, text: str, told: str) -> None:
     file = tmp_path / name
     file.write_text(text)
     orders = load_mission(file)

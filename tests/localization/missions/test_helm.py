@@ -32,7 +32,7 @@ def test_where_states_come_far_apart_it_goes_no_farther_between_two_than_in_half
     assert ways[-1] - ways[-2] == pytest.approx(2.5, abs=0.2)
 
 
-def test_a_cause_is_told_and_not_that_the_robot_could_not_be_stopped(
+def test_a_cause_is_reported_and_not_that_the_robot_could_not_be_stopped(
     helm_at: MakeHelm, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def gone() -> None:

@@ -36,11 +36,11 @@ class Kidnapper:
         if not self.done and sight.estimate.clock_s > self._at_s:
             self.done = True
             self._controller.robot.stop()
-            told = self._controller.robot.wait_until_still(timeout_s=5)
-            front = self._pose.steering_rad + told.turret_rad - told.steering_rad
+            output = self._controller.robot.wait_until_still(timeout_s=5)
+            front = self._pose.steering_rad + output.turret_rad - output.steering_rad
             self._controller.robot.place(replace(self._pose, turret_rad=front))
-            self._controller.robot.set_position(x_in=told.x_in, y_in=told.y_in)
-            self._controller.robot.set_angles(steering_rad=told.steering_rad, turret_rad=told.turret_rad)
+            self._controller.robot.set_position(x_in=output.x_in, y_in=output.y_in)
+            self._controller.robot.set_angles(steering_rad=output.steering_rad, turret_rad=output.turret_rad)
         if sight.estimate.health.status is HealthStatus.LOST:
             self.lost_s = self.lost_s or sight.estimate.clock_s
 

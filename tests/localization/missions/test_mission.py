@@ -130,7 +130,7 @@ def test_a_step_has_its_time_and_the_mission_has_its(helm_at: MakeHelm) -> None:
     assert mission.seen.clock_s == pytest.approx(6.1, abs=0.15)
 
 
-def test_a_robot_that_somebody_holds_is_told_of_and_goes_on_once_released(
+def test_a_robot_that_another_holds_is_reported_of_and_goes_on_once_released(
     helm_at: MakeHelm, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     controller = helm_at("thesis_room")
@@ -144,9 +144,9 @@ def test_a_robot_that_somebody_holds_is_told_of_and_goes_on_once_released(
     monkeypatch.setattr(controller.robot, "drive", held)
     mission.go_to(20, 0)
     (step,) = mission.report.steps
-    told = [words for _, words in step.notes if "is it held (nserver ctl status tells), or its emerg" in words]
-    assert len(told) == 1
-    assert told[0].startswith("it is told to drive and stands, 5 s now: ")
+    output = [words for _, words in step.notes if "is it held (nserver ctl status tells), or its emerg" in words]
+    assert len(output) == 1
+    assert output[0].startswith("it is told to drive and stands, 5 s now: ")
     until_s = inf
     with pytest.raises(StepFailed, match=r"the step's time is over; it is told to drive and stands, 1[01] s now: is"):
         mission.go_to(40, 0, limit_s=11.0)
@@ -154,13 +154,13 @@ def test_a_robot_that_somebody_holds_is_told_of_and_goes_on_once_released(
         mission.go_to(40, 0)
 
 
-def test_who_looks_stands_and_nothing_is_said_of_it(helm_at: MakeHelm) -> None:
+def test_who_looks_stands_and_nothing_is_stated_of_it(helm_at: MakeHelm) -> None:
     mission = Mission(helm_at("thesis_room"))
     mission.look(8.0)
     assert mission.report.steps[0].notes == []
 
 
-def test_a_fence_is_planned_within_and_left_by_nobody(helm_at: MakeHelm) -> None:
+def test_a_fence_is_planned_within_and_left_by_nothing(helm_at: MakeHelm) -> None:
     fence = ((-11.0, -11.0), (70.0, -11.0), (70.0, 40.0), (-11.0, 40.0))
     controller = helm_at("thesis_room", setup="noisy")
     mission = Mission(controller, Settings(fence_in=fence))

@@ -1,4 +1,4 @@
-"""Missions that are programs: what is run, and what is said of those that are wrong."""
+"""Missions that are programs: what is run, and what is stated of those that are wrong."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from nclient.errors import MissionFileError, RobotRefused
 
 
 class Told:
-    """In place of a Mission: writes down what it is told."""
+    """In place of a Mission: writes down what it is reported."""
 
     def __init__(self) -> None:
         self.said: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = []
@@ -33,13 +33,13 @@ class Told:
         ("settings = 3\ndef mission(robot): pass", "m.py: settings: expected Settings(...), found int"),
     ],
 )  # fmt: skip
-def test_a_program_that_is_wrong_is_told_with_its_line(text: str, said: str) -> None:
+def test_a_program_that_is_wrong_is_reported_with_its_line(text: str, said: str) -> None:
     with pytest.raises(MissionFileError) as refused:
         parse_program(text, "m.py")
     assert str(refused.value) == said
 
 
-def test_a_program_runs_and_what_it_raises_is_told_with_its_line() -> None:
+def test_a_program_runs_and_what_it_raises_is_reported_with_its_line() -> None:
     robot: Any = Told()
     program = parse_program(
         "from localization.missions import Settings\nsettings = Settings(title='T')\n"
@@ -115,7 +115,7 @@ def test_whatever_takes_one_robot_is_a_mission(text: str) -> None:
     assert [verb for verb, _, _ in robot.said] == ["look"]
 
 
-def test_a_coroutine_that_nobody_waits_for_is_no_mission_done() -> None:
+def test_a_coroutine_that_nothing_waits_for_is_no_mission_done() -> None:
     robot: Any = Told()
     program = parse_program("async def go(robot): pass\nmission = lambda robot: go(robot)", "m.py")
     with pytest.raises(MissionFileError, match="to be done when it returns, found a coroutine"):
@@ -140,7 +140,7 @@ def test_a_signal_while_a_program_is_read_is_no_mistake_of_it() -> None:
         parse_program("from nclient.common import process\nraise process.TerminatedBySignal('SIGTERM')", "m.py")
 
 
-def test_what_a_verb_or_settings_refuse_is_told_with_the_line_that_says_it() -> None:
+def test_what_a_verb_or_settings_refuse_is_reported_with_the_line_that_states_it() -> None:
     text = "from localization.missions import Settings\n\nsettings = Settings(time_limit_s='300')\n"
     with pytest.raises(MissionFileError) as refused:
         parse_program(text, "m.py")

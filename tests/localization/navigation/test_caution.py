@@ -31,7 +31,7 @@ def test_no_walls_no_caution() -> None:
     assert allowed_speed_fraction(np.zeros(3), np.ones(2), np.eye(3), np.zeros((0, 4)), 5.0) == 1.0
 
 
-def test_an_uncertain_heading_counts_across_the_way_ahead() -> None:
+def test_an_uncertain_heading_counts_across_the_path_ahead() -> None:
     along = np.array([[-100.0, 6.0, 100.0, 6.0]])
     cov = np.diag([1e-6, 1e-6, 0.1**2])
     near = allowed_speed_fraction(np.zeros(3), np.array([1.0, 0.0]), cov, along, 5.0)
@@ -41,11 +41,11 @@ def test_an_uncertain_heading_counts_across_the_way_ahead() -> None:
 
 
 def test_the_spread_is_that_of_places_drawn_at_random() -> None:
-    """Three sigma of the distance to the wall after the way ahead, by a hundred thousand draws."""
-    chance = np.random.default_rng(4)
+    """Three sigma of the distance to the wall after the path ahead, by a hundred thousand draws."""
+    rng = np.random.default_rng(4)
     root = np.array([[0.3, 0.0, 0.0], [0.1, 0.2, 0.0], [0.01, 0.02, 0.03]])
     cov = root @ root.T
-    poses = chance.standard_normal((100_000, 3)) @ root.T
+    poses = rng.standard_normal((100_000, 3)) @ root.T
     way = np.array([4.0, 3.0])
     ends = poses[:, 0] + way[0] * np.cos(poses[:, 2]) - way[1] * np.sin(poses[:, 2])
     sigma = float(ends.std())

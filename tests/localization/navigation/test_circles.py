@@ -24,10 +24,10 @@ RADIUS_IN = 11.0
 
 @pytest.mark.parametrize("world", ["several_walls", "centre_vertex"])
 def test_arcs_are_free_where_every_point_of_them_is(world: str) -> None:
-    walls, chance = np.array(load_world(world).walls), np.random.default_rng(1)
+    walls, rng = np.array(load_world(world).walls), np.random.default_rng(1)
     seen = set()
     for centre in np.unique(walls.reshape(-1, 2), axis=0):
-        rim, angles = CornerCircle(centre, walls, RADIUS_IN), np.sort(chance.uniform(0.0, tau, 9))
+        rim, angles = CornerCircle(centre, walls, RADIUS_IN), np.sort(rng.uniform(0.0, tau, 9))
         for free, first, last in zip(rim.free(angles), angles, np.append(angles[1:], angles[0] + tau), strict=True):
             turns = np.linspace(first, last, 2001)
             points = centre + RADIUS_IN * np.stack((np.cos(turns), np.sin(turns)), axis=-1)

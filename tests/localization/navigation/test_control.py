@@ -35,7 +35,7 @@ def test_the_turn_has_the_sign_of_the_bearing_error_and_its_limit(bearing: float
     assert next_step(np.zeros(3), goal, GAINS)[1] == pytest.approx(turn)
 
 
-def test_the_bearing_error_goes_the_short_way_round() -> None:
+def test_the_bearing_error_goes_the_short_path_round() -> None:
     pose, goal = np.array([0.0, 0.0, 3.0]), 10.0 * np.array([math.cos(-3.0), math.sin(-3.0)])
     assert bearing_error(pose, goal) == pytest.approx(2 * math.pi - 6.0)
 

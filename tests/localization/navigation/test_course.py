@@ -37,10 +37,10 @@ def test_a_leg_is_where_small_steps_lead(curvature: float) -> None:
 
 @pytest.mark.parametrize("curvature", [0.08, -0.15, 0.0, 0.2])
 def test_the_nearest_place_of_a_leg_is_that_of_many_looked_at(curvature: float) -> None:
-    element, chance = ARC._replace(curvature=curvature), np.random.default_rng(5)
+    element, rng = ARC._replace(curvature=curvature), np.random.default_rng(5)
     along = np.linspace(0.0, element.length_in, 3001)
     places = np.array([element.at(float(value))[:2] for value in along])
-    for x, y in chance.uniform(-30.0, 50.0, (60, 2)):
+    for x, y in rng.uniform(-30.0, 50.0, (60, 2)):
         far = np.hypot(*(places - [x, y]).T)
         found = element.at(element.nearest(float(x), float(y)))
         assert hypot(found.x_in - x, found.y_in - y) == pytest.approx(far.min(), abs=1e-3)
@@ -83,7 +83,7 @@ def test_a_stretch_is_looked_at_between_two_places_only() -> None:
 
 
 @pytest.mark.parametrize(("one", "other", "turn"), [(3.0, -3.0, 2 * pi - 6.0), (0.1, 0.3, 0.2), (9.0, 9.5, 0.5)])
-def test_turns_go_the_short_way(one: float, other: float, turn: float) -> None:
+def test_turns_go_the_short_path(one: float, other: float, turn: float) -> None:
     assert angle_difference(one, other) == pytest.approx(turn)
 
 

@@ -43,7 +43,7 @@ def drive(follower: PathFollower, pose: Floats, periods: int = 2000, share: floa
 
 
 @pytest.mark.parametrize("goal", [(90.0, 55.0), (90.0, 0.0), (40.0, 90.0)])
-def test_it_keeps_to_a_planned_course_and_stops_at_its_end(goal: tuple[float, float]) -> None:
+def test_it_retains_to_a_planned_course_and_stops_at_its_end(goal: tuple[float, float]) -> None:
     planner = Planner(np.array(load_world("several_walls").walls), N150.radius_in)
     plan = planner.plan((5.0, 5.0), goal)
     poses = drive(PathFollower(plan.sections, AXES), np.array([5.0, 5.0, -2.0]))

@@ -27,16 +27,16 @@ def near(*sonars: int) -> tuple[int, ...]:
 def test_it_looks_around_and_then_drives_where_there_is_room_ahead(
     readings: tuple[int, ...], speed_in_s: float
 ) -> None:
-    heard, one = Ring(readings), RecoveryBehavior(PERIOD_S)
-    turning = [one.command(heard) for _ in range(round(SCAN_RAD / TURN_RAD_S / PERIOD_S))]
+    echo, one = Ring(readings), RecoveryBehavior(PERIOD_S)
+    turning = [one.command(echo) for _ in range(round(SCAN_RAD / TURN_RAD_S / PERIOD_S))]
     assert set(turning) == {(0.0, TURN_RAD_S)}
-    one.command(heard)
-    assert one.command(heard)[0] == speed_in_s
+    one.command(echo)
+    assert one.command(echo)[0] == speed_in_s
     one.reset()
-    assert one.command(heard) == (0.0, TURN_RAD_S)
+    assert one.command(echo) == (0.0, TURN_RAD_S)
 
 
-def test_ahead_is_where_it_would_drive_whatever_way_the_turret_looks() -> None:
+def test_ahead_is_where_it_would_drive_whatever_path_the_turret_looks() -> None:
     one = RecoveryBehavior(100.0)
     one.command(Ring(near()))
     assert one.command(Ring(near(8), steering_rad=1.0, turret_rad=1.0 + 3.14159))[0] == 0.0

@@ -46,7 +46,7 @@ def estimate(state: RobotState, *sonars: int, health: FilterHealth = HEALTHY) ->
     return Estimate(clock, belief, echoes, health)
 
 
-def test_what_is_nearer_than_the_map_allows_is_spared_and_all_else_told_as_it_is(robot: Robot) -> None:
+def test_what_is_nearer_than_the_map_allows_is_spared_and_all_else_reported_as_it_is(robot: Robot) -> None:
     state = robot.refresh()
     shown = filter_unmapped(ObstacleTracker(WALLS, N150.sonar_ring_radius_in), estimate(state), state, ANGLES)
     assert state.sonars_in[0] == 9
@@ -72,7 +72,7 @@ def test_the_box_is_found_where_it_stands(robot: Robot) -> None:
     assert (0.5 * (x1 + x2), 0.5 * (y1 + y2)) == pytest.approx((28.0, 16.0), abs=0.6)
 
 
-def test_an_echo_was_heard_where_the_robot_was(robot: Robot) -> None:
+def test_an_echo_was_measured_where_the_robot_was(robot: Robot) -> None:
     obstacles = ObstacleTracker(WALLS, N150.sonar_ring_radius_in)
     robot.drive(translation_in_s=5.0)
     for _ in range(4):

@@ -93,7 +93,7 @@ ROUND = [(0.0, 0.0), (60.0, 40.0), (30.0, 60.0), (15.0, 10.0)]
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_states_that_come_rarely_slow_it_down_and_the_estimate_stays_honest(seed: int) -> None:
-    """At full speed it circles a way-point for ever, half a foot between two states: it is farther than its radius."""
+    """At full speed it circles a path-point for ever, half a foot between two states: it is farther than its radius."""
     errors, nees = [], []
     with connect(f"{RARELY}{seed}") as robot:
         state = robot.refresh()
@@ -132,17 +132,17 @@ def test_commands_are_the_navigators_to_the_bit_where_states_come_often_enough(
     assert driven == [navigator.command(pose) for pose in poses[:-1]]
 
 
-def test_readings_that_do_not_fit_are_told_of_however_rarely_states_come() -> None:
+def test_readings_that_do_not_fit_are_reported_of_however_rarely_states_come() -> None:
     """Exact rays taken for a real ring's cones: two thirds of the echoes are no reflector's."""
-    said = []
+    text = []
     with connect(f"{RARELY}1") as robot:
         state = robot.refresh()
         belief = independent([state.x_in, state.y_in, state.steering_rad], [0.1, 0.1, 0.01])
-        known = LocalizationConfig(load_world("thesis_room").walls, N150, sonar=ConeSonar())
-        for progress in follow_waypoints(robot, start_localizer(robot, known, belief), Navigator(ROUND), never):
-            said.append(progress.estimate.health)
+        config = LocalizationConfig(load_world("thesis_room").walls, N150, sonar=ConeSonar())
+        for progress in follow_waypoints(robot, start_localizer(robot, config, belief), Navigator(ROUND), never):
+            text.append(progress.estimate.health)
             if progress.estimate.clock_s > 15.0:
                 break
-    assert said[0].status is HealthStatus.OK
-    assert said[-1].status is HealthStatus.DEGRADED
-    assert "echoes are explained" in said[-1].reason
+    assert text[0].status is HealthStatus.OK
+    assert text[-1].status is HealthStatus.DEGRADED
+    assert "echoes are explained" in text[-1].reason

@@ -25,13 +25,13 @@ def told(obstruction: StallDetector, seconds: float, at: Any, speed_in_s: float 
     ]
 
 
-def test_pressing_is_told_with_the_bumpers_though_wheels_slip() -> None:
+def test_pressing_is_reported_with_the_bumpers_though_wheels_slip() -> None:
     reasons = told(StallDetector(5.0), 6.0, lambda second: state(5.0 * second, 0, 1))
     assert reasons[:10] == [""] * 10
     assert reasons[10] == "the robot presses against something for 5 s, 20.0 in before (20, 0): bumpers 0, 1 touch"
 
 
-def test_wheels_that_stand_are_told_though_nothing_touches() -> None:
+def test_wheels_that_stand_are_reported_though_nothing_touches() -> None:
     reasons = told(StallDetector(5.0), 6.0, lambda _: state(3.0))
     assert reasons[9:11] == [
         "", "the robot does not move for 5 s, 20.0 in before (20, 0), although commanded to: is it held "
@@ -43,16 +43,16 @@ def test_wheels_that_stand_are_told_though_nothing_touches() -> None:
     lambda second: state(0.1 * second), lambda second: state(0.0, heading=-0.05 * second),
     lambda second: state(0.0, heading=3.1 + 0.05 * second),
 ])  # fmt: skip
-def test_rolling_or_turning_slowly_is_way(at: Any) -> None:
+def test_rolling_or_turning_slowly_is_path(at: Any) -> None:
     assert not any(told(StallDetector(5.0), 30.0, at))
 
 
-def test_sliding_along_a_wall_is_way_while_it_comes_nearer() -> None:
+def test_sliding_along_a_wall_is_path_while_it_comes_nearer() -> None:
     assert not any(told(StallDetector(5.0), 30.0, lambda _: state(0.0, 3), speed_in_s=0.2))
     assert any(told(StallDetector(5.0), 30.0, lambda _: state(0.0, 3), speed_in_s=0.05))
 
 
-def test_another_way_point_or_none_begins_anew() -> None:
+def test_another_path_point_or_none_begins_anew() -> None:
     obstruction = StallDetector(5.0)
     assert not any(told(obstruction, 5.0, lambda _: state(0.0)))
     assert not any(told(obstruction, 20.0, lambda _: state(0.0), goal=None))

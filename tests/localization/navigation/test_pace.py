@@ -17,12 +17,12 @@ def test_states_that_come_often_enough_leave_the_speed_as_it_is_to_the_bit() -> 
 
 
 def test_between_two_states_it_goes_as_far_as_in_half_a_second_at_full_speed() -> None:
-    told = shares([0.0, 1.25, 2.5])
-    assert told == [1.0, pytest.approx(0.4), pytest.approx(0.4)]
-    assert 1.25 * told[1] == pytest.approx(0.5)
+    output = shares([0.0, 1.25, 2.5])
+    assert output == [1.0, pytest.approx(0.4), pytest.approx(0.4)]
+    assert 1.25 * output[1] == pytest.approx(0.5)
 
 
 def test_a_long_gap_is_remembered_for_some_states_and_forgotten_then() -> None:
-    told = shares([0.0, 2.0, *(2.0 + 0.1 * tick for tick in range(1, OBSERVED_STATES + 1))])
-    assert told[1:OBSERVED_STATES] == [0.25] * (OBSERVED_STATES - 1)
-    assert told[OBSERVED_STATES:] == [1.0] * 2
+    output = shares([0.0, 2.0, *(2.0 + 0.1 * tick for tick in range(1, OBSERVED_STATES + 1))])
+    assert output[1:OBSERVED_STATES] == [0.25] * (OBSERVED_STATES - 1)
+    assert output[OBSERVED_STATES:] == [1.0] * 2

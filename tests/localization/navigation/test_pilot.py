@@ -1,4 +1,4 @@
-"""The pilot's decisions, on a robot that does what it is told: exact poses, a covariance and bumpers made up."""
+"""The pilot's decisions, on a robot that does what it is reported: exact poses, a covariance and bumpers made up."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def test_it_arrives_and_turns_to_the_heading() -> None:
     assert pilot.step(world.estimate(), world.state()) == STAND
 
 
-def test_way_points_are_passed_by_without_stopping_or_planned_to_one_by_one() -> None:
+def test_path_points_are_passed_by_without_stopping_or_planned_to_one_by_one() -> None:
     world = World()
     pilot = pilot_of(world, (35.0, 55.0), (90.0, 55.0))
     world.drive(pilot)
@@ -103,7 +103,7 @@ def test_way_points_are_passed_by_without_stopping_or_planned_to_one_by_one() ->
     assert "comes within" in reason(pilot)
 
 
-def test_a_find_in_the_way_is_gone_around() -> None:
+def test_a_find_in_the_path_is_gone_around() -> None:
     world = World()
     pilot = Pilot(WIDE, AXES, world.obstacles, [(40.0, 60.0)])
     world.drive(pilot, 3.0)
@@ -115,7 +115,7 @@ def test_a_find_in_the_way_is_gone_around() -> None:
     assert pilot.log.plans[1].length_in > 40.0
 
 
-def test_way_points_with_a_find_between_are_gone_around_too() -> None:
+def test_path_points_with_a_find_between_are_gone_around_too() -> None:
     world = World()
     world.obstacles.add_contact(0.0, (20.0, 20.0), 1.0, 9.0)
     pilot = Pilot(WIDE, AXES, world.obstacles, [(35.0, 55.0), (60.0, 55.0)])
@@ -124,7 +124,7 @@ def test_way_points_with_a_find_between_are_gone_around_too() -> None:
     assert len(pilot.log.plans) >= 2
 
 
-def test_it_waits_for_what_is_in_the_way_and_gives_up_or_goes_on() -> None:
+def test_it_waits_for_what_is_in_the_path_and_gives_up_or_goes_on() -> None:
     world = World()
     pilot = pilot_of(world, (40.0, 60.0))
 
@@ -148,7 +148,7 @@ def test_it_waits_for_what_is_in_the_way_and_gives_up_or_goes_on() -> None:
     assert 20.0 <= world.clock_s < 23.0
 
 
-def test_no_way_in_the_map_is_told_at_once() -> None:
+def test_no_path_in_the_map_is_reported_at_once() -> None:
     world = World()
     pilot = pilot_of(world, (50.0, 30.0))
     world.drive(pilot)
@@ -219,7 +219,7 @@ def test_uncertainty_that_passes_is_waited_for() -> None:
     assert ending(pilot) is Ending.ARRIVED
 
 
-def test_one_who_is_lost_says_so() -> None:
+def test_one_who_is_lost_states_so() -> None:
     world = World()
     pilot = pilot_of(world, (90.0, 55.0))
     world.drive(pilot, 5.0)

@@ -1,4 +1,4 @@
-"""Plans: the shortest way with the room that costs little, along given points, and around what was found."""
+"""Plans: the shortest path with the room that costs little, along given points, and around what was found."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def least_room(plan: PlannedPath) -> float:
 
 
 @pytest.mark.parametrize("goal", [(90.0, 55.0), (90.0, 0.0), (40.0, 90.0), (0.0, 60.0)])
-def test_a_plan_keeps_its_margin_and_is_little_longer_than_the_shortest(goal: tuple[float, float]) -> None:
+def test_a_plan_retains_its_margin_and_is_little_longer_than_the_shortest(goal: tuple[float, float]) -> None:
     plan = PLANNER.plan((5.0, 5.0), goal)
     assert plan.margin_in in MARGINS_IN
     assert least_room(plan) >= plan.margin_in - 1e-4
@@ -49,7 +49,7 @@ def test_more_room_can_be_asked_for_and_a_near_goal_is_entered_straight() -> Non
     assert PLANNER.plan((5.0, 5.0), (40.0, 60.0), min_margin_in=7.5).margin_in == 7.5
 
 
-def test_finds_are_gone_around_and_may_leave_no_way() -> None:
+def test_finds_are_gone_around_and_may_leave_no_path() -> None:
     find = np.array([[28.0, 22.0, 24.0, 26.0]])
     straight_way, around = PLANNER.plan((5.0, 5.0), (40.0, 60.0)), PLANNER.plan((5.0, 5.0), (40.0, 60.0), find)
     assert around.length_in > straight_way.length_in
@@ -59,7 +59,7 @@ def test_finds_are_gone_around_and_may_leave_no_way() -> None:
         PLANNER.plan((5.0, 5.0), (90.0, 0.0), np.array([[50.0, 35.0, 60.0, 75.0], [60.0, 75.0, 102.0, 60.0]]))
 
 
-def test_given_points_are_passed_by_on_straight_ways() -> None:
+def test_given_points_are_passed_by_on_straight_paths() -> None:
     points = [(5.0, 5.0), (35.0, 55.0), (90.0, 55.0)]
     plan = PLANNER.along(points, 1.0, MODEL_LIMITS["n150"])
     (section,) = plan.sections

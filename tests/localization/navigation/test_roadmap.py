@@ -1,5 +1,5 @@
-"""Shortest ways: against the closed form around one end of a wall, against Dijkstra on a fine grid, and between the
-shortest ways around polygons in and around the grown walls, by a visibility graph of another kind."""
+"""Shortest paths: against the closed form around one end of a wall, against Dijkstra on a fine grid, and between the
+shortest paths around polygons in and around the grown walls, by a visibility graph of another kind."""
 
 from __future__ import annotations
 
@@ -43,14 +43,14 @@ def end_of(elements: list[PathElement]) -> tuple[float, float]:
     return last.x_in, last.y_in
 
 
-def test_in_an_empty_world_the_way_is_straight() -> None:
+def test_in_an_empty_world_the_path_is_straight() -> None:
     (element,) = Roadmap(np.zeros((0, 4)), 10.0).path((0.0, 0.0), (30.0, 40.0))
     assert element == pytest.approx((0.0, 0.0, atan2(4.0, 3.0), 0.0, 50.0))
 
 
 @pytest.mark.parametrize("height", [0.0, 5.0, -20.0])
 def test_around_the_end_of_a_wall_it_is_two_tangents_and_an_arc(height: float) -> None:
-    """The wall ends in the origin and goes down; the ways touch the circle of the radius about it."""
+    """The wall ends in the origin and goes down; the paths touch the circle of the radius about it."""
     roadmap, half = Roadmap(np.array([[0.0, 0.0, 0.0, -500.0]]), 10.0), 60.0
     path = roadmap.path((-half, height), (half, height))
     far = hypot(half, height)
@@ -62,7 +62,7 @@ def test_around_the_end_of_a_wall_it_is_two_tangents_and_an_arc(height: float) -
 
 
 class Polygons:
-    """Shortest ways among walls grown to polygons of a corner radius: Cyrus and Beck's clipping, then Dijkstra."""
+    """Shortest paths among walls grown to polygons of a corner radius: Cyrus and Beck's clipping, then Dijkstra."""
 
     def __init__(self, walls: Floats, corner_in: float) -> None:
         angles = np.arange(CORNERS) * (2.0 * pi / CORNERS)
@@ -76,7 +76,7 @@ class Polygons:
         return all((planes[:, :2] @ point + planes[:, 2]).max() > -1e-6 for planes in self._planes)
 
     def _free(self, one: Floats, other: Floats) -> np.typing.NDArray[np.bool_]:
-        """Which of the ways (n, 2) to (n, 2) meet the inside of no polygon."""
+        """Which of the paths (n, 2) to (n, 2) meet the inside of no polygon."""
         free = np.ones(len(one), dtype=bool)
         for planes in self._planes:
             begin = one @ planes[:, :2].T + planes[:, 2] + 1e-7
@@ -130,11 +130,11 @@ def grid_length(walls: np.ndarray, start: tuple[float, float], goal: tuple[float
 @pytest.mark.parametrize("world", WORLDS)
 def test_between_random_places_it_is_free_and_the_shortest(world: str) -> None:
     walls = np.array(load_world(world).walls)
-    roadmap, chance = Roadmap(walls, RADIUS_IN), np.random.default_rng(8)
+    roadmap, rng = Roadmap(walls, RADIUS_IN), np.random.default_rng(8)
     within, around = polygons(world)
     tried = 0
     while tried < 12:
-        start, goal = ((float(a), float(b)) for a, b in chance.integers(0, 90, (2, 2)))
+        start, goal = ((float(a), float(b)) for a, b in rng.integers(0, 90, (2, 2)))
         if nearest_points([start, goal], walls)[1].min() < RADIUS_IN * 1.01 or start == goal:
             continue
         tried += 1
@@ -168,19 +168,19 @@ def test_a_start_too_near_a_wall_is_left_straight_and_a_goal_too_near_is_refused
     assert end_of(roadmap.path((80.0, 0.0), (-2.0, 10.0), 9.72)) == pytest.approx((-2.0, 10.0))
 
 
-def test_a_start_without_any_room_has_no_way() -> None:
+def test_a_start_without_any_room_has_no_path() -> None:
     narrow = np.array([[-500.0, 0.0, 500.0, 0.0], [-500.0, 12.0, 500.0, 12.0]])
     with pytest.raises(NoPathError, match=r"no path from \(0, 6\) to \(0, 60\)"):
         Roadmap(narrow, 10.0).path((0.0, 6.0), (0.0, 60.0))
 
 
-def test_where_there_is_no_way_it_says_so() -> None:
+def test_where_there_is_no_path_it_states_so() -> None:
     box = np.array([[0, 0, 60, 0], [60, 0, 60, 60], [60, 60, 0, 60], [0, 60, 0, 0]], dtype=float)
     with pytest.raises(NoPathError, match="no path from"):
         Roadmap(box, 10.0).path((30.0, 30.0), (200.0, 30.0))
 
 
-def test_given_ways_are_refused_where_they_come_too_near() -> None:
+def test_given_paths_are_refused_where_they_come_too_near() -> None:
     roadmap = Roadmap(np.array([[0.0, 0.0, 0.0, -500.0]]), 10.0)
     roadmap.require_free([(-5.0, 0.0), (-20.0, 0.0), (-20.0, 30.0)])
     with pytest.raises(NoPathError, match=r"from \(-20, 0\) to \(20, 0\) comes within"):

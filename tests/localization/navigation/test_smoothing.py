@@ -27,7 +27,7 @@ def test_an_arc_passes_its_corner_within_what_it_may_and_is_one_with_its_sides(w
 
 
 def test_round_is_quicker_than_stopping_to_turn() -> None:
-    """The whole way: speeds by the profile, the turn in place by a trapezoid of the steering."""
+    """The whole path: speeds by the profile, the turn in place by a trapezoid of the steering."""
     (round_one,) = split_into_sections(round_corners(BEND, 4.0, AXES, NO_WALLS, 10.0))
     sharp = split_into_sections(round_corners(BEND, 1e-6, AXES, NO_WALLS, 10.0))
     turning = 1.0 / AXES.steering_rad_s + AXES.steering_rad_s / AXES.steering_rad_s2
@@ -40,7 +40,7 @@ def test_where_an_arc_would_crawl_the_corner_stays() -> None:
     assert len(split_into_sections(round_corners(BEND, 1e-3, AXES, NO_WALLS, 10.0))) == 2
 
 
-def test_a_way_back_a_straight_way_and_a_wall_beside_leave_the_corner_as_it_is() -> None:
+def test_a_path_back_a_straight_path_and_a_wall_beside_leave_the_corner_as_it_is() -> None:
     there_and_back = [(0.0, 0.0), (40.0, 0.0), (1.0, 1.0)]
     assert len(split_into_sections(round_corners(there_and_back, 4.0, AXES, NO_WALLS, 10.0))) == 2
     on = round_corners([(0.0, 0.0), (40.0, 0.0), (40.0, 0.0), (80.0, 0.0)], 4.0, AXES, NO_WALLS, 10.0)

@@ -29,14 +29,14 @@ def test_a_jump_is_followed_exponentially_however_often_it_is_asked() -> None:
         assert pose[0] == pytest.approx(2.0 * (1.0 - math.exp(-1.0 / 0.5)))
 
 
-def test_the_odometrys_way_is_gone_at_once() -> None:
+def test_the_odometrys_path_is_gone_at_once() -> None:
     smoother = PoseSmoother(1.0)
     smoother.update(0.0, np.array([10.0, 0.0, math.pi / 2]), HERE)
     pose = smoother.update(0.1, np.array([10.0, 0.5, math.pi / 2]), np.array([0.5, 0.0, 0.0]))
     np.testing.assert_allclose(pose, [10.0, 0.5, math.pi / 2], atol=1e-12)
 
 
-def test_the_heading_is_followed_the_short_way_round() -> None:
+def test_the_heading_is_followed_the_short_path_round() -> None:
     smoother = PoseSmoother(1.0)
     smoother.update(0.0, np.array([0.0, 0.0, math.pi - 0.1]), HERE)
     pose = smoother.update(1.0, np.array([0.0, 0.0, -math.pi + 0.1]), HERE)

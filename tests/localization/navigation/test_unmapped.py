@@ -1,4 +1,4 @@
-"""What the map does not have: found by readings that fall together, not by chance ones, and forgotten again."""
+"""What the map does not have: found by readings that fall together, not by rng ones, and forgotten again."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def hear(obstacles: ObstacleTracker, towards: float, reading: float, times: int 
         obstacles.add_reading(clock_s, HERE, towards, reading, 0.2)
 
 
-def test_the_same_thing_heard_again_is_sure_and_stands_where_it_was_heard() -> None:
+def test_the_same_thing_measured_again_is_sure_and_stands_where_it_was_measured() -> None:
     obstacles = ObstacleTracker(WALLS, RING_IN)
     hear(obstacles, 0.3, 15.0, times=2)
     assert not len(obstacles.confirmed)
@@ -37,11 +37,11 @@ def test_the_same_thing_heard_again_is_sure_and_stands_where_it_was_heard() -> N
 
 def test_what_the_map_explains_is_no_find_in_any_direction() -> None:
     """Exact ranges of rays, and longer ones as second echoes are, from many places."""
-    obstacles, chance = ObstacleTracker(WALLS, RING_IN), np.random.default_rng(2)
+    obstacles, rng = ObstacleTracker(WALLS, RING_IN), np.random.default_rng(2)
     for _ in range(300):
-        place, towards = chance.uniform(12.0, 30.0, 2), float(chance.uniform(0.0, tau))
+        place, towards = rng.uniform(12.0, 30.0, 2), float(rng.uniform(0.0, tau))
         ray = float(cast_rays(place, np.array([cos(towards), sin(towards)]), WALLS)[0]) - RING_IN
-        for reading in (ray, ray + float(chance.exponential(30.0)), 255.0):
+        for reading in (ray, ray + float(rng.exponential(30.0)), 255.0):
             obstacles.add_reading(
                 0.0, (float(place[0]), float(place[1])), towards, float(np.round(max(reading, 0.0))), 0.2
             )
@@ -50,15 +50,15 @@ def test_what_the_map_explains_is_no_find_in_any_direction() -> None:
 
 def test_a_fifth_of_all_readings_drawn_at_random_finds_nothing() -> None:
     """Ten minutes of a standing robot in the square room: the rest goes through to the walls."""
-    walls, chance = np.array(load_world("thesis_room").walls), np.random.default_rng(7)
+    walls, rng = np.array(load_world("thesis_room").walls), np.random.default_rng(7)
     obstacles, found = ObstacleTracker(walls, RING_IN), 0
     angles = np.array(N150.sonar_angles_rad)
     ways = np.stack((np.cos(angles), np.sin(angles)), axis=-1)
     true = cast_rays(np.broadcast_to(np.array((45.0, 45.0)), ways.shape), ways, walls)[0] - RING_IN
     for number in range(600 * 16):
         sonar = number % 16
-        bad = chance.random() < 0.2
-        reading = float(chance.integers(6, 256)) if bad else float(round(true[sonar]))
+        bad = rng.random() < 0.2
+        reading = float(rng.integers(6, 256)) if bad else float(round(true[sonar]))
         obstacles.add_reading(number * 0.06, (45.0, 45.0), float(angles[sonar]), reading, 0.2)
         found += len(obstacles.confirmed) > 0
     assert found / (600 * 16) < 0.02
@@ -96,7 +96,7 @@ def test_what_is_felt_is_sure_at_once_and_not_seen_through() -> None:
 
 
 @pytest.mark.parametrize(("reading", "std"), [(0.0, 0.2), (5.0, 0.2), (15.0, 2.0), (70.0, 0.2)])
-def test_dead_sonars_far_readings_and_one_who_does_not_know_his_place_add_nothing(reading: float, std: float) -> None:
+def test_dead_sonars_far_readings_and_one_who_does_not_know_its_place_add_nothing(reading: float, std: float) -> None:
     obstacles = ObstacleTracker(np.array(load_world("thesis_room").walls), RING_IN)
     for _ in range(5):
         obstacles.add_reading(0.0, (0.0, 0.0), 0.7, reading, std)
