@@ -61,7 +61,7 @@ class Frames(Protocol):
 
     @property
     def pending_bytes(self) -> int:
-        """Bytes kept of a frame that is not whole yet."""
+        """Return the number of buffered bytes of an incomplete frame."""
         ...
 
     def receive(self, data: bytes) -> list[StreamPiece]:
@@ -317,7 +317,7 @@ class Injector:
         return {state.rule.name: state.snapshot() for state in self._states}
 
     def reset(self) -> None:
-        """Set all counts to 0; the position of "every tenth" and the random streams are kept."""
+        """Set all counts to 0; the position of "every tenth" and the random streams do not change."""
         for state in self._states:
             state.tally.clear()
 
