@@ -51,7 +51,7 @@ def test_getting_started(tmp_path: Path) -> None:
     with daemon(start) as port:
         state, localize = [run(command.replace("7019", port), tmp_path) for command in others]
     assert "sonar" in state
-    assert re.search(r"2 of 2 way-?points reached", localize)
+    assert re.search(r"2 of 2 waypoints reached", localize)
 
 
 def test_program_of_getting_started(capsys: pytest.CaptureFixture[str]) -> None:
@@ -73,7 +73,7 @@ def test_real_robot(tmp_path: Path) -> None:
     assert "FAIL" not in doctor
     assert stop.startswith("stands still")
     assert re.search(r"x (5\.9|6\.\d) in", shell)
-    assert re.search(r"2 of 2 way-?points reached", localize)
+    assert re.search(r"2 of 2 waypoints reached", localize)
 
 
 def test_faults_and_recordings(tmp_path: Path) -> None:
@@ -116,8 +116,8 @@ def test_localization(tmp_path: Path) -> None:
     outputs = [run(line, tmp_path) for line in commands("localization.md")]
     rays, cones, overconfident, figures, found, worn = outputs
     for output in (rays, cones, overconfident, worn):
-        assert re.search(r"2 of 2 way-?points reached", output)
-    assert re.search(r"1 of 1 way-?points reached", found)
+        assert re.search(r"2 of 2 waypoints reached", output)
+    assert re.search(r"1 of 1 waypoints reached", found)
     assert re.search(r"DEGRADED: .*innovations", overconfident)
     assert "DEGRADED" not in rays
     assert [float(nees) < 5.5 for nees in re.findall(r"NEES, mean +([\d.]+)", figures)] == [True, True]

@@ -52,7 +52,7 @@ def test_notebook_is_executed_and_filter_is_consistent(site: Path) -> None:
     page = (site / "notebook" / "localize.html").read_text(encoding="utf-8")
     assert len(re.findall(r'<img alt="[^"]*" src="[^"]+\.png"', page)) == 2
     text = html.unescape(re.sub(r"<[^>]+>", "", page))
-    assert re.search(r"2 of 2 way-?points reached", text)
+    assert re.search(r"2 of 2 waypoints reached", text)
     pattern = r"mate is ([\d.]+) in off .*?alone is ([\d.]+) in off.*?mean NEES ([\d.]+);"
     (numbers,) = re.findall(pattern, text, re.DOTALL)
     estimate_in, odometry_in, nees = map(float, numbers)

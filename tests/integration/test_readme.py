@@ -96,7 +96,7 @@ def test_python_example(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_run_script_draws_a_picture() -> None:
     out = run("scripts/run", ROOT)
-    assert re.search(r"2 of 2 way-?points reached", out)
+    assert re.search(r"2 of 2 waypoints reached", out)
     assert (ROOT / "out" / "run.png").read_bytes().startswith(b"\x89PNG")
 
 
@@ -105,7 +105,7 @@ def test_daemon_and_localization(tmp_path: Path) -> None:
     (drive,) = (command for command in commands("nomad localize") if "nserver://" in command)
     with daemon(start) as port:
         out = run(drive.replace("7019", port), tmp_path)
-    assert re.search(r"2 of 2 way-?points reached", out)
+    assert re.search(r"2 of 2 waypoints reached", out)
     assert (tmp_path / "out" / "run.png").read_bytes().startswith(b"\x89PNG")
 
 
@@ -120,7 +120,7 @@ def test_daemon_in_lockstep() -> None:
 
 def test_localization_in_one_process(tmp_path: Path) -> None:
     (drive,) = (command for command in commands("nomad localize") if "sim:" in command)
-    assert re.search(r"3 of 3 way-?points reached", run(drive, tmp_path))
+    assert re.search(r"3 of 3 waypoints reached", run(drive, tmp_path))
 
 
 def test_go_and_mission(tmp_path: Path) -> None:
@@ -134,7 +134,7 @@ def test_robot_on_its_cable(tmp_path: Path) -> None:
     start, doctor, drive, faults, stop = lines
     with daemon(start):
         assert "FAIL" not in run(doctor, tmp_path)
-        assert re.search(r"2 of 2 way-?points reached", run(drive, tmp_path))
+        assert re.search(r"2 of 2 waypoints reached", run(drive, tmp_path))
         run(faults, tmp_path)
         run(stop, tmp_path)
 

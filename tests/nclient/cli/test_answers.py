@@ -13,7 +13,7 @@ from nclient.state import RobotState
 STATE = RobotState(N150, (0,) * 45)
 
 
-@pytest.mark.parametrize(("name", "reply", "told"), [
+@pytest.mark.parametrize(("name", "reply", "reported"), [
     ("vm", Reply("nak"), "refused by the robot (NAK)"),
     ("tk", Reply("simple", values=(1,)), "ok"),
     ("conf_cp", Reply("compass", values=(1, 2, 3)), "1 2 3"),
@@ -26,5 +26,5 @@ STATE = RobotState(N150, (0,) * 45)
     ("sim_truth", Reply("truth", values=(1, -1, 1000, 2000, 90000, 0, 3, 2)),
      "ground truth x 1.000 in  y 2.000 in  heading 90.000 deg  turret 0.000 deg | 4294967.295 s | robot 2, seed 3"),
 ])
-def test_what_is_shown(name: str, reply: Reply, told: str) -> None:
-    assert list(format_reply(Call(name), reply, STATE)) == [told]
+def test_what_is_shown(name: str, reply: Reply, reported: str) -> None:
+    assert list(format_reply(Call(name), reply, STATE)) == [reported]

@@ -40,7 +40,7 @@ def test_arguments_are_those_of_the_table(text: str, args: tuple[object, ...]) -
     assert call(text).args == args
 
 
-@pytest.mark.parametrize(("text", "told"), [
+@pytest.mark.parametrize(("text", "reported"), [
     ("prr 1", "no command 'prr'; did you mean pr.?; help lists them all"),
     ("vn 1 0 0", "no command 'vn'; did you mean vm.; help"),
     ("smask", "no command 'smask'; did you mean Smask.; help"),
@@ -59,8 +59,8 @@ def test_arguments_are_those_of_the_table(text: str, args: tuple[object, ...]) -
     (f"motion_check 0 -{10**400} 0 0 0", "motion_check: expected finite numbers"),
     ("ct 1 2 3", "ct: a mask has 44 numbers, not 3"),
 ])
-def test_what_is_no_call_is_told(text: str, told: str) -> None:
-    with pytest.raises(ShellError, match=told):
+def test_invalid_calls_are_reported(text: str, reported: str) -> None:
+    with pytest.raises(ShellError, match=reported):
         call(text)
 
 

@@ -58,8 +58,8 @@ def test_only_the_named_subcommand_is_imported() -> None:
 def test_help_lists_all_and_imports_none(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit, match="0"):
         main.main(arguments)
-    told = capsys.readouterr().out
-    listed = dict(line.strip().partition("  ")[::2] for line in told.partition("commands")[2].splitlines()[1:])
+    reported = capsys.readouterr().out
+    listed = dict(line.strip().partition("  ")[::2] for line in reported.partition("commands")[2].splitlines()[1:])
     assert sorted(listed) == sorted(POINTS)
     assert listed["fine"].strip() == "Does nothing, well."
     assert listed["extra"].strip() == "Draws something."
@@ -72,13 +72,13 @@ def test_help_lists_all_and_imports_none(arguments: list[str], capsys: pytest.Ca
     (["help"], ["--help"]), (["help", "help"], ["--help"]), (["help", "fine"], ["fine", "--help"]),
 ])
 def test_help_is_a_word_as_well(words: list[str], option: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    told = []
+    reported = []
     for arguments in (words, option):
         with pytest.raises(SystemExit, match="0"):
             main.main(arguments)
-        told.append(capsys.readouterr().out)
-    assert told[0] == told[1]
-    assert f"usage: nomad {option[0] if len(option) > 1 else 'COMMAND'}" in told[0]
+        reported.append(capsys.readouterr().out)
+    assert reported[0] == reported[1]
+    assert f"usage: nomad {option[0] if len(option) > 1 else 'COMMAND'}" in reported[0]
 
 
 def test_help_of_what_is_not_there_says_what_is(capsys: pytest.CaptureFixture[str]) -> None:
@@ -86,7 +86,7 @@ def test_help_of_what_is_not_there_says_what_is(capsys: pytest.CaptureFixture[st
     assert capsys.readouterr().err == "nomad: no command 'fien'; did you mean fine?\n"
 
 
-def test_every_command_of_ours_says_what_it_does_in_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_command_has_a_one_line_description(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.undo()
     for point in entry_points(group=main.GROUP):
         assert re.fullmatch(r"[A-Z][^`()]+\.", main.summary(point)), point.name
@@ -95,10 +95,10 @@ def test_every_command_of_ours_says_what_it_does_in_a_sentence(monkeypatch: pyte
 def test_help_of_a_subcommand_leaves_its_rules_out(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit, match="0"):
         main.main(["fine", "--help"])
-    told = capsys.readouterr().out
-    assert "usage: nomad fine" in told
-    assert "Does nothing, well." in told
-    assert "secret" not in told
+    reported = capsys.readouterr().out
+    assert "usage: nomad fine" in reported
+    assert "Does nothing, well." in reported
+    assert "secret" not in reported
     assert main.main(["nameless"]) == 0
 
 
@@ -120,7 +120,7 @@ def test_options_alone_are_no_command(argument: str, capsys: pytest.CaptureFixtu
     assert "nomad: error: " in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(("name", "told"), [
+@pytest.mark.parametrize(("name", "reported"), [
     ("fien", "no command 'fien'; did you mean fine?"),
     ("hlep", "no command 'hlep'; did you mean help?"),
     ("xyzzy", "no command 'xyzzy'; there are: absent, builtin, extra, fine, gone, nameless, odd"),
@@ -128,15 +128,15 @@ def test_options_alone_are_no_command(argument: str, capsys: pytest.CaptureFixtu
     ("odd", "the command 'odd' cannot be loaded: cannot import name 'no_such_name'"),
     ("gone", "the command 'gone' needs no_such_package, which is not installed"),
 ])
-def test_subcommands_that_are_not_there(name: str, told: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_subcommands_that_are_not_there(name: str, reported: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main.main([name]) == 2
     printed = capsys.readouterr()
     assert printed.out == ""
-    assert printed.err.startswith(f"nomad: {told}")
+    assert printed.err.startswith(f"nomad: {reported}")
     assert printed.err.count("\n") == 1
 
 
-def test_an_error_of_ours_is_told_and_ends_with_1(
+def test_nomad_error_is_printed_and_exits_with_1(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def refuse(_: argparse.Namespace) -> int:
@@ -147,7 +147,7 @@ def test_an_error_of_ours_is_told_and_ends_with_1(
     assert capsys.readouterr().err == "nomad: the start touches wall 3\n"
 
 
-def test_an_extra_that_is_missing_ends_with_2_wherever_it_is_found(
+def test_missing_extra_exits_with_2(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def refuse(_: argparse.Namespace) -> int:
@@ -158,7 +158,7 @@ def test_an_extra_that_is_missing_ends_with_2_wherever_it_is_found(
     assert capsys.readouterr().err == "nomad: pictures need matplotlib\n"
 
 
-def test_one_parser_of_all_has_those_that_cannot_be_loaded_by_their_names(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_whole_parser_has_commands_that_cannot_be_imported(monkeypatch: pytest.MonkeyPatch) -> None:
     points = [EntryPoint(name, POINTS[name], main.GROUP) for name in ("fine", "extra", "odd", "gone")]
     monkeypatch.setattr(main, "entry_points", lambda group: points if group == main.GROUP else [])
     parser = main.whole_parser()

@@ -40,7 +40,7 @@ def test_words_files_and_choices() -> None:
     assert made.endswith("complete -o bashdefault -F _tool_whole_words tool")
 
 
-def test_a_command_is_offered_as_the_first_word_alone_and_what_is_below_it_after_it() -> None:
+def test_subcommands_complete_as_first_word_only() -> None:
     bash = script(with_first_words(), "bash", WORDS)
     assert '\n  (( COMP_CWORD > 1 )) || compgen -W "ctl help" -- "$1"\n' in bash
     assert "_shtab_tool_ctl_subparsers=(pause)" in bash
@@ -92,8 +92,8 @@ def test_scripts_of_all_programs_or_of_those_named(
     programs: list[str], made: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main.main(["completion", "bash", *programs]) == 0
-    told = capsys.readouterr().out
-    assert [name for name in ("nomad", "nserver") if f"_{name}_whole_words {name}\n" in told] == made
+    reported = capsys.readouterr().out
+    assert [name for name in ("nomad", "nserver") if f"_{name}_whole_words {name}\n" in reported] == made
 
 
 def test_without_a_shell_that_is_asked_for_and_no_program(capsys: pytest.CaptureFixture[str]) -> None:

@@ -52,7 +52,7 @@ def test_a_report_as_an_object(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(("words", "code"), [
     (("doctor", "nserver://127.0.0.1:1"), 1), (("doctor", "sim:nowhere"), 1), (("stop", "usb:1"), 2),
 ])
-def test_nobody_to_examine(capsys: pytest.CaptureFixture[str], words: tuple[str, ...], code: int) -> None:
+def test_nothing_to_examine(capsys: pytest.CaptureFixture[str], words: tuple[str, ...], code: int) -> None:
     assert main.main(list(words)) == code
     assert capsys.readouterr().err.startswith("nomad: ")
 
@@ -73,15 +73,15 @@ def test_without_an_address_it_is_the_one_that_all_commands_take(
 ) -> None:
     monkeypatch.setenv("NOMAD_ROBOT", "sim:thesis_room?start=3,4")
     assert main.main(["stop"]) == 0
-    said = capsys.readouterr()
-    assert said.out.startswith("stands still at x 3.0 in, y 4.0 in")
-    assert said.err == "nomad: stopping sim:thesis_room?start=3,4\n"
+    captured = capsys.readouterr()
+    assert captured.out.startswith("stands still at x 3.0 in, y 4.0 in")
+    assert captured.err == "nomad: stopping sim:thesis_room?start=3,4\n"
     assert main.main(["doctor", "--exchanges", "5", "--interval", "0.01", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["address"] == "sim:thesis_room?start=3,4"
 
 
 class Runaway:
-    """Rolls at 100, on for `obeys` looks after it was told to stop, and is not there at first so many times.
+    """Rolls at 100, on for `obeys` looks after it was reported to stop, and is not there at first so many times.
 
     `st_answers`: what it says to st, one after the other, before it says what it should.
     """
@@ -90,7 +90,7 @@ class Runaway:
         self.script = ScriptedServer()
         self.script.slots = {0: 10, 34: 15, 38: 100, 41: 1}
         self.obeys, self.st_answers, self.absent = obeys, list(st_answers), absent
-        self.told = False
+        self.reported = False
 
     def opens(self) -> Backend:
         if self.absent:
@@ -100,11 +100,11 @@ class Runaway:
 
     def send(self, data: bytes) -> None:
         if data == ST:
-            self.told = True
+            self.reported = True
             self.script.answers.pop("st", None)
             if self.st_answers:
                 self.script.answers["st"] = self.st_answers.pop(0)
-        elif data == GS and self.told:
+        elif data == GS and self.reported:
             self.obeys -= 1
             if self.obeys < 0:
                 self.script.slots |= {38: 0, 41: 0}
@@ -130,18 +130,18 @@ class Time:
         self.now_s += seconds
 
 
-@pytest.mark.parametrize(("runaway", "told", "faults"), [
+@pytest.mark.parametrize(("runaway", "reported", "faults"), [
     (Runaway(), "1 time", ""), (Runaway(obeys=5), "1 time", ""), (Runaway(obeys=25), "2 times", ""),
     (Runaway(st_answers=(None, None)), "3 times", ", 2 errors"),
     (Runaway(st_answers=(Reply("error", values=(6,)),) * 2, obeys=1), "3 times", ", 2 errors"),
     (Runaway(absent=4), "1 time", ", 4 errors"),
 ])
-def test_it_is_told_until_it_stands(
-    capsys: pytest.CaptureFixture[str], runaway: Runaway, told: str, faults: str
+def test_stop_repeats_until_the_robot_stands_still(
+    capsys: pytest.CaptureFixture[str], runaway: Runaway, reported: str, faults: str
 ) -> None:
     time = Time()
     assert RobotStopper(runaway.opens, time.clock, time.sleep).run(10) == 0
-    assert capsys.readouterr().out == f"stands still at x 1.5 in, y 0.0 in; st sent {told}{faults}\n"
+    assert capsys.readouterr().out == f"stands still at x 1.5 in, y 0.0 in; st sent {reported}{faults}\n"
     assert runaway.script.closed
 
 
@@ -155,6 +155,6 @@ def test_one_that_does_not_stop(capsys: pytest.CaptureFixture[str]) -> None:
 def test_one_that_is_not_there(capsys: pytest.CaptureFixture[str]) -> None:
     time = Time()
     assert RobotStopper(Runaway(absent=10**6).opens, time.clock, time.sleep).run(1) == 1
-    told = capsys.readouterr()
-    assert told.out == "NOT STOPPED: no reply; st sent 0 times, 20 errors\n"
-    assert told.err == "nomad: nobody answers\n", "each trouble is told once"
+    reported = capsys.readouterr()
+    assert reported.out == "NOT STOPPED: no reply; st sent 0 times, 20 errors\n"
+    assert reported.err == "nomad: nobody answers\n", "each trouble is reported once"

@@ -81,7 +81,7 @@ def test_one_of_two_connections(dump: Dump, tmp_path: Path) -> None:
     assert dump(str(tmp_path / "two.log"), "--connection", "b")[1] == ["     0.000  b -- open tcp scout"]
 
 
-def test_a_cut_recording_is_shown_and_told(dump: Dump, path: Path) -> None:
+def test_incomplete_recording_is_shown_and_reported(dump: Dump, path: Path) -> None:
     whole = dump(str(path))[1]
     path.write_text(path.read_text()[:-5])
     code, lines, err = dump(str(path))

@@ -21,32 +21,32 @@ def state(model: Model = N150, slots: dict[int, int] | None = None, **more: obje
 
 
 def test_a_line_has_pose_motion_the_nearest_echo_and_the_clock() -> None:
-    told = state_text.format_state(state(slots={34: 240, 35: -15, 36: 450, 37: 3590, 20: 7}, clock_ms=12345))
-    assert told == (
+    reported = state_text.format_state(state(slots={34: 240, 35: -15, 36: 450, 37: 3590, 20: 7}, clock_ms=12345))
+    assert reported == (
         "x 24.0 in  y -1.5 in  steering 45.0 deg  turret 359.0 deg | standing | nearest 7 in at 67.5 deg | clock 12.3 s"
     )
 
 
 def test_a_line_shouts_bumpers_and_leaves_out_what_was_not_heard() -> None:
-    told = state_text.format_state(state(slots={17 + number: 255 for number in range(16)} | {33: 0b101}))
-    assert told.endswith("| standing | BUMPER 0 2")
-    assert "nearest" not in told
-    assert "clock" not in told
+    reported = state_text.format_state(state(slots={17 + number: 255 for number in range(16)} | {33: 0b101}))
+    assert reported.endswith("| standing | BUMPER 0 2")
+    assert "nearest" not in reported
+    assert "clock" not in reported
 
 
 def test_motion_names_the_axes_that_move() -> None:
-    told = state_text.format_motion(state(slots={38: 100, 39: -50, 41: 0b011}))
-    assert told == "moving: translation 10.0 in/s, steering -5.0 deg/s"
+    reported = state_text.format_motion(state(slots={38: 100, 39: -50, 41: 0b011}))
+    assert reported == "moving: translation 10.0 in/s, steering -5.0 deg/s"
     assert state_text.format_motion(state(slots={38: 100})) == "standing"
 
 
 def test_all_parts_come_with_their_names() -> None:
-    told = [line.split()[0] for line in state_text.format_parts(state())]
-    assert told == list(state_text.PARTS)
+    reported = [line.split()[0] for line in state_text.format_parts(state())]
+    assert reported == list(state_text.PARTS)
     assert [line.split()[0] for line in state_text.format_parts(state(), ("sonar", "pose"))] == ["sonar", "pose"]
 
 
-@pytest.mark.parametrize(("model", "slots", "part", "told"), [
+@pytest.mark.parametrize(("model", "slots", "part", "reported"), [
     (N150, {17: 255, 18: 12}, "sonar", "  -  12  40"),
     (N150, {}, "infrared", "none on this model"),
     (N200, {1: 15, 2: 3}, "infrared", " 15   3   0"),
@@ -63,26 +63,26 @@ def test_all_parts_come_with_their_names() -> None:
     (N200, {}, "laser", "no readings"),
     (N150, {}, "laser", "none on this model"),
 ])
-def test_a_part_in_words(model: Model, slots: dict[int, int], part: str, told: str) -> None:
+def test_a_part_in_words(model: Model, slots: dict[int, int], part: str, reported: str) -> None:
     (line,) = state_text.format_parts(state(model, slots), (part,))
-    assert told in line
+    assert reported in line
 
 
-def test_what_was_told_is_shown() -> None:
-    told = "\n".join(
+def test_reported_values_are_shown() -> None:
+    reported = "\n".join(
         state_text.format_parts(state(N200, clock_ms=1500, raw_volts=(255, 255), laser=(5, *range(10, 110, 10))))
     )
-    assert "1.500 s" in told
-    assert "computer 12.0 V  motors 12.8 V" in told
-    assert "5 readings, in: (1.0, 2.0)  (3.0, 4.0)  (5.0, 6.0)  (7.0, 8.0) .." in told
+    assert "1.500 s" in reported
+    assert "computer 12.0 V  motors 12.8 V" in reported
+    assert "5 readings, in: (1.0, 2.0)  (3.0, 4.0)  (5.0, 6.0)  (7.0, 8.0) .." in reported
 
 
-@pytest.mark.parametrize(("laser", "told"), [
+@pytest.mark.parametrize(("laser", "reported"), [
     ((3, 7, 8, 9), "3 rows of the camera: 7 8 9"), ((9, *range(9)), "9 rows of the camera: 0 1 2 3 4 5 6 7 .."),
 ])  # fmt: skip
-def test_rows_of_the_camera_are_no_points(laser: tuple[int, ...], told: str) -> None:
+def test_rows_of_the_camera_are_no_points(laser: tuple[int, ...], reported: str) -> None:
     (line,) = state_text.format_parts(state(N200, laser=laser), ("laser",))
-    assert line.endswith(told)
+    assert line.endswith(reported)
 
 
 def test_a_part_that_there_is_not() -> None:
@@ -92,9 +92,9 @@ def test_a_part_that_there_is_not() -> None:
 
 def test_an_object_for_programs_is_plain_json() -> None:
     seen = state(slots={17: 255, 34: 240}, clock_ms=1500, raw_volts=(0, 0))
-    told = json.loads(json.dumps(state_text.as_json(seen)))
-    assert (told["x_in"], told["clock_s"], told["cpu_v"], told["moving"]) == (24.0, 1.5, 4.8, False)
-    assert told["sonars_in"] == [None, *SONARS[1:]]
-    assert told["infrareds"] is None
+    reported = json.loads(json.dumps(state_text.as_json(seen)))
+    assert (reported["x_in"], reported["clock_s"], reported["cpu_v"], reported["moving"]) == (24.0, 1.5, 4.8, False)
+    assert reported["sonars_in"] == [None, *SONARS[1:]]
+    assert reported["infrareds"] is None
     bare = state_text.as_json(state(N200))
     assert (bare["cpu_v"], bare["clock_s"], bare["infrareds"]) == (None, None, [0] * 16)

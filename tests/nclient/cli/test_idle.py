@@ -30,7 +30,7 @@ def conversation(line: str) -> tuple[Clock, IdleTimer, IdleMonitor]:
     return clock, idle_timer, IdleMonitor(idle_timer, line, N150)
 
 
-def said(line: str, name: str, *args: int) -> bytes:
+def captured(line: str, name: str, *args: int) -> bytes:
     call = Call(name, args)
     return codec.encode_tcp_request(call) if line == TCP else codec.encode_serial_request(call, serial_wire_state(N150))
 
@@ -50,7 +50,7 @@ def lasts_s(idle_timer: IdleTimer, clock: Clock) -> int:
     return seconds
 
 
-def test_it_begins_with_him_and_anew_with_each_word() -> None:
+def test_timer_restarts_with_every_request() -> None:
     clock = Clock()
     idle_timer = IdleTimer(5.0, clock)
     assert lasts_s(idle_timer, clock) == 5
@@ -68,45 +68,45 @@ def test_without_a_limit_it_is_never_too_long() -> None:
 @pytest.mark.parametrize(("name", "args", "seconds"), [
     ("gs", (), 5), ("vm", (10, 0, 0), 5), ("ws", (1, 1, 1, 40), 45), ("zr", (), 125),
 ])
-def test_who_waits_for_an_answer_is_not_silent_until_it_came(
+def test_waiting_for_a_slow_reply_is_not_idle(
     line: str, name: str, args: tuple[int, ...], seconds: int
 ) -> None:
-    clock, idle_timer, overheard = conversation(line)
-    for part in (said(line, name, *args)[:3], said(line, name, *args)[3:]):
-        overheard.to_robot(part)
+    clock, idle_timer, monitor = conversation(line)
+    for part in (captured(line, name, *args)[:3], captured(line, name, *args)[3:]):
+        monitor.to_robot(part)
     assert lasts_s(idle_timer, clock) == seconds
-    overheard.to_robot(said(line, name, *args))
+    monitor.to_robot(captured(line, name, *args))
     clock.now_s += 2.0
-    overheard.to_host(answer(line, name)[:5])
-    overheard.to_host(answer(line, name)[5:])
+    monitor.to_host(answer(line, name)[:5])
+    monitor.to_host(answer(line, name)[5:])
     assert lasts_s(idle_timer, clock) == (3 if seconds == 5 else 5)  # what is answered at once is not waited for
 
 
 def test_a_click_in_the_window_may_be_long_in_coming() -> None:
-    clock, idle_timer, overheard = conversation(TCP)
-    overheard.to_robot(said(TCP, "get_robot_conf"))
+    clock, idle_timer, monitor = conversation(TCP)
+    monitor.to_robot(captured(TCP, "get_robot_conf"))
     assert lasts_s(idle_timer, clock) == 125
 
 
 def test_another_word_while_he_waits_does_not_end_the_waiting() -> None:
-    clock, idle_timer, overheard = conversation(SERIAL)
-    overheard.to_robot(said(SERIAL, "ws", 1, 1, 1, 40))
-    overheard.to_robot(said(SERIAL, "gs"))
+    clock, idle_timer, monitor = conversation(SERIAL)
+    monitor.to_robot(captured(SERIAL, "ws", 1, 1, 1, 40))
+    monitor.to_robot(captured(SERIAL, "gs"))
     assert lasts_s(idle_timer, clock) == 45
 
 
 @pytest.mark.parametrize("line", [TCP, SERIAL])
-def test_noise_is_talk_of_his_and_no_answer_to_him(line: str) -> None:
-    clock, idle_timer, overheard = conversation(line)
+def test_noise_counts_as_request_but_not_as_reply(line: str) -> None:
+    clock, idle_timer, monitor = conversation(line)
     clock.now_s += 3.0
-    overheard.to_host(answer(line, "gs"))
+    monitor.to_host(answer(line, "gs"))
     assert lasts_s(idle_timer, clock) == 2
-    overheard.to_robot(b"GET / HTTP/1.0\r\n\r\n")
+    monitor.to_robot(b"GET / HTTP/1.0\r\n\r\n")
     assert lasts_s(idle_timer, clock) == 5
 
 
-def test_half_an_answer_leaves_him_waiting() -> None:
-    clock, idle_timer, overheard = conversation(SERIAL)
-    overheard.to_robot(said(SERIAL, "ws", 1, 1, 1, 40))
-    overheard.to_host(b"\xff\x00\x13" + answer(SERIAL, "ws")[:-1])
+def test_incomplete_reply_does_not_end_the_waiting() -> None:
+    clock, idle_timer, monitor = conversation(SERIAL)
+    monitor.to_robot(captured(SERIAL, "ws", 1, 1, 1, 40))
+    monitor.to_host(b"\xff\x00\x13" + answer(SERIAL, "ws")[:-1])
     assert lasts_s(idle_timer, clock) == 45

@@ -32,7 +32,7 @@ def test_what_a_line_means(text: str, orders: tuple[ParsedCommand | Element, ...
     assert parse(text) == orders
 
 
-@pytest.mark.parametrize(("text", "told"), [
+@pytest.mark.parametrize(("text", "reported"), [
     ("12", "begins with a command, not with '12'"),
     ("(st)", "begins with a command, not with '\\('"),
     ('tk "open', 'a quote that does not end: "open'),
@@ -51,13 +51,13 @@ def test_what_a_line_means(text: str, orders: tuple[ParsedCommand | Element, ...
     ("Smask[1.5]", "Smask: it is written"),
     ("Smask[1] = -1", "Smask: it is written"),
 ])
-def test_what_cannot_be_read_is_told(text: str, told: str) -> None:
-    with pytest.raises(ShellError, match=told):
+def test_unreadable_lines_are_reported(text: str, reported: str) -> None:
+    with pytest.raises(ShellError, match=reported):
         parse(text)
 
 
 @given(st.text(max_size=60))
-def test_any_text_is_orders_or_an_error_of_ours(text: str) -> None:
+def test_any_text_parses_or_raises_shell_error(text: str) -> None:
     try:
         found = parse(text)
     except ShellError:

@@ -30,7 +30,7 @@ def typed(keys: str, history: Path | None = None) -> Iterator[PromptReader]:
         yield PromptReader(wire_state, lambda: "standing", history)
 
 
-def test_lines_are_read_and_kept(tmp_path: Path) -> None:
+def test_lines_are_read_and_saved(tmp_path: Path) -> None:
     with typed("pr 240 0 0\rgs\r", tmp_path / "history") as reader:
         assert [reader.read("n150> "), reader.read("n150> ")] == ["pr 240 0 0", "gs"]
         reader.close()

@@ -13,12 +13,12 @@ from nclient.protocol.wire_state import serial_wire_state, tcp_wire_state
 
 
 @pytest.mark.parametrize("row", COMMANDS, ids=lambda row: row.name)
-def test_every_command_has_help_with_its_usage_its_summary_and_its_python_name(row: object) -> None:
+def test_every_command_has_help(row: object) -> None:
     (command,) = (known for known in COMMANDS if known is row)
-    told = list(help_lines(command.name, tcp_wire_state(N150)))
-    assert told[0] == usage(command)
-    assert told[1].strip() == command.summary
-    assert f"robot.{command.method};" in told[-1]
+    reported = list(help_lines(command.name, tcp_wire_state(N150)))
+    assert reported[0] == usage(command)
+    assert reported[1].strip() == command.summary
+    assert f"robot.{command.method};" in reported[-1]
 
 
 @pytest.mark.parametrize("name", [
@@ -40,14 +40,14 @@ def test_as_many_arguments_as_the_c_call_has(name: str) -> None:
     ("gs", ["robot.refresh; over TCP"]),
     ("sim_truth", ["over TCP, on no serial line"]),
 ])
-def test_help_tells_units_and_where_a_command_exists(name: str, lines: list[str]) -> None:
-    told = "\n".join(help_lines(name, tcp_wire_state(N150)))
-    assert all(line in told for line in lines), told
+def test_help_shows_units_and_availability(name: str, lines: list[str]) -> None:
+    reported = "\n".join(help_lines(name, tcp_wire_state(N150)))
+    assert all(line in reported for line in lines), reported
 
 
 def test_a_robots_own_line_bounds_its_numbers() -> None:
-    told = "\n".join(help_lines("pr", serial_wire_state(N150)))
-    assert "translation  1/10 in    -32767 to 32767" in told
+    reported = "\n".join(help_lines("pr", serial_wire_state(N150)))
+    assert "translation  1/10 in    -32767 to 32767" in reported
     assert "-32767" not in "\n".join(help_lines("pr", tcp_wire_state(N150)))
 
 

@@ -36,7 +36,7 @@ def test_both_have_the_options(command: ModuleType) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "reported"),
     [
         (("--listen", "0"), ""),
         (
@@ -50,16 +50,16 @@ def test_both_have_the_options(command: ModuleType) -> None:
     ],
 )
 def test_a_port_open_to_the_network_is_warned_of(
-    words: tuple[str, ...], told: str, capsys: pytest.CaptureFixture[str]
+    words: tuple[str, ...], reported: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with open_listener(options(*words), "bridge"):
-        said = capsys.readouterr()
-    assert said.out.startswith("listening bridge ")
-    assert told in said.err
-    assert bool(told) is ("open to the network at 0.0.0.0" in said.err)
+        captured = capsys.readouterr()
+    assert captured.out.startswith("listening bridge ")
+    assert reported in captured.err
+    assert bool(reported) is ("open to the network at 0.0.0.0" in captured.err)
 
 
-def test_who_is_not_let_in_is_closed_at_once_and_told_of_once(
+def test_rejected_clients_are_closed_and_reported_once(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("nclient.common.allowlist.is_loopback", lambda _host: False)
@@ -80,7 +80,7 @@ def test_who_is_not_let_in_is_closed_at_once_and_told_of_once(
     assert capsys.readouterr().err.count("127.0.0.2: rejected: that address is not allowed (--allow)") == 1
 
 
-def test_a_pseudo_terminal_is_wanted_by_nobody_else(tmp_path: Path) -> None:
+def test_pseudo_terminal_has_no_pending_clients(tmp_path: Path) -> None:
     with open_listener(options("--link", str(tmp_path / "robot")), "bridge") as door:
         assert not door.has_pending_request()
 
@@ -96,7 +96,7 @@ class Newcomer:
         return self.is_so
 
 
-def test_a_turn_is_over_for_who_is_silent_at_rest_and_wanted_away(capsys: pytest.CaptureFixture[str]) -> None:
+def test_idle_session_ends_when_another_client_waits(capsys: pytest.CaptureFixture[str]) -> None:
     now_s, wanted = [time.monotonic()], Newcomer()
     turn = ClientSession(5.0, wanted, lambda: now_s[0])
     assert not turn.should_end(at_rest=True)
@@ -115,7 +115,7 @@ def test_a_turn_is_over_for_who_is_silent_at_rest_and_wanted_away(capsys: pytest
     assert "idle for 5 s was disconnected for another one (--limit-silent)" in capsys.readouterr().err
 
 
-def test_who_makes_room_is_not_the_last_of_once() -> None:
+def test_idle_client_does_not_count_for_once() -> None:
     came: list[bytes] = []
 
     def talk(peer: ByteStream, turn: ClientSession) -> None:
@@ -139,7 +139,7 @@ def test_who_makes_room_is_not_the_last_of_once() -> None:
     assert came == [b"silence", b"stop"]
 
 
-def test_who_else_has_come_is_looked_at_now_and_then() -> None:
+def test_other_clients_are_polled_at_intervals() -> None:
     now_s, wanted = [0.0], Newcomer()
     turn = ClientSession(5.0, wanted, lambda: now_s[0])
     for _ in range(10):

@@ -34,15 +34,15 @@ def scripted(server: ScriptedServer, slept: Slept | None = None) -> Session:
     return Session(NserverBackend(MemoryStream(server), model=server.wire_state.model), slept or Slept(), pid=7)
 
 
-def told(session: Session, text: str) -> str:
+def reported(session: Session, text: str) -> str:
     return "\n".join(session.run(text))
 
 
 def test_a_motion_and_its_end() -> None:
     session = session_on()
-    assert "moving: translation" in told(session, "pr(240, 0, 0);")
-    assert told(session, "wait").startswith("x 24.0 in  y 0.0 in")
-    assert told(session, "State[34]") == "State[34] = 240"
+    assert "moving: translation" in reported(session, "pr(240, 0, 0);")
+    assert reported(session, "wait").startswith("x 24.0 in  y 0.0 in")
+    assert reported(session, "State[34]") == "State[34] = 240"
     assert session.robot.truth().x_in == pytest.approx(24.0)
 
 
@@ -73,28 +73,28 @@ def test_a_motion_and_its_end() -> None:
     ("# nothing", ""),
 ])
 def test_what_a_line_shows(text: str, shown: str) -> None:
-    assert shown in told(session_on(), text)
+    assert shown in reported(session_on(), text)
 
 
-def test_a_model_with_more_sensors_tells_more() -> None:
+def test_model_with_more_sensors_reports_more() -> None:
     session = session_on("sim:thesis_room?robot=n200")
-    assert told(session, "get_ir").startswith("infrared ")
-    assert told(session, "get_cp").startswith("compass ")
-    assert told(session, "conf_ls 51 20 20 20 4; get_ls").splitlines()[-1].startswith("laser ")
+    assert reported(session, "get_ir").startswith("infrared ")
+    assert reported(session, "get_cp").startswith("compass ")
+    assert reported(session, "conf_ls 51 20 20 20 4; get_ls").splitlines()[-1].startswith("laser ")
 
 
 def test_the_mask_is_set_and_sent_as_in_c() -> None:
     session = session_on("sim:thesis_room?robot=n200")
-    assert told(session, "Smask[17] = 0; Smask[17]") == "Smask[17] = 0\nSmask[17] = 0"
+    assert reported(session, "Smask[17] = 0; Smask[17]") == "Smask[17] = 0\nSmask[17] = 0"
     assert session.wire_state.mask.has(17)  # not yet
-    told(session, "ct")
+    reported(session, "ct")
     assert not session.wire_state.mask.has(17)
-    told(session, f"ct {{{' '.join(['0'] + ['1'] * 43)}}}")
-    assert told(session, "Smask[17]") == "Smask[17] = 1"
+    reported(session, f"ct {{{' '.join(['0'] + ['1'] * 43)}}}")
+    assert reported(session, "Smask[17]") == "Smask[17] = 1"
 
 
 def test_help_is_as_wide_as_a_terminal_but_for_long_lines() -> None:
-    lines = told(session_on(), "help").splitlines()
+    lines = reported(session_on(), "help").splitlines()
     assert all(name in "\n".join(lines) for name in BUILTINS)
     assert any(line.startswith(" " * 36) for line in lines)
 
@@ -118,26 +118,26 @@ def test_help_is_as_wide_as_a_terminal_but_for_long_lines() -> None:
     ("Laser[1]", "Laser holds 1 numbers now, not 1"),
     ("gs; prr", "no command 'prr'"),
 ])
-def test_what_makes_no_sense_is_told_before_anything_is_done(text: str, why: str) -> None:
+def test_errors_are_reported_before_anything_is_executed(text: str, why: str) -> None:
     server = ScriptedServer()
     session = scripted(server)
     with pytest.raises(ShellError, match=why):
-        told(session, text)
+        reported(session, text)
     assert server.names() == []
 
 
 def test_a_refusal_of_the_robot_is_its_own_error() -> None:
     session = session_on()
     with pytest.raises(RobotRefused, match="quit_server was refused"):
-        told(session, "quit_server")
-    assert "State[44] = 5" in told(session, "State[44]")
+        reported(session, "quit_server")
+    assert "State[44] = 5" in reported(session, "State[44]")
 
 
 def test_what_has_many_numbers_and_no_words_is_shown_as_it_came() -> None:
     server = ScriptedServer()
-    assert told(scripted(server), "special_request 200 1 2") == " ".join(["0"] * 16)
+    assert reported(scripted(server), "special_request 200 1 2") == " ".join(["0"] * 16)
     assert server.last().args == (200, 1, 2)
-    assert told(scripted(server), "create_robot 3").startswith("x 0.0 in")
+    assert reported(scripted(server), "create_robot 3").startswith("x 0.0 in")
     assert ("create_robot", (3, 7)) in [(call.name, call.args) for call in server.calls]
 
 
@@ -145,7 +145,7 @@ def test_sleep_is_simulated_time_in_this_process_and_costs_none() -> None:
     slept = Slept()
     session = session_on("sim:thesis_room?step_s=0.05", slept)
     before = session.robot.refresh().clock_s
-    assert told(session, "sleep 3") == ""
+    assert reported(session, "sleep 3") == ""
     after = session.robot.state.clock_s
     assert before is not None
     assert after is not None
@@ -153,7 +153,7 @@ def test_sleep_is_simulated_time_in_this_process_and_costs_none() -> None:
     assert slept.total_s == 0
 
 
-def test_sleep_goes_by_the_robots_clock_where_time_runs_by_itself() -> None:
+def test_sleep_uses_the_robots_clock() -> None:
     server, slept = ScriptedServer(), Slept()
     session = scripted(server, slept)
 
@@ -162,48 +162,48 @@ def test_sleep_goes_by_the_robots_clock_where_time_runs_by_itself() -> None:
         server.clock += round(10_000 * seconds)  # a simulation ten times as fast
 
     session._sleep = pass_time
-    told(session, "sleep 20")
+    reported(session, "sleep 20")
     assert slept.total_s == pytest.approx(2.0, abs=0.06)
 
 
 def test_sleep_says_when_the_robots_clock_stands() -> None:
     with pytest.raises(ShellError, match="the clock has stopped; resume a paused simulation with sim_control 2 0"):
-        told(session_on(), "sim_control 1 0; sleep 1")
+        reported(session_on(), "sim_control 1 0; sleep 1")
 
 
-def test_sleep_takes_real_time_where_the_robot_has_told_no_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sleep_uses_real_time_without_a_clock(monkeypatch: pytest.MonkeyPatch) -> None:
     slept = Slept()
     session = scripted(ScriptedServer(), slept)
     silent = session.robot.refresh()
     monkeypatch.setattr(session.robot, "refresh", lambda: replace(silent, clock_ms=None))
-    told(session, "sleep 2")
+    reported(session, "sleep 2")
     assert slept.total_s == 2
 
 
 def test_wait_fails_where_the_robot_moves_on() -> None:
     with pytest.raises(ShellError, match=r"wait: after 1 s the robot is moving: translation 5.0 in/s"):
-        told(session_on(), "vm 50 0 0; wait 1")
+        reported(session_on(), "vm 50 0 0; wait 1")
 
 
 @pytest.mark.parametrize("text", ["quit", "exit", "disconnect_robot 1"])
 def test_quitting_is_noted(text: str) -> None:
     session = session_on()
     assert not session.finished
-    told(session, text)
+    reported(session, text)
     assert session.finished
 
 
 @pytest.mark.parametrize("text", ["quit", "exit", "disconnect_robot 1"])
 def test_what_follows_on_the_line_is_not_done(text: str) -> None:
     session = session_on()
-    told(session, f"{text}; pr 100 0 0; gs")
+    reported(session, f"{text}; pr 100 0 0; gs")
     assert not session.robot.refresh().moving
 
 
 def test_a_time_out_of_ones_own_is_noted() -> None:
     session = session_on()
     assert not session.user_set_timeout
-    told(session, "conf_tm 3; gs")
+    reported(session, "conf_tm 3; gs")
     assert session.user_set_timeout
 
 

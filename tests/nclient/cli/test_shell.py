@@ -35,12 +35,12 @@ def script(folder: Path, text: str) -> str:
 def test_a_script_is_done_line_by_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = script(tmp_path, "# one side\nsp 200 450 450\npr 240 0 0; wait\n\nsleep 1  # rest\nstate pose\n")
     assert main.main(["shell", SIM, "--script", file]) == 0
-    told = capsys.readouterr()
-    assert told.err == ""
-    assert told.out.splitlines()[-1] == "pose        x 24.0 in  y 0.0 in  steering 0.0 deg  turret 0.0 deg"
+    reported = capsys.readouterr()
+    assert reported.err == ""
+    assert reported.out.splitlines()[-1] == "pose        x 24.0 in  y 0.0 in  steering 0.0 deg  turret 0.0 deg"
 
 
-@pytest.mark.parametrize(("text", "told", "shown"), [
+@pytest.mark.parametrize(("text", "reported", "shown"), [
     ("pr 240 0 0\npr 1\n", ":2: pr takes 3 numbers, not 1: pr translation steering turret", 0),
     ("pr 240 0 0\npr (\n", ":2: pr: a call is pr(1, 2, 3), one pair of parentheses", 0),
     ("pr 240 0 0\nhlep\n", ":2: no command 'hlep'; did you mean help?; help lists them all", 0),
@@ -48,13 +48,13 @@ def test_a_script_is_done_line_by_line(tmp_path: Path, capsys: pytest.CaptureFix
      "drives the robot (error 5)", 1),
     ("gs\ngs\nvm 50 0 0; wait 1\ngs", ":3: wait: after 1 s the robot is moving: translation 5.0 in/s", 3),
 ])
-def test_the_first_line_that_fails_ends_it_and_typos_do_before_anything_moves(
-    text: str, told: str, shown: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_script_ends_at_the_first_failing_line(
+    text: str, reported: str, shown: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = script(tmp_path, text)
     assert main.main(["shell", SIM, "--script", file]) == 1
     printed = capsys.readouterr()
-    assert printed.err == f"nomad: {file}{told}\n"
+    assert printed.err == f"nomad: {file}{reported}\n"
     assert len(printed.out.splitlines()) == shown
 
 
@@ -125,7 +125,7 @@ def converse(server: ScriptedServer, *lines: str | type[BaseException]) -> int:
         return shell.converse(session, Typed(*lines), StatusPoller(session, 0))
 
 
-def test_a_conversation_goes_on_after_a_mistake_and_leaving_stops(capsys: pytest.CaptureFixture[str]) -> None:
+def test_session_continues_after_errors_and_stops_at_exit(capsys: pytest.CaptureFixture[str]) -> None:
     server = ScriptedServer()
     assert converse(server, "prr", "gs", "") == 0
     printed = capsys.readouterr()
@@ -140,7 +140,7 @@ def test_quit_leaves_what_comes_after() -> None:
     assert server.names() == ["st", "disconnect_robot"]
 
 
-def test_ctrl_c_at_the_prompt_stops_a_robot_that_moves_and_no_other(capsys: pytest.CaptureFixture[str]) -> None:
+def test_ctrl_c_at_the_prompt_stops_a_moving_robot(capsys: pytest.CaptureFixture[str]) -> None:
     server = ScriptedServer()
     assert converse(server, KeyboardInterrupt) == 0
     assert server.names() == ["gs", "st", "disconnect_robot"]

@@ -49,9 +49,9 @@ def test_only_what_this_robot_has() -> None:
     assert "sim_truth" not in on_line
 
 
-@pytest.mark.parametrize(("text", "told"), [
+@pytest.mark.parametrize(("text", "reported"), [
     ("pr 240", "pr translation steering turret"), ("pr", "pr translation steering turret"),
     ("st; conf_sn(15, ", "conf_sn rate order[16]"), ("sleep ", "sleep SECONDS"), ("", ""), ("zzz 1", ""),
 ])
-def test_a_hint_is_the_usage_of_what_is_typed(text: str, told: str) -> None:
-    assert shell_help.hint(text) == told
+def test_a_hint_is_the_usage_of_what_is_typed(text: str, reported: str) -> None:
+    assert shell_help.hint(text) == reported

@@ -13,9 +13,9 @@ from tests.nclient.scripted_server import ScriptedServer, robot_on
 
 def test_all_parts_once(capsys: pytest.CaptureFixture[str]) -> None:
     assert main.main(["state", "sim:thesis_room"]) == 0
-    told = capsys.readouterr().out
-    assert told.startswith("pose        x 0.0 in")
-    assert told.count("pose") == 1
+    reported = capsys.readouterr().out
+    assert reported.startswith("pose        x 0.0 in")
+    assert reported.count("pose") == 1
 
 
 def test_parts_again_and_again(capsys: pytest.CaptureFixture[str]) -> None:
@@ -28,7 +28,7 @@ def test_parts_again_and_again(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(("words", "looks"), [
     (["--count", "3"], 3), (["--every", "0", "--count", "2"], 2), (["--watch", "--count", "1"], 1), ([], 1),
 ])
-def test_how_often_is_said_without_watch_as_well(
+def test_every_and_count_imply_watch(
     words: list[str], looks: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     slept: list[float] = []
@@ -58,14 +58,14 @@ def test_objects_for_programs(capsys: pytest.CaptureFixture[str]) -> None:
     assert json.loads(line)["model"] == "scout"
 
 
-@pytest.mark.parametrize(("words", "told"), [
+@pytest.mark.parametrize(("words", "reported"), [
     (["sim:", "sonars"], "no part 'sonars' of the state; there are pose, "),
     (["thesis_room"], "an address begins with one of nserver:, replay:, robotd:, serial:, sim:"),
     (["sim:", "nserver://lab"], "one robot at a time, not sim: and nserver://lab"),
 ])
-def test_words_that_are_neither(words: list[str], told: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_words_that_are_neither(words: list[str], reported: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main.main(["state", *words]) == 2
-    assert told in capsys.readouterr().err
+    assert reported in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("count", ["0", "-1", "x"])

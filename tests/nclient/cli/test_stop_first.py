@@ -67,16 +67,16 @@ def test_a_hello_before_the_answer_is_no_answer() -> None:
     assert (code, robot.names()[0]) == (0, "st")
 
 
-@pytest.mark.parametrize(("real", "said"), [(N200, N150), (N200, SCOUT)])
-def test_another_model_than_the_address_says(real: Model, said: Model, capsys: pytest.CaptureFixture[str]) -> None:
-    code, first = stopped(ScriptedLine(model=real), said)
+@pytest.mark.parametrize(("real", "captured"), [(N200, N150), (N200, SCOUT)])
+def test_another_model_than_the_address_says(real: Model, captured: Model, capsys: pytest.CaptureFixture[str]) -> None:
+    code, first = stopped(ScriptedLine(model=real), captured)
     out = capsys.readouterr().out
     assert code == 1
     assert first.replies
     assert out.startswith(f"{UNSEEN}; it looks like a {real.name}'s: write model={real.name} in the address; st sent ")
 
 
-def test_st_is_said_again_until_it_is_answered() -> None:
+def test_st_is_repeated_until_it_is_answered() -> None:
     answers: list[Answer] = [None, None]
     robot = ScriptedLine({"st": answers})
     code, first = stopped(robot, N150)
@@ -92,20 +92,20 @@ def test_a_nak_is_no_answer() -> None:
     assert (code, first.stops_sent) == (0, 2)
 
 
-def test_nobody_answers_and_the_line_is_let_go(capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_reply_closes_the_line(capsys: pytest.CaptureFixture[str]) -> None:
     robot = ScriptedLine({"st": None})
     code, first = stopped(robot, N150, patience_s=0.1)
     assert (code, first.stops_sent, robot.closed) == (1, 6, 2)
-    told = capsys.readouterr()
-    assert told.out == "NOT STOPPED: no reply; st sent 6 times, 2 errors\n"
-    assert told.err == "nomad: st was not answered within 1 s, 3 times\n"
+    reported = capsys.readouterr()
+    assert reported.out == "NOT STOPPED: no reply; st sent 6 times, 2 errors\n"
+    assert reported.err == "nomad: st was not answered within 1 s, 3 times\n"
     assert set(robot.names()) == {"st"}
     with pytest.raises(ReplyTimeout):
         first()
 
 
 @pytest.mark.parametrize("address", ["serial:///dev/r1?model=n200", "robotd://lab?model=n200&timeout_s=0.5"])
-def test_from_the_command_line_a_hello_that_was_lost_is_not_waited_for(
+def test_lost_handshake_is_not_waited_for(
     address: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     robot = ScriptedLine(model=N200)

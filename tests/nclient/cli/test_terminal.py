@@ -72,7 +72,7 @@ def test_no_history_is_wanted(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_libedit_is_bound_in_its_own_way(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_libedit_has_its_own_key_binding(monkeypatch: pytest.MonkeyPatch) -> None:
     readline = pytest.importorskip("readline")
     bound: list[str] = []
     monkeypatch.setattr(readline, "__doc__", "as libedit has it")
@@ -81,8 +81,8 @@ def test_libedit_is_bound_in_its_own_way(monkeypatch: pytest.MonkeyPatch) -> Non
     assert bound == ["bind ^I rl_complete"]
 
 
-def test_a_history_that_cannot_be_kept_stops_nobody(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_unwritable_history_is_reported_and_ignored(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "file").write_text("")
-    kept = shell._create_history(tmp_path / "file" / "history")
-    assert kept is None
+    saved = shell._create_history(tmp_path / "file" / "history")
+    assert saved is None
     assert "nomad: no history is saved: " in capsys.readouterr().err

@@ -26,37 +26,37 @@ def until(true: Callable[[], bool]) -> None:
 
 def test_it_looks_only_while_it_is_let() -> None:
     server = ScriptedServer()
-    _, watcher = watched(server)
+    _, poller = watched(server)
     assert server.names() == []
     server.slots[34] = 240
-    watcher.begin()
-    until(lambda: "x 24.0 in" in watcher.line())
-    watcher.pause()
+    poller.begin()
+    until(lambda: "x 24.0 in" in poller.line())
+    poller.pause()
     time.sleep(0.02)
     looked = len(server.names())
     time.sleep(0.02)
     assert len(server.names()) == looked > 0
-    watcher.close()
+    poller.close()
     assert set(server.names()) == {"gs"}
 
 
 def test_it_leaves_a_robot_alone_whose_time_out_is_tried() -> None:
     server = ScriptedServer()
-    session, watcher = watched(server)
+    session, poller = watched(server)
     session.user_set_timeout = True
-    watcher.begin()
+    poller.begin()
     time.sleep(0.02)
-    watcher.close()
+    poller.close()
     assert server.names() == []
 
 
 def test_one_that_never_looks_shows_what_is_known() -> None:
     server = ScriptedServer()
-    session, watcher = watched(server, every_s=0)
-    watcher.begin()
+    session, poller = watched(server, every_s=0)
+    poller.begin()
     list(session.run("gs"))
-    assert watcher.line().startswith("x 0.0 in")
-    watcher.close()
+    assert poller.line().startswith("x 0.0 in")
+    poller.close()
     assert server.names() == ["gs"]
 
 
@@ -64,18 +64,18 @@ def test_a_refusal_is_shown_and_goes_with_the_next_answer() -> None:
     from tests.nclient.scripted_server import error
 
     server = ScriptedServer({"gs": error(6)})
-    _, watcher = watched(server)
-    watcher.begin()
-    until(lambda: watcher.line().startswith("gs was refused: the real robot did not answer (error 6) | last known: x"))
+    _, poller = watched(server)
+    poller.begin()
+    until(lambda: poller.line().startswith("gs was refused: the real robot did not answer (error 6) | last known: x"))
     del server.answers["gs"]
-    until(lambda: watcher.line().startswith("x 0.0 in"))
-    watcher.close()
+    until(lambda: poller.line().startswith("x 0.0 in"))
+    poller.close()
 
 
-def test_a_lost_robot_is_told_and_looked_at_no_more() -> None:
-    session, watcher = watched(ScriptedServer())
+def test_lost_robot_is_reported_and_no_longer_polled() -> None:
+    session, poller = watched(ScriptedServer())
     session.robot.disconnect()
-    watcher.begin()
-    until(lambda: "connect again | last known:" in watcher.line())
-    until(lambda: not watcher._thread.is_alive())
-    watcher.close()
+    poller.begin()
+    until(lambda: "connect again | last known:" in poller.line())
+    until(lambda: not poller._thread.is_alive())
+    poller.close()

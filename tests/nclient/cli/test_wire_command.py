@@ -75,10 +75,10 @@ def test_encode_a_mask(nomad: Nomad) -> None:
 ])
 def test_what_cannot_be_encoded(capsys: pytest.CaptureFixture[str], words: str, wrong: str) -> None:
     assert main.main(["wire", "encode", *words.split()]) == 1
-    told = capsys.readouterr()
-    assert told.out == ""
-    assert told.err.startswith("nomad: ")
-    assert wrong in told.err
+    reported = capsys.readouterr()
+    assert reported.out == ""
+    assert reported.err.startswith("nomad: ")
+    assert wrong in reported.err
 
 
 @pytest.mark.parametrize(("words", "wrong"), [
@@ -91,13 +91,13 @@ def test_what_cannot_be_encoded(capsys: pytest.CaptureFixture[str], words: str, 
 def test_arguments_that_make_no_sense(capsys: pytest.CaptureFixture[str], words: str, wrong: str) -> None:
     with pytest.raises(SystemExit, match="2"):
         main.main(["wire", *words.split()])
-    told = capsys.readouterr()
-    assert told.out == ""
-    assert wrong in told.err
+    reported = capsys.readouterr()
+    assert reported.out == ""
+    assert wrong in reported.err
 
 
 @pytest.mark.parametrize("typed", ["vn", "prr", "drive", "get_sonar", "connect", "zzz"])
-def test_the_shell_and_the_wire_mean_the_same_by_a_word_that_is_none(
+def test_shell_and_wire_suggest_the_same(
     typed: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main.main(["wire", "encode", typed]) == 1

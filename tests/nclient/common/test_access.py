@@ -25,7 +25,7 @@ def test_a_rule_lets_in_its_networks_and_this_machine(host: str, let_in: bool) -
     assert parsed().allows(host)
 
 
-def test_whoever_comes_from_the_address_he_comes_to_is_on_this_machine() -> None:
+def test_equal_addresses_are_the_same_machine() -> None:
     rule = parsed("--allow", "10.9.9.0/24")
     assert rule.allows("192.0.2.2", "192.0.2.2")
     assert rule.allows("fd00::2", "fd00::2")
@@ -45,9 +45,9 @@ def test_loopback_is_not_worth_a_word_and_the_network_is() -> None:
     assert not warning("localhost", Allowlist())
     assert "any client that reaches it may drive" in warning("0.0.0.0", Allowlist())
     assert "--allow ADDRESS/BITS" in warning("::", Allowlist())
-    told = warning("0.0.0.0", parsed("--allow", "10.1.0.0/16"))
-    assert "any client from 10.1.0.0/16 may drive" in told
-    assert "--allow" not in told
+    reported = warning("0.0.0.0", parsed("--allow", "10.1.0.0/16"))
+    assert "any client from 10.1.0.0/16 may drive" in reported
+    assert "--allow" not in reported
     assert "any client that reaches it may listen;" in warning("0.0.0.0", Allowlist(), "may listen")
     assert not is_loopback("0.0.0.0")
     assert not is_loopback("robot.example")

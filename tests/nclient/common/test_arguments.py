@@ -32,7 +32,7 @@ def refused(parser: Parser, *words: str, capsys: pytest.CaptureFixture[str]) -> 
     return capsys.readouterr().err.splitlines()[-1]
 
 
-@pytest.mark.parametrize(("words", "told"), [
+@pytest.mark.parametrize(("words", "reported"), [
     (["--hlep"], "no option --hlep; did you mean --help?; --help shows them all"),
     (["x", "--verbos3"], "no option --verbos3; did you mean --verbose?; --help shows them all"),
     (["--lien=tcp", "x"], "no option --lien; did you mean --line?; --help shows them all"),
@@ -44,9 +44,9 @@ def refused(parser: Parser, *words: str, capsys: pytest.CaptureFixture[str]) -> 
     ([], "the following arguments are required: file"),
 ])
 def test_what_is_unknown_comes_with_the_nearest(
-    words: list[str], told: str, parser: Parser, capsys: pytest.CaptureFixture[str]
+    words: list[str], reported: str, parser: Parser, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert refused(parser, *words, capsys=capsys).startswith(f"tool: error: {told}")
+    assert refused(parser, *words, capsys=capsys).startswith(f"tool: error: {reported}")
 
 
 @pytest.mark.parametrize("count", ["*", "?"])
@@ -73,15 +73,15 @@ def test_behind_two_dashes_all_is_a_value(parser: Parser) -> None:
     assert parser.parse_args(["--", "--hlep"]).file == "--hlep"
 
 
-@pytest.mark.parametrize(("words", "told"), [
+@pytest.mark.parametrize(("words", "reported"), [
     (["encode", "--modle", "n150"], "tool encode: error: no option --modle; did you mean --model?"),
     (["encoed"], "tool: error: argument verb: no 'encoed'; there are encode; did you mean encode?"),
     (["--modle", "encode"], "tool: error: no option --modle"),
 ])
 def test_subparsers_do_so_too(
-    words: list[str], told: str, grouped: Parser, capsys: pytest.CaptureFixture[str]
+    words: list[str], reported: str, grouped: Parser, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert refused(grouped, *words, capsys=capsys).startswith(told)
+    assert refused(grouped, *words, capsys=capsys).startswith(reported)
 
 
 def test_a_subparser_reads_its_own(grouped: Parser) -> None:

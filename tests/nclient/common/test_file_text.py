@@ -1,4 +1,4 @@
-"""Files as text and TOML: whatever is wrong is the reader's own error, and can be told."""
+"""Files as text and TOML: whatever is wrong is the reader's own error, and can be reported."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ BEYOND = "0x" + "f" * 3600
 @pytest.mark.parametrize(
     "text", [f"seed = {BEYOND}", f"seed = 1\n[[rule]]\nname = [[1, {BEYOND}]]", "a.b = 0b" + "1" * 4097]
 )
-def test_a_whole_number_that_no_error_could_tell_of_is_refused(text: str) -> None:
+def test_integers_too_long_to_print_are_rejected(text: str) -> None:
     with pytest.raises(FaultPlanError, match=r"^plan: holds a whole number of more than 4096 bits$"):
         parse_toml(text, "plan", FaultPlanError)
 
 
-def test_the_largest_that_is_read_can_be_told_of() -> None:
+def test_longest_accepted_integer_can_be_printed() -> None:
     (largest,) = parse_toml("a = 0x" + "f" * 1024, "plan", FaultPlanError).values()
     assert str(largest) == str(2**4096 - 1)

@@ -30,7 +30,7 @@ def in_shell(command: list[str], redirected: str) -> subprocess.CompletedProcess
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")
 @pytest.mark.parametrize("flush", [True, False])
 @pytest.mark.parametrize("size", [10, 100_000])
-def test_a_full_disk_is_told_in_a_line(size: int, flush: bool) -> None:
+def test_full_disk_is_reported_in_one_line(size: int, flush: bool) -> None:
     done = in_shell([sys.executable, "-c", TOLD.format(size=size, flush=flush)], ">/dev/full")
     assert (done.returncode, done.stderr) == (1, f"try: {FULL}")
 
@@ -41,7 +41,7 @@ def test_a_full_disk_is_told_in_a_line(size: int, flush: bool) -> None:
     ([*NOMAD, "state", "sim:thesis_room"], "nomad"), ([*NSERVER, "--list-worlds"], "nserver"),
     ([*NOMAD, "completion", "bash"], "nomad"),
 ], ids=lambda words: "" if isinstance(words, str) else words[-1])  # fmt: skip
-def test_both_commands_tell_it(command: list[str], name: str) -> None:
+def test_both_commands_report_it(command: list[str], name: str) -> None:
     done = in_shell(command, ">/dev/full")
     assert (done.returncode, done.stderr) == (1, f"{name}: {FULL}")
 
@@ -53,22 +53,24 @@ def test_whoever_reads_the_list_of_worlds_may_go() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("closed", "told"), [(">&-", False), ("2>&-", True), ("<&-", True), (">&- 2>&- <&-", False)])
-def test_a_command_goes_without_what_is_closed(closed: str, told: bool) -> None:
+@pytest.mark.parametrize(
+    ("closed", "reported"), [(">&-", False), ("2>&-", True), ("<&-", True), (">&- 2>&- <&-", False)]
+)
+def test_a_command_goes_without_what_is_closed(closed: str, reported: bool) -> None:
     done = in_shell([*NOMAD, "state", "sim:thesis_room", "pose"], closed)
     assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout.startswith("pose ") == told
+    assert done.stdout.startswith("pose ") == reported
 
 
 def test_no_file_takes_the_number_of_what_is_closed(tmp_path: Path) -> None:
     program = (
         "import sys\nfrom nclient.common import process as outputs\noutputs.ensure_std_streams()\n"
-        f"kept = open({str(tmp_path / 'kept')!r}, 'w')\nprint('said')\nprint('cried', file=sys.stderr)\n"
+        f"file = open({str(tmp_path / 'saved')!r}, 'w')\nprint('output')\nprint('error', file=sys.stderr)\n"
         "import os\nos.write(1, b'raw')\nos.write(2, b'raw')\n"
     )
     done = in_shell([sys.executable, "-c", program], ">&- 2>&- <&-")
     assert done.returncode == 0
-    assert (tmp_path / "kept").read_text() == ""
+    assert (tmp_path / "saved").read_text() == ""
 
 
 def test_what_is_open_stays_as_it_is() -> None:

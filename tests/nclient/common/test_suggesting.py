@@ -18,7 +18,7 @@ def test_one_right_letter_of_two_is_enough_and_of_more_it_is_not() -> None:
     assert closest_match("drive", ("bridge", "draw_line")) == "", "half of its letters are not enough"
 
 
-def test_the_only_word_that_begins_so_is_meant_however_long_it_is() -> None:
+def test_unique_prefix_is_suggested() -> None:
     assert closest_match("loc", ("localize", "map")) == "localize"
     assert closest_match("loc", ("localize", "locations")) == closest_match("lo", ("localize",)) == ""
 

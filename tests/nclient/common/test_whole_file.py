@@ -17,7 +17,7 @@ def names(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir())
 
 
-def test_a_text_takes_the_place_of_another_and_nothing_else_is_left(tmp_path: Path) -> None:
+def test_write_replaces_the_file_and_leaves_no_other(tmp_path: Path) -> None:
     long = "é" * 100_000
     for text in ("old", long):
         write_atomic(tmp_path / "file", text, EstimateFileError)
@@ -25,13 +25,13 @@ def test_a_text_takes_the_place_of_another_and_nothing_else_is_left(tmp_path: Pa
     assert names(tmp_path) == ["file"]
 
 
-def test_a_file_of_another_name_is_nobodys_to_write_over(tmp_path: Path) -> None:
+def test_similar_file_names_are_not_overwritten(tmp_path: Path) -> None:
     (tmp_path / "file.part").write_text("mine")
     write_atomic(tmp_path / "file", "new", EstimateFileError)
     assert (tmp_path / "file.part").read_text() == "mine"
 
 
-def test_what_one_left_who_was_killed_is_written_over_by_the_next(tmp_path: Path) -> None:
+def test_leftover_temporary_file_is_overwritten(tmp_path: Path) -> None:
     (tmp_path / ".file.saving").write_text("half of")
     write_atomic(tmp_path / "file", "new", EstimateFileError, "saving")
     assert names(tmp_path) == ["file"]
@@ -77,7 +77,7 @@ def a_full_device(folder: Path) -> Path:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="a device that is full is Linux's")
-def test_a_device_that_takes_nothing_is_told_of_and_keeps_its_place(tmp_path: Path) -> None:
+def test_full_device_is_reported_and_not_replaced(tmp_path: Path) -> None:
     device = a_full_device(tmp_path)
     (tmp_path / "link").symlink_to(device)
     with pytest.raises(EstimateFileError, match="link: cannot be written: No space left on device; make room"):
@@ -86,7 +86,7 @@ def test_a_device_that_takes_nothing_is_told_of_and_keeps_its_place(tmp_path: Pa
     assert device.is_char_device()
 
 
-def test_a_disk_that_is_full_at_the_end_leaves_the_old_one_and_no_more(
+def test_disk_full_at_the_end_leaves_the_old_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "file").write_text("old")
@@ -118,14 +118,14 @@ def test_whatever_ends_it_leaves_the_old_one_and_no_more(
     assert names(tmp_path) == ["file"]
 
 
-def test_a_folder_that_is_not_there_and_a_name_that_cannot_be_are_told(tmp_path: Path) -> None:
+def test_missing_folder_and_invalid_name_are_reported(tmp_path: Path) -> None:
     with pytest.raises(EstimateFileError, match="file: cannot be written: No such file or directory; name a file in"):
         write_atomic(tmp_path / "none" / "file", "text", EstimateFileError)
     with pytest.raises(EstimateFileError, match=r"'.*a\\x00b': cannot be written: .*null byte"):
         write_atomic(tmp_path / "a\0b", "text", EstimateFileError)
 
 
-def test_where_folders_cannot_be_opened_the_file_is_written_all_the_same(
+def test_file_is_written_where_folders_cannot_be_opened(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refused(*_: object) -> int:

@@ -27,7 +27,7 @@ def faulty(
     return FaultyLine(spoken, lambda: injector)
 
 
-def told(deliveries: list[Delivery]) -> bytes:
+def reported(deliveries: list[Delivery]) -> bytes:
     return b"".join(delivery.data for delivery in deliveries)
 
 
@@ -54,17 +54,17 @@ def tcp_reply(kind: str = "simple", wide: bool = False) -> bytes:
 def test_on_the_line_a_request_and_a_reply_name_their_command() -> None:
     line = faulty(Drop(), "gs", LineLanguage(), REQUEST)
     vm, gs = line_request("vm", 1, 2, 3), line_request("gs")
-    assert told(line.request(vm[:4], 0.0)) == b""
-    assert told(line.request(vm[4:] + gs + vm, 0.0)) == vm + vm
+    assert reported(line.request(vm[:4], 0.0)) == b""
+    assert reported(line.request(vm[4:] + gs + vm, 0.0)) == vm + vm
     line = faulty(Drop(), "get_rc", LineLanguage())
     pose, bumper = build_frame(21, bytes(8)), build_frame(27, bytes(7))
-    assert told(line.reply(pose + b"dirt" + bumper, 0.0)) == b"dirt" + bumper
+    assert reported(line.reply(pose + b"dirt" + bumper, 0.0)) == b"dirt" + bumper
 
 
 def test_on_the_line_a_nak_answers_what_was_asked_last() -> None:
     line = faulty(Drop(), "gs", LineLanguage())
     line.request(line_request("vm", 1, 2, 3), 0.0)
-    assert told(line.reply(LINE_NAK, 0.0)) == LINE_NAK
+    assert reported(line.reply(LINE_NAK, 0.0)) == LINE_NAK
     line.request(line_request("gs"), 0.0)
     assert line.reply(LINE_NAK, 0.0) == []
 
@@ -72,10 +72,10 @@ def test_on_the_line_a_nak_answers_what_was_asked_last() -> None:
 def test_a_greeting_has_a_name_of_its_own() -> None:
     line = faulty(Drop(), "hello", LineLanguage(has_handshake=True))
     frame = build_frame(7)
-    assert told(line.reply(bytes(11) + frame, 0.0)) == frame
+    assert reported(line.reply(bytes(11) + frame, 0.0)) == frame
 
 
-def test_over_tcp_replies_are_those_of_the_requests_that_went_through() -> None:
+def test_tcp_replies_belong_to_delivered_requests() -> None:
     spoken = TcpLanguage(wide=False)
     rules = (Rule("lost", (Drop(),), When(), ("vm",), frozenset({REQUEST})), Rule("it", (Drop(),), When(), ("gs",)))
     injector = Injector(Plan(rules), "nserver")
@@ -84,34 +84,34 @@ def test_over_tcp_replies_are_those_of_the_requests_that_went_through() -> None:
         line.request(codec.encode_tcp_request(Call(name, args)), 0.0)
     answered = [line.reply(tcp_reply(), 0.0) for _ in range(3)]
     assert [bool(found) for found in answered] == [True, False, True]
-    assert told(line.reply(tcp_reply(), 0.0)) == tcp_reply()
+    assert reported(line.reply(tcp_reply(), 0.0)) == tcp_reply()
     unknown = b"\x03\xe7\x00\x00"
-    assert told(line.request(unknown, 0.0)) == unknown
+    assert reported(line.request(unknown, 0.0)) == unknown
 
 
 def test_over_tcp_a_nak_is_an_error_reply_as_wide_as_the_client() -> None:
     for wide in (False, True):
         line = faulty(Nak(), "vm", TcpLanguage(), REQUEST)
         connect = codec.encode_tcp_request(Call("connect_robot", (1, 77)), wide=wide)
-        assert told(line.request(connect, 0.0)) == connect
+        assert reported(line.request(connect, 0.0)) == connect
         (refusal,) = line.request(codec.encode_tcp_request(Call("vm", (1, 2, 3)), wide=wide), 0.0)
         assert refusal.to_sender
         (frame,) = TcpFramer(reply_bounds, wide).receive(refusal.data)
         assert frame == TcpFrame(91, (5).to_bytes(4, "big"))
-        assert told(line.reply(tcp_reply(wide=wide), 0.0)) == tcp_reply(wide=wide)
+        assert reported(line.reply(tcp_reply(wide=wide), 0.0)) == tcp_reply(wide=wide)
 
 
-def test_what_is_no_whole_frame_is_kept_until_it_is_asked_for() -> None:
+def test_incomplete_frame_is_buffered_until_flushed() -> None:
     line = faulty(DropByte(0), "gs", LineLanguage())
     request = line_request("gs")
     assert line.request(request[:-1], 0.0) == []
-    kept = [line.has_partial_request]
-    assert told(line.flush_request(0.0)) == request[:-1]
-    assert [*kept, line.has_partial_request] == [True, False]
+    saved = [line.has_partial_request]
+    assert reported(line.flush_request(0.0)) == request[:-1]
+    assert [*saved, line.has_partial_request] == [True, False]
     assert (line.partial_timeout_s, faulty(Drop(), "gs", TcpLanguage()).partial_timeout_s) == (0.25, None)
-    assert told(line.request(request[:-1], 0.0, whole=True)) == request[:-1]
+    assert reported(line.request(request[:-1], 0.0, whole=True)) == request[:-1]
     assert line.reply(request[:-1], 0.0) == []
-    assert told(line.flush_reply(0.0)) == request[:-1]
+    assert reported(line.flush_reply(0.0)) == request[:-1]
     assert line.flush_reply(0.0) == []
 
 

@@ -44,7 +44,7 @@ def test_the_frames_of_a_clean_line(sent: list[bytes], places: list[int]) -> Non
 
 @quick
 @given(st.lists(st.tuples(dirt | likely, sent_frames), max_size=4), dirt | likely, cuts)
-def test_on_a_dirty_line_they_are_what_the_line_s_own_framer_finds(
+def test_noisy_line_gives_the_frames_of_the_serial_framer(
     stretches: list[tuple[bytes, list[bytes]]], end: bytes, places: list[int]
 ) -> None:
     data = b"".join(noise + b"".join(sent) for noise, sent in stretches) + end
@@ -76,7 +76,7 @@ def test_a_length_beyond_the_limit_begins_no_frame() -> None:
     assert whole(LineFrames(HOST_LIMIT).receive(long)) == []
 
 
-def test_what_is_kept_of_a_frame_is_given_up_when_asked() -> None:
+def test_flush_returns_an_incomplete_frame() -> None:
     frames = LineFrames()
     good = build_frame(9, b"\x05")
     assert frames.receive(b"\x01\x20\x00\x07" + good) == []
@@ -96,7 +96,7 @@ def test_the_messages_of_a_connection(
 
 @pytest.mark.parametrize("wide", [False, True])
 @given(cuts)
-def test_a_connect_tells_the_width(wide: bool, places: list[int]) -> None:
+def test_connect_determines_the_word_size(wide: bool, places: list[int]) -> None:
     connect = tcp_framing.build_frame(102, (1).to_bytes(4, "big") + (77).to_bytes(4, "big"), wide=wide)
     gs = tcp_framing.build_frame(15, b"", wide=wide)
     frames = TcpFrames(None)
@@ -106,7 +106,7 @@ def test_a_connect_tells_the_width(wide: bool, places: list[int]) -> None:
     assert frames.wide is wide
 
 
-def test_after_a_count_that_no_message_has_all_passes_as_it_comes() -> None:
+def test_bytes_after_an_impossible_count_pass_unchanged() -> None:
     frames = TcpFrames()
     assert frames.receive(b"\x00\x0f\xff\xff") == [StreamPiece(b"\x00\x0f\xff\xff", None)]
     assert frames.receive(b"\x00\x0f\x00\x00") == [StreamPiece(b"\x00\x0f\x00\x00", None)]

@@ -125,7 +125,7 @@ def test_noise_of_one_kind_counts_its_bytes(data: bytes, seed: int) -> None:
     assert len(arrived) - len(data) == counts.get("added_bytes", 0) - counts.get("dropped_bytes", 0)
 
 
-def test_noise_has_the_rates_it_was_told() -> None:
+def test_noise_has_the_configured_rates() -> None:
     injector = one_rule(Noise(1.0, 2.0, 0.5))
     count = 200_000
     for _ in range(200):
@@ -193,7 +193,7 @@ def test_delays_add_up_and_jitter_spreads() -> None:
     assert 1.95 < max(delays) <= 2.0
 
 
-def test_a_nak_takes_the_place_of_a_reply_and_answers_a_request_that_goes_no_further() -> None:
+def test_nak_replaces_a_reply_and_answers_a_dropped_request() -> None:
     injector = one_rule(Nak(), directions=BOTH)
     assert injector.process_frame(FRAME, "vm", REQUEST, 0.0) == [Delivery(0.0, LINE_NAK, to_sender=True)]
     assert injector.process_frame(FRAME, "vm", REPLY, 0.0) == [Delivery(0.0, LINE_NAK)]
@@ -207,7 +207,7 @@ def test_a_hang_up_ends_it_after_so_many_bytes() -> None:
     assert one_rule(HangUp(3)).process_frame(FRAME, "vm", REPLY, 0.0) == [Delivery(0.0, FRAME[:3], hang_up=True)]
 
 
-def test_a_silence_swallows_everything_that_way_until_it_is_over() -> None:
+def test_silence_drops_everything_in_its_direction() -> None:
     rule = Rule("hush", (Blackout(2.0),), When(at=(2,)), ("gs",))
     injector = Injector(Plan((rule,)), "x")
     passes = [
@@ -219,7 +219,7 @@ def test_a_silence_swallows_everything_that_way_until_it_is_over() -> None:
     assert injector.counts["hush"] == {"seen": 4, "silence": 1, "swallowed": 2}
 
 
-def test_a_rule_sees_its_command_its_direction_its_line_and_its_time_only() -> None:
+def test_rule_applies_to_its_command_direction_line_and_time() -> None:
     rule = Rule("it", (Drop(),), When(from_s=10.0, until_s=20.0), ("gs", "vm"), frozenset({REQUEST}), ("serial:1",))
     plan = Plan((rule,))
     injector = Injector(plan, "serial:1", start_s=100.0)
@@ -244,7 +244,7 @@ def test_what_a_rule_took_away_those_below_never_see() -> None:
 
 @quick
 @given(frames, st.integers(0, 2**32))
-def test_a_seed_repeats_everything_and_another_rule_changes_nothing_of_the_first(sent: list[bytes], seed: int) -> None:
+def test_seed_repeats_and_rules_do_not_affect_each_other(sent: list[bytes], seed: int) -> None:
     one = Rule("one", (Corrupt(), InsertBytes(), Cut()), When(percent=50.0))
     other = Rule("other", (Noise(10.0, 10.0, 10.0),), When(percent=50.0), ("st",))
     runs = [

@@ -59,7 +59,7 @@ def test_the_plan_stands_between_program_and_robot(
     assert "faults on nserver so far: {'nak': 1, 'drop': 1}" in caplog.text
 
 
-def test_a_wrong_plan_is_told_before_anything_is_opened(server: ScriptedServer, tmp_path: Path) -> None:
+def test_invalid_plan_is_rejected_before_opening(server: ScriptedServer, tmp_path: Path) -> None:
     path = tmp_path / "plan.toml"
     path.write_text("[[rule]]\ndo = 'drp'")
     with pytest.raises(FaultPlanError, match=r"plan\.toml: rule 'rule 1': do: no kind of fault 'drp'"):

@@ -84,7 +84,7 @@ def test_a_plan_reads_back_as_it_was_written(plan: Plan) -> None:
     assert parse_plan(plan_text(plan)) == plan
 
 
-def test_the_example_in_the_documentation_is_a_plan_with_every_kind() -> None:
+def test_documented_example_is_a_plan_with_every_kind() -> None:
     plan = load_plan(EXAMPLE)
     assert {fault.kind for rule in plan.rules for fault in rule.faults} == set(KINDS)
 

@@ -83,7 +83,7 @@ def test_without_a_rule_that_strikes_everything_passes() -> None:
     assert rig.clock.naps == []
 
 
-def test_a_lost_reply_is_a_silence_and_a_lost_request_is_never_sent() -> None:
+def test_lost_reply_and_lost_request() -> None:
     rig = Rig(Drop(), when=When(every=2))
     assert rig.ask() == GS
     with pytest.raises(ReplyTimeout, match="silence"):
@@ -95,7 +95,7 @@ def test_a_lost_reply_is_a_silence_and_a_lost_request_is_never_sent() -> None:
     assert rig.injector.counts["it"] == {"seen": 1, "drop": 1}
 
 
-def test_a_late_reply_comes_when_it_is_due_and_after_a_time_out_it_comes_late() -> None:
+def test_delayed_reply_arrives_when_due_or_after_the_timeout() -> None:
     rig = Rig(Delay(2.0))
     assert rig.ask() == GS
     assert rig.clock.now_s == pytest.approx(52.0)
@@ -149,7 +149,7 @@ def test_a_silence_is_over_by_the_clock() -> None:
     assert rig.injector.counts["it"] == {"seen": 2, "silence": 1, "swallowed": 1}
 
 
-def test_a_hang_up_in_mid_reply_gives_what_came_before_it_and_then_ends() -> None:
+def test_hang_up_in_a_reply_delivers_the_bytes_before_it() -> None:
     rig = Rig(HangUp(4))
     assert rig.ask() == GS[:4]
     with pytest.raises(ConnectionLost, match="on purpose"):
@@ -160,7 +160,7 @@ def test_a_hang_up_in_mid_reply_gives_what_came_before_it_and_then_ends() -> Non
 
 
 @pytest.mark.parametrize(("keep", "sent"), [(2, [GS[:2]]), (0, [])])
-def test_a_hang_up_in_mid_request_is_noticed_by_who_waits_for_the_reply(keep: int, sent: list[bytes]) -> None:
+def test_hang_up_in_a_request_ends_the_waiting_receive(keep: int, sent: list[bytes]) -> None:
     rig = Rig(HangUp(keep), direction=REQUEST)
     rig.stream.send(GS)
     assert rig.echo.sent == sent

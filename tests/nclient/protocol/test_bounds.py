@@ -49,7 +49,7 @@ def test_brought_within(asked: Call, sent: Call) -> None:
     assert clamp_to_serial(asked) == sent
 
 
-def test_who_sends_too_much_is_told_what_and_how_far() -> None:
+def test_out_of_range_arguments_are_named_with_their_bounds() -> None:
     with pytest.raises(WireError, match="pr: steering is -32768, and a robot's own line carries -32767 to 32767"):
         codec.encode_serial_request(Call("pr", (32767, -32768, 0)), serial_wire_state(N150))
     with pytest.raises(WireError, match=r"conf_tm: timeout_s is 300, .* 0 to 255 .*in several steps"):

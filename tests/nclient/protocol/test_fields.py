@@ -51,7 +51,7 @@ def test_minus_nothing_reads_nothing() -> None:
 
 @quick
 @given(signed16, word.filter(lambda value: value != -(2**31)))
-def test_sign_magnitude_both_ways(short: int, long: int) -> None:
+def test_sign_magnitude_in_both_directions(short: int, long: int) -> None:
     assert LINE_SIGNED.parse(LINE_SIGNED.build(short)) == short
     assert LINE_LONG.parse(LINE_LONG.build(long)) == long
     assert LINE_LONG.build(long)[3] >> 7 == (long < 0)
@@ -150,7 +150,7 @@ def test_bumper_bytes_in_the_order_of_the_model(model: Model, wire: str) -> None
     assert BumperBytes(33).parse(bytes.fromhex(wire), wire_state=serial_wire_state(model)) == {33: 0x563412}
 
 
-def test_stamps_on_the_line_are_sign_magnitude_and_masked_in_state_packets() -> None:
+def test_serial_stamps_are_sign_magnitude_and_masked() -> None:
     in_packet, in_answer = LineStamps(Position.SONAR, range(17, 33)), LineStamps(Position.SONAR)
     wire_state = terms_with(17, 20, position=2)
     built = in_packet.build({"sonar_3": STAMP}, wire_state=wire_state)

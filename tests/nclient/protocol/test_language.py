@@ -107,17 +107,17 @@ def test_a_reply_of_any_type_answers_but_an_error_is_one() -> None:
     assert (error.kind, error.values) == ("error", (4,))
 
 
-@pytest.mark.parametrize(("call", "told"), [
+@pytest.mark.parametrize(("call", "reported"), [
     (Call("pr", (1, 2, 2**31)), "pr(1, 2, 2147483648): a word is a whole number, -2^31 to 2^31 - 1, not 2147483648"),
     (Call("pr", (-(2**31) - 1, 2, 3)), "pr(-2147483649, 2, 3): a word is a whole number, -2^31 to 2^31 - 1, not "
      "-2147483649"),
     (Call("vm", (1.5, 0, 0)), "vm(1.5, 0, 0): a word is a whole number, -2^31 to 2^31 - 1, not 1.5"),
     (Call("motion_check", ()), "motion_check(): motion_check takes type 0 (line) or 1 (arc) first"),
 ])
-def test_what_cannot_be_sent_is_told_in_words_of_ours(call: Call, told: str) -> None:
+def test_arguments_that_cannot_be_sent_raise_wire_error(call: Call, reported: str) -> None:
     with pytest.raises(WireError) as refused:
         codec.encode_tcp_request(call)
-    assert str(refused.value) == told
+    assert str(refused.value) == reported
 
 
 def test_what_cannot_be_sent_on_the_line_names_the_number() -> None:

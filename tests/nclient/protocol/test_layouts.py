@@ -71,8 +71,11 @@ def test_a_request_on_the_line(row: Command, model: Model, data: st.DataObject) 
 
 
 def test_a_reply() -> None:
-    wire_state, said = tcp_wire_state(N150), Reply("state", slots=dict.fromkeys(range(1, 45), 0), laser=(0,), clock=1)
-    assert garbage_of(lambda: STATE.parse(STATE.build(said, wire_state), wire_state)) == 0
+    wire_state, captured = (
+        tcp_wire_state(N150),
+        Reply("state", slots=dict.fromkeys(range(1, 45), 0), laser=(0,), clock=1),
+    )
+    assert garbage_of(lambda: STATE.parse(STATE.build(captured, wire_state), wire_state)) == 0
 
 
 def test_a_hello() -> None:

@@ -33,7 +33,7 @@ def test_a_touched_scout_is_no_n150() -> None:
 
 
 @pytest.mark.parametrize("data", [b"", b"\0" * 41, b"\0" * 43])
-def test_nobodys(data: bytes) -> None:
+def test_packet_of_no_model(data: bytes) -> None:
     assert guess_model(data) is None
 
 

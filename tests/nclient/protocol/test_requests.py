@@ -59,7 +59,7 @@ def test_the_longest_text(build: Any, longest: int) -> None:
 
 @pytest.mark.parametrize("build", [tcp, line])
 @pytest.mark.parametrize(("text", "wrong"), [("wo liegt Łódź?", "Latin-1"), (5, "a text is wanted, not 5")])
-def test_texts_that_cannot_be_said(build: Any, text: Any, wrong: str) -> None:
+def test_texts_that_cannot_be_sent(build: Any, text: Any, wrong: str) -> None:
     with pytest.raises(WireError, match=wrong):
         build("tk", text)
 
@@ -90,7 +90,7 @@ def test_motion_checks_are_truncated_toward_zero() -> None:
 
 @settings(max_examples=60)
 @given(st.integers(-7_000_000, 7_000_000))
-def test_no_millionth_of_a_radian_is_lost_on_the_way_back(angle: int) -> None:
+def test_angles_survive_the_round_trip(angle: int) -> None:
     call = codec.decode_tcp_request(TcpFrame(400, struct.pack(">8i", 1, 0, 0, angle, 0, 0, 0, 0)))
     assert call.args[3] == pytest.approx(angle / 1000, abs=1e-12)
     assert words(codec.encode_tcp_request(call))[3] == angle
@@ -143,7 +143,7 @@ def test_the_arms_packets() -> None:
     assert line("arm_mv", 1, 2000, 2, -300)[4:-2].hex() == "1400" "00" "2a" "01000000" "d0070000" "02000000" "d4feffff"
 
 
-def test_a_users_packet_with_a_number_of_the_arms_is_no_arm_packet() -> None:
+def test_user_packet_with_an_arm_number_stays_a_user_packet() -> None:
     call = Call("special_request", (41, 1, 2, 3))
     frame = codec.encode_serial_request(call, serial_wire_state(N150))
     assert codec.decode_serial_request(SerialFrame(128, frame[4:-2]), serial_wire_state(N150)) == call
@@ -185,7 +185,7 @@ def test_numbers_that_vm_cannot_carry_over_tcp(args: tuple[Any, ...]) -> None:
         tcp("vm", *args)
 
 
-def test_the_number_of_arguments_is_said_by_name() -> None:
+def test_wrong_argument_count_lists_the_names() -> None:
     with pytest.raises(WireError, match=r"dp takes 2 numbers \(x, y\), got 1"):
         tcp("dp", 1)
     with pytest.raises(WireError, match=r"gs takes 0 numbers \(nothing\), got 1"):

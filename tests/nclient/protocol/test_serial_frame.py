@@ -60,7 +60,7 @@ def test_noise_between_frames_is_skipped_and_counted(
 
 @quick
 @given(st.binary(max_size=60), cuts)
-def test_any_noise_before_a_frame_hides_it_at_most_until_the_deadline(noise: bytes, places: list[int]) -> None:
+def test_noise_hides_a_frame_at_most_until_the_deadline(noise: bytes, places: list[int]) -> None:
     framer = SerialFramer()
     found = [frame for piece in in_pieces(noise + VM, places) for frame in framer.receive(piece)]
     found += framer.expire()
@@ -86,7 +86,7 @@ def test_a_length_that_cannot_be_costs_one_byte_and_no_frame(length: int) -> Non
     assert framer.skipped_bytes == len(corrupt)
 
 
-def test_a_corrupt_length_within_bounds_waits_for_more_bytes_only() -> None:
+def test_corrupt_length_only_waits_for_more_bytes() -> None:
     framer = SerialFramer()
     corrupt = VM[:1] + b"\x40\x00" + VM[3:]
     assert framer.receive(corrupt + VM) == []

@@ -110,7 +110,7 @@ def test_a_lost_stream_is_reported_once_and_found_again() -> None:
 
 
 @pytest.mark.parametrize("wide", [False, True])
-def test_the_first_connect_tells_the_width_of_a_word(wide: bool) -> None:
+def test_first_connect_determines_the_word_size(wide: bool) -> None:
     framer = TcpFramer(request_bounds)
     connect = build_frame(102, CONNECT, wide=wide)
     widths = [framer.wide]
@@ -167,7 +167,7 @@ def test_bounds_by_type() -> None:
 
 @given(st.binary(max_size=200), st.integers(1, 50))
 @settings(max_examples=40)
-def test_one_that_gives_up_drops_all_that_comes_after_the_frame_was_lost(after: bytes, cut: int) -> None:
+def test_drop_after_loss_drops_all_later_bytes(after: bytes, cut: int) -> None:
     framer = TcpFramer(request_bounds, wide=False, drop_after_loss=True)
     lost = b"\x7f\x7f\x7f\x7f"
     found = framer.receive(lost + after[:cut]) + framer.receive(after[cut:])

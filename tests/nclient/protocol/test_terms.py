@@ -35,7 +35,7 @@ def test_what_each_question_does_to_the_shape_over_tcp() -> None:
     assert seen == [(2, 2), (4, 2), (4, 2), (4, 2), (2, 2), (4, 2), (1, 1), (1, 1)]
 
 
-def test_on_the_robots_own_line_the_mode_alone_says_the_shape_and_get_ls_gives_pixels() -> None:
+def test_serial_laser_layout_depends_on_the_mode_alone() -> None:
     wire_state = serial_wire_state(N200)
     seen = [(wire_state.laser_width, wire_state.get_laser_width)]
     for call in (Call("get_sg"), Call("conf_ls", (33, 0, 0, 0, 0)), Call("get_ls"), Call("conf_ls", (51, 0, 0, 0, 0))):

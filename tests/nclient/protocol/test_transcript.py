@@ -248,7 +248,7 @@ def test_laser_shapes_follow_the_questions() -> None:
     ("sim_truth", Reply("truth", values=(1,) * 8), "truth"),
     ("sim_control", Reply("control", values=(1,) * 4), "control"), ("vm", Reply("error", values=(2,)), "error"),
 ])
-def test_an_answer_whose_request_was_not_seen_is_read_by_its_type(name: str, reply: Reply, kind: str) -> None:
+def test_reply_without_request_is_read_by_its_type(name: str, reply: Reply, kind: str) -> None:
     found = answered(WireDecoder("tcp", N150), name, reply)
     assert found["reply"] == kind
 

@@ -78,7 +78,7 @@ def check_values(reply: Reply, decoded: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize("session", TCP_SESSIONS)
-def test_a_tcp_session_both_ways(session: str) -> None:
+def test_tcp_session_in_both_directions(session: str) -> None:
     wire_state, held = tcp_wire_state(N200), ClientState()
     requests, answers = TcpFramer(request_bounds), TcpFramer(reply_bounds, wide=False)
     count = 0
@@ -108,7 +108,7 @@ def check_tcp_reply(exchange: Exchange, answers: TcpFramer, wire_state: WireStat
 
 
 @pytest.mark.parametrize("session", LINE_SESSIONS)
-def test_a_session_on_the_robots_own_line_both_ways(session: str) -> None:
+def test_serial_session_in_both_directions(session: str) -> None:
     model = model_of(session)
     wire_state, held = serial_wire_state(model), ClientState()
     host, robot = SerialFramer(), SerialFramer()
@@ -129,7 +129,7 @@ def test_a_session_on_the_robots_own_line_both_ways(session: str) -> None:
     assert count > 4
 
 
-def test_a_64_bit_client_both_ways() -> None:
+def test_64_bit_session_in_both_directions() -> None:
     wire_state, held = tcp_wire_state(N200), ClientState(wide=True)
     wire_state.wide = True
     requests, answers = TcpFramer(request_bounds), TcpFramer(reply_bounds, wide=True)

@@ -47,7 +47,7 @@ def test_a_line_stands_as_the_docs_say(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("cut_at", range(1, len(GS) - 1))
-def test_a_last_line_cut_anywhere_is_left_out_and_told(cut_at: int) -> None:
+def test_incomplete_last_line_is_omitted_and_reported(cut_at: int) -> None:
     found = parse_recording(HEADER + GS + GS[:cut_at], "run.log")
     assert [entry.data for entry in found.entries] == [b"\x00\x0f\x00\x00"]
     assert found.cut == f"run.log, line 3: cut short after {cut_at} characters, and left out"
@@ -60,7 +60,7 @@ def test_a_last_line_that_lacks_its_end_only_counts() -> None:
     assert parse_recording(HEADER + "\n" + GS, "run.log").entries[0].line == 3
 
 
-@pytest.mark.parametrize(("text", "told"), [
+@pytest.mark.parametrize(("text", "reported"), [
     ("", "line 1: no recording; one begins with"),
     ("not json\n", "line 1: no recording"),
     ("[]\n", "line 1: no recording"),
@@ -78,8 +78,8 @@ def test_a_last_line_that_lacks_its_end_only_counts() -> None:
     (HEADER + '{"t": NaN, "dir": "in", "bytes": ""}\n', "line 2: .*t is seconds"),
     (HEADER + '{"t": 1, "dir": "in", "bytes": "", "decoded": [3]}\n', "line 2: .*decoded a list of objects"),
 ])
-def test_what_is_no_recording(text: str, told: str) -> None:
-    with pytest.raises(RecordingError, match=f"run.log, {told}"):
+def test_what_is_no_recording(text: str, reported: str) -> None:
+    with pytest.raises(RecordingError, match=f"run.log, {reported}"):
         parse_recording(text, "run.log")
 
 
@@ -116,7 +116,7 @@ def test_files_that_cannot_be(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")
-def test_a_full_disk_is_told_once_and_the_run_goes_on(caplog: pytest.LogCaptureFixture) -> None:
+def test_full_disk_is_logged_once_and_the_run_continues(caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.ERROR):
         writer = RecordingWriter(Path("/dev/full"), {})
         for _ in range(3):
@@ -130,7 +130,7 @@ def test_a_full_disk_is_told_once_and_the_run_goes_on(caplog: pytest.LogCaptureF
     ]
 
 
-def test_a_recording_that_is_as_long_as_it_may_be_ends_whole_and_says_so_once(
+def test_recording_at_its_maximum_size_ends_with_a_whole_line(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     path = tmp_path / "run.jsonl"

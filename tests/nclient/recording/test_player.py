@@ -45,7 +45,7 @@ def test_a_played_run_can_be_recorded_and_is_the_same(tmp_path: Path) -> None:
     assert one[1:] == two[1:]
 
 
-def test_who_asks_for_something_else_is_told_where(tmp_path: Path) -> None:
+def test_unrecorded_request_is_reported_with_its_line(tmp_path: Path) -> None:
     run(connect(f"{SIM}&record={tmp_path}/run.log"))
     robot = connect(f"replay:{tmp_path}/run.log")
     with pytest.raises(RecordingError, match=r"log, line 7: recorded was `vm 60 100 0`, the program sends `pr 30 0 0`"):
@@ -53,7 +53,7 @@ def test_who_asks_for_something_else_is_told_where(tmp_path: Path) -> None:
     assert robot.closed
 
 
-def test_an_unknown_order_is_told(tmp_path: Path) -> None:
+def test_unknown_order_is_rejected(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="order is one of strict, loose"):
         connect(f"replay:{tmp_path}/run.log?order=lose")
 
@@ -81,7 +81,7 @@ FED = recording(
 )
 
 
-def test_what_kept_the_robot_fed_may_be_left_out() -> None:
+def test_keep_alive_requests_may_be_omitted() -> None:
     player = Player(load_exchanges(FED))
     assert asked(player, "vm", 1, 2, 3) == answer("vm", 1).data
     assert asked(player, "gs") == answer("gs", 2).data
@@ -121,7 +121,7 @@ def test_process_ids_do_not_count_and_pieces_do_not_matter() -> None:
     assert load_exchanges(FED).robot_id == 1
 
 
-def test_a_program_that_piled_up_its_questions_is_played_one_by_one() -> None:
+def test_pipelined_requests_are_played_one_by_one() -> None:
     piled = Entry(0.0, "out", "", ask("gs").data + ask("disconnect_robot", 1, 1).data + ask("st").data, line=2)
     both = Entry(0.5, "in", "", answer("gs", 1).data + answer("st", 2).data[:9])
     rest = Entry(0.7, "in", "", answer("st", 2).data[9:])
@@ -146,7 +146,7 @@ def test_what_was_refused_is_refused_again() -> None:
     assert str(RequestKey("ct", tuple(EVERYTHING.smask))) == "`ct`"
 
 
-def test_calls_that_make_no_sense_are_told_apart_by_their_bytes() -> None:
+def test_invalid_calls_are_distinguished_by_their_bytes() -> None:
     def odd(mark: int) -> bytes:
         return b"\x01\x2c\x00\x04" + bytes((0xFF, 0xFF, 0xFF, 0xFF)) * 3 + bytes((0, 0, 0, mark))
 
@@ -167,7 +167,7 @@ LINE_STATE = codec.encode_serial_reply(BY_NAME["gs"], Reply("state", {34: 7}), s
 LINE_GS = codec.encode_serial_request(Call("gs"), serial_wire_state(N150))
 
 
-def test_a_time_out_that_was_not_set_then_is_answered_with_the_last_state() -> None:
+def test_unrecorded_conf_tm_gets_the_last_state() -> None:
     player = Player(load_exchanges(recording(
         ask("connect_robot", 1, 1), answer("connect_robot", 1), ask("gs"), answer("gs", 3), ask("st"), answer("st", 4),
     )))
@@ -183,18 +183,18 @@ def test_a_time_out_that_was_not_set_then_is_answered_with_the_last_state() -> N
 
 def test_a_time_out_on_a_robots_line_too() -> None:
     conf_tm = codec.encode_serial_request(Call("conf_tm", (5,)), serial_wire_state(N150))
-    told = codec.encode_serial_reply(BY_NAME["conf_tm"], Reply("state", {34: 7}), serial_wire_state(N150))
+    reported = codec.encode_serial_reply(BY_NAME["conf_tm"], Reply("state", {34: 7}), serial_wire_state(N150))
     line = {"wire": "serial"}
     entries = [Entry(0, "out", "", LINE_GS, line=2), Entry(0, "in", "", LINE_STATE[:8]),
                Entry(1, "out", "", LINE_GS), Entry(1, "in", "", b"\x55" + LINE_STATE)]
-    assert Player(load_exchanges(recording(*entries, **line))).answers(conf_tm) == [ReplyChunk(0.0, told)]
+    assert Player(load_exchanges(recording(*entries, **line))).answers(conf_tm) == [ReplyChunk(0.0, reported)]
     sonars = Entry(0, "out", "", codec.encode_serial_request(Call("get_sn"), serial_wire_state(N150)), line=2)
     for nothing in ((*entries[:2],), (sonars, Entry(0, "in", "", LINE_STATE))):
         with pytest.raises(RecordingError):
             Player(load_exchanges(recording(*nothing, **line))).answers(conf_tm)
 
 
-def test_on_a_robots_line_stray_bytes_half_answers_and_silence_are_played_too() -> None:
+def test_serial_replay_includes_stray_bytes_and_silence() -> None:
     entries = [
         Entry(0, "open", "1", more={"wire": "serial", "model": "n150"}), Entry(0, "in", "1", b"\xee\xee"),
         Entry(1.0, "out", "1", b"\x55" + LINE_GS), Entry(1.1, "in", "1", LINE_STATE[:9]),
@@ -238,13 +238,13 @@ def test_one_of_several_connections(tmp_path: Path) -> None:
         connect(f"replay:{tmp_path}/run.log?connection=2")
 
 
-@pytest.mark.parametrize(("broken", "told"), [
+@pytest.mark.parametrize(("broken", "reported"), [
     (recording(), "run.log: nothing was recorded in it"),
     (recording(ask("gs"), wire="usb"), "a connection's wire is one of tcp, serial, hello, not 'usb'"),
     (recording(ask("gs"), model="r2d2"), "run.log: no robot model 'r2d2'"),
 ])
-def test_recordings_that_cannot_be_played(broken: Recording, told: str) -> None:
-    with pytest.raises(RecordingError, match=told):
+def test_recordings_that_cannot_be_played(broken: Recording, reported: str) -> None:
+    with pytest.raises(RecordingError, match=reported):
         load_exchanges(broken)
 
 

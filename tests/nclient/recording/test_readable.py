@@ -14,7 +14,7 @@ from nclient.recording.format import Entry, format_entry
     {}, {"reply": "state"}, {"call": "vm"}, {"call": "vm", "args": 3}, {"reply": "sonar", "clock": "late"},
     {"reply": "state", "State": [0] * 45, "clock": 3}, {"reply": [], "values": 3.5},
 ])
-def test_frames_that_no_recorder_writes_are_told_of_with_their_line(found: dict[str, Any]) -> None:
+def test_foreign_frames_are_reported_with_their_line(found: dict[str, Any]) -> None:
     with pytest.raises(RecordingError, match=r"line 7: `decoded` is not as a recorder writes it .*; take it out"):
         list(format_entry(Entry(0.0, "in", decoded=(found,), line=7)))
 

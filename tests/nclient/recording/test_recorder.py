@@ -1,4 +1,4 @@
-"""Tapes: what goes by in any pieces is cut into frames and told, and time is whose clock one hands in."""
+"""Tapes: what goes by in any pieces is cut into frames and reported, and time is whose clock one hands in."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ LINE_STATE = codec.encode_serial_reply(BY_NAME["gs"], Reply("state", {34: 7}, cl
 
 @pytest.mark.parametrize("session", TCP_SESSIONS)
 @pytest.mark.parametrize("piece", [1, 7, 100_000])
-def test_recorded_sessions_in_any_pieces_are_told_as_the_wire_tool_tells_them(session: str, piece: int) -> None:
+def test_decoding_in_any_pieces_equals_the_wire_tool(session: str, piece: int) -> None:
     follower, transcript = FrameDecoder("tcp", N150), WireDecoder("tcp", N150)
     for exchange in exchanges(TCP[session], None):
         for data, follow, tell in ((exchange.request, follower.to_robot, transcript.request),
@@ -46,9 +46,9 @@ def test_recorded_lines(session: str) -> None:
     assert len(whole) >= 5
     for exchange in whole:
         assert follower.to_robot(exchange.request) == [transcript.request(exchange.request)]
-        told = transcript.reply(exchange.reply)
+        reported = transcript.reply(exchange.reply)
         assert [item for item in follower.to_host(exchange.reply) if "error" not in item] == (
-            [] if "error" in told else [told]
+            [] if "error" in reported else [reported]
         )
 
 
@@ -63,7 +63,7 @@ def test_a_client_of_64_bits_is_known_by_its_first_request() -> None:
         assert follower.to_host(reply) == ([transcript.reply(reply)] if reply else [])
 
 
-def test_stray_and_lost_bytes_are_told() -> None:
+def test_stray_and_lost_bytes_are_reported() -> None:
     follower = FrameDecoder("serial", N150)
     assert follower.to_robot(b"\xee\xee" + LINE_GS)[0] == {"error": "2 bytes that are no frame"}
     stray, state = follower.to_host(b"\x77" + LINE_STATE)
@@ -124,7 +124,7 @@ def test_time_that_passed_stands_with_the_entry_that_follows(tmp_path: Path) -> 
     assert found.connections() == ("one", "two")
 
 
-def test_a_daemon_that_nobody_visits_fills_no_memory(tmp_path: Path) -> None:
+def test_idle_server_does_not_fill_the_memory(tmp_path: Path) -> None:
     recorder = Recorder(RecordingWriter(tmp_path / "a.log", {}), lambda: 0.0)
     for number in range(1001):
         recorder.record_step(0.01 + number * 1e-6)
@@ -136,17 +136,17 @@ class Echo:
     """Says what it heard, once."""
 
     def __init__(self) -> None:
-        self.heard = b""
+        self.received = b""
 
     def send(self, data: bytes) -> None:
-        self.heard = data
+        self.received = data
 
     def receive(self) -> bytes:
-        data, self.heard = self.heard, b""
+        data, self.received = self.received, b""
         return data
 
     def close(self) -> None:
-        self.heard = b""
+        self.received = b""
 
 
 def test_a_recorded_stream_is_the_stream(tmp_path: Path) -> None:

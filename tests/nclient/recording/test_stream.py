@@ -24,7 +24,7 @@ def drive(address: str) -> tuple[int, ...]:
         return robot.refresh().raw
 
 
-def test_a_recorded_run_is_the_run_and_the_file_the_same_each_time(tmp_path: Path) -> None:
+def test_recording_is_transparent_and_reproducible(tmp_path: Path) -> None:
     address, files = "sim:thesis_room?noisy=1&seed=3", []
     for _ in range(2):
         assert drive(f"{address}&record={tmp_path}/run.log") == drive(address)
@@ -52,7 +52,7 @@ def test_over_a_socket_time_is_the_clocks(tmp_path: Path) -> None:
     assert 0 <= times[0] < 5
 
 
-def test_a_file_that_cannot_be_written_is_told_at_once(tmp_path: Path) -> None:
+def test_unwritable_file_is_reported_at_once(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="cannot be written"):
         connect(f"sim:thesis_room?record={tmp_path}/no/run.log")
 
@@ -87,7 +87,7 @@ class Silent:
     def close(self) -> None: ...
 
 
-def test_a_file_that_can_no_longer_be_opened_costs_nothing_but_the_recording(tmp_path: Path) -> None:
+def test_file_that_cannot_be_reopened_ends_only_the_recording(tmp_path: Path) -> None:
     folder = tmp_path / "gone"
     folder.mkdir()
     recording = ClientRecording(folder / "run.log", RecordingTarget("here", "serial", N150))

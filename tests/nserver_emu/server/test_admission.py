@@ -9,11 +9,11 @@ import pytest
 
 from nclient.common.allowlist import Allowlist
 from nserver_emu import cli
-from tests.nserver_emu.server.running_server import RunningServer, run_scenario
+from tests.nserver_emu.server.running_server import running_server
 
 
-def test_a_rejected_connection_is_closed_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def scenario(server: RunningServer) -> None:
+async def test_a_rejected_connection_is_closed_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    async with running_server() as server:
         inside = await server.connect_client()
         with monkeypatch.context() as patched:
             patched.setattr("nclient.common.allowlist.is_loopback", lambda _host: False)
@@ -24,8 +24,6 @@ def test_a_rejected_connection_is_closed_at_once(monkeypatch: pytest.MonkeyPatch
         assert server.daemon.admission.rejected == 1
         assert (await inside.ask("gs")).kind == "state"
         assert (await (await server.connect_client()).ask("gs")).kind == "state"
-
-    run_scenario(scenario)
 
 
 def test_a_warning_is_printed_at_start(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:

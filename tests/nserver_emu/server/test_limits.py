@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import contextlib
 import socket
 import struct
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator
 from dataclasses import replace
 from ipaddress import ip_network
 from pathlib import Path
@@ -23,7 +24,7 @@ from nserver_emu.server.connection import MAX_REQUESTS_PER_TURN
 from nserver_emu.server.context import Allowed
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.limits import TABLE, Limits, add_options, limits_of
-from tests.nserver_emu.server.running_server import Client, RunningServer, run_scenario
+from tests.nserver_emu.server.running_server import Client, RunningServer, running_server
 from tests.nserver_emu.server.wire_client import simulation
 
 ROOT = Path(__file__).parents[3]
@@ -31,16 +32,12 @@ GS = codec.encode_tcp_request(Call("gs"))
 BOX = (4, 100, 100, 200, 100, 200, 200, 100, 200)
 
 
-def at_home(
-    limits: Limits, scenario: Callable[[RunningServer], Awaitable[None]], emulator: Emulator | None = None
-) -> None:
-    """A scenario to a daemon with these limits."""
-
-    async def limited(server: RunningServer) -> None:
+@contextlib.asynccontextmanager
+async def limited_server(limits: Limits, emulator: Emulator | None = None) -> AsyncIterator[RunningServer]:
+    """Run a server with these limits."""
+    async with running_server(emulator=emulator) as server:
         server.daemon.admission.limits = limits
-        await scenario(server)
-
-    run_scenario(limited, emulator=emulator)
+        yield server
 
 
 async def is_closed(client: Client) -> bool:
@@ -90,8 +87,8 @@ def test_the_longest_frame_is_the_tables() -> None:
 
 
 @pytest.mark.parametrize("limits", [Limits(connections=2), Limits(per_address=2)], ids=["connections", "per address"])
-def test_one_connection_too_many_is_closed_and_the_others_go_on(limits: Limits) -> None:
-    async def scenario(server: RunningServer) -> None:
+async def test_one_connection_too_many_is_closed_and_the_others_go_on(limits: Limits) -> None:
+    async with limited_server(limits) as server:
         first, second = await server.connect_client(), await server.connect_client()
         assert await is_closed(await server.open_client())
         assert server.daemon.admission.rejected == 1
@@ -101,8 +98,6 @@ def test_one_connection_too_many_is_closed_and_the_others_go_on(limits: Limits) 
         while len(server.daemon.connections) == 2:
             await asyncio.sleep(0.005)
         assert (await (await server.connect_client()).ask("gs")).kind == "state"
-
-    at_home(limits, scenario)
 
 
 def test_from_another_address_there_is_room() -> None:
@@ -124,8 +119,8 @@ def test_a_rejected_address_is_logged_once(caplog: pytest.LogCaptureFixture) -> 
     assert door.rejected == 2
 
 
-def test_a_fast_client_is_slowed_without_loss() -> None:
-    async def scenario(server: RunningServer) -> None:
+async def test_a_fast_client_is_slowed_without_loss() -> None:
+    async with limited_server(Limits(rate=200)) as server:
         fast, other = await server.connect_client(), await server.connect_client()
         count, began = 60 + MAX_REQUESTS_PER_TURN, time.monotonic()
         fast.writer.write(GS * count)
@@ -134,32 +129,26 @@ def test_a_fast_client_is_slowed_without_loss() -> None:
             assert (await fast.reply("gs")).kind == "state"
         assert time.monotonic() - began >= 0.2  # 20 at once, one more for CONNECT, then 200 a second
 
-    at_home(Limits(rate=200), scenario)
 
-
-def test_a_fast_client_without_pipelining_is_slowed() -> None:
-    async def scenario(server: RunningServer) -> None:
+async def test_a_fast_client_without_pipelining_is_slowed() -> None:
+    async with limited_server(Limits(rate=200)) as server:
         fast, began = await server.connect_client(), time.monotonic()
         for _ in range(60):
             assert (await fast.ask("gs")).kind == "state"
         assert time.monotonic() - began >= 0.15  # 20 at once, one of them CONNECT, then 200 a second
 
-    at_home(Limits(rate=200), scenario)
 
-
-def test_a_request_that_is_too_long_is_refused_and_passed_over() -> None:
-    async def scenario(server: RunningServer) -> None:
+async def test_a_request_that_is_too_long_is_refused_and_passed_over() -> None:
+    async with limited_server(Limits(), Emulator(simulation(), allowed=Allowed(frame=17))) as server:
         client = await server.connect_client()
         assert (await client.ask("add_obstacle", *BOX)).kind == "simple"
         long = (10, *(number for corner in range(10) for number in (corner * 10, 2000 + corner**2)))
         assert (await client.ask("add_obstacle", *long)).values == (2,)
         assert (await client.ask("gs")).kind == "state"
 
-    at_home(Limits(), scenario, Emulator(simulation(), allowed=Allowed(frame=17)))
 
-
-def test_only_idle_connections_are_closed(caplog: pytest.LogCaptureFixture) -> None:
-    async def scenario(server: RunningServer) -> None:
+async def test_only_idle_connections_are_closed(caplog: pytest.LogCaptureFixture) -> None:
+    async with limited_server(Limits(idle=2)) as server:
         silent, active, waiting = [await server.connect_client() for _ in range(3)]
         await waiting.ask("vm", 10, 0, 0)
         waiting.writer.write(codec.encode_tcp_request(Call("ws", (1, 1, 1, 200))))
@@ -171,13 +160,11 @@ def test_only_idle_connections_are_closed(caplog: pytest.LogCaptureFixture) -> N
             await asyncio.sleep(0.01)
         assert len(server.daemon.connections) == 2
         assert (await active.ask("gs")).kind == "state"
-
-    at_home(Limits(idle=2), scenario)
     assert "idle for 2 s" in caplog.text
 
 
-def test_a_stalled_request_is_closed_despite_single_bytes() -> None:
-    async def scenario(server: RunningServer) -> None:
+async def test_a_stalled_request_is_closed_despite_single_bytes() -> None:
+    async with limited_server(Limits(stall=1)) as server:
         stalled, other = await server.connect_client(), await server.connect_client()
         await stalled.ask("vm", 100, 0, 0)
         closed = asyncio.create_task(is_closed(stalled))
@@ -189,25 +176,21 @@ def test_a_stalled_request_is_closed_despite_single_bytes() -> None:
         assert await closed
         assert (await other.ask("gs")).kind == "state"
 
-    at_home(Limits(stall=1), scenario)
 
-
-def test_a_stalled_skipped_request_is_closed_and_logged_once(
+async def test_a_stalled_skipped_request_is_closed_and_logged_once(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    async def scenario(server: RunningServer) -> None:
+    async with limited_server(Limits(stall=1)) as server:
         stalled = await server.connect_client()
         stalled.writer.write(struct.pack(">hH", 7777, 1000) + bytes(100))
         assert (await stalled.reply("gs")).kind == "error"
         assert await is_closed(stalled)
-
-    at_home(Limits(stall=1), scenario)
     assert "incomplete request" in caplog.text
     assert "connection lost" not in caplog.text  # it was we who closed it
 
 
-def test_a_client_that_does_not_read_is_closed(caplog: pytest.LogCaptureFixture) -> None:
-    async def scenario(server: RunningServer) -> None:
+async def test_a_client_that_does_not_read_is_closed(caplog: pytest.LogCaptureFixture) -> None:
+    async with limited_server(Limits(stall=1, write_queue=2048)) as server:
         other, deaf = await server.connect_client(), socket.socket()
         deaf.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         deaf.setblocking(False)
@@ -225,15 +208,13 @@ def test_a_client_that_does_not_read_is_closed(caplog: pytest.LogCaptureFixture)
                 await asyncio.sleep(0.01)
         assert isinstance(asking.exception(), ConnectionError)
         assert len(server.daemon.connections) == 1
-
-    at_home(Limits(stall=1, write_queue=2048), scenario)
     assert "not read, for 1 s" in caplog.text
 
 
-def test_obstacles_and_drawings_are_as_many_as_allowed() -> None:
+async def test_obstacles_and_drawings_are_as_many_as_allowed() -> None:
     emulator = Emulator(simulation(), allowed=Allowed(obstacles=1, graphics=2))
 
-    async def scenario(server: RunningServer) -> None:
+    async with limited_server(Limits(), emulator) as server:
         client, other = await server.connect_client(), await server.connect_client()
         replies = [await client.ask("add_obstacle", *BOX) for _ in range(2)]
         assert [reply.values for reply in replies] == [(0,), (5,)]
@@ -241,5 +222,3 @@ def test_obstacles_and_drawings_are_as_many_as_allowed() -> None:
             assert (await client.ask("draw_line", number, 0, 0, 0, 1)).values == (0,)
         assert [shape.numbers[0] for shape in emulator.graphics.shapes] == [3, 4]
         assert (await other.ask("gs")).kind == "state"
-
-    at_home(Limits(), scenario, emulator)

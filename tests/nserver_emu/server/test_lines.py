@@ -8,7 +8,7 @@ import logging
 import os
 import socket
 import struct
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from pathlib import Path
 
 import pytest
@@ -101,25 +101,23 @@ class RunningServer:
             await asyncio.sleep(0.002)
 
 
-def run_lines(
+@contextlib.asynccontextmanager
+async def running_lines(
     path: Path,
-    scenario: Callable[[RunningServer], Awaitable[None]],
     emulator: Emulator | None = None,
     new_channel: Callable[[], RateLimitedChannel] | None = None,
     model: str = "n150",
-) -> None:
-    async def run() -> None:
-        daemon = Daemon(emulator or emulated(model))
-        own = robot_line(daemon, 1)
-        line = PtyConnection(daemon, own, PseudoTerminal(path), new_channel)
-        port = await daemon.open_listener(lambda: RobotdConnection(daemon, own), "127.0.0.1", 0, "--robotd")
-        server = RunningServer(daemon, line, port, model)
-        async with serving(daemon), server.hosts:
-            await scenario(server)
-        assert not daemon.connections
-        assert not os.path.lexists(path)
-
-    asyncio.run(run())
+) -> AsyncIterator[RunningServer]:
+    """Run a daemon with a serial link at `path` and a robotd port, both of robot 1."""
+    daemon = Daemon(emulator or emulated(model))
+    robot = robot_line(daemon, 1)
+    line = PtyConnection(daemon, robot, PseudoTerminal(path), new_channel)
+    port = await daemon.open_listener(lambda: RobotdConnection(daemon, robot), "127.0.0.1", 0, "--robotd")
+    server = RunningServer(daemon, line, port, model)
+    async with serving(daemon), server.hosts:
+        yield server
+    assert not daemon.connections
+    assert not os.path.lexists(path)
 
 
 @pytest.fixture
@@ -128,8 +126,8 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "nomad"
 
 
-def test_a_robot_stops_when_its_host_closes_the_line(path: Path) -> None:
-    async def scenario(server: RunningServer) -> None:
+async def test_a_robot_stops_when_its_host_closes_the_line(path: Path) -> None:
+    async with running_lines(path) as server:
         for _ in range(3):
             host, leave = server.at_link()
             assert (await host.ask("vm", 0, 100, 0)).slots[39] == 100
@@ -137,11 +135,9 @@ def test_a_robot_stops_when_its_host_closes_the_line(path: Path) -> None:
             leave()
             await server.until(lambda: not server.moving)
 
-    run_lines(path, scenario)
 
-
-def test_a_second_opening_of_the_link_stops_nothing(path: Path) -> None:
-    async def scenario(server: RunningServer) -> None:
+async def test_a_second_opening_of_the_link_stops_nothing(path: Path) -> None:
+    async with running_lines(path) as server:
         host, _ = server.at_link()
         await host.ask("vm", 0, 100, 0)
         for _ in range(3):
@@ -150,23 +146,19 @@ def test_a_second_opening_of_the_link_stops_nothing(path: Path) -> None:
             leave()
             assert (await host.ask("gs")).slots[39] == 100
 
-    run_lines(path, scenario)
 
-
-def test_a_removed_link_is_restored_and_logged(path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    async def scenario(server: RunningServer) -> None:
+async def test_a_removed_link_is_restored_and_logged(path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.WARNING)
+    async with running_lines(path) as server:
         path.unlink()
         async with asyncio.timeout(1.0):
             await server.until(path.is_symlink)
         assert (await server.at_link()[0].ask("gs")).kind == "state"
-
-    with caplog.at_level(logging.WARNING):
-        run_lines(path, scenario)
     assert "symbolic link was removed" in caplog.text
 
 
-def test_a_line_without_host_is_no_client(path: Path) -> None:
-    async def scenario(server: RunningServer) -> None:
+async def test_a_line_without_host_is_no_client(path: Path) -> None:
+    async with running_lines(path) as server:
         assert server.daemon.connected_clients() == []
         host, leave = server.at_link()
         await host.ask("gs")
@@ -175,11 +167,9 @@ def test_a_line_without_host_is_no_client(path: Path) -> None:
         leave()
         await server.until(lambda: not server.daemon.connected_clients())
 
-    run_lines(path, scenario)
 
-
-def test_it_stops_too_when_a_host_on_its_port_vanishes(path: Path) -> None:
-    async def scenario(server: RunningServer) -> None:
+async def test_it_stops_too_when_a_host_on_its_port_vanishes(path: Path) -> None:
+    async with running_lines(path) as server:
         host, writer = await server.at_port()
         assert (await host.ask("vm", 0, 100, 0)).slots[39] == 100
         linger = struct.pack("ii", 1, 0)
@@ -187,11 +177,9 @@ def test_it_stops_too_when_a_host_on_its_port_vanishes(path: Path) -> None:
         writer.transport.abort()
         await server.until(lambda: not server.moving)
 
-    run_lines(path, scenario)
 
-
-def test_a_host_that_moved_nothing_stops_nothing(path: Path) -> None:
-    async def scenario(server: RunningServer) -> None:
+async def test_a_host_that_moved_nothing_stops_nothing(path: Path) -> None:
+    async with running_lines(path) as server:
         driver, _ = await server.at_port()
         await driver.ask("vm", 0, 100, 0)
         host, leave = server.at_link()
@@ -200,22 +188,18 @@ def test_a_host_that_moved_nothing_stops_nothing(path: Path) -> None:
         await server.until(lambda: not server.line.is_connected)
         assert server.moving
 
-    run_lines(path, scenario)
 
-
-def test_an_n200_sends_a_handshake_over_tcp_only(path: Path) -> None:
-    async def scenario(server: RunningServer) -> None:
+async def test_an_n200_sends_a_handshake_over_tcp_only(path: Path) -> None:
+    async with running_lines(path, model="n200") as server:
         host, _ = await server.at_port()
         assert read_handshake(await host.some()) == (EVERYTHING, 51)
         assert (await host.ask("gs")).laser is not None
         serial, _ = server.at_link()
         assert (await serial.ask("get_rv")).slots == {38: 0, 39: 0, 40: 0}
 
-    run_lines(path, scenario, model="n200")
 
-
-def test_the_handshake_contains_the_mask_of_another_line(path: Path) -> None:
-    async def scenario(server: RunningServer) -> None:
+async def test_the_handshake_contains_the_mask_of_another_line(path: Path) -> None:
+    async with running_lines(path, model="n200") as server:
         serial, leave = server.at_link()
         few = Mask((0,) * 34 + (1,) * 10)
         serial.wire_state.set_mask(few)
@@ -229,22 +213,18 @@ def test_the_handshake_contains_the_mask_of_another_line(path: Path) -> None:
         await writer.wait_closed()
         await server.until(lambda: not server.daemon.connected_clients())
 
-    run_lines(path, scenario, model="n200")
 
-
-def test_ws_replies_when_the_robot_is_still(path: Path) -> None:
-    async def scenario(server: RunningServer) -> None:
+@pytest.mark.parametrize("lockstep_s", [None, 0.1])
+async def test_ws_replies_when_the_robot_is_still(path: Path, lockstep_s: float | None) -> None:
+    async with running_lines(path, emulated(pace=SimulationClock(lockstep_s=lockstep_s))) as server:
         host, _ = server.at_link()
         await host.ask("pr", 0, 90, 0)
         assert (await host.ask("ws", 1, 1, 1, 20)).slots[36] == 90
         assert not server.moving
 
-    run_lines(path, scenario)
-    run_lines(path, scenario, emulated(pace=SimulationClock(lockstep_s=0.1)))
 
-
-def test_a_host_that_does_not_read_blocks_nothing(path: Path) -> None:
-    async def scenario(server: RunningServer) -> None:
+async def test_a_host_that_does_not_read_blocks_nothing(path: Path) -> None:
+    async with running_lines(path) as server:
         deaf, _ = server.at_link()
         other, _ = await server.at_port()
         while not server.line.lost:
@@ -260,11 +240,9 @@ def test_a_host_that_does_not_read_blocks_nothing(path: Path) -> None:
         await server.until(lambda: not server.line._write_buffer)
         assert (await deaf.ask("get_rv")).kind in ("state", "velocity")
 
-    run_lines(path, scenario)
 
-
-def test_what_one_host_did_not_read_the_next_does_not_get(path: Path) -> None:
-    async def scenario(server: RunningServer) -> None:
+async def test_what_one_host_did_not_read_the_next_does_not_get(path: Path) -> None:
+    async with running_lines(path) as server:
         deaf, leave = server.at_link()
         while not server.line.lost:
             with contextlib.suppress(BlockingIOError):
@@ -276,32 +254,26 @@ def test_what_one_host_did_not_read_the_next_does_not_get(path: Path) -> None:
         host, _ = server.at_link()
         assert (await host.ask("get_rc")).kind == "configuration"
 
-    run_lines(path, scenario)
 
-
-def test_a_crowd_of_requests_is_answered_in_turns_in_full(path: Path) -> None:
-    async def scenario(server: RunningServer) -> None:
+async def test_a_crowd_of_requests_is_answered_in_turns_in_full(path: Path) -> None:
+    async with running_lines(path) as server:
         host, _ = server.at_link()
         host.send(GS * 300)
         for _ in range(300):
             assert (await host.reply()).kind == "state"
         assert not server.line.lost
 
-    run_lines(path, scenario)
 
-
-def test_a_cut_frame_is_given_up_while_the_host_waits(path: Path) -> None:
-    async def scenario(server: RunningServer) -> None:
+async def test_a_cut_frame_is_given_up_while_the_host_waits(path: Path) -> None:
+    async with running_lines(path) as server:
         host, _ = server.at_link()
         host.send(b"\x01\xf0\x00\x05" + GS)
         assert (await host.reply()).kind == "state"
         assert server.line.session.unfinished == 0
 
-    run_lines(path, scenario)
 
-
-def test_a_paced_line_is_as_slow_as_a_cable(path: Path) -> None:
-    async def scenario(server: RunningServer) -> None:
+async def test_a_paced_line_is_as_slow_as_a_cable(path: Path) -> None:
+    async with running_lines(path, new_channel=lambda: RateLimitedChannel(BAUD)) as server:
         loop = asyncio.get_running_loop()
         host, leave = server.at_link()
         await host.ask("gs")
@@ -315,13 +287,12 @@ def test_a_paced_line_is_as_slow_as_a_cable(path: Path) -> None:
         again, _ = server.at_link()
         assert (await again.ask("get_rc")).kind == "configuration"
 
-    run_lines(path, scenario, new_channel=lambda: RateLimitedChannel(BAUD))
 
-
-def test_an_internal_error_hangs_up_and_the_line_recovers(
+async def test_an_internal_error_hangs_up_and_the_line_recovers(
     path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    async def scenario(server: RunningServer) -> None:
+    caplog.set_level(logging.ERROR)
+    async with running_lines(path) as server:
         host, _ = server.at_link()
         await host.ask("vm", 0, 100, 0)
 
@@ -334,14 +305,14 @@ def test_an_internal_error_hangs_up_and_the_line_recovers(
         assert not server.moving
         again, _ = server.at_link()
         assert (await again.ask("gs")).kind == "state"
-
-    with caplog.at_level(logging.ERROR):
-        run_lines(path, scenario)
     assert "internal error" in caplog.text
 
 
-def test_an_injected_hang_up_leaves_a_working_line(path: Path) -> None:
-    async def scenario(server: RunningServer) -> None:
+@pytest.mark.parametrize("new_channel", [None, lambda: RateLimitedChannel(BAUD)], ids=["unlimited", "baud"])
+async def test_an_injected_hang_up_leaves_a_working_line(
+    path: Path, new_channel: Callable[[], RateLimitedChannel] | None
+) -> None:
+    async with running_lines(path, new_channel=new_channel) as server:
         rule = Rule("pulled", (HangUp(),), When(at=(3,)), lines=("serial",))
         server.daemon.faults.put(Plan((rule,)), ["serial:1", "robotd:1"])
         host, _ = server.at_link()
@@ -356,19 +327,14 @@ def test_an_injected_hang_up_leaves_a_working_line(path: Path) -> None:
             assert (await again.ask("gs")).kind == (await other.ask("gs")).kind == "state"
         assert server.daemon.faults.counts()["serial:1"]["pulled"]["hang_up"] == 1
 
-    run_lines(path, scenario)
-    run_lines(path, scenario, new_channel=lambda: RateLimitedChannel(BAUD))
 
-
-def test_a_plan_knows_the_hello_of_an_n200_from_what_follows(path: Path) -> None:
-    async def scenario(server: RunningServer) -> None:
+async def test_a_plan_knows_the_hello_of_an_n200_from_what_follows(path: Path) -> None:
+    async with running_lines(path, model="n200") as server:
         rule = Rule("mumbled", (Cut(keep=3),), commands=(GREETING,))
         server.daemon.faults.put(Plan((rule,)), ["serial:1", "robotd:1"])
         host, _ = await server.at_port()
         assert await host.some() == b"\xff\xff\xff"
         assert (await host.ask("get_rv")).kind == "velocity"
-
-    run_lines(path, scenario, model="n200")
 
 
 def test_a_line_for_a_missing_robot_names_the_robots() -> None:
@@ -377,12 +343,10 @@ def test_a_line_for_a_missing_robot_names_the_robots() -> None:
         robot_line(daemon, 3)
 
 
-def test_a_port_that_is_taken_names_the_remedy_for_robotd(path: Path) -> None:
-    async def scenario(server: RunningServer) -> None:
+async def test_a_port_that_is_taken_names_the_remedy_for_robotd(path: Path) -> None:
+    async with running_lines(path) as server:
         with pytest.raises(ConnectionLost, match="--robotd 0 takes a free port"):
             await server.daemon.open_listener(
                 lambda: RobotdConnection(server.daemon, robot_line(server.daemon, 1)),
                 "127.0.0.1", server.port, "--robotd",
             )
-
-    run_lines(path, scenario)
