@@ -1,9 +1,6 @@
-"""`python -m localization.experiments 5.4`: drive figures of the thesis and say what came of it. `... live`: methods
-side by side on live robots (live.command). `... lost`: does a filter know when it is lost (lost.command). `... plan`:
-ways planned and driven (plan.command). `... all`: every figure, then all of these.
+"""`python -m localization.experiments`: simulate figures of the thesis, or run `live`, `lost`, `plan` or `all`.
 
-Rules: words and files only; what is driven is in settings, trial and pool. With --json the numbers are alone on stdout;
-the progress bar (extra `plot`: tqdm) and the names of files go to stderr.
+With --json only the numbers are printed on stdout; the progress bar (extra `plot`: tqdm) and file names go to stderr.
 """
 
 from __future__ import annotations
@@ -28,11 +25,11 @@ from nclient.errors import NomadError
 
 OUT: Final = Path("out/experiments")
 ALONE: Final = ("live", "lost", "plan", "all")
-"""What is said in the place of figures."""
+"""Commands that replace the names of figures."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; 0 if all went well, 2 if it could not be run, 130 if it was interrupted."""
+    """Run the command; return 0, 2 after an error, 130 after Ctrl-C."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     try:
         match given[:1]:
@@ -57,11 +54,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _drive_all(arguments: list[str]) -> None:
     parser = argparse.ArgumentParser(
         prog="python -m localization.experiments all",
-        description=f"Everything, one after the other: the figures {', '.join(FIGURES)} (with the errors in "
+        description=f"Run everything in sequence: the figures {', '.join(FIGURES)} (with the errors in "
         f"{', '.join(_parts())}), then `live`, `lost` and `plan`, each with its own worlds, methods and scenarios. "
-        "With 100 seeds that takes two cores many hours. What `live`, `lost` and `plan` have run is kept, and a run "
-        "that was cut short goes on where it was.",
-        epilog="the options are those that all of them have; what only one knows is said to it: "
+        "With 100 seeds this takes many hours on two cores. Results of `live`, `lost` and `plan` are cached, and an "
+        "interrupted run continues where it ended.",
+        epilog="only the common options are available; run a command by itself for its own: "
         "python -m localization.experiments live --scenario exact",
     )
     add_shared(parser, OUT, "figure, then a list each of live, and objects of lost and plan")
@@ -74,19 +71,19 @@ def _drive_all(arguments: list[str]) -> None:
 
 
 def _parts() -> dict[str, str]:
-    """Figures that are drawn with another's run: which."""
+    """Return the figures that are drawn with the run of another figure, and that figure."""
     return {figure.errors_figure: name for name, figure in FIGURES.items() if figure.errors_figure}
 
 
 def _figure(text: str) -> str:
-    """The name of a figure that is run. Raises ArgumentTypeError, which says whose part another one is."""
+    """Return the name of a figure. Raises ArgumentTypeError, also for a figure that is drawn with another one."""
     if text in _parts():
         run = _parts()[text]
-        raise argparse.ArgumentTypeError(f"figure {text} shows the errors of {run} and is drawn with it: say {run}")
+        raise argparse.ArgumentTypeError(f"figure {text} shows the errors of {run} and is drawn with it: use {run}")
     if text in ALONE:
-        raise argparse.ArgumentTypeError(f"{text} is no figure: say it first, and no figure beside it")
+        raise argparse.ArgumentTypeError(f"{text} is a command, not a figure: give it first and without figures")
     if text not in FIGURES:
-        raise argparse.ArgumentTypeError(f"no figure {text!r}; there are {', '.join(FIGURES)}")
+        raise argparse.ArgumentTypeError(f"unknown figure {text!r}; expected one of {', '.join(FIGURES)}")
     return text
 
 
@@ -100,22 +97,24 @@ def _drive_figures(arguments: Sequence[str]) -> None:
 
 
 def _drive_figure(figure: Figure, options: argparse.Namespace) -> None:
-    course = figure_setup(figure)
-    total = options.seeds * course.least_steps
+    # 1. Run.
+    setup = figure_setup(figure)
+    total = options.seeds * setup.min_steps
     with progress(total, f"figure {figure.name}", "steps") as report:
         if options.cluster:
-            outcome = drive_on_cluster(figure, range(options.seeds), options.cluster, report)
+            result = drive_on_cluster(figure, range(options.seeds), options.cluster, report)
         else:
-            outcome = drive(figure, range(options.seeds), options.jobs, report)
+            result = drive(figure, range(options.seeds), options.jobs, report)
         report(total)
-    summary = summarize(figure, outcome.results)
+    # 2. Results: JSON, pictures, table.
+    summary = summarize(figure, result.results)
     text = json.dumps(summary)
     numbers = options.out / f"figure_{figure.name}.json"
     numbers.write_text(text + "\n", encoding="utf-8")
     written = [numbers]
     if options.pictures:
-        written += output.draw(figure, course, outcome.tracks, options.out)
-    print(text if options.json else table(figure, course, summary), flush=True)
+        written += output.draw(figure, setup, result.tracks, options.out)
+    print(text if options.json else table(figure, setup, summary), flush=True)
     print(f"  written: {', '.join(map(str, written))}", file=sys.stderr if options.json else sys.stdout, flush=True)
 
 
@@ -127,14 +126,14 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser = argparse.ArgumentParser(
         prog="python -m localization.experiments",
-        description="Drive figures of the thesis with many seeds at once: a simulated robot with ideal sonars and "
-        "gaussian noise, an extended Kalman filter (but for 5.2), the thesis' control law.",
+        description="Simulate figures of the thesis with many seeds: a robot with ideal sonars and Gaussian noise, an "
+        "extended Kalman filter (except 5.2), the thesis' control law.",
         epilog=f"figures:\n{titles}\n\nexample: python -m localization.experiments 5.4 --seeds 100 --out out\n\n"
-        "instead of figures: `live`, methods side by side on live robots (`live --help`); `lost`, does it know when it "
-        "is lost (`lost --help`); `plan`, ways planned and driven (`plan --help`); `all`, all figures and all of these",
+        "instead of figures: `live`, filters compared on live robots (`live --help`); `lost`, detection of a lost "
+        "estimate (`lost --help`); `plan`, planned and driven paths (`plan --help`); `all`, everything",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("figures", nargs="+", type=_figure, metavar="FIGURE", help="one or more, see below")
+    parser.add_argument("figures", nargs="+", type=_figure, metavar="FIGURE", help="simulate these figures, see below")
     add_shared(parser, OUT, "figure")
     return parser
 

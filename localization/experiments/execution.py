@@ -1,28 +1,7 @@
-"""Who does the work: this process, processes beside it, or the workers of a Dask cluster. The work is the same.
+"""Running experiments: in this process, in several processes, or on a Dask cluster; progress bar; cached results.
 
-Rules: knows processes and nothing of filters. Work is a pure function of an item, both found by import on the other
-side; results come as they are done, in any order, so an item must be found in its result. Local workers are spawned,
-not forked: a fork would copy a process that has threads (the progress bar's).
-
-A progress bar on stderr, where tqdm (extra `plot`) is there to draw it.
-
-Rules: nothing is worked out here; who works tells how much is done so far.
-
-Results on disk, a JSON file each: what is there already is not worked out again.
-
-A file is named by a digest of all that decides its numbers, the code's fingerprint among it: nothing stale is ever
-read, and a change leaves old files alone. Rules: files only. A file is whole: one cut short is never taken for a
-result.
-
-What this process would run: so that numbers kept or made elsewhere are known to be the ones it would make itself.
-
-Rules: reads the files of the packages, imports none of them.
-
-The seeds of a figure shared out among processes.
-
-Rules: knows processes and nothing of filters; a part of the work is a pure function of figure and seeds (`drive_part`),
-so that any number of processes, here or elsewhere, gives the same numbers. Workers are spawned, not forked: a
-fork would copy a process that has threads (the progress bar's).
+Work is a pure function of an item, both importable on the other side, so the numbers are the same wherever it runs.
+Results arrive in any order. Local workers are spawned, not forked: a fork would copy a process with threads.
 """
 
 from __future__ import annotations
@@ -49,20 +28,20 @@ from nclient.errors import ExtraMissing, NomadError, OutputFileError
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-PATIENCE_S: Final = 10
-"""How long a cluster may take to answer at first."""
+CONNECT_TIMEOUT_S: Final = 10
+"""Timeout of the connection to a cluster."""
 
 
 class ClusterExtraMissing(ExtraMissing):
-    """A cluster was asked for and distributed is not installed; the message names the extra."""
+    """Dask distributed is required and not installed; the message names the extra."""
 
 
 class ClusterError(NomadError, RuntimeError):
-    """A cluster that cannot do the work: not there, without workers, or with other code than this process."""
+    """A cluster that is unreachable, has no workers, or has other code than this process."""
 
 
 def run_locally(work: Callable[[Item], Result], items: Sequence[Item], jobs: int) -> Iterator[Result]:
-    """On this machine, so many processes at a time; one job stays in this process."""
+    """Yield results of work on this machine with `jobs` processes; with one job in this process."""
     if jobs == 1 or len(items) <= 1:
         yield from map(work, items)
         return
@@ -79,40 +58,53 @@ def run_locally(work: Callable[[Item], Result], items: Sequence[Item], jobs: int
 def on_cluster(
     work: Callable[[Item], Result], items: Sequence[Item], address: str, code: Callable[[], object]
 ) -> Iterator[Result]:
-    """On the workers of the Dask scheduler at an address (host:port). `code` tells what a process would run: it must be
-    the same everywhere. Raises ClusterExtraMissing, ClusterError."""
+    """Yield results of work on a Dask cluster.
+
+    Parameters
+    ----------
+    work : callable
+    items : sequence
+    address : str
+        Scheduler, host:port.
+    code : callable
+        Returns a hash of the code that a process would run, which must be the same on all workers.
+
+    Raises
+    ------
+    ClusterExtraMissing, ClusterError
+    """
     try:
         from distributed import Client, as_completed
     except ImportError as error:
-        message = "a cluster needs Dask distributed: pip install 'nomad-nserver[cluster]', or work here with --jobs"
+        message = "a cluster needs Dask distributed: pip install 'nomad-nserver[cluster]', or use --jobs"
         raise ClusterExtraMissing(message) from error
     try:
-        client = Client(address, timeout=PATIENCE_S)
+        client = Client(address, timeout=CONNECT_TIMEOUT_S)
     except (OSError, ValueError) as error:
         raise ClusterError(f"no Dask scheduler answers at {address}: {error}") from error
     with client:
-        _check(client.run(code), address, code())
+        _check_workers(client.run(code), address, code())
         futures = client.map(work, items, pure=False)
         for _, result in as_completed(futures, with_results=True):
             yield result
 
 
-def _check(codes: Mapping[str, object], address: str, mine: object) -> None:
-    """Whether there are workers, and all would run what this process would."""
+def _check_workers(codes: Mapping[str, object], address: str, own: object) -> None:
+    """Raise ClusterError unless there are workers and all have the same code as this process."""
     if not codes:
         raise ClusterError(f"the scheduler at {address} has no workers: start some with `dask worker {address}`")
-    others = sorted(worker for worker, theirs in codes.items() if theirs != mine)
+    others = sorted(worker for worker, theirs in codes.items() if theirs != own)
     if others:
-        raise ClusterError(f"other code or another numpy than here on {', '.join(others)}: install the same there")
+        raise ClusterError(f"different code or numpy on {', '.join(others)}: install the same versions there")
 
 
 Tally = Callable[[int], None]
-"""Told how much is done so far."""
+"""Called with the amount of work done so far."""
 
 
 @contextmanager
 def progress(total: int, title: str, unit: str) -> Iterator[Tally]:
-    """A bar from nothing to `total`; nothing where tqdm is missing."""
+    """Show a progress bar from 0 to `total` on stderr; without tqdm show nothing."""
     try:
         from tqdm import tqdm
     except ImportError:
@@ -127,19 +119,23 @@ def progress(total: int, title: str, unit: str) -> Iterator[Tally]:
 
 
 class ResultCache:
-    """A folder of results that code of that fingerprint made."""
+    """JSON results on disk, one file each, computed by code with a given hash.
+
+    A file is named by a digest of everything that decides its numbers, including the code's hash, so that no outdated
+    result is read.
+    """
 
     def __init__(self, folder: Path, code: str) -> None:
         self._folder, self._code = folder, code
 
     def path(self, name: str, decided_by: tuple[object, ...]) -> Path:
-        """Where the result of that name is kept; `decided_by`: what decides its numbers, told by its repr."""
+        """Return the path of a result; the repr of `decided_by` must contain everything that decides its numbers."""
         key = sha256(repr((self._code, *decided_by)).encode())
         return self._folder / f"{name}_{key.hexdigest()[:16]}.json"
 
     @staticmethod
     def get(path: Path) -> dict[str, Any] | None:
-        """What is kept there, None where nothing is."""
+        """Return the cached result, None if there is none."""
         try:
             text = path.read_text(encoding="utf-8")
         except FileNotFoundError:
@@ -148,18 +144,18 @@ class ResultCache:
         return found
 
     def put(self, path: Path, result: Mapping[str, Any]) -> None:
-        """Keep a result there. Raises OutputFileError where that cannot be."""
+        """Store a result; the file is written as a whole. Raises OutputFileError."""
         self._folder.mkdir(parents=True, exist_ok=True)
         write_atomic(path, json.dumps(result) + "\n", OutputFileError)
 
 
 CODE: Final = ("localization", "nclient", "nserver_emu", "worlds")
-"""The packages an experiment runs through."""
+"""Packages that decide the results of experiments."""
 SUFFIXES: Final = (".py", ".toml")
 
 
 def code_hash() -> str:
-    """What this process would run: a digest of the project's code and worlds, and of numpy's version."""
+    """Return a digest of the project's code and worlds and of numpy's version."""
     digest = sha256(np.__version__.encode())
     for name, content in sorted(_sources().items()):
         digest.update(f"{name}\0{sha256(content).hexdigest()}\n".encode())
@@ -167,7 +163,7 @@ def code_hash() -> str:
 
 
 def _sources() -> dict[str, bytes]:
-    """Every file of the packages, by its name in them."""
+    """Return the content of all source files by name."""
     return {
         f"{package}/{path.relative_to(folder).as_posix()}": path.read_bytes()
         for package in CODE
@@ -186,46 +182,46 @@ def _folders(package: str) -> Iterator[Path]:
 if TYPE_CHECKING:
     from multiprocessing.sharedctypes import Synchronized
 
-_LARGEST_PART: Final = 125
-"""Seeds at once: larger batches save nothing and keep some 0.5 MB a seed."""
+_MAX_BATCH: Final = 125
+"""Seeds per batch: larger batches are not faster and need about 0.5 MB per seed."""
 
-_CLUSTER_PART: Final = 25
-"""Seeds at once on a cluster: some seconds of work, so that none waits long for the slowest."""
+_CLUSTER_BATCH: Final = 25
+"""Seeds per batch on a cluster: a few seconds of work, so that the slowest worker delays little."""
 
-_LOOK_EVERY_S: Final = 0.2
+_POLL_INTERVAL_S: Final = 0.2
 
 
-class _Odometer:
-    """The steps this worker process shares with its parent; set when the worker starts."""
+class _StepCounter:
+    """Step counter shared by a worker process with its parent; set when the worker starts."""
 
     steps: ClassVar[Synchronized[int] | None] = None
 
 
-def parts_of(seeds: Sequence[int], jobs: int) -> list[Sequence[int]]:
-    """The seeds cut into runs of equal length: one for each job, or more where that is beyond the largest part."""
-    size = max(1, min(_LARGEST_PART, math.ceil(len(seeds) / jobs)))
+def split_seeds(seeds: Sequence[int], jobs: int) -> list[Sequence[int]]:
+    """Return the seeds in batches of equal size: one per job, or more if that would exceed _MAX_BATCH."""
+    size = max(1, min(_MAX_BATCH, math.ceil(len(seeds) / jobs)))
     return [seeds[first : first + size] for first in range(0, len(seeds), size)]
 
 
-def drive_part(figure: Figure, seeds: Sequence[int], tick: Tally = lambda _: None) -> FigureResult:
-    """Drive a figure once with each seed and keep what the summary and the pictures need; `tick` per step."""
+def drive_batch(figure: Figure, seeds: Sequence[int], tick: Tally = lambda _: None) -> FigureResult:
+    """Simulate a figure once per seed and return what summary and pictures need; `tick` is called per step."""
     return figure_result(run(figure_setup(figure), seeds, tick), figure.filtered)
 
 
 def drive(figure: Figure, seeds: Sequence[int], jobs: int, report: Tally = lambda _: None) -> FigureResult:
     """Drive a figure with all seeds, `jobs` processes at a time; one job stays in this process."""
-    parts = parts_of(seeds, jobs)
+    parts = split_seeds(seeds, jobs)
     if len(parts) == 1 or jobs == 1:
         tick = _counting(report)
-        return join_results([drive_part(figure, part, tick) for part in parts])
+        return join_results([drive_batch(figure, part, tick) for part in parts])
     context = multiprocessing.get_context("spawn")
-    odometer = context.Value("q", 0)
-    with ProcessPoolExecutor(min(jobs, len(parts)), context, _adopt, (odometer,)) as workers:
-        futures = [workers.submit(_drive_part_counting, figure, part) for part in parts]
+    counter = context.Value("q", 0)
+    with ProcessPoolExecutor(min(jobs, len(parts)), context, _set_counter, (counter,)) as workers:
+        futures = [workers.submit(_drive_batch_counting, figure, part) for part in parts]
         waiting = set(futures)
         while waiting:
-            waiting = wait(waiting, timeout=_LOOK_EVERY_S).not_done
-            report(odometer.value)
+            waiting = wait(waiting, timeout=_POLL_INTERVAL_S).not_done
+            report(counter.value)
         return join_results([future.result() for future in futures])
 
 
@@ -233,7 +229,7 @@ def drive_on_cluster(
     figure: Figure, seeds: Sequence[int], address: str, report: Tally = lambda _: None
 ) -> FigureResult:
     """Drive a figure with all seeds on a Dask cluster, in parts of equal length."""
-    items = [(figure, seeds[first : first + _CLUSTER_PART]) for first in range(0, len(seeds), _CLUSTER_PART)]
+    items = [(figure, seeds[first : first + _CLUSTER_BATCH]) for first in range(0, len(seeds), _CLUSTER_BATCH)]
     parts = []
     tick = _counting(report)
     for part in on_cluster(_drive_item, items, address, code_hash):
@@ -243,11 +239,11 @@ def drive_on_cluster(
 
 
 def _drive_item(item: tuple[Figure, Sequence[int]]) -> FigureResult:
-    return drive_part(*item)
+    return drive_batch(*item)
 
 
 def _counting(report: Tally) -> Tally:
-    """A tick that adds up and reports the sum."""
+    """Return a tick that reports the sum of its arguments."""
     done = 0
 
     def tick(steps: int) -> None:
@@ -258,16 +254,16 @@ def _counting(report: Tally) -> Tally:
     return tick
 
 
-def _adopt(odometer: Synchronized[int]) -> None:
-    _Odometer.steps = odometer
+def _set_counter(counter: Synchronized[int]) -> None:
+    _StepCounter.steps = counter
 
 
-def _drive_part_counting(figure: Figure, seeds: Sequence[int]) -> FigureResult:
-    """In a worker: as `drive_part`, telling the parent about the steps."""
-    return drive_part(figure, seeds, _tell_parent)
+def _drive_batch_counting(figure: Figure, seeds: Sequence[int]) -> FigureResult:
+    """Run `drive_batch` in a worker and count its steps for the parent."""
+    return drive_batch(figure, seeds, _count_steps)
 
 
-def _tell_parent(steps: int) -> None:
-    if _Odometer.steps is not None:
-        with _Odometer.steps.get_lock():
-            _Odometer.steps.value += steps
+def _count_steps(steps: int) -> None:
+    if _StepCounter.steps is not None:
+        with _StepCounter.steps.get_lock():
+            _StepCounter.steps.value += steps

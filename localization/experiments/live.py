@@ -1,20 +1,7 @@
-"""The matrix in words and files: a table for people, CSV and JSON for programs, a PNG for a page.
+"""`python -m localization.experiments live`: compare filters on simulated live robots.
 
-Rules: says and draws what it is given. The rows of all are the same, COLUMNS says how each number is told.
-
-Paths in TUM's form, for evo and its like: a line a pose, "time x y z qx qy qz qw", seconds, metres, a quaternion.
-
-Rules: text and files only. A trial has three paths: `truth`, `odometry` (where the encoders say it is), `estimate`; of
-a method that looks back all three are of the instants it tells of.
-
-Results of live trials on disk, a JSON file a trial: what is there already is not driven again.
-
-A file is named by the trial (with its scenario, to the last number) and by the code (kept, fingerprint).
-Rules: names only; files are kept's.
-
-`python -m localization.experiments live`: methods side by side on live robots in simulation, as a table.
-
-Rules: words and files only; trials are matrix's, who runs them is crew's. With --json the rows are alone on stdout.
+Paths are written in TUM format for evo and similar tools, one pose per line: "time x y z qx qy qz qw", in seconds and
+metres. A trial has three: truth, odometry, estimate; for the smoother all three are of the times it estimates.
 """
 
 from __future__ import annotations
@@ -63,8 +50,7 @@ RIGHT_NEES, RIGHT_COVERAGE = 3.0, 0.95
 
 
 class Column(NamedTuple):
-    """A number of the matrix: its key in a row, what it is called, how it is written, and how bad a value is (0: best),
-    for the colours."""
+    """A column of the table: key, title, format, and a measure of badness (0: best) for the colours."""
 
     key: str
     title: str
@@ -85,7 +71,7 @@ COLUMNS: Final = (
 
 
 def rows(matrix: Matrix) -> list[Row]:
-    """A row a cell: its names, then all numbers of its summary, and the shares of runs lost and reached."""
+    """Return one row per cell: its names, the numbers of its summary, and the fractions of runs lost and reached."""
     return [
         {
             **cell._asdict(),
@@ -99,7 +85,7 @@ def rows(matrix: Matrix) -> list[Row]:
 
 
 def table(matrix: Matrix) -> str:
-    """For people."""
+    """Return the matrix as a text table."""
     heads = ["scenario", "path", "method", "seeds", *(column.title for column in COLUMNS)]
     body = [
         [str(row[key]) for key in ("scenario", "figure", "method", "seeds")]
@@ -107,12 +93,13 @@ def table(matrix: Matrix) -> str:
         for row in rows(matrix)
     ]
     widths = [max(len(line[k]) for line in (heads, *body)) for k in range(len(heads))]
-    return "\n".join("  ".join(text.rjust(width) for text, width in zip(line, widths, strict=True)) for line in
-                     (heads, *body))
+    return "\n".join(
+        "  ".join(text.rjust(width) for text, width in zip(line, widths, strict=True)) for line in (heads, *body)
+    )
 
 
 def write(matrix: Matrix, folder: Path, *, picture: bool) -> list[Path]:
-    """Write live.csv, live.json and live.png into a folder; where they are."""
+    """Write live.csv, live.json and live.png into a folder; return their paths."""
     folder.mkdir(parents=True, exist_ok=True)
     written = [folder / "live.csv", folder / "live.json"]
     found = rows(matrix)
@@ -128,7 +115,7 @@ def write(matrix: Matrix, folder: Path, *, picture: bool) -> list[Path]:
 
 
 def _draw(matrix: Matrix, path: Path) -> None:
-    """A panel a number: methods down, scenarios and paths across, the better the lighter."""
+    """Draw one panel per number: methods down, scenarios and paths across, better values lighter."""
     found = dict(zip(matrix, rows(matrix), strict=True))
     across = list(dict.fromkeys((cell.scenario, cell.figure) for cell in found))
     down = list(dict.fromkeys(cell.method for cell in found))
@@ -144,7 +131,7 @@ def _draw(matrix: Matrix, path: Path) -> None:
         axes.set_xticks(range(len(across)), [f"{scenario}\n{figure}" for scenario, figure in across], fontsize=7)
         axes.set_yticks(range(len(down)), down if number % 4 == 0 else [""] * len(down))
     runs = next(iter(matrix.values()))["seeds"]
-    picture.suptitle(f"Live localization, {runs} seeds a cell: methods, noise, paths")
+    picture.suptitle(f"Live localization, {runs} seeds per cell: methods, noise, paths")
     save(picture, path)
 
 
@@ -170,7 +157,7 @@ METRES_PER_INCH: Final = 0.0254
 
 
 def lines(clock_s: Floats, poses: Floats) -> str:
-    """Poses (T, 3) in inches and radians at instants (T,) as text."""
+    """Return poses (T, 3) in inches and radians at times (T,) in TUM format: "time x y z qx qy qz qw"."""
     x, y = (METRES_PER_INCH * poses[:, :2]).T
     half = 0.5 * poses[:, 2]
     rows = zip(clock_s, x, y, np.sin(half), np.cos(half), strict=True)
@@ -178,13 +165,13 @@ def lines(clock_s: Floats, poses: Floats) -> str:
 
 
 def paths(folder: Path, trial: Trial) -> dict[str, Path]:
-    """Where the paths of a trial are written: truth, odometry, estimate."""
+    """Return the files of a trial's paths: truth, odometry, estimate."""
     stem = f"{'_'.join(trial.cell)}_{trial.seed:04d}"
     return {name: folder / f"{stem}_{name}.tum" for name in ("truth", "odometry", "estimate")}
 
 
 def write_tum(folder: Path, trial: Trial, record: Record) -> None:
-    """Write the paths of a trial, and the folder they stand in."""
+    """Write the paths of a trial, creating their folder."""
     folder.mkdir(parents=True, exist_ok=True)
     poses = {"truth": record.truth, "odometry": record.encoders, "estimate": record.mean}
     for name, path in paths(folder, trial).items():
@@ -192,39 +179,39 @@ def write_tum(folder: Path, trial: Trial, record: Record) -> None:
 
 
 class TrialCache:
-    """A folder of results of trials run by code of that fingerprint."""
+    """Cached results of trials, run by code with this hash."""
 
     def __init__(self, folder: Path, code: str) -> None:
-        self._kept = ResultCache(folder, code)
+        self._cache = ResultCache(folder, code)
 
     def path(self, trial: Trial) -> Path:
-        """Where the result of a trial is kept."""
+        """Return the file of a trial's result."""
         decided_by = (trial.figure, trial.seed, trial.periods, asdict(trial.scenario))
-        return self._kept.path(f"{'_'.join(trial.cell)}_{trial.seed:04d}", decided_by)
+        return self._cache.path(f"{'_'.join(trial.cell)}_{trial.seed:04d}", decided_by)
 
     def get(self, trial: Trial) -> TrialResult | None:
-        """The result that is kept, None where there is none."""
-        found = self._kept.get(self.path(trial))
+        """Return the cached result, None if there is none."""
+        found = self._cache.get(self.path(trial))
         return None if found is None else TrialResult(**found)
 
     def put(self, trial: Trial, result: TrialResult) -> None:
-        """Keep a result."""
-        self._kept.put(self.path(trial), asdict(result))
+        """Store a result."""
+        self._cache.put(self.path(trial), asdict(result))
 
 
 Executor = Callable[[Sequence[TrialJob]], Iterator[FinishedTrial]]
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Run the command. Raises what the crew and the files raise."""
+    """Run the command; errors of execution and files are propagated."""
     options = _parser().parse_args(arguments)
     if options.pictures:
         require_matplotlib()
     make_folder(options.out)
-    wanted = trials(options.scenario, options.figures, options.methods, options.seeds, options.periods)
+    requested = trials(options.scenario, options.figures, options.methods, options.seeds, options.periods)
     store = TrialCache(options.out / "trials", code_hash())
-    with progress(len(wanted), "live", "trials") as tally:
-        results = collect(wanted, store, options.tum, executor_for(matrix.run, options), tally)
+    with progress(len(requested), "live", "trials") as tally:
+        results = collect(requested, store, options.tum, executor_for(matrix.run, options), tally)
     found = matrix.summaries(results)
     written = write(found, options.out, picture=options.pictures)
     print(json.dumps(rows(found)) if options.json else table(found), flush=True)
@@ -232,19 +219,19 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def collect(
-    wanted: Sequence[Trial], store: TrialCache, paths: Path | None, work: Executor, tally: Tally
+    requested: Sequence[Trial], store: TrialCache, paths: Path | None, work: Executor, tally: Tally
 ) -> dict[Trial, TrialResult]:
-    """The results of all trials in their order: from the store, and what is not there by work, kept as it is done.
+    """Return the results of all trials in order, from the cache or by running them.
 
-    `paths`: a folder for the paths of all of them; a trial whose paths are not there, or older, is driven again.
+    With a folder `paths`, trials whose path files are missing or older than the result are run again.
     """
-    results = {trial: store.get(trial) for trial in wanted}
+    results = {trial: store.get(trial) for trial in requested}
     jobs = [
         TrialJob(trial, paths is not None)
         for trial, result in results.items()
-        if result is None or (paths and not _drawn(paths, trial, store))
+        if result is None or (paths and not _has_paths(paths, trial, store))
     ]
-    tally(done := len(wanted) - len(jobs))
+    tally(done := len(requested) - len(jobs))
     for trial, result, record in work(jobs):
         store.put(trial, result)
         if paths and record:
@@ -254,8 +241,8 @@ def collect(
     return {trial: result for trial, result in results.items() if result}
 
 
-def _drawn(folder: Path, trial: Trial, store: TrialCache) -> bool:
-    """Whether the paths of a trial are written, no earlier than its result."""
+def _has_paths(folder: Path, trial: Trial, store: TrialCache) -> bool:
+    """Return True if the path files of a trial exist and are not older than its result."""
     since = store.path(trial).stat().st_mtime_ns
     return all(path.exists() and path.stat().st_mtime_ns >= since for path in paths(folder, trial).values())
 
@@ -263,19 +250,44 @@ def _drawn(folder: Path, trial: Trial, store: TrialCache) -> bool:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m localization.experiments live",
-        description="Drive simulated robots over the same interface as real ones, on the estimates of each method, and "
-        "say how good they are: RMSE, consistency, jitter, time, runs lost. Trials that are on disk are not driven "
-        "again. `smoother` looks back: its numbers are of where the robot was some 2 s before.",
+        description="Compare filters on simulated robots driven over the same interface as real ones: RMSE, "
+        "consistency, jitter, computing time, lost runs. Results are cached. The numbers of `smoother` apply to poses "
+        "about 2 s ago.",
         epilog="example: python -m localization.experiments live --scenario exact --methods ekf ukf --seeds 10",
     )
-    parser.add_argument("--scenario", nargs="+", choices=list(SCENARIOS), default=list(SCENARIOS), metavar="NAME",
-                        help=f"what errs and how: {', '.join(SCENARIOS)} (all)")
-    parser.add_argument("--figures", nargs="+", choices=list(COURSES), default=list(COURSES), metavar="FIGURE",
-                        help=f"whose path: {', '.join(COURSES)} (all)")
-    parser.add_argument("--methods", nargs="+", choices=list(METHODS), default=list(COMPARED), metavar="METHOD",
-                        help=f"of {', '.join(METHODS)} (default {' '.join(COMPARED)})")
-    parser.add_argument("--periods", type=positive, default=MAX_PERIODS, metavar="N",
-                        help="give a trial up after so many tenths of a second (%(default)s)")
-    parser.add_argument("--tum", type=Path, metavar="DIR", help="write the paths of all trials there, for evo")
+    parser.add_argument(
+        "--scenario",
+        nargs="+",
+        choices=list(SCENARIOS),
+        default=list(SCENARIOS),
+        metavar="NAME",
+        help=f"error scenarios: {', '.join(SCENARIOS)} (default: all)",
+    )
+    parser.add_argument(
+        "--figures",
+        nargs="+",
+        choices=list(COURSES),
+        default=list(COURSES),
+        metavar="FIGURE",
+        help=f"paths of these figures: {', '.join(COURSES)} (default: all)",
+    )
+    parser.add_argument(
+        "--methods",
+        nargs="+",
+        choices=list(METHODS),
+        default=list(COMPARED),
+        metavar="METHOD",
+        help=f"of {', '.join(METHODS)} (default: {' '.join(COMPARED)})",
+    )
+    parser.add_argument(
+        "--periods",
+        type=positive,
+        default=MAX_PERIODS,
+        metavar="N",
+        help="end a trial after this number of periods of 0.1 s (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--tum", type=Path, metavar="DIR", help="write the paths of all trials to this folder, in TUM format"
+    )
     add_shared(parser, Path("out/experiments"), "row of the table")
     return parser

@@ -1,33 +1,16 @@
-"""What a live trial is run with: world and path, how the simulated robot errs, and what the filter knows of it. Data.
+"""Live trials: a simulated robot driven along a path on its estimate, over the same interface as a real one.
 
-Rules: numbers only. A scenario makes the text of a setup file for each seed, for what is drawn anew with each run; the
-simulation is reached by a `sim:` address like any robot.
+A Scenario defines the robot's errors and the filter's models; Record is the history of a trial; TrialResult and
+LiveSummary are its results. The ground truth never reaches the filter. Simulated time advances with the exchanges
+only, two per period (state and command), so a trial never waits.
 
-Readings made bad on purpose: of each echo decided once, as it is first shown, whether it is replaced and by what.
+    RMSE          root of the mean squared error of position and heading
+    NEES          mean of e' P^-1 e of the pose, ideally 3
+    coverage      fraction of estimates whose truth lies in the 95 % ellipse of the position
+    jitter        RMS change of the estimate's error from one estimate to the next, relative to the odometry's
+    lost          trials with a position error above LOST_IN at any evaluated time
 
-Rules: the filter sees the same interface; all chance is the seed's. Which echo a state shows is the schedule's to tell.
-
-One live trial: a robot by its address, driven along a path on its estimate, and what came of it at every period.
-
-Rules: speaks to the robot through nclient; the truth is asked for beside and never reaches the filter. Simulated time
-passes with the exchanges alone: two a period, the question and the command, so a trial takes no time to wait.
-
-From live trials to numbers: what is kept of each, and the summary of many.
-
-    RMSE          root of the mean squared error of position, of heading
-    NEES          mean of error' P^-1 error of the pose: 3 is right
-    coverage      share of estimates whose truth lies in the 95 % ellipse of the position
-    jitter        root mean square of how the estimate's error changes from one to the next, over that of the
-                  odometry's: below 1.5 a steering hand does not feel the filter
-    lost          trials whose estimate is farther than LOST_IN from the truth at any time that is judged
-
-Rules: pure. What is kept of a trial depends on it alone (sums by math.fsum, exact in any order) and on disk is the same
-to the bit; only the time spent is the machine's. All but reached and jitter is after the way that is not judged.
-
-The matrix of live trials: method by scenario by path, a trial a seed. Data, and what runs one of them.
-
-Rules: a trial is a value that decides its numbers to the bit (the time it took apart), whoever runs it and wherever, so
-that results can be kept by it. No process, no file.
+A trial is a value that decides its numbers to the bit, except computing times, so that results can be cached.
 """
 
 from __future__ import annotations
@@ -63,30 +46,40 @@ from worlds.world import World
 COURSES: Final[Mapping[str, str]] = MappingProxyType(
     {"5.4": "thesis_room", "5.8": "several_walls", "5.9": "centre_vertex"}
 )
-"""The paths that live trials are driven on, by their figures, and the world of each."""
+"""Paths of live trials by figure, and their worlds."""
 
 START_STD: Final = (0.2, 0.2, 0.01)
-"""How well the robot is placed: inches, inches, radians."""
+"""Initial standard deviations: inches, inches, radians."""
 QUIET: Final = OdometryNoise(translation_std=0.05, rotation_std=0.05, drift_std=0.002)
-"""How the true motion strays from the encoders', in the figures' model."""
+"""Odometry noise of scenarios without noise in the simulation."""
 EXACT_RAYS: Final = RaySonar(
     range_std_relative=0.0, range_std_floor_in=0.02, rounding_var_in2=1.0 / 12.0, lowest_in=6.0, highest_in=255.0
 )
-"""Rays without noise, read in whole inches."""
+"""Rays without noise, in whole inches."""
 SCALE, BAD = 1, 2
-"""Which stream of a seed's chance each is drawn from."""
+"""Random streams of a seed."""
 
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """One way to run a trial; the filter is told all of it but the draws.
+    """Errors of the simulated robot, and the models of its filter.
 
-    base                 the simulation's named setup          odometry      its random walk, known to the filter
-    scale_std            std of the odometry's scale, drawn for each run; the filter finds it out
-    bad_share            of the readings replaced by one anywhere from 6 to 255 in
-    sonar                how the filter understands readings   method        its method
-    judged_after_in      inches of way after which the estimate is judged
-    line                 over the robot's own line: no stamps, and a clock in steps of 16.4 ms
+    Attributes
+    ----------
+    base
+        Named setup of the simulation.
+    odometry
+        Random odometry noise, also used by the filter.
+    scale_std
+        Standard deviation of the odometry scale, drawn for each run and estimated by the filter.
+    outlier_fraction
+        Fraction of the readings replaced by a random one from 6 to 255 in.
+    sonar, method
+        Sonar model and method of the filter.
+    judged_after_in
+        Distance driven after which the estimate is evaluated.
+    line
+        True to use the serial protocol: no timestamps, and a clock with steps of 16.4 ms.
     """
 
     name: str
@@ -94,14 +87,14 @@ class Scenario:
     sonar: RaySonar | ConeSonar
     odometry: OdometryNoise = QUIET
     scale_std: float = 0.0
-    bad_share: float = 0.0
+    outlier_fraction: float = 0.0
     judged_after_in: float = 0.0
     speed_in_s: float = 5.0
     method: str = "ekf"
     line: bool = False
 
     def setup(self, seed: int) -> str:
-        """The setup file of a run, in TOML."""
+        """Return the setup file of a run, in TOML."""
         noise = self.odometry
         clock = f"clock_step_s = {CLOCK_STEP_S}\n" if self.line else ""
         return (
@@ -112,13 +105,13 @@ class Scenario:
         )
 
     def scale(self, seed: int) -> float:
-        """True travel per counted travel in the run of this seed."""
+        """Return the true distance per counted distance in the run of this seed."""
         draw = float(np.random.default_rng([seed, SCALE]).standard_normal())
         return 1.0 + self.scale_std * float(np.clip(draw, -4.0, 4.0))
 
     @property
     def constants(self) -> tuple[float, ...]:
-        """What else the filter finds out, as uncertain as it is (systematic)."""
+        """Standard deviations of the odometry parameters that the filter estimates."""
         return (self.scale_std,) if self.scale_std else ()
 
 
@@ -128,57 +121,70 @@ SCENARIOS: Final[Mapping[str, Scenario]] = MappingProxyType(
         for scenario in (
             Scenario("exact", "ideal", EXACT_RAYS),
             Scenario("noisy", "noisy", WIRE_SONAR, THESIS_ODOMETRY),
-            Scenario("measured", "measured", ConeSonar(), scale_std=0.05, bad_share=0.2, judged_after_in=24.0),
+            Scenario("measured", "measured", ConeSonar(), scale_std=0.05, outlier_fraction=0.2, judged_after_in=24.0),
             Scenario("exact_line", "ideal", EXACT_RAYS, line=True),
-            Scenario("measured_line", "measured", ConeSonar(), scale_std=0.05, bad_share=0.2, judged_after_in=24.0,
-                     line=True),
+            Scenario(
+                "measured_line",
+                "measured",
+                ConeSonar(),
+                scale_std=0.05,
+                outlier_fraction=0.2,
+                judged_after_in=24.0,
+                line=True,
+            ),
         )
     }
 )
-"""`exact`: exact rays. `noisy`: rays and odometry as noisy as the figures'. `measured`: a real ring's sonars, a fifth
-of its readings bad besides, and a scale to find. `_line`: the same over the robot's own line."""
+"""`exact`: exact rays. `noisy`: rays and odometry with the noise of the figures. `measured`: the sonars of a real ring,
+a fifth of the readings outliers, and an unknown scale. `_line`: the same over the serial protocol."""
 
 
-LOWEST_IN, HIGHEST_IN = 6, 255
+MIN_OUTLIER_IN, MAX_OUTLIER_IN = 6, 255
 
 
 class BadReadings:
-    """Replaces a share of all echoes by whole inches anywhere from 6 to 255."""
+    """Replace a fraction of all echoes by random whole inches from 6 to 255.
 
-    def __init__(self, share: float, schedule: FiringSchedule, chance: np.random.Generator) -> None:
-        self._share, self._schedule, self._chance = share, schedule, chance
+    An echo is decided once, when it is first reported; the firing schedule determines which echo a state reports.
+    """
+
+    def __init__(self, fraction: float, schedule: FiringSchedule, rng: np.random.Generator) -> None:
+        self._fraction, self._schedule, self._rng = fraction, schedule, rng
         self._late_s = [schedule.order.index(sonar) * schedule.interval_s for sonar in range(len(schedule.order))]
         self._round_s = schedule.round_s
         self._replaced: dict[int, tuple[int, int | None]] = {}
 
-    def of(self, told: SensorInput) -> SensorInput:
-        """What the robot told as the filter is shown it."""
-        if not self._share or told.clock_s is None:
-            return told
-        readings = [self._reading(sonar, told.clock_s, int(heard)) for sonar, heard in enumerate(told.sonars_in)]
-        return with_readings(told, tuple(readings))
+    def apply(self, state: SensorInput) -> SensorInput:
+        """Return the state with outliers, as the filter receives it."""
+        if not self._fraction or state.clock_s is None:
+            return state
+        readings = [self._reading(sonar, state.clock_s, int(reading)) for sonar, reading in enumerate(state.sonars_in)]
+        return with_readings(state, tuple(readings))
 
-    def _reading(self, sonar: int, clock_s: float, heard_in: int) -> int:
+    def _reading(self, sonar: int, clock_s: float, reading_in: int) -> int:
         since_s = clock_s - self._schedule.start_s - self._late_s[sonar]
         turn = int(since_s // self._round_s)
         if self._replaced.get(sonar, (None, None))[0] != turn:
-            bad, instead = self._chance.random() < self._share, int(self._chance.integers(LOWEST_IN, HIGHEST_IN + 1))
+            bad, instead = (
+                self._rng.random() < self._fraction,
+                int(self._rng.integers(MIN_OUTLIER_IN, MAX_OUTLIER_IN + 1)),
+            )
             self._replaced[sonar] = turn, instead if bad else None
         instead_in = self._replaced[sonar][1]
-        return heard_in if instead_in is None else instead_in
+        return reading_in if instead_in is None else instead_in
 
 
 Timer = Callable[[], float]
 
-EXCHANGES_A_PERIOD: Final = 2
+EXCHANGES_PER_PERIOD: Final = 2
 MAX_PERIODS: Final = 3000
-"""Five minutes: longer than any path takes three times over."""
+"""Five minutes: more than three times the duration of any path."""
 START: Final = 0
-"""Stream of a seed's chance from which the error of the first estimate is drawn."""
+"""Random stream of the initial estimate's error."""
 
 
 class Period(NamedTuple):
-    """A period: the estimate, truth and encoders (3,) at its clock, and the seconds of the timer spent on it."""
+    """A period: estimate, true pose and encoders (3,), and the computing time in s."""
 
     estimate: Estimate
     truth: Floats
@@ -188,17 +194,24 @@ class Period(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """A trial of T estimates: `clock_s` (T,), the instant each is of; `way_in` (T,) gone by then, `truth`, `encoders`
-    and `mean` (T, 3), `cov` (T, 3, 3). `spent_s` (periods,): what each state took to be worked in, of the timer's time.
+    """History of a trial of T estimates.
 
-    A method that looks back has its estimates of a while ago here (filters.smoother); the robot is driven on those of
-    the present whatever the method.
+    Attributes
+    ----------
+    clock_s, distance_in : (T,) array
+        Time of each estimate, and distance driven by then.
+    truth, encoders, mean : (T, 3) array
+    cov : (T, 3, 3) array
+    spent_s : (periods,) array
+        Computing time per state.
+
+    A smoother's estimates are those of past times; the robot is always driven on the current ones.
     """
 
     seed: int
     reached: bool
     clock_s: Floats
-    way_in: Floats
+    distance_in: Floats
     truth: Floats
     encoders: Floats
     mean: Floats
@@ -207,33 +220,31 @@ class Record:
 
     @property
     def error(self) -> Floats:
-        """Estimate less truth (T, 3)."""
+        """Estimate minus truth (T, 3)."""
         return difference(self.mean, self.truth)
 
 
-def drive(
-    scenario: Scenario, figure: str, seed: int, periods: int = MAX_PERIODS, timer: Timer = lambda: 0.0
-) -> Record:
-    """Run one trial of so many periods at most in a simulation of its own; `timer` tells seconds."""
+def drive(scenario: Scenario, figure: str, seed: int, periods: int = MAX_PERIODS, timer: Timer = lambda: 0.0) -> Record:
+    """Run one trial of at most `periods` periods in its own simulation; `timer` returns seconds."""
     world = load_world(COURSES[figure])
     start = world.paths[figure].start
     pose = f"{start.x_in},{start.y_in},{np.degrees(start.steering_rad)},{np.degrees(start.turret_rad)}"
     with tempfile.TemporaryDirectory() as folder:
         setup = Path(folder) / "setup.toml"
         setup.write_text(scenario.setup(seed), encoding="utf-8")
-        step_s = PERIOD_S / EXCHANGES_A_PERIOD
+        step_s = PERIOD_S / EXCHANGES_PER_PERIOD
         options = f"setup={setup}&seed={seed}&start={pose}&step_s={step_s}&line={int(scenario.line)}"
         with connect(f"sim:{world.name}?{options}") as robot:
-            localizer, shown = _listening(robot, scenario, world, figure, seed)
+            localizer, outliers = _start_localizer(robot, scenario, world, figure, seed)
             navigator = Navigator(world.paths[figure].goals_in, Speeds(translation_in_s=scenario.speed_in_s))
-            followed = _follow(robot, localizer, shown, navigator, periods, timer)
+            followed = _follow(robot, localizer, outliers, navigator, periods, timer)
     return _record(seed, navigator.finished, followed)
 
 
-def _listening(
+def _start_localizer(
     robot: Robot, scenario: Scenario, world: World, figure: str, seed: int
 ) -> tuple[Localizer, BadReadings]:
-    """The filter at the start, a little off, and what spoils its readings."""
+    """Return the localizer, its initial estimate drawn from START_STD, and the source of outliers."""
     start = world.paths[figure].start
     state = robot.configure_sonars(rate=DEFAULT_SONAR_RATE, order=DEFAULT_SONAR_ORDER)
     assert state.clock_s is not None
@@ -241,19 +252,19 @@ def _listening(
     off = np.array(START_STD) * np.random.default_rng([seed, START]).standard_normal(3)
     guess = add(np.array([start.x_in, start.y_in, start.steering_rad]), off)
     belief = with_parameters(independent(guess, START_STD), scenario.constants)
-    known = LocalizationConfig(world.walls, N150, scenario.odometry, scenario.sonar)
-    localizer = Localizer(known, belief, schedule, scenario.method, seed)
-    return localizer, BadReadings(scenario.bad_share, schedule, np.random.default_rng([seed, BAD]))
+    config = LocalizationConfig(world.walls, N150, scenario.odometry, scenario.sonar)
+    localizer = Localizer(config, belief, schedule, scenario.method, seed)
+    return localizer, BadReadings(scenario.outlier_fraction, schedule, np.random.default_rng([seed, BAD]))
 
 
 def _follow(
-    robot: Robot, localizer: Localizer, shown: BadReadings, navigator: Navigator, periods: int, timer: Timer
+    robot: Robot, localizer: Localizer, outliers: BadReadings, navigator: Navigator, periods: int, timer: Timer
 ) -> list[Period]:
-    """Drive on the estimate until the last goal, or until the periods are over."""
+    """Drive on the estimate until the last goal or for `periods` periods."""
     followed: list[Period] = []
     for _ in range(periods):
         state, actual = robot.refresh(), robot.truth()
-        report = shown.of(state)
+        report = outliers.apply(state)
         before_s = timer()
         estimate = localizer.update(report)
         spent_s = timer() - before_s
@@ -267,30 +278,40 @@ def _follow(
 
 
 def _record(seed: int, reached: bool, periods: Sequence[Period]) -> Record:
-    """The trial in columns; of estimates that look back, each instant once, as told last."""
+    """Return the history in columns; of smoothed estimates each time once, in its last version."""
     polled_s = np.array([period.estimate.clock_s for period in periods])
     truth = np.stack([period.truth for period in periods])
     encoders = np.stack([period.encoders for period in periods])
-    way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(truth[:, :2], axis=0).T))])
+    distance = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(truth[:, :2], axis=0).T))])
     spent = np.array([period.spent_s for period in periods])
-    told = [_told(period.estimate) for period in periods]
-    fresh = [k for k in range(len(told)) if k == len(told) - 1 or told[k + 1].clock_s > told[k].clock_s]
-    clock = np.array([told[k].clock_s for k in fresh])
-    means = np.stack([told[k].belief.mean[:3] for k in fresh])
-    covs = np.stack([told[k].belief.cov[:3, :3] for k in fresh])
-    way = np.interp(clock, polled_s, way)
+    estimates = [_evaluated_estimate(period.estimate) for period in periods]
+    fresh = [
+        k for k in range(len(estimates)) if k == len(estimates) - 1 or estimates[k + 1].clock_s > estimates[k].clock_s
+    ]
+    clock = np.array([estimates[k].clock_s for k in fresh])
+    means = np.stack([estimates[k].belief.mean[:3] for k in fresh])
+    covs = np.stack([estimates[k].belief.cov[:3, :3] for k in fresh])
+    distance = np.interp(clock, polled_s, distance)
     return Record(
-        seed, reached, clock, way, _at(clock, polled_s, truth), _at(clock, polled_s, encoders), means, covs, spent
+        seed,
+        reached,
+        clock,
+        distance,
+        _interpolate(clock, polled_s, truth),
+        _interpolate(clock, polled_s, encoders),
+        means,
+        covs,
+        spent,
     )
 
 
-def _told(estimate: Estimate) -> Smoothed:
-    """What the method stands for: the past of one that looks back, else the present."""
+def _evaluated_estimate(estimate: Estimate) -> Smoothed:
+    """Return the smoothed estimate if there is one, else the current one."""
     return estimate.smoothed or Smoothed(estimate.clock_s, estimate.belief)
 
 
-def _at(clock_s: Floats, polled_s: Floats, poses: Floats) -> Floats:
-    """Poses (n, 3) at instants (n,) between those of poses (T, 3) at (T,), the robot going evenly between them."""
+def _interpolate(clock_s: Floats, polled_s: Floats, poses: Floats) -> Floats:
+    """Return poses (n, 3) at times (n,), interpolated linearly between poses (T, 3) at times (T,)."""
     turned = np.unwrap(poses[:, 2])
     columns = [np.interp(clock_s, polled_s, column) for column in (poses[:, 0], poses[:, 1], turned)]
     between = np.stack(columns, axis=-1)
@@ -298,13 +319,12 @@ def _at(clock_s: Floats, polled_s: Floats, poses: Floats) -> Floats:
 
 
 LOST_IN: Final = 12.0
-"""Farther off than this a robot no longer knows which way round a thing it is."""
+"""With a larger position error a run counts as lost."""
 
 
 @dataclass(frozen=True, slots=True)
 class TrialResult:
-    """What is kept of a trial: sums over its judged estimates, those for the jitter over all. `spent_us`: the median of
-    what a state took to be worked in."""
+    """Result of a trial: sums over evaluated estimates (for the jitter over all); `spent_us`: median computing time."""
 
     seed: int
     reached: bool
@@ -320,16 +340,16 @@ class TrialResult:
 
     @property
     def lost(self) -> bool:
-        """Whether the estimate ever was as good as none."""
+        """True if the position error ever exceeded LOST_IN."""
         return self.worst_in > LOST_IN
 
     def same_numbers(self, other: TrialResult) -> bool:
-        """Whether two results are the same to the bit, the time they took apart."""
+        """Return True if two results are equal to the bit, except their computing times."""
         return replace(self, spent_us=0.0) == replace(other, spent_us=0.0)
 
 
 class LiveSummary(TypedDict):
-    """The numbers of a method in a scenario on a path; None where nothing was judged."""
+    """Results of a method in a scenario on a path; None if nothing was evaluated."""
 
     seeds: int
     reached: int
@@ -344,8 +364,8 @@ class LiveSummary(TypedDict):
 
 
 def result_of(record: Record, after_in: float = 0.0) -> TrialResult:
-    """What is kept of a trial that is judged where its way is `after_in` or longer."""
-    judged = record.way_in >= after_in
+    """Return the result of a trial, evaluated after `after_in` inches."""
+    judged = record.distance_in >= after_in
     errors, covs = record.error[judged], record.cov[judged]
     square = errors[:, 0] ** 2 + errors[:, 1] ** 2
     within = nees(errors[:, :2], covs[:, :2, :2]) <= chi_square_quantile(0.95, 2)
@@ -365,7 +385,7 @@ def result_of(record: Record, after_in: float = 0.0) -> TrialResult:
 
 
 def summarize(results: Sequence[TrialResult]) -> LiveSummary:
-    """The numbers of one trial or more."""
+    """Return the summary of one or more trials."""
     count = sum(result.judged for result in results)
 
     def mean(part: Callable[[TrialResult], float]) -> float | None:
@@ -389,16 +409,16 @@ def summarize(results: Sequence[TrialResult]) -> LiveSummary:
 
 
 def _squared_steps(errors: Floats) -> float:
-    """How much errors (T, 3) of the position change from one to the next, squared and added up."""
+    """Return the sum of squared changes of the position error, from errors (T, 3)."""
     return math.fsum((np.diff(errors[:, :2], axis=0) ** 2).ravel())
 
 
 COMPARED: Final = ("ekf", "iekf", "ukf", "smoother", "mcl")
-"""Methods that are told where they start."""
+"""Methods compared by default; all start from a given pose."""
 
 
 class Cell(NamedTuple):
-    """A place in the matrix, by names."""
+    """A cell of the result table, by names."""
 
     scenario: str
     figure: str
@@ -406,13 +426,13 @@ class Cell(NamedTuple):
 
     @property
     def world(self) -> str:
-        """The world the path of that figure lies in."""
+        """World of the path of this figure."""
         return COURSES[self.figure]
 
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """One live trial: its scenario with the method in it, path, seed, and how many periods it may last."""
+    """One live trial: scenario with method, path, seed, maximum number of periods."""
 
     scenario: Scenario
     figure: str
@@ -421,12 +441,12 @@ class Trial:
 
     @property
     def cell(self) -> Cell:
-        """Where in the matrix it belongs."""
+        """The cell this trial belongs to."""
         return Cell(self.scenario.name, self.figure, self.scenario.method)
 
 
 class FinishedTrial(NamedTuple):
-    """A trial with what is kept of it, and all of it where that was asked for."""
+    """A trial with its result, and its history if requested."""
 
     trial: Trial
     result: TrialResult
@@ -434,7 +454,7 @@ class FinishedTrial(NamedTuple):
 
 
 class TrialJob(NamedTuple):
-    """A trial to run, and whether its whole record is wanted."""
+    """A trial to run; `whole` requests its history."""
 
     trial: Trial
     whole: bool = False
@@ -443,7 +463,7 @@ class TrialJob(NamedTuple):
 def trials(
     scenarios: Iterable[str], figures: Sequence[str], methods: Sequence[str], seeds: int, periods: int = MAX_PERIODS
 ) -> list[Trial]:
-    """All trials of a matrix, cell by cell."""
+    """Return all trials, cell by cell."""
     return [
         Trial(replace(SCENARIOS[scenario], method=method), figure, seed, periods)
         for scenario in scenarios
@@ -454,14 +474,14 @@ def trials(
 
 
 def run(job: TrialJob) -> FinishedTrial:
-    """Run one trial here and now; the time it takes is the processor's, whatever else the machine does."""
+    """Run one trial; computing time is processor time of this thread."""
     scenario, figure, seed, periods = job.trial.scenario, job.trial.figure, job.trial.seed, job.trial.periods
     record = drive(scenario, figure, seed, periods, time.thread_time)
     return FinishedTrial(job.trial, result_of(record, scenario.judged_after_in), record if job.whole else None)
 
 
 def summaries(results: Mapping[Trial, TrialResult]) -> dict[Cell, LiveSummary]:
-    """The numbers of each cell, in the order of its first trial; those of a cell in the order of their seeds."""
+    """Return the summary of each cell, in the order of first trials."""
     cells: dict[Cell, list[TrialResult]] = {}
     for done, result in results.items():
         cells.setdefault(done.cell, []).append(result)

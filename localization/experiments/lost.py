@@ -1,9 +1,4 @@
-"""Many runs of the filter that knows when it is lost, in numbers and in words. Rules: pure.
-
-`python -m localization.experiments lost`: does the finder know when it is lost, and does it find itself, as numbers.
-
-Rules: words and files only; a run is trial's, who does the work is crew's. With --json the numbers are alone on stdout.
-"""
+"""`python -m localization.experiments lost`: how reliably the filter `finder` detects that it is lost, and recovers."""
 
 from __future__ import annotations
 
@@ -20,20 +15,20 @@ from localization.cli.options import make_folder
 from localization.experiments.execution import ResultCache, code_hash, progress
 from localization.experiments.live_trial import SCENARIOS
 from localization.experiments.lost_trial import Case, Kind, LostResult, drive
-from localization.experiments.output import add_work, executor_for, positive
+from localization.experiments.output import add_execution_options, executor_for, positive
 from worlds.io import world_names
 
 SOON_S: Final = 5.0
-"""Within this LOST is to be said after a kidnapping."""
+"""A kidnapping should be detected within this time."""
 
 
 class LostSummary(TypedDict):
-    """The numbers of all runs of a kind in a world; None where the kind has none of it.
+    """Results of all runs of a kind in a world; None where a number does not apply.
 
-    false_alarms    LOST said of a robot that was not        alarmed         runs with one or more of them
-    told, soon      kidnappings that LOST was said of, and within SOON_S of them
-    found           runs that found themselves, rightly      mistaken        runs that believed a wrong place in the end
-    ..._s           the median and the greatest of what was so
+    false_alarms    LOST of a robot that was not             alarmed         runs with false alarms
+    told, soon      detected kidnappings, and those within SOON_S
+    found           runs with a correct recovery             mistaken        runs with a wrong recovery
+    ..._s           median and maximum of the times
     """
 
     kind: str
@@ -53,30 +48,28 @@ class LostSummary(TypedDict):
     found_s: tuple[float, float] | None
 
 
-def summaries(outcomes: Mapping[Case, LostResult]) -> list[LostSummary]:
-    """The numbers of each kind, world and scenario, in the order of the cases."""
+def summaries(results: Mapping[Case, LostResult]) -> list[LostSummary]:
+    """Return the summary of each kind, world and scenario, in the order of the cases."""
 
     def group(case: Case) -> tuple[Kind, str, str]:
         return case.kind, case.world, case.scenario.name
 
-    return [
-        summarize(*name, [outcomes[case] for case in cases]) for name, cases in groupby(outcomes, group)
-    ]
+    return [summarize(*name, [results[case] for case in cases]) for name, cases in groupby(results, group)]
 
 
-def summarize(kind: Kind, world: str, scenario: str, outcomes: Sequence[LostResult]) -> LostSummary:
-    """The numbers of one run or more."""
-    seconds = sum(outcome.seconds for outcome in outcomes)
+def summarize(kind: Kind, world: str, scenario: str, results: Sequence[LostResult]) -> LostSummary:
+    """Return the summary of one or more runs."""
+    seconds = sum(result.seconds for result in results)
     summary = LostSummary(
         kind=kind.value,
         world=world,
         scenario=scenario,
-        runs=len(outcomes),
+        runs=len(results),
         hours=seconds / 3600.0,
-        false_alarms=sum(outcome.alarms for outcome in outcomes),
-        alarmed=sum(outcome.alarms > 0 for outcome in outcomes),
-        degraded=sum(outcome.degraded * outcome.seconds for outcome in outcomes) / seconds,
-        rmse_in=_rmse_in(outcomes),
+        false_alarms=sum(result.alarms for result in results),
+        alarmed=sum(result.alarms > 0 for result in results),
+        degraded=sum(result.degraded * result.seconds for result in results) / seconds,
+        rmse_in=_rmse_in(results),
         told=None,
         soon=None,
         told_s=None,
@@ -85,34 +78,34 @@ def summarize(kind: Kind, world: str, scenario: str, outcomes: Sequence[LostResu
         found_s=None,
     )
     if kind is Kind.KIDNAPPED:
-        _add_told(summary, outcomes)
+        _add_detections(summary, results)
     if kind is not Kind.TRACKING:
-        _add_found(summary, outcomes)
+        _add_recoveries(summary, results)
     return summary
 
 
-def _rmse_in(outcomes: Sequence[LostResult]) -> float | None:
-    """Of all the time in which a place was believed."""
-    squares = [(outcome.rmse_in**2, outcome.seconds) for outcome in outcomes if outcome.rmse_in is not None]
-    weight = sum(share for _, share in squares)
-    return sqrt(sum(square * share for square, share in squares) / weight) if weight else None
+def _rmse_in(results: Sequence[LostResult]) -> float | None:
+    """Return the position RMSE over the time localized."""
+    squares = [(result.rmse_in**2, result.seconds) for result in results if result.rmse_in is not None]
+    total_s = sum(seconds for _, seconds in squares)
+    return sqrt(sum(square * seconds for square, seconds in squares) / total_s) if total_s else None
 
 
-def _add_told(summary: LostSummary, outcomes: Sequence[LostResult]) -> None:
-    after = [outcome.lost_after_s for outcome in outcomes if outcome.lost_after_s is not None]
+def _add_detections(summary: LostSummary, results: Sequence[LostResult]) -> None:
+    after = [result.lost_after_s for result in results if result.lost_after_s is not None]
     summary["told"], summary["told_s"] = len(after), _spread(after)
     summary["soon"] = sum(seconds <= SOON_S for seconds in after)
 
 
-def _add_found(summary: LostSummary, outcomes: Sequence[LostResult]) -> None:
-    after = [(outcome.found_after_s, outcome.right) for outcome in outcomes if outcome.found_after_s is not None]
+def _add_recoveries(summary: LostSummary, results: Sequence[LostResult]) -> None:
+    after = [(result.found_after_s, result.right) for result in results if result.found_after_s is not None]
     rightly = [seconds for seconds, right in after if right]
     summary["found"], summary["found_s"] = len(rightly), _spread(rightly)
     summary["mistaken"] = len(after) - len(rightly)
 
 
 def words(summary: LostSummary) -> str:
-    """For people."""
+    """Return a summary as text."""
     lines = [
         f"{summary['kind']} in {summary['world']}, {summary['scenario']}: {summary['runs']} runs, "
         f"{summary['hours']:.1f} simulated hours"
@@ -124,18 +117,19 @@ def words(summary: LostSummary) -> str:
         )
     if summary["told"] is not None:
         lines.append(
-            f"  LOST said of {summary['told']}, of {summary['soon']} within {SOON_S:g} s{_times(summary['told_s'])}"
+            f"  detected (LOST): {summary['told']}, {summary['soon']} of them within {SOON_S:g} s"
+            f"{_times(summary['told_s'])}"
         )
     if summary["found"] is not None:
         lines.append(
-            f"  found again rightly: {summary['found']}{_times(summary['found_s'])}; a wrong place believed: "
+            f"  correct recoveries: {summary['found']}{_times(summary['found_s'])}; wrong recoveries: "
             f"{summary['mistaken']}"
         )
     return "\n".join(lines)
 
 
 def _spread(times: Sequence[float]) -> tuple[float, float] | None:
-    """The median and the greatest."""
+    """Return median and maximum."""
     return (sorted(times)[len(times) // 2], max(times)) if times else None
 
 
@@ -147,15 +141,15 @@ WORLD: Final = "several_walls"
 RUNS: Final = {Kind.TRACKING: 300, Kind.KIDNAPPED: 100, Kind.UNKNOWN_START: 100}
 
 
-class Done(NamedTuple):
-    """A run and what came of it."""
+class FinishedRun(NamedTuple):
+    """A run and its result."""
 
     case: Case
-    outcome: LostResult
+    result: LostResult
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Run the command. Raises what the crew and the files raise."""
+    """Run the command; errors of execution and files are propagated."""
     options = _parser().parse_args(arguments)
     make_folder(options.out)
     cases = [
@@ -163,30 +157,30 @@ def main(arguments: Sequence[str]) -> None:
         for kind in options.kinds
         for seed in range(options.runs or RUNS[kind])
     ]
-    found = summaries(_outcomes(cases, ResultCache(options.out / "runs", code_hash()), options))
+    found = summaries(_results(cases, ResultCache(options.out / "runs", code_hash()), options))
     path = options.out / "lost.json"
     path.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     print(json.dumps(found) if options.json else "\n".join(map(words, found)), flush=True)
     print(f"written: {path}", file=sys.stderr if options.json else sys.stdout, flush=True)
 
 
-def run(case: Case) -> Done:
-    """Make one run here and now."""
-    return Done(case, drive(case))
+def run(case: Case) -> FinishedRun:
+    """Make one run."""
+    return FinishedRun(case, drive(case))
 
 
-def _outcomes(cases: Sequence[Case], kept: ResultCache, options: argparse.Namespace) -> dict[Case, LostResult]:
-    """What came of all cases, in their order: what is kept, and what is not by work."""
-    paths = {case: kept.path(case.name, (case,)) for case in cases}
-    there = {case: found for case, path in paths.items() if (found := kept.get(path)) is not None}
-    outcomes = {case: LostResult(**found) for case, found in there.items()}
+def _results(cases: Sequence[Case], cache: ResultCache, options: argparse.Namespace) -> dict[Case, LostResult]:
+    """Return the results of all cases in order, from the cache or by running them."""
+    paths = {case: cache.path(case.name, (case,)) for case in cases}
+    there = {case: found for case, path in paths.items() if (found := cache.get(path)) is not None}
+    results = {case: LostResult(**found) for case, found in there.items()}
     with progress(len(cases), "lost", "runs") as tally:
-        tally(len(outcomes))
-        for case, outcome in executor_for(run, options)([case for case in cases if case not in there]):
-            kept.put(paths[case], outcome.as_dict())
-            outcomes[case] = outcome
-            tally(len(outcomes))
-    return {case: outcomes[case] for case in cases}
+        tally(len(results))
+        for case, result in executor_for(run, options)([case for case in cases if case not in there]):
+            cache.put(paths[case], result.as_dict())
+            results[case] = result
+            tally(len(results))
+    return {case: results[case] for case in cases}
 
 
 def _kind(text: str) -> Kind:
@@ -194,27 +188,57 @@ def _kind(text: str) -> Kind:
         return Kind(text)
     except ValueError:
         there = ", ".join(kind.value for kind in Kind)
-        raise argparse.ArgumentTypeError(f"no kind {text!r}; there are {there}") from None
+        raise argparse.ArgumentTypeError(f"unknown kind {text!r}; expected one of {there}") from None
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m localization.experiments lost",
-        description="Long runs of the method `finder`: calm ones, in which every LOST is a false alarm; robots set "
-        "down elsewhere; robots that are told nothing. Runs that are on disk are not made again.",
+        description="Long runs of the method `finder`: tracking (calm), in which every LOST is a false alarm; robots "
+        "moved elsewhere (kidnapped); robots with an unknown start (nowhere). Results are cached.",
         epilog="example: python -m localization.experiments lost kidnapped --runs 20",
     )
-    parser.add_argument("kinds", nargs="*", type=_kind, default=list(Kind), metavar="KIND",
-                        help=f"of {', '.join(kind.value for kind in Kind)} (all)")
-    parser.add_argument("--world", choices=world_names(), default=WORLD, metavar="NAME",
-                        help="a shipped world (%(default)s: no two of its places are alike)")
-    parser.add_argument("--scenario", choices=list(SCENARIOS), default="measured", metavar="NAME",
-                        help=f"what errs and how: {', '.join(SCENARIOS)} (%(default)s)")
-    parser.add_argument("--runs", "--seeds", type=positive, metavar="N",
-                        help="of each kind (" + ", ".join(f"{runs} {kind.value}" for kind, runs in RUNS.items()) + ")")
-    parser.add_argument("--minutes", type=float, default=10.0, metavar="M", help="of each calm run (%(default)s)")
-    add_work(parser)
-    parser.add_argument("--out", type=Path, default=Path("out/experiments"), metavar="DIR",
-                        help="for the numbers (%(default)s)")
-    parser.add_argument("--json", action="store_true", help="print JSON, an object a kind, alone on stdout")
+    parser.add_argument(
+        "kinds",
+        nargs="*",
+        type=_kind,
+        default=list(Kind),
+        metavar="KIND",
+        help=f"kinds of runs: {', '.join(kind.value for kind in Kind)} (default: all)",
+    )
+    parser.add_argument(
+        "--world",
+        choices=world_names(),
+        default=WORLD,
+        metavar="NAME",
+        help="shipped world (default: %(default)s, in which all poses are distinguishable)",
+    )
+    parser.add_argument(
+        "--scenario",
+        choices=list(SCENARIOS),
+        default="measured",
+        metavar="NAME",
+        help=f"error scenario: {', '.join(SCENARIOS)} (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--runs",
+        "--seeds",
+        type=positive,
+        metavar="N",
+        help="number of runs of each kind (default: "
+        + ", ".join(f"{runs} {kind.value}" for kind, runs in RUNS.items())
+        + ")",
+    )
+    parser.add_argument(
+        "--minutes", type=float, default=10.0, metavar="M", help="length of tracking runs in min (default: %(default)s)"
+    )
+    add_execution_options(parser)
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("out/experiments"),
+        metavar="DIR",
+        help="write results to this folder (default: %(default)s)",
+    )
+    parser.add_argument("--json", action="store_true", help="print only JSON on stdout, one object per kind")
     return parser

@@ -1,20 +1,11 @@
-"""Driving about for a long time: to place after place while the estimate is believed, groping while it is not.
+"""Long runs with the filter `finder`, which detects when it is lost: random driving, kidnapping, unknown start.
 
-    believed    a shortest way (planning.roadmap) to a place drawn by chance, turned to on the spot, then by the thesis'
-                law
-    lost        groping: a look around, and then on wherever the sonars ahead hear room
+    tracking        the robot starts at a given pose and drives to random positions; every LOST is a false alarm
+    kidnapped       the same, then it is moved elsewhere without its encoders: time until LOST and until recovery
+    unknown start   no initial pose: time until recovery
 
-Rules: estimate and readings in, a command out; no robot, no truth. All chance is handed in.
-
-One long run with the filter that knows when it is lost (filters.finding.finder): what was said, and what was so.
-
-    calm        told its place at the start, it drives about; every time it says LOST is a false alarm
-    kidnapped   the same, and then set down elsewhere while its encoders are told nothing; how long until it says LOST,
-                until it has found itself again, and is that so
-    nowhere     told nothing at the start; how long until it has found itself, and is that so
-
-Found is: one place is believed and no LOST is said for CERTAIN_S. Rules: speaks to the robot through nclient, on
-simulated time; the truth is asked for beside and never reaches the filter.
+While localized the robot drives shortest paths with the control law of the thesis; while lost it turns and drives
+where there is free space. Recovery means localized without LOST for CERTAIN_S. The truth never reaches the filter.
 """
 
 from __future__ import annotations
@@ -59,22 +50,22 @@ from worlds.world import World
 
 STAND: Final = VelocityCommand(0.0, 0.0)
 TURN_FIRST_RAD: Final = 1.0
-"""Farther off the bearing than this the robot turns on the spot: the law alone would drive a circle."""
+"""With a larger bearing error the robot turns in place: the control law alone would drive a circle."""
 
 
 class RandomExplorer:
-    """Goes about on a roadmap. `places` (n, 2) are where it may go."""
+    """Controller that drives to random positions of `positions` (n, 2) on a roadmap."""
 
-    def __init__(self, roadmap: Roadmap, places: Floats, speeds: Speeds, chance: np.random.Generator) -> None:
-        self._roadmap, self._places, self._speeds, self._chance = roadmap, places, speeds, chance
+    def __init__(self, roadmap: Roadmap, positions: Floats, speeds: Speeds, rng: np.random.Generator) -> None:
+        self._roadmap, self._positions, self._speeds, self._rng = roadmap, positions, speeds, rng
         self._navigator: Navigator | None = None
-        self._groping = RecoveryBehavior(PERIOD_S)
+        self._recovery = RecoveryBehavior(PERIOD_S)
 
     def command(self, pose: Floats) -> VelocityCommand:
-        """What to do at a pose (3,) that is believed."""
-        self._groping.reset()
+        """Return the velocities at an estimated pose (3,)."""
+        self._recovery.reset()
         if self._navigator is None or (command := self._navigator.command(pose)) is None:
-            self._navigator = self._somewhere(pose)
+            self._navigator = self._random_navigator(pose)
             return STAND
         goal = self._navigator.goal
         assert goal is not None
@@ -83,13 +74,13 @@ class RandomExplorer:
             return VelocityCommand(0.0, float(np.copysign(TURN_RAD_S, error)))
         return command
 
-    def grope(self, state: SonarState) -> VelocityCommand:
-        """What to do when nothing is believed."""
+    def recover(self, state: SonarState) -> VelocityCommand:
+        """Return the velocities while the estimate is lost."""
         self._navigator = None
-        return VelocityCommand(*self._groping.command(state))
+        return VelocityCommand(*self._recovery.command(state))
 
-    def _somewhere(self, pose: Floats) -> Navigator | None:
-        goal = self._places[self._chance.integers(len(self._places))]
+    def _random_navigator(self, pose: Floats) -> Navigator | None:
+        goal = self._positions[self._rng.integers(len(self._positions))]
         try:
             path = self._roadmap.path((float(pose[0]), float(pose[1])), (float(goal[0]), float(goal[1])))
         except NoPathError:
@@ -97,25 +88,25 @@ class RandomExplorer:
         return Navigator(sample_waypoints(path), self._speeds)
 
 
-EXCHANGES_A_PERIOD: Final = 2
+EXCHANGES_PER_PERIOD: Final = 2
 MARGIN_IN: Final = 3.0
-"""How far the robot keeps from walls besides its radius."""
+"""Space between body and walls."""
 KIDNAPPED_S: Final = (20.0, 40.0)
-"""When a robot is kidnapped: anywhere between."""
+"""Interval of the time of the kidnapping."""
 FAR_IN, FAR_RAD = 24.0, 1.0
-"""Set down at least so far away, or turned so much."""
+"""Minimum displacement or turn of a kidnapping."""
 STILL_S: Final = 10
 CERTAIN_S: Final = 3.0
-PATIENCE_S: Final = 90.0
-"""How long a lost robot may look for itself."""
+SEARCH_LIMIT_S: Final = 90.0
+"""Time limit for detecting a kidnapping and for recovering."""
 RIGHT_IN, RIGHT_RAD = 6.0, 0.25
-"""Found within this of the truth is found."""
-GOALS, PLACES, START = 11, 12, 13
-"""Which stream of a seed's chance each is drawn from."""
+"""Error tolerance of a correct recovery."""
+GOALS, POSITIONS, START = 11, 12, 13
+"""Random streams of a seed."""
 
 
 class Kind(Enum):
-    """What happens in a run."""
+    """Kind of a run; the values are names of arguments and JSON."""
 
     TRACKING = "calm"
     KIDNAPPED = "kidnapped"
@@ -124,7 +115,7 @@ class Kind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A run to be made; all that decides its outcome. `seconds` is how long a calm one lasts."""
+    """A run to make, with everything that decides its result; `seconds` is the length of a tracking run."""
 
     kind: Kind
     world: str
@@ -134,20 +125,30 @@ class Case:
 
     @property
     def name(self) -> str:
-        """For files and tables."""
+        """Name of the run in files and tables."""
         return f"{self.kind.value}_{self.world}_{self.scenario.name}_{self.seed:04d}"
 
 
 @dataclass(frozen=True, slots=True)
 class LostResult:
-    """What came of a run of `seconds`; times in seconds, None for what never was.
+    """Result of a run; times in seconds, None for events that did not occur.
 
-    alarms          how often LOST was said before the robot was kidnapped, or at all in a calm run
-    degraded        share of the time in which DEGRADED was said
-    rmse_in         of the position, while a place was believed and none had been kidnapped
-    lost_after_s    from the kidnapping to the first LOST
-    found_after_s   from then, or from the start where nothing was told, until it had found itself
-    right           whether what it found was so
+    Attributes
+    ----------
+    seconds
+        Duration of the run.
+    alarms
+        Number of transitions to LOST before a kidnapping or in a tracking run.
+    degraded
+        Fraction of the time with status DEGRADED.
+    rmse_in
+        Position RMSE while localized and before a kidnapping.
+    lost_after_s
+        Time from the kidnapping to LOST.
+    found_after_s
+        Time from LOST, or from an unknown start, to recovery.
+    right
+        True if the recovered pose was correct.
     """
 
     seconds: float
@@ -159,89 +160,91 @@ class LostResult:
     right: bool = False
 
     def as_dict(self) -> dict[str, Any]:
-        """For a file."""
+        """Return the result as plain data."""
         return asdict(self)
 
 
 def drive(case: Case) -> LostResult:
-    """Make one run in a simulation of its own."""
+    """Make one run in its own simulation."""
     world = load_world(case.world)
-    places = _places(world)
-    pose = _drawn(places, np.random.default_rng([case.seed, PLACES]))
+    positions = _positions(world)
+    pose = _drawn(positions, np.random.default_rng([case.seed, POSITIONS]))
     where = f"{pose.x_in},{pose.y_in},{degrees(pose.steering_rad)},{degrees(pose.turret_rad)}"
     with tempfile.TemporaryDirectory() as folder:
         setup = Path(folder) / "setup.toml"
         setup.write_text(case.scenario.setup(case.seed), encoding="utf-8")
-        step_s = PERIOD_S / EXCHANGES_A_PERIOD
+        step_s = PERIOD_S / EXCHANGES_PER_PERIOD
         with connect(f"sim:{world.name}?setup={setup}&seed={case.seed}&start={where}&step_s={step_s}") as robot:
-            return _Run(robot, case, world, places, pose).drive()
+            return _Run(robot, case, world, positions, pose).drive()
 
 
 class _Run:
-    """A run under way."""
+    """A run in progress."""
 
-    def __init__(self, robot: Robot, case: Case, world: World, places: Floats, pose: Pose) -> None:
-        self._robot, self._case, self._places = robot, case, places
+    def __init__(self, robot: Robot, case: Case, world: World, positions: Floats, pose: Pose) -> None:
+        self._robot, self._case, self._positions = robot, case, positions
         state = robot.configure_sonars(rate=DEFAULT_SONAR_RATE, order=DEFAULT_SONAR_ORDER)
         assert state.clock_s is not None
         self._start_s = state.clock_s
         schedule = FiringSchedule(state.clock_s)
-        chance = np.random.default_rng([case.seed, START])
-        told = None
+        rng = np.random.default_rng([case.seed, START])
+        initial = None
         if case.kind is not Kind.UNKNOWN_START:
-            guess = _pose(pose) + np.array(START_STD) * chance.standard_normal(3)
-            told = with_parameters(independent(guess, START_STD), case.scenario.constants)
+            guess = _pose(pose) + np.array(START_STD) * rng.standard_normal(3)
+            initial = with_parameters(independent(guess, START_STD), case.scenario.constants)
         clearance = N150.radius_in
-        known = LocalizationConfig(
+        config = LocalizationConfig(
             world.walls, N150, case.scenario.odometry, case.scenario.sonar, clearance_in=clearance
         )
-        self._filter = finder(known, told, case.scenario.constants)
-        self._localizer = Localizer(known, self._filter.belief, schedule, self._filter)
-        self._shown = BadReadings(case.scenario.bad_share, schedule, np.random.default_rng([case.seed, BAD]))
+        self._filter = finder(config, initial, case.scenario.constants)
+        self._localizer = Localizer(config, self._filter.belief, schedule, self._filter)
+        self._outliers = BadReadings(case.scenario.outlier_fraction, schedule, np.random.default_rng([case.seed, BAD]))
         speeds = Speeds(translation_in_s=case.scenario.speed_in_s)
         roadmap = Roadmap(world.walls, clearance + MARGIN_IN)
-        self._wanderer = RandomExplorer(roadmap, places, speeds, np.random.default_rng([case.seed, GOALS]))
-        self._chance = chance
+        self._explorer = RandomExplorer(roadmap, positions, speeds, np.random.default_rng([case.seed, GOALS]))
+        self._rng = rng
         self._alarms = self._polls = self._degraded = 0
         self._squares: list[float] = []
         self._truth = _pose(pose)
         self._now_s = 0.0
 
     def drive(self) -> LostResult:
-        """All of it."""
+        """Make the whole run."""
         match self._case.kind:
             case Kind.TRACKING:
                 self._until(self._case.seconds)
                 return self._outcome()
             case Kind.KIDNAPPED:
-                self._until(float(self._chance.uniform(*KIDNAPPED_S)))
+                self._until(float(self._rng.uniform(*KIDNAPPED_S)))
                 self._kidnap()
                 return self._find(*self._until_lost())
             case Kind.UNKNOWN_START:
                 return self._find(None, 0.0)
 
     def _until(self, end_s: float) -> None:
-        """Drive about, and count what is said."""
+        """Drive to random positions and count status changes."""
         before = HealthStatus.OK
         while self._now_s < end_s:
             estimate = self._period()
-            trust = estimate.health.status
-            self._alarms += trust is HealthStatus.LOST and before is not HealthStatus.LOST
-            self._degraded += trust is HealthStatus.DEGRADED
+            status = estimate.health.status
+            self._alarms += status is HealthStatus.LOST and before is not HealthStatus.LOST
+            self._degraded += status is HealthStatus.DEGRADED
             self._polls += 1
-            before = trust
-            if trust is not HealthStatus.LOST:
+            before = status
+            if status is not HealthStatus.LOST:
                 self._squares.append(hypot(*(estimate.pose - self._truth)[:2]) ** 2)
 
     def _kidnap(self) -> None:
-        """Stop the robot and set it down elsewhere, its turret as it is on the body; its encoders go on as if nothing
-        had been. Moving wheels would turn on meanwhile, and the ring stand otherwise than the encoders say."""
+        """Stop the robot and move it elsewhere, keeping turret angle and encoders.
+
+        A moving robot would continue turning meanwhile, and the ring would no longer agree with the encoders.
+        """
         self._robot.stop()
         state = self._robot.wait_until_still(timeout_s=STILL_S)
         truth = self._robot.truth()
         here = _pose(truth)
         while True:
-            there = _drawn(self._places, self._chance)
+            there = _drawn(self._positions, self._rng)
             off = difference(_pose(there), here)
             if hypot(off[0], off[1]) >= FAR_IN or abs(off[HEADING]) >= FAR_RAD:
                 break
@@ -251,17 +254,17 @@ class _Run:
         self._robot.set_angles(steering_rad=state.steering_rad, turret_rad=state.turret_rad)
 
     def _until_lost(self) -> tuple[float | None, float]:
-        """After how many seconds LOST is said, and when."""
+        """Return the seconds until LOST (None if never) and the time."""
         since_s = self._now_s
-        while self._now_s < since_s + PATIENCE_S:
+        while self._now_s < since_s + SEARCH_LIMIT_S:
             if self._period().health.status is HealthStatus.LOST:
                 return self._now_s - since_s, self._now_s
         return None, self._now_s
 
     def _find(self, lost_after_s: float | None, since_s: float) -> LostResult:
-        """Until it has found itself, for so long as there is patience, and whether that is so."""
+        """Drive until the robot is localized for CERTAIN_S or the time limit, and return the result."""
         sure_s: float | None = None
-        while self._now_s < since_s + PATIENCE_S:
+        while self._now_s < since_s + SEARCH_LIMIT_S:
             estimate = self._period()
             if estimate.health.status is HealthStatus.LOST:
                 sure_s = None
@@ -274,20 +277,20 @@ class _Run:
         return self._outcome(lost_after_s)
 
     def _period(self) -> Estimate:
-        """Ask, estimate, command."""
+        """Run one period: state, estimate, command."""
         state = self._robot.refresh()
         assert state.clock_s is not None
         self._now_s = state.clock_s - self._start_s
         self._truth = _pose(self._robot.truth())
-        estimate = self._localizer.update(self._shown.of(state))
+        estimate = self._localizer.update(self._outliers.apply(state))
         command = self._command(state, estimate)
         self._robot.drive(translation_in_s=command.translation_in_s, steering_rad_s=command.steering_rad_s)
         return estimate
 
     def _command(self, state: RobotState, estimate: Estimate) -> VelocityCommand:
         if estimate.health.status is HealthStatus.LOST:
-            return self._wanderer.grope(state)
-        return self._wanderer.command(estimate.pose)
+            return self._explorer.recover(state)
+        return self._explorer.command(estimate.pose)
 
     def _outcome(
         self, lost_after_s: float | None = None, found_after_s: float | None = None, right: bool = False
@@ -297,8 +300,8 @@ class _Run:
         return LostResult(self._now_s, self._alarms, degraded, rmse, lost_after_s, found_after_s, right)
 
 
-def _places(world: World) -> Floats:
-    """A grid (n, 2) of where the robot has room, inside the world."""
+def _positions(world: World) -> Floats:
+    """Return a grid of positions (n, 2) with enough space for the robot."""
     low, high = world.walls.reshape(-1, 2).min(axis=0), world.walls.reshape(-1, 2).max(axis=0)
     x, y = np.meshgrid(np.arange(low[0], high[0], 2.0), np.arange(low[1], high[1], 2.0))
     points = np.stack((x.ravel(), y.ravel()), axis=-1)
@@ -307,9 +310,9 @@ def _places(world: World) -> Floats:
     return free
 
 
-def _drawn(places: Floats, chance: np.random.Generator) -> Pose:
-    x, y = places[chance.integers(len(places))]
-    turn = float(chance.uniform(0.0, tau))
+def _drawn(positions: Floats, rng: np.random.Generator) -> Pose:
+    x, y = positions[rng.integers(len(positions))]
+    turn = float(rng.uniform(0.0, tau))
     return Pose(float(x), float(y), turn, turn)
 
 

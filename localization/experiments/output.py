@@ -1,13 +1,4 @@
-"""The figures of the thesis: a run in its world, and its errors step by step.
-
-Rules: draws what it is given with the brushes of localization.live.plot and computes nothing.
-
-A summary as a table for people.
-
-Rules: text in, text out; what the numbers are worth is said beside them, never worked into them.
-
-Options that all commands of the experiments have, and the crew that they ask for.
-"""
+"""Output of the figures of the thesis: pictures and tables; and options shared by all experiments."""
 
 from __future__ import annotations
 
@@ -43,12 +34,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure as Picture
 
 
-def draw(figure: Figure, course: FigureSetup, tracks: Sequence[Track], folder: Path) -> list[Path]:
-    """Write the trajectory and the errors of a figure as PNG files into `folder`; where they are."""
+def draw(figure: Figure, setup: FigureSetup, tracks: Sequence[Track], folder: Path) -> list[Path]:
+    """Write the trajectory and the errors of a figure as PNG files into `folder`; return their paths."""
     track = typical(tracks)
     errors_name = figure.errors_figure or f"{figure.name}_errors"
     pictures = {
-        folder / f"figure_{figure.name}.png": trajectory(figure, course, track),
+        folder / f"figure_{figure.name}.png": trajectory(figure, setup, track),
         folder / f"figure_{errors_name}.png": errors(figure, tracks, track),
     }
     for path, picture in pictures.items():
@@ -56,27 +47,29 @@ def draw(figure: Figure, course: FigureSetup, tracks: Sequence[Track], folder: P
     return list(pictures)
 
 
-def trajectory(figure: Figure, course: FigureSetup, track: Track) -> Picture:
-    """The world with its way-points, the true way and the estimated one; without the filter 3-sigma ellipses."""
+def trajectory(figure: Figure, setup: FigureSetup, track: Track) -> Picture:
+    """Return a picture of map, waypoints, true and estimated path; without a filter also 3-sigma ellipses."""
     picture = blank(7.2, 7.0)
     axes = picture.add_subplot(aspect="equal")
-    draw_walls(axes, course.walls.segments)
-    draw_points(axes, course.start, course.goals_in)
-    draw_body(axes, course.start, N150, FAINT)
+    draw_walls(axes, setup.walls.segments)
+    draw_points(axes, setup.start, setup.goals_in)
+    draw_body(axes, setup.start, N150, FAINT)
     draw_body(axes, track.truth[-1], N150, TRUTH)
-    axes.plot(*_from(course.start, track.truth).T, color=TRUTH, linewidth=1.8, label="truth")
+    axes.plot(*_from(setup.start, track.truth).T, color=TRUTH, linewidth=1.8, label="truth")
     axes.plot(*track.mean[:, :2].T, color=ESTIMATE, linewidth=1.4, linestyle=(0, (4, 2)), label=_estimate_name(figure))
     if not figure.filtered:
         draw_ellipses(axes, track.mean, track.cov)
     end = np.hypot(*(track.mean[-1] - track.truth[-1])[:2])
-    axes.set_title(f"Figure {figure.name}: {figure.title}\n{len(track.mean)} steps, {end:.2f} in off at the end")
+    axes.set_title(
+        f"Figure {figure.name}: {figure.title}\n{len(track.mean)} steps, {end:.2f} in position error at the end"
+    )
     axes.set(xlabel="x (in)", ylabel="y (in)")
     picture.legend(loc="outside lower center", ncols=5, frameon=False)
     return picture
 
 
 def errors(figure: Figure, tracks: Sequence[Track], drawn: Track) -> Picture:
-    """Errors of the estimate in x, y and heading against the step: one run with its 3-sigma band, the others faint."""
+    """Return a picture of the errors in x, y and heading over the steps: one run with its 3-sigma band."""
     picture = blank(8.0, 7.0)
     rows = picture.subplots(3, 1, sharex=True)
     scales = (1.0, 1.0, np.degrees(1.0))
@@ -106,8 +99,8 @@ def _estimate_name(figure: Figure) -> str:
     return "estimate" if figure.filtered else "odometry"
 
 
-def table(figure: Figure, course: FigureSetup, summary: Summary) -> str:
-    """The summary, a line a number, each beside what it is measured against."""
+def table(figure: Figure, setup: FigureSetup, summary: Summary) -> str:
+    """Return the summary as text, each number with its reference value."""
     thesis = summary["steps_thesis"]
     rows = [
         ("seeds", f"{summary['seeds']}", ""),
@@ -124,7 +117,7 @@ def table(figure: Figure, course: FigureSetup, summary: Summary) -> str:
         rows.append(("NIS a beam, mean", f"{summary['nis_mean']:.3f}", "1 is right"))
     lines = [f"Figure {figure.name}: {figure.title}"]
     lines += [f"  {name:20}{value:>12}  {note}".rstrip() for name, value, note in rows]
-    return "\n".join([*lines, *_step_note(course, summary)])
+    return "\n".join([*lines, *_step_note(setup, summary)])
 
 
 def _beside_bound(summary: Summary) -> str:
@@ -134,17 +127,17 @@ def _beside_bound(summary: Summary) -> str:
     return f"{summary['rmse_position_in'] / bound:.3f} x the Cramer-Rao bound of {bound:.4f} in"
 
 
-def _step_note(course: FigureSetup, summary: Summary) -> list[str]:
-    """Where the text counts fewer steps than the printed law needs, say so."""
+def _step_note(setup: FigureSetup, summary: Summary) -> list[str]:
+    """Return a note if the thesis states fewer steps than its control law needs."""
     thesis = summary["steps_thesis"]
-    stride = course.gains.drho_max_in
-    if thesis is None or thesis >= course.least_steps:
+    stride = setup.gains.drho_max_in
+    if thesis is None or thesis >= setup.min_steps:
         return []
-    near = math.ceil((course.length_in - course.waypoint_radius_in) / stride)
+    near = math.ceil((setup.length_in - setup.waypoint_radius_in) / stride)
     return [
-        f"  The text's {thesis} steps cannot be: {course.length_in:.1f} in at {stride:g} in a step take"
-        f" {course.least_steps} at least",
-        f"  ({near} to come within {course.waypoint_radius_in:g} in). The law is as printed; the count is ours.",
+        f"  The text's {thesis} steps cannot be: {setup.length_in:.1f} in at {stride:g} in a step take"
+        f" {setup.min_steps} at least",
+        f"  ({near} to come within {setup.waypoint_radius_in:g} in). The law is as printed; the count is ours.",
     ]
 
 
@@ -155,46 +148,55 @@ NO_PICTURES: Final = "--no-pictures"
 
 
 def add_shared(parser: argparse.ArgumentParser, out: Path, unit: str) -> None:
-    """--seeds, --jobs, --cluster, --out, --json, --no-pictures; `unit` is what one JSON object is about."""
-    parser.add_argument("--seeds", type=positive, default=100, metavar="N", help=f"runs a {unit} (default 100)")
-    add_work(parser)
-    parser.add_argument("--out", type=Path, default=out, metavar="DIR", help=f"for PNG and numbers ({out})")
-    parser.add_argument("--json", action="store_true", help=f"print JSON, an object a {unit}, alone on stdout")
+    """Add --seeds, --jobs, --cluster, --out, --json, --no-pictures; `unit` names the subject of one JSON object."""
     parser.add_argument(
-        NO_PICTURES, dest="pictures", action="store_false", help="numbers only; needs no matplotlib"
+        "--seeds", type=positive, default=100, metavar="N", help=f"number of runs per {unit} (default: 100)"
+    )
+    add_execution_options(parser)
+    parser.add_argument(
+        "--out", type=Path, default=out, metavar="DIR", help=f"write PNG and JSON files to this folder (default: {out})"
+    )
+    parser.add_argument("--json", action="store_true", help=f"print only JSON on stdout, one object per {unit}")
+    parser.add_argument(
+        NO_PICTURES, dest="pictures", action="store_false", help="write no pictures; matplotlib is not needed"
     )
 
 
-def add_work(parser: argparse.ArgumentParser) -> None:
-    """--jobs, --cluster: who does the work."""
-    who = parser.add_mutually_exclusive_group()
-    who.add_argument(
-        "--jobs", type=positive, default=cores(), metavar="N", help="processes; the numbers are the same (all cores)"
+def add_execution_options(parser: argparse.ArgumentParser) -> None:
+    """Add --jobs and --cluster."""
+    group = parser.add_mutually_exclusive_group()
+    group.add_argument(
+        "--jobs",
+        type=positive,
+        default=cores(),
+        metavar="N",
+        help="run this number of processes; the results do not depend on it (default: all cores)",
     )
-    who.add_argument(
-        "--cluster", metavar="ADDRESS", help="work on the Dask cluster whose scheduler is there, host:port (extra "
-        "`cluster`); the numbers are the same"
+    group.add_argument(
+        "--cluster",
+        metavar="ADDRESS",
+        help="run on the Dask cluster with this scheduler, host:port (extra `cluster`); the results are the same",
     )
 
 
 def executor_for(
     work: Callable[[Item], Result], options: argparse.Namespace
 ) -> Callable[[Sequence[Item]], Iterator[Result]]:
-    """Who does this work with items, as the options of `add_work` say."""
+    """Return the executor of work selected by the options of `add_execution_options`."""
     if options.cluster:
         return partial(execution.on_cluster, work, address=options.cluster, code=code_hash)
     return partial(execution.run_locally, work, jobs=options.jobs)
 
 
 def positive(text: str) -> int:
-    """A whole number of 1 or more."""
+    """Return a whole number of 1 or more."""
     if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"a whole number of 1 or more, not {text!r}")
+        raise argparse.ArgumentTypeError(f"expected a whole number of 1 or more, not {text!r}")
     return int(text)
 
 
 def cores() -> int:
-    """How many cores this process may use."""
+    """Return the number of cores this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1

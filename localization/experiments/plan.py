@@ -1,17 +1,7 @@
-"""Starts and goals drawn at random in a world's free room, and what a drive from one to the other is run with. Data.
+"""`python -m localization.experiments plan`: simulated drives between random positions, on the estimate, with noise.
 
-Both have ROOM_IN between body and walls and are APART_IN apart or more; the heading at the start is any. A pair is
-drawn by its world and number alone. What errs is a live scenario's, all but its bad readings.
-
-One drive from start to goal as `nomad go` does it, in a simulation of its own, and what came of it in truth.
-
-Contact is the truth's: a bumper that touched in any state, or a true place nearer to a wall than the body is wide. The
-shortest way is the shortest for the bare body, without any margin.
-Rules: speaks to the robot through nclient; the truth is asked for beside and never reaches whoever drives.
-
-`python -m localization.experiments plan`: random ways through the shipped worlds, driven with noise on, as a table.
-
-Rules: words and files only; drives are drive's, who runs them is crew's. With --json the rows are alone on stdout.
+Contacts are judged by the ground truth: a bumper that touched, or a true position nearer to a wall than the radius.
+The shortest path is that of the bare body, without any margin.
 """
 
 from __future__ import annotations
@@ -32,7 +22,7 @@ import numpy as np
 from localization.cli.options import make_folder
 from localization.experiments.execution import ResultCache, Tally, code_hash, progress
 from localization.experiments.live_trial import SCENARIOS, START_STD, Scenario
-from localization.experiments.output import add_work, executor_for, positive
+from localization.experiments.output import add_execution_options, executor_for, positive
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import add, independent
 from localization.filters.odometry import with_parameters
@@ -50,7 +40,7 @@ from worlds.io import load_world, world_names
 from worlds.robots import N150
 from worlds.world import World
 
-ROOM_IN: Final = 1.5
+SPACE_IN: Final = 1.5
 APART_IN: Final = 12.0
 WORLDS: Final = world_names()
 SPEED_IN_S: Final = 5.0
@@ -59,21 +49,21 @@ METHOD: Final = "finder"
 
 @dataclass(frozen=True, slots=True)
 class DrivePair:
-    """A drive: the world, the number of the pair in it, and the name of what errs (live.scenario)."""
+    """A drive: world, number of the pair of start and goal, name of the error scenario."""
 
     world: str
     number: int
     scenario: str
 
     @property
-    def errs(self) -> Scenario:
-        """What errs and how."""
+    def errors(self) -> Scenario:
+        """The error scenario; its outliers are not used."""
         return SCENARIOS[self.scenario]
 
 
 @dataclass(frozen=True, slots=True)
 class DriveEnds:
-    """Where a drive begins, and where it is to end: inches, degrees."""
+    """Start pose and goal of a drive: inches, degrees."""
 
     start: tuple[float, float]
     heading_deg: float
@@ -81,31 +71,44 @@ class DriveEnds:
 
 
 def ends_of(pair: DrivePair) -> DriveEnds:
-    """The ends of a pair."""
+    """Return random ends with SPACE_IN of space and at least APART_IN apart, decided by world and number."""
     world = load_world(pair.world)
-    chance = np.random.default_rng([WORLDS.index(pair.world), pair.number])
+    rng = np.random.default_rng([WORLDS.index(pair.world), pair.number])
     low, high = world.walls[:, :2].min(axis=0), world.walls[:, :2].max(axis=0)
     outline = polygon_segments(world.rooms[0].corners_in)
     walls = np.asarray(world.walls)
     while True:
-        start, goal = (np.round(chance.uniform(low, high), 1) for _ in range(2))
-        heading = float(np.round(chance.uniform(0.0, 360.0), 1))
-        free = wall_distances(np.stack((start, goal)), walls).min() >= N150.radius_in + ROOM_IN
+        start, goal = (np.round(rng.uniform(low, high), 1) for _ in range(2))
+        heading = float(np.round(rng.uniform(0.0, 360.0), 1))
+        free = wall_distances(np.stack((start, goal)), walls).min() >= N150.radius_in + SPACE_IN
         within = bool(np.all(inside(np.stack((start, goal)), outline)))
         if free and within and hypot(*(goal - start)) >= APART_IN:
             return DriveEnds((float(start[0]), float(start[1])), heading, (float(goal[0]), float(goal[1])))
 
 
-EXCHANGES_A_PERIOD: Final = 2
+EXCHANGES_PER_PERIOD: Final = 2
 LIMIT_S: Final = 300.0
 START: Final = 3
-"""Stream of a pair's chance from which the error of the first estimate is drawn."""
+"""Random stream of the initial estimate's error."""
 
 
 @dataclass(frozen=True, slots=True)
 class DriveResult:
-    """What is kept of a drive. `ending`: "done" where it arrived; `least_in`: the least true room between body and
-    walls; `off_in`: from the goal, in truth; lengths in inches, `driven_in` in truth."""
+    """Result of a drive.
+
+    Attributes
+    ----------
+    ending
+        "done" if the goal was reached.
+    touched
+        True after a bumper contact.
+    least_in
+        Smallest true distance between body and walls.
+    off_in
+        True distance from the goal at the end.
+    shortest_in, planned_in, driven_in
+        Length of the shortest path for the bare body, of the first plan, and of the true path.
+    """
 
     world: str
     number: int
@@ -122,36 +125,36 @@ class DriveResult:
 
     @property
     def contact(self) -> bool:
-        """Whether anything was touched."""
+        """True if anything was touched, by a bumper or by geometry."""
         return self.touched or self.least_in <= 0.0
 
 
 class TruthRecorder:
-    """Asks for the truth in every period."""
+    """Observer that records the ground truth in every period."""
 
     def __init__(self, robot: Robot, world: World) -> None:
         self._robot, self._world = robot, world
-        self.touched, self.least_in, self.way_in = False, inf, 0.0
+        self.touched, self.least_in, self.distance_in = False, inf, 0.0
         self.last: Truth = robot.truth()
 
-    def __call__(self, sight: Observation) -> None:
+    def __call__(self, observation: Observation) -> None:
         truth = self._robot.truth()
-        self.way_in += hypot(truth.x_in - self.last.x_in, truth.y_in - self.last.y_in)
+        self.distance_in += hypot(truth.x_in - self.last.x_in, truth.y_in - self.last.y_in)
         self.last = truth
-        self.touched |= sight.state.touching
+        self.touched |= observation.state.touching
         self.least_in = min(self.least_in, self._world.clearance(truth.x_in, truth.y_in) - N150.radius_in)
 
 
 def drive(pair: DrivePair) -> tuple[DrivePair, DriveResult]:
-    """Drive a pair here and now."""
+    """Simulate one drive."""
     world, ends = load_world(pair.world), ends_of(pair)
     start = f"{ends.start[0]},{ends.start[1]},{ends.heading_deg},{ends.heading_deg}"
     with tempfile.TemporaryDirectory() as folder:
         setup = Path(folder) / "setup.toml"
-        setup.write_text(pair.errs.setup(pair.number), encoding="utf-8")
-        step_s = PERIOD_S / EXCHANGES_A_PERIOD
+        setup.write_text(pair.errors.setup(pair.number), encoding="utf-8")
+        step_s = PERIOD_S / EXCHANGES_PER_PERIOD
         address = f"sim:{pair.world}?setup={setup}&seed={pair.number}&start={start}&step_s={step_s}"
-        with connect(address) as robot, _helm(robot, world, pair) as controller:
+        with connect(address) as robot, _controller(robot, world, pair) as controller:
             recorder = TruthRecorder(robot, world)
             controller.observers.append(recorder)
             mission = Mission(controller, Settings(time_limit_s=LIMIT_S))
@@ -159,14 +162,14 @@ def drive(pair: DrivePair) -> tuple[DrivePair, DriveResult]:
     return pair, _driven(pair, world, ends, mission, recorder)
 
 
-def _helm(robot: Robot, world: World, pair: DrivePair) -> RobotController:
+def _controller(robot: Robot, world: World, pair: DrivePair) -> RobotController:
     """The helm of a robot that stands a little beside where it believes to be; time passes with exchanges alone."""
-    errs, state = pair.errs, robot.refresh()
+    errors, state = pair.errors, robot.refresh()
     off = np.array(START_STD) * np.random.default_rng([pair.number, START]).standard_normal(3)
     guess = add(np.array([state.x_in, state.y_in, state.steering_rad]), off)
-    belief = with_parameters(independent(guess, START_STD), errs.constants)
-    known = LocalizationConfig(world.walls, N150, errs.odometry, errs.sonar)
-    return RobotController(robot, known, N150, belief, lambda _: None, METHOD, SPEED_IN_S)
+    belief = with_parameters(independent(guess, START_STD), errors.constants)
+    config = LocalizationConfig(world.walls, N150, errors.odometry, errors.sonar)
+    return RobotController(robot, config, N150, belief, lambda _: None, METHOD, SPEED_IN_S)
 
 
 def _driven(pair: DrivePair, world: World, ends: DriveEnds, mission: Mission, recorder: TruthRecorder) -> DriveResult:
@@ -183,51 +186,53 @@ def _driven(pair: DrivePair, world: World, ends: DriveEnds, mission: Mission, re
         off_in=hypot(truth.x_in - ends.goal[0], truth.y_in - ends.goal[1]),
         shortest_in=shortest,
         planned_in=report.steps[0].planned_in,
-        driven_in=recorder.way_in,
+        driven_in=recorder.distance_in,
         plans=report.steps[0].plans,
         duration_s=report.duration_s,
     )
 
 
 NEAR: Final = 1.05
-"""A way is as good as the shortest up to this many times as long."""
+"""Longest acceptable path, relative to the shortest."""
 Executor = Callable[[Sequence[DrivePair]], Iterator[tuple[DrivePair, DriveResult]]]
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Run the command. Raises what the crew and the files raise."""
+    """Run the command; errors of execution and files are propagated."""
     options = _parser().parse_args(arguments)
     make_folder(options.out)
-    wanted = [DrivePair(world, number, options.scenario) for number in range(options.pairs) for world in options.worlds]
-    kept = ResultCache(options.out / "drives", code_hash())
-    with progress(len(wanted), "plan", "drives") as tally:
-        results = collect(wanted, kept, executor_for(drive, options), tally)
-    rows = [row(world, [results[pair] for pair in wanted if pair.world == world]) for world in options.worlds]
+    requested = [
+        DrivePair(world, number, options.scenario) for number in range(options.pairs) for world in options.worlds
+    ]
+    cache = ResultCache(options.out / "drives", code_hash())
+    with progress(len(requested), "plan", "drives") as tally:
+        results = collect(requested, cache, executor_for(drive, options), tally)
+    rows = [row(world, [results[pair] for pair in requested if pair.world == world]) for world in options.worlds]
     written = options.out / f"plan_{options.scenario}.json"
-    drives = [asdict(results[pair]) for pair in wanted]
+    drives = [asdict(results[pair]) for pair in requested]
     written.write_text(json.dumps({"worlds": rows, "drives": drives}, indent=1) + "\n", encoding="utf-8")
     print(json.dumps(rows) if options.json else table(rows, list(results.values())), flush=True)
     print(f"written: {written}", file=sys.stderr if options.json else sys.stdout, flush=True)
 
 
 def collect(
-    wanted: Sequence[DrivePair], kept: ResultCache, work: Executor, tally: Tally
+    requested: Sequence[DrivePair], cache: ResultCache, work: Executor, tally: Tally
 ) -> dict[DrivePair, DriveResult]:
-    """All results: from disk, and what is not there by work, kept as it is done."""
-    paths = {pair: kept.path(f"{pair.world}_{pair.scenario}_{pair.number:04d}", (asdict(pair),)) for pair in wanted}
-    found = {pair: kept.get(path) for pair, path in paths.items()}
+    """Return all results, from the cache or by simulating."""
+    paths = {pair: cache.path(f"{pair.world}_{pair.scenario}_{pair.number:04d}", (asdict(pair),)) for pair in requested}
+    found = {pair: cache.get(path) for pair, path in paths.items()}
     results = {pair: DriveResult(**values) for pair, values in found.items() if values is not None}
-    left = [pair for pair in wanted if pair not in results]
+    left = [pair for pair in requested if pair not in results]
     tally(len(results))
     for pair, driven in work(left):
-        kept.put(paths[pair], asdict(driven))
+        cache.put(paths[pair], asdict(driven))
         results[pair] = driven
         tally(len(results))
     return results
 
 
 def row(world: str, drives: Sequence[DriveResult]) -> dict[str, Any]:
-    """The numbers of a world; ways as multiples of the shortest."""
+    """Return the results of a world; path lengths relative to the shortest."""
     planned = [drive.planned_in / drive.shortest_in for drive in drives]
     driven = [drive.driven_in / drive.shortest_in for drive in drives]
     return {
@@ -241,7 +246,7 @@ def row(world: str, drives: Sequence[DriveResult]) -> dict[str, Any]:
         "planned_worst": max(planned),
         "driven_mean": mean(driven),
         "driven_worst": max(driven),
-        "driven_near": sum(share <= NEAR for share in driven),
+        "driven_near": sum(ratio <= NEAR for ratio in driven),
         "duration_mean_s": mean(drive.duration_s for drive in drives),
     }
 
@@ -256,45 +261,56 @@ _COLUMNS: Final = (
 
 
 def table(rows: Sequence[dict[str, Any]], drives: Sequence[DriveResult]) -> str:
-    """For people; the drives that did not arrive, or touched, below."""
+    """Return a text table, followed by the drives that failed or touched something."""
     lines = [["world", *(title for title, _, _ in _COLUMNS)]]
     lines += [[row["world"], *(format(row[key], form) for _, key, form in _COLUMNS)] for row in rows]
     widths = [max(len(line[k]) for line in lines) for k in range(len(lines[0]))]
-    told = ["  ".join(text.rjust(width) for text, width in zip(line, widths, strict=True)) for line in lines]
-    told += [
+    text = ["  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True)) for line in lines]
+    text += [
         f"{drive.world} {drive.number}: {drive.ending}{', CONTACT' if drive.contact else ''}: {drive.reason}"
         for drive in drives
         if drive.ending != "done" or drive.contact
     ]
-    return "\n".join(told)
+    return "\n".join(text)
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m localization.experiments plan",
-        description="Drive a simulated N150 between random places of the shipped worlds by the shortest way, on the "
-        "estimate, as `nomad go` does, and say whether it arrived, touched anything, and how long its way was "
-        "against the shortest there is. Drives that are on disk are not driven again.",
+        description="Drive a simulated N150 between random positions of the shipped worlds on the estimate, "
+        "as `nomad go` does, and report arrivals, contacts, and path lengths relative to the shortest path. Results "
+        "are cached.",
         epilog="example: python -m localization.experiments plan --pairs 10 --worlds several_walls",
     )
-    parser.add_argument("--pairs", "--seeds", type=positive, default=100, metavar="N", help="in each world (100)")
+    parser.add_argument(
+        "--pairs",
+        "--seeds",
+        type=positive,
+        default=100,
+        metavar="N",
+        help="number of drives in each world (default: 100)",
+    )
     parser.add_argument(
         "--worlds",
         nargs="+",
         choices=WORLDS,
         default=list(WORLDS),
         metavar="WORLD",
-        help=f"of {', '.join(WORLDS)} (all)",
+        help=f"worlds: {', '.join(WORLDS)} (default: all)",
     )
     parser.add_argument(
         "--scenario",
         choices=list(SCENARIOS),
         default="noisy",
-        help="what errs, without its bad readings (default %(default)s)",
+        help="error scenario, without outliers (default: %(default)s)",
     )
-    add_work(parser)
+    add_execution_options(parser)
     parser.add_argument(
-        "--out", type=Path, default=Path("out/experiments"), metavar="DIR", help="for the numbers (%(default)s)"
+        "--out",
+        type=Path,
+        default=Path("out/experiments"),
+        metavar="DIR",
+        help="write results to this folder (default: %(default)s)",
     )
-    parser.add_argument("--json", action="store_true", help="print JSON, alone on stdout")
+    parser.add_argument("--json", action="store_true", help="print only JSON on stdout")
     return parser

@@ -1,7 +1,7 @@
-"""From runs to numbers: what is kept of each seed, and the summary of a figure.
+"""Results of the figures of the thesis: what is stored of each seed, and the summary over seeds.
 
-Rules: pure. What is kept of a seed depends on that seed alone (sums by math.fsum, exact in any order), and the summary
-on the seeds in their order: to the bit the same numbers however the work was cut up.
+The result of a seed depends on that seed only (sums by math.fsum, exact in any order), and the summary on the seeds in
+their order: the numbers are the same to the bit however the work is divided.
 """
 
 from __future__ import annotations
@@ -18,13 +18,15 @@ from localization.experiments.figure_trial import Figure, Runs, mean_band, nees
 from localization.filters.belief import Floats, difference
 
 TRACKED_SEEDS: Final = 20
-"""Of the seeds below this number the whole run is kept, for the pictures."""
+"""Complete runs are stored for seeds below this number, for the pictures."""
 
 
 @dataclass(frozen=True, slots=True)
 class SeedResult:
-    """What is kept of one run: its steps, whether every goal was reached, the distance between estimate and truth at
-    the end, and sums over its steps: squared errors, NEES, NIS, beams used, and the bound on the squared position."""
+    """Result of one run: steps, True if all goals were reached, final position error, and sums over its steps.
+
+    Sums: squared errors, NEES, NIS, beams used, and the bound on the squared position error.
+    """
 
     seed: int
     steps: int
@@ -40,7 +42,7 @@ class SeedResult:
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """One whole run of T steps: `truth` and `mean` (T, 3), `cov` (T, 3, 3)."""
+    """A complete run of T steps: `truth` and `mean` (T, 3), `cov` (T, 3, 3)."""
 
     seed: int
     truth: Floats
@@ -50,19 +52,18 @@ class Track:
 
 @dataclass(frozen=True, slots=True)
 class FigureResult:
-    """What came of a figure, or of a part of its seeds."""
+    """Results of a figure for all or some of its seeds."""
 
     results: tuple[SeedResult, ...]
     tracks: tuple[Track, ...]
 
 
 class Summary(TypedDict):
-    """The numbers of a figure; None where a number has no meaning for it.
+    """Results of a figure over all seeds; None where a number does not apply.
 
-    Root mean squares and means are over all steps of all seeds. `nees_band95` is where the mean NEES of that many
-    independent runs lies with 95 %. `nis_mean` is a beam's share: the sum of NIS over the sum of beams used, so 1 is
-    right. `pcrb_position_in` is the root mean square the posterior Cramer-Rao bound allows, with all beams that meet a
-    wall.
+    Root mean squares and means are over all steps of all seeds. `nees_band95` is the 95 % interval of the mean NEES of
+    that many independent runs. `nis_mean` is per beam: the sum of NIS over the number of beams used, ideally 1.
+    `pcrb_position_in` is the posterior Cramer-Rao bound on the RMSE, with all beams that meet a wall.
     """
 
     figure: str
@@ -80,7 +81,7 @@ class Summary(TypedDict):
 
 
 def figure_result(runs: Runs, filtered: bool) -> FigureResult:
-    """What is kept of runs; NEES, NIS and the bound only where there was a filter."""
+    """Return the results of runs; NEES, NIS and the bound only with a filter."""
     results = []
     tracks = []
     for row, seed in enumerate(runs.seeds):
@@ -114,7 +115,7 @@ def _result(track: Track, reached: bool, filtered: bool, sums: list[float]) -> S
 
 
 def join_results(parts: Sequence[FigureResult]) -> FigureResult:
-    """The outcomes of parts of the seeds as one, in the order given."""
+    """Return the results of several batches as one, in the given order."""
     return FigureResult(
         tuple(result for part in parts for result in part.results),
         tuple(track for part in parts for track in part.tracks),
@@ -122,7 +123,8 @@ def join_results(parts: Sequence[FigureResult]) -> FigureResult:
 
 
 def summarize(figure: Figure, results: Sequence[SeedResult]) -> Summary:
-    """The numbers of a figure over all seeds."""
+    """Return the summary of a figure over all seeds."""
+    # Means over all steps of all seeds; math.fsum makes them independent of the batches.
     count = len(results)
     steps = sum(result.steps for result in results)
     nees_mean = nees_band = nis_mean = bound_in = None
@@ -149,6 +151,6 @@ def summarize(figure: Figure, results: Sequence[SeedResult]) -> Summary:
 
 
 def typical(tracks: Sequence[Track]) -> Track:
-    """Of the tracks the one whose end error is the (upper) median: the one to draw."""
+    """Return the track with the (upper) median final error, for drawing."""
     ranked = sorted(tracks, key=lambda track: float(np.hypot(*(track.mean - track.truth)[-1, :2])))
     return ranked[len(ranked) // 2]

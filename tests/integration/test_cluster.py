@@ -11,7 +11,7 @@ import pytest
 
 from localization.experiments import __main__ as experiments
 from localization.experiments import live_trial
-from localization.experiments.execution import ClusterError, code_hash, drive_on_cluster, drive_part, on_cluster
+from localization.experiments.execution import ClusterError, code_hash, drive_batch, drive_on_cluster, on_cluster
 from localization.experiments.figure_trial import FIGURES
 from localization.experiments.live import TrialCache
 from localization.experiments.live_trial import TrialJob, trials
@@ -42,7 +42,7 @@ def test_live_trials_are_identical(address: str, tmp_path: Path) -> None:
 def test_figures_are_identical(address: str) -> None:
     reports: list[int] = []
     there = drive_on_cluster(FIGURES["5.6"], range(30), address, reports.append)
-    here = drive_part(FIGURES["5.6"], range(30))
+    here = drive_batch(FIGURES["5.6"], range(30))
     assert there.results == here.results
     assert all((mine.cov == theirs.cov).all() for mine, theirs in zip(here.tracks, there.tracks, strict=True))
     assert reports[-1] == sum(result.steps for result in here.results)

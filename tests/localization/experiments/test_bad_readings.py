@@ -21,7 +21,7 @@ def made_bad(share: float) -> BadReadings:
 
 def test_a_share_of_all_echoes_is_replaced_by_whole_inches_anywhere() -> None:
     bad = made_bad(0.2)
-    shown = np.array([bad.of(report(ROUND_S * (k + 0.999))).sonars_in for k in range(400)])
+    shown = np.array([bad.apply(report(ROUND_S * (k + 0.999))).sonars_in for k in range(400)])
     replaced = shown[shown != 300]
     assert len(replaced) / shown.size == pytest.approx(0.2, abs=0.015)
     assert replaced.min() == 6
@@ -31,9 +31,9 @@ def test_a_share_of_all_echoes_is_replaced_by_whole_inches_anywhere() -> None:
 
 def test_an_echo_stays_what_it_was_shown_as_until_its_sonar_fires_again() -> None:
     bad, schedule = made_bad(0.5), FiringSchedule(0.0)
-    before = bad.of(report(ROUND_S + 0.001)).sonars_in
+    before = bad.apply(report(ROUND_S + 0.001)).sonars_in
     for k in range(1, 16):
-        now = bad.of(report(ROUND_S + 0.001 + k * schedule.interval_s)).sonars_in
+        now = bad.apply(report(ROUND_S + 0.001 + k * schedule.interval_s)).sonars_in
         fired = set(schedule.order[: k + 1])
         assert all(now[sonar] == before[sonar] for sonar in range(16) if sonar not in fired)
     assert now != before
@@ -42,4 +42,4 @@ def test_an_echo_stays_what_it_was_shown_as_until_its_sonar_fires_again() -> Non
 @pytest.mark.parametrize(("share", "clock_s"), [(0.0, 3.0), (0.5, None)])
 def test_where_there_is_nothing_to_spoil_the_report_is_the_robots(share: float, clock_s: float | None) -> None:
     told = report(clock_s)
-    assert made_bad(share).of(told) is told
+    assert made_bad(share).apply(told) is told

@@ -10,7 +10,7 @@ import pytest
 from localization.experiments.execution import (
     ClusterError,
     ClusterExtraMissing,
-    _check,
+    _check_workers,
     on_cluster,
     run_locally,
 )
@@ -39,7 +39,7 @@ def test_without_distributed_the_extra_is_named(monkeypatch: pytest.MonkeyPatch)
 
 def test_a_cluster_without_workers_or_with_other_code_is_refused() -> None:
     with pytest.raises(ClusterError, match="no workers: start some with `dask worker there:1`"):
-        _check({}, "there:1", "mine")
-    with pytest.raises(ClusterError, match="other code or another numpy than here on b, c"):
-        _check({"a": "mine", "c": "old", "b": "new"}, "there:1", "mine")
-    _check({"a": "mine"}, "there:1", "mine")
+        _check_workers({}, "there:1", "mine")
+    with pytest.raises(ClusterError, match="different code or numpy on b, c"):
+        _check_workers({"a": "mine", "c": "old", "b": "new"}, "there:1", "mine")
+    _check_workers({"a": "mine"}, "there:1", "mine")

@@ -21,7 +21,7 @@ def test_a_trial_drives_and_its_estimate_stays_near_the_truth(scenario: str) -> 
     assert record.truth.shape == record.mean.shape == record.encoders.shape == (PERIODS, 3)
     assert record.cov.shape == (PERIODS, 3, 3)
     np.testing.assert_allclose(np.diff(record.clock_s), 0.1, atol=0.02)
-    assert record.way_in[-1] > 10.0
+    assert record.distance_in[-1] > 10.0
     assert np.hypot(*record.error[:, :2].T).max() < 1.0
     assert (np.abs(record.error[0]) < 4.0 * np.array(START_STD)).all()
     assert record.spent_s.tolist() == [0.0] * PERIODS
@@ -64,5 +64,5 @@ def test_a_smoothers_record_is_of_the_past_and_the_robot_goes_the_same_way() -> 
 
 def test_between_two_polls_the_heading_takes_the_short_way() -> None:
     poses = np.array([[0.0, 0.0, 3.0], [1.0, 2.0, -3.0]])
-    middle = live_trial._at(np.array([0.5]), np.array([0.0, 1.0]), poses)
+    middle = live_trial._interpolate(np.array([0.5]), np.array([0.0, 1.0]), poses)
     np.testing.assert_allclose(np.abs(middle), [[0.5, 1.0, np.pi]], atol=1e-12)

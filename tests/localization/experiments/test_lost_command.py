@@ -33,7 +33,7 @@ def test_runs_that_are_kept_are_not_made_again(
     assert [(case.kind, case.seed, case.seconds) for case in made] == [
         (Kind.TRACKING, 0, 60.0), (Kind.TRACKING, 1, 60.0), (Kind.KIDNAPPED, 0, 60.0), (Kind.KIDNAPPED, 1, 60.0)
     ]
-    assert "LOST said of 2, of 2 within 5 s" in capsys.readouterr().out
+    assert "detected (LOST): 2, 2 of them within 5 s" in capsys.readouterr().out
     assert main([*asked, "--json"]) == 0
     assert len(made) == 4
     printed = json.loads(capsys.readouterr().out)
@@ -49,4 +49,4 @@ def test_without_numbers_it_makes_as_many_as_each_kind_is_judged_by(made: list[C
 def test_a_kind_that_there_is_not_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main(["lost", "angry"])
-    assert "no kind 'angry'; there are calm, kidnapped, nowhere" in capsys.readouterr().err
+    assert "unknown kind 'angry'; expected one of calm, kidnapped, nowhere" in capsys.readouterr().err

@@ -37,14 +37,14 @@ def test_kidnappings_count_who_was_told_of_in_time_and_who_was_found_rightly() -
     assert found["told_s"] == (3.0, 7.0)
     assert found["found_s"] == (9.0, 9.0)
     text = words(found)
-    assert "LOST said of 3, of 2 within 5 s (median 3.0 s, at most 7.0 s)" in text
-    assert "found again rightly: 2 (median 9.0 s, at most 9.0 s); a wrong place believed: 1" in text
+    assert "detected (LOST): 3, 2 of them within 5 s (median 3.0 s, at most 7.0 s)" in text
+    assert "correct recoveries: 2 (median 9.0 s, at most 9.0 s); wrong recoveries: 1" in text
 
 
 def test_of_those_that_never_found_themselves_no_time_is_said() -> None:
     (found,) = summaries({case(Kind.UNKNOWN_START, 0): LostResult(90.0, 0, 0.0, None)})
     assert found["found"] == 0
-    assert words(found).splitlines()[1] == "  found again rightly: 0; a wrong place believed: 0"
+    assert words(found).splitlines()[1] == "  correct recoveries: 0; wrong recoveries: 0"
 
 
 def test_each_kind_has_its_own_numbers_in_the_order_of_the_cases() -> None:

@@ -54,10 +54,10 @@ def test_all_is_every_figure_and_then_the_live_matrix(monkeypatch: pytest.Monkey
 
 
 @pytest.mark.parametrize(("words", "told"), [
-    (["5.5"], "figure 5.5 shows the errors of 5.4 and is drawn with it: say 5.4"),
-    (["5.1"], "no figure '5.1'; there are 5.2, 5.4"),
-    (["5.4", "live"], "live is no figure: say it first, and no figure beside it"),
-    (["5.4", "--seeds", "few"], "argument --seeds: a whole number of 1 or more, not 'few'"),
+    (["5.5"], "figure 5.5 shows the errors of 5.4 and is drawn with it: use 5.4"),
+    (["5.1"], "unknown figure '5.1'; expected one of 5.2, 5.4"),
+    (["5.4", "live"], "live is a command, not a figure"),
+    (["5.4", "--seeds", "few"], "argument --seeds: expected a whole number of 1 or more, not 'few'"),
     (["all", "--scenario", "exact"], "unrecognized arguments: --scenario exact"),
 ])  # fmt: skip
 def test_what_it_does_not_know_is_told_with_what_it_does(

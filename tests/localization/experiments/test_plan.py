@@ -14,7 +14,7 @@ from localization.experiments import execution
 from localization.experiments import plan as plan_command
 from localization.experiments.__main__ import main
 from localization.experiments.execution import ResultCache
-from localization.experiments.plan import APART_IN, ROOM_IN, WORLDS, DrivePair, DriveResult, drive, ends_of
+from localization.experiments.plan import APART_IN, SPACE_IN, WORLDS, DrivePair, DriveResult, drive, ends_of
 from worlds.io import load_world
 from worlds.robots import N150
 
@@ -26,7 +26,7 @@ def test_pairs_have_room_are_apart_and_differ(world: str) -> None:
     drawn = [ends_of(DrivePair(world, number, "noisy")) for number in range(100)]
     place = load_world(world)
     for ends in drawn:
-        assert min(place.clearance(*ends.start), place.clearance(*ends.goal)) >= N150.radius_in + ROOM_IN - 1e-9
+        assert min(place.clearance(*ends.start), place.clearance(*ends.goal)) >= N150.radius_in + SPACE_IN - 1e-9
         assert hypot(ends.start[0] - ends.goal[0], ends.start[1] - ends.goal[1]) >= APART_IN
         assert -12 < ends.start[0] < 102.17
     assert len(set(drawn)) == 100

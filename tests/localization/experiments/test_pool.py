@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from localization.experiments.execution import drive, drive_part, parts_of
+from localization.experiments.execution import drive, drive_batch, split_seeds
 from localization.experiments.figure_trial import FIGURES
 
 
@@ -20,7 +20,7 @@ from localization.experiments.figure_trial import FIGURES
     ],
 )
 def test_the_parts_are_all_the_seeds_in_order(count: int, jobs: int, sizes: list[int]) -> None:
-    parts = parts_of(range(count), jobs)
+    parts = split_seeds(range(count), jobs)
     assert [seed for part in parts for seed in part] == list(range(count))
     assert [len(part) for part in parts] == sizes
 
@@ -28,7 +28,7 @@ def test_the_parts_are_all_the_seeds_in_order(count: int, jobs: int, sizes: list
 def test_the_numbers_do_not_depend_on_the_processes() -> None:
     figure = FIGURES["5.6"]
     reports: list[int] = []
-    alone, shared = drive_part(figure, range(3)), drive(figure, range(3), jobs=2, report=reports.append)
+    alone, shared = drive_batch(figure, range(3)), drive(figure, range(3), jobs=2, report=reports.append)
     assert alone.results == shared.results
     assert [track.seed for track in shared.tracks] == [0, 1, 2]
     for mine, theirs in zip(alone.tracks, shared.tracks, strict=True):

@@ -29,7 +29,7 @@ def test_all_that_decides_a_result_is_in_its_name(tmp_path: Path) -> None:
         replace(TRIAL, figure="5.8"),
         replace(TRIAL, periods=10),
         replace(TRIAL, scenario=replace(scenario, method="ukf")),
-        replace(TRIAL, scenario=replace(scenario, bad_share=0.21)),
+        replace(TRIAL, scenario=replace(scenario, outlier_fraction=0.21)),
         replace(TRIAL, scenario=replace(scenario, sonar=ConeSonar(margin_db=31.0))),
         replace(TRIAL, scenario=replace(scenario, odometry=replace(scenario.odometry, drift_std=0.003))),
     ]

@@ -155,8 +155,8 @@ def test_a_run_that_never_arrives_ends_and_is_not_counted() -> None:
     circling = replace(short_course(), gains=ControlGains(0.5, 0.001, 0.08, 0.8), goals_in=np.array([[0.0, 5.0]]))
     runs = run(circling, range(3))
     assert not runs.reached.any()
-    assert runs.steps.tolist() == [circling.most_steps] * 3
-    assert len(runs.truth) == circling.most_steps
+    assert runs.steps.tolist() == [circling.max_steps] * 3
+    assert len(runs.truth) == circling.max_steps
 
 
 def test_each_step_is_told_with_the_robots_that_took_it() -> None:

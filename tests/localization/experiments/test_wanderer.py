@@ -52,5 +52,5 @@ def test_lost_it_gropes_and_plans_anew_when_it_is_found() -> None:
     one = explorer()
     one.command(np.array([20.0, 20.0, 0.0]))
     assert one.command(np.array([20.0, 20.0, 0.0])) == VelocityCommand(5.0, 0.0)
-    assert one.grope(Ring((255,) * 16)) == VelocityCommand(0.0, TURN_RAD_S)
+    assert one.recover(Ring((255,) * 16)) == VelocityCommand(0.0, TURN_RAD_S)
     assert one.command(np.array([20.0, 20.0, 0.0])) == STAND
