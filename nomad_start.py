@@ -1,9 +1,9 @@
-"""Where `nomad` and `nserver` begin: Ctrl-C while they still import ends them with 130, and says nothing.
+"""Entry points of the scripts `nomad` and `nserver`: Ctrl-C during the imports exits with 130, without a traceback.
 
-Rules: nothing that takes time is imported here before Ctrl-C is watched for, and so no package of ours: reading
-nclient's own __init__ is most of the start. Until a command is imported there is nothing to leave in order, and the
-process ends there and then: an exception could be swallowed in the middle of an import. From then on Ctrl-C is the
-command's.
+A top-level module, because importing any module of `nclient` first imports the package, which takes most of the start:
+nothing slow may be imported before the handler is installed. Until the command is imported there is nothing to clean
+up, and the process exits at once; an exception could be swallowed in the middle of an import. Afterwards the command
+handles Ctrl-C itself.
 """
 
 from __future__ import annotations
@@ -17,45 +17,45 @@ if TYPE_CHECKING:
     from types import FrameType
 
 INTERRUPTED = 130
-"""ExitCode.INTERRUPTED, which is behind the imports."""
+"""ExitCode.INTERRUPTED, which cannot be imported before the handler is installed."""
 
 
 def nomad() -> int:
-    """The command `nomad`; its exit code."""
+    """Run `nomad`, and return the exit code."""
 
-    def imported() -> Callable[[], int]:
+    def import_main() -> Callable[[], int]:
         from nclient.cli.main import main
 
         return main
 
-    return _begin(imported)
+    return _begin(import_main)
 
 
 def nserver() -> int:
-    """The command `nserver`; its exit code."""
+    """Run `nserver`, and return the exit code."""
 
-    def imported() -> Callable[[], int]:
+    def import_main() -> Callable[[], int]:
         from nserver_emu.cli import main
 
         return main
 
-    return _begin(imported)
+    return _begin(import_main)
 
 
-def _begin(imported: Callable[[], Callable[[], int]]) -> int:
-    """Import a command and run it. A Ctrl-C that is ignored, as in the background of a script, stays so."""
-    heard = signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    if heard:
-        signal.signal(signal.SIGINT, _leave)
+def _begin(import_main: Callable[[], Callable[[], int]]) -> int:
+    """Import a command and run it. A SIGINT that is ignored, as in the background of a script, stays ignored."""
+    is_handled = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    if is_handled:
+        signal.signal(signal.SIGINT, _exit_at_once)
     try:
-        main = imported()
-        if heard:
+        main = import_main()
+        if is_handled:
             signal.signal(signal.SIGINT, signal.default_int_handler)
         return main()
     except KeyboardInterrupt:
         return INTERRUPTED
 
 
-def _leave(number: int, frame: FrameType | None) -> None:
+def _exit_at_once(number: int, frame: FrameType | None) -> None:
     del number, frame
     os._exit(INTERRUPTED)

@@ -75,17 +75,17 @@ def run(options: argparse.Namespace) -> int:
 
 
 def forward(near: ByteStream, far: ByteStream, session: ClientSession, monitor: IdleMonitor) -> None:
-    """Forward bytes both ways until one end is closed or the client's session ends."""
+    """Forward bytes in both directions until one end is closed or the client's session ends."""
     finished = threading.Event()
     to_near = threading.Thread(
-        target=_forward_one_way, args=(far, near, finished, monitor.to_host, lambda _: False), daemon=True
+        target=_forward_direction, args=(far, near, finished, monitor.to_host, lambda _: False), daemon=True
     )
     to_near.start()
-    _forward_one_way(near, far, finished, monitor.to_robot, session.should_end)
+    _forward_direction(near, far, finished, monitor.to_robot, session.should_end)
     to_near.join()
 
 
-def _forward_one_way(
+def _forward_direction(
     source: ByteStream,
     target: ByteStream,
     finished: threading.Event,

@@ -59,7 +59,7 @@ def run(options: argparse.Namespace) -> int:
 
     def serve(stream: ByteStream, session: ClientSession) -> None:
         try:
-            play(Player(connection, options.command), stream, sleep, session)
+            play(Player(connection, options.order), stream, sleep, session)
         except RecordingError as error:
             mismatches.append(error)
             print_message(str(error))

@@ -280,6 +280,7 @@ class Session:
         return iter(())
 
     def _sleep_by_robot_clock(self, seconds: float) -> None:
+        # A lockstep simulation advances with each query, a real robot by itself; both end by the robot's clock.
         begun_s = self.robot.refresh().clock_s
         if begun_s is None:
             self._sleep(seconds)

@@ -25,7 +25,7 @@ class Parser(argparse.ArgumentParser):
         self._mark_optional_words()
         words: Sequence[str] = () if args is None else tuple(args)
         options = self._option_names()
-        # A parser with subparsers cannot tell which options belong to them.
+        # A parser with subparsers does not know which options belong to them.
         if self._subparsers is None:
             for word in words[: words.index("--")] if "--" in words else words:
                 name = word.partition("=")[0]

@@ -61,7 +61,7 @@ class Frames(Protocol):
 
     @property
     def pending_bytes(self) -> int:
-        """Bytes kept of a frame that is not whole yet."""
+        """Return the number of buffered bytes of an incomplete frame."""
         ...
 
     def receive(self, data: bytes) -> list[StreamPiece]:
@@ -317,7 +317,7 @@ class Injector:
         return {state.rule.name: state.snapshot() for state in self._states}
 
     def reset(self) -> None:
-        """Set all counts to 0; the position of "every tenth" and the random streams are kept."""
+        """Set all counts to 0; the position of "every tenth" and the random streams do not change."""
         for state in self._states:
             state.tally.clear()
 
@@ -399,13 +399,16 @@ class RuleState:
     def next_fault(self, command: str, direction: Direction, elapsed_s: float) -> Fault | None:
         """Count a frame, and return the fault to apply to it, or None."""
         rule = self.rule
+        # 1. Frames of other commands, directions and times are not counted.
         if not rule.when.covers(elapsed_s) or not rule.matches(command, direction):
             return None
         self._number += 1
         self.tally[SEEN] += 1
         if not rule.when.matches(self._number, self.rng.random()):
             return None
+        # 2. With several kinds one is drawn each time.
         fault = rule.faults[0] if len(rule.faults) == 1 else self.rng.choice(rule.faults)
+        # 3. Noise counts itself, because it may change nothing.
         if not isinstance(fault, Noise):
             self.tally[fault.kind] += 1
         return fault

@@ -232,6 +232,7 @@ class _TcpEnds:
 
     def answer(self, data: bytes) -> _Answer:
         frame = tcp_framing.parse_single_frame(data, reply_bounds, self.wire_state.wide)
+        # The first outstanding request that fits; earlier ones got no reply and are discarded.
         for place, (row, wire_state) in enumerate(self._outstanding):
             reply = _fitting(row, frame, wire_state)
             if reply:

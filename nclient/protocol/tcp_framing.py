@@ -21,7 +21,7 @@ MAX_UNKNOWN_WORDS = 1024
 """A message of unknown type or wrong count is skipped whole up to this count. With a larger count synchronisation is
 lost: it is reported once, and the search continues byte by byte until a valid message is found."""
 UNKNOWN_TYPE, WRONG_COUNT = 1, 2
-# create, connect and disconnect: their first argument, the robot number, tells 32-bit from 64-bit clients.
+# create, connect and disconnect: their first argument, the robot number, distinguishes 32-bit from 64-bit clients.
 _CONNECT_TYPES = (101, 102, 103)
 Bounds = Callable[[int], tuple[int, int] | None]
 """Minimum and maximum number of words by message type: request_bounds or reply_bounds."""

@@ -258,6 +258,7 @@ def _entry(line: str, number: int, name: str) -> Entry:
 
 
 def _read_entry(whole: dict[str, Any], number: int) -> Entry:
+    # Any exception here means an invalid line; the caller adds file and line number.
     kind = whole["dir"] if "dir" in whole else whole["event"]
     if kind not in (_DIRECTIONS if "dir" in whole else _EVENTS):
         raise ValueError(f"nothing is {kind!r}")

@@ -110,6 +110,7 @@ def _execute(server: ControlledServer, line: bytes) -> JsonObject:
         name, argument = request["command"], request.get("argument")
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
         raise ControlError('a request is a line such as {"command": "speed", "argument": "10"}') from None
+    # A name of another type would not be hashable.
     row = BY_NAME.get(name) if isinstance(name, str) else None
     if row is None:
         raise ControlError(f"no command {name!r}; there are {', '.join(BY_NAME)}{suggest(str(name), BY_NAME)}")
@@ -122,6 +123,7 @@ def status(server: ControlledServer, _: object = None) -> JsonObject:
     """Return time, world, actual poses of robots, lines, clients and faults."""
     emulator, clock = server.emulator, server.emulator.clock
     simulation = emulator.simulation
+    # Poses are rounded: they are for display, not for evaluation.
     return {
         "version": version(), "world": simulation.world.name, "seed": simulation.seed,
         "time_s": round(simulation.time_s, 6), "speed": MAX_SPEED if clock.factor is None else clock.factor,
@@ -147,6 +149,9 @@ def _injected(faults: FaultController) -> dict[str, int]:
     for rules in faults.counts().values():
         totals.update(total(rules))
     return {kind: count for kind, count in totals.items() if count}
+
+
+# Simulated time.
 
 
 def _pause(server: ControlledServer, _: object) -> JsonObject:
@@ -176,10 +181,14 @@ def _step(server: ControlledServer, argument: object) -> JsonObject:
 
 
 def _time(server: ControlledServer) -> JsonObject:
+    # State[0] shows the speed, and a recording must contain the change.
     server.emulator.invalidate_state_cache()
     server.record_clock()
     everything = status(server)
     return {key: everything[key] for key in ("time_s", "speed", "paused", "lockstep_s")}
+
+
+# Emergency stop.
 
 
 def _stop(server: ControlledServer, argument: object) -> JsonObject:
@@ -207,6 +216,9 @@ def _save(server: ControlledServer, argument: object) -> JsonObject:
     path = Path(_text(argument, "save: the name of a file"))
     snapshot.save(server.emulator, path)
     return {"saved": str(path)}
+
+
+# Fault plans.
 
 
 def _show(server: ControlledServer, _: object) -> JsonObject:
@@ -244,6 +256,9 @@ def _help(_served: ControlledServer, _: object) -> JsonObject:
     return {"commands": {row.name: [row.argument, row.about] for row in COMMANDS}}
 
 
+# Noise, world, obstacles.
+
+
 def _noise(server: ControlledServer, argument: object) -> JsonObject:
     change = noise_words(argument) if isinstance(argument, str) else argument
     if not isinstance(change, dict):
@@ -279,6 +294,9 @@ def _obstacle(server: ControlledServer, argument: object) -> JsonObject:
     result = change_obstacle(server.emulator, change)
     server.record_change({"obstacle": change})
     return result
+
+
+# Arguments.
 
 
 def _number(argument: object, low: float, high: float, usage: str) -> float:

@@ -22,6 +22,7 @@ from nclient.faults.plan import MAX_BYTES
 log = logging.getLogger(__name__)
 
 NAME: Final = "nserver.sock"
+# Modes of the socket and of its folder.
 OWNER_ONLY, OWNERS_FOLDER = 0o600, 0o700
 # Longer than the longest fault plan as JSON.
 MAX_LINE: Final = 8 * MAX_BYTES
@@ -42,6 +43,7 @@ class ControlSocket:
         self.path = path
         self._answer = answer
         self._server: asyncio.Server | None = None
+        # Device and inode of the socket, to remove no other file at its path.
         self._identity: tuple[int, int] | None = None
         self._clients: set[asyncio.Task[None]] = set()
 
@@ -92,10 +94,12 @@ class ControlSocket:
 def _prepare(path: Path) -> None:
     """Create the folder and remove a socket without a server. Raise ConnectionLost if something else is there."""
     try:
+        # 1. The default folder in /tmp must be the user's own.
         if path.name == NAME:
             path.parent.mkdir(mode=OWNERS_FOLDER, exist_ok=True)
             if path.parent.stat().st_uid != os.getuid():
                 raise _cannot(path, "its folder is another user's")
+        # 2. Nothing there, or a socket without a server.
         if not path.exists() and not path.is_symlink():
             return
         if not stat.S_ISSOCK(path.stat().st_mode):

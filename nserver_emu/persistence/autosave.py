@@ -63,6 +63,7 @@ class SaveFile:
         try:
             await asyncio.to_thread(self._write, number, text)
         except SnapshotError as error:
+            # Only the first failure of a series is logged.
             if not self._failing:
                 log.error("not saved: %s; the run goes on, and it is tried again each time", error)
             self._failing = True
@@ -82,6 +83,7 @@ class SaveFile:
 @contextlib.asynccontextmanager
 async def autosaved(file: SaveFile | None, interval_s: float | None) -> AsyncIterator[None]:
     """Save at an interval while the context is open; without a file or an interval, do nothing."""
+    # Cancelled at the end: the final save is the caller's.
     saving = asyncio.create_task(_save_repeatedly(file, interval_s)) if file and interval_s else None
     try:
         yield

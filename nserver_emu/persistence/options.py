@@ -50,6 +50,7 @@ def _check_beside(
     parser: argparse.ArgumentParser, options: argparse.Namespace, words: Sequence[str], option: str, file: str,
     decided: Iterable[str],
 ) -> None:  # fmt: skip
+    # Options, worlds and old setup files that the file decides.
     conflicts = _as_written(given_options(parser, words, decided))
     if len(options.files) > len(options.setups):
         conflicts.append(f"the world {options.world}")
@@ -68,12 +69,14 @@ def _as_written(names: Iterable[str]) -> list[str]:
 
 def resolve_restore(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
     """Decide whether a persistent run starts or continues; if it continues, reset the options that its file decides."""
+    # Only a run that is restored from the file it saves to.
     if options.restore is None or not _is_persistent(options):
         return
     if not os.path.lexists(options.restore):
         log.warning("%s: not there yet: the simulation begins, and is saved there", options.restore)
         options.restore = None
         return
+    # The file decides: options that say how to start have no effect any more.
     for name in DECIDED:
         setattr(options, name, parser.get_default(name))
     options.world = DEFAULT_WORLD

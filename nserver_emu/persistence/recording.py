@@ -46,7 +46,7 @@ class RunHeader:
     keeps_pace
         True: with the clock of the snapshot, not with `clock`.
     snapshot_text
-        Contents of that file at the time, if known.
+        Contents of that file at the time; None: read it.
     """
 
     config: SimulationConfig
@@ -58,6 +58,7 @@ class RunHeader:
 
     def create_emulator(self) -> Emulator:
         """Return the simulation in its initial state. Raises the errors of a server's start."""
+        # The configuration decides the kind of the emulator; a snapshot then replaces its state.
         emulator = Emulator(self.config.simulation(), clock=replace(self.clock), allowed=self.allowed)
         if self.restored:
             if self.snapshot_text:
@@ -78,6 +79,7 @@ class RunHeader:
             `port`, the reply to a connection; `requests_a_turn`, processed before it is another client's turn;
             `real_robots`, the number of robots that reply in place of the simulation.
         """
+        # Absolute paths: a replay may run in another folder.
         files = {name: str(path.absolute()) for name, path in _files(self.config).items()}
         restored = self.restored
         return {

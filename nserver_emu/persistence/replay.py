@@ -141,6 +141,7 @@ class _ServerReplayer:
         while self._closed and self._closed[0][0] <= entry.time_s:
             self._client_registry.remove(self._closed.pop(0)[1])
         for dt_s, count in entry.more.get("steps", ()):
+            # A longer step would block for as long as it takes.
             if dt_s > MAX_STEP_S:
                 raise ValueError(f"a step of {dt_s} s")
             for _ in range(count):
@@ -150,6 +151,7 @@ class _ServerReplayer:
     def _open(self, entry: Entry) -> None:
         answer, name, host = self._emulator.answer, entry.connection, _host(entry.connection)
         wire, model = entry.more["wire"], get_model(entry.more["model"])
+        # TCP sessions choose their word size by the client; serial sessions belong to a robot.
         if wire == TCP:
             self._client_registry.add_pending(name, host)
             self._sessions[name] = Session(
@@ -172,6 +174,7 @@ class _ServerReplayer:
     def _close(self, entry: Entry) -> None:
         session = self._session(entry)
         del self._sessions[entry.connection]
+        # An orderly disconnect frees the identity at once, a lost connection later.
         if session.closing:
             self._client_registry.remove(entry.connection, disconnected=True)
         else:
@@ -182,12 +185,15 @@ class _ServerReplayer:
         """Do what the server did at such an entry: send the greeting, poll a deferred reply, or process requests."""
         name = entry.connection
         session = self._session(entry)
+        # 1. The greeting of a serial line.
         if greeting := self._greetings.pop(name, b""):
             return greeting
+        # 2. A reply that became ready by time.
         if entry.more.get("by_time"):
             return session.tick()
         if not session.ready:
             session.tick()  # discards an incomplete frame, so that the one behind it is found
+        # 3. A turn; the handshake of a TCP client registers its identity.
         before = session.identity
         reply = session.process_requests(self._max_requests)
         if session.identity != before:

@@ -145,8 +145,10 @@ def decoder(kind: Any) -> Decoder:
 
     It raises ValueError, TypeError or KeyError for data of another type.
     """
+    # 1. Scalars.
     if kind in (bool, int, float, str):
         return _SCALARS[kind]
+    # 2. Generic types.
     arguments = get_args(kind)
     match get_origin(kind):
         case origin if origin is tuple:
@@ -155,6 +157,7 @@ def decoder(kind: Any) -> Decoder:
             return _dict_decoder(decoder(arguments[0]), decoder(arguments[1]), is_number=arguments[0] is int)
         case origin if origin is Union or origin is UnionType:
             return _union_decoder(arguments)
+    # 3. Enumerations, dataclasses and NamedTuples.
     if issubclass(kind, Enum):
         return _enum_decoder(kind)
     hints = get_type_hints(kind)
@@ -204,6 +207,7 @@ def _object(data: Any) -> dict[str, Any]:
 
 
 def _tuple_decoder(kinds: tuple[Any, ...]) -> Decoder:
+    # tuple[X, ...] has any length, tuple[X, Y] exactly its own.
     if len(kinds) == 2 and kinds[1] is Ellipsis:
         item = decoder(kinds[0])
         return lambda data: tuple([item(value) for value in _array(data)])
@@ -213,6 +217,7 @@ def _tuple_decoder(kinds: tuple[Any, ...]) -> Decoder:
 
 def _dict_decoder(key: Decoder, value: Decoder, *, is_number: bool) -> Decoder:
     def decode(data: Any) -> Any:
+        # Keys of JSON objects are texts, also those that stand for numbers.
         pairs = ((int(name) if is_number else name, each) for name, each in _object(data).items())
         return {key(name): value(each) for name, each in pairs}
 

@@ -43,8 +43,10 @@ class AdmissionControl:
         at
             The local address that the client connected to.
         """
+        # 1. Permitted addresses.
         if not self.access.allows(host, at):
             return NOT_ALLOWED
+        # 2. Limits, in total and per address.
         if len(present) >= self.limits.connections:
             return f"there are {len(present)} connections already (--limit-connections)"
         if sum(one == host for one in present) >= self.limits.per_address:
@@ -92,6 +94,7 @@ class AdmissionProtocol(asyncio.Protocol):
         self._rules, self._present, self._new_protocol = rules, present, new_protocol
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        # A connection that is closed immediately may have no peer any more.
         peer, own = transport.get_extra_info("peername"), transport.get_extra_info("sockname")
         host = peer[0] if peer else ""
         reason = self._rules.rejection_reason(host, self._present(), own[0] if own else "")

@@ -112,14 +112,14 @@ def open_address(address: str) -> InProcess:
 
     `sim:WORLD?robot=n150&seed=1&noisy=1&start=0,0,0,0&step_s=0.1`; WORLD is a name or a file, options are optional.
 
-    robots      how many, 1 to 1000: the client's own is number 1, the others stand there; `robot` and `start` may
-                come again for them. Each address opened is a world of its own, so they are nobody else's to drive
-    model_file  a TOML file of models that override or add to the known ones
-    setup       ideal, noisy, measured, worn or a TOML file; counts before `noisy`
-    step_s      simulated seconds an exchange, 0.001 to 10
-    line        1: the robot's own line instead of a server's language
+    robots      number of robots, 1 to 1000; the client's is number 1, the others stand still, because each address has
+                a world of its own; `robot` and `start` may be repeated for them
+    model_file  a TOML file of models that override or extend the built-in ones
+    setup       ideal, noisy, measured, worn or a TOML file; takes precedence over `noisy`
+    step_s      simulated seconds per exchange, 0.001 to 10
+    line        1: the robot's own serial line instead of the TCP protocol
 
-    Raises AddressError naming the option and the nearest known, WorldFileError or StartError.
+    Raises AddressError (with the option and a suggestion), WorldFileError or StartError.
     """
     path, _, query = address.removeprefix(f"{SCHEME}:").partition("?")
     given = parse_qs(query, keep_blank_values=True)
@@ -143,8 +143,8 @@ def open_address(address: str) -> InProcess:
         model_file=Path(options["model_file"]) if "model_file" in options else None,
     )
     emulator = Emulator(setting.simulation(), allowed=Allowed(control=True))
-    speaks = InProcessLine if _line(address, options.get("line", "0")) else InProcess
-    return speaks(emulator, _step(address, options.get("step_s", str(DEFAULT_STEP_S))))
+    connection_type = InProcessLine if _line(address, options.get("line", "0")) else InProcess
+    return connection_type(emulator, _step(address, options.get("step_s", str(DEFAULT_STEP_S))))
 
 
 def _count(address: str, text: str) -> int:

@@ -18,6 +18,7 @@ from nserver_emu.simulation.robot import SimulatedRobot
 
 def layers(robot_id: int, robot: SimulatedRobot, traces: Traces, graphics: Graphics) -> dict[str, Any]:
     """Return each layer by its name, as of now."""
+    # All columns, independent of any connection's settings.
     laser_points = points(robot.scan_laser(), robot.model.body).tolist() if robot.model.has_light_sensors else []
     return {
         Layer.ACTUAL_TRACE.value: _track(traces.actual.get(robot_id)),

@@ -16,12 +16,12 @@ from typing import Final, NamedTuple
 from nclient.protocol.tcp_framing import MAX_UNKNOWN_WORDS
 
 _LIMIT: Final = "limit"
+# Connections that a browser opens for a page at once: six for files, and the websocket.
 CONNECTIONS_PER_PAGE: Final = 7
-"""Connections that a browser opens for a page at once: six for files, and the websocket."""
+# Maximum size of a snapshot. With default limits it takes a few MB; with a million shapes 200 MB.
 SNAPSHOT_BYTES: Final = 1 << 29
-"""Maximum size of a snapshot. With default limits it takes a few MB; with a million shapes 200 MB."""
+# Value that disables a limit, where that is allowed.
 NONE: Final = 0
-"""Value that disables a limit, where that is allowed."""
 
 
 class Limit(NamedTuple):
@@ -131,8 +131,8 @@ def _reader(row: Limit) -> Callable[[str], int]:
 
 log = logging.getLogger(__name__)
 
+# File descriptors of the daemon itself: ports, logs, recordings, lines, event loop.
 OTHER_DESCRIPTORS: Final = 64
-"""File descriptors of the daemon itself: ports, logs, recordings, lines, event loop."""
 
 
 def make_room(connections: int) -> None:

@@ -102,7 +102,7 @@ class AxisOwnership:
     """The owner of each moving axis and arm, by robot."""
 
     def __init__(self) -> None:
-        # Owner of each of the three axes; None for an axis that nobody commanded.
+        # Owner of each of the three axes; None for an axis without commands.
         self._owners: dict[int, list[ConnectionContext | None]] = {}
         self._arm_owners: dict[int, ConnectionContext] = {}
         # Robots of a restored simulation that no connection has claimed yet.
@@ -143,7 +143,7 @@ class AxisOwnership:
     def may_feed_watchdog(self, context: ConnectionContext, robot_id: int, robot: SimulatedRobot) -> bool:
         """Return True if a request of this connection restarts the robot's command timeout (conf_tm).
 
-        It does if the connection owns a moving axis or the arm, or if nobody does.
+        It does if the connection owns a moving axis or the arm, or if there is no owner.
         """
         axis_owners = self._owners.get(robot_id, ())
         owners = [owner for owner, moves in zip(axis_owners, robot.moving, strict=False) if moves and owner is not None]

@@ -53,6 +53,7 @@ class Slide:
 
     def command(self, command: Command, value_in: float) -> None:
         """Execute a command of arm_mv for one axis, in inches and seconds; relative targets are clamped to the ends."""
+        # A target beyond an end would leave the axis moving against it.
         if command is Command.RELATIVE:
             value_in = min(max(value_in, -self.position_in), self.travel_in - self.position_in)
         self._axis.command(command, value_in)
@@ -67,6 +68,7 @@ class Slide:
 
     def advance(self, dt_s: float) -> None:
         """Advance by dt_s seconds; the motion ends at an end of the travel."""
+        # The axis itself has no ends: clamp, and stop it there.
         reached = self.position_in + self._axis.advance(dt_s)
         self.position_in = min(max(reached, 0.0), self.travel_in)
         if reached != self.position_in:

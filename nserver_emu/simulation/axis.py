@@ -239,6 +239,7 @@ class Axis:
     def move_at(self, velocity: float) -> None:
         """Run at a velocity (units/s, clamped to the top speed) until the next command; 0 brakes and holds."""
         top = self.limits.top_speed
+        # A phase without end follows the ramp, unless the axis stops.
         wanted = min(max(velocity, -top), top)
         self.mode = Mode.VELOCITY if wanted else Mode.HOLD
         ramp = self._ramp(self.velocity, wanted) if self.ramps else ()
@@ -255,6 +256,7 @@ class Axis:
         speed
             Units/s; None: the speed set.
         """
+        # At speed 0 the target is never reached: hold instead.
         top = self.speed if speed is None else min(abs(speed), self.limits.top_speed)
         if top == 0.0:
             self.stop()
@@ -312,6 +314,7 @@ class Axis:
 
     def _ramp(self, start: float, end: float) -> tuple[Phase, ...]:
         """Return the ramp between two velocities at the acceleration in force; two phases where the sign changes."""
+        # No phase may change the sign of the velocity.
         if start * end < 0.0:
             return (*self._ramp(start, 0.0), *self._ramp(0.0, end))
         return (Phase(abs(end - start) / self.acceleration, start, copysign(self.acceleration, end - start)),)

@@ -195,6 +195,7 @@ def _solve(
     """
     time, (before_s, after_s) = guess_s, window_s
     for _ in range(MAX_STEPS):
+        # The rate of the gap is the velocity along the direction away from the capsule.
         gap, away_x, away_y = capsule.gap_to(radius_in, *placed.position(time))
         if abs(gap) < GAP_SOLVED_IN:
             return time

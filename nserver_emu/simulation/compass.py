@@ -101,6 +101,7 @@ class Compass:
 
     def set_state(self, state: CompassState, now_ps: int) -> None:
         """Continue from a state; raise ValueError if its last reading lies in the future."""
+        # The next reading follows from the time, so its number of draws is bounded.
         if not 0 <= state.read_ps <= now_ps:
             raise ValueError("a compass reading of another time")
         self.mode, self.calibrated = state.mode, state.calibrated
@@ -129,14 +130,18 @@ class Compass:
         angle_rad
             Its mechanical angle.
         """
+        # 1. Every interval draws noise, so that the size of the steps changes no reading.
         skipped = (instant_ps - self.due_ps) // INTERVAL_PS
         self.due_ps = instant_ps + INTERVAL_PS
         error = self._error(direction_rad, skipped + 1)
+        # 2. A switched-off compass keeps its reading.
         if self.mode is CompassMode.OFF:
             return
+        # 3. Calibration ends after a full turn.
         self._extend_turn(angle_rad)
         if self.mode is CompassMode.CALIBRATING and self._max_rad - self._min_rad >= _FULL_TURN_RAD:
             self.calibrated, self.mode = True, CompassMode.ON
+        # 4. The reading.
         self.read_ps = instant_ps
         self.direction_rad = wrap_to_2pi(direction_rad + error)
 
@@ -149,6 +154,7 @@ class Compass:
     def _error(self, direction_rad: float, count: int) -> float:
         """Return the error of a reading, with the last of `count` draws: each reading has its own, used or not."""
         noise, error = self.noise, 0.0
+        # Draw only with noise: an exact compass leaves its stream untouched.
         if noise.std_rad:
             error = noise.std_rad * float(self._rng.standard_normal(count)[-1])
         if noise.deviation_rad and not self.calibrated:

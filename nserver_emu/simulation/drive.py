@@ -90,6 +90,7 @@ class SynchroDrive:
 
     def segment(self, max_s: float) -> ConstantAccelerationSegment:
         """Return the path of the next `max_s` seconds, or of fewer if an axis changes its acceleration sooner."""
+        # The turret does not shape the path, so its phases do not end a segment.
         rolling_s, speed, acceleration = self.translation.current_phase
         steering_s, turn_rate, turn_acceleration = self.steering.current_phase
         duration_s = min(max_s, rolling_s, steering_s)
@@ -149,6 +150,7 @@ class SynchroDrive:
         An axis whose speed was set to 0 turns at its top speed, because otherwise the search would never end.
         """
         self.translation.stop()
+        # The shorter arc, from the mechanical angle to 0.
         for axis, angle in ((self.steering, self.steering_rad), (self.turret, self.turret_rad)):
             axis.move_by(-wrap_to_pi(angle), axis.speed or axis.limits.top_speed)
 
@@ -212,9 +214,11 @@ class DifferentialDrive:
 
         A segment also ends where the robot reverses, since its speed must not change sign.
         """
+        # 1. The path until a wheel changes its acceleration.
         right_s, *right = self.right.current_phase
         left_s, *left = self.left.current_phase
         segment = self.path_segment(min(max_s, right_s, left_s), AxisRate(*right), AxisRate(*left))
+        # 2. Until the robot reverses, unless that is within the tolerance of now.
         if segment.speed * segment.acceleration < 0.0:
             reverses_s = -segment.speed / segment.acceleration
             if TIME_TOLERANCE_S < reverses_s < segment.duration_s:
@@ -396,6 +400,7 @@ class Chassis:
 
     def first_contact(self, segment: ConstantAccelerationSegment, steering_rad: float) -> Contact | None:
         """Return the first contact on a segment that starts here at this mechanical steering angle, or None."""
+        # Most segments are shorter than the clearance: nothing needs to be examined.
         distance = segment.length_bound(segment.duration_s)
         if distance == 0.0 or distance < self._clearance_in:
             return None
@@ -409,6 +414,7 @@ class Chassis:
         self, segment: ConstantAccelerationSegment, time_s: float, steering_rad: float
     ) -> tuple[float, float]:
         """Move `time_s` seconds along a segment that starts here; return (dx, dy) in inches."""
+        # Moving reduces both bounds by at most the length of the path.
         dx, dy = segment.displacement(steering_rad + self._yaw_rad, time_s)
         self._x_in += dx
         self._y_in += dy
@@ -435,6 +441,7 @@ class Chassis:
 
     def bumpers(self, frame_rad: float) -> int:
         """Return the pressed bumpers as bits; frame_rad is the angle of the bumpers against the yaw."""
+        # Nothing can be that near.
         if self._clearance_in > TOUCH_IN:
             return 0
         front = frame_rad + self._yaw_rad

@@ -107,6 +107,7 @@ class InfraredRing:
 
     def set_state(self, state: InfraredState, now_ps: int) -> None:
         """Continue from a state; raise ValueError if it is not one of a ring."""
+        # One value per sensor, each in its range.
         if not all(len(values) == INFRAREDS for values in (state.levels, state.stamps)):
             raise ValueError("an infrared ring without 16 readings")
         if not all(0.0 <= level <= NOTHING for level in state.levels) or not 0 <= state.history <= MAX_HISTORY:
@@ -136,6 +137,7 @@ class InfraredRing:
         The others keep their readings; without any sensor the ring is off. It flashes now, and every 60 ms.
         """
         self._compute_pending()
+        # The order ends at the first number that is not a sensor.
         end = next((at for at, number in enumerate(order) if not 0 <= number < INFRAREDS), len(order))
         self._order = tuple(order[:end])
         self._history = min(max(history, 0), MAX_HISTORY)
@@ -165,6 +167,7 @@ class InfraredRing:
         self.noise = noise
 
     def _compute_pending(self) -> None:
+        # Flashes in their order, because each reading depends on the previous one.
         previous = self._history / TENTHS
         for flash in self._pending:
             ranges = self._ranges(flash)

@@ -56,6 +56,7 @@ def ranges(sensor_pose: SensorPose, walls: FloatArray, body: Body) -> FloatArray
     """Return the range of each column: (482,) inches from the front of the turret, inf for nothing in 6 to 180 in."""
     angles = sensor_pose.turret_rad + ANGLES_RAD
     directions = np.stack((np.cos(angles), np.sin(angles)), axis=1)
+    # The sheet starts at the front of the body.
     x_in = sensor_pose.x_in + body.radius_in * cos(sensor_pose.turret_rad)
     start = x_in, sensor_pose.y_in + body.radius_in * sin(sensor_pose.turret_rad)
     met = cast_rays(start, directions, walls)[0]
@@ -102,6 +103,7 @@ def lines(scan: FloatArray, fit: LineFit) -> FloatArray:
 
 def _split(run: FloatArray, fit: LineFit) -> Iterator[FloatArray]:
     """Yield the run, split repeatedly where it is farthest from the chord of its ends; omit too short pieces."""
+    # A stack instead of recursion: a run has up to 482 points.
     remaining = [run]
     while remaining:
         piece = remaining.pop()
@@ -132,6 +134,7 @@ def _fit_line(piece: FloatArray) -> FloatArray:
     Its direction is half the angle of (sum(u^2 - v^2), 2 sum(u v)), with u, v from the mean of the points (total least
     squares).
     """
+    # Direction of the largest variance, then the ends of the piece projected onto it.
     mean = piece.mean(axis=0)
     u, v = (piece - mean).T
     angle = 0.5 * np.arctan2(2.0 * (u * v).sum(), (u * u - v * v).sum())

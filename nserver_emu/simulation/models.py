@@ -137,6 +137,7 @@ class RobotModel:
         if track_in is not None and not MIN_TRACK_IN <= track_in <= MAX_RADIUS_IN:
             raise ValueError("a robot without a track")
         for axis in self.axes:
+            # Speeds bound the number of chords and quadrature pieces per segment.
             speeds = (axis.top_speed, axis.speed, axis.resolution)
             if not all(0.0 <= speed <= MAX_RESTORED_SPEED for speed in speeds) or axis.acceleration <= 0.0:
                 raise ValueError("an axis without limits")
@@ -215,6 +216,7 @@ def _parse_model(table: Table, models: Mapping[str, RobotModel]) -> RobotModel:
 
 
 def _parse_body(table: Table, name: str, base: Body) -> Body:
+    # Bumpers are evenly spaced from the front.
     count = table.index("bumpers", MAX_BUMPERS + 1)
     if count == 0:
         table.fail("bumpers", f"expected 1 to {MAX_BUMPERS}, found 0")

@@ -91,6 +91,7 @@ class RobotGroup:
 
     def _fill_in(self, robots: Mapping[int, SimulatedRobot], now_ps: int) -> None:
         """Compute the positions that sensors have requested, and keep those that count until the next tick."""
+        # The tick before now may still be used by firings until the next one.
         last = self.at(now_ps)
         for tick, positions in self._positions.items():
             if not len(positions.discs):
@@ -109,6 +110,7 @@ def discs_of(robots: Iterable[SimulatedRobot], instant_ps: int | None = None) ->
 
 def candidate_pairs(robots: Sequence[SimulatedRobot], span_ps: int) -> list[Pair]:
     """Return the pairs that may meet within a span of time, sorted."""
+    # Each disc is enlarged by the distance that its robot may travel.
     discs = discs_of(robots)
     span_s = to_s(span_ps)
     discs[:, 2] += [robot.max_travel_in(span_s) for robot in robots]
@@ -121,6 +123,7 @@ def neighbours(discs: FloatArray, within_in: float) -> list[Pair]:
     Sweep and prune: sorted by x, each is compared with the next, the one after the next ... until all of those are too
     far away.
     """
+    # No pair whose x differ by more than this reach can be nearer than the gap.
     order = np.argsort(discs[:, 0])
     x, y, radius = discs[order].T
     reach = within_in + 2.0 * radius.max(initial=0.0)
@@ -142,7 +145,7 @@ def update_obstacles(robots: Sequence[SimulatedRobot], pairs: Iterable[Pair] | N
     Parameters
     ----------
     pairs
-        The pairs that can touch, if these are known; no other robots are updated then.
+        The pairs that can touch, if already computed; no other robots are updated then.
     """
     rows = range(len(robots)) if pairs is None else sorted({row for pair in pairs for row in pair})
     candidates = candidate_pairs(robots, 0) if pairs is None else pairs

@@ -128,8 +128,10 @@ class MotionNoise:
         distance, angle = segment.distance_at(duration), segment.turn_at(duration)
         if self == NO_NOISE or (distance == 0.0 and angle == 0.0):
             return segment
+        # Both numbers are drawn, even if one variance is 0: the stream must not depend on the parameters.
         longer = self.distance_std_in(distance, angle) * rng.standard_normal()
         turned = self.turn_std_rad(distance, angle) * rng.standard_normal()
+        # Scaling keeps the duration and the shape of the speed profile.
         scale = 1.0 + longer / distance if distance else 1.0
         return ConstantAccelerationSegment(
             duration,
@@ -164,6 +166,7 @@ class RobotSetup:
 
     def check(self) -> None:
         """Raise ValueError if a value is outside the range of its key."""
+        # The ranges of the keys bound the work that a snapshot can cause.
         for key in KEYS:
             value = key.of(self)
             if value is not None and not key.accepts(value):
@@ -251,6 +254,7 @@ def load_setup(path: Path) -> RobotSetup:
 
 def parse_setup(text: str, file: str, name: str) -> RobotSetup:
     """Return the setup of a file's text; `file` is its name in errors, `name` the setup's unless the text gives one."""
+    # 1. Top of the file.
     values = parse_toml(text, file)
     top = Table(file, "", values)
     top.allow(("base", "name", *(key.name for key in KEYS if not key.table), *TABLES))
@@ -259,6 +263,7 @@ def parse_setup(text: str, file: str, name: str) -> RobotSetup:
         names = ", ".join(SETUPS)
         top.fail("base", f"expected one of {names}, found {base_name!r}{suggest(base_name, SETUPS)}")
     base = SETUPS[base_name]
+    # 2. Tables.
     parts: dict[str, Any] = {part: _parse_part(top.table(part), base) for part in TABLES if part in values}
     return replace(base, name=top.text("name", name), **_parse_fields(top, base, KEYS), **parts)
 
@@ -270,6 +275,7 @@ def _parse_part(table: Table, base: RobotSetup) -> Any:
     if table.path != "sonar":
         table.allow(key.name for key in keys)
         return replace(getattr(base, table.path), **_parse_fields(table, base, keys))
+    # The sonar table also selects the model, and has keys that only one model knows.
     model = _parse_sonar_model(table, base.sonar)
     chosen = RAY if isinstance(model, SonarNoise) else POLAROID
     table.allow(("model", *(key.name for key in keys)))
@@ -310,6 +316,7 @@ def _parse_fields(table: Table, base: RobotSetup, keys: Iterable[Key]) -> dict[s
 
 
 def _parse_value(table: Table, key: Key, current: object) -> Any:
+    # The type of the current value decides how the key is read.
     if isinstance(current, bool):
         return table.flag(key.name)
     if key.unit == SONAR_NUMBERS:
@@ -341,6 +348,7 @@ def apply_calibration(model: RobotModel, setup: RobotSetup) -> RobotSetup:
 def _calibrated_odometry(calibration: Calibration, odometry: Odometry, track_in: float | None) -> Odometry:
     distance, turn, drift = calibration.distance_scale, calibration.turn_scale, calibration.drift_rad_in
     turret = odometry.scales[2]
+    # A synchro drive has translation and steering as axes, a differential drive its two wheels.
     if track_in is None:
         return replace(odometry, scales=(distance, turn, turret), drifts=(drift, 0.0))
     apart = (turn - distance) / track_in
@@ -358,6 +366,7 @@ def part_choices(part: str, model: RobotModel, initial: RobotSetup) -> dict[str,
 
     All have the calibration of the model.
     """
+    # Setups that equal an earlier one in this part are not separate choices.
     choices: dict[str, RobotSetup] = {}
     for setup in (*(apply_calibration(model, named) for named in SETUPS.values()), initial):
         if all(_fields(part, setup) != _fields(part, other) for other in choices.values()):

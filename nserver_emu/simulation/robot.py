@@ -240,7 +240,7 @@ class SimulatedRobot:
                 until = min(until, self.sonar.due_ps)
             if self.infrared is not None:
                 until = min(until, self.infrared.due_ps)
-            # 2. Motion up to it, with the sensors that measure on the way.
+            # 2. Motion up to it, with the sensors that measure in between.
             if self.compass is not None and until >= self.compass.due_ps:
                 self._read_compass(self.compass, until)
             self._move((until - self._time_ps) / PS_PER_S)
@@ -436,6 +436,7 @@ class SimulatedRobot:
 
     def disc_at(self, instant_ps: int) -> Disc:
         """Return the disc at an instant since `start_trajectory`."""
+        # Before the first segment of a span the robot stands.
         if not self._trajectory:
             return self.disc
         for piece in reversed(self._trajectory):
@@ -584,9 +585,11 @@ class SimulatedRobot:
         """
         self.feed()
         self._zeroing = False
+        # 1. Angles: the compass must not count them as a turn.
         before_rad = self._drive.turret_rad
         self._drive.set_angles(steering_rad, turret_rad)
         self._on_turret_moved(before_rad)
+        # 2. True pose, readings, encoder pose.
         self._chassis.place(x_in, y_in)
         self.sonar.forget_pings()
         self._encoders = Encoders(x_in, y_in)
@@ -620,6 +623,7 @@ class SimulatedRobot:
 
         Its ramps and its clock are not taken over: they stay as at power-on.
         """
+        # Ramps and clock belong to the drive and the server since power-on.
         self.setup = replace(setup, ramps=self.setup.ramps, clock_step_s=self.setup.clock_step_s)
         self._has_exact_motion = setup.has_exact_motion
         self.sonar.set_model(setup.sonar)

@@ -65,6 +65,7 @@ class Key(NamedTuple):
 def _is_within(value: object, key: Key) -> bool:
     if not isinstance(value, int | float) or not isfinite(value):
         return False
+    # Compare in the unit of the file.
     shown = degrees(value) if key.in_degrees else value
     tolerance = 1e-9 * max(abs(key.low), abs(key.high))  # degrees -> radians -> degrees rounds
     return key.low - tolerance <= shown <= key.high + tolerance

@@ -36,6 +36,7 @@ class WorldState:
     @classmethod
     def of(cls, world: World) -> WorldState:
         """Return the state of a world."""
+        # Rooms and obstacles are stored as outlines; only inner walls are segments.
         inner_walls = tuple((x1, y1, x2, y2) for x1, y1, x2, y2 in world.inner_walls.tolist())
         return cls(
             world.name, world.title, world.rooms, inner_walls, world.obstacles, world.starts,
@@ -87,6 +88,8 @@ class Simulation:
 
     def to_state(self) -> SimulationState:
         """Return all that changes, and the world."""
+        # 1. Robots that are not connected to the others yet would need a state of their own.
+        # 2. The states.
         self._join_new_robots()
         robots = {number: robot.to_state() for number, robot in self.robots.items()}
         return SimulationState(self.seed, self._time_ps, WorldState.of(self._world), robots, self._group.to_state())
@@ -94,10 +97,12 @@ class Simulation:
     @classmethod
     def from_state(cls, state: SimulationState) -> Simulation:
         """Return the simulation of a state; raise ValueError if there can be none."""
+        # 1. Values that no simulation has.
         if not 0 <= state.time_ps < TIME_MAX_PS or state.seed < 0:
             raise ValueError("a time or a seed that cannot be")
         if list(state.robots) != sorted(state.robots):
             raise ValueError("robots that are not in order")
+        # 2. World and robots.
         simulation = cls(state.world.world(), state.seed)
         simulation._time_ps = state.time_ps
         walls = simulation.world.walls
@@ -105,6 +110,7 @@ class Simulation:
             number: SimulatedRobot.from_state(robot, RngFactory(number, state.seed), walls, state.time_ps)
             for number, robot in state.robots.items()
         }
+        # 3. Positions of the robots for one another's sensors.
         load_compiled(len(simulation.robots))
         simulation._group.set_state(state.group, simulation.robots)
         return simulation
@@ -146,16 +152,20 @@ class Simulation:
         """
         if robot_id in self.robots:
             raise ValueError(f"robot {robot_id} is here already")
+        # 1. The position must be free.
         pose = self._world.starts[0] if start is None else start
         self.require_free(pose.x_in, pose.y_in, model.body.radius_in)
+        # 2. The robot, without power: its sensors must not measure before it is known to the others.
         rng_factory = RngFactory(robot_id, self.seed)
         robot = SimulatedRobot(rng_factory, pose, self._world.walls, model, setup, self._time_ps, powered=False)
+        # 3. Robots stay sorted by number, which is the order of their rows.
         is_in_order = not self.robots or robot_id > next(reversed(self.robots))
         self.robots[robot_id] = robot
         if not is_in_order:
             self.robots = dict(sorted(self.robots.items()))
         self.spatial_hash.add(robot_id, robot.disc)
         self._has_new_robots = True
+        # 4. Power.
         if powered:
             self._join_new_robots()
             robot.power_on()
@@ -226,6 +236,7 @@ class Simulation:
         begin_ps, self._time_ps = self._time_ps, self._time_ps + to_ps(dt_s)
         self._spatial_hash = None
         self._join_new_robots()
+        # Several robots advance together, so that they can stop at one another.
         if len(self.robots) > 1:
             self._group.advance(self.robots, begin_ps, self._time_ps)
         for robot in self.robots.values():

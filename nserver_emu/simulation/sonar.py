@@ -180,12 +180,14 @@ class SonarRing:
             and now_ps <= state.due_ps <= now_ps + MAX_RATE * TICK_PS
         ):
             raise ValueError("a sonar ring without an interval or an order")
+        # One value per sonar, each in its range.
         if not all(len(values) == SONARS for values in (state.readings, state.stamps, state.pings)):
             raise ValueError("a sonar ring without 16 readings")
         if not all(0 <= sonar < SONARS for sonar in state.order) or state.fired < 0:
             raise ValueError("a sonar ring with unknown sonars")
         if not all(DEAD_IN <= reading <= NO_ECHO_IN for reading in state.readings):
             raise ValueError("a sonar reading out of range")
+        # Pings lie in the past: the age of a ping decides how far its sound has travelled.
         pings = (*state.earlier, *(ping for ping in state.pings if ping is not None))
         if len(state.earlier) > MAX_EARLIER_PINGS or not all(0 <= ping.instant_ps <= now_ps for ping in pings):
             raise ValueError("a ping of another time")
@@ -225,6 +227,7 @@ class SonarRing:
             Sonar numbers; ends at the first that is not one (255 by convention). Without any the ring is off, and the
             readings remain.
         """
+        # The order ends at the first number that is not a sonar.
         end = next((at for at, sonar in enumerate(order) if not 0 <= sonar < SONARS), len(order))
         self._order = tuple(order[:end])
         self._interval_ps = min(max(rate, 1), MAX_RATE) * TICK_PS
@@ -234,11 +237,14 @@ class SonarRing:
     def emit_due(self, sensor_pose: SensorPose, stamp: Stamp | SegmentTime) -> None:
         """Fire the sonar that is due, at this pose."""
         sonar, instant_ps, audible_ps = self._order[self._count % len(self._order)], self.due_ps, self.model.audible_ps
+        # 1. Pings that are still audible disturb this one.
         if audible_ps:
             self._earlier = tuple(ping for ping in self._earlier if instant_ps - ping.instant_ps < audible_ps)
+        # 2. The ping.
         ping = self._emit(sonar, sensor_pose, stamp, instant_ps, self._earlier)
         if audible_ps:
             self._earlier = (*self._earlier, ping)
+        # 3. The next sonar of the order.
         self._count += 1
         self.due_ps += self._interval_ps
 
@@ -265,6 +271,7 @@ class SonarRing:
         earlier: tuple[Ping, ...],
     ) -> Ping:  # fmt: skip
         x, y, turret_rad, _, _ = sensor_pose
+        # The beam points away from the axis of the ring.
         direction_rad = turret_rad + self.model.turned_rad + self.body.sonar_angles_rad[sonar]
         ping = Ping(x, y, direction_rad, instant_ps, self.model.draw(self._rng))
         self._pending[sonar] = Firing(ping, earlier, sensor_pose)
@@ -276,6 +283,7 @@ class SonarRing:
         """Compute the readings of all firings since the last call."""
         if not self._pending:
             return
+        # Dead sonars draw noise as well, but are never computed.
         dead, offsets_in, pending = self.model.dead, self.model.offsets_in, self._pending
         if dead:
             pending = {sonar: firing for sonar, firing in pending.items() if sonar not in dead}
@@ -286,6 +294,7 @@ class SonarRing:
     def _measured_ranges(self, firings: Sequence[Firing]) -> list[float]:
         """Return ranges, inches, inf for no echo."""
         model, reflectors, body = self.model, self._reflectors, self.body
+        # Rays of all firings are cast together; the Polaroid model treats each ping separately.
         if isinstance(model, SonarNoise):
             pings, poses = [firing.ping for firing in firings], [firing.sensor_pose for firing in firings]
             return model.measured_ranges(pings, poses, reflectors.walls, body)

@@ -1,4 +1,4 @@
-"""Where robots may be soon, and where they are: bounds of their motion, and a grid of their positions.
+"""Bounds of the motion of robots, and a grid of their positions.
 
 A path of length s whose heading turns by at most an angle a stays within s a of the straight path, wherever on it the
 robot is stopped. Towards something in the direction n it therefore comes no nearer than by the straight path's
@@ -89,6 +89,7 @@ class SpatialHash:
 
     def add(self, number: int, disc: Disc) -> None:
         """Add a robot."""
+        # A disc is stored in the cell of its centre; searches add the largest radius.
         x, y, radius = disc
         self._cells.setdefault((floor(x / CELL_IN), floor(y / CELL_IN)), []).append((number, disc))
         self._max_radius_in = max(self._max_radius_in, radius)

@@ -1,7 +1,7 @@
 """The positions of other robots as sensors see them: sensor poses, and the robots that a ray can meet. Geometry only.
 
-The positions at an instant are shared by all sensors that look at that instant. They may become known later than they
-are requested, but before any sensor evaluates them.
+The positions at an instant are shared by all sensors that look at that instant. They may be computed later than they
+are requested, but before any sensor uses them.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ NO_NEAR_ROBOTS: Final[FloatArray] = np.zeros((0, 4))
 
 
 class RobotPositions:
-    """Positions of all robots at one instant: discs (n, 3), rows x y radius in inches; empty until they are known."""
+    """Positions of all robots at one instant: discs (n, 3), rows x y radius in inches; empty until computed."""
 
     def __init__(self, discs: FloatArray = NO_ROBOTS) -> None:
         self.discs = discs
@@ -108,6 +108,7 @@ class SensorPose(NamedTuple):
     @property
     def others(self) -> FloatArray:
         """The robots (k, 3) without this one and without those beyond MAX_ROBOT_RANGE_IN."""
+        # In the order of the rows, so that results do not depend on the sorting by x.
         near = self.robots.near(self.x_in)
         rows = np.sort(near[:, 3]).astype(np.intp)
         discs = self.robots.discs.take(rows[rows != self.self_index], axis=0)

@@ -31,7 +31,7 @@ TESTS_OF_PAGES = {
     "security.md": "docs/test_tunnels.py",
     "sensors.md": "docs/test_pages.py",
     "service.md": "docs/test_service_page.py",
-    "setups.md": "nserver_emu/simulation/test_setup_toml.py",
+    "setups.md": "nserver_emu/simulation/test_setup_files.py",
     "shell.md": "docs/test_shell_page.py",
     "start.md": "docs/test_pages.py",
     "window.md": "docs/test_window_page.py",

@@ -40,6 +40,7 @@ def pa(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -
     Steering and turret turn the shorter direction to the encoder angle. Wheels roll to a total distance since power-on
     or the last zr.
     """
+    # Rolling axes count a distance, turning ones have an absolute angle.
     robot = server.claim_axes(context)
     angles = (0.0, robot.encoder.steering_rad, robot.encoder.turret_rad)
     first, second, third = (
@@ -54,6 +55,7 @@ def pa(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -
 
 def mv(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Reply:
     """Command each axis in its own mode; an unknown mode is refused before anything moves."""
+    # Arguments are three pairs of mode and value.
     modes = args[::2]
     if any(not _MV_LEAVE <= mode <= _MV_MAX for mode in modes):
         return error_reply(BAD_VALUES)

@@ -210,7 +210,7 @@ def get_rpx(server: ServerState, _context: ConnectionContext, _args: tuple[int, 
 def get_robot_conf(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply | DeferredReply:
     """Return a pose clicked in the viewer, the actual pose of the robot if no viewer is open.
 
-    In lockstep the reply is not deferred: simulated time would run until somebody clicks.
+    In lockstep the reply is not deferred: simulated time would run until a click.
     """
     robot = server.robot_of(context)
 

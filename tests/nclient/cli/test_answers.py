@@ -1,4 +1,4 @@
-"""What is shown of answers that no simulation in this process gives."""
+"""Text of replies that the in-process simulation does not send."""
 
 from __future__ import annotations
 

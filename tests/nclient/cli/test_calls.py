@@ -1,4 +1,4 @@
-"""From orders to the table's calls: what C would send, and what is refused before anything is said."""
+"""Calls of parsed commands: as C would send them; errors are raised before anything is sent."""
 
 from __future__ import annotations
 

@@ -119,7 +119,7 @@ class Runaway:
 
 
 class Time:
-    """Passes when somebody sleeps."""
+    """Clock that advances by sleeping."""
 
     now_s = 0.0
 

@@ -1,4 +1,4 @@
-"""Who has a line and says nothing: since when, and what counts as waiting for an answer."""
+"""Idle timer of a client: requests restart it, and a client that waits for a slow reply is not idle."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Clock:
 
 
 def conversation(line: str) -> tuple[Clock, IdleTimer, IdleMonitor]:
-    """Who may be silent for 5 s, and is listened to."""
+    """Return clock, timer and monitor of a client with an idle limit of 5 s."""
     clock = Clock()
     idle_timer = IdleTimer(5.0, clock)
     return clock, idle_timer, IdleMonitor(idle_timer, line, N150)
@@ -42,7 +42,7 @@ def answer(line: str, name: str) -> bytes:
 
 
 def lasts_s(idle_timer: IdleTimer, clock: Clock) -> int:
-    """Whole seconds until it is too long."""
+    """Return the seconds until the timer expires."""
     seconds = 0
     while not idle_timer.expired and seconds < 1000:
         clock.now_s += 1.0

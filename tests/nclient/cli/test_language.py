@@ -1,4 +1,4 @@
-"""The language: lines as people type them and as C has them, and what is said of those that make no sense."""
+"""Command language of the shell: lines as typed and as in C, and errors of invalid ones."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What `nomad bridge` and `nomad play` say of their doors, who is let in, and when a visitor's turn is over."""
+"""Listener of `nomad bridge` and `nomad play`: warnings, rejected clients, end of idle sessions."""
 
 from __future__ import annotations
 
@@ -85,8 +85,8 @@ def test_pseudo_terminal_has_no_pending_clients(tmp_path: Path) -> None:
         assert not door.has_pending_request()
 
 
-class Newcomer:
-    """Whether another waits, and how often that was looked at."""
+class WaitingClient:
+    """Reports a waiting client, and counts the queries."""
 
     def __init__(self) -> None:
         self.is_so, self.looks = True, 0
@@ -97,7 +97,7 @@ class Newcomer:
 
 
 def test_idle_session_ends_when_another_client_waits(capsys: pytest.CaptureFixture[str]) -> None:
-    now_s, wanted = [time.monotonic()], Newcomer()
+    now_s, wanted = [time.monotonic()], WaitingClient()
     turn = ClientSession(5.0, wanted, lambda: now_s[0])
     assert not turn.should_end(at_rest=True)
     now_s[0] += 5.0
@@ -140,7 +140,7 @@ def test_idle_client_does_not_count_for_once() -> None:
 
 
 def test_other_clients_are_polled_at_intervals() -> None:
-    now_s, wanted = [0.0], Newcomer()
+    now_s, wanted = [0.0], WaitingClient()
     turn = ClientSession(5.0, wanted, lambda: now_s[0])
     for _ in range(10):
         turn.should_end(at_rest=False)

@@ -1,4 +1,4 @@
-"""What may come next: names that fit, with this robot, where they belong."""
+"""Completion of shell lines: names that exist for this robot, at their place."""
 
 from __future__ import annotations
 

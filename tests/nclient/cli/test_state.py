@@ -1,4 +1,4 @@
-"""`nomad state`: in words or as objects, once or again and again, and nobody is stopped by it."""
+"""`nomad state`: text and JSON, once or repeatedly, without stopping a robot."""
 
 from __future__ import annotations
 

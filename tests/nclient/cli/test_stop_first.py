@@ -19,7 +19,7 @@ UNSEEN = "NOT SEEN TO STOP: st was answered, and nothing showed that it stands s
 
 
 class Time:
-    """Passes when somebody sleeps."""
+    """Clock that advances by sleeping."""
 
     now_s = 0.0
 

@@ -1,4 +1,4 @@
-"""Who reads the keys, where history is kept, and completion as readline asks for it."""
+"""Choice of the line editor, history file, and completion with readline."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What argparse says here of options and choices that it does not know."""
+"""Error messages of the argument parser for unknown options and choices."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ def passed(injector: Injector, sent: list[bytes], command: str = "gs") -> list[l
 
 
 def in_place(sent: bytes, arrived: bytes) -> bool:
-    """Whether exactly one byte is another."""
+    """Return True if exactly one byte differs."""
     return len(sent) == len(arrived) and sum(a != b for a, b in zip(sent, arrived, strict=True)) == 1
 
 

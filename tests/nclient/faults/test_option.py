@@ -38,7 +38,7 @@ line = "serial"
 
 @pytest.fixture
 def server(monkeypatch: pytest.MonkeyPatch) -> ScriptedServer:
-    """Who answers at the other end of what would be a socket."""
+    """Peer at the other end of a memory stream."""
     server = ScriptedServer()
     monkeypatch.setattr("nclient.transports.tcp.TcpStream", lambda *_: MemoryStream(server))
     return server

@@ -56,14 +56,14 @@ FAULTS: st.SearchStrategy[Fault] = st.one_of(
 TIMES = st.tuples(SECONDS, st.floats(0.001, 10.0) | st.just(math.inf)).map(
     lambda pair: {"from_s": pair[0], "until_s": pair[0] + pair[1]}
 )
-WAYS: st.SearchStrategy[dict[str, Any]] = st.one_of(
+METHODS: st.SearchStrategy[dict[str, Any]] = st.one_of(
     st.just({}),
     st.fixed_dictionaries({"every": st.integers(1, 1000)}),
     st.fixed_dictionaries({"percent": st.floats(0.0, 100.0)}),
     st.fixed_dictionaries({"first": st.integers(1, 1000)}),
     st.fixed_dictionaries({"at": st.lists(st.integers(1, 1000), min_size=1).map(tuple)}),
 )
-WHENS = st.builds(lambda way, times: When(**way, **times), WAYS, TIMES)
+WHENS = st.builds(lambda method, times: When(**method, **times), METHODS, TIMES)
 NAMES = st.text(st.characters(exclude_categories=["Cs"]), min_size=1).filter(str.strip)
 RULES = st.builds(
     Rule,

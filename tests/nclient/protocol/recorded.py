@@ -17,7 +17,7 @@ PACKET_TYPE_OF_THE_RECORDER = 200
 
 @dataclass(frozen=True)
 class Exchange:
-    """One call with the bytes that went each way; `decoded` is what the C client held after it (last of a case)."""
+    """One call with its request and reply bytes; `decoded` is the C client's state after it (last of a case)."""
 
     call: Call
     request: bytes

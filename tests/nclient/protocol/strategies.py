@@ -1,4 +1,4 @@
-"""What hypothesis draws for the protocol's tests: calls with valid arguments, terms, replies, frames, cuts.
+"""Hypothesis strategies for the protocol's tests: calls with valid arguments, terms, replies, frames, cuts.
 
 Ranges are written down here anew, from the documentation, not taken from the declarations under test.
 """

@@ -1,4 +1,4 @@
-"""What fits a robot's own line: the limits are those of the bytes, as building them tells independently."""
+"""Serial argument ranges: they equal the limits of the bytes that construct can build."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ few = settings(max_examples=3)
 
 
 def garbage_of(act: Callable[[], object]) -> int:
-    """How many objects only Python's search for garbage would free, of those that it makes the second time."""
+    """Return the number of objects of a second call that only the garbage collector frees."""
     act()
     gc.disable()
     gc.freeze()

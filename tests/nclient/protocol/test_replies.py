@@ -40,7 +40,7 @@ _LINE_LASERS = {"get_sg": 4, "get_ls": 1}
 
 
 def check_carried(parsed: Reply, sent: Reply) -> None:
-    """What a layout carries arrives as it was sent; what it does not carry is not invented."""
+    """Check that the values of a layout survive the round trip, and that others stay unset."""
     assert dict(parsed.slots).items() <= dict(sent.slots).items()
     assert dict(parsed.stamps).items() <= dict(sent.stamps).items()
     for mine, theirs in ((parsed.laser, sent.laser), (parsed.clock, sent.clock), (parsed.volts, sent.volts)):

@@ -1,4 +1,4 @@
-"""What a client holds: as the C client stores it, never had is None, a refusal changes nothing but slot 44."""
+"""ClientState: stored as the C client does; None before the first value; errors change slot 44 only."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every recorded exchange, four ways: call to bytes, bytes to call, reply to what the client held, and back."""
+"""Every recorded exchange: call to bytes and back, reply to the client's state and back."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ STAMP_NAMES = {f"pos_{key}": key for key in ("sonar_0", "sonar_15", "ir_0", "bum
 
 
 def with_leftovers_of(call: Call, built: bytes, request: bytes) -> bytes:
-    """What the C client leaves in words it does not use: the tail of a text, the end of motion_check."""
+    """Clear words that the C client leaves undefined: the tail of a text, the end of motion_check."""
     if call.name == "motion_check" and call.args[0] == 0:
         return built[:-12] + request[-12:]
     if call.name == "tk" and request[0] == 0:

@@ -1,4 +1,4 @@
-"""A player says what the robot said, and names the place where a program leaves the recorded path."""
+"""Player: recorded replies, and errors that name the place of an unrecorded request."""
 
 from __future__ import annotations
 

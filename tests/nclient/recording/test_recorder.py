@@ -1,4 +1,4 @@
-"""Tapes: what goes by in any pieces is cut into frames and reported, and time is whose clock one hands in."""
+"""Recorder: traffic in any pieces is cut into frames and decoded, with the clock passed in."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ LINE_STATE = codec.encode_serial_reply(BY_NAME["gs"], Reply("state", {34: 7}, cl
 def test_decoding_in_any_pieces_equals_the_wire_tool(session: str, piece: int) -> None:
     follower, transcript = FrameDecoder("tcp", N150), WireDecoder("tcp", N150)
     for exchange in exchanges(TCP[session], None):
-        for data, follow, tell in ((exchange.request, follower.to_robot, transcript.request),
+        for data, follow, decode in ((exchange.request, follower.to_robot, transcript.request),
                                    (exchange.reply, follower.to_host, transcript.reply)):
             found = [item for k in range(0, len(data), piece) for item in follow(data[k : k + piece])]
-            assert found == ([tell(data)] if data else [])
+            assert found == ([decode(data)] if data else [])
 
 
 @pytest.mark.parametrize("session", LINE_SESSIONS)
@@ -133,7 +133,7 @@ def test_idle_server_does_not_fill_the_memory(tmp_path: Path) -> None:
 
 
 class Echo:
-    """Says what it heard, once."""
+    """Returns what it received, once."""
 
     def __init__(self) -> None:
         self.received = b""

@@ -1,4 +1,4 @@
-"""What a daemon's owner may do: each command does it; what is asked wrongly changes nothing and says what is right."""
+"""Control commands: each has its effect; an invalid request changes nothing and names what is valid."""
 
 from __future__ import annotations
 

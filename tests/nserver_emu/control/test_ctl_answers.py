@@ -1,4 +1,4 @@
-"""What `nserver ctl` is answered by something that is no daemon of this version: an error in words."""
+"""Responses to `nserver ctl` by a process that is no server of this version become error messages."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What may follow `nserver ctl`: nothing that ctl would refuse."""
+"""Completion of `nserver ctl` offers nothing that ctl would refuse."""
 
 from __future__ import annotations
 

@@ -31,62 +31,49 @@ async def until(there: Callable[[], bool]) -> None:
             await asyncio.sleep(0.005)
 
 
-def test_saves_at_intervals_while_open(tmp_path: Path) -> None:
+async def test_saves_at_intervals_while_open(tmp_path: Path) -> None:
     emulator, path = Emulator(simulation()), tmp_path / "saved.json"
-
-    async def scenario() -> None:
-        async with autosaved(SaveFile(emulator, path), 0.01):
-            await until(path.exists)
-            emulator.pass_time(3.0)
-            await until(lambda: saved_s(path) == 3.0)
-        path.unlink()
-        async with autosaved(None, None), autosaved(SaveFile(emulator, path), None):
-            await asyncio.sleep(0.05)
-
-    asyncio.run(scenario())
+    async with autosaved(SaveFile(emulator, path), 0.01):
+        await until(path.exists)
+        emulator.pass_time(3.0)
+        await until(lambda: saved_s(path) == 3.0)
+    path.unlink()
+    async with autosaved(None, None), autosaved(SaveFile(emulator, path), None):
+        await asyncio.sleep(0.05)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_slow_older_save_does_not_replace_a_newer_one(
+async def test_a_slow_older_save_does_not_replace_a_newer_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    emulator, path = Emulator(simulation()), tmp_path / "saved.json"
+    emulator, path, gate = Emulator(simulation()), tmp_path / "saved.json", asyncio.Event()
 
-    async def scenario() -> None:
-        gate = asyncio.Event()
+    async def late(write: Callable[..., None], *args: Any) -> None:
+        await gate.wait()
+        write(*args)
 
-        async def late(write: Callable[..., None], *args: Any) -> None:
-            await gate.wait()
-            write(*args)
-
-        monkeypatch.setattr(asyncio, "to_thread", late)
-        file = SaveFile(emulator, path)
-        saving = asyncio.create_task(file.save_in_thread())
-        await asyncio.sleep(0)
-        emulator.pass_time(2.0)
-        file.save()
-        gate.set()
-        await saving
-
-    asyncio.run(scenario())
+    monkeypatch.setattr(asyncio, "to_thread", late)
+    file = SaveFile(emulator, path)
+    saving = asyncio.create_task(file.save_in_thread())
+    await asyncio.sleep(0)
+    emulator.pass_time(2.0)
+    file.save()
+    gate.set()
+    await saving
     assert saved_s(path) == 2.0
 
 
-def test_a_failing_save_is_logged_once_and_its_recovery(
+async def test_a_failing_save_is_logged_once_and_its_recovery(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     path = tmp_path / "folder" / "saved.json"
-
-    async def scenario() -> None:
-        file = SaveFile(Emulator(simulation()), path)
+    file = SaveFile(Emulator(simulation()), path)
+    with caplog.at_level(logging.WARNING):
         for _ in range(3):
             await file.save_in_thread()
         path.parent.mkdir()
         for _ in range(2):
             await file.save_in_thread()
-
-    with caplog.at_level(logging.WARNING):
-        asyncio.run(scenario())
     assert [record.getMessage() for record in caplog.records] == [
         f"not saved: {path}: cannot be written: No such file or directory; name a file in a folder that is there and "
         "may be written to; the run goes on, and it is tried again each time",

@@ -75,10 +75,10 @@ class RunningServer:
 
 
 def recorded(path: Path, pace: SimulationClock, scenario: Callable[[RunningServer], Awaitable[None]]) -> Recording:
-    """The recording of a daemon whose lines were visited."""
+    """Return the recording of a server with hosts on its serial lines."""
     run_header = RunHeader(TWO, pace, Allowed())
 
-    async def evening() -> None:
+    async def record() -> None:
         daemon = Daemon(run_header.create_emulator(), pace.factor)
         port = await daemon.listen("127.0.0.1", 0)
         daemon.record(path, run_header.to_json("2026-01-01T00:00:00", port=port, requests_a_turn=20))
@@ -86,7 +86,7 @@ def recorded(path: Path, pace: SimulationClock, scenario: Callable[[RunningServe
         async with serving(daemon), server.hosts:
             await scenario(server)
 
-    asyncio.run(evening())
+    asyncio.run(record())
     return read_recording(path)
 
 

@@ -1,4 +1,4 @@
-"""A daemon's ports keep out who is not allowed, and it says so where they are open to the network."""
+"""Ports reject addresses that are not allowed, and a warning is printed if they are open to the network."""
 
 from __future__ import annotations
 

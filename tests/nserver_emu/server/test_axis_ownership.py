@@ -1,4 +1,4 @@
-"""Whose leaving stops which axis."""
+"""Axes stop when the connection that owns them closes."""
 
 from __future__ import annotations
 

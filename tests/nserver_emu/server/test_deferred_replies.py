@@ -1,4 +1,4 @@
-"""Who waits for time to pass: answered as of the moment it is due, whatever the size of the steps around it."""
+"""Deferred replies are built at the time they are due, whatever the step size."""
 
 from __future__ import annotations
 

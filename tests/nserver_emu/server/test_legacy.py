@@ -1,4 +1,4 @@
-"""How programs of the 1990s use an Nserver, byte by byte on real sockets: what they lean on must hold.
+"""Programs of the 1990s on an Nserver, byte by byte on real sockets: their assumptions must hold.
 
 The client here is written from PROTOCOL.md anew, with struct alone, as those programs' library was.
 """

@@ -41,7 +41,7 @@ async def limited_server(limits: Limits, emulator: Emulator | None = None) -> As
 
 
 async def is_closed(client: Client) -> bool:
-    """Whether the daemon lets go of it, well within the test's patience."""
+    """Return True if the daemon closes the connection in time."""
     try:
         while data := await asyncio.wait_for(client.reader.read(65536), 30):
             assert data

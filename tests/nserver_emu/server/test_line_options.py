@@ -42,7 +42,7 @@ def three_robots() -> Emulator:
 
 
 def opened(*words: str) -> tuple[list[str], dict[str, str]]:
-    """What is printed, and the daemon's lines by name."""
+    """Return the printed lines, and the addresses of the daemon's lines."""
 
     async def start() -> tuple[list[str], dict[str, str]]:
         daemon = Daemon(three_robots())

@@ -30,7 +30,7 @@ GS, ST, CONF_CP, GET_CP, CT, PA = 7, 9, 16, 24, 6, 4
 NAK = bytes.fromhex("010200080b5c")
 GS_REQUEST = bytes.fromhex("010200070a5c")
 POSE, VELOCITIES, COMPASS, MOTORS, CLOCK = 19, 27, 33, 35, 36
-"""Where things stand in the state packet of an N150 or a Scout: 16 sonars, 3 bumper bytes, 7 numbers, compass."""
+"""Offsets in the state packet of an N150 or a Scout: 16 sonars, 3 bumper bytes, 7 numbers, compass."""
 PACKET_SIZE = 42
 
 
@@ -459,7 +459,7 @@ def _laser_octets(reply: Reply) -> int:
 
 
 def test_the_host_of_these_tests_reads_only_whole_answers() -> None:
-    """What the tests above lean on: stray bytes in an answer are seen."""
+    """The tests above depend on this: stray bytes in a reply are detected."""
     host = LineHost(lambda _: b"x" + NAK, N150)
     with pytest.raises(AssertionError):
         host.ask("gs")

@@ -34,7 +34,7 @@ from tests.nserver_emu.server.running_server import serving
 GS = bytes.fromhex("010200070a5c")
 BAUD = 38400
 SHORTEST_S = 54 * 10 / BAUD
-"""What gs and its answer take on a Nomad's cable."""
+"""Duration of gs and its reply at a Nomad's baud rate."""
 
 
 class Host:
@@ -122,7 +122,7 @@ async def running_lines(
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
-    """Where the serial link is."""
+    """Return the path of the serial link."""
     return tmp_path / "nomad"
 
 

@@ -16,7 +16,7 @@ from nserver_emu.server.pty import PseudoTerminal
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
-    """Where the link is to be."""
+    """Return the path of the link."""
     return tmp_path / "nomad"
 
 

@@ -1,4 +1,4 @@
-"""What may stand beside --restore and --replay, and at whose pace a restored simulation goes on."""
+"""Options that go with --restore and --replay, and the speed of a restored simulation."""
 
 from __future__ import annotations
 

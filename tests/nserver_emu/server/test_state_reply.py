@@ -1,4 +1,4 @@
-"""What a state costs: rays are cast for what a mask shows, once a moment, and for nothing else."""
+"""Cost of a state reply: rays are cast only for sensors in the mask, once per time."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from worlds.world import StartPose
 
 @pytest.fixture
 def casts(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
-    """How often a sonar's echo and a flash of the infrareds were worked out."""
+    """Count the computed sonar echoes and infrared readings."""
     counted: Counter[str] = Counter()
     measure, look = SonarNoise.measured_ranges, InfraredRing._ranges
 

@@ -1,4 +1,4 @@
-"""How long a connection is put up with, on a clock of the test's own."""
+"""Idle and stall timeouts of a connection, on the test's clock."""
 
 from __future__ import annotations
 

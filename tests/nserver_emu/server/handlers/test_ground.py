@@ -25,7 +25,7 @@ def client(emulator: Emulator) -> WireClient:
 
 
 def ahead(emulator: Emulator, client: WireClient) -> int:
-    """What the front sonar reads after a whole ring."""
+    """Return the reading of the front sonar after a whole ring."""
     emulator.simulation.step(1.0)
     reading: int = client.ask("get_sn").slots[17]
     return reading

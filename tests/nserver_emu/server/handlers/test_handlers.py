@@ -1,4 +1,4 @@
-"""What each command does to a simulated N150, in wire units, on simulated time."""
+"""Effects of each command on a simulated N150, in wire units and simulated time."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ REFUSALS = {
     **dict.fromkeys(("delete_obstacle", "move_obstacle"), 2),
     **dict.fromkeys(("quit_server", "sim_control"), 5),
 }
-"""What a plain N150 in a plain setup does not do, and the code that says so."""
+"""Commands that a plain N150 lacks, and their error codes."""
 
 
 @pytest.mark.parametrize("row", ANSWERED_AT_ONCE, ids=lambda row: row.name)

@@ -128,7 +128,7 @@ def running(emulator: Emulator) -> tuple[WireClient, Session]:
 
 
 def settled_in(emulator: Emulator) -> float:
-    """How high the lift is when it stands; it has a minute for that."""
+    """Return the height of the lift when it is still, within a minute."""
     emulator.pass_time(60.0)
     assert emulator.arms[1].is_still()
     return emulator.arms[1].lift.position_in

@@ -33,7 +33,7 @@ def sonars(client: WireClient) -> tuple[int, ...]:
 
 
 def readings(emulator: Emulator, client: WireClient, looks: int = 6) -> set[tuple[int, ...]]:
-    """What a client's sonars read, a whole round of the ring apart."""
+    """Return a client's sonar readings, a whole ring apart."""
     found = set()
     for _ in range(looks):
         emulator.pass_time(1.0)

@@ -1,4 +1,4 @@
-"""Which known word is offered for an unknown one, and how it is said."""
+"""Suggestions for unknown words."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Who may connect, by address; what is said of a port that is open to the network."""
+"""Allowlist by address, and the warning about a port open to the network."""
 
 from __future__ import annotations
 

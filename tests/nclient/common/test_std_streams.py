@@ -1,4 +1,4 @@
-"""stdout and stderr that are closed, full, or read by nobody: a line says so, no other file is printed to."""
+"""Standard streams that are closed, full or without a reader: one message, and no other file is written to."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ LONG = (
     "import sys\nfrom nclient.common import process as outputs\n"
     "try:\n    print('x' * {size}, flush={flush})\n    sys.stdout.flush()\n"
 )
-TOLD = LONG + "except OSError as error:\n    sys.exit(outputs.handle_broken_pipe(error, 'try'))\n"
+PROGRAM = LONG + "except OSError as error:\n    sys.exit(outputs.handle_broken_pipe(error, 'try'))\n"
 FULL = "stdout: cannot be written: No space left on device; make room on that disk, or name a file on another\n"
 
 
@@ -31,7 +31,7 @@ def in_shell(command: list[str], redirected: str) -> subprocess.CompletedProcess
 @pytest.mark.parametrize("flush", [True, False])
 @pytest.mark.parametrize("size", [10, 100_000])
 def test_full_disk_is_reported_in_one_line(size: int, flush: bool) -> None:
-    done = in_shell([sys.executable, "-c", TOLD.format(size=size, flush=flush)], ">/dev/full")
+    done = in_shell([sys.executable, "-c", PROGRAM.format(size=size, flush=flush)], ">/dev/full")
     assert (done.returncode, done.stderr) == (1, f"try: {FULL}")
 
 

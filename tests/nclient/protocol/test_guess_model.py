@@ -1,4 +1,4 @@
-"""A state packet tells whose it is, and a message made of that names the remedy."""
+"""The model guessed from a state packet, and the hint made of it."""
 
 from __future__ import annotations
 

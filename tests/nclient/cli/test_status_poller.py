@@ -1,4 +1,4 @@
-"""Who looks at the robot while somebody types: only when let, and what is shown of troubles."""
+"""StatusPoller: polls only while the prompt waits, and shows errors."""
 
 from __future__ import annotations
 

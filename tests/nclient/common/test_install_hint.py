@@ -1,4 +1,4 @@
-"""Which extra brings a module, by the metadata of what is installed."""
+"""The extra that installs a module, read from the installed metadata."""
 
 from __future__ import annotations
 

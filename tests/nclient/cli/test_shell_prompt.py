@@ -1,4 +1,4 @@
-"""Keys read by prompt_toolkit, typed into a pipe and shown to nobody; at a real terminal: tests/integration/shell."""
+"""Keys read by prompt_toolkit from a pipe; a real terminal is in tests/integration/shell."""
 
 from __future__ import annotations
 
