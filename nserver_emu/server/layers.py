@@ -1,5 +1,7 @@
 """The contents of a robot's window by layer, as plain data (numbers, texts, lists, dictionaries).
 
+Name and value of each layer:
+
     actual_trace, encoder_trace     [[x, y] ...] in inches, the oldest first
     bumper                          the bits of State[33]
     infrared, sonar                 16 readings each, empty without the sensor

@@ -111,8 +111,10 @@ class AcousticPath(NamedTuple):
 
 
 class Attenuation(NamedTuple):
-    """Losses on a path: dB per inch of range; dB at each wall after the first, at an edge, and by scattering at a
-    robot."""
+    """Losses on a path.
+
+    In dB per inch of range, and in dB at each wall after the first, at an edge, and by scattering at a robot.
+    """
 
     absorption_db_in: float
     bounce_db: float

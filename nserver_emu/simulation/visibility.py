@@ -79,7 +79,9 @@ class RobotPositions:
 class PositionProvider(Protocol):
     """Provides the positions of the robots at an instant."""
 
-    def at(self, instant_ps: int) -> RobotPositions: ...
+    def at(self, instant_ps: int) -> RobotPositions:
+        """Return the positions at an instant in picoseconds."""
+        ...
 
 
 NO_OTHERS: Final = RobotPositions()
