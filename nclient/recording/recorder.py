@@ -230,19 +230,19 @@ class TrafficRecorder(Protocol):
         ...
 
     def record_step(self, dt_s: float) -> None:
-        """Record an advance of simulated time by `dt_s` seconds."""
+        """Record a time step of `dt_s` seconds that no request caused."""
         ...
 
     def record_pace(self, factor: float | None, paused: bool) -> None:
-        """Record a new time factor (None: as fast as possible), or a pause."""
+        """Record a change of pace that no request caused; State[0] shows the pace."""
         ...
 
     def record_change(self, what: Mapping[str, Any]) -> None:
-        """Record a change of the simulation that no connection made."""
+        """Record a change of the simulation that no request caused."""
         ...
 
     def close(self) -> None:
-        """Write the end of the recording."""
+        """Write the last time steps and close the recording."""
         ...
 
 
