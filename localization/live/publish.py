@@ -24,6 +24,7 @@ from nclient.errors import AddressError, ConnectionLost
 
 log = logging.getLogger(__name__)
 
+# Before the run the robot stands, so that a slow page may take its time.
 FIRST_TIMEOUT_S: Final = 5.0
 TIMEOUT_S: Final = 0.25
 """During a run: the robot stops by itself after 2 s without a command."""
@@ -40,6 +41,7 @@ def build_message(
     robot: int, moment: RunMoment, turret_rad: float, waypoints: Sequence[tuple[float, float]]
 ) -> dict[str, Any]:
     """Return the published message of a period; `turret_rad` is the turret's angle relative to the steering."""
+    # Inches and radians; the page converts them for display.
     estimate = moment.estimate
     return {
         "robot": robot, "clock_s": estimate.clock_s, "pose": estimate.pose.tolist(),
@@ -68,11 +70,13 @@ def parse_answer(answer: bytes) -> tuple[Points, int]:
         If the answer is invalid.
     """
     try:
+        # `waypoints` is null if they were cleared. NaN and infinity are valid for json.loads.
         values = json.loads(answer)
         waypoints = [(float(x), float(y)) for x, y in values["waypoints"] or ()]
         if not all(map(math.isfinite, (number for point in waypoints for number in point))):
             raise ValueError("a waypoint is not a finite number")
         return waypoints, int(values["set"])
+    # All that a foreign server at this address may send.
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         raise ValueError(f"invalid answer of the page: {type(error).__name__}: {error}") from None
 

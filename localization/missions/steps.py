@@ -270,6 +270,7 @@ def _require_no_coroutine(result: object, file: str) -> None:
 
 def _with_program_line(error: BaseException, file: str) -> str:
     """Return the text of a program's error with the last line of the file in its traceback."""
+    # The last line of the mission's own file: deeper frames are this package's.
     lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
     where = f"{file}: line {lines[-1]}" if lines else file
     if isinstance(error, MissionFileError):
@@ -285,6 +286,7 @@ _TOP_KEYS: Final = ("title", "map", "time_limit_s", "on_lost", "lost_s", "step")
 
 def load_mission(path: str | PathLike[str]) -> MissionSpec:
     """Return the mission of a file, *.toml or *.py. Raises MissionFileError."""
+    # The suffix decides the language: a program is executed, a list of steps only read.
     file = Path(fspath(path))
     if file.suffix not in (".toml", ".py"):
         raise MissionFileError(f"{file}: expected a mission as .toml or .py, found {file.suffix or 'no suffix'!r}")
@@ -294,10 +296,12 @@ def load_mission(path: str | PathLike[str]) -> MissionSpec:
 
 def parse_step_list(text: str, file: str) -> MissionSpec:
     """Return the mission of a TOML text; `file` is its name in errors. Raises MissionFileError."""
+    # Syntax first; then keys and values, where errors get the line of their key.
     values = parse_toml(text, file, MissionFileError)
     try:
         top = Table(file, "", values)
         top.allow(_TOP_KEYS, ("fence",))
+        # All steps are checked before the first one is driven.
         acts = [parse_step(table) for table in top.tables("step")]
         if not acts:
             top.fail("step", "expected at least one [[step]], found none")
