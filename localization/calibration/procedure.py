@@ -229,7 +229,7 @@ class Driver:
     def _drive_to(self, pose: Floats, task: DriveTo) -> VelocityCommand | None:
         goal = np.array(task)
         away, off = float(distance_to(pose, goal)), float(bearing_error(pose, goal))
-        # 1. Reached, or passed by at a small distance: turning back would only add wear.
+        # 1. Reached, or passed at a small distance: turning back would not make the result better.
         if away < REACHED_IN or (self._aimed and abs(off) > pi / 2 and away < 4.0 * REACHED_IN):
             return None
         # 2. Turn in place until aimed, with hysteresis: a small error while rolling does not stop the robot.

@@ -62,7 +62,7 @@ START_STD = (0.5, 0.5, 0.02)
 PRINT_INTERVAL_S = 10.0
 # Laps without --laps, and the limit of --laps and --spins.
 MAX_LAPS, MAX_COUNT = 8, 100
-# Slow enough that wheels do not slip, in/s and deg/s.
+# Default speeds of straight lines and of turns, in/s and deg/s.
 SPEED_IN_S, TURN_DEG_S = 10.0, 40.0
 
 

@@ -138,8 +138,8 @@ def _beside_bound(summary: Summary) -> str:
 
 def _step_note(setup: FigureSetup, summary: Summary) -> list[str]:
     """Return a note if the thesis states fewer steps than its control law needs."""
-    # Inches of the path per step, at most.
     thesis = summary["steps_thesis"]
+    # Inches of the path per step, at most.
     stride = setup.gains.drho_max_in
     # No note, unless the thesis counts fewer steps than path length divided by the largest step.
     if thesis is None or thesis >= setup.min_steps:

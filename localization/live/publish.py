@@ -121,15 +121,18 @@ class Publisher:
 
         Raises ConnectionLost at the first message only; a connection lost later is logged and retried.
         """
+        # 1. After a lost connection wait RETRY_S, and remember only the newest message.
         first, self._unsent = self._set is None, message
         if self._lost_s is not None and self._clock() - self._lost_s < RETRY_S:
             return None
         try:
+            # 2. Send; the first message of a run says so, which starts a new run on the page.
             waypoints, number = parse_answer(self._post(json.dumps(message | {"began": True} if first else message)))
             before, self._set = self._set, number
         except (OSError, http.client.HTTPException, ValueError) as error:
             self._lose(error)
             return None
+        # 3. Waypoints are new if their number has changed since the last answer.
         self._unsent = None
         if self._lost_s is not None:
             log.warning("%s is connected again", self._address)
@@ -138,6 +141,7 @@ class Publisher:
 
     def _lose(self, error: Exception) -> None:
         self._connection.close()
+        # No answer yet: the address is probably wrong, which the user should know before the robot drives.
         if self._set is None:
             raise ConnectionLost(f"cannot publish to {self._address}: {error}") from error
         if self._lost_s is None:
@@ -157,6 +161,7 @@ class Publisher:
         self._connection.request("POST", self._path, text, {"Content-Type": "application/json"})
         response = self._connection.getresponse()
         body = response.read()
+        # Both the next connection and the open socket get the short timeout.
         self._connection.timeout = TIMEOUT_S
         if self._connection.sock is not None:
             self._connection.sock.settimeout(TIMEOUT_S)

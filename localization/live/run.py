@@ -141,7 +141,7 @@ class Run:
 
     def summary(self) -> dict[str, Any]:
         """Return the results of the run as plain data; errors are None without ground truth."""
-        # Keys and units are documented: other programs read this object.
+        # Other programs read this object: its keys and units do not change.
         echoes = [echo for moment in self.moments for echo in moment.estimate.echoes]
         last = self.moments[-1]
         return {
