@@ -160,5 +160,6 @@ def test_it_finds_what_it_was_given_and_knows_how_well() -> None:
 def test_the_table_tells_every_number_with_its_spread() -> None:
     lines = table(calibration_in(CalibratingFilter(RAYS, START).belief)).splitlines()
     assert len(lines) == 5 + 16
-    assert lines[1].split() == ["way,", "true", "/", "counted", "1.0000", "0.0500", "within", "noise", "of", "zero"]
+    row = ["distance,", "true", "/", "counted", "1.0000", "0.0500", "within", "noise", "of", "zero"]
+    assert lines[1].split() == row
     assert lines[-1].split()[-6:] == ["0.00", "2.06", "within", "noise", "of", "zero"]
