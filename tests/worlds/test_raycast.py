@@ -314,7 +314,7 @@ def test_rays_together_are_those_one_by_one_to_the_bit(walls: int) -> None:
         at_once = [cast_each(places[cut : cut + count], ways[cut : cut + count], corners) for cut in cuts]
         assert [distance for batch in at_once for distance in batch] == alone
     in_numbers = [
-        nearest_wall(place.real, place.imag, way.real, way.imag, tuple(corners.T))[0]
+        nearest_wall(place.real, place.imag, way.real, way.imag, corners)[0]
         for place, way in zip(places, ways, strict=True)
     ]
     assert in_numbers == alone
