@@ -70,7 +70,7 @@ class AsyncRobot:
         await self._finish(partial(self._robot.__exit__, kind, error, trace))
 
     async def disconnect(self) -> None:
-        """Close the connection; the robot is not stopped. May be called twice. C: disconnect_robot"""
+        """Close the connection; the robot is not stopped. May be called twice. C: disconnect_robot."""
         await self._finish(self._robot.disconnect)
 
     async def _finish(self, disconnect: Callable[[], None]) -> None:

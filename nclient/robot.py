@@ -175,7 +175,7 @@ class Robot:
             return reply
 
     def disconnect(self) -> None:
-        """Close the connection; the robot is not stopped. May be called twice. C: disconnect_robot"""
+        """Close the connection; the robot is not stopped. May be called twice. C: disconnect_robot."""
         self._backend.close()
 
     # -- motion -------------------------------------------------------------------------------------------------------
@@ -190,7 +190,7 @@ class Robot:
         turret_deg_s: float | None = None,
         turret_rad_s: float | None = None,
     ) -> RobotState:
-        """Drive each axis at a velocity until the next motion command; an axis that is not given stands. C: vm
+        """Drive each axis at a velocity until the next motion command; an axis that is not given stands. C: vm.
 
         Parameters
         ----------
@@ -223,7 +223,7 @@ class Robot:
         turret_deg: float | None = None,
         turret_rad: float | None = None,
     ) -> RobotState:
-        """Move all axes by distances, at the speeds of `set_speeds`; does not wait for the end. C: pr
+        """Move all axes by distances, at the speeds of `set_speeds`; does not wait for the end. C: pr.
 
         Parameters
         ----------
@@ -256,7 +256,7 @@ class Robot:
         turret_deg: float | None = None,
         turret_rad: float | None = None,
     ) -> RobotState:
-        """Move each axis to an absolute encoder position, 0 where not given; only on an N200's serial line. C: pa
+        """Move each axis to an absolute encoder position, 0 where not given; only on an N200's serial line. C: pa.
 
         Units as in `move`. Raises RobotRefused for other models and for servers.
         """
@@ -270,7 +270,7 @@ class Robot:
     def drive_axes(
         self, translation: AxisCommand = _LEAVE, steering: AxisCommand = _LEAVE, turret: AxisCommand = _LEAVE
     ) -> RobotState:
-        """Command each axis in its own mode. C: mv
+        """Command each axis in its own mode. C: mv.
 
         Without arguments it changes nothing, which old programs use as a ping.
 
@@ -289,7 +289,7 @@ class Robot:
         right_m_s: float | None = None,
         left_m_s: float | None = None,
     ) -> RobotState:
-        """Drive the wheels of a Scout at velocities. Raises RobotRefused for other models. C: vm"""
+        """Drive the wheels of a Scout at velocities. Raises RobotRefused for other models. C: vm."""
         self._require_wheels("vm")
         right = tenths_of(right_in_s=right_in_s, right_m_s=right_m_s)
         return self._command("vm", right, tenths_of(left_in_s=left_in_s, left_m_s=left_m_s), 0)
@@ -302,27 +302,27 @@ class Robot:
         right_m: float | None = None,
         left_m: float | None = None,
     ) -> RobotState:
-        """Move the wheels of a Scout by distances. Raises RobotRefused for other models. C: pr"""
+        """Move the wheels of a Scout by distances. Raises RobotRefused for other models. C: pr."""
         self._require_wheels("pr")
         right = tenths_of(right_in=right_in, right_m=right_m)
         return self._command("pr", right, tenths_of(left_in=left_in, left_m=left_m), 0)
 
     def stop(self) -> RobotState:
-        """Stop all axes and hold them. C: st"""
+        """Stop all axes and hold them. C: st."""
         return self._command("st")
 
     def release(self) -> RobotState:
-        """Switch the motors off, so that the robot can be pushed. C: lp"""
+        """Switch the motors off, so that the robot can be pushed. C: lp."""
         return self._command("lp")
 
     def zero(self) -> RobotState:
-        """Turn steering and turret to the bumper's zero and set position and angles to 0; may take 120 s. C: zr"""
+        """Turn steering and turret to the bumper's zero and set position and angles to 0; may take 120 s. C: zr."""
         return self._command("zr")
 
     def wait_until_still(
         self, timeout_s: float = 20, *, translation: bool = True, steering: bool = True, turret: bool = True
     ) -> RobotState:
-        """Wait until the selected axes are still. A timeout stops nothing and raises nothing. C: ws
+        """Wait until the selected axes are still. A timeout stops nothing and raises nothing. C: ws.
 
         Parameters
         ----------
@@ -350,7 +350,7 @@ class Robot:
         turret_deg_s: float | None = None,
         turret_rad_s: float | None = None,
     ) -> RobotState:
-        """Set the speeds of `move`; an axis that is not given gets 0. C: sp
+        """Set the speeds of `move`; an axis that is not given gets 0. C: sp.
 
         Both wheels of a Scout get the speed of translation; RobotRefused if another one is given.
         """
@@ -371,7 +371,7 @@ class Robot:
         turret_deg_s2: float | None = None,
         turret_rad_s2: float | None = None,
     ) -> RobotState:
-        """Set the accelerations; an axis that is not given gets 0. C: ac
+        """Set the accelerations; an axis that is not given gets 0. C: ac.
 
         Both wheels of a Scout get the acceleration of translation; RobotRefused if another one is given.
         """
@@ -390,7 +390,7 @@ class Robot:
         x_m: float | None = None,
         y_m: float | None = None,
     ) -> RobotState:
-        """Set the position of the encoders, 0 where not given; the robot does not move. C: dp"""
+        """Set the position of the encoders, 0 where not given; the robot does not move. C: dp."""
         return self._command("dp", tenths_of(x_in=x_in, x_m=x_m), tenths_of(y_in=y_in, y_m=y_m))
 
     def set_angles(
@@ -401,12 +401,12 @@ class Robot:
         turret_deg: float | None = None,
         turret_rad: float | None = None,
     ) -> RobotState:
-        """Set the angles of the encoders, 0 where not given; nothing turns. C: da"""
+        """Set the angles of the encoders, 0 where not given; nothing turns. C: da."""
         steering = tenths_of(steering_deg=steering_deg, steering_rad=steering_rad)
         return self._command("da", steering, tenths_of(turret_deg=turret_deg, turret_rad=turret_rad))
 
     def set_timeout(self, timeout_s: float) -> RobotState:
-        """Set the motion timeout: the robot stops if no command arrives for that long. C: conf_tm
+        """Set the motion timeout: the robot stops if no command arrives for that long. C: conf_tm.
 
         From then on the program is responsible: the connection's keep-alive ends.
 
@@ -427,7 +427,7 @@ class Robot:
         compass: bool = True,
         laser: bool = True,
     ) -> RobotState:
-        """Select the sensors whose readings replies carry; others keep their last reading. C: ct
+        """Select the sensors whose readings replies carry; others keep their last reading. C: ct.
 
         Parameters
         ----------
@@ -453,7 +453,7 @@ class Robot:
         laser: bool = False,
         compass: bool = False,
     ) -> RobotState:
-        """Select the sensors whose readings get position stamps (`RobotState.stamps`). C: posDataRequest"""
+        """Select the sensors whose readings get position stamps (`RobotState.stamps`). C: posDataRequest."""
         selected = zip((infrareds, sonars, bumpers, laser, compass), Position, strict=True)
         bits = sum(bit for is_selected, bit in selected if is_selected)
         return self._command("ct", *self._backend.wire_state.mask.with_position(bits).smask)
@@ -461,7 +461,7 @@ class Robot:
     def configure_sonars(
         self, *, rate: int | None = None, interval_s: float | None = None, order: Iterable[int] = DEFAULT_SONAR_ORDER
     ) -> RobotState:
-        """Set rate and order of the sonars. The first one then fires at the clock of the reply. C: conf_sn
+        """Set rate and order of the sonars. The first one then fires at the clock of the reply. C: conf_sn.
 
         Parameters
         ----------
@@ -486,17 +486,17 @@ class Robot:
         return self._command("conf_sn", DEFAULT_SONAR_RATE if rate is None else rate, *firing_order(order))
 
     def configure_infrareds(self, *, history: int = 1, order: Iterable[int] = DEFAULT_SONAR_ORDER) -> RobotState:
-        """Set the number of readings that an infrared averages (1..10), and the firing order. C: conf_ir"""
+        """Set the number of readings that an infrared averages (1..10), and the firing order. C: conf_ir."""
         return self._command("conf_ir", history, *firing_order(order))
 
     def configure_compass(self, mode: int) -> RobotState:
-        """Set the mode of the compass: 0 off, 1 on, 2 calibrate. C: conf_cp"""
+        """Set the mode of the compass: 0 off, 1 on, 2 calibrate. C: conf_cp."""
         return self._command("conf_cp", mode)
 
     def configure_laser(
         self, mode: int, *, threshold: int = 20, width: int = 20, num_data: int = 20, processing: int = 4
     ) -> RobotState:
-        """Set the mode of the laser. C: conf_ls
+        """Set the mode of the laser. C: conf_ls.
 
         Parameters
         ----------
@@ -510,83 +510,83 @@ class Robot:
         return self._command("conf_ls", mode, threshold, width, num_data, processing)
 
     def configure_segments(self, threshold: int, min_points: int, gap: int) -> RobotState:
-        """Set how laser points are combined to line segments. C: conf_sg"""
+        """Set how laser points are combined to line segments. C: conf_sg."""
         return self._command("conf_sg", threshold, min_points, gap)
 
     def configure_serial_port(self, port: int, baud: int) -> RobotState:
-        """Set the speed of another serial port of the robot; on a serial line only. C: conf_ser"""
+        """Set the speed of another serial port of the robot; on a serial line only. C: conf_ser."""
         return self._command("conf_ser", port, baud)
 
     # -- queries ------------------------------------------------------------------------------------------------------
 
     def refresh(self) -> RobotState:
-        """Query the whole state. C: gs"""
+        """Query the whole state. C: gs."""
         return self._command("gs")
 
     def read_infrareds(self) -> RobotState:
-        """Query the infrareds. C: get_ir"""
+        """Query the infrareds. C: get_ir."""
         return self._command("get_ir")
 
     def read_sonars(self) -> RobotState:
-        """Query the sonars. C: get_sn"""
+        """Query the sonars. C: get_sn."""
         return self._command("get_sn")
 
     def read_pose(self) -> RobotState:
-        """Query position and angles of the encoders. C: get_rc"""
+        """Query position and angles of the encoders. C: get_rc."""
         return self._command("get_rc")
 
     def read_velocities(self) -> RobotState:
-        """Query the velocities. C: get_rv"""
+        """Query the velocities. C: get_rv."""
         return self._command("get_rv")
 
     def read_accelerations(self) -> Accelerations:
-        """Query the accelerations, which the state does not have. C: get_ra"""
+        """Query the accelerations, which the state does not have. C: get_ra."""
         slots = self.execute(Call("get_ra")).slots
         return Accelerations(*[slots.get(slot, 0) / 10 for slot in (38, 39, 40)])
 
     def read_compass(self) -> RobotState:
-        """Query the compass. C: get_cp"""
+        """Query the compass. C: get_cp."""
         return self._command("get_cp")
 
     def read_laser(self) -> RobotState:
-        """Query the laser. C: get_ls"""
+        """Query the laser. C: get_ls."""
         return self._command("get_ls")
 
     def read_bumpers(self) -> RobotState:
-        """Query the bumpers. C: get_bp"""
+        """Query the bumpers. C: get_bp."""
         return self._command("get_bp")
 
     def read_segments(self) -> RobotState:
-        """Query the laser's line segments. C: get_sg"""
+        """Query the laser's line segments. C: get_sg."""
         return self._command("get_sg")
 
     # -- speech, special packets, the arm -----------------------------------------------------------------------------
 
     def say(self, text: str) -> None:
-        """Speak a text, Latin-1, at most 255 characters. C: tk"""
+        """Speak a text, Latin-1, at most 255 characters. C: tk."""
         self._query("tk", text)
 
     def send_packet(self, packet_type: int, data: bytes = b"") -> bytes:
-        """Send a special packet and return the data of the packet that replies. C: special_request"""
+        """Send a special packet and return the data of the packet that replies. C: special_request."""
         values = self._query("special_request", packet_type, *data, at_least=_PACKET_HEAD)
         return bytes(value & 255 for value in values[_PACKET_HEAD:])
 
     def arm_zero(self, override: bool = False) -> int:
-        """Zero the arm and return its result. C: arm_zr"""
+        """Zero the arm and return its result. C: arm_zr."""
         return self._query_arm("arm_zr", int(override)).result
 
     def arm_wait(self, *, lift: bool = True, grip: bool = True, timeout: int = 0) -> ArmAnswer:
-        """Wait until the arm is still; `timeout` in the arm's unit. C: arm_ws"""
+        """Wait until the arm is still; `timeout` in the arm's unit. C: arm_ws."""
         return self._query_arm("arm_ws", int(lift), int(grip), timeout)
 
     def arm_move(self, *, lift_mode: int = 0, lift_value: int = 0, grip_mode: int = 0, grip_value: int = 0) -> int:
-        """Move the arm, in its own modes and units, and return its result. C: arm_mv"""
+        """Move the arm, in its own modes and units, and return its result. C: arm_mv."""
         return self._query_arm("arm_mv", lift_mode, lift_value, grip_mode, grip_value).result
 
     # -- the server's robots and world; a real robot's serial line has none of these ----------------------------------
 
     def connect_robot(self, robot_id: int) -> RobotState:
-        """Switch this connection to another robot of the server. C: connect_robot
+        """Switch this connection to another robot of the server. C: connect_robot.
 
         Raises RobotRefused if there is none of that number; nserver then keeps the current robot.
         """
@@ -595,20 +595,20 @@ class Robot:
             return self._command("gs")
 
     def create_robot(self, robot_id: int) -> RobotState:
-        """Create a robot of that number and switch to it. C: create_robot"""
+        """Create a robot of that number and switch to it. C: create_robot."""
         with self._lock:
             self.execute(Call("create_robot", (robot_id, os.getpid())))
             return self._command("gs")
 
     def place(self, pose: Pose) -> None:
-        """Place the robot and its encoders at a pose. C: place_robot
+        """Place the robot and its encoders at a pose. C: place_robot.
 
         Raises RobotRefused if it would touch an obstacle there.
         """
         self._query("place_robot", *_pose_tenths(pose))
 
     def read_robots(self) -> tuple[RobotPlace, ...]:
-        """Query position and heading of all robots. C: get_rpx"""
+        """Query position and heading of all robots. C: get_rpx."""
         count, *numbers = self._query("get_rpx", at_least=1)
         if len(numbers) != 3 * count:
             raise WireError(f"get_rpx: {count} robots with {len(numbers)} numbers")
@@ -616,16 +616,16 @@ class Robot:
         return tuple(RobotPlace(x / 10, y / 10, rad_from_tenths(heading)) for x, y, heading in triples)
 
     def ask_pose(self) -> Pose:
-        """Wait for a pose clicked in the server's window; without window the robot's pose. C: get_robot_conf"""
+        """Wait for a pose clicked in the server's window; without window the robot's pose. C: get_robot_conf."""
         x, y, steering, turret = self._query("get_robot_conf", at_least=4)
         return Pose(x / 10, y / 10, rad_from_tenths(steering), rad_from_tenths(turret))
 
     def add_obstacle(self, *, corners_in: Points | None = None, corners_m: Points | None = None) -> None:
-        """Add a polygon of at most ten corners (x, y), counter-clockwise. C: add_obstacle"""
+        """Add a polygon of at most ten corners (x, y), counter-clockwise. C: add_obstacle."""
         self._query("add_obstacle", *_polygon(corners_in, corners_m))
 
     def delete_obstacle(self, *, corners_in: Points | None = None, corners_m: Points | None = None) -> None:
-        """Remove the polygon with these corners. C: delete_obstacle"""
+        """Remove the polygon with these corners. C: delete_obstacle."""
         self._query("delete_obstacle", *_polygon(corners_in, corners_m))
 
     def move_obstacle(
@@ -636,24 +636,24 @@ class Robot:
         corners_m: Points | None = None,
         shift_m: tuple[float, float] | None = None,
     ) -> tuple[tuple[float, float], ...]:
-        """Shift the polygon with these corners and return its new corners in inches. C: move_obstacle"""
+        """Shift the polygon with these corners and return its new corners in inches. C: move_obstacle."""
         shift = points_tenths(None if shift_in is None else [shift_in], None if shift_m is None else [shift_m])
         _, *moved = self._query("move_obstacle", *_polygon(corners_in, corners_m), *shift, at_least=1)
         return tuple((x / 10, y / 10) for x, y in zip(moved[::2], moved[1::2], strict=True))
 
     def clear_world(self) -> None:
-        """Remove all obstacles; marked walls stay. C: new_world"""
+        """Remove all obstacles; marked walls stay. C: new_world."""
         self._query("new_world")
 
     def predict_sensors(self, pose: Pose) -> Prediction:
-        """Predict the readings of the sensors at another pose. C: predict_sensors"""
+        """Predict the readings of the sensors at another pose. C: predict_sensors."""
         reply = self.execute(Call("predict_sensors", _pose_tenths(pose)))
         return Prediction(reply.values[1:17], reply.values[17:33], reply.laser or (0,))
 
     def check_motion(
         self, *, line_in: Points | None = None, line_m: Points | None = None, arc: Arc | None = None
     ) -> Collision | None:
-        """Find the first collision of a path. C: motion_check
+        """Find the first collision of a path. C: motion_check.
 
         Parameters
         ----------
@@ -678,21 +678,21 @@ class Robot:
         return Collision(x_hit / 1000, y_hit / 1000, normal / 1e6) if hit else None
 
     def use_real_robot(self) -> None:
-        """Send commands to the real robot from now on. C: real_robot"""
+        """Send commands to the real robot from now on. C: real_robot."""
         self._query("real_robot")
 
     def use_simulated_robot(self) -> None:
-        """Send commands to the simulation from now on. C: simulated_robot"""
+        """Send commands to the simulation from now on. C: simulated_robot."""
         self._query("simulated_robot")
 
     def quit_server(self) -> None:
-        """End the server. Raises RobotRefused unless its setup allows it. C: quit_server"""
+        """End the server. Raises RobotRefused unless its setup allows it. C: quit_server."""
         self._query("quit_server")
 
     # -- the server's window ------------------------------------------------------------------------------------------
 
     def draw_robot(self, pose: Pose, mode: int = 1) -> None:
-        """Draw a robot. C: draw_robot
+        """Draw a robot. C: draw_robot.
 
         Parameters
         ----------
@@ -704,7 +704,7 @@ class Robot:
         self._query("draw_robot", *_pose_tenths(pose), mode)
 
     def draw_line(self, *, points_in: Points | None = None, points_m: Points | None = None, mode: int = 1) -> None:
-        """Draw a line between two points. C: draw_line
+        """Draw a line between two points. C: draw_line.
 
         Parameters
         ----------
@@ -723,7 +723,7 @@ class Robot:
         angles_rad: tuple[float, float] = (0.0, math.tau),
         mode: int = 1,
     ) -> None:
-        """Draw an arc of an ellipse. C: draw_arc
+        """Draw an arc of an ellipse. C: draw_arc.
 
         Parameters
         ----------
@@ -738,49 +738,49 @@ class Robot:
         self._query("draw_arc", *box, *[tenths_from_rad(angle) for angle in angles_rad], mode)
 
     def redraw_all(self) -> None:
-        """Redraw everything. C: refresh_all"""
+        """Redraw everything. C: refresh_all."""
         self._query("refresh_all")
 
     def redraw_all_traces(self) -> None:
-        """Redraw both traces. C: refresh_all_traces"""
+        """Redraw both traces. C: refresh_all_traces."""
         self._query("refresh_all_traces")
 
     def redraw_actual_trace(self) -> None:
-        """Redraw the trace of the actual robot. C: refresh_actual_trace"""
+        """Redraw the trace of the actual robot. C: refresh_actual_trace."""
         self._query("refresh_actual_trace")
 
     def redraw_encoder_trace(self) -> None:
-        """Redraw the trace of the encoder robot. C: refresh_encoder_trace"""
+        """Redraw the trace of the encoder robot. C: refresh_encoder_trace."""
         self._query("refresh_encoder_trace")
 
     def redraw_all_sensors(self) -> None:
-        """Redraw all sensors. C: refresh_all_sensors"""
+        """Redraw all sensors. C: refresh_all_sensors."""
         self._query("refresh_all_sensors")
 
     def redraw_bumper_sensor(self) -> None:
-        """Redraw the bumpers. C: refresh_bumper_sensor"""
+        """Redraw the bumpers. C: refresh_bumper_sensor."""
         self._query("refresh_bumper_sensor")
 
     def redraw_infrared_sensor(self) -> None:
-        """Redraw the infrareds. C: refresh_infrared_sensor"""
+        """Redraw the infrareds. C: refresh_infrared_sensor."""
         self._query("refresh_infrared_sensor")
 
     def redraw_sonar_sensor(self) -> None:
-        """Redraw the sonars. C: refresh_sonar_sensor"""
+        """Redraw the sonars. C: refresh_sonar_sensor."""
         self._query("refresh_sonar_sensor")
 
     def redraw_laser_sensor(self) -> None:
-        """Redraw the laser. C: refresh_laser_sensor"""
+        """Redraw the laser. C: refresh_laser_sensor."""
         self._query("refresh_laser_sensor")
 
     def redraw_client_graphics(self) -> None:
-        """Redraw the drawings of clients. C: refresh_client_graphics"""
+        """Redraw the drawings of clients. C: refresh_client_graphics."""
         self._query("refresh_client_graphics")
 
     # -- simulations of this project ----------------------------------------------------------------------------------
 
     def truth(self) -> Truth:
-        """Query the ground truth of a simulation. Wire name: sim_truth
+        """Query the ground truth of a simulation. Wire name: sim_truth.
 
         Raises RobotRefused (error 1 or 4) if the other end is no simulation of this project.
         """
@@ -801,7 +801,7 @@ class Robot:
         return False
 
     def control_time(self, verb: Literal["pause", "resume", "speed", "step"], value: float = 0.0) -> SimulatedTime:
-        """Control the time of a simulation. Wire name: sim_control
+        """Control the time of a simulation. Wire name: sim_control.
 
         Parameters
         ----------

@@ -51,12 +51,12 @@ class Pose:
 
     @property
     def x_m(self) -> float:
-        """x in metres."""
+        """Return x in metres."""
         return self.x_in * M_PER_IN
 
     @property
     def y_m(self) -> float:
-        """y in metres."""
+        """Return y in metres."""
         return self.y_in * M_PER_IN
 
     @property
@@ -176,22 +176,22 @@ class RobotState:
 
     @property
     def x_in(self) -> float:
-        """x in inches."""
+        """Return x in inches."""
         return self.raw[34] / 10
 
     @property
     def y_in(self) -> float:
-        """y in inches."""
+        """Return y in inches."""
         return self.raw[35] / 10
 
     @property
     def x_m(self) -> float:
-        """x in metres."""
+        """Return x in metres."""
         return self.raw[34] / 10 * M_PER_IN
 
     @property
     def y_m(self) -> float:
-        """y in metres."""
+        """Return y in metres."""
         return self.raw[35] / 10 * M_PER_IN
 
     @property

@@ -14,6 +14,9 @@ import numpy.typing as npt
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 
+NO_DISCS: FloatArray = np.zeros((0, 3))
+"""No discs: rows x y radius in inches."""
+
 
 def polyline_segments(points: npt.ArrayLike) -> FloatArray:
     """Return the segments (k - 1, 4) that join k >= 1 points (k, 2) in order."""

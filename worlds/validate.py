@@ -30,8 +30,11 @@ CELLS_PER_ROBOT: Final = 24.0
 
 @dataclass(frozen=True, slots=True)
 class ValidationLimits:
-    """Limits in inches: widest gap; distance and overlap of doubled walls; longest short segment; smallest closed-off
-    space (square inches)."""
+    """Limits of `validate`.
+
+    In inches: widest gap; distance and overlap of doubled walls; longest short segment. In square inches: smallest
+    closed-off space.
+    """
 
     gap_in: float = 4.0
     apart_in: float = 0.5

@@ -1,4 +1,4 @@
-"""`nomad calibrate`: drive a square, estimate the systematic errors of wheels and sonars, write a model file."""
+"""Drive a square, estimate the systematic errors of wheels and sonars, write a model file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`nomad go`: drive a robot to a position by the shortest path, around obstacles that are not in the map.
+"""Drive a robot to a position by the shortest path, around obstacles that are not in the map.
 
     nomad go "sim:several_walls?noisy=1&seed=3&start=5,5" --to 90,55
     nomad go nserver://localhost:7019/1 --map thesis_room --to 60,40,90

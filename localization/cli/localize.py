@@ -1,4 +1,4 @@
-"""`nomad localize`: drive a robot from waypoint to waypoint on the filter's estimate.
+"""Drive a robot from waypoint to waypoint on the filter's estimate.
 
 For a simulated robot the true error is printed beside the estimate; the filter never uses the ground truth.
 """

@@ -1,4 +1,4 @@
-"""`nomad map`: check a map, simplify it, or show where localization is inaccurate."""
+"""Check a map, simplify it, or show where localization is inaccurate."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`nomad mission`: run a mission, a Python program or a list of steps in TOML.
+"""Run a mission, a Python program or a list of steps in TOML.
 
     nomad mission docs/missions/rounds.toml "sim:several_walls?noisy=1&seed=3&start=5,5"
     nomad mission docs/missions/look_around.py nserver://localhost:7019/1 --map several_walls --report r.json

@@ -138,6 +138,7 @@ class TruthRecorder:
         self.last: Truth = robot.truth()
 
     def __call__(self, observation: Observation) -> None:
+        """Record the true distance, contact and clearance of this period."""
         truth = self._robot.truth()
         self.distance_in += hypot(truth.x_in - self.last.x_in, truth.y_in - self.last.y_in)
         self.last = truth
@@ -163,7 +164,7 @@ def drive(pair: DrivePair) -> tuple[DrivePair, DriveResult]:
 
 
 def _controller(robot: Robot, world: World, pair: DrivePair) -> RobotController:
-    """The helm of a robot that stands a little beside where it believes to be; time passes with exchanges alone."""
+    """Return the controller of a robot whose initial estimate has an error drawn from START_STD."""
     errors, state = pair.errors, robot.refresh()
     off = np.array(START_STD) * np.random.default_rng([pair.number, START]).standard_normal(3)
     guess = add(np.array([state.x_in, state.y_in, state.steering_rad]), off)

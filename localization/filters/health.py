@@ -127,7 +127,7 @@ class IntegrityMonitor:
 
     @property
     def reason(self) -> str:
-        """Why the estimate would be given up."""
+        """Reason for giving up the estimate."""
         return f"readings fit anywhere on the map better than here, by e^{self._fall:.0f}"
 
     def health(self, belief: Belief) -> FilterHealth:

@@ -98,12 +98,15 @@ class RayLikelihood:
         self._outlier_probability, self._widen_in2 = outlier_probability, widen_std_in**2
 
     def is_range(self, reading_in: float) -> bool:
+        """Return True if a reading is a range, not a limit."""
         return _is_range(self._sonar, reading_in)
 
     def information(self, reading_in: float, count: int) -> float:
+        """Return the new information of the `count`-th reading from one pose, as a fraction of the first's."""
         return _information(self._sonar, self._widen_in2, reading_in, count)
 
     def at(self, poses: Floats, sonar: int, turret_offset_rad: float, reading_in: float) -> Likelihoods:
+        """Return the likelihoods of a reading at poses (n, 3); never 0."""
         angle_rad = np.array([turret_offset_rad + self._body.sonar_angles_rad[sonar]])
         range_in = ranges_from(poses, angle_rad, self._body, self._walls).range_in[:, 0]
         has_wall = np.isfinite(range_in)
@@ -137,12 +140,15 @@ class ConeLikelihood:
         self._heading_std, self._widen_in2 = np.array(heading_std_rad), widen_std_in**2
 
     def is_range(self, reading_in: float) -> bool:
+        """Return True if a reading is a range, not a limit."""
         return _is_range(self._sonar, reading_in)
 
     def information(self, reading_in: float, count: int) -> float:
+        """Return the new information of the `count`-th reading from one pose, as a fraction of the first's."""
         return _information(self._sonar, self._widen_in2, reading_in, count)
 
     def at(self, poses: Floats, sonar: int, turret_offset_rad: float, reading_in: float) -> Likelihoods:
+        """Return the likelihoods of a reading at poses (n, 3); never 0."""
         noise = self._sonar
         mount = SonarMount(turret_offset_rad + self._body.sonar_angles_rad[sonar], self._body.sonar_ring_radius_in)
         ranges, probability = echo_probabilities(poses, self._heading_std, mount, self._around, noise)

@@ -321,8 +321,10 @@ def expected_echoes(
 def echo_probabilities(
     poses: Floats, heading_std_rad: Floats, mount: SonarMount, around: Reflectors, sonar: ConeSonar
 ) -> tuple[Floats, Floats]:
-    """Return ranges and probabilities (n, j) of `expected_echoes` at poses (n, 3), of those j reflectors alone that are
-    detected from any of them."""
+    """Return ranges and probabilities (n, j) of `expected_echoes` at poses (n, 3).
+
+    Only the j reflectors that are detected from at least one of the poses are included.
+    """
     near = _within_reach(poses, heading_std_rad, mount, around, sonar)
     seen = _geometry(poses, mount, near)
     detected = _detected(seen, heading_std_rad, near, sonar, around.walls)

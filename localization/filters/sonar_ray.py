@@ -146,9 +146,14 @@ class SonarRing(Protocol):
     """The part of a robot body that the sonars need; `worlds.robots.Body` has it."""
 
     @property
-    def sonar_ring_radius_in(self) -> float: ...
+    def sonar_ring_radius_in(self) -> float:
+        """Return the distance of the sonars from the centre."""
+        ...
+
     @property
-    def sonar_angles_rad(self) -> tuple[float, ...]: ...
+    def sonar_angles_rad(self) -> tuple[float, ...]:
+        """Return the direction of each sonar from that of the turret, counter-clockwise."""
+        ...
 
 
 # The map.
@@ -394,7 +399,7 @@ _REFUSED: Final = {refusal: Association(refusal, _refused_likelihood(refusal)) f
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """What n beams say about a state, ready for `ekf.update_ring`.
+    """Innovations and Jacobians of n beams, ready for `ekf.update_ring`.
 
     A beam left out has innovation 0, derivative 0 and variance 1: it changes nothing, and arrays keep their shape.
 

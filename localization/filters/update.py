@@ -281,7 +281,7 @@ def _widened(H: Floats, n: int) -> Floats:
 
 
 class PdaResult(NamedTuple):
-    """How a reading was understood.
+    """Result of the probabilistic data association of one reading.
 
     Attributes
     ----------
@@ -406,7 +406,7 @@ def inflated_variance(variance: float, constant: float, count: int) -> float:
 
 
 class _Repeated(NamedTuple):
-    """Where the first reading of a sonar from one pose was used (travel and turn so far, turret), and how many were."""
+    """Pose of the first used reading of a sonar (travel and turn so far, turret), and the number used since."""
 
     travel_in: float
     turned_rad: float

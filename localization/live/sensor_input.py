@@ -24,17 +24,34 @@ class SensorInput(Protocol):
     """The part of a robot's state that the filter uses; nclient's RobotState has it. Seconds, inches, radians."""
 
     @property
-    def clock_s(self) -> float | None: ...
+    def clock_s(self) -> float | None:
+        """Return the time of the robot's clock, None if it has none."""
+        ...
+
     @property
-    def x_in(self) -> float: ...
+    def x_in(self) -> float:
+        """Return x of the encoders."""
+        ...
+
     @property
-    def y_in(self) -> float: ...
+    def y_in(self) -> float:
+        """Return y of the encoders."""
+        ...
+
     @property
-    def steering_rad(self) -> float: ...
+    def steering_rad(self) -> float:
+        """Return the steering angle of the encoders."""
+        ...
+
     @property
-    def turret_rad(self) -> float: ...
+    def turret_rad(self) -> float:
+        """Return the turret angle of the encoders."""
+        ...
+
     @property
-    def sonars_in(self) -> tuple[float, ...]: ...
+    def sonars_in(self) -> tuple[float, ...]:
+        """Return the last reading of each sonar."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)

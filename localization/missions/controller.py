@@ -153,6 +153,7 @@ class ProgressPublisher:
         self._publisher, self._ground_truth, self._goals = publisher, ground_truth, goals
 
     def __call__(self, observation: Observation) -> None:
+        """Publish the estimate, the odometry and the ground truth of this period."""
         estimate, state = observation
         odometry = (state.x_in, state.y_in, state.steering_rad)
         moment = RunMoment(estimate, odometry, self._ground_truth.at(estimate.clock_s), 0, state.turret_rad)

@@ -39,11 +39,19 @@ class SonarState(Protocol):
     """The part of a robot state that RecoveryBehavior uses."""
 
     @property
-    def sonars_in(self) -> tuple[int, ...]: ...
+    def sonars_in(self) -> tuple[int, ...]:
+        """Return the last reading of each sonar in inches."""
+        ...
+
     @property
-    def steering_rad(self) -> float: ...
+    def steering_rad(self) -> float:
+        """Return the steering angle of the encoders."""
+        ...
+
     @property
-    def turret_rad(self) -> float: ...
+    def turret_rad(self) -> float:
+        """Return the turret angle of the encoders."""
+        ...
 
 
 class RecoveryBehavior:

@@ -84,8 +84,10 @@ def _firsts(parser: Parser) -> tuple[str, ...]:
 
 
 def _with_all_words(made: str, prog: str, firsts: tuple[str, ...], *, alone: bool) -> str:
-    """Fix two limits of shtab's zsh script: only the first of several words is completed, marked `(*)`, and a program
-    has either words or subcommands."""
+    """Fix two limits of shtab's zsh script.
+
+    It completes only the first of several words, marked `(*)`, and a program has either words or subcommands.
+    """
     made = re.sub(r'^  "\(\*\)::?', '  "*:', made, flags=re.MULTILINE)
     if alone or firsts:
         made = made.replace(f"_shtab_{prog}_defaults_added=0", f"_shtab_{prog}_defaults_added=1")

@@ -91,6 +91,7 @@ class LineFrames:
 
     @property
     def pending_bytes(self) -> int:
+        """Return the number of buffered bytes."""
         return len(self._buffer)
 
     def receive(self, data: bytes) -> list[StreamPiece]:
@@ -167,6 +168,7 @@ class TcpFrames:
 
     @property
     def pending_bytes(self) -> int:
+        """Return the number of buffered bytes."""
         return len(self._buffer)
 
     def receive(self, data: bytes) -> list[StreamPiece]:
@@ -472,12 +474,15 @@ class LineLanguage:
         self._last_command = ""
 
     def request_name(self, piece: StreamPiece) -> str:
+        """Return the C name of a request, by its type byte."""
         return _line_name(piece)
 
     def request_delivered(self, command: str) -> None:
+        """Store the command: a NAK does not say which request it refuses."""
         self._last_command = command
 
     def reply_name(self, piece: StreamPiece) -> str:
+        """Return GREETING for the handshake, the last command for a NAK, else the command of the type byte."""
         if self._greets:
             self._greets = False
             return GREETING
@@ -497,19 +502,23 @@ class TcpLanguage:
 
     @property
     def nak(self) -> bytes:
+        """Return an ERROR reply: over TCP there is no NAK."""
         return build_tcp_frame(
             ERROR_TYPE, NAK_ERROR.to_bytes(4, "big"), wide=bool(self._request_frames.wide), reply=True
         )
 
     def request_name(self, piece: StreamPiece) -> str:
+        """Return the C name of a request, by its type word."""
         self._reply_frames.wide = bool(self._request_frames.wide)
         row = None if piece.type is None else BY_TCP_TYPE.get(piece.type)
         return row.name if row else ""
 
     def request_delivered(self, command: str) -> None:
+        """Append the command to those outstanding: replies come in the order of requests."""
         self._outstanding.append(command)
 
     def reply_name(self, piece: StreamPiece) -> str:
+        """Return the oldest outstanding command; "" for bytes outside frames."""
         whole = piece.type is not None and self._outstanding
         return self._outstanding.popleft() if whole else ""
 

@@ -335,6 +335,7 @@ class LineStamps(Masked):
         self.slots = slots
 
     def is_absent(self, mask: Mask) -> bool:
+        """Return True if the mask selects no stamped sensor."""
         return not self._selected(mask)
 
     def _selected(self, mask: Mask) -> list[str]:
@@ -371,6 +372,7 @@ class LineLaser(Masked):
         self.masked_by = masked_by
 
     def is_absent(self, mask: Mask) -> bool:
+        """Return True if the field is masked and the mask switches it off."""
         return self.masked_by is not None and not mask.has(self.masked_by)
 
     def _parse(self, stream: Any, context: Any, path: str) -> tuple[int, ...] | None:

@@ -53,9 +53,17 @@ class FrameTap(Protocol):
     wide: bool
     """True if the client is known to be a 64-bit one."""
 
-    def resume(self, wide: bool) -> None: ...
-    def to_robot(self, data: bytes) -> list[Frame]: ...
-    def to_host(self, data: bytes) -> list[Frame]: ...
+    def resume(self, wide: bool) -> None:
+        """Continue with a connection that is already identified."""
+        ...
+
+    def to_robot(self, data: bytes) -> list[Frame]:
+        """Return the frames that bytes from the host complete."""
+        ...
+
+    def to_host(self, data: bytes) -> list[Frame]:
+        """Return the frames that bytes from the robot complete."""
+        ...
 
 
 def make_frame_tap(line: str, model: Model) -> FrameTap:
@@ -119,14 +127,17 @@ class TcpFrameTap:
         self.wide = False
 
     def resume(self, wide: bool) -> None:
+        """Continue in words of 8 bytes (`wide`) or 4, without a CONNECT."""
         self._requests.wide = self._replies.wide = self.wide = wide
 
     def to_robot(self, data: bytes) -> list[Frame]:
+        """Return completed requests; a CONNECT decides the word size of both directions."""
         items = self._requests.receive(data)
         self.wide = self._replies.wide = bool(self._requests.wide)
         return self._frames(items, reply=False)
 
     def to_host(self, data: bytes) -> list[Frame]:
+        """Return completed replies."""
         return self._frames(self._replies.receive(data), reply=True)
 
     def _frames(self, items: list[TcpFrame | InvalidFrame], reply: bool) -> list[Frame]:
@@ -149,10 +160,12 @@ class SerialFrameTap:
         self._handshake: bytes | None = b"" if has_handshake else None
 
     def resume(self, wide: bool) -> None:
+        """Continue without expecting a handshake."""
         del wide
         self._handshake = None
 
     def to_robot(self, data: bytes) -> list[Frame]:
+        """Return completed requests, and what was discarded of an incomplete reply."""
         # A host discards what it has received before it sends a request.
         missed = self._replies.pending
         self._replies.clear()
@@ -160,6 +173,7 @@ class SerialFrameTap:
         return discarded + _frames_of(self._requests, data)
 
     def to_host(self, data: bytes) -> list[Frame]:
+        """Return the handshake if one is expected, then completed replies."""
         if self._handshake is None:
             return _frames_of(self._replies, data)
         self._handshake += data
@@ -211,11 +225,25 @@ class ConnectionRecorder(Protocol):
 class TrafficRecorder(Protocol):
     """Interface of a server to its recorder."""
 
-    def open(self, name: str, line: str, model: Model, robot_id: int | None = None) -> ConnectionRecorder: ...
-    def record_step(self, dt_s: float) -> None: ...
-    def record_pace(self, factor: float | None, paused: bool) -> None: ...
-    def record_change(self, what: Mapping[str, Any]) -> None: ...
-    def close(self) -> None: ...
+    def open(self, name: str, line: str, model: Model, robot_id: int | None = None) -> ConnectionRecorder:
+        """Start the record of a connection."""
+        ...
+
+    def record_step(self, dt_s: float) -> None:
+        """Record a time step of `dt_s` seconds that no request caused."""
+        ...
+
+    def record_pace(self, factor: float | None, paused: bool) -> None:
+        """Record a change of pace that no request caused; State[0] shows the pace."""
+        ...
+
+    def record_change(self, what: Mapping[str, Any]) -> None:
+        """Record a change of the simulation that no request caused."""
+        ...
+
+    def close(self) -> None:
+        """Write the last time steps and close the recording."""
+        ...
 
 
 class Recorder:

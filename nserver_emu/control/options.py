@@ -1,5 +1,4 @@
-"""The options of `nserver` for injected faults and for control at run time: --faults FILE, --control [PATH].
-"""
+"""The options of `nserver` for injected faults and for control at run time: --faults FILE, --control [PATH]."""
 
 from __future__ import annotations
 

@@ -50,7 +50,9 @@ class _NeverOpened(Exception):
 class Replayer(Protocol):
     """Follows the entries of a recording, and returns the reply for each recorded one."""
 
-    def follow(self, entry: Entry) -> bytes: ...
+    def follow(self, entry: Entry) -> bytes:
+        """Apply the next entry and return the bytes that the robot sends."""
+        ...
 
 
 def replay(recording: Recording) -> ReplayResult:

@@ -1,5 +1,7 @@
 """Limits on connections, without I/O except for `AdmissionProtocol`: admission, request rate, timeouts.
 
+The path of a new connection:
+
     socket -> AdmissionProtocol -> TcpConnection      or closed at once without a reply, logged once and counted
 """
 
@@ -94,6 +96,7 @@ class AdmissionProtocol(asyncio.Protocol):
         self._rules, self._present, self._new_protocol = rules, present, new_protocol
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Admit the connection to its own protocol, or close it."""
         # A connection that is closed immediately may have no peer any more.
         peer, own = transport.get_extra_info("peername"), transport.get_extra_info("sockname")
         host = peer[0] if peer else ""

@@ -1,5 +1,4 @@
-"""The configuration of a simulation from a command line or an address, and free start poses for its robots.
-"""
+"""The configuration of a simulation from a command line or an address, and free start poses for its robots."""
 
 from __future__ import annotations
 

@@ -321,6 +321,7 @@ class TcpConnection(ConnectionHandler, asyncio.BufferedProtocol):
     # asyncio.BufferedProtocol.
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Set socket options, then start the session."""
         self._transport = cast(asyncio.Transport, transport)
         peer = transport.get_extra_info("peername")
         transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
@@ -333,6 +334,7 @@ class TcpConnection(ConnectionHandler, asyncio.BufferedProtocol):
         log.info("%s: connected", self.session.name)
 
     def connection_lost(self, exc: Exception | None) -> None:
+        """Release everything the session owns: timers, axes, registry entry."""
         session, registry = self.session, self._server.client_registry
         # 1. No more turns and timers.
         self._cancel_timers()
@@ -357,24 +359,29 @@ class TcpConnection(ConnectionHandler, asyncio.BufferedProtocol):
         log.info("%s: closed after %d refused requests", session.name, session.refused)
 
     def get_buffer(self, sizehint: int) -> bytearray:
+        """Return the receive buffer, which is reused for every read."""
         del sizehint
         return self._buffer
 
     def buffer_updated(self, nbytes: int) -> None:
+        """Process the bytes read into the buffer."""
         self._timeouts.on_activity(self._loop.time())
         self.data_received(bytes(self._buffer[:nbytes]))
 
     def pause_writing(self) -> None:
+        """Stop answering requests: the client does not read its replies."""
         self.is_write_paused = True
         self._schedule()
 
     def resume_writing(self) -> None:
+        """Continue to answer requests."""
         self.is_write_paused = False
         self._process_requests()
 
     # ConnectionHandler.
 
     def close(self) -> None:
+        """Close the connection after sending buffered replies."""
         self._transport.close()
 
     def _language(self) -> Language:

@@ -16,8 +16,7 @@ from typing import Any, Final, NamedTuple
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import get_model
 from nclient.protocol.wire_state import WireState, serial_wire_state
-from nserver_emu.server.graphics import Graphics, Traces
-from nserver_emu.server.layers import layers
+from nserver_emu.server.graphics import Graphics, Traces, layers
 from nserver_emu.server.limits import Limits
 from nserver_emu.server.ownership import ALL_AXES, AxisOwnership, EStop
 from nserver_emu.server.session import CachedStateReply, ConnectionContext, DeferredReply

@@ -96,6 +96,7 @@ class InProcessLine(InProcess):
         super().__init__(emulator, step_s, session)
 
     def send(self, data: bytes) -> None:
+        """Send bytes to the robot and, if nothing replies to them, advance the time."""
         super().send(data)
         # Bytes that get no reply take a step too: a frame timeout depends on it.
         if not self._outgoing and self.emulator.clock.step_per_request_s:

@@ -1,7 +1,7 @@
-"""Reader of the original's robot.setup and world.setup.
+r"""Reader of the original's robot.setup and world.setup.
 
     [section]            ; a comment
-    key = value value \\
+    key = value value \
           value          a backslash at the end joins the next line
 
 Keys are case-sensitive, the last of two entries applies, unknown keys are ignored. No sample of either file survives;

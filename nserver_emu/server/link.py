@@ -118,25 +118,30 @@ class RateLimitedChannel:
 
     @property
     def due_s(self) -> float | None:
+        """Return the time of the next arrival, None if nothing is in transit."""
         due_s = min(self._in.due_s, self._out.due_s)
         return None if due_s == math.inf else due_s
 
     @property
     def full(self) -> bool:
+        """Return True if no more should be read from the host."""
         return self._in.size >= MAX_IN_TRANSIT
 
     def to_robot(self, data: bytes, now_s: float) -> None:
+        """Send bytes from the host, dated back by the delay of the last reply."""
         is_immediate = now_s - self._replied_s < MAX_COMPENSATED_S
         self._in.put(data, now_s - self._late_s if is_immediate else now_s)
         self._late_s = 0.0
 
     def to_host(self, data: bytes, now_s: float) -> None:
+        """Send bytes from the robot; drop them if too many are in transit."""
         if self._out.size >= MAX_IN_TRANSIT:
             self.lost += len(data)
             return
         self._out.put(data, now_s)
 
     def arrived(self, now_s: float) -> Arrival | None:
+        """Return the next arrival by now, in either direction, None if there is none."""
         inward = self._in.due_s <= self._out.due_s
         wire = self._in if inward else self._out
         if wire.due_s > now_s:
@@ -174,6 +179,7 @@ class FaultyChannel:
 
     @property
     def due_s(self) -> float | None:
+        """Return the time of the next arrival or fault, None if there is none."""
         times = (self._to_robot.next_s, self._to_host.next_s, self._channel.due_s, self._request_due_s)
         return min((time_s for time_s in times if time_s is not None), default=None)
 

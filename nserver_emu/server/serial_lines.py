@@ -109,6 +109,7 @@ class PtyConnection(ConnectionHandler):
             self._on_opened()
 
     def close(self) -> None:
+        """Close the terminal and remove the connection from the server."""
         self._on_closed()
         self.terminal.close()
         self._server.connections.discard(self)
@@ -197,6 +198,7 @@ class RobotdConnection(TcpConnection):
         self._has_sent_greeting = False
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Start the session; a N200 sends its handshake first."""
         super().connection_made(transport)
         if self.greeting:
             self._recorder.to_host(self.greeting)

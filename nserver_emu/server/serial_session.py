@@ -83,6 +83,7 @@ class SerialSession(BaseSession[SerialFrame]):
 
     @property
     def unfinished(self) -> int:
+        """Return the number of buffered bytes of an incomplete frame."""
         return self._framer.pending
 
     @property
@@ -92,10 +93,12 @@ class SerialSession(BaseSession[SerialFrame]):
 
     @property
     def ready(self) -> bool:
+        """Return True if a request can be answered now."""
         # A deferred reply does not block the next request: it is cancelled.
         return bool(self._queue) and not self.closing
 
     def receive(self, data: bytes) -> None:
+        """Add bytes from the host, after dropping a frame that took too long."""
         if self.closing:
             return
         self._drop_expired_frame()

@@ -296,6 +296,7 @@ class Session(BaseSession[TcpFrame | InvalidFrame]):
 
     @property
     def unfinished(self) -> int:
+        """Return the number of received bytes that do not form a whole request yet."""
         return self._framer.pending + self._framer.bytes_to_skip + len(self._head or b"")
 
     @property
@@ -305,6 +306,7 @@ class Session(BaseSession[TcpFrame | InvalidFrame]):
         return None if robot_id is None else ClientIdentity(robot_id, self.context.wire_state.wide, self._silent)
 
     def receive(self, data: bytes) -> None:
+        """Add bytes from the client; the first ones decide its word size."""
         if self.closing:
             return
         if self._head is not None:

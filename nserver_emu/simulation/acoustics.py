@@ -43,7 +43,7 @@ import numpy.typing as npt
 
 from nserver_emu.simulation.segments import to_s, wrap_to_pi
 from nserver_emu.simulation.settings import SONAR_NUMBERS, setting
-from worlds.geometry import BoolArray, FloatArray
+from worlds.geometry import NO_DISCS, BoolArray, FloatArray
 from worlds.raycast import cast_discs, cast_rays
 from worlds.robots import SONARS, Body
 
@@ -66,8 +66,6 @@ SCATTERERS: Final = 33
 
 BISECTIONS: Final = 48
 """Of the arc between the points that face two transducers: the rest is far below SMALL_IN."""
-
-NO_ROBOTS: Final[FloatArray] = np.zeros((0, 3))
 
 
 class ReflectorMap:
@@ -111,8 +109,10 @@ class AcousticPath(NamedTuple):
 
 
 class Attenuation(NamedTuple):
-    """Losses on a path: dB per inch of range; dB at each wall after the first, at an edge, and by scattering at a
-    robot."""
+    """Losses on a path.
+
+    In dB per inch of range, and in dB at each wall after the first, at an edge, and by scattering at a robot.
+    """
 
     absorption_db_in: float
     bounce_db: float
@@ -498,7 +498,7 @@ class Polaroid(SonarErrors):
         return range_noise, level_noise
 
     def measured_range(
-        self, ping: Ping, earlier: Sequence[Ping], reflectors: ReflectorMap, body: Body, others: FloatArray = NO_ROBOTS
+        self, ping: Ping, earlier: Sequence[Ping], reflectors: ReflectorMap, body: Body, others: FloatArray = NO_DISCS
     ) -> float:
         """Return the measured range, inches from the ring; inf for no echo.
 
@@ -513,7 +513,7 @@ class Polaroid(SonarErrors):
         return range_in if range_in == inf else range_in + ping.noise[0] * self.std_in(range_in)
 
     def first_echo_in(
-        self, ping: Ping, earlier: Sequence[Ping], reflectors: ReflectorMap, body: Body, others: FloatArray = NO_ROBOTS
+        self, ping: Ping, earlier: Sequence[Ping], reflectors: ReflectorMap, body: Body, others: FloatArray = NO_DISCS
     ) -> float:
         """Return the range of the first echo above the threshold, without noise; inf for none."""
         margin_db = self.margin_db + self.margin_std_db * ping.noise[1]

@@ -1,10 +1,10 @@
-"""One motor axis: the commanded motion, its velocity and its count. No robot, no pose, no noise, no clock.
+r"""One motor axis: the commanded motion, its velocity and its count. No robot, no pose, no noise, no clock.
 
 A command is planned at once as phases of constant acceleration; time then advances through them by the closed form, so
 the size of the time steps changes nothing. A unit is an inch or a radian; the axis does not distinguish them.
 
     without ramps | cruise |              the axis jumps to its speed (the original's note on `ac`)
-    trapezoid     / cruise \\              never beyond speed or acceleration, never past a relative target
+    trapezoid     / cruise \              never beyond speed or acceleration, never past a relative target
 """
 
 from __future__ import annotations

@@ -86,8 +86,7 @@ class Capsule(NamedTuple):
         return distance - radius - radius_in, dx * per, dy * per
 
     def free_fraction(self, x_in: float, y_in: float, dx_in: float, dy_in: float, radius_in: float) -> float:
-        """Return the fraction of a straight path (dx, dy) from (x, y) that a disc can travel; inf if it never touches.
-        """
+        """Return the fraction of a straight path (dx, dy) from (x, y) free for a disc; inf if it never touches."""
         # 1. The path in the frame of the capsule, `along` its segment and `across` it.
         x1, y1, x2, y2, radius = self
         reach, length = radius + radius_in, hypot(x2 - x1, y2 - y1)

@@ -17,9 +17,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from nserver_emu.simulation.acoustics import relative_std
-from nserver_emu.simulation.segments import PS_PER_S, TIME_MAX_PS, Stamp
+from nserver_emu.simulation.segments import NO_STAMP, PS_PER_S, TIME_MAX_PS, Stamp
 from nserver_emu.simulation.settings import setting
-from nserver_emu.simulation.sonar import NO_STAMP
 from nserver_emu.simulation.visibility import SensorPose
 from worlds.geometry import FloatArray, normals
 from worlds.raycast import cast_discs, cast_rays

@@ -197,6 +197,10 @@ class Stamp(NamedTuple):
     sensor_time_s: float
 
 
+NO_STAMP: Final = Stamp(Pose(0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0)
+"""The stamp of a sensor that has never measured."""
+
+
 class MotionSegment(NamedTuple):
     """The encoders at the start of a segment, and how they continue.
 

@@ -17,7 +17,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from nserver_emu.simulation.acoustics import Ping, Polaroid, ReflectorMap, SonarErrors
-from nserver_emu.simulation.segments import PS_PER_S, TIME_MAX_PS, Pose, SegmentTime, Stamp
+from nserver_emu.simulation.segments import NO_STAMP, PS_PER_S, TIME_MAX_PS, SegmentTime, Stamp
 from nserver_emu.simulation.visibility import MAX_ROBOT_RANGE_IN, NO_NEAR_ROBOTS, SensorPose, robots_on_rays
 from worlds.geometry import FloatArray
 from worlds.raycast import NEAREST_OBSTACLE, cast_each, ray_to_disc
@@ -41,9 +41,6 @@ MAX_RATE: Final = 255
 DEFAULT_ORDER: Final = (0, 2, 15, 1, 14, 3, 13, 4, 12, 5, 11, 6, 10, 7, 9, 8)
 DEFAULT_RATE: Final = 15
 """The ring is on at power-on: programs written for Nserver do not configure it."""
-
-NO_STAMP: Final = Stamp(Pose(0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0)
-"""The stamp of a sensor that has never measured."""
 
 MAX_EARLIER_PINGS: Final = 10_000
 """Pings that a restored ring may still have under way: 30 s of them, the longest that the settings permit."""

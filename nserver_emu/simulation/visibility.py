@@ -13,8 +13,7 @@ from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
-from nserver_emu.simulation.acoustics import NO_ROBOTS
-from worlds.geometry import FloatArray
+from worlds.geometry import NO_DISCS, FloatArray
 from worlds.raycast import FAR_IN
 
 MAX_ROBOT_RANGE_IN: Final = 500.0
@@ -30,7 +29,7 @@ NO_NEAR_ROBOTS: Final[FloatArray] = np.zeros((0, 4))
 class RobotPositions:
     """Positions of all robots at one instant: discs (n, 3), rows x y radius in inches; empty until computed."""
 
-    def __init__(self, discs: FloatArray = NO_ROBOTS) -> None:
+    def __init__(self, discs: FloatArray = NO_DISCS) -> None:
         self.discs = discs
 
     def at(self, instant_ps: int) -> RobotPositions:
@@ -79,7 +78,9 @@ class RobotPositions:
 class PositionProvider(Protocol):
     """Provides the positions of the robots at an instant."""
 
-    def at(self, instant_ps: int) -> RobotPositions: ...
+    def at(self, instant_ps: int) -> RobotPositions:
+        """Return the positions at an instant in picoseconds."""
+        ...
 
 
 NO_OTHERS: Final = RobotPositions()

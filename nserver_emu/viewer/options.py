@@ -1,5 +1,7 @@
 """Options of `nserver` for its page, and the check for aiohttp, which the extra `viewer` installs.
 
+The options:
+
     --viewer [[HOST:]PORT]    --viewer-token-file FILE
 """
 

@@ -160,5 +160,6 @@ def test_calibration_estimate_is_accurate_and_consistent() -> None:
 def test_table_has_every_parameter_with_its_std() -> None:
     lines = table(calibration_in(CalibratingFilter(RAYS, START).belief)).splitlines()
     assert len(lines) == 5 + 16
-    assert lines[1].split() == ["way,", "true", "/", "counted", "1.0000", "0.0500", "within", "noise", "of", "zero"]
+    row = ["distance,", "true", "/", "counted", "1.0000", "0.0500", "within", "noise", "of", "zero"]
+    assert lines[1].split() == row
     assert lines[-1].split()[-6:] == ["0.00", "2.06", "within", "noise", "of", "zero"]
