@@ -1,4 +1,4 @@
-"""Machine code against arrays, to the bit; and when it is loaded."""
+"""The compiled kernel against arrays, bit for bit, and the conditions for loading it."""
 
 from __future__ import annotations
 

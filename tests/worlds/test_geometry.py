@@ -1,4 +1,4 @@
-"""The kernels of plane geometry against slower paths to the same numbers: sampling, fractions, sums of angles."""
+"""The kernels of plane geometry against slower methods: sampling, fractions, sums of angles."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The ray caster against an exact, slow solver in fractions, and by its promises: closed corners, starts on walls."""
+"""The ray caster against an exact, slow solver in fractions; closed corners, starts on walls."""
 
 from __future__ import annotations
 
@@ -270,7 +270,7 @@ def test_without_walls_nothing_is_met_in_any_shape(shape: tuple[int, ...]) -> No
 
 
 @pytest.mark.parametrize(
-    ("origins", "directions", "shape"),
+    ("origin_shape", "direction_shape", "shape"),
     [
         ((2,), (2,), ()),
         ((2,), (16, 2), (16,)),
@@ -280,11 +280,11 @@ def test_without_walls_nothing_is_met_in_any_shape(shape: tuple[int, ...]) -> No
     ],
 )
 def test_leading_dimensions_broadcast(
-    origins: tuple[int, ...], directions: tuple[int, ...], shape: tuple[int, ...]
+    origin_shape: tuple[int, ...], direction_shape: tuple[int, ...], shape: tuple[int, ...]
 ) -> None:
     rng = np.random.default_rng(2)
-    starts = rng.uniform(1.0, 9.0, origins)
-    directions = rng.normal(size=directions)
+    starts = rng.uniform(1.0, 9.0, origin_shape)
+    directions = rng.normal(size=direction_shape)
     directions /= np.hypot(directions[..., 0], directions[..., 1])[..., np.newaxis]
 
     ranges, rows = cast_rays(starts, directions, SQUARE)

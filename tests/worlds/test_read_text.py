@@ -1,4 +1,4 @@
-"""Files that another wrote, read as far as they may be long."""
+"""Text files of other programs: encodings and the maximum length."""
 
 from __future__ import annotations
 

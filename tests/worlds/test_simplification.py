@@ -1,4 +1,4 @@
-"""Fewer walls within a tolerance: the bound is saved whatever the map."""
+"""Simplified worlds: fewer walls within the tolerance on any map."""
 
 from __future__ import annotations
 

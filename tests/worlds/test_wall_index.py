@@ -1,4 +1,4 @@
-"""The first of the same walls against the ray caster: any rays, rays through corners and along walls, and no walls."""
+"""The index of walls against the ray caster: any rays, rays through corners and along walls, and no walls."""
 
 from __future__ import annotations
 

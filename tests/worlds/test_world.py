@@ -1,4 +1,4 @@
-"""Worlds: what is free, how much room there is, what a refused start is reported, and obstacles that come and go."""
+"""Worlds: free places, clearance, refused starts, and changing obstacles."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""As many laps as it takes."""
+"""The number of laps of a calibration run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The square and the path round it."""
+"""The square of a calibration run and the path around it."""
 
 from __future__ import annotations
 

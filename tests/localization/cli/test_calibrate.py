@@ -1,4 +1,4 @@
-"""`nomad calibrate`, whole: what was put into the simulation comes out of it, within 10 %."""
+"""`nomad calibrate`, complete runs: the simulated errors are found within 10 %."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`nomad localize`, whole, against the emulator in this process."""
+"""`nomad localize`, complete runs against the emulator in this process."""
 
 from __future__ import annotations
 

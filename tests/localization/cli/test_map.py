@@ -1,4 +1,4 @@
-"""`nomad map`, whole."""
+"""`nomad map`, complete runs."""
 
 from __future__ import annotations
 

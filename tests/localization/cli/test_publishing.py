@@ -1,4 +1,4 @@
-"""Publishing an estimate: what is stated, what comes back, and that a page that is lost stops nothing."""
+"""Publishing an estimate: the message, the answer, and a viewer that is lost without stopping the robot."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One run goes on from another, whole, on a robot that stays where it is between them."""
+"""Complete runs that resume a saved estimate, on a robot that stays in place between them."""
 
 from __future__ import annotations
 

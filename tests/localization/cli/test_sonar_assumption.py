@@ -1,4 +1,4 @@
-"""For what sonars are taken: against what the simulation makes of the same address."""
+"""The assumed sonar model: against the simulation of the same address."""
 
 from __future__ import annotations
 

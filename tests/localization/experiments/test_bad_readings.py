@@ -1,4 +1,4 @@
-"""Readings made bad on purpose: as many as are asked for, each echo the same for as long as it is shown."""
+"""Readings replaced on purpose: the given fraction, each echo the same for as long as it is shown."""
 
 from __future__ import annotations
 

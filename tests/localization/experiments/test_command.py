@@ -1,4 +1,4 @@
-"""`live`: what it prints and writes, what it does not drive again, and that it does not matter who drives."""
+"""The command `live`: its output, its files, cached trials, and results independent of the executor."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Driving about: on a roadmap while the estimate is believed, groping while it is not."""
+"""The explorer: along a roadmap while the estimate is valid, by the sonars while it is lost."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The pictures: what is in them, and that they are files a viewer can read."""
+"""The pictures: their content, and that they are valid files."""
 
 from __future__ import annotations
 

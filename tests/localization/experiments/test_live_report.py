@@ -1,4 +1,4 @@
-"""The matrix reported: the same numbers in words, CSV, JSON, and a picture of them."""
+"""The report of the matrix: the same numbers in text, CSV, JSON and a picture."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Live trials: short ones, all the path through the simulation."""
+"""Live trials: short ones through the whole simulation."""
 
 from __future__ import annotations
 

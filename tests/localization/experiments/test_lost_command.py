@@ -1,4 +1,4 @@
-"""The command: what it prints and retains."""
+"""The command `lost`: its output and its saved results."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sums of runs, and their words."""
+"""Summaries of lost trials, as numbers and as text."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Long runs, here short ones, all the path through the simulation."""
+"""Trials of lost robots: short ones through the whole simulation."""
 
 from __future__ import annotations
 

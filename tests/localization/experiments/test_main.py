@@ -1,4 +1,4 @@
-"""The command: what it prints where, and how it refuses."""
+"""The command: its output streams, and its refusals."""
 
 from __future__ import annotations
 

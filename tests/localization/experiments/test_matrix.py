@@ -1,4 +1,4 @@
-"""The matrix: which trials there are, and what becomes of their results."""
+"""The matrix: its trials, and the summaries of their results."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Work shared out: the same numbers to the bit, any does it."""
+"""Parallel runs: the same numbers for any number of processes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The table states what each number is measured against, and where the text cannot be right."""
+"""The table: each number beside its reference, and notes where the thesis cannot be right."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Results on disk by the digest of what decides them."""
+"""Results on disk, by the digest of their inputs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The settings that are fixed for all figures, and how long a figure's path is."""
+"""The settings that are fixed for all figures, and the length of a figure's path."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The thesis' runs: what they must show, and that a batch is nothing but its seeds."""
+"""The thesis' runs: their results, and a batch that depends on its seeds only."""
 
 from __future__ import annotations
 

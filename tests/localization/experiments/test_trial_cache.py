@@ -1,4 +1,4 @@
-"""Results saved: to the bit, and never another trial's."""
+"""Cached trials: exact round trip, and no results of other trials."""
 
 from __future__ import annotations
 

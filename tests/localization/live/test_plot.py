@@ -1,4 +1,4 @@
-"""Elements common to all pictures. The picture of a live run is looked at where the command that draws it is tested."""
+"""Elements common to all pictures. The picture of a live run is tested with the command that draws it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The bound over free space: its information by finite differences, its end by closed forms, a filter beside it."""
+"""The bound over free space: its information by differences, its limit in closed form, a filter in comparison."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`nomad go` and `nomad mission` on simulations in this process: what they print, write and answer."""
+"""`nomad go` and `nomad mission` on simulations in this process: output, files and exit codes."""
 
 from __future__ import annotations
 
@@ -305,6 +305,6 @@ def test_a_guess_of_rays_that_does_not_fit_is_doubted(
     main(words)
     assert "do not believe this" in capsys.readouterr().out.splitlines()[-1]
     main([*words, "--sonars", "rays"])
-    output = capsys.readouterr().out
-    assert GUESS not in output
-    assert "do not believe this" not in output
+    printed = capsys.readouterr().out
+    assert GUESS not in printed
+    assert "do not believe this" not in printed

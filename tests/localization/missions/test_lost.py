@@ -1,4 +1,4 @@
-"""Lost and found on a mission: kidnapped robots of the method that knows when it is lost."""
+"""Missions of kidnapped robots: detection, recovery and continuation."""
 
 from __future__ import annotations
 

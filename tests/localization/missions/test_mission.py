@@ -1,4 +1,4 @@
-"""The verbs, on a simulated robot: what each does, what fails, and what ends a mission."""
+"""The verbs, on a simulated robot: their effects, their failures, and the endings of a mission."""
 
 from __future__ import annotations
 

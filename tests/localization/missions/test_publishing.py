@@ -1,4 +1,4 @@
-"""`go`, `mission` and `localize` with `--publish`: what a page is reported, and that none there ends it at once."""
+"""`go`, `mission` and `localize` with `--publish`: the messages, and a missing viewer that ends them at once."""
 
 from __future__ import annotations
 

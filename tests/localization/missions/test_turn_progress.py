@@ -1,4 +1,4 @@
-"""Turns in place by so much, added up from heading to heading."""
+"""Relative turns in place, summed from heading to heading."""
 
 from __future__ import annotations
 

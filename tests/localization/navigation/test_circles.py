@@ -1,4 +1,4 @@
-"""Rims and tangents: against points tried one by one along the circles."""
+"""Circles around wall ends and their tangents: against points sampled along the circles."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The control law: its limits, its signs, and that it arrives."""
+"""The control law: its limits, its signs, and convergence to the goal."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Legs, stretches and courses: against points computed one small step after another."""
+"""Path elements and sections: against points computed one small step after another."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Following a path: a robot made of the drive's own arithmetic, axes that ramp, a tenth of a second a period."""
+"""Path following: a simulated drive whose axes ramp, with periods of a tenth of a second."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Plans: the shortest path with the room that costs little, along given points, and around what was found."""
+"""Plans: the shortest path with cheap clearance, along given points, and around obstacles."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A steadier pose: against the exponential it is, and that it goes along with the odometry meanwhile."""
+"""The pose smoother: its step response, and odometry that passes unfiltered."""
 
 from __future__ import annotations
 

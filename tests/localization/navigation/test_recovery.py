@@ -1,4 +1,4 @@
-"""Without an estimate: a look around, then on by the sonars ahead."""
+"""Driving without an estimate: a scan in place, then straight on while the sonars ahead are free."""
 
 from __future__ import annotations
 

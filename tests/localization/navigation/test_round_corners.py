@@ -1,4 +1,4 @@
-"""Corners made round: tangent to both sides, near the corner, quicker, and never nearer to a wall than allowed."""
+"""Rounded corners: tangent to both sides, near the corner, faster, and with the required clearance."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Speeds along a section: against the limits they keep, and against the closed form of a trapezoid."""
+"""Speeds along a section: against the axis limits, and against the closed form of a trapezoid."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Getting nowhere: pressing, standing wheels, and what is no obstruction."""
+"""The stall detector: pressing, standing wheels, and motion that is no stall."""
 
 from __future__ import annotations
 
