@@ -316,7 +316,7 @@ def test_rays_together_equal_single_rays_exactly(walls: int) -> None:
         at_once = [cast_each(places[cut : cut + count], directions[cut : cut + count], corners) for cut in cuts]
         assert [distance for batch in at_once for distance in batch] == alone
     in_numbers = [
-        nearest_wall(place.real, place.imag, direction.real, direction.imag, tuple(corners.T))[0]
+        nearest_wall(place.real, place.imag, direction.real, direction.imag, corners)[0]
         for place, direction in zip(places, directions, strict=True)
     ]
     assert in_numbers == alone
