@@ -22,7 +22,8 @@ filter casts one to three rays at a time; in arrays that takes about ten times a
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from bisect import bisect_left
+from collections.abc import Callable, Iterable, Sequence
 from math import inf, sqrt
 from typing import Any, Final
 
@@ -33,8 +34,9 @@ from nclient.errors import VariableError
 from worlds.geometry import FloatArray
 
 IndexArray = npt.NDArray[np.intp]
-Columns = Sequence[Sequence[float] | FloatArray]
-"""Walls as four columns x1, y1, x2, y2 of length m: lists for plain Python, arrays for compiled code."""
+WallRows = Iterable[Sequence[float] | FloatArray]
+"""Walls as rows x1, y1, x2, y2: lists in plain Python, zipped columns for numba, which cannot unpack a row of an
+array."""
 
 NO_WALL: Final = -1
 """The row reported for a ray that meets nothing."""
@@ -65,6 +67,9 @@ the system for each, which took half as long again."""
 MAX_LOOP_WALLS: Final = 20
 """Up to so many walls, a loop in plain Python is faster than the selection in arrays."""
 
+MAX_SINGLE_RAYS: Final = 2
+"""Up to so many rays, selecting the walls for each ray in turn is faster than for all rays at once."""
+
 
 # One ray, in plain numbers. numba compiles these functions unchanged, and caches the result for as long as this file
 # does not change: whatever they call must stand in this file.
@@ -88,13 +93,13 @@ def intersect(ahead_1: float, side_1: float, ahead_2: float, side_2: float) -> f
     return min(max(mean, nearer), farther)
 
 
-def nearest_wall(x: float, y: float, dx: float, dy: float, walls: Columns) -> tuple[float, int]:
+def nearest_wall(x: float, y: float, dx: float, dy: float, walls: WallRows) -> tuple[float, int]:
     """Return the range from (x, y) along the unit vector (dx, dy) to the nearest wall, and its row.
 
     Parameters
     ----------
     walls
-        Four columns x1, y1, x2, y2 of m walls, inches.
+        Rows x1, y1, x2, y2 of m walls, inches.
 
     Returns
     -------
@@ -102,7 +107,7 @@ def nearest_wall(x: float, y: float, dx: float, dy: float, walls: Columns) -> tu
         Range >= 0 in inches and row; inf and NO_WALL where nothing is met.
     """
     nearest, hit = inf, NO_WALL
-    for row, (x1, y1, x2, y2) in enumerate(zip(walls[0], walls[1], walls[2], walls[3])):  # noqa: B905  for numba
+    for row, (x1, y1, x2, y2) in enumerate(walls):
         # 1. Both ends clearly on one side of the ray: the usual case, decided with the fewest operations.
         to_x_1, to_y_1, to_x_2, to_y_2 = x1 - x, y1 - y, x2 - x, y2 - y
         side_1, side_2 = dx * to_y_1 - dy * to_x_1, dx * to_y_2 - dy * to_x_2
@@ -153,7 +158,8 @@ def nearest_obstacle(
     farthest_in
         Discs whose x is farther than this are not met.
     """
-    nearest = nearest_wall(x, y, dx, dy, (walls[:, 0], walls[:, 1], walls[:, 2], walls[:, 3]))[0]
+    rows = zip(walls[:, 0], walls[:, 1], walls[:, 2], walls[:, 3])  # noqa: B905  for numba
+    nearest = nearest_wall(x, y, dx, dy, rows)[0]
     # 1. The interval of x in which a disc can be nearer than the wall, and its first row by bisection.
     reach_x = min(nearest, FAR_IN) * dx
     low = max(x + min(reach_x, 0.0) - widest_in, x - farthest_in)
@@ -184,7 +190,7 @@ def cast_ray(x: float, y: float, dx: float, dy: float, walls: FloatArray) -> tup
     """
     sides = ((walls.view(np.complex128) - complex(x, y)) * complex(dx, -dy)).imag
     rows = (sides[:, 0] * sides[:, 1] <= SAME_SIDE_IN2).nonzero()[0]
-    nearest, at = nearest_wall(x, y, dx, dy, walls.take(rows, axis=0).T.tolist())
+    nearest, at = nearest_wall(x, y, dx, dy, walls.take(rows, axis=0).tolist())
     return nearest, NO_WALL if at == NO_WALL else int(rows[at])
 
 
@@ -198,27 +204,26 @@ def cast_each(origins: Sequence[complex], directions: Sequence[complex], walls: 
     walls
         (m, 4), contiguous.
     """
-    if len(origins) == 1 and len(walls) > MAX_LOOP_WALLS:
-        (origin,), (direction,) = origins, directions
-        return [cast_ray(origin.real, origin.imag, direction.real, direction.imag, walls)[0]]
-    x1, y1, x2, y2 = walls.T.tolist()
-    ends_at = [len(walls)] * len(origins)
-    if is_selected := len(walls) > MAX_LOOP_WALLS:
-        # 1. All ends in the frames of all rays; the pairs of ray and wall worth a look, in the order of the rays.
-        ends = walls.view(np.complex128).reshape(1, -1)
-        in_frames = (ends - np.array(origins)[:, np.newaxis]) * np.array(directions).conj()[:, np.newaxis]
-        frames = in_frames.view(np.float64).reshape(len(origins) * len(walls), 4)
-        pairs = (frames[:, 1] * frames[:, 3] <= SAME_SIDE_IN2).nonzero()[0]
-        pairs = pairs[(frames[pairs, 0] >= _BEHIND) | (frames[pairs, 2] >= _BEHIND)]
-        rays, rows = np.divmod(pairs, len(walls))
-        x1, y1, x2, y2 = walls[rows].T.tolist()
-        ends_at = np.searchsorted(rays, np.arange(len(origins)), side="right").tolist()
+    rays = [(o.real, o.imag, d.real, d.imag) for o, d in zip(origins, directions, strict=True)]
+    # Few walls or few rays: no array for all pairs.
+    if len(walls) <= MAX_LOOP_WALLS:
+        rows = walls.tolist()
+        return [nearest_wall(*ray, rows)[0] for ray in rays]
+    if len(rays) <= MAX_SINGLE_RAYS:
+        return [cast_ray(*ray, walls)[0] for ray in rays]
+    # 1. All ends in the frames of all rays; the pairs of ray and wall worth a look, in the order of the rays.
+    ends = walls.view(np.complex128).reshape(1, -1)
+    in_frames = (ends - np.array(origins)[:, np.newaxis]) * np.array(directions).conj()[:, np.newaxis]
+    frames = in_frames.view(np.float64).reshape(len(origins) * len(walls), 4)
+    pairs = (frames[:, 1] * frames[:, 3] <= SAME_SIDE_IN2).nonzero()[0]
+    pairs = pairs[(frames[pairs, 0] >= _BEHIND) | (frames[pairs, 2] >= _BEHIND)]
+    rows, ordered = walls.take(pairs % len(walls), axis=0).tolist(), pairs.tolist()
     # 2. For each ray the nearest of its walls, in plain numbers.
     ranges, start = [], 0
-    for origin, direction, end in zip(origins, directions, ends_at, strict=True):
-        columns = x1[start:end], y1[start:end], x2[start:end], y2[start:end]
-        ranges.append(nearest_wall(origin.real, origin.imag, direction.real, direction.imag, columns)[0])
-        start = end if is_selected else 0
+    for number, ray in enumerate(rays, 1):
+        end = bisect_left(ordered, number * len(walls), start)
+        ranges.append(nearest_wall(*ray, rows[start:end])[0])
+        start = end
     return ranges
 
 
@@ -233,14 +238,14 @@ class WallIndex:
 
     def __init__(self, walls: npt.ArrayLike) -> None:
         self._walls = np.ascontiguousarray(walls, dtype=np.float64).reshape(-1, 4)
-        self.columns: Columns = tuple(self._walls.T.tolist())
+        self._rows: list[list[float]] = self._walls.tolist()
         self._many = len(self._walls) > MAX_LOOP_WALLS
 
     def nearest(self, x: float, y: float, dx: float, dy: float) -> tuple[float, int]:
         """Return range and row of `nearest_wall`; inf and NO_WALL where nothing is met."""
         if self._many:
             return cast_ray(x, y, dx, dy, self._walls)
-        return nearest_wall(x, y, dx, dy, self.columns)
+        return nearest_wall(x, y, dx, dy, self._rows)
 
 
 # Many rays, in arrays.
