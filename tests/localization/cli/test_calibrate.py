@@ -98,7 +98,8 @@ def test_default_laps_drive_until_precision_is_reached(
     address = f"sim:thesis_room?seed=3&setup={setup}"
     assert main.main(["calibrate", address, *words, "--out", str(out)]) == 0
     output = capsys.readouterr().out
-    (line,) = [line for line in output.splitlines() if line.startswith("after 2 laps in each direction still inaccurate: ")]
+    prefix = "after 2 laps in each direction still inaccurate: "
+    (line,) = [line for line in output.splitlines() if line.startswith(prefix)]
     assert "drift" in line
     assert "use more --laps" in line
     assert ": 2 laps in each direction" in out.read_text()
