@@ -50,10 +50,12 @@ PATH_MARGINS_IN: Final = (MARGIN_IN, 4.0, 2.0, 1.0)
 """Space on the path to the square; the first that allows a path is used."""
 MAX_SIDE_IN: Final = 160.0
 MIN_SIDE_IN: Final = 12.0
+# Grid of the search for a square: corners and sides are multiples of it.
 _GRID_IN: Final = 4.0
 
 AIMED_RAD: Final = 0.03
 """A turn in place ends within this heading error."""
+# A corner counts as reached within this distance, inches.
 REACHED_IN: Final = 1.0
 MAX_HEADING_ERROR_RAD: Final = 0.5
 """With a larger heading error the robot stops and turns in place."""
@@ -152,6 +154,7 @@ def tasks(square: Square, near: tuple[float, float], laps: int, spins: int) -> l
     """Return the tasks of `laps` laps in each direction from the nearest corner, `spins` full turns at each corner."""
     corners = list(square.corners)
     first = min(range(len(corners)), key=lambda number: _distance(corners[number], near))
+    # Each side begins with a turn in place: full turns at the corners measure the turn scale.
     found: list[Task] = [DriveTo(*corners[first])]
     for direction in (1, -1):
         for side in range(len(corners) * laps):
@@ -200,9 +203,11 @@ class Driver:
 
     def command(self, pose: Floats) -> VelocityCommand | None:
         """Return the velocities at a pose (3,); None when all tasks are done."""
+        # 1. Sum of wrapped heading changes: a spin of several turns cannot be read from the heading itself.
         if self._heading is not None:
             self._turned_rad += float(wrap_angle(np.asarray(pose[HEADING] - self._heading)))
         self._heading = float(pose[HEADING])
+        # 2. The first task that is not finished yet; finished ones return no command.
         while self.done < len(self._tasks):
             task = self._tasks[self.done]
             command = self._spin(task) if isinstance(task, Spin) else self._drive_to(pose, task)
@@ -215,6 +220,7 @@ class Driver:
         return None
 
     def _spin(self, task: Spin) -> VelocityCommand | None:
+        # Finished also if it turned too far: the sign of the remaining angle differs then.
         left = task.angle_rad - self._turned_rad
         if left * task.angle_rad <= 0.0 or abs(left) < AIMED_RAD:
             return None
@@ -223,11 +229,14 @@ class Driver:
     def _drive_to(self, pose: Floats, task: DriveTo) -> VelocityCommand | None:
         goal = np.array(task)
         away, off = float(distance_to(pose, goal)), float(bearing_error(pose, goal))
+        # 1. Reached, or passed at a small distance: turning back would not make the result better.
         if away < REACHED_IN or (self._aimed and abs(off) > pi / 2 and away < 4.0 * REACHED_IN):
             return None
+        # 2. Turn in place until aimed, with hysteresis: a small error while rolling does not stop the robot.
         self._aimed = abs(off) < (MAX_HEADING_ERROR_RAD if self._aimed else AIMED_RAD)
         if not self._aimed:
             return VelocityCommand(0.0, self._turn_rate(off))
+        # 3. Roll, slower near the goal and off the bearing, and correct the heading.
         return VelocityCommand(min(self._speed_in_s, 0.5 + away) * max(cos(off), 0.0), self._turn_rate(off))
 
     def _turn_rate(self, off_rad: float) -> float:
@@ -268,11 +277,14 @@ def run(
 
     `wait(seconds)` lets real time pass. A turret turns with the steering, so that every sonar measures every wall.
     """
+    # 1. Firing schedule: the clock of this reply is that of the first sonar.
     state = robot.configure_sonars(rate=DEFAULT_SONAR_RATE, order=DEFAULT_SONAR_ORDER)
     assert state.clock_s is not None
     localizer = Localizer(config, method.belief, FiringSchedule(state.clock_s), method)
+    # 2. The robot stops by itself if this program dies.
     robot.set_timeout(COMMAND_TIMEOUT_S)
     with stop_on_exit(robot):
+        # 3. One period: estimate, command, next state.
         while True:
             estimate = localizer.update(state)
             command = driver.command(estimate.pose)

@@ -58,8 +58,11 @@ from worlds.world import World
 
 START_STD = (0.5, 0.5, 0.02)
 """Default uncertainty of the initial pose: inches, inches, radians."""
+# Seconds of the robot's clock between two lines of progress.
 PRINT_INTERVAL_S = 10.0
+# Laps without --laps, and the limit of --laps and --spins.
 MAX_LAPS, MAX_COUNT = 8, 100
+# Default speeds of straight lines and of turns, in/s and deg/s.
 SPEED_IN_S, TURN_DEG_S = 10.0, 40.0
 
 
@@ -181,16 +184,19 @@ def _write(path: Path, text: str) -> None:
 
 def _drive(robot: Robot, world: World, options: argparse.Namespace, fit: Consistency) -> tuple[Calibration, int] | str:
     """Return the calibration and the number of laps in each direction, or why the run was given up."""
+    # 1. Initial pose, models and filter.
     state = robot.refresh()
     start = options.start or (state.x_in, state.y_in, state.steering_rad)
     body = BODIES[options.body]
     config = LocalizationConfig(world.walls, body, options.odometry_noise, WIRE_SONAR if fit.rays else ConeSonar())
     method = CalibratingFilter(config, independent(np.array(start), options.start_std))
+    # 2. Square, path to it and laps; without --laps more are driven until the result is accurate.
     square = _square_of(world, body.radius_in, start, options)
     first = _tasks(world, body.radius_in, start, square, options)
     extra_lap = tasks(square, (first.corner.x_in, first.corner.y_in), 1, options.spins)[1:]
     laps = LapPolicy(extra_lap, 1 if options.laps is not None else MAX_LAPS,
                     lambda: not (fit.is_good and missing(calibration_in(method.belief))))  # fmt: skip
+    # 3. Drive; give up after the time limit or when the robot does not move.
     driver = Driver(first.tasks, options.speed, math.radians(options.turn_speed), laps.more)
     stall_detector, printed_s = StallDetector(options.speed), state.clock_s or 0.0
     began_s = printed_s
@@ -228,6 +234,7 @@ def _tasks(
 ) -> _Route:
     """Return the route to the square and around it. Raises NoPathError if the square cannot be reached."""
     here = (start[0], start[1])
+    # The first task is the drive to the nearest corner; it is replaced by a path around obstacles.
     corner, *rest = tasks(square, here, 1 if options.laps is None else options.laps, options.spins)
     assert isinstance(corner, DriveTo)
     return _Route([*path_to((corner.x_in, corner.y_in), here, world, radius_in), *rest], corner)
@@ -235,6 +242,7 @@ def _tasks(
 
 def _describe_fit(found: Calibration, fit: Consistency, laps: int) -> str:
     """Return how well the calibration fits and what is not known well enough, as text."""
+    # Parameters that are not known well enough yet.
     short = missing(found)
     if not short or not fit.is_good:
         return fit.line()
@@ -244,6 +252,7 @@ def _describe_fit(found: Calibration, fit: Consistency, laps: int) -> str:
 
 
 def _line(passed_s: float, driver: Driver, found: Calibration) -> str:
+    # Estimates with standard deviations; scales have no unit.
     spread = found.spread
     return (
         f"{passed_s:6.0f} s  {driver.done:3d} of {driver.count} done  "

@@ -19,6 +19,7 @@ from localization.missions.controller import Observation
 from localization.missions.settings import MAX_TIME_S, MAX_WITHIN_IN, MIN_TIME_S, MIN_WITHIN_IN, OnLost, Settings
 from localization.navigation.waypoints import STOP_RADIUS_IN
 
+# Seconds of the robot's clock between two printed estimates.
 PRINT_INTERVAL_S = 1.0
 
 
@@ -56,6 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit code."""
+    # A mission of one step, go_to.
     settings = Settings(time_limit_s=options.time_limit, on_lost=OnLost(options.on_lost))
     with open_mission(options) as context:
         if not options.json:
@@ -77,6 +79,7 @@ class _ProgressPrinter:
         if estimate.clock_s < self._printed_s + PRINT_INTERVAL_S:
             return
         self._printed_s = estimate.clock_s
+        # Shown in inches and degrees; the larger of both standard deviations stands for the position.
         x, y, heading = estimate.pose
         std = estimate.belief.std
         print(f"{self._printed_s:7.1f} s  ({x:6.1f}, {y:6.1f}) in {degrees(heading):5.0f} deg"
@@ -97,4 +100,5 @@ def _number_between(low: float, high: float) -> Callable[[str], float]:
 
 
 def _parse_goal(text: str) -> tuple[float, ...]:
+    # The heading is optional: two commas mean three numbers.
     return tuple(parse_numbers(text, 3 if text.count(",") == 2 else 2))

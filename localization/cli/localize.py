@@ -156,7 +156,8 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _select_method(options: argparse.Namespace) -> str:
-    """Return the method of --method, its default, or the one for an unconfig start."""
+    """Return the method of --method, its default, or the one that finds an unknown start."""
+    # Only this filter needs no initial pose.
     if options.start == UNKNOWN:
         if options.resume:
             options.refuse(f"--start {UNKNOWN} and --resume exclude each other: give one of them")
@@ -172,6 +173,7 @@ def _select_method(options: argparse.Namespace) -> str:
 def _write_results(options: argparse.Namespace, world: World, done: Run) -> bool:
     """Write --save and --picture and print the result; return False if a file could not be written (see stderr)."""
     written = True
+    # One file that cannot be written must not prevent the other, nor the printed result.
     for write in (save_run, _draw):
         try:
             write(options, world, done)
@@ -193,11 +195,13 @@ def _drive(
     robot: Robot, world: World, done: Run, options: argparse.Namespace, simulated: bool,
     publisher: Publisher | None = None,
 ) -> None:  # fmt: skip
+    # 1. Initial belief, models, controller and filter.
     belief, config, done.sonars = prepare_localization(robot, simulated, world, options)
     stays = options.stay and publisher is not None
     navigator = Navigator(done.waypoints, Speeds(translation_in_s=options.speed), options.radius, stays=stays)
     method = finder(config, None, options.scale_std) if options.start == UNKNOWN else options.method
     localizer = start_localizer(robot, config, belief, method)
+    # 2. Drive until the last waypoint, a stall or the time limit.
     ground_truth, stall_detector, printed_s = GroundTruth(robot, simulated), StallDetector(options.speed), -math.inf
     for progress in follow_waypoints(robot, localizer, navigator, time.sleep, PoseSmoother(options.smooth)):
         clock_s, state = progress.estimate.clock_s, progress.state
@@ -218,6 +222,7 @@ def _drive(
 
 
 def _moment(progress: NavigationStep, ground_truth: GroundTruth) -> RunMoment:
+    # Odometry and ground truth at the time of the estimate, for the errors of both.
     state = progress.state
     truth = ground_truth.at(progress.estimate.clock_s)
     odometry = (state.x_in, state.y_in, state.steering_rad)
@@ -238,6 +243,7 @@ def _goals(options: argparse.Namespace, world: World) -> list[tuple[float, float
         return [*options.waypoints]
     if options.path is not None:
         return _points_of(world, options.path)
+    # Waypoints may also come from the page later.
     if not (options.stay and options.publish):
         options.refuse("a goal is required: --waypoints X,Y or --path NAME, or --stay with --publish")
     return []

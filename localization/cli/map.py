@@ -64,8 +64,11 @@ def draw_map(path: Path, world: World, found: FreeSpace, worst_in: Floats, valid
     save(picture, path)
 
 
+# Default grid step of `show`, inches.
 CELL_IN = 3.0
+# Bound above which a position is called weak, inches.
 WEAK_IN = 1.0
+# Exit code 3, as of other commands that ran and did not succeed.
 PROBLEMS_FOUND = ExitCode.NOT_REACHED
 
 
@@ -159,11 +162,14 @@ def _line(finding: Finding) -> str:
 
 
 def _simplify(world: World, options: argparse.Namespace) -> int:
+    # 1. Report an unwritable file before the work.
     check_writable(options.out)
     simpler = simplify_world(world, options.tolerance)
     far_in = hausdorff_distance_in(world.walls, simpler.walls)
+    # 2. The new file states how it was made, and by how much walls have moved.
     comment = f"nomad map simplify {world.name} --tolerance {options.tolerance:g}: at most {far_in:.3g} in apart"
     text = format_world(simpler, comment)
+    # 3. Reading it again checks that starts and paths are still in free space.
     parse_world(text, str(options.out), world.name)
     try:
         options.out.write_text(text, encoding="utf-8")
@@ -205,6 +211,7 @@ def _show(world: World, options: argparse.Namespace) -> int:
 
 
 def _numbers(bound: Observability, reached: FreeSpace, weak_in: float) -> dict[str, Any]:
+    # Standard deviations along the worst direction of each position, inches; headings in degrees.
     worst, heading = bound.worst_in, np.degrees(bound.heading_rad)
     at = int(worst.argmax())
     return {
@@ -223,6 +230,8 @@ def _numbers(bound: Observability, reached: FreeSpace, weak_in: float) -> dict[s
 
 def _direction_deg(cov: Floats) -> float:
     """Return the direction of the largest position uncertainty, 0 to 180 degrees."""
+    # eigh sorts eigenvalues in ascending order: the last vector is that of the largest. A direction and its opposite
+    # are the same, hence modulo 180.
     along = np.linalg.eigh(cov[:2, :2])[1][:, -1]
     return math.degrees(math.atan2(along[1], along[0])) % 180.0
 

@@ -47,6 +47,7 @@ from worlds.world import World
 
 METHOD: Final = "finder"
 """Default filter: it detects when it is lost."""
+# Exit code 3, as of other commands that ran and did not succeed.
 FAILED: Final = ExitCode.NOT_REACHED
 
 
@@ -76,6 +77,7 @@ def add_mission_options(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit code."""
+    # 1. Everything that can be checked without a robot: file, steps and map.
     spec = load_mission(options.file)
     if options.map:
         load_world(options.map)
@@ -84,6 +86,7 @@ def run(options: argparse.Namespace) -> int:
     if options.check:
         print(f"{options.file}: a mission{f', {spec.settings.title}' if spec.settings.title else ''}")
         return 0
+    # 2. The mission on the robot.
     with open_mission(options, spec.settings.map) as context:
         return execute_mission(context, spec.settings, spec.run, options)
 
@@ -104,6 +107,7 @@ class MissionContext(NamedTuple):
         """Stop the robot and add its final pose to the report."""
         with contextlib.suppress(NomadError):
             self.robot.stop()
+        # Pose and standard deviations: inches, inches, radians.
         report.hint = sonar_mismatch_hint(self.sonars, self.echoes)
         estimate = self.controller.last.estimate
         x, y, heading = (float(value) for value in estimate.pose)
@@ -112,6 +116,7 @@ class MissionContext(NamedTuple):
         report.std = std_x, std_y, std_heading
         with contextlib.suppress(NomadError):
             if self.simulated:
+                # Of a simulation only, and only while it is still connected.
                 truth = self.robot.truth()
                 report.truth = truth.x_in, truth.y_in, truth.steering_rad
         return report

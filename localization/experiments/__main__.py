@@ -30,6 +30,7 @@ ALONE: Final = ("live", "lost", "plan", "all")
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return 0, 2 after an error, 130 after Ctrl-C."""
+    # The first word selects the command; anything else is the name of a figure.
     given = list(sys.argv[1:] if arguments is None else arguments)
     try:
         match given[:1]:
@@ -62,9 +63,11 @@ def _drive_all(arguments: list[str]) -> None:
         "python -m localization.experiments live --scenario exact",
     )
     add_shared(parser, OUT, "figure, then a list each of live, and objects of lost and plan")
+    # Parsed once here so that a wrong option is reported before hours of work.
     parser.parse_args(arguments)
     _drive_figures([*FIGURES, *arguments])
     live.main(arguments)
+    # `lost` and `plan` draw no pictures and do not have the option.
     numbers = [word for word in arguments if word != NO_PICTURES]
     lost_command.main(numbers)
     plan_command.main(numbers)
@@ -77,6 +80,7 @@ def _parts() -> dict[str, str]:
 
 def _figure(text: str) -> str:
     """Return the name of a figure. Raises ArgumentTypeError, also for a figure that is drawn with another one."""
+    # Figures of errors are drawn with the run they belong to.
     if text in _parts():
         run = _parts()[text]
         raise argparse.ArgumentTypeError(f"figure {text} shows the errors of {run} and is drawn with it: use {run}")

@@ -42,11 +42,13 @@ class ClusterError(NomadError, RuntimeError):
 
 def run_locally(work: Callable[[Item], Result], items: Sequence[Item], jobs: int) -> Iterator[Result]:
     """Yield results of work on this machine with `jobs` processes; with one job in this process."""
+    # In this process: no start of workers, and tracebacks stay readable.
     if jobs == 1 or len(items) <= 1:
         yield from map(work, items)
         return
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(min(jobs, len(items)), context) as workers:
+        # 2. Results as they arrive; after an error or Ctrl-C the items that wait are cancelled.
         futures = [workers.submit(work, item) for item in items]
         try:
             for future in as_completed(futures):
@@ -74,6 +76,7 @@ def on_cluster(
     ClusterExtraMissing, ClusterError
     """
     try:
+        # Imported here because Dask is optional.
         from distributed import Client, as_completed
     except ImportError as error:
         message = "a cluster needs Dask distributed: pip install 'nomad-nserver[cluster]', or use --jobs"
@@ -83,7 +86,9 @@ def on_cluster(
     except (OSError, ValueError) as error:
         raise ClusterError(f"no Dask scheduler answers at {address}: {error}") from error
     with client:
+        # Other code would give other numbers without any error, so it is checked first.
         _check_workers(client.run(code), address, code())
+        # pure=False: equal items are run again, not taken from the cluster's memory.
         futures = client.map(work, items, pure=False)
         for _, result in as_completed(futures, with_results=True):
             yield result
@@ -113,6 +118,7 @@ def progress(total: int, title: str, unit: str) -> Iterator[Tally]:
     with tqdm(total=total, desc=title, unit=f" {unit}", unit_scale=True, file=sys.stderr) as bar:
 
         def advance(done: int) -> None:
+            # tqdm takes increments, and the amount of work is an estimate that may be exceeded.
             bar.update(min(done, total) - bar.n)
 
         yield advance
@@ -130,6 +136,7 @@ class ResultCache:
 
     def path(self, name: str, decided_by: tuple[object, ...]) -> Path:
         """Return the path of a result; the repr of `decided_by` must contain everything that decides its numbers."""
+        # 64 bits of the digest make file names short and collisions practically impossible.
         key = sha256(repr((self._code, *decided_by)).encode())
         return self._folder / f"{name}_{key.hexdigest()[:16]}.json"
 
@@ -156,7 +163,9 @@ SUFFIXES: Final = (".py", ".toml")
 
 def code_hash() -> str:
     """Return a digest of the project's code and worlds and of numpy's version."""
+    # numpy's version is included: other versions may round differently.
     digest = sha256(np.__version__.encode())
+    # Sorted, because the order of files in a folder differs between file systems.
     for name, content in sorted(_sources().items()):
         digest.update(f"{name}\0{sha256(content).hexdigest()}\n".encode())
     return digest.hexdigest()
@@ -188,6 +197,7 @@ _MAX_BATCH: Final = 125
 _CLUSTER_BATCH: Final = 25
 """Seeds per batch on a cluster: a few seconds of work, so that the slowest worker delays little."""
 
+# Interval at which the parent reads the workers' counter for its progress bar.
 _POLL_INTERVAL_S: Final = 0.2
 
 
@@ -211,13 +221,16 @@ def drive_batch(figure: Figure, seeds: Sequence[int], tick: Tally = lambda _: No
 def drive(figure: Figure, seeds: Sequence[int], jobs: int, report: Tally = lambda _: None) -> FigureResult:
     """Drive a figure with all seeds, `jobs` processes at a time; one job stays in this process."""
     parts = split_seeds(seeds, jobs)
+    # 1. One batch after another in this process.
     if len(parts) == 1 or jobs == 1:
         tick = _counting(report)
         return join_results([drive_batch(figure, part, tick) for part in parts])
+    # 2. Batches in workers, which count their steps in shared memory.
     context = multiprocessing.get_context("spawn")
     counter = context.Value("q", 0)
     with ProcessPoolExecutor(min(jobs, len(parts)), context, _set_counter, (counter,)) as workers:
         futures = [workers.submit(_drive_batch_counting, figure, part) for part in parts]
+        # 3. Show their progress until all are done; the results are joined in the order of the seeds.
         waiting = set(futures)
         while waiting:
             waiting = wait(waiting, timeout=_POLL_INTERVAL_S).not_done
@@ -235,6 +248,7 @@ def drive_on_cluster(
     for part in on_cluster(_drive_item, items, address, code_hash):
         parts.append(part)
         tick(sum(result.steps for result in part.results))
+    # Batches arrive in any order; the summary is defined in the order of the seeds.
     return join_results(sorted(parts, key=lambda part: part.results[0].seed))
 
 

@@ -58,6 +58,7 @@ NOISE: Final = THESIS_ODOMETRY
 MAX_STEPS_FACTOR: Final = 3
 """A run ends after this multiple of the minimum number of steps."""
 
+# The control laws of the figures: inches and radians per step, and gains without unit.
 _SLOW: Final = ControlGains(drho_max_in=0.05, dtheta_max_rad=0.05, alpha_rho=0.1, alpha_theta=0.1)
 _BADLY_CHOSEN: Final = ControlGains(drho_max_in=0.5, dtheta_max_rad=0.5, alpha_rho=0.08, alpha_theta=0.8)
 
@@ -189,6 +190,7 @@ def nees(error: Floats, cov: Floats) -> Floats:
 
 def mean_band(dof: int, runs: int, probability: float = 0.95) -> tuple[float, float]:
     """Return the interval that contains the mean of `runs` chi-square variables of `dof` with this probability."""
+    # The sum of `runs` chi-square variables is chi-square with dof * runs degrees of freedom.
     tail = 0.5 * (1.0 - probability)
     low, high = (chi_square_quantile(p, dof * runs) / runs for p in (tail, 1.0 - tail))
     return low, high
@@ -296,6 +298,7 @@ def run(setup: FigureSetup, seeds: Sequence[int], tick: Callable[[int], None] = 
 
 def _start(setup: FigureSetup, seeds: Sequence[int]) -> Batch:
     """Return all robots at the start; with a filter, the estimates are drawn from the initial covariance."""
+    # Odometry alone starts at the true pose with covariance 0.
     count = len(seeds)
     truth = np.tile(setup.start, (count, 1))
     std = np.array(setup.start_std) if setup.filtered else np.zeros(3)

@@ -46,6 +46,7 @@ if TYPE_CHECKING:
 Matrix = Mapping[Cell, LiveSummary]
 Row = dict[str, float | str | None]
 
+# Expected values of a consistent filter: three degrees of freedom, and the probability of the ellipse.
 RIGHT_NEES, RIGHT_COVERAGE = 3.0, 0.95
 
 
@@ -61,6 +62,7 @@ class Column(NamedTuple):
 COLUMNS: Final = (
     Column("rmse_position_in", "position RMSE (in)", ".3f"),
     Column("rmse_heading_deg", "heading RMSE (deg)", ".2f"),
+    # A NEES of half or twice the expected value is equally bad, hence the logarithm.
     Column("nees_mean", "NEES (3 is right)", ".2f", lambda value: abs(math.log(max(value, 1e-9) / RIGHT_NEES))),
     Column("coverage95", "in the 95 % ellipse", ".1%", lambda value: abs(value - RIGHT_COVERAGE)),
     Column("jitter", "jitter / odometry's", ".2f"),
@@ -92,6 +94,7 @@ def table(matrix: Matrix) -> str:
         + [_written(row[column.key], column.form) for column in COLUMNS]
         for row in rows(matrix)
     ]
+    # Right-aligned columns, each as wide as its widest cell.
     widths = [max(len(line[k]) for line in (heads, *body)) for k in range(len(heads))]
     return "\n".join(
         "  ".join(text.rjust(width) for text, width in zip(line, widths, strict=True)) for line in (heads, *body)
@@ -101,6 +104,7 @@ def table(matrix: Matrix) -> str:
 def write(matrix: Matrix, folder: Path, *, picture: bool) -> list[Path]:
     """Write live.csv, live.json and live.png into a folder; return their paths."""
     folder.mkdir(parents=True, exist_ok=True)
+    # 1. The same rows as CSV and as JSON.
     written = [folder / "live.csv", folder / "live.json"]
     found = rows(matrix)
     with written[0].open("w", encoding="utf-8", newline="") as file:
@@ -108,6 +112,7 @@ def write(matrix: Matrix, folder: Path, *, picture: bool) -> list[Path]:
         sheet.writeheader()
         sheet.writerows(found)
     written[1].write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    # 2. The picture needs matplotlib, which is optional.
     if picture:
         written.append(folder / "live.png")
         _draw(matrix, written[-1])
@@ -117,11 +122,14 @@ def write(matrix: Matrix, folder: Path, *, picture: bool) -> list[Path]:
 def _draw(matrix: Matrix, path: Path) -> None:
     """Draw one panel per number: methods down, scenarios and paths across, better values lighter."""
     found = dict(zip(matrix, rows(matrix), strict=True))
+    # 1. Rows and columns of the panels, in the order of the cells; dict.fromkeys removes repeats.
     across = list(dict.fromkeys((cell.scenario, cell.figure) for cell in found))
     down = list(dict.fromkeys(cell.method for cell in found))
+    # 2. Panel sizes in inches of paper, from the number of cells and the space for labels.
     wide = max(2.4, 0.62 * len(across) + 1.2)
     picture = blank(4 * wide, 2 * (0.42 * len(down) + 1.5))
     panels = picture.subplots(2, 4, squeeze=False).ravel()
+    # 3. One panel per column of the table; missing cells become NaN, which imshow leaves white.
     for number, (axes, column) in enumerate(zip(panels, COLUMNS, strict=True)):
         grid = [
             [_number(found.get(Cell(scenario, figure, method), {}).get(column.key)) for scenario, figure in across]
@@ -136,6 +144,7 @@ def _draw(matrix: Matrix, path: Path) -> None:
 
 
 def _panel(axes: Axes, column: Column, grid: np.typing.NDArray[np.float64]) -> None:
+    # Twice the worst value as upper limit: the darkest cell stays light enough to read its number.
     bad = np.array([[column.badness(value) for value in line] for line in grid])
     worst = max(float(np.nanmax(bad, initial=0.0)), 1e-9)
     axes.imshow(bad, cmap="OrRd", vmin=0.0, vmax=2.0 * worst, aspect="auto")
@@ -158,6 +167,7 @@ METRES_PER_INCH: Final = 0.0254
 
 def lines(clock_s: Floats, poses: Floats) -> str:
     """Return poses (T, 3) in inches and radians at times (T,) in TUM format: "time x y z qx qy qz qw"."""
+    # TUM format is in metres, with the rotation about z as a quaternion (0, 0, sin, cos) of half the heading.
     x, y = (METRES_PER_INCH * poses[:, :2]).T
     half = 0.5 * poses[:, 2]
     rows = zip(clock_s, x, y, np.sin(half), np.cos(half), strict=True)
@@ -186,6 +196,7 @@ class TrialCache:
 
     def path(self, trial: Trial) -> Path:
         """Return the file of a trial's result."""
+        # Everything that decides the numbers; the code is added by ResultCache.
         decided_by = (trial.figure, trial.seed, trial.periods, asdict(trial.scenario))
         return self._cache.path(f"{'_'.join(trial.cell)}_{trial.seed:04d}", decided_by)
 
@@ -208,10 +219,12 @@ def main(arguments: Sequence[str]) -> None:
     if options.pictures:
         require_matplotlib()
     make_folder(options.out)
+    # 1. Trials, from the cache or by running them.
     requested = trials(options.scenario, options.figures, options.methods, options.seeds, options.periods)
     store = TrialCache(options.out / "trials", code_hash())
     with progress(len(requested), "live", "trials") as tally:
         results = collect(requested, store, options.tum, executor_for(matrix.run, options), tally)
+    # 2. Summaries as files and as table.
     found = matrix.summaries(results)
     written = write(found, options.out, picture=options.pictures)
     print(json.dumps(rows(found)) if options.json else table(found), flush=True)
@@ -225,12 +238,14 @@ def collect(
 
     With a folder `paths`, trials whose path files are missing or older than the result are run again.
     """
+    # 1. Trials to run: those without result, or without up-to-date path files.
     results = {trial: store.get(trial) for trial in requested}
     jobs = [
         TrialJob(trial, paths is not None)
         for trial, result in results.items()
         if result is None or (paths and not _has_paths(paths, trial, store))
     ]
+    # 2. Run them; results and paths are stored as they arrive.
     tally(done := len(requested) - len(jobs))
     for trial, result, record in work(jobs):
         store.put(trial, result)

@@ -95,6 +95,7 @@ class Scenario:
 
     def setup(self, seed: int) -> str:
         """Return the setup file of a run, in TOML."""
+        # The setup file has variances, OdometryNoise standard deviations.
         noise = self.odometry
         clock = f"clock_step_s = {CLOCK_STEP_S}\n" if self.line else ""
         return (
@@ -106,6 +107,7 @@ class Scenario:
 
     def scale(self, seed: int) -> float:
         """Return the true distance per counted distance in the run of this seed."""
+        # Clipped at 4 sigma, so that no seed has a robot outside its scenario.
         draw = float(np.random.default_rng([seed, SCALE]).standard_normal())
         return 1.0 + self.scale_std * float(np.clip(draw, -4.0, 4.0))
 
@@ -122,6 +124,7 @@ SCENARIOS: Final[Mapping[str, Scenario]] = MappingProxyType(
             Scenario("exact", "ideal", EXACT_RAYS),
             Scenario("noisy", "noisy", WIRE_SONAR, THESIS_ODOMETRY),
             Scenario("measured", "measured", ConeSonar(), scale_std=0.05, outlier_fraction=0.2, judged_after_in=24.0),
+            # Over the serial protocol, which has neither timestamps nor a fine clock.
             Scenario("exact_line", "ideal", EXACT_RAYS, line=True),
             Scenario(
                 "measured_line",
@@ -139,6 +142,7 @@ SCENARIOS: Final[Mapping[str, Scenario]] = MappingProxyType(
 a fifth of the readings outliers, and an unknown scale. `_line`: the same over the serial protocol."""
 
 
+# The range of an N150's sonars: 6 in is the shortest reading, 255 means no echo.
 MIN_OUTLIER_IN, MAX_OUTLIER_IN = 6, 255
 
 
@@ -150,8 +154,10 @@ class BadReadings:
 
     def __init__(self, fraction: float, schedule: FiringSchedule, rng: np.random.Generator) -> None:
         self._fraction, self._schedule, self._rng = fraction, schedule, rng
+        # Seconds from the start of a round of firings until each sonar fires.
         self._late_s = [schedule.order.index(sonar) * schedule.interval_s for sonar in range(len(schedule.order))]
         self._round_s = schedule.round_s
+        # By sonar: number of the last round, and the outlier of that round (None: the true reading).
         self._replaced: dict[int, tuple[int, int | None]] = {}
 
     def apply(self, state: SensorInput) -> SensorInput:
@@ -162,20 +168,24 @@ class BadReadings:
         return with_readings(state, tuple(readings))
 
     def _reading(self, sonar: int, clock_s: float, reading_in: int) -> int:
+        # 1. Round of the firing that this reading is from.
         since_s = clock_s - self._schedule.start_s - self._late_s[sonar]
         turn = int(since_s // self._round_s)
+        # 2. A new firing: draw whether it is an outlier, and its range.
         if self._replaced.get(sonar, (None, None))[0] != turn:
             bad, instead = (
                 self._rng.random() < self._fraction,
                 int(self._rng.integers(MIN_OUTLIER_IN, MAX_OUTLIER_IN + 1)),
             )
             self._replaced[sonar] = turn, instead if bad else None
+        # 3. Later states repeat the same reading, and so the same decision.
         instead_in = self._replaced[sonar][1]
         return reading_in if instead_in is None else instead_in
 
 
 Timer = Callable[[], float]
 
+# State and command: each exchange advances simulated time by half a period.
 EXCHANGES_PER_PERIOD: Final = 2
 MAX_PERIODS: Final = 3000
 """Five minutes: more than three times the duration of any path."""
@@ -226,6 +236,7 @@ class Record:
 
 def drive(scenario: Scenario, figure: str, seed: int, periods: int = MAX_PERIODS, timer: Timer = lambda: 0.0) -> Record:
     """Run one trial of at most `periods` periods in its own simulation; `timer` returns seconds."""
+    # 1. World, start pose and setup of the simulation.
     world = load_world(COURSES[figure])
     start = world.paths[figure].start
     pose = f"{start.x_in},{start.y_in},{np.degrees(start.steering_rad)},{np.degrees(start.turret_rad)}"
@@ -234,6 +245,7 @@ def drive(scenario: Scenario, figure: str, seed: int, periods: int = MAX_PERIODS
         setup.write_text(scenario.setup(seed), encoding="utf-8")
         step_s = PERIOD_S / EXCHANGES_PER_PERIOD
         options = f"setup={setup}&seed={seed}&start={pose}&step_s={step_s}&line={int(scenario.line)}"
+        # 2. Drive on the estimate; the connection is closed before the history is built.
         with connect(f"sim:{world.name}?{options}") as robot:
             localizer, outliers = _start_localizer(robot, scenario, world, figure, seed)
             navigator = Navigator(world.paths[figure].goals_in, Speeds(translation_in_s=scenario.speed_in_s))
@@ -246,13 +258,16 @@ def _start_localizer(
 ) -> tuple[Localizer, BadReadings]:
     """Return the localizer, its initial estimate drawn from START_STD, and the source of outliers."""
     start = world.paths[figure].start
+    # 1. Firing schedule: the clock of this reply is that of the first sonar.
     state = robot.configure_sonars(rate=DEFAULT_SONAR_RATE, order=DEFAULT_SONAR_ORDER)
     assert state.clock_s is not None
     schedule = FiringSchedule(state.clock_s)
+    # 2. Initial estimate: the true start plus an error with the covariance of the belief.
     off = np.array(START_STD) * np.random.default_rng([seed, START]).standard_normal(3)
     guess = add(np.array([start.x_in, start.y_in, start.steering_rad]), off)
     belief = with_parameters(independent(guess, START_STD), scenario.constants)
     config = LocalizationConfig(world.walls, N150, scenario.odometry, scenario.sonar)
+    # 3. Localizer, and outliers from their own random stream.
     localizer = Localizer(config, belief, schedule, scenario.method, seed)
     return localizer, BadReadings(scenario.outlier_fraction, schedule, np.random.default_rng([seed, BAD]))
 
@@ -263,13 +278,16 @@ def _follow(
     """Drive on the estimate until the last goal or for `periods` periods."""
     followed: list[Period] = []
     for _ in range(periods):
+        # 1. State and ground truth of the same instant.
         state, actual = robot.refresh(), robot.truth()
         report = outliers.apply(state)
+        # 2. Only the filter's computing time is measured, not the simulation's.
         before_s = timer()
         estimate = localizer.update(report)
         spent_s = timer() - before_s
         truth = np.array([actual.x_in, actual.y_in, actual.steering_rad])
         followed.append(Period(estimate, truth, np.array([state.x_in, state.y_in, state.steering_rad]), spent_s))
+        # 3. Command from the estimate alone; None at the last goal.
         command = navigator.command(estimate.pose)
         if command is None:
             break
@@ -279,11 +297,13 @@ def _follow(
 
 def _record(seed: int, reached: bool, periods: Sequence[Period]) -> Record:
     """Return the history in columns; of smoothed estimates each time once, in its last version."""
+    # 1. Columns by time of the states.
     polled_s = np.array([period.estimate.clock_s for period in periods])
     truth = np.stack([period.truth for period in periods])
     encoders = np.stack([period.encoders for period in periods])
     distance = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(truth[:, :2], axis=0).T))])
     spent = np.array([period.spent_s for period in periods])
+    # 2. A smoother repeats an estimate until a newer one exists: use the last version of each time.
     estimates = [_evaluated_estimate(period.estimate) for period in periods]
     fresh = [
         k for k in range(len(estimates)) if k == len(estimates) - 1 or estimates[k + 1].clock_s > estimates[k].clock_s
@@ -291,6 +311,7 @@ def _record(seed: int, reached: bool, periods: Sequence[Period]) -> Record:
     clock = np.array([estimates[k].clock_s for k in fresh])
     means = np.stack([estimates[k].belief.mean[:3] for k in fresh])
     covs = np.stack([estimates[k].belief.cov[:3, :3] for k in fresh])
+    # 3. Truth, encoders and distance at the times of the estimates, which may lie between states.
     distance = np.interp(clock, polled_s, distance)
     return Record(
         seed,
@@ -312,12 +333,14 @@ def _evaluated_estimate(estimate: Estimate) -> Smoothed:
 
 def _interpolate(clock_s: Floats, polled_s: Floats, poses: Floats) -> Floats:
     """Return poses (n, 3) at times (n,), interpolated linearly between poses (T, 3) at times (T,)."""
+    # Headings are unwrapped before and wrapped (by `add`) after the interpolation.
     turned = np.unwrap(poses[:, 2])
     columns = [np.interp(clock_s, polled_s, column) for column in (poses[:, 0], poses[:, 1], turned)]
     between = np.stack(columns, axis=-1)
     return add(between, np.zeros_like(between))
 
 
+# More than the radius of the body: with such an error the robot would hit walls.
 LOST_IN: Final = 12.0
 """With a larger position error a run counts as lost."""
 
@@ -365,10 +388,13 @@ class LiveSummary(TypedDict):
 
 def result_of(record: Record, after_in: float = 0.0) -> TrialResult:
     """Return the result of a trial, evaluated after `after_in` inches."""
+    # 1. Estimates of the evaluated part of the path.
     judged = record.distance_in >= after_in
     errors, covs = record.error[judged], record.cov[judged]
     square = errors[:, 0] ** 2 + errors[:, 1] ** 2
+    # 2. Position inside the 95 % ellipse: its squared Mahalanobis distance is below the quantile.
     within = nees(errors[:, :2], covs[:, :2, :2]) <= chi_square_quantile(0.95, 2)
+    # 3. Sums, not means: trials of different lengths can then be combined exactly.
     return TrialResult(
         seed=record.seed,
         reached=record.reached,
@@ -386,12 +412,14 @@ def result_of(record: Record, after_in: float = 0.0) -> TrialResult:
 
 def summarize(results: Sequence[TrialResult]) -> LiveSummary:
     """Return the summary of one or more trials."""
+    # Means are over all evaluated estimates of all trials.
     count = sum(result.judged for result in results)
 
     def mean(part: Callable[[TrialResult], float]) -> float | None:
         return math.fsum(part(result) for result in results) / count if count else None
 
     position, heading = mean(lambda result: result.position_in2), mean(lambda result: result.heading_rad2)
+    # Jitter relative to the odometry's: 1 means the filter adds none.
     odometry = math.fsum(result.odometry_steps_in2 for result in results)
     estimate = math.fsum(result.estimate_steps_in2 for result in results)
     return LiveSummary(
@@ -468,6 +496,7 @@ def trials(
         Trial(replace(SCENARIOS[scenario], method=method), figure, seed, periods)
         for scenario in scenarios
         for figure in figures
+        # Seeds vary fastest, so that a cell is complete before the next one begins.
         for method in methods
         for seed in range(seeds)
     ]

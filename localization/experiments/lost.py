@@ -18,6 +18,7 @@ from localization.experiments.lost_trial import Case, Kind, LostResult, drive
 from localization.experiments.output import add_execution_options, executor_for, positive
 from worlds.io import world_names
 
+# At the scenarios' 5 in/s the robot has driven at most 25 in by then.
 SOON_S: Final = 5.0
 """A kidnapping should be detected within this time."""
 
@@ -60,6 +61,7 @@ def summaries(results: Mapping[Case, LostResult]) -> list[LostSummary]:
 def summarize(kind: Kind, world: str, scenario: str, results: Sequence[LostResult]) -> LostSummary:
     """Return the summary of one or more runs."""
     seconds = sum(result.seconds for result in results)
+    # 1. Numbers that every kind of run has.
     summary = LostSummary(
         kind=kind.value,
         world=world,
@@ -68,6 +70,7 @@ def summarize(kind: Kind, world: str, scenario: str, results: Sequence[LostResul
         hours=seconds / 3600.0,
         false_alarms=sum(result.alarms for result in results),
         alarmed=sum(result.alarms > 0 for result in results),
+        # Weighted by duration, because runs end at different times.
         degraded=sum(result.degraded * result.seconds for result in results) / seconds,
         rmse_in=_rmse_in(results),
         told=None,
@@ -77,6 +80,7 @@ def summarize(kind: Kind, world: str, scenario: str, results: Sequence[LostResul
         mistaken=None,
         found_s=None,
     )
+    # 2. Numbers of detection and recovery, where they apply.
     if kind is Kind.KIDNAPPED:
         _add_detections(summary, results)
     if kind is not Kind.TRACKING:
@@ -86,6 +90,7 @@ def summarize(kind: Kind, world: str, scenario: str, results: Sequence[LostResul
 
 def _rmse_in(results: Sequence[LostResult]) -> float | None:
     """Return the position RMSE over the time localized."""
+    # Squares are averaged with the durations as weights, then the root is taken.
     squares = [(result.rmse_in**2, result.seconds) for result in results if result.rmse_in is not None]
     total_s = sum(seconds for _, seconds in squares)
     return sqrt(sum(square * seconds for square, seconds in squares) / total_s) if total_s else None
@@ -98,6 +103,7 @@ def _add_detections(summary: LostSummary, results: Sequence[LostResult]) -> None
 
 
 def _add_recoveries(summary: LostSummary, results: Sequence[LostResult]) -> None:
+    # A recovery counts as correct if the recovered pose was within the tolerance.
     after = [(result.found_after_s, result.right) for result in results if result.found_after_s is not None]
     rightly = [seconds for seconds, right in after if right]
     summary["found"], summary["found_s"] = len(rightly), _spread(rightly)
@@ -138,6 +144,7 @@ def _times(spread: tuple[float, float] | None) -> str:
 
 
 WORLD: Final = "several_walls"
+# False alarms are rare, so tracking needs the most runs; 300 of 10 min are 50 simulated hours.
 RUNS: Final = {Kind.TRACKING: 300, Kind.KIDNAPPED: 100, Kind.UNKNOWN_START: 100}
 
 
@@ -152,12 +159,15 @@ def main(arguments: Sequence[str]) -> None:
     """Run the command; errors of execution and files are propagated."""
     options = _parser().parse_args(arguments)
     make_folder(options.out)
+    # 1. All runs, by kind.
     cases = [
         Case(kind, options.world, SCENARIOS[options.scenario], seed, 60.0 * options.minutes)
         for kind in options.kinds
         for seed in range(options.runs or RUNS[kind])
     ]
+    # 2. Results, from the cache or by running them.
     found = summaries(_results(cases, ResultCache(options.out / "runs", code_hash()), options))
+    # 3. Summary, as JSON file and as text.
     path = options.out / "lost.json"
     path.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     print(json.dumps(found) if options.json else "\n".join(map(words, found)), flush=True)
@@ -180,6 +190,7 @@ def _results(cases: Sequence[Case], cache: ResultCache, options: argparse.Namesp
             cache.put(paths[case], result.as_dict())
             results[case] = result
             tally(len(results))
+    # Results arrive in any order; summaries need that of the cases.
     return {case: results[case] for case in cases}
 
 
@@ -187,6 +198,7 @@ def _kind(text: str) -> Kind:
     try:
         return Kind(text)
     except ValueError:
+        # argparse shows this message instead of the name of the function.
         there = ", ".join(kind.value for kind in Kind)
         raise argparse.ArgumentTypeError(f"unknown kind {text!r}; expected one of {there}") from None
 

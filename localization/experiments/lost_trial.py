@@ -63,10 +63,13 @@ class RandomExplorer:
 
     def command(self, pose: Floats) -> VelocityCommand:
         """Return the velocities at an estimated pose (3,)."""
+        # A localized robot starts its next recovery from the beginning.
         self._recovery.reset()
+        # 1. No path, or its end reached: plan the next one and stand for this period.
         if self._navigator is None or (command := self._navigator.command(pose)) is None:
             self._navigator = self._random_navigator(pose)
             return STAND
+        # 2. Far off the bearing: turn in place first.
         goal = self._navigator.goal
         assert goal is not None
         error = float(bearing_error(pose, goal))
@@ -76,6 +79,7 @@ class RandomExplorer:
 
     def recover(self, state: SonarState) -> VelocityCommand:
         """Return the velocities while the estimate is lost."""
+        # The path was planned from a pose that was wrong: plan again after recovery.
         self._navigator = None
         return VelocityCommand(*self._recovery.command(state))
 
@@ -83,11 +87,13 @@ class RandomExplorer:
         goal = self._positions[self._rng.integers(len(self._positions))]
         try:
             path = self._roadmap.path((float(pose[0]), float(pose[1])), (float(goal[0]), float(goal[1])))
+        # The estimate may be too near to a wall; the next period draws another goal.
         except NoPathError:
             return None
         return Navigator(sample_waypoints(path), self._speeds)
 
 
+# State and command: each exchange advances simulated time by half a period.
 EXCHANGES_PER_PERIOD: Final = 2
 MARGIN_IN: Final = 3.0
 """Space between body and walls."""
@@ -95,7 +101,9 @@ KIDNAPPED_S: Final = (20.0, 40.0)
 """Interval of the time of the kidnapping."""
 FAR_IN, FAR_RAD = 24.0, 1.0
 """Minimum displacement or turn of a kidnapping."""
+# Timeout of the wait until the robot stands, seconds.
 STILL_S: Final = 10
+# Time without LOST, in seconds, after which a wrong hypothesis would normally have been rejected.
 CERTAIN_S: Final = 3.0
 SEARCH_LIMIT_S: Final = 90.0
 """Time limit for detecting a kidnapping and for recovering."""
@@ -185,13 +193,16 @@ class _Run:
         self._robot, self._case, self._positions = robot, case, positions
         state = robot.configure_sonars(rate=DEFAULT_SONAR_RATE, order=DEFAULT_SONAR_ORDER)
         assert state.clock_s is not None
+        # 1. Firing schedule: the clock of this reply is that of the first sonar.
         self._start_s = state.clock_s
         schedule = FiringSchedule(state.clock_s)
+        # 2. Initial estimate, drawn from START_STD; none for an unknown start.
         rng = np.random.default_rng([case.seed, START])
         initial = None
         if case.kind is not Kind.UNKNOWN_START:
             guess = _pose(pose) + np.array(START_STD) * rng.standard_normal(3)
             initial = with_parameters(independent(guess, START_STD), case.scenario.constants)
+        # 3. Filter, outliers and controller, each with its own random stream of the seed.
         clearance = N150.radius_in
         config = LocalizationConfig(
             world.walls, N150, case.scenario.odometry, case.scenario.sonar, clearance_in=clearance
@@ -203,6 +214,7 @@ class _Run:
         roadmap = Roadmap(world.walls, clearance + MARGIN_IN)
         self._explorer = RandomExplorer(roadmap, positions, speeds, np.random.default_rng([case.seed, GOALS]))
         self._rng = rng
+        # 4. Counters of `_until`, and the last true pose and time.
         self._alarms = self._polls = self._degraded = 0
         self._squares: list[float] = []
         self._truth = _pose(pose)
@@ -223,6 +235,7 @@ class _Run:
 
     def _until(self, end_s: float) -> None:
         """Drive to random positions and count status changes."""
+        # Transitions to LOST are counted, not periods: one alarm may last several periods.
         before = HealthStatus.OK
         while self._now_s < end_s:
             estimate = self._period()
@@ -231,6 +244,7 @@ class _Run:
             self._degraded += status is HealthStatus.DEGRADED
             self._polls += 1
             before = status
+            # The estimate has no meaning while lost, so its error is not part of the RMSE.
             if status is not HealthStatus.LOST:
                 self._squares.append(hypot(*(estimate.pose - self._truth)[:2]) ** 2)
 
@@ -239,15 +253,18 @@ class _Run:
 
         A moving robot would continue turning meanwhile, and the ring would no longer agree with the encoders.
         """
+        # 1. Wait until the robot stands.
         self._robot.stop()
         state = self._robot.wait_until_still(timeout_s=STILL_S)
         truth = self._robot.truth()
+        # 2. Draw a pose that is far enough from the true one.
         here = _pose(truth)
         while True:
             there = _drawn(self._positions, self._rng)
             off = difference(_pose(there), here)
             if hypot(off[0], off[1]) >= FAR_IN or abs(off[HEADING]) >= FAR_RAD:
                 break
+        # 3. Place the robot there, then restore the encoders, which `place` sets to the new pose.
         turned = truth.turret_rad - truth.steering_rad
         self._robot.place(Pose(there.x_in, there.y_in, there.steering_rad, there.steering_rad + turned))
         self._robot.set_position(x_in=state.x_in, y_in=state.y_in)
@@ -263,6 +280,7 @@ class _Run:
 
     def _find(self, lost_after_s: float | None, since_s: float) -> LostResult:
         """Drive until the robot is localized for CERTAIN_S or the time limit, and return the result."""
+        # Start of the current time without LOST; None while lost.
         sure_s: float | None = None
         while self._now_s < since_s + SEARCH_LIMIT_S:
             estimate = self._period()
@@ -270,6 +288,7 @@ class _Run:
                 sure_s = None
                 continue
             sure_s = self._now_s if sure_s is None else sure_s
+            # Recovered: the time counts from the beginning of these CERTAIN_S.
             if self._now_s - sure_s >= CERTAIN_S:
                 off = difference(estimate.pose, self._truth)
                 right = hypot(off[0], off[1]) <= RIGHT_IN and bool(abs(off[HEADING]) <= RIGHT_RAD)
@@ -278,11 +297,14 @@ class _Run:
 
     def _period(self) -> Estimate:
         """Run one period: state, estimate, command."""
+        # 1. State and ground truth of the same instant: the query of the truth takes no simulated time.
         state = self._robot.refresh()
         assert state.clock_s is not None
         self._now_s = state.clock_s - self._start_s
         self._truth = _pose(self._robot.truth())
+        # 2. Estimate from the state with outliers.
         estimate = self._localizer.update(self._outliers.apply(state))
+        # 3. Command from the estimate alone.
         command = self._command(state, estimate)
         self._robot.drive(translation_in_s=command.translation_in_s, steering_rad_s=command.steering_rad_s)
         return estimate
@@ -303,6 +325,7 @@ class _Run:
 def _positions(world: World) -> Floats:
     """Return a grid of positions (n, 2) with enough space for the robot."""
     low, high = world.walls.reshape(-1, 2).min(axis=0), world.walls.reshape(-1, 2).max(axis=0)
+    # Grid points 2 in apart, over the bounding box of all walls.
     x, y = np.meshgrid(np.arange(low[0], high[0], 2.0), np.arange(low[1], high[1], 2.0))
     points = np.stack((x.ravel(), y.ravel()), axis=-1)
     _, far = nearest_points(points, world.walls)
@@ -312,6 +335,7 @@ def _positions(world: World) -> Floats:
 
 def _drawn(positions: Floats, rng: np.random.Generator) -> Pose:
     x, y = positions[rng.integers(len(positions))]
+    # Turret and steering have the same direction.
     turn = float(rng.uniform(0.0, tau))
     return Pose(float(x), float(y), turn, turn)
 

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 
 def draw(figure: Figure, setup: FigureSetup, tracks: Sequence[Track], folder: Path) -> list[Path]:
     """Write the trajectory and the errors of a figure as PNG files into `folder`; return their paths."""
+    # Both pictures show the same run, that of the median final error.
     track = typical(tracks)
     errors_name = figure.errors_figure or f"{figure.name}_errors"
     pictures = {
@@ -50,15 +51,18 @@ def draw(figure: Figure, setup: FigureSetup, tracks: Sequence[Track], folder: Pa
 def trajectory(figure: Figure, setup: FigureSetup, track: Track) -> Picture:
     """Return a picture of map, waypoints, true and estimated path; without a filter also 3-sigma ellipses."""
     picture = blank(7.2, 7.0)
+    # 1. Map, waypoints, and the body at start and end.
     axes = picture.add_subplot(aspect="equal")
     draw_walls(axes, setup.walls.segments)
     draw_points(axes, setup.start, setup.goals_in)
     draw_body(axes, setup.start, N150, FAINT)
     draw_body(axes, track.truth[-1], N150, TRUTH)
+    # 2. True and estimated path; ellipses only without a filter, where they grow.
     axes.plot(*_from(setup.start, track.truth).T, color=TRUTH, linewidth=1.8, label="truth")
     axes.plot(*track.mean[:, :2].T, color=ESTIMATE, linewidth=1.4, linestyle=(0, (4, 2)), label=_estimate_name(figure))
     if not figure.filtered:
         draw_ellipses(axes, track.mean, track.cov)
+    # 3. Title with the final position error, inches.
     end = np.hypot(*(track.mean[-1] - track.truth[-1])[:2])
     axes.set_title(
         f"Figure {figure.name}: {figure.title}\n{len(track.mean)} steps, {end:.2f} in position error at the end"
@@ -72,10 +76,13 @@ def errors(figure: Figure, tracks: Sequence[Track], drawn: Track) -> Picture:
     """Return a picture of the errors in x, y and heading over the steps: one run with its 3-sigma band."""
     picture = blank(8.0, 7.0)
     rows = picture.subplots(3, 1, sharex=True)
+    # Errors are in inches and radians; the heading is drawn in degrees.
     scales = (1.0, 1.0, np.degrees(1.0))
     for axes, row, scale, name in zip(rows, range(3), scales, ("x (in)", "y (in)", "heading (deg)"), strict=True):
+        # 1. All stored runs, faint.
         for track in tracks:
             axes.plot(scale * difference(track.mean, track.truth)[:, row], color=FAINT, linewidth=0.5, alpha=0.4)
+        # 2. The drawn run with the 3-sigma band of its own covariance.
         band = 3.0 * scale * np.sqrt(drawn.cov[:, row, row])
         steps = np.arange(len(band))
         axes.fill_between(steps, -band, band, color=ESTIMATE, alpha=0.15, linewidth=0, label="3 sigma")
@@ -83,6 +90,7 @@ def errors(figure: Figure, tracks: Sequence[Track], drawn: Track) -> Picture:
         axes.axhline(0.0, color=TRUTH, linewidth=0.6)
         axes.set_ylabel(name)
         axes.margins(x=0.0)
+    # 3. An empty line for the legend, since each of the faint ones would have an entry.
     rows[0].plot([], [], color=FAINT, label=f"{len(tracks)} seeds")
     rows[0].legend(loc="upper left", ncols=3, framealpha=0.95)
     number = figure.errors_figure or figure.name
@@ -110,6 +118,7 @@ def table(figure: Figure, setup: FigureSetup, summary: Summary) -> str:
         ("position RMSE", f"{summary['rmse_position_in']:.4f} in", _beside_bound(summary)),
         ("heading RMSE", f"{summary['rmse_heading_deg']:.3f} deg", ""),
     ]
+    # 2. Consistency, for figures with a filter.
     if summary["nees_mean"] is not None and summary["nees_band95"] is not None:
         low, high = summary["nees_band95"]
         rows.append(("NEES, mean", f"{summary['nees_mean']:.2f}", f"3 is right, 95 % band {low:.2f} to {high:.2f}"))
@@ -130,7 +139,9 @@ def _beside_bound(summary: Summary) -> str:
 def _step_note(setup: FigureSetup, summary: Summary) -> list[str]:
     """Return a note if the thesis states fewer steps than its control law needs."""
     thesis = summary["steps_thesis"]
+    # Inches of the path per step, at most.
     stride = setup.gains.drho_max_in
+    # No note, unless the thesis counts fewer steps than path length divided by the largest step.
     if thesis is None or thesis >= setup.min_steps:
         return []
     near = math.ceil((setup.length_in - setup.waypoint_radius_in) / stride)
@@ -197,6 +208,7 @@ def positive(text: str) -> int:
 
 def cores() -> int:
     """Return the number of cores this process may use."""
+    # Not on macOS and Windows. A process may be restricted to fewer cores than the machine has.
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1

@@ -40,10 +40,14 @@ from worlds.io import load_world, world_names
 from worlds.robots import N150
 from worlds.world import World
 
+# Space between the body and all walls at both ends of a drive, inches.
 SPACE_IN: Final = 1.5
+# Minimum distance of start and goal, inches: a shorter drive says nothing about planning.
 APART_IN: Final = 12.0
 WORLDS: Final = world_names()
+# Speed limit of all drives, inches per second: that of the live trials, so that results compare.
 SPEED_IN_S: Final = 5.0
+# The filter that can also recover from a wrong estimate.
 METHOD: Final = "finder"
 
 
@@ -73,10 +77,12 @@ class DriveEnds:
 def ends_of(pair: DrivePair) -> DriveEnds:
     """Return random ends with SPACE_IN of space and at least APART_IN apart, decided by world and number."""
     world = load_world(pair.world)
+    # The seed is the world's index and the pair's number, so that all scenarios drive the same pairs.
     rng = np.random.default_rng([WORLDS.index(pair.world), pair.number])
     low, high = world.walls[:, :2].min(axis=0), world.walls[:, :2].max(axis=0)
     outline = polygon_segments(world.rooms[0].corners_in)
     walls = np.asarray(world.walls)
+    # Rejection sampling: uniform points in the bounding box until both are free, inside and apart.
     while True:
         start, goal = (np.round(rng.uniform(low, high), 1) for _ in range(2))
         heading = float(np.round(rng.uniform(0.0, 360.0), 1))
@@ -86,7 +92,9 @@ def ends_of(pair: DrivePair) -> DriveEnds:
             return DriveEnds((float(start[0]), float(start[1])), heading, (float(goal[0]), float(goal[1])))
 
 
+# State and command: each exchange advances simulated time by half a period.
 EXCHANGES_PER_PERIOD: Final = 2
+# Several times the duration of the longest drive, simulated seconds.
 LIMIT_S: Final = 300.0
 START: Final = 3
 """Random stream of the initial estimate's error."""
@@ -139,9 +147,11 @@ class TruthRecorder:
 
     def __call__(self, observation: Observation) -> None:
         """Record the true distance, contact and clearance of this period."""
+        # True path length as a sum of chords, one per period of 0.1 s.
         truth = self._robot.truth()
         self.distance_in += hypot(truth.x_in - self.last.x_in, truth.y_in - self.last.y_in)
         self.last = truth
+        # Contact by two independent measures: the bumper, and the distance of the true body from the walls.
         self.touched |= observation.state.touching
         self.least_in = min(self.least_in, self._world.clearance(truth.x_in, truth.y_in) - N150.radius_in)
 
@@ -150,12 +160,14 @@ def drive(pair: DrivePair) -> tuple[DrivePair, DriveResult]:
     """Simulate one drive."""
     world, ends = load_world(pair.world), ends_of(pair)
     start = f"{ends.start[0]},{ends.start[1]},{ends.heading_deg},{ends.heading_deg}"
+    # 1. The simulation of the scenario's errors, with time that advances only by exchanges.
     with tempfile.TemporaryDirectory() as folder:
         setup = Path(folder) / "setup.toml"
         setup.write_text(pair.errors.setup(pair.number), encoding="utf-8")
         step_s = PERIOD_S / EXCHANGES_PER_PERIOD
         address = f"sim:{pair.world}?setup={setup}&seed={pair.number}&start={start}&step_s={step_s}"
         with connect(address) as robot, _controller(robot, world, pair) as controller:
+            # 2. The same mission code as `nomad go`, observed in every period.
             recorder = TruthRecorder(robot, world)
             controller.observers.append(recorder)
             mission = Mission(controller, Settings(time_limit_s=LIMIT_S))
@@ -166,6 +178,7 @@ def drive(pair: DrivePair) -> tuple[DrivePair, DriveResult]:
 def _controller(robot: Robot, world: World, pair: DrivePair) -> RobotController:
     """Return the controller of a robot whose initial estimate has an error drawn from START_STD."""
     errors, state = pair.errors, robot.refresh()
+    # The initial error has its own random stream: it is the same in all scenarios.
     off = np.array(START_STD) * np.random.default_rng([pair.number, START]).standard_normal(3)
     guess = add(np.array([state.x_in, state.y_in, state.steering_rad]), off)
     belief = with_parameters(independent(guess, START_STD), errors.constants)
@@ -175,6 +188,7 @@ def _controller(robot: Robot, world: World, pair: DrivePair) -> RobotController:
 
 def _driven(pair: DrivePair, world: World, ends: DriveEnds, mission: Mission, recorder: TruthRecorder) -> DriveResult:
     walls = np.asarray(world.walls)
+    # The reference path is planned without margin, so no drivable path is shorter.
     shortest = total_length_in(Roadmap(walls, N150.radius_in).path(ends.start, ends.goal))
     report, truth = mission.report, recorder.last
     return DriveResult(
@@ -202,12 +216,15 @@ def main(arguments: Sequence[str]) -> None:
     """Run the command; errors of execution and files are propagated."""
     options = _parser().parse_args(arguments)
     make_folder(options.out)
+    # 1. All drives, interleaved by world, so that an interrupted run has some of each.
     requested = [
         DrivePair(world, number, options.scenario) for number in range(options.pairs) for world in options.worlds
     ]
+    # 2. Simulate what the cache does not have.
     cache = ResultCache(options.out / "drives", code_hash())
     with progress(len(requested), "plan", "drives") as tally:
         results = collect(requested, cache, executor_for(drive, options), tally)
+    # 3. Summary per world, as JSON file and as table.
     rows = [row(world, [results[pair] for pair in requested if pair.world == world]) for world in options.worlds]
     written = options.out / f"plan_{options.scenario}.json"
     drives = [asdict(results[pair]) for pair in requested]
@@ -220,9 +237,11 @@ def collect(
     requested: Sequence[DrivePair], cache: ResultCache, work: Executor, tally: Tally
 ) -> dict[DrivePair, DriveResult]:
     """Return all results, from the cache or by simulating."""
+    # 1. Results that the cache has for this code.
     paths = {pair: cache.path(f"{pair.world}_{pair.scenario}_{pair.number:04d}", (asdict(pair),)) for pair in requested}
     found = {pair: cache.get(path) for pair, path in paths.items()}
     results = {pair: DriveResult(**values) for pair, values in found.items() if values is not None}
+    # 2. The others; each is stored as soon as it arrives.
     left = [pair for pair in requested if pair not in results]
     tally(len(results))
     for pair, driven in work(left):
@@ -234,6 +253,7 @@ def collect(
 
 def row(world: str, drives: Sequence[DriveResult]) -> dict[str, Any]:
     """Return the results of a world; path lengths relative to the shortest."""
+    # Ratios of 1 mean the shortest path; the driven one includes corrections of the estimate.
     planned = [drive.planned_in / drive.shortest_in for drive in drives]
     driven = [drive.driven_in / drive.shortest_in for drive in drives]
     return {
@@ -265,6 +285,7 @@ def table(rows: Sequence[dict[str, Any]], drives: Sequence[DriveResult]) -> str:
     """Return a text table, followed by the drives that failed or touched something."""
     lines = [["world", *(title for title, _, _ in _COLUMNS)]]
     lines += [[row["world"], *(format(row[key], form) for _, key, form in _COLUMNS)] for row in rows]
+    # Right-aligned columns, each as wide as its widest cell.
     widths = [max(len(line[k]) for line in lines) for k in range(len(lines[0]))]
     text = ["  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True)) for line in lines]
     text += [

@@ -84,9 +84,11 @@ def figure_result(runs: Runs, filtered: bool) -> FigureResult:
     """Return the results of runs; NEES, NIS and the bound only with a filter."""
     results = []
     tracks = []
+    # One row of the arrays per seed; after its last step a row has no meaning.
     for row, seed in enumerate(runs.seeds):
         span = slice(int(runs.steps[row]))
         track = Track(seed, runs.truth[span, row], runs.mean[span, row], runs.cov[span, row])
+        # Bound on the squared position error: the trace of the position block of the covariance bound.
         bound = runs.bound[span, row, 0, 0] + runs.bound[span, row, 1, 1]
         extra = (runs.nis[span, row], runs.used[span, row], bound)
         sums = [math.fsum(values) for values in extra] if filtered else [0.0, 0.0, 0.0]
@@ -97,6 +99,7 @@ def figure_result(runs: Runs, filtered: bool) -> FigureResult:
 
 
 def _result(track: Track, reached: bool, filtered: bool, sums: list[float]) -> SeedResult:
+    # Estimate minus truth (T, 3), headings wrapped.
     error = difference(track.mean, track.truth)
     square = error[:, 0] ** 2 + error[:, 1] ** 2
     nis, used, bound = sums
@@ -152,5 +155,6 @@ def summarize(figure: Figure, results: Sequence[SeedResult]) -> Summary:
 
 def typical(tracks: Sequence[Track]) -> Track:
     """Return the track with the (upper) median final error, for drawing."""
+    # By the position error of the last step, inches.
     ranked = sorted(tracks, key=lambda track: float(np.hypot(*(track.mean - track.truth)[-1, :2])))
     return ranked[len(ranked) // 2]

@@ -24,6 +24,7 @@ from nclient.errors import AddressError, ConnectionLost
 
 log = logging.getLogger(__name__)
 
+# Before the run the robot stands, so that a slow page may take its time.
 FIRST_TIMEOUT_S: Final = 5.0
 TIMEOUT_S: Final = 0.25
 """During a run: the robot stops by itself after 2 s without a command."""
@@ -40,6 +41,7 @@ def build_message(
     robot: int, moment: RunMoment, turret_rad: float, waypoints: Sequence[tuple[float, float]]
 ) -> dict[str, Any]:
     """Return the published message of a period; `turret_rad` is the turret's angle relative to the steering."""
+    # Inches and radians; the page converts them for display.
     estimate = moment.estimate
     return {
         "robot": robot, "clock_s": estimate.clock_s, "pose": estimate.pose.tolist(),
@@ -68,11 +70,13 @@ def parse_answer(answer: bytes) -> tuple[Points, int]:
         If the answer is invalid.
     """
     try:
+        # `waypoints` is null if they were cleared. NaN and infinity are valid for json.loads.
         values = json.loads(answer)
         waypoints = [(float(x), float(y)) for x, y in values["waypoints"] or ()]
         if not all(map(math.isfinite, (number for point in waypoints for number in point))):
             raise ValueError("a waypoint is not a finite number")
         return waypoints, int(values["set"])
+    # All that a foreign server at this address may send.
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         raise ValueError(f"invalid answer of the page: {type(error).__name__}: {error}") from None
 
@@ -117,15 +121,18 @@ class Publisher:
 
         Raises ConnectionLost at the first message only; a connection lost later is logged and retried.
         """
+        # 1. After a lost connection wait RETRY_S, and remember only the newest message.
         first, self._unsent = self._set is None, message
         if self._lost_s is not None and self._clock() - self._lost_s < RETRY_S:
             return None
         try:
+            # 2. Send; the first message of a run says so, which starts a new run on the page.
             waypoints, number = parse_answer(self._post(json.dumps(message | {"began": True} if first else message)))
             before, self._set = self._set, number
         except (OSError, http.client.HTTPException, ValueError) as error:
             self._lose(error)
             return None
+        # 3. Waypoints are new if their number has changed since the last answer.
         self._unsent = None
         if self._lost_s is not None:
             log.warning("%s is connected again", self._address)
@@ -134,6 +141,7 @@ class Publisher:
 
     def _lose(self, error: Exception) -> None:
         self._connection.close()
+        # No answer yet: the address is probably wrong, which the user should know before the robot drives.
         if self._set is None:
             raise ConnectionLost(f"cannot publish to {self._address}: {error}") from error
         if self._lost_s is None:
@@ -153,6 +161,7 @@ class Publisher:
         self._connection.request("POST", self._path, text, {"Content-Type": "application/json"})
         response = self._connection.getresponse()
         body = response.read()
+        # Both the next connection and the open socket get the short timeout.
         self._connection.timeout = TIMEOUT_S
         if self._connection.sock is not None:
             self._connection.sock.settimeout(TIMEOUT_S)

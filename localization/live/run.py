@@ -118,8 +118,10 @@ class Run:
     def line(self) -> str:
         """Return the last period as one line of text."""
         moment = self.moments[-1]
+        # 1. A lost estimate has no meaning: only the health is shown.
         if moment.lost:
             return f"{self.duration_s:6.1f} s  {_format_health(moment.estimate)}"
+        # 2. Estimate with standard deviations; inches and degrees.
         x, y, heading = moment.estimate.pose
         std = moment.estimate.belief.std
         text = (
@@ -128,6 +130,7 @@ class Run:
         )
         if moment.estimate.health.reason:
             text += f"  {_format_health(moment.estimate)}"
+        # 3. Its error, for a simulated robot.
         error = moment.error
         if error is None or moment.truth is None:
             return text
@@ -138,6 +141,7 @@ class Run:
 
     def summary(self) -> dict[str, Any]:
         """Return the results of the run as plain data; errors are None without ground truth."""
+        # Other programs read this object: its keys and units do not change.
         echoes = [echo for moment in self.moments for echo in moment.estimate.echoes]
         last = self.moments[-1]
         return {
@@ -162,6 +166,7 @@ class Run:
 
     def _errors(self) -> dict[str, float | None]:
         """Return the position errors of the summary."""
+        # Without ground truth the keys are present with null, so that readers need no special case.
         errors = self.errors_in()
         if not len(errors):
             return dict.fromkeys(("end_error_in", "rmse_position_in", "odometry_end_error_in"))
@@ -177,17 +182,20 @@ class Run:
 
     def verdict(self) -> str:
         """Return the results of the run as a few lines of text."""
+        # 1. Last period and totals.
         result = self.summary()
         lines = [
             f"{self.line().strip()}",
             f"{result['reached']} of {result['waypoints']} waypoints reached in {result['duration_s']:.1f} s; "
             f"{result['echoes_used']} echoes used, {sum(result['echoes_refused'].values())} refused",
         ]
+        # 2. Errors, with odometry alone for comparison.
         if result["end_error_in"] is not None:
             lines.append(
                 f"the estimate is {result['end_error_in']:.2f} in off at the end (RMSE {result['rmse_position_in']:.2f}"
                 f" in); odometry alone is {result['odometry_end_error_in']:.2f} in off"
             )
+        # 3. What the user may have to change.
         if self.stopped:
             lines.append(f"stopped: {self.stopped}")
         if result["hint"]:
@@ -209,6 +217,7 @@ def _count_refusals(echoes: Sequence[Echo]) -> dict[str, int]:
 def _format_health(estimate: Estimate) -> str:
     """Return health status, reason and alternative hypotheses of an estimate as text."""
     text = f"{estimate.health.status.value}: {estimate.health.reason}"
+    # Several hypotheses: the most probable ones with their probabilities.
     if len(estimate.places) < 2:
         return text
     places = [(*place.belief.mean[:3].tolist(), place.probability) for place in estimate.places[:MAX_HYPOTHESES]]
@@ -234,6 +243,7 @@ class GroundTruth:
         """Return the true pose (in, in, rad) at a time since the last call; None for a real robot."""
         if self._sample is None:
             return None
+        # The estimate's time lies between two queries: the true pose is interpolated between them.
         before, (_, self._sample) = self._sample, self._request()
         return before.interpolate(self._sample, clock_s)
 

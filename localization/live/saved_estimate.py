@@ -68,6 +68,7 @@ class SavedEstimate:
 
 def map_signature(world: World, body: str) -> MapSignature:
     """Return the signature of a map and a body; order of walls and differences below 1e-6 in are ignored."""
+    # Adding 0.0 turns -0.0 into 0.0, which has another repr. 16 hex digits identify a map well enough.
     ends = np.round(world.walls.reshape(-1, 2, 2), 6) + 0.0
     walls = sorted(sorted(wall) for wall in ends.tolist())
     return MapSignature(world.name, sha256(repr(walls).encode()).hexdigest()[:16], body)
@@ -98,10 +99,13 @@ def resume_belief(
     EstimateFileError
         If the saved estimate does not apply; the message states why and what to do.
     """
+    # 1. An estimate on other walls has no meaning.
     _require_same_map(saved.signature, signature)
+    # 2. No displacement stated: the encoders must have measured all motion.
     if displacement_std is None:
         _require_continuous(saved.encoders, now)
         return _predict_unobserved(saved, now, noise)
+    # 3. Displacement stated: use the encoders if they are continuous, and add its variance.
     belief = _predict_unobserved(saved, now, noise) if _is_continuous(saved.encoders, now) else saved.belief
     cov = belief.cov.copy()
     cov[:POSE, :POSE] += np.diag(np.square(displacement_std))
@@ -143,6 +147,7 @@ def _require_continuous(before: EncoderPose, now: EncoderPose) -> None:
 
 def _is_continuous(before: EncoderPose, now: EncoderPose) -> bool:
     """Return True if the change of the encoders can be the result of driving."""
+    # A switched-on robot starts at (0, 0, 0), so a pose of zeros after motion means a restart.
     passed_s = now.clock_s - before.clock_s
     zeroed = not now.pose.any() and not _has_stood(before, now)
     return passed_s >= 0.0 and not zeroed and _distance_in(before, now) <= TOP_SPEED_IN_S * passed_s + _SLACK_IN
@@ -175,6 +180,7 @@ def _predict_unobserved(saved: SavedEstimate, now: EncoderPose, noise: OdometryN
 
 def _unobserved_variance(straight_in: float, turned_rad: float, noise: OdometryNoise) -> Floats:
     """Return variances (3,) of a drive with this net displacement, assumed longer and more winding than that."""
+    # Variances grow linearly with distance and turn; the position also moves by the heading error.
     distance, turn = DETOUR_FACTOR * straight_in, DETOUR_FACTOR * turned_rad + EXTRA_TURN_RAD
     heading = noise.rotation_std**2 * turn + noise.drift_std**2 * distance
     position = noise.translation_std**2 * distance + heading * distance * distance
@@ -221,8 +227,10 @@ def load(path: Path) -> SavedEstimate:
         values = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise EstimateFileError(f"{path}: is not valid JSON: {error}") from error
+    # 1. The format first: for any other file the message is about the file, not about a key.
     if not isinstance(values, dict) or values.get("format") != FORMAT:
         _fail(path, "format", f"expected {FORMAT!r}: a file that `nomad localize --save` wrote")
+    # 2. Missing and unknown keys, then each value.
     for key in {*KEYS} ^ {*values}:
         _fail(path, key, "is missing" if key in KEYS else "unknown key")
     signature = MapSignature(*(_text(path, key, values[key]) for key in MapSignature._fields))
@@ -232,6 +240,7 @@ def load(path: Path) -> SavedEstimate:
 
 
 def _belief(path: Path, values: dict[str, Any]) -> Belief:
+    # The state is the pose and possibly odometry parameters.
     size = len(values["mean"]) if isinstance(values["mean"], list) else 0
     if not POSE <= size <= MAX_STATE:
         _fail(path, "mean", f"expected {POSE} to {MAX_STATE} numbers")

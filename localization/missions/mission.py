@@ -194,6 +194,7 @@ class Mission:
 
     def _run_step(self, name: str, words: str, act: Callable[[], None], limit_s: float, retries: int) -> None:
         """Run a step with its retries and report it. Raises StepFailed, and the exception that ended the mission."""
+        # A program that catches MissionOver gets it again from its next step.
         if self.ended is not None:
             raise self.ended
         if self._step is not None:
@@ -224,6 +225,7 @@ class Mission:
             yield step
             step.ending = DONE
         except BaseException as error:
+            # Exceptions that are no Exception end the mission, except sys.exit, which is an error of the program.
             step.ending, step.reason = ending_of(error)
             if not isinstance(error, Exception) and (step.ending == INTERRUPTED or not isinstance(error, SystemExit)):
                 self.ended = error
@@ -236,6 +238,7 @@ class Mission:
         """Drive to goals; if the robot gets lost, recover and continue with the remaining ones."""
         remaining: Sequence[Point] = list(goals)
         while True:
+            # 1. Plan and drive with the remaining goals.
             controller = self._controller
             pilot = Pilot(
                 controller.planner, controller.limits, controller.obstacles, remaining, heading_rad,
@@ -244,6 +247,7 @@ class Mission:
             self._run_pilot(pilot)
             assert pilot.result is not None
             self._halt()
+            # 2. Arrived, failed, or lost: only the last one is recovered from.
             if pilot.result.ending is Ending.ARRIVED:
                 return
             if pilot.result.ending is not Ending.LOST:
@@ -261,6 +265,7 @@ class Mission:
                 self._controller.period(command)
         finally:
             if self._step:
+                # The first plan's length is reported; counts add up over attempts.
                 if not self._step.plans and pilot.log.plans:
                     self._step.planned_in = pilot.log.plans[0].length_in
                 self._step.plans += len(pilot.log.plans)
@@ -314,6 +319,7 @@ class Mission:
     def _drive_in(self, dock: Point) -> bool:
         """Drive straight to the dock until there or in contact; return False if the robot gets lost."""
         pose: Floats = self._controller.last.estimate.pose
+        # Straight and without planning, which would keep its distance from the dock.
         line = line_between((float(pose[0]), float(pose[1])), dock)
         follower = PathFollower([PathSection((line,))], self._controller.limits.capped(DOCK_IN_S))
         while not follower.finished and not self._controller.last.state.touching:

@@ -41,10 +41,13 @@ class MissionOver(BaseException):
 
 def ending_of(error: BaseException) -> tuple[str, str]:
     """Return how a step or mission that raised this ended: one word, and the reason as text."""
+    # 1. Failures that the mission itself reports.
     if isinstance(error, StepFailed | MissionOver):
         return error.ending, str(error)
+    # 2. Ctrl-C or a signal.
     if isinstance(error, KeyboardInterrupt | TerminatedBySignal):
         return INTERRUPTED, error.signal_name if isinstance(error, TerminatedBySignal) else "Ctrl-C"
+    # 3. Anything else; a NomadError explains itself, of other errors the type is needed.
     kind = "" if isinstance(error, NomadError) else type(error).__name__
     return "error", ": ".join(part for part in (kind, str(error)) if part)
 
@@ -90,6 +93,7 @@ class Step:
 
     def line(self) -> str:
         """Return the step as one line of text."""
+        # Three words of equal width, so that the columns stay aligned.
         ended = "done  " if self.done else INTERRUPTED if self.ending == INTERRUPTED else "FAILED"
         text = f"{self.began_s:7.1f} s  {ended}  {self.name} {self.arguments}".rstrip()
         details = [f"{self.ended_s - self.began_s:.1f} s", f"{self.driven_in:.0f} in"]

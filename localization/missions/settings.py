@@ -29,6 +29,7 @@ MIN_WITHIN_IN, MAX_WITHIN_IN = 0.1, 100.0
 MAX_RETRIES, MAX_ROUNDS = 100, 10_000
 MAX_TURN_DEG: Final = 3600.0
 """Ten revolutions: a larger angle is nearly always a mistake, such as a wrong unit."""
+# Seconds of the robot's clock, for missions that state no limit.
 TIME_LIMIT_S: Final = 600.0
 
 
@@ -74,9 +75,11 @@ class Settings:
     lost_s: float = 60.0
 
     def __post_init__(self) -> None:
+        # Settings of programs pass the same readers as those of TOML files: one set of limits and messages.
         values = {field.name: to_plain_value(getattr(self, field.name)) for field in fields(self)}
         values["on_lost"] = self.on_lost.value if isinstance(self.on_lost, OnLost) else values["on_lost"]
         stated = {key: value for key, value in values.items() if key not in _EMPTY or value != _EMPTY[key]}
+        # The dataclass is frozen, so checked values are set past its __setattr__.
         with as_table("Settings", stated) as table:
             for key, value in read_settings(table).items():
                 object.__setattr__(self, key, value)

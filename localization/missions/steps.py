@@ -130,11 +130,13 @@ def _parse_look(table: Table) -> Action:
 def _parse_wait_for(table: Table) -> Action:
     table.allow(("do", "time_limit_s", "touching", *CONDITIONS))
     given = [key for key in ("touching", *CONDITIONS) if key in table.values]
+    # 1. Exactly one condition and a time limit, so that no mission waits forever.
     if len(given) != 1:
         table.fail("", f"expected one of touching, {', '.join(CONDITIONS)}, found {' and '.join(given) or 'none'}")
     if "time_limit_s" not in table.values:
         table.fail("time_limit_s", "is missing: the longest time to wait, in seconds")
     limit_s, _ = _read_limits(table)
+    # 2. The condition as a function of the estimate and readings.
     (key,) = given
     if key == "touching":
         wanted = table.flag(key)
@@ -168,6 +170,7 @@ STEP_PARSERS: Final[Mapping[str, Callable[[Table], Action]]] = MappingProxyType(
 
 def _read_point(table: Table) -> Point:
     """Return the point under to_in, to_cm or to_m."""
+    # A point is read as a list of one; errors then name the key of the file again.
     key = table.key_of("to")
     row = Table(table.file, table.path, {key.replace("to_", "points_"): [table.values[key]]})
     try:
@@ -208,6 +211,7 @@ def parse_program(text: str, file: str) -> MissionSpec:
     """Return the mission of a Python program; `file` is its name in errors. Raises MissionFileError."""
     names: dict[str, Any] = {"__name__": "mission", "__file__": file}
     try:
+        # 1. Run the module: definitions, and whatever else it contains.
         exec(compile(text, file, "exec"), names)
     except SyntaxError as error:
         raise MissionFileError(f"{file}: line {error.lineno}: is not valid Python: {error.msg}") from error
@@ -215,6 +219,7 @@ def parse_program(text: str, file: str) -> MissionSpec:
         raise
     except (Exception, SystemExit) as error:
         raise MissionFileError(_with_program_line(error, file)) from error
+    # 2. Its function and its settings.
     act, settings = names.get("mission"), names.get("settings", Settings())
     if not callable(act):
         raise MissionFileError(f"{file}: expected a function mission(robot), found none; see docs/missions.md")
@@ -270,6 +275,7 @@ def _require_no_coroutine(result: object, file: str) -> None:
 
 def _with_program_line(error: BaseException, file: str) -> str:
     """Return the text of a program's error with the last line of the file in its traceback."""
+    # The last line of the mission's own file: deeper frames are this package's.
     lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
     where = f"{file}: line {lines[-1]}" if lines else file
     if isinstance(error, MissionFileError):
@@ -285,6 +291,7 @@ _TOP_KEYS: Final = ("title", "map", "time_limit_s", "on_lost", "lost_s", "step")
 
 def load_mission(path: str | PathLike[str]) -> MissionSpec:
     """Return the mission of a file, *.toml or *.py. Raises MissionFileError."""
+    # The suffix decides the language: a program is executed, a list of steps only read.
     file = Path(fspath(path))
     if file.suffix not in (".toml", ".py"):
         raise MissionFileError(f"{file}: expected a mission as .toml or .py, found {file.suffix or 'no suffix'!r}")
@@ -294,10 +301,12 @@ def load_mission(path: str | PathLike[str]) -> MissionSpec:
 
 def parse_step_list(text: str, file: str) -> MissionSpec:
     """Return the mission of a TOML text; `file` is its name in errors. Raises MissionFileError."""
+    # Syntax first; then keys and values, where errors get the line of their key.
     values = parse_toml(text, file, MissionFileError)
     try:
         top = Table(file, "", values)
         top.allow(_TOP_KEYS, ("fence",))
+        # All steps are checked before the first one is driven.
         acts = [parse_step(table) for table in top.tables("step")]
         if not acts:
             top.fail("step", "expected at least one [[step]], found none")

@@ -76,6 +76,7 @@ def run(options: argparse.Namespace) -> int:
 
 def forward(near: ByteStream, far: ByteStream, session: ClientSession, monitor: IdleMonitor) -> None:
     """Forward bytes in both directions until one end is closed or the client's session ends."""
+    # One thread per direction; either of them ends both.
     finished = threading.Event()
     to_near = threading.Thread(
         target=_forward_direction, args=(far, near, finished, monitor.to_host, lambda _: False), daemon=True
@@ -99,6 +100,7 @@ def _forward_direction(
     try:
         while not finished.is_set():
             data = b""
+            # A timeout only means that there was nothing to forward in this interval.
             with contextlib.suppress(ReplyTimeout):
                 data = source.receive(Deadline.after(POLL_INTERVAL_S))
                 observe(data)

@@ -29,7 +29,9 @@ from nclient.url import available_schemes
 
 PROGRAMS, WORDS = "nomad.programs", "nomad.words"
 """Entry point groups: parsers of programs by name, and the completions of metavars."""
+# Metavars that stand for files.
 _FILES = frozenset({"FILE", "FILE.toml", "SETUP", "PATH", "PNG", "file"})
+# Complete examples for schemes whose bare name would not be an address.
 _BEFORE_A_COLON = {"nserver": ("nserver://localhost:7019/1",), "serial": ("serial:///dev/ttyUSB0",),
                    "robotd": ("robotd://",)}  # fmt: skip
 
@@ -42,6 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Print the scripts, and return the exit code."""
+    # Parsers are found by entry points, because nserver is another package than this one.
     programs = {point.name: point for point in entry_points(group=PROGRAMS)}
     for name in options.programs or sorted(programs):
         if name not in programs:
@@ -53,7 +56,9 @@ def run(options: argparse.Namespace) -> int:
 
 def words_of_metavars() -> dict[str, tuple[str, ...]]:
     """Return the completions by metavar, such as the installed worlds for WORLD."""
+    # 1. Words that other packages offer, such as worlds.
     found = {point.name: tuple(point.load()()) for point in entry_points(group=WORDS)}
+    # 2. Addresses: one per scheme, and each shipped world as a simulation.
     addresses = [_BEFORE_A_COLON.get(scheme, (f"{scheme}:",)) for scheme in available_schemes()]
     simulated = [f"sim:{world}" for world in found.get("WORLD", ())]
     return {"PART": tuple(PARTS), "COMMAND": tuple(BY_NAME), "call": tuple(BY_NAME), "MODEL": tuple(MODELS),
@@ -88,9 +93,11 @@ def _with_all_words(made: str, prog: str, firsts: tuple[str, ...], *, alone: boo
 
     It completes only the first of several words, marked `(*)`, and a program has either words or subcommands.
     """
+    # 1. Any number of words instead of only the first one.
     made = re.sub(r'^  "\(\*\)::?', '  "*:', made, flags=re.MULTILINE)
     if alone or firsts:
         made = made.replace(f"_shtab_{prog}_defaults_added=0", f"_shtab_{prog}_defaults_added=1")
+    # 2. A case for each subcommand, executed before the completion of plain words.
     begin = f"_shtab_{prog}() {{\n"
     cases = "".join(_zsh_case(made, f"_shtab_{prog}_{first}", first) for first in firsts)
     return made.replace(begin, f"{begin}{_FIRST_WORD.substitute(cases=cases)}", 1) if firsts else made
@@ -113,6 +120,7 @@ def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
 
 def _mark(action: argparse.Action, words: dict[str, tuple[str, ...]], prog: str, firsts: tuple[str, ...]) -> None:
     """Set shtab's completion of an action by its metavar or type; `firsts` are completions of the first word only."""
+    # A metavar such as "FILE | PORT" names alternatives; all of them are offered.
     metavar = action.metavar if isinstance(action.metavar, str) else action.dest
     names = ["ADDRESS"] if action.dest == "address" else metavar.split(" | ")
     offered = tuple(word for name in names for word in words.get(name, ()))
@@ -125,6 +133,7 @@ def _completer(
     prog: str, names: list[str], offered: tuple[str, ...], firsts: tuple[str, ...], files: bool
 ) -> dict[str, Any]:
     """Return shell functions that offer `offered`, `firsts` for the first word, and files."""
+    # The function's name is built from what it offers, so that equal completions share one function.
     kinds = [re.sub(r"\W", "", word).lower() for word in names]
     kinds += [*(["file"] if files and "file" not in kinds else []), *(["first"] if firsts else [])]
     name = "_".join(("", prog, *kinds))

@@ -24,6 +24,7 @@ from nclient.protocol.types import MODELS, N150, get_model
 from nclient.recording.format import IN, OUT, Entry, Recording, format_entry, read_recording
 from nclient.recording.recorder import LINES, FrameDecoder
 
+# Bytes of a file of plain bytes that are decoded and shown together.
 _PIECE = 4096
 
 
@@ -64,6 +65,7 @@ def _read_plain_bytes(options: argparse.Namespace) -> Recording:
         data = options.file.read_bytes()
     except OSError as error:
         raise RecordingError(f"{options.file}: cannot be read ({error.strerror})") from error
+    # Plain bytes have one direction and no times; the decoder joins frames across pieces.
     decoder = FrameDecoder(options.line, get_model(options.model))
     decode, kind = (decoder.to_host, IN) if options.from_robot else (decoder.to_robot, OUT)
     pieces = [data[k : k + _PIECE] for k in range(0, len(data), _PIECE)]
@@ -80,6 +82,7 @@ def _selected_entries(recording: Recording, options: argparse.Namespace) -> Iter
         if not options.filter:
             yield entry
             continue
+        # A reply does not name its request: it is shown if the last request of its connection is.
         if entry.kind == OUT:
             answering[entry.connection] = any(found.get("call") == options.filter for found in entry.decoded)
         if entry.kind in (OUT, IN) and answering.get(entry.connection):

@@ -87,9 +87,11 @@ def _dispatch(arguments: list[str]) -> int:
     if name not in commands:
         return _report_usage_error(_unknown(name, commands))
     try:
+        # 2. Import only the command that is run: others may need packages that are not installed.
         command: Subcommand = commands[name].load()
     except ImportError as error:
         return _report_usage_error(_unloadable(name, error))
+    # 3. Parse its arguments and run it.
     parser = Parser(prog=f"nomad {name}", **_description(command))
     command.add_arguments(parser)
     return command.run(parser.parse_args([_protect_coordinates(word) for word in rest]))
@@ -114,6 +116,7 @@ def whole_parser() -> Parser:
 
 
 def _description(command: Subcommand) -> dict[str, Any]:
+    # The module's docstring is the help text, up to its rules.
     about = re.split(r"\s*\bRules:", command.__doc__ or "", maxsplit=1)[0]
     return {"description": about, "formatter_class": argparse.RawDescriptionHelpFormatter}
 

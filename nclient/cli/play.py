@@ -54,6 +54,7 @@ def run(options: argparse.Namespace) -> int:
     if recording.cut:
         print_message(recording.cut)
     connection = load_exchanges(recording, options.connection)
+    # With the recorded pace the delays between request and reply are repeated, not those between requests.
     sleep = time.sleep if options.pace == RECORDED else None
     mismatches: list[RecordingError] = []
 
@@ -78,6 +79,7 @@ def play(player: Player, stream: ByteStream, sleep: Callable[[float], None] | No
         If the client sends a request that was not recorded.
     """
     with contextlib.suppress(ConnectionLost):
+        # What a robot sends by itself on connecting, such as the handshake of an N200.
         _send(player.initial, stream, sleep)
         while True:
             data = b""
@@ -91,6 +93,7 @@ def play(player: Player, stream: ByteStream, sleep: Callable[[float], None] | No
 
 def _send(chunks: Iterable[ReplyChunk], stream: ByteStream, sleep: Callable[[float], None] | None) -> None:
     """Send chunks with their recorded delays, or at once if `sleep` is None."""
+    # Delays are counted from the request, so only the difference to the previous chunk is waited.
     passed_s = 0.0
     for chunk in chunks:
         if sleep is not None and chunk.after_s > passed_s:

@@ -133,6 +133,7 @@ class IdleTimer:
 
     def request_received(self, reply_s: float = 0.0) -> None:
         """Restart the timer at data from the client; the reply may take `reply_s` besides the usual latency."""
+        # Never earlier than before: a quick request after a slow one must not shorten its time.
         self._expires_s = max(self._expires_s, self._clock() + self._limit_s + reply_s)
         self._waiting = self._waiting or reply_s > 0
 
@@ -174,12 +175,14 @@ class IdleMonitor:
     def to_host(self, data: bytes) -> None:
         """Process bytes from the robot; only a valid frame counts as a reply."""
         with self._lock:
+            # Noise on a line is not a sign of life.
             if not all(frame.error for frame in self._reader.tap.to_host(data)):
                 self._timer.reply_received()
 
 
 def _reply_time_s(request: RequestKey) -> float:
     """Return the maximum time of a slow reply, 0 for a command with an immediate reply."""
+    # ws and get_robot_conf reply late by design: ws states its timeout in s, the other waits for a click.
     if request.name == "ws":
         return float(max(0, request.args[-1]))
     if request.name == "get_robot_conf":
@@ -233,6 +236,7 @@ def serve_clients(
 ) -> None:
     """Serve one client after another, forever or, with --once, until one disconnects by itself."""
     while True:
+        # One client at a time: two programs would disturb each other on one robot.
         stream = listener.accept()
         try:
             serve(stream, session := ClientSession(options.limit_silent, listener.has_pending_request))

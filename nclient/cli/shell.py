@@ -81,6 +81,7 @@ def default_history(environment: Mapping[str, str]) -> Path:
 def _create_history(history: Path) -> Path | None:
     """Create the history file if needed; return None with a message if it cannot be written."""
     try:
+        # Readable by the user alone.
         history.parent.mkdir(parents=True, exist_ok=True)
         os.close(os.open(history, os.O_RDWR | os.O_CREAT, 0o600))
     except OSError as error:
@@ -114,6 +115,7 @@ class PlainReader:
 
     def complete(self, word: str, number: int) -> str | None:
         """Return completion `number` of a word; readline calls this with 0, 1, ... until it gets None."""
+        # All completions are found at the first call, for the state of the line at that time.
         if number == 0:
             import readline
 
@@ -131,6 +133,7 @@ class PlainReader:
                 readline.write_history_file(self._history)
 
 
+# Interval of queries for the status line, seconds.
 POLL_INTERVAL_S = 0.5
 
 
@@ -178,6 +181,7 @@ class StatusPoller:
     def _poll(self) -> None:
         while not self._ended.wait(self._every_s):
             self._enabled.wait()
+            # After conf_tm polling would keep the motion timeout from working.
             if self._ended.is_set() or self._session.user_set_timeout:
                 continue
             try:
@@ -207,12 +211,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the shell or the script, and return the exit code."""
+    # 1. Robot and session; a script, or the prompt.
     connector = Connector(parse_address(address_or_default(options.address)))
     lines, name = _script_lines(options)
     session = Session(connector.open(), time.sleep)
     with session.robot:
         if lines is not None:
             return _execute_script(session, lines, name)
+        # 2. A simulation in this process advances with each query: no polling there.
         poller = StatusPoller(session, 0.0 if connector.address.in_process else POLL_INTERVAL_S)
         keys = open_reader(lambda: session.wire_state, poller.line, options.history or default_history(os.environ))
         try:

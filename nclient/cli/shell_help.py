@@ -62,6 +62,7 @@ _TOKEN = re.compile(
 )
 # Maximum digits of an array index or mask value.
 _MAX_DIGITS = 9
+# Closing mark of each opening one.
 _OPENS = {"(": ")", "{": "}", "[": "]"}
 
 
@@ -93,11 +94,13 @@ def parse(text: str) -> tuple[ParsedCommand | Element, ...]:
 def _tokens(text: str) -> Iterator[_Token]:
     place, text = 0, text.rstrip()
     while place < len(text):
+        # Only an unfinished quote matches no alternative.
         found = _TOKEN.match(text, place)
         if found is None:
             raise ShellError(f"a quote that does not end: {text[place:].strip()}")
         place, kind = found.end(), found.lastgroup or ""
         token = found[kind]
+        # Backslash escapes apply in double quotes only, as in C and shells.
         if kind == "double":
             token = re.sub(r"\\(.)", r"\1", token)
         if kind != "comment":
@@ -185,6 +188,7 @@ UNITS = {
     "x1": "1/10 in", "y1": "1/10 in", "x2": "1/10 in", "y2": "1/10 in", "x0": "1/10 in", "y0": "1/10 in",
     "w": "1/10 in", "h": "1/10 in", "th1": "1/10 deg", "th2": "1/10 deg", "timeout_s": "s",
 }  # fmt: skip
+# Added to the unit of an axis: velocities, speeds, accelerations.
 _RATES = {"vm": "/s", "sp": "/s", "ac": "/s2"}
 _LINEAR, _ANGULAR = ("translation",), ("steering", "turret")
 MORE = {
@@ -228,6 +232,7 @@ def parameters(row: Command) -> tuple[Parameter, ...]:
     """Return the arguments of the C call; numbered ones such as order_0 to order_15 become one array, order[16]."""
     found: list[Parameter] = []
     for argument in row.arguments:
+        # Names such as order_3 are elements of one C array.
         name, numbered = re.subn(r"_\d+$", "", argument.name)
         if row.extra_arguments is not None and row.extra_arguments[0] in ("pid", "mask") and name in ("pid", "Smask"):
             continue
@@ -253,6 +258,7 @@ def help_lines(name: str, wire_state: WireState) -> Iterator[str]:
     row = BY_NAME[name]
     yield usage(row)
     yield f"  {row.summary}"
+    # Ranges are those of the serial line's fields; over TCP every number is a 32-bit word.
     bounds = {bound: (least, most) for bound, least, most in serial_argument_bounds(name)} if wire_state.line else {}
     for parameter in parameters(row):
         if parameter.unit or parameter.name in bounds:
@@ -302,6 +308,7 @@ class Candidate(NamedTuple):
 def candidates(text: str, wire_state: WireState) -> Iterator[Candidate]:
     """Return the completions of the last word of `text`, the line up to the cursor."""
     before, last = _split(text)
+    # First word: commands; after `help` all of them again; after `state` the parts not typed yet.
     if not before:
         words = dict(_names(wire_state))
     elif before == ["help"]:
@@ -324,6 +331,7 @@ def hint(text: str) -> str:
 
 def _split(text: str) -> tuple[list[str], str]:
     """Return the complete words of the last statement, and the incomplete one."""
+    # Commands may be written as words, with commas or as a C call.
     statement = text.rpartition(";")[2].lstrip()
     *before, last = re.split(r"[\s,(]+", statement)
     return before, last

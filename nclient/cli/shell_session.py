@@ -69,6 +69,7 @@ def build_call(command: ParsedCommand, wire_state: WireState, smask: Sequence[in
     WireError
         If a number cannot be sent.
     """
+    # A serial frame has narrow fields: what would overflow is refused here, before any byte is sent.
     row = _row(command.name, wire_state)
     call = Call(row.name, _arguments(row, command.values, smask, pid))
     if not wire_state.line:
@@ -94,10 +95,13 @@ def _row(name: str, wire_state: WireState) -> Command:
 
 
 def _arguments(row: Command, values: tuple[Value, ...], smask: Sequence[int], pid: int) -> tuple[Any, ...]:
+    # 1. A text: words are joined again by single blanks.
     if row.name == "tk":
         return (" ".join(str(value) for value in values),)
+    # 2. The mask: without arguments the one that Smask assignments have changed.
     if row.name == "ct":
         return _mask(values, smask)
+    # 3. Numbers; all but motion_check take integers.
     numbers = _numbers(row, values)
     if row.name == "motion_check":
         return (*numbers[:1], *(_THOUSANDTHS * number for number in numbers[1:]))
@@ -116,10 +120,12 @@ def _mask(values: tuple[Value, ...], smask: Sequence[int]) -> tuple[int, ...]:
 
 def _numbers(row: Command, values: tuple[Value, ...]) -> tuple[int | float, ...]:
     """Return the arguments as flat numbers, as many as the C call takes; a short firing order is padded."""
+    # 1. Commands of variable length take the list as it is.
     wanted = parameters(row)
     numbers = _flatten(row.name, values)
     if row.any_length:
         return numbers
+    # 2. Others: check count and lists, then fill a firing order with its end mark.
     least, most = _counts(wanted)
     if not least <= len(numbers) <= most or not _lists_fit(wanted, values):
         count = f"{most} numbers" if least == most else f"{least} to {most} numbers"
@@ -128,6 +134,7 @@ def _numbers(row: Command, values: tuple[Value, ...]) -> tuple[int | float, ...]
 
 
 def _counts(wanted: tuple[Parameter, ...]) -> tuple[int, int]:
+    # All single numbers are required; of an array at least one number is.
     single = sum(parameter.length == 1 for parameter in wanted)
     return single + (single < len(wanted)), sum(parameter.length for parameter in wanted)
 
@@ -155,15 +162,19 @@ def _shown(values: tuple[Value, ...]) -> str:
     return " ".join(map(str, values))
 
 
+# Default limit of `wait`, seconds.
 WAIT_S = 60
 POLL_INTERVAL_S = 0.05
 """Interval between two queries of the robot's clock, if time runs by itself."""
 _MAX_CLOCK_STOPS = 400
 """Queries with the same clock after which `sleep` fails."""
+# Limit of `wait` and `sleep`: one day.
 _MAX_SECONDS = 86400
 _USAGE_WIDTH = 34
 """Columns of the usage in the list of all commands."""
+# Laser has no fixed size: it depends on the last reply.
 _SIZES = {"State": STATE_SIZE, "Smask": SLOTS}
+# After these the state is that of another robot, so it is queried and shown.
 _CONNECTS = frozenset({"connect_robot", "create_robot"})
 
 
@@ -217,6 +228,7 @@ class Session:
         NomadError
             If a command fails; later ones are not executed.
         """
+        # The whole line first: an error at its end must not leave the robot moving.
         self.check(text)
         for command in parse(text):
             if self.finished:
@@ -236,6 +248,7 @@ class Session:
         if call.name == "disconnect_robot":
             self.finished = True
             return
+        # A ct that the robot accepted becomes the Smask of the session.
         reply = self.robot.execute(call)
         self.user_set_timeout |= call.name == "conf_tm"
         if call.name == "ct":
@@ -256,6 +269,7 @@ class Session:
                 yield from help_lines(name, self.wire_state)
 
     def _overview(self) -> Iterator[str]:
+        # Long usages get a line of their own, so that summaries stay aligned.
         rows = {word.usage: word.summary for word in BUILTINS.values()} | ARRAYS_HELP | summaries(self.wire_state)
         for left, right in rows.items():
             yield (
@@ -285,10 +299,12 @@ class Session:
         if begun_s is None:
             self._sleep(seconds)
             return
+        # 1e-9 s absorbs the rounding of clock differences.
         until_s, last_s, stops = begun_s + seconds, begun_s, 0
         while last_s < until_s - 1e-9:
             self._wait_for_clock(until_s - last_s)
             now_s = self.robot.refresh().clock_s or 0.0
+            # A paused simulation would otherwise make this loop endless.
             stops = 0 if now_s != last_s else stops + 1
             if stops >= _MAX_CLOCK_STOPS:
                 raise ShellError(
@@ -311,6 +327,7 @@ class Session:
         if place is not None and value is not None:
             self._smask[place] = value
         state = self.robot.state
+        # The last state without a query, as in a C program.
         numbers = {"State": state.raw, "Laser": state.laser, "Smask": tuple(self._smask)}[array]
         if place is not None and place >= len(numbers):
             raise ShellError(f"Laser holds {len(numbers)} numbers now, not {place}")
@@ -319,9 +336,11 @@ class Session:
 
 def _check_element(element: Element) -> None:
     array, place, value = element
+    # Indices are checked in advance where the size is fixed.
     size = _SIZES.get(array)
     if place is not None and size is not None and place >= size:
         raise ShellError(f"{array} has {size} numbers, 0 to {size - 1}, not {place}")
+    # Smask[0] is a bit field of the sensors with position stamps; all others are switches.
     if value is not None and value > (31 if place == 0 else 1):
         raise ShellError("Smask[0] is a sum of 1 infrared, 2 sonar, 4 bumper, 8 laser, 16 compass; the others 0 or 1")
 

@@ -18,13 +18,16 @@ from nclient.protocol.replies import Reply
 from nclient.protocol.types import unwrap_word
 from nclient.state import NO_ECHO_IN, RobotState
 
+# Angle between adjacent sonars of the ring: 360 / 16 degrees.
 _SECTOR_DEG = 22.5
+# Columns of the name of a part.
 _WIDTH = 11
 
 
 def format_state(state: RobotState) -> str:
     """Return the state in one line: pose, motion, nearest echo, bumpers, clock."""
     parts = [_pose(state), format_motion(state)]
+    # 0 means no reading yet, NO_ECHO_IN no echo.
     nearest = min(range(16), key=lambda number: state.sonars_in[number])
     if 0 < state.sonars_in[nearest] < NO_ECHO_IN:
         parts.append(f"nearest {state.sonars_in[nearest]} in at {_SECTOR_DEG * nearest:g} deg")
@@ -67,6 +70,7 @@ def as_json(state: RobotState) -> dict[str, Any]:
         "x_in": state.x_in, "y_in": state.y_in, "steering_deg": state.steering_deg, "turret_deg": state.turret_deg,
         "translation_in_s": state.translation_in_s, "steering_deg_s": state.steering_deg_s,
         "turret_deg_s": state.turret_deg_s, "moving": state.moving,
+        # Without echo there is no range, so null rather than a large number.
         "sonars_in": [None if reading >= NO_ECHO_IN else reading for reading in state.sonars_in],
         "infrareds": list(state.infrareds) if state.model.has_infrared else None,
         "bumpers": list(state.bumpers), "compass_deg": state.compass_deg,
@@ -83,6 +87,7 @@ def _pose(state: RobotState) -> str:
 
 
 def _velocity(state: RobotState) -> str:
+    # A Scout has no turret; its third velocity has no meaning, its wheels have.
     wheels = "" if state.model.has_turret else f"  right {state.right_in_s:.1f} in/s  left {state.left_in_s:.1f} in/s"
     return (
         f"translation {state.translation_in_s:.1f} in/s  steering {state.steering_deg_s:.1f} deg/s  "
@@ -111,6 +116,7 @@ def _bumpers(state: RobotState) -> str:
 
 
 def _laser(state: RobotState) -> str:
+    # Without points the vector may still have pixel rows of the camera: shown raw, the first eight.
     points, rows = state.laser_points_in, state.laser[1:]
     if not points and rows:
         return f"{len(rows)} rows of the camera: {' '.join(map(str, rows[:8]))}{' ..' if len(rows) > 8 else ''}"
@@ -175,6 +181,7 @@ def _plain(reply: Reply) -> str:
 
 
 def _accelerations(reply: Reply) -> str:
+    # State[38] to State[40], tenths of in/s2 and deg/s2.
     values = [reply.slots.get(slot, 0) / 10 for slot in (38, 39, 40)]
     return "translation {:.1f} in/s2  steering {:.1f} deg/s2  turret {:.1f} deg/s2".format(*values)
 
@@ -186,6 +193,8 @@ def _clicked(reply: Reply) -> str:
 
 
 def _truth(reply: Reply) -> Iterator[str]:
+    # The first number is always 1. Lengths are 1/1000 in, angles 1/1000 deg, the time an unsigned word
+    # in ms.
     _, time_ms, x, y, heading, turret, seed, robot = reply.values
     yield (
         f"ground truth x {x / 1000:.3f} in  y {y / 1000:.3f} in  heading {heading / 1000:.3f} deg  "
@@ -194,17 +203,20 @@ def _truth(reply: Reply) -> Iterator[str]:
 
 
 def _time(reply: Reply) -> Iterator[str]:
+    # The speed is ten times the factor; 0 means no relation to real time.
     _, time_ms, speed, paused = reply.values
     pace = "paused" if paused else f"{speed / 10:g} x real time" if speed else "as clients ask, or as fast as it can"
     yield f"simulated time {time_ms / 1000:.3f} s, {pace}"
 
 
 def _collision(reply: Reply) -> Iterator[str]:
+    # Thousandths of an inch; the normal in microradians.
     hit, x, y, normal = reply.values
     yield f"hits at x {x / 1000:.1f} in  y {y / 1000:.1f} in, normal {normal / 1e6:.3f} rad" if hit else "free"
 
 
 def _robots(reply: Reply) -> Iterator[str]:
+    # Three numbers per robot: x and y in 1/10 in, heading in 1/10 deg.
     count, *numbers = reply.values
     for number in range(count):
         x, y, heading = numbers[3 * number : 3 * number + 3]
@@ -212,6 +224,7 @@ def _robots(reply: Reply) -> Iterator[str]:
 
 
 def _prediction(reply: Reply) -> Iterator[str]:
+    # The reply is a predicted State vector: infrareds in State[1] to [16], sonars in State[17] to [32].
     yield f"infrared    {' '.join(f'{reading:3}' for reading in reply.values[1:17])}"
     sonars = ("  -" if reading >= NO_ECHO_IN else f"{reading:3}" for reading in reply.values[17:33])
     yield f"sonar       {' '.join(sonars)}  in"

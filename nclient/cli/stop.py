@@ -33,6 +33,7 @@ from nclient.state import RobotState
 from nclient.transports.stream import ByteStream
 from nclient.url import parse_address
 
+# Time limit without --patience, seconds: enough for several reconnects.
 DEFAULT_PATIENCE_S = 10.0
 PAUSE_S = 0.05
 """Interval between two queries while the robot slows down, and between two connection attempts."""
@@ -104,6 +105,7 @@ class StopFirstConnector:
 
     def __call__(self) -> Backend:
         """Connect to a robot, which has replied to st. Raises as send_emergency_stop and `start_session` do."""
+        # Any exception closes the line, so that the next attempt can open it again.
         stream = self._open_stream()
         try:
             self.replies.append(send_emergency_stop(stream, self._timeout_s, self._clock, self._count_stop).data)
@@ -146,6 +148,7 @@ class RobotStopper:
 
     def run(self, patience_s: float) -> int:
         """Try for `patience_s` at most, print the result, and return the exit code."""
+        # At least one attempt, also with a patience of 0.
         deadline_s = self._clock() + patience_s
         try:
             is_still = self._try_once()
@@ -187,6 +190,7 @@ class RobotStopper:
             print_message(text)
 
     def _report(self, is_still: bool) -> None:
+        # Stops sent on connecting are counted by the connector, later ones here.
         first = self._connect if isinstance(self._connect, StopFirstConnector) else None
         count = self._stops_sent + (first.stops_sent if first else 0)
         attempts = f"st sent {count} time{'' if count == 1 else 's'}"

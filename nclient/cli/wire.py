@@ -25,6 +25,7 @@ from nclient.protocol.decode import WIRES, WireDecoder
 from nclient.protocol.types import EVERYTHING, MODELS, Mask, get_model
 from nclient.protocol.wire_state import serial_wire_state
 
+# Set on the parser, since --line and --model exist both before and after the verb.
 _DEFAULTS = {"line": "tcp", "model": "n150"}
 _ENCODE = """Print the bytes of a call as hex, one frame per line.
 
@@ -130,14 +131,17 @@ def _encode(options: argparse.Namespace) -> int:
 
 def _calls(options: argparse.Namespace) -> Iterator[Call]:
     """Yield the calls for the arguments of the C call, with pid, mask or packet type added."""
+    # 1. A text needs no conversion.
     row = _row(options.call)
     if row.name == "tk":
         yield Call(row.name, (" ".join(options.args),))
         return
+    # 2. Numbers; on the serial line place_robot is sent as two commands, position and angles.
     args = tuple(_number(word) for word in options.args)
     if row.name == "place_robot" and options.line == "serial" and len(args) == 4:
         yield from (Call("dp", args[:2]), Call("da", args[2:]))
         return
+    # 3. Arguments that are not in the C call: pid, mask or packet type.
     yield Call(row.name, _with_extra_arguments(row.extra_arguments[0], args, options) if row.extra_arguments else args)
 
 
@@ -156,12 +160,15 @@ def _with_extra_arguments(name: str, args: tuple[float, ...], options: argparse.
 
 def _decode(options: argparse.Namespace) -> int:
     decoder = WireDecoder(options.line, get_model(options.model))
+    # 1. State of the connection: it decides the layout of state replies.
     if options.mask:
         decoder.wire_state.set_mask(options.mask)
     if options.laser_mode is not None:
         decoder.wire_state.set_laser_mode(options.laser_mode)
+    # 2. The command that a reply belongs to, if it was named.
     if options.call:
         decoder.expect(_row(options.call).name)
+    # 3. One frame in the stated direction.
     decoded = decoder.request(options.hex) if options.to == "robot" else decoder.reply(options.hex)
     if "error" in decoded:
         raise WireError(decoded["error"])
@@ -171,6 +178,7 @@ def _decode(options: argparse.Namespace) -> int:
 
 def _dump(options: argparse.Namespace) -> int:
     decoder = WireDecoder(options.line, get_model(options.model))
+    # Bytes that are no UTF-8 become replacement characters, and an error object like any other invalid line.
     for line in sys.stdin.buffer:
         print(json.dumps(decoder.read(line.decode("utf-8", "replace"))), flush=True)
     return ExitCode.DONE

@@ -1,4 +1,4 @@
-"""The bodies against the table of the robots."""
+"""The robot models against the table of the robots."""
 
 from __future__ import annotations
 

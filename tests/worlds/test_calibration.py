@@ -1,4 +1,4 @@
-"""What a robot gets wrong, as text and back."""
+"""Calibration of a robot: written to text and read back."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def written(tmp_path: Path, text: str) -> Path:
     return path
 
 
-def test_what_is_written_is_read_back(tmp_path: Path) -> None:
+def test_calibration_round_trips(tmp_path: Path) -> None:
     path = written(tmp_path, format_calibration("n150", FOUND, "of mine\nin May"))
     found = load_calibration(path, "n150")
     assert found.offsets_in == OFFSETS
@@ -34,7 +34,7 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
     assert path.read_text().startswith("# of mine\n# in May\n[[model]]\n")
 
 
-def test_what_a_file_leaves_out_is_faultless(tmp_path: Path) -> None:
+def test_missing_keys_are_ideal(tmp_path: Path) -> None:
     text = '[[model]]\nname = "n200"\n[[model]]\nname = "n150"\nradius_in = 9\n[model.odometry]\nway_scale = 1.1\n'
     path = written(tmp_path, text)
     assert load_calibration(path, "n150") == Calibration(distance_scale=1.1)
@@ -42,7 +42,7 @@ def test_what_a_file_leaves_out_is_faultless(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "expected"),
     [
         ('[[model]]\nname = "n200"\n', "has no model 'n150'"),
         ("", "has no model 'n150'"),
@@ -56,8 +56,8 @@ def test_what_a_file_leaves_out_is_faultless(tmp_path: Path) -> None:
         ('[[model]]\nname = "n150"\n[model.spread]\nfar = -1\n', "unknown key"),
     ],
 )
-def test_what_is_wrong_is_reported(tmp_path: Path, text: str, told: str) -> None:
-    with pytest.raises(WorldFileError, match=told):
+def test_invalid_calibration_is_reported(tmp_path: Path, text: str, expected: str) -> None:
+    with pytest.raises(WorldFileError, match=expected):
         load_calibration(written(tmp_path, text), "n150")
 
 

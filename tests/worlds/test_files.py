@@ -23,7 +23,7 @@ SHIPPED = ("centre_vertex", "several_walls", "thesis_room")
 
 
 def complaint(text: str) -> str:
-    """What parse_world states of a text, without the name of the file in front."""
+    """Return the error of parse_world on a text, without the leading file name."""
     with pytest.raises(WorldFileError) as caught:
         parse_world(text, "there/room.toml", "room")
     message = str(caught.value)
@@ -39,7 +39,7 @@ def test_the_shipped_worlds_are_listed() -> None:
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_a_shipped_world_is_found_by_name_file_name_and_path_from_anywhere(
+def test_shipped_world_is_found_by_name_or_path(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -53,7 +53,7 @@ def test_a_shipped_world_is_found_by_name_file_name_and_path_from_anywhere(
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_in_a_shipped_world_an_n150_fits_at_every_start_and_all_along_every_path(name: str) -> None:
+def test_n150_fits_at_starts_and_along_paths(name: str) -> None:
     world = load_world(name)
     for start in world.starts:
         world.require_free(start.x_in, start.y_in, N150.radius_in)
@@ -64,7 +64,7 @@ def test_in_a_shipped_world_an_n150_fits_at_every_start_and_all_along_every_path
             assert nearest_points(legs, world.walls)[1].min() > N150.radius_in
 
 
-def test_the_thesis_room_is_290_cm_square_and_has_its_figures() -> None:
+def test_thesis_room_is_290_cm_square_with_its_figures() -> None:
     room = load_world("thesis_room")
     assert room.fixed_walls.tolist() == room.walls.tolist()
     np.testing.assert_allclose(lengths(room.walls) * 2.54, 290.0, atol=0.01)
@@ -74,7 +74,7 @@ def test_the_thesis_room_is_290_cm_square_and_has_its_figures() -> None:
     )
 
 
-def test_the_worlds_of_figures_5_8_and_5_9_have_their_walls_and_path_points() -> None:
+def test_worlds_of_figures_5_8_and_5_9() -> None:
     several, vertex = load_world("several_walls"), load_world("centre_vertex")
     assert several.inner_walls.tolist() == [
         [-12, 40, 10, 40],
@@ -120,7 +120,7 @@ points_cm = [[25.4, 25.4], [50.8, 25.4]]
 """
 
 
-def test_everything_a_file_may_hold_is_read_in_inches_and_radians() -> None:
+def test_all_keys_are_read_in_inches_and_radians() -> None:
     world = parse_world(EVERYTHING, "e.toml", "e")
     assert (world.name, world.title) == ("everything", "All there is")
     assert world.rooms[0].name == "hall"
@@ -141,7 +141,7 @@ def test_everything_a_file_may_hold_is_read_in_inches_and_radians() -> None:
     np.testing.assert_allclose(world.paths["9.9"].points_in, [(10, 10), (20, 10)])
 
 
-def test_what_is_not_stated_has_a_default() -> None:
+def test_missing_keys_have_defaults() -> None:
     world = parse_world(ROOM, "some/place.toml", "place")
     assert (world.name, world.title, world.starts, dict(world.paths)) == ("place", "place", (StartPose(0.0, 0.0),), {})
     assert world.obstacles == ()
@@ -300,7 +300,7 @@ def test_two_paths_cannot_share_a_key(key: str) -> None:
     assert complaint(ROOM + path + path) == f"path[1].{key}: '7.1' is used by an earlier path; expected another"
 
 
-def test_what_is_no_toml_is_reported_where() -> None:
+def test_invalid_toml_is_reported_with_its_line() -> None:
     assert "is no TOML: " in complaint(ROOM + "[[wall\n")
     assert "line 3" in complaint(ROOM + "[[wall\n")
     assert complaint("x = " + 5000 * "[") == "is no TOML: nested too deeply"
@@ -308,7 +308,7 @@ def test_what_is_no_toml_is_reported_where() -> None:
 
 
 def outcome(text: str) -> str:
-    """What comes of a text: a world, or what a WorldFileError states; any other error fails the test."""
+    """Return the world of a text or its WorldFileError, as text; any other error fails the test."""
     try:
         return str(parse_world(text, "x.toml", "x"))
     except WorldFileError as error:
@@ -316,7 +316,7 @@ def outcome(text: str) -> str:
 
 
 @given(st.text(max_size=200))
-def test_any_text_is_a_world_or_an_error_that_names_the_file(text: str) -> None:
+def test_random_text_is_a_world_or_a_file_error(text: str) -> None:
     assert outcome(text).startswith(("x.toml: ", "World("))
 
 
@@ -331,7 +331,7 @@ values = st.recursive(
 
 
 @given(st.sampled_from(["room", "wall", "obstacle", "start", "path"]), st.dictionaries(keys, values, max_size=4))
-def test_any_table_is_a_world_or_an_error_that_names_the_file(kind: str, table: dict[str, object]) -> None:
+def test_random_table_is_a_world_or_a_file_error(kind: str, table: dict[str, object]) -> None:
     rows = "\n".join(f"{key} = {value}" for key, value in table.items())
     assert outcome(f"{ROOM}[[{kind}]]\n{rows}").startswith(("x.toml: ", "World("))
 
@@ -347,7 +347,7 @@ def test_a_file_anywhere_is_read_by_its_path(tmp_path: Path, monkeypatch: pytest
         assert load_world(spelling).name == "attic"
 
 
-def test_a_path_that_exists_is_that_file_and_a_bare_name_is_the_shipped_world(
+def test_existing_path_is_read_and_bare_name_is_shipped(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "worlds").mkdir()
@@ -392,7 +392,7 @@ def test_bytes_that_are_no_utf_8_are_reported_where(tmp_path: Path) -> None:
         load_world(file)
 
 
-def test_a_file_that_cannot_be_read_states_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unreadable_file_is_reported_with_reason(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object) -> bytes:
         raise PermissionError(13, "Permission denied")
 
@@ -403,7 +403,7 @@ def test_a_file_that_cannot_be_read_states_why(tmp_path: Path, monkeypatch: pyte
         load_world(file)
 
 
-def test_a_name_too_long_for_the_system_is_an_error_of_ours() -> None:
+def test_too_long_file_name_is_a_world_file_error() -> None:
     with pytest.raises(WorldFileError):
         load_world("x" * 5000)
 
@@ -415,7 +415,7 @@ def test_a_name_too_long_for_the_system_is_an_error_of_ours() -> None:
         ('[[path]]\nname = "p"\npoints_in = [[0, 0], [90, 90]]\n', r"path\[0\]: .*found \(90, 90\) in"),
     ],
 )
-def test_a_start_or_a_path_point_where_no_robot_can_be_is_a_mistake_of_the_file(lines: str, place: str) -> None:
+def test_start_or_path_point_outside_is_a_file_error(lines: str, place: str) -> None:
     room = "[[room]]\ncorners_in = [[-20, -20], [40, -20], [40, 40], [-20, 40]]\n"
     with pytest.raises(WorldFileError, match=place):
         parse_world(room + lines, "hall.toml", "hall")

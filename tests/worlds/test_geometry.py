@@ -1,4 +1,4 @@
-"""The kernels of plane geometry against slower paths to the same numbers: sampling, fractions, sums of angles."""
+"""The kernels of plane geometry against slower methods: sampling, fractions, sums of angles."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ grid = st.tuples(whole, whole)
 SQUARE = [(0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (0.0, 4.0)]
 
 
-def test_a_polyline_has_one_segment_less_than_points_and_a_polygon_as_many() -> None:
+def test_segment_counts_of_polyline_and_polygon() -> None:
     assert polyline_segments([(0, 0), (1, 0), (1, 2)]).tolist() == [[0, 0, 1, 0], [1, 0, 1, 2]]
     assert polyline_segments([(5, 6)]).shape == (0, 4)
     assert polygon_segments([(0, 0), (1, 0), (1, 2)]).tolist() == [[0, 0, 1, 0], [1, 0, 1, 2], [1, 2, 0, 0]]
@@ -70,7 +70,7 @@ def _apart(here: Pair, first: Pair, second: Pair, share: float) -> float:
     return hypot(x - here[0], y - here[1])
 
 
-def test_the_nearest_points_of_many_points_and_segments_and_of_a_point_that_poses_as_a_segment() -> None:
+def test_nearest_points_with_zero_length_segment() -> None:
     segments = np.array([[0.0, 0.0, 10.0, 0.0], [3.0, 4.0, 3.0, 4.0]])
     near, distances = nearest_points([[[5.0, 2.0], [-3.0, -4.0]]], segments)
     assert near.tolist() == [[[[5.0, 0.0], [3.0, 4.0]], [[0.0, 0.0], [3.0, 4.0]]]]
@@ -78,7 +78,7 @@ def test_the_nearest_points_of_many_points_and_segments_and_of_a_point_that_pose
 
 
 def _winding(here: Pair, corners: list[tuple[int, int]]) -> int:
-    """How often the outline turns around a point: the sum of the angles under which its edges are seen."""
+    """Return how often the outline turns around a point: the sum of the angles under which its edges are seen."""
     total = 0.0
     for (x1, y1), (x2, y2) in zip(corners, corners[1:] + corners[:1], strict=True):
         turn = atan2(y2 - here[1], x2 - here[0]) - atan2(y1 - here[1], x1 - here[0])
@@ -94,7 +94,7 @@ def test_inside_is_an_odd_number_of_turns_of_the_outline(here: tuple[int, int], 
     assert inside(point, edges).tolist() == [_winding(point, corners) % 2 == 1]
 
 
-def test_inside_reports_several_polygons_apart_for_many_points() -> None:
+def test_inside_of_several_polygons_for_many_points() -> None:
     shifted = np.array(SQUARE)[::-1] + np.array([3.0, 0.0])
     edges = np.concatenate((polygon_segments(SQUARE), polygon_segments(shifted)))
     within = inside([[(1.0, 1.0), (3.5, 1.0)], [(6.0, 1.0), (9.0, 9.0)]], edges, (0, 4))
@@ -111,7 +111,7 @@ def test_the_area_of_a_regular_polygon_far_from_the_origin(count: int) -> None:
 
 
 def _cross(one: list[int], other: list[int]) -> bool:
-    """Whether two segments cross between their ends: the meeting of their lines, in fractions."""
+    """Return True if two segments cross between their ends: the meeting of their lines, in fractions."""
     ex, ey, fx, fy = one[2] - one[0], one[3] - one[1], other[2] - other[0], other[3] - other[1]
     determinant = ex * fy - ey * fx
     if determinant == 0:

@@ -1,4 +1,4 @@
-"""The ray caster against an exact, slow solver in fractions, and by its promises: closed corners, starts on walls."""
+"""The ray caster against an exact, slow solver in fractions; closed corners, starts on walls."""
 
 from __future__ import annotations
 
@@ -36,9 +36,10 @@ EAST, NORTH, WEST, SOUTH = (1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)
 
 
 def meeting_exactly(origin: Rational, direction: Rational, wall: Wall) -> Fraction | None:
-    """The witness: origin + t direction = first + u (second - first) by Cramer's rule, in exact fractions.
+    """Return the range to a wall in exact fractions, or None: the oracle of these tests.
 
-    The smallest t >= 0 with 0 <= u <= 1, or None. Nothing in common with the kernel: no sides, no tolerance.
+    Solve origin + t direction = first + u (second - first) by Cramer's rule for the smallest t >= 0 with 0 <= u <= 1.
+    Nothing in common with the kernel: no sides, no tolerance.
     """
     x, y = Fraction(wall[0]) - origin[0], Fraction(wall[1]) - origin[1]
     ex, ey = Fraction(wall[2]) - Fraction(wall[0]), Fraction(wall[3]) - Fraction(wall[1])
@@ -54,24 +55,25 @@ def meeting_exactly(origin: Rational, direction: Rational, wall: Wall) -> Fracti
 
 
 def alone(origin: Pair, direction: Pair, walls: npt.ArrayLike) -> tuple[float, int]:
-    """One ray through the path for a single ray."""
+    """Cast one ray alone."""
     ranges, rows = cast_rays(origin, direction, walls)
     assert ranges.shape == rows.shape == ()
     return float(ranges), int(rows)
 
 
 def among(origin: Pair, direction: Pair, walls: npt.ArrayLike) -> tuple[float, int]:
-    """One ray through the path for many, beside another that points the other path."""
+    """Cast one ray in an array with another of the opposite direction."""
     ranges, rows = cast_rays(origin, [direction, (-direction[0], -direction[1])], walls)
     assert ranges.shape == rows.shape == (2,)
     return float(ranges[0]), int(rows[0])
 
 
-both_ways = pytest.mark.parametrize("cast", [alone, among])
+both_kernels = pytest.mark.parametrize("cast", [alone, among])
 
 
 # Whole numbers and directions of Pythagorean triangles: every side and every range is a fraction with a small
-# denominator, so whatever is not exactly zero is far beyond the tolerances, and the kernel must agree to the last case.
+# denominator. So every number that is not exactly zero is far beyond the tolerances, and the kernel must agree in
+# every case.
 
 whole = st.integers(-6, 6)
 walls_on_grid = st.lists(st.tuples(whole, whole, whole, whole), min_size=1, max_size=6)
@@ -79,7 +81,7 @@ triangles = st.sampled_from([(1, 0, 1), (3, 4, 5), (4, 3, 5), (5, 12, 13), (12, 
 signs = st.sampled_from([(1, 1), (1, -1), (-1, 1), (-1, -1)])
 
 
-@both_ways
+@both_kernels
 @given(st.tuples(whole, whole), triangles, signs, st.booleans(), walls_on_grid)
 @example((0, 0), (1, 0, 1), (1, 1), False, [(3, 0, 5, 0)])  # end-on, ahead
 @example((4, 0), (1, 0, 1), (1, 1), False, [(3, 0, 5, 0)])  # within the wall, along it
@@ -126,7 +128,7 @@ def apart(point: Rational, wall: Wall) -> float:
 
 
 def surely_blocks(origin: Rational, direction: Rational, wall: Wall, reach: float) -> bool:
-    """Whether the wall stands across the ray before `reach` even if it moves a little."""
+    """Return True if the wall stands across the ray before `reach` even if it moves a little."""
     t = meeting_exactly(origin, direction, wall)
     if t is None:
         return False
@@ -140,25 +142,25 @@ def surely_blocks(origin: Rational, direction: Rational, wall: Wall, reach: floa
     return SLACK_IN < float(t) < reach - SLACK_IN * (1.0 + length / abs(sides[1] - sides[0]))
 
 
-@both_ways
+@both_kernels
 @given(anywhere, angles, st.lists(st.tuples(inches, inches, inches, inches), min_size=1, max_size=8))
-def test_answers_are_right_for_walls_moved_by_tolerances(
+def test_result_is_right_for_walls_moved_by_tolerances(
     cast: Cast, origin: Pair, angle: float, walls: list[Wall]
 ) -> None:
     direction = (cos(angle), sin(angle))
     start = (Fraction(origin[0]), Fraction(origin[1]))
-    way = (Fraction(direction[0]), Fraction(direction[1]))
+    exact = (Fraction(direction[0]), Fraction(direction[1]))
 
     found, row = cast(origin, direction, walls)
 
-    assert not [wall for wall in walls if surely_blocks(start, way, wall, found)]
+    assert not [wall for wall in walls if surely_blocks(start, exact, wall, found)]
     if found < inf:
-        reached = (start[0] + Fraction(found) * way[0], start[1] + Fraction(found) * way[1])
+        reached = (start[0] + Fraction(found) * exact[0], start[1] + Fraction(found) * exact[1])
         assert apart(reached, walls[row]) < SLACK_IN
 
 
 @given(st.lists(st.floats(1.0, 100.0), min_size=3, max_size=12), anywhere, angles)
-def test_no_ray_slips_out_of_a_closed_outline(radii: list[float], centre: Pair, angle: float) -> None:
+def test_no_ray_leaves_a_closed_outline(radii: list[float], centre: Pair, angle: float) -> None:
     bearings = np.arange(len(radii)) * 2.0 * pi / len(radii)
     corners = np.array(centre) + np.array(radii)[:, np.newaxis] * np.stack(
         (np.cos(bearings), np.sin(bearings)), axis=-1
@@ -182,14 +184,14 @@ def test_a_shared_corner_far_from_the_origin_does_not_leak(far: float) -> None:
     rng = np.random.default_rng(1)
     origins = far + np.stack((rng.uniform(0.0, 50.0, 500), rng.uniform(-4.0, 4.0, 500)), axis=-1)
     corners = np.array(fan)[rng.integers(1, 100, 500), :2]
-    ways = (corners - origins) / np.hypot(*(corners - origins).T)[:, np.newaxis]
+    directions = (corners - origins) / np.hypot(*(corners - origins).T)[:, np.newaxis]
 
-    ranges, _ = cast_rays(origins, ways, fan)
+    ranges, _ = cast_rays(origins, directions, fan)
 
     np.testing.assert_allclose(ranges, np.hypot(*(corners - origins).T), atol=1e-8)
 
 
-@both_ways
+@both_kernels
 @pytest.mark.parametrize("direction", [EAST, NORTH, WEST, SOUTH, (0.6, 0.8), (-0.8, 0.6)])
 @pytest.mark.parametrize("origin", [(10.0, 5.0), (5.0, 0.0), (0.0, 0.0), (10.0, 10.0)])
 def test_a_ray_that_starts_on_a_wall_meets_it_at_0(
@@ -198,35 +200,35 @@ def test_a_ray_that_starts_on_a_wall_meets_it_at_0(
     assert cast(origin, direction, SQUARE)[0] == 0.0
 
 
-@both_ways
+@both_kernels
 @given(anywhere, anywhere, st.floats(0.0, 1.0), st.floats(0.001, pi - 0.001), st.booleans())
 def test_a_start_on_a_slanted_wall_survives_rounding(
     cast: Cast, first: Pair, second: Pair, share: float, angle: float, behind: bool
 ) -> None:
     assume(hypot(second[0] - first[0], second[1] - first[1]) > 0.1)
     origin = (first[0] + share * (second[0] - first[0]), first[1] + share * (second[1] - first[1]))
-    way = np.arctan2(second[1] - first[1], second[0] - first[0]) + (angle if behind else -angle)
+    direction = np.arctan2(second[1] - first[1], second[0] - first[0]) + (angle if behind else -angle)
 
-    found, row = cast(origin, (cos(way), sin(way)), [(*first, *second)])
+    found, row = cast(origin, (cos(direction), sin(direction)), [(*first, *second)])
 
     assert found == pytest.approx(0.0, abs=1e-9)
     assert row == 0
 
 
-@both_ways
+@both_kernels
 def test_a_start_within_tolerance_behind_a_wall_is_on_it(cast: Cast) -> None:
     wall = [(10.0, 0.0, 10.0, 10.0)]
     assert cast((10.0 + 0.5 * ON_WALL_IN, 5.0), EAST, wall) == (0.0, 0)
     assert cast((10.0 + 2.0 * ON_WALL_IN, 5.0), EAST, wall) == (inf, NO_WALL)
 
 
-@both_ways
+@both_kernels
 def test_an_end_within_tolerance_of_the_ray_is_met(cast: Cast) -> None:
     assert cast((0.0, 0.0), EAST, [(5.0, 0.5 * ON_LINE_IN, 5.0, 9.0)]) == (5.0, 0)
     assert cast((0.0, 0.0), EAST, [(5.0, 2.0 * ON_LINE_IN, 5.0, 9.0)]) == (inf, NO_WALL)
 
 
-@both_ways
+@both_kernels
 @pytest.mark.parametrize(("grazed", "other"), [(5.0, 9.0), (9.0, 5.0)])
 def test_a_nearly_parallel_wall_is_met_within_its_ends(cast: Cast, grazed: float, other: float) -> None:
     wall = [(grazed, 0.9 * ON_LINE_IN, other, 1.1 * ON_LINE_IN)]  # its line meets the ray 18 in beyond the grazed end
@@ -238,12 +240,12 @@ def test_tolerances_lie_between_rounding_and_robot_units() -> None:
     assert max(ON_LINE_IN, ON_WALL_IN) < 1e-6 * 1e-2
 
 
-@both_ways
+@both_kernels
 def test_a_parallel_wall_is_not_met(cast: Cast) -> None:
     assert cast((0.0, 0.0), EAST, [(1.0, 3.0, 9.0, 3.0), (1.0, -3.0, 9.0, -3.0)]) == (inf, NO_WALL)
 
 
-@both_ways
+@both_kernels
 def test_a_wall_seen_end_on_is_met_at_its_nearer_end(cast: Cast) -> None:
     wall = [(3.0, 0.0, 7.0, 0.0)]
     assert cast((0.0, 0.0), EAST, wall) == (3.0, 0)
@@ -251,8 +253,8 @@ def test_a_wall_seen_end_on_is_met_at_its_nearer_end(cast: Cast) -> None:
     assert cast((9.0, 0.0), EAST, wall) == (inf, NO_WALL)
 
 
-@both_ways
-def test_the_first_of_several_walls_is_named(cast: Cast) -> None:
+@both_kernels
+def test_nearest_of_several_walls_is_returned(cast: Cast) -> None:
     walls = [(9.0, -1.0, 9.0, 1.0), (4.0, -1.0, 4.0, 1.0), (-2.0, -1.0, -2.0, 1.0)]
     assert cast((0.0, 0.0), EAST, walls) == (4.0, 1)
     assert cast((0.0, 0.0), WEST, walls) == (2.0, 2)
@@ -268,7 +270,7 @@ def test_without_walls_nothing_is_met_in_any_shape(shape: tuple[int, ...]) -> No
 
 
 @pytest.mark.parametrize(
-    ("origins", "directions", "shape"),
+    ("origin_shape", "direction_shape", "shape"),
     [
         ((2,), (2,), ()),
         ((2,), (16, 2), (16,)),
@@ -278,65 +280,65 @@ def test_without_walls_nothing_is_met_in_any_shape(shape: tuple[int, ...]) -> No
     ],
 )
 def test_leading_dimensions_broadcast(
-    origins: tuple[int, ...], directions: tuple[int, ...], shape: tuple[int, ...]
+    origin_shape: tuple[int, ...], direction_shape: tuple[int, ...], shape: tuple[int, ...]
 ) -> None:
     rng = np.random.default_rng(2)
-    starts = rng.uniform(1.0, 9.0, origins)
-    ways = rng.normal(size=directions)
-    ways /= np.hypot(ways[..., 0], ways[..., 1])[..., np.newaxis]
+    starts = rng.uniform(1.0, 9.0, origin_shape)
+    directions = rng.normal(size=direction_shape)
+    directions /= np.hypot(directions[..., 0], directions[..., 1])[..., np.newaxis]
 
-    ranges, rows = cast_rays(starts, ways, SQUARE)
+    ranges, rows = cast_rays(starts, directions, SQUARE)
 
     assert ranges.shape == rows.shape == shape
     assert (ranges.dtype, rows.dtype) == (np.dtype(np.float64), np.dtype(np.intp))
-    starts, ways = np.broadcast_to(starts, (*shape, 2)), np.broadcast_to(ways, (*shape, 2))
+    starts, directions = np.broadcast_to(starts, (*shape, 2)), np.broadcast_to(directions, (*shape, 2))
     for place in np.ndindex(shape):
-        distance, row = cast_rays(starts[place], ways[place], SQUARE)
+        distance, row = cast_rays(starts[place], directions[place], SQUARE)
         assert ranges[place] == pytest.approx(float(distance), abs=1e-12)
         assert rows[place] == row
 
 
 @pytest.mark.parametrize("walls", [0, 1, 9, 60])
-def test_rays_together_are_those_one_by_one_to_the_bit(walls: int) -> None:
-    chance = np.random.default_rng(14)
-    corners = np.vstack((SQUARE, chance.uniform(0.0, 10.0, (60, 4))))[:walls]
-    places = [complex(*pair) for pair in chance.uniform(0.0, 10.0, (40, 2)).tolist()]
-    angles = chance.uniform(0.0, tau, 40).tolist()
+def test_rays_together_equal_single_rays_exactly(walls: int) -> None:
+    rng = np.random.default_rng(14)
+    corners = np.vstack((SQUARE, rng.uniform(0.0, 10.0, (60, 4))))[:walls]
+    places = [complex(*pair) for pair in rng.uniform(0.0, 10.0, (40, 2)).tolist()]
+    angles = rng.uniform(0.0, tau, 40).tolist()
     angles[::4] = [0.0, pi / 2, pi, 1.5 * pi, 0.0] * 2
     places[::8] = [0j, 10 + 0j, 10 + 10j, 10j, 5 + 0j]
-    ways = [complex(cos(angle), sin(angle)) for angle in angles]
+    directions = [complex(cos(angle), sin(angle)) for angle in angles]
     alone = [
-        cast_ray(place.real, place.imag, way.real, way.imag, corners)[0]
-        for place, way in zip(places, ways, strict=True)
+        cast_ray(place.real, place.imag, direction.real, direction.imag, corners)[0]
+        for place, direction in zip(places, directions, strict=True)
     ]
     for count in (1, 2, 3, 16, 40):
         cuts = range(0, 40, count)
-        at_once = [cast_each(places[cut : cut + count], ways[cut : cut + count], corners) for cut in cuts]
+        at_once = [cast_each(places[cut : cut + count], directions[cut : cut + count], corners) for cut in cuts]
         assert [distance for batch in at_once for distance in batch] == alone
     in_numbers = [
-        nearest_wall(place.real, place.imag, way.real, way.imag, corners)[0]
-        for place, way in zip(places, ways, strict=True)
+        nearest_wall(place.real, place.imag, direction.real, direction.imag, corners)[0]
+        for place, direction in zip(places, directions, strict=True)
     ]
     assert in_numbers == alone
     assert (0.0 in alone) == (walls > 0)
     assert (inf in alone) == (walls < 4)
 
 
-def test_blocks_do_not_show(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_block_size_does_not_change_result(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(3)
     origins, turns = rng.uniform(0.0, 10.0, (101, 2)), rng.uniform(0.0, 2.0 * pi, 101)
-    ways = np.stack((np.cos(turns), np.sin(turns)), axis=-1)
+    directions = np.stack((np.cos(turns), np.sin(turns)), axis=-1)
     walls = rng.uniform(0.0, 10.0, (7, 4))
-    whole_ranges, whole_rows = cast_rays(origins, ways, walls)
+    whole_ranges, whole_rows = cast_rays(origins, directions, walls)
 
     monkeypatch.setattr(raycast, "_BLOCK", 70)
-    ranges, rows = cast_rays(origins, ways, walls)
+    ranges, rows = cast_rays(origins, directions, walls)
 
     np.testing.assert_allclose(ranges, whole_ranges, atol=1e-12)
     np.testing.assert_array_equal(rows, whole_rows)
 
 
-@both_ways
+@both_kernels
 def test_walls_may_be_any_view_and_are_not_written(cast: Cast) -> None:
     columns = np.asfortranarray(SQUARE)
     columns.setflags(write=False)
@@ -346,23 +348,23 @@ def test_walls_may_be_any_view_and_are_not_written(cast: Cast) -> None:
 
 
 def many_cornered(disc: tuple[float, float, float], corners: int = 2000) -> list[tuple[float, float]]:
-    """The witness of a disc: a polygon whose corners lie on its rim, nowhere more than 2e-5 in inside it."""
+    """Return the oracle of a disc: a polygon whose corners lie on its rim, nowhere more than 2e-5 in inside it."""
     x, y, radius = disc
     return [(x + radius * cos(2 * pi * k / corners), y + radius * sin(2 * pi * k / corners)) for k in range(corners)]
 
 
 @given(st.lists(st.tuples(*[st.floats(-80, 80)] * 2, st.floats(1, 15)), min_size=1, max_size=3), st.floats(-4, 4))
-def test_a_disc_is_a_polygon_of_very_many_corners(discs: list[tuple[float, float, float]], angle: float) -> None:
-    way = cos(angle), sin(angle)
+def test_disc_range_agrees_with_polygon_of_many_corners(discs: list[tuple[float, float, float]], angle: float) -> None:
+    direction = cos(angle), sin(angle)
     for x, y, radius in discs:
         assume(hypot(x, y) > radius + 0.1)
-        assume(abs(abs(way[0] * y - way[1] * x) - radius) > 0.1)
+        assume(abs(abs(direction[0] * y - direction[1] * x) - radius) > 0.1)
     rims = np.concatenate([polygon_segments(many_cornered(disc)) for disc in discs])
-    expected, _ = cast_rays((0.0, 0.0), way, rims)
-    assert float(cast_discs((0.0, 0.0), way, discs)) == pytest.approx(float(expected), abs=1e-3)
+    expected, _ = cast_rays((0.0, 0.0), direction, rims)
+    assert float(cast_discs((0.0, 0.0), direction, discs)) == pytest.approx(float(expected), abs=1e-3)
 
 
-def test_discs_behind_around_and_none() -> None:
+def test_disc_behind_or_around_the_origin_and_no_disc() -> None:
     assert float(cast_discs((0, 0), EAST, [(-20, 0, 5)])) == inf
     assert float(cast_discs((0, 0), EAST, [(3, 0, 5)])) == 0.0
     assert float(cast_discs((0, 0), EAST, [(20, 5, 5)])) == 20.0
@@ -371,12 +373,12 @@ def test_discs_behind_around_and_none() -> None:
     assert many.tolist() == [15.0, 20.0]
 
 
-def test_one_disc_in_numbers_is_that_in_arrays_to_the_bit() -> None:
-    chance = np.random.default_rng(12)
-    discs = np.column_stack((chance.uniform(-50.0, 50.0, (200, 2)), chance.uniform(1.0, 20.0, 200)))
-    for angle in chance.uniform(0.0, tau, 20).tolist():
-        ways = cos(angle), sin(angle)
-        met = [ray_to_disc(3.0, -2.0, *ways, disc) for disc in discs.tolist()]
-        assert met == [float(cast_discs((3.0, -2.0), ways, disc)) for disc in discs]
+def test_scalar_disc_range_equals_array_exactly() -> None:
+    rng = np.random.default_rng(12)
+    discs = np.column_stack((rng.uniform(-50.0, 50.0, (200, 2)), rng.uniform(1.0, 20.0, 200)))
+    for angle in rng.uniform(0.0, tau, 20).tolist():
+        direction = cos(angle), sin(angle)
+        met = [ray_to_disc(3.0, -2.0, *direction, disc) for disc in discs.tolist()]
+        assert met == [float(cast_discs((3.0, -2.0), direction, disc)) for disc in discs]
         assert inf in met
         assert 0.0 in met

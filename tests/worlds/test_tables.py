@@ -1,4 +1,4 @@
-"""What a table gives, what it states of a value that it refuses."""
+"""Typed access to TOML tables, and its error messages."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ def test_found_is_never_long() -> None:
 TABLE = Table("f", "t", {"n": 2, "on": True, "ns": [1, 2.5], "of": [3, 0], "no": "x"})
 
 
-def test_numbers_flags_and_lists_are_given_as_they_stand() -> None:
+def test_valid_values_are_returned_unchanged() -> None:
     assert TABLE.number("n", 2.0, 2.0) == 2.0
     assert TABLE.flag("on") is True
     assert TABLE.numbers("ns", 2, 1.0, 2.5) == (1.0, 2.5)
     assert TABLE.indices("of", 4) == (0, 3)
 
 
-def test_numbers_flags_and_lists_out_of_range_or_of_another_kind_are_refused() -> None:
+def test_values_of_wrong_range_or_type_are_refused() -> None:
     with pytest.raises(WorldFileError, match=r"f: t.n: expected 3 to 4, found 2"):
         TABLE.number("n", 3.0, 4.0)
     with pytest.raises(WorldFileError, match=r"t.n: expected true or false, found 2"):

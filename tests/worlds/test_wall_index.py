@@ -1,4 +1,4 @@
-"""The first of the same walls against the ray caster: any rays, rays through corners and along walls, and no walls."""
+"""The index of walls against the ray caster: any rays, rays through corners and along walls, and no walls."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def asked(origins: FloatArray, directions: FloatArray, walls: FloatArray) -> tup
 
 
 @pytest.mark.parametrize("walls", [ROOM, ROOM[:3], MANY])
-def test_any_rays_meet_what_the_ray_caster_states(walls: FloatArray) -> None:
+def test_random_rays_agree_with_ray_caster(walls: FloatArray) -> None:
     rng = np.random.default_rng(3)
     origins, angles = rng.uniform(-20.0, 110.0, size=(400, 2)), rng.uniform(-np.pi, np.pi, size=400)
     directions = np.stack((np.cos(angles), np.sin(angles)), axis=-1)

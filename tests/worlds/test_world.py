@@ -1,4 +1,4 @@
-"""Worlds: what is free, how much room there is, what a refused start is reported, and obstacles that come and go."""
+"""Worlds: free places, clearance, refused starts, and changing obstacles."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def refusal(world: World, x: float, y: float, radius: float) -> str:
     return str(caught.value)
 
 
-def test_walls_are_rooms_then_inner_walls_then_obstacles_and_read_only() -> None:
+def test_wall_order_is_fixed_and_arrays_are_read_only() -> None:
     assert WORLD.fixed_walls.tolist() == [*ROOM.segments().tolist(), *WALL.tolist()]
     assert WORLD.walls.tolist() == [*WORLD.fixed_walls.tolist(), *CRATE.segments().tolist()]
     for array in (WORLD.walls, WORLD.fixed_walls, WORLD.inner_walls):
@@ -39,7 +39,7 @@ def test_walls_are_rooms_then_inner_walls_then_obstacles_and_read_only() -> None
         WORLD.name = "other"  # type: ignore[misc]
 
 
-def test_a_world_retains_copies_of_what_it_was_made_of() -> None:
+def test_world_copies_its_arguments() -> None:
     walls = np.array([[0.0, 0.0, 1.0, 0.0]])
     paths = {"1": Path("a", "1", StartPose(0.0, 0.0), ((0.0, 0.0), (1.0, 1.0)))}
     world = World("copy", inner_walls=walls, paths=paths)
@@ -49,7 +49,7 @@ def test_a_world_retains_copies_of_what_it_was_made_of() -> None:
     assert world.paths["1"].goals_in == ((1.0, 1.0),)
 
 
-def test_obstacles_come_and_go_and_fixed_walls_keep_their_rows() -> None:
+def test_obstacles_change_and_fixed_walls_keep_their_rows() -> None:
     empty = WORLD.with_obstacles([])
     assert empty.walls.tolist() == WORLD.fixed_walls.tolist()
     fuller = WORLD.with_obstacles([*WORLD.obstacles, CRATE.moved(0.0, -25.0)])
@@ -80,7 +80,7 @@ def test_a_moved_polygon_retains_its_shape_and_name() -> None:
     ],
     ids=["hall", "crate", "wall", "wall end", "outside", "beyond a corner", "in the crate", "on the outline"],
 )
-def test_clearance_is_the_distance_to_the_nearest_wall_and_negative_where_nothing_is_free(
+def test_clearance_is_distance_to_wall_negative_outside(
     x: float, y: float, expected: float
 ) -> None:
     assert WORLD.clearance(x, y) == pytest.approx(expected)
@@ -98,7 +98,7 @@ def test_walls_alone_enclose_nothing() -> None:
     assert lone.clearance(-100.0, 5.0) == pytest.approx(120.0)
 
 
-def test_a_place_is_free_if_any_room_holds_it() -> None:
+def test_place_in_any_room_is_free() -> None:
     twin = Polygon(((100.0, 0.0), (200.0, 0.0), (200.0, 80.0), (100.0, 80.0)))
     both = World("both", rooms=(ROOM, twin))
     assert both.clearance(150.0, 40.0) == pytest.approx(40.0)
@@ -106,7 +106,7 @@ def test_a_place_is_free_if_any_room_holds_it() -> None:
 
 
 @given(st.floats(0.5, 99.5), st.floats(0.5, 79.5))
-def test_the_clearance_is_what_points_along_the_walls_and_rays_show(x: float, y: float) -> None:
+def test_clearance_agrees_with_sampled_walls_and_rays(x: float, y: float) -> None:
     clearance = abs(WORLD.clearance(x, y))
     dots = np.linspace(WORLD.walls[:, :2], WORLD.walls[:, 2:], 1001)  # at most 0.1 in apart
     nearest = float(np.hypot(dots[..., 0] - x, dots[..., 1] - y).min())
@@ -116,7 +116,7 @@ def test_the_clearance_is_what_points_along_the_walls_and_rays_show(x: float, y:
     assert clearance <= ranges.min() + 1e-9
 
 
-def test_a_free_start_passes_and_one_that_just_touches_does_not() -> None:
+def test_start_that_just_touches_is_refused() -> None:
     WORLD.require_free(10.0, 40.0, 9.99)
     assert "touches" in refusal(WORLD, 10.0, 40.0, 10.0)
 
@@ -136,7 +136,7 @@ def test_a_free_start_passes_and_one_that_just_touches_does_not() -> None:
         (0.0, 40.0, "(0, 80)-(0, 0): 0.00 in away"),
     ],
 )
-def test_a_refused_start_is_reported_what_it_touches_and_where_it_would_fit(x: float, y: float, says: str) -> None:
+def test_refused_start_names_contact_and_free_place(x: float, y: float, says: str) -> None:
     message = refusal(WORLD, x, y, N150.radius_in)
     assert says in message
     fits = FITS.search(message)
@@ -145,7 +145,7 @@ def test_a_refused_start_is_reported_what_it_touches_and_where_it_would_fit(x: f
 
 
 @given(st.floats(-30.0, 130.0), st.floats(-30.0, 110.0), st.floats(1.0, 12.0))
-def test_whatever_a_refusal_proposes_is_free(x: float, y: float, radius: float) -> None:
+def test_proposed_place_is_free(x: float, y: float, radius: float) -> None:
     assume(WORLD.clearance(x, y) <= radius)
     fits = FITS.search(refusal(WORLD, x, y, radius))
     assert fits is not None
@@ -164,7 +164,7 @@ def test_the_proposal_is_near_by_where_that_is_easy(x: float, y: float, near_x: 
     assert float(fits[2]) == pytest.approx(near_y)
 
 
-def test_a_start_of_the_world_is_proposed_where_pushing_off_does_not_help() -> None:
+def test_start_of_world_is_proposed_in_cramped_cell() -> None:
     cell = Polygon(((0.0, 0.0), (20.0, 0.0), (20.0, 20.0), (0.0, 20.0)))
     far = World("far", rooms=(cell, ROOM.moved(500.0, 0.0)), starts=(StartPose(10.0, 10.0), StartPose(550.0, 40.0)))
     assert "it fits at (550, 40) in" in refusal(far, 10.0, 10.0, 15.0)

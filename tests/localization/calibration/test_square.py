@@ -1,4 +1,4 @@
-"""The square and the path round it."""
+"""The square of a calibration run and the path around it."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_every_shipped_world_has_one_that_retains_clear(name: str) -> None:
             assert world.clearance(x1 + share * (x2 - x1), y1 + share * (y2 - y1)) >= RADIUS_IN + MARGIN_IN - 1e-9
 
 
-def test_it_is_the_largest_and_the_nearest() -> None:
+def test_square_is_largest_and_nearest() -> None:
     room = World("room", rooms=(Polygon(((0.0, 0.0), (140.0, 0.0), (140.0, 100.0), (0.0, 100.0))),))
     square = largest_square(room, 9.0, (140.0, 0.0))
     assert square.side_in == 68.0
@@ -47,7 +47,7 @@ def test_it_is_the_largest_and_the_nearest() -> None:
     assert largest_square(room, 9.0, (0.0, 0.0)).x_in == 16.0
 
 
-def test_a_cupboard_has_none() -> None:
+def test_small_room_has_no_square() -> None:
     cupboard = World("cupboard", rooms=(Polygon(((0.0, 0.0), (40.0, 0.0), (40.0, 40.0), (0.0, 40.0))),))
     with pytest.raises(NoSquareError, match="no space"):
         largest_square(cupboard, RADIUS_IN, (20.0, 20.0))
@@ -55,18 +55,18 @@ def test_a_cupboard_has_none() -> None:
 
 
 @pytest.mark.parametrize("start", [(5.0, 5.0), (80.0, 0.0), (0.0, 0.0)])
-def test_the_path_to_it_leaves_room_for_a_robot_that_errs(start: tuple[float, float]) -> None:
+def test_path_to_square_leaves_space_for_odometry_error(start: tuple[float, float]) -> None:
     """Its arcs are driven as chords, from point to point: cut to the body's own radius, they would touch."""
     world = load_world("several_walls")
     square = largest_square(world, RADIUS_IN, start)
     corner = min(square.corners, key=lambda corner: hypot(corner[0] - start[0], corner[1] - start[1]))
     places = [start, *(tuple(task) for task in path_to(corner, start, world, RADIUS_IN))]
     assert places[-1] == pytest.approx(corner)
-    ways = np.array([[*one, *other] for one, other in pairwise(places)])
-    assert segment_clearances(ways[1:], world.walls).min() > RADIUS_IN + 0.8
+    sides = np.array([[*one, *other] for one, other in pairwise(places)])
+    assert segment_clearances(sides[1:], world.walls).min() > RADIUS_IN + 0.8
 
 
-def test_a_path_through_a_gap_leaves_what_there_is_and_one_through_none_is_refused() -> None:
+def test_square_through_gap_fits_or_is_refused() -> None:
     def door(wide_in: float) -> World:
         sides = ((0.0, 0.0), (200.0, 0.0), (200.0, 100.0), (0.0, 100.0))
         posts = np.array([[100.0, 0.0, 100.0, 50.0 - wide_in / 2], [100.0, 50.0 + wide_in / 2, 100.0, 100.0]])
@@ -118,7 +118,7 @@ def test_a_goal_that_was_passed_by_is_behind() -> None:
     assert driver.done == 1
 
 
-def test_one_that_lies_off_is_turned_to_before_it_is_rolled_to() -> None:
+def test_goal_to_the_side_is_turned_to_before_driving() -> None:
     driver = Driver([DriveTo(0.0, 10.0)], 10.0, 0.5)
     command = driver.command(np.array([0.0, 0.0, 0.0]))
     assert command is not None

@@ -1,4 +1,4 @@
-"""`nomad calibrate`, whole: what was put into the simulation comes out of it, within 10 %."""
+"""`nomad calibrate`, complete runs: the simulated errors are found within 10 %."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def files(folder: Path, errs: Calibration, base: str) -> tuple[Path, Path]:
 
 
 @pytest.mark.parametrize(("seed", "sign"), [(1, 1.0), (2, -1.0)])
-def test_what_a_robot_gets_wrong_is_found_within_a_tenth(
+def test_calibration_errors_are_found_within_a_tenth(
     seed: int, sign: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     true = erring(sign)
@@ -87,7 +87,7 @@ def test_a_scout_has_no_turret_and_is_calibrated_as_well(tmp_path: Path) -> None
     assert found.drift_rad_in == pytest.approx(0.001, rel=0.1)
 
 
-def test_without_a_number_of_laps_it_drives_until_all_is_known(
+def test_default_laps_drive_until_precision_is_reached(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A round is enough where little is wanted; else there are more, but not for ever."""
@@ -109,7 +109,7 @@ def test_without_a_number_of_laps_it_drives_until_all_is_known(
     assert "within noise of zero" in output
 
 
-def test_it_gives_up_at_the_time_limit_and_writes_nothing(
+def test_time_limit_ends_run_and_writes_nothing(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "found.toml"
@@ -120,7 +120,7 @@ def test_it_gives_up_at_the_time_limit_and_writes_nothing(
     assert not out.exists()
 
 
-def test_a_robot_that_stands_elsewhere_than_it_is_stated_does_not_push_at_walls(
+def test_wrong_start_pose_stops_at_wall_with_hint(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert main.main(["calibrate", "sim:thesis_room", "--start", "40,40,0", "--laps", "1"]) == 3
@@ -130,7 +130,7 @@ def test_a_robot_that_stands_elsewhere_than_it_is_stated_does_not_push_at_walls(
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")
-def test_what_was_found_is_reported_where_it_cannot_be_written(capsys: pytest.CaptureFixture[str]) -> None:
+def test_result_is_printed_if_file_cannot_be_written(capsys: pytest.CaptureFixture[str]) -> None:
     words = ["--laps", "1", "--spins", "0", "--speed", "15", "--turn-speed", "90", "--square", "5,5,60", "--json"]
     address = ["sim:thesis_room", "--world", "thesis_room"]
     assert main.main(["calibrate", *address, *words, "--out", "/dev/full"]) == 1
@@ -140,7 +140,7 @@ def test_what_was_found_is_reported_where_it_cannot_be_written(capsys: pytest.Ca
 
 
 @pytest.mark.parametrize("words", [[], ["--json"]])
-def test_readings_that_do_not_fit_are_reported_and_nothing_is_written(
+def test_misfit_is_reported_and_nothing_is_written(
     words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A real ring's cones, taken for rays."""

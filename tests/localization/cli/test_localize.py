@@ -1,4 +1,4 @@
-"""`nomad localize`, whole, against the emulator in this process."""
+"""`nomad localize`, complete runs against the emulator in this process."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def localize(*words: str) -> int:
     return main.main(["localize", *words])
 
 
-def test_it_prints_estimate_against_truth_and_draws_the_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_estimate_and_truth_are_printed_and_run_is_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     picture = tmp_path / "deep" / "run.png"
     assert localize(NOISY, *TO_GOAL, "--picture", str(picture)) == 0
     out = capsys.readouterr().out
@@ -43,7 +43,7 @@ def test_the_result_is_json_alone_when_asked(capsys: pytest.CaptureFixture[str])
 
 
 @pytest.mark.parametrize("setup", ["measured", "worn"])
-def test_a_ring_that_mishears_and_wheels_that_err_are_no_error(setup: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_noisy_sonars_and_wheels_still_reach_goal(setup: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert localize(f"sim:thesis_room?setup={setup}&seed=1", *TO_GOAL, "--json") == 0
     result = json.loads(capsys.readouterr().out)
     assert result["reached"] == 2
@@ -83,7 +83,7 @@ def test_giving_up_at_the_time_limit_exits_3(capsys: pytest.CaptureFixture[str])
     assert "1 of 2 waypoints reached in 2" in capsys.readouterr().out
 
 
-def test_a_measured_ring_is_measured_as_cones_and_the_encoders_scale_is_found(
+def test_cone_model_and_distance_scale_on_measured_ring(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     words = [*TO_GOAL, "--sonars", "cones", "--scale-std", "0.05", "--smooth", "0.5", "--json"]
@@ -118,21 +118,21 @@ def test_wrong_usage_exits_2(words: list[str], capsys: pytest.CaptureFixture[str
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "expected"),
     [
         (["sim:", "--map", "thesis_rom", "--waypoints", "0,0"], "thesis_room"),
         (["sim:", "--map", "several_walls", "--path", "5.7"], "it has 5.8"),
         (["nserver://127.0.0.1:1/1", "--map", "thesis_room", "--waypoints", "0,0"], "127.0.0.1:1"),
     ],
 )
-def test_what_cannot_be_done_states_why_and_exits_1(
-    words: list[str], said: str, capsys: pytest.CaptureFixture[str]
+def test_failures_are_explained_and_exit_1(
+    words: list[str], expected: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert localize(*words) == 1
-    assert said in capsys.readouterr().err
+    assert expected in capsys.readouterr().err
 
 
-def test_a_server_that_leaves_the_question_for_the_truth_unanswered_is_driven_without(
+def test_unanswered_truth_request_drives_without_truth(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     asked: list[Robot] = []
@@ -161,10 +161,10 @@ def test_a_calibrated_robot_errs_no_more(tmp_path: Path, capsys: pytest.CaptureF
     assert ends[1] < 0.15 < 3.0 * ends[1] < ends[0]
 
 
-def test_sonars_that_read_too_much_are_found_out_while_driving(
+def test_sonar_offsets_are_estimated_while_driving(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    mine, saved = tmp_path / "mine.toml", tmp_path / "kept.json"
+    mine, saved = tmp_path / "mine.toml", tmp_path / "saved.json"
     mine.write_text(format_calibration("n150", Calibration(offsets_in=(2.0,) * 16)))
     ends = []
     for method in ("ekf", "offsets"):
@@ -175,7 +175,7 @@ def test_sonars_that_read_too_much_are_found_out_while_driving(
     assert len(json.loads(saved.read_text())["mean"]) == 6
 
 
-def test_reported_nothing_of_the_place_it_finds_itself_and_drives(capsys: pytest.CaptureFixture[str]) -> None:
+def test_unknown_start_is_found_and_goal_reached(capsys: pytest.CaptureFixture[str]) -> None:
     robot = "sim:several_walls?noisy=1&seed=3&start=30,60,20,20"
     assert localize(robot, "--map", "several_walls", "--start", "unknown", "--waypoints", "45,65", "--json") == 0
     result = json.loads(capsys.readouterr().out)
@@ -184,7 +184,7 @@ def test_reported_nothing_of_the_place_it_finds_itself_and_drives(capsys: pytest
     assert result["rmse_position_in"] < 0.5
 
 
-def test_places_that_look_alike_are_reported_of_and_nothing_is_driven_to(capsys: pytest.CaptureFixture[str]) -> None:
+def test_ambiguous_places_are_reported_without_driving(capsys: pytest.CaptureFixture[str]) -> None:
     robot = "sim:thesis_room?noisy=1&seed=3&start=20,35,20,20"
     asked = [robot, "--map", "thesis_room", "--start", "unknown", "--waypoints", "60,40", "--time-limit", "8"]
     assert localize(*asked) == 3
@@ -213,24 +213,24 @@ def test_an_unknown_start_is_for_the_finder_alone(
     assert remedy in capsys.readouterr().err
 
 
-def test_a_lost_estimate_is_not_saved_and_all_else_is_reported(
+def test_lost_estimate_is_not_saved_and_result_is_printed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The path-point was not reached: that is what it ends with."""
     words = ["--start", "unknown", "--waypoints", "20,20", "--time-limit", "5", "--json"]
     assert localize("sim:thesis_room", *words, "--save", str(tmp_path / "x.json")) == 3
-    said = capsys.readouterr()
-    assert json.loads(said.out)["trust"] == "LOST"
-    assert "x.json: not written, the estimate is lost" in said.err
+    output = capsys.readouterr()
+    assert json.loads(output.out)["trust"] == "LOST"
+    assert "x.json: not written, the estimate is lost" in output.err
 
 
-def test_it_states_that_its_time_is_over(capsys: pytest.CaptureFixture[str]) -> None:
+def test_time_limit_is_reported(capsys: pytest.CaptureFixture[str]) -> None:
     assert localize(NOISY, "--map", "thesis_room", "--waypoints", "60,40", "--time-limit", "1") == 3
     assert capsys.readouterr().out.endswith("stopped: time limit exceeded: 1 s (--time-limit)\n")
 
 
 @pytest.mark.parametrize("name", ["", ".", "run.xyz", "run"])
-def test_a_picture_that_is_no_png_is_reported_before_the_drive(
+def test_wrong_picture_suffix_is_reported_before_the_drive(
     name: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(localization_cli, "open_robot", lambda _: pytest.fail("it drives"))
@@ -238,18 +238,18 @@ def test_a_picture_that_is_no_png_is_reported_before_the_drive(
     assert "pictures are written as PNG: name a file that ends in .png" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(("words", "told"), [
+@pytest.mark.parametrize(("words", "expected"), [
     (["--start", "unknwon"], "3 numbers separated by commas, inches, inches and degrees, or unknown, not 'unkn"),
     (["--waypoints", "0cm,0"], "2 numbers separated by commas, inches, such as 20,40, not '0cm,0'"),
     (["--waypoints", "1,1", "--speed", "5in"], "argument --speed: expected a number, not '5in'"),
     (["--waypoints", "1,1", "--scale-std", "5%"], "argument --scale-std: expected a number, not '5%'"),
 ])  # fmt: skip
-def test_options_that_cannot_be_read_say_what_is_wanted(
-    words: list[str], told: str, capsys: pytest.CaptureFixture[str]
+def test_invalid_options_name_the_expected_form(
+    words: list[str], expected: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit, match="2"):
         localize(NOISY, *words)
-    assert told in capsys.readouterr().err
+    assert expected in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("ending", [KeyboardInterrupt, lambda: TerminatedBySignal("SIGTERM")])
@@ -263,33 +263,33 @@ def test_an_interrupted_run_is_saved_and_reported(
 
     drive: Callable[..., None] = localization_cli._drive
     monkeypatch.setattr(localization_cli, "_drive", interrupted)
-    saved = tmp_path / "kept"
+    saved = tmp_path / "saved"
     words = [NOISY, *TO_GOAL, "--time-limit", "1"]
     assert localize(*words, "--save", str(saved)) in (130, 143)
     assert "1 of 2 waypoints reached" in capsys.readouterr().out
     assert saved.exists()
     (tmp_path / "gone").mkdir()
     monkeypatch.setattr(localization_cli, "check_writable", lambda *_: (tmp_path / "gone").rmdir())
-    file = tmp_path / "gone" / "kept"
+    file = tmp_path / "gone" / "saved"
     assert localize(*words, "--save", str(file)) in (130, 143), "the ending stays what it was"
     assert str(file) in capsys.readouterr().err
 
 
-def test_a_file_that_cannot_be_written_is_reported_before_the_drive(
+def test_unwritable_file_is_reported_before_the_drive(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(localization_cli, "open_robot", lambda _: pytest.fail("it drives"))
     (tmp_path / "file").touch()
-    in_the_way = tmp_path / "file"
-    for file, told in (
+    blocking_file = tmp_path / "file"
+    for file, expected in (
         (tmp_path, f"{str(tmp_path)!r}: cannot be written"),
-        (in_the_way / "x", f"{in_the_way}: cannot be written: File exists"),
+        (blocking_file / "x", f"{blocking_file}: cannot be written: File exists"),
     ):
         assert localize(NOISY, *TO_GOAL, "--save", str(file)) == 1
-        assert told in capsys.readouterr().err
+        assert expected in capsys.readouterr().err
 
 
-def test_interrupted_before_anything_was_seen_there_is_nothing_to_report(
+def test_interrupt_before_first_state_prints_nothing(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def at_once(*_: object) -> None:
@@ -300,36 +300,36 @@ def test_interrupted_before_anything_was_seen_there_is_nothing_to_report(
     assert capsys.readouterr().out == ""
 
 
-def test_a_path_point_behind_a_wall_ends_it_soon_with_the_reason(capsys: pytest.CaptureFixture[str]) -> None:
+def test_path_point_behind_wall_ends_run_with_reason(capsys: pytest.CaptureFixture[str]) -> None:
     assert localize(NOISY, "--map", "thesis_room", "--waypoints", "300,0") == 3
-    told = capsys.readouterr().out
-    assert "stopped: the robot presses against something for 5 s" in told
-    assert "bumpers 0" in told
+    output = capsys.readouterr().out
+    assert "stopped: the robot presses against something for 5 s" in output
+    assert "bumpers 0" in output
     assert localize(NOISY, "--map", "thesis_room", "--waypoints", "300,0", "--json") == 3
     result = json.loads(capsys.readouterr().out)
     assert result["stopped"].startswith("the robot presses against something")
     assert result["duration_s"] < 40.0
 
 
-def test_the_guess_of_rays_is_reported_first_and_doubted_where_readings_do_not_fit(
+def test_assumed_rays_are_reported_and_refused_on_misfit(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As of a server, which does not report its setup."""
     monkeypatch.setattr("localization.live.assumptions.sonar_model_of_address", lambda _: None)
     assert localize(NOISY, *TO_GOAL) == 0
-    told = capsys.readouterr().out
-    assert told.startswith("assuming that sonars measure exact rays, as this is a simulation")
-    assert "do not believe this" not in told
+    output = capsys.readouterr().out
+    assert output.startswith("assuming that sonars measure exact rays, as this is a simulation")
+    assert "do not believe this" not in output
     measured = "sim:thesis_room?setup=measured&seed=1"
     assert localize(measured, *TO_GOAL) == 0
-    told = capsys.readouterr().out
-    assert "refused: do not believe this" in told
-    assert "a real ring's cones are taken for rays (--sonars cones)" in told
+    output = capsys.readouterr().out
+    assert "refused: do not believe this" in output
+    assert "a real ring's cones are taken for rays (--sonars cones)" in output
     assert localize(measured, *TO_GOAL, "--sonars", "cones") == 0
-    told = capsys.readouterr().out
-    assert "taken for" not in told
+    output = capsys.readouterr().out
+    assert "taken for" not in output
     assert localize(measured, *TO_GOAL, "--time-limit", "1", "--json") == 3
-    assert json.loads(capsys.readouterr().out)["hint"] is None, "of few readings nothing is said"
+    assert json.loads(capsys.readouterr().out)["hint"] is None, "no hint from few readings"
 
 
 def test_a_measured_ring_has_cones_without_being_reported(capsys: pytest.CaptureFixture[str]) -> None:

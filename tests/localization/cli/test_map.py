@@ -1,4 +1,4 @@
-"""`nomad map`, whole."""
+"""`nomad map`, complete runs."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def room(tmp_path: Path) -> str:
     return str(path)
 
 
-def test_check_reports_what_is_wrong_and_where(room: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_check_reports_problems_and_places(room: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main.main(["map", "check", room]) == 3
     lines = capsys.readouterr().out.splitlines()
     assert [line.split("(")[0].strip() for line in lines] == ["gap", "doubled", "closed off"]
@@ -40,7 +40,7 @@ def test_check_reports_what_is_wrong_and_where(room: str, capsys: pytest.Capture
     assert found[0]["place_in"] == [100.0, 57.5]
 
 
-def test_check_of_a_good_map_states_so(capsys: pytest.CaptureFixture[str]) -> None:
+def test_check_of_valid_map_reports_no_problems(capsys: pytest.CaptureFixture[str]) -> None:
     assert main.main(["map", "check", "several_walls"]) == 0
     assert capsys.readouterr().out == "several_walls: 8 walls, no problems\n"
 

@@ -1,4 +1,4 @@
-"""Publishing an estimate: what is stated, what comes back, and that a page that is lost stops nothing."""
+"""Publishing an estimate: the message, the answer, and a viewer that is lost without stopping the robot."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from localization.live.publish import MAX_HYPOTHESES, RETRY_S, Publisher, build_
 from localization.live.run import RunMoment
 from localization.navigation.waypoints import COMMAND_TIMEOUT_S, Navigator
 from nclient.errors import AddressError, ConnectionLost
-from tests.localization.published_to import page_that
+from tests.localization.viewer_stub import page_that
 
 
 def a_moment(truth: tuple[float, float, float] | None = None) -> RunMoment:
@@ -41,7 +41,7 @@ def a_page(*answers: tuple[int, str]) -> Iterator[tuple[str, list[Any]]]:
         yield there
 
 
-def test_a_moment_as_it_is_published() -> None:
+def test_message_of_a_moment() -> None:
     text = build_message(2, a_moment((1, 2, 3)), 0.25, [(5, 6)])
     assert json.loads(json.dumps(text)) == {
         "robot": 2, "clock_s": 1.4, "pose": [1, 2, 0.5], "turret": 0.75,
@@ -55,7 +55,7 @@ def test_a_moment_as_it_is_published() -> None:
     assert build_message(1, a_moment(), 0.0, [])["truth"] is None
 
 
-def test_how_far_it_is_believed_and_where_else_it_may_be_is_published() -> None:
+def test_health_and_hypotheses_are_published() -> None:
     moment, verdict = a_moment(), FilterHealth(HealthStatus.LOST, "2 places look alike")
     elsewhere = with_parameters(Belief(np.array([7.0, 8.0, -1.0]), np.eye(3)), (0.05,))
     places = (Place(moment.estimate.belief, 0.75), *[Place(elsewhere, 0.01)] * 25)
@@ -65,7 +65,7 @@ def test_how_far_it_is_believed_and_where_else_it_may_be_is_published() -> None:
     assert len(text["places"]) == MAX_HYPOTHESES
 
 
-def test_of_a_longer_state_the_pose_is_published() -> None:
+def test_message_of_longer_state_has_its_pose() -> None:
     moment = a_moment()
     longer = with_parameters(moment.estimate.belief, (0.05, 0.01))
     text = build_message(1, moment._replace(estimate=replace(moment.estimate, belief=longer)), 0.0, [])
@@ -73,7 +73,7 @@ def test_of_a_longer_state_the_pose_is_published() -> None:
     assert text["cov"] == [[0.1, 0, 0], [0, 0.2, 0], [0, 0, 0.3]]
 
 
-def test_waypoints_set_since_come_back_and_those_of_before_do_not() -> None:
+def test_only_waypoints_set_later_are_returned() -> None:
     answers = [{"waypoints": [[9, 9]], "set": 4}, {"waypoints": [[9, 9]], "set": 4}, {"waypoints": [[1, 2]], "set": 5},
                {"waypoints": [], "set": 6}]  # fmt: skip
     with a_page(*((200, json.dumps(answer)) for answer in answers)) as (url, output):
@@ -84,12 +84,12 @@ def test_waypoints_set_since_come_back_and_those_of_before_do_not() -> None:
     assert output == [("/publish?token=secret", {"n": n} | ({"began": True} if n == 0 else {})) for n in range(4)]
 
 
-def test_a_page_that_refuses_at_the_beginning_is_an_error_with_its_reason() -> None:
+def test_refusal_of_first_message_raises_with_reason() -> None:
     with a_page((403, "the token is wrong")) as (url, _), pytest.raises(ConnectionLost, match="the token is wrong"):
         Publisher(url).publish({})
 
 
-def test_a_page_lost_on_the_path_is_reported_of_tried_again_and_nothing_stops(caplog: pytest.LogCaptureFixture) -> None:
+def test_lost_viewer_is_logged_and_retried(caplog: pytest.LogCaptureFixture) -> None:
     now_s = 0.0
     fine, sent = (200, '{"waypoints": null, "set": 0}'), (200, '{"waypoints": [[3, 4]], "set": 1}')
     with a_page(fine, (500, ""), (200, "{}"), sent) as (url, output):
@@ -107,7 +107,7 @@ def test_a_page_lost_on_the_path_is_reported_of_tried_again_and_nothing_stops(ca
 
 
 @pytest.mark.parametrize(("ends_s", "last"), [(1.5, 1.5), (1.0, 1.0)])
-def test_what_a_page_missed_last_it_is_reported_at_the_end(ends_s: float, last: float) -> None:
+def test_last_missed_message_is_sent_on_close(ends_s: float, last: float) -> None:
     """Else it would go on showing a robot on its path that has arrived: whatever was lost, and when."""
     now_s, fine = 0.0, (200, '{"waypoints": null, "set": 0}')
     with a_page(fine, (500, ""), fine) as (url, output):
@@ -119,7 +119,7 @@ def test_what_a_page_missed_last_it_is_reported_at_the_end(ends_s: float, last: 
     assert [text["at"] for _, text in output] == [0.0, 1.0, last]
 
 
-def test_a_page_that_answers_nothing_holds_up_the_robot_for_a_fraction_of_a_second() -> None:
+def test_silent_viewer_delays_robot_only_briefly() -> None:
     with a_page((200, '{"waypoints": null, "set": 0}')) as (url, _):
         publisher = Publisher(url)
         publisher.publish({})
@@ -131,7 +131,7 @@ def test_a_page_that_answers_nothing_holds_up_the_robot_for_a_fraction_of_a_seco
         publisher.close()
 
 
-def test_an_answer_is_waypoints_and_how_often_they_were_set() -> None:
+def test_answer_is_waypoints_and_their_version() -> None:
     assert parse_answer(b'{"waypoints": [[1, 2.5]], "set": 3}') == ([(1.0, 2.5)], 3)
     assert parse_answer(b'{"waypoints": null, "set": 0}') == ([], 0)
 
@@ -141,7 +141,7 @@ def test_an_answer_is_waypoints_and_how_often_they_were_set() -> None:
     b'{"waypoints": [], "set": Infinity}', b'{"waypoints": [[NaN, 1]], "set": 1}', b'{"waypoints": [[1]], "set": 1}',
     b'{"waypoints": [[1' + b"0" * 400 + b', 1]], "set": 1}', b'{"waypoints": 1e999, "set": 1}',
 ])  # fmt: skip
-def test_what_is_no_answer_of_a_page_is_one_kind_of_error(answer: bytes) -> None:
+def test_invalid_answers_raise_value_error(answer: bytes) -> None:
     with pytest.raises(ValueError, match="invalid answer of the page: "):
         parse_answer(answer)
 
@@ -165,7 +165,7 @@ def test_a_navigator_can_be_sent_elsewhere() -> None:
     assert navigator.command(np.array([0.0, 40.0, 0.0])) is None
 
 
-def test_a_navigator_that_stays_stands_where_it_is_done_and_can_be_sent_on() -> None:
+def test_navigator_with_stays_accepts_new_waypoints() -> None:
     navigator = Navigator([(0, 0)], stays=True)
     assert navigator.command(np.zeros(3)) == (0.0, 0.0)
     assert navigator.finished

@@ -1,4 +1,4 @@
-"""One run goes on from another, whole, on a robot that stays where it is between them."""
+"""Complete runs that resume a saved estimate, on a robot that stays in place between them."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def localize(lasting: Lasting, capsys: pytest.CaptureFixture[str]) -> Localize:
     return run
 
 
-def test_it_goes_on_where_it_was_and_knows_how_well(localize: Localize, lasting: Lasting, tmp_path: Path) -> None:
+def test_resumed_run_starts_from_saved_belief(localize: Localize, lasting: Lasting, tmp_path: Path) -> None:
     file = str(tmp_path / "here.json")
     assert localize("--waypoints", "20,30", "--save", file)[0] == 0
     saved = saved_estimate.load(Path(file))
@@ -76,7 +76,7 @@ def test_it_goes_on_where_it_was_and_knows_how_well(localize: Localize, lasting:
     assert after.encoders.clock_s > saved.encoders.clock_s
 
 
-def test_driven_by_hand_meanwhile_it_is_found_where_that_led(
+def test_resumed_run_includes_motion_in_between(
     localize: Localize, lasting: Lasting, tmp_path: Path
 ) -> None:
     file = str(tmp_path / "here.json")
@@ -88,7 +88,7 @@ def test_driven_by_hand_meanwhile_it_is_found_where_that_led(
     assert json.loads(out)["end_error_in"] < 1.0
 
 
-def test_encoders_that_were_set_are_refused_until_it_is_stated_how_far(
+def test_reset_encoders_need_displacement_std(
     localize: Localize, lasting: Lasting, tmp_path: Path
 ) -> None:
     file = str(tmp_path / "here.json")
@@ -126,7 +126,7 @@ def test_another_world_is_refused(localize: Localize, tmp_path: Path) -> None:
     assert "original --map several_walls" in out
 
 
-def test_what_is_lost_is_not_saved(tmp_path: Path) -> None:
+def test_lost_estimate_is_not_saved(tmp_path: Path) -> None:
     file = tmp_path / "here.json"
     lost = Estimate(1.0, independent(np.zeros(3), np.ones(3)), (), FilterHealth(HealthStatus.LOST, "searching"))
     done = Run([], [RunMoment(lost, (0.0, 0.0, 0.0), None, 0)])
@@ -143,7 +143,7 @@ def test_options_that_do_not_go_together(localize: Localize, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("text", ["1,2", "a,b,c", "1,-1,0", "inf,0,0"])
-def test_a_spread_that_is_none_is_wrong_usage(localize: Localize, text: str) -> None:
+def test_invalid_displacement_std_is_wrong_usage(localize: Localize, text: str) -> None:
     with pytest.raises(SystemExit) as stop:
         localize("--waypoints", "1,1", "--displacement-std", text)
     assert stop.value.code == 2

@@ -1,4 +1,4 @@
-"""Readings made bad on purpose: as many as are asked for, each echo the same for as long as it is shown."""
+"""Readings replaced on purpose: the given fraction, each echo the same for as long as it is shown."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def made_bad(share: float) -> BadReadings:
     return BadReadings(share, FiringSchedule(0.0), np.random.default_rng(4))
 
 
-def test_a_share_of_all_echoes_is_replaced_by_whole_inches_anywhere() -> None:
+def test_given_fraction_of_echoes_is_replaced() -> None:
     bad = made_bad(0.2)
     shown = np.array([bad.apply(report(ROUND_S * (k + 0.999))).sonars_in for k in range(400)])
     replaced = shown[shown != 300]
@@ -29,7 +29,7 @@ def test_a_share_of_all_echoes_is_replaced_by_whole_inches_anywhere() -> None:
     assert replaced.mean() == pytest.approx(130.5, abs=6.0)
 
 
-def test_an_echo_stays_what_it_was_shown_as_until_its_sonar_fires_again() -> None:
+def test_bad_echo_stays_until_its_sonar_fires_again() -> None:
     bad, schedule = made_bad(0.5), FiringSchedule(0.0)
     before = bad.apply(report(ROUND_S + 0.001)).sonars_in
     for k in range(1, 16):
@@ -40,6 +40,6 @@ def test_an_echo_stays_what_it_was_shown_as_until_its_sonar_fires_again() -> Non
 
 
 @pytest.mark.parametrize(("share", "clock_s"), [(0.0, 3.0), (0.5, None)])
-def test_where_there_is_nothing_to_spoil_the_report_is_the_robots(share: float, clock_s: float | None) -> None:
+def test_state_is_unchanged_without_bad_readings(share: float, clock_s: float | None) -> None:
     output = report(clock_s)
     assert made_bad(share).apply(output) is output

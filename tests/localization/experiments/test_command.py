@@ -1,4 +1,4 @@
-"""`live`: what it prints and writes, what it does not drive again, and that it does not matter who drives."""
+"""The command `live`: its output, its files, cached trials, and results independent of the executor."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_two_processes_make_the_same_numbers(tmp_path: Path) -> None:
     assert [{**row, "step_us": 0} for row in rows[0]] == [{**row, "step_us": 0} for row in rows[1]]
 
 
-def test_what_is_on_disk_is_not_driven_again(tmp_path: Path) -> None:
+def test_cached_trials_are_not_repeated(tmp_path: Path) -> None:
     store, crew, tallies = TrialCache(tmp_path, "code"), Executor(), list[int]()
     collect(WANTED[:2], store, None, crew, tallies.append)
     whole = collect(WANTED, store, None, crew, tallies.append)
@@ -67,7 +67,7 @@ def test_what_is_on_disk_is_not_driven_again(tmp_path: Path) -> None:
     assert len(crew.jobs) == 3
 
 
-def test_an_interrupted_run_retains_what_was_done(tmp_path: Path) -> None:
+def test_interrupted_run_keeps_finished_trials(tmp_path: Path) -> None:
     def interrupted(jobs: Sequence[TrialJob]) -> Iterator[FinishedTrial]:
         yield live_trial.run(jobs[0])
         raise KeyboardInterrupt
@@ -93,7 +93,7 @@ def test_paths_that_are_missing_or_older_are_driven_for(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("arguments", [["--scenario", "quiet"], ["--methods", "kalman"], ["--figures", "5.2"],
                                        ["--periods", "0"], ["--jobs", "3", "--cluster", "here:1"]])
-def test_what_cannot_be_meant_is_refused(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_invalid_arguments_are_refused(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
         experiments.main(["live", *arguments])
     assert caught.value.code == 2

@@ -28,7 +28,7 @@ def test_the_band_of_a_hundred_runs() -> None:
     assert [low, high] == pytest.approx(scipy.stats.chi2.ppf([0.025, 0.975], 300) / 100)
 
 
-def test_the_mean_of_honest_runs_is_in_its_band_as_often_as_it_states() -> None:
+def test_mean_nees_is_in_band_with_given_probability() -> None:
     rng = np.random.default_rng(2)
     means = (rng.standard_normal((4000, 20, 3)) ** 2).sum(axis=-1).mean(axis=-1)
     low, high = mean_band(3, 20, probability=0.9)

@@ -1,4 +1,4 @@
-"""The pictures: what is in them, and that they are files a viewer can read."""
+"""The pictures: their content, and that they are valid files."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def lines(picture: Picture, row: int = 0) -> dict[str, Floats]:
     return {str(line.get_label()): np.asarray(line.get_xydata()) for line in picture.axes[row].get_lines()}
 
 
-def test_the_trajectory_shows_world_path_points_truth_and_estimate() -> None:
+def test_trajectory_plot_has_path_points_truth_and_estimate() -> None:
     figure, track = FIGURES["5.8"], made_up_track()
     course = figure_setup(figure)
     picture = output.trajectory(figure, course, track)
@@ -43,14 +43,14 @@ def test_the_trajectory_shows_world_path_points_truth_and_estimate() -> None:
     assert "0.0" in axes.get_title()
 
 
-def test_without_the_filter_the_estimate_is_odometry_and_its_doubt_is_drawn() -> None:
+def test_plot_without_filter_has_odometry_and_3_sigma() -> None:
     figure = FIGURES["5.2"]
     drawn = lines(output.trajectory(figure, figure_setup(figure), made_up_track()))
     assert "odometry" in drawn
     assert "3 sigma" in drawn
 
 
-def test_the_errors_are_estimate_less_truth_in_inches_and_degrees() -> None:
+def test_error_plot_is_estimate_minus_truth() -> None:
     track = made_up_track()
     picture = output.errors(FIGURES["5.4"], [track, made_up_track(1)], track)
     assert [axes.get_ylabel() for axes in picture.axes] == ["x (in)", "y (in)", "heading (deg)"]

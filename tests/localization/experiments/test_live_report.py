@@ -1,4 +1,4 @@
-"""The matrix reported: the same numbers in words, CSV, JSON, and a picture of them."""
+"""The report of the matrix: the same numbers in text, CSV, JSON and a picture."""
 
 from __future__ import annotations
 
@@ -51,13 +51,13 @@ def test_files_hold_the_same_rows(tmp_path: Path) -> None:
     assert written[2].read_bytes().startswith(b"\x89PNG")
 
 
-def test_no_picture_where_none_is_wanted(tmp_path: Path) -> None:
+def test_picture_false_writes_no_picture(tmp_path: Path) -> None:
     assert [path.suffix for path in write(MATRIX, tmp_path, picture=False)] == [".csv", ".json"]
 
 
 @pytest.mark.parametrize(("key", "best", "worse"), [("nees_mean", 3.0, 1.0), ("coverage95", 0.95, 1.0),
                                                     ("share_reached", 1.0, 0.9), ("jitter", 0.0, 1.0)])
-def test_colours_know_what_is_right(key: str, best: float, worse: float) -> None:
+def test_badness_is_zero_at_the_best_value(key: str, best: float, worse: float) -> None:
     (column,) = (column for column in COLUMNS if column.key == key)
     assert column.badness(best) == pytest.approx(0.0) != pytest.approx(column.badness(worse))
     assert column.badness(worse) > column.badness(best)

@@ -1,4 +1,4 @@
-"""Live trials: short ones, all the path through the simulation."""
+"""Live trials: short ones through the whole simulation."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ PERIODS = 40
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS)
-def test_a_trial_drives_and_its_estimate_stays_near_the_truth(scenario: str) -> None:
+def test_trial_drives_and_estimate_stays_near_truth(scenario: str) -> None:
     record = drive(SCENARIOS[scenario], "5.8", 3, PERIODS)
     assert not record.reached
     assert record.truth.shape == record.mean.shape == record.encoders.shape == (PERIODS, 3)
@@ -27,7 +27,7 @@ def test_a_trial_drives_and_its_estimate_stays_near_the_truth(scenario: str) -> 
     assert record.spent_s.tolist() == [0.0] * PERIODS
 
 
-def test_the_same_seed_is_the_same_run_and_another_is_another() -> None:
+def test_same_seed_gives_the_same_run() -> None:
     one, again, other = (drive(SCENARIOS["measured"], "5.4", seed, 15) for seed in (1, 1, 2))
     assert (one.mean == again.mean).all()
     assert (one.truth == again.truth).all()
@@ -47,7 +47,7 @@ def test_the_timer_is_asked_before_and_after_each_estimate() -> None:
     assert next(ticks) == 20
 
 
-def test_a_smoothers_record_is_of_the_past_and_the_robot_goes_the_same_path() -> None:
+def test_smoother_record_lags_and_path_is_the_same() -> None:
     plain = drive(SCENARIOS["exact"], "5.8", 3, PERIODS)
     looking = drive(replace(SCENARIOS["exact"], method="smoother"), "5.8", 3, PERIODS)
     assert looking.clock_s[0] == plain.clock_s[0]

@@ -1,4 +1,4 @@
-"""The command: what it prints and retains."""
+"""The command `lost`: its output and its saved results."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_runs_that_are_saved_are_not_made_again(
     assert json.loads((tmp_path / "lost.json").read_text()) == printed
 
 
-def test_without_numbers_it_makes_as_many_as_each_kind_is_judged_by(made: list[Case], tmp_path: Path) -> None:
+def test_default_number_of_runs_is_that_of_the_kind(made: list[Case], tmp_path: Path) -> None:
     assert main(["lost", "nowhere", "--jobs", "1", "--out", str(tmp_path)]) == 0
     assert len(made) == lost_command.RUNS[Kind.UNKNOWN_START] == 100
 

@@ -1,4 +1,4 @@
-"""Sums of runs, and their words."""
+"""Summaries of lost trials, as numbers and as text."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def test_calm_runs_count_their_alarms_and_weigh_by_time() -> None:
     assert "3 false alarms in 1 runs; DEGRADED 10.00% of the time; position RMSE 1.41 in" in words(found)
 
 
-def test_kidnappings_count_who_was_reported_of_in_time_and_who_was_found_rightly() -> None:
+def test_kidnapping_summary_counts_alarms_and_recoveries() -> None:
     (found,) = summaries({
         case(Kind.KIDNAPPED, 0): LostResult(40.0, 0, 0.0, 0.3, 2.0, 1.0, True),
         case(Kind.KIDNAPPED, 1): LostResult(40.0, 0, 0.0, 0.3, 7.0, 9.0, True),
@@ -41,13 +41,13 @@ def test_kidnappings_count_who_was_reported_of_in_time_and_who_was_found_rightly
     assert "correct recoveries: 2 (median 9.0 s, at most 9.0 s); wrong recoveries: 1" in text
 
 
-def test_of_those_that_never_found_themselves_no_time_is_stated() -> None:
+def test_summary_without_recoveries_has_no_times() -> None:
     (found,) = summaries({case(Kind.UNKNOWN_START, 0): LostResult(90.0, 0, 0.0, None)})
     assert found["found"] == 0
     assert words(found).splitlines()[1] == "  correct recoveries: 0; wrong recoveries: 0"
 
 
-def test_each_kind_has_its_own_numbers_in_the_order_of_the_cases() -> None:
+def test_summaries_per_kind_in_order_of_cases() -> None:
     outcome = LostResult(60.0, 0, 0.0, 0.2)
     found = summaries({case(kind, 0): outcome for kind in (Kind.UNKNOWN_START, Kind.TRACKING)})
     assert [summary["kind"] for summary in found] == ["nowhere", "calm"]

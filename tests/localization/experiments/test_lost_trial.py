@@ -1,4 +1,4 @@
-"""Long runs, here short ones, all the path through the simulation."""
+"""Trials of lost robots: short ones through the whole simulation."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ pytestmark = pytest.mark.long
 EXACT = Case(Kind.TRACKING, "several_walls", SCENARIOS["exact"], 3, 12.0)
 
 
-def test_a_calm_run_lasts_as_long_as_it_was_reported_and_states_nothing() -> None:
+def test_tracking_run_has_given_length_and_no_alarm() -> None:
     outcome = drive(EXACT)
     assert outcome.seconds == pytest.approx(12.0, abs=0.2)
     assert (outcome.alarms, outcome.degraded, outcome.lost_after_s, outcome.found_after_s) == (0, 0.0, None, None)
@@ -25,19 +25,19 @@ def test_a_calm_run_lasts_as_long_as_it_was_reported_and_states_nothing() -> Non
     assert outcome == drive(EXACT)
 
 
-def test_alarms_are_counted_as_they_are_stated(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_alarms_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     """A watch that pings every thirty echoes: some alarms, and the robot finds itself between them."""
     monkeypatch.setattr(IntegrityMonitor, "is_lost", property(lambda watch: len(watch._matched) >= 30))
     assert drive(EXACT).alarms >= 2
 
 
 @pytest.mark.parametrize(("seed", "seconds"), [(125, 42.0), (139, 54.0)])
-def test_a_place_that_fits_two_dozen_echoes_by_rng_is_no_reason_for_an_alarm(seed: int, seconds: float) -> None:
+def test_random_fit_of_few_echoes_raises_no_alarm(seed: int, seconds: float) -> None:
     """A fifth of the readings bad and the heading off after a turn: elsewhere fits the last echoes better by e^19."""
     assert drive(Case(Kind.TRACKING, "several_walls", SCENARIOS["measured"], seed, seconds)).alarms == 0
 
 
-def test_a_kidnapped_robot_states_so_and_finds_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_kidnapped_robot_is_detected_and_recovers(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(lost_trial, "KIDNAPPED_S", (5.0, 6.0))
     outcome = drive(replace(EXACT, kind=Kind.KIDNAPPED, seed=1))
     assert outcome.alarms == 0
@@ -61,7 +61,7 @@ def test_in_a_square_room_nothing_is_ever_found(monkeypatch: pytest.MonkeyPatch)
     assert not outcome.right
 
 
-def test_a_kidnapping_that_is_never_reported_is_reported_so(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_undetected_kidnapping_has_no_detection_time(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(lost_trial, "KIDNAPPED_S", (2.0, 3.0))
     monkeypatch.setattr(lost_trial, "PATIENCE_S", 0.5)
     outcome = drive(replace(EXACT, kind=Kind.KIDNAPPED))

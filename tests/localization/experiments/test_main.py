@@ -1,4 +1,4 @@
-"""The command: what it prints where, and how it refuses."""
+"""The command: its output streams, and its refusals."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ QUICK = ["--seeds", "2", "--jobs", "1"]
 
 def test_json_is_alone_on_stdout(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert __main__.main(["5.6", *QUICK, "--json", "--no-pictures", "--out", str(tmp_path)]) == 0
-    printed, told = capsys.readouterr()
-    summary = json.loads(printed)
+    output, errors = capsys.readouterr()
+    summary = json.loads(output)
     assert list(summary) == list(Summary.__annotations__)
     assert (summary["figure"], summary["seeds"], summary["steps_thesis"]) == ("5.6", 2, 150)
     assert json.loads((tmp_path / "figure_5.6.json").read_text(encoding="utf-8")) == summary
-    assert "figure 5.6: 100%" in told
-    assert "figure_5.6.json" in told
+    assert "figure 5.6: 100%" in errors
+    assert "figure_5.6.json" in errors
 
 
 def test_people_get_a_table_and_pictures(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert __main__.main(["5.6", *QUICK, "--out", str(tmp_path)]) == 0
-    printed = capsys.readouterr().out
-    assert "Figure 5.6: Badly chosen limits" in printed
-    assert "150 in the text" in printed
+    output = capsys.readouterr().out
+    assert "Figure 5.6: Badly chosen limits" in output
+    assert "150 in the text" in output
     assert {path.name for path in tmp_path.iterdir()} == {"figure_5.6.json", "figure_5.6.png", "figure_5.7.png"}
-    assert all(path.name in printed for path in tmp_path.iterdir())
+    assert all(path.name in output for path in tmp_path.iterdir())
 
 
 def test_several_figures_give_an_object_a_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -53,27 +53,27 @@ def test_all_is_every_figure_and_then_the_live_matrix(monkeypatch: pytest.Monkey
     assert driven == [*FIGURES, "live --seeds 3 --no-pictures", "lost --seeds 3", "plan --seeds 3"]
 
 
-@pytest.mark.parametrize(("words", "told"), [
+@pytest.mark.parametrize(("words", "expected"), [
     (["5.5"], "figure 5.5 shows the errors of 5.4 and is drawn with it: use 5.4"),
     (["5.1"], "unknown figure '5.1'; expected one of 5.2, 5.4"),
     (["5.4", "live"], "live is a command, not a figure"),
     (["5.4", "--seeds", "few"], "argument --seeds: expected a whole number of 1 or more, not 'few'"),
     (["all", "--scenario", "exact"], "unrecognized arguments: --scenario exact"),
 ])  # fmt: skip
-def test_what_it_does_not_know_is_reported_with_what_it_does(
-    words: list[str], told: str, capsys: pytest.CaptureFixture[str]
+def test_unknown_word_is_reported_with_choices(
+    words: list[str], expected: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit, match="2"):
         __main__.main(words)
-    assert told in capsys.readouterr().err
+    assert expected in capsys.readouterr().err
 
 
-def test_help_of_all_states_what_it_runs_and_where_other_options_go(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_of_all_lists_runs_and_option_placement(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit, match="0"):
         __main__.main(["all", "--help"])
-    told = " ".join(capsys.readouterr().out.split())
-    assert "5.2, 5.4, 5.6, 5.8, 5.9 (with the errors in 5.3, 5.5, 5.7), then `live`, `lost` and `plan`" in told
-    assert "live --scenario exact" in told
+    text = " ".join(capsys.readouterr().out.split())
+    assert "5.2, 5.4, 5.6, 5.8, 5.9 (with the errors in 5.3, 5.5, 5.7), then `live`, `lost` and `plan`" in text
+    assert "live --scenario exact" in text
 
 
 def test_without_tqdm_there_is_no_bar_and_the_same_numbers(
@@ -81,34 +81,34 @@ def test_without_tqdm_there_is_no_bar_and_the_same_numbers(
 ) -> None:
     monkeypatch.setitem(sys.modules, "tqdm", None)
     assert __main__.main(["5.6", *QUICK, "--json", "--no-pictures", "--out", str(tmp_path)]) == 0
-    printed, told = capsys.readouterr()
-    assert json.loads(printed)["seeds"] == 2
-    assert "%" not in told
+    output, errors = capsys.readouterr()
+    assert json.loads(output)["seeds"] == 2
+    assert "%" not in errors
 
 
-def test_without_matplotlib_it_refuses_before_it_drives(
+def test_missing_matplotlib_is_reported_before_any_run(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     assert __main__.main(["5.6", "--out", str(tmp_path / "out")]) == 2
-    printed, told = capsys.readouterr()
-    assert printed == ""
-    assert "nomad-nserver[plot]" in told
+    output, errors = capsys.readouterr()
+    assert output == ""
+    assert "nomad-nserver[plot]" in errors
     assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("words", [["5.6", "--no-pictures"], ["live", "--no-pictures"], ["lost"], ["plan"]])
-def test_a_folder_that_cannot_be_made_is_named_before_anything_is_run(
+def test_uncreatable_folder_is_reported_before_any_run(
     words: list[str], capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for room in ("__main__", "live", "lost", "plan"):
-        monkeypatch.setattr(f"localization.experiments.{room}.progress", lambda *_: pytest.fail("it runs"))
-    (tmp_path / "file").write_text("in the way", encoding="utf-8")
+    for module in ("__main__", "live", "lost", "plan"):
+        monkeypatch.setattr(f"localization.experiments.{module}.progress", lambda *_: pytest.fail("it runs"))
+    (tmp_path / "file").write_text("a file", encoding="utf-8")
     assert __main__.main([*words, "--out", str(tmp_path / "file")]) == 2
     assert f"{tmp_path / 'file'}: cannot be written: File exists; name a file" in capsys.readouterr().err
 
 
-def test_an_interruption_ends_it_without_a_traceback(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interrupt_ends_without_traceback(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
@@ -117,7 +117,7 @@ def test_an_interruption_ends_it_without_a_traceback(tmp_path: Path, monkeypatch
 
 
 @pytest.mark.parametrize("arguments", [["5.5"], [], ["5.4", "--seeds", "0"], ["5.4", "--jobs", "none"]])
-def test_what_cannot_be_meant_is_refused(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_invalid_arguments_are_refused(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
         __main__.main(arguments)
     assert caught.value.code == 2

@@ -1,4 +1,4 @@
-"""The matrix: which trials there are, and what becomes of their results."""
+"""The matrix: its trials, and the summaries of their results."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_every_combination_has_its_seeds() -> None:
     assert every[0] == Trial(replace(SCENARIOS["exact"], method="ekf"), "5.4", 0, 7)
 
 
-def test_a_job_is_one_trial_and_its_record_comes_where_it_is_wanted() -> None:
+def test_job_returns_record_only_if_requested() -> None:
     (trial,) = trials(["exact"], ["5.4"], ["ukf"], 1, 12)
     done, again = run(TrialJob(trial, whole=True)), run(TrialJob(trial))
     assert done.trial == trial
@@ -41,7 +41,7 @@ def test_a_job_is_one_trial_and_its_record_comes_where_it_is_wanted() -> None:
     assert done.result.spent_us > 0.0
 
 
-def test_a_summary_does_not_depend_on_the_order_trials_came_in() -> None:
+def test_summary_is_independent_of_trial_order() -> None:
     every = trials(["exact"], ["5.4"], ["ekf"], 3, 12)
     results = {trial: run(TrialJob(trial)).result for trial in every}
     turned = dict(reversed(results.items()))

@@ -34,7 +34,7 @@ def test_pairs_have_room_are_apart_and_differ(world: str) -> None:
 
 
 @pytest.mark.parametrize("world", WORLDS)
-def test_a_drive_arrives_without_touching_and_is_little_longer_than_the_shortest(world: str) -> None:
+def test_drive_arrives_without_contact_on_short_path(world: str) -> None:
     pair, driven = drive(DrivePair(world, 7, "noisy"))
     assert (pair, driven.ending, driven.contact) == (DrivePair(world, 7, "noisy"), "done", False)
     assert driven.off_in < 1.5
@@ -44,7 +44,7 @@ def test_a_drive_arrives_without_touching_and_is_little_longer_than_the_shortest
     assert driven.plans >= 1
 
 
-def test_what_was_driven_is_saved_and_not_driven_again(tmp_path: Path) -> None:
+def test_saved_drives_are_not_repeated(tmp_path: Path) -> None:
     pairs = [DrivePair("thesis_room", number, "noisy") for number in range(3)]
     worked: list[DrivePair] = []
 
@@ -63,7 +63,7 @@ def test_what_was_driven_is_saved_and_not_driven_again(tmp_path: Path) -> None:
     assert not list(tmp_path.glob("*.part"))
 
 
-def test_a_row_and_what_went_wrong() -> None:
+def test_row_and_failures_of_a_world() -> None:
     touched = replace(DRIVEN, number=1, ending="blocked", reason="no way", least_in=-0.1, driven_in=60.0)
     row = plan_command.row("thesis_room", [DRIVEN, touched])
     assert (row["pairs"], row["reached"], row["contacts"], row["driven_near"]) == (2, 1, 1, 1)

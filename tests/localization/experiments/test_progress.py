@@ -1,4 +1,4 @@
-"""A bar where it can be drawn."""
+"""The progress bar, drawn on terminals only."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The table states what each number is measured against, and where the text cannot be right."""
+"""The table: each number beside its reference, and notes where the thesis cannot be right."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def format_entry(name: str, *, filtered: bool = True) -> list[str]:
     return table(figure, figure_setup(figure), some_summary(name, filtered=filtered)).splitlines()
 
 
-def test_every_number_is_beside_what_it_is_measured_against() -> None:
+def test_every_number_stands_beside_its_reference() -> None:
     lines = format_entry("5.4")
     assert lines[0] == "Figure 5.4: With the filter"
     for name, value, note in (
@@ -44,14 +44,14 @@ def test_every_number_is_beside_what_it_is_measured_against() -> None:
         assert note in line
 
 
-def test_it_states_that_the_text_counts_too_few_steps() -> None:
+def test_impossible_step_count_of_thesis_is_noted() -> None:
     note = " ".join(format_entry("5.4")[-2:])
     assert "1199 steps cannot be" in note
     assert "1442 at least" in note
     assert "1438 to come within 0.25 in" in note
 
 
-def test_where_the_text_may_be_right_it_states_nothing() -> None:
+def test_possible_step_count_has_no_note() -> None:
     assert not any("cannot be" in line for name in ("5.6", "5.8") for line in format_entry(name))
 
 

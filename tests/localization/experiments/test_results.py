@@ -1,4 +1,4 @@
-"""From runs to numbers, on runs made up so that the numbers are known."""
+"""Statistics of figure trials, on made-up runs with exact results."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def test_without_the_filter_its_numbers_have_no_meaning() -> None:
     assert summary["rmse_position_in"] == pytest.approx(math.sqrt(50 / 5))
 
 
-def test_where_no_beam_was_ever_used_there_is_no_nis() -> None:
+def test_nis_is_none_without_used_beams() -> None:
     (result, _) = figure_result(made_up_runs(), filtered=False).results
     assert summarize(FIGURES["5.4"], [result])["nis_mean"] is None
 

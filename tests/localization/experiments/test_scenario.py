@@ -1,4 +1,4 @@
-"""What a trial is run with."""
+"""Scenarios: addresses, noise and scales of trials."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from worlds.io import load_world
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
-def test_a_setup_states_how_the_robot_errs(name: str) -> None:
+def test_setup_defines_noise_of_robot(name: str) -> None:
     scenario = SCENARIOS[name]
     setup = tomllib.loads(scenario.setup(5))
     assert setup["base"] == scenario.base
@@ -23,7 +23,7 @@ def test_a_setup_states_how_the_robot_errs(name: str) -> None:
     assert variances == pytest.approx([noise.rotation_std**2, noise.drift_std**2, noise.translation_std**2])
 
 
-def test_scales_are_drawn_for_each_seed_as_the_filter_is_reported() -> None:
+def test_scales_are_drawn_per_seed_with_std_of_filter() -> None:
     measured = SCENARIOS["measured"]
     drawn = [measured.scale(seed) for seed in range(400)]
     assert np.mean(drawn) == pytest.approx(1.0, abs=0.01)

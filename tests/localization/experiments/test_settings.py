@@ -1,4 +1,4 @@
-"""The settings that are fixed for all figures, and how long a figure's path is."""
+"""The settings that are fixed for all figures, and the length of a figure's path."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from localization.filters.sonar_ray import IDEAL_SONAR
 from nserver_emu.simulation.noise import NOISY
 
 
-def test_the_noise_is_the_one_the_experiments_were_fixed_with() -> None:
+def test_noise_of_experiments_is_fixed() -> None:
     assert (NOISE.translation_std, NOISE.rotation_std, NOISE.drift_std) == (0.1, 0.1, 0.005)
     motion = NOISY.motion
     emulated = motion.distance_std_in(1.0, 0.0), motion.turn_std_rad(0.0, 1.0), motion.turn_std_rad(1.0, 0.0)

@@ -1,4 +1,4 @@
-"""The rng of a seed is its own: neither company nor length changes it."""
+"""The random stream of a seed: independent of other seeds and of the length of the run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From records to numbers, on records whose numbers are known."""
+"""Statistics of live trials, on made-up records with exact results."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_the_numbers_of_one_trial() -> None:
     assert (result.estimate_steps_in2, result.odometry_steps_in2) == pytest.approx((0.04 + 1.0, 0.02))
 
 
-def test_what_comes_before_the_judged_path_counts_for_the_jitter_alone() -> None:
+def test_steps_before_judged_path_count_for_jitter_only() -> None:
     result = result_of(record([(9.0, 0.0, 1.0), (0.2, 0.0, 0.1)]), after_in=10.0)
     assert result.judged == 1
     assert result.worst_in == pytest.approx(0.2)
@@ -50,7 +50,7 @@ def test_a_summary_is_over_all_estimates_of_all_trials() -> None:
     assert summary["step_us"] == pytest.approx(1.5)
 
 
-def test_where_nothing_is_judged_there_are_no_numbers() -> None:
+def test_summary_without_judged_steps_has_no_numbers() -> None:
     summary = summarize([result_of(record([(0.0, 0.0, 0.0)]), after_in=24.0)])
     assert summary["seeds"] == 1
     for key in ("rmse_position_in", "rmse_heading_deg", "nees_mean", "coverage95", "jitter", "worst_in"):

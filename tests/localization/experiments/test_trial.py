@@ -1,4 +1,4 @@
-"""The thesis' runs: what they must show, and that a batch is nothing but its seeds."""
+"""The thesis' runs: their results, and a batch that depends on its seeds only."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_the_filter_is_nearly_as_good_as_any_could_be(with_filter: Summary) -> N
     assert 0.95 <= with_filter["rmse_position_in"] / with_filter["pcrb_position_in"] <= 1.15
 
 
-def test_the_filter_is_as_sure_as_it_may_be(with_filter: Summary) -> None:
+def test_filter_is_consistent(with_filter: Summary) -> None:
     assert with_filter["nees_mean"] is not None
     assert 2.54 <= with_filter["nees_mean"] <= 3.50
     assert with_filter["nis_mean"] == pytest.approx(1.0, abs=0.03)
@@ -105,7 +105,7 @@ def test_the_estimate_arrives_and_stops_there() -> None:
     assert len(set(runs.steps.tolist())) > 1
 
 
-def test_without_the_filter_odometry_steers_and_nothing_is_looked_at() -> None:
+def test_without_filter_odometry_steers_and_no_echo_is_used() -> None:
     runs = run(short_course(filtered=False), range(4))
     assert (runs.mean[:, 0] == runs.mean[:, 3]).all()
     assert (runs.truth[-1, 0] != runs.truth[-1, 3]).all()
@@ -120,7 +120,7 @@ def test_both_paths_of_driving_meet_the_same_motion_noise() -> None:
     assert ratio == pytest.approx(np.ones(5), abs=0.05)
 
 
-def test_the_bound_is_taken_at_the_truth_whatever_the_filter_believes() -> None:
+def test_bound_is_evaluated_at_ground_truth() -> None:
     """One step by hand, in the form of information, from a start the filter is far wrong about."""
     course = replace(short_course(), start_std=(1.0, 1.0, 0.5))
     runs = run(course, [3])
@@ -135,7 +135,7 @@ def test_the_bound_is_taken_at_the_truth_whatever_the_filter_believes() -> None:
     assert runs.bound[0, 0] == pytest.approx(np.linalg.inv(np.linalg.inv(prior) + information), rel=1e-6)
 
 
-def test_where_nothing_is_to_be_seen_the_filter_is_odometry_from_a_start_it_was_not_reported() -> None:
+def test_without_walls_filter_equals_odometry() -> None:
     course = replace(short_course(), walls=wall_map(np.empty((0, 4))), start_std=(2.0, 3.0, 0.1))
     runs = run(course, range(300))
     first = difference(runs.mean[0], runs.truth[0])

@@ -1,4 +1,4 @@
-"""Paths in TUM's form, read back as its users do."""
+"""Trajectories in the TUM format, read back as its users do."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ def test_an_angle_already_small_keeps_every_bit(angle: float) -> None:
     assert float(wrap_angle(np.array(angle))) == angle
 
 
-def test_a_difference_of_headings_goes_the_short_way() -> None:
+def test_heading_difference_is_wrapped() -> None:
     state, origin = np.array([1.0, 2.0, 3.1]), np.array([0.5, 0.0, -3.1])
     assert difference(state, origin) == pytest.approx([0.5, 2.0, 6.2 - 2 * math.pi])
 
@@ -56,7 +56,7 @@ def test_an_independent_belief_has_its_standard_deviations() -> None:
     assert belief.mean[0, 2] == pytest.approx(4.0 - 2 * math.pi)
 
 
-def test_each_of_a_batch_may_have_its_own_spread() -> None:
+def test_batch_elements_have_own_std() -> None:
     belief = independent(np.zeros((2, 3)), [[1.0, 1.0, 1.0], [2.0, 2.0, 2.0]])
     assert belief.std.tolist() == [[1.0, 1.0, 1.0], [2.0, 2.0, 2.0]]
 

@@ -36,7 +36,7 @@ START = independent([20.0, 50.0, 0.3], [0.2, 0.2, 0.01])
 NOTHING_BESIDES = (*PARAMETER_STDS[:3], *(0.0,) * (SIZE - 6))
 
 
-def test_with_ideal_sonars_it_is_the_shorter_kalman_filter(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ideal_sonars_give_the_shorter_kalman_filter(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ConeAim, "posterior", lambda *_: (0.0, 1.0))
     rng = np.random.default_rng(4)
     for config in (RAYS, CONES):
@@ -114,7 +114,7 @@ def test_the_aim_corrects_heading_and_ring_together(monkeypatch: pytest.MonkeyPa
     assert len(aims) == 2
 
 
-def test_what_is_no_range_or_none_of_the_map_is_refused() -> None:
+def test_readings_at_limits_or_off_the_map_are_refused() -> None:
     method = CalibratingFilter(RAYS, START, NOTHING_BESIDES)
     before = method.belief
     for limit in (0.0, 6.0, 255.0):
@@ -127,7 +127,7 @@ def test_what_is_no_range_or_none_of_the_map_is_refused() -> None:
     assert cones.update(0, 0.0, 200.0).refusal is Refusal.GATE
 
 
-def test_it_finds_what_it_was_given_and_knows_how_well() -> None:
+def test_calibration_estimate_is_accurate_and_consistent() -> None:
     """A robot that circles with drawn errors, measured by exact rays: errors are as large as their std says."""
     off = []
     for seed in range(4):
@@ -157,7 +157,7 @@ def test_it_finds_what_it_was_given_and_knows_how_well() -> None:
     assert 0.5 < np.mean(np.square(off)) < 1.6
 
 
-def test_the_table_tells_every_number_with_its_spread() -> None:
+def test_table_has_every_parameter_with_its_std() -> None:
     lines = table(calibration_in(CalibratingFilter(RAYS, START).belief)).splitlines()
     assert len(lines) == 5 + 16
     row = ["distance,", "true", "/", "counted", "1.0000", "0.0500", "within", "noise", "of", "zero"]

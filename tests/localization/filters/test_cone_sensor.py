@@ -14,16 +14,16 @@ MODELS = [ConeSonar(), ConeSonar(cone_rad=1.2, margin_db=60.0), ConeSonar(cone_r
 
 @pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize("world", ["several_walls", "centre_vertex"])
-def test_what_may_be_heard_is_the_same_as_in_arrays(world: str, model: ConeSonar) -> None:
+def test_scalar_candidates_equal_array_candidates(world: str, model: ConeSonar) -> None:
     around, rng = reflectors(load_world(world).walls), np.random.default_rng(4)
     sensor = ConeSensor(around, model)
     several = 0
     for _ in range(300):
         pose = np.array([*rng.uniform(10.0, 80.0, size=2), rng.uniform(-np.pi, np.pi)])
-        ear, std = SonarMount(rng.uniform(-np.pi, np.pi), 9.06), rng.choice([0.0, 0.01, 0.2])
-        plain = expected_echoes(pose, np.array(std), ear, around, model)
+        mount, std = SonarMount(rng.uniform(-np.pi, np.pi), 9.06), rng.choice([0.0, 0.01, 0.2])
+        plain = expected_echoes(pose, np.array(std), mount, around, model)
         x, y, heading = pose.tolist()
-        mine = sensor.candidates((x, y, heading), std, ear)
+        mine = sensor.candidates((x, y, heading), std, mount)
         assert [found.reflector for found in mine] == np.flatnonzero(plain.probability).tolist()
         several += len(mine) > 1
         for found in mine:

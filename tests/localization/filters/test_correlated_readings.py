@@ -9,7 +9,7 @@ from localization.filters.update import SAME_POSE_IN, SAME_POSE_RAD, CorrelatedR
 
 
 @pytest.mark.parametrize(("anew", "constant"), [(0.1, 0.08), (2.0, 1e-3), (0.04, 0.0)])
-def test_weights_claim_what_is_so_and_none_could_be_larger(anew: float, constant: float) -> None:
+def test_inflated_variances_are_exact_and_minimal(anew: float, constant: float) -> None:
     """By the whole covariance of the readings."""
     noise = np.eye(5) * anew + constant
     weights = 1.0 / np.array([inflated_variance(anew + constant, constant, times) for times in range(1, 6)])
@@ -22,7 +22,7 @@ def test_weights_claim_what_is_so_and_none_could_be_larger(anew: float, constant
 
 
 @pytest.mark.parametrize("anew", [0.0, 0.1, 0.2])
-def test_what_is_mostly_one_error_says_nothing_again(anew: float) -> None:
+def test_fully_correlated_reading_adds_no_information(anew: float) -> None:
     second = inflated_variance(0.2 + anew, 0.2, 2)
     assert np.isfinite(second)
     assert second > 1e9
@@ -44,7 +44,7 @@ def test_a_robot_that_stands_counts_each_sonar() -> None:
     assert counts == [(1, 1), (2, 2), (3, 3)]
 
 
-def test_what_was_not_taken_in_does_not_count() -> None:
+def test_unrecorded_readings_are_not_counted() -> None:
     repeats = CorrelatedReadings()
     assert [repeats.count(0, 0.0) for _ in range(3)] == [0, 0, 0]
     assert [number_of(repeats, 0), repeats.count(0, 0.0), number_of(repeats, 0)] == [1, 1, 2]
@@ -62,7 +62,7 @@ def test_what_was_not_taken_in_does_not_count() -> None:
         ((0.0, 0.0), 2 * np.pi, True),
     ],
 )
-def test_elsewhere_it_begins_anew(step: tuple[float, float], turret_rad: float, again: bool) -> None:
+def test_count_restarts_at_another_pose(step: tuple[float, float], turret_rad: float, again: bool) -> None:
     repeats = CorrelatedReadings()
     repeats.record(3, 0.0)
     repeats.move(*step)

@@ -53,7 +53,7 @@ def off_in(robot: Robot, estimate: Estimate) -> float:
     return math.hypot(estimate.pose[0] - truth.x_in, estimate.pose[1] - truth.y_in)
 
 
-def test_from_a_belief_it_tracks_like_the_kalman_filter() -> None:
+def test_tracking_from_belief_equals_kalman_filter() -> None:
     with open_at("several_walls", START) as robot:
         localizer = localizer_of(robot, finder(ROOM, independent(START, (0.2, 0.2, 0.01))))
         estimate = turn(robot, localizer, 4.0)
@@ -61,7 +61,7 @@ def test_from_a_belief_it_tracks_like_the_kalman_filter() -> None:
         assert off_in(robot, estimate) < 1.0
 
 
-def test_told_nothing_it_finds_itself_where_the_room_allows() -> None:
+def test_pose_is_found_without_prior_if_room_is_unique() -> None:
     with open_at("several_walls", START) as robot:
         nowhere = finder(ROOM, None)
         assert nowhere.health == (HealthStatus.LOST, "searching: the start is unknown")
@@ -84,7 +84,7 @@ def test_in_a_square_room_four_places_look_alike() -> None:
         assert min(math.hypot(place[0] - truth.x_in, place[1] - truth.y_in) for place in places) < 2.0
 
 
-def test_kidnapped_it_is_lost_within_5_s_and_recovers() -> None:
+def test_kidnapped_robot_is_lost_within_5_s_and_recovers() -> None:
     with open_at("several_walls", START) as robot:
         localizer = localizer_of(robot, finder(ROOM, independent(START, (0.2, 0.2, 0.01))))
         turn(robot, localizer, 3.0)

@@ -77,7 +77,7 @@ def test_a_ring_away_from_its_estimate_degrades() -> None:
         assert kalman.health.status is status, place
 
 
-def test_an_estimate_that_is_too_wide_says_so() -> None:
+def test_wide_estimate_is_degraded() -> None:
     wide = KalmanFilter(
         independent([0.0, 0.0, 0.0], [0.2, 4.0, 0.01]), MeasurementUpdate(Refusing(Refusal.GATE)), OdometryNoise()
     )
@@ -93,11 +93,11 @@ AHEAD_IN = round(50.0 - N150.sonar_ring_radius_in)
 def tracking(kind: str) -> KalmanFilter | GlobalLocalizer:
     """Of exact rays in whole inches: their error is the same each time."""
     rays = RaySonar(range_std_relative=0.0, range_std_floor_in=0.02, rounding_var_in2=1.0 / 12.0)
-    hearing = update_for(ROOM, N150, rays)
+    update = update_for(ROOM, N150, rays)
     if kind == "kalman":
-        return KalmanFilter(MIDST, hearing, OdometryNoise())
+        return KalmanFilter(MIDST, update, OdometryNoise())
     return GlobalLocalizer(
-        MIDST, hearing, OdometryNoise(), lambda: build_range_table(ROOM, N150, rays, 9.0), N150.sonar_angles_rad
+        MIDST, update, OdometryNoise(), lambda: build_range_table(ROOM, N150, rays, 9.0), N150.sonar_angles_rad
     )
 
 

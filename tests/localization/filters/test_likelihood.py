@@ -24,7 +24,7 @@ POSES = np.array([[20.0, 20.0, 0.3], [5.0, 60.0, -2.0], [80.0, 60.0, 1.2], [70.0
 
 @pytest.mark.parametrize("kind", [RAYS, CONES])
 @pytest.mark.parametrize("sonar", [0, 5, 11])
-def test_over_all_ranges_it_is_a_density(kind: Likelihood, sonar: int) -> None:
+def test_likelihood_integrates_to_one(kind: Likelihood, sonar: int) -> None:
     readings = np.arange(-20.0, 300.0, 0.25)
     sums = 0.25 * np.sum([kind.at(POSES, sonar, 0.4, float(reading)).total for reading in readings], axis=0)
     assert (sums >= 0.99).all()
@@ -40,7 +40,7 @@ def test_a_ray_by_hand() -> None:
 
 
 @pytest.mark.parametrize("kind", [RAYS, CONES])
-def test_where_it_stands_explains_a_reading_best(kind: Likelihood) -> None:
+def test_true_pose_has_highest_likelihood(kind: Likelihood) -> None:
     poses = np.array([[40.0 + off, 60.0, 0.0] for off in (-6.0, -2.0, 0.0, 3.0)])
     assert int(np.argmax(kind.at(poses, 0, 0.0, round(102.17 - 40.0 - N150.sonar_ring_radius_in)).total)) == 2
 

@@ -64,7 +64,7 @@ def test_the_turret_turns_the_ring() -> None:
     np.testing.assert_allclose(turned.mean, ahead.mean, atol=1e-9)
 
 
-def test_one_ray_is_the_update_of_the_experiments() -> None:
+def test_single_ray_update_equals_ring_update() -> None:
     angle = np.array([0.2 + N150.sonar_angles_rad[3]])
     for reading in (40.0, 52.0, 71.0):
         after, outcome = RAYS.updated(BELIEF, 3, 0.2, reading)

@@ -47,7 +47,7 @@ def test_many_small_steps_draw_the_arc_of_the_closed_form() -> None:
     assert pose == pytest.approx([radius * math.sin(turn), radius * (1 - math.cos(turn)), turn], abs=1e-5)
 
 
-def test_the_heading_wraps_on_the_way() -> None:
+def test_heading_wraps_while_driving() -> None:
     assert move(np.array([0.0, 0.0, 3.0]), np.array([0.0, 0.5]))[2] == pytest.approx(3.5 - 2 * math.pi)
 
 
@@ -110,7 +110,7 @@ def test_step_between_is_the_inverse_of_move(pose: Floats, step: Floats) -> None
     assert step_between(pose, move(pose, step)) == pytest.approx(step, abs=1e-9)
 
 
-def test_a_batch_gives_what_each_gives_alone() -> None:
+def test_batch_equals_single_results() -> None:
     rng = np.random.default_rng(2)
     many, steps_of = rng.normal(size=(4, 5, 3)), rng.normal(size=(4, 5, 2))
     together = (move(many, steps_of), *step_jacobians(many, steps_of), covariance_of(many, steps_of))
@@ -198,7 +198,7 @@ def test_another_pose_keeps_the_parameters() -> None:
     assert not moved.cov[3:, :3].any()
 
 
-def test_states_of_a_wrong_size_are_refused() -> None:
+def test_wrong_state_sizes_are_refused() -> None:
     with pytest.raises(ValueError, match="3 odometry"):
         with_parameters(independent([1.0, 2.0, 0.3], [0.1, 0.2, 0.03]), (1.0,) * 4)
     with pytest.raises(ValueError, match="coordinates, not 7"):

@@ -60,7 +60,7 @@ def test_a_linear_problem_agrees_with_the_kalman_filter() -> None:
     np.testing.assert_allclose(particles.belief.std, gaussian.std, rtol=0.04)
 
 
-def test_looking_ahead_says_what_moving_then_does() -> None:
+def test_predicted_belief_equals_belief_after_predict() -> None:
     particles, step = filter_of(100_000), np.array([3.0, 0.4])
     ahead = particles.predicted(*step)
     particles.predict(*step)
@@ -68,7 +68,7 @@ def test_looking_ahead_says_what_moving_then_does() -> None:
     np.testing.assert_allclose(particles.belief.std, ahead.std, rtol=0.02)
 
 
-def test_limits_say_nothing() -> None:
+def test_readings_at_limits_leave_weights_unchanged() -> None:
     particles = filter_of(100)
     assert particles.update(0, 0.0, -1.0).refusal is Refusal.LIMIT
     assert (particles.weights == 0.01).all()
@@ -131,7 +131,7 @@ def test_a_cloud_away_from_the_robot_degrades() -> None:
         assert (refused > 32) is (off_in > 0.0)
 
 
-def test_a_cloud_that_is_too_wide_says_so() -> None:
+def test_wide_particle_cloud_is_degraded() -> None:
     rng = np.random.default_rng(9)
     states = draw_particles(independent([0.0, 0.0, 0.0], [0.2, 4.0, 0.01]), 20_000, rng)
     wide = ParticleFilter(states, Ruler(), OdometryNoise(), rng)

@@ -23,7 +23,7 @@ def covariance_of_rounding(std: float, step: float) -> float:
 
 @pytest.mark.parametrize("step", [1.0, 0.1])
 @pytest.mark.parametrize("std", [0.01, 0.05, 0.1, 0.2, 0.3])
-def test_rounding_errs_the_same_way_until_noise_shakes_it(std: float, step: float) -> None:
+def test_rounding_error_is_constant_until_noise_dithers_it(std: float, step: float) -> None:
     noise = RangeNoise(range_std_relative=0.0, range_std_floor_in=std * step, rounding_var_in2=step * step / 12.0)
     there, constant = covariance_of_rounding(std * step, step), noise.constant_variance_at(30.0)
     assert there - 1e-3 * step * step <= constant <= 1.7 * there + 1e-9 * step * step
@@ -36,7 +36,7 @@ def test_without_noise_all_of_the_rounding_is_constant() -> None:
 
 
 @pytest.mark.parametrize("noise", [WIRE_SONAR, ConeSonar()])
-def test_far_away_readings_are_all_anew(noise: RangeNoise) -> None:
+def test_constant_variance_vanishes_at_long_range(noise: RangeNoise) -> None:
     assert noise.constant_variance_at(10.0) > 0.5 * noise.rounding_var_in2
     assert noise.constant_variance_at(100.0) < 1e-9
     assert noise.variance_at(100.0) == pytest.approx(float(noise.variance(np.array(100.0))))

@@ -20,7 +20,7 @@ BELIEF = independent([40.0, 45.0, 0.3], [0.5, 0.5, 0.02])
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_every_method_predicts_a_step_without_taking_it(method: str) -> None:
+def test_predicted_leaves_belief_unchanged(method: str) -> None:
     made = make(method, KNOWN, BELIEF, seed=3)
     np.testing.assert_allclose(made.belief.mean[:3], BELIEF.mean, atol=0.1)
     before = made.belief

@@ -106,7 +106,7 @@ def by_stone_soup(updater: type, **options: float) -> Belief:
         (iterated, IteratedKalmanUpdater, {"tolerance": 1e-9, "max_iterations": 50}, 1e-5),
     ],
 )
-def test_each_rule_is_stone_soups(rule: Rule, updater: type, options: dict[str, float], within: float) -> None:
+def test_each_rule_agrees_with_stone_soup(rule: Rule, updater: type, options: dict[str, float], within: float) -> None:
     """Its derivatives are finite differences, which is what the wider bounds are for."""
     theirs = by_stone_soup(updater, **options)
     mine = posterior(BELIEF, corrected(rule, BELIEF, READING_IN))
@@ -145,7 +145,7 @@ def test_a_step_that_leads_astray_is_not_taken() -> None:
 
 
 @pytest.mark.parametrize("rule", [linear, iterated, unscented])
-def test_where_the_range_is_straight_all_are_the_same(rule: Rule) -> None:
+def test_all_rules_agree_for_linear_range(rule: Rule) -> None:
     slope = np.array([[-0.8, 0.6, 2.0]])
 
     def straight(poses: Floats) -> tuple[Floats, Floats]:

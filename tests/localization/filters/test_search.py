@@ -34,14 +34,14 @@ def table_of(world: str, setup: str) -> RangeTable:
 Place = tuple[float, float, float]
 
 
-def records_at(world: str, setup: str, pose: Place, way_in: float = 0.0) -> tuple[list[EchoRecord], Floats]:
-    """A ring of echoes, taken while driving `way_in` ahead; and the true pose at the last."""
+def records_at(world: str, setup: str, pose: Place, distance_in: float = 0.0) -> tuple[list[EchoRecord], Floats]:
+    """A ring of echoes, taken while driving `distance_in` ahead; and the true pose at the last."""
     x, y, heading_deg = pose
     address = f"sim:{world}?setup={setup}&seed=5&start={x},{y},{heading_deg},{heading_deg}&step_s=0.06"
     with connect(address) as robot:
         robot.configure_sonars(rate=15, order=DEFAULT_SONAR_ORDER)
-        if way_in:
-            robot.drive(translation_in_s=way_in, steering_rad_s=0.0)
+        if distance_in:
+            robot.drive(translation_in_s=distance_in, steering_rad_s=0.0)
         records = []
         for sonar in DEFAULT_SONAR_ORDER:
             state, truth = robot.refresh(), robot.truth()
@@ -58,9 +58,9 @@ def found_at(world: str, setup: str, records: list[EchoRecord]) -> list[Hypothes
 
 
 @pytest.mark.parametrize("setup", KINDS)
-@pytest.mark.parametrize("way_in", [0.0, 5.0])
-def test_an_asymmetric_room_gives_one_pose(setup: str, way_in: float) -> None:
-    records, truth = records_at("several_walls", setup, (30.0, 60.0, 20.0), way_in)
+@pytest.mark.parametrize("distance_in", [0.0, 5.0])
+def test_an_asymmetric_room_gives_one_pose(setup: str, distance_in: float) -> None:
+    records, truth = records_at("several_walls", setup, (30.0, 60.0, 20.0), distance_in)
     best = found_at("several_walls", setup, records)[0]
     off = difference(best.belief.mean, truth)
     assert np.hypot(off[0], off[1]) < 3.0
@@ -84,7 +84,7 @@ def test_a_square_room_has_four_places_that_look_alike(setup: str) -> None:
     assert max(hypothesis.probability for hypothesis in found) < 0.8
 
 
-def test_nothing_heard_and_nowhere_to_stand_find_nothing() -> None:
+def test_no_echoes_or_no_free_space_give_no_pose() -> None:
     measurement = update_for(load_world("thesis_room").walls, N150, EXACT_RAYS)
     records, _ = records_at("thesis_room", "ideal", (20.0, 35.0, 10.0))
     assert search([], table_of("thesis_room", "ideal"), measurement, QUIET) == []
@@ -114,11 +114,11 @@ def test_the_table_holds_the_echo_at_the_middle_of_a_cell() -> None:
             assert range_in == pytest.approx(exact.ranges_in[best], abs=1e-3)
 
 
-def test_off_the_floor_nothing_is_heard() -> None:
+def test_poses_off_the_floor_have_no_echo() -> None:
     poses = np.array([[-500.0, 20.0, 0.0], [-12.0, 20.0, 0.0], [20.0, 9e3, 0.0]])
-    ranges, chances = table_of("thesis_room", "ideal").look_up(poses, 0.0)
+    ranges, probabilities = table_of("thesis_room", "ideal").look_up(poses, 0.0)
     assert not ranges.any()
-    assert not chances.any()
+    assert not probabilities.any()
 
 
 @pytest.mark.parametrize("setup", KINDS)
@@ -130,7 +130,7 @@ def test_readings_taken_anywhere_have_a_density(setup: str) -> None:
 
 
 @pytest.mark.parametrize("setup", KINDS)
-def test_only_a_wrong_pose_has_an_alternative(setup: str) -> None:
+def test_only_wrong_pose_has_alternative(setup: str) -> None:
     records, truth = records_at("several_walls", setup, (30.0, 60.0, 20.0))
     table = table_of("several_walls", setup)
     measurement = update_for(load_world("several_walls").walls, N150, KINDS[setup])
@@ -143,7 +143,7 @@ def test_only_a_wrong_pose_has_an_alternative(setup: str) -> None:
     assert np.hypot(off[0], off[1]) < 3.0
 
 
-def test_where_nothing_is_found_there_is_no_rival() -> None:
+def test_no_alternative_without_free_space() -> None:
     records, truth = records_at("several_walls", "ideal", (30.0, 60.0, 20.0))
     walls = load_world("several_walls").walls
     nowhere = build_range_table(walls, N150, KINDS["ideal"], 500.0)

@@ -60,13 +60,13 @@ def test_each_side_gains_the_log_likelihood_of_an_echo() -> None:
     assert sequential.winner is None
 
 
-def test_silence_is_weighed_as_a_chance() -> None:
+def test_missing_echo_has_a_probability() -> None:
     sequential = SequentialTest(None, at(90.0), MeasurementUpdate(Wall()), NOISE)
     sequential.update(record(255.0), 1.0)
     assert sequential.lead_nats == pytest.approx(log(1.0 / 0.3))
 
 
-def test_rivals_move_with_the_encoders_and_hear() -> None:
+def test_alternatives_are_predicted_and_updated() -> None:
     wall, step = Wall(), np.array([2.0, 0.3])
     sequential = SequentialTest(at(52.0), at(90.0), MeasurementUpdate(wall), NOISE)
     sequential.predict(*step.tolist())
@@ -103,7 +103,7 @@ def test_a_slipped_estimate_does_not_let_a_third_pose_win() -> None:
     assert readings(at(54.0)).winner is Side.NEAR
 
 
-def test_wrong_winners_stay_within_villes_bound(
+def test_wrong_decisions_stay_within_villes_bound(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Three tenths of the echoes bad, wherever the rival stands, looked at after every one of 40."""

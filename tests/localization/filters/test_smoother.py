@@ -47,7 +47,7 @@ def smoother(belief: Belief, lag: int) -> FixedLagSmoother:
 
 @pytest.mark.parametrize("lag", [1, 5, 12])
 @pytest.mark.parametrize("size", [3, 4])
-def test_it_is_filterpys_rts_over_the_last_moves(lag: int, size: int) -> None:
+def test_smoother_equals_filterpy_rts(lag: int, size: int) -> None:
     """filterpy smooths errors about the predicted path: x_k+1 - F x_k there is what `later - predicted` is here."""
     rng = np.random.default_rng(7)
     made = smoother(with_parameters(independent([1.0, 2.0, 0.3], [0.1, 0.1, 0.01]), (0.02,) * (size - 3)), lag)
@@ -71,7 +71,7 @@ def test_it_is_filterpys_rts_over_the_last_moves(lag: int, size: int) -> None:
     np.testing.assert_allclose(smoothed.cov, ps[0], atol=1e-10)
 
 
-def test_before_it_has_moved_it_says_what_it_knows() -> None:
+def test_smoother_without_motion_returns_belief() -> None:
     belief = independent([1.0, 2.0, 0.3], [0.1, 0.1, 0.01])
     made = smoother(belief, 3)
     np.testing.assert_array_equal(made.smoothed().mean, belief.mean)

@@ -33,13 +33,13 @@ def test_a_slanted_wall_gives_its_perpendicular_distance() -> None:
     assert found.probability[RIGHT_WALL] > 0.99
 
 
-def test_beyond_the_cone_nothing_of_it_comes_back() -> None:
+def test_reflector_outside_cone_has_no_echo() -> None:
     pose = np.array([0.0, 0.0, radians(20.0)])
     found = expected_echoes(pose, SURE, FRONT, reflectors(SQUARE_ROOM), MODEL)
     assert not found.probability.any()
 
 
-def test_a_square_corner_is_heard_at_its_vertex() -> None:
+def test_right_angled_corner_is_measured_at_its_vertex() -> None:
     around = reflectors(SQUARE_ROOM)
     found = expected_echoes(np.array([0.0, 0.0, pi / 4]), SURE, FRONT, around, MODEL)
     detected = np.flatnonzero(found.probability > 0.5)
@@ -56,7 +56,7 @@ def test_an_edge_is_too_faint_where_a_square_corner_is_not() -> None:
     assert near.probability[1] > 0.99
 
 
-def test_who_stands_in_front_hides_what_is_behind() -> None:
+def test_near_reflector_hides_far_reflector() -> None:
     found = expected_echoes(np.zeros(3), SURE, FRONT, reflectors([*SQUARE_ROOM, [30, -5, 30, 5]]), MODEL)
     assert found.probability[RIGHT_WALL] == 0.0
     assert found.probability[4] == pytest.approx(1.0, abs=1e-6)
@@ -104,18 +104,18 @@ def test_many_poses_at_once_are_each_their_own() -> None:
         np.testing.assert_allclose(together.probability[at], alone.probability, atol=1e-12)
 
 
-def test_the_variance_has_a_relative_part_a_floor_and_rounding() -> None:
+def test_variance_has_relative_floor_and_rounding_parts() -> None:
     np.testing.assert_allclose(MODEL.variance(np.array([1.0, 100.0])), [0.05**2 + 1 / 12, 1.0 + 1 / 12])
 
 
-def test_the_ring_stands_where_the_heading_carries_it() -> None:
+def test_sonar_position_depends_on_heading() -> None:
     mount, pose = SonarMount(pi / 2, 9.0), np.array([10.0, 0.0, 0.0])
     found = expected_echoes(pose, SURE, mount, reflectors([[-50, 40, 50, 40]]), MODEL)
     assert found.ranges_in[0] == pytest.approx(40.0 - 9.0 * sin(pi / 2))
 
 
 @pytest.mark.parametrize("spread", [(0.3, 0.3, 0.02), (6.0, 6.0, 0.3), (40.0, 40.0, 3.0)])
-def test_of_a_cloud_what_is_left_out_is_heard_from_nowhere(spread: tuple[float, float, float]) -> None:
+def test_omitted_reflectors_have_no_echo_in_any_particle(spread: tuple[float, float, float]) -> None:
     around, rng = reflectors(load_world("several_walls").walls), np.random.default_rng(9)
     for direction in np.linspace(-3.0, 3.0, 9):
         mount = SonarMount(float(direction), 9.06)

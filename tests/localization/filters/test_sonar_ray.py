@@ -154,7 +154,7 @@ def facing(x: float, y: float, heading: float, std: tuple[float, float, float] =
     return independent((x, y, heading), std)
 
 
-def test_a_good_beam_is_used_as_it_is() -> None:
+def test_consistent_beam_is_used_unchanged() -> None:
     belief = facing(40.0, 40.0, 0.1)
     range_in = expected(belief)
     seen = observe(belief, range_in + 0.2)

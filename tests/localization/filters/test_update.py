@@ -44,9 +44,10 @@ def test_moments_of_the_mixture_by_quadrature(reading: float) -> None:
     x = np.linspace(-15, 15, 200_001)
     prior = np.exp(-0.5 * (x / 1.5) ** 2)
     likelihood = np.full_like(x, MODEL.outlier_density * (0.2 + 0.8 * 0.1))
-    for at, chance in ((40.0, 0.6), (43.0, 0.3)):
+    for at, probability in ((40.0, 0.6), (43.0, 0.3)):
         variance = float(MODEL.variance(np.array(at)))
-        likelihood += 0.8 * chance * np.exp(-0.5 * (reading - (at - x)) ** 2 / variance) / np.sqrt(2 * np.pi * variance)
+        density = np.exp(-0.5 * (reading - (at - x)) ** 2 / variance) / np.sqrt(2 * np.pi * variance)
+        likelihood += 0.8 * probability * density
     posterior = prior * likelihood / (prior * likelihood).sum()
     mean = (posterior * x).sum()
     after, result = updated(BELIEF, reading, TWO)

@@ -12,7 +12,7 @@ def echo(refusal: Refusal, nis: float = 0.0) -> Echo:
     return Echo(0, 1.0, 50.0, refusal, 0.0, nis)
 
 
-def test_sums_of_what_was_taken_in_and_refused() -> None:
+def test_nis_and_refused_fraction() -> None:
     fit = Consistency(rays=True)
     assert (fit.nis, fit.refused_fraction, fit.is_good) == (0.0, 0.0, True)
     fit.add([echo(Refusal.NONE, 0.5), echo(Refusal.NONE, 1.5), echo(Refusal.LIMIT), echo(Refusal.AMBIGUOUS_WALL)])

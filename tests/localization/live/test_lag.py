@@ -36,7 +36,7 @@ def test_the_rest_of_a_state_and_the_belief_itself_stay() -> None:
     assert (belief.cov == before).all()
 
 
-def test_a_robot_that_stands_has_none_nor_one_seen_once() -> None:
+def test_standing_robot_has_no_lag() -> None:
     belief = independent([0.0, 0.0, 0.0], [0.1, 0.1, 0.01])
     here = encoders(1.0, np.zeros(3))
     assert with_lag(belief, here, encoders(2.0, np.zeros(3))) is belief

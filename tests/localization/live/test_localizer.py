@@ -30,8 +30,8 @@ class Robot:
         self.fired = 0
 
     def pose(self, time_s: float) -> tuple[float, float]:
-        way = self.speed * time_s
-        return 20 + way * math.cos(self.heading), 30 + way * math.sin(self.heading)
+        distance = self.speed * time_s
+        return 20 + distance * math.cos(self.heading), 30 + distance * math.sin(self.heading)
 
     def report(self, time_s: float) -> SensorData:
         while self.fired * 0.06 <= time_s + 1e-9:
@@ -54,7 +54,7 @@ def localizer(belief: Belief | None = None) -> Localizer:
 
 @pytest.mark.parametrize("turret_rad", [0.0, 1.0, -2.5])
 @pytest.mark.parametrize("speed_in_s", [0.0, 5.0])
-def test_a_wrong_start_is_mended_while_the_robot_drives(speed_in_s: float, turret_rad: float) -> None:
+def test_wrong_start_is_corrected_while_driving(speed_in_s: float, turret_rad: float) -> None:
     robot = Robot(speed_in_s, turret_rad=turret_rad)
     filtered = localizer(independent([20.6, 29.4, 0.53], [0.6, 0.6, 0.03]))
     for k in range(101):
@@ -65,7 +65,7 @@ def test_a_wrong_start_is_mended_while_the_robot_drives(speed_in_s: float, turre
     assert (np.abs(estimate.pose - [*robot.pose(10.0), 0.5]) < 4 * estimate.belief.std).all()
 
 
-def test_each_echo_is_reported_once_with_what_became_of_it() -> None:
+def test_each_echo_is_reported_once_with_its_result() -> None:
     robot, filtered = Robot(2.0), localizer()
     echoes = [echo for k in range(60) for echo in filtered.update(robot.report(0.1 * k)).echoes]
     instants = [echo.instant_s for echo in echoes]

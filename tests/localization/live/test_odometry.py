@@ -34,7 +34,7 @@ def test_angles_go_the_short_path_round() -> None:
     assert middle.turret_offset_rad % (2 * math.pi) == pytest.approx(0.0, abs=1e-12)
 
 
-def test_outside_of_what_was_polled_the_nearest_pose_stands() -> None:
+def test_nearest_pose_outside_of_polled_interval() -> None:
     history = PoseHistory()
     history.add(pose(1.0, 3.0))
     history.add(pose(2.0, 4.0))

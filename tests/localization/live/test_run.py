@@ -1,4 +1,4 @@
-"""What a live run comes to, with and without a truth to compare with."""
+"""Results of a live run, with and without ground truth."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_errors_are_distances_to_the_truth() -> None:
     assert error == pytest.approx([-0.3, 0.4, -0.1])
 
 
-def test_the_summary_counts_echoes_by_what_became_of_them() -> None:
+def test_summary_counts_echoes_by_result() -> None:
     summary = run(with_truth=True).summary()
     assert summary["echoes_used"] == 2
     assert summary["echoes_refused"] == {"limit": 4, "gate": 2}
@@ -79,7 +79,7 @@ def test_a_run_that_has_not_begun_has_reached_nothing() -> None:
 
 
 @pytest.mark.parametrize("late_s", [0.0, 0.05, 0.2])
-def test_a_truth_that_was_asked_late_is_compared_at_the_estimates_own_instant(late_s: float) -> None:
+def test_late_truth_is_interpolated_at_estimate_time(late_s: float) -> None:
     speed, turn = 5.0, 0.4
 
     def true_pose(clock_s: float) -> tuple[float, float, float]:
@@ -99,7 +99,7 @@ def test_beyond_two_sightings_nothing_is_made_up() -> None:
     assert first.interpolate(first, 1.0) == pytest.approx(first.pose)
 
 
-def test_states_that_come_too_rarely_are_reported_of() -> None:
+def test_rare_states_are_reported() -> None:
     done = run(with_truth=True)
     assert done.longest_gap_s == pytest.approx(1.0)
     assert "run the simulation slower" in done.verdict()

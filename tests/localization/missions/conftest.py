@@ -1,4 +1,4 @@
-"""A helm on a simulated robot in this process: time passes with exchanges alone."""
+"""A robot controller on a simulated robot in this process: time passes with requests only."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from nclient import connect
 from worlds.io import load_world
 from worlds.robots import BODIES
 
-MakeHelm = Callable[..., RobotController]
+MakeController = Callable[..., RobotController]
 
 
 @pytest.fixture
-def helm_at() -> Iterator[MakeHelm]:
-    """Makes helms: `helm_at("thesis_room", "0,0,0,0", setup="noisy", method="finder")`; all are closed at the end."""
+def controller_at() -> Iterator[MakeController]:
+    """Yield a factory: `controller_at("thesis_room", "0,0,0,0", setup="noisy", method="finder")`; all are closed."""
     with ExitStack() as closing:
 
         def make(world: str, start: str = "0,0,0,0", *, method: str = "ekf", **options: Any) -> RobotController:

@@ -1,4 +1,4 @@
-"""What verbs are given: what they refuse, in the words of a list's keys."""
+"""Arguments of verbs: refusals that name the keys of step lists."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from nclient.errors import MissionFileError
 
 
 @pytest.mark.parametrize(
-    ("verb", "said"),
+    ("verb", "expected"),
     [
         (lambda robot: robot.go_to("15", 5), "go_to: x_in: expected a length, a number, found the text '15'"),
         (lambda robot: robot.go_to(1, nan), "go_to: y_in: expected a length, a finite number, found nan"),
@@ -58,13 +58,13 @@ from nclient.errors import MissionFileError
          "dock: x_in: expected at most 100000 in either direction, found 1000000000.0; is the unit right?"),
     ],
 )  # fmt: skip
-def test_what_a_verb_can_do_nothing_with_is_refused_before_anything(verb: Callable[[Any], object], said: str) -> None:
+def test_invalid_argument_is_refused_before_any_motion(verb: Callable[[Any], object], expected: str) -> None:
     with pytest.raises(MissionFileError) as refused:
         verb(object.__new__(Mission))
-    assert str(refused.value) == said
+    assert str(refused.value) == expected
 
 
-def test_what_is_not_given_and_numbers_of_numpy_pass() -> None:
+def test_none_and_numpy_numbers_are_accepted() -> None:
     check_arguments("go_to", x_in=np.float64(1), y_in=np.int64(2), heading_deg=None, limit_s=inf, retries=np.int32(0))
     check_arguments("turn", heading_deg=None, by_deg=np.float32(3600))
 
@@ -73,5 +73,5 @@ def test_what_is_not_given_and_numbers_of_numpy_pass() -> None:
     "given",
     [[(1, 2), (3, 4)], ((1.0, 2.0), [3.0, 4.0]), np.array([[1, 2], [3, 4]]), {"a": (1, 2), "b": (3, 4)}.values()],
 )
-def test_points_come_in_whatever_collection(given: object) -> None:
+def test_points_may_be_any_sequence(given: object) -> None:
     assert read_points("follow", given) == ((1.0, 2.0), (3.0, 4.0))

@@ -1,4 +1,4 @@
-"""`nomad go` and `nomad mission` on simulations in this process: what they print, write and answer."""
+"""`nomad go` and `nomad mission` on simulations in this process: output, files and exit codes."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_go_arrives_reports_of_each_second_and_reports(capsys: pytest.CaptureFix
     assert lines[-1].lstrip().startswith("true pose (")
 
 
-def test_go_that_cannot_states_why_and_json_is_alone(capsys: pytest.CaptureFixture[str]) -> None:
+def test_failed_go_is_explained_and_json_is_alone(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["go", SIM, "--to", "-11,0,90", "--json"]) == 3
     report = json.loads(capsys.readouterr().out)
     assert (report["ending"], report["steps"][0]["ending"]) == ("blocked", "blocked")
@@ -58,17 +58,19 @@ def test_go_that_cannot_states_why_and_json_is_alone(capsys: pytest.CaptureFixtu
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "expected"),
     [(["--within", "0.01"], "a number from 0.1 to 100, not 0.01"),
      (["--time-limit", "1e6"], "a number from 0.1 to 86400, not 1e6")],
 )  # fmt: skip
-def test_go_refuses_what_a_mission_would(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_go_refuses_invalid_options_like_a_mission(
+    words: list[str], expected: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SystemExit, match="2"):
         main(["go", SIM, "--to", "20,12", *words])
-    assert said in capsys.readouterr().err
+    assert expected in capsys.readouterr().err
 
 
-def test_where_it_stands_can_be_reported_and_what_it_is_is_the_address_word(capsys: pytest.CaptureFixture[str]) -> None:
+def test_start_option_and_robot_of_address(capsys: pytest.CaptureFixture[str]) -> None:
     address = "sim:thesis_room?robot=scout&start=40,40,90"
     assert main(["go", address, "--to", "40,46", "--start", "40,40,90", "--sonars", "cones", "--method", "ekf"]) == 0
     assert "done at (40." in capsys.readouterr().out.replace("(39.", "(40.")
@@ -90,7 +92,7 @@ def test_a_mission_is_checked_run_and_its_report_written(tmp_path: Path, capsys:
     assert output.out == "", "before the drive"
 
 
-def test_a_report_that_cannot_be_written_after_all_is_reported(
+def test_unwritable_report_is_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     options = argparse.Namespace(report=tmp_path / "no" / "r.json", json=False)
@@ -99,10 +101,10 @@ def test_a_report_that_cannot_be_written_after_all_is_reported(
     assert "done" in capsys.readouterr().out
 
 
-def test_go_goes_on_from_what_it_saved_with_the_robots_calibration(
+def test_go_resumes_saved_estimate_with_calibration(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    model, saved = tmp_path / "model.toml", tmp_path / "kept.json"
+    model, saved = tmp_path / "model.toml", tmp_path / "saved.json"
     offsets = tuple(1.5 for _ in range(16))
     model.write_text(format_calibration("n150", Calibration(1.04, 1.0, 0.0, offsets)))
     address = f"sim:thesis_room?noisy=1&seed=2&model_file={model}"
@@ -123,26 +125,26 @@ def test_go_goes_on_from_what_it_saved_with_the_robots_calibration(
     assert main([*words, "--to", "5,0", "--calibration", str(tmp_path / "none.toml")]) == 1
 
 
-def test_what_cannot_be_saved_in_the_end_is_reported_and_the_ending_stays(
+def test_failed_save_is_reported_after_the_ending(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = tmp_path / "gone"
     folder.mkdir()
     monkeypatch.setattr("localization.cli.mission.check_writable", lambda *_: folder.rmdir())
-    assert main(["go", SIM, "--to", "5,0", "--save", str(folder / "kept")]) == 1
+    assert main(["go", SIM, "--to", "5,0", "--save", str(folder / "saved")]) == 1
     output = capsys.readouterr()
     assert "done at (" in output.out
     assert "cannot be written" in output.err
 
 
-def test_headings_of_estimate_and_truth_are_reported_in_one_range() -> None:
+def test_headings_in_report_use_one_range() -> None:
     report = Report("", ending="done", pose=(1.0, 2.0, radians(-9.0)), truth=(1.0, 2.0, radians(351.0)))
     assert report.text().count("-9 deg") == 2
     output = report.as_json()
     assert output["pose"] == output["truth"] == {"x_in": 1.0, "y_in": 2.0, "heading_deg": -9.0}
 
 
-def test_a_robot_that_is_gone_is_what_is_reported_not_that_it_cannot_be_stopped() -> None:
+def test_failed_stop_does_not_hide_the_cause() -> None:
     class Gone:
         stopped = 0
 
@@ -158,7 +160,7 @@ def test_a_robot_that_is_gone_is_what_is_reported_not_that_it_cannot_be_stopped(
     assert robot.stopped == 2
 
 
-def test_a_program_that_breaks_stops_the_robot_and_is_reported(
+def test_failing_program_stops_robot_and_is_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file, report = tmp_path / "m.py", tmp_path / "r.json"
@@ -181,7 +183,7 @@ def test_a_program_that_exits_has_failed(exit_words: str, tmp_path: Path, capsys
     assert f"nomad: {file}: line 2: calls sys.exit (" in capsys.readouterr().err
 
 
-def test_a_map_that_is_not_there_is_reported_by_check_and_by_the_run_unless_another_is_given(
+def test_missing_map_is_reported_unless_map_option_is_given(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "m.toml"
@@ -228,35 +230,35 @@ def fail(error: BaseException) -> Any:
 @pytest.mark.parametrize(
     ("error", "ending", "reason"),
     [
-        (StepFailed("blocked", "no way"), "blocked", "no way"),
+        (StepFailed("blocked", "no path"), "blocked", "no path"),
         (KeyboardInterrupt(), "interrupted", "Ctrl-C (KeyboardInterrupt)"),
         (TerminatedBySignal("SIGHUP"), "interrupted", "SIGHUP (TerminatedBySignal)"),
         (MissionFileError("line 3"), "error", "line 3 (MissionFileError)"),
         (SystemExit(), "error", "SystemExit (SystemExit)"),
     ],
 )
-def test_however_it_ends_the_report_states_so(error: BaseException, ending: str, reason: str) -> None:
+def test_report_has_ending_and_reason(error: BaseException, ending: str, reason: str) -> None:
     report = mission_of(fail(error))
     assert (report.ending, report.reason, report.duration_s) == (ending, reason, 5.0)
     assert mission_of(lambda _: None).done
 
 
 def test_a_report_in_words_and_as_data() -> None:
-    step = Step("go_to", "(1, 2)", 0.0, 4.0, "blocked", "no way", 2, 30.0, 1, 3, 28.0, [(1.0, "touched")])
-    report = Report("T", [step, Step("look", "1 s", 4.0, 5.0, "done")], "blocked", "no way", 5.0)
+    step = Step("go_to", "(1, 2)", 0.0, 4.0, "blocked", "no path", 2, 30.0, 1, 3, 28.0, [(1.0, "touched")])
+    report = Report("T", [step, Step("look", "1 s", 4.0, 5.0, "done")], "blocked", "no path", 5.0)
     assert report.text().splitlines() == [
         "T",
-        "    0.0 s  FAILED  go_to (1, 2)  (4.0 s, 30 in, 2 tries, 1 touches, planned 3 times): no way",
+        "    0.0 s  FAILED  go_to (1, 2)  (4.0 s, 30 in, 2 tries, 1 touches, planned 3 times): no path",
         "    1.0 s          touched",
         "    4.0 s  done    look 1 s  (1.0 s, 0 in)",
-        "    5.0 s  blocked: no way",
+        "    5.0 s  blocked: no path",
     ]
     data = json.loads(json.dumps(report.as_json()))
     assert (data["pose"], data["truth"], data["touches"], data["way_in"]) == (None, None, 1, 30.0)
     assert data["steps"][0]["notes"] == [{"at_s": 1.0, "words": "touched"}]
 
 
-def test_what_command_lines_say() -> None:
+def test_option_values_are_parsed() -> None:
     assert parse_point("1,-2") == (1.0, -2.0)
     assert parse_pose("1,2,180") == pytest.approx((1.0, 2.0, 3.141592653589793))
     assert parse_seconds("0") == 0.0
@@ -280,7 +282,7 @@ def test_the_commands_have_help(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.parametrize("name", sorted(parse_point.name for parse_point in entry_points(group="nomad.commands")))
-def test_help_retains_rules_to_itself_and_names_files_that_are_there(
+def test_help_has_no_rules_and_names_existing_files(
     name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit, match="0"):
@@ -303,6 +305,6 @@ def test_a_guess_of_rays_that_does_not_fit_is_doubted(
     main(words)
     assert "do not believe this" in capsys.readouterr().out.splitlines()[-1]
     main([*words, "--sonars", "rays"])
-    said = capsys.readouterr().out
-    assert GUESS not in said
-    assert "do not believe this" not in said
+    printed = capsys.readouterr().out
+    assert GUESS not in printed
+    assert "do not believe this" not in printed

@@ -1,4 +1,4 @@
-"""Missions from files: what is read, and what is stated of files that are wrong."""
+"""Missions from files: values read, and the error messages of invalid files."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from nclient.errors import MissionFileError
 SEEN = Seen(1.0, 0.0, 0.0, 0.0, 0.3, "OK", (20,) * 15 + (12,), True, (3,), 1)
 
 
-class Told:
-    """In place of a Mission: writes down what it is reported."""
+class CallRecorder:
+    """Replace a Mission and record the calls of its verbs."""
 
     def __init__(self) -> None:
-        self.said: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = []
+        self.calls: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = []
 
     def __getattr__(self, verb: str) -> Any:
-        return lambda *words, **more: self.said.append((verb, words, more))
+        return lambda *words, **more: self.calls.append((verb, words, more))
 
 
-def told(text: str) -> list[tuple[str, tuple[Any, ...], dict[str, Any]]]:
-    robot: Any = Told()
+def recorded_calls(text: str) -> list[tuple[str, tuple[Any, ...], dict[str, Any]]]:
+    robot: Any = CallRecorder()
     parse_step_list(text, "m.toml").run(robot)
-    said: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = robot.said
-    return said
+    calls: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = robot.calls
+    return calls
 
 
-def test_every_verb_states_what_its_step_states() -> None:
-    said = told("""
+def test_every_verb_is_called_with_values_of_its_step() -> None:
+    calls = recorded_calls("""
         [[step]]
         do = "go_to"
         to_cm = [254, 127]
@@ -67,15 +67,15 @@ def test_every_verb_states_what_its_step_states() -> None:
         words = "hello"
     """)
     limits = {"limit_s": inf, "retries": 0}
-    assert said[0][0] == "go_to"
-    assert said[0][1] == pytest.approx((100.0, 50.0, 90.0))
-    assert said[0][2] == {"limit_s": 30.0, "retries": 2, "within_in": 2.0}
-    assert said[1] == ("follow", (((1.0, 2.0), (3.0, 4.0)),), limits | {"within_in": 1.0})
-    assert said[2] == ("patrol", (((1.0, 2.0),), 3), limits)
-    assert said[3] == ("turn", (None,), limits | {"by_deg": pytest.approx(-45.0)})
-    assert said[4][0] == "dock"
-    assert said[4][1] == pytest.approx((10.0, 0.0, 180.0))
-    assert said[5:] == [("look", (1.0,), {}), ("look", (4.0,), {}), ("note", ("hello",), {})]
+    assert calls[0][0] == "go_to"
+    assert calls[0][1] == pytest.approx((100.0, 50.0, 90.0))
+    assert calls[0][2] == {"limit_s": 30.0, "retries": 2, "within_in": 2.0}
+    assert calls[1] == ("follow", (((1.0, 2.0), (3.0, 4.0)),), limits | {"within_in": 1.0})
+    assert calls[2] == ("patrol", (((1.0, 2.0),), 3), limits)
+    assert calls[3] == ("turn", (None,), limits | {"by_deg": pytest.approx(-45.0)})
+    assert calls[4][0] == "dock"
+    assert calls[4][1] == pytest.approx((10.0, 0.0, 180.0))
+    assert calls[5:] == [("look", (1.0,), {}), ("look", (4.0,), {}), ("note", ("hello",), {})]
 
 
 @pytest.mark.parametrize(
@@ -84,8 +84,8 @@ def test_every_verb_states_what_its_step_states() -> None:
      ("farther_than_in = 12", False), ("known_to_in = 0.3", True), ("known_to_in = 0.2", False),
      ("finds = 1", True), ("finds = 2", False), ("touching = true", True), ("touching = false", False)],
 )  # fmt: skip
-def test_what_is_waited_for(key: str, holds: bool) -> None:
-    ((verb, (condition, limit_s, words), _),) = told(f'[[step]]\ndo = "wait_for"\ntime_limit_s = 5\n{key}\n')
+def test_wait_for_conditions(key: str, holds: bool) -> None:
+    ((verb, (condition, limit_s, words), _),) = recorded_calls(f'[[step]]\ndo = "wait_for"\ntime_limit_s = 5\n{key}\n')
     assert (verb, limit_s) == ("wait_for", 5.0)
     assert condition(SEEN) is holds
     assert words.split(" = ")[0] == key.split(" = ")[0]
@@ -104,7 +104,7 @@ def test_settings_are_read_and_have_defaults() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "expected"),
     [
         ("a = \n", "m.toml: is no TOML: Invalid value (at line 1, column 5)"),
         ("", "m.toml: step: expected at least one [[step]], found none"),
@@ -151,10 +151,10 @@ def test_settings_are_read_and_have_defaults() -> None:
          "on_lost, lost_s, step, fence_in, fence_cm, fence_m; did you mean step?"),
     ],
 )  # fmt: skip
-def test_a_list_that_is_wrong_is_reported_with_its_line(text: str, said: str) -> None:
+def test_invalid_step_list_is_reported_with_its_line(text: str, expected: str) -> None:
     with pytest.raises(MissionFileError) as refused:
         parse_step_list(text, "m.toml")
-    assert str(refused.value) == said
+    assert str(refused.value) == expected
 
 
 def test_files_are_read_by_their_ending(tmp_path: Path) -> None:
@@ -166,7 +166,7 @@ def test_files_are_read_by_their_ending(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "content", "said"),
+    ("name", "content", "expected"),
     [
         ("m.txt", b"", r"expected a mission as .toml or .py, found '.txt'"),
         ("m", b"", r"found 'no suffix'"),
@@ -175,27 +175,27 @@ def test_files_are_read_by_their_ending(tmp_path: Path) -> None:
         ("m.toml", b"#" * (MAX_BYTES + 1), "is longer than"),
     ],
 )
-def test_files_that_cannot_be_read(tmp_path: Path, name: str, content: bytes | None, said: str) -> None:
+def test_files_that_cannot_be_read(tmp_path: Path, name: str, content: bytes | None, expected: str) -> None:
     if content is not None:
         (tmp_path / name).write_bytes(content)
-    with pytest.raises(MissionFileError, match=said):
+    with pytest.raises(MissionFileError, match=expected):
         load_mission(tmp_path / name)
 
 
 @pytest.mark.parametrize(
-    ("name", "text", "told"),
+    ("name", "text", "expected"),
     [
         ("m.toml", '# x\nmap = "several_wals"\n[[step]]\ndo = "look"\n', "line 2: map: several_wals: no such file"),
         ("m.py", "from localization.missions import Settings\nsettings = Settings(map='several_wals')\n"
          "def mission(robot): pass\n", "settings: map: several_wals: no such file"),
     ],
 )  # fmt: skip
-def test_a_map_that_is_not_there_is_reported_with_file_and_key(tmp_path: Path, name: str, text: str, told: str) -> None:
+def test_missing_map_is_reported_with_file_and_key(tmp_path: Path, name: str, text: str, expected: str) -> None:
     file = tmp_path / name
     file.write_text(text)
     orders = load_mission(file)
     with pytest.raises(MissionFileError, match="did you mean several_walls") as refused:
         orders.check_map()
-    assert str(refused.value).startswith(f"{file}: {told}")
+    assert str(refused.value).startswith(f"{file}: {expected}")
     file.write_text(text.replace("several_wals", "several_walls"))
     load_mission(file).check_map()

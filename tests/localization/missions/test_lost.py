@@ -1,4 +1,4 @@
-"""Lost and found on a mission: kidnapped robots of the method that knows when it is lost."""
+"""Missions of kidnapped robots: detection, recovery and continuation."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from nclient.state import Pose
 
 pytestmark = pytest.mark.long
 
-MakeHelm = Callable[..., RobotController]
+MakeController = Callable[..., RobotController]
 
 
 class Kidnapper:
@@ -45,14 +45,14 @@ class Kidnapper:
             self.lost_s = self.lost_s or sight.estimate.clock_s
 
 
-def kidnapped(helm_at: MakeHelm, settings: Settings) -> tuple[Mission, Kidnapper]:
-    controller = helm_at("several_walls", "5,5,0,0", method="finder", setup="noisy")
+def kidnapped(controller_at: MakeController, settings: Settings) -> tuple[Mission, Kidnapper]:
+    controller = controller_at("several_walls", "5,5,0,0", method="finder", setup="noisy")
     kidnapper = Kidnapper(controller, Pose(85.0, 85.0, pi))
     return Mission(controller, settings), kidnapper
 
 
-def test_given_up_the_mission_ends_at_once(helm_at: MakeHelm) -> None:
-    mission, kidnapper = kidnapped(helm_at, Settings(on_lost=OnLost.GIVE_UP))
+def test_given_up_the_mission_ends_at_once(controller_at: MakeController) -> None:
+    mission, kidnapper = kidnapped(controller_at, Settings(on_lost=OnLost.GIVE_UP))
     with pytest.raises(MissionOver) as over:
         mission.go_to(35, 55)
     assert over.value.ending == "lost"
@@ -61,8 +61,8 @@ def test_given_up_the_mission_ends_at_once(helm_at: MakeHelm) -> None:
     assert mission.report.steps[0].notes[0][1].startswith("lost: ")
 
 
-def test_found_again_by_a_search_the_mission_goes_on(helm_at: MakeHelm) -> None:
-    mission, kidnapper = kidnapped(helm_at, Settings(on_lost=OnLost.SEARCH))
+def test_found_again_by_a_search_the_mission_goes_on(controller_at: MakeController) -> None:
+    mission, kidnapper = kidnapped(controller_at, Settings(on_lost=OnLost.SEARCH))
     mission.go_to(35, 55)
     assert kidnapper.lost_s > 0.0
     truth = mission._controller.robot.truth()
@@ -70,9 +70,9 @@ def test_found_again_by_a_search_the_mission_goes_on(helm_at: MakeHelm) -> None:
     assert any(words.startswith("found again after") for _, words in mission.report.steps[0].notes)
 
 
-def test_where_no_place_is_like_any_other_it_searches_until_its_time_is_over(helm_at: MakeHelm) -> None:
+def test_search_in_symmetric_room_ends_at_time_limit(controller_at: MakeController) -> None:
     """The square room has four that look alike, wherever one drives in it."""
-    controller = helm_at("thesis_room", "45,45,0,0", method="finder")
+    controller = controller_at("thesis_room", "45,45,0,0", method="finder")
     Kidnapper(controller, Pose(20.0, 70.0, 1.0))
     mission = Mission(controller, Settings(on_lost=OnLost.SEARCH, lost_s=25.0))
     with pytest.raises(MissionOver, match="not found again in 25 s"):
@@ -80,8 +80,8 @@ def test_where_no_place_is_like_any_other_it_searches_until_its_time_is_over(hel
     assert not any(step.touches for step in mission.report.steps)
 
 
-def test_lost_while_turning_it_is_found_before_the_turn_goes_on(helm_at: MakeHelm) -> None:
-    controller = helm_at("several_walls", "35,55,0,0", method="finder", setup="noisy")
+def test_turn_continues_after_lost_robot_is_found(controller_at: MakeController) -> None:
+    controller = controller_at("several_walls", "35,55,0,0", method="finder", setup="noisy")
     Kidnapper(controller, Pose(85.0, 85.0, pi), 0.5)
     mission = Mission(controller, Settings(on_lost=OnLost.STOP))
     for heading in (120, 240, 0):
@@ -90,8 +90,8 @@ def test_lost_while_turning_it_is_found_before_the_turn_goes_on(helm_at: MakeHel
     assert abs((truth.steering_rad + pi) % (2 * pi) - pi) < 0.15
 
 
-def test_a_search_gropes_and_is_set_back_by_a_touch(helm_at: MakeHelm) -> None:
-    controller = helm_at("thesis_room", "45,45,0,0")
+def test_a_search_gropes_and_is_set_back_by_a_touch(controller_at: MakeController) -> None:
+    controller = controller_at("thesis_room", "45,45,0,0")
     groping, commands = RecoveryBehavior(PERIOD_S), _search_commands(controller)
     for _ in range(round(SCAN_RAD / TURN_RAD_S / PERIOD_S) + 5):
         command = next(commands)
@@ -108,8 +108,8 @@ def test_a_search_gropes_and_is_set_back_by_a_touch(helm_at: MakeHelm) -> None:
     assert next(commands) == VelocityCommand(0.0, TURN_RAD_S)
 
 
-def test_lost_on_the_last_foot_into_a_dock_it_stands_and_begins_anew(helm_at: MakeHelm) -> None:
-    controller = helm_at("thesis_room", "5,5,0,0")
+def test_estimate_lost_before_dock_repeats_approach(controller_at: MakeController) -> None:
+    controller = controller_at("thesis_room", "5,5,0,0")
     mission = Mission(controller, Settings(on_lost=OnLost.STOP))
     lost: list[Observation] = []
 

@@ -1,4 +1,4 @@
-"""The verbs, on a simulated robot: what each does, what fails, and what ends a mission."""
+"""The verbs, on a simulated robot: their effects, their failures, and the endings of a mission."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from nclient.errors import ConnectionLost, NomadError
 
 pytestmark = pytest.mark.long
 
-MakeHelm = Callable[..., RobotController]
+MakeController = Callable[..., RobotController]
 BOX = [(36.0, -6.0), (44.0, -6.0), (44.0, 6.0), (36.0, 6.0)]
 
 
@@ -32,8 +32,8 @@ def endings(mission: Mission) -> list[tuple[str, str]]:
     return [(step.name, step.ending) for step in mission.report.steps]
 
 
-def test_go_to_arrives_in_truth_and_is_reported(helm_at: MakeHelm) -> None:
-    controller = helm_at("thesis_room", setup="noisy")
+def test_go_to_arrives_in_truth_and_is_reported(controller_at: MakeController) -> None:
+    controller = controller_at("thesis_room", setup="noisy")
     mission = Mission(controller)
     seen = mission.go_to(30, 20, heading_deg=90)
     truth = controller.robot.truth()
@@ -54,8 +54,8 @@ def test_go_to_arrives_in_truth_and_is_reported(helm_at: MakeHelm) -> None:
     assert not controller.robot.refresh().moving
 
 
-def test_what_the_map_does_not_have_is_gone_around(helm_at: MakeHelm) -> None:
-    controller = helm_at("thesis_room", setup="noisy")
+def test_unmapped_obstacle_is_avoided(controller_at: MakeController) -> None:
+    controller = controller_at("thesis_room", setup="noisy")
     controller.robot.add_obstacle(corners_in=BOX)
     touched = []
     controller.observers.append(lambda sight: touched.append(sight.state.touching))
@@ -66,8 +66,8 @@ def test_what_the_map_does_not_have_is_gone_around(helm_at: MakeHelm) -> None:
     assert mission.report.steps[0].driven_in > 82.0
 
 
-def test_follow_patrol_turn_look_and_note(helm_at: MakeHelm) -> None:
-    mission = Mission(helm_at("thesis_room"))
+def test_follow_patrol_turn_look_and_note(controller_at: MakeController) -> None:
+    mission = Mission(controller_at("thesis_room"))
     mission.follow([(10, 0), (10, 10)])
     assert place(mission) == pytest.approx((10, 10), abs=1.2)
     mission.patrol([(14, 10), (10, 10)], rounds=2)
@@ -85,31 +85,31 @@ def test_follow_patrol_turn_look_and_note(helm_at: MakeHelm) -> None:
     assert mission.report.steps[0].arguments == "(10, 0) (10, 10)"
 
 
-def test_waiting_ends_by_the_condition_or_by_its_limit(helm_at: MakeHelm) -> None:
-    mission = Mission(helm_at("thesis_room"))
+def test_waiting_ends_by_the_condition_or_by_its_limit(controller_at: MakeController) -> None:
+    mission = Mission(controller_at("thesis_room"))
     seen = mission.wait_for(lambda seen: seen.clock_s > 0.5, 5.0)
     assert 0.5 < seen.clock_s < 0.7
-    with pytest.raises(StepFailed, match="somebody: did not come within 1 s") as failed:
-        mission.wait_for(lambda seen: seen.touching, 1.0, "somebody")
+    with pytest.raises(StepFailed, match="obstacle: did not come within 1 s") as failed:
+        mission.wait_for(lambda seen: seen.touching, 1.0, "obstacle")
     assert failed.value.ending == "condition"
     assert endings(mission) == [("wait_for", "done"), ("wait_for", "condition")]
 
 
-def test_a_dock_is_entered_straight_and_a_touch_before_it_fails(helm_at: MakeHelm) -> None:
-    controller = helm_at("thesis_room", setup="noisy")
+def test_dock_is_entered_straight_and_contact_fails(controller_at: MakeController) -> None:
+    controller = controller_at("thesis_room", setup="noisy")
     mission = Mission(controller)
     mission.dock(-1.5, 20, 180)
     truth = controller.robot.truth()
     assert (truth.x_in, truth.y_in) == pytest.approx((-1.5, 20), abs=0.8)
     assert degrees(truth.steering_rad) == pytest.approx(180, abs=6)
-    blocked = helm_at("thesis_room", "40,60,180,0")
+    blocked = controller_at("thesis_room", "40,60,180,0")
     blocked.robot.add_obstacle(corners_in=[(8.0, 55.0), (12.0, 55.0), (12.0, 65.0), (8.0, 65.0)])
     with pytest.raises(StepFailed, match="before the dock"):
         Mission(blocked).dock(14, 60, 180)
 
 
-def test_a_step_that_fails_is_tried_again(helm_at: MakeHelm) -> None:
-    mission = Mission(helm_at("thesis_room"))
+def test_a_step_that_fails_is_tried_again(controller_at: MakeController) -> None:
+    mission = Mission(controller_at("thesis_room"))
     with pytest.raises(StepFailed, match=r"no space at \(0, -11\)"):
         mission.go_to(0, -11, retries=2)
     (step,) = mission.report.steps
@@ -119,8 +119,8 @@ def test_a_step_that_fails_is_tried_again(helm_at: MakeHelm) -> None:
     assert mission.report.steps[-1].done
 
 
-def test_a_step_has_its_time_and_the_mission_has_its(helm_at: MakeHelm) -> None:
-    mission = Mission(helm_at("thesis_room"), Settings(time_limit_s=6.0))
+def test_a_step_has_its_time_and_the_mission_has_its(controller_at: MakeController) -> None:
+    mission = Mission(controller_at("thesis_room"), Settings(time_limit_s=6.0))
     with pytest.raises(StepFailed, match="the step's time is over") as failed:
         mission.go_to(60, 0, limit_s=2.0)
     assert failed.value.ending == "timeout"
@@ -130,15 +130,15 @@ def test_a_step_has_its_time_and_the_mission_has_its(helm_at: MakeHelm) -> None:
     assert mission.seen.clock_s == pytest.approx(6.1, abs=0.15)
 
 
-def test_a_robot_that_another_holds_is_reported_of_and_goes_on_once_released(
-    helm_at: MakeHelm, monkeypatch: pytest.MonkeyPatch
+def test_held_robot_is_reported_and_goes_on_once_released(
+    controller_at: MakeController, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    controller = helm_at("thesis_room")
+    controller = controller_at("thesis_room")
     mission, until_s = Mission(controller, Settings(time_limit_s=40.0)), controller.clock_s + 12.0
     drive = controller.robot.drive
 
     def held(**velocities: float) -> Any:
-        """What would move it is taken for st (nserver_emu.server.ownership)."""
+        """Replace motions by st, as a held robot does (nserver_emu.server.ownership)."""
         return controller.robot.stop() if controller.clock_s < until_s else drive(**velocities)
 
     monkeypatch.setattr(controller.robot, "drive", held)
@@ -154,22 +154,22 @@ def test_a_robot_that_another_holds_is_reported_of_and_goes_on_once_released(
         mission.go_to(40, 0)
 
 
-def test_who_looks_stands_and_nothing_is_stated_of_it(helm_at: MakeHelm) -> None:
-    mission = Mission(helm_at("thesis_room"))
+def test_look_stands_still_without_notes(controller_at: MakeController) -> None:
+    mission = Mission(controller_at("thesis_room"))
     mission.look(8.0)
     assert mission.report.steps[0].notes == []
 
 
-def test_a_fence_is_planned_within_and_left_by_nothing(helm_at: MakeHelm) -> None:
+def test_a_fence_is_planned_within_and_left_by_nothing(controller_at: MakeController) -> None:
     fence = ((-11.0, -11.0), (70.0, -11.0), (70.0, 40.0), (-11.0, 40.0))
-    controller = helm_at("thesis_room", setup="noisy")
+    controller = controller_at("thesis_room", setup="noisy")
     mission = Mission(controller, Settings(fence_in=fence))
     with pytest.raises(StepFailed, match=r"no space at \(40, 60\)|no path from") as failed:
         mission.go_to(40, 60)
     assert failed.value.ending == "blocked"
     mission.go_to(50, 20)
     controller.robot.set_position(x_in=50, y_in=20)
-    jumped = helm_at("thesis_room", start="60,60,0,0")
+    jumped = controller_at("thesis_room", start="60,60,0,0")
     outside = Mission(jumped, Settings(fence_in=fence))
     with pytest.raises(MissionOver, match=r"is outside of the fence") as over:
         outside.look(1.0)
@@ -177,8 +177,10 @@ def test_a_fence_is_planned_within_and_left_by_nothing(helm_at: MakeHelm) -> Non
 
 
 @pytest.mark.parametrize("swallowed", [StepFailed, NomadError, Exception, BaseException])
-def test_the_end_of_a_mission_is_swallowed_by_no_program(helm_at: MakeHelm, swallowed: type[BaseException]) -> None:
-    mission = Mission(helm_at("thesis_room"), Settings(time_limit_s=2.0))
+def test_program_cannot_suppress_end_of_mission(
+    controller_at: MakeController, swallowed: type[BaseException]
+) -> None:
+    mission = Mission(controller_at("thesis_room"), Settings(time_limit_s=2.0))
     clocks: list[float] = []
 
     def program(robot: Mission) -> None:
@@ -196,8 +198,8 @@ def test_the_end_of_a_mission_is_swallowed_by_no_program(helm_at: MakeHelm, swal
         mission.look()
 
 
-def test_after_the_fence_every_verb_refuses(helm_at: MakeHelm) -> None:
-    controller = helm_at("thesis_room", start="60,60,0,0")
+def test_after_the_fence_every_verb_refuses(controller_at: MakeController) -> None:
+    controller = controller_at("thesis_room", start="60,60,0,0")
     robot = Mission(controller, Settings(fence_in=((-11.0, -11.0), (40.0, -11.0), (40.0, 40.0), (-11.0, 40.0))))
     verbs: list[Callable[[], object]] = [
         robot.look, lambda: robot.go_to(60, 50), lambda: robot.follow([(60, 50)]), lambda: robot.turn(90),
@@ -210,8 +212,8 @@ def test_after_the_fence_every_verb_refuses(helm_at: MakeHelm) -> None:
     assert [step.name for step in robot.report.steps] == ["look", "note"]
 
 
-def test_an_interruption_that_was_swallowed_still_ends_it(helm_at: MakeHelm) -> None:
-    mission = Mission(helm_at("thesis_room"))
+def test_suppressed_interrupt_still_ends_mission(controller_at: MakeController) -> None:
+    mission = Mission(controller_at("thesis_room"))
 
     def interrupt(_: object) -> bool:
         raise KeyboardInterrupt
@@ -225,8 +227,8 @@ def test_an_interruption_that_was_swallowed_still_ends_it(helm_at: MakeHelm) -> 
     assert mission.report.ending == "interrupted"
 
 
-def test_one_step_at_a_time(helm_at: MakeHelm) -> None:
-    mission = Mission(helm_at("thesis_room"))
+def test_nested_steps_are_refused(controller_at: MakeController) -> None:
+    mission = Mission(controller_at("thesis_room"))
 
     def meddle(_: object) -> bool:
         mission.look()
@@ -236,8 +238,8 @@ def test_one_step_at_a_time(helm_at: MakeHelm) -> None:
         mission.wait_for(meddle, 3.0)
 
 
-def test_what_goes_wrong_with_the_robot_is_reported_and_raised(helm_at: MakeHelm) -> None:
-    controller = helm_at("thesis_room")
+def test_robot_error_is_reported_and_raised(controller_at: MakeController) -> None:
+    controller = controller_at("thesis_room")
     mission = Mission(controller)
 
     def lose(_: object) -> None:
@@ -259,8 +261,8 @@ def test_what_goes_wrong_with_the_robot_is_reported_and_raised(helm_at: MakeHelm
 
 
 @pytest.mark.parametrize("by_deg", [-270, 360, 540])
-def test_a_turn_by_so_much_is_turned_by_so_much_in_truth(helm_at: MakeHelm, by_deg: int) -> None:
-    controller = helm_at("thesis_room")
+def test_relative_turn_agrees_with_ground_truth(controller_at: MakeController, by_deg: int) -> None:
+    controller = controller_at("thesis_room")
     turned, before = 0.0, controller.robot.truth().steering_rad
 
     def add_up(_: object) -> None:
@@ -274,16 +276,16 @@ def test_a_turn_by_so_much_is_turned_by_so_much_in_truth(helm_at: MakeHelm, by_d
     assert degrees(turned) == pytest.approx(by_deg, abs=4)
 
 
-def test_a_turn_that_is_tried_again_goes_on_where_it_was(helm_at: MakeHelm) -> None:
-    mission = Mission(helm_at("thesis_room"))
+def test_retried_turn_continues_from_its_progress(controller_at: MakeController) -> None:
+    mission = Mission(controller_at("thesis_room"))
     mission.turn(by_deg=180, limit_s=3.5, retries=5)
     (step,) = mission.report.steps
     assert step.tries > 1
     assert abs(mission.seen.heading_deg) == pytest.approx(180, abs=4)
 
 
-def test_a_signal_ends_a_step_by_its_name(helm_at: MakeHelm) -> None:
-    controller = helm_at("thesis_room")
+def test_a_signal_ends_a_step_by_its_name(controller_at: MakeController) -> None:
+    controller = controller_at("thesis_room")
 
     def leave(_: object) -> None:
         raise TerminatedBySignal("SIGTERM")
@@ -299,8 +301,8 @@ def test_a_signal_ends_a_step_by_its_name(helm_at: MakeHelm) -> None:
     assert (mission.report.ending, mission.report.reason) == ("interrupted", "SIGTERM")
 
 
-def test_an_exit_within_a_condition_that_is_swallowed_does_not_end_it_with_its_code(helm_at: MakeHelm) -> None:
-    mission = Mission(helm_at("thesis_room"))
+def test_suppressed_exit_in_condition_does_not_end_mission(controller_at: MakeController) -> None:
+    mission = Mission(controller_at("thesis_room"))
 
     def program(robot: Mission) -> None:
         with contextlib.suppress(SystemExit):
@@ -311,9 +313,9 @@ def test_an_exit_within_a_condition_that_is_swallowed_does_not_end_it_with_its_c
     assert endings(mission) == [("wait_for", "error"), ("look", "done")]
 
 
-def test_touches_are_counted(helm_at: MakeHelm) -> None:
+def test_touches_are_counted(controller_at: MakeController) -> None:
     """A thing too low for the sonars: they are switched off, the bumpers are not."""
-    controller = helm_at("thesis_room")
+    controller = controller_at("thesis_room")
     controller.robot.add_obstacle(corners_in=BOX)
     spare: Any = lambda *_: None  # noqa: E731
     controller.obstacles.add_reading = spare  # type: ignore[method-assign]

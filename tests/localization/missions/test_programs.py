@@ -1,4 +1,4 @@
-"""Missions that are programs: what is run, and what is stated of those that are wrong."""
+"""Missions as Python programs: how they run, and the error messages of invalid ones."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from nclient.common.process import TerminatedBySignal
 from nclient.errors import MissionFileError, RobotRefused
 
 
-class Told:
-    """In place of a Mission: writes down what it is reported."""
+class CallRecorder:
+    """Replace a Mission and record the calls of its verbs."""
 
     def __init__(self) -> None:
-        self.said: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = []
+        self.calls: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = []
 
     def __getattr__(self, verb: str) -> Any:
-        return lambda *words, **more: self.said.append((verb, words, more))
+        return lambda *words, **more: self.calls.append((verb, words, more))
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "expected"),
     [
         ("def mission(robot)\n  pass", "m.py: line 1: is not valid Python: expected ':'"),
         ("x = 1\ny = x / 0\n", "m.py: line 2: ZeroDivisionError: division by zero"),
@@ -33,14 +33,14 @@ class Told:
         ("settings = 3\ndef mission(robot): pass", "m.py: settings: expected Settings(...), found int"),
     ],
 )  # fmt: skip
-def test_a_program_that_is_wrong_is_reported_with_its_line(text: str, said: str) -> None:
+def test_invalid_program_is_reported_with_its_line(text: str, expected: str) -> None:
     with pytest.raises(MissionFileError) as refused:
         parse_program(text, "m.py")
-    assert str(refused.value) == said
+    assert str(refused.value) == expected
 
 
-def test_a_program_runs_and_what_it_raises_is_reported_with_its_line() -> None:
-    robot: Any = Told()
+def test_program_runs_and_exception_is_reported_with_line() -> None:
+    robot: Any = CallRecorder()
     program = parse_program(
         "from localization.missions import Settings\nsettings = Settings(title='T')\n"
         "def mission(robot):\n    robot.go_to(1, 2)\n    {}['x']\n", "m.py",
@@ -48,14 +48,14 @@ def test_a_program_runs_and_what_it_raises_is_reported_with_its_line() -> None:
     assert program.settings.title == "T"
     with pytest.raises(MissionFileError, match=r"^m\.py: line 5: KeyError: 'x'$"):
         program.run(robot)
-    assert robot.said == [("go_to", (1, 2), {})]
+    assert robot.calls == [("go_to", (1, 2), {})]
 
 
-def test_errors_of_the_robot_stay_what_they_are() -> None:
+def test_robot_errors_pass_unchanged() -> None:
     def refuse(*_: object) -> None:
         raise RobotRefused("vm", 4)
 
-    robot: Any = Told()
+    robot: Any = CallRecorder()
     robot.look = refuse
     with pytest.raises(RobotRefused):
         parse_program("def mission(robot): robot.look()", "m.py").run(robot)
@@ -68,11 +68,11 @@ EXIT = "expected mission(robot) to return, or to raise StepFailed"
 
 
 @pytest.mark.parametrize("words", ["0", "5", ""])
-def test_a_program_that_exits_is_wrong_at_its_top_and_in_its_function(words: str) -> None:
+def test_sys_exit_is_an_error_at_top_and_in_function(words: str) -> None:
     with pytest.raises(MissionFileError) as refused:
         parse_program(f"import sys\nsys.exit({words})\n", "m.py")
     assert str(refused.value) == f"m.py: line 2: calls sys.exit ({words}); {EXIT}"
-    robot: Any = Told()
+    robot: Any = CallRecorder()
     program = parse_program(f"import sys\ndef mission(robot):\n    robot.look()\n    sys.exit({words})\n", "m.py")
     with pytest.raises(MissionFileError) as refused:
         program.run(robot)
@@ -84,7 +84,7 @@ ONE = "m.py: line 1: expected a function mission(robot) of one argument, found"
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "expected"),
     [
         ("async def mission(robot): pass", f"{PLAIN} async def"),
         ("async def mission(robot): yield", f"{PLAIN} an asynchronous generator"),
@@ -96,10 +96,10 @@ ONE = "m.py: line 1: expected a function mission(robot) of one argument, found"
         ("def mission(*, robot): pass", f"{ONE} mission(*, robot)"),
     ],
 )  # fmt: skip
-def test_what_would_not_be_run_or_cannot_be_called_is_refused_before_it_is(text: str, said: str) -> None:
+def test_wrong_kind_of_function_is_refused_at_load(text: str, expected: str) -> None:
     with pytest.raises(MissionFileError) as refused:
         parse_program(text, "m.py")
-    assert str(refused.value) == said
+    assert str(refused.value) == expected
 
 
 @pytest.mark.parametrize(
@@ -109,14 +109,14 @@ def test_what_would_not_be_run_or_cannot_be_called_is_refused_before_it_is(text:
      "class Act:\n    def __call__(self, robot): robot.look()\nmission = Act()",
      "from operator import methodcaller\nmission = methodcaller('look')"],
 )  # fmt: skip
-def test_whatever_takes_one_robot_is_a_mission(text: str) -> None:
-    robot: Any = Told()
+def test_any_callable_with_one_argument_is_a_mission(text: str) -> None:
+    robot: Any = CallRecorder()
     parse_program(text, "m.py").run(robot)
-    assert [verb for verb, _, _ in robot.said] == ["look"]
+    assert [verb for verb, _, _ in robot.calls] == ["look"]
 
 
-def test_a_coroutine_that_nothing_waits_for_is_no_mission_done() -> None:
-    robot: Any = Told()
+def test_unawaited_coroutine_is_an_error() -> None:
+    robot: Any = CallRecorder()
     program = parse_program("async def go(robot): pass\nmission = lambda robot: go(robot)", "m.py")
     with pytest.raises(MissionFileError, match="to be done when it returns, found a coroutine"):
         program.run(robot)
@@ -124,28 +124,28 @@ def test_a_coroutine_that_nothing_waits_for_is_no_mission_done() -> None:
 
 @pytest.mark.parametrize("error", [TerminatedBySignal("SIGTERM"), KeyboardInterrupt(), MissionOver("lost", "x"),
                                    StepFailed("blocked", "x")])  # fmt: skip
-def test_signals_and_the_end_of_the_mission_are_no_mistake_of_a_program(error: BaseException) -> None:
+def test_signals_and_end_of_mission_pass_unchanged(error: BaseException) -> None:
     def raise_it(*_: object) -> None:
         raise error
 
-    robot: Any = Told()
+    robot: Any = CallRecorder()
     robot.look = raise_it
     with pytest.raises(type(error)) as raised:
         parse_program("def mission(robot): robot.look()", "m.py").run(robot)
     assert raised.value is error
 
 
-def test_a_signal_while_a_program_is_read_is_no_mistake_of_it() -> None:
+def test_signal_during_load_passes_unchanged() -> None:
     with pytest.raises(TerminatedBySignal):
         parse_program("from nclient.common import process\nraise process.TerminatedBySignal('SIGTERM')", "m.py")
 
 
-def test_what_a_verb_or_settings_refuse_is_reported_with_the_line_that_states_it() -> None:
+def test_refused_argument_is_reported_with_its_line() -> None:
     text = "from localization.missions import Settings\n\nsettings = Settings(time_limit_s='300')\n"
     with pytest.raises(MissionFileError) as refused:
         parse_program(text, "m.py")
-    said = "m.py: line 3: Settings: time_limit_s: expected 0.1 to 86400, a number, found the text '300'"
-    assert str(refused.value) == said
+    expected = "m.py: line 3: Settings: time_limit_s: expected 0.1 to 86400, a number, found the text '300'"
+    assert str(refused.value) == expected
     program = parse_program("def mission(robot):\n    robot.go_to('15', 5)\n", "m.py")
     with pytest.raises(MissionFileError) as refused:
         program.run(object.__new__(Mission))

@@ -1,4 +1,4 @@
-"""What Settings refuse that a program makes, and what they take."""
+"""Settings made by a program: refused and accepted values."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from nclient.errors import MissionFileError
 
 
 @pytest.mark.parametrize(
-    ("values", "said"),
+    ("values", "expected"),
     [
         ({"title": 3}, "title: expected a text, found 3"),
         ({"map": 5}, "map: expected a text, found 5"),
@@ -31,13 +31,13 @@ from nclient.errors import MissionFileError
          "fence_in: expected the corners in their order around, found edges 0 and 2 that cross"),
     ],
 )  # fmt: skip
-def test_what_is_wrong_is_refused_where_it_is_made(values: dict[str, Any], said: str) -> None:
+def test_invalid_values_are_refused_at_construction(values: dict[str, Any], expected: str) -> None:
     with pytest.raises(MissionFileError) as refused:
         Settings(**values)
-    assert str(refused.value) == f"Settings: {said}"
+    assert str(refused.value) == f"Settings: {expected}"
 
 
-def test_what_means_the_same_is_the_same() -> None:
+def test_equivalent_settings_are_equal() -> None:
     loose: dict[str, Any] = {"on_lost": "search", "fence_in": [[0, 0], [9, 0], [0, 9]], "map": Path("worlds/x.toml")}
     fence = ((0.0, 0.0), (9.0, 0.0), (0.0, 9.0))
     strict = Settings(map="worlds/x.toml", fence_in=fence, on_lost=OnLost.SEARCH)

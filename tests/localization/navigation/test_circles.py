@@ -1,4 +1,4 @@
-"""Rims and tangents: against points tried one by one along the circles."""
+"""Circles around wall ends and their tangents: against points sampled along the circles."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_arcs_are_free_where_every_point_of_them_is(world: str) -> None:
     assert seen == {True, False}
 
 
-def test_a_rim_alone_is_free_all_around_and_one_angle_goes_around_it() -> None:
+def test_free_angles_at_end_of_single_wall() -> None:
     wall = np.array([[0.0, 0.0, 50.0, 0.0]])
     assert CornerCircle(np.array([0.0, 0.0]), wall, 10.0).free(np.array([pi])) == [False]
     assert CornerCircle(np.array([0.0, 0.0]), wall, 10.0).free(np.array([0.5 * pi + 0.01, 1.5 * pi - 0.01])) == [
@@ -52,14 +52,14 @@ def test_tangents_touch_both_circles_and_cut_neither() -> None:
     angles, circles = common_tangents(centres, RADIUS_IN)
     assert len(angles) == 4 + 4 + 2
     ends = [points_on_circles(centres, circles[:, k], angles[:, k], RADIUS_IN) for k in (0, 1)]
-    ways = np.concatenate(ends, axis=1)
+    segments = np.concatenate(ends, axis=1)
     for k in (0, 1):
-        _, far = nearest_points(centres, ways)
-        touched = far[circles[:, k], np.arange(len(ways))]
+        _, far = nearest_points(centres, segments)
+        touched = far[circles[:, k], np.arange(len(segments))]
         np.testing.assert_allclose(touched, RADIUS_IN, atol=1e-9)
 
 
-def test_tangents_from_a_point_stand_square_on_the_radius_and_none_comes_from_inside() -> None:
+def test_tangents_are_perpendicular_and_none_from_inside() -> None:
     centres, point = np.array([[0.0, 0.0], [50.0, 10.0]]), np.array([5.0, 0.0])
     angles, circles = tangents_from(point, centres, RADIUS_IN)
     assert circles.tolist() == [1, 1]

@@ -1,4 +1,4 @@
-"""The pilot's decisions, on a robot that does what it is reported: exact poses, a covariance and bumpers made up."""
+"""The pilot's decisions, on a robot that follows its commands: exact poses, a covariance and bumpers made up."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ PLANNER = Planner(WALLS, N150.radius_in)
 WIDE = Planner(np.array(load_world("thesis_room").walls), N150.radius_in)
 AXES = MODEL_LIMITS["n150"].capped(8.0)
 Feels = Callable[[float, float, float], bool]
-"""Whether a bumper touches at a place, at a clock."""
+"""Return True if a bumper touches at (x, y), at a clock."""
 
 
 class World:
@@ -77,7 +77,7 @@ def reason(pilot: Pilot) -> str:
     return pilot.result.reason
 
 
-def test_it_arrives_and_turns_to_the_heading() -> None:
+def test_pilot_arrives_and_turns_to_heading() -> None:
     world = World()
     pilot = pilot_of(world, (90.0, 55.0), heading=-2.0)
     world.drive(pilot)
@@ -89,7 +89,7 @@ def test_it_arrives_and_turns_to_the_heading() -> None:
     assert pilot.step(world.estimate(), world.state()) == STAND
 
 
-def test_path_points_are_passed_by_without_stopping_or_planned_to_one_by_one() -> None:
+def test_path_points_are_passed_or_planned_one_by_one() -> None:
     world = World()
     pilot = pilot_of(world, (35.0, 55.0), (90.0, 55.0))
     world.drive(pilot)
@@ -124,7 +124,7 @@ def test_path_points_with_a_find_between_are_gone_around_too() -> None:
     assert len(pilot.log.plans) >= 2
 
 
-def test_it_waits_for_what_is_in_the_path_and_gives_up_or_goes_on() -> None:
+def test_pilot_waits_for_obstacle_then_gives_up_or_goes_on() -> None:
     world = World()
     pilot = pilot_of(world, (40.0, 60.0))
 
@@ -174,7 +174,7 @@ def test_a_touch_is_backed_off_from_and_gone_around() -> None:
     assert pilot.log.notes[0][1].startswith("touched something at")
 
 
-def test_too_many_touches_end_it() -> None:
+def test_too_many_contacts_end_the_drive() -> None:
     world = World(feels=lambda *_: True)
     pilot = pilot_of(world, (40.0, 60.0))
     world.drive(pilot)
@@ -183,7 +183,7 @@ def test_too_many_touches_end_it() -> None:
     assert hypot(*(world.pose[:2] - [5.0, 5.0])) < 20.0
 
 
-def test_one_that_cannot_back_off_stops_trying() -> None:
+def test_failed_back_off_is_not_repeated() -> None:
     """The wheels turn, and the encoders stand: as on a robot that is held."""
     world = World(feels=lambda _x, _y, clock: clock > 1.0)
     pilot = pilot_of(world, (40.0, 60.0), policy=RetryPolicy(max_touches=2, back_off_s=2.0))
@@ -219,7 +219,7 @@ def test_uncertainty_that_passes_is_waited_for() -> None:
     assert ending(pilot) is Ending.ARRIVED
 
 
-def test_one_who_is_lost_states_so() -> None:
+def test_lost_estimate_ends_the_drive() -> None:
     world = World()
     pilot = pilot_of(world, (90.0, 55.0))
     world.drive(pilot, 5.0)
@@ -228,7 +228,7 @@ def test_one_who_is_lost_states_so() -> None:
     assert pilot.result == (Ending.LOST, "searching")
 
 
-def test_moved_beside_its_course_it_plans_anew_but_not_for_ever() -> None:
+def test_pilot_replans_off_path_limited_number_of_times() -> None:
     world = World()
     pilot = pilot_of(world, (90.0, 55.0))
     world.drive(pilot, 6.0)
@@ -246,7 +246,7 @@ def test_moved_beside_its_course_it_plans_anew_but_not_for_ever() -> None:
     assert reason(pilot) == "planned 3 times and not arrived"
 
 
-def test_at_the_end_of_its_course_but_not_there_it_plans_again() -> None:
+def test_pilot_replans_if_path_ends_before_goal() -> None:
     world = World()
     pilot = pilot_of(world, (30.0, 30.0), policy=RetryPolicy(within_in=0.6))
     world.drive(pilot, 4.0)
@@ -272,7 +272,7 @@ def test_going_backwards_a_touch_is_behind() -> None:
     assert pilot.step(world.estimate(), world.state()).translation_in_s > 0.0
 
 
-def test_beside_a_find_and_before_a_suspect_it_is_slow() -> None:
+def test_speed_is_reduced_near_obstacles() -> None:
     world = World(30.0, 55.0)
     pilot = pilot_of(world, (90.0, 55.0))
     world.drive(pilot, 3.0)

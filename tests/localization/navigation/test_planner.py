@@ -1,4 +1,4 @@
-"""Plans: the shortest path with the room that costs little, along given points, and around what was found."""
+"""Plans: the shortest path with cheap clearance, along given points, and around obstacles."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def least_room(plan: PlannedPath) -> float:
 
 
 @pytest.mark.parametrize("goal", [(90.0, 55.0), (90.0, 0.0), (40.0, 90.0), (0.0, 60.0)])
-def test_a_plan_retains_its_margin_and_is_little_longer_than_the_shortest(goal: tuple[float, float]) -> None:
+def test_plan_keeps_margin_and_is_nearly_shortest(goal: tuple[float, float]) -> None:
     plan = PLANNER.plan((5.0, 5.0), goal)
     assert plan.margin_in in MARGINS_IN
     assert least_room(plan) >= plan.margin_in - 1e-4
@@ -37,22 +37,22 @@ def test_a_plan_retains_its_margin_and_is_little_longer_than_the_shortest(goal: 
     assert plan.length_in <= shortest * 1.05
 
 
-def test_where_there_is_room_for_nothing_but_the_least_it_takes_the_least() -> None:
+def test_tight_passage_uses_smallest_margin() -> None:
     plan = PLANNER.plan((5.0, 5.0), (90.0, 9.0))
     assert plan.margin_in == MARGINS_IN[0]
 
 
-def test_more_room_can_be_asked_for_and_a_near_goal_is_entered_straight() -> None:
+def test_min_margin_option_lengthens_plan() -> None:
     wide = PLANNER.plan((5.0, 5.0), (90.0, 60.0), min_margin_in=3.0)
     assert wide.margin_in >= 3.0
     assert wide.length_in > PLANNER.plan((5.0, 5.0), (90.0, 60.0)).length_in
     assert PLANNER.plan((5.0, 5.0), (40.0, 60.0), min_margin_in=7.5).margin_in == 7.5
 
 
-def test_finds_are_gone_around_and_may_leave_no_path() -> None:
+def test_obstacles_are_avoided_or_leave_no_path() -> None:
     find = np.array([[28.0, 22.0, 24.0, 26.0]])
-    straight_way, around = PLANNER.plan((5.0, 5.0), (40.0, 60.0)), PLANNER.plan((5.0, 5.0), (40.0, 60.0), find)
-    assert around.length_in > straight_way.length_in
+    straight, around = PLANNER.plan((5.0, 5.0), (40.0, 60.0)), PLANNER.plan((5.0, 5.0), (40.0, 60.0), find)
+    assert around.length_in > straight.length_in
     points = np.concatenate([section.points(0.2) for section in around.sections])
     assert wall_distances(points, find).min() >= N150.radius_in + MARGINS_IN[0] - 1e-4
     with pytest.raises(NoPathError, match="no path from"):

@@ -49,7 +49,7 @@ def test_in_an_empty_world_the_path_is_straight() -> None:
 
 
 @pytest.mark.parametrize("height", [0.0, 5.0, -20.0])
-def test_around_the_end_of_a_wall_it_is_two_tangents_and_an_arc(height: float) -> None:
+def test_path_around_wall_end_is_two_tangents_and_an_arc(height: float) -> None:
     """The wall ends in the origin and goes down; the paths touch the circle of the radius about it."""
     roadmap, half = Roadmap(np.array([[0.0, 0.0, 0.0, -500.0]]), 10.0), 60.0
     path = roadmap.path((-half, height), (half, height))
@@ -76,7 +76,7 @@ class Polygons:
         return all((planes[:, :2] @ point + planes[:, 2]).max() > -1e-6 for planes in self._planes)
 
     def _free(self, one: Floats, other: Floats) -> np.typing.NDArray[np.bool_]:
-        """Which of the paths (n, 2) to (n, 2) meet the inside of no polygon."""
+        """Return which of the paths (n, 2) to (n, 2) meet the inside of no polygon."""
         free = np.ones(len(one), dtype=bool)
         for planes in self._planes:
             begin = one @ planes[:, :2].T + planes[:, 2] + 1e-7
@@ -128,7 +128,7 @@ def grid_length(walls: np.ndarray, start: tuple[float, float], goal: tuple[float
 
 
 @pytest.mark.parametrize("world", WORLDS)
-def test_between_random_places_it_is_free_and_the_shortest(world: str) -> None:
+def test_random_paths_are_free_and_shortest(world: str) -> None:
     walls = np.array(load_world(world).walls)
     roadmap, rng = Roadmap(walls, RADIUS_IN), np.random.default_rng(8)
     within, around = polygons(world)
@@ -157,7 +157,7 @@ def test_lines_go_over_into_arcs_without_a_turn() -> None:
         assert np.cos(element.at(element.length_in).heading_rad - following.heading_rad) == pytest.approx(1.0, abs=1e-9)
 
 
-def test_a_start_too_near_a_wall_is_left_straight_and_a_goal_too_near_is_refused() -> None:
+def test_start_near_wall_is_left_straight_goal_is_refused() -> None:
     roadmap = Roadmap(np.array(load_world("several_walls").walls), RADIUS_IN)
     path = roadmap.path((-2.0, 10.0), (80.0, 0.0))
     assert (path[0].x_in, path[0].y_in) == (-2.0, 10.0)
@@ -174,13 +174,13 @@ def test_a_start_without_any_room_has_no_path() -> None:
         Roadmap(narrow, 10.0).path((0.0, 6.0), (0.0, 60.0))
 
 
-def test_where_there_is_no_path_it_states_so() -> None:
+def test_missing_path_raises() -> None:
     box = np.array([[0, 0, 60, 0], [60, 0, 60, 60], [60, 60, 0, 60], [0, 60, 0, 0]], dtype=float)
     with pytest.raises(NoPathError, match="no path from"):
         Roadmap(box, 10.0).path((30.0, 30.0), (200.0, 30.0))
 
 
-def test_given_paths_are_refused_where_they_come_too_near() -> None:
+def test_given_paths_too_near_to_walls_are_refused() -> None:
     roadmap = Roadmap(np.array([[0.0, 0.0, 0.0, -500.0]]), 10.0)
     roadmap.require_free([(-5.0, 0.0), (-20.0, 0.0), (-20.0, 30.0)])
     with pytest.raises(NoPathError, match=r"from \(-20, 0\) to \(20, 0\) comes within"):
@@ -189,9 +189,9 @@ def test_given_paths_are_refused_where_they_come_too_near() -> None:
 
 def test_clearances_by_hand() -> None:
     walls = np.array([[0.0, 0.0, 0.0, 10.0]])
-    ways = np.array([[3.0, 0.0, 3.0, 5.0], [-1.0, 5.0, 1.0, 5.0], [3.0, 14.0, -3.0, 14.0], [5.0, -3.0, 4.0, 20.0]])
-    np.testing.assert_allclose(segment_clearances(ways, walls)[:3], [3.0, 0.0, 4.0])
-    dense = np.linspace(ways[3, :2], ways[3, 2:], 10_001)
-    np.testing.assert_allclose(segment_clearances(ways, walls)[3], nearest_points(dense, walls)[1].min(), atol=1e-3)
-    assert segment_clearances(ways, np.zeros((0, 4))).min() == np.inf
+    segments = np.array([[3.0, 0.0, 3.0, 5.0], [-1.0, 5.0, 1.0, 5.0], [3.0, 14.0, -3.0, 14.0], [5.0, -3.0, 4.0, 20.0]])
+    np.testing.assert_allclose(segment_clearances(segments, walls)[:3], [3.0, 0.0, 4.0])
+    dense = np.linspace(segments[3, :2], segments[3, 2:], 10_001)
+    np.testing.assert_allclose(segment_clearances(segments, walls)[3], nearest_points(dense, walls)[1].min(), atol=1e-3)
+    assert segment_clearances(segments, np.zeros((0, 4))).min() == np.inf
     assert segment_clearances(np.zeros((0, 4)), walls).shape == (0,)

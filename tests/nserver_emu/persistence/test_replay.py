@@ -96,7 +96,7 @@ def test_three_noisy_robots_and_as_many_clients(tmp_path: Path, pace: Simulation
     assert len(recording.connections()) == 3
 
 
-def test_replay_of_vanishing_pipelining_and_unconnected_clients(tmp_path: Path) -> None:
+def test_replay_of_closed_pipelining_and_unconnected_clients(tmp_path: Path) -> None:
     """One motion stops as its client vanishes, another's many requests wait their turn, a third knows the robot."""
 
     async def scenario(server: RunningServer) -> None:

@@ -1,0 +1,45 @@
+"""Distribution of jobs: each runs once, and failures are reported. Clusters are in tests/integration."""
+
+from __future__ import annotations
+
+import math
+import sys
+
+import pytest
+
+from localization.experiments.execution import (
+    ClusterError,
+    ClusterExtraMissing,
+    _check_workers,
+    on_cluster,
+    run_locally,
+)
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_every_item_is_worked_on_once(jobs: int) -> None:
+    assert sorted(run_locally(math.factorial, range(6), jobs)) == [1, 1, 2, 6, 24, 120]
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_error_of_a_job_is_raised(jobs: int) -> None:
+    with pytest.raises(ValueError, match="negative"):
+        list(run_locally(math.factorial, [1, -1], jobs))
+
+
+def test_nothing_to_do_is_nothing_done() -> None:
+    assert list(run_locally(math.factorial, [], 2)) == []
+
+
+def test_without_distributed_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(ClusterExtraMissing, match=r"nomad-nserver\[cluster\]"):
+        next(on_cluster(math.factorial, [1], "somewhere:1", str))
+
+
+def test_cluster_without_workers_or_with_other_code_fails() -> None:
+    with pytest.raises(ClusterError, match="no workers: start some with `dask worker there:1`"):
+        _check_workers({}, "there:1", "mine")
+    with pytest.raises(ClusterError, match="different code or numpy on b, c"):
+        _check_workers({"a": "mine", "c": "old", "b": "new"}, "there:1", "mine")
+    _check_workers({"a": "mine"}, "there:1", "mine")

@@ -1,0 +1,43 @@
+"""Driving without an estimate: a scan in place, then straight on while the sonars ahead are free."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import pytest
+
+from localization.navigation.recovery import DRIVE_IN_S, SCAN_RAD, TURN_RAD_S, RecoveryBehavior
+
+PERIOD_S = 0.1
+
+
+class Ring(NamedTuple):
+    sonars_in: tuple[int, ...]
+    steering_rad: float = 1.0
+    turret_rad: float = 1.0
+
+
+def near(*sonars: int) -> tuple[int, ...]:
+    return tuple(10 if sonar in sonars else 255 for sonar in range(16))
+
+
+@pytest.mark.parametrize(("readings", "speed_in_s"), [
+    (near(), DRIVE_IN_S), (near(0), 0.0), (near(15), 0.0), (near(8), DRIVE_IN_S),
+])  # fmt: skip
+def test_recovery_scans_then_drives_if_space_ahead_is_free(
+    readings: tuple[int, ...], speed_in_s: float
+) -> None:
+    echo, one = Ring(readings), RecoveryBehavior(PERIOD_S)
+    turning = [one.command(echo) for _ in range(round(SCAN_RAD / TURN_RAD_S / PERIOD_S))]
+    assert set(turning) == {(0.0, TURN_RAD_S)}
+    one.command(echo)
+    assert one.command(echo)[0] == speed_in_s
+    one.reset()
+    assert one.command(echo) == (0.0, TURN_RAD_S)
+
+
+def test_space_ahead_follows_steering_not_turret() -> None:
+    one = RecoveryBehavior(100.0)
+    one.command(Ring(near()))
+    assert one.command(Ring(near(8), steering_rad=1.0, turret_rad=1.0 + 3.14159))[0] == 0.0
+    assert one.command(Ring(near(0), steering_rad=1.0, turret_rad=1.0 + 3.14159))[0] == DRIVE_IN_S

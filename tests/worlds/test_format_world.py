@@ -1,0 +1,74 @@
+"""Worlds written to files: they read back equal; starts and paths without space are left out with a note."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from worlds.io import format_world, load_world, parse_world, world_names
+from worlds.world import Path, Polygon, StartPose, World
+
+
+def same(one: World, other: World) -> None:
+    assert (one.name, one.title, one.rooms, one.obstacles) == (other.name, other.title, other.rooms, other.obstacles)
+    assert np.array_equal(one.walls, other.walls)
+    assert np.array_equal(one.inner_walls, other.inner_walls)
+    for mine, theirs in zip(one.starts, other.starts, strict=True):
+        assert mine.x_in == theirs.x_in
+        assert mine.y_in == theirs.y_in
+        assert mine.steering_rad == pytest.approx(theirs.steering_rad)
+        assert mine.turret_rad == pytest.approx(theirs.turret_rad)
+    assert list(one.paths) == list(other.paths)
+    for path, another in zip(one.paths.values(), other.paths.values(), strict=True):
+        assert (path.name, path.figure, path.points_in) == (another.name, another.figure, another.points_in)
+        assert path.start.steering_rad == pytest.approx(another.start.steering_rad)
+
+
+@pytest.mark.parametrize("name", world_names())
+def test_every_world_that_is_shipped_comes_back(name: str) -> None:
+    world = load_world(name)
+    same(parse_world(format_world(world), "again.toml", "again"), world)
+
+
+def test_unicode_names_and_exact_numbers_round_trip() -> None:
+    name = 'a "room" \\ of\n\ttwo \x7f lines ü 🤖'
+    room = Polygon(((0.1, -7.0), (1 / 3 + 90, -7.0), (90.0, 1e2), (0.0, 100.0)), name)
+    world = World("w", "Über 🤖", (room,), np.array([[10.0, 10.0, 20.0, 1 / 7]]), starts=(StartPose(0.0, 0.0),))
+    again = parse_world(format_world(world), "again.toml", "again")
+    same(again, world)
+    assert "[[start]]" not in format_world(world)
+
+
+def test_a_world_without_a_title_is_called_by_its_name() -> None:
+    world = World("w", "", (Polygon(((0.0, 0.0), (9.0, 0.0), (9.0, 9.0))),))
+    assert parse_world(format_world(world), "", "").title == "w"
+
+
+def test_blocked_starts_and_paths_are_left_out_of_file() -> None:
+    room = Polygon(((0.0, 0.0), (90.0, 0.0), (90.0, 90.0), (0.0, 90.0)))
+    starts = (StartPose(10.0, 10.0), StartPose(50.0, 50.0, 0.7))
+    paths = {
+        "short": Path("short", "", starts[0], ((10.0, 10.0), (20.0, 10.0))),
+        "5.1": Path("long", "5.1", starts[1], ((50.0, 50.0), (60.0, 60.0))),
+    }
+    thing = Polygon(((9.0, 9.0), (11.0, 9.0), (11.0, 11.0)))
+    text = format_world(World("w", "", (room,), obstacles=(thing,), starts=starts, paths=paths))
+    again = parse_world(text, "again.toml", "again")
+    (start,) = again.starts
+    assert start.x_in == 50.0
+    assert start.steering_rad == pytest.approx(0.7)
+    assert list(again.paths) == ["5.1"]
+    assert again.paths["5.1"].start.steering_rad == pytest.approx(0.7)
+    assert "# omitted because an obstacle stands there: a start at 10.0, 10.0" in text
+    assert '# omitted because an obstacle stands on it: the path "short"' in text
+
+
+def test_joined_walls_are_one_line_below_comment() -> None:
+    walls = np.array([[1, 50, 5, 50], [5, 50, 5, 60], [7, 70, 9, 70]], dtype=np.float64)
+    world = World("w", "", (Polygon(((0.0, 0.0), (90.0, 0.0), (90.0, 90.0), (0.0, 90.0))),), walls,
+                  starts=(StartPose(30.0, 30.0),))  # fmt: skip
+    text = format_world(world, "of mine\ntwice")
+    assert text.startswith("# of mine\n# twice\nname = ")
+    assert "points_in = [[1.0, 50.0], [5.0, 50.0], [5.0, 60.0]]" in text
+    assert "points_in = [[7.0, 70.0], [9.0, 70.0]]" in text
+    same(parse_world(text, "again.toml", "again"), parse_world(format_world(world), "", ""))

@@ -1,0 +1,62 @@
+"""Text files of other programs: encodings and the maximum length."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from nclient.errors import WorldFileError
+from nserver_emu.simulation.models import load_models
+from nserver_emu.simulation.noise import load_setup
+from worlds.io import load_world
+from worlds.robots import load_calibration
+from worlds.schema import MAX_BYTES, read_text
+
+READERS: dict[str, Callable[[Path], object]] = {
+    "world": load_world, "setup": load_setup, "models": load_models,
+    "calibration": lambda path: load_calibration(path, "n150"),
+}  # fmt: skip
+
+
+def test_maximum_file_length(tmp_path: Path) -> None:
+    file = tmp_path / "long.toml"
+    file.write_bytes(b"#" * MAX_BYTES)
+    assert len(read_text(file)) == MAX_BYTES
+    file.write_bytes(b"#" * (MAX_BYTES + 1))
+    with pytest.raises(WorldFileError, match=rf"long\.toml: is longer than {MAX_BYTES} bytes"):
+        read_text(file)
+
+
+@pytest.mark.parametrize("kind", READERS)
+def test_every_reader_of_such_files_stops_there(kind: str, tmp_path: Path) -> None:
+    file = tmp_path / "long.toml"
+    with file.open("wb") as hole:
+        hole.truncate(50 * MAX_BYTES)
+    with pytest.raises(WorldFileError, match=rf"long\.toml: is longer than {MAX_BYTES} bytes"):
+        READERS[kind](file)
+
+
+def test_byte_order_mark_is_skipped_and_bad_bytes_are_named(tmp_path: Path) -> None:
+    file = tmp_path / "x.toml"
+    file.write_bytes(b"\xef\xbb\xbfname = 'x'")
+    assert read_text(file) == "name = 'x'"
+    file.write_bytes(b"name = '\xe4'")
+    with pytest.raises(WorldFileError, match=r"x\.toml: expected text in UTF-8, found other bytes at 8: "):
+        read_text(file)
+
+
+@pytest.mark.parametrize(("name", "expected"), [("", "Is a directory"), ("none", "No such file"), ("\0", "null byte")])
+def test_unreadable_file_is_named(name: str, expected: str, tmp_path: Path) -> None:
+    with pytest.raises(WorldFileError, match=f"cannot be read: .*{expected}"):
+        read_text(tmp_path / name)
+
+
+@pytest.mark.parametrize("kind", READERS)
+@pytest.mark.parametrize(("text", "expected"), [("x =", "Invalid value"), ("x = " + 5000 * "[", "nested too deeply")])
+def test_every_reader_reports_invalid_toml(kind: str, text: str, expected: str, tmp_path: Path) -> None:
+    file = tmp_path / "bad.toml"
+    file.write_text(text)
+    with pytest.raises(WorldFileError, match=rf"bad\.toml: is no TOML: {expected}"):
+        READERS[kind](file)

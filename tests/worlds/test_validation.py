@@ -1,0 +1,117 @@
+"""Validation of maps: gaps, doubled walls, crumbs, free space."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from worlds.io import load_world, parse_world, world_names
+from worlds.validate import ValidationLimits, find_free_space, validate_world
+from worlds.world import Polygon, StartPose, World
+
+pytestmark = pytest.mark.long
+
+RADIUS_IN = 9.0
+OUTLINE = Polygon(((0.0, 0.0), (200.0, 0.0), (200.0, 100.0), (0.0, 100.0)))
+
+
+def room(*walls: tuple[float, float, float, float], starts: tuple[StartPose, ...] = (StartPose(30.0, 50.0),)) -> World:
+    return World("room", rooms=(OUTLINE,), inner_walls=np.array(walls).reshape(-1, 4), starts=starts)
+
+
+def kinds(world: World) -> list[str]:
+    return [finding.kind for finding in validate_world(world, RADIUS_IN)]
+
+
+@pytest.mark.parametrize("name", world_names())
+def test_shipped_worlds_are_well(name: str) -> None:
+    assert validate_world(load_world(name), 9.72) == []
+
+
+def test_wall_end_short_of_wall_is_a_gap() -> None:
+    (found,) = validate_world(room((100.0, 0.0, 100.0, 97.5)), RADIUS_IN, ValidationLimits(space_in2=1e9))
+    assert found.kind == "gap"
+    assert found.place_in == (100.0, 97.5)
+    assert "stops 2.5 in short of (100, 100)" in found.words
+    assert kinds(room((100.0, 0.0, 100.0, 60.0))) == []
+    assert kinds(room((100.0, 0.0, 100.0, 60.0), (100.0, 60.0, 120.0, 60.0))) == []
+
+
+def test_gap_closes_off_space_behind_it() -> None:
+    gap, behind = validate_world(room((100.0, 0.0, 100.0, 97.5)), RADIUS_IN)
+    assert (gap.kind, behind.kind) == ("gap", "closed off")
+    area = float(behind.words.split()[0])
+    assert area == pytest.approx((200 - 100 - 18) * (100 - 18), rel=0.05)
+    assert behind.place_in[0] == pytest.approx(150.0, abs=2.0)
+
+
+def test_a_door_as_wide_as_the_robot_is_a_path() -> None:
+    assert kinds(room((100.0, 0.0, 100.0, 78.0))) == []
+    assert kinds(room((100.0, 0.0, 100.0, 83.0))) == ["closed off"]
+
+
+def test_closed_off_spaces_are_sorted_by_area() -> None:
+    found = validate_world(room((70.0, 0.0, 70.0, 100.0), (160.0, 0.0, 160.0, 100.0)), RADIUS_IN)
+    assert [finding.kind for finding in found] == ["closed off"] * 2
+    assert found[0].place_in[0] == pytest.approx(115.0, abs=2.0)
+    assert found[1].place_in[0] == pytest.approx(180.0, abs=2.0)
+
+
+def test_ends_of_crumbs_and_doubled_walls_are_no_gaps() -> None:
+    doubled = room((50.0, 50.0, 90.0, 50.0), (120.0, 50.2, 80.0, 50.2))
+    assert [found.kind for found in validate_world(doubled, RADIUS_IN)] == ["doubled"]
+    crumb = room((50.0, 50.0, 50.3, 50.0), (52.0, 50.0, 90.0, 50.0))
+    assert [found.kind for found in validate_world(crumb, RADIUS_IN)] == ["crumb"]
+    beside = room((50.0, 50.0, 90.0, 50.0), (120.0, 50.2, 80.0, 50.2), (70.0, 52.0, 70.0, 80.0))
+    assert [found.kind for found in validate_world(beside, RADIUS_IN)] == ["gap", "doubled"]
+
+
+def test_walls_over_one_another_are_doubled() -> None:
+    (found,) = validate_world(
+        room((50.0, 50.0, 90.0, 50.0), (120.0, 50.2, 80.0, 50.2)), RADIUS_IN, ValidationLimits(gap_in=0.1)
+    )
+    assert found.kind == "doubled"
+    assert found.place_in == (85.0, 50.0)
+    assert "for 10 in, 0.2 in apart" in found.words
+    limits = ValidationLimits(gap_in=0.1)
+    assert validate_world(room((50.0, 50.0, 90.0, 50.0), (90.0, 50.0, 130.0, 50.0)), RADIUS_IN, limits) == []
+    assert validate_world(room((50.0, 50.0, 90.0, 50.0), (60.0, 51.0, 80.0, 51.0)), RADIUS_IN, limits) == []
+    assert validate_world(room((50.0, 50.0, 90.0, 50.0), (70.0, 50.0, 70.0, 30.0)), RADIUS_IN, limits) == []
+
+
+def test_crumbs_and_starts_without_room() -> None:
+    world = room((50.0, 50.0, 50.2, 50.0), starts=(StartPose(30.0, 50.0), StartPose(195.0, 50.0)))
+    found = validate_world(world, RADIUS_IN)
+    assert [finding.kind for finding in found] == ["crumb", "start"]
+    assert "0.2 in long" in found[0].words
+    assert "start 1 has 5 in of room" in found[1].words
+
+
+def test_without_a_start_that_fits_all_is_closed_off() -> None:
+    assert kinds(room(starts=(StartPose(1.0, 1.0),))) == ["start", "closed off"]
+
+
+def test_wide_world_uses_coarser_grid_up_to_radius() -> None:
+    hall = Polygon(((0.0, 0.0), (9000.0, 0.0), (9000.0, 6000.0), (0.0, 6000.0)))
+    found = find_free_space(World("hall", rooms=(hall,), starts=(StartPose(30.0, 50.0),)), RADIUS_IN)
+    assert found.step_in == RADIUS_IN
+    assert found.reached.sum() == found.fits.sum() > 100_000
+    assert find_free_space(room(), RADIUS_IN, 50.0).step_in == RADIUS_IN
+
+
+def test_obstacles_and_the_outside_are_no_space() -> None:
+    block = Polygon(((80.0, 20.0), (120.0, 20.0), (120.0, 80.0), (80.0, 80.0)))
+    world = World("block", rooms=(OUTLINE,), obstacles=(block,), starts=(StartPose(30.0, 50.0),))
+    found = find_free_space(world, RADIUS_IN)
+    for i, k in np.argwhere(found.fits).tolist()[::37]:
+        assert world.clearance(float(found.xs[i]), float(found.ys[k])) >= RADIUS_IN
+    for i, k in np.argwhere(~found.fits).tolist()[::37]:
+        assert world.clearance(float(found.xs[i]), float(found.ys[k])) < RADIUS_IN
+
+
+def test_missing_start_is_reported() -> None:
+    far = parse_world("[[room]]\ncorners_in = [[100, 100], [200, 100], [200, 200], [100, 200]]\n", "far.toml", "far")
+    output = [finding.words for finding in validate_world(far, 9.0) if finding.kind == "start"]
+    assert output == [
+        "no [[start]] is given, and (0, 0) lies outside of all rooms or in a wall; the robot's radius is 9 in"
+    ]
