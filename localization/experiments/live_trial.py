@@ -235,7 +235,20 @@ class Record:
 
 
 def drive(scenario: Scenario, figure: str, seed: int, periods: int = MAX_PERIODS, timer: Timer = lambda: 0.0) -> Record:
-    """Run one trial of at most `periods` periods in its own simulation; `timer` returns seconds."""
+    """Run one trial in its own simulation.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    figure : str
+        Figure whose path is driven, a key of COURSES.
+    seed : int
+        Seed of all random numbers of the trial.
+    periods : int
+        Maximum number of periods of 0.1 s.
+    timer : callable
+        Returns seconds, for the computing time.
+    """
     # 1. World, start pose and setup of the simulation.
     world = load_world(COURSES[figure])
     start = world.paths[figure].start
@@ -347,7 +360,25 @@ LOST_IN: Final = 12.0
 
 @dataclass(frozen=True, slots=True)
 class TrialResult:
-    """Result of a trial: sums over evaluated estimates (for the jitter over all); `spent_us`: median computing time."""
+    """Result of a trial, as sums over its evaluated estimates.
+
+    Attributes
+    ----------
+    reached
+        True if the last goal was reached.
+    judged
+        Number of evaluated estimates.
+    position_in2, heading_rad2, nees
+        Sums of squared position errors (in^2), squared heading errors (rad^2) and NEES.
+    within
+        Number of estimates whose truth lies in the 95 % ellipse of the position.
+    worst_in
+        Largest position error in inches.
+    estimate_steps_in2, odometry_steps_in2
+        Sums of squared changes of the position error (in^2) between consecutive estimates, over the whole trial.
+    spent_us
+        Median computing time per state in microseconds.
+    """
 
     seed: int
     reached: bool
@@ -372,7 +403,25 @@ class TrialResult:
 
 
 class LiveSummary(TypedDict):
-    """Results of a method in a scenario on a path; None if nothing was evaluated."""
+    """Results of a method in a scenario on a path; None if nothing was evaluated.
+
+    Attributes
+    ----------
+    seeds, reached, lost
+        Number of trials, of those that reached the last goal, and of those that were lost.
+    rmse_position_in, rmse_heading_deg
+        Root mean squared errors in inches and degrees.
+    nees_mean
+        Mean NEES of the pose, ideally 3.
+    coverage95
+        Fraction of estimates whose truth lies in the 95 % ellipse of the position.
+    jitter
+        RMS change of the estimate's error per step, relative to the odometry's.
+    worst_in
+        Largest position error in inches.
+    step_us
+        Median computing time per state in microseconds.
+    """
 
     seeds: int
     reached: int

@@ -26,10 +26,22 @@ SOON_S: Final = 5.0
 class LostSummary(TypedDict):
     """Results of all runs of a kind in a world; None where a number does not apply.
 
-    false_alarms    LOST of a robot that was not             alarmed         runs with false alarms
-    told, soon      detected kidnappings, and those within SOON_S
-    found           runs with a correct recovery             mistaken        runs with a wrong recovery
-    ..._s           median and maximum of the times
+    Attributes
+    ----------
+    hours
+        Simulated time in hours.
+    false_alarms, alarmed
+        Number of times a localized robot was reported LOST, and number of runs with such alarms.
+    degraded
+        Fraction of the time with status DEGRADED.
+    rmse_in
+        Position RMSE while localized, in inches.
+    told, soon
+        Number of detected kidnappings, and of those detected within SOON_S.
+    told_s, found_s
+        Median and maximum of the times until detection and until recovery, in seconds.
+    found, mistaken
+        Number of runs with a correct and with a wrong recovery.
     """
 
     kind: str

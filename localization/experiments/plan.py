@@ -53,7 +53,17 @@ METHOD: Final = "finder"
 
 @dataclass(frozen=True, slots=True)
 class DrivePair:
-    """A drive: world, number of the pair of start and goal, name of the error scenario."""
+    """A drive to make.
+
+    Attributes
+    ----------
+    world
+        Name of a shipped world.
+    number
+        Number of the pair of start and goal in this world, and seed of the simulation.
+    scenario
+        Name of the error scenario.
+    """
 
     world: str
     number: int
@@ -116,6 +126,10 @@ class DriveResult:
         True distance from the goal at the end.
     shortest_in, planned_in, driven_in
         Length of the shortest path for the bare body, of the first plan, and of the true path.
+    plans
+        Number of plans.
+    duration_s
+        Duration of the mission in simulated seconds.
     """
 
     world: str

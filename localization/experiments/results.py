@@ -23,9 +23,22 @@ TRACKED_SEEDS: Final = 20
 
 @dataclass(frozen=True, slots=True)
 class SeedResult:
-    """Result of one run: steps, True if all goals were reached, final position error, and sums over its steps.
+    """Result of one run.
 
-    Sums: squared errors, NEES, NIS, beams used, and the bound on the squared position error.
+    Attributes
+    ----------
+    steps
+        Number of steps T.
+    reached
+        True if all goals were reached, by the estimate.
+    end_error_in
+        Position error after the last step, in inches.
+    position_in2, heading_rad2, nees, nis
+        Sums over the steps of the squared position error (in^2), the squared heading error (rad^2), NEES and NIS.
+    used
+        Number of beams used in all steps.
+    bound_in2
+        Sum over the steps of the bound on the squared position error (in^2).
     """
 
     seed: int

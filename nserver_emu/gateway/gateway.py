@@ -47,6 +47,7 @@ from nserver_emu.simulation.robot import SimulatedRobot
 
 log = logging.getLogger(__name__)
 
+# Calls that only the owner may make, or any connection while there is none.
 _CHANGES: Final = MOTIONS | {
     "lp", "sp", "ac", "dp", "da", "place_robot", "tk", "special_request", "arm_ws",
     "conf_ir", "conf_sn", "conf_cp", "conf_ls", "conf_tm", "conf_sg", "conf_ser",
@@ -56,6 +57,7 @@ TIMEOUT_S: Final = 5
 """Watchdog time-out (conf_tm) of the real robot where no client sets one: it stops the robot if the gateway dies."""
 POLL_S: Final = 0.05
 """Interval at which ws asks whether the axes still move."""
+# The robot's clock is a 32-bit word of milliseconds.
 _CLOCK_MODULUS_MS: Final = 2**32
 _SPEED_SLOT: Final = 0
 REAL, SIMULATED = "real_robot", "simulated_robot"
@@ -174,6 +176,7 @@ class RealRobotProxy:
     def on_disconnect(self, context: ConnectionContext) -> None:
         """Handle a closed connection: stop a robot that it owned, cancel a time-out that it set."""
         self._stamp_masks.pop(context, None)
+        # The order matters: the stop is queued before the watchdog is set back.
         if self.ownership.owner is context:
             self.release()
         if self._timeout is not None and self._timeout[0] is context:
@@ -195,6 +198,7 @@ class RealRobotProxy:
         self.process_results()
         if not self.active or self.ownership.owner is None:
             return
+        # No client's time-out: the proxy itself refreshes the watchdog, by requests for the state.
         if self._timeout is None:
             if self._elapsed_s(self._last_sent_s) >= self._feed_s:
                 self.refresh()
@@ -221,6 +225,7 @@ class RealRobotProxy:
     def opening_calls(self, link: Link, reconnected: bool) -> Iterable[Call]:
         """Yield the first calls after a (re)connection: stop where the robot was lost, watchdog, mask."""
         if not self.ownership.read_only:
+            # While the robot was lost its clients may have wanted it to stop.
             yield from (STOP,) if reconnected else ()
             yield self._timeout_call()
         if link.masks:
@@ -244,6 +249,7 @@ class RealRobotProxy:
 
     def _elapsed_s(self, since_s: float) -> float:
         """Return the seconds since then at the robot's pace: a simulation behind another Nserver may run faster."""
+        # State[0] is ten times the pace.
         pace = REAL_TIME if self.last is None else self.last.slots.get(_SPEED_SLOT, REAL_TIME)
         return (self._clock() - since_s) * pace / REAL_TIME
 
