@@ -89,7 +89,7 @@ def test_waiting_ends_by_the_condition_or_by_its_limit(controller_at: MakeContro
     mission = Mission(controller_at("thesis_room"))
     seen = mission.wait_for(lambda seen: seen.clock_s > 0.5, 5.0)
     assert 0.5 < seen.clock_s < 0.7
-    with pytest.raises(StepFailed, match="obstacle: did not come within 1 s") as failed:
+    with pytest.raises(StepFailed, match="obstacle: not fulfilled within 1 s") as failed:
         mission.wait_for(lambda seen: seen.touching, 1.0, "obstacle")
     assert failed.value.ending == "condition"
     assert endings(mission) == [("wait_for", "done"), ("wait_for", "condition")]
@@ -108,24 +108,24 @@ def test_dock_is_entered_straight_and_contact_fails(controller_at: MakeControlle
         Mission(blocked).dock(14, 60, 180)
 
 
-def test_a_step_that_fails_is_tried_again(controller_at: MakeController) -> None:
+def test_failed_step_is_retried(controller_at: MakeController) -> None:
     mission = Mission(controller_at("thesis_room"))
     with pytest.raises(StepFailed, match=r"no space at \(0, -11\)"):
         mission.go_to(0, -11, retries=2)
     (step,) = mission.report.steps
     assert (step.tries, step.ending) == (3, "blocked")
-    assert [words for _, words in step.notes] == [f"{step.reason}; tried again"] * 2
+    assert [words for _, words in step.notes] == [f"{step.reason}; trying again"] * 2
     mission.go_to(3, 0)
     assert mission.report.steps[-1].done
 
 
-def test_a_step_has_its_time_and_the_mission_has_its(controller_at: MakeController) -> None:
+def test_time_limits_of_step_and_mission(controller_at: MakeController) -> None:
     mission = Mission(controller_at("thesis_room"), Settings(time_limit_s=6.0))
-    with pytest.raises(StepFailed, match="the step's time is over") as failed:
+    with pytest.raises(StepFailed, match="time limit of the step exceeded") as failed:
         mission.go_to(60, 0, limit_s=2.0)
     assert failed.value.ending == "timeout"
     assert not isinstance(failed.value, MissionOver)
-    with pytest.raises(MissionOver, match="the mission's time is over: 6 s"):
+    with pytest.raises(MissionOver, match="time limit of the mission exceeded: 6 s"):
         mission.look(60.0)
     assert mission.seen.clock_s == pytest.approx(6.1, abs=0.15)
 
@@ -144,13 +144,13 @@ def test_held_robot_is_reported_and_goes_on_once_released(
     monkeypatch.setattr(controller.robot, "drive", held)
     mission.go_to(20, 0)
     (step,) = mission.report.steps
-    output = [words for _, words in step.notes if "is it held (nserver ctl status tells), or its emerg" in words]
+    output = [words for _, words in step.notes if "is it held (see nserver ctl status), or its emerg" in words]
     assert len(output) == 1
-    assert output[0].startswith("it is told to drive and stands, 5 s now: ")
+    assert output[0].startswith("the robot has not moved for 5 s although commanded to: ")
     until_s = inf
-    with pytest.raises(StepFailed, match=r"the step's time is over; it is told to drive and stands, 1[01] s now: is"):
+    with pytest.raises(StepFailed, match=r"step exceeded; the robot has not moved for 1[01] s although .* is it held"):
         mission.go_to(40, 0, limit_s=11.0)
-    with pytest.raises(MissionOver, match=r"the mission's time is over: 40 s; it is told to drive and stands, .* held"):
+    with pytest.raises(MissionOver, match=r"the mission exceeded: 40 s; the robot has not moved .* is it held"):
         mission.go_to(40, 0)
 
 
@@ -191,7 +191,7 @@ def test_program_cannot_suppress_end_of_mission(
 
     run_mission(mission, program)
     report = mission.report
-    assert (report.ending, report.reason) == ("timeout", "the mission's time is over: 2 s")
+    assert (report.ending, report.reason) == ("timeout", "time limit of the mission exceeded: 2 s")
     assert [step.ending for step in report.steps] == ["timeout"], "the second step was never begun"
     assert len(set(clocks)) <= 1, "nothing was driven after the end"
     with pytest.raises(MissionOver):

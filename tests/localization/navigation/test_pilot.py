@@ -204,7 +204,7 @@ def test_an_uncertain_robot_slows_down_stands_and_gives_up() -> None:
     pilot = pilot_of(hopeless, (90.0, 55.0))
     hopeless.drive(pilot, 900.0)
     assert ending(pilot) is Ending.UNCERTAIN
-    assert "known to 12.0 in (3 sigma)" in reason(pilot)
+    assert "uncertain by 12.0 in (3 sigma)" in reason(pilot)
     assert hopeless.least_room - N150.radius_in > 0.0
     assert 1 <= sum("too uncertain" in words for _, words in pilot.log.notes) < len(MARGINS_IN)
 
