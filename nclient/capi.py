@@ -135,6 +135,7 @@ def disconnect_robot(robot_id: int) -> int:
     """Disconnect."""
     global _backend
     del robot_id
+    # Forgotten before it is closed, so that an error while closing leaves no half-closed connection.
     open_backend, _backend = _backend, None
     if open_backend is None or open_backend.closed:
         return FALSE
@@ -182,6 +183,7 @@ def pr(t_pr: int, s_pr: int, r_pr: int) -> int:
 
 def pa(t_pa: int, s_pa: int, r_pa: int) -> int:
     """Move each axis to an absolute position: only on an N200's serial line, refused by the client elsewhere."""
+    # Only the direct library sends pa.
     if _backend is not None and _backend.wire_state.line:
         return _send("pa", t_pa, s_pa, r_pa)
     return _refuse("pa", "clients of an Nserver do not send it")
@@ -444,6 +446,7 @@ def special_request(user_send_buffer: Ints, user_receive_buffer: Out) -> int:
     """Send a whole packet (length low, length high, serial, type, bytes) and fill the receive buffer with the reply."""
     if len(user_send_buffer) < _PACKET_HEAD:
         return _refuse("special_request", "a packet starts with its length (two bytes), serial and type")
+    # The length includes its own two bytes, serial and type; the type is the first byte that is sent.
     length = user_send_buffer[0] | user_send_buffer[1] << 8
     return _fill(user_receive_buffer, _values("special_request", *user_send_buffer[3:length]))
 
@@ -490,6 +493,7 @@ def new_world() -> int:
 
 def predict_sensors(x: int, y: int, th: int, tu: int, state: Out, laser: Out) -> int:
     """Predict the readings of the sensors at another pose: fill state[1] to state[32] and the laser vector."""
+    # state[0] and state[33] on are not changed.
     reply = _reply("predict_sensors", x, y, th, tu)
     if reply is None:
         return FALSE
@@ -504,6 +508,7 @@ def motion_check(
 
     Returns 1 if there is one, and fills collide with x, y and the inward normal in radians; 0 if not, or on error.
     """
+    # A line has four numbers, an arc seven; doubles are sent in thousandths.
     numbers = (a1, a2, a3, a4) if type == MOTION_LINE else (a1, a2, a3, a4, a5, a6, a7)
     reply = _reply("motion_check", type, *[1000 * number for number in numbers])
     if reply is None:
@@ -599,6 +604,7 @@ def _connect(robot_id: int, *, create: bool = False, line: tuple[int, str, int] 
     if _backend is not None:
         disconnect_robot(robot_id)
     try:
+        # Settings in capitals are read at each connection, since a program may assign them at any time.
         options = ConnectOptions(ANSWER_TIMEOUT_S, int(robot_id), create)
         if line is None:
             _backend = open_machine(SERVER_MACHINE_NAME, int(SERV_TCP_PORT), options)
@@ -626,6 +632,7 @@ def _reply(name: str, *args: Any) -> Reply | None:
         reply = _backend.execute(clamp_to_serial(call) if _backend.wire_state.line else call)
     except NomadError as error:
         _error = error
+        # As in the C library a refusal sets State[44], and a NAK on the serial line is a success.
         if isinstance(error, RobotRefused) and error.code is not None:
             _apply(Reply("error", values=(error.code,)))
         return _NAK if isinstance(error, RobotRefused) and error.is_nak else None
@@ -651,6 +658,7 @@ def _arm(name: str, *args: int) -> tuple[int, int]:
 
 def _apply(reply: Reply) -> None:
     _client_state.apply_reply(reply)
+    # In place: `from nclient.capi import *` has bound the lists to the program's own names.
     State[:] = [old if value is None else value for old, value in zip(State, _client_state.slots, strict=True)]
     if _client_state.laser is not None:
         Laser[: len(_client_state.laser)] = _client_state.laser
@@ -669,6 +677,7 @@ def _stamp(key: str) -> list[int]:
 
 
 def _polygon(obs: Ints) -> Ints:
+    # obs[0] corners follow; a C array may be longer than that.
     return obs[: 1 + 2 * obs[0]] if obs else obs
 
 

@@ -454,6 +454,7 @@ class Robot:
         compass: bool = False,
     ) -> RobotState:
         """Select the sensors whose readings get position stamps (`RobotState.stamps`). C: posDataRequest."""
+        # The order of Position's members: bit 0 infrareds to bit 4 compass.
         selected = zip((infrareds, sonars, bumpers, laser, compass), Position, strict=True)
         bits = sum(bit for is_selected, bit in selected if is_selected)
         return self._command("ct", *self._backend.wire_state.mask.with_position(bits).smask)
@@ -482,6 +483,7 @@ class Robot:
         if rate is not None and interval_s is not None:
             raise TypeError("rate or interval_s, not both")
         if interval_s is not None:
+            # The wire has steps of 4 ms.
             rate = round(interval_s / SONAR_RATE_STEP_S)
         return self._command("conf_sn", DEFAULT_SONAR_RATE if rate is None else rate, *firing_order(order))
 
@@ -609,6 +611,7 @@ class Robot:
 
     def read_robots(self) -> tuple[RobotPlace, ...]:
         """Query position and heading of all robots. C: get_rpx."""
+        # The count, then three numbers per robot: x and y in 1/10 in, heading in 1/10 deg.
         count, *numbers = self._query("get_rpx", at_least=1)
         if len(numbers) != 3 * count:
             raise WireError(f"get_rpx: {count} robots with {len(numbers)} numbers")
@@ -637,6 +640,7 @@ class Robot:
         shift_m: tuple[float, float] | None = None,
     ) -> tuple[tuple[float, float], ...]:
         """Shift the polygon with these corners and return its new corners in inches. C: move_obstacle."""
+        # Inches or metres, but the same unit for corners and shift is not required.
         shift = points_tenths(None if shift_in is None else [shift_in], None if shift_m is None else [shift_m])
         _, *moved = self._query("move_obstacle", *_polygon(corners_in, corners_m), *shift, at_least=1)
         return tuple((x / 10, y / 10) for x, y in zip(moved[::2], moved[1::2], strict=True))
@@ -647,6 +651,7 @@ class Robot:
 
     def predict_sensors(self, pose: Pose) -> Prediction:
         """Predict the readings of the sensors at another pose. C: predict_sensors."""
+        # The reply is a State vector: infrareds in [1] to [16], sonars in [17] to [32].
         reply = self.execute(Call("predict_sensors", _pose_tenths(pose)))
         return Prediction(reply.values[1:17], reply.values[17:33], reply.laser or (0,))
 
@@ -674,6 +679,7 @@ class Robot:
         else:
             x, y, radius, *centre = [10000 * inches for inches in arc[:2] + arc[4:]]
             args = (MOTION_ARC, x, y, 1000 * arc.from_rad, 1000 * arc.to_rad, radius, *centre)
+        # The reply has thousandths of an inch, and the normal in microradians.
         hit, x_hit, y_hit, normal = self._query("motion_check", *args, at_least=4)
         return Collision(x_hit / 1000, y_hit / 1000, normal / 1e6) if hit else None
 
@@ -784,6 +790,7 @@ class Robot:
 
         Raises RobotRefused (error 1 or 4) if the other end is no simulation of this project.
         """
+        # Lengths in 1/1000 in, angles in 1/1000 deg; the time is an unsigned 32-bit word of ms.
         _, time_ms, x, y, heading, turret, seed, robot_id = self._query("sim_truth", at_least=8)
         angles = (math.radians(heading / 1000), math.radians(turret / 1000))
         return Truth(x / 1000, y / 1000, *angles, time_s=unwrap_word(time_ms) / 1000, seed=seed, robot_id=robot_id)
@@ -819,6 +826,7 @@ class Robot:
         """
         if verb not in _TIME_VERBS:
             raise ValueError(f"a verb is one of {', '.join(_TIME_VERBS)}, not {verb!r}")
+        # Steps are sent in ms, speeds as ten times the factor.
         number = round(value * _TIME_SCALES.get(verb, 0))
         _, time_ms, speed, paused = self._query("sim_control", _TIME_VERBS[verb], number, at_least=4)
         return SimulatedTime(time_ms / 1000, speed / 10, bool(paused))
@@ -843,6 +851,7 @@ class Robot:
         return values
 
     def _query_arm(self, name: str, *args: int) -> ArmAnswer:
+        # The packet's head, then result and remaining time, four bytes each, low byte first.
         data = bytes(value & 255 for value in self._query(name, *args, at_least=_PACKET_HEAD + 4)[_PACKET_HEAD:])
         return ArmAnswer(int.from_bytes(data[:4], "little", signed=True), int.from_bytes(data[4:8], "little"))
 
@@ -851,12 +860,14 @@ class Robot:
         if self.model.has_turret:
             return self._command(name, translation, steering, turret)
         self._refuse_axis(name, turret)
+        # Truncated as in the C library, so that both send the same bytes.
         turn = int(steering * WHEEL_IN_PER_DEG)
         return self._command(name, translation + turn, translation - turn, 0)
 
     def _set_axes(self, name: str, translation: int, steering: int, turret: int) -> RobotState:
         if self.model.has_turret:
             return self._command(name, translation, steering, turret)
+        # A wheel has one speed limit: that of translation applies to both.
         self._refuse_axis(name, turret or steering)
         return self._command(name, translation, translation, 0)
 
@@ -872,10 +883,12 @@ class Robot:
 def _whole_seconds(seconds: float) -> int:
     if not 0 <= seconds < math.inf:
         raise ValueError(f"timeout_s is 0 or more seconds, not {seconds}")
+    # Rounded up, so that a short timeout does not become 0, which means none.
     return math.ceil(seconds)
 
 
 def _pose_tenths(pose: Pose) -> tuple[int, int, int, int]:
+    # 1/10 in and 1/10 deg.
     x, y = tenths_of(x_in=pose.x_in), tenths_of(y_in=pose.y_in)
     return x, y, tenths_of(steering_rad=pose.steering_rad), tenths_of(turret_rad=pose.turret_rad)
 

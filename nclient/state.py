@@ -136,6 +136,7 @@ class RobotState:
     @property
     def bumpers(self) -> tuple[int, ...]:
         """Numbers of the closed bumpers, without the bits that a robot on a serial line sets at rest."""
+        # One bit per bumper; some models send bits that are set at rest.
         bits = self.raw[33] & ~self.model.bumper_rest
         return tuple(number for number in range(bits.bit_length()) if bits >> number & 1)
 
@@ -231,6 +232,7 @@ class RobotState:
         """Turn rate of the steering in degrees per second; of a Scout that of its body, from its wheels."""
         if self.model.has_turret:
             return self.raw[39] / 10
+        # Half the difference of the wheels' speeds, divided by the path of a wheel per degree.
         return (self.right_in_s - self.left_in_s) / 2 / WHEEL_IN_PER_DEG
 
     @property

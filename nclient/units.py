@@ -44,6 +44,7 @@ def tenths_of(*, default: int = 0, **quantity: float | None) -> int:
     ValueError
         If the value is not finite.
     """
+    # At most one unit: two would contradict each other.
     values = [(name, value) for name, value in quantity.items() if value is not None]
     if not values:
         return default
@@ -84,6 +85,7 @@ def firing_order(order: Iterable[int]) -> tuple[int, ...]:
     return numbers + (_END,) * (_RING - len(numbers))
 
 
+# Number of sensors of a ring, and the end mark of a firing order.
 _RING, _END = 16, 255
 
 

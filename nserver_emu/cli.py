@@ -66,11 +66,13 @@ HELP = "help"
 def main(argv: list[str] | None = None) -> int:
     """Run the daemon until SIGINT or SIGTERM, or until an authorized client ends it; return the exit code."""
     process.ensure_std_streams()
+    # 1. The first word decides: a command for a running daemon, or the daemon itself.
     words = _help_as_option(sys.argv[1:] if argv is None else argv)
     run = _daemon if words[:1] != [CONTROL] else lambda words: cli.main(words[1:])
     try:
         code = run(words)
         sys.stdout.flush()
+    # 2. A reader of stdout that has ended, such as `head`, is no error of the daemon.
     except OSError as error:
         return process.handle_broken_pipe(error, "nserver")
     return code
@@ -108,6 +110,7 @@ async def _serve(options: argparse.Namespace) -> int:
     setups = read_setups(options.setups)
     for key in setups.unused:
         log.warning("%s of the setup file is read and has no effect: what its numbers mean is not known", key)
+    # Real robots are connected before anything else: without them no simulation is started.
     faults = FaultController(time.monotonic)
     with connected(options, faults if may_have_faults(options) else None) as proxies:
         return await _serve_with(proxies, setups, options, faults)
@@ -116,21 +119,26 @@ async def _serve(options: argparse.Namespace) -> int:
 async def _serve_with(
     proxies: Mapping[int, RealRobotProxy], setups: LegacySetup, options: argparse.Namespace, faults: FaultController
 ) -> int:
+    # 1. Simulation: port and model from the options, else from the setup files, else the defaults.
     port = next((port for port in (options.port, setups.port) if port is not None), DEFAULT_PORT)
     run_header = _run_header(options, setups.robot or model_of(proxies) or MODEL_NAMES[0])
     emulator = run_header.create_emulator()
+    # Compiled before clients connect: the first ray would otherwise take seconds.
     load_compiled(len(emulator.simulation.robots))
     if emulator.clock.paused and not options.allow_control:
         log.warning("paused, and no client can resume: --allow-control lets them")
+    # 2. Daemon, with a gateway between clients and simulation if there are real robots.
     gateway = Gateway(emulator, proxies, shadow=options.shadow, wrap=real_options.speed_limiter(options))
     daemon = Daemon(emulator, emulator.clock.factor, gateway if proxies else emulator, faults)
     daemon.admission = AdmissionControl(limits := limits_of(options), allowlist_from_options(options))
     make_room(limits.connections + (limits.page_connections if options.viewer else 0))
     daemon.places |= real_options.line_addresses(options)
+    # 3. Signals, before the first port is open.
     stop = asyncio.Event()
     stop_on_signals(stop)
     file = _saved_on_signal(emulator, options.save)
     try:
+        # 4. Port and recording; with --port 0 only now the port is known.
         port = await daemon.listen(options.bind, port)
         if open_to := warning(options.bind, daemon.admission.access):
             log.warning("--bind: %s", open_to)
@@ -147,6 +155,7 @@ async def _run(
     daemon: Daemon, gateway: Gateway, options: argparse.Namespace, stop: asyncio.Event, file: SaveFile | None
 ) -> None:
     """Open lines, control socket and page, print their addresses, and serve until the end."""
+    # 1. Everything that listens; each closes what it has opened.
     lines = await open_lines(daemon, options)
     manager = ServiceManager(os.environ)
     async with (
@@ -155,8 +164,10 @@ async def _run(
         run_gateway(gateway, daemon, options.shadow_every),
         autosaved(file, options.autosave),
     ):
+        # 2. Programs may connect as soon as they have read these lines.
         for line in (f"listening nserver {at_port(options.bind, daemon.emulator.port)}", *lines, *control, *page):
             logs.print_line(line)
+        # 3. Serve; the service manager is notified when all is open.
         with rare_collection():
             async with announced(manager):
                 with contextlib.suppress(asyncio.CancelledError):  # Ctrl-C, where an event loop has no signal handlers
@@ -171,6 +182,7 @@ def _end(manager: ServiceManager, file: SaveFile | None) -> None:
 
 def _run_header(options: argparse.Namespace, robot: str) -> RunHeader:
     """Return the configuration of the simulation: from the options, or from a snapshot."""
+    # Robot 1 is the first placement, the others follow by number.
     (model, start), *others = robot_placements(options.robot or [robot], options.start or (), options.robots)
     setting = SimulationConfig(
         options.world, model, start, options.seed, options.noisy, options.setup or "", tuple(others), options.model_file
@@ -183,6 +195,7 @@ def _run_header(options: argparse.Namespace, robot: str) -> RunHeader:
 
 def _replay(path: Path) -> int:
     """Repeat the requests of a recording on a new emulator; return FAILED if a reply differs."""
+    # An incomplete last line is replayed up to there.
     recording = read_recording(path)
     if recording.cut:
         log.warning("--replay: %s", recording.cut)
@@ -202,6 +215,7 @@ def _saved_on_signal(emulator: Emulator, path: Path | None) -> SaveFile | None:
     if path is None:
         return None
     file = SaveFile(emulator, path)
+    # Reported at the start rather than when the state is to be saved.
     if path.is_dir():
         raise SnapshotError(f"{path}: is a folder: name a file in it")
     if not path.absolute().parent.is_dir():
@@ -213,6 +227,7 @@ def _saved_on_signal(emulator: Emulator, path: Path | None) -> SaveFile | None:
         except SnapshotError as error:
             log.error("not saved: %s", error)
 
+    # Windows has neither SIGUSR1 nor signal handlers of event loops.
     with contextlib.suppress(NotImplementedError, AttributeError):
         asyncio.get_running_loop().add_signal_handler(signal.SIGUSR1, save)
     return file

@@ -24,6 +24,7 @@ log = logging.getLogger(__name__)
 
 TEXT, JSON = "text", "json"
 LEVELS: Final = {"debug": logging.DEBUG, "info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}
+# Attributes of every record; the formatter adds two, and newer versions of Python taskName.
 _STANDARD_FIELDS: Final = frozenset(vars(logging.makeLogRecord({}))) | {"message", "asctime", "taskName"}
 
 
@@ -38,6 +39,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def configure(options: argparse.Namespace) -> None:
     """Configure logging, Python's warnings included; do nothing in a program that has configured it already."""
+    # A program that embeds the daemon decides about logging itself.
     if logging.getLogger().handlers:
         return
     handler = LossCountingHandler(_unbuffered(sys.stderr))
@@ -90,6 +92,7 @@ class LossCountingHandler(logging.StreamHandler[TextIO]):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Write a record, preceded by the number of lost lines, if any."""
+        # First the number of lost lines; if that fails, this line is not attempted either.
         if self.lost:
             message = logging.makeLogRecord({
                 "name": __name__, "levelno": logging.WARNING, "levelname": "WARNING",
@@ -122,11 +125,13 @@ class JsonFormatter(logging.Formatter):
 
     def format(self, record: logging.LogRecord) -> str:
         """Return the record as JSON; values that JSON cannot express become strings."""
+        # UTC in milliseconds, with Z instead of +00:00 as log collectors write it.
         at = datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds").removesuffix("+00:00")
         fields: dict[str, Any] = {
             "time": f"{at}Z", "level": record.levelname.lower(), "logger": record.name,
             "message": record.getMessage(), "template": str(record.msg),
         }  # fmt: skip
+        # What is not a standard attribute of a record came by `extra=`.
         fields |= {name: value for name, value in vars(record).items() if name not in _STANDARD_FIELDS}
         if record.exc_info:
             fields["exception"] = self.formatException(record.exc_info)

@@ -31,9 +31,12 @@ from nserver_emu.viewer import options as viewer_options
 from worlds.io import DEFAULT_WORLD, world_names
 
 Number = TypeVar("Number", int, float)
+# The port that clients of the original use by default.
 DEFAULT_PORT = 7019
+# Value of --speed for as fast as possible.
 MAX_SPEED = "max"
 SETUP_SUFFIX = ".setup"
+# robot.setup and world.setup.
 MAX_SETUPS = 2
 OLD_OPTIONS = ("help", "noisy", "port")
 """Options that the original accepted after a single dash, abbreviated to any number of letters."""
@@ -58,6 +61,7 @@ def nserver_parser() -> Parser:
     _add_time(parser)
     _add_persistence(parser)
     _add_setup(parser)
+    # Packages add their own options, in the order of --help.
     for package in (serial_lines, real_options, control_options, allowlist, limits, viewer_options):
         package.add_options(parser)
     parser.add_argument("--list-worlds", action="store_true", help="list the shipped worlds and exit")
@@ -116,9 +120,12 @@ def _add_setup(parser: Parser) -> None:
 
 def read_options(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
     """Parse the words; add `world`, the old setup files (`setups`) and `keeps_pace` to the options."""
+    # 1. Old spellings and coordinates, then argparse.
     words = [_as_value(as_long_option(word)) for word in words]
     options: argparse.Namespace = parser.parse_args(words)
+    # 2. Positional words: a world and the original's setup files.
     options.world, options.setups = _sorted_files(parser, options.files)
+    # 3. Combinations that argparse cannot express.
     _refuse_unknown_models(parser, options)
     _refuse_contradictions(parser, options, words)
     serial_lines.refuse(parser, options)
@@ -126,6 +133,7 @@ def read_options(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
     viewer_options.refuse(parser, options)
     restore_options.check_options(parser, options, words)
     autosave.check_options(parser, options)
+    # 4. With --restore the saved pace applies unless an option of time was given.
     options.keeps_pace = restore_options.keeps_pace(parser, words)
     return options
 
@@ -148,6 +156,7 @@ def _refuse_contradictions(parser: argparse.ArgumentParser, options: argparse.Na
 
 def as_long_option(word: str) -> str:
     """Return the long form of an abbreviated option of the original, such as -noisy or -p."""
+    # Only letters after one dash; -v and other short options are the beginning of no old name.
     letters = word[1:]
     if not word.startswith("-") or not letters.isalpha():
         return word
@@ -165,6 +174,7 @@ def _sorted_files(parser: argparse.ArgumentParser, files: list[str]) -> tuple[st
 
 def _is_setup(name: str) -> bool:
     path = Path(name)
+    # A file of any name is a setup if it exists, and is neither TOML nor the name of a shipped world.
     return path.suffix == SETUP_SUFFIX or (name not in world_names() and path.suffix != ".toml" and path.is_file())
 
 
@@ -194,6 +204,7 @@ def _port(text: str) -> int:
 
 
 def _seed(text: str) -> int:
+    # sim_truth reports the seed as a signed 32-bit word.
     return _number(text, int, (0, 2**31 - 1), "a seed is 0 to 2147483647")
 
 

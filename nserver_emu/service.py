@@ -38,6 +38,7 @@ class ServiceManager:
 
     def __init__(self, environment: Mapping[str, str]) -> None:
         self._address = environment.get("NOTIFY_SOCKET", "")
+        # Environment variables are inherited: only the process that is named has a watchdog.
         is_for_us = environment.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
         timeout_us = environment.get("WATCHDOG_USEC", "")
         has_watchdog = bool(self._address) and is_for_us and timeout_us.isdecimal()
@@ -59,14 +60,17 @@ class ServiceManager:
         """Send messages, one per line; unaccepted ones are sent again later, except WATCHDOG."""
         if not self._address:
             return
+        # An old watchdog message says nothing about now.
         self._unsent = [message for message in messages if message != WATCHDOG]
         # An abstract socket is written with @ in the variable and with a zero byte in the address.
         address = self._address.replace("@", "\0", 1) if self._address[0] == "@" else self._address
         try:
             with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
+                # A full queue must not block the event loop.
                 sender.setblocking(False)
                 sender.sendto("\n".join(messages).encode(), address)
         except OSError as error:
+            # Logged once per interruption.
             if self._accepts:
                 log.warning("the service manager at %s does not listen: %s; trying again", self._address, error)
             self._accepts = False

@@ -116,12 +116,15 @@ def _require_free(top: Table, key: str, world: World, point: Point) -> None:
 
 def _find(name: str) -> FilePath:
     """Return the file of a name or path. Raises WorldFileError with the shipped names if there is none."""
+    # 1. A shipped name.
     names = world_names()
     if name in names:
         return SHIPPED / f"{name}.toml"
+    # 2. A file.
     path = FilePath(name)
     if name and path.exists():
         return path
+    # 3. A path as in the source tree, which an installed package does not have.
     if path.stem in names and path.name == f"{path.stem}.toml" and str(path.parent) in (".", "worlds"):
         return SHIPPED / path.name
     raise WorldFileError(
@@ -159,6 +162,7 @@ def _line(table: Table, points: tuple[Point, ...]) -> FloatArray:
 
 def _reject_repeats(table: Table, name: str, segments: FloatArray) -> None:
     """Reject an edge without length: a corner given twice in a row."""
+    # The first edge without length; of an outline the closing edge gets a message of its own.
     short = np.flatnonzero(lengths(segments) < MIN_WALL_IN)
     if not short.size:
         return
@@ -188,11 +192,13 @@ def _paths(top: Table, starts: tuple[StartPose, ...]) -> dict[str, Path]:
 def _path(table: Table, starts: tuple[StartPose, ...]) -> Path:
     table.allow(("name", "figure", "start"), lengths=("points",))
     figure = table.text("figure", "")
+    # 1. Name and points.
     name = table.text("name", figure)
     if not name:
         table.fail("name", "expected a name or a figure, found neither")
     points = table.points_in("points", minimum=2)
     _line(table, points)
+    # 2. The path begins at its start pose, or at its first point with heading 0.
     number = table.index("start", len(starts))
     start = StartPose(*points[0]) if number is None else starts[number]
     if max(abs(start.x_in - points[0][0]), abs(start.y_in - points[0][1])) > MIN_WALL_IN:
@@ -215,6 +221,7 @@ def format_world(world: World, comment: str = "") -> str:
 def polylines(walls: FloatArray) -> Iterator[list[Point]]:
     """Yield walls (m, 4) as polylines: a wall that starts at the end of the previous one continues it."""
     line: list[Point] = []
+    # Exact comparison: consecutive walls of one line share the same numbers.
     for x1, y1, x2, y2 in walls.tolist():
         if line and line[-1] != (x1, y1):
             yield line

@@ -62,6 +62,7 @@ class Table:
         if key not in self.values:
             return None
         value = self.values[key]
+        # In Python True is an int, in TOML it is not.
         if not isinstance(value, int) or isinstance(value, bool) or not minimum <= value < count:
             self.fail(key, f"expected a whole number from {minimum} to {count - 1}, found {describe_value(value)}")
         return value
@@ -157,6 +158,7 @@ class Table:
     def _length(self, place: str, value: object, scale: float) -> float:
         length = self._number(place, value, "a length") * scale
         if abs(length) > MAX_COORDINATE_IN:
+            # The limit in the unit of the file.
             limit = MAX_COORDINATE_IN / scale
             self.fail(
                 place,

@@ -101,6 +101,7 @@ def find_free_space(world: World, radius_in: float, step_in: float = 0.0) -> Fre
 
 def _nearest_fit(fits: BoolArray, column: float, row: float) -> tuple[int, int] | None:
     """Return the nearest of the four surrounding grid nodes where the robot fits; None if it fits at none."""
+    # The nodes of the grid cell around the point; those outside of the grid are skipped.
     around = [(int(column) + i, int(row) + k) for i in (0, 1) for k in (0, 1)]
     there = [node for node in around if 0 <= node[0] < fits.shape[0] and 0 <= node[1] < fits.shape[1] and fits[node]]
     return min(there, key=lambda node: (node[0] - column) ** 2 + (node[1] - row) ** 2, default=None)
@@ -124,12 +125,14 @@ def _gaps(walls: FloatArray, limits: ValidationLimits) -> Iterator[Finding]:
     """Yield ends of walls that stop just before another wall; short segments and doubled walls are excluded."""
     ends = walls.reshape(-1, 2)
     points, far = nearest_points(ends, walls)
+    # 1. A wall is not a gap to itself.
     far[np.arange(len(ends)), np.arange(len(ends)) // 2] = np.inf
     # Short segments and doubled walls are reported separately.
     short = np.flatnonzero(lengths(walls) < limits.short_segment_in)
     far[:, short] = far[np.concatenate((2 * short, 2 * short + 1))] = np.inf
     for one, other, *_ in _overlaps(walls, limits):
         far[[2 * one, 2 * one + 1], other] = far[[2 * other, 2 * other + 1], one] = np.inf
+    # 2. The nearest other wall of each end; a gap is near, but not touching.
     nearest = far.argmin(axis=1) if len(walls) > 1 else np.zeros(0, dtype=int)
     for end, other in enumerate(nearest):
         gap = far[end, other]
@@ -159,10 +162,12 @@ def _overlaps(
 ) -> Iterator[tuple[int, int, tuple[float, float], float, float]]:
     """Yield pairs of doubled walls: rows, middle of the overlap, its length, and their distance."""
     for number, wall in enumerate(walls):
+        # Ends of the other wall in the frame of this one: along its direction and across it.
         along = (wall[2:] - wall[:2]) / np.hypot(*(wall[2:] - wall[:2]))
         length = float(np.hypot(*(wall[2:] - wall[:2])))
         for other in range(number + 1, len(walls)):
             off = walls[other].reshape(2, 2) - wall[:2]
+            # Distance: the farther end across. Overlap: the common part of both spans along.
             apart = np.abs(off[:, 0] * along[1] - off[:, 1] * along[0]).max()
             begin, end = sorted((off @ along).tolist())
             overlap = min(end, length) - max(begin, 0.0)
@@ -190,6 +195,7 @@ def _starts(world: World, radius_in: float) -> Iterator[Finding]:
 
 def _closed_off(found: FreeSpace, limits: ValidationLimits) -> Iterator[Finding]:
     """Yield each closed-off space, the largest first."""
+    # 1. Connected regions that no start reaches, by flood fill.
     seen = found.reached.copy()
     spaces = []
     for i, k in np.argwhere(found.fits & ~found.reached).tolist():
@@ -198,6 +204,7 @@ def _closed_off(found: FreeSpace, limits: ValidationLimits) -> Iterator[Finding]
             _flood(found.fits, here, (i, k))
             seen |= here
             spaces.append(here)
+    # 2. Regions above the minimum area; the position is the node nearest to the region's mean.
     for here in sorted(spaces, key=lambda nodes: -int(nodes.sum())):
         area = float(here.sum()) * found.step_in**2
         if area >= limits.space_in2:

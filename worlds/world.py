@@ -93,10 +93,13 @@ class World:
     _firsts: tuple[int, ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        # 1. Segments by origin: outlines, inner walls, obstacles. Fixed walls come first, so that obstacles do not
+        # change their rows.
         rooms = [room.segments() for room in self.rooms]
         solids = [thing.segments() for thing in self.obstacles]
         inner = _stacked([np.asarray(self.inner_walls, dtype=np.float64)])
         fixed = _stacked([*rooms, inner])
+        # 2. Derived arrays; edges of closed outlines are separate, for the test of points inside.
         derived = {
             "inner_walls": inner,
             "fixed_walls": fixed,
@@ -105,6 +108,7 @@ class World:
             "_edges": _stacked([*rooms, *solids]),
             "_firsts": _first_rows([*rooms, *solids]),
         }
+        # 3. The dataclass is frozen, so the fields are set past its __setattr__.
         for name, value in derived.items():
             object.__setattr__(self, name, value)
 
@@ -123,6 +127,7 @@ class World:
         """Return the clearance (...) of points (..., 2)."""
         far: FloatArray = nearest_points(points_in, self.walls)[1].min(axis=-1, initial=inf)
         if self._firsts:
+            # Negative where a point is in no room (if there are rooms) or inside an obstacle.
             within, rooms = inside(points_in, self._edges, self._firsts), len(self.rooms)
             outside = ~within[..., :rooms].any(axis=-1) if rooms else np.zeros(far.shape, dtype=bool)
             far[outside | within[..., rooms:].any(axis=-1)] *= -1.0
@@ -136,9 +141,11 @@ class World:
         place = f"the start ({x_in:g}, {y_in:g}) in"
         if not (isfinite(x_in) and isfinite(y_in)):
             raise StartError(f"{place} is not a position: expected two finite numbers")
+        # 1. It fits.
         clearance, row, _ = self._nearest(x_in, y_in)
         if clearance > radius_in:
             return
+        # 2. Outside, inside an obstacle, or too near to a wall.
         problem = self._solid_around(x_in, y_in)
         if not problem or abs(clearance) <= ON_WALL_IN:
             wall = self._describe_wall(row)
@@ -172,6 +179,7 @@ class World:
 
     def _describe_wall(self, row: int) -> str:
         """Return a description of the wall in this row."""
+        # In the order of the rows of `walls`: room outlines, inner walls, obstacles.
         kinds = [_titled(room, "the outline of a room") for room in self.rooms for _ in room.corners_in]
         kinds += ["a wall"] * len(self.inner_walls)
         kinds += [_titled(thing, "an obstacle") for thing in self.obstacles for _ in thing.corners_in]
@@ -189,17 +197,20 @@ class World:
     def _pushed_free(self, x_in: float, y_in: float, radius_in: float) -> Point:
         """Return the point after moving it repeatedly away from its nearest wall; it may still not be free."""
         x, y = x_in, y_in
+        # A corner needs several moves; 20 moves are enough where there is space.
         for _ in range(20):
             clearance, row, (near_x, near_y) = self._nearest(x, y)
             # Move by the missing distance, away from the nearest wall.
             lack = radius_in + MARGIN_IN - clearance
             if lack <= 0.0:
                 break
+            # On a wall there is no direction away from it: use the wall's normal.
             if clearance == 0.0:
                 off_x, off_y = normals(self.walls[row : row + 1])[0].tolist()
             else:
                 off_x, off_y = (x - near_x) / clearance, (y - near_y) / clearance
             x, y = x + off_x * lack, y + off_y * lack
+        # Adding 0.0 turns -0.0 into 0.0.
         return round(x, 2) + 0.0, round(y, 2) + 0.0
 
 

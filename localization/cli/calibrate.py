@@ -246,8 +246,8 @@ def _describe_fit(found: Calibration, fit: Consistency, laps: int) -> str:
     short = missing(found)
     if not short or not fit.is_good:
         return fit.line()
-    text = f"after {laps} laps in each direction {', '.join(short)} "
-    text += "are still inaccurate: use more --laps or a larger room"
+    text = f"after {laps} laps in each direction still inaccurate: {', '.join(short)}; "
+    text += "use more --laps or a larger room"
     return f"{text}\n{fit.line()}"
 
 

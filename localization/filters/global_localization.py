@@ -121,14 +121,17 @@ def alternatives(
     odometry: OdometryNoise,
 ) -> Alternatives:
     """Return what else explains the records. Near is within the standard deviation of the belief, or a slip from it."""
+    # 1. The given belief, widened by a cell of the grid: nearer poses cannot be distinguished from it.
     wide = Belief(given.mean[:POSE], given.cov[:POSE, :POSE] + np.diag(np.square(REFINED_STD)))
     information = np.linalg.inv(wide.cov)
+    # 2. The best explanation near it (True) and elsewhere (False).
     best: dict[bool, tuple[Belief, float]] = {}
     for belief, score in _explanations(records, table, measurement, odometry):
         offset = difference(belief.mean, wide.mean)
         near = bool(offset @ information @ offset <= SAME_SQUARED) or _may_have_slipped(offset)
         if near not in best or score > best[near][1]:
             best[near] = belief, score
+    # 3. Both sides are compared by the same echoes, replayed.
     lead = max((score for _, score in best.values()), default=-inf) - _replayed(wide, records, measurement, odometry)[1]
     near_by, elsewhere = (best[near][0] if near in best else None for near in (True, False))
     return Alternatives(near_by, elsewhere, lead)
@@ -136,6 +139,7 @@ def alternatives(
 
 def merged(weighted: Sequence[tuple[Belief, float]]) -> list[Hypothesis]:
     """Return hypotheses from beliefs with their log likelihoods: one for each pose, without the improbable."""
+    # Greedy: a hypothesis absorbs all that are the same pose and less probable.
     ranked = sorted(weighted, key=lambda pair: -pair[1])
     best = ranked[0][1] if ranked else -inf
     chosen: list[tuple[Belief, float]] = []
@@ -163,11 +167,13 @@ def _explanations(
 
 def _coarse(records: Sequence[EchoRecord], table: RangeTable, places: Floats) -> tuple[Floats, Floats]:
     """Return all poses (n, 3) of the grid at the last record, and their log likelihoods (n,)."""
+    # 1. Every free cell with every heading.
     headings = np.arange(DIRECTIONS) * (2.0 * np.pi / DIRECTIONS)
     poses = np.empty((len(places) * DIRECTIONS, 3))
     poses[:, :2] = np.repeat(places, DIRECTIONS, axis=0)
     poses[:, HEADING] = np.tile(headings, len(places))
     score = np.zeros(len(poses))
+    # 2. Sum of log likelihoods; readings are independent given the pose.
     inlier = 1.0 - OUTLIER_PROBABILITY
     for record in records:
         if record.reading_in <= LOWEST_IN:
@@ -185,6 +191,7 @@ def _coarse(records: Sequence[EchoRecord], table: RangeTable, places: Floats) ->
 
 def _displaced(poses: Floats, last: Floats, then: Floats) -> Floats:
     """Return where poses (n, 3) were when the encoders stood at `then`, being at `last` now."""
+    # Displacement of the encoders, rotated from their frame into that of each pose.
     back = difference(then, last)
     turn = poses[:, HEADING] - last[HEADING]
     cos, sin = np.cos(turn), np.sin(turn)
@@ -197,6 +204,7 @@ def _displaced(poses: Floats, last: Floats, then: Floats) -> Floats:
 
 def _peaks(poses: Floats, score: Floats) -> list[Floats]:
     """Return the best poses (3,), one for each peak."""
+    # Non-maximum suppression: take the best pose, drop its neighbours, repeat.
     order = np.argsort(score)[::-1]
     order = order[score[order] > score[order[0]] - MAX_PEAK_NATS][:MAX_CANDIDATES]
     rest = poses[order]

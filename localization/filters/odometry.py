@@ -151,12 +151,13 @@ def predict_state(x: list[Number], P: list[list[Number]], distance: Number, turn
     x[HEADING] = wrap_angle(x[HEADING] + t)
     # 3. P <- F P. F is the identity but for the rows of the pose. The heading comes first among its columns and has
     #    nothing in its own row, so every row on the right is still the old one.
+    of_x, of_y, of_heading = P[:POSE]
     for k, (f_x, f_y, f_heading) in F:
-        of_k = P[k]
-        P[0] = [p + f_x * q for p, q in zip(P[0], of_k, strict=True)]
-        P[1] = [p + f_y * q for p, q in zip(P[1], of_k, strict=True)]
-        if k != HEADING:
-            P[2] = [p + f_heading * q for p, q in zip(P[2], of_k, strict=True)]
+        for j, value in enumerate(P[k]):
+            of_x[j] = of_x[j] + f_x * value
+            of_y[j] = of_y[j] + f_y * value
+            if k != HEADING:
+                of_heading[j] = of_heading[j] + f_heading * value
     # 4. P <- P F' in the rows of the pose.
     for row in P[:POSE]:
         for k, (f_x, f_y, f_heading) in F:
@@ -167,12 +168,11 @@ def predict_state(x: list[Number], P: list[list[Number]], distance: Number, turn
                 row[2] = row[2] + f_heading * value
     # 5. P <- P + G Q G' in its upper half; the lower half by symmetry.
     for i in range(POSE):
-        along, about = q_distance * g[i], q_turn * h[i]
+        row, along, about = P[i], q_distance * g[i], q_turn * h[i]
         for j in range(i, POSE):
-            P[i][j] = P[i][j] + along * g[j] + about * h[j]
-            P[j][i] = P[i][j]
+            row[j] = P[j][i] = row[j] + along * g[j] + about * h[j]
         for j in range(POSE, n):
-            P[j][i] = P[i][j]
+            P[j][i] = row[j]
 
 
 def predict(belief: Belief, step: Floats, noise: OdometryNoise) -> Belief:

@@ -35,6 +35,7 @@ Factory = Callable[[LocalizationConfig, Belief, int], Filter]
 """Makes a filter from a configuration, the belief at the first state, and a seed for methods that draw samples."""
 
 
+# One factory per method; they differ in the rule of the update, the prediction or the form of the belief.
 def _extended(config: LocalizationConfig, belief: Belief, _seed: int) -> Filter:
     return KalmanFilter(belief, _measurement(config), config.odometry)
 
@@ -104,9 +105,11 @@ def finder(
 
     `parameter_stds` are of the odometry parameters, where there is no belief that has them.
     """
+    # With a belief the parameters' uncertainty is in it.
     stds = parameter_stds if belief is None else tuple(belief.std[POSE:].tolist())
 
     def table() -> RangeTable:
+        # Bytes are hashable, arrays are not: the walls are part of the cache's key.
         walls = np.asarray(config.walls, dtype=np.float64).tobytes()
         return _table(walls, _Ring(config.body.sonar_ring_radius_in, ()), config.sonar, config.clearance_in)
 

@@ -159,10 +159,9 @@ def kalman_gain(P: Sequence[Sequence[Number]], H: Sequence[Number], R: Number) -
 def add_outer(P: list[list[Number]], weight: Number, v: Sequence[Number]) -> None:
     """Add weight v v' to P, in place."""
     for i in range(len(v)):
-        scaled = weight * v[i]
+        row, scaled = P[i], weight * v[i]
         for j in range(i + 1):
-            P[i][j] = P[i][j] + scaled * v[j]
-            P[j][i] = P[i][j]
+            row[j] = P[j][i] = row[j] + scaled * v[j]
 
 
 def kalman_update(x: list[Number], P: list[list[Number]], H: Sequence[Number], R: Number, innovation: Number) -> Number:
@@ -433,17 +432,17 @@ class CorrelatedReadings:
 
     def record(self, sonar: int, turret_offset_rad: float) -> None:
         """Count one more reading as used."""
-        count = self.count(sonar, turret_offset_rad)
-        first = self._repeated[sonar] if count else _Repeated(self._travel_in, self._turned_rad, turret_offset_rad, 0)
-        self._repeated[sonar] = first._replace(number=count + 1)
+        repeated = self._repeated.get(sonar)
+        if repeated and self._is_here(repeated, turret_offset_rad):
+            self._repeated[sonar] = repeated._replace(number=repeated.number + 1)
+        else:
+            self._repeated[sonar] = _Repeated(self._travel_in, self._turned_rad, turret_offset_rad, 1)
 
     def _is_here(self, there: _Repeated, turret_offset_rad: float) -> bool:
-        turned = self._turned_rad - there.turned_rad
-        aimed = wrap_angle(turned + turret_offset_rad - there.turret_rad)
         return (
             self._travel_in - there.travel_in <= SAME_POSE_IN
-            and abs(turned) <= SAME_POSE_RAD
-            and abs(aimed) <= SAME_POSE_RAD
+            and abs(turned := self._turned_rad - there.turned_rad) <= SAME_POSE_RAD
+            and abs(wrap_angle(turned + turret_offset_rad - there.turret_rad)) <= SAME_POSE_RAD
         )
 
 

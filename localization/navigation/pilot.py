@@ -145,6 +145,7 @@ class Pilot:
         self._back_off: _BackOff | None = None
         self._last_speed_in_s = 1.0
         self._min_margin_in = 0.0
+        # Times since which there is no path, or the estimate is uncertain; inf while that is not so.
         self._blocked_s = self._uncertain_s = inf
         self._planned_s = -inf
 
@@ -197,18 +198,21 @@ class Pilot:
         points = follower.remaining_points()
         if not len(obstacles) or not len(points) or now_s < self._planned_s + REPLAN_INTERVAL_S:
             return False
+        # A path planned through a narrow gap has less margin from the start.
         margin_in = min(OBSTACLE_MARGIN_IN, 0.5 * self.log.plans[-1].margin_in)
         return bool(wall_distances(points, obstacles).min() < self._planner.body_in + margin_in)
 
     def _plan(self, estimate: Estimate) -> PathFollower | None:
         """Return a follower of a new path; None while there is no path, and after giving up."""
         now_s, obstacles = estimate.clock_s, self._obstacles.confirmed
+        # 1. While blocked, plan again only at intervals.
         if self._blocked_s < inf and now_s < self._planned_s + REPLAN_INTERVAL_S:
             return None
         self._planned_s = now_s
         if len(self.log.plans) >= self.policy.max_plans:
             self._end(Ending.ASTRAY, f"planned {len(self.log.plans)} times and not arrived")
             return None
+        # 2. Plan around the confirmed obstacles.
         start = (float(estimate.pose[0]), float(estimate.pose[1]))
         try:
             plan = self._plan_path(start, obstacles)
@@ -223,6 +227,7 @@ class Pilot:
         """Return the path along all goals if it is free, else the shortest path to the next goal."""
         if len(self._goals) > 1:
             plan = self._planner.along([start, *self._goals], PASSING * self.policy.within_in, self._limits)
+            # Sampled every inch, as far apart as needed to notice any obstacle.
             points = np.concatenate([section.points(1.0) for section in plan.sections])
             required = self._planner.body_in + OBSTACLE_MARGIN_IN
             if not len(obstacles) or wall_distances(points, obstacles).min() >= required:
@@ -243,6 +248,7 @@ class Pilot:
 
     def _finish(self, estimate: Estimate) -> VelocityCommand:
         """At the end of the path: turn to the heading, or plan again if the estimate has changed."""
+        # 1. The estimate has moved away from the goal: plan again.
         if hypot(*(estimate.pose[:2] - self._goals[0])) > self.policy.within_in:
             self._follower = None
             return STAND
@@ -250,6 +256,7 @@ class Pilot:
             del self._goals[0]
             self._follower = None
             return STAND
+        # 3. At the last goal: turn to the heading.
         if self._heading_rad is not None:
             remaining = angle_difference(float(estimate.pose[2]), self._heading_rad)
             if abs(remaining) > min(TURNED_RAD, self.policy.heading_rad):

@@ -193,7 +193,7 @@ def _clicked(reply: Reply) -> str:
 
 
 def _truth(reply: Reply) -> Iterator[str]:
-    # The first number is the version of the reply. Lengths are 1/1000 in, angles 1/1000 deg, the time an unsigned word
+    # The first number is always 1. Lengths are 1/1000 in, angles 1/1000 deg, the time an unsigned word
     # in ms.
     _, time_ms, x, y, heading, turret, seed, robot = reply.values
     yield (

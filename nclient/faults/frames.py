@@ -112,6 +112,7 @@ class LineFrames:
         return _merge(found)
 
     def _pieces(self) -> Iterator[StreamPiece]:
+        # Bytes outside frames are joined, so that one piece of noise is one piece to the rules.
         stray = bytearray()
         while self._buffer:
             size = self._size()
@@ -135,6 +136,7 @@ class LineFrames:
             return 0
         if len(buffer) < 3:
             return None
+        # Low byte first; it counts type and data.
         length = buffer[1] | buffer[2] << 8
         size = length + _LINE_OVERHEAD
         # Length, end byte and checksum must all be right; otherwise 0x01 is an ordinary byte.
@@ -176,11 +178,13 @@ class TcpFrames:
         self._buffer += data
         found: list[StreamPiece] = []
         while not self._lost and len(self._buffer) >= _TCP_HEADER:
+            # 1. Header: type and number of words, big-endian. An impossible count means lost synchronisation.
             frame_type = int.from_bytes(self._buffer[:_TYPE_SIZE], "big", signed=True)
             count = int.from_bytes(self._buffer[_TYPE_SIZE:_TCP_HEADER], "big")
             self._lost = count > _MAX_WORDS
             if self._lost or not self._detect_word_size(frame_type):
                 break
+            # 2. The whole frame; words have four or eight bytes.
             size = _TCP_HEADER + count * _WORD * (2 if self.wide else 1)
             if len(self._buffer) < size:
                 break
@@ -197,6 +201,7 @@ class TcpFrames:
     def _detect_word_size(self, frame_type: int) -> bool:
         """Detect the word size: robot numbers are at least 1, so that a 64-bit client sends 0 as the first word."""
         if self.wide is None and frame_type in _CONNECT_TYPES:
+            # The first word after the header is the robot's number, or the high half of it.
             first = self._buffer[_TCP_HEADER : _TCP_HEADER + _WORD]
             if len(first) < _WORD:
                 return False
@@ -230,6 +235,7 @@ def alter_bytes(data: bytes, fault: Alteration, rng: Random) -> bytes:
         case InsertBytes():
             place = _index(fault.place, len(data) + 1, rng)
             return data[:place] + rng.randbytes(fault.count) + data[place:]
+    # A cut delivers at least one byte if it can, and never the whole frame.
     maximum = len(data) - 1
     return data[: rng.randint(min(1, maximum), maximum) if fault.keep is None else min(fault.keep, maximum)]
 
@@ -432,6 +438,7 @@ def total(counts: Mapping[str, Mapping[str, int]]) -> Counter[str]:
 
 NAK_ERROR = 5
 """Error code of the ERROR reply that replaces a NAK over TCP: refused."""
+# Bound of the memory for requests whose replies never come.
 _MAX_OUTSTANDING = 1 << 16
 
 
@@ -471,6 +478,7 @@ class LineLanguage:
         self.requests: Frames = LineFrames(HOST_LIMIT)
         self.replies: Frames = LineFrames(bare=HANDSHAKE_SIZE if has_handshake else 0)
         self._greets = has_handshake
+        # On the serial line one request is outstanding at most, so the last one is enough.
         self._last_command = ""
 
     def request_name(self, piece: StreamPiece) -> str:
@@ -519,6 +527,7 @@ class TcpLanguage:
 
     def reply_name(self, piece: StreamPiece) -> str:
         """Return the oldest outstanding command; "" for bytes outside frames."""
+        # Bytes that are no frame must not use up an outstanding request.
         whole = piece.type is not None and self._outstanding
         return self._outstanding.popleft() if whole else ""
 

@@ -68,6 +68,7 @@ class FaultyLine:
     def _process_request(self, piece: StreamPiece, now_s: float) -> list[Delivery]:
         name, language = self._language.request_name(piece), self._language
         deliveries = self.injector().process_frame(piece.data, name, Direction.REQUEST, now_s, language.nak)
+        # A refused or dropped request gets no reply from the robot, so none may be expected.
         if any(not delivery.to_sender for delivery in deliveries):
             language.request_delivered(name)
         return deliveries
@@ -97,6 +98,7 @@ class DelayQueue:
         """Add deliveries that are sent now."""
         for delivery in deliveries:
             due_s = now_s + delivery.delay_s
+            # A line keeps the order of its bytes: a short delay after a long one ends with it.
             if self._queue:
                 due_s = max(due_s, self._queue[-1][0])
             self._queue.append((due_s, delivery))
@@ -140,6 +142,7 @@ class FaultyStream:
         self._line = line
         self._now = now
         self._sleep = sleep
+        # Deliveries to the host that are not due yet, and the reason of the end once the stream is over.
         self._coming = DelayQueue()
         self._over: str | None = None
         self._closed = False
@@ -148,8 +151,10 @@ class FaultyStream:
         """Send data as the plan changes and delays it. Raises ConnectionLost."""
         self._refuse_if_over()
         for delivery in self._line.request(data, self._now(), whole=True):
+            # 1. A delayed request blocks the sender, as a slow line does.
             if delivery.delay_s > 0.0:
                 self._sleep(delivery.delay_s)
+            # 2. A refusal goes back as if the robot had sent it.
             if delivery.to_sender:
                 self._coming.add([Delivery(0.0, delivery.data)], self._now())
             elif delivery.data:
@@ -160,9 +165,11 @@ class FaultyStream:
     def receive(self, deadline: Deadline) -> bytes:
         """Return at least one byte that the plan lets pass. Raises ReplyTimeout, or ConnectionLost after a hang-up."""
         while True:
+            # 1. Bytes that are due.
             if data := self._arrived():
                 return data
             self._refuse_if_over()
+            # 2. Nothing in transit: read from the stream; otherwise wait for what is.
             if self._coming.next_s is None:
                 self._take_in(deadline)
             else:
@@ -194,6 +201,7 @@ class FaultyStream:
         try:
             deliveries = self._line.reply(self._stream.receive(deadline), self._now())
         except ReplyTimeout:
+            # A dropped byte leaves a frame incomplete: the host gets what has arrived, as on a real line.
             deliveries = self._line.flush_reply(self._now())
             if not deliveries:
                 raise

@@ -37,6 +37,7 @@ from nclient.errors import FaultPlanError
 from nclient.protocol.codec import describe_unknown_command
 from nclient.protocol.commands import BY_NAME
 
+# Values of `change`: one flipped bit, as noise on a wire makes, or any other byte.
 BIT, BYTE = "bit", "byte"
 MAX_INSERTED = 0xFFFF
 """Maximum number of bytes that one fault inserts."""
@@ -62,6 +63,7 @@ class Delay:
     def __post_init__(self) -> None:
         check_number("delay_s", self.delay_s, 0.0, MAX_DURATION_S)
         check_number("jitter_s", self.jitter_s, 0.0, MAX_DURATION_S)
+        # A jitter larger than the delay would need negative delays.
         if self.jitter_s > self.delay_s:
             fail("jitter_s", f"at most delay_s, {self.delay_s:g}, because nothing arrives before it was sent",
                  self.jitter_s)
@@ -159,6 +161,7 @@ class Noise:
     kind: ClassVar[str] = "noise"
 
     def __post_init__(self) -> None:
+        # The three rates share one draw per byte, so their sum is a probability.
         rates = {name: getattr(self, name) for name in ("corrupt_percent", "drop_percent", "add_percent")}
         for name, rate in rates.items():
             check_number(name, rate, 0.0, 100.0)
@@ -178,6 +181,7 @@ KINDS: dict[str, type[Fault]] = {
 
 def fail(key: str, wanted: str, found: object) -> None:
     """Raise FaultPlanError for one setting."""
+    # Numbers without trailing zeros, texts in quotes.
     shown = f"{found:g}" if isinstance(found, float) else repr(found)
     raise FaultPlanError(f"{key}: {wanted}, not {shown}")
 
@@ -218,6 +222,7 @@ GREETING = "hello"
 LINE_KINDS = ("serial", "robotd", "nserver", "real", "sim", "replay")
 """Kinds of lines: a robot's serial line, directly and over TCP; Nserver's; a gateway's to the real robot; a simulation
 and a recording in the program's own process."""
+# Upper limit of seeds: integers of TOML have 64 bits.
 MAX_SEED = 2**63
 
 
@@ -257,9 +262,11 @@ class When:
     until_s: float = math.inf
 
     def __post_init__(self) -> None:
+        # 1. At most one method; none of them selects every frame.
         methods = [name for name in ("every", "percent", "first", "at") if getattr(self, name) is not None]
         if len(methods) > 1:
             raise FaultPlanError(f"{methods[1]}: {' and '.join(methods)} exclude each other; use one of them")
+        # 2. Its value.
         if self.every is not None:
             check_whole("every", self.every, 1)
         if self.percent is not None:
@@ -270,6 +277,7 @@ class When:
             raise FaultPlanError("at: expected numbers of frames, such as [3, 7]; there are none")
         for number in self.at or ():
             check_whole("at", number, 1)
+        # 3. A time window of positive length.
         check_number("from_s", self.from_s, 0.0, math.inf)
         check_number("until_s", self.until_s, 0.0, math.inf)
         if self.until_s <= self.from_s:
@@ -330,6 +338,7 @@ class Rule:
             raise FaultPlanError(f"rule {self.name!r}: do: expected at least one kind of fault")
         if not self.directions:
             raise FaultPlanError(f"rule {self.name!r}: direction: expected request, reply or both")
+        # Unknown names are errors: a misspelt command would otherwise never match.
         _check_agreement(self.name, self.faults)
         for command in self.commands:
             _check_command(self.name, command)
@@ -338,6 +347,7 @@ class Rule:
 
     def acts_on(self, line: str) -> bool:
         """Return True if the rule applies to the line of this name."""
+        # "serial" matches "serial:1", "serial:2", ...
         return not self.lines or line in self.lines or line.partition(":")[0] in self.lines
 
     def matches(self, command: str, direction: Direction) -> bool:
@@ -372,6 +382,7 @@ def require_rules_for(line: str, plan: Plan) -> None:
 
 
 def _check_agreement(rule: str, faults: tuple[Fault, ...]) -> None:
+    # Kinds share the rule's table of settings, so one key cannot have two values.
     kinds: set[str] = set()
     settings: dict[str, object] = {}
     for fault in faults:
@@ -385,6 +396,7 @@ def _check_agreement(rule: str, faults: tuple[Fault, ...]) -> None:
 
 
 def _check_command(rule: str, command: str) -> None:
+    # Commands of the arm are sent as packets, whose frames have the name special_request.
     row = BY_NAME.get(command)
     if row is not None and row.packet_type is not None:
         raise FaultPlanError(f"rule {rule!r}: command: {command} is sent as a special_request; write that")
@@ -393,6 +405,7 @@ def _check_command(rule: str, command: str) -> None:
 
 
 def _check_line(rule: str, line: str) -> None:
+    # A kind of line, alone or with the number of a robot.
     kind, colon, number = line.partition(":")
     if kind not in LINE_KINDS or (colon and not (number.isascii() and number.isdecimal())):
         choices = ", ".join(LINE_KINDS)
@@ -405,6 +418,7 @@ def _check_line(rule: str, line: str) -> None:
 MAX_BYTES: Final = 1 << 20
 """Maximum size of a plan; a larger file is something else."""
 _ANY = "all"
+# Keys of the selection are the fields of When; the same applies to the settings of kinds.
 _WHEN = tuple(entry.name for entry in dataclasses.fields(When))
 _RULE = ("name", "do", "command", "direction", "line", *_WHEN)
 _DIRECTIONS = {"both": BOTH} | {direction.value: frozenset({direction}) for direction in Direction}
@@ -424,6 +438,7 @@ def parse_plan(text: str, file: str = "plan") -> Plan:
     """Parse a plan; `file` is the name in error messages. Raises FaultPlanError."""
     top = parse_toml(text, file, FaultPlanError)
     try:
+        # Unknown keys are errors, with a suggestion, since a misspelt one would be ignored.
         _allow(top, ("seed", "rule"))
         tables = top.get("rule", [])
         if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
@@ -446,10 +461,12 @@ def _rule(table: Mapping[str, Any], number: int) -> Rule:
     if not isinstance(name, str) or not name.strip():
         raise FaultPlanError(f"rule {number}: name: expected a text, found {name!r}")
     try:
+        # 1. The kinds decide which other keys the rule may have.
         kinds = [_kind(word) for word in _words(table, "do", ())]
         # Keys of a rule: its own, and the settings of its kinds.
         settings = {entry.name for kind in kinds for entry in dataclasses.fields(kind)}
         _allow(table, (*_RULE, *sorted(settings)))
+        # 2. Faults, selection and direction; each checks its own values.
         faults = tuple(_fault(kind, table) for kind in kinds)
         when = When(**{key: _plain(key, table[key]) for key in _WHEN if key in table})
         direction = table.get("direction", Direction.REPLY.value)
@@ -469,6 +486,7 @@ def _kind(word: str) -> type[Fault]:
 def _fault(kind: type[Fault], table: Mapping[str, Any]) -> Fault:
     given = {}
     for entry in dataclasses.fields(kind):
+        # Keys that are not given take the default of the dataclass.
         if entry.name in table:
             given[entry.name] = table[entry.name]
         elif entry.default is dataclasses.MISSING:
@@ -491,6 +509,7 @@ def _names(table: Mapping[str, Any], key: str) -> tuple[str, ...]:
 
 
 def _plain(key: str, value: Any) -> Any:
+    # `at = 3` is short for `at = [3]`.
     if key != "at":
         return value
     return tuple(value) if isinstance(value, list) else (value,)

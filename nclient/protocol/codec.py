@@ -213,6 +213,7 @@ def decode_serial_reply(frame: SerialFrame, wire_state: WireState) -> Reply:
 
 
 def _build(row: Command, layout: Any, args: tuple[Any, ...]) -> bytes:
+    # The number of arguments is checked here, for an error that names them; values by the layout.
     if not row.any_length and len(row.arguments) != len(args):
         names = ", ".join(argument.name for argument in row.arguments) or "nothing"
         raise WireError(f"{row.name} takes {len(row.arguments)} numbers ({names}), got {len(args)}")
@@ -223,6 +224,7 @@ def _build(row: Command, layout: Any, args: tuple[Any, ...]) -> bytes:
 
 
 def _parse_call(row: Command, packet_type: int | None, data: bytes, *, line: bool) -> Call:
+    # Packets of the arm are special requests whose type is in their bytes.
     if packet_type in BY_PACKET_TYPE:
         try:
             return _parse_arguments(BY_PACKET_TYPE[packet_type], data, line)
@@ -233,6 +235,7 @@ def _parse_call(row: Command, packet_type: int | None, data: bytes, *, line: boo
 
 
 def _parse_arguments(row: Command, data: bytes, line: bool) -> Call:
+    # Most queries have neither data nor arguments.
     if not data and not row.arguments:
         return Call(row.name)
     try:

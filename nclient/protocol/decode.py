@@ -38,6 +38,7 @@ from nclient.protocol.wire_state import WireState, serial_wire_state, tcp_wire_s
 WIRES = ("tcp", "tcp64", "serial")
 """Protocols: Nserver's for 32-bit and 64-bit clients, and the robot's own serial line."""
 TO_ROBOT, TO_HOST = ">", "<"
+# Requests of old recordings may have no replies: the oldest are forgotten.
 MAX_OUTSTANDING = 256
 
 # Reply types of old servers (moved, acceleration) with the layout of another type.
@@ -106,6 +107,7 @@ class WireDecoder:
             call = self._ends.call(data)
         except WireError as error:
             return {"error": str(error)}
+        # Mask and laser mode apply to the reply of this very request.
         codec.update_from_request(call, self.wire_state)
         self._ends.expect(BY_NAME[call.name])
         return describe_call(call)
@@ -116,10 +118,13 @@ class WireDecoder:
             answer = self._ends.answer(data)
         except WireError as error:
             return {"error": str(error)}
+        # 1. The handshake of an N200 is no reply to a request.
         if isinstance(answer, client_state.Handshake):
             mask = list(answer.mask.smask)
             return {"to": "host", "reply": "hello", "mask": mask, "laser_mode": answer.laser_mode}
+        # 2. A reply changes the client's state, which is shown as a whole.
         self.client_state.apply_reply(answer.reply)
+        # A 64-bit client stores words without sign extension.
         reply = zero_extend(answer.reply) if self._wide else answer.reply
         fields = describe_client_state(self.client_state) | _reply_values(reply, answer.name)
         return {"to": "host", "reply": reply.kind} | fields
@@ -130,6 +135,7 @@ def describe_call(call: Call) -> dict[str, Any]:
 
     connect_robot, disconnect_robot, create_robot: pid; ct: mask, 44 numbers; special_request: packet_type.
     """
+    # Arguments that the C call does not have are taken out of the list and shown by name.
     args, extra = list(call.args), {}
     row = BY_NAME[call.name]
     if row.extra_arguments:
@@ -231,14 +237,16 @@ class _TcpEnds:
             self._outstanding.append((row, self.wire_state.copy()))
 
     def answer(self, data: bytes) -> _Answer:
+        # 1. One frame.
         frame = tcp_framing.parse_single_frame(data, reply_bounds, self.wire_state.wide)
-        # The first outstanding request that fits; earlier ones got no reply and are discarded.
+        # 2. The first outstanding request that fits; earlier ones got no reply and are discarded.
         for place, (row, wire_state) in enumerate(self._outstanding):
             reply = _fitting(row, frame, wire_state)
             if reply:
                 for _ in range(place + 1):
                     self._outstanding.popleft()
                 return _Answer(reply, row.name)
+        # 3. No outstanding request fits: the type alone decides.
         return _Answer(self._by_type(frame), None)
 
     def _by_type(self, frame: TcpFrame) -> Reply:
@@ -282,6 +290,7 @@ class _LineEnds:
             frame = serial_framing.parse_single_frame(data)
             reply = codec.decode_serial_reply(frame, self.wire_state)
         except WireError:
+            # The handshake has no frame and no checksum: it is recognized by its length, and only as the first bytes.
             framed = data[:1] + data[-1:] == bytes((serial_framing.START, serial_framing.END))
             if not self._handshake_allowed or len(data) != client_state.HANDSHAKE_SIZE or framed:
                 raise
@@ -290,17 +299,20 @@ class _LineEnds:
             client_state.apply_handshake(handshake, self.wire_state)
             return handshake
         self._handshake_allowed = False
+        # Packets of the arm share one type, so the request tells them apart.
         row = BY_LINE_TYPE.get(frame.type)
         if self._request and self._request.line_type == frame.type:
             row = self._request
         return _Answer(reply, row.name if row else None)
 
 
+# A laser mode whose readings are lines: an N200's state is longer with it.
 _LINE_MODE = 1
 
 
 def guess_model(data: bytes) -> Model | None:
     """Return the model that sends a state packet like this one, None if it fits no model."""
+    # An N150 and a Scout send packets of the same length; the bumper bits differ.
     fixed = _read(data, N150)
     if fixed is not None:
         return N150 if fixed.slots[BUMPER_SLOT] & N150.bumper_rest == N150.bumper_rest else SCOUT
@@ -310,6 +322,7 @@ def guess_model(data: bytes) -> Model | None:
 def model_mismatch_hint(model: Model, data: bytes | None = None) -> str:
     """Return what to try instead of this model: the one guessed from a state packet, else the other models."""
     guess = guess_model(data) if data is not None else None
+    # No guess: name the other models.
     if guess is None:
         others = " or ".join(f"model={name}" for name in MODELS if name != model.name)
         return f"is it a {model.name}? Else write {others} in the address"

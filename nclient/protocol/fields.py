@@ -24,8 +24,10 @@ from construct import Construct, FormatFieldError, Int8ub, Int16ul, Int32sb, Int
 from nclient.protocol.types import NO_STAMP, STAMP_KEYS, Mask, Position, Stamp
 from nclient.protocol.wire_state import WireState
 
+# Words over TCP: 32 bits, big-endian.
 WORD = Int32sb
 UNSIGNED_WORD = Int32ub
+# A stamp: seven signed words of pose and velocities, two unsigned ones of times in ms.
 STAMP_WORDS = struct.Struct(">7i2I")
 MAX_LASER_READINGS = 482
 """Number of columns of the laser, and so the maximum number of readings in a reply."""
@@ -48,6 +50,7 @@ class Words(Construct):
 
     def _parse(self, stream: Any, context: Any, path: str) -> tuple[int, ...]:
         if self.count is None:
+            # All that is left, which must be whole words of four bytes.
             data = stream.read()
             count = len(data) // 4
             return struct.unpack(f">{count}i", _exactly(data, 4 * count, path))
@@ -59,6 +62,7 @@ class Words(Construct):
         try:
             stream.write(struct.pack(f">{len(obj)}i", *obj))
         except struct.error:
+            # struct does not name the value that does not fit.
             wrong = next(value for value in obj if not isinstance(value, int) or not -(2**31) <= value < 2**31)
             raise FormatFieldError(f"a word is a whole number, -2^31 to 2^31 - 1, not {wrong!r}", path=path) from None
         return obj
@@ -84,6 +88,7 @@ class WordSlots(Construct):
 
     def _build(self, obj: Mapping[int, int], stream: Any, context: Any, path: str) -> Mapping[int, int]:
         try:
+            # Fast path for a complete state, which is the usual case.
             values = self.all_of(obj)[:-1]
         except KeyError:
             values = tuple(obj.get(slot, 0) for slot in self.slots)
@@ -102,6 +107,7 @@ class WordStamps(Construct):
         self.wanted = wanted or tuple(Position)
 
     def _keys(self, context: Any) -> Iterable[str]:
+        # Smask[0] alone selects the stamps; over TCP the rest of the mask has no influence.
         position = wire_state_of(context).mask.position
         return [key for bit in self.wanted if position & bit for key in STAMP_KEYS[bit]] if position else ()
 
@@ -123,9 +129,11 @@ class WordLaser(Construct):
         self.width = width
 
     def _parse(self, stream: Any, context: Any, path: str) -> tuple[int, ...]:
+        # The count is checked before it is multiplied: a corrupt one must not allocate memory.
         (count,) = struct.unpack(">i", take(stream, 4, path))
         if not count:
             return (0,)
+        # Points have two words each, lines four, camera rows one.
         words = checked_readings(count, path) * self.width(wire_state_of(context))
         return (count, *struct.unpack(f">{words}i", take(stream, 4 * words, path)))
 
@@ -189,6 +197,7 @@ class Run:
 
     def __init__(self, code: str, signed: bool = False) -> None:
         self.octets: Final = struct.calcsize(f"<{code}")
+        # The top bit is the sign; 0 switches sign-magnitude off.
         self.sign: Final = 1 << (8 * self.octets - 1) if signed else 0
         self._code: Final = code
 
@@ -206,9 +215,11 @@ class Run:
         numbers = struct.unpack(f"<{len(data) // self.octets}{self._code}", data)
         if not self.sign:
             return numbers
+        # Top bit set: the rest is the magnitude. 0x8000 is -0 and reads as 0.
         return tuple(number if number < self.sign else self.sign - number for number in numbers)
 
     def _magnitude(self, number: int) -> int:
+        # The magnitude has one bit less than the field.
         if abs(number) >= self.sign:
             raise ValueError(f"{number} does not fit sign-magnitude below {self.sign}")
         return self.sign - number
@@ -221,6 +232,7 @@ SIGNED_SHORTS: Final = Run("H", signed=True)
 SIGNED_LONGS: Final = Run("I", signed=True)
 
 
+# Single fields of the serial line, low byte first; clocks are unsigned ms.
 LINE_BYTE = Int8ub
 LINE_UNSIGNED = Int16ul
 LINE_CLOCK = Int32ul
@@ -264,6 +276,7 @@ class _MaskedSlots(Masked):
         """Return the selected slots, cached for the last mask since masks rarely change."""
         if not self.masked:
             return self.slots
+        # Compared by identity: a changed mask is a new object.
         mask, slots = wire_state_of(context).mask, self.slots
         chosen = self._chosen
         if chosen[0] is not mask:
@@ -295,6 +308,7 @@ class LineNibbles(_MaskedSlots):
 
     def _parse(self, stream: Any, context: Any, path: str) -> dict[int, int]:
         slots = self._selected(context)
+        # Two readings per byte, the first in the low half.
         data = take(stream, (len(slots) + 1) // 2, path)
         return {slot: data[k // 2] >> 4 * (k % 2) & 15 for k, slot in enumerate(slots)}
 
@@ -339,6 +353,7 @@ class LineStamps(Masked):
         return not self._selected(mask)
 
     def _selected(self, mask: Mask) -> list[str]:
+        # Two conditions: the kind has stamps, and the sensor is in the mask.
         if not mask.position & self.wanted:
             return []
         if not self.slots:
@@ -348,6 +363,7 @@ class LineStamps(Masked):
     def _parse(self, stream: Any, context: Any, path: str) -> dict[str, Stamp]:
         return {
             key: Stamp._make(
+                # 7 x 4 bytes of pose and velocities, 2 x 4 bytes of times in ms.
                 SIGNED_LONGS.unpack(take(stream, 28, path)) + LONGS.unpack(take(stream, 8, path))
             )
             for key in self._selected(wire_state_of(context).mask)

@@ -113,6 +113,7 @@ class RecordingWriter:
 
     def __init__(self, path: Path, header: Mapping[str, Any], max_bytes: int = 0) -> None:
         self.path = path
+        # 0 means no limit.
         self._bytes_left = max_bytes or math.inf
         self.failed = False
         self._closed = False
@@ -142,6 +143,7 @@ class RecordingWriter:
             if self.failed or self._closed:
                 return
             try:
+                # Released after the last entry: append.
                 if self._file.closed:
                     self._file = self.path.open("a", encoding="utf-8")
                 line = json.dumps(whole, separators=(",", ":")) + "\n"
@@ -204,6 +206,7 @@ def parse_recording(text: str, name: str) -> Recording:
 
 
 def _recording(file: TextIO, name: str) -> Recording:
+    # The header first: any other file is then reported as such, not as a broken entry.
     lines = _lines(file, name)
     header = _header(next(lines, ""), name)
     remarks: list[str] = []
@@ -212,6 +215,7 @@ def _recording(file: TextIO, name: str) -> Recording:
 
 
 def _lines(file: TextIO, name: str) -> Iterator[str]:
+    # A line limit keeps a huge file without line ends from being read into memory.
     number = 1
     while line := file.readline(MAX_LINE + 1):
         if len(line) > MAX_LINE:
@@ -263,6 +267,7 @@ def _read_entry(whole: dict[str, Any], number: int) -> Entry:
     if kind not in (_DIRECTIONS if "dir" in whole else _EVENTS):
         raise ValueError(f"nothing is {kind!r}")
     more = {key: value for key, value in whole.items() if key not in _NAMED}
+    # NaN and infinity pass float() and json, and would break the order of times.
     time_s, decoded = float(whole["t"]), tuple(whole.get("decoded", ()))
     if not math.isfinite(time_s) or not all(isinstance(found, dict) for found in decoded):
         raise ValueError("t is seconds, decoded a list of objects")
@@ -329,6 +334,7 @@ def format_frame(frame: DecodedFrame) -> str:
         return f"! {frame['error']}"
     if "call" in frame:
         return " ".join((str(frame["call"]), *map(str, frame["args"]), *_format_extra_arguments(frame)))
+    # The parts that this kind of reply carries; others would be repeated from older replies.
     kind = str(frame["reply"])
     parts = [part for name in _SHOWN.get(kind, ()) if (part := _format_part(name, frame["State"], frame))]
     if kind not in _SHOWN and "values" in frame:

@@ -313,6 +313,7 @@ class Recorder:
         decoded: tuple[dict[str, object], ...] = (), more: dict[str, object] | None = None,
     ) -> None:  # fmt: skip
         """Write an entry, with the time steps before it."""
+        # A given clock, such as that of a simulation, replaces the robot's.
         now_s = round(robots_clock_s if self._clock is None else self._clock(), _DIGITS)
         steps: dict[str, object] = {"steps": [list(step) for step in self._steps]} if self._steps else {}
         self._steps.clear()

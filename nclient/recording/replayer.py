@@ -206,15 +206,18 @@ def find_state_reply(connection: RecordedConnection, index: int) -> bytes:
 
     Empty if the recording has no state reply.
     """
+    # The nearest state before the place, then the nearest after it.
     for exchange in (*reversed(connection.exchanges[:index]), *connection.exchanges[index:]):
         row = BY_NAME.get(exchange.request.name)
         data = b"".join(chunk.data for chunk in exchange.reply)
         if row is None or not data:
             continue
         if connection.line == TCP:
+            # Over TCP every state reply has the same bytes, whatever its request.
             if row.tcp_reply is STATE and data[:2] == _STATE_TYPE:
                 return data
         elif row.line_reply is LINE_STATE:
+            # On the serial line the type is that of the request: it is rebuilt with that of conf_tm.
             frames = [frame for frame in serial_framing.SerialFramer().receive(data) if frame.type == row.line_type]
             if frames:
                 return serial_framing.build_frame(_TIMEOUT_TYPE, frames[-1].data)
@@ -269,14 +272,17 @@ class Player:
         return [chunk for request in self._reader.receive(data) for chunk in self._answer(request)]
 
     def _answer(self, request: RequestKey) -> list[ReplyChunk]:
+        # 1. The recorded exchange from here on.
         index = self._find(request)
         if index is None:
+            # 2. Not recorded, but harmless: a disconnect, or the motion timeout that connecting sets.
             if request.name == _DISCONNECT:
                 return []
             state = find_state_reply(self._connection, self._next) if request.name == _TIMEOUT else b""
             if state:
                 return [ReplyChunk(0.0, state)]
             raise self._mismatch_error(request)
+        # 3. Continue behind it.
         self._next = index + 1
         return self._connection.exchanges[index].reply
 
@@ -290,6 +296,7 @@ class Player:
         return None
 
     def _mismatch_error(self, request: RequestKey) -> RecordingError:
+        # Three cases with different remedies: past the end, loose order, strict order.
         name, expected = self._connection.name, self._expected()
         if expected is None:
             return RecordingError(f"{name}: the recording ends here, and the program sends {request}; record a longer "

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from nclient.errors import ExtraMissing, NomadError
-from nserver_emu.viewer.auth import load_tokens
 
 if TYPE_CHECKING:
     from nserver_emu.server.daemon import Daemon
@@ -68,6 +67,7 @@ async def running_viewer(daemon: Daemon, options: argparse.Namespace) -> AsyncIt
     async with AsyncExitStack() as open_page:
         try:
             require_aiohttp()
+            from nserver_emu.viewer.auth import load_tokens
             from nserver_emu.viewer.server import serve_viewer
 
             token_file = options.viewer_token_file

@@ -7,6 +7,7 @@ come from the server of this project.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ import pytest
 from nclient import capi
 from nclient.protocol.types import EVERYTHING
 from tests.clib.clib_build import PROGRAMS, SANITIZED, BuildCache, run_calls, run_nserver
+from tests.waiting import CLOSE_NOTICED_S
 
 PARTIAL = [int(k % 3 != 1) for k in range(44)]
 CALLS = ["gs", "posDataRequest 31", "get_ir", "get_sn", "get_bp", "get_cp", "get_rc", "get_rv", "get_ra",
@@ -109,7 +111,9 @@ def test_c_and_python_agree_over_tcp(robot: tuple[str, Path], builds: BuildCache
 def test_c_and_python_agree_on_a_line(robot: tuple[str, Path], builds: BuildCache) -> None:
     program = str(builds.program(PROGRAMS / "replay.c", SANITIZED, "ndirect"))
     words = [program, str(capi.MODEL_N200), str(robot[1]), "38400"]
-    *_, (*states, _) = [run_calls(words, "\n".join(("connect_robot 1", *CALLS, ""))) for _ in range(3)]
+    for _ in range(3):
+        *states, _ = run_calls(words, "\n".join(("connect_robot 1", *CALLS, "")))
+        time.sleep(CLOSE_NOTICED_S)
     assert capi.connect_robot(1, capi.MODEL_N200, str(robot[1]), 38400)
     assert_equal_states(CALLS, states[1:], list(capi_states(CALLS)))
     assert all(after["return"] for after in states)

@@ -16,7 +16,7 @@ from nclient import ConnectionLost, capi, connect
 from nclient.errors import ReplyTimeout
 from nclient.robot import Robot
 from tests.programs.forked import Forked
-from tests.waiting import wait_until
+from tests.waiting import CLOSE_NOTICED_S, wait_until
 
 TIMEOUT_S = 30.0
 
@@ -140,5 +140,6 @@ def test_next_connection_finds_robot_stopped(tmp_path: Path) -> None:
             first = connect(address)
             first.drive(turret_deg_s=10)
             first._backend.close()
+            time.sleep(CLOSE_NOTICED_S)
             with connect(address) as second:
                 assert second.refresh().raw[38:41] == (0, 0, 0)

@@ -186,8 +186,11 @@ def _check_page(environment: Environment, check: Check) -> Iterator[str]:
 
 def find_type_errors(environment: Environment, version: str) -> Iterator[str]:
     """Yield the errors of mypy --strict for a user's script in an environment."""
+    # Outside of this tree: next to the package `tests`, mypy would find the sources instead of the installed wheel.
+    script = environment.folder / USER_SCRIPT.name
+    script.write_bytes(USER_SCRIPT.read_bytes())
     command = [sys.executable, "-m", "mypy", "--strict", "--config-file=", "--python-version", version,
-               "--python-executable", str(environment.python), str(USER_SCRIPT)]  # fmt: skip
+               "--python-executable", str(environment.python), str(script)]  # fmt: skip
     done = subprocess.run(command, cwd=environment.folder, capture_output=True, text=True, check=False)
     if done.returncode:
         yield done.stdout + done.stderr

@@ -41,7 +41,7 @@ def test_obstacle_with_twelve_corners_is_restored(browser: Browser, tmp_path: Pa
         page.page.mouse.down()
         page.page.mouse.move(*page.at(0, 0), steps=3)
         page.page.mouse.up()
-        page.wait("document.querySelector('#notice').innerText.includes('a robot stands where it would be')")
+        page.wait("document.querySelector('#notice').innerText.includes('it would overlap a robot')")
         assert page.value(f"JSON.stringify({OBSTACLES})") == before
         page.page.keyboard.press("Control+Shift+z")
         page.wait(f"{OBSTACLES}[0].corners[0][0] > {left} + 2")

@@ -91,18 +91,19 @@ def test_default_laps_drive_until_precision_is_reached(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A round is enough where little is wanted; else there are more, but not for ever."""
-    monkeypatch.setattr("localization.cli.calibrate.MOST_LAPS", 2)
+    monkeypatch.setattr("localization.cli.calibrate.MAX_LAPS", 2)
     _, setup = files(tmp_path, erring(1.0), "ideal")
     out = tmp_path / "found.toml"
     words = ["--world", "thesis_room", "--spins", "0", "--speed", "15", "--turn-speed", "90", "--square", "5,5,60"]
     address = f"sim:thesis_room?seed=3&setup={setup}"
     assert main.main(["calibrate", address, *words, "--out", str(out)]) == 0
     output = capsys.readouterr().out
-    (line,) = [line for line in output.splitlines() if line.startswith("after 2 laps each way: ")]
+    prefix = "after 2 laps in each direction still inaccurate: "
+    (line,) = [line for line in output.splitlines() if line.startswith(prefix)]
     assert "drift" in line
-    assert "could be known better: more --laps" in line
-    assert ": 2 laps each way" in out.read_text()
-    monkeypatch.setattr("localization.calibration.result.SHARE", 10.0)
+    assert "use more --laps" in line
+    assert ": 2 laps in each direction" in out.read_text()
+    monkeypatch.setattr("localization.calibration.result.REQUIRED_PRECISION", 10.0)
     assert main.main(["calibrate", address, *words, "--json"]) == 0
     text = json.loads(capsys.readouterr().out)
     assert (text["laps"], text["known_too_little"]) == (1, [])
@@ -126,7 +127,7 @@ def test_wrong_start_pose_stops_at_wall_with_hint(
     assert main.main(["calibrate", "sim:thesis_room", "--start", "40,40,0", "--laps", "1"]) == 3
     text = capsys.readouterr().out
     assert "the robot presses against something for 5 s" in text
-    assert "is --start right" in text
+    assert "check --start" in text
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")

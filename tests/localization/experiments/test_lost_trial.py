@@ -55,7 +55,7 @@ def test_a_robot_that_is_reported_nothing_finds_itself() -> None:
 
 
 def test_in_a_square_room_nothing_is_ever_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(lost_trial, "PATIENCE_S", 15.0)
+    monkeypatch.setattr(lost_trial, "SEARCH_LIMIT_S", 15.0)
     outcome = drive(replace(EXACT, kind=Kind.UNKNOWN_START, world="thesis_room"))
     assert outcome.found_after_s is None
     assert not outcome.right
@@ -63,7 +63,7 @@ def test_in_a_square_room_nothing_is_ever_found(monkeypatch: pytest.MonkeyPatch)
 
 def test_undetected_kidnapping_has_no_detection_time(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(lost_trial, "KIDNAPPED_S", (2.0, 3.0))
-    monkeypatch.setattr(lost_trial, "PATIENCE_S", 0.5)
+    monkeypatch.setattr(lost_trial, "SEARCH_LIMIT_S", 0.5)
     outcome = drive(replace(EXACT, kind=Kind.KIDNAPPED))
     assert outcome.lost_after_s is None
     assert outcome.found_after_s is None
