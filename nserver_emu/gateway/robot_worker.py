@@ -116,6 +116,7 @@ class RobotWorker:
         self._open_backend = open_backend
         self._backend = open_backend()
         try:
+            # Three steps before the daemon serves: the model, the opening calls, and a first state.
             self.link = Link(self._backend.wire_state.model, self._backend.wire_state.line)
             self._send_opening_calls(reconnected=False)
             self._backend.execute(REFRESH)
@@ -160,6 +161,7 @@ class RobotWorker:
         """Queue a request for the state, or return the one that is still waiting."""
         with self._changed:
             if self._pending_refresh is None:
+                # Requests that wait at the same time share one exchange with the robot.
                 self._pending_refresh = self.submit((REFRESH,))
                 if self._pending_refresh.result is not None:
                     job, self._pending_refresh = self._pending_refresh, None
@@ -174,20 +176,24 @@ class RobotWorker:
         float or None
             Seconds to pause before the next call; None: nothing to do until something is submitted.
         """
+        # 1. A silent robot is tried again before anything else.
         if self.is_silent and not self._try_reconnect():
             return self._pause_s
         with self._changed:
             if not self._queue:
                 return None
+            # 2. The next job; from now on a new request for the state is a job of its own.
             job = self._queue.popleft()
             if job is self._pending_refresh:
                 self._pending_refresh = None
+        # 3. Execute it. An exception leaves the result NO_ANSWER, so that no client waits forever.
         result = JobResult(code=NO_ANSWER)
         try:
             result = self._execute(job.calls)
         finally:
             self.current_command = None
             job.result = result
+            # A stop that did not arrive is repeated first when the robot answers again.
             self._owes_stop |= job.is_stop and result.code == NO_ANSWER
             if result.code is None:
                 self.finished.append(job)
@@ -206,6 +212,7 @@ class RobotWorker:
             self._changed.notify()
         if shutdown_calls:
             self._interrupt_slow_command()
+        # Without a thread, as in tests, the last calls are executed here.
         if self._thread is None:
             while self._queue and not self.is_silent:
                 self.run_next()
@@ -260,12 +267,15 @@ class RobotWorker:
         switched off, and it gets the opening calls again.
         """
         try:
+            # 1. A closed line is opened again.
             if self._backend.closed:
                 self._is_lost = True
                 with self._backend_lock:  # a port must be closed before it can be opened again
                     self._backend = self._open_backend()
+            # 2. After more than one lost reply the robot may have been switched off: opening calls again.
             if self._is_lost:
                 self._send_opening_calls(reconnected=True)
+            # 3. The first exchange: an owed stop, or a query.
             self._backend.execute(STOP if self._owes_stop else REFRESH)
         except NomadError as error:
             self._is_lost = True
@@ -281,6 +291,7 @@ class RobotWorker:
 
     def _interrupt_slow_command(self) -> None:
         """Close the line under a command that occupies it for long; the next job opens it again."""
+        # Closing the line is the only means to end a wait for its reply.
         command = self.current_command
         if command in SLOW:
             log.warning("%s is interrupted by a stop", command)
@@ -296,6 +307,7 @@ class RobotWorker:
                 log.warning("the real robot: %s", error)
 
     def _cancel_motions(self) -> None:
+        # A motion that was queued before a stop must not begin after it.
         remaining = [job for job in self._queue if not job.moves]
         for job in self._queue:
             if job.moves:

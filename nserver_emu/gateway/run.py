@@ -84,6 +84,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def refuse(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
     """Report options that require a real robot, or that exclude one, as wrong usage."""
+    # A report needs a shadow.
     options.shadow = options.shadow or options.shadow_report is not None
     for name in _NEED_REAL if options.real is None else ():
         if getattr(options, name):
@@ -122,6 +123,7 @@ def connected(
     if options.real is None:
         yield {}
         return
+    # The report is written after the robot has stopped, and only if nothing failed before.
     proxy = _connect(options, faults)
     try:
         yield {ROBOT_ID: proxy}
@@ -156,6 +158,7 @@ async def run_gateway(gateway: Gateway, daemon: Daemon, summary_s: float) -> Asy
     finally:
         timer.cancel()
         for proxy in gateway.proxies.values():
+            # Stopping waits for the robot, so it must not block the event loop.
             await asyncio.to_thread(proxy.robot.close, *proxy.shutdown_calls)
             proxy.process_results()
         with contextlib.suppress(asyncio.CancelledError):
@@ -169,6 +172,7 @@ async def _tick(gateway: Gateway, summary_s: float) -> None:
         await asyncio.sleep(TICK_S)
         gateway.tick()
         if loop.time() >= next_summary_s:
+            # Counted from the planned time, so that the interval is exact on average.
             next_summary_s += summary_s
             log_summaries(gateway)
 
@@ -189,6 +193,7 @@ def speed_limiter(options: argparse.Namespace) -> Callable[[Backend], Backend]:
     """Return the wrapper for --max-speed and --max-turn, for the robot and for its shadow."""
     if options.max_speed is None and options.max_turn is None:
         return lambda backend: backend
+    # A limit that is not given is infinite.
     speed, turn = options.max_speed or math.inf, options.max_turn or math.inf
     return lambda backend: SpeedLimiter(backend, max_speed_in_s=speed, max_turn_deg_s=turn)
 
@@ -210,6 +215,7 @@ def _connect(options: argparse.Namespace, faults: FaultController | None) -> Rea
     injector = None if faults is None else lambda: faults.injector(LINE)
     connector = Connector(address, injector=injector)
     wrap = speed_limiter(options)
+    # Often enough to see the bumpers, else three times within the motion timeout.
     feed_s = POLL_S if address.options.bumper_stop else TIMEOUT_S / 3
     return RealRobotProxy(
         lambda: wrap(connector.open()), time.monotonic, read_only=options.real_read_only, feed_s=feed_s

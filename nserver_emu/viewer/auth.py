@@ -34,8 +34,11 @@ from nserver_emu.server.admission import AdmissionControl, AdmissionProtocol
 
 _WILDCARDS: Final = {"0.0.0.0": ("192.0.2.1", "127.0.0.1"), "::": ("2001:db8::1", "::1")}
 """Wildcard addresses: a documentation address to find the outgoing interface (RFC 5737, 3849), and loopback."""
+# Characters of a URL that need no escape; the minimum of 16 is 96 bits.
 _TOKEN: Final = re.compile(r"[A-Za-z0-9_-]{16,200}")
+# Permissions of group and others, which a token file must not have.
 _OTHERS: Final = stat.S_IRWXG | stat.S_IRWXO
+# Port of a UDP socket that is connected and never used.
 _ANY_PORT: Final = 9
 
 REFUSED: Final = """<!doctype html>
@@ -77,13 +80,16 @@ def new_tokens() -> Tokens:
 def load_tokens(path: Path) -> Tokens:
     """Read the tokens of a file; create it where it is missing. Raises TokenFileError."""
     try:
+        # 1. A missing file is created, readable by its owner from the beginning.
         if not path.exists():
             return _made(path)
         text, state = path.read_text(), path.stat()
     except (OSError, UnicodeDecodeError) as error:
         raise TokenFileError(f"{path}: cannot be used for tokens: {error}") from error
+    # 2. Secrets that others can read are refused rather than used.
     if state.st_mode & _OTHERS:
         raise TokenFileError(f"{path}: others than its owner may read the tokens: chmod 600 {path}")
+    # 3. Two different tokens: the same one twice would make watching pages act.
     words = text.split()
     if len(words) != 2 or words[0] == words[1] or not all(map(_TOKEN.fullmatch, words)):
         raise TokenFileError(f"{path}: two different tokens are required, one per line, of 16 to 200 letters, digits, "
@@ -93,6 +99,7 @@ def load_tokens(path: Path) -> Tokens:
 
 def _made(path: Path) -> Tokens:
     tokens = new_tokens()
+    # Permissions are set before the secret is written.
     path.touch(0o600, exist_ok=False)
     path.write_text("\n".join(tokens) + "\n")
     return tokens
@@ -106,6 +113,7 @@ def is_same_origin(origin: str, scheme: str, host: str) -> bool:
 def is_known_host(host: str, serve_viewer: str = LOOPBACK_NAME) -> bool:
     """Return True if the page is served under this Host: a number, localhost, or the name given to --viewer."""
     try:
+        # Numeric addresses cannot be rebound by another site's DNS.
         parts = urlsplit(f"//{host}")
         name = parts.hostname or ""
         _ = parts.port  # raises where it is none
@@ -131,6 +139,7 @@ def _outgoing_address(destination: str, loopback: str) -> str:
     family = socket.AF_INET6 if ":" in destination else socket.AF_INET
     try:
         with socket.socket(family, socket.SOCK_DGRAM) as probe:
+            # Connecting a UDP socket selects the interface and sends nothing.
             probe.connect((destination, _ANY_PORT))
             return str(probe.getsockname()[0])
     except OSError:
@@ -160,6 +169,7 @@ class HttpAdmission:
         """Return the reason to reject a new connection; empty to accept it. Addresses are checked per request."""
         del at
         limits = self._door.limits
+        # In total, then per address, so that one host cannot use up all connections.
         if len(present) >= limits.page_connections:
             return f"there are {len(present)} connections to the page already (--limit-viewers)"
         if sum(one == host for one in present) >= limits.per_address:
@@ -185,6 +195,7 @@ class HttpAdmission:
 
     def _receive(self) -> asyncio.BaseProtocol:
         handler = self._server()
+        # A connection without a request holds a descriptor: it is closed after --limit-stall.
         if self._door.limits.stall:
             self._silent.add(handler)
             asyncio.get_running_loop().call_later(self._door.limits.stall, self._close_if_silent, handler)

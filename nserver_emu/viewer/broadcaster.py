@@ -20,6 +20,7 @@ from nserver_emu.viewer.scene import Modes, SceneHistory
 
 MAX_UNDRAWN: Final = 10
 """Pictures in flight to a viewer: half a second of them."""
+# Bound of the memory for a page that receives nothing until it is disconnected.
 MAX_MESSAGES: Final = 1000
 
 
@@ -66,6 +67,7 @@ class Viewer:
             return ()
         messages = list(self._messages)
         self._messages.clear()
+        # The page learns that its list of messages has a gap.
         if self.dropped:
             messages.append(encode_message("missed", count=self.dropped))
             self.dropped = 0
@@ -123,7 +125,9 @@ class Broadcaster:
 
     def take(self, modes: Modes | None = None) -> None:
         """Take a new picture; `modes` are the laser modes of the robots' clients."""
+        # Differences are to the newest picture, so all are outdated now.
         self._differences.clear()
+        # None stands for all robots.
         watched = {viewer.laser_robot for viewer in self.viewers if viewer.laser}
         self._history.take(lasers=None if None in watched else watched, modes=modes)
 

@@ -5,9 +5,8 @@
 
 What a page does to a robot is sent as a client of that robot would send it, so that the same rules apply: one
 connection per page and robot, opened at the first use, recorded as any client's is. Closing the page stops what it
-drives. Driving
-must be repeated in time, or the robot stops. Injected faults do not apply to these connections, since a stop must
-arrive. A viewer that may only watch gets an error for everything else.
+drives. Driving must be repeated in time, or the robot stops. Injected faults do not apply to these connections, since
+a stop must arrive. A viewer that may only watch gets an error for everything else.
 """
 
 from __future__ import annotations
@@ -65,6 +64,7 @@ class ViewerClient(ConnectionHandler):
         super().__init__(daemon)
         self._handler = daemon.handler
         self.session = Session(daemon.handler.answer, name)
+        # Over TCP the layout of messages does not depend on the model.
         self._recorder = daemon.recorder.open(name, TCP, N150)
         self._wire_state = tcp_wire_state(N150)
         self._framer = TcpFramer(reply_bounds, wide=False)
@@ -73,6 +73,7 @@ class ViewerClient(ConnectionHandler):
 
     def connect(self, robot_id: int) -> bool:
         """Connect to a robot; return False if there is none of that number."""
+        # connect_robot is answered at once, so the reply is there when `call` returns.
         found: list[Answer] = []
         self.call("connect_robot", [robot_id, 0], found.append)
         return bool(found and found[0]["ok"] and found[0]["values"][0])
@@ -80,6 +81,7 @@ class ViewerClient(ConnectionHandler):
     def call(self, name: str, args: list[int], on_answer: OnAnswer) -> None:
         """Make a call; `on_answer` gets the reply, now or when it arrives."""
         try:
+            # The call becomes bytes and its reply is parsed from bytes, exactly as for a client on a socket.
             request = codec.encode_tcp_request(Call(name, tuple(args)))
         except (NomadError, TypeError, ValueError) as error:
             on_answer({"ok": False, "error": f"{name}: {error}"})
@@ -91,10 +93,12 @@ class ViewerClient(ConnectionHandler):
         """Close the connection: stop what it moves, answer pending calls with an error. May be called twice."""
         if self not in self._server.connections:
             return
+        # 1. No more turns; what this connection moves is stopped by on_disconnect.
         self._cancel_timers()
         self._server.connections.discard(self)
         self._handler.on_disconnect(self.session.context)
         self._recorder.close()
+        # 2. Calls whose replies can no longer come are answered with an error.
         self.session.closing = True
         while self._waiting:
             name, on_answer = self._waiting.popleft()
@@ -102,6 +106,7 @@ class ViewerClient(ConnectionHandler):
 
     def _write(self, data: bytes) -> None:
         for frame in self._framer.receive(data):
+            # A reply without request means an internal error: later replies would be assigned wrongly.
             if not isinstance(frame, TcpFrame) or not self._waiting:
                 log.error("%s: closed: %r answers no request", self.session.name, frame)
                 self.close()
@@ -143,6 +148,7 @@ class ViewerClients:
 
     def call(self, robot_id: int, name: str, args: list[int], on_answer: OnAnswer) -> None:
         """Make a call to a robot."""
+        # 1. The connection to this robot, opened at the first call.
         client = self._clients.get(robot_id)
         if client is None or client.session.closing:
             client = ViewerClient(self._daemon, f"{self.name} on robot {robot_id}")
@@ -151,7 +157,9 @@ class ViewerClients:
                 on_answer({"ok": False, "error": f"there is no robot {robot_id}"})
                 return
             self._clients[robot_id] = client
+        # 2. Any other call ends continuous driving.
         self._driven.pop(robot_id, None)
+        # 3. A held robot accepts no motion; velocities of 0 are no motion.
         hold = self._daemon.emulator.estop.get(robot_id)
         if hold is not None and (name in ALWAYS_MOVE or (name in MOTIONS and any(args))):
             error = f"robot {robot_id} is held by {hold.by}: release it first"
@@ -162,6 +170,7 @@ class ViewerClients:
     def drive(self, robot_id: int, args: list[int], now: float, on_answer: OnAnswer) -> None:
         """Drive at these velocities; the robot stops if the next call does not come within DRIVE_TIMEOUT_S."""
         self.call(robot_id, "vm", args, on_answer)
+        # Velocities of 0 need no repetition.
         if any(args) and self._daemon.emulator.estop.get(robot_id) is None:
             self._driven[robot_id] = now + DRIVE_TIMEOUT_S
 
@@ -171,6 +180,7 @@ class ViewerClients:
 
     def tick(self, now: float) -> None:
         """Stop robots whose driving was not repeated in time."""
+        # A copy, because stopping changes the dictionary.
         for robot_id in [robot_id for robot_id, until in self._driven.items() if now >= until]:
             with self._error_boundary.guard("stopping a robot", self.name):
                 self._stop_driving(robot_id)
@@ -210,6 +220,7 @@ class ViewerController:
         self._waypoints_set: Counter[int] = Counter()
         self._clients: dict[Viewer, ViewerClients] = {}
         self._published: dict[int, tuple[float, Message]] = {}
+        # The monitor takes the recorder's place and passes everything on to it.
         self.traffic_monitor = TrafficMonitor(
             daemon.recorder, self._wire_state_of, lambda: daemon.emulator.simulation.time_s
         )
@@ -217,11 +228,13 @@ class ViewerController:
 
     def connect_page(self, now: float, *, may_act: bool, watch_token: str = "") -> Viewer:
         """Add a page: send it the present state, and return its viewer."""
+        # 1. What a new page must know before its first picture.
         viewer = self.broadcaster.join(may_act=may_act)
         viewer.notify(encode_message("hello", version=VERSION, name=viewer.name, may_act=may_act,
                             watch_token=watch_token if may_act else None, waypoints=self.waypoints,
                             lines=dict(self.daemon.lines()) if may_act else {}))
         viewer.notify(encode_message("asked", robots=self._pose_requests))
+        # 2. Estimates that are not outdated.
         for published_at, estimate in self._published.values():
             if now - published_at < STALE_S:
                 viewer.notify(encode_message("localization", **estimate, age_s=round(now - published_at, 1)))
@@ -252,10 +265,12 @@ class ViewerController:
     def handle_message(self, viewer: Viewer, text: str, now: float) -> None:
         """Carry out a message from a page; every error becomes a reply."""
         try:
+            # 1. Form of the message.
             message = parse_message(text)
         except InvalidMessage as error:
             self._refuse(viewer, error.number, str(error))
             return
+        # 2. Permission.
         number = message.get("id")
         if message["do"] not in WATCH_MESSAGES and not viewer.may_act:
             self._refuse(viewer, number, "this link only looks")
@@ -374,6 +389,7 @@ def _reply_held(controller: ViewerController, viewer: Viewer, message: Message) 
 
 
 def _control(controller: ViewerController, viewer: Viewer, message: Message, _now: float) -> None:
+    # The same form as on the control socket, so that both have the same checks and replies.
     request = json.dumps({"command": message["command"], "argument": message.get("argument")})
     answer: dict[str, Any] = json.loads(answer_line(controller.daemon, request.encode()))
     _replier(viewer, message["id"])(answer)

@@ -51,6 +51,7 @@ from worlds.world import Polygon, World
 if TYPE_CHECKING:
     from nserver_emu.server.connection import ConnectionHandler
 
+# Clients per robot that are listed with their laser modes.
 MAX_NAMED: Final = 20
 VIEWER: Final = "viewer"
 Modes = Mapping[int, list[tuple[str, int]]]
@@ -83,8 +84,10 @@ LASER_INTERVAL: Final = 4
 """Pictures between two measurements of the laser, whose 482 rays cost more than everything else."""
 MAX_NEW_POINTS: Final = 25
 """Points that a picture adds to a trace: 12 in of path in a twentieth of a second, faster than any robot."""
+# Counts of both traces, and pings, of a robot that the viewer does not know yet.
 NO_POINTS: Final = (0, 0)
 NO_PINGS: Final = (None,) * SONARS
+# Decimal places of lengths and times, and of angles: finer than a pixel at any zoom of the page.
 DIGITS: Final = 3
 ANGLE_DIGITS: Final = 5
 Plain = dict[str, Any]
@@ -129,6 +132,7 @@ class SceneHistory:
         modes : laser modes of the robots' clients.
         """
         self._modes = modes or {}
+        # 1. The laser, in every LASER_INTERVAL-th picture, if a page shows it.
         if (lasers is None or lasers) and (self.number + 1) % LASER_INTERVAL == 0:
             measured = {
                 str(number): _laser_points(robot)
@@ -137,14 +141,17 @@ class SceneHistory:
                 and (lasers is None or number in lasers)
                 and is_shown(self._modes.get(number, []))
             }
+            # The last points must be cleared once, so an empty measurement after a full one counts.
             self._lasers_taken += bool(measured or self._lasers)
             self._lasers = measured
+        # 2. The fixed part, and the revision of everything else.
         now, revision = _now(self._server_state), self._revision()
         self.number, self._now = revision.number, now
         self._revisions.append(revision)
 
     def since(self, number: int) -> Plain:
         """Return the newest picture for a viewer that has picture `number`: the fixed part, and what changed."""
+        # 1. Parts that are sent as a whole when they have changed.
         old, new = self._revision_of(number), self._revisions[-1]
         picture: Plain = {"frame": new.number, "since": old.number} | self._now
         if new.robots != old.robots:
@@ -158,6 +165,7 @@ class SceneHistory:
             picture["laser_modes"] = {str(n): clients for n, clients in self._modes.items()}
         if new.said is not old.said:
             picture["said"] = [list(utterance) for utterance in self._server_state.transcript.utterances]
+        # 2. Parts that are sent as differences, without empty ones.
         grown = {"traces": self._grown(old.traces, new.traces), "beams": _changed_beams(old.pings, new.pings)}
         return picture | {name: more for name, more in grown.items() if more}
 
@@ -168,6 +176,7 @@ class SceneHistory:
 
     def _drawn(self, before: int, now: int) -> Plain:
         graphics = self._server_state.graphics
+        # Differences if the changes since then are known, else all figures.
         if before == now:
             return {}
         changes = graphics.changes(before, now) if before >= 0 else None
@@ -180,6 +189,7 @@ class SceneHistory:
         server_state = self._server_state
         said = server_state.transcript.utterances
         traces = server_state.traces
+        # Counts of all points ever added, which identify the state of a trace.
         counts = {n: (trace.count, traces.encoder[n].count) for n, trace in traces.actual.items()}
         simulation = server_state.simulation
         return Revision(
@@ -281,6 +291,7 @@ def _beam(ping: Ping | None) -> list[float]:
 
 def _laser_points(robot: SimulatedRobot) -> list[float]:
     """Return laser points in map coordinates: the robot moves on before the laser measures again."""
+    # Rotate by the turret, on which the laser is mounted, then translate.
     x, y, _, turret_rad = robot.actual
     c, s = math.cos(turret_rad), math.sin(turret_rad)
     measured = points(robot.scan_laser(), robot.model.body) @ np.array([[c, s], [-s, c]]) + (x, y)
@@ -296,10 +307,13 @@ def _newer(trace: Trace, had: int, has: int) -> Plain:
 
     A viewer of a simulation at many times real time gets a subset of the points, evenly spread.
     """
+    # 1. Numbers of the points since then, as far as the trace still has them.
     new = range(max(had + 1, trace.first), has + 1)
+    # 2. Every n-th of them, rounded up; jumps are never left out, or a line would be drawn across.
     every = -(-len(new) // MAX_NEW_POINTS) if had and len(new) > MAX_NEW_POINTS else 1
     jumps = [number for number in trace.jumps if number in new and (had or number > new.start)]
     shown = sorted({*new[::every], *jumps})
+    # 3. Pairs of coordinates; a pair of nulls interrupts the line before a jump.
     coordinates: list[float | None] = []
     for number, (x, y) in zip(shown, trace.at(shown), strict=True):
         coordinates += (None, None, round(x, 2), round(y, 2)) if number in jumps else (round(x, 2), round(y, 2))

@@ -65,6 +65,7 @@ class PageWriter:
 
     def is_ready(self, now: float) -> bool:
         """Return True if the page has received everything and more can be sent."""
+        # Progress is a shrinking buffer; an empty one has nothing to wait for.
         unsent = self._transport.get_write_buffer_size()
         if unsent < self._unsent or not self._unsent:
             self._last_progress_s = now
@@ -101,6 +102,7 @@ CONNECTION_LOST_S: Final = 10.0
 CLOSING_S: Final = 0.5
 """Time-out of the closing handshake."""
 REMEDIES: Final = {errno.EADDRINUSE: "--viewer 0 takes a free port", errno.EACCES: "take a port above 1023"}
+# Only files of this server; no inline script, so that a text from a client cannot become code.
 POLICY: Final = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -138,6 +140,7 @@ class ViewerServer:
         ConnectionLost
             If the port cannot be used; the message names the remedy.
         """
+        # 1. Routes and middleware.
         self._host_name = host.lower()
         app = web.Application(client_max_size=MAX_TEXT, middlewares=[self._admit])
         app.on_response_prepare.append(_add_headers)
@@ -148,6 +151,7 @@ class ViewerServer:
         app.router.add_get("/health", self._health)
         app.router.add_get("/metrics", self._metrics)
         app.router.add_static("/page/", PAGE)
+        # 2. Runner and socket; an own protocol factory limits connections before HTTP is parsed.
         self._runner = web.AppRunner(app, access_log=None, logger=HTTP_LOG, shutdown_timeout=1.0)
         await self._runner.setup()
         try:
@@ -162,11 +166,13 @@ class ViewerServer:
                 f"cannot serve the page on {host}:{port}: {error.strerror or error}; {remedy}"
             ) from error
         HTTP_LOG.addFilter(self._admission.keep_record)  # only if the page is served: close() removes it
+        # 3. The clock that takes pictures.
         self._clock = asyncio.create_task(self._run_clock())
         return int(self._server.sockets[0].getsockname()[1])
 
     async def close(self) -> None:
         """Stop serving. May be called twice."""
+        # In the reverse order of `open`: clock, pages, socket, filter, runner.
         if self._clock is not None:
             self._clock.cancel()
             with contextlib.suppress(asyncio.CancelledError):
@@ -188,6 +194,7 @@ class ViewerServer:
     async def _run_clock(self) -> None:
         due = _now()
         while True:
+            # No pictures are taken while no page is open.
             due = next_due(due, _now())
             await asyncio.sleep(due - _now())
             if self.broadcaster.viewers:
@@ -241,6 +248,7 @@ class ViewerServer:
 
     def _require_local_or_token(self, request: web.Request) -> None:
         """Raise HTTPForbidden unless the request comes from this machine or has a token."""
+        # Monitoring on this machine needs no token; the Host check still excludes pages of other sites.
         is_local = is_same_machine(request.remote or "", _local_address(request))
         if not is_local or not is_known_host(request.host, self._host_name):
             self._may_act(request)
@@ -264,6 +272,7 @@ class ViewerServer:
             raise web.HTTPBadRequest(text=f"{error}\n") from None
 
     async def _socket(self, request: web.Request) -> web.StreamResponse:
+        # 1. Token, origin and number of pages, before the websocket is accepted.
         may_act = self._may_act(request)
         origin = request.headers.get("Origin", "")
         if not is_same_origin(origin, request.scheme, request.host):
@@ -279,6 +288,7 @@ class ViewerServer:
         except BaseException:
             self._sockets.discard(socket)
             raise
+        # 2. The page is open: its messages are handled in order until it closes.
         viewer = self.controller.connect_page(_now(), may_act=may_act, watch_token=self.watch_token)
         self._writers[viewer] = writer
         viewer.on_message = lambda: self._send_soon(viewer)
@@ -310,6 +320,7 @@ class ViewerServer:
         writer, now = self._writers.get(viewer), _now()
         if writer is None:
             return
+        # Nothing is queued behind unsent data: a slow page skips pictures.
         if writer.is_ready(now):
             with self.controller.error_boundary.guard("messages and picture", viewer.name):
                 for text in self.broadcaster.next_for(viewer):
