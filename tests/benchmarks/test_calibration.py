@@ -10,8 +10,8 @@ import pytest
 
 
 def estimate(off: float) -> dict[str, Any]:
-    """Return a robot whose parameters are all estimated too large by this fraction, each with 1 % uncertainty."""
-    true = calibration.robot(3)
+    """Return an estimate whose parameters are all too large by this fraction, with standard deviations of 0.01."""
+    true = calibration.draw_robot(3)
     stds = dict.fromkeys(("way_scale", "turn_scale", "drift_rad_in", "turned_rad"), 0.01)
     factor = 1.0 + off
     return {
@@ -25,17 +25,17 @@ def estimate(off: float) -> dict[str, Any]:
 
 
 def test_fractions_and_counts() -> None:
-    true = calibration.robot(3)
-    outcomes = [calibration.outcome(3, true, estimate(off)) for off in (0.05, -0.2)]
-    assert outcomes[0].shares == pytest.approx([0.05] * 6)
-    assert outcomes[1].sigmas[0] == pytest.approx(-0.2 * (true.distance_scale - 1.0) / 0.01)
-    lines = calibration.table(outcomes).splitlines()
+    true = calibration.draw_robot(3)
+    outcomes = [calibration.compare(3, true, estimate(off)) for off in (0.05, -0.2)]
+    assert outcomes[0].relative_errors == pytest.approx([0.05] * 6)
+    assert outcomes[1].normalized_errors[0] == pytest.approx(-0.2 * (true.distance_scale - 1.0) / 0.01)
+    lines = calibration.format_table(outcomes).splitlines()
     assert lines[2].startswith("| root mean square | 14.6% | 14.6%")
     assert lines[4] == "| runs within 10 % | 1 | 1 | 1 | 1 | 1 | 1 |"
 
 
 def test_robots_have_the_given_noise() -> None:
-    robots = [calibration.robot(seed) for seed in range(30)]
+    robots = [calibration.draw_robot(seed) for seed in range(30)]
     assert all(0.03 <= abs(robot.distance_scale - 1.0) <= 0.06 for robot in robots)
     assert all(1.0 <= abs(offset) <= 2.0 for robot in robots for offset in robot.offsets_in)
     assert {robot.turned_rad > 0.0 for robot in robots} == {True, False}

@@ -24,8 +24,10 @@ MakeController = Callable[..., RobotController]
 
 
 class Kidnapper:
-    """Carries the robot elsewhere when so much time is over; its encoders think nothing of it. It is stopped first: its
-    wheels would turn on under the hands that hold it, and the ring stand otherwise on the body."""
+    """Displaces the robot at a given time without changing its encoders.
+
+    It stops the robot first: else the wheels would turn on meanwhile, and the ring stand otherwise on the body.
+    """
 
     def __init__(self, controller: RobotController, pose: Pose, at_s: float = 2.0) -> None:
         self._controller, self._pose, self._at_s, self.done = controller, pose, at_s, False
@@ -71,7 +73,7 @@ def test_found_again_by_a_search_the_mission_goes_on(controller_at: MakeControll
 
 
 def test_search_in_symmetric_room_ends_at_time_limit(controller_at: MakeController) -> None:
-    """The square room has four that look alike, wherever one drives in it."""
+    """The square room has four equivalent poses for every position."""
     controller = controller_at("thesis_room", "45,45,0,0", method="finder")
     Kidnapper(controller, Pose(20.0, 70.0, 1.0))
     mission = Mission(controller, Settings(on_lost=OnLost.SEARCH, lost_s=25.0))
@@ -114,7 +116,7 @@ def test_estimate_lost_before_dock_repeats_approach(controller_at: MakeControlle
     lost: list[Observation] = []
 
     def on_the_last_foot(sight: Observation) -> None:
-        """For two seconds no place is believed, and the pose is that of nowhere."""
+        """Report a lost estimate for two seconds near the dock."""
         if sight.estimate.pose[0] > 41.0 and len(lost) < 20:
             lost.append(sight)
             nowhere = replace(sight.estimate, health=FilterHealth(HealthStatus.LOST, "nothing fits"))

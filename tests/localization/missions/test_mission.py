@@ -108,7 +108,7 @@ def test_dock_is_entered_straight_and_contact_fails(controller_at: MakeControlle
         Mission(blocked).dock(14, 60, 180)
 
 
-def test_a_step_that_fails_is_tried_again(controller_at: MakeController) -> None:
+def test_failed_step_is_retried(controller_at: MakeController) -> None:
     mission = Mission(controller_at("thesis_room"))
     with pytest.raises(StepFailed, match=r"no space at \(0, -11\)"):
         mission.go_to(0, -11, retries=2)
@@ -119,9 +119,9 @@ def test_a_step_that_fails_is_tried_again(controller_at: MakeController) -> None
     assert mission.report.steps[-1].done
 
 
-def test_a_step_has_its_time_and_the_mission_has_its(controller_at: MakeController) -> None:
+def test_time_limits_of_step_and_mission(controller_at: MakeController) -> None:
     mission = Mission(controller_at("thesis_room"), Settings(time_limit_s=6.0))
-    with pytest.raises(StepFailed, match="time limit of the step") as failed:
+    with pytest.raises(StepFailed, match="time limit of the step exceeded") as failed:
         mission.go_to(60, 0, limit_s=2.0)
     assert failed.value.ending == "timeout"
     assert not isinstance(failed.value, MissionOver)
@@ -148,9 +148,9 @@ def test_held_robot_is_reported_and_goes_on_once_released(
     assert len(output) == 1
     assert output[0].startswith("the robot has not moved for 5 s although commanded to: ")
     until_s = inf
-    with pytest.raises(StepFailed, match=r"the step exceeded; the robot has not moved for 1[01] s .*: is"):
+    with pytest.raises(StepFailed, match=r"step exceeded; the robot has not moved for 1[01] s although .* is it held"):
         mission.go_to(40, 0, limit_s=11.0)
-    with pytest.raises(MissionOver, match=r"the mission exceeded: 40 s; the robot has not moved .* held"):
+    with pytest.raises(MissionOver, match=r"the mission exceeded: 40 s; the robot has not moved .* is it held"):
         mission.go_to(40, 0)
 
 

@@ -43,7 +43,7 @@ THREE = SimulationConfig(
 
 
 def recorded(path: Path, run_header: RunHeader, scenario: Scenario, speed: float | None = 1.0) -> Recording:
-    """The recording of a daemon that was visited."""
+    """Return the recording of a daemon that ran the scenario."""
 
     def record(server: RunningServer) -> None:
         numbers = {"port": server.port, "requests_a_turn": MAX_REQUESTS_PER_TURN}

@@ -1,4 +1,4 @@
-"""Replay of serial lines, byte by byte: partial frames, hosts that give up, several at once."""
+"""Replay of serial lines, byte by byte: partial frames, hosts that stop waiting, several lines."""
 
 from __future__ import annotations
 
@@ -74,19 +74,17 @@ class RunningServer:
         return host
 
 
-def recorded(path: Path, pace: SimulationClock, scenario: Callable[[RunningServer], Awaitable[None]]) -> Recording:
+async def recorded(
+    path: Path, pace: SimulationClock, scenario: Callable[[RunningServer], Awaitable[None]]
+) -> Recording:
     """Return the recording of a server with hosts on its serial lines."""
     run_header = RunHeader(TWO, pace, Allowed())
-
-    async def record() -> None:
-        daemon = Daemon(run_header.create_emulator(), pace.factor)
-        port = await daemon.listen("127.0.0.1", 0)
-        daemon.record(path, run_header.to_json("2026-01-01T00:00:00", port=port, requests_a_turn=20))
-        server = RunningServer(daemon)
-        async with serving(daemon), server.hosts:
-            await scenario(server)
-
-    asyncio.run(record())
+    daemon = Daemon(run_header.create_emulator(), pace.factor)
+    port = await daemon.listen("127.0.0.1", 0)
+    daemon.record(path, run_header.to_json("2026-01-01T00:00:00", port=port, requests_a_turn=20))
+    server = RunningServer(daemon)
+    async with serving(daemon), server.hosts:
+        await scenario(server)
     return read_recording(path)
 
 
@@ -106,19 +104,19 @@ def check(recording: Recording, at_least: int) -> None:
     assert outcome.answers >= at_least
 
 
-def test_two_robots_on_their_lines_at_once(tmp_path: Path) -> None:
+async def test_two_robots_on_two_lines(tmp_path: Path) -> None:
     async def scenario(server: RunningServer) -> None:
         one, two = await server.host(1), await server.host(2)
         await asyncio.gather(drive(one, 3), drive(two, 3))
 
     for pace in (SimulationClock(factor=20.0), SimulationClock(lockstep_s=0.05)):
-        recording = recorded(tmp_path / "run.log", pace, scenario)
+        recording = await recorded(tmp_path / "run.log", pace, scenario)
         wires = [entry.more["wire"] for entry in recording.entries if entry.kind == "open"]
         assert wires == ["serial", "hello"]
         check(recording, 2 * 14 + 1)
 
 
-def test_partial_frames_stray_bytes_and_impatient_hosts(tmp_path: Path) -> None:
+async def test_partial_frames_stray_bytes_and_short_timeouts(tmp_path: Path) -> None:
     async def scenario(server: RunningServer) -> None:
         host = await server.host(1)
         await host.ask("vm", 50, 0, 0)
@@ -134,10 +132,10 @@ def test_partial_frames_stray_bytes_and_impatient_hosts(tmp_path: Path) -> None:
         await asyncio.sleep(0.7)
         await host.ask("get_rv")
 
-    check(recorded(tmp_path / "run.log", SimulationClock(), scenario), 5)
+    check(await recorded(tmp_path / "run.log", SimulationClock(), scenario), 5)
 
 
-def test_hosts_at_a_pseudo_terminal_one_after_the_other(tmp_path: Path) -> None:
+async def test_consecutive_hosts_at_a_pseudo_terminal(tmp_path: Path) -> None:
     async def scenario(server: RunningServer) -> None:
         daemon, loop = server.daemon, asyncio.get_running_loop()
         line = PtyConnection(daemon, robot_line(daemon, 1), PseudoTerminal(tmp_path / "robot"))
@@ -154,6 +152,6 @@ def test_hosts_at_a_pseudo_terminal_one_after_the_other(tmp_path: Path) -> None:
         finally:
             line.close()
 
-    recording = recorded(tmp_path / "run.log", SimulationClock(), scenario)
+    recording = await recorded(tmp_path / "run.log", SimulationClock(), scenario)
     assert [entry.kind for entry in recording.entries if entry.kind in ("open", "close")] == ["open", "close"] * 2
     check(recording, 2)
