@@ -84,7 +84,8 @@ class Forked:
     def send_signal(self, number: int) -> None:
         """Send a signal if it still runs."""
         if self.poll() is None:
-            os.kill(self.pid, number)
+            with contextlib.suppress(ProcessLookupError):  # it ended meanwhile, as subprocess handles it too
+                os.kill(self.pid, number)
 
     def terminate(self) -> None:
         """Send SIGTERM."""
