@@ -26,7 +26,17 @@ from nclient.common.hints import suggest
 from nclient.errors import WorldFileError
 from worlds.geometry import FloatArray, lengths, polygon_segments, polyline_segments
 from worlds.schema import MIN_WALL_IN, Table, parse_toml, read_text, require_outline
-from worlds.world import AT_ORIGIN, Path, Point, Polygon, StartPose, World
+from worlds.world import (
+    AT_ORIGIN,
+    MAX_CORNERS,
+    MAX_PATH_POINTS,
+    MAX_STARTS,
+    Path,
+    Point,
+    Polygon,
+    StartPose,
+    World,
+)
 
 SHIPPED: Final = FilePath(__file__).resolve().parent
 """Folder of the shipped worlds."""
@@ -86,6 +96,7 @@ def parse_world(text: str, file: str, name: str) -> World:
     top.allow(("name", "title", "room", "wall", "obstacle", "start", "path"))
     if not any(values.get(key) for key in ("room", "wall", "obstacle")):
         top.fail("", "expected at least one [[room]], [[wall]] or [[obstacle]], found none")
+    _check_size(top)
     name = top.text("name", name)
     # 2. Content.
     starts = tuple(_start(table) for table in top.tables("start"))
@@ -98,20 +109,25 @@ def parse_world(text: str, file: str, name: str) -> World:
         starts=starts or AT_ORIGIN,
         paths=_paths(top, starts or AT_ORIGIN),
     )
-    # 3. Starts and paths must be in free space.
-    for k, start in enumerate(starts):
-        _require_free(top, f"start[{k}]", world, (start.x_in, start.y_in))
-    for k, path in enumerate(world.paths.values()):
-        for point in path.points_in:
-            _require_free(top, f"path[{k}]", world, point)
+    # 3. Starts and paths must be in free space, where at least the smallest robot touches nothing.
+    places = [(f"start[{k}]", (start.x_in, start.y_in)) for k, start in enumerate(starts)]
+    places += [(f"path[{k}]", point) for k, path in enumerate(world.paths.values()) for point in path.points_in]
+    clearances = world.clearances(np.array([point for _, point in places]).reshape(-1, 2))
+    for (key, (x, y)), clearance in zip(places, clearances.tolist(), strict=True):
+        if clearance <= 0:
+            top.fail(key, f"expected a place inside the world and clear of its walls, found ({x:g}, {y:g}) in")
     return world
 
 
-def _require_free(top: Table, key: str, world: World, point: Point) -> None:
-    """Reject a point where even the smallest robot would touch something."""
-    x, y = point
-    if world.clearance(x, y) <= 0:
-        top.fail(key, f"expected a place inside the world and clear of its walls, found ({x:g}, {y:g}) in")
+def _check_size(top: Table) -> None:
+    """Reject a world that is too large, before anything is computed from it."""
+    if len(starts := list(top.tables("start"))) > MAX_STARTS:
+        top.fail("start", f"expected at most {MAX_STARTS} starts, found {len(starts)}")
+    outlines = [table for kind in ("room", "wall", "obstacle") for table in top.tables(kind)]
+    for key, tables, maximum in (("", outlines, MAX_CORNERS), ("path", list(top.tables("path")), MAX_PATH_POINTS)):
+        found = sum(len(value) for table in tables for value in table.values.values() if isinstance(value, list))
+        if found > maximum:
+            top.fail(key, f"expected at most {maximum} {'points' if key else 'corners'} in total, found {found}")
 
 
 def _find(name: str) -> FilePath:
@@ -242,7 +258,8 @@ def _format_lines(world: World) -> Iterator[str]:
     for thing in world.obstacles:
         yield from _format_outline("obstacle", thing)
     # Only starts in free space can be read again.
-    starts = [start for start in world.starts if world.clearance(start.x_in, start.y_in) > 0.0]
+    is_free = world.clearances(np.array([(start.x_in, start.y_in) for start in world.starts])) > 0.0
+    starts = [start for start, free in zip(world.starts, is_free, strict=True) if free]
     for start in world.starts:
         if start not in starts:
             yield from ("", f"# omitted because an obstacle stands there: a start at {start.x_in!r}, {start.y_in!r}")
@@ -251,7 +268,7 @@ def _format_lines(world: World) -> Iterator[str]:
             yield f"steering_deg = {degrees(start.steering_rad)!r}"
             yield f"turret_deg = {degrees(start.turret_rad)!r}"
     for path in world.paths.values():
-        if all(world.clearance(*point) > 0.0 for point in path.points_in):
+        if (world.clearances(np.array(path.points_in)) > 0.0).all():
             yield from _format_path(path, starts)
         else:
             yield from ("", f"# omitted because an obstacle stands on it: the path {_quote(path.name)}")

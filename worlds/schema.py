@@ -225,7 +225,11 @@ def parse_toml(text: str, file: str) -> dict[str, Any]:
 def require_outline(table: Table, key: str, corners: tuple[Point, ...]) -> None:
     """Reject an outline whose edges cross or enclose no area, with a WorldFileError about the key."""
     edges = polygon_segments(corners)
-    if crossed := crossing(edges):
+    try:
+        crossed = crossing(edges)
+    except ValueError as error:
+        table.fail(key, f"cannot be checked for edges that cross: {error}; expected a simpler outline")
+    if crossed is not None:
         one, other = crossed
         table.fail(key, f"expected the corners in their order around, found edges {one} and {other} that cross")
     if abs(area(corners)) <= MIN_WALL_IN * float(lengths(edges).max()):
