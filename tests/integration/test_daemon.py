@@ -15,9 +15,9 @@ import pytest
 
 from nclient.errors import ConnectionLost
 from nclient.protocol import codec
+from nclient.protocol.codec import InvalidFrame, TcpFrame
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
-from nclient.protocol.tcp_framing import InvalidFrame, TcpFrame
 from nserver_emu.server.connection import MAX_BYTES_PER_TURN, MAX_REQUESTS_PER_TURN, TcpConnection
 from nserver_emu.server.context import Allowed, SimulationClock
 from nserver_emu.server.daemon import Daemon, stop_on_signals
