@@ -232,12 +232,9 @@ def test_the_name_that_the_page_is_served_on_is_known() -> None:
 
 
 @pytest.mark.parametrize(("host", "remedy"), [("192.0.2.1", "take an address of this machine")])
-def test_where_it_cannot_be_served_the_remedy_fits(host: str, remedy: str) -> None:
-    async def scenario() -> None:
-        with pytest.raises(ConnectionLost, match=remedy):
-            await ViewerServer(Daemon(an_emulator())).open(host, 0)
-
-    asyncio.run(scenario())
+async def test_where_it_cannot_be_served_the_remedy_fits(host: str, remedy: str) -> None:
+    with pytest.raises(ConnectionLost, match=remedy):
+        await ViewerServer(Daemon(an_emulator())).open(host, 0)
     assert HTTP_LOG.filters == []
 
 
