@@ -325,7 +325,7 @@ def test_what_a_caller_knows_beforehand() -> None:
 
 
 def test_no_such_line() -> None:
-    with pytest.raises(WireError, match="no line 'usb'; there are tcp, tcp64, serial"):
+    with pytest.raises(WireError, match=r"'usb'.* tcp, tcp64, serial"):
         WireDecoder("usb", N150)
 
 

@@ -316,7 +316,7 @@ def test_recordings_that_cannot_be_replayed(tmp_path: Path) -> None:
     recorder.open("a", "tcp", N150).to_robot(b"")
     recorder.close()
     path.write_text(path.read_text().replace('"event":"open"', '"event":"time"'))
-    with pytest.raises(RecordingError, match="line 3: connection 'a' was never opened"):
+    with pytest.raises(RecordingError, match=r"line 3: .*'a' .*never opened"):
         replay(read_recording(path))
 
 
@@ -347,7 +347,7 @@ def test_opening_entries_with_missing_values_are_named(tmp_path: Path, missing: 
     del fields[missing]
     writer.write(Entry(0.0, "open", "a", more=fields))
     writer.close()
-    with pytest.raises(RecordingError, match=rf"line 2: not an entry of a server \(KeyError\('{missing}'\)\)"):
+    with pytest.raises(RecordingError, match=rf"line 2: .*KeyError\('{missing}'\)"):
         replay(read_recording(path))
 
 
@@ -358,7 +358,7 @@ def test_entries_of_closed_connections_are_refused(tmp_path: Path, kind: str) ->
     for each in ("open", "close", kind):
         writer.write(Entry(0.0, each, "a", more={"wire": "tcp", "model": "n150"} if each == "open" else {}))
     writer.close()
-    with pytest.raises(RecordingError, match="line 4: connection 'a' was never opened"):
+    with pytest.raises(RecordingError, match=r"line 4: .*'a' .*never opened"):
         replay(read_recording(path))
 
 

@@ -345,7 +345,7 @@ def test_a_line_for_a_missing_robot_names_the_robots() -> None:
 
 async def test_a_port_that_is_taken_names_the_remedy_for_robotd(path: Path) -> None:
     async with running_lines(path) as server:
-        with pytest.raises(ConnectionLost, match="--robotd 0 takes a free port"):
+        with pytest.raises(ConnectionLost, match="--robotd 0 takes"):
             await server.daemon.open_listener(
                 lambda: RobotdConnection(server.daemon, robot_line(server.daemon, 1)),
                 "127.0.0.1", server.port, "--robotd",
