@@ -80,7 +80,7 @@ def test_writable_and_read_only_arrays_use_the_same_code(kernel: CompiledKernel)
 def fresh(monkeypatch: pytest.MonkeyPatch) -> CompiledKernel:
     """The process' own, not loaded."""
     unloaded = CompiledKernel()
-    monkeypatch.setattr(raycast, "NEAREST_OBSTACLE", unloaded)
+    monkeypatch.setattr(raycast, "RAYCAST_KERNEL", unloaded)
     monkeypatch.setattr(raycast, "_compile", lambda _: raycast.nearest_obstacle)
     monkeypatch.setitem(sys.modules, "numba", SimpleNamespace())
     monkeypatch.setitem(sys.modules, "numba.extending", SimpleNamespace())

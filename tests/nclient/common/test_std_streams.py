@@ -47,7 +47,7 @@ def test_both_commands_report_it(command: list[str], name: str) -> None:
 
 
 @pytest.mark.long
-def test_whoever_reads_the_list_of_worlds_may_go() -> None:
+def test_a_reader_of_the_list_of_worlds_may_close_early() -> None:
     done = in_shell(NSERVER, "--list-worlds | true; exit ${PIPESTATUS[0]}")
     assert (done.returncode, done.stderr) == (141, "")
 

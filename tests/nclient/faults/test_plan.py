@@ -80,7 +80,7 @@ PLANS = st.builds(
 
 
 @given(PLANS)
-def test_a_plan_reads_back_as_it_was_written(plan: Plan) -> None:
+def test_a_written_plan_reads_back_equal(plan: Plan) -> None:
     assert parse_plan(plan_text(plan)) == plan
 
 

@@ -28,7 +28,7 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
     writer = RecordingWriter(path, {"seed": 7})
     for entry in entries:
         writer.write(entry)
-        assert len(path.read_text().splitlines()) == entry.line, "a line is on its way to the disk at once"
+        assert len(path.read_text().splitlines()) == entry.line, "each line is written at once"
     writer.close()
     writer.close()
     writer.write(entries[0])

@@ -27,11 +27,11 @@ def run(robot: Robot) -> list[tuple[int, ...]]:
     with robot:
         seen = [robot.drive(translation_in_s=6, steering_deg_s=10), robot.wait_until_still(1), robot.read_sonars()]
         seen += [robot.refresh() for _ in range(5)]
-        robot.say("on my way")
+        robot.say("driving")
         return [state.raw for state in seen]
 
 
-def test_a_run_is_played_as_it_was_with_no_robot_there(tmp_path: Path) -> None:
+def test_a_recorded_run_is_replayed_without_a_robot(tmp_path: Path) -> None:
     path = tmp_path / "a run.log"
     seen = run(connect(f"{SIM}&record={path}"))
     assert run(connect(f"replay:{path}")) == seen

@@ -1,4 +1,4 @@
-"""A recording for people; what its lines hold may be anybody's. What is shown of good ones: tests of `nomad dump`."""
+"""Readable recordings with edited or damaged lines; `nomad dump` of valid ones is tested in tests/nclient/cli."""
 
 from __future__ import annotations
 

@@ -93,7 +93,7 @@ def test_closing_stops_the_robot() -> None:
         ("sim:?start=nan,0", "a start is X,Y,STEER,TURRET"),
     ],
 )
-def test_a_bad_address_names_the_guilty(address: str, words: str) -> None:
+def test_a_bad_address_names_the_wrong_part(address: str, words: str) -> None:
     with pytest.raises(AddressError, match=words):
         open_address(address)
 

@@ -197,7 +197,7 @@ def roaming(seed: int, world: World, setup: RobotSetup, count: int = 14) -> Iter
 
 
 def by_ticks(simulation: Simulation, begin_ps: int, end_ps: int) -> None:
-    """What `Company.run` does, without a thought for who is where: all by turns in each tick, each against all."""
+    """Advance all robots by ticks, each against all others: the brute-force form of `RobotGroup`."""
     robots = list(simulation.robots.values())
     for tick in range(begin_ps // TICK_PS, end_ps // TICK_PS):
         for turn in range(len(robots)):

@@ -63,7 +63,7 @@ async def test_a_page_that_vanished_is_forgotten_and_its_line_let_go(monkeypatch
         with await dumb_page(here) as end:
             assert await forgotten(here) < 1.5 * SHORT_S + 2.0
             assert not here.daemon.emulator.pose_requests.open
-            await told_to_the_end(end)
+            await read_to_end(end)
 
 
 async def test_a_page_that_sends_but_never_receives_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -76,7 +76,7 @@ async def test_a_page_that_sends_but_never_receives_is_closed(monkeypatch: pytes
             here.viewer_server.broadcaster.notify("x" * MORE_THAN_LINES_HOLD)
             assert await forgotten(here) < SHORT_S + 2.0
             talking.cancel()
-            await told_to_the_end(end)
+            await read_to_end(end)
 
 
 async def talk_on(loop: asyncio.AbstractEventLoop, end: socket.socket) -> None:
@@ -113,8 +113,8 @@ async def test_a_page_that_floods_does_not_block_others(monkeypatch: pytest.Monk
         assert len(set(turns)) == MUCH
 
 
-async def told_to_the_end(end: socket.socket) -> None:
-    """The line ends, which a line that is only closed would not before all is read, and is read in no time here."""
+async def read_to_end(end: socket.socket) -> None:
+    """Read until the server ends the connection; fail if it does not within 5 s."""
     loop = asyncio.get_running_loop()
     async with asyncio.timeout(5):
         try:

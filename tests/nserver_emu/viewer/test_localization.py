@@ -1,4 +1,4 @@
-"""What a localizer publishes is checked, shown to all, and answered with where to go."""
+"""Published estimates are validated, shown on all pages, and answered with the requested goal."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Who gets in, who does not, and what a page does over its websocket; real sockets on loopback, no browser."""
+"""Access to the page and its websocket messages, on loopback sockets without a browser."""
 
 from __future__ import annotations
 
