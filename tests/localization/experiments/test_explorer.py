@@ -7,8 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from localization.experiments.lost_trial import STAND, RandomExplorer
+from localization.experiments.lost_trial import RandomExplorer
 from localization.navigation.limits import (
+    STAND,
     VelocityCommand,
 )
 from localization.navigation.recovery import TURN_RAD_S
