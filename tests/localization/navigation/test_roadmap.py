@@ -14,15 +14,8 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import ConvexHull
 
 from localization.filters.belief import Floats
-from localization.navigation.path import (
-    PathElement,
-    total_length_in,
-)
-from localization.navigation.roadmap import (
-    NoPathError,
-    Roadmap,
-    segment_clearances,
-)
+from localization.navigation.path import PathElement, total_length_in
+from localization.navigation.roadmap import NoPathError, Roadmap, segment_clearances
 from worlds.geometry import nearest_points
 from worlds.io import load_world
 from worlds.robots import N150

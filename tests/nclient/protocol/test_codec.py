@@ -9,11 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nclient.errors import WireError
-from nclient.protocol import (
-    codec,
-    serial_framing,
-    tcp_framing,
-)
+from nclient.protocol import codec, serial_framing, tcp_framing
 from nclient.protocol.commands import BY_TCP_TYPE, Call, Command
 from nclient.protocol.serial_framing import HOST_LIMIT, SerialFrame
 from nclient.protocol.tcp_framing import TcpFrame

@@ -9,11 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nclient.errors import WireError
-from nclient.protocol import (
-    codec,
-    serial_framing,
-    tcp_framing,
-)
+from nclient.protocol import codec, serial_framing, tcp_framing
 from nclient.protocol import replies as shape
 from nclient.protocol.commands import BY_LINE_TYPE, BY_NAME, MAX_REPLY_WORDS, REPLY_TYPES, Command
 from nclient.protocol.replies import Reply
