@@ -1,4 +1,4 @@
-"""Where the commands begin: Ctrl-C in the middle of an import, in the command itself, and where it is ignored."""
+"""Entry points of the commands: Ctrl-C during an import, in the command itself, and where it is ignored."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ COMMANDS = {"nomad": "nclient.cli.main", "nserver": "nserver_emu.cli"}
 
 
 @pytest.fixture(autouse=True)
-def _heard() -> Iterator[None]:
+def _default_sigint() -> Iterator[None]:
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
 
 
 def begun(command: str, folder: Path, package: str, cli: str) -> subprocess.CompletedProcess[str]:
-    """The command as a process, its package replaced by one that is written so."""
+    """Run the command as a process with its package replaced by the given sources."""
     main = folder.joinpath(*COMMANDS[command].split("."))
     main.parent.mkdir(parents=True)
     for init in {main.parent, folder / main.relative_to(folder).parts[0]}:
@@ -56,26 +56,26 @@ def test_ctrl_c_while_it_imports_says_nothing(command: str, package: str, cli: s
 
 @pytest.mark.long
 def test_ctrl_c_in_the_command_is_the_commands(tmp_path: Path) -> None:
-    told = "    except KeyboardInterrupt:\n        print('left in order')\n        return 7\n"
+    handler = "    except KeyboardInterrupt:\n        print('left in order')\n        return 7\n"
     lines = "\n".join(f"        {line}" for line in INTERRUPT.splitlines())
-    done = begun("nomad", tmp_path, "", f"def main():\n    try:\n{lines}\n{told}")
+    done = begun("nomad", tmp_path, "", f"def main():\n    try:\n{lines}\n{handler}")
     assert (done.returncode, done.stdout, done.stderr) == (7, "left in order\n", "")
 
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_it_runs_the_command_with_its_exit_code(command: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    heard: list[object] = []
+    handlers: list[object] = []
 
     def main() -> int:
-        heard.append(signal.getsignal(signal.SIGINT))
+        handlers.append(signal.getsignal(signal.SIGINT))
         return 3
 
     monkeypatch.setitem(sys.modules, COMMANDS[command], SimpleNamespace(main=main))
     assert getattr(nomad_start, command)() == 3
-    assert heard == [signal.default_int_handler]
+    assert handlers == [signal.default_int_handler]
 
 
-def test_ctrl_c_that_nobody_caught_ends_with_130() -> None:
+def test_an_uncaught_ctrl_c_ends_with_130() -> None:
     def main() -> int:
         raise KeyboardInterrupt
 

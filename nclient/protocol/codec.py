@@ -18,11 +18,7 @@ from construct import ConstructError
 from nclient.common.hints import suggest
 from nclient.errors import WireError
 from nclient.protocol import replies as shape
-from nclient.protocol import (
-    requests,
-    serial_framing,
-    tcp_framing,
-)
+from nclient.protocol import requests, serial_framing, tcp_framing
 from nclient.protocol.commands import (
     BY_LINE_TYPE,
     BY_NAME,

@@ -21,12 +21,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from nclient.errors import WireError
-from nclient.protocol import (
-    client_state,
-    codec,
-    serial_framing,
-    tcp_framing,
-)
+from nclient.protocol import client_state, codec, serial_framing, tcp_framing
 from nclient.protocol import replies as shape
 from nclient.protocol.client_state import STATE_SIZE, ClientState, zero_extend
 from nclient.protocol.commands import BY_LINE_TYPE, BY_NAME, ERROR_TYPE, REPLY_TYPES, Call, Command

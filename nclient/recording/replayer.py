@@ -19,11 +19,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple
 
 from nclient.errors import AddressError, RecordingError, WireError
-from nclient.protocol import (
-    codec,
-    serial_framing,
-    tcp_framing,
-)
+from nclient.protocol import codec, serial_framing, tcp_framing
 from nclient.protocol.commands import BY_NAME, REPLY_TYPES, Call
 from nclient.protocol.replies import LINE_STATE, STATE
 from nclient.protocol.tcp_framing import request_bounds

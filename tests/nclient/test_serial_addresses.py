@@ -130,7 +130,7 @@ def test_reply_timeouts(bench: Bench) -> None:
         ("serial:///dev/ttyUSB0?tm_s=0&retries=0", None, 1), ("serial:///dev/ttyUSB0?tm_s=0&retries=0", 3, 3),
         ("serial:///dev/ttyUSB0?tm_s=0&retries=0&timeout_s=0.5", 3, 0.5),
     ):  # fmt: skip
-        with pytest.raises(ReplyTimeout, match=f"no answer within {wait_s} s"):
+        with pytest.raises(ReplyTimeout, match=f"no answer .* {wait_s} s"):
             bench.connect(address, timeout_s=given).refresh()
 
 

@@ -68,11 +68,11 @@ def test_words_are_counted() -> None:
     assert Words(2).sizeof() == 8
     with pytest.raises(ConstructError):
         Words(None).sizeof()
-    with pytest.raises(StreamError, match="4 bytes wanted, 6 there"):
+    with pytest.raises(StreamError, match="4 bytes wanted, 6"):
         Words(None).parse(bytes(6))
-    with pytest.raises(StreamError, match="8 bytes wanted, 4 there"):
+    with pytest.raises(StreamError, match="8 bytes wanted, 4"):
         Words(2).parse(bytes(4))
-    with pytest.raises(FormatFieldError, match="2 words wanted, 1 given"):
+    with pytest.raises(FormatFieldError, match="2 words wanted, 1"):
         Words(2).build((1,))
     with pytest.raises(FormatFieldError):
         Words(1).build((2**31,))
@@ -122,7 +122,7 @@ def test_a_laser_vector_has_as_many_numbers_as_it_says() -> None:
     assert laser.build(None, wire_state=wire_state) == bytes(4)
     data = laser.build((2, 1, -2, 3, -4), wire_state=wire_state)
     assert laser.parse(data, wire_state=wire_state) == (2, 1, -2, 3, -4)
-    with pytest.raises(FormatFieldError, match="a laser vector of 2 readings has 4 numbers after the count, not 3"):
+    with pytest.raises(FormatFieldError, match=r"vector of 2 readings .* 4 numbers .*not 3"):
         laser.build((2, 1, 2, 3), wire_state=wire_state)
     with pytest.raises(StreamError):
         laser.parse(struct.pack(">4i", 2, 1, 2, 3), wire_state=wire_state)
@@ -173,5 +173,5 @@ def test_a_laser_on_the_line() -> None:
     assert pixels.parse(bytes.fromhex("0200" "ffff" "0180"), wire_state=unseen) == (2, 65535, 32769)
     with pytest.raises(StreamError, match="not 483"):
         pixels.parse(b"\xe3\x01" + bytes(966), wire_state=unseen)
-    with pytest.raises(FormatFieldError, match="a laser vector of 2"):
+    with pytest.raises(FormatFieldError, match="vector of 2"):
         pixels.build((2, 1), wire_state=unseen)

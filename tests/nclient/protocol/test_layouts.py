@@ -11,12 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nclient.errors import WireError
-from nclient.protocol import (
-    codec,
-    requests,
-    serial_framing,
-    tcp_framing,
-)
+from nclient.protocol import codec, requests, serial_framing, tcp_framing
 from nclient.protocol.client_state import Handshake, build_handshake, read_handshake
 from nclient.protocol.commands import Command
 from nclient.protocol.replies import STATE, Reply
