@@ -59,6 +59,8 @@ class ViewerClient(ConnectionHandler):
     """Connection of one viewer to one robot."""
 
     line = "viewer"
+    # The page waits for its turn before it sends a call (server.py).
+    is_scheduled = False
 
     def __init__(self, daemon: Daemon, name: str) -> None:
         super().__init__(daemon)

@@ -44,18 +44,18 @@ def test_valid_values_are_returned_unchanged() -> None:
 
 
 def test_values_of_wrong_range_or_type_are_refused() -> None:
-    with pytest.raises(WorldFileError, match=r"f: t.n: expected 3 to 4, found 2"):
+    with pytest.raises(WorldFileError, match=r"f: t\.n: .*3 to 4, found 2"):
         TABLE.number("n", 3.0, 4.0)
-    with pytest.raises(WorldFileError, match=r"t.n: expected true or false, found 2"):
+    with pytest.raises(WorldFileError, match=r"t\.n: .*true or false, found 2"):
         TABLE.flag("n")
-    with pytest.raises(WorldFileError, match=r"t.ns\[1\]: expected 0 to 2, found 2.5"):
+    with pytest.raises(WorldFileError, match=r"t\.ns\[1\]: .*0 to 2, found 2\.5"):
         TABLE.numbers("ns", 2, 0.0, 2.0)
-    with pytest.raises(WorldFileError, match=r"t.ns: expected a list of 3 numbers"):
+    with pytest.raises(WorldFileError, match=r"t\.ns: .*3 numbers"):
         TABLE.numbers("ns", 3, 0.0, 9.0)
-    with pytest.raises(WorldFileError, match=r"t.of\[0\]: expected a whole number from 0 to 2, found 3"):
+    with pytest.raises(WorldFileError, match=r"t\.of\[0\]: .*whole .*0 to 2, found 3"):
         TABLE.indices("of", 3)
     assert (TABLE.index("n", 3, 1), TABLE.index("n", 3, 2)) == (2, 2)
-    with pytest.raises(WorldFileError, match=r"t.n: expected a whole number from 3 to 8, found 2"):
+    with pytest.raises(WorldFileError, match=r"t\.n: .*whole .*3 to 8, found 2"):
         TABLE.index("n", 9, 3)
-    with pytest.raises(WorldFileError, match=r"t.no: expected a list of whole numbers"):
+    with pytest.raises(WorldFileError, match=r"t\.no: .*whole numbers"):
         TABLE.indices("no", 3)

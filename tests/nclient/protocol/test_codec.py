@@ -71,7 +71,7 @@ def test_any_bytes_on_the_line_are_a_call_or_a_wire_error(kind: int, data: bytes
 def test_payloads_that_no_framer_lets_through(payload: bytes) -> None:
     for kind in (*BY_TCP_TYPE, 9999):
         if kind == 9999:
-            with pytest.raises(WireError, match="unknown message type 9999"):
+            with pytest.raises(WireError, match="message type 9999"):
                 codec.decode_tcp_request(TcpFrame(kind, payload))
         elif BY_TCP_TYPE[kind].tcp_words[0] > 3:
             with pytest.raises(WireError):
@@ -80,10 +80,10 @@ def test_payloads_that_no_framer_lets_through(payload: bytes) -> None:
 
 @pytest.mark.parametrize("kind", [0, 4, 8, 99, 255])
 def test_types_that_an_n150_does_not_have(kind: int) -> None:
-    with pytest.raises(WireError, match=f"type {kind} does not exist on the line of a n150"):
+    with pytest.raises(WireError, match=f"type {kind} .* n150"):
         codec.decode_serial_request(SerialFrame(kind, b""), serial_wire_state(N150))
     if kind != 8:
-        with pytest.raises(WireError, match=f"no answer of type {kind} comes from a n150"):
+        with pytest.raises(WireError, match=f"answer of type {kind} .* n150"):
             codec.decode_serial_reply(SerialFrame(kind, b""), serial_wire_state(N150))
 
 

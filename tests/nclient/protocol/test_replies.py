@@ -188,7 +188,7 @@ def test_truncated_and_overlong_replies() -> None:
     wire_state = tcp_wire_state(N150)
     payload = codec.build_tcp_payload(shape.STATE, Reply("state"), wire_state)
     for wrong in (payload[:-4], payload + bytes(4), payload[:100], b""):
-        with pytest.raises(WireError, match="no state reply of this shape"):
+        with pytest.raises(WireError, match="no state reply"):
             codec.parse_tcp_payload(shape.STATE, wrong, wire_state)
 
 
@@ -197,7 +197,7 @@ def test_truncated_and_overlong_replies() -> None:
     Reply("state", laser=(2, 1, 2, 3)), Reply("state", laser=(483,)),
 ])
 def test_what_a_state_reply_cannot_carry(reply: Reply) -> None:
-    with pytest.raises(WireError, match="a state reply cannot carry this"):
+    with pytest.raises(WireError, match="reply cannot carry"):
         codec.build_tcp_payload(shape.STATE, reply, tcp_wire_state(N150))
 
 
@@ -206,7 +206,7 @@ def test_what_a_state_reply_cannot_carry(reply: Reply) -> None:
     Reply("state", clock=2**32),
 ])
 def test_what_a_state_packet_cannot_carry(reply: Reply) -> None:
-    with pytest.raises(WireError, match="a state reply cannot carry this"):
+    with pytest.raises(WireError, match="reply cannot carry"):
         shape.LINE_STATE.build(reply, serial_wire_state(N150))
 
 
@@ -221,5 +221,5 @@ def test_a_nak_and_an_error_go_by_their_own_layouts() -> None:
 
 
 def test_a_row_without_a_line_has_no_answer_there() -> None:
-    with pytest.raises(WireError, match="get_rpx does not exist on a robot's own line"):
+    with pytest.raises(WireError, match=r"get_rpx .*robot's own line"):
         codec.encode_serial_reply(BY_NAME["get_rpx"], Reply("state"), serial_wire_state(N200))
