@@ -173,7 +173,7 @@ class MissionFile(Table):
 
     title: Annotated[Text, Meta(description="title of the report")] = ""
     map: Annotated[Text, Meta(description="walls: a shipped world or a TOML file")] = ""
-    time_limit_s: Annotated[TimeLimit, Meta(description="limit of all steps, seconds of the robot's clock")] = TIME_LIMIT_S
+    time_limit_s: Annotated[TimeLimit, Meta(description="limit of all steps, seconds")] = TIME_LIMIT_S
     on_lost: Annotated[LostPolicy, Meta(description="behaviour when the estimate is LOST")] = OnLost.STOP
     lost_s: Annotated[TimeLimit, Meta(description="for how long, seconds")] = 60.0
     fence: Outline | UnsetType = UNSET

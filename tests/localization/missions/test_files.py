@@ -195,7 +195,7 @@ def test_missing_map_is_reported_with_file_and_key(tmp_path: Path, name: str, te
     file = tmp_path / name
     file.write_text(text)
     orders = load_mission(file)
-    with pytest.raises(MissionFileError, match="did you mean several_walls") as refused:
+    with pytest.raises(MissionFileError, match="mean several_walls") as refused:
         orders.check_map()
     assert str(refused.value).startswith(f"{file}: {expected}")
     file.write_text(text.replace("several_wals", "several_walls"))

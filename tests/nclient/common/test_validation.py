@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 from dataclasses import dataclass
 from math import inf, nan
@@ -140,7 +141,7 @@ def test_valid_values_are_returned() -> None:
         ({"step": [{}]}, "step[0].do: is missing; expected one of red, blue"),
         ({"step": [{"do": "rad"}]}, "step[0].do: expected one of red, blue, found 'rad'; did you mean red?"),
         ({"step": [{"do": "red"}]}, "step[0].depth: is missing: the depth, in mm"),
-        ({"step": [{"do": "red", "depth": 1, "width": 2}]}, "step[0].width: unknown key; expected one of do, depth; did you mean depth?"),
+        ({"step": [{"do": "red", "depth": 1, "colour": 2}]}, "step[0].colour: unknown key; expected one of do, depth"),
         (3, "expected a table, found 3"),
     ],
 )
@@ -161,19 +162,18 @@ def test_a_key_that_looks_like_a_path_is_only_text(key: str) -> None:
         convert({key: 1}, Everything)
 
 
+KEYS = st.sampled_from([*Everything.__struct_fields__, "size", "name", "do"])
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
-    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.sampled_from(keys_of(Everything)), inner, max_size=3),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(KEYS, inner, max_size=3),
     max_leaves=15,
-)  # fmt: skip
+)
 
 
-@given_by(st.dictionaries(st.sampled_from(keys_of(Everything)) | st.text(max_size=9), JSON, max_size=3))
+@given_by(st.dictionaries(KEYS | st.text(max_size=9), JSON, max_size=3))
 def test_any_data_is_converted_or_explained(value: dict[str, Any]) -> None:
-    try:
+    with contextlib.suppress(InvalidValue):
         convert(value, Everything)
-    except InvalidValue as error:
-        assert str(error)
 
 
 @dataclass

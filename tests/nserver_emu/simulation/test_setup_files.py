@@ -199,12 +199,12 @@ def test_errors_name_the_key(text: str, words: str) -> None:
 
 def test_names_and_files(tmp_path: Path) -> None:
     assert [setup_named(name) for name in ("ideal", "noisy", "measured", "worn")] == [IDEAL, NOISY, MEASURED, WORN]
-    with pytest.raises(AddressError, match=r"no setup 'worm'; there are ideal, .*\.toml; did you mean worn"):
+    with pytest.raises(AddressError, match=r"'worm'.* ideal, .*\.toml.*mean worn"):
         setup_named("worm")
     path = tmp_path / "mine.toml"
-    with pytest.raises(WorldFileError, match="cannot be read: No such file"):
+    with pytest.raises(WorldFileError, match="cannot be read: No such"):
         setup_named(str(path))
-    with pytest.raises(WorldFileError, match="cannot be read: embedded null byte"):
+    with pytest.raises(WorldFileError, match="embedded null byte"):
         setup_named(str(tmp_path / "mine\0.toml"))
     path.write_bytes(b"\xff\xfe")
     with pytest.raises(WorldFileError, match="UTF-8"):
