@@ -25,16 +25,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from localization.filters.belief import (
-    HEADING,
-    Floats,
-    Number,
-    choose,
-    clip,
-    exp,
-    hypot,
-    wrap_angle,
-)
+from localization.filters.belief import HEADING, Floats, Number, choose, clip, exp, hypot, wrap_angle
 from localization.filters.reflectors import Reflectors, reflectors
 from localization.filters.sonar_ray import RangeNoise, SonarRing, wall_map
 from localization.filters.update import Association, Covariance, Refusal, State
