@@ -2,9 +2,9 @@
 
     Call --encode_*_request--> bytes --framer--> frame --decode_*_request--> Call        likewise for replies
 
-Layouts come from the command table; nothing here depends on a particular command except where PROTOCOL.md makes an
-exception. Both ends call `update_from_request` for each request sent or received, so that they agree on the mask and
-on the laser layout. The first functions check or clamp arguments to the ranges of the serial line's fields.
+Layouts come from the command table; nothing here depends on a particular command except where docs/protocol.md names
+an exception. Both ends call `update_from_request` for each request sent or received, so that they agree on the mask
+and on the laser layout. The first functions check or clamp arguments to the ranges of the serial line's fields.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def serial_argument_bounds(name: str) -> tuple[tuple[str, int, int], ...]:
 def clamp_to_serial(call: Call) -> Call:
     """Return the call with each argument clamped to its range on the serial line.
 
-    For the C interface and the gateway: PROTOCOL.md, section 3, clamps silently.
+    For the C interface and the gateway, which clamp without an error (docs/protocol.md, State vector).
     """
     bounds = serial_argument_bounds(call.name)
     if len(bounds) != len(call.args) or not bounds:

@@ -179,8 +179,8 @@ def _words(kind: str, count: int | None) -> ReplyShape:
     return ReplyShape(kind, values=Words(count))
 
 
-# Layouts over TCP (PROTOCOL.md, section 1). A state reply is the State vector of 45 words, the laser block, stamps for
-# the bits in Smask[0], clock in ms, CPU and motor voltage bytes.
+# Layouts over TCP (docs/protocol.md, Over TCP). A state reply is the State vector of 45 words, the laser block, stamps
+# for the bits in Smask[0], clock in ms, CPU and motor voltage bytes.
 STATE = ReplyShape(
     "state",
     slots=WordSlots(0, LAST_TCP_SLOT),
@@ -229,8 +229,8 @@ TRUTH = _words("truth", 8)
 CONTROL = _words("control", 4)
 ERROR = _words("error", 1)
 
-# Layouts on the serial line (PROTOCOL.md, section 2). A state packet holds only what the mask selects; motor status,
-# clock and voltages are always there.
+# Layouts on the serial line (docs/protocol.md, On a serial line). A state packet holds only what the mask selects;
+# motor status, clock and voltages are always there.
 LINE_STATE = ReplyShape(
     "state",
     slots_infrared=LineNibbles(1, 16),
