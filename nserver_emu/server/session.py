@@ -29,9 +29,9 @@ from typing import Final, Generic, NamedTuple, Protocol, TypeVar
 from nclient.errors import WireError
 from nclient.protocol import codec
 from nclient.protocol.client_state import STATE_SIZE
+from nclient.protocol.codec import InvalidFrame, TcpFrame, TcpFramer, limit_words, request_bounds
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
-from nclient.protocol.tcp_framing import InvalidFrame, TcpFrame, TcpFramer, limit_words, request_bounds
 from nclient.protocol.types import N150, Mask
 from nclient.protocol.wire_state import WireState, tcp_wire_state
 from nserver_emu.server.limits import Limits

@@ -16,7 +16,7 @@ from nclient import (
     connect,
     connect_async,
 )
-from nclient.connect import ConnectOptions, is_listening, open_machine
+from nclient.connector import ConnectOptions, is_listening, open_machine
 from nclient.protocol.types import EVERYTHING, N150, N200, SCOUT
 from nclient.transports import memory
 from nclient.transports.memory import MemoryStream

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from nclient import AddressError, BumperHit, ConnectionLost, ReplyTimeout, Robot, RobotRefused, connect, connect_async
-from nclient.connect import is_listening
+from nclient.connector import is_listening
 from nclient.protocol.client_state import Handshake, build_handshake
 from nclient.protocol.commands import Call
 from nclient.protocol.types import EVERYTHING, N150, N200, SCOUT

@@ -9,7 +9,7 @@ import pytest
 from nclient.backends.nserver import NserverBackend
 from nclient.cli.shell_help import BUILTINS
 from nclient.cli.shell_session import Session
-from nclient.connect import open_backend
+from nclient.connector import open_backend
 from nclient.errors import RobotRefused, ShellError
 from nclient.protocol.types import N200
 from nclient.transports.memory import MemoryStream

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from nclient import connect
-from nclient.connect import Connector
+from nclient.connector import Connector
 from nclient.errors import AddressError, FaultPlanError, ReplyTimeout, RobotRefused
 from nclient.protocol.commands import Call
 from nclient.protocol.serial_framing import build_frame

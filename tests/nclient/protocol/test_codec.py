@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nclient.errors import WireError
-from nclient.protocol import codec, serial_framing, tcp_framing
+from nclient.protocol import codec, serial_framing
+from nclient.protocol.codec import TcpFrame
 from nclient.protocol.commands import BY_TCP_TYPE, Call, Command
 from nclient.protocol.serial_framing import HOST_LIMIT, SerialFrame
-from nclient.protocol.tcp_framing import TcpFrame
 from nclient.protocol.types import MODELS, N150, N200, Mask, Model
 from nclient.protocol.wire_state import serial_wire_state, tcp_wire_state
 from tests.nclient.protocol.strategies import LINE_CASE_NAMES, LINE_CASES, TCP_ROWS, calls
@@ -27,7 +27,7 @@ def test_calls_over_tcp_come_back_from_their_bytes(row: Command, data: st.DataOb
     call = data.draw(calls(row, line=False))
     wide = data.draw(st.booleans())
     built = codec.encode_tcp_request(call, wide=wide)
-    frame = tcp_framing.parse_single_frame(built, tcp_framing.request_bounds, wide)
+    frame = codec.parse_single_frame(built, codec.request_bounds, wide)
     assert codec.decode_tcp_request(frame) == call
     assert len(built) == 4 + len(frame.payload) * (1 + wide)
 

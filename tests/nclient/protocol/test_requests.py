@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 from nclient.errors import WireError
 from nclient.protocol import codec
+from nclient.protocol.codec import TcpFrame
 from nclient.protocol.commands import Call
 from nclient.protocol.serial_framing import SerialFrame
-from nclient.protocol.tcp_framing import TcpFrame
 from nclient.protocol.types import N150, N200, SCOUT
 from nclient.protocol.wire_state import serial_wire_state
 

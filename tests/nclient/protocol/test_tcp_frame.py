@@ -9,8 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nclient.errors import WireError
-from nclient.protocol.commands import BY_TCP_TYPE, MAX_REPLY_WORDS
-from nclient.protocol.tcp_framing import (
+from nclient.protocol.codec import (
     UNKNOWN_TYPE,
     WRONG_COUNT,
     Bounds,
@@ -22,6 +21,7 @@ from nclient.protocol.tcp_framing import (
     reply_bounds,
     request_bounds,
 )
+from nclient.protocol.commands import BY_TCP_TYPE, MAX_REPLY_WORDS
 from tests.nclient.protocol.strategies import cuts, in_pieces
 
 quick = settings(max_examples=60)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from nclient import RecordingError, Robot, connect
-from nclient.connect import Connector
+from nclient.connector import Connector
 from nclient.protocol import codec
 from nclient.protocol.client_state import Handshake, build_handshake
 from nclient.protocol.commands import BY_NAME, Call

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from nclient import RecordingError, connect
-from nclient.connect import Connector
+from nclient.connector import Connector
 from nclient.protocol.types import N150
 from nclient.recording.format import read_recording
 from nclient.recording.recorder import ClientRecording, RecordingTarget

@@ -9,7 +9,7 @@ import pytest
 
 from docs.generate.commands import examples
 from nclient.backends.wrappers import SpeedLimiter
-from nclient.connect import open_backend
+from nclient.connector import open_backend
 from nclient.errors import AddressError, BumperHit, ConnectionLost, ReplyTimeout, RobotRefused
 from nclient.protocol import codec
 from nclient.protocol.commands import COMMANDS, Call

@@ -10,8 +10,8 @@ import pytest
 
 from nclient.faults.plan import Corrupt, Delay, Direction, Drop, Nak, Plan, Rule, When
 from nclient.protocol import codec
+from nclient.protocol.codec import TcpFrame, TcpFramer, reply_bounds
 from nclient.protocol.commands import Call
-from nclient.protocol.tcp_framing import TcpFrame, TcpFramer, reply_bounds
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.simulation.models import N200
