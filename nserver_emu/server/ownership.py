@@ -151,6 +151,15 @@ class AxisOwnership:
             owners.append(self._arm_owners[robot_id])
         return not owners or any(owner is context for owner in owners)
 
+    def has_motion(self, context: ConnectionContext, robots: Mapping[int, SimulatedRobot]) -> bool:
+        """Return True if closing this connection would stop an axis, or could stop an arm."""
+        moving = (
+            owner is context and moves
+            for robot_id, owners in self._owners.items()
+            for owner, moves in zip(owners, robots[robot_id].moving, strict=True)
+        )
+        return any(owner is context for owner in self._arm_owners.values()) or any(moving)
+
     def on_disconnect(self, context: ConnectionContext, robots: Mapping[int, SimulatedRobot]) -> None:
         """Stop the axes that a closed connection owns."""
         for robot_id, owners in self._owners.items():
