@@ -274,8 +274,9 @@ def _expected(node: Node, value: Any) -> str:
             if not _is_number(value):
                 return f"{title or span}, a number"
             return span if _is_finite(value) else f"{title or span}, a finite number"
-        case "array" if "prefixItems" in node:
-            return str(title or f"a list of {len(node['prefixItems'])} numbers")
+        case "array":
+            rows = node.get("prefixItems")
+            return str(title or (f"a list of {len(rows)} numbers" if rows else "a list"))
     return str(title or "a text")
 
 
