@@ -165,19 +165,16 @@ class ConnectionTimeouts:
     # Since when the connection is stalled, and the requests answered by then.
     _stalled_s: float | None = None
     _answered: int = 0
-    _active_s: float = 0.0
+    # Time of the last bytes received; set it to reset the idle timeout.
+    active_s: float = 0.0
 
     def __post_init__(self) -> None:
-        self._active_s = self.now_s
+        self.active_s = self.now_s
 
     @property
     def check_interval_s(self) -> float | None:
         """Seconds between checks, None for no checks: cheaper than a timer restarted at each request."""
         return min((limit / _CHECKS_PER_TIMEOUT for limit in (self.idle_s, self.stall_s) if limit), default=None)
-
-    def on_activity(self, now_s: float) -> None:
-        """Reset the idle timeout."""
-        self._active_s = now_s
 
     def timeout_reason(self, now_s: float, answered: int, is_stalled: bool) -> str:
         """Return the reason to close the connection, empty to keep it open.
@@ -195,6 +192,6 @@ class ConnectionTimeouts:
             self._stalled_s, self._answered = now_s if is_stalled else None, answered
         elif self.stall_s and now_s - self._stalled_s >= self.stall_s:
             return f"incomplete request, or replies not read, for {self.stall_s:g} s"
-        if self.idle_s and now_s - self._active_s >= self.idle_s:
+        if self.idle_s and now_s - self.active_s >= self.idle_s:
             return f"idle for {self.idle_s:g} s"
         return ""

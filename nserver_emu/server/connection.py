@@ -1,16 +1,16 @@
 """Connections to the server: bytes from a port, through a session, and back. All asyncio code of the request path.
 
-The path of a TCP request, file by file (no other module of this package runs; the gateway only with `--real`):
+The path of a TCP request, file by file (the gateway only with `--real`):
 
-1. `connection.py`         `TcpConnection.buffer_updated`: bytes from the socket
-2. `session.py`            `Session.receive`, `process_requests`: framing, decoding, one reply per request in order
-3. `handlers/table.py`     `Emulator.answer`: time in lockstep, emergency stop, then the handler of the command
-4. `handlers/motion.py`    (or `sensors`, `world`, `server`, `graphics`): the command itself, on `ServerState`
-5. `context.py`            `ServerState.state_reply`: the reply with the robot's state, cached between two time steps
-6. `state_encoder.py`      inches and radians to the wire's State vector
+1. `connection.py`                  `TcpConnection.buffer_updated`: bytes from the socket
+2. `session.py`                     `Session.receive`, `process_requests`: one reply per request, in order
+3. `nclient/protocol/codec.py`      `TcpFramer`, `decode_tcp_request`: frames and calls, shared with the client
+4. `context.py`                     `ServerState.answer`: time in lockstep, emergency stop, then the command's handler
+5. `handlers/motion.py`             (or `sensors`, `world`, `server`, `graphics`): the command itself
+6. `nserver_emu/simulation/robot.py`    the simulated robot
 
-Framing and field encoding are shared with the client (`nclient.protocol`). The reply returns the same way:
-`Session` encodes it, `ConnectionHandler.send` passes it to the socket.
+The reply returns the same way: `ServerState.state_reply` reads the robot, `Session` encodes it with `codec.py`,
+`ConnectionHandler.send` passes it to the socket.
 
 Fair scheduling: a connection processes at most `MAX_BYTES_PER_TURN` bytes and `MAX_REQUESTS_PER_TURN` requests per
 event-loop turn, and connections share turns by the processor time they use (scheduling.py). While requests are left
@@ -25,7 +25,6 @@ import logging
 import socket
 import weakref
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from typing import Any, Final, Protocol, cast
 
 from nclient.faults.frames import Language, TcpLanguage
@@ -86,6 +85,10 @@ class ConnectionHandler(ABC):
     line: str
     # False for a connection whose requests are always answered at once.
     is_scheduled = True
+    # True for a connection whose identity another one may continue.
+    is_registered = False
+    # Address of the client, if it has one.
+    host = ""
 
     def __init__(self, server: Server, channel: SerialChannel | None = None) -> None:
         self._server = server
@@ -100,6 +103,8 @@ class ConnectionHandler(ABC):
         self._rate_limit: TokenBucket | None = None
         # False while a port is open without a peer (a pseudo-terminal that no host has opened).
         self.is_connected = True
+        # The identity last reported by the session.
+        self._identity: ClientIdentity | None = None
         # True while the peer does not read its replies.
         self.is_write_paused = False
         # True if the channel was full when last checked, so that reading is suspended.
@@ -119,7 +124,8 @@ class ConnectionHandler(ABC):
 
     def data_received(self, data: bytes) -> None:
         """Accept bytes from the port."""
-        self._install_faults()
+        if self._server.faults.plan.rules:
+            self._install_faults()
         if self._channel is None:
             self.process(data)
             return
@@ -152,7 +158,7 @@ class ConnectionHandler(ABC):
     def tick(self) -> None:
         """Send a deferred reply if simulated time has completed it."""
         if self.session.waiting or self.session.unfinished:
-            self._run_session(self.session.tick, by_time=True)
+            self._run_session(by_time=True)
             self._schedule()
 
     def _next_chunk(self) -> bytes:
@@ -166,39 +172,48 @@ class ConnectionHandler(ABC):
     @property
     def _has_backlog(self) -> bool:
         """True if received bytes wait and the session can take them."""
+        if not self._receive_backlog:
+            return False
         session = self.session
-        return bool(self._receive_backlog) and not (session.ready or session.is_queue_full or session.closing)
+        return not (session.ready or session.is_queue_full or session.closing)
 
     # Requests and replies.
 
     def _process_requests(self) -> None:
         """Answer the requests of this turn, unless the peer does not read or its rate limit is used up."""
-        if not self.is_write_paused and not self._rate_limit_wait_s():
+        limit = self._rate_limit
+        if not self.is_write_paused and (limit is None or not self._rate_limit_wait_s()):
             before = self.session.answered
-            self._run_session(lambda: self.session.process_requests(MAX_REQUESTS_PER_TURN))
-            if self._rate_limit is not None:
-                self._rate_limit.consume(self.session.answered - before, self._loop.time())
+            self._run_session()
+            if limit is not None:
+                limit.consume(self.session.answered - before, self._loop.time())
         self._schedule()
 
-    def _run_session(self, step: Callable[[], bytes], by_time: bool = False) -> None:
-        """Run a step of the session, record and send its replies; an exception closes this connection only."""
-        has_request = self.session.ready and not by_time
+    def _run_session(self, by_time: bool = False) -> None:
+        """Answer requests, or a deferred one `by_time`; an exception closes this connection only."""
+        session = self.session
+        has_request = not by_time and session.ready
         try:
-            replies = step()
+            replies = session.tick() if by_time else session.process_requests(MAX_REQUESTS_PER_TURN)
         except Exception:
-            log.exception("%s: internal error; connection closed", self.session.name)
+            log.exception("%s: internal error; connection closed", session.name)
             self._abort()
             return
         if has_request or replies:
             self._recorder.to_host(replies, by_time)
         if replies:
             self.send(replies)
-        if self.session.closing:
+        if session.closing:
             self._close_port()
+        if session.identity is not self._identity:
+            self._identity = session.identity
+            if self.is_registered:
+                self._server.client_registry.register(self, self.host, self._identity)
 
     def send(self, data: bytes) -> None:
         """Send replies to the peer, through the channel if there is one."""
-        self._install_faults()
+        if self._server.faults.plan.rules:
+            self._install_faults()
         if self._channel is None:
             self._write(data)
             return
@@ -280,7 +295,7 @@ class ConnectionHandler(ABC):
     def _install_faults(self) -> None:
         """Put the fault injector into the channel, as soon as a plan acts on this line and no frame is incomplete."""
         faults, line = self._server.faults, self.line
-        if self._has_faults or not faults.plan.rules or self._is_mid_request or not faults.acts_on(line):
+        if self._has_faults or self._is_mid_request or not faults.acts_on(line):
             return
         self._has_faults = True
         self._channel = FaultyChannel(self._language(), lambda: faults.injector(line), self._channel)
@@ -321,21 +336,19 @@ class TcpConnection(ConnectionHandler, asyncio.BufferedProtocol):
     """A client's TCP connection to the port of Nserver."""
 
     line = "nserver"
+    is_registered = True
 
     def __init__(self, server: Server) -> None:
         super().__init__(server)
         self._handler: CommandHandler = server.handler
         # Receive buffer, reused: asyncio fills it in place.
         self._buffer = bytearray(READ_SIZE)
-        # The identity last reported to the client registry.
-        self._identity: ClientIdentity | None = None
+        self._is_reading = True
         limits, now_s = server.admission.limits, self._loop.time()
         self._rate_limit = TokenBucket(limits.rate, MAX_REQUESTS_PER_TURN, now_s) if limits.rate else None
         self._timeouts = ConnectionTimeouts(limits.idle, limits.stall, now_s)
         self._timeout_check: asyncio.TimerHandle | None = None
         self._is_closed_by_timeout = False
-        # Address of the client.
-        self.host = ""
 
     # asyncio.BufferedProtocol.
 
@@ -384,7 +397,7 @@ class TcpConnection(ConnectionHandler, asyncio.BufferedProtocol):
 
     def buffer_updated(self, nbytes: int) -> None:
         """Process the bytes read into the buffer."""
-        self._timeouts.on_activity(self._loop.time())
+        self._timeouts.active_s = self._loop.time()
         self.data_received(bytes(self._buffer[:nbytes]))
 
     def pause_writing(self) -> None:
@@ -410,8 +423,9 @@ class TcpConnection(ConnectionHandler, asyncio.BufferedProtocol):
         self._transport.write(data)
 
     def _set_reading(self, on: bool) -> None:
-        if self._transport.is_closing():
+        if on == self._is_reading or self._transport.is_closing():
             return
+        self._is_reading = on
         if on:
             self._transport.resume_reading()
         else:
@@ -422,12 +436,6 @@ class TcpConnection(ConnectionHandler, asyncio.BufferedProtocol):
 
     def _abort(self) -> None:
         self._transport.abort()
-
-    def _run_session(self, step: Callable[[], bytes], by_time: bool = False) -> None:
-        super()._run_session(step, by_time)
-        if self.session.identity != self._identity:
-            self._identity = self.session.identity
-            self._server.client_registry.register(self, self.host, self._identity)
 
     def _start_session(self, name: str) -> None:
         """Create the session; `name` is the client's in logs and recordings."""
@@ -454,7 +462,7 @@ class TcpConnection(ConnectionHandler, asyncio.BufferedProtocol):
         now_s, is_waiting = self._loop.time(), self.session.waiting
         if is_waiting:
             # A client that waits for a deferred reply is not idle.
-            self._timeouts.on_activity(now_s)
+            self._timeouts.active_s = now_s
         is_stalled = self.is_write_paused or (bool(self.session.unfinished) and not is_waiting)
         reason = self._timeouts.timeout_reason(now_s, self.session.answered, is_stalled)
         if not reason:
