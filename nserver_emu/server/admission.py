@@ -1,4 +1,4 @@
-"""Listening sockets and limits on connections: admission, request rate, timeouts.
+"""Listening sockets and limits on connections: admission and timeouts.
 
 The path of a new connection:
 
@@ -24,8 +24,6 @@ ACCEPTS_PER_TURN: Final = 1
 # Connections that the system queues meanwhile, per listening socket.
 LISTEN_BACKLOG: Final = 128
 
-# Seconds of unused rate that an idle client accumulates.
-BURST_S: Final = 0.1
 # Timeout checks within the shortest timeout: it is exceeded by at most a quarter.
 _CHECKS_PER_TIMEOUT: Final = 4
 
@@ -125,29 +123,6 @@ class AdmissionProtocol(asyncio.Protocol):
         protocol = self._new_protocol()
         transport.set_protocol(protocol)
         protocol.connection_made(transport)
-
-
-class TokenBucket:
-    """A limit on requests per second.
-
-    The bucket holds up to BURST_S of the rate, at least one turn. It may become negative by the last turn, which is
-    then waited for before the next. Times are seconds of a monotonic clock.
-    """
-
-    def __init__(self, rate: float, turn: int, now_s: float) -> None:
-        self._rate = rate
-        self._capacity = max(rate * BURST_S, turn)
-        self._tokens = self._capacity
-        self._updated_s = now_s
-
-    def consume(self, count: int, now_s: float) -> None:
-        """Take tokens for `count` answered requests."""
-        self._tokens = min(self._capacity, self._tokens + self._rate * (now_s - self._updated_s)) - count
-        self._updated_s = now_s
-
-    def wait_s(self, now_s: float) -> float:
-        """Return the seconds until a request may be answered, 0 for now."""
-        return max(0.0, -self._tokens / self._rate - (now_s - self._updated_s))
 
 
 @dataclass(slots=True)

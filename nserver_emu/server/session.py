@@ -159,7 +159,7 @@ class CommandHandler(Protocol):
         ...
 
     def hold(self, robot_id: int, by: str) -> None:
-        """Stop a robot and ignore motion commands until it is released (ownership.py)."""
+        """Stop a robot and ignore motion commands until it is released (estop.py)."""
         ...
 
 

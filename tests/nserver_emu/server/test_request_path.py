@@ -80,7 +80,9 @@ async def test_a_request_crosses_at_most_six_files(call: Call) -> None:
     emulator.clock.lockstep_s = None
     connection, transport = TcpConnection(Daemon(emulator)), FakeTransport()
     connection.connection_made(transport)  # type: ignore[arg-type]  # a fake of what the connection uses
+    # CONNECT and the first request behind it also enter the client in a registry.
     files_of(connection, Call("connect_robot", (1, 1)))
+    files_of(connection, Call("gs"))
     # Time has passed, so that the state is read and encoded again.
     emulator.pass_time(0.01)
     sent = len(transport.written)
