@@ -9,7 +9,7 @@
 #include <string.h>
 #include <unistd.h>
 
-enum { DEFAULT_TM_S = 5 };
+enum { DEFAULT_TM_S = 5, MAX_NUMBER = 115200 /* the fastest baud rate */ };
 
 static int set_config(struct serial_config *to, const char *name, int is_device, int number, int model)
 {
@@ -72,14 +72,24 @@ static int default_config(struct serial_config *to)
     return 0;
 }
 
+/* Return 1 for a device or host name. `name` may point anywhere: access reports an address that cannot be read. */
+static int is_name(const char *name)
+{
+    static const char *const HOST = "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789.:[]-";
+
+    if (access(name, F_OK) != 0 && errno == EFAULT)
+        return 0;
+    return name[0] == '/' || (name[0] != '\0' && name[strspn(name, HOST)] == '\0');
+}
+
 /* Return 1 if a call had arguments after the robot number. Without them a variable-argument function reads random
- * numbers, which are no model, no readable text or no baud rate. */
+ * numbers, which are not at once a model, a name, and a baud rate or port. */
 static int has_arguments(const struct line_arguments *given)
 {
     if (given == NULL || given->count >= 0)
         return given != NULL;
-    return given->model >= 0 && given->model <= MODEL_SCOUT && is_set(given->number)
-           && (access(given->name, F_OK) == 0 || errno != EFAULT);
+    return given->model >= 0 && given->model <= MODEL_SCOUT && given->number > 0 && given->number <= MAX_NUMBER
+           && is_name(given->name);
 }
 
 int nomad_config_from_arguments(struct serial_config *to, const struct line_arguments *given)
