@@ -29,7 +29,7 @@ from collections.abc import MutableSequence, Sequence
 from typing import Any
 
 from nclient.backends.base import Backend
-from nclient.connect import ConnectOptions, is_listening, open_line, open_machine
+from nclient.connector import ConnectOptions, is_listening, open_line, open_machine
 from nclient.errors import ConnectionLost, NomadError, RobotRefused
 from nclient.protocol.client_state import STATE_SIZE, ClientState
 from nclient.protocol.codec import clamp_to_serial

@@ -14,14 +14,7 @@ from localization.filters.odometry import OdometryNoise, move, step_variance
 from localization.filters.registry import make
 from localization.filters.sonar_cone import ConeSonar
 from localization.filters.update import Refusal
-from localization.mapping.observability import (
-    CYCLE_S,
-    CYCLES,
-    DIRECTIONS,
-    HEADINGS,
-    START_STD,
-    compute_observability,
-)
+from localization.mapping.observability import CYCLE_S, CYCLES, DIRECTIONS, HEADINGS, START_STD, compute_observability
 from worlds.raycast import cast_rays
 from worlds.robots import N150, SONARS
 
