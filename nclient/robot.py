@@ -131,7 +131,7 @@ class Robot:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self.is_inherited:
+        if self._is_inherited:
             return
         try:
             # A lost link is no news here: the robot stops by its motion timeout.
@@ -154,7 +154,7 @@ class Robot:
         return self._backend.closed
 
     @property
-    def is_inherited(self) -> bool:
+    def _is_inherited(self) -> bool:
         """True in a forked child: the connection is its parent's, and is neither stopped nor closed by the child."""
         return os.getpid() != self._pid
 
@@ -184,7 +184,7 @@ class Robot:
 
     def disconnect(self) -> None:
         """Close the connection; the robot is not stopped. May be called twice. C: disconnect_robot."""
-        if not self.is_inherited:
+        if not self._is_inherited:
             self._backend.close()
 
     # -- motion -------------------------------------------------------------------------------------------------------
