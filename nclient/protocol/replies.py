@@ -201,7 +201,7 @@ def summarize_error(error: Exception) -> str:
     return " ".join(text.split())
 
 
-# Layouts over TCP (PROTOCOL.md, section 1). A state reply is the State vector of 45 words, the laser block, stamps for
+# Layouts over TCP (docs/protocol.md). A state reply is the State vector of 45 words, the laser block, stamps for
 # the bits in Smask[0], clock in ms, CPU and motor voltage bytes.
 STATE = TcpLayout(
     "state",
@@ -237,7 +237,7 @@ TRUTH = TcpLayout("truth", values=8)
 CONTROL = TcpLayout("control", values=4)
 ERROR = TcpLayout("error", values=1)
 
-# Layouts on the serial line (PROTOCOL.md, section 2). A state packet holds only what the mask selects; motor status,
+# Layouts on the serial line (docs/protocol.md). A state packet holds only what the mask selects; motor status,
 # clock and voltages are always there.
 LINE_STATE = LineLayout(
     "state",

@@ -220,7 +220,7 @@ def test_keys_that_are_unknown_missing_or_given_twice(text: str, parts: list[str
         ),
         (
             "[[room]]\ncorners_m = [[0, 0], [9000, 0], [0, 1]]",
-            "room[0].corners_m[1][0]: expected at most 2540 in either direction, found 9000; is the unit right?",
+            "room[0].corners_m[1][0]: expected -2540 to 2540, found 9000; is the unit right?",
         ),
         (
             "[[wall]]\npoints_in = 3",
@@ -281,7 +281,7 @@ def test_values_that_cannot_be_used(text: str, message: str) -> None:
         ),
         (
             "figure = '1'\nstart = false\npoints_in = [[0, 0], [5, 5]]",
-            "path[0].start: expected a whole number from 0 to 0, found false",
+            "path[0].start: expected a whole number, 0 or more, found false",
         ),
         (
             "figure = '1'\nstart = 0\npoints_cm = [[2.54, 0], [5, 5]]",
