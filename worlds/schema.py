@@ -184,7 +184,11 @@ def parse_toml(text: str, file: str) -> dict[str, Any]:
 def require_outline(key: str, corners: tuple[Point, ...]) -> None:
     """Raise InvalidValue about the key if the edges of an outline cross or enclose no area."""
     edges = polygon_segments(corners)
-    if crossed := crossing(edges):
+    try:
+        crossed = crossing(edges)
+    except ValueError as error:
+        raise InvalidValue(f"expected a simpler outline: {error}", key) from None
+    if crossed is not None:
         one, other = crossed
         raise InvalidValue(f"expected the corners in their order around, found edges {one} and {other} that cross", key)
     if abs(area(corners)) <= MIN_WALL_IN * float(lengths(edges).max()):
