@@ -33,6 +33,11 @@ MAX_CELLS: Final = 50_000_000
 """Largest grid that is read or written: a floor of 350 x 350 m in cells of 5 cm."""
 
 
+# Unicode's Braille patterns: the dots of the left and right column from the top, as bits of the code.
+_BRAILLE: Final = 0x2800
+_BRAILLE_DOTS: Final = ((0x01, 0x02, 0x04, 0x40), (0x08, 0x10, 0x20, 0x80))
+
+
 class Cell(IntEnum):
     """Content of a cell."""
 
@@ -236,7 +241,9 @@ def _split(corners: FloatArray, tolerance: float) -> list[int]:
         return douglas_peucker(corners, tolerance)
     far = int(np.hypot(*(corners - corners[0]).T).argmax())
     one, other = douglas_peucker(corners[: far + 1], tolerance), douglas_peucker(corners[far:], tolerance)
-    return [*one[:-1], *(far + number for number in other)]
+    ends = [*one[:-1], *(far + number for number in other)]
+    # A closed line encloses something: a post of one cell needs a smaller tolerance.
+    return ends if len(ends) > 3 else _split(corners, 0.5 * tolerance)
 
 
 def _fit(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -332,3 +339,18 @@ def roomiest_place(grid: OccupancyGrid) -> Point:
     i, k = np.unravel_index(int(distance.argmax()), distance.shape)
     x, y = grid.to_map(np.array([i + 0.5, k + 0.5]))
     return float(x), float(y)
+
+
+def braille_picture(world: World, columns: int, lines: int) -> str:
+    """Return the walls of a world as lines of Braille characters, 2 x 4 dots each, at most columns x lines of them."""
+    ends = world.walls.reshape(-1, 2)
+    low, size = ends.min(axis=0), np.ptp(ends, axis=0)
+    dot_in = max(*(size / (2 * columns - 1, 4 * lines - 1)).tolist(), 1e-6)
+    rows = floor(float(size[1]) / dot_in + 1e-9) // 4 + 1
+    codes = np.zeros((columns, rows), dtype=int)
+    for wall in (world.walls.reshape(-1, 2, 2) - low) / dot_in:
+        for i, k in _crossed_cells(*(wall + 1e-9)):
+            # Rows of characters run from the top downwards, and so do the dots within each.
+            row, dot = divmod(4 * rows - 1 - k, 4)
+            codes[i // 2, row] |= _BRAILLE_DOTS[i % 2][dot]
+    return "\n".join("".join(chr(_BRAILLE + code) for code in line).rstrip(chr(_BRAILLE)) for line in codes.T)

@@ -355,7 +355,8 @@ def _world(path: Path, lines: Iterable[FloatArray], start: Point, *, is_closed: 
     walls = np.concatenate(inner)
     if not rooms and not len(walls):
         raise MapFileError(f"{path}: no walls: nothing is both free and bounded by occupied cells")
-    return World(path.stem.split(".")[0], f"from {path.name}", tuple(rooms), walls, starts=(StartPose(round(start[0], 2), round(start[1], 2)),))
+    pose = StartPose(round(start[0], 2), round(start[1], 2))
+    return World(path.stem.split(".")[0], f"from {path.name}", tuple(rooms), walls, starts=(pose,))
 
 
 def write_ros_map(world: World, path: Path, size_in: float) -> tuple[Path, OccupancyGrid]:
