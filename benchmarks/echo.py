@@ -1,10 +1,10 @@
-"""The yardstick of the server's and the client's benchmarks: a bare asyncio server that answers what it was given.
+"""Baseline of the server and client benchmarks: a bare asyncio server that sends a prepared reply.
 
     start_echo(request, reply)   a process of its own; asyncio.Protocol; `reply` for every `request` bytes
     Pinger                       a blocking client on a plain socket that sends prepared bytes and counts
     compare(sides)               several short rounds, the sides taking turns, since these machines are noisy
 
-Rules: no code of ours on the yardstick's side.
+Neither the echo server nor the Pinger uses code of the project.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ class Pinger:
 
 @dataclass(frozen=True)
 class Pace:
-    """How one side did: the median and the best of the rounds' rates, and the 99th percentile of all round trips."""
+    """Result of one side: median and best rate of the rounds, and the 99th percentile of all round trips."""
 
     per_second: float
     p99_ms: float

@@ -13,7 +13,7 @@ from fuzz.reader import Reader
 from nclient.cli.shell_help import BUILTINS
 from nclient.cli.shell_session import Session
 from nclient.common import allowlist
-from nclient.connect import open_backend
+from nclient.connector import open_backend
 from nclient.errors import AddressError, FaultPlanError, ShellError, StartError, WireError, WorldFileError
 from nclient.protocol.commands import COMMANDS
 from nclient.url import OPTIONS, parse_address

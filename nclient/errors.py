@@ -37,7 +37,7 @@ REFUSALS: Final = {
     5: "not allowed by the setup or a limit, or another client drives the robot",
     6: "the real robot did not answer",
 }
-"""Meaning of the codes of an ERROR reply (PROTOCOL.md, section 1)."""
+"""Meaning of the codes of an ERROR reply (docs/protocol.md, Error codes)."""
 
 
 class NomadError(Exception):

@@ -252,9 +252,12 @@ def _list_worlds() -> None:
 
 
 def whole_parser() -> Parser:
-    """Return the parser with `nserver ctl` and `nserver help` as subcommands, for shell completion."""
-    parser = nserver_parser()
+    """Return the parser with ctl, help and the shipped worlds as subcommands, for shell completion."""
+    # Subcommands, because the scripts for zsh complete either subcommands or words.
+    parser = nserver_parser(with_files=False)
     first = parser.add_subparsers()
+    for name in world_names():
+        first.add_parser(name, help=load_world(name).title, parents=[nserver_parser(with_files=False)], add_help=False)
     cli.add_commands(first.add_parser(CONTROL, help="send a command to a running daemon"))
     asking = first.add_parser(HELP, help="show help", add_help=False)
     asking.add_argument("about", nargs="?", choices=[CONTROL])

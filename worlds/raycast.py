@@ -412,7 +412,7 @@ class CompiledKernel:
         return self.run is not None
 
 
-NEAREST_OBSTACLE: Final = CompiledKernel()
+RAYCAST_KERNEL: Final = CompiledKernel()
 """The kernel of this process."""
 
 
@@ -433,7 +433,7 @@ def is_compiled_for(robots: int) -> bool:
 def load_compiled(robots: int) -> None:
     """Load the compiled kernel if NOMAD_COMPILED asks for it with so many robots."""
     if is_compiled_for(robots):
-        NEAREST_OBSTACLE.load()
+        RAYCAST_KERNEL.load()
 
 
 def _compile(numba: Any) -> Callable[..., float]:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import accumulate
 from math import inf, isfinite
 from types import MappingProxyType
 from typing import Final
@@ -18,10 +19,14 @@ from typing import Final
 import numpy as np
 
 from nclient.errors import StartError
-from worlds.geometry import FloatArray, inside, nearest_points, normals, polygon_segments
+from worlds.geometry import FloatArray, inside, nearest_distances, nearest_points, normals, polygon_segments
 from worlds.raycast import ON_WALL_IN
 
 Point = tuple[float, float]
+
+MAX_CORNERS, MAX_STARTS, MAX_PATH_POINTS = 50_000, 1_000, 2_000
+"""Size of a world: corners and points of its rooms, walls and obstacles; starts; points of its paths. The file of a
+larger world is rejected: a simulated sonar compares each wall with each ray."""
 
 MARGIN_IN: Final = 0.1
 """Extra distance from walls of the alternative position in an error message, inches."""
@@ -125,7 +130,7 @@ class World:
 
     def clearances(self, points_in: FloatArray) -> FloatArray:
         """Return the clearance (...) of points (..., 2)."""
-        far: FloatArray = nearest_points(points_in, self.walls)[1].min(axis=-1, initial=inf)
+        far = nearest_distances(points_in, self.walls)
         if self._firsts:
             # Negative where a point is in no room (if there are rooms) or inside an obstacle.
             within, rooms = inside(points_in, self._edges, self._firsts), len(self.rooms)
@@ -227,4 +232,4 @@ def _stacked(parts: Sequence[FloatArray]) -> FloatArray:
 
 def _first_rows(parts: Sequence[FloatArray]) -> tuple[int, ...]:
     """Return the row at which each part begins after concatenation."""
-    return tuple(sum(len(before) for before in parts[:number]) for number in range(len(parts)))
+    return tuple(accumulate((len(part) for part in parts[:-1]), initial=0)) if parts else ()

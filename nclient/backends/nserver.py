@@ -18,9 +18,9 @@ from typing import Final
 from nclient.backends.base import LinkStatistics
 from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused, WireError
 from nclient.protocol import codec
+from nclient.protocol.codec import TcpFrame, TcpFramer, reply_bounds
 from nclient.protocol.commands import Call, Command
 from nclient.protocol.replies import Reply
-from nclient.protocol.tcp_framing import TcpFrame, TcpFramer, reply_bounds
 from nclient.protocol.types import EVERYTHING, N150, Model
 from nclient.protocol.wire_state import WireState, tcp_wire_state
 from nclient.transports.stream import ByteStream, Deadline

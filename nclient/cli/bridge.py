@@ -31,7 +31,7 @@ from nclient.cli.serving import (
     serve_clients,
 )
 from nclient.common.exit_codes import ExitCode
-from nclient.connect import Connector
+from nclient.connector import Connector
 from nclient.errors import AddressError, ConnectionLost, ReplyTimeout
 from nclient.protocol.types import Model
 from nclient.recording.format import IN, OUT, Entry, format_entry

@@ -14,7 +14,7 @@ import time
 
 from nclient.common.arguments import seconds
 from nclient.common.exit_codes import ExitCode
-from nclient.connect import Connector, address_or_default
+from nclient.connector import Connector, address_or_default
 from nclient.diagnostics import EXCHANGES, INTERVAL_S, Diagnostics, Finding, Grade, report, worst
 from nclient.url import parse_address
 

@@ -29,7 +29,7 @@ from nclient.cli.shell_help import candidates, parse
 from nclient.cli.shell_session import Session
 from nclient.common.exit_codes import ExitCode
 from nclient.common.files import read_text
-from nclient.connect import Connector, address_or_default
+from nclient.connector import Connector, address_or_default
 from nclient.errors import NomadError, ShellError
 from nclient.protocol.wire_state import WireState
 from nclient.url import parse_address

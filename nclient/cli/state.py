@@ -21,7 +21,7 @@ from collections.abc import Callable
 from nclient.cli import state_text
 from nclient.common.arguments import seconds
 from nclient.common.exit_codes import ExitCode
-from nclient.connect import Connector, address_or_default
+from nclient.connector import Connector, address_or_default
 from nclient.errors import AddressError, ShellError
 from nclient.robot import Robot
 from nclient.url import available_schemes, parse_address

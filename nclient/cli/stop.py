@@ -23,7 +23,7 @@ from nclient.backends.direct import QUICK_S, send_emergency_stop
 from nclient.cli.serving import print_message
 from nclient.common.arguments import seconds
 from nclient.common.exit_codes import ExitCode
-from nclient.connect import Connector, address_or_default
+from nclient.connector import Connector, address_or_default
 from nclient.errors import ConnectionLost, NomadError, ReplyTimeout, RobotRefused, WireError
 from nclient.protocol.decode import model_mismatch_hint
 from nclient.protocol.types import Model

@@ -39,9 +39,9 @@ from nclient.faults.plan import (
     Rule,
 )
 from nclient.protocol.client_state import HANDSHAKE_SIZE
+from nclient.protocol.codec import build_frame as build_tcp_frame
 from nclient.protocol.commands import BY_LINE_TYPE, BY_NAME, BY_TCP_TYPE, ERROR_TYPE, MAX_REPLY_WORDS, NAK_TYPE
 from nclient.protocol.serial_framing import END, HOST_LIMIT, ROBOT_LIMIT, START, build_frame
-from nclient.protocol.tcp_framing import build_frame as build_tcp_frame
 
 _LINE_OVERHEAD, _LINE_MIN = 4, 2
 _TCP_HEADER, _TYPE_SIZE, _WORD = 4, 2, 4

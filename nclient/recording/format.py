@@ -277,7 +277,7 @@ def _read_entry(whole: dict[str, Any], number: int) -> Entry:
 
 # -- entries as text --------------------------------------------------------------------------------------------------
 
-# Places in the State vector (PROTOCOL.md, section 3).
+# Places in the State vector (docs/protocol.md).
 _POSE: Final = ((34, "x"), (35, "y"), (36, "steer"), (37, "turret"))
 _SONARS, _INFRAREDS, _SPEEDS = slice(17, 33), slice(1, 17), slice(38, 41)
 _BUMPER, _COMPASS = 33, 43

@@ -21,11 +21,11 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple, Protocol
 
 from nclient.common.hints import version
-from nclient.protocol import serial_framing, tcp_framing
+from nclient.protocol import codec, serial_framing
 from nclient.protocol.client_state import HANDSHAKE_SIZE
+from nclient.protocol.codec import InvalidFrame, TcpFrame, TcpFramer, reply_bounds, request_bounds
 from nclient.protocol.decode import WireDecoder
 from nclient.protocol.serial_framing import HOST_LIMIT, SerialFramer
-from nclient.protocol.tcp_framing import InvalidFrame, TcpFrame, TcpFramer, reply_bounds, request_bounds
 from nclient.protocol.types import Model
 from nclient.protocol.wire_state import WireState
 from nclient.recording.format import CLOSE, IN, OPEN, OUT, TIME, Entry, RecordingWriter
@@ -142,7 +142,7 @@ class TcpFrameTap:
 
     def _frames(self, items: list[TcpFrame | InvalidFrame], reply: bool) -> list[Frame]:
         return [
-            Frame(tcp_framing.build_frame(item.type, item.payload, wide=self.wide, reply=reply))
+            Frame(codec.build_frame(item.type, item.payload, wide=self.wide, reply=reply))
             if isinstance(item, TcpFrame)
             else Frame(b"", item.reason)
             for item in items

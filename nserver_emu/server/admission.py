@@ -1,4 +1,4 @@
-"""Limits on connections, without I/O except for `AdmissionProtocol`: admission, request rate, timeouts.
+"""Listening sockets and limits on connections: admission, request rate, timeouts.
 
 The path of a new connection:
 
@@ -17,6 +17,12 @@ from nclient.common.allowlist import NOT_ALLOWED, Allowlist
 from nserver_emu.server.limits import Limits
 
 log = logging.getLogger(__name__)
+
+# Connections accepted per turn of the event loop and listening socket. asyncio accepts up to its backlog, 100 by
+# default, and then runs the first reads of all of them in one turn: 30 ms beside a client that connects all the time.
+ACCEPTS_PER_TURN: Final = 1
+# Connections that the system queues meanwhile, per listening socket.
+LISTEN_BACKLOG: Final = 128
 
 # Seconds of unused rate that an idle client accumulates.
 BURST_S: Final = 0.1
@@ -60,6 +66,17 @@ class AdmissionControl:
         self.rejected += 1
         level = logging.WARNING if self.rejected == 1 else logging.DEBUG
         log.log(level, "%s: rejected: %s (further ones are counted, and logged at debug)", host, reason)
+
+
+async def listen(protocol_factory: Callable[[], asyncio.BaseProtocol], host: str, port: int) -> asyncio.Server:
+    """Listen on a host and port; at most ACCEPTS_PER_TURN connections are accepted per turn. Raise OSError."""
+    loop = asyncio.get_running_loop()
+    server = await loop.create_server(protocol_factory, host, port, backlog=ACCEPTS_PER_TURN)
+    # asyncio has one number for both; a second `listen` sets that of the system only.
+    for listener in server.sockets:
+        with listener.dup() as same:
+            same.listen(LISTEN_BACKLOG)
+    return server
 
 
 class AdmissionRules(Protocol):

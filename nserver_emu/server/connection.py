@@ -13,8 +13,9 @@ Framing and field encoding are shared with the client (`nclient.protocol`). The 
 `Session` encodes it, `ConnectionHandler.send` passes it to the socket.
 
 Fair scheduling: a connection processes at most `MAX_BYTES_PER_TURN` bytes and `MAX_REQUESTS_PER_TURN` requests per
-event-loop turn. While requests are left over, or the client does not read its replies, its port is not read, so that
-memory stays bounded. An exception in a session closes that connection only.
+event-loop turn, and connections share turns by the processor time they use (scheduling.py). While requests are left
+over, or the client does not read its replies, its port is not read, so that memory stays bounded. An exception in a
+session closes that connection only.
 """
 
 from __future__ import annotations
@@ -34,16 +35,17 @@ from nserver_emu.server.admission import AdmissionControl, ConnectionTimeouts, T
 from nserver_emu.server.client_registry import CLOSED_RETENTION_S, ClientRegistry
 from nserver_emu.server.context import ServerState
 from nserver_emu.server.link import Arrival, FaultController, FaultyChannel, SerialChannel
+from nserver_emu.server.scheduling import FairScheduler
 from nserver_emu.server.session import BaseSession, ClientIdentity, CommandHandler, Session
 
 log = logging.getLogger(__name__)
 
 # Bytes read from a port at once.
 READ_SIZE: Final = 4096
-# Per event-loop turn and connection. A request has at least 4 bytes and takes 2 us to be framed, 25 us to be answered:
-# the two limits are the delay that a flooding client adds for each other client.
+# Per event-loop turn and connection. A request has at least 4 bytes and takes 2 us to be framed. One request is the
+# least that a turn can do: requests differ in cost by a factor of a hundred.
 MAX_BYTES_PER_TURN: Final = 512
-MAX_REQUESTS_PER_TURN: Final = 5
+MAX_REQUESTS_PER_TURN: Final = 1
 
 
 class Server(Protocol):
@@ -57,6 +59,7 @@ class Server(Protocol):
     client_registry: ClientRegistry
     admission: AdmissionControl
     faults: FaultController
+    scheduler: FairScheduler
     # Totals of connections that are closed.
     closed_answered: int
     closed_refused: int
@@ -81,6 +84,8 @@ class ConnectionHandler(ABC):
     session: BaseSession[Any]
     # Name of this line in a fault plan.
     line: str
+    # False for a connection whose requests are always answered at once.
+    is_scheduled = True
 
     def __init__(self, server: Server, channel: SerialChannel | None = None) -> None:
         self._server = server
@@ -101,8 +106,10 @@ class ConnectionHandler(ABC):
         self._is_channel_full = False
         # Bytes received and not yet given to the session.
         self._receive_backlog = b""
-        # The scheduled next turn.
-        self._turn: asyncio.Handle | None = None
+        # The next turn: in the scheduler's queue, or when the rate limit allows it.
+        self.is_queued = False
+        self.finish_tag_s = 0.0
+        self._turn: asyncio.TimerHandle | None = None
         # Fires when bytes in the channel are due.
         self._delivery_timer: asyncio.TimerHandle | None = None
         # Time at which the bytes being processed left the channel; None without one.
@@ -120,10 +127,23 @@ class ConnectionHandler(ABC):
         self._deliver()
 
     def process(self, data: bytes) -> None:
-        """Give bytes to the session, at most MAX_BYTES_PER_TURN of them now, and send the replies."""
+        """Give bytes to the session and send the replies, now or in a later turn."""
+        is_turn_pending = self.is_queued or self._turn is not None
+        if is_turn_pending or not (self._server.scheduler.may_run_now(self._loop.time()) or not self.is_scheduled):
+            self._receive_backlog += data
+            self._schedule()
+        else:
+            self._take_turn(data)
+
+    def run_turn(self) -> None:
+        """Do the work of one turn, for the scheduler."""
+        self._take_turn(b"")
+
+    def _take_turn(self, data: bytes) -> None:
+        """Give at most MAX_BYTES_PER_TURN bytes to the session, and answer at most MAX_REQUESTS_PER_TURN requests."""
         if self._receive_backlog or len(data) > MAX_BYTES_PER_TURN:
             self._receive_backlog += data
-            data = b"" if self._turn else self._next_chunk()
+            data = self._next_chunk()
         if data:
             self._recorder.to_robot(data)
             self.session.receive(data)
@@ -133,7 +153,7 @@ class ConnectionHandler(ABC):
         """Send a deferred reply if simulated time has completed it."""
         if self.session.waiting or self.session.unfinished:
             self._run_session(self.session.tick, by_time=True)
-            self._process_requests()
+            self._schedule()
 
     def _next_chunk(self) -> bytes:
         """Take from the backlog what may be processed in this turn."""
@@ -153,10 +173,7 @@ class ConnectionHandler(ABC):
 
     def _process_requests(self) -> None:
         """Answer the requests of this turn, unless the peer does not read or its rate limit is used up."""
-        if not self.is_write_paused and self._turn is None:
-            if self._rate_limit_wait_s():
-                self._schedule()
-                return
+        if not self.is_write_paused and not self._rate_limit_wait_s():
             before = self.session.answered
             self._run_session(lambda: self.session.process_requests(MAX_REQUESTS_PER_TURN))
             if self._rate_limit is not None:
@@ -191,16 +208,17 @@ class ConnectionHandler(ABC):
     # Scheduling.
 
     def _schedule(self) -> None:
-        """Schedule the next turn if work is left, and read from the port only if none is.
+        """Schedule the next turn if work is left, and read from the port only if none is left.
 
         During a deferred reply (ws, zr) reading continues until the queue is full, so that a closed connection is
         noticed.
         """
         is_ready = (self.session.ready or self._has_backlog) and not self.is_write_paused
-        if is_ready and self._turn is None:
-            wait_s = self._rate_limit_wait_s()
-            call_later = self._loop.call_later
-            self._turn = call_later(wait_s, self._next_turn) if wait_s else self._loop.call_soon(self._next_turn)
+        if is_ready and self._turn is None and not self.is_queued:
+            if wait_s := self._rate_limit_wait_s():
+                self._turn = self._loop.call_later(wait_s, self._next_turn)
+            else:
+                self._server.scheduler.submit(self)
         self._is_channel_full = self._channel is not None and self._channel.full
         self._set_reading(
             not (is_ready or self.is_write_paused or self._is_channel_full or self.session.is_queue_full)
@@ -208,7 +226,7 @@ class ConnectionHandler(ABC):
 
     def _next_turn(self) -> None:
         self._turn = None
-        self.process(b"")
+        self._schedule()
 
     def _rate_limit_wait_s(self) -> float:
         """Return the seconds until the rate limit allows the next turn, 0 for now."""
@@ -220,6 +238,7 @@ class ConnectionHandler(ABC):
             if handle is not None:
                 handle.cancel()
         self._turn = self._delivery_timer = None
+        self.is_queued = False
 
     # The channel: baud rate and faults.
 
@@ -376,7 +395,7 @@ class TcpConnection(ConnectionHandler, asyncio.BufferedProtocol):
     def resume_writing(self) -> None:
         """Continue to answer requests."""
         self.is_write_paused = False
-        self._process_requests()
+        self._schedule()
 
     # ConnectionHandler.
 

@@ -19,12 +19,14 @@ from typing import Any
 from nclient.errors import ConnectionLost
 from nclient.recording.format import RecordingWriter
 from nclient.recording.recorder import NULL_RECORDER, Recorder, TrafficRecorder
+from nserver_emu.server import admission
 from nserver_emu.server.admission import AdmissionControl, AdmissionProtocol
 from nserver_emu.server.client_registry import ClientRegistry
 from nserver_emu.server.connection import ConnectionHandler, TcpConnection
 from nserver_emu.server.garbage_collection import GarbageCollector
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.link import FaultController
+from nserver_emu.server.scheduling import FairScheduler
 from nserver_emu.server.session import CommandHandler
 
 log = logging.getLogger(__name__)
@@ -71,6 +73,7 @@ class Daemon:
         self.recorder: TrafficRecorder = NULL_RECORDER
         self.connections: set[ConnectionHandler] = set()
         self.admission = AdmissionControl()
+        self.scheduler = FairScheduler()
         self.client_registry = ClientRegistry()
         self.faults = FaultController(time.monotonic) if faults is None else faults
         # Address of each line by its name.
@@ -107,8 +110,7 @@ class Daemon:
             If the port is taken; the message names `option`, with which the user chose it.
         """
         try:
-            loop = asyncio.get_running_loop()
-            server = await loop.create_server(
+            server = await admission.listen(
                 lambda: AdmissionProtocol(self.admission, self._client_hosts, new_connection), host, port
             )
         except OSError as error:

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from typing import Final, NamedTuple
 
-from nclient.protocol.tcp_framing import MAX_UNKNOWN_WORDS
+from nclient.protocol.codec import MAX_UNKNOWN_WORDS
 
 _LIMIT: Final = "limit"
 # Connections that a browser opens for a page at once: six for files, and the websocket.

@@ -3,7 +3,7 @@
     receive(bytes) -> framer -> queue -> answer(call, context) -> process_requests() -> reply bytes
                                                `- deferred (ws, zr): tick() polls until the reply exists
 
-`BaseSession` is independent of the protocol, `Session` speaks the TCP protocol (PROTOCOL.md, section 1),
+`BaseSession` is independent of the protocol, `Session` speaks the TCP protocol (docs/protocol.md),
 `SerialSession` (serial_session.py) a robot's own line.
 
 One reply per request, in order: requests behind a deferred reply wait. The command handler is passed in, so that one
@@ -29,16 +29,16 @@ from typing import Final, Generic, NamedTuple, Protocol, TypeVar
 from nclient.errors import WireError
 from nclient.protocol import codec
 from nclient.protocol.client_state import STATE_SIZE
+from nclient.protocol.codec import InvalidFrame, TcpFrame, TcpFramer, limit_words, request_bounds
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
-from nclient.protocol.tcp_framing import InvalidFrame, TcpFrame, TcpFramer, limit_words, request_bounds
 from nclient.protocol.types import N150, Mask
 from nclient.protocol.wire_state import WireState, tcp_wire_state
 from nserver_emu.server.limits import Limits
 
 log = logging.getLogger(__name__)
 
-# Codes of ERROR replies (PROTOCOL.md, section 1).
+# Codes of ERROR replies (docs/protocol.md, Error codes).
 BAD_VALUES, NOT_CONNECTED, NOT_AVAILABLE, REFUSED = 2, 3, 4, 5
 
 # Requests that may wait in a session; its port is not read while there are more.

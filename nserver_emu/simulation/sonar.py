@@ -20,7 +20,7 @@ from nserver_emu.simulation.acoustics import Ping, Polaroid, ReflectorMap, Sonar
 from nserver_emu.simulation.segments import NO_STAMP, PS_PER_S, TIME_MAX_PS, SegmentTime, Stamp
 from nserver_emu.simulation.visibility import MAX_ROBOT_RANGE_IN, NO_NEAR_ROBOTS, SensorPose, robots_on_rays
 from worlds.geometry import FloatArray
-from worlds.raycast import NEAREST_OBSTACLE, cast_each, ray_to_disc
+from worlds.raycast import RAYCAST_KERNEL, cast_each, ray_to_disc
 from worlds.robots import SONARS, Body
 
 MIN_READING_IN: Final = 6
@@ -72,8 +72,8 @@ class SonarNoise(SonarErrors):
         The number of rays in a call changes no bit of the result.
         """
         # 1. Ranges from the axis: compiled, ray by ray ...
-        if NEAREST_OBSTACLE.run is not None:
-            cast = NEAREST_OBSTACLE.run
+        if RAYCAST_KERNEL.run is not None:
+            cast = RAYCAST_KERNEL.run
             from_axis = [_cast_compiled(cast, *each, walls) for each in zip(pings, sensor_poses, strict=True)]
             return self._from_ring(from_axis, pings, body)
         # ... or in arrays, walls first, then the robots that a ray can meet before its wall.

@@ -20,9 +20,9 @@ from typing import TYPE_CHECKING, Any, Final
 from nclient.errors import REFUSALS, NomadError
 from nclient.faults.frames import Language, TcpLanguage
 from nclient.protocol import codec
+from nclient.protocol.codec import TcpFrame, TcpFramer, reply_bounds
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
-from nclient.protocol.tcp_framing import TcpFrame, TcpFramer, reply_bounds
 from nclient.protocol.types import N150
 from nclient.protocol.wire_state import WireState, tcp_wire_state
 from nclient.recording.recorder import TCP
@@ -59,6 +59,8 @@ class ViewerClient(ConnectionHandler):
     """Connection of one viewer to one robot."""
 
     line = "viewer"
+    # The page waits for its turn before it sends a call (server.py).
+    is_scheduled = False
 
     def __init__(self, daemon: Daemon, name: str) -> None:
         super().__init__(daemon)

@@ -26,7 +26,7 @@ def test_url_parts_need_two_slashes_and_a_port_number() -> None:
     parts = split_address("robotd://lab:65001/x?model=n200").url_parts("robotd://host[:port]")
     assert (parts.hostname, parts.port, parts.path) == ("lab", 65001, "/x")
     for wrong in ("robotd:lab", "robotd://lab:port"):
-        with pytest.raises(AddressError, match=r"such an address is robotd://host|an address is robotd://host"):
+        with pytest.raises(AddressError, match="address is robotd://host"):
             split_address(wrong).url_parts("robotd://host[:port]")
 
 
@@ -48,7 +48,7 @@ def test_without_removes_options_and_changes_nothing_else(text: str, left: str) 
 def test_unknown_options_are_ignored_only_on_request() -> None:
     raw = split_address("sim:w?seed=4&feed=1")
     assert raw.parse_options({"feed": url.flag}, ignore_unknown=True) == {"feed": True}
-    with pytest.raises(AddressError, match=r"no option 'seed'; did you mean feed\? There are feed"):
+    with pytest.raises(AddressError, match=r"'seed'.*mean feed.*There are feed"):
         raw.parse_options({"feed": url.flag})
 
 
@@ -77,7 +77,7 @@ def test_option_parsers(parse: Callable[[str], Any], good: str, value: object, b
 
 
 def test_a_repeated_option_is_rejected() -> None:
-    with pytest.raises(AddressError, match=r"'serial:///dev/r1.baud=1.*': baud is given 2 times; expected once"):
+    with pytest.raises(AddressError, match=r"'serial:///dev/r1.baud=1.*': baud .* 2 times"):
         split_address("serial:///dev/r1?baud=1&model=n150&baud=1")
 
 

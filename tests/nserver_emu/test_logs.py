@@ -24,7 +24,7 @@ DOCS = Path(__file__).parents[2] / "docs"
 
 
 @pytest.fixture(autouse=True)
-def _as_it_was() -> Iterator[None]:
+def _root_logger_restored() -> Iterator[None]:
     root = logging.getLogger()
     level = root.level
     yield

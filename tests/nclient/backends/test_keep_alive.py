@@ -216,7 +216,7 @@ def test_ws_ends_when_its_time_is_over() -> None:
 
 
 def test_a_malformed_ws_is_left_to_the_inner_backend() -> None:
-    with pytest.raises(ValueError, match="ws takes 4 numbers"):
+    with pytest.raises(ValueError, match="ws takes 4"):
         keep_alive_on(ScriptedLine(), Clock()).execute(Call("ws", (1,)))
 
 

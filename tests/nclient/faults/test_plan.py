@@ -80,7 +80,7 @@ PLANS = st.builds(
 
 
 @given(PLANS)
-def test_a_plan_reads_back_as_it_was_written(plan: Plan) -> None:
+def test_a_written_plan_reads_back_equal(plan: Plan) -> None:
     assert parse_plan(plan_text(plan)) == plan
 
 
@@ -180,20 +180,20 @@ def test_what_is_wrong_is_named(text: str, words: str) -> None:
 
 
 def test_a_rule_that_cannot_be_written_cannot_be_made() -> None:
-    with pytest.raises(FaultPlanError, match="place: applies to all kinds of a rule"):
+    with pytest.raises(FaultPlanError, match=r"place: .*all kinds"):
         Rule("x", (Corrupt(place=1), InsertBytes(place=2)))
-    with pytest.raises(FaultPlanError, match="direction: expected request, reply or both"):
+    with pytest.raises(FaultPlanError, match=r"direction: .*request, reply or both"):
         Rule("x", (Drop(),), directions=frozenset())
 
 
 def test_files_that_are_no_plans(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(FaultPlanError, match=r"nowhere\.toml: cannot be read: No such file"):
+    with pytest.raises(FaultPlanError, match=r"nowhere\.toml: .*No such file"):
         load_plan(tmp_path / "nowhere.toml")
-    with pytest.raises(FaultPlanError, match="cannot be read: embedded null byte"):
+    with pytest.raises(FaultPlanError, match="embedded null byte"):
         load_plan(tmp_path / "plan\0.toml")
     odd = tmp_path / "odd.toml"
     odd.write_bytes(b"seed = 1 # \xff")
-    with pytest.raises(FaultPlanError, match=r"odd\.toml: expected text in UTF-8, found other bytes at 11"):
+    with pytest.raises(FaultPlanError, match=r"odd\.toml: .*UTF-8.* 11"):
         load_plan(odd)
     monkeypatch.setattr(plan_file, "MAX_BYTES", 3)
     with pytest.raises(FaultPlanError, match="is longer than"):

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from nclient import RecordingError, connect
-from nclient.connect import Connector
+from nclient.connector import Connector
 from nclient.protocol.types import N150
 from nclient.recording.format import read_recording
 from nclient.recording.recorder import ClientRecording, RecordingTarget
@@ -76,7 +76,7 @@ def test_a_connection_made_anew_goes_on_in_the_same_file(tmp_path: Path) -> None
 
 
 class Silent:
-    """Says one byte whatever it hears."""
+    """A stream that receives one byte for anything sent."""
 
     def send(self, data: bytes) -> None:
         del data

@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nclient.protocol import codec
+from nclient.protocol.codec import TcpFrame, TcpFramer, reply_bounds
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
-from nclient.protocol.tcp_framing import TcpFrame, TcpFramer, reply_bounds
 from nserver_emu.server.session import ClientIdentity, ConnectionContext, DeferredReply, Session
 
 CONNECT = codec.encode_tcp_request(Call("connect_robot", (1, 7)))

@@ -1,4 +1,4 @@
-"""What goes wrong for one viewer, on purpose: the others go on, robots stop, the log has it once."""
+"""Errors injected for one viewer: the others continue, its robots stop, and the log has the error once."""
 
 from __future__ import annotations
 
