@@ -28,7 +28,7 @@ from nclient.protocol.wire_state import WireState, tcp_wire_state
 from nclient.recording.recorder import TCP
 from nserver_emu.control.commands import answer_line
 from nserver_emu.server.connection import ConnectionHandler
-from nserver_emu.server.ownership import MOTIONS
+from nserver_emu.server.estop import MOTIONS
 from nserver_emu.server.session import Session
 from nserver_emu.viewer.broadcaster import Broadcaster, Viewer
 from nserver_emu.viewer.error_boundary import ErrorBoundary

@@ -18,7 +18,7 @@ from the page, by `do`
     call         id, robot, call (C name), args (wire units): a client's call to that robot
     drive        id, robot, args: a vm that ends by itself unless the next comes within DRIVE_TIMEOUT_S
     stop         id, robot (left out: all): stop it, and refuse motions until it is released, from programs, other
-                 viewers and this page (server/ownership.py)
+                 viewers and this page (server/estop.py)
     release      id, robot (left out: all): allow motions again
     control      id, command, argument: time, faults, noise, world (control/commands.py)
     click        robot, pose: x, y, steer, turret in tenths
