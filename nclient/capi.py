@@ -14,7 +14,8 @@
         disconnect_robot(1)
 
 As in the C library nothing is raised and nothing printed: a call returns TRUE, or FALSE if it was refused or the link
-is lost (`last_error` has the reason); State[44] has the code of a refusal. Numbers are in wire units, truncated to
+is lost (`last_error` has the reason); State[44] has the code of a refusal. Calls whose reply has no values, such as tk
+and place_robot, return TRUE also if the server refuses them. Numbers are in wire units, truncated to
 integers as in C, and clamped on a serial line to what it can carry. A list stands for a C array or pointer and is
 filled in place. One program, one thread, one robot. The settings in capitals are module variables: assign them as
 `capi.NAME`, since an import with * only copies them.
@@ -32,9 +33,9 @@ from nclient.connector import ConnectOptions, is_listening, open_line, open_mach
 from nclient.errors import ConnectionLost, NomadError, RobotRefused
 from nclient.protocol.client_state import STATE_SIZE, ClientState
 from nclient.protocol.codec import clamp_to_serial
-from nclient.protocol.commands import Call
+from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.fields import MAX_LASER_READINGS
-from nclient.protocol.replies import Reply
+from nclient.protocol.replies import SIMPLE, Reply
 from nclient.protocol.requests import MOTION_LINE
 from nclient.protocol.types import (
     CPU_RANGE_V,
@@ -91,7 +92,7 @@ Out = MutableSequence[Any]
 _PACKET_HEAD = 4
 _NO_SUCH_MODES = frozenset({6, 7, 8})
 _NAK = Reply("nak")
-"""The C library takes it for success."""
+"""A refusal that the C library takes for success."""
 
 _backend: Backend | None = None
 _client_state = ClientState()
@@ -632,10 +633,15 @@ def _reply(name: str, *args: Any) -> Reply | None:
         reply = _backend.execute(clamp_to_serial(call) if _backend.wire_state.line else call)
     except NomadError as error:
         _error = error
-        # As in the C library a refusal sets State[44], and a NAK on the serial line is a success.
-        if isinstance(error, RobotRefused) and error.code is not None:
+        if not isinstance(error, RobotRefused):
+            return None
+        # As in the C library a NAK on the serial line is a success, and a call whose reply has no values succeeds also
+        # if the server refuses it. Another refusal sets State[44].
+        if error.is_nak or (error.code is not None and BY_NAME[name].tcp_reply is SIMPLE):
+            return _NAK
+        if error.code is not None:
             _apply(Reply("error", values=(error.code,)))
-        return _NAK if isinstance(error, RobotRefused) and error.is_nak else None
+        return None
     _apply(reply)
     return reply
 

@@ -309,7 +309,7 @@ def cast_fan(x: float, y: float, angles_rad: FloatArray, walls: FloatArray, reac
     array
         Ranges (n,).
     """
-    ranges = np.full(len(angles_rad), inf)
+    ranges: FloatArray = np.full(len(angles_rad), inf)
     # 1. Walls within reach, in the frame of the fan's middle; not wholly behind it.
     middle_rad = 0.5 * (angles_rad[0] + angles_rad[-1])
     walls = near_walls(x, y, reach_in, walls)
@@ -317,7 +317,7 @@ def cast_fan(x: float, y: float, angles_rad: FloatArray, walls: FloatArray, reac
     is_ahead = ends.real.max(axis=1, initial=-inf) >= -ON_WALL_IN
     walls, ends = walls[is_ahead], ends[is_ahead]
     # 2. The interval of directions of each wall. A wall that passes the origin closely has any direction.
-    first, last = np.angle(ends).T
+    first = np.angle(ends[:, 0])
     turn = np.angle(ends[:, 1] * ends[:, 0].conj())
     low, high = np.minimum(first, first + turn), np.maximum(first, first + turn)
     offsets = nearest_points((x, y), walls)[1]
@@ -345,7 +345,7 @@ def cast_fan(x: float, y: float, angles_rad: FloatArray, walls: FloatArray, reac
         np.minimum.at(ranges, ray, hits)
         order = order[len(taken):]
         order = order[offsets[order] <= _farthest(ranges, begin[order], stop[order])]
-    ranges = np.maximum(ranges, 0.0)
+    np.maximum(ranges, 0.0, out=ranges)
     ranges[ranges > reach_in] = inf
     return ranges
 

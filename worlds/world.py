@@ -20,10 +20,14 @@ from typing import Final
 import numpy as np
 
 from nclient.errors import StartError
-from worlds.geometry import FloatArray, inside, nearest_points, normals, polygon_segments
+from worlds.geometry import FloatArray, inside, nearest_distances, nearest_points, normals, polygon_segments
 from worlds.raycast import ON_WALL_IN
 
 Point = tuple[float, float]
+
+MAX_CORNERS, MAX_STARTS, MAX_PATH_POINTS = 50_000, 1_000, 2_000
+"""Size of a world: corners and points of its rooms, walls and obstacles; starts; points of its paths. The file of a
+larger world is rejected: a simulated sonar compares each wall with each ray."""
 
 MARGIN_IN: Final = 0.1
 """Extra distance from walls of the alternative position in an error message, inches."""
@@ -148,7 +152,7 @@ class World:
         return world
 
     def obstacles_with_corner(self, x_in: float, y_in: float, within_in: float) -> list[int]:
-        """Return the numbers of the obstacles that have a corner within a distance in x and y of a point, increasing."""
+        """Return the numbers of obstacles with a corner within a distance in x and y of a point, increasing."""
         first = self._firsts[len(self.rooms)] if self.obstacles else 0
         corners = self._edges[first:, :2]
         rows = np.flatnonzero((np.abs(corners - (x_in, y_in)) <= within_in).all(axis=1)) + first
@@ -164,7 +168,7 @@ class World:
 
     def clearances(self, points_in: FloatArray) -> FloatArray:
         """Return the clearance (...) of points (..., 2)."""
-        far: FloatArray = nearest_points(points_in, self.walls)[1].min(axis=-1, initial=inf)
+        far = nearest_distances(points_in, self.walls)
         if self._firsts:
             # Negative where a point is in no room (if there are rooms) or inside an obstacle.
             within, rooms = inside(points_in, self._edges, self._firsts), len(self.rooms)
@@ -266,4 +270,4 @@ def _stacked(parts: Sequence[FloatArray]) -> FloatArray:
 
 def _first_rows(parts: Sequence[FloatArray]) -> tuple[int, ...]:
     """Return the row at which each part begins after concatenation."""
-    return tuple(accumulate(map(len, parts[:-1]), initial=0)) if parts else ()
+    return tuple(accumulate((len(part) for part in parts[:-1]), initial=0)) if parts else ()

@@ -1,7 +1,7 @@
 """Sensor data and pose as the client stores them: the State vector, laser, position stamps, clock, battery.
 
     0 speed | 1-16 infrared | 17-32 sonar | 33 bumper | 34-37 x y steering turret | 38-40 velocities
-    41 motors | 42 laser mode | 43 compass | 44 error        (PROTOCOL.md, section 3)
+    41 motors | 42 laser mode | 43 compass | 44 error        (docs/protocol.md, State vector)
 
 Replies are stored as the C client does: a state reply over TCP fills 0..43 and clears 44; the serial line never
 writes 0, 42 and 44; an error reply writes its code to 44 and nothing else; a prediction is not stored.

@@ -11,8 +11,8 @@ Over TCP all is big-endian words of 32 bits; a 64-bit client sends and reads eig
 of its type before any payload is buffered; an invalid frame is skipped, counted and reported. Frames of the serial line
 are in serial_framing.py.
 
-Layouts come from the command table; nothing here depends on a particular command except where PROTOCOL.md makes an
-exception. Both ends call `update_from_request` for each request sent or received, so that they agree on the mask and
+Layouts come from the command table; nothing here depends on a particular command except where docs/protocol.md has
+an exception. Both ends call `update_from_request` for each request sent or received, so that they agree on the mask and
 on the laser layout.
 """
 
@@ -279,7 +279,7 @@ def serial_argument_bounds(name: str) -> tuple[tuple[str, int, int], ...]:
 def clamp_to_serial(call: Call) -> Call:
     """Return the call with each argument clamped to its range on the serial line.
 
-    For the C interface and the gateway: PROTOCOL.md, section 3, clamps silently.
+    For the C interface and the gateway, which clamp without an error (docs/protocol.md, State vector).
     """
     bounds = serial_argument_bounds(call.name)
     if len(bounds) != len(call.args) or not bounds:
@@ -405,9 +405,11 @@ def build_tcp_payload(layout: TcpLayout, reply: Reply, wire_state: WireState) ->
             raise WireError(f"{layout.values} words wanted, {len(words)} given")
         words += [reply.slots.get(slot, 0) for slot in layout.slots]
         if layout.laser_width is not None:
-            laser = reply.laser or (0,)
-            check_laser(laser, layout.laser_width(wire_state), "laser")
-            words += laser
+            if reply.laser is None:
+                words.append(0)
+            else:
+                check_laser(reply.laser, layout.laser_width(wire_state), "laser")
+                words += reply.laser
         code = f"{len(words)}i"
         # 2. Stamps and clock, whose times are unsigned.
         for key in _stamp_keys(layout, wire_state):

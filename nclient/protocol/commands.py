@@ -284,7 +284,7 @@ COMMANDS: tuple[Command, ...] = (
     _row("real_robot", "use_real_robot", (71, None), (), _SIMPLE, "pass the commands to the real robot"),
     _row("simulated_robot", "use_simulated_robot", (74, None), (), _SIMPLE, "pass the commands to the simulation"),
     _row("quit_server", "quit_server", (70, None), (), _SIMPLE, "end the server, if its setup allows it"),
-    # additions of this project (PROTOCOL.md, section 5)
+    # additions of this project (docs/protocol.md, Additional messages)
     _row("sim_truth", "truth", (1000, None), (), (shape.TRUTH, shape.LINE_STATE),
          "ask a simulation where the actual robot is"),
     _row("sim_control", "control_time", (1001, None), _signed("verb", "value"), (shape.CONTROL, shape.LINE_STATE),

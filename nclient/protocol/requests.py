@@ -80,7 +80,7 @@ MAX_TEXT_WORDS = 64
 MAX_PACKET_DATA = 250
 """Maximum bytes of user data in a special packet: a host's serial frame has less than 256 bytes."""
 MOTION_LINE, MOTION_ARC = 0, 1
-# Laser mode 51 (points) is sent as 35 on the serial line, a history above 10 as 10 (PROTOCOL.md, section 2).
+# Laser mode 51 (points) is sent as 35 on the serial line, a history above 10 as 10 (docs/protocol.md, Laser).
 _POINT_LASER, _SERIAL_POINT_LASER = 51, 35
 _MAX_HISTORY = 10
 _ROUNDING_DIGITS = 6

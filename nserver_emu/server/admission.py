@@ -1,4 +1,4 @@
-"""Listening sockets and limits on connections: admission, request rate, timeouts.
+"""Listening sockets and limits on connections: admission and timeouts.
 
 The path of a new connection:
 
@@ -43,8 +43,6 @@ OUT_OF_RESOURCES: Final = frozenset({errno.EMFILE, errno.ENFILE, errno.ENOBUFS, 
 # Connections that are then accepted to be closed, so that their clients do not wait.
 MAX_CLOSED_AT_ONCE: Final = 20
 
-# Seconds of unused rate that an idle client accumulates.
-BURST_S: Final = 0.1
 # Timeout checks within the shortest timeout: it is exceeded by at most a quarter.
 _CHECKS_PER_TIMEOUT: Final = 4
 
@@ -250,29 +248,6 @@ class AcceptErrorHandler:
             os.close(self._spare.pop())
 
 
-class TokenBucket:
-    """A limit on requests per second.
-
-    The bucket holds up to BURST_S of the rate, at least one turn. It may become negative by the last turn, which is
-    then waited for before the next. Times are seconds of a monotonic clock.
-    """
-
-    def __init__(self, rate: float, turn: int, now_s: float) -> None:
-        self._rate = rate
-        self._capacity = max(rate * BURST_S, turn)
-        self._tokens = self._capacity
-        self._updated_s = now_s
-
-    def consume(self, count: int, now_s: float) -> None:
-        """Take tokens for `count` answered requests."""
-        self._tokens = min(self._capacity, self._tokens + self._rate * (now_s - self._updated_s)) - count
-        self._updated_s = now_s
-
-    def wait_s(self, now_s: float) -> float:
-        """Return the seconds until a request may be answered, 0 for now."""
-        return max(0.0, -self._tokens / self._rate - (now_s - self._updated_s))
-
-
 @dataclass(slots=True)
 class ConnectionTimeouts:
     """Idle and stall timeouts of one connection; 0 disables one. Times are seconds of a monotonic clock.
@@ -288,23 +263,16 @@ class ConnectionTimeouts:
     # Since when the connection is stalled, and the requests answered by then.
     _stalled_s: float | None = None
     _answered: int = 0
-    _active_s: float = 0.0
+    # Time of the last bytes received; set it to reset the idle timeout.
+    active_s: float = 0.0
 
     def __post_init__(self) -> None:
-        self._active_s = self.now_s
+        self.active_s = self.now_s
 
     @property
     def check_interval_s(self) -> float | None:
         """Seconds between checks, None for no checks: cheaper than a timer restarted at each request."""
         return min((limit / _CHECKS_PER_TIMEOUT for limit in (self.idle_s, self.stall_s) if limit), default=None)
-
-    def on_activity(self, now_s: float) -> None:
-        """Reset the idle timeout."""
-        self._active_s = now_s
-
-    def idle_for_s(self, now_s: float) -> float:
-        """Return the seconds since the last activity."""
-        return now_s - self._active_s
 
     def timeout_reason(self, now_s: float, answered: int, is_stalled: bool) -> str:
         """Return the reason to close the connection, empty to keep it open.
@@ -322,6 +290,6 @@ class ConnectionTimeouts:
             self._stalled_s, self._answered = now_s if is_stalled else None, answered
         elif self.stall_s and now_s - self._stalled_s >= self.stall_s:
             return f"incomplete request, or replies not read, for {self.stall_s:g} s"
-        if self.idle_s and now_s - self._active_s >= self.idle_s:
+        if self.idle_s and now_s - self.active_s >= self.idle_s:
             return f"idle for {self.idle_s:g} s"
         return ""

@@ -29,11 +29,10 @@ from nserver_emu.server.admission import (
     ReservableConnection,
 )
 from nserver_emu.server.client_registry import ClientRegistry
-from nserver_emu.server.connection import ConnectionHandler, TcpConnection
+from nserver_emu.server.connection import ConnectionHandler, FairScheduler, TcpConnection
 from nserver_emu.server.garbage_collection import GarbageCollector
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.link import FaultController
-from nserver_emu.server.scheduling import FairScheduler
 from nserver_emu.server.session import CommandHandler
 
 log = logging.getLogger(__name__)
@@ -185,11 +184,11 @@ class Daemon:
         self.recorder.record_pace(self.emulator.clock.factor, self.emulator.clock.paused)
 
     def record_change(self, change: Mapping[str, Any]) -> None:
-        """Record a change of the simulation by the operator (runtime_settings.py, ownership.py)."""
+        """Record a change of the simulation by the operator (runtime_settings.py, estop.py)."""
         self.recorder.record_change(change)
 
     def hold(self, robot_ids: Iterable[int], by: str) -> None:
-        """Stop these robots and ignore motion commands until `release` (ownership.py)."""
+        """Stop these robots and ignore motion commands until `release` (estop.py)."""
         robot_ids = list(robot_ids)
         for robot_id in robot_ids:
             self.handler.hold(robot_id, by)

@@ -63,7 +63,7 @@ class Limits:
     rate: int = _limit(
         10_000, (10, 1_000_000), "requests per second", "replies to one connection",
         "requests are read and answered later, as over a slow network; nothing is lost or refused",
-        "server/admission.py", none=True)
+        "server/connection.py", none=True)
     frame: int = _limit(
         254, (17, 254), "words", "length of a request; only texts and arm packets are long",
         "ERROR 2; the request is skipped and the connection continues; a request above "

@@ -1,4 +1,4 @@
-"""A session on a robot's own serial line, without I/O: bytes in, bytes out (PROTOCOL.md, section 2).
+"""A session on a robot's own serial line, without I/O: bytes in, bytes out (docs/protocol.md, On a serial line).
 
     receive(bytes) -> framer -> queue -> answer(call, context) -> state packets, replies of get_ commands, NAK
                                                `- deferred (ws, zr, arm): tick() polls until the reply exists

@@ -3,7 +3,7 @@
     receive(bytes) -> framer -> queue -> answer(call, context) -> process_requests() -> reply bytes
                                                `- deferred (ws, zr): tick() polls until the reply exists
 
-`BaseSession` is independent of the protocol, `Session` speaks the TCP protocol (PROTOCOL.md, section 1),
+`BaseSession` is independent of the protocol, `Session` speaks the TCP protocol (docs/protocol.md),
 `SerialSession` (serial_session.py) a robot's own line.
 
 One reply per request, in order: requests behind a deferred reply wait. The command handler is passed in, so that one
@@ -38,7 +38,7 @@ from nserver_emu.server.limits import Limits
 
 log = logging.getLogger(__name__)
 
-# Codes of ERROR replies (PROTOCOL.md, section 1).
+# Codes of ERROR replies (docs/protocol.md, Error codes).
 BAD_VALUES, NOT_CONNECTED, NOT_AVAILABLE, REFUSED = 2, 3, 4, 5
 
 # Requests that may wait in a session; its port is not read while there are more.
@@ -96,13 +96,16 @@ def _word_count(head: bytes) -> int:
 # What a session knows of its connection.
 
 
-class CachedStateReply(NamedTuple):
+@dataclass(slots=True, eq=False)
+class CachedStateReply:
     """A state reply with the inputs that it was built from, valid while they are the same objects."""
 
     snapshot: object
     mask: Mask
     laser_mode: int
     reply: Reply
+    # Its frame, once it was sent.
+    frame: bytes = b""
 
 
 @dataclass(slots=True, eq=False)
@@ -115,7 +118,7 @@ class ConnectionContext:
     robot_id: int | None = None
     # State[0..44] as last sent. Slots that the mask excludes keep these values.
     last_sent: list[int] = field(default_factory=lambda: [0] * STATE_SIZE)
-    # On a robot's own line, where a state packet depends on nothing else: the last one.
+    # The last state reply. A client that polls gets it again while nothing changes.
     cached_state: CachedStateReply | None = None
     # Number of laser columns in use; 0 is all.
     laser_columns: int = 0
@@ -156,7 +159,7 @@ class CommandHandler(Protocol):
         ...
 
     def hold(self, robot_id: int, by: str) -> None:
-        """Stop a robot and ignore motion commands until it is released (ownership.py)."""
+        """Stop a robot and ignore motion commands until it is released (estop.py)."""
         ...
 
 
@@ -180,6 +183,8 @@ class BaseSession(ABC, Generic[Request]):
         self.log_extra = {"address": name.rpartition(":")[0] or name}
         # True if the connection is to be closed after the returned bytes are sent.
         self.closing = False
+        # The identity that another connection may continue; replaced whenever it changes.
+        self.identity: ClientIdentity | None = None
         # Number of requests answered with an error, and with any reply.
         self.refused = 0
         # Kinds of refusals that were logged.
@@ -206,11 +211,6 @@ class BaseSession(ABC, Generic[Request]):
         return self._deferred is not None
 
     @property
-    def identity(self) -> ClientIdentity | None:
-        """The identity that another connection may continue; None if there is none."""
-        return None
-
-    @property
     @abstractmethod
     def unfinished(self) -> int:
         """Number of received bytes that do not form a whole request yet."""
@@ -221,12 +221,13 @@ class BaseSession(ABC, Generic[Request]):
 
     def process_requests(self, max_requests: int) -> bytes:
         """Return the replies to at most `max_requests` of the waiting requests."""
-        replies = bytearray()
-        while max_requests > 0 and self.ready:
+        replies = b""
+        for _ in range(max_requests):
+            if not self.ready:
+                break
             replies += self._process_one(self._queue.popleft())
-            max_requests -= 1
             self.answered += 1
-        return bytes(replies)
+        return replies
 
     def tick(self) -> bytes:
         """Return the deferred reply if it exists now, else nothing."""
@@ -295,20 +296,12 @@ class Session(BaseSession[TcpFrame | InvalidFrame]):
         self._find_identity = find_identity
         # The first bytes until they identify the client, then None.
         self._head: bytes | None = b""
-        # True while the last request was a CONNECT.
-        self._silent = False
         self._framer = TcpFramer(limit_words(request_bounds, max_words), drop_after_loss=True)
 
     @property
     def unfinished(self) -> int:
         """Return the number of received bytes that do not form a whole request yet."""
         return self._framer.pending + self._framer.bytes_to_skip + len(self._head or b"")
-
-    @property
-    def identity(self) -> ClientIdentity | None:
-        """The result of CONNECT; None before it, and after one that named no existing robot."""
-        robot_id = self.context.robot_id
-        return None if robot_id is None else ClientIdentity(robot_id, self.context.wire_state.wide, self._silent)
 
     def receive(self, data: bytes) -> None:
         """Add bytes from the client; the first ones decide its word size."""
@@ -330,6 +323,7 @@ class Session(BaseSession[TcpFrame | InvalidFrame]):
                      extra=self.log_extra)
             self.context.robot_id = identity.robot_id
             self._framer.wide = identity.wide
+            self.identity = identity._replace(silent=False)
 
     def _process_one(self, request: TcpFrame | InvalidFrame) -> bytes:
         # 1. Frames that are no request.
@@ -347,17 +341,26 @@ class Session(BaseSession[TcpFrame | InvalidFrame]):
         if self.context.robot_id is None and call.name not in _CONNECT_NAMES:
             return self._refuse("not connected", NOT_CONNECTED, f"{call.name} before connect_robot")
         # 3. Settings of the protocol that the request changes take effect in its own reply.
-        self.context.wire_state.wide = bool(self._framer.wide)
-        codec.update_from_request(call, self.context.wire_state)
-        # 4. Execute and reply. A request without a reply (disconnect_robot) ends the connection.
-        answer = self._answer(call, self.context)
-        self._silent = call.name in _CONNECT_NAMES
+        context, wire_state = self.context, self.context.wire_state
+        wire_state.wide = bool(self._framer.wide)
+        codec.update_from_request(call, wire_state)
+        # 4. Execute. The result of CONNECT is an identity, unless it named no existing robot.
+        answer = self._answer(call, context)
+        is_connect = call.name in _CONNECT_NAMES
+        if is_connect or self.identity is None or self.identity.silent:
+            robot_id = context.robot_id
+            self.identity = None if robot_id is None else ClientIdentity(robot_id, wire_state.wide, is_connect)
+        # 5. Reply. A request without a reply (disconnect_robot) ends the connection.
         self.closing = not row.has_tcp_reply
         if self.closing:
             return b""
         return self._reply_or_defer(call.name, answer)
 
     def _encode(self, name: str, reply: Reply) -> bytes:
+        cached = self.context.cached_state
+        if cached is not None and cached.reply is reply:
+            cached.frame = cached.frame or codec.encode_tcp_reply(BY_NAME[name], reply, self.context.wire_state)
+            return cached.frame
         if reply.kind == "error":
             reason = f"{name}: error {reply.values[0]}"
             self._count_refused(reason, reason)

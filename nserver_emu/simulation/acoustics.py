@@ -115,9 +115,9 @@ class Attenuation(NamedTuple):
     """
 
     absorption_db_in: float
-    bounce_db: float
-    edge_db: float
-    skin_db: float
+    bounce_loss_db: float
+    edge_loss_db: float
+    skin_loss_db: float
 
 
 class Beam(NamedTuple):
@@ -126,7 +126,7 @@ class Beam(NamedTuple):
     point: complex
     direction_rad: float
     half_rad: float
-    rim_loss_db: float
+    one_way_cone_loss_db: float
 
     def in_frame(self, points: ComplexArray) -> ComplexArray:
         """Return points relative to the beam: along its axis (real) and to its left (imaginary)."""
@@ -136,7 +136,7 @@ class Beam(NamedTuple):
         """Return the one-way loss towards points, which grows with the angle squared; inf outside the cone."""
         local = self.in_frame(points)
         off_axis = np.abs(np.arctan2(local.imag, local.real)) / self.half_rad
-        return np.where(off_axis <= 1.0, self.rim_loss_db * off_axis * off_axis, inf)
+        return np.where(off_axis <= 1.0, self.one_way_cone_loss_db * off_axis * off_axis, inf)
 
     def may_meet(self, mirrors: ComplexArray) -> ComplexArray:
         """Return the rows of the mirrors (k, 3) that can reach into the cone: not beyond one of its two sides."""
@@ -192,7 +192,7 @@ def acoustic_paths(
 
 def _off_edges(out: Beam, back: Beam, edges: ComplexArray, losses: Attenuation) -> Iterator[AcousticPath]:
     lengths = np.abs(edges - out.point) + np.abs(edges - back.point)
-    loss_db = _cone_losses(out, back, edges, edges) + losses.edge_db + losses.absorption_db_in * lengths / 2.0
+    loss_db = _cone_losses(out, back, edges, edges) + losses.edge_loss_db + losses.absorption_db_in * lengths / 2.0
     yield from _paths(lengths, loss_db, out, back, edges)
 
 
@@ -224,7 +224,7 @@ def _off_two_walls(
     # 3. Lengths and losses.
     lengths = np.abs(twice[is_met] - back.point)
     loss_db = (
-        _cone_losses(out, back, points_1, points_2) + losses.bounce_db + losses.absorption_db_in * lengths / 2.0
+        _cone_losses(out, back, points_1, points_2) + losses.bounce_loss_db + losses.absorption_db_in * lengths / 2.0
     )
     yield from _paths(lengths, loss_db, out, back, points_1, points_2)
 
@@ -248,7 +248,7 @@ def _over_wall_to_wall(
     points, feet = points[is_met], feet[is_met]
     # 3. Lengths and losses, there and back.
     lengths = 2.0 * np.abs(np.broadcast_to(images, is_met.shape)[is_met] - feet)
-    loss_db = 2.0 * out.loss_db(points) + 2.0 * losses.bounce_db + losses.absorption_db_in * lengths / 2.0
+    loss_db = 2.0 * out.loss_db(points) + 2.0 * losses.bounce_loss_db + losses.absorption_db_in * lengths / 2.0
     yield from _paths(lengths, loss_db, out, None, points, feet)
 
 
@@ -276,7 +276,7 @@ def _scattered_by_disc(
 ) -> Iterator[AcousticPath]:
     """Yield paths off points that evenly spread rays of the first cone meet, across the visible part of a disc."""
     away = abs(centre - out.point)
-    if away <= radius or losses.skin_db == inf:
+    if away <= radius or losses.skin_loss_db == inf:
         return
     # 1. The interval of directions in which the disc is visible inside the cone.
     bearing, half = wrap_to_pi(phase(centre - out.point) - out.direction_rad), asin(radius / away)
@@ -291,7 +291,7 @@ def _scattered_by_disc(
     # 3. Lengths and losses.
     lengths = ranges + np.abs(points - back.point)
     absorbed_db = losses.absorption_db_in * lengths / 2.0
-    loss_db = out.loss_db(points) + back.loss_db(points) + losses.skin_db + absorbed_db
+    loss_db = out.loss_db(points) + back.loss_db(points) + losses.skin_loss_db + absorbed_db
     yield from _paths(lengths, loss_db, out, back, points)
 
 
@@ -310,7 +310,7 @@ def _over_wall_to_disc(
     # 2. The point on the wall; losses there and back, and the spread by the curvature.
     points, is_met = crossings(images, feet, one)
     gaps = fraction * away
-    loss_db = 2.0 * out.loss_db(points) + 2.0 * losses.bounce_db + losses.absorption_db_in * gaps
+    loss_db = 2.0 * out.loss_db(points) + 2.0 * losses.bounce_loss_db + losses.absorption_db_in * gaps
     loss_db = np.where(is_met & is_outside, loss_db + 10.0 * np.log10(1.0 + gaps / radii), inf)
     yield from _paths(2.0 * gaps, loss_db, out, None, points, feet)
 

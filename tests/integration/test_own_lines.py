@@ -1,6 +1,6 @@
 """Serial lines of a running server: pseudo-terminals, TCP, two robots in one world, and the links of killed servers.
 
-The host is an independent implementation of PROTOCOL.md with struct only, like the robots' own library.
+The host is an independent implementation of docs/protocol.md with struct only, like the robots' own library.
 """
 
 from __future__ import annotations

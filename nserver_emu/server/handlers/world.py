@@ -20,9 +20,9 @@ from nclient.errors import StartError
 from nclient.protocol.replies import Reply
 from nclient.protocol.requests import MOTION_LINE
 from nclient.protocol.types import heading_tenths, rad_from_tenths, tenths
-from nserver_emu.server.context import ClickedPose, ServerState
+from nserver_emu.server.context import ServerState, add_laser, state_slots
+from nserver_emu.server.deferred import ClickedPose
 from nserver_emu.server.session import BAD_VALUES, REFUSED, ConnectionContext, DeferredReply, error_reply
-from nserver_emu.server.state_encoder import add_laser, state_slots
 from nserver_emu.simulation.multi_robot import discs_of
 from nserver_emu.simulation.noise import IDEAL
 from nserver_emu.simulation.robot import SimulatedRobot

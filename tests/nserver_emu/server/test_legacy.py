@@ -1,6 +1,6 @@
 """Programs of the 1990s on an Nserver, byte by byte on real sockets: their assumptions must hold.
 
-The client here is written from PROTOCOL.md anew, with struct alone, as those programs' library was.
+The client is an independent implementation of docs/protocol.md with struct only, like the library of those programs.
 """
 
 from __future__ import annotations

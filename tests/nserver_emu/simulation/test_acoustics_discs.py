@@ -90,12 +90,12 @@ def test_the_nearest_loud_point_of_a_robot_is_the_echo(seed: int) -> None:
     model = replace(MODEL, edge_loss_db=inf)
     angles, directions = rays(4001)
     ranges, cosines = met_by(directions, discs, walls)
-    rim_db = MODEL.cone_loss_db * (angles / HALF) ** 2 + MODEL.absorption_db_in * ranges
-    loud = rim_db + MODEL.skin_loss_db <= MODEL.margin_db
+    beam_db = MODEL.cone_loss_db * (angles / HALF) ** 2 + MODEL.absorption_db_in * ranges
+    loud = beam_db + MODEL.skin_loss_db <= MODEL.margin_db
     for x, y, radius in discs:
         spread_db = 10.0 * log10(1.0 + (hypot(x - FACE, y) - radius) / radius)
         ours = np.abs(np.hypot(FACE + ranges * directions[:, 0] - x, ranges * directions[:, 1] - y) - radius) < 1e-6
-        loud |= ours & (cosines > 1.0 - 1e-5) & (rim_db + spread_db <= MODEL.margin_db)
+        loud |= ours & (cosines > 1.0 - 1e-5) & (beam_db + spread_db <= MODEL.margin_db)
     expected = ranges[loud].min(initial=inf)
     off_the_wall = model.first_echo_in(ping(), (), ReflectorMap(walls), N150)
     measured = first(discs, model, walls)
