@@ -52,8 +52,8 @@ def _length(limit: float) -> Any:
 
 
 def _point(limit: float) -> Any:
-    pair: Any = GenericAlias(tuple, (_length(limit), _length(limit)))
-    return Annotated[pair, Meta(title="a point [x, y]")]
+    numbers: Any = GenericAlias(tuple, (_length(limit), ...))
+    return Annotated[numbers, Meta(min_length=2, max_length=2, title="a point [x, y]")]
 
 
 def points(least: int) -> InUnits:

@@ -3,7 +3,8 @@
     nomad schema world > world.schema.json        then in a world's first line: #:schema world.schema.json
 
 Kinds of files are found by the entry points of the group nomad.schemas: msgspec types that the readers use, too. The
-schema cannot express what needs geometry or other files; then the reader refuses what the schema allows.
+schema cannot express what needs geometry or other files; then the reader refuses what the schema allows. Apart from
+"$schema" it uses keywords that draft 7 has, too, since editors know no later one.
 """
 
 from __future__ import annotations

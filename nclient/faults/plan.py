@@ -425,7 +425,8 @@ def _conditions() -> Iterator[dict[str, Any]]:
     """Yield the conditions on several keys of a rule, as JSON Schema."""
     yield at_most_one(METHODS)
     for key in _SETTINGS:
-        yield {"dependentSchemas": {key: _does(*(name for name, kind in KINDS.items() if key in field_types(kind)))}}
+        kinds = (name for name, kind in KINDS.items() if key in field_types(kind))
+        yield {"if": {"required": [key]}, "then": _does(*kinds)}
     for name, kind in KINDS.items():
         required = [entry.name for entry in fields(kind) if entry.default is dataclasses.MISSING]
         yield {"if": _does(name), "then": {"required": required}}

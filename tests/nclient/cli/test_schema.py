@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import json
 import re
+import textwrap
 import tomllib
 from collections.abc import Callable, Iterator
 from functools import cache
@@ -38,7 +39,8 @@ READERS: dict[str, Callable[[str], object]] = {
 
 def blocks(page: str) -> list[str]:
     """Return the TOML blocks of a page that are whole files."""
-    return re.findall(r"```toml\n(.*?)```", (DOCS / page).read_text(encoding="utf-8"), re.DOTALL)
+    text = (DOCS / page).read_text(encoding="utf-8")
+    return [textwrap.dedent(block) for block in re.findall(r"^ *```toml\n(.*?)```", text, re.DOTALL | re.MULTILINE)]
 
 
 FILES: list[tuple[str, str]] = [
@@ -47,6 +49,7 @@ FILES: list[tuple[str, str]] = [
     *(("mission", path.read_text(encoding="utf-8")) for path in sorted((DOCS / "missions").glob("*.toml"))),
     *(("mission", text) for text in blocks("missions.md")),
     *(("setup", text) for text in blocks("setups.md")),
+    *(("world", text) for text in blocks("files.md")),
     ("setup", ""), ("setup", _SETUP.decode()), ("model", _MODEL.decode()), ("world", _WORLD.decode()),
     ("mission", _STEPS.decode()),
 ]  # fmt: skip
