@@ -43,11 +43,9 @@ class Reader(Protocol):
 
     def read(self, prompt: str) -> str:
         """Return a line. Raises EOFError at its end, KeyboardInterrupt at Ctrl-C."""
-        ...
 
     def close(self) -> None:
         """Save the history."""
-        ...
 
 
 def open_reader(wire_state: Callable[[], WireState], status: Callable[[], str], history: Path | None) -> Reader:
