@@ -66,7 +66,7 @@ def run(options: argparse.Namespace) -> int:
             far.close()
 
     try:
-        with contextlib.suppress(KeyboardInterrupt), open_listener(options, "bridge") as listener:
+        with open_listener(options, "bridge") as listener:
             serve_clients(listener, options, serve)
     finally:
         for far in opened:

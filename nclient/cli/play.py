@@ -65,7 +65,7 @@ def run(options: argparse.Namespace) -> int:
             mismatches.append(error)
             print_message(str(error))
 
-    with contextlib.suppress(KeyboardInterrupt), open_listener(options, "play", _MAY) as listener:
+    with open_listener(options, "play", _MAY) as listener:
         serve_clients(listener, options, serve)
     return ExitCode.FAILED if mismatches else ExitCode.DONE
 
