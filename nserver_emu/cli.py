@@ -21,6 +21,9 @@ import time
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
+from textwrap import indent
+
+import numpy as np
 
 from nclient.common import process
 from nclient.common.allowlist import allowlist_from_options, warning
@@ -52,6 +55,7 @@ from nserver_emu.server.link import FaultController
 from nserver_emu.server.serial_lines import at_port, open_lines
 from nserver_emu.service import STOPPING, ServiceManager, announced
 from nserver_emu.viewer.options import running_viewer
+from worlds.cells import braille_picture
 from worlds.io import load_world, world_names
 from worlds.raycast import load_compiled
 
@@ -59,6 +63,8 @@ log = logging.getLogger(__name__)
 
 CONTROL = "ctl"
 """First word of a command for a running daemon."""
+LIST_PICTURE = 48, 12
+"""Width and height of the pictures of `--list-worlds`, characters."""
 HELP = "help"
 """First word of a request for help."""
 
@@ -234,8 +240,15 @@ def _saved_on_signal(emulator: Emulator, path: Path | None) -> SaveFile | None:
 
 
 def _list_worlds() -> None:
+    # Braille dots need a terminal or file that can show them.
+    has_dots = (sys.stdout.encoding or "").lower().startswith("utf")
     for name in world_names():
-        print(f"{name:16} {load_world(name).title}")
+        world = load_world(name)
+        width_in, height_in = np.ptp(world.walls.reshape(-1, 2), axis=0)
+        size = f"{width_in:.0f} x {height_in:.0f} in ({0.0254 * width_in:.3g} x {0.0254 * height_in:.3g} m)"
+        print(f"{name:16} {world.title}\n{'':16} {size}, {len(world.walls)} walls, {len(world.starts)} starts")
+        if has_dots:
+            print(indent(braille_picture(world, *LIST_PICTURE), " " * 17))
 
 
 def whole_parser() -> Parser:
