@@ -54,9 +54,13 @@ def add_listener_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--once", action="store_true", help="exit when the first client disconnects")
 
 
+SIGNALS: Final = (KeyboardInterrupt, TerminatedBySignal)
+"""What Ctrl-C, SIGTERM and SIGHUP raise: the usual end of a command that serves."""
+
+
 @contextlib.contextmanager
 def open_listener(options: argparse.Namespace, name: str, may: str = allowlist.DRIVES) -> Iterator[Listener]:
-    """Open the listener that the options select and announce it; serve until Ctrl-C, SIGTERM or SIGHUP.
+    """Open the listener that the options select and announce it.
 
     Parameters
     ----------
@@ -68,7 +72,7 @@ def open_listener(options: argparse.Namespace, name: str, may: str = allowlist.D
         What clients may do, for the warning about listening on the network.
     """
     listener: Listener = _open_port(options, may) if options.link is None else PtyListener(options.link)
-    with contextlib.closing(listener), contextlib.suppress(KeyboardInterrupt, TerminatedBySignal):
+    with contextlib.closing(listener):
         print(f"listening {name} {listener.name}", flush=True)
         yield listener
 
