@@ -34,7 +34,7 @@ from localization.filters.odometry import (
     with_parameters,
     with_pose,
 )
-from localization.filters.range_table import CELL_IN, DIRECTIONS, OUTLIER_PROBABILITY, RangeTable
+from localization.filters.range_table import DIRECTIONS, OUTLIER_PROBABILITY, RangeTable
 from localization.filters.update import RANGE_SPAN_IN, CorrelatedReadings, MeasurementUpdate, Refusal, UpdateResult
 
 LOWEST_IN, NOTHING_IN = 6.0, 255.0
@@ -42,22 +42,22 @@ LOWEST_IN, NOTHING_IN = 6.0, 255.0
 
 # 1. The search: all poses that explain the last echoes.
 
-CELL_STD_IN: Final = 2.0
-"""Difference of a reading from that in the middle of its cell: half a diagonal, and half a cell of heading."""
-PEAK_DISTANCE_IN, PEAK_DISTANCE_RAD = 2.5 * CELL_IN, 0.35
+CELL_STD: Final = 2.0 / 3.0
+"""Standard deviation of a reading against that from the middle of its cell, in cells: half a diagonal, and more."""
+PEAK_CELLS, PEAK_RAD = 2.5, 0.35
 """A pose nearer than this to a better one belongs to the same peak."""
-SLIP_IN, SLIP_RAD = PEAK_DISTANCE_IN, 0.5
+SLIP_IN, SLIP_RAD = 7.5, 0.5
 """An estimate may have slipped by this: a heading by the width of the cone, 25 degrees, over which an echo stays."""
 MAX_PEAKS: Final = 40
 MAX_CANDIDATES: Final = 20_000
 """Poses among which peaks are looked for."""
 MAX_PEAK_NATS: Final = 25.0
 """A peak this much less likely than the best is no candidate."""
-REFINED_STD: Final = (0.6 * CELL_IN, 0.6 * CELL_IN, 0.06)
-"""Standard deviations of a peak before it is refined: of a cell."""
+PEAK_STD, PEAK_HEADING_STD_RAD = 0.6, 0.06
+"""Standard deviations of a peak before it is refined: of a cell, in cells and radians."""
 SAME_SQUARED: Final = 16.27
 """A pose within this squared distance of a belief is the same: chi-square of 3 degrees of freedom, 99.9 %."""
-SAME_IN, SAME_RAD = CELL_IN, 0.15
+SAME_IN, SAME_RAD = 3.0, 0.15
 """Refined hypotheses nearer than this are one."""
 MIN_WEIGHT: Final = 1e-4
 """Hypotheses with less weight than this, against the best, are dropped."""
@@ -116,7 +116,7 @@ def alternatives(
 ) -> Alternatives:
     """Return what else explains the records. Near is within the standard deviation of the belief, or a slip from it."""
     # 1. The given belief, widened by a cell of the grid: nearer poses cannot be distinguished from it.
-    wide = Belief(given.mean[:POSE], given.cov[:POSE, :POSE] + np.diag(np.square(REFINED_STD)))
+    wide = Belief(given.mean[:POSE], given.cov[:POSE, :POSE] + np.diag(np.square(_peak_std(table))))
     information = np.linalg.inv(wide.cov)
     # 2. The best explanation near it (True) and elsewhere (False).
     best: dict[bool, tuple[Belief, float]] = {}
@@ -156,31 +156,39 @@ def _explanations(
         return []
     # 1. The likelihood of every free cell and heading, from the table.  2. Its peaks.  3. Each refined by the filter.
     poses, score = _coarse(records, table, places)
-    return [_replayed(independent(peak, REFINED_STD), records, measurement, odometry) for peak in _peaks(poses, score)]
+    peaks, std = _peaks(poses, score, PEAK_CELLS * table.cell_in), _peak_std(table)
+    return [_replayed(independent(peak, std), records, measurement, odometry) for peak in peaks]
+
+
+def _peak_std(table: RangeTable) -> tuple[float, float, float]:
+    return PEAK_STD * table.cell_in, PEAK_STD * table.cell_in, PEAK_HEADING_STD_RAD
 
 
 def _coarse(records: Sequence[EchoRecord], table: RangeTable, places: Floats) -> tuple[Floats, Floats]:
     """Return all poses (n, 3) of the grid at the last record, and their log likelihoods (n,)."""
     # 1. Every free cell with every heading.
     headings = np.arange(DIRECTIONS) * (2.0 * np.pi / DIRECTIONS)
-    poses = np.empty((len(places) * DIRECTIONS, 3))
-    poses[:, :2] = np.repeat(places, DIRECTIONS, axis=0)
-    poses[:, HEADING] = np.tile(headings, len(places))
-    score = np.zeros(len(poses))
+    score = np.zeros((len(places), DIRECTIONS))
     # 2. Sum of log likelihoods; readings are independent given the pose.
-    inlier = 1.0 - OUTLIER_PROBABILITY
+    inlier, cell_std_in = 1.0 - OUTLIER_PROBABILITY, CELL_STD * table.cell_in
     for record in records:
         if record.reading_in <= LOWEST_IN:
             continue
-        there = _displaced(poses, records[-1].encoders, record.encoders)
-        ranges, probability = table.look_up(there, record.sonar_rad)
+        # Where the robot was then depends on the heading alone: the same step from all places.
+        dx, dy, heading = _displaced(np.stack((0.0 * headings, 0.0 * headings, headings), axis=-1),
+                                     records[-1].encoders, record.encoders).T  # fmt: skip
+        directions = np.rint((heading + record.sonar_rad) * (DIRECTIONS / (2.0 * np.pi))).astype(np.intp) % DIRECTIONS
+        ranges, probability = table.look_up(places[:, :1] + dx, places[:, 1:] + dy, directions)
         if record.reading_in >= NOTHING_IN:
             score += np.log(1.0 - inlier * probability)
             continue
-        variance = CELL_STD_IN**2 + (0.01 * ranges) ** 2
+        variance = cell_std_in**2 + (0.01 * ranges) ** 2
         hit = probability * np.exp(-0.5 * (record.reading_in - ranges) ** 2 / variance)
         score += np.log(inlier * hit / np.sqrt(2.0 * np.pi * variance) + OUTLIER_PROBABILITY / RANGE_SPAN_IN)
-    return poses, score
+    # 3. As a list of poses.
+    poses = np.empty((*score.shape, 3))
+    poses[..., :2], poses[..., HEADING] = places[:, None], headings
+    return poses.reshape(-1, 3), score.ravel()
 
 
 def _displaced(poses: Floats, last: Floats, then: Floats) -> Floats:
@@ -196,8 +204,8 @@ def _displaced(poses: Floats, last: Floats, then: Floats) -> Floats:
     return there
 
 
-def _peaks(poses: Floats, score: Floats) -> list[Floats]:
-    """Return the best poses (3,), one for each peak."""
+def _peaks(poses: Floats, score: Floats, distance_in: float) -> list[Floats]:
+    """Return the best poses (3,), one for each peak: no two within this distance with nearly the same heading."""
     # Non-maximum suppression: take the best pose, drop its neighbours, repeat.
     order = np.argsort(score)[::-1]
     order = order[score[order] > score[order[0]] - MAX_PEAK_NATS][:MAX_CANDIDATES]
@@ -208,7 +216,7 @@ def _peaks(poses: Floats, score: Floats) -> list[Floats]:
         found.append(peak)
         offset = difference(rest, np.broadcast_to(peak, rest.shape))
         distance = np.hypot(offset[:, 0], offset[:, 1])
-        rest = rest[~((distance < PEAK_DISTANCE_IN) & (np.abs(offset[:, HEADING]) < PEAK_DISTANCE_RAD))]
+        rest = rest[~((distance < distance_in) & (np.abs(offset[:, HEADING]) < PEAK_RAD))]
     return found
 
 
