@@ -17,8 +17,9 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from functools import cached_property
 from math import inf, log
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
@@ -131,6 +132,63 @@ def alternatives(
     return Alternatives(near_by, elsewhere, lead)
 
 
+class SearchResult(NamedTuple):
+    """Answer of a search: all hypotheses, or the alternatives to a given belief."""
+
+    hypotheses: list[Hypothesis]
+    alternatives: Alternatives | None = None
+
+
+PendingSearch = Callable[[], SearchResult | None]
+"""Returns the answer of a search, None while it runs."""
+
+
+class PoseSearch(Protocol):
+    """Searches for poses on a map; an implementation may run beside the filter."""
+
+    @property
+    def progress(self) -> str:
+        """What a search still waits for, in words; "" if nothing."""
+        ...
+
+    def density(self, reading_in: float) -> float:
+        """Return the probability density of a reading from an unknown pose."""
+        ...
+
+    def start(self, records: Sequence[EchoRecord], given: Belief | None = None) -> PendingSearch:
+        """Begin a search for all poses that explain the records, or for the alternatives to a given belief."""
+        ...
+
+
+class TableSearch:
+    """Search in this process, which answers at once; the table is built at its first use."""
+
+    progress = ""
+
+    def __init__(
+        self, table: Callable[[], RangeTable], measurement: MeasurementUpdate, odometry: OdometryNoise
+    ) -> None:
+        self._build, self._measurement, self._odometry = table, measurement, odometry
+
+    @cached_property
+    def table(self) -> RangeTable:
+        """The range table of the map."""
+        return self._build()
+
+    def density(self, reading_in: float) -> float:
+        """Return the probability density of a reading from an unknown pose."""
+        return self.table.density(reading_in)
+
+    def start(self, records: Sequence[EchoRecord], given: Belief | None = None) -> PendingSearch:
+        """Return the answer of a search."""
+        if given is None:
+            result = SearchResult(search(records, self.table, self._measurement, self._odometry))
+        else:
+            found = alternatives(given, records, self.table, self._measurement, self._odometry)
+            result = SearchResult([], found)
+        return lambda: result
+
+
 def merged(weighted: Sequence[tuple[Belief, float]]) -> list[Hypothesis]:
     """Return hypotheses from beliefs with their log likelihoods: one for each pose, without the improbable."""
     # Greedy: a hypothesis absorbs all that are the same pose and less probable.
@@ -225,8 +283,19 @@ def _replayed(
 ) -> tuple[Belief, float]:
     """Return a belief, moved back to the first record and filtered along all of them, and its log likelihood."""
     start = _displaced(last.mean[None, :], records[-1].encoders, records[0].encoders)[0]
-    x, P = unpack(Belief(add(start, np.zeros(POSE)), last.cov))
-    score, before = 0.0, records[0].encoders
+    return continued(Belief(add(start, np.zeros(POSE)), last.cov), records[0].encoders, records, measurement, odometry)
+
+
+def continued(
+    belief: Belief,
+    before: Floats,
+    records: Sequence[EchoRecord],
+    measurement: MeasurementUpdate,
+    odometry: OdometryNoise,
+) -> tuple[Belief, float]:
+    """Return a belief at the encoders `before` (3,), filtered along records since, and their log likelihood."""
+    x, P = unpack(belief)
+    score = 0.0
     for record in records:
         distance_in, turn_rad = step_between(before, record.encoders).tolist()
         predict_state(x, P, distance_in, turn_rad, odometry)
@@ -359,8 +428,8 @@ class GlobalLocalizer:
     ----------
     belief
         Belief before the first step; None to begin with a search.
-    table
-        Returns the range table of the map, built when first needed.
+    poses
+        Searches the map.
     sonar_angles_rad
         Direction of each sonar on the turret.
     parameter_stds
@@ -372,15 +441,18 @@ class GlobalLocalizer:
         belief: Belief | None,
         measurement: MeasurementUpdate,
         odometry: OdometryNoise,
-        table: Callable[[], RangeTable],
+        poses: PoseSearch,
         sonar_angles_rad: Sequence[float],
         parameter_stds: tuple[float, ...] = (),
         monitor: IntegrityMonitor | None = None,
     ) -> None:
         self._measurement, self._odometry = measurement, odometry
         self._sonar_angles_rad, self._parameter_stds = sonar_angles_rad, parameter_stds
-        self._build_table = table
-        self._built: RangeTable | None = None
+        self._poses = poses
+        # A search in progress, and the records since it began.
+        self._pending: PendingSearch | None = None
+        self._since: list[EchoRecord] = []
+        self._searched: Floats = np.zeros(POSE)
         self._monitor = monitor or IntegrityMonitor()
         self._encoders, self._correlated = np.zeros(POSE), CorrelatedReadings()
         self._records: deque[EchoRecord] = deque(maxlen=MAX_RECORDS)
@@ -406,7 +478,8 @@ class GlobalLocalizer:
     def health(self) -> FilterHealth:
         """Health of the estimate."""
         if not self.hypotheses:
-            return FilterHealth(HealthStatus.LOST, f"searching: {self._reason}")
+            waits = f"; {self._poses.progress}" if self._poses.progress else ""
+            return FilterHealth(HealthStatus.LOST, f"searching: {self._reason}{waits}")
         if len(self.hypotheses) > 1:
             best = self.hypotheses[0].probability
             reason = f"{len(self.hypotheses)} places look alike, the likeliest with {best:.0%}"
@@ -435,6 +508,8 @@ class GlobalLocalizer:
         direction = turret_offset_rad + self._sonar_angles_rad[sonar]
         self._records.append(EchoRecord(self._encoders, direction, sonar, turret_offset_rad, reading_in))
         self._new_records += 1
+        if self._pending:
+            self._since.append(self._records[-1])
         if not self.hypotheses:
             return self._search()
         # 2. Correct every hypothesis.
@@ -468,22 +543,51 @@ class GlobalLocalizer:
         if record.reading_in <= LOWEST_IN:
             return
         is_limit = result.refusal is Refusal.LIMIT
-        self._monitor.add_evidence(likelihood, self._table.density(record.reading_in), None if is_limit else result)
+        self._monitor.add_evidence(likelihood, self._poses.density(record.reading_in), None if is_limit else result)
         if self._test:
             self._test.update(record, likelihood)
             self._decide(self._test)
+        elif self._pending:
+            self._take_alternatives()
         if self._monitor.is_lost:
             self._give_up(self._monitor.reason)
-        elif self._monitor.is_suspicious and not self._test and self._new_records >= MAX_RECORDS // 2:
+        elif self._monitor.is_suspicious and not self._test and not self._pending and (
+            self._new_records >= MAX_RECORDS // 2
+        ):
             self._look_for_alternatives()
 
     def _look_for_alternatives(self) -> None:
-        """Search for poses that explain more; test those that do against the estimate."""
+        """Search for poses that explain more."""
         self._new_records = 0
-        found = alternatives(self.belief, list(self._records), self._table, self._measurement, self._odometry)
-        if found.lead_nats >= MIN_LEAD_NATS:
-            near, elsewhere = (belief and with_pose(_widened(belief), self.belief) for belief in found[:2])
-            self._test = SequentialTest(near, elsewhere, self._measurement, self._odometry)
+        self._begin(self.belief)
+        self._take_alternatives()
+
+    def _take_alternatives(self) -> None:
+        """Test alternatives that a search has found against the estimate."""
+        found = self._answer()
+        if found is None or found.alternatives is None or found.alternatives.lead_nats < MIN_LEAD_NATS:
+            return
+        near, elsewhere = (
+            belief and self._caught_up(with_pose(_widened(belief), self.belief))[0]
+            for belief in found.alternatives[:2]
+        )
+        self._test = SequentialTest(near, elsewhere, self._measurement, self._odometry)
+
+    def _begin(self, given: Belief | None = None) -> None:
+        """Begin a search by the last records."""
+        self._pending, self._since = self._poses.start(list(self._records), given), []
+        self._searched = self._records[-1].encoders
+
+    def _answer(self) -> SearchResult | None:
+        """Return the answer of a search once."""
+        found = self._pending() if self._pending else None
+        if found is not None:
+            self._pending = None
+        return found
+
+    def _caught_up(self, belief: Belief) -> tuple[Belief, float]:
+        """Return a belief at the last record of a search, filtered along the records since, and their likelihood."""
+        return continued(belief, self._searched, self._since, self._measurement, self._odometry)
 
     def _decide(self, test: SequentialTest) -> None:
         """End a test that is decided, or has lasted long enough."""
@@ -500,27 +604,24 @@ class GlobalLocalizer:
         """Begin a search, with the echoes from now on."""
         self._reason = reason
         self._monitor.reset()
-        self._test = None
+        self._test = self._pending = None
         self.hypotheses = []
         self._new_records = 0
 
     def _search(self) -> UpdateResult:
-        if self._new_records >= MAX_RECORDS:
+        """Begin a search when there are enough records, and take its answer."""
+        if self._pending is None and self._new_records >= MAX_RECORDS:
             self._new_records = MAX_RECORDS // 2
-            found = search(list(self._records), self._table, self._measurement, self._odometry)
-            self.hypotheses = [
-                Hypothesis(with_parameters(_widened(place.belief), self._parameter_stds), place.probability)
-                for place in found
+            self._begin()
+        found = self._answer()
+        if found is not None:
+            places = [
+                (self._caught_up(with_parameters(_widened(place.belief), self._parameter_stds)), place.probability)
+                for place in found.hypotheses
             ]
+            self.hypotheses = merged([(belief, log(probability) + nats) for (belief, nats), probability in places])
             self._monitor.reset()
         return UpdateResult(Refusal.LIMIT, 0.0, 0.0, 1.0)
-
-    @property
-    def _table(self) -> RangeTable:
-        """The range table, built when first needed."""
-        if self._built is None:
-            self._built = self._build_table()
-        return self._built
 
 
 def _widened(belief: Belief) -> Belief:

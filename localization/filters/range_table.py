@@ -77,20 +77,7 @@ class RangeTable:
 
     @cached_property
     def _densities(self) -> Floats:
-        """Densities for whole inches from 0 to 255."""
-        # 1. The histogram of expected ranges over the free floor.
-        weights = self.probabilities.ravel()
-        edges = np.arange(MAX_READING_IN + 2) - 0.5
-        counts, _ = np.histogram(self.ranges_in.ravel(), edges, weights=weights)
-        smooth = np.convolve(counts, _SMOOTHING, mode="same")
-        # 2. Outliers anywhere, and "nothing" where no echo is expected.
-        detected = float(weights.mean()) if len(weights) else 0.0
-        inlier = 1.0 - OUTLIER_PROBABILITY
-        densities: Floats = OUTLIER_PROBABILITY / MAX_READING_IN + inlier * detected * smooth / max(
-            float(smooth.sum()), 1e-9
-        )
-        densities[MAX_READING_IN] = 1.0 - inlier * detected
-        return densities
+        return reading_densities(self.ranges_in, self.probabilities)
 
     def look_up(self, x_in: Floats, y_in: Floats, directions: npt.NDArray[np.intp]) -> tuple[Floats, Floats]:
         """Return ranges and probabilities (k, n) of sonars at places (k, n) that look in directions (n,); 0 off floor.
@@ -108,6 +95,42 @@ class RangeTable:
             return np.zeros(x_in.shape), np.zeros(x_in.shape)
         ranges: Floats = np.where(on_floor, self.ranges_in[at], 0.0)
         return ranges, np.where(on_floor, self.probabilities[at], 0.0)
+
+
+def reading_densities(ranges_in: npt.ArrayLike, probabilities: npt.ArrayLike) -> Floats:
+    """Return the densities (256,) of whole-inch readings from 0 to 255, from expected echoes at poses on a map."""
+    # 1. The histogram of expected ranges.
+    weights = np.ravel(probabilities)
+    edges = np.arange(MAX_READING_IN + 2) - 0.5
+    counts, _ = np.histogram(np.ravel(ranges_in), edges, weights=weights)
+    smooth = np.convolve(counts, _SMOOTHING, mode="same")
+    # 2. Outliers anywhere, and "nothing" where no echo is expected.
+    detected = float(weights.mean()) if len(weights) else 0.0
+    inlier = 1.0 - OUTLIER_PROBABILITY
+    densities: Floats = OUTLIER_PROBABILITY / MAX_READING_IN + inlier * detected * smooth / max(
+        float(smooth.sum()), 1e-9
+    )
+    densities[MAX_READING_IN] = 1.0 - inlier * detected
+    return densities
+
+
+def sampled_echoes(
+    walls: npt.ArrayLike, body: SonarRing, sonar: RaySonar | ConeSonar, clearance_in: float, places: int
+) -> tuple[Floats, Floats]:
+    """Return ranges and probabilities (k, DIRECTIONS) at up to k = `places` random places on the floor of a map."""
+    segments = wall_map(walls).segments
+    low, high = segments.reshape(-1, 2).min(axis=0), segments.reshape(-1, 2).max(axis=0)
+    around = reflectors(segments)
+    # Always the same places, so that a run can be repeated.
+    drawn = np.random.default_rng(0).uniform(low, high, (20 * places, 2))
+    chosen: list[tuple[Floats, Floats]] = []
+    for place in drawn:
+        if len(chosen) < places and nearest_points(place, segments)[1].min() >= clearance_in:
+            chosen.append(_expected(place[None], segments, around, body, sonar))
+    if not chosen:
+        return np.zeros((0, DIRECTIONS)), np.zeros((0, DIRECTIONS))
+    ranges, probabilities = (np.concatenate(part) for part in zip(*chosen, strict=True))
+    return ranges, probabilities
 
 
 def build_range_table(
@@ -134,22 +157,27 @@ def build_range_table(
     # 2. The most probable echo in every direction, block by block of neighbouring cells.
     ranges = np.zeros((count, DIRECTIONS), dtype=np.float32)
     probabilities = np.zeros_like(ranges)
-    directions: Floats = np.arange(DIRECTIONS, dtype=np.float64) * (2.0 * np.pi / DIRECTIONS)
     around, done = reflectors(segments), 0
     for block in _blocks(number):
         rows, columns = block
         places = origin + cell_in * np.stack((columns, rows), axis=-1)
         numbers = number[block]
-        if isinstance(sonar, ConeSonar):
-            found = _most_probable(places, directions, around, body, sonar)
-        else:
-            range_in = ranges_from(_poses(places, directions), np.zeros(1), body, wall_map(walls)).range_in[..., 0]
-            has_wall = np.isfinite(range_in)
-            found = np.where(has_wall, range_in, 0.0), has_wall.astype(np.float64)
-        ranges[numbers], probabilities[numbers] = found
+        ranges[numbers], probabilities[numbers] = _expected(places, segments, around, body, sonar)
         done += len(numbers)
         progress(done / count)
     return RangeTable(origin, cell_in, number, ranges, probabilities)
+
+
+def _expected(
+    places: Floats, segments: Floats, around: Reflectors, body: SonarRing, sonar: RaySonar | ConeSonar
+) -> tuple[Floats, Floats]:
+    """Return ranges and probabilities (n, DIRECTIONS) of the most probable echo at neighbouring places (n, 2)."""
+    directions: Floats = np.arange(DIRECTIONS, dtype=np.float64) * (2.0 * np.pi / DIRECTIONS)
+    if isinstance(sonar, ConeSonar):
+        return _most_probable(places, directions, around, body, sonar)
+    range_in = ranges_from(_poses(places, directions), np.zeros(1), body, wall_map(segments)).range_in[..., 0]
+    has_wall = np.isfinite(range_in)
+    return np.where(has_wall, range_in, 0.0), has_wall.astype(np.float64)
 
 
 def _floor(segments: Floats, clearance_in: float, cell_in: float) -> tuple[Floats, npt.NDArray[np.bool_]]:
@@ -201,7 +229,8 @@ def _most_probable(
     if not probability.shape[1]:
         return np.zeros(shape), np.zeros(shape)
     best = probability.argmax(axis=-1)[:, None]
-    return tuple(np.take_along_axis(part, best, axis=-1).reshape(shape) for part in (ranges_in, probability))
+    range_in, likeliest = (np.take_along_axis(part, best, axis=-1).reshape(shape) for part in (ranges_in, probability))
+    return range_in, likeliest
 
 
 def _in_sight(places: Floats, around: Reflectors, ring_in: float) -> tuple[Reflectors, npt.NDArray[np.bool_]]:
