@@ -19,6 +19,7 @@ import signal
 import sys
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from textwrap import indent
@@ -42,7 +43,7 @@ from nserver_emu.persistence.autosave import SaveFile, autosaved
 from nserver_emu.persistence.options import resolve_restore
 from nserver_emu.persistence.recording import RunHeader
 from nserver_emu.persistence.replay import replay
-from nserver_emu.server.admission import AdmissionControl
+from nserver_emu.server.admission import RESERVED_CONNECTIONS, AdmissionControl
 from nserver_emu.server.config import MODEL_NAMES, SimulationConfig, robot_placements
 from nserver_emu.server.connection import MAX_REQUESTS_PER_TURN
 from nserver_emu.server.context import Allowed, SimulationClock
@@ -96,20 +97,25 @@ def _help_as_option(words: list[str]) -> list[str]:
 def _daemon(words: list[str]) -> int:
     parser = nserver_parser()
     options = read_options(parser, words)
-    logs.configure(options)
-    resolve_restore(parser, options)
     try:
-        if options.list_worlds:
-            _list_worlds()
-            return ExitCode.DONE
-        if options.replay:
-            return _replay(options.replay)
-        return asyncio.run(_serve(options))
+        with logs.logging_to_stderr(options):
+            resolve_restore(parser, options)
+            return _run_command(options)
     except NomadError as error:
-        logs.log_failure(options, error)
+        logs.print_failure(options, error)
         return ExitCode.USAGE if error.usage else ExitCode.FAILED
     except KeyboardInterrupt:  # before it serves: afterwards stop_on_signals handles it
         return ExitCode.INTERRUPTED
+
+
+def _run_command(options: argparse.Namespace) -> int:
+    """Do what the options ask for: list worlds, replay a recording, or serve."""
+    if options.list_worlds:
+        _list_worlds()
+        return ExitCode.DONE
+    if options.replay:
+        return _replay(options.replay)
+    return asyncio.run(_serve(options))
 
 
 async def _serve(options: argparse.Namespace) -> int:
@@ -136,8 +142,11 @@ async def _serve_with(
     # 2. Daemon, with a gateway between clients and simulation if there are real robots.
     gateway = Gateway(emulator, proxies, shadow=options.shadow, wrap=real_options.speed_limiter(options))
     daemon = Daemon(emulator, emulator.clock.factor, gateway if proxies else emulator, faults)
-    daemon.admission = AdmissionControl(limits := limits_of(options), allowlist_from_options(options))
-    make_room(limits.connections + (limits.page_connections if options.viewer else 0))
+    limits = limits_of(options)
+    pages = limits.page_connections if options.viewer else 0
+    room = make_room(limits.connections + RESERVED_CONNECTIONS + pages)
+    limits = replace(limits, connections=min(limits.connections, room))
+    daemon.admission = AdmissionControl(limits, allowlist_from_options(options))
     daemon.places |= real_options.line_addresses(options)
     # 3. Signals, before the first port is open.
     stop = asyncio.Event()

@@ -485,6 +485,7 @@ class TcpConnection(ConnectionHandler, asyncio.BufferedProtocol):
         self._timeouts = ConnectionTimeouts(limits.idle, limits.stall, now_s)
         self._timeout_check: asyncio.TimerHandle | None = None
         self._is_closed_by_timeout = False
+        self.opened_s = now_s
 
     # asyncio.BufferedProtocol.
 
@@ -499,7 +500,7 @@ class TcpConnection(ConnectionHandler, asyncio.BufferedProtocol):
         self._server.connections.add(self)
         self._server.client_registry.add_pending(self, self.host)
         self._schedule_timeout_check()
-        log.info("%s: connected", self.session.name)
+        log.info("%s: connected", self.session.name, extra=self.session.log_extra)
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Release everything the session owns: timers, axes, registry entry."""
@@ -517,14 +518,14 @@ class TcpConnection(ConnectionHandler, asyncio.BufferedProtocol):
             self._loop.call_later(CLOSED_RETENTION_S, registry.remove, self)
         if not self._is_closed_by_timeout and (exc or session.unfinished):
             log.warning("%s: connection lost%s%s", session.name, " in mid-request" if session.unfinished else "",
-                        f": {exc}" if exc else "")
+                        f": {exc}" if exc else "", extra=session.log_extra)
         # 3. Axes that this connection set in motion stop.
         self._handler.on_disconnect(session.context)
         self._server.closed_answered += session.answered
         self._server.closed_refused += session.refused
         self._recorder.close()
         session.closing = True
-        log.info("%s: closed after %d refused requests", session.name, session.refused)
+        log.info("%s: closed after %d refused requests", session.name, session.refused, extra=session.log_extra)
 
     def get_buffer(self, sizehint: int) -> bytearray:
         """Return the receive buffer, which is reused for every read."""
@@ -604,6 +605,15 @@ class TcpConnection(ConnectionHandler, asyncio.BufferedProtocol):
         if not reason:
             self._schedule_timeout_check()
             return
-        log.warning("%s: closed: %s", self.session.name, reason)
+        self.close_because(reason)
+
+    @property
+    def idle_s(self) -> float:
+        """Seconds since the last bytes from the client; 0 while it waits for a deferred reply."""
+        return 0.0 if self.session.waiting else self._loop.time() - self._timeouts.active_s
+
+    def close_because(self, reason: str) -> None:
+        """Close the connection now and log the reason."""
+        log.warning("%s: closed: %s", self.session.name, reason, extra=self.session.log_extra)
         self._is_closed_by_timeout = True
         self._abort()

@@ -20,7 +20,14 @@ from nclient.errors import ConnectionLost
 from nclient.recording.format import RecordingWriter
 from nclient.recording.recorder import NULL_RECORDER, Recorder, TrafficRecorder
 from nserver_emu.server import admission
-from nserver_emu.server.admission import AdmissionControl, AdmissionProtocol
+from nserver_emu.server.admission import (
+    RESERVED_S,
+    AcceptErrorHandler,
+    AdmissionControl,
+    AdmissionProtocol,
+    ConnectionReserve,
+    ReservableConnection,
+)
 from nserver_emu.server.client_registry import ClientRegistry
 from nserver_emu.server.connection import ConnectionHandler, FairScheduler, TcpConnection
 from nserver_emu.server.garbage_collection import GarbageCollector
@@ -110,7 +117,8 @@ class Daemon:
         """
         try:
             server = await admission.listen(
-                lambda: AdmissionProtocol(self.admission, self._client_hosts, new_connection), host, port
+                lambda: AdmissionProtocol(self.admission, self._client_hosts, new_connection, self._make_room),
+                host, port,
             )
         except OSError as error:
             remedy = f"is another nserver running? {option} 0 takes a free port"
@@ -122,7 +130,33 @@ class Daemon:
 
     def _client_hosts(self) -> list[str]:
         """Return the addresses of all TCP clients."""
-        return [connection.host for connection in self.connections if isinstance(connection, TcpConnection)]
+        return [connection.host for connection in self._tcp_connections()]
+
+    def _make_room(self, host: str) -> bool:
+        """Return True if a new connection is accepted though a limit is reached."""
+        now_s = asyncio.get_running_loop().time()
+        is_accepted = self._reserve.make_room(host, self._tcp_connections(), now_s)
+        if is_accepted:
+            # A place of the reserve is only for a short time.
+            loop = asyncio.get_running_loop()
+            loop.call_later(RESERVED_S, lambda: self._reserve.check(self._tcp_connections(), loop.time()))
+        return is_accepted
+
+    @property
+    def _reserve(self) -> ConnectionReserve:
+        return ConnectionReserve(self.admission, self._may_close)
+
+    def _tcp_connections(self) -> list[TcpConnection]:
+        return [connection for connection in self.connections if isinstance(connection, TcpConnection)]
+
+    def _may_close(self, connection: ReservableConnection) -> bool:
+        """Return True if closing a connection for another one stops no robot."""
+        assert isinstance(connection, TcpConnection)
+        context = connection.session.context
+        if self.handler is not self.emulator and context.robot_id is not None:
+            # A real robot: its motion is not known for certain.
+            return False
+        return not self.emulator.axis_ownership.has_motion(context, self.emulator.simulation.robots)
 
     def lines(self) -> Mapping[str, str]:
         """Return the address of each line by its name."""
@@ -177,6 +211,8 @@ class Daemon:
 
         `before_close` runs before any connection is closed and any robot is stopped because of that.
         """
+        loop, accept_errors = asyncio.get_running_loop(), AcceptErrorHandler()
+        loop.set_exception_handler(accept_errors)
         clock = asyncio.create_task(self._run_clock())
         stopped = asyncio.create_task(stop.wait())
         try:
@@ -188,6 +224,8 @@ class Daemon:
                 before_close()
             finally:
                 await self.close()
+                loop.set_exception_handler(None)
+                accept_errors.close()
         if clock.done() and not clock.cancelled():
             clock.result()
 

@@ -29,7 +29,7 @@ from typing import Final, Generic, NamedTuple, Protocol, TypeVar
 from nclient.errors import WireError
 from nclient.protocol import codec
 from nclient.protocol.client_state import STATE_SIZE
-from nclient.protocol.codec import InvalidFrame, TcpFrame, TcpFramer, limit_words, request_bounds
+from nclient.protocol.codec import InvalidFrame, TcpFrame, TcpFramer, limited_request_bounds, request_bounds
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import N150, Mask
@@ -178,14 +178,17 @@ class BaseSession(ABC, Generic[Request]):
 
     def __init__(self, answer: Answer, name: str, context: ConnectionContext) -> None:
         self.context = context
-        # Name of the client in logs and recordings.
+        # Name of the client in logs and recordings, and `extra` of log lines: its address, per which they are limited.
         self.name = name
+        self.log_extra = {"address": name.rpartition(":")[0] or name}
         # True if the connection is to be closed after the returned bytes are sent.
         self.closing = False
         # The identity that another connection may continue; replaced whenever it changes.
         self.identity: ClientIdentity | None = None
         # Number of requests answered with an error, and with any reply.
         self.refused = 0
+        # Kinds of refusals that were logged.
+        self._logged_kinds: set[str] = set()
         self.answered = 0
         self._answer = answer
         self._queue: deque[Request] = deque()
@@ -251,11 +254,13 @@ class BaseSession(ABC, Generic[Request]):
         self._deferred = (name, answer)
         return self.tick()
 
-    def _count_refused(self, reason: str) -> None:
-        # Log the first only: a client in a loop would fill the log.
+    def _count_refused(self, kind: str, reason: str) -> None:
+        # Log the first of each kind: a client in a loop would fill the log.
         self.refused += 1
-        if self.refused == 1:
-            log.warning("%s: refused: %s (further refusals are counted, not logged)", self.name, reason)
+        if kind not in self._logged_kinds:
+            self._logged_kinds.add(kind)
+            log.warning("%s: refused: %s (further refusals of this kind are counted, not logged)", self.name, reason,
+                        extra=self.log_extra)
 
     @abstractmethod
     def _process_one(self, request: Request) -> bytes: ...
@@ -291,7 +296,7 @@ class Session(BaseSession[TcpFrame | InvalidFrame]):
         self._find_identity = find_identity
         # The first bytes until they identify the client, then None.
         self._head: bytes | None = b""
-        self._framer = TcpFramer(limit_words(request_bounds, max_words), drop_after_loss=True)
+        self._framer = TcpFramer(limited_request_bounds(max_words), drop_after_loss=True)
 
     @property
     def unfinished(self) -> int:
@@ -314,7 +319,8 @@ class Session(BaseSession[TcpFrame | InvalidFrame]):
         """Continue the session of another connection if this one does not start with CONNECT."""
         identity = None if is_connect(head) else self._find_identity(sniff_word_size(head))
         if identity is not None:
-            log.info("%s: continues without CONNECT, as robot %d", self.name, identity.robot_id)
+            log.info("%s: continues without CONNECT, as robot %d", self.name, identity.robot_id,
+                     extra=self.log_extra)
             self.context.robot_id = identity.robot_id
             self._framer.wide = identity.wide
             self.identity = identity._replace(silent=False)
@@ -324,16 +330,16 @@ class Session(BaseSession[TcpFrame | InvalidFrame]):
         if isinstance(request, InvalidFrame):
             self.closing = request.fatal
             if request.fatal:
-                log.warning("%s: closed: %s", self.name, request.reason)
-            return self._refuse(request.code, request.reason)
+                log.warning("%s: closed: %s", self.name, request.reason, extra=self.log_extra)
+            return self._refuse(f"frame {request.code}", request.code, request.reason)
         # 2. Decode, and require a CONNECT.
         try:
             call = codec.decode_tcp_request(request)
         except WireError as error:
-            return self._refuse(BAD_VALUES, str(error))
+            return self._refuse(f"values {request.type}", BAD_VALUES, str(error))
         row = BY_NAME[call.name]
         if self.context.robot_id is None and call.name not in _CONNECT_NAMES:
-            return self._refuse(NOT_CONNECTED, f"{call.name} before connect_robot")
+            return self._refuse("not connected", NOT_CONNECTED, f"{call.name} before connect_robot")
         # 3. Settings of the protocol that the request changes take effect in its own reply.
         context, wire_state = self.context, self.context.wire_state
         wire_state.wide = bool(self._framer.wide)
@@ -356,11 +362,12 @@ class Session(BaseSession[TcpFrame | InvalidFrame]):
             cached.frame = cached.frame or codec.encode_tcp_reply(BY_NAME[name], reply, self.context.wire_state)
             return cached.frame
         if reply.kind == "error":
-            self._count_refused(f"{name}: error {reply.values[0]}")
+            reason = f"{name}: error {reply.values[0]}"
+            self._count_refused(reason, reason)
         return codec.encode_tcp_reply(BY_NAME[name], reply, self.context.wire_state)
 
-    def _refuse(self, code: int, reason: str) -> bytes:
-        self._count_refused(reason)
+    def _refuse(self, kind: str, code: int, reason: str) -> bytes:
+        self._count_refused(kind, reason)
         self.context.wire_state.wide = bool(self._framer.wide)
         # An ERROR reply has the same form for every command.
         return codec.encode_tcp_reply(BY_NAME["gs"], error_reply(code), self.context.wire_state)

@@ -143,13 +143,14 @@ def test_a_64_bit_client_is_recognised_by_its_connect() -> None:
     assert types(session.process_requests(max_requests=2), wide=True) == [91, 80]
 
 
-def test_only_the_first_refusal_is_logged(caplog: pytest.LogCaptureFixture) -> None:
+def test_each_kind_of_refusal_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
     session = connected()
     with caplog.at_level(logging.WARNING):
-        session.receive(b"\x00\x0c\x00\x02" + bytes(8) + b"\x03\xe7\x00\x00")
+        session.receive((b"\x00\x0c\x00\x02" + bytes(8) + b"\x03\xe7\x00\x00") * 3)
         session.process_requests(max_requests=9)
-    assert session.refused == 2
-    assert len(caplog.records) == 1
+    assert session.refused == 6
+    assert ["type 12" in message for message in caplog.messages] == [True, False]
+    assert "type 999" in caplog.messages[1]
     assert "takes 3 words, not 2" in caplog.text
 
 
