@@ -22,7 +22,7 @@ from __future__ import annotations
 import logging
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final, Generic, NamedTuple, Protocol, TypeVar
 
@@ -40,6 +40,9 @@ log = logging.getLogger(__name__)
 
 # Codes of ERROR replies (docs/protocol.md, Error codes).
 BAD_VALUES, NOT_CONNECTED, NOT_AVAILABLE, REFUSED = 2, 3, 4, 5
+
+# Kinds of refusals that one connection logs; further ones are only counted.
+MAX_LOGGED_REFUSALS: Final = 100
 
 # Requests that may wait in a session; its port is not read while there are more.
 MAX_QUEUED_REQUESTS: Final = 100
@@ -135,7 +138,7 @@ class ClientIdentity(NamedTuple):
     robot_id: int
     # True for a client with 64-bit words.
     wide: bool
-    # True while the client has sent nothing since its CONNECT.
+    # True while the client has sent nothing since its CONNECT but the sensor mask (ct).
     silent: bool = False
 
 
@@ -182,6 +185,8 @@ class BaseSession(ABC, Generic[Request]):
         # Number of requests answered with an error, and with any reply.
         self.refused = 0
         self.answered = 0
+        # Kinds of refusals that are in the log already.
+        self._logged_refusals: set[str] = set()
         self._answer = answer
         self._queue: deque[Request] = deque()
         # Name of the command whose reply is deferred, and the function to poll.
@@ -250,11 +255,13 @@ class BaseSession(ABC, Generic[Request]):
         self._deferred = (name, answer)
         return self.tick()
 
-    def _count_refused(self, reason: str) -> None:
-        # Log the first only: a client in a loop would fill the log.
+    def _count_refused(self, kind: str, reason: str) -> None:
+        """Count a refusal, and log the first of its kind: a client in a loop would fill the log."""
         self.refused += 1
-        if self.refused == 1:
-            log.warning("%s: refused: %s (further refusals are counted, not logged)", self.name, reason)
+        if kind in self._logged_refusals or len(self._logged_refusals) >= MAX_LOGGED_REFUSALS:
+            return
+        self._logged_refusals.add(kind)
+        log.warning("%s: refused: %s (further ones of this kind are counted, not logged)", self.name, reason)
 
     @abstractmethod
     def _process_one(self, request: Request) -> bytes: ...
@@ -274,7 +281,7 @@ class Session(BaseSession[TcpFrame | InvalidFrame]):
         Name of the client in logs.
     find_identity
         Called for a connection that does not start with CONNECT, with the word size that its first bytes show (True 64,
-        False 32 bits, None unknown); returns the identity that it continues, or None.
+        False 32 bits, None unknown); returns the identity that it continues, several if that is ambiguous.
     max_words
         Maximum length of a request.
     """
@@ -283,15 +290,17 @@ class Session(BaseSession[TcpFrame | InvalidFrame]):
         self,
         answer: Answer,
         name: str = "client",
-        find_identity: Callable[[bool | None], ClientIdentity | None] = lambda _: None,
+        find_identity: Callable[[bool | None], Sequence[ClientIdentity]] = lambda _: (),
         max_words: int = Limits().frame,
     ) -> None:
         super().__init__(answer, name, ConnectionContext())
         self._find_identity = find_identity
         # The first bytes until they identify the client, then None.
         self._head: bytes | None = b""
-        # True while the last request was a CONNECT.
+        # True while the client has sent nothing since its CONNECT but the sensor mask.
         self._silent = False
+        # True for a connection without CONNECT that could continue several clients.
+        self._is_ambiguous = False
         self._framer = TcpFramer(limit_words(request_bounds, max_words), drop_after_loss=True)
 
     @property
@@ -317,35 +326,61 @@ class Session(BaseSession[TcpFrame | InvalidFrame]):
             self._identify(data)
         self._queue.extend(self._framer.receive(data))
 
+    @property
+    def may_have_32_bit_words(self) -> bool:
+        """True if an incomplete CONNECT of a 64-bit client would be a whole CONNECT to robot 0 of a 32-bit client."""
+        return self._framer.may_be_narrow
+
+    def assume_32_bit_words(self) -> None:
+        """Read an incomplete CONNECT as one to robot 0, because the rest of a 64-bit message has not come."""
+        if self._framer.may_be_narrow:
+            log.warning("%s: connects to robot 0; the numbers of robots begin with 1", self.name)
+            self._queue.extend(self._framer.reread_as_narrow())
+
     def _identify(self, head: bytes) -> None:
         """Continue the session of another connection if this one does not start with CONNECT."""
-        identity = None if is_connect(head) else self._find_identity(sniff_word_size(head))
-        if identity is not None:
-            log.info("%s: continues without CONNECT, as robot %d", self.name, identity.robot_id)
-            self.context.robot_id = identity.robot_id
+        found = () if is_connect(head) else self._find_identity(sniff_word_size(head))
+        if len(found) > 1:
+            self._is_ambiguous = True
+            names = " or ".join(f"robot {each.robot_id} ({64 if each.wide else 32}-bit words)" for each in found)
+            log.warning("%s: closed: it starts without CONNECT and could continue %s of the same address; start such "
+                        "programs one after another", self.name, names)  # fmt: skip
+        for identity in found[:1]:
             self._framer.wide = identity.wide
+            if not self._is_ambiguous:
+                log.info("%s: continues without CONNECT, as robot %d", self.name, identity.robot_id)
+                self.context.robot_id = identity.robot_id
 
     def _process_one(self, request: TcpFrame | InvalidFrame) -> bytes:
-        # 1. Frames that are no request.
+        # 1. Frames that are no request, and requests of an unknown client.
+        if self._is_ambiguous:
+            self.closing = True
+            return self._refuse(NOT_CONNECTED, "ambiguous client", "a request without CONNECT of an ambiguous client")
         if isinstance(request, InvalidFrame):
             self.closing = request.fatal
             if request.fatal:
                 log.warning("%s: closed: %s", self.name, request.reason)
-            return self._refuse(request.code, request.reason)
+            return self._refuse(request.code, f"invalid message: error {request.code}", request.reason)
         # 2. Decode, and require a CONNECT.
         try:
             call = codec.decode_tcp_request(request)
         except WireError as error:
-            return self._refuse(BAD_VALUES, str(error))
+            return self._refuse(BAD_VALUES, f"type {request.type}: error {BAD_VALUES}", str(error))
         row = BY_NAME[call.name]
         if self.context.robot_id is None and call.name not in _CONNECT_NAMES:
-            return self._refuse(NOT_CONNECTED, f"{call.name} before connect_robot")
+            return self._refuse(NOT_CONNECTED, f"error {NOT_CONNECTED}", f"{call.name} before connect_robot")
+        # No process has the number 0: it is the second half of a word that has eight bytes.
+        if call.name in _CONNECT_NAMES and call.args[-1] == 0 and (self._queue or self.unfinished):
+            self.closing = True
+            reason = (f"{call.name}: words of eight bytes with the value in front; only 64-bit words with the value "
+                      "behind four zero bytes are known: build the program for 32 bits, or with clib")  # fmt: skip
+            return self._refuse(BAD_VALUES, "word layout", reason)
         # 3. Settings of the protocol that the request changes take effect in its own reply.
         self.context.wire_state.wide = bool(self._framer.wide)
         codec.update_from_request(call, self.context.wire_state)
         # 4. Execute and reply. A request without a reply (disconnect_robot) ends the connection.
         answer = self._answer(call, self.context)
-        self._silent = call.name in _CONNECT_NAMES
+        self._silent = call.name in _CONNECT_NAMES or (self._silent and call.name == "ct")
         self.closing = not row.has_tcp_reply
         if self.closing:
             return b""
@@ -353,11 +388,12 @@ class Session(BaseSession[TcpFrame | InvalidFrame]):
 
     def _encode(self, name: str, reply: Reply) -> bytes:
         if reply.kind == "error":
-            self._count_refused(f"{name}: error {reply.values[0]}")
+            reason = f"{name}: error {reply.values[0]}"
+            self._count_refused(reason, reason)
         return codec.encode_tcp_reply(BY_NAME[name], reply, self.context.wire_state)
 
-    def _refuse(self, code: int, reason: str) -> bytes:
-        self._count_refused(reason)
+    def _refuse(self, code: int, kind: str, reason: str) -> bytes:
+        self._count_refused(kind, reason)
         self.context.wire_state.wide = bool(self._framer.wide)
         # An ERROR reply has the same form for every command.
         return codec.encode_tcp_reply(BY_NAME["gs"], error_reply(code), self.context.wire_state)

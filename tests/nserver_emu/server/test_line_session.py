@@ -265,12 +265,12 @@ def test_invalid_requests_get_a_single_nak(request_bytes: bytes) -> None:
     assert session.refused == 1
 
 
-def test_only_the_first_refusal_is_logged(caplog: pytest.LogCaptureFixture) -> None:
+def test_each_kind_of_refusal_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
     _, session = meet_on_line(emulated())
     with caplog.at_level(logging.WARNING):
         session.receive(build_frame(200) * 3 + build_frame(43, bytes((7, *[0] * 11))))
         assert session.process_requests(9) == NAK * 4
-    assert len(caplog.records) == 1
+    assert len(caplog.records) == 2
     assert "type 200 does not exist on the line of a n150" in caplog.text
 
 
