@@ -16,7 +16,7 @@ import msgspec
 from msgspec import UNSET, Meta, UnsetType
 
 from nclient.common import files
-from nclient.common.validation import InvalidValue
+from nclient.common.validation import InvalidValue, at_most_one
 from nclient.errors import WorldFileError
 from worlds.geometry import area, crossing, lengths, polygon_segments
 
@@ -125,7 +125,7 @@ def table(*one_of: tuple[str, ...], schema: dict[str, Any] | None = None, **tag:
                 fields.append((name, kind, getattr(cls, name)) if hasattr(cls, name) else (name, kind))
         # 2. Checks of several keys.
         members["__post_init__"] = lambda self: _check_groups(self, groups)
-        members["SCHEMA"] = {"allOf": [*(_one_of(*group) for group in groups), schema or {}]}
+        members["SCHEMA"] = {"allOf": [*(at_most_one(*group) for group in groups), schema or {}]}
         key, value = next(iter(tag.items()), (None, None))
         made: Any = msgspec.defstruct(
             cls.__name__.strip("_"), fields, namespace=members, module=cls.__module__, frozen=True, kw_only=True,
@@ -169,12 +169,6 @@ def _check_groups(values: Any, groups: list[tuple[tuple[str, ...], int]]) -> Non
             complaint = f"expected exactly one of {', '.join(keys)}, found {' and '.join(given) or 'none of them'}"
             raise InvalidValue(complaint, given[-1] if given else keys[0])
     values.check()
-
-
-def _one_of(keys: tuple[str, ...], least: int) -> dict[str, Any]:
-    """Return the condition that exactly one of the keys is given, or none of them, as JSON Schema."""
-    choices: list[dict[str, Any]] = [{"required": [key]} for key in keys]
-    return {"oneOf": choices if least else [*choices, {"not": {"anyOf": choices}}]}
 
 
 def read_text(path: Path) -> str:

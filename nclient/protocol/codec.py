@@ -418,9 +418,11 @@ def build_tcp_payload(layout: TcpLayout, reply: Reply, wire_state: WireState) ->
             raise WireError(f"{layout.values} words wanted, {len(words)} given")
         words += [reply.slots.get(slot, 0) for slot in layout.slots]
         if layout.laser_width is not None:
-            laser = reply.laser or (0,)
-            check_laser(laser, layout.laser_width(wire_state), "laser")
-            words += laser
+            if reply.laser is None:
+                words.append(0)
+            else:
+                check_laser(reply.laser, layout.laser_width(wire_state), "laser")
+                words += reply.laser
         code = f"{len(words)}i"
         # 2. Stamps and clock, whose times are unsigned.
         for key in _stamp_keys(layout, wire_state):

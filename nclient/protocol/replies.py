@@ -14,6 +14,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from io import BytesIO
+from operator import attrgetter
 from typing import Any, Final, NamedTuple
 
 from construct import Construct, ConstructError, GreedyRange, Int8ub
@@ -205,7 +206,7 @@ def summarize_error(error: Exception) -> str:
 STATE = TcpLayout(
     "state",
     slots=range(LAST_TCP_SLOT + 1),
-    laser_width=lambda wire_state: wire_state.laser_width,
+    laser_width=attrgetter("laser_width"),
     stamps=tuple(Position),
     has_clock=True,
     has_volts=True,
@@ -218,7 +219,7 @@ COMPASS = TcpLayout("compass", slots=(COMPASS_SLOT,), stamps=(Position.COMPASS,)
 # get_ls and get_sg: laser block, stamp, clock.
 LASER = TcpLayout(
     "laser",
-    laser_width=lambda wire_state: wire_state.get_laser_width,
+    laser_width=attrgetter("get_laser_width"),
     stamps=(Position.LASER,),
     has_clock=True,
 )
@@ -227,7 +228,7 @@ SEGMENTS = TcpLayout("laser", laser_width=lambda _: LINES, stamps=(Position.LASE
 CONFIGURATION = TcpLayout("configuration", slots=range(34, 38))
 CLICKED_CONFIGURATION = TcpLayout("configuration", values=4)
 VELOCITY = TcpLayout("velocity", slots=range(38, 41))
-PREDICTION = TcpLayout("prediction", values=44, laser_width=lambda wire_state: wire_state.laser_width)
+PREDICTION = TcpLayout("prediction", values=44, laser_width=attrgetter("laser_width"))
 SIMPLE = TcpLayout("simple", values=1)
 SIMPLE_LIST = TcpLayout("simple", values=None)
 COLLISION = TcpLayout("simple", values=4)

@@ -47,77 +47,6 @@ class Frame(NamedTuple):
     error: str = ""
 
 
-class FrameTap(Protocol):
-    """Framers of one connection, in both directions."""
-
-    wide: bool
-    """True if the client is known to be a 64-bit one."""
-
-    def resume(self, wide: bool) -> None:
-        """Continue with a connection that is already identified."""
-        ...
-
-    def to_robot(self, data: bytes) -> list[Frame]:
-        """Return the frames that bytes from the host complete."""
-        ...
-
-    def to_host(self, data: bytes) -> list[Frame]:
-        """Return the frames that bytes from the robot complete."""
-        ...
-
-
-def make_frame_tap(line: str, model: Model) -> FrameTap:
-    """Return the framers for a protocol of LINES. Only models with a mask send a handshake."""
-    return TcpFrameTap() if line == TCP else SerialFrameTap(line == HANDSHAKE_FIRST and model.sends_mask)
-
-
-class FrameDecoder:
-    """Decoder of the bytes of one connection.
-
-    Parameters
-    ----------
-    line
-        Protocol, one of LINES.
-    model
-        Model of the robot.
-    """
-
-    def __init__(self, line: str, model: Model) -> None:
-        self._tap = make_frame_tap(line, model)
-        self._line, self._model = line, model
-        self._decoder: WireDecoder | None = None
-
-    def resume(self, wire_state: WireState) -> None:
-        """Continue a connection whose beginning was not seen, between two requests."""
-        self._tap.resume(wire_state.wide)
-        self._get_decoder().set_wire_state(wire_state)
-
-    def to_robot(self, data: bytes) -> list[Decoded]:
-        """Return the decoded frames that these bytes to the robot complete."""
-        return [self._decode(frame, to_robot=True) for frame in self._tap.to_robot(data)]
-
-    def to_host(self, data: bytes) -> list[Decoded]:
-        """Return the decoded frames that these bytes from the robot complete."""
-        return [self._decode(frame, to_robot=False) for frame in self._tap.to_host(data)]
-
-    @property
-    def clock_s(self) -> float:
-        """Return the robot's clock in its last reply, 0 before the first one."""
-        return (self._decoder.client_state.clock or 0) / 1000 if self._decoder else 0.0
-
-    def _decode(self, frame: Frame, to_robot: bool) -> Decoded:
-        if frame.error:
-            return {"error": frame.error}
-        return self._get_decoder().request(frame.data) if to_robot else self._get_decoder().reply(frame.data)
-
-    def _get_decoder(self) -> WireDecoder:
-        # Created with the first frame: the first request shows the word size.
-        if self._decoder is None:
-            wire = SERIAL if self._line != TCP else "tcp64" if self._tap.wide else TCP
-            self._decoder = WireDecoder(wire, self._model)
-        return self._decoder
-
-
 class TcpFrameTap:
     """Messages of a 32-bit or 64-bit client of Nserver."""
 
@@ -191,6 +120,62 @@ def _frames_of(framer: SerialFramer, data: bytes) -> list[Frame]:
     return [Frame(b"", f"{skipped} bytes that are no frame"), *frames] if skipped else frames
 
 
+FrameTap = TcpFrameTap | SerialFrameTap
+"""Framers of one connection, in both directions; `wide` is True if the client is known to be a 64-bit one."""
+
+
+def make_frame_tap(line: str, model: Model) -> FrameTap:
+    """Return the framers for a protocol of LINES. Only models with a mask send a handshake."""
+    return TcpFrameTap() if line == TCP else SerialFrameTap(line == HANDSHAKE_FIRST and model.sends_mask)
+
+
+class FrameDecoder:
+    """Decoder of the bytes of one connection.
+
+    Parameters
+    ----------
+    line
+        Protocol, one of LINES.
+    model
+        Model of the robot.
+    """
+
+    def __init__(self, line: str, model: Model) -> None:
+        self._tap = make_frame_tap(line, model)
+        self._line, self._model = line, model
+        self._decoder: WireDecoder | None = None
+
+    def resume(self, wire_state: WireState) -> None:
+        """Continue a connection whose beginning was not seen, between two requests."""
+        self._tap.resume(wire_state.wide)
+        self._get_decoder().set_wire_state(wire_state)
+
+    def to_robot(self, data: bytes) -> list[Decoded]:
+        """Return the decoded frames that these bytes to the robot complete."""
+        return [self._decode(frame, to_robot=True) for frame in self._tap.to_robot(data)]
+
+    def to_host(self, data: bytes) -> list[Decoded]:
+        """Return the decoded frames that these bytes from the robot complete."""
+        return [self._decode(frame, to_robot=False) for frame in self._tap.to_host(data)]
+
+    @property
+    def clock_s(self) -> float:
+        """Return the robot's clock in its last reply, 0 before the first one."""
+        return (self._decoder.client_state.clock or 0) / 1000 if self._decoder else 0.0
+
+    def _decode(self, frame: Frame, to_robot: bool) -> Decoded:
+        if frame.error:
+            return {"error": frame.error}
+        return self._get_decoder().request(frame.data) if to_robot else self._get_decoder().reply(frame.data)
+
+    def _get_decoder(self) -> WireDecoder:
+        # Created with the first frame: the first request shows the word size.
+        if self._decoder is None:
+            wire = SERIAL if self._line != TCP else "tcp64" if self._tap.wide else TCP
+            self._decoder = WireDecoder(wire, self._model)
+        return self._decoder
+
+
 # -- recorders --------------------------------------------------------------------------------------------------------
 
 _MAX_STEPS: Final = 1000
@@ -203,7 +188,6 @@ class ConnectionRecorder(Protocol):
 
     def to_robot(self, data: bytes) -> None:
         """Record bytes sent to the robot."""
-        ...
 
     def to_host(self, data: bytes, by_time: bool = False) -> None:
         """Record bytes from the robot.
@@ -215,11 +199,9 @@ class ConnectionRecorder(Protocol):
         by_time
             True if the reply was sent because simulated time passed.
         """
-        ...
 
     def close(self) -> None:
         """Record the end of the connection; idempotent."""
-        ...
 
 
 class TrafficRecorder(Protocol):
@@ -227,23 +209,18 @@ class TrafficRecorder(Protocol):
 
     def open(self, name: str, line: str, model: Model, robot_id: int | None = None) -> ConnectionRecorder:
         """Start the record of a connection."""
-        ...
 
     def record_step(self, dt_s: float) -> None:
         """Record a time step of `dt_s` seconds that no request caused."""
-        ...
 
     def record_pace(self, factor: float | None, paused: bool) -> None:
         """Record a change of pace that no request caused; State[0] shows the pace."""
-        ...
 
     def record_change(self, what: Mapping[str, Any]) -> None:
         """Record a change of the simulation that no request caused."""
-        ...
 
     def close(self) -> None:
         """Write the last time steps and close the recording."""
-        ...
 
 
 class Recorder:

@@ -270,8 +270,7 @@ def test_each_kind_of_refusal_is_logged_once(caplog: pytest.LogCaptureFixture) -
     with caplog.at_level(logging.WARNING):
         session.receive(build_frame(200) * 3 + build_frame(43, bytes((7, *[0] * 11))))
         assert session.process_requests(9) == NAK * 4
-    assert len(caplog.records) == 2
-    assert "type 200 does not exist on the line of a n150" in caplog.text
+    assert ["type 200 does not exist on the line of a n150" in text for text in caplog.messages] == [True, False]
 
 
 # A line that is never clean
