@@ -12,7 +12,7 @@ import errno
 import logging
 import signal
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -300,6 +300,18 @@ def stop_on_signals(stop: asyncio.Event) -> None:
     for number in _ending_signals():
         with contextlib.suppress(NotImplementedError):
             asyncio.get_running_loop().add_signal_handler(number, stop.set)
+
+
+@contextlib.contextmanager
+def restored_signals() -> Iterator[None]:
+    """Restore the handlers of these signals at the end, unless this is not the main thread."""
+    handlers = {number: signal.getsignal(number) for number in _ending_signals()}
+    try:
+        yield
+    finally:
+        with contextlib.suppress(ValueError):
+            for number, handler in handlers.items():
+                signal.signal(number, handler)
 
 
 def ignore_signals() -> None:

@@ -6,7 +6,9 @@ The client is an independent implementation of docs/protocol.md with struct only
 from __future__ import annotations
 
 import contextlib
+import itertools
 import re
+import signal
 import socket
 import statistics
 import struct
@@ -18,7 +20,7 @@ from collections.abc import Iterator
 import pytest
 
 AC, SP, PR, VM, GS, CT, ST, MV, GET_RC, GET_RV, GET_SN, GET_BP = 10, 11, 13, 12, 15, 16, 17, 43, 29, 30, 28, 35
-PLACE, CONF_SN, CONF_TM, CONNECT, DISCONNECT, WS = 41, 23, 26, 102, 103, 39
+PLACE, CONF_SN, CONF_TM, CONNECT, DISCONNECT, WS, QUIT = 41, 23, 26, 102, 103, 39, 70
 STATE, ERROR = 80, 91
 ALL_SENSORS = (255, 255, 255, 255, 255, 0b1110, 0)
 ORDER = (0, 2, 15, 1, 14, 3, 13, 4, 12, 5, 11, 6, 10, 7, 9, 8)
@@ -195,6 +197,23 @@ def test_two_programs_never_get_each_others_robots() -> None:
             for client in (first, second):
                 clients.callback(client.close)
         assert second.ask(GS)[1][34] == 600
+
+
+def test_signals_while_quitting_are_no_error() -> None:
+    words = ("--port", "0", "--allow-quit")
+    with subprocess.Popen([sys.executable, "-m", "nserver_emu", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+                          text=True) as daemon:  # fmt: skip
+        assert daemon.stdout is not None
+        client = OldClient("127.0.0.1", int(daemon.stdout.readline().rpartition(":")[2]))
+        client.connect_robot()
+        assert client.ask(QUIT) == (82, [0])
+        for number in itertools.cycle((signal.SIGTERM, signal.SIGINT, signal.SIGHUP)):
+            if daemon.poll() is not None:
+                break
+            daemon.send_signal(number)
+            time.sleep(0.0005)
+        client.close()
+        assert (daemon.returncode, daemon.communicate()[1]) == (0, "")
 
 
 @pytest.mark.skipif(not hasattr(socket, "TCP_QUICKACK"), reason="only Linux acknowledges at once on request")
