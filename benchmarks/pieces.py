@@ -10,7 +10,6 @@ in one piece.
 from __future__ import annotations
 
 import json
-import socket
 import sys
 
 from echo import Pinger, compare, parsed_options, started
@@ -23,19 +22,6 @@ REPLY_SIZE, CONNECT_REPLY_SIZE = 4 + 4 * 49, 8
 PIECE_SIZE = 4
 
 
-class PiecewisePinger(Pinger):
-    """A client that writes each word by itself."""
-
-    def __init__(self, port: int, request: bytes, connect: bytes) -> None:
-        super().__init__(port, request, REPLY_SIZE, connect, CONNECT_REPLY_SIZE)
-        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 0)
-
-    def __call__(self) -> None:
-        for at in range(0, len(self._request), PIECE_SIZE):
-            self._socket.sendall(self._request[at : at + PIECE_SIZE])
-        self._receive(self._size)
-
-
 def measure(rounds: int, calls: int) -> dict[str, float]:
     """Return the mean time of an exchange both ways, and the difference."""
     request = codec.encode_tcp_request(Call("vm", (0, 0, 0)))
@@ -44,7 +30,7 @@ def measure(rounds: int, calls: int) -> dict[str, float]:
         port = int(line.rpartition(":")[2])
         sides = {
             "whole": Pinger(port, request, REPLY_SIZE, connect, CONNECT_REPLY_SIZE),
-            "pieces": PiecewisePinger(port, request, connect),
+            "pieces": Pinger(port, request, REPLY_SIZE, connect, CONNECT_REPLY_SIZE, PIECE_SIZE),
         }
         paces = compare(dict(sides), rounds, calls)
         for pinger in sides.values():
