@@ -136,7 +136,11 @@ class NserverBackend:
         frame = exchange(call, request, self._reply_timeout_s(row, call))
 
         # 3. Decode, and raise what the server refused.
-        reply = self._decode(row, frame)
+        try:
+            reply = codec.decode_tcp_reply(row, frame, self.wire_state)
+        except WireError as error:
+            self._finish(f"{row.name} was answered by a reply that does not fit it")
+            raise ConnectionLost(f"{row.name}: {error}; the connection was closed") from error
         self._evaluate(call, reply)
         return reply
 
@@ -199,13 +203,6 @@ class NserverBackend:
                     return frame
             if self._outstanding <= 0:
                 raise WireError("more replies came than requests were sent")
-
-    def _decode(self, row: Command, frame: TcpFrame) -> Reply:
-        try:
-            return codec.decode_tcp_reply(row, frame, self.wire_state)
-        except WireError as error:
-            self._finish(f"{row.name} was answered by a reply that does not fit it")
-            raise ConnectionLost(f"{row.name}: {error}; the connection was closed") from error
 
     def _evaluate(self, call: Call, reply: Reply) -> None:
         """Raise RobotRefused for a refusal; record which robot is connected and how fast its time runs."""

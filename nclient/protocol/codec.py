@@ -22,7 +22,7 @@ import contextlib
 import struct
 from collections.abc import Callable, Iterable, Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from construct import ConstructError
 
@@ -81,26 +81,16 @@ class InvalidFrame(NamedTuple):
     """True if synchronisation was lost, so that later bytes may be misread."""
 
 
-def request_bounds(message_type: int) -> tuple[int, int] | None:
-    """Return the minimum and maximum words of a request of this type; None for an unknown type."""
-    row = BY_TCP_TYPE.get(message_type)
-    return row.tcp_words if row else None
+# By type of the message; None for an unknown type.
+_REQUEST_BOUNDS: Final = {number: row.tcp_words for number, row in BY_TCP_TYPE.items()}
+request_bounds: Final[Bounds] = _REQUEST_BOUNDS.get
+reply_bounds: Final[Bounds] = {number: (1, most) for number, most in MAX_REPLY_WORDS.items()}.get
 
 
-def reply_bounds(message_type: int) -> tuple[int, int] | None:
-    """Return the minimum and maximum words of a reply of this type; None for an unknown type."""
-    most = MAX_REPLY_WORDS.get(message_type)
-    return None if most is None else (1, most)
-
-
-def limit_words(bounds: Bounds, max_words: int) -> Bounds:
-    """Return the same bounds with the maximum limited to `max_words`."""
-
-    def limited(message_type: int) -> tuple[int, int] | None:
-        found = bounds(message_type)
-        return None if found is None else (found[0], min(found[1], max_words))
-
-    return limited
+@lru_cache
+def limited_request_bounds(max_words: int) -> Bounds:
+    """Return the bounds of requests with the maximum limited to `max_words`."""
+    return {number: (least, min(most, max_words)) for number, (least, most) in _REQUEST_BOUNDS.items()}.get
 
 
 def build_frame(frame_type: int, payload: bytes, *, wide: bool = False, reply: bool = False) -> bytes:
@@ -431,7 +421,8 @@ def parse_tcp_payload(layout: TcpLayout, payload: bytes, wire_state: WireState) 
     """Parse the words of a reply. Raises WireError if they do not have this layout."""
     count = len(payload) // _WORD_SIZE
     words = struct.unpack_from(f">{count}i", payload)
-    values, laser, stamps, clock, volts = (), None, {}, None, None  # type: tuple[int, ...], Any, Any, Any, Any
+    stamps: dict[str, Stamp] = {}
+    laser, clock, volts = None, None, None
     try:
         # 1. Signed words: plain ones, State slots, readings of the laser behind their number.
         at = count if layout.values is None else layout.values
@@ -439,8 +430,10 @@ def parse_tcp_payload(layout: TcpLayout, payload: bytes, wire_state: WireState) 
         slots = dict(zip(layout.slots, words[at:], strict=False))
         at += len(layout.slots)
         if layout.laser_width is not None:
-            # The number is checked before it is multiplied: a corrupt one must not allocate memory.
-            size = 1 + checked_readings(words[at], "laser") * layout.laser_width(wire_state)
+            size = 1
+            if words[at]:
+                # The number is checked before it is multiplied: a corrupt one must not allocate memory.
+                size += checked_readings(words[at], "laser") * layout.laser_width(wire_state)
             laser = words[at : at + size]
             at += size
         # 2. Stamps and clock, whose times are unsigned.

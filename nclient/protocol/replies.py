@@ -12,9 +12,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from io import BytesIO
 from operator import attrgetter
+from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
 from construct import Construct, ConstructError, GreedyRange, Int8ub
@@ -40,8 +41,10 @@ MOTOR_SLOT = 41
 LAST_TCP_SLOT = 44
 
 
-@dataclass(frozen=True, slots=True)
-class Reply:
+_NOTHING: Final[Mapping[Any, Any]] = MappingProxyType({})
+
+
+class Reply(NamedTuple):
     """Values of one reply, in wire units.
 
     Attributes
@@ -63,9 +66,9 @@ class Reply:
     """
 
     kind: str
-    slots: Mapping[int, int] = field(default_factory=dict)
+    slots: Mapping[int, int] = _NOTHING
     laser: tuple[int, ...] | None = None
-    stamps: Mapping[str, Stamp] = field(default_factory=dict)
+    stamps: Mapping[str, Stamp] = _NOTHING
     clock: int | None = None
     volts: tuple[int, int] | None = None
     values: tuple[int, ...] = ()

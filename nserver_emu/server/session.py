@@ -29,7 +29,7 @@ from typing import Final, Generic, NamedTuple, Protocol, TypeVar
 from nclient.errors import WireError
 from nclient.protocol import codec
 from nclient.protocol.client_state import STATE_SIZE
-from nclient.protocol.codec import InvalidFrame, TcpFrame, TcpFramer, limit_words, request_bounds
+from nclient.protocol.codec import InvalidFrame, TcpFrame, TcpFramer, limited_request_bounds, request_bounds
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import N150, Mask
@@ -296,7 +296,7 @@ class Session(BaseSession[TcpFrame | InvalidFrame]):
         self._find_identity = find_identity
         # The first bytes until they identify the client, then None.
         self._head: bytes | None = b""
-        self._framer = TcpFramer(limit_words(request_bounds, max_words), drop_after_loss=True)
+        self._framer = TcpFramer(limited_request_bounds(max_words), drop_after_loss=True)
 
     @property
     def unfinished(self) -> int:

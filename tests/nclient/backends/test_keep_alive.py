@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -194,7 +193,7 @@ def test_the_next_call_raises_a_bumper_hit() -> None:
 
 
 def moving(robot: ScriptedLine, motors: int) -> Any:
-    return replace(robot.state(), slots={**robot.slots, 41: motors})
+    return robot.state()._replace(slots={**robot.slots, 41: motors})
 
 
 def test_ws_is_split_until_the_axes_are_still() -> None:

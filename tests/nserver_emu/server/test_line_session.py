@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import math
-from dataclasses import replace
 
 import pytest
 from hypothesis import given, settings
@@ -420,7 +419,7 @@ def test_recorded_replies_are_encoded_to_the_same_bytes(session_name: str) -> No
         session.receive(exchange.request)
         expected = exchange.reply
         if 33 in reply.slots:
-            rested = replace(reply, slots={**reply.slots, 33: reply.slots[33] | model.bumper_rest})
+            rested = reply._replace(slots={**reply.slots, 33: reply.slots[33] | model.bumper_rest})
             expected = codec.encode_serial_reply(BY_NAME[exchange.call.name], rested, wire_state)
         assert session.process_requests(1) == expected, exchange.call
         count += expected == exchange.reply
