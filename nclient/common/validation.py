@@ -201,7 +201,7 @@ def _complain(kind: Any, value: Any, parts: list[str]) -> InvalidValue:
         return _complain_keys(node, value)
     if isinstance(value, list | tuple) and node["type"] == "array":
         low, high, items = node.get("minItems", 0), node.get("maxItems"), node.get("x-items", "values")
-        if "prefixItems" not in node and low != high:
+        if low != high:
             limit = f"at least {low}" if len(value) < low else f"at most {high}"
             return InvalidValue(f"expected {limit} {items}, found {len(value)}")
     # 3. A wrong value.
@@ -234,8 +234,7 @@ def _enter(node: Node, value: Any, part: str) -> tuple[Node, Any]:
     """Return the schema and the value under a key or an index."""
     if isinstance(value, dict):
         return node["properties"][part], value[part]
-    at = int(part)
-    return node["prefixItems"][at] if "prefixItems" in node else node["items"], value[at]
+    return node["items"], value[int(part)]
 
 
 def _resolve(node: Node, value: Any, definitions: dict[str, Node]) -> Node:
@@ -275,8 +274,7 @@ def _expected(node: Node, value: Any) -> str:
                 return f"{title or span}, a number"
             return span if _is_finite(value) else f"{title or span}, a finite number"
         case "array":
-            rows = node.get("prefixItems")
-            return str(title or (f"a list of {len(rows)} numbers" if rows else "a list"))
+            return str(title or "a list")
     return str(title or "a text")
 
 

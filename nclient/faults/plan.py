@@ -400,9 +400,10 @@ _COMMANDS = [name for name, row in BY_NAME.items() if row.packet_type is None]
 _LINE = Annotated[str, Meta(extra_json_schema={"pattern": f"^({'|'.join(LINE_KINDS)})(:[0-9]+)?$|^{_ANY}$"})]
 _COMMAND = Annotated[str, Meta(title="a text", extra_json_schema={"enum": [*_COMMANDS, GREETING, _ANY]})]
 _KIND: Any = one_of(KINDS)
+_KINDS = Annotated[tuple[_KIND, ...], Meta(min_length=1, extra_json_schema={"uniqueItems": True, "x-items": "kinds"})]
 _RULE_FIELDS: list[Any] = [
     ("name", Annotated[Text, Meta(description="name in errors and counts; default: rule 1, rule 2 ...")], "rule"),
-    ("do", Annotated[_KIND | tuple[_KIND, ...], Meta(description="a kind of fault, or several, drawn each time")]),
+    ("do", Annotated[_KIND | _KINDS, Meta(description="a kind of fault, or several, drawn each time")]),
     ("command", _COMMAND | tuple[_COMMAND, ...], _ANY),
     ("line", _LINE | tuple[_LINE, ...], _ANY),
     ("direction", one_of(_DIRECTIONS), Direction.REPLY.value),
@@ -424,14 +425,16 @@ def _conditions() -> Iterator[dict[str, Any]]:
     """Yield the conditions on several keys of a rule, as JSON Schema."""
     yield at_most_one(METHODS)
     for key in _SETTINGS:
-        yield {"dependentSchemas": {key: _does(*(name for name, kind in KINDS.items() if key in field_types(kind)))}}
+        kinds = (name for name, kind in KINDS.items() if key in field_types(kind))
+        yield {"if": {"required": [key]}, "then": _does(*kinds)}
     for name, kind in KINDS.items():
         required = [entry.name for entry in fields(kind) if entry.default is dataclasses.MISSING]
         yield {"if": _does(name), "then": {"required": required}}
 
 
 RuleTable: Any = msgspec.defstruct(
-    "Rule", [*_RULE_FIELDS, *_SETTINGS.values()], namespace={"SCHEMA": {"allOf": [*_conditions()]}},
+    "Rule", [*_RULE_FIELDS, *_SETTINGS.values()],
+    namespace={"__doc__": "Faults, and the frames they are applied to.", "CONDITIONS": [*_conditions()]},
     forbid_unknown_fields=True, kw_only=True,
 )  # fmt: skip
 """A [[rule]] of a plan file."""

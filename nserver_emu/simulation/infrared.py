@@ -16,7 +16,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from nserver_emu.simulation.acoustics import relative_std
+from nserver_emu.simulation.acoustics import MIN_FACTOR, NOISE_SIGMAS, relative_std
 from nserver_emu.simulation.segments import NO_STAMP, PS_PER_S, TIME_MAX_PS, Stamp
 from nserver_emu.simulation.settings import setting
 from nserver_emu.simulation.visibility import SensorPose
@@ -33,10 +33,6 @@ TENTHS: Final = 10
 MAX_HISTORY: Final = 9
 """With ten tenths of the previous reading, nothing new would ever be detected."""
 INTERVAL_PS: Final = 60 * PS_PER_S // 1000
-NOISE_SIGMAS: Final = 6.0
-"""Standard deviations of noise that are allowed for when distant walls are left out: one draw in 1e9 goes beyond."""
-MIN_FACTOR: Final = 1e-3
-"""Smallest factor of a range by noise that is allowed for."""
 MAX_PENDING: Final = 64
 """Flashes stored while no reading is used, where the history needs all of them."""
 

@@ -16,7 +16,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from nserver_emu.simulation.acoustics import Ping, Polaroid, ReflectorMap, SonarErrors
+from nserver_emu.simulation.acoustics import MAX_UNSELECTED_WALLS, NO_ECHO_IN, Ping, Polaroid, ReflectorMap, SonarErrors
 from nserver_emu.simulation.segments import NO_STAMP, PS_PER_S, TIME_MAX_PS, SegmentTime, Stamp
 from nserver_emu.simulation.visibility import MAX_ROBOT_RANGE_IN, NO_NEAR_ROBOTS, SensorPose, robots_on_rays
 from worlds.geometry import FloatArray
@@ -26,9 +26,6 @@ from worlds.robots import SONARS, Body
 MIN_READING_IN: Final = 6
 """Nearer walls read this: the transducer still rings from its own ping."""
 
-NO_ECHO_IN: Final = 255
-"""The reading without an echo, or with one from farther away."""
-
 DEAD_IN: Final = 0
 """The reading of a dead sonar."""
 
@@ -37,15 +34,6 @@ TICK_PS: Final = 4 * PS_PER_S // 1000
 
 MAX_RATE: Final = 255
 """The largest firing rate that a byte on the robot's serial line can hold; the slowest ring."""
-
-MAX_UNSELECTED_WALLS: Final = 100
-"""With more walls, those in reach are selected before rays are cast."""
-NOISE_SIGMAS: Final = 6.0
-"""Standard deviations of noise that are allowed for then: one draw in 1e9 goes beyond."""
-MIN_FACTOR: Final = 1e-3
-"""Smallest factor of a range by noise that is allowed for."""
-MAX_OFFSET_IN: Final = 24.0
-"""Largest constant error of a sonar."""
 
 DEFAULT_ORDER: Final = (0, 2, 15, 1, 14, 3, 13, 4, 12, 5, 11, 6, 10, 7, 9, 8)
 DEFAULT_RATE: Final = 15
@@ -97,13 +85,11 @@ class SonarNoise(SonarErrors):
         return self._from_ring(from_axis, pings, body)
 
     def _walls_in_reach(self, pings: Sequence[Ping], walls: FloatArray, body: Body) -> FloatArray:
-        """Return the walls from which a reading other than "no echo" can come, but for one draw in a billion."""
-        noise = max(1.0 - NOISE_SIGMAS * self.range_std_relative, MIN_FACTOR)
-        farthest_in = NO_ECHO_IN + MAX_OFFSET_IN + NOISE_SIGMAS * self.range_std_floor_in
-        reach_in = body.sonar_ring_radius_in + farthest_in / noise
+        """Return the walls that decide the readings of these pings."""
         x, y = [ping.x_in for ping in pings], [ping.y_in for ping in pings]
-        reach_in += max(max(x) - min(x), max(y) - min(y)) / 2.0
-        return near_walls((max(x) + min(x)) / 2.0, (max(y) + min(y)) / 2.0, reach_in, walls)
+        apart_in = max(max(x) - min(x), max(y) - min(y))
+        reach_in = self.max_range_in + body.sonar_ring_radius_in + apart_in
+        return near_walls(x[0], y[0], reach_in, walls)
 
     def _from_ring(self, from_axis: Sequence[float], pings: Sequence[Ping], body: Body) -> list[float]:
         # 2. From the ring, with noise.
@@ -318,14 +304,11 @@ class SonarRing:
     def _measured_ranges(self, firings: Sequence[Firing]) -> list[float]:
         """Return ranges of firings among the same walls, inches, inf for no echo."""
         model, reflectors, body = self.model, firings[0].reflectors, self.body
-        # Rays of all firings are cast together; the Polaroid model treats each ping separately.
+        pings, poses = [firing.ping for firing in firings], [firing.sensor_pose for firing in firings]
         if isinstance(model, SonarNoise):
-            pings, poses = [firing.ping for firing in firings], [firing.sensor_pose for firing in firings]
             return model.measured_ranges(pings, poses, reflectors.walls, body)
-        return [
-            model.measured_range(firing.ping, firing.earlier, reflectors, body, firing.sensor_pose.others)
-            for firing in firings
-        ]
+        earlier, others = [firing.earlier for firing in firings], [pose.others for pose in poses]
+        return model.measured_ranges(pings, earlier, reflectors, body, others, model.max_range_in)
 
 
 def _reading(range_in: float) -> int:
