@@ -366,11 +366,23 @@ class RecordingStream:
     """A stream that records its traffic in the order and the pieces of the program's calls.
 
     Bytes are recorded before they are sent, because part of them may be sent even if sending fails.
+
+    Parameters
+    ----------
+    stream
+        The stream to record.
+    recorder
+        Recorder of this connection.
+    on_close
+        Called once the end is recorded.
     """
 
-    def __init__(self, stream: ByteStream, recorder: ConnectionRecorder) -> None:
+    def __init__(
+        self, stream: ByteStream, recorder: ConnectionRecorder, on_close: Callable[[], None] = lambda: None
+    ) -> None:
         self._stream = stream
         self._recorder = recorder
+        self._on_close = on_close
         self._closed = False
 
     def send(self, data: bytes) -> None:
@@ -391,14 +403,7 @@ class RecordingStream:
         if not self._closed:
             self._closed = True
             self._recorder.close()
-
-
-class RecordingTarget(NamedTuple):
-    """Address, protocol (one of LINES) and robot model of a recorded connection."""
-
-    address: str
-    line: str
-    model: Model
+            self._on_close()
 
 
 class ClientRecording:
@@ -408,8 +413,12 @@ class ClientRecording:
     ----------
     path
         File to write.
-    target
-        Address, protocol and model.
+    address
+        Address of the robot.
+    line
+        Protocol, one of LINES.
+    model
+        Model of the robot.
     clock
         Returns seconds since the start; None for the robot's clock, so that the same run gives the same file.
     started
@@ -424,7 +433,9 @@ class ClientRecording:
     def __init__(
         self,
         path: Path,
-        target: RecordingTarget,
+        address: str,
+        line: str,
+        model: Model,
         clock: Callable[[], float] | None = None,
         started: datetime | None = None,
     ) -> None:
@@ -432,26 +443,14 @@ class ClientRecording:
             "package": version(),
             "started": started and started.isoformat(timespec="seconds"),
             "time": "the robot's clock" if clock is None else "seconds since the start",
-            "address": target.address, "wire": target.line, "model": target.model.name,
+            "address": address, "wire": line, "model": model.name,
         }  # fmt: skip
         self._recorder = Recorder(RecordingWriter(path, header), clock)
-        self._line, self._model = target.line, target.model
+        self._line, self._model = line, model
         self._count = 0
 
     def wrap(self, stream: ByteStream) -> RecordingStream:
-        """Return a stream that records `stream` as the next connection."""
+        """Return a stream that records `stream` as the next connection. The file is open as long as a connection is."""
         self._count += 1
         connection = self._recorder.open(str(self._count), self._line, self._model)
-        return RecordingStream(stream, _ReleasingRecorder(connection, self._recorder))
-
-
-class _ReleasingRecorder:
-    """ConnectionRecorder that closes the file with the connection; the next connection opens it again."""
-
-    def __init__(self, connection: ConnectionRecorder, recorder: Recorder) -> None:
-        self._connection, self._recorder = connection, recorder
-        self.to_robot, self.to_host = connection.to_robot, connection.to_host
-
-    def close(self) -> None:
-        self._connection.close()
-        self._recorder.release()
+        return RecordingStream(stream, connection, self._recorder.release)

@@ -31,7 +31,7 @@ from typing import Any, Final
 import numpy as np
 
 from nclient.protocol.client_state import STATE_SIZE
-from nclient.protocol.commands import Call
+from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import (
     BUMPER_SLOT,
@@ -462,8 +462,7 @@ def _stamp(robot: SimulatedRobot, at: segments.Stamp) -> Stamp:
 Handler = Callable[["ServerState", ConnectionContext, tuple[Any, ...]], "Reply | DeferredReply"]
 
 # Commands that do not change the robot.
-QUERIES: Final = frozenset({"gs", "ct", "get_sn", "get_rc", "get_rv", "get_ra", "get_bp", "get_rpx", "sim_truth",
-    "get_ir", "get_cp", "get_ls", "get_sg"})  # fmt: skip
+QUERIES: Final = frozenset({"gs", "ct", "sim_truth", *(name for name in BY_NAME if name.startswith("get_"))})
 # Queries whose replies contain State slots.
 STATE_QUERIES: Final = frozenset({"get_ir", "get_sn", "get_rc", "get_rv", "get_cp", "get_bp"})
 # Commands that take no time in lockstep and do not restart the command timeout: observers must not keep a robot moving.
