@@ -74,7 +74,8 @@ def test_all_near_rays_meet_a_sole_wall() -> None:
     far_in = float(np.hypot(*np.ptp(walls.reshape(-1, 2), axis=0)))
     for _ in range(600):
         at, angle, margin_in = rng.uniform(5.0, 85.0, size=2), rng.uniform(-np.pi, np.pi), rng.choice([0.1, 1.0, 5.0])
-        row = sole_wall(*at.tolist(), cos(angle), sin(angle), walls.tolist(), margin_in)
+        x, y = at.tolist()
+        row = sole_wall(x, y, cos(angle), sin(angle), walls.tolist(), margin_in)
         if row == NO_WALL:
             continue
         found += 1
