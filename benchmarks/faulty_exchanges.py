@@ -159,7 +159,7 @@ def _failures(outcome: Outcome) -> int:
 
 
 def read_packet(frame: bytes) -> tuple[int, ...]:
-    """Decode the frame of a state packet by PROTOCOL.md, in the order of `numbers_of`; () for other frames."""
+    """Decode the frame of a state packet by docs/protocol.md, in the order of `numbers_of`; () for other frames."""
     if len(frame) != PACKET.size + 6 or frame[3] != 7:
         return ()
     sonars, bumpers, *shorts, motors, clock, cpu, motor = PACKET.unpack(frame[4:-2])

@@ -26,7 +26,7 @@ from pathlib import Path
 from echo import Pace, compare, parsed_options, started
 
 from nclient.backends.base import Backend
-from nclient.connect import open_backend
+from nclient.connector import open_backend
 from nclient.protocol import codec
 from nclient.protocol.commands import Call
 from nclient.protocol.types import N150

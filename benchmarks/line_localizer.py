@@ -25,13 +25,7 @@ from localization.cli.options import START_STD
 from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig
 from localization.filters.belief import independent
 from localization.live.run import Run, RunMoment, TruthSample
-from localization.navigation.waypoints import (
-    STOP_RADIUS_IN,
-    Navigator,
-    Speeds,
-    follow_waypoints,
-    start_localizer,
-)
+from localization.navigation.waypoints import STOP_RADIUS_IN, Navigator, Speeds, follow_waypoints, start_localizer
 from nclient import Robot, connect
 from worlds.io import load_world
 from worlds.robots import BODIES

@@ -19,17 +19,17 @@ from worlds.world import Polygon, StartPose, World
 HALF_IN: Final = 240.0
 WALLS: Final = 50
 FREE_IN: Final = 55.0
-"""From the middle of a wall of 30 in to a start: the start itself has 40 in around it."""
+"""Minimum distance from the middle of a 30 in wall to a start pose; it leaves 40 in free around the start."""
 SPACING_IN: Final = 100.0
 
 
 def room(half_in: float, walls: int, starts: FloatArray, free_in: float) -> World:
-    """A square room with walls of 30 in strewn into it, none near a start: so many walls with the four of the room."""
-    chance = np.random.default_rng(150)
-    middles = chance.uniform(-half_in, half_in, (8 * walls, 2))
+    """Return a square room with random 30 in walls, none near a start; `walls` includes the four of the room."""
+    rng = np.random.default_rng(150)
+    middles = rng.uniform(-half_in, half_in, (8 * walls, 2))
     away = np.hypot(*(middles[:, None] - starts).T).min(axis=0)
     middles = middles[away > free_in][: walls - 4]
-    angles = chance.uniform(0.0, pi, len(middles))
+    angles = rng.uniform(0.0, pi, len(middles))
     half = 15.0 * np.stack((np.cos(angles), np.sin(angles)), axis=-1)
     corners = ((-half_in, -half_in), (half_in, -half_in), (half_in, half_in), (-half_in, half_in))
     return World("benchmark", rooms=(Polygon(corners),), inner_walls=np.hstack((middles - half, middles + half)))

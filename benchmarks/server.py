@@ -1,9 +1,9 @@
-"""How fast the daemon answers: `gs` round trips a second, against a bare asyncio echo of the same sizes.
+"""Measure the round trips per second of `gs` against a bare asyncio echo server with messages of the same sizes.
 
     python benchmarks/server.py [--rounds N] [--calls N] [--json]
 
-Target: a ratio of at least 0.5, and a 99th percentile under 1 ms. The client sends prepared bytes and reads nothing
-into them, so what is measured is the daemon; both servers are processes of their own, and take turns.
+Target: a ratio of at least 0.5, and a 99th percentile under 1 ms. The client sends prepared bytes
+and decodes nothing, so that only the server is measured; both servers are processes and are measured alternately.
 """
 
 from __future__ import annotations

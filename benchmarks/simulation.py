@@ -31,7 +31,7 @@ from nserver_emu.simulation.multi_robot import SPAN_PS, candidate_pairs
 from nserver_emu.simulation.noise import IDEAL, MEASURED, NOISY, SETUPS, RobotSetup
 from nserver_emu.simulation.sonar import DEFAULT_ORDER
 from worlds.geometry import FloatArray
-from worlds.raycast import NEAREST_OBSTACLE, cast_rays
+from worlds.raycast import RAYCAST_KERNEL, cast_rays
 
 Result = dict[str, float | int | str]
 
@@ -77,7 +77,7 @@ def one_robot(setup: RobotSetup, rounds: int, walls: int = WALLS, look_every: in
     step_s, cast_s = step_s / steps, cast_s / CASTS
     return {
         "setup": setup.name,
-        "compiled": NEAREST_OBSTACLE.run is not None,
+        "compiled": RAYCAST_KERNEL.run is not None,
         "walls": len(simulation.world.walls),
         "steps_per_s": round(1.0 / step_s),
         "step_us": round(step_s * 1e6, 1),
@@ -98,7 +98,7 @@ def many_robots(robots: int, setup: RobotSetup, rounds: int, look_every: int = 8
     return {
         "robots": robots,
         "setup": setup.name,
-        "compiled": NEAREST_OBSTACLE.run is not None,
+        "compiled": RAYCAST_KERNEL.run is not None,
         "times_real_time": round(simulated_s / run_s, 2),
         "us_a_robot_and_second": round(robot_s * 1e6),
         "yardstick_us": round(cast_s / CASTS * 1e6, 1),
@@ -127,7 +127,7 @@ def bunched(robots: int, setup: RobotSetup) -> Result:
     return {
         "robots": robots,
         "setup": setup.name,
-        "compiled": NEAREST_OBSTACLE.run is not None,
+        "compiled": RAYCAST_KERNEL.run is not None,
         "near_others": len({row for pair in candidate_pairs(group, SPAN_PS) for row in pair}),
         "stopped": sum(not robot.moving[0] for robot in group),
         "times_real_time": round(simulated_s / sum(late_s), 2),

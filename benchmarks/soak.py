@@ -240,7 +240,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.out:
         whole: dict[str, Sequence[Sample | Finding]] = {"samples": samples, "findings": found}
         report: dict[str, Any] = {name: [asdict(row) for row in rows] for name, rows in whole.items()}
-        report |= {"visits": target.sessions, "broken_off": target.failed}
+        report |= {"sessions": target.sessions, "broken_off": target.failed}
         options.out.write_text(json.dumps(report, indent=1) + "\n")
     return 0 if all(finding.is_met for finding in found) else 1
 

@@ -1,28 +1,33 @@
 """The client: `from nclient import connect`, then `with connect("nserver://localhost:7019/1") as robot:`.
 
-What a program needs stands here; the C names are in nclient.capi, the wire in nclient.protocol.
+What a program needs stands here; the C names are in nclient.capi, the wire in nclient.protocol. A name's module is
+imported when the name is first used (PEP 562), so that commands start without the parts that they do not need.
 """
 
 from __future__ import annotations
 
-from nclient.aio import AsyncRobot
-from nclient.backends.base import LinkStatistics
-from nclient.connect import connect, connect_async
-from nclient.errors import (
-    AddressError,
-    BumperHit,
-    ConnectionLost,
-    NomadError,
-    RecordingError,
-    ReplyTimeout,
-    RobotRefused,
-    StartError,
-    WireError,
-    WorldFileError,
-)
-from nclient.robot import Robot
-from nclient.state import Battery, Pose, RobotState, Truth
-from nclient.units import AxisCommand, AxisMode
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from nclient.aio import AsyncRobot
+    from nclient.backends.base import LinkStatistics
+    from nclient.connector import connect, connect_async
+    from nclient.errors import (
+        AddressError,
+        BumperHit,
+        ConnectionLost,
+        NomadError,
+        RecordingError,
+        ReplyTimeout,
+        RobotRefused,
+        StartError,
+        WireError,
+        WorldFileError,
+    )
+    from nclient.robot import Robot
+    from nclient.state import Battery, Pose, RobotState, Truth
+    from nclient.units import AxisCommand, AxisMode
 
 __all__ = [
     "AddressError",
@@ -47,3 +52,24 @@ __all__ = [
     "connect",
     "connect_async",
 ]
+_MODULES = {
+    "aio": ("AsyncRobot",),
+    "backends.base": ("LinkStatistics",),
+    "connector": ("connect", "connect_async"),
+    "robot": ("Robot",),
+    "state": ("Battery", "Pose", "RobotState", "Truth"),
+    "units": ("AxisCommand", "AxisMode"),
+}
+"""Where the names are defined; those that are in no row are in `errors`."""
+
+
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module = next((module for module, names in _MODULES.items() if name in names), "errors")
+    value = globals()[name] = getattr(import_module(f"{__name__}.{module}"), name)
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

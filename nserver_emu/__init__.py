@@ -1,10 +1,1 @@
-"""The emulator: a simulated Nomad robot behind Nserver's protocol, run by `nserver`, or by `sim:` in one's own process.
-
-As a library it logs nothing anywhere unless the program that uses it sets up logging.
-"""
-
-from __future__ import annotations
-
-import logging
-
-logging.getLogger(__name__).addHandler(logging.NullHandler())
+"""The emulator: a simulated Nomad robot behind the protocol of Nserver, run by `nserver`, or in-process by `sim:`."""

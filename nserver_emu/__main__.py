@@ -1,9 +1,31 @@
-"""`python -m nserver_emu` is `nserver`."""
+"""The script `nserver`, and `python -m nserver_emu`."""
 
 from __future__ import annotations
 
+import signal
 import sys
+from types import FrameType
 
-from nomad_start import nserver
+from nclient.common.exit_codes import ExitCode
+from nclient.common.start import exit_on_interrupt
 
-sys.exit(nserver())
+
+def main() -> int:
+    """Run `nserver`, and return the exit code."""
+    # SIGUSR1 saves the state (--save). Before there is one, it must not end the process.
+    if hasattr(signal, "SIGUSR1"):  # not on Windows
+        signal.signal(signal.SIGUSR1, _ignore)
+    try:
+        with exit_on_interrupt():
+            from nserver_emu import cli
+        return cli.main()
+    except KeyboardInterrupt:
+        return ExitCode.INTERRUPTED
+
+
+def _ignore(number: int, frame: FrameType | None) -> None:
+    """Do nothing; unlike SIG_IGN a handler is not inherited by programs that this one starts."""
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -42,17 +42,18 @@ OLD_OPTIONS = ("help", "noisy", "port")
 """Options that the original accepted after a single dash, abbreviated to any number of letters."""
 
 
-def nserver_parser() -> Parser:
-    """Return the parser with all options."""
+def nserver_parser(*, with_files: bool = True) -> Parser:
+    """Return the parser with all options, and with the files that `nserver` takes as arguments or without them."""
     parser = Parser(
         prog="nserver",
         description="An Nserver for Nomad robots: a simulated robot that old and new client programs connect to.",
         epilog="example: nserver thesis_room --noisy --seed 1 --start 0,0,0,0; "
         "nserver ctl --help: commands for a running daemon",
     )
-    parser.add_argument("files", nargs="*", metavar="WORLD | SETUP",
-                        help=f"a shipped world or a TOML file (default: {DEFAULT_WORLD}; see --list-worlds); and the "
-                        "original's robot.setup and world.setup, of which the documented keys are read")
+    if with_files:
+        parser.add_argument("files", nargs="*", metavar="WORLD | SETUP",
+                            help=f"a shipped world or a TOML file (default: {DEFAULT_WORLD}; see --list-worlds); and "
+                            "the original's robot.setup and world.setup, of which the documented keys are read")
     parser.add_argument("--port", type=_port,
                         help=f"TCP port to listen on (default {DEFAULT_PORT}; 0 takes a free one)")
     parser.add_argument("--bind", type=_host, default=LOOPBACK, metavar="HOST",

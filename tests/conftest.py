@@ -1,9 +1,9 @@
-"""What all tests share: the options, and modules beside the tests that can be imported by name.
+"""Options, markers and Hypothesis profiles of all tests.
 
     pytest --robot ADDRESS     the tests of tests/hardware alone, on a real robot
-    pytest --restarts N        how often a daemon is killed, and its line pulled (tests/integration/test_restarts.py)
-    pytest -m "not long"       without what takes its time: programs, browsers, compilers, long sums
-    pytest --hypothesis-profile=roaming    other examples each time; without it they are the same each time
+    pytest --restarts N        number of server kills and line disconnections (tests/integration/test_restarts.py)
+    pytest -m "not long"       without slow tests: programs, browsers, compilers, long calculations
+    pytest --hypothesis-profile=roaming    random examples; the default profile always uses the same
 """
 
 from __future__ import annotations
@@ -18,31 +18,31 @@ LONG = ("integration", "benchmarks", "packaging", "clib", "docs")
 """Folders whose tests are all marked `long`."""
 
 _UNHURRIED = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
-"""How fast a machine is, and what else it does, decides no test."""
+"""No deadlines: the speed and the load of a machine decide no test."""
 settings.register_profile("steady", _UNHURRIED, derandomize=True)
 settings.register_profile("roaming", _UNHURRIED, derandomize=False)
 settings.load_profile("steady")
 
 
-if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in the background of a script, for all that is begun
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in a script's background job; child processes inherit it
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     group = parser.getgroup("nomad")
-    group.addoption("--robot", metavar="ADDRESS", help="a real robot that stands free, 50 cm all around it: only the "
-                    "tests of tests/hardware are run, and on it; see there what it will do")  # fmt: skip
+    group.addoption("--robot", metavar="ADDRESS", help="run only tests/hardware, on this real robot, which needs "
+                    "50 cm of free space around it; tests/hardware/test_robot.py lists its motions")  # fmt: skip
     group.addoption("--restarts", metavar="N", type=int, default=5,
-                    help="how often the tests of restarts restart (default: 5)")
+                    help="number of restarts in the tests of restarts (default: 5)")
 
 
 def pytest_configure(config: pytest.Config) -> None:
     if config.getoption("--robot") and config.getoption("numprocesses", None):
-        raise pytest.UsageError("--robot: there is one robot, and one program at a time talks to it; leave -n out")
+        raise pytest.UsageError("--robot: only one program can use a robot at a time; omit -n")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Whole folders are long; with a robot, nothing but what is meant for it."""
+    """Mark the folders of LONG; with --robot, select only the hardware tests."""
     for item in items:
         if item.path.relative_to(Path(__file__).parent).parts[0] in LONG:
             item.add_marker(pytest.mark.long)

@@ -14,24 +14,39 @@ from __future__ import annotations
 
 import functools
 import json
-from collections.abc import Iterable, Iterator
-from math import degrees
+from collections.abc import Iterable, Iterator, Mapping
+from math import degrees, radians
 from os import PathLike, fspath
 from pathlib import Path as FilePath
-from typing import Final
+from typing import Annotated, Any, Final
 
 import numpy as np
+from msgspec import UNSET, Meta, UnsetType
 
 from nclient.common.hints import suggest
+from nclient.common.validation import InvalidValue, Text, convert, reported_as
 from nclient.errors import WorldFileError
 from worlds.geometry import FloatArray, lengths, polygon_segments, polyline_segments
-from worlds.schema import MIN_WALL_IN, Table, parse_toml, read_text, require_outline
-from worlds.world import AT_ORIGIN, Path, Point, Polygon, StartPose, World
+from worlds.schema import (
+    MIN_WALL_IN,
+    Angle,
+    Length,
+    Line,
+    Outline,
+    Table,
+    parse_toml,
+    read_text,
+    require_outline,
+    table,
+)
+from worlds.world import AT_ORIGIN, MAX_CORNERS, MAX_PATH_POINTS, MAX_STARTS, Path, Point, Polygon, StartPose, World
 
 SHIPPED: Final = FilePath(__file__).resolve().parent
 """Folder of the shipped worlds."""
 DEFAULT_WORLD: Final = "thesis_room"
 """World of a simulation whose address names none."""
+CONTENT: Final = ("room", "wall", "obstacle")
+"""Tables of which a world needs at least one."""
 
 
 @functools.cache
@@ -65,6 +80,63 @@ def read_world_text(name_or_path: str | PathLike[str]) -> tuple[str, FilePath]:
         raise WorldFileError(f"{name}: cannot be read: {error.strerror}") from error
 
 
+@table()
+class _Outline(Table):
+    name: Text = ""
+    corners: Outline
+
+    def check(self) -> None:
+        _reject_repeats(self, "corners", polygon_segments(self.corners))
+        require_outline(self.key_of("corners"), self.corners)
+
+
+@table()
+class _Wall(Table):
+    points: Line
+
+    def check(self) -> None:
+        _reject_repeats(self, "points", polyline_segments(self.points))
+
+
+@table()
+class _Start(Table):
+    x: Length
+    y: Length
+    steering_deg: Angle = 0.0
+    turret_deg: Angle = 0.0
+
+
+@table(condition={"anyOf": [{"required": ["name"]}, {"required": ["figure"]}]})
+class _Path(Table):
+    name: Text = ""
+    figure: Text = ""
+    start: Annotated[int, Meta(ge=0, description="number of the [[start]] where it begins")] | UnsetType = UNSET
+    points: Line
+
+    def check(self) -> None:
+        if not (self.name or self.figure):
+            raise InvalidValue("expected a name or a figure, found neither", "name")
+        _reject_repeats(self, "points", polyline_segments(self.points))
+
+
+@table(condition={"anyOf": [{"required": [key], "properties": {key: {"minItems": 1}}} for key in CONTENT]})
+class WorldFile(Table):
+    """A world file: walls, start poses and paths of a simulated building."""
+
+    name: Annotated[Text, Meta(description="name of the world; default: the name of the file")] = ""
+    title: Annotated[Text, Meta(description="title for people; default: the name")] = ""
+    room: Annotated[tuple[_Outline, ...], Meta(description="a closed outline, free inside")] = ()
+    wall: Annotated[tuple[_Wall, ...], Meta(description="an open line of two points or more")] = ()
+    obstacle: Annotated[tuple[_Outline, ...], Meta(description="a closed solid; clients may move and delete it")] = ()
+    start: Annotated[tuple[_Start, ...], Meta(description="a start pose")] = ()
+    path: Annotated[tuple[_Path, ...], Meta(description="waypoints from the start on")] = ()
+
+    def check(self) -> None:
+        """Raise InvalidValue unless there is anything to see."""
+        if not (self.room or self.wall or self.obstacle):
+            raise InvalidValue("expected at least one [[room]], [[wall]] or [[obstacle]], found none")
+
+
 def parse_world(text: str, file: str, name: str) -> World:
     """Return the world of a TOML text.
 
@@ -80,38 +152,54 @@ def parse_world(text: str, file: str, name: str) -> World:
     ------
     WorldFileError
     """
-    # 1. Top level.
     values = parse_toml(text, file)
-    top = Table(file, "", values)
-    top.allow(("name", "title", "room", "wall", "obstacle", "start", "path"))
-    if not any(values.get(key) for key in ("room", "wall", "obstacle")):
-        top.fail("", "expected at least one [[room]], [[wall]] or [[obstacle]], found none")
-    name = top.text("name", name)
-    # 2. Content.
-    starts = tuple(_start(table) for table in top.tables("start"))
-    world = World(
-        name=name,
-        title=top.text("title", name),
-        rooms=tuple(_polygon(table) for table in top.tables("room")),
-        inner_walls=np.concatenate([np.empty((0, 4)), *(_wall(table) for table in top.tables("wall"))]),
-        obstacles=tuple(_polygon(table) for table in top.tables("obstacle")),
-        starts=starts or AT_ORIGIN,
-        paths=_paths(top, starts or AT_ORIGIN),
+    with reported_as(WorldFileError, file):
+        _check_size(values)
+        return _build_world(convert(values, WorldFile), name)
+
+
+def _build_world(values: WorldFile, name: str) -> World:
+    """Return the world of a file's values. Raises InvalidValue."""
+    # 1. Content.
+    starts = tuple(
+        StartPose(start.x, start.y, radians(start.steering_deg), radians(start.turret_deg)) for start in values.start
     )
-    # 3. Starts and paths must be in free space.
-    for k, start in enumerate(starts):
-        _require_free(top, f"start[{k}]", world, (start.x_in, start.y_in))
-    for k, path in enumerate(world.paths.values()):
-        for point in path.points_in:
-            _require_free(top, f"path[{k}]", world, point)
+    walls = [polyline_segments(wall.points) for wall in values.wall]
+    world = World(
+        name=values.name or name,
+        title=values.title or values.name or name,
+        rooms=tuple(Polygon(room.corners, room.name) for room in values.room),
+        inner_walls=np.concatenate([np.empty((0, 4)), *walls]),
+        obstacles=tuple(Polygon(obstacle.corners, obstacle.name) for obstacle in values.obstacle),
+        starts=starts or AT_ORIGIN,
+        paths=_paths(values.path, starts or AT_ORIGIN),
+    )
+    # 2. Starts and paths must be in free space, where at least the smallest robot touches nothing.
+    places = [(f"start[{k}]", (start.x_in, start.y_in)) for k, start in enumerate(starts)]
+    places += [(f"path[{k}]", point) for k, path in enumerate(world.paths.values()) for point in path.points_in]
+    clearances = world.clearances(np.array([point for _, point in places]).reshape(-1, 2))
+    for (key, (x, y)), clearance in zip(places, clearances.tolist(), strict=True):
+        if clearance <= 0:
+            found = f"found ({x:g}, {y:g}) in"
+            raise InvalidValue(f"expected a place inside the world and clear of its walls, {found}", key)
     return world
 
 
-def _require_free(top: Table, key: str, world: World, point: Point) -> None:
-    """Reject a point where even the smallest robot would touch something."""
-    x, y = point
-    if world.clearance(x, y) <= 0:
-        top.fail(key, f"expected a place inside the world and clear of its walls, found ({x:g}, {y:g}) in")
+def _check_size(values: Mapping[str, Any]) -> None:
+    """Raise InvalidValue if a world is too large, before anything is computed from it."""
+    # The values have any type yet; those of a wrong one are reported later.
+    tables = {key: rows if isinstance(rows, list) else [] for key, rows in values.items()}
+    sizes = {
+        key: sum(len(each) for row in rows if isinstance(row, dict) for each in row.values() if isinstance(each, list))
+        for key, rows in tables.items()
+    }
+    for key, found, maximum, what in (
+        ("", sum(sizes.get(key, 0) for key in CONTENT), MAX_CORNERS, "corners in total"),
+        ("start", len(tables.get("start", ())), MAX_STARTS, "starts"),
+        ("path", sizes.get("path", 0), MAX_PATH_POINTS, "points in total"),
+    ):
+        if found > maximum:
+            raise InvalidValue(f"expected at most {maximum} {what}, found {found}", key)
 
 
 def _find(name: str) -> FilePath:
@@ -141,25 +229,6 @@ def _read(path: FilePath) -> str:
     return read_text(path)
 
 
-def _polygon(table: Table) -> Polygon:
-    table.allow(("name",), lengths=("corners",))
-    corners = table.points_in("corners", minimum=3)
-    _reject_repeats(table, "corners", polygon_segments(corners))
-    require_outline(table, table.key_of("corners"), corners)
-    return Polygon(corners, table.text("name", ""))
-
-
-def _wall(table: Table) -> FloatArray:
-    table.allow((), lengths=("points",))
-    return _line(table, table.points_in("points", minimum=2))
-
-
-def _line(table: Table, points: tuple[Point, ...]) -> FloatArray:
-    segments = polyline_segments(points)
-    _reject_repeats(table, "points", segments)
-    return segments
-
-
 def _reject_repeats(table: Table, name: str, segments: FloatArray) -> None:
     """Reject an edge without length: a corner given twice in a row."""
     # The first edge without length; of an outline the closing edge gets a message of its own.
@@ -168,46 +237,31 @@ def _reject_repeats(table: Table, name: str, segments: FloatArray) -> None:
         return
     key, number = table.key_of(name), int(short[0])
     if name == "corners" and number == len(segments) - 1:
-        table.fail(f"{key}[{number}]", "is the first corner again; outlines close by themselves: leave it out")
-    table.fail(f"{key}[{number + 1}]", "is the same point as the one before; expected walls with a length")
+        raise InvalidValue("is the first corner again; outlines close by themselves: leave it out", f"{key}[{number}]")
+    raise InvalidValue("is the same point as the one before; expected walls with a length", f"{key}[{number + 1}]")
 
 
-def _start(table: Table) -> StartPose:
-    table.allow(("steering_deg", "turret_deg"), lengths=("x", "y"))
-    return StartPose(table.length_in("x"), table.length_in("y"), table.angle_rad("steering"), table.angle_rad("turret"))
-
-
-def _paths(top: Table, starts: tuple[StartPose, ...]) -> dict[str, Path]:
+def _paths(rows: tuple[_Path, ...], starts: tuple[StartPose, ...]) -> dict[str, Path]:
     """Return the paths by figure, or by name if they have no figure."""
     paths: dict[str, Path] = {}
-    for table in top.tables("path"):
-        path = _path(table, starts)
-        key = path.figure or path.name
+    for k, row in enumerate(rows):
+        # A path begins at its start pose, or at its first point with heading 0.
+        x, y = row.points[0]
+        if row.start is not UNSET and row.start >= len(starts):
+            complaint = f"expected a whole number from 0 to {len(starts) - 1}, found {row.start}"
+            raise InvalidValue(complaint, f"path[{k}].start")
+        start = StartPose(x, y) if row.start is UNSET else starts[row.start]
+        if max(abs(start.x_in - x), abs(start.y_in - y)) > MIN_WALL_IN:
+            raise InvalidValue(
+                f"expected the place of start[{row.start}], ({start.x_in:g}, {start.y_in:g}) in, "
+                f"found ({x:g}, {y:g}) in", f"path[{k}].{row.key_of('points')}[0]",
+            )  # fmt: skip
+        key = row.figure or row.name
         if key in paths:
-            table.fail("figure" if path.figure else "name", f"{key!r} is used by an earlier path; expected another")
-        paths[key] = path
+            where = f"path[{k}].{'figure' if row.figure else 'name'}"
+            raise InvalidValue(f"{key!r} is used by an earlier path; expected another", where)
+        paths[key] = Path(row.name or row.figure, row.figure, start, row.points)
     return paths
-
-
-def _path(table: Table, starts: tuple[StartPose, ...]) -> Path:
-    table.allow(("name", "figure", "start"), lengths=("points",))
-    figure = table.text("figure", "")
-    # 1. Name and points.
-    name = table.text("name", figure)
-    if not name:
-        table.fail("name", "expected a name or a figure, found neither")
-    points = table.points_in("points", minimum=2)
-    _line(table, points)
-    # 2. The path begins at its start pose, or at its first point with heading 0.
-    number = table.index("start", len(starts))
-    start = StartPose(*points[0]) if number is None else starts[number]
-    if max(abs(start.x_in - points[0][0]), abs(start.y_in - points[0][1])) > MIN_WALL_IN:
-        table.fail(
-            f"{table.key_of('points')}[0]",
-            f"expected the place of start[{number}], ({start.x_in:g}, {start.y_in:g}) in, "
-            f"found ({points[0][0]:g}, {points[0][1]:g}) in",
-        )
-    return Path(name, figure, start, points)
 
 
 def format_world(world: World, comment: str = "") -> str:
@@ -242,7 +296,8 @@ def _format_lines(world: World) -> Iterator[str]:
     for thing in world.obstacles:
         yield from _format_outline("obstacle", thing)
     # Only starts in free space can be read again.
-    starts = [start for start in world.starts if world.clearance(start.x_in, start.y_in) > 0.0]
+    is_free = world.clearances(np.array([(start.x_in, start.y_in) for start in world.starts])) > 0.0
+    starts = [start for start, free in zip(world.starts, is_free, strict=True) if free]
     for start in world.starts:
         if start not in starts:
             yield from ("", f"# omitted because an obstacle stands there: a start at {start.x_in!r}, {start.y_in!r}")
@@ -251,7 +306,7 @@ def _format_lines(world: World) -> Iterator[str]:
             yield f"steering_deg = {degrees(start.steering_rad)!r}"
             yield f"turret_deg = {degrees(start.turret_rad)!r}"
     for path in world.paths.values():
-        if all(world.clearance(*point) > 0.0 for point in path.points_in):
+        if (world.clearances(np.array(path.points_in)) > 0.0).all():
             yield from _format_path(path, starts)
         else:
             yield from ("", f"# omitted because an obstacle stands on it: the path {_quote(path.name)}")

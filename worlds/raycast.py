@@ -13,6 +13,7 @@ passes between them.
     intersect, nearest_wall, sole_wall, nearest_obstacle    plain numbers; numba compiles these same functions
     cast_ray, cast_each                          the same for many walls or several rays: arrays select, numbers decide
     cast_rays, cast_discs                        arrays, for many rays at once
+    cast_fan                                     many rays from one point, among many walls
 
 The formula therefore stands here twice: `intersect` in numbers, `_intersections` in arrays. A simulated sonar or a live
 filter casts one to three rays at a time; in arrays that takes about ten times as long
@@ -31,7 +32,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nclient.errors import VariableError
-from worlds.geometry import FloatArray
+from worlds.geometry import FloatArray, nearest_points
 
 IndexArray = npt.NDArray[np.intp]
 WallRows = Iterable[Sequence[float] | FloatArray]
@@ -69,6 +70,12 @@ MAX_LOOP_WALLS: Final = 20
 
 MAX_SINGLE_RAYS: Final = 2
 """Up to so many rays, selecting the walls for each ray in turn is faster than for all rays at once."""
+
+MAX_PAIRED_WALLS: Final = 400
+"""With more walls, arrays of all pairs of ray and wall leave the processor's cache."""
+
+FAN_MARGIN_RAD: Final = 1e-9
+"""A wall's end this far from a ray's direction counts as on it when rays are selected: far more than rounding."""
 
 
 # One ray, in plain numbers. numba compiles these functions unchanged, and caches the result for as long as this file
@@ -238,11 +245,11 @@ def cast_each(origins: Sequence[complex], directions: Sequence[complex], walls: 
         (m, 4), contiguous.
     """
     rays = [(o.real, o.imag, d.real, d.imag) for o, d in zip(origins, directions, strict=True)]
-    # Few walls or few rays: no array for all pairs.
+    # Few walls, few rays, or too many walls for an array of all pairs.
     if len(walls) <= MAX_LOOP_WALLS:
         rows = walls.tolist()
         return [nearest_wall(*ray, rows)[0] for ray in rays]
-    if len(rays) <= MAX_SINGLE_RAYS:
+    if len(rays) <= MAX_SINGLE_RAYS or len(walls) > MAX_PAIRED_WALLS:
         return [cast_ray(*ray, walls)[0] for ray in rays]
     # 1. All ends in the frames of all rays; the pairs of ray and wall worth a look, in the order of the rays.
     ends = walls.view(np.complex128).reshape(1, -1)
@@ -297,6 +304,101 @@ def cast_rays(origins: npt.ArrayLike, directions: npt.ArrayLike, walls: npt.Arra
     return ranges.reshape(shape[:-1]), rows.reshape(shape[:-1])
 
 
+def cast_fan(x: float, y: float, angles_rad: FloatArray, walls: FloatArray, reach_in: float) -> FloatArray:
+    """Return `cast_rays` for rays from one point, computing only the pairs of ray and wall that can meet.
+
+    Parameters
+    ----------
+    angles_rad
+        (n,) directions, increasing, over less than half a turn.
+    walls
+        (m, 4), rows x1 y1 x2 y2 in inches.
+    reach_in
+        Ranges beyond it count as inf.
+
+    Returns
+    -------
+    array
+        Ranges (n,).
+    """
+    ranges: FloatArray = np.full(len(angles_rad), inf)
+    # 1. Walls within reach, in the frame of the fan's middle; not wholly behind it.
+    middle_rad = 0.5 * (angles_rad[0] + angles_rad[-1])
+    walls = near_walls(x, y, reach_in, walls)
+    ends = (walls.view(np.complex128) - complex(x, y)) * complex(np.cos(middle_rad), -np.sin(middle_rad))
+    is_ahead = ends.real.max(axis=1, initial=-inf) >= -ON_WALL_IN
+    walls, ends = walls[is_ahead], ends[is_ahead]
+    # 2. The interval of directions of each wall. A wall that passes the origin closely has any direction.
+    first = np.angle(ends[:, 0])
+    turn = np.angle(ends[:, 1] * ends[:, 0].conj())
+    low, high = np.minimum(first, first + turn), np.maximum(first, first + turn)
+    offsets = nearest_points((x, y), walls)[1]
+    is_close = offsets <= 1e3 * ON_WALL_IN
+    low[is_close], high[is_close] = -2.0 * np.pi, 2.0 * np.pi
+    # 3. The rays in these intervals, which may lie a turn away.
+    rays = angles_rad - middle_rad
+    begins, stops = (
+        np.column_stack([
+            np.searchsorted(rays, bound + shift + margin) for shift in (-2.0 * np.pi, 0.0, 2.0 * np.pi)
+        ])
+        for bound, margin in ((low, -FAN_MARGIN_RAD), (high, FAN_MARGIN_RAD))
+    )
+    begin = np.where(begins < stops, begins, len(rays)).min(axis=1, initial=len(rays))
+    stop = np.where(begins < stops, stops, 0).max(axis=1, initial=0)
+    # 4. Nearest walls first, a block of pairs at a time: what stands behind them is left out.
+    order = np.argsort(offsets, kind="stable")
+    order = order[begin[order] < stop[order]]
+    directions = np.stack((np.cos(angles_rad), np.sin(angles_rad)), axis=1)
+    while len(order):
+        counts = stop[order] - begin[order]
+        taken = order[: max(1, int(np.searchsorted(np.cumsum(counts), _BLOCK)))]
+        ray, wall = _pairs(begin[taken], stop[taken])
+        hits = _meet(*_pair_frames(x, y, directions[ray], walls[taken[wall]]))
+        np.minimum.at(ranges, ray, hits)
+        order = order[len(taken):]
+        order = order[offsets[order] <= _farthest(ranges, begin[order], stop[order])]
+    np.maximum(ranges, 0.0, out=ranges)
+    ranges[ranges > reach_in] = inf
+    return ranges
+
+
+def near_walls(x: float, y: float, reach_in: float, walls: FloatArray) -> FloatArray:
+    """Return the walls (k, 4) that reach into the square of this half width around a point."""
+    if len(walls) <= MAX_LOOP_WALLS:
+        return walls
+    x1, y1, x2, y2 = walls.T
+    is_near = np.minimum(x1, x2) <= x + reach_in
+    is_near &= np.maximum(x1, x2) >= x - reach_in
+    is_near &= np.minimum(y1, y2) <= y + reach_in
+    is_near &= np.maximum(y1, y2) >= y - reach_in
+    near: FloatArray = walls[is_near]
+    return near
+
+
+def _pairs(begin: IndexArray, stop: IndexArray) -> tuple[IndexArray, IndexArray]:
+    """Return the numbers from begin to stop of each row, one row after the other, and the number of the row."""
+    counts = stop - begin
+    row = np.repeat(np.arange(len(begin)), counts)
+    number = np.arange(len(row)) - np.repeat(np.cumsum(counts) - counts, counts) + begin[row]
+    return number, row
+
+
+def _farthest(ranges: FloatArray, begin: IndexArray, stop: IndexArray) -> FloatArray:
+    """Return the largest range from begin to stop of each row; no row is empty."""
+    if not len(begin):
+        return np.empty(0)
+    bounds = np.column_stack((begin, stop)).ravel()
+    largest: FloatArray = np.maximum.reduceat(np.append(ranges, 0.0), bounds)[::2]
+    return largest
+
+
+def _pair_frames(x: float, y: float, directions: FloatArray, walls: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return sides and aheads (2, k) of both ends of k walls, each in the frame of its own ray."""
+    dx, dy = directions.T
+    to_x, to_y = walls[:, 0::2].T - x, walls[:, 1::2].T - y
+    return dx * to_y - dy * to_x, to_x * dx + to_y * dy
+
+
 def cast_discs(origins: npt.ArrayLike, directions: npt.ArrayLike, discs: npt.ArrayLike) -> FloatArray:
     """Return the range from each origin along its direction to the rim of the nearest disc.
 
@@ -342,8 +444,16 @@ def _cast_many(origins: FloatArray, directions: FloatArray, walls: FloatArray) -
 
 def _intersections(origins: FloatArray, directions: FloatArray, walls: FloatArray) -> FloatArray:
     """Return `intersect` of n rays (n, 2) with m walls (m, 4): (m, n), inf where they do not meet or meet behind."""
-    # 1. The ends in the frames of the rays.
-    (side_1, side_2), (ahead_1, ahead_2) = sides, _ = _in_ray_frames(origins, directions, walls)
+    return _meet(*_in_ray_frames(origins, directions, walls))
+
+
+def _meet(sides: FloatArray, aheads: FloatArray) -> FloatArray:
+    """Return `intersect` of walls, from sides and aheads (2, ...) of their ends in the frames of the rays; inf behind.
+
+    The arrays are not changed.
+    """
+    # 1. Both ends.
+    (side_1, side_2), (ahead_1, ahead_2) = sides, aheads
     # 2. The weighted mean.
     hits: FloatArray = ahead_1 * side_2
     hits -= ahead_2 * side_1
@@ -424,7 +534,7 @@ class CompiledKernel:
         return self.run is not None
 
 
-NEAREST_OBSTACLE: Final = CompiledKernel()
+RAYCAST_KERNEL: Final = CompiledKernel()
 """The kernel of this process."""
 
 
@@ -445,7 +555,7 @@ def is_compiled_for(robots: int) -> bool:
 def load_compiled(robots: int) -> None:
     """Load the compiled kernel if NOMAD_COMPILED asks for it with so many robots."""
     if is_compiled_for(robots):
-        NEAREST_OBSTACLE.load()
+        RAYCAST_KERNEL.load()
 
 
 def _compile(numba: Any) -> Callable[..., float]:

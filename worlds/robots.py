@@ -19,15 +19,18 @@ A calibration is a part of model files:
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import degrees, radians
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
+from msgspec import UNSET, Meta, UnsetType
+
+from nclient.common.validation import Text, convert, reported_as
 from nclient.errors import WorldFileError
-from worlds.schema import Table, parse_toml, read_text
+from worlds.schema import Distance, PositiveAngle, Table, parse_toml, read_text, table
 
 SONARS: Final = 16
 """Sonars of a ring; sonar i looks i x 22.5 degrees counter-clockwise from the front."""
@@ -73,16 +76,15 @@ BODIES: Final[Mapping[str, Body]] = MappingProxyType({body.name: body for body i
 """All bodies by name."""
 
 
-TABLES: Final = ("odometry", "sonar", "spread")
-"""Tables of a [[model]] that belong to a calibration."""
 _ODOMETRY: Final = MappingProxyType(
     {"way_scale": "distance_scale", "turn_scale": "turn_scale", "drift_rad_in": "drift_rad_in"}
 )
 """Keys of [model.odometry] and the attributes they set."""
-_SONAR: Final = ("offsets_in", "turned_deg")
 MAX_OFFSET_IN: Final = 24.0
 MAX_DRIFT_RAD_IN: Final = 0.1
 MAX_RING_TURN_DEG: Final = 45.0
+MAX_BUMPERS: Final = 24
+"""Bits in the three bytes of State[33]."""
 _NONE: Final = (0.0,) * SONARS
 
 
@@ -139,51 +141,108 @@ IDEAL_CALIBRATION: Final = Calibration()
 """A robot without systematic errors."""
 
 
-def parse_calibration(model: Table) -> Calibration:
-    """Return the calibration in the table of a model; missing numbers are ideal."""
-    spread = Spread(**dict(_spreads(model.table("spread")))) if "spread" in model.values else Spread()
-    # Wheels.
-    found: dict[str, Any] = {}
-    if "odometry" in model.values:
-        table = model.table("odometry")
-        table.allow(_ODOMETRY)
-        limits = ((0.5, 2.0), (0.5, 2.0), (-MAX_DRIFT_RAD_IN, MAX_DRIFT_RAD_IN))
-        found |= {
-            _ODOMETRY[key]: table.number(key, *limit)
-            for key, limit in zip(_ODOMETRY, limits, strict=True) if key in table.values
-        }  # fmt: skip
-    # Sonar ring.
-    if "sonar" in model.values:
-        table = model.table("sonar")
-        table.allow(_SONAR)
-        if "offsets_in" in table.values:
-            found["offsets_in"] = table.numbers("offsets_in", SONARS, -MAX_OFFSET_IN, MAX_OFFSET_IN)
-        if "turned_deg" in table.values:
-            found["turned_rad"] = radians(table.number("turned_deg", -MAX_RING_TURN_DEG, MAX_RING_TURN_DEG))
-    return Calibration(**found, spread=spread)
+ScaleSpread = Annotated[float, Meta(ge=0.0, le=1.0)]
+Sixteen = Meta(min_length=SONARS, max_length=SONARS, title=f"a list of {SONARS} numbers")
 
 
-def _spreads(table: Table) -> Iterator[tuple[str, Any]]:
-    table.allow((*_ODOMETRY, *_SONAR))
-    for key in _ODOMETRY:
-        if key in table.values:
-            yield _ODOMETRY[key], table.number(key, 0.0, 1.0)
-    if "offsets_in" in table.values:
-        yield "offsets_in", table.numbers("offsets_in", SONARS, 0.0, MAX_OFFSET_IN)
-    if "turned_deg" in table.values:
-        yield "turned_rad", radians(table.number("turned_deg", 0.0, MAX_RING_TURN_DEG))
+@table()
+class _Odometry(Table):
+    way_scale: Annotated[float, Meta(ge=0.5, le=2.0, description="true distance per counted distance")] = 1.0
+    turn_scale: Annotated[float, Meta(ge=0.5, le=2.0, description="true turn per counted turn")] = 1.0
+    drift_rad_in: Annotated[
+        float, Meta(ge=-MAX_DRIFT_RAD_IN, le=MAX_DRIFT_RAD_IN, description="turn per distance, rad/in")
+    ] = 0.0
+
+
+@table()
+class _Sonar(Table):
+    offsets_in: Annotated[tuple[Annotated[float, Meta(ge=-MAX_OFFSET_IN, le=MAX_OFFSET_IN)], ...], Sixteen] = _NONE
+    turned_deg: Annotated[
+        float, Meta(ge=-MAX_RING_TURN_DEG, le=MAX_RING_TURN_DEG, description="rotation of the ring, degrees")
+    ] = 0.0
+
+
+@table()
+class _Spread(Table):
+    way_scale: ScaleSpread = 0.0
+    turn_scale: ScaleSpread = 0.0
+    drift_rad_in: ScaleSpread = 0.0
+    offsets_in: Annotated[tuple[Annotated[float, Meta(ge=0.0, le=MAX_OFFSET_IN)], ...], Sixteen] = _NONE
+    turned_deg: Annotated[float, Meta(ge=0.0, le=MAX_RING_TURN_DEG)] = 0.0
+
+
+@table()
+class LinearAxis(Table):
+    """Limits of an axis that counts distance, per second."""
+
+    top_speed: Distance | UnsetType = UNSET
+    top_acceleration: Distance | UnsetType = UNSET
+    speed: Distance | UnsetType = UNSET
+    acceleration: Distance | UnsetType = UNSET
+
+
+@table()
+class AngularAxis(Table):
+    """Limits of an axis that counts angles, degrees and seconds."""
+
+    top_speed_deg: PositiveAngle | UnsetType = UNSET
+    top_acceleration_deg: PositiveAngle | UnsetType = UNSET
+    speed_deg: PositiveAngle | UnsetType = UNSET
+    acceleration_deg: PositiveAngle | UnsetType = UNSET
+
+
+@table()
+class ModelTable(Table):
+    """A [[model]]: what differs from the model it derives from."""
+
+    name: Annotated[str, Meta(pattern=r"^[^\sA-Z]([^A-Z]*[^\sA-Z])?$", title="a name in small letters")]
+    like: Annotated[Text, Meta(description="model it derives from; default: the existing one of its name")] = ""
+    bumpers: Annotated[int, Meta(ge=1, le=MAX_BUMPERS, description="bumpers around the body")] | UnsetType = UNSET
+    compass: Annotated[bool, Meta(description="true for a robot with a compass")] | UnsetType = UNSET
+    translation: LinearAxis | UnsetType = UNSET
+    steering: AngularAxis | UnsetType = UNSET
+    turret: AngularAxis | UnsetType = UNSET
+    right: LinearAxis | UnsetType = UNSET
+    left: LinearAxis | UnsetType = UNSET
+    odometry: _Odometry | UnsetType = UNSET
+    sonar: _Sonar | UnsetType = UNSET
+    spread: _Spread | UnsetType = UNSET
+    radius: Distance | UnsetType = UNSET
+    sonar_ring_radius: Distance | UnsetType = UNSET
+    track: Distance | UnsetType = UNSET
+
+    def calibration(self) -> Calibration | None:
+        """Return the calibration, with ideal values for missing numbers; None if the table has none."""
+        if not (self.odometry or self.sonar or self.spread):
+            return None
+        odometry, sonar, spread = self.odometry or _Odometry(), self.sonar or _Sonar(), self.spread or _Spread()
+        return Calibration(
+            odometry.way_scale, odometry.turn_scale, odometry.drift_rad_in, sonar.offsets_in, radians(sonar.turned_deg),
+            Spread(spread.way_scale, spread.turn_scale, spread.drift_rad_in, spread.offsets_in,
+                   radians(spread.turned_deg)),
+        )  # fmt: skip
+
+
+@table(condition={"required": ["model"], "properties": {"model": {"minItems": 1}}})
+class ModelFile(Table):
+    """A model file: robot models, and calibrations of single robots."""
+
+    model: tuple[ModelTable, ...] = ()
+
+
+def read_model_file(text: str, file: str) -> tuple[ModelTable, ...]:
+    """Return the tables of a model file's text; `file` is its name in errors. Raises WorldFileError."""
+    with reported_as(WorldFileError, file):
+        return convert(parse_toml(text, file), ModelFile).model
 
 
 def load_calibration(path: Path, name: str) -> Calibration:
     """Return the calibration of the model `name` in a model file. Raises WorldFileError if there is none."""
-    text = read_text(path)
-    values = parse_toml(text, str(path))
-    names = []
-    for model in Table(str(path), "", values).tables("model"):
-        names.append(model.text("name", ""))
-        if names[-1] == name:
-            return parse_calibration(model)
-    raise WorldFileError(f"{path}: has no model {name!r}; it has {', '.join(map(repr, names)) or 'none'}")
+    models = {model.name: model for model in reversed(read_model_file(read_text(path), str(path)))}
+    if name not in models:
+        names = ", ".join(map(repr, reversed(models))) or "none"
+        raise WorldFileError(f"{path}: has no model {name!r}; it has {names}")
+    return models[name].calibration() or IDEAL_CALIBRATION
 
 
 def format_calibration(name: str, found: Calibration, comment: str = "") -> str:

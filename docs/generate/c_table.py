@@ -13,16 +13,16 @@ from construct import Construct, Int32ul
 
 from nclient.protocol import replies as shape
 from nclient.protocol.commands import COMMANDS, Command
-from nclient.protocol.fields import LINE_BYTE, LINE_SIGNED, LINE_UNSIGNED, WORD
-from nclient.protocol.replies import ReplyShape
+from nclient.protocol.fields import LINE_BYTE, LINE_SIGNED, LINE_UNSIGNED
+from nclient.protocol.replies import LineLayout, TcpLayout
 from nclient.protocol.requests import (
     ARM_NUMBER,
     FLAG_BYTE,
-    FLAG_WORD,
     HISTORY_BYTE,
     LASER_MODE_BYTE,
     ArmPacket,
     ByteWords,
+    FlagWords,
     LineMask,
     LineText,
     MotionWords,
@@ -36,15 +36,15 @@ from nclient.protocol.types import MODELS
 _LETTERS: Final[dict[int, str]] = {
     id(field): letter
     for field, letter in (
-        (WORD, "w"), (FLAG_WORD, "f"), (LINE_SIGNED, "s"), (LINE_UNSIGNED, "u"), (LINE_BYTE, "b"), (FLAG_BYTE, "f"),
+        (LINE_SIGNED, "s"), (LINE_UNSIGNED, "u"), (LINE_BYTE, "b"), (FLAG_BYTE, "f"),
         (HISTORY_BYTE, "h"), (LASER_MODE_BYTE, "m"), (Int32ul, "L"), (ARM_NUMBER, "L"),
     )
 }  # fmt: skip
-_WHOLE: Final[tuple[tuple[type[Construct], str], ...]] = (
+_WHOLE: Final[tuple[tuple[type, str], ...]] = (
     (TcpMask, "M"), (LineMask, "M"), (TextWords, "T"), (LineText, "T"), (ByteWords, "P"), (ArmPacket, "P"),
     (UserPacket, "P"), (ObstacleWords, "*"), (MotionWords, "*"),
 )  # fmt: skip
-_SHAPES: Final[dict[ReplyShape, str]] = {
+_SHAPES: Final[dict[TcpLayout | LineLayout, str]] = {
     shape.STATE: "STATE", shape.PREDICTION: "PREDICTION", shape.SIMPLE: "SIMPLE", shape.SIMPLE_LIST: "LIST",
     shape.COLLISION: "COLLISION", shape.INFRARED: "INFRARED", shape.SONAR: "SONAR", shape.LASER: "LASER",
     shape.SEGMENTS: "SEGMENTS", shape.COMPASS: "COMPASS", shape.BUMPER: "BUMPER", shape.CONFIGURATION: "POSE",
@@ -72,12 +72,18 @@ def _row(row: Command) -> str:
     on_line = row.line_type is not None
     columns = [
         row.name.upper(), _text(row.name), _number(row.tcp_type), _number(row.line_type),
-        _text(_letters(row.tcp_request, [a.tcp for a in row.arguments]) if row.tcp_type is not None else ""),
+        _text(_tcp_letters(row) if row.tcp_type is not None else ""),
         _text(_letters(row.line_request, [a.line for a in row.arguments]) if on_line else ""),
         _SHAPES[row.tcp_reply] if row.has_tcp_reply else "NOTHING", _SHAPES[row.line_reply],
         str(models if on_line else 0), f"{row.line_timeout_s:g}", _number(row.packet_type), _text(_packet(row)),
     ]  # fmt: skip
     return f"ROW({', '.join(columns)})"
+
+
+def _tcp_letters(row: Command) -> str:
+    if row.tcp_request is None or isinstance(row.tcp_request, FlagWords):
+        return "".join("f" if argument.is_flag else "w" for argument in row.arguments)
+    return _letters(row.tcp_request, [])
 
 
 def _letters(layout: Any, fields: list[Construct]) -> str:

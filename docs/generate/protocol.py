@@ -6,7 +6,7 @@ A message layout without a description here raises a KeyError.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from itertools import groupby
 from typing import Any, Final
 
@@ -23,12 +23,8 @@ from nclient.protocol.fields import (
     LineRun,
     LineSlots,
     LineStamps,
-    WordLaser,
-    Words,
-    WordSlots,
-    WordStamps,
 )
-from nclient.protocol.replies import LINE_STATE, STATE, ReplyShape
+from nclient.protocol.replies import LINE_STATE, STATE, LineLayout, TcpLayout
 from nclient.protocol.requests import (
     ARM_NUMBER,
     FLAG_BYTE,
@@ -53,7 +49,7 @@ _SIZES: Final[dict[int, str]] = {
     )
 }  # fmt: skip
 _PACKET: Final = "length (low, high), serial, type"
-_WHOLE: Final[tuple[tuple[type[Construct], str], ...]] = (
+_WHOLE: Final[tuple[tuple[type, str], ...]] = (
     (TcpMask, "7 bytes of the mask, one per word"), (LineMask, "7 bytes of the mask"),
     (TextWords, "text, four characters per word, the first lowest; NUL"), (LineText, "text, NUL"),
     (MotionWords, "type; a line: x1 y1 x2 y2, 3 unused; an arc: x1 y1 angle1 angle2 radius xc yc "
@@ -61,10 +57,6 @@ _WHOLE: Final[tuple[tuple[type[Construct], str], ...]] = (
     (UserPacket, f"{_PACKET}, bytes"),
 )  # fmt: skip
 _READERS: Final[dict[type[Construct], Callable[[Any], str]]] = {
-    WordSlots: lambda field: _slots(field.slots),
-    WordStamps: lambda _: "[stamps]",
-    WordLaser: lambda _: "laser",
-    Words: lambda field: "words" if field.count is None else _times(field.count, "word"),
     LineSlots: lambda field: f"{_slots(field.slots)}: {_times(len(field.slots), _run(field.run))}",
     LineNibbles: lambda field: f"{_slots(field.slots)}: 4 bits each",
     BumperBytes: lambda field: f"{_slots(field.slots)}: 3 bytes",
@@ -127,17 +119,27 @@ def _arguments(arguments: tuple[Argument, ...], tcp: bool) -> Iterator[str]:
         yield f"{name}[{len(each)}]{size}" if len(each) > 1 else f"{name}{size}"
 
 
-def _reply(shape: ReplyShape) -> str:
-    if shape in (STATE, LINE_STATE):
+def _reply(layout: TcpLayout | LineLayout) -> str:
+    if layout in (STATE, LINE_STATE):
         return "a *state*"
-    return _layout(shape) or "nothing"
+    return _layout(layout) or "nothing"
 
 
-def _layout(shape: ReplyShape) -> str:
-    return ", ".join(_NAMED.get(name) or _READERS[type(field)](field) for name, field in shape.layout.items())
+def _layout(layout: TcpLayout | LineLayout) -> str:
+    if isinstance(layout, LineLayout):
+        return ", ".join(_NAMED.get(name) or _READERS[type(field)](field) for name, field in layout.layout.items())
+    parts = {
+        "words" if layout.values is None else _times(layout.values, "word"): layout.values != 0,
+        _slots(layout.slots or (0,)): layout.slots,
+        "laser": layout.laser_width,
+        "[stamps]": layout.stamps,
+        _NAMED["clock"]: layout.has_clock,
+        _NAMED["volts"]: layout.has_volts,
+    }
+    return ", ".join(text for text, is_there in parts.items() if is_there)
 
 
-def _slots(slots: range) -> str:
+def _slots(slots: Sequence[int]) -> str:
     return f"State[{slots[0]}]" if len(slots) == 1 else f"State[{slots[0]}..{slots[-1]}]"
 
 

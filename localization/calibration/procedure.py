@@ -27,16 +27,10 @@ from localization.filters.belief import HEADING, Floats, wrap_angle
 from localization.live.localizer import Estimate, Localizer
 from localization.live.sensor_input import FiringSchedule
 from localization.navigation.control_law import bearing_error, distance_to
-from localization.navigation.limits import (
-    VelocityCommand,
-)
+from localization.navigation.limits import VelocityCommand
 from localization.navigation.path import sample_waypoints
 from localization.navigation.roadmap import NoPathError, Roadmap, segment_clearances
-from localization.navigation.waypoints import (
-    COMMAND_TIMEOUT_S,
-    stop_on_exit,
-    wait_for_next_state,
-)
+from localization.navigation.waypoints import COMMAND_TIMEOUT_S, stop_on_exit, wait_for_next_state
 from nclient.errors import NomadError
 from nclient.protocol.types import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
 from nclient.robot import Robot

@@ -43,10 +43,7 @@ from localization.filters.belief import independent
 from localization.filters.calibration import CalibratingFilter
 from localization.filters.sonar_cone import ConeSonar
 from localization.filters.sonar_ray import WIRE_SONAR
-from localization.live.assumptions import (
-    resolve_robot_model,
-    resolve_sonar_model,
-)
+from localization.live.assumptions import resolve_robot_model, resolve_sonar_model
 from localization.live.localizer import Consistency
 from localization.navigation.recovery import StallDetector
 from nclient import Robot

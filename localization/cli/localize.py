@@ -28,9 +28,7 @@ from localization.cli.options import (
     save_run,
 )
 from localization.filters.registry import DEFAULT_METHOD, FINDER, finder
-from localization.live.assumptions import (
-    resolve_robot_model,
-)
+from localization.live.assumptions import resolve_robot_model
 from localization.live.publish import Publisher, build_message
 from localization.live.run import GroundTruth, Run, RunMoment
 from localization.navigation.limits import PoseSmoother

@@ -29,7 +29,7 @@ from localization.live.sensor_input import EncoderPose, with_wheels
 from localization.navigation.waypoints import Speeds
 from nclient import ReplyTimeout, Robot, RobotState, connect
 from nclient.common.files import describe_write_error
-from nclient.connect import address_or_default
+from nclient.connector import address_or_default
 from nclient.errors import EstimateFileError, OutputFileError
 from nclient.url import parse_address, split_address
 from worlds.io import DEFAULT_WORLD, load_world

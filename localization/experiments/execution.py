@@ -13,10 +13,11 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed, wait
 from contextlib import contextmanager
+from dataclasses import asdict
 from hashlib import sha256
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Final, TypeVar
+from typing import TYPE_CHECKING, ClassVar, Final, Generic, TypeVar
 
 import numpy as np
 
@@ -124,36 +125,65 @@ def progress(total: int, title: str, unit: str) -> Iterator[Tally]:
         yield advance
 
 
-class ResultCache:
-    """JSON results on disk, one file each, computed by code with a given hash.
+class ResultCache(Generic[Item, Result]):
+    """Results of runs on disk, one JSON file each, computed by code with a given hash.
 
     A file is named by a digest of everything that decides its numbers, including the code's hash, so that no outdated
     result is read.
+
+    Parameters
+    ----------
+    folder : Path
+    code : str
+        Hash of the code, see `code_hash`.
+    result : type
+        Dataclass of a result.
+    key : callable
+        Returns for a run the beginning of its file name, and a value whose repr contains everything that decides its
+        numbers.
     """
 
-    def __init__(self, folder: Path, code: str) -> None:
-        self._folder, self._code = folder, code
+    def __init__(
+        self, folder: Path, code: str, result: Callable[..., Result], key: Callable[[Item], tuple[str, object]]
+    ) -> None:
+        self._folder, self._code, self._result, self._key = folder, code, result, key
 
-    def path(self, name: str, decided_by: tuple[object, ...]) -> Path:
-        """Return the path of a result; the repr of `decided_by` must contain everything that decides its numbers."""
+    def path(self, item: Item) -> Path:
+        """Return the path of a run's result."""
         # 64 bits of the digest make file names short and collisions practically impossible.
-        key = sha256(repr((self._code, *decided_by)).encode())
-        return self._folder / f"{name}_{key.hexdigest()[:16]}.json"
+        name, decided_by = self._key(item)
+        return self._folder / f"{name}_{sha256(repr((self._code, decided_by)).encode()).hexdigest()[:16]}.json"
 
-    @staticmethod
-    def get(path: Path) -> dict[str, Any] | None:
-        """Return the cached result, None if there is none."""
+    def get(self, item: Item) -> Result | None:
+        """Return the cached result of a run, None if there is none."""
         try:
-            text = path.read_text(encoding="utf-8")
+            return self._result(**json.loads(self.path(item).read_text(encoding="utf-8")))
         except FileNotFoundError:
             return None
-        found: dict[str, Any] = json.loads(text)
-        return found
 
-    def put(self, path: Path, result: Mapping[str, Any]) -> None:
+    def put(self, item: Item, result: Result) -> None:
         """Store a result; the file is written as a whole. Raises OutputFileError."""
         self._folder.mkdir(parents=True, exist_ok=True)
-        write_atomic(path, json.dumps(result) + "\n", OutputFileError)
+        write_atomic(self.path(item), json.dumps(asdict(result)) + "\n", OutputFileError)  # type: ignore[call-overload]
+
+
+def run_cached(
+    items: Sequence[Item],
+    cache: ResultCache[Item, Result],
+    work: Callable[[Sequence[Item]], Iterator[tuple[Item, Result]]],
+    tally: Tally,
+    is_current: Callable[[Item], bool] = lambda _: True,
+) -> dict[Item, Result]:
+    """Return the results of all runs in order, from the cache (if `is_current`) or by `work`; store each at once."""
+    cached = {item: result for item in items if (result := cache.get(item)) is not None and is_current(item)}
+    results = dict(cached)
+    tally(len(results))
+    for item, result in work([item for item in items if item not in cached]):
+        cache.put(item, result)
+        results[item] = result
+        tally(len(results))
+    # Results arrive in any order; summaries need that of the runs.
+    return {item: results[item] for item in items}
 
 
 CODE: Final = ("localization", "nclient", "nserver_emu", "worlds")

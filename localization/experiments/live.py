@@ -20,7 +20,7 @@ import numpy as np
 
 from localization.cli.options import make_folder
 from localization.experiments import live_trial as matrix
-from localization.experiments.execution import ResultCache, Tally, code_hash, progress
+from localization.experiments.execution import ResultCache, Tally, code_hash, progress, run_cached
 from localization.experiments.live_trial import (
     COMPARED,
     COURSES,
@@ -35,7 +35,7 @@ from localization.experiments.live_trial import (
     TrialResult,
     trials,
 )
-from localization.experiments.output import add_shared, executor_for, positive
+from localization.experiments.output import add_choice, add_shared, executor_for, positive, text_table
 from localization.filters.belief import Floats
 from localization.filters.registry import METHODS
 from localization.live.plot import blank, require_matplotlib, save
@@ -46,6 +46,7 @@ if TYPE_CHECKING:
 Matrix = Mapping[Cell, LiveSummary]
 Row = dict[str, float | str | None]
 
+METRES_PER_INCH: Final = 0.0254
 # Expected values of a consistent filter: three degrees of freedom, and the probability of the ellipse.
 RIGHT_NEES, RIGHT_COVERAGE = 3.0, 0.95
 
@@ -94,11 +95,7 @@ def table(matrix: Matrix) -> str:
         + [_written(row[column.key], column.form) for column in COLUMNS]
         for row in rows(matrix)
     ]
-    # Right-aligned columns, each as wide as its widest cell.
-    widths = [max(len(line[k]) for line in (heads, *body)) for k in range(len(heads))]
-    return "\n".join(
-        "  ".join(text.rjust(width) for text, width in zip(line, widths, strict=True)) for line in (heads, *body)
-    )
+    return text_table([heads, *body])
 
 
 def write(matrix: Matrix, folder: Path, *, picture: bool) -> list[Path]:
@@ -162,9 +159,6 @@ def _written(value: float | str | None, form: str) -> str:
     return "-" if value is None or math.isnan(float(value)) else format(float(value), form)
 
 
-METRES_PER_INCH: Final = 0.0254
-
-
 def lines(clock_s: Floats, poses: Floats) -> str:
     """Return poses (T, 3) in inches and radians at times (T,) in TUM format: "time x y z qx qy qz qw"."""
     # TUM format is in metres, with the rotation about z as a quaternion (0, 0, sin, cos) of half the heading.
@@ -188,26 +182,14 @@ def write_tum(folder: Path, trial: Trial, record: Record) -> None:
         path.write_text(lines(record.clock_s, poses[name]), encoding="utf-8")
 
 
-class TrialCache:
-    """Cached results of trials, run by code with this hash."""
+def trial_cache(folder: Path, code: str) -> ResultCache[Trial, TrialResult]:
+    """Return the cache of trials run by code with this hash."""
 
-    def __init__(self, folder: Path, code: str) -> None:
-        self._cache = ResultCache(folder, code)
-
-    def path(self, trial: Trial) -> Path:
-        """Return the file of a trial's result."""
-        # Everything that decides the numbers; the code is added by ResultCache.
+    def key(trial: Trial) -> tuple[str, object]:
         decided_by = (trial.figure, trial.seed, trial.periods, asdict(trial.scenario))
-        return self._cache.path(f"{'_'.join(trial.cell)}_{trial.seed:04d}", decided_by)
+        return f"{'_'.join(trial.cell)}_{trial.seed:04d}", decided_by
 
-    def get(self, trial: Trial) -> TrialResult | None:
-        """Return the cached result, None if there is none."""
-        found = self._cache.get(self.path(trial))
-        return None if found is None else TrialResult(**found)
-
-    def put(self, trial: Trial, result: TrialResult) -> None:
-        """Store a result."""
-        self._cache.put(self.path(trial), asdict(result))
+    return ResultCache(folder, code, TrialResult, key)
 
 
 Executor = Callable[[Sequence[TrialJob]], Iterator[FinishedTrial]]
@@ -221,9 +203,9 @@ def main(arguments: Sequence[str]) -> None:
     make_folder(options.out)
     # 1. Trials, from the cache or by running them.
     requested = trials(options.scenario, options.figures, options.methods, options.seeds, options.periods)
-    store = TrialCache(options.out / "trials", code_hash())
+    cache = trial_cache(options.out / "trials", code_hash())
     with progress(len(requested), "live", "trials") as tally:
-        results = collect(requested, store, options.tum, executor_for(matrix.run, options), tally)
+        results = collect(requested, cache, options.tum, executor_for(matrix.run, options), tally)
     # 2. Summaries as files and as table.
     found = matrix.summaries(results)
     written = write(found, options.out, picture=options.pictures)
@@ -232,33 +214,26 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def collect(
-    requested: Sequence[Trial], store: TrialCache, paths: Path | None, work: Executor, tally: Tally
+    requested: Sequence[Trial], cache: ResultCache[Trial, TrialResult], paths: Path | None, work: Executor, tally: Tally
 ) -> dict[Trial, TrialResult]:
     """Return the results of all trials in order, from the cache or by running them.
 
     With a folder `paths`, trials whose path files are missing or older than the result are run again.
     """
-    # 1. Trials to run: those without result, or without up-to-date path files.
-    results = {trial: store.get(trial) for trial in requested}
-    jobs = [
-        TrialJob(trial, paths is not None)
-        for trial, result in results.items()
-        if result is None or (paths and not _has_paths(paths, trial, store))
-    ]
-    # 2. Run them; results and paths are stored as they arrive.
-    tally(done := len(requested) - len(jobs))
-    for trial, result, record in work(jobs):
-        store.put(trial, result)
-        if paths and record:
-            write_tum(paths, trial, record)
-        results[trial] = result
-        tally(done := done + 1)
-    return {trial: result for trial, result in results.items() if result}
+
+    def run(trials: Sequence[Trial]) -> Iterator[tuple[Trial, TrialResult]]:
+        for trial, result, record in work([TrialJob(trial, paths is not None) for trial in trials]):
+            yield trial, result
+            # Written after the result, so that the files are not older.
+            if paths and record:
+                write_tum(paths, trial, record)
+
+    return run_cached(requested, cache, run, tally, lambda trial: not paths or _has_paths(paths, trial, cache))
 
 
-def _has_paths(folder: Path, trial: Trial, store: TrialCache) -> bool:
+def _has_paths(folder: Path, trial: Trial, cache: ResultCache[Trial, TrialResult]) -> bool:
     """Return True if the path files of a trial exist and are not older than its result."""
-    since = store.path(trial).stat().st_mtime_ns
+    since = cache.path(trial).stat().st_mtime_ns
     return all(path.exists() and path.stat().st_mtime_ns >= since for path in paths(folder, trial).values())
 
 
@@ -270,30 +245,9 @@ def _parser() -> argparse.ArgumentParser:
         "about 2 s ago.",
         epilog="example: python -m localization.experiments live --scenario exact --methods ekf ukf --seeds 10",
     )
-    parser.add_argument(
-        "--scenario",
-        nargs="+",
-        choices=list(SCENARIOS),
-        default=list(SCENARIOS),
-        metavar="NAME",
-        help=f"error scenarios: {', '.join(SCENARIOS)} (default: all)",
-    )
-    parser.add_argument(
-        "--figures",
-        nargs="+",
-        choices=list(COURSES),
-        default=list(COURSES),
-        metavar="FIGURE",
-        help=f"paths of these figures: {', '.join(COURSES)} (default: all)",
-    )
-    parser.add_argument(
-        "--methods",
-        nargs="+",
-        choices=list(METHODS),
-        default=list(COMPARED),
-        metavar="METHOD",
-        help=f"of {', '.join(METHODS)} (default: {' '.join(COMPARED)})",
-    )
+    add_choice(parser, "--scenario", SCENARIOS, list(SCENARIOS), "error scenarios")
+    add_choice(parser, "--figures", COURSES, list(COURSES), "paths of these figures")
+    add_choice(parser, "--methods", METHODS, list(COMPARED), "filters")
     parser.add_argument(
         "--periods",
         type=positive,

@@ -18,7 +18,8 @@ from __future__ import annotations
 import math
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import median
@@ -39,9 +40,10 @@ from localization.navigation.waypoints import PERIOD_S, Navigator, Speeds
 from nclient import connect
 from nclient.protocol.types import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
 from nclient.robot import Robot
+from nclient.state import Pose
 from worlds.io import load_world
 from worlds.robots import N150
-from worlds.world import World
+from worlds.world import StartPose, World
 
 COURSES: Final[Mapping[str, str]] = MappingProxyType(
     {"5.4": "thesis_room", "5.8": "several_walls", "5.9": "centre_vertex"}
@@ -249,21 +251,29 @@ def drive(scenario: Scenario, figure: str, seed: int, periods: int = MAX_PERIODS
     timer : callable
         Returns seconds, for the computing time.
     """
-    # 1. World, start pose and setup of the simulation.
     world = load_world(COURSES[figure])
     start = world.paths[figure].start
+    # The connection is closed before the history is built.
+    with simulated_robot(world, scenario, seed, start, line=scenario.line) as robot:
+        localizer, outliers = _start_localizer(robot, scenario, world, figure, seed)
+        navigator = Navigator(world.paths[figure].goals_in, Speeds(translation_in_s=scenario.speed_in_s))
+        followed = _follow(robot, localizer, outliers, navigator, periods, timer)
+    return _record(seed, navigator.finished, followed)
+
+
+@contextmanager
+def simulated_robot(
+    world: World, scenario: Scenario, seed: int, start: Pose | StartPose, *, line: bool = False
+) -> Iterator[Robot]:
+    """Provide a robot in its own simulation, whose time advances only with the exchanges."""
     pose = f"{start.x_in},{start.y_in},{np.degrees(start.steering_rad)},{np.degrees(start.turret_rad)}"
     with tempfile.TemporaryDirectory() as folder:
         setup = Path(folder) / "setup.toml"
         setup.write_text(scenario.setup(seed), encoding="utf-8")
         step_s = PERIOD_S / EXCHANGES_PER_PERIOD
-        options = f"setup={setup}&seed={seed}&start={pose}&step_s={step_s}&line={int(scenario.line)}"
-        # 2. Drive on the estimate; the connection is closed before the history is built.
+        options = f"setup={setup}&seed={seed}&start={pose}&step_s={step_s}&line={int(line)}"
         with connect(f"sim:{world.name}?{options}") as robot:
-            localizer, outliers = _start_localizer(robot, scenario, world, figure, seed)
-            navigator = Navigator(world.paths[figure].goals_in, Speeds(translation_in_s=scenario.speed_in_s))
-            followed = _follow(robot, localizer, outliers, navigator, periods, timer)
-    return _record(seed, navigator.finished, followed)
+            yield robot
 
 
 def _start_localizer(

@@ -9,13 +9,13 @@ from collections.abc import Mapping, Sequence
 from itertools import groupby
 from math import sqrt
 from pathlib import Path
-from typing import Final, NamedTuple, TypedDict
+from typing import Final, TypedDict
 
 from localization.cli.options import make_folder
-from localization.experiments.execution import ResultCache, code_hash, progress
+from localization.experiments.execution import ResultCache, code_hash, progress, run_cached
 from localization.experiments.live_trial import SCENARIOS
 from localization.experiments.lost_trial import Case, Kind, LostResult, drive
-from localization.experiments.output import add_execution_options, executor_for, positive
+from localization.experiments.output import add_choice, add_execution_options, add_output, executor_for, positive
 from worlds.io import world_names
 
 # At the scenarios' 5 in/s the robot has driven at most 25 in by then.
@@ -160,13 +160,6 @@ WORLD: Final = "several_walls"
 RUNS: Final = {Kind.TRACKING: 300, Kind.KIDNAPPED: 100, Kind.UNKNOWN_START: 100}
 
 
-class FinishedRun(NamedTuple):
-    """A run and its result."""
-
-    case: Case
-    result: LostResult
-
-
 def main(arguments: Sequence[str]) -> None:
     """Run the command; errors of execution and files are propagated."""
     options = _parser().parse_args(arguments)
@@ -178,7 +171,9 @@ def main(arguments: Sequence[str]) -> None:
         for seed in range(options.runs or RUNS[kind])
     ]
     # 2. Results, from the cache or by running them.
-    found = summaries(_results(cases, ResultCache(options.out / "runs", code_hash()), options))
+    cache = run_cache(options.out / "runs", code_hash())
+    with progress(len(cases), "lost", "runs") as tally:
+        found = summaries(run_cached(cases, cache, executor_for(run, options), tally))
     # 3. Summary, as JSON file and as text.
     path = options.out / "lost.json"
     path.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
@@ -186,24 +181,14 @@ def main(arguments: Sequence[str]) -> None:
     print(f"written: {path}", file=sys.stderr if options.json else sys.stdout, flush=True)
 
 
-def run(case: Case) -> FinishedRun:
+def run_cache(folder: Path, code: str) -> ResultCache[Case, LostResult]:
+    """Return the cache of runs made by code with this hash."""
+    return ResultCache(folder, code, LostResult, lambda case: (case.name, case))
+
+
+def run(case: Case) -> tuple[Case, LostResult]:
     """Make one run."""
-    return FinishedRun(case, drive(case))
-
-
-def _results(cases: Sequence[Case], cache: ResultCache, options: argparse.Namespace) -> dict[Case, LostResult]:
-    """Return the results of all cases in order, from the cache or by running them."""
-    paths = {case: cache.path(case.name, (case,)) for case in cases}
-    there = {case: found for case, path in paths.items() if (found := cache.get(path)) is not None}
-    results = {case: LostResult(**found) for case, found in there.items()}
-    with progress(len(cases), "lost", "runs") as tally:
-        tally(len(results))
-        for case, result in executor_for(run, options)([case for case in cases if case not in there]):
-            cache.put(paths[case], result.as_dict())
-            results[case] = result
-            tally(len(results))
-    # Results arrive in any order; summaries need that of the cases.
-    return {case: results[case] for case in cases}
+    return case, drive(case)
 
 
 def _kind(text: str) -> Kind:
@@ -230,20 +215,8 @@ def _parser() -> argparse.ArgumentParser:
         metavar="KIND",
         help=f"kinds of runs: {', '.join(kind.value for kind in Kind)} (default: all)",
     )
-    parser.add_argument(
-        "--world",
-        choices=world_names(),
-        default=WORLD,
-        metavar="NAME",
-        help="shipped world (default: %(default)s, in which all poses are distinguishable)",
-    )
-    parser.add_argument(
-        "--scenario",
-        choices=list(SCENARIOS),
-        default="measured",
-        metavar="NAME",
-        help=f"error scenario: {', '.join(SCENARIOS)} (default: %(default)s)",
-    )
+    add_choice(parser, "--world", world_names(), WORLD, "shipped world")
+    add_choice(parser, "--scenario", SCENARIOS, "measured", "error scenario")
     parser.add_argument(
         "--runs",
         "--seeds",
@@ -257,12 +230,5 @@ def _parser() -> argparse.ArgumentParser:
         "--minutes", type=float, default=10.0, metavar="M", help="length of tracking runs in min (default: %(default)s)"
     )
     add_execution_options(parser)
-    parser.add_argument(
-        "--out",
-        type=Path,
-        default=Path("out/experiments"),
-        metavar="DIR",
-        help="write results to this folder (default: %(default)s)",
-    )
-    parser.add_argument("--json", action="store_true", help="print only JSON on stdout, one object per kind")
+    add_output(parser, Path("out/experiments"), "kind")
     return parser

@@ -10,16 +10,14 @@ where there is free space. Recovery means localized without LOST for CERTAIN_S. 
 
 from __future__ import annotations
 
-import tempfile
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from enum import Enum
-from math import atan2, degrees, hypot, tau
-from pathlib import Path
-from typing import Any, Final
+from math import atan2, hypot, tau
+from typing import Final
 
 import numpy as np
 
-from localization.experiments.live_trial import BAD, START_STD, BadReadings, Scenario
+from localization.experiments.live_trial import BAD, START_STD, BadReadings, Scenario, simulated_robot
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import HEADING, Floats, difference, independent
 from localization.filters.health import HealthStatus
@@ -28,18 +26,11 @@ from localization.filters.registry import finder
 from localization.live.localizer import Estimate, Localizer
 from localization.live.sensor_input import FiringSchedule
 from localization.navigation.control_law import bearing_error
-from localization.navigation.limits import (
-    VelocityCommand,
-)
+from localization.navigation.limits import STAND, VelocityCommand
 from localization.navigation.path import sample_waypoints
 from localization.navigation.recovery import TURN_RAD_S, RecoveryBehavior, SonarState
 from localization.navigation.roadmap import NoPathError, Roadmap
-from localization.navigation.waypoints import (
-    PERIOD_S,
-    Navigator,
-    Speeds,
-)
-from nclient import connect
+from localization.navigation.waypoints import PERIOD_S, Navigator, Speeds
 from nclient.protocol.types import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
 from nclient.robot import Robot
 from nclient.state import Pose, RobotState
@@ -48,7 +39,6 @@ from worlds.io import load_world
 from worlds.robots import N150
 from worlds.world import World
 
-STAND: Final = VelocityCommand(0.0, 0.0)
 TURN_FIRST_RAD: Final = 1.0
 """With a larger bearing error the robot turns in place: the control law alone would drive a circle."""
 
@@ -93,8 +83,6 @@ class RandomExplorer:
         return Navigator(sample_waypoints(path), self._speeds)
 
 
-# State and command: each exchange advances simulated time by half a period.
-EXCHANGES_PER_PERIOD: Final = 2
 MARGIN_IN: Final = 3.0
 """Space between body and walls."""
 KIDNAPPED_S: Final = (20.0, 40.0)
@@ -167,23 +155,14 @@ class LostResult:
     found_after_s: float | None = None
     right: bool = False
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return the result as plain data."""
-        return asdict(self)
-
 
 def drive(case: Case) -> LostResult:
     """Make one run in its own simulation."""
     world = load_world(case.world)
     positions = _positions(world)
     pose = _drawn(positions, np.random.default_rng([case.seed, POSITIONS]))
-    where = f"{pose.x_in},{pose.y_in},{degrees(pose.steering_rad)},{degrees(pose.turret_rad)}"
-    with tempfile.TemporaryDirectory() as folder:
-        setup = Path(folder) / "setup.toml"
-        setup.write_text(case.scenario.setup(case.seed), encoding="utf-8")
-        step_s = PERIOD_S / EXCHANGES_PER_PERIOD
-        with connect(f"sim:{world.name}?setup={setup}&seed={case.seed}&start={where}&step_s={step_s}") as robot:
-            return _Run(robot, case, world, positions, pose).drive()
+    with simulated_robot(world, case.scenario, case.seed, pose) as robot:
+        return _Run(robot, case, world, positions, pose).drive()
 
 
 class _Run:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeVar
@@ -152,6 +152,12 @@ def _step_note(setup: FigureSetup, summary: Summary) -> list[str]:
     ]
 
 
+def text_table(lines: Sequence[Sequence[str]]) -> str:
+    """Return lines of cells as text, right-aligned, each column as wide as its widest cell."""
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    return "\n".join("  ".join(map(str.rjust, line, widths)) for line in lines)
+
+
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
@@ -164,12 +170,31 @@ def add_shared(parser: argparse.ArgumentParser, out: Path, unit: str) -> None:
         "--seeds", type=positive, default=100, metavar="N", help=f"number of runs per {unit} (default: 100)"
     )
     add_execution_options(parser)
-    parser.add_argument(
-        "--out", type=Path, default=out, metavar="DIR", help=f"write PNG and JSON files to this folder (default: {out})"
-    )
-    parser.add_argument("--json", action="store_true", help=f"print only JSON on stdout, one object per {unit}")
+    add_output(parser, out, unit)
     parser.add_argument(
         NO_PICTURES, dest="pictures", action="store_false", help="write no pictures; matplotlib is not needed"
+    )
+
+
+def add_output(parser: argparse.ArgumentParser, out: Path, unit: str) -> None:
+    """Add --out and --json; `unit` names the subject of one JSON object."""
+    parser.add_argument(
+        "--out", type=Path, default=out, metavar="DIR", help="write results to this folder (default: %(default)s)"
+    )
+    parser.add_argument("--json", action="store_true", help=f"print only JSON on stdout, one object per {unit}")
+
+
+def add_choice(parser: argparse.ArgumentParser, option: str, names: Iterable[str], default: object, what: str) -> None:
+    """Add an option that takes one of `names`, or several if its default is a list."""
+    names = list(names)
+    shown = "all" if default == names else " ".join(default) if isinstance(default, list) else default
+    parser.add_argument(
+        option,
+        nargs="+" if isinstance(default, list) else None,
+        choices=names,
+        default=default,
+        metavar="NAME",
+        help=f"{what}: {', '.join(names)} (default: {shown})",
     )
 
 

@@ -9,10 +9,9 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from math import hypot, inf
+from math import hypot, inf, radians
 from pathlib import Path
 from statistics import mean
 from typing import Any, Final
@@ -20,9 +19,16 @@ from typing import Any, Final
 import numpy as np
 
 from localization.cli.options import make_folder
-from localization.experiments.execution import ResultCache, Tally, code_hash, progress
-from localization.experiments.live_trial import SCENARIOS, START_STD, Scenario
-from localization.experiments.output import add_execution_options, executor_for, positive
+from localization.experiments.execution import ResultCache, code_hash, progress, run_cached
+from localization.experiments.live_trial import SCENARIOS, START_STD, Scenario, simulated_robot
+from localization.experiments.output import (
+    add_choice,
+    add_execution_options,
+    add_output,
+    executor_for,
+    positive,
+    text_table,
+)
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import add, independent
 from localization.filters.odometry import with_parameters
@@ -31,12 +37,10 @@ from localization.missions.mission import Mission, run_mission
 from localization.missions.settings import Settings
 from localization.navigation.path import total_length_in, wall_distances
 from localization.navigation.roadmap import Roadmap
-from localization.navigation.waypoints import PERIOD_S
-from nclient import connect
 from nclient.robot import Robot
-from nclient.state import Truth
+from nclient.state import Pose, Truth
 from worlds.geometry import inside, polygon_segments
-from worlds.io import load_world, world_names
+from worlds.io import load_world
 from worlds.robots import N150
 from worlds.world import World
 
@@ -44,7 +48,8 @@ from worlds.world import World
 SPACE_IN: Final = 1.5
 # Minimum distance of start and goal, inches: a shorter drive says nothing about planning.
 APART_IN: Final = 12.0
-WORLDS: Final = world_names()
+WORLDS: Final = ("centre_vertex", "several_walls", "thesis_room")
+"""Worlds of the published results; the seeds of a drive are those of a world's place in this list."""
 # Speed limit of all drives, inches per second: that of the live trials, so that results compare.
 SPEED_IN_S: Final = 5.0
 # The filter that can also recover from a wrong estimate.
@@ -102,8 +107,6 @@ def ends_of(pair: DrivePair) -> DriveEnds:
             return DriveEnds((float(start[0]), float(start[1])), heading, (float(goal[0]), float(goal[1])))
 
 
-# State and command: each exchange advances simulated time by half a period.
-EXCHANGES_PER_PERIOD: Final = 2
 # Several times the duration of the longest drive, simulated seconds.
 LIMIT_S: Final = 300.0
 START: Final = 3
@@ -173,19 +176,16 @@ class TruthRecorder:
 def drive(pair: DrivePair) -> tuple[DrivePair, DriveResult]:
     """Simulate one drive."""
     world, ends = load_world(pair.world), ends_of(pair)
-    start = f"{ends.start[0]},{ends.start[1]},{ends.heading_deg},{ends.heading_deg}"
-    # 1. The simulation of the scenario's errors, with time that advances only by exchanges.
-    with tempfile.TemporaryDirectory() as folder:
-        setup = Path(folder) / "setup.toml"
-        setup.write_text(pair.errors.setup(pair.number), encoding="utf-8")
-        step_s = PERIOD_S / EXCHANGES_PER_PERIOD
-        address = f"sim:{pair.world}?setup={setup}&seed={pair.number}&start={start}&step_s={step_s}"
-        with connect(address) as robot, _controller(robot, world, pair) as controller:
-            # 2. The same mission code as `nomad go`, observed in every period.
-            recorder = TruthRecorder(robot, world)
-            controller.observers.append(recorder)
-            mission = Mission(controller, Settings(time_limit_s=LIMIT_S))
-            run_mission(mission, lambda driver: driver.go_to(*ends.goal))
+    heading = radians(ends.heading_deg)
+    # The same mission code as `nomad go`, observed in every period.
+    with (
+        simulated_robot(world, pair.errors, pair.number, Pose(*ends.start, heading, heading)) as robot,
+        _controller(robot, world, pair) as controller,
+    ):
+        recorder = TruthRecorder(robot, world)
+        controller.observers.append(recorder)
+        mission = Mission(controller, Settings(time_limit_s=LIMIT_S))
+        run_mission(mission, lambda driver: driver.go_to(*ends.goal))
     return pair, _driven(pair, world, ends, mission, recorder)
 
 
@@ -223,7 +223,6 @@ def _driven(pair: DrivePair, world: World, ends: DriveEnds, mission: Mission, re
 
 NEAR: Final = 1.05
 """Longest acceptable path, relative to the shortest."""
-Executor = Callable[[Sequence[DrivePair]], Iterator[tuple[DrivePair, DriveResult]]]
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -235,9 +234,9 @@ def main(arguments: Sequence[str]) -> None:
         DrivePair(world, number, options.scenario) for number in range(options.pairs) for world in options.worlds
     ]
     # 2. Simulate what the cache does not have.
-    cache = ResultCache(options.out / "drives", code_hash())
+    cache = drive_cache(options.out / "drives", code_hash())
     with progress(len(requested), "plan", "drives") as tally:
-        results = collect(requested, cache, executor_for(drive, options), tally)
+        results = run_cached(requested, cache, executor_for(drive, options), tally)
     # 3. Summary per world, as JSON file and as table.
     rows = [row(world, [results[pair] for pair in requested if pair.world == world]) for world in options.worlds]
     written = options.out / f"plan_{options.scenario}.json"
@@ -247,22 +246,11 @@ def main(arguments: Sequence[str]) -> None:
     print(f"written: {written}", file=sys.stderr if options.json else sys.stdout, flush=True)
 
 
-def collect(
-    requested: Sequence[DrivePair], cache: ResultCache, work: Executor, tally: Tally
-) -> dict[DrivePair, DriveResult]:
-    """Return all results, from the cache or by simulating."""
-    # 1. Results that the cache has for this code.
-    paths = {pair: cache.path(f"{pair.world}_{pair.scenario}_{pair.number:04d}", (asdict(pair),)) for pair in requested}
-    found = {pair: cache.get(path) for pair, path in paths.items()}
-    results = {pair: DriveResult(**values) for pair, values in found.items() if values is not None}
-    # 2. The others; each is stored as soon as it arrives.
-    left = [pair for pair in requested if pair not in results]
-    tally(len(results))
-    for pair, driven in work(left):
-        cache.put(paths[pair], asdict(driven))
-        results[pair] = driven
-        tally(len(results))
-    return results
+def drive_cache(folder: Path, code: str) -> ResultCache[DrivePair, DriveResult]:
+    """Return the cache of drives simulated by code with this hash."""
+    return ResultCache(
+        folder, code, DriveResult, lambda pair: (f"{pair.world}_{pair.scenario}_{pair.number:04d}", asdict(pair))
+    )
 
 
 def row(world: str, drives: Sequence[DriveResult]) -> dict[str, Any]:
@@ -299,9 +287,7 @@ def table(rows: Sequence[dict[str, Any]], drives: Sequence[DriveResult]) -> str:
     """Return a text table, followed by the drives that failed or touched something."""
     lines = [["world", *(title for title, _, _ in _COLUMNS)]]
     lines += [[row["world"], *(format(row[key], form) for _, key, form in _COLUMNS)] for row in rows]
-    # Right-aligned columns, each as wide as its widest cell.
-    widths = [max(len(line[k]) for line in lines) for k in range(len(lines[0]))]
-    text = ["  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True)) for line in lines]
+    text = [text_table(lines)]
     text += [
         f"{drive.world} {drive.number}: {drive.ending}{', CONTACT' if drive.contact else ''}: {drive.reason}"
         for drive in drives
@@ -326,27 +312,8 @@ def _parser() -> argparse.ArgumentParser:
         metavar="N",
         help="number of drives in each world (default: 100)",
     )
-    parser.add_argument(
-        "--worlds",
-        nargs="+",
-        choices=WORLDS,
-        default=list(WORLDS),
-        metavar="WORLD",
-        help=f"worlds: {', '.join(WORLDS)} (default: all)",
-    )
-    parser.add_argument(
-        "--scenario",
-        choices=list(SCENARIOS),
-        default="noisy",
-        help="error scenario, without outliers (default: %(default)s)",
-    )
+    add_choice(parser, "--worlds", WORLDS, list(WORLDS), "worlds")
+    add_choice(parser, "--scenario", SCENARIOS, "noisy", "error scenario, without its outliers")
     add_execution_options(parser)
-    parser.add_argument(
-        "--out",
-        type=Path,
-        default=Path("out/experiments"),
-        metavar="DIR",
-        help="write results to this folder (default: %(default)s)",
-    )
-    parser.add_argument("--json", action="store_true", help="print only JSON on stdout")
+    add_output(parser, Path("out/experiments"), "world")
     return parser

@@ -38,13 +38,7 @@ from localization.filters.odometry import (
     with_pose,
 )
 from localization.filters.range_table import CELL_IN, DIRECTIONS, OUTLIER_PROBABILITY, RangeTable
-from localization.filters.update import (
-    RANGE_SPAN_IN,
-    CorrelatedReadings,
-    MeasurementUpdate,
-    Refusal,
-    UpdateResult,
-)
+from localization.filters.update import RANGE_SPAN_IN, CorrelatedReadings, MeasurementUpdate, Refusal, UpdateResult
 
 LOWEST_IN, NOTHING_IN = 6.0, 255.0
 """Limits: "no nearer", which says little, and "nothing", which contradicts an expected echo."""

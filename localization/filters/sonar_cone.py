@@ -25,17 +25,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from localization.filters.belief import (
-    HEADING,
-    Floats,
-    Number,
-    choose,
-    clip,
-    exp,
-    hypot,
-    unit_vector,
-    wrap_angle,
-)
+from localization.filters.belief import HEADING, Floats, Number, choose, clip, exp, hypot, unit_vector, wrap_angle
 from localization.filters.reflectors import Reflectors, reflectors
 from localization.filters.sonar_ray import RangeNoise, SonarRing, constant_variance, nearest, range_variance, wall_map
 from localization.filters.update import (
@@ -87,11 +77,11 @@ class ConeSonar(RangeNoise):
     margin_db, margin_std_db
         Level of a near wall at a right angle above the threshold of detection; its standard deviation.
     cone_loss_db
-        Loss at the edge of the cone, out and back.
-    range_loss_db_in
-        Loss for each inch of range.
-    square_loss_db, edge_loss_db
-        Loss at a square corner; at any other vertex.
+        Two-way loss at the rim of the cone.
+    absorption_db_in
+        Loss per inch of range.
+    bounce_loss_db, edge_loss_db
+        Loss at the second wall of a square corner; at any other vertex.
     outlier_probability
         Fraction of readings that no reflector of the map explains: spread evenly over all ranges.
     """
@@ -103,8 +93,8 @@ class ConeSonar(RangeNoise):
     margin_db: float = 30.0
     margin_std_db: float = 2.0
     cone_loss_db: float = 12.0
-    range_loss_db_in: float = 0.1
-    square_loss_db: float = 3.0
+    absorption_db_in: float = 0.1
+    bounce_loss_db: float = 3.0
     edge_loss_db: float = 15.0
     outlier_probability: float = 0.1
 
@@ -177,7 +167,7 @@ def detection_probability(
     half = 0.5 * sonar.cone_rad
     ratio = off_axis_rad / half
     # 1. The level: less at the edge of the cone, with the range, and by the reflector.
-    total_db = sonar.cone_loss_db * ratio * ratio + sonar.range_loss_db_in * range_in + loss_db
+    total_db = sonar.cone_loss_db * ratio * ratio + sonar.absorption_db_in * range_in + loss_db
     # 2. Within the cone, and loud enough.
     return normal_cdf((half - abs(off_axis_rad)) / blur_rad) * normal_cdf(
         (sonar.margin_db - total_db) / sonar.margin_std_db
@@ -297,7 +287,7 @@ class ConeModel:
         self.walls, self.noise = wall_map(walls), sonar
         self.angles_rad, self.ring_radius_in = body.sonar_angles_rad, body.sonar_ring_radius_in
         self._around = around = reflectors(self.walls.segments)
-        losses = np.where(around.square, sonar.square_loss_db, sonar.edge_loss_db)
+        losses = np.where(around.square, sonar.bounce_loss_db, sonar.edge_loss_db)
         self.faces = np.concatenate((around.corners, around.normals, around.lengths[:, None]), axis=1).tolist()
         self.vertices = np.column_stack((around.vertices, losses)).tolist()
         self.update = update_by_cone
@@ -458,7 +448,7 @@ def _detected(
     at = np.nonzero(able)
     poses, which = at[:-1], at[-1]
     loss_db = np.zeros(around.count)
-    loss_db[count:] = np.where(around.square, sonar.square_loss_db, sonar.edge_loss_db)
+    loss_db[count:] = np.where(around.square, sonar.bounce_loss_db, sonar.edge_loss_db)
     to_x, to_y, ranges = seen.to_x[at], seen.to_y[at], seen.ranges_in[at]
     off_axis = wrap_angle(np.arctan2(to_y, to_x) - seen.axis[..., 0][poses])
     blurs = np.broadcast_to(blur[..., 0], seen.axis.shape[:-1])[poses]

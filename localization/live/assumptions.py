@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from localization.live.localizer import Consistency, Echo
-from nclient.connect import address_or_default
+from nclient.connector import address_or_default
 from nclient.errors import AddressError, WorldFileError
 from nclient.url import split_address
 from worlds.schema import parse_toml, read_text

@@ -19,15 +19,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from localization.filters import compiled
-from localization.filters.base import (
-    Filter,
-    LocalizationConfig,
-    Place,
-    RingFilter,
-    Searching,
-    Smoothing,
-    process_each,
-)
+from localization.filters.base import Filter, LocalizationConfig, Place, RingFilter, Searching, Smoothing, process_each
 from localization.filters.belief import POSE, Belief, Floats
 from localization.filters.health import HEALTHY, FilterHealth
 from localization.filters.odometry import NO_LAG, Lag, relative_step

@@ -32,33 +32,33 @@ import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import takewhile
-from math import degrees, inf
+from math import inf
 from os import PathLike, fspath
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Annotated, Any, Final
+
+from msgspec import UNSET, Meta, UnsetType
 
 from localization.missions.mission import Condition, Mission
 from localization.missions.settings import (
-    MAX_TIME_S,
-    MIN_TIME_S,
-    Point,
+    TIME_LIMIT_S,
+    LostPolicy,
+    OnLost,
+    Retries,
+    Rounds,
+    Seconds,
     Settings,
-    read_by_deg,
-    read_retries,
-    read_rounds,
-    read_settings,
-    read_within_in,
+    TimeLimit,
+    TurnAngle,
+    Within,
 )
 from nclient.common.files import parse_toml, read_text
-from nclient.common.hints import suggest
 from nclient.common.process import TerminatedBySignal
+from nclient.common.validation import InvalidValue, Text, convert
 from nclient.errors import MissionFileError, NomadError, WorldFileError
 from worlds.io import load_world
-from worlds.schema import MAX_COORDINATE_IN, Table
-
-Action = Callable[[Mission], object]
-_COMMON_KEYS: Final = ("do", "time_limit_s", "retries")
+from worlds.schema import MAX_COORDINATE_IN, Angle, Outline, PointInUnits, Points, Table, require_outline, table
 
 CONDITIONS: Final[Mapping[str, Callable[[float], Condition]]] = MappingProxyType(
     {
@@ -70,124 +70,125 @@ CONDITIONS: Final[Mapping[str, Callable[[float], Condition]]] = MappingProxyType
 )
 """Conditions of `wait_for` by key: shortest reading of the ring below or above a value, standard deviation of the
 position, number of obstacles that are not in the map. `touching = true` is one more."""
+Threshold = Annotated[float, Meta(ge=0.0, le=MAX_COORDINATE_IN)]
+Heading = Annotated[Angle, Meta(description="the heading at the end, in degrees")]
 
 
-def parse_step(table: Table) -> Action:
-    """Return the action of one [[step]]. Raises MissionFileError."""
-    if "do" not in table.values:
-        table.fail("do", f"is missing; expected one of {', '.join(STEP_PARSERS)}")
-    name = table.text("do", "")
-    if name not in STEP_PARSERS:
-        table.fail("do", f"expected one of {', '.join(STEP_PARSERS)}, found {name!r}{suggest(name, STEP_PARSERS)}")
-    return STEP_PARSERS[name](table)
+class _Motion(Table):
+    """Keys of all steps that move."""
+
+    time_limit_s: TimeLimit | UnsetType = UNSET
+    retries: Retries = 0
+
+    def limits(self) -> dict[str, Any]:
+        return {"limit_s": inf if self.time_limit_s is UNSET else self.time_limit_s, "retries": self.retries}
 
 
-def _parse_go_to(table: Table) -> Action:
-    table.allow((*_COMMON_KEYS, "heading_deg", "within_in"), ("to",))
-    (x, y), heading, within = _read_point(table), _read_heading(table), read_within_in(table)
-    limit_s, retries = _read_limits(table)
-    return lambda robot: robot.go_to(x, y, heading, limit_s=limit_s, retries=retries, within_in=within)
+@table(do="go_to")
+class _GoTo(_Motion):
+    to: PointInUnits
+    heading_deg: Heading | UnsetType = UNSET
+    within_in: Within = 1.0
+
+    def act(self, robot: Mission) -> None:
+        robot.go_to(*self.to, _or_none(self.heading_deg), within_in=self.within_in, **self.limits())
 
 
-def _parse_follow(table: Table) -> Action:
-    table.allow((*_COMMON_KEYS, "within_in"), ("points",))
-    points, within = table.points_in("points", minimum=1), read_within_in(table)
-    limit_s, retries = _read_limits(table)
-    return lambda robot: robot.follow(points, limit_s=limit_s, retries=retries, within_in=within)
+@table(do="follow")
+class _Follow(_Motion):
+    points: Points
+    within_in: Within = 1.0
+
+    def act(self, robot: Mission) -> None:
+        robot.follow(self.points, within_in=self.within_in, **self.limits())
 
 
-def _parse_patrol(table: Table) -> Action:
-    table.allow((*_COMMON_KEYS, "rounds"), ("points",))
-    points, rounds = table.points_in("points", minimum=1), read_rounds(table)
-    limit_s, retries = _read_limits(table)
-    return lambda robot: robot.patrol(points, rounds, limit_s=limit_s, retries=retries)
+@table(("heading_deg", "by_deg"), do="turn")
+class _Turn(_Motion):
+    heading_deg: Heading | UnsetType = UNSET
+    by_deg: TurnAngle | UnsetType = UNSET
+
+    def act(self, robot: Mission) -> None:
+        robot.turn(_or_none(self.heading_deg), by_deg=_or_none(self.by_deg), **self.limits())
 
 
-def _parse_turn(table: Table) -> Action:
-    table.allow((*_COMMON_KEYS, "heading_deg", "by_deg"))
-    if ("heading_deg" in table.values) == ("by_deg" in table.values):
-        table.fail("", "expected heading_deg or by_deg, one of them")
-    heading, by = _read_heading(table), read_by_deg(table) if "by_deg" in table.values else None
-    limit_s, retries = _read_limits(table)
-    return lambda robot: robot.turn(heading, by_deg=by, limit_s=limit_s, retries=retries)
+@table(do="look")
+class _Look(Table):
+    for_s: Annotated[Seconds, Meta(description="time to stand and measure, seconds")] = 1.0
+
+    def act(self, robot: Mission) -> None:
+        robot.look(self.for_s)
 
 
-def _parse_dock(table: Table) -> Action:
-    table.allow((*_COMMON_KEYS, "heading_deg"), ("to",))
-    (x, y), heading = _read_point(table), _read_heading(table)
-    if heading is None:
-        table.fail("heading_deg", "is missing: the heading to drive in, in degrees")
-    limit_s, retries = _read_limits(table)
-    return lambda robot: robot.dock(x, y, heading, limit_s=limit_s, retries=retries)
+@table(("touching", *CONDITIONS), do="wait_for")
+class _WaitFor(Table):
+    time_limit_s: Annotated[TimeLimit, Meta(description="the longest time to wait, in seconds")]
+    touching: Annotated[bool, Meta(description="true: until a bumper touches")] | UnsetType = UNSET
+    nearer_than_in: Threshold | UnsetType = UNSET
+    farther_than_in: Threshold | UnsetType = UNSET
+    known_to_in: Threshold | UnsetType = UNSET
+    finds: Threshold | UnsetType = UNSET
+
+    def act(self, robot: Mission) -> None:
+        if self.touching is not UNSET:
+            wanted = self.touching
+            robot.wait_for(lambda seen: seen.touching is wanted, self.time_limit_s, f"touching = {wanted}")
+            return
+        key, value = next((key, getattr(self, key)) for key in CONDITIONS if getattr(self, key) is not UNSET)
+        robot.wait_for(CONDITIONS[key](value), self.time_limit_s, f"{key} = {value:g}")
 
 
-def _parse_look(table: Table) -> Action:
-    table.allow(("do", "for_s"))
-    seconds = table.number("for_s", 0.0, MAX_TIME_S) if "for_s" in table.values else 1.0
-    return lambda robot: robot.look(seconds)
+@table(do="patrol")
+class _Patrol(_Motion):
+    points: Points
+    rounds: Rounds = 1
+
+    def act(self, robot: Mission) -> None:
+        robot.patrol(self.points, self.rounds, **self.limits())
 
 
-def _parse_wait_for(table: Table) -> Action:
-    table.allow(("do", "time_limit_s", "touching", *CONDITIONS))
-    given = [key for key in ("touching", *CONDITIONS) if key in table.values]
-    # 1. Exactly one condition and a time limit, so that no mission waits forever.
-    if len(given) != 1:
-        table.fail("", f"expected one of touching, {', '.join(CONDITIONS)}, found {' and '.join(given) or 'none'}")
-    if "time_limit_s" not in table.values:
-        table.fail("time_limit_s", "is missing: the longest time to wait, in seconds")
-    limit_s, _ = _read_limits(table)
-    # 2. The condition as a function of the estimate and readings.
-    (key,) = given
-    if key == "touching":
-        wanted = table.flag(key)
-        return lambda robot: robot.wait_for(lambda seen: seen.touching is wanted, limit_s, f"touching = {wanted}")
-    value = table.number(key, 0.0, MAX_COORDINATE_IN)
-    return lambda robot: robot.wait_for(CONDITIONS[key](value), limit_s, f"{key} = {value:g}")
+@table(do="dock")
+class _Dock(_Motion):
+    to: PointInUnits
+    heading_deg: Annotated[Angle, Meta(description="the heading to drive in, in degrees")]
+
+    def act(self, robot: Mission) -> None:
+        robot.dock(*self.to, self.heading_deg, **self.limits())
 
 
-def _parse_note(table: Table) -> Action:
-    table.allow(("do", "words"))
-    words = table.text("words", "")
-    if not words:
-        table.fail("words", "is missing: the text for the report")
-    return lambda robot: robot.note(words)
+@table(do="note")
+class _Note(Table):
+    words: Annotated[Text, Meta(description="the text for the report")]
+
+    def act(self, robot: Mission) -> None:
+        robot.note(self.words)
 
 
-STEP_PARSERS: Final[Mapping[str, Callable[[Table], Action]]] = MappingProxyType(
-    {
-        "go_to": _parse_go_to,
-        "follow": _parse_follow,
-        "turn": _parse_turn,
-        "look": _parse_look,
-        "wait_for": _parse_wait_for,
-        "patrol": _parse_patrol,
-        "dock": _parse_dock,
-        "note": _parse_note,
-    }
-)
-"""Parser of each step by its name."""
+Step = _GoTo | _Follow | _Turn | _Look | _WaitFor | _Patrol | _Dock | _Note
 
 
-def _read_point(table: Table) -> Point:
-    """Return the point under to_in, to_cm or to_m."""
-    # A point is read as a list of one; errors then name the key of the file again.
-    key = table.key_of("to")
-    row = Table(table.file, table.path, {key.replace("to_", "points_"): [table.values[key]]})
-    try:
-        return row.points_in("points", minimum=1)[0]
-    except ValueError as error:
-        raise MissionFileError(str(error).replace(key.replace("to_", "points_") + "[0]", key)) from None
+@table(condition={"required": ["step"], "properties": {"step": {"minItems": 1}}})
+class MissionFile(Table):
+    """A mission as a list of steps."""
+
+    title: Annotated[Text, Meta(description="title of the report")] = ""
+    map: Annotated[Text, Meta(description="walls: a shipped world or a TOML file")] = ""
+    time_limit_s: Annotated[TimeLimit, Meta(description="limit of all steps, seconds")] = TIME_LIMIT_S
+    on_lost: Annotated[LostPolicy, Meta(description="behaviour when the estimate is LOST")] = OnLost.STOP
+    lost_s: Annotated[TimeLimit, Meta(description="for how long, seconds")] = 60.0
+    fence: Outline | UnsetType = UNSET
+    step: tuple[Step, ...] = ()
+
+    def check(self) -> None:
+        """Raise InvalidValue unless there is a step, and the fence is an outline."""
+        if self.fence is not UNSET:
+            require_outline(self.key_of("fence"), self.fence)
+        if not self.step:
+            raise InvalidValue("expected at least one [[step]], found none", "step")
 
 
-def _read_heading(table: Table) -> float | None:
-    """Return the heading in degrees, None if it is not given."""
-    return degrees(table.angle_rad("heading")) if "heading_deg" in table.values else None
-
-
-def _read_limits(table: Table) -> tuple[float, int]:
-    """Return the time limit of a step in seconds (default: none) and its number of retries."""
-    limit_s = table.number("time_limit_s", MIN_TIME_S, MAX_TIME_S) if "time_limit_s" in table.values else inf
-    return limit_s, read_retries(table)
+def _or_none(value: float | UnsetType) -> float | None:
+    return None if value is UNSET else value
 
 
 @dataclass(frozen=True, slots=True)
@@ -286,7 +287,6 @@ def _with_program_line(error: BaseException, file: str) -> str:
 
 
 MAX_BYTES: Final = 1 << 20
-_TOP_KEYS: Final = ("title", "map", "time_limit_s", "on_lost", "lost_s", "step")
 
 
 def load_mission(path: str | PathLike[str]) -> MissionSpec:
@@ -304,19 +304,16 @@ def parse_step_list(text: str, file: str) -> MissionSpec:
     # Syntax first; then keys and values, where errors get the line of their key.
     values = parse_toml(text, file, MissionFileError)
     try:
-        top = Table(file, "", values)
-        top.allow(_TOP_KEYS, ("fence",))
         # All steps are checked before the first one is driven.
-        acts = [parse_step(table) for table in top.tables("step")]
-        if not acts:
-            top.fail("step", "expected at least one [[step]], found none")
-        settings = Settings(**read_settings(top))
-    except (WorldFileError, MissionFileError) as error:
-        raise MissionFileError(_with_line(str(error), file, text)) from None
+        mission = convert(values, MissionFile)
+    except InvalidValue as error:
+        raise MissionFileError(_with_line(f"{file}: {error}", file, text)) from None
+    fence = () if mission.fence is UNSET else mission.fence
+    settings = Settings(mission.title, mission.map, mission.time_limit_s, fence, mission.on_lost, mission.lost_s)
 
     def run(robot: Mission) -> None:
-        for act in acts:
-            act(robot)
+        for step in mission.step:
+            step.act(robot)
 
     return MissionSpec(settings, run, _with_line(f"{file}: map", file, text))
 

@@ -1,6 +1,6 @@
 """Backends around backends: retries, speed limits, bumper stop, reconnect, and the simulation behind a serial line.
 
-`nclient.connect.Connector.open` shows the order in which they are put around a protocol backend.
+`nclient.connector.Connector.open` shows the order in which they are put around a protocol backend.
 """
 
 from __future__ import annotations

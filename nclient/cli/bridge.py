@@ -23,6 +23,7 @@ from urllib.parse import quote
 
 from nclient.cli.serving import (
     POLL_INTERVAL_S,
+    SIGNALS,
     ClientSession,
     IdleMonitor,
     add_listener_options,
@@ -31,7 +32,7 @@ from nclient.cli.serving import (
     serve_clients,
 )
 from nclient.common.exit_codes import ExitCode
-from nclient.connect import Connector
+from nclient.connector import Connector
 from nclient.errors import AddressError, ConnectionLost, ReplyTimeout
 from nclient.protocol.types import Model
 from nclient.recording.format import IN, OUT, Entry, format_entry
@@ -66,7 +67,7 @@ def run(options: argparse.Namespace) -> int:
             far.close()
 
     try:
-        with contextlib.suppress(KeyboardInterrupt), open_listener(options, "bridge") as listener:
+        with contextlib.suppress(*SIGNALS), open_listener(options, "bridge") as listener:
             serve_clients(listener, options, serve)
     finally:
         for far in opened:

@@ -12,10 +12,10 @@ from __future__ import annotations
 
 import argparse
 import re
+import shlex
 from collections.abc import Callable, Iterator
 from importlib.metadata import entry_points
 from pathlib import Path
-from string import Template
 from typing import Any
 
 import shtab
@@ -67,46 +67,9 @@ def words_of_metavars() -> dict[str, tuple[str, ...]]:
 
 def script(parser: Parser, shell: str, words: dict[str, tuple[str, ...]]) -> str:
     """Return the script for one program."""
-    firsts = _firsts(parser)
     for action in _actions(parser):
-        own = action in parser._actions and not action.option_strings
-        _mark(action, words, parser.prog, firsts if own else ())
-    made = str(shtab.complete(parser, shell=shell))
-    match shell:
-        case "bash":
-            return f"{made}\n\n{_WHOLE_WORDS.substitute(prog=parser.prog)}"
-        case "zsh":
-            return _with_all_words(made, parser.prog, firsts, alone=parser._subparsers is None)
-        case _:
-            return re.sub(r"-ge 0(' -a )", rf"-ge 0; {_FISH_FIRST}\1", made)
-
-
-def _firsts(parser: Parser) -> tuple[str, ...]:
-    """Return the subcommands of a program that also takes other words; empty for other programs."""
-    words = [action for action in parser._actions if not action.option_strings]
-    commands = [action for action in words if isinstance(action, argparse._SubParsersAction)]
-    return tuple(name for action in commands for name in action.choices) if len(words) > len(commands) else ()
-
-
-def _with_all_words(made: str, prog: str, firsts: tuple[str, ...], *, alone: bool) -> str:
-    """Fix two limits of shtab's zsh script.
-
-    It completes only the first of several words, marked `(*)`, and a program has either words or subcommands.
-    """
-    # 1. Any number of words instead of only the first one.
-    made = re.sub(r'^  "\(\*\)::?', '  "*:', made, flags=re.MULTILINE)
-    if alone or firsts:
-        made = made.replace(f"_shtab_{prog}_defaults_added=0", f"_shtab_{prog}_defaults_added=1")
-    # 2. A case for each subcommand, executed before the completion of plain words.
-    begin = f"_shtab_{prog}() {{\n"
-    cases = "".join(_zsh_case(made, f"_shtab_{prog}_{first}", first) for first in firsts)
-    return made.replace(begin, f"{begin}{_FIRST_WORD.substitute(cases=cases)}", 1) if firsts else made
-
-
-def _zsh_case(made: str, name: str, first: str) -> str:
-    """Return the case for a subcommand: shtab writes a function if it has subcommands, else an array of options."""
-    does = name if f"\n{name}() {{\n" in made else f"_arguments -C -s ${name}_options"
-    return f"      {first}) shift words; (( CURRENT -= 1 )); {does}; return;;\n"
+        _mark(action, words, parser.prog)
+    return str(shtab.complete(parser, shell=shell))
 
 
 def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
@@ -118,73 +81,31 @@ def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
                 yield from _actions(below)
 
 
-def _mark(action: argparse.Action, words: dict[str, tuple[str, ...]], prog: str, firsts: tuple[str, ...]) -> None:
-    """Set shtab's completion of an action by its metavar or type; `firsts` are completions of the first word only."""
+def _mark(action: argparse.Action, words: dict[str, tuple[str, ...]], prog: str) -> None:
+    """Set shtab's completion of an action by its metavar or type."""
     # A metavar such as "FILE | PORT" names alternatives; all of them are offered.
     metavar = action.metavar if isinstance(action.metavar, str) else action.dest
     names = ["ADDRESS"] if action.dest == "address" else metavar.split(" | ")
     offered = tuple(word for name in names for word in words.get(name, ()))
     files = action.type is Path or not _FILES.isdisjoint(names)
     if action.choices is None and (offered or files):
-        vars(action)["complete"] = _completer(prog, names, offered, firsts, files) if offered else shtab.FILE
+        vars(action)["complete"] = _completer(prog, names, offered, files) if offered else shtab.FILE
 
 
-def _completer(
-    prog: str, names: list[str], offered: tuple[str, ...], firsts: tuple[str, ...], files: bool
-) -> dict[str, Any]:
-    """Return shell functions that offer `offered`, `firsts` for the first word, and files."""
-    # The function's name is built from what it offers, so that equal completions share one function.
+def _completer(prog: str, names: list[str], offered: tuple[str, ...], files: bool) -> dict[str, Any]:
+    """Return shell functions that offer words and files."""
+    # The name is built from what is offered, so that equal completions share one function.
     kinds = [re.sub(r"\W", "", word).lower() for word in names]
-    kinds += [*(["file"] if files and "file" not in kinds else []), *(["first"] if firsts else [])]
-    name = "_".join(("", prog, *kinds))
-    functions = {}
-    for shell, (function, first, paths) in _FUNCTIONS.items():
-        more = [first.format(words=" ".join(firsts))] if firsts and first else []
-        lines = "\n  ".join([*more, *([paths] if files else [])]) or ":"
-        functions[shell] = function.substitute(name=name, words=" ".join(offered), more=lines)
+    name = "_".join(["", prog, *kinds, *(["file"] if files and "file" not in kinds else [])])
+    words = shlex.join(offered)
+    bash, zsh, fish = _PATHS if files else ("", "", "")
+    functions = {
+        "bash": f"{name}() {{\n  compgen -W {shlex.quote(words)} -- \"$1\"\n  {bash}\n}}",
+        "zsh": f"{name}() {{\n  compadd -- {words}\n  {zsh}\n}}",
+        "fish": f"function {name}\n  printf '%s\\n' {words}\n  {fish}\nend",
+    }
     return {"bash": name, "zsh": name, "fish": f"({name})", "preamble": functions}
 
 
-_FUNCTIONS = {
-    "bash": (Template("""\
-$name() {
-  compgen -W "$words" -- "$$1"
-  $more
-}"""), '(( COMP_CWORD > 1 )) || compgen -W "{words}" -- "$1"', 'compgen -f -- "$1"'),
-    "zsh": (Template("""\
-$name() {
-  compadd -- $words
-  $more
-}"""), "(( CURRENT > 2 )) || compadd -- {words}", "_files"),
-    "fish": (Template("""\
-function $name
-  printf '%s\\n' $words
-  $more
-end"""), "", "__fish_complete_path (commandline -ct)"),
-}  # fmt: skip
-"""By shell: the function, completion of the first word (fish needs none), and of files."""
-_FISH_FIRST = "and test (count (commandline -opc)) -eq 1"
-"""Restricts subcommands to the first word; shtab's fish script offers them for every word."""
-_FIRST_WORD = Template("""\
-  if (( CURRENT > 2 )); then
-    case "$$words[2]" in
-$cases    esac
-  fi
-""")
-"""Beginning of zsh's function for a program with subcommands and other words."""
-_WHOLE_WORDS = Template("""\
-# bash ends a word at a colon or =; here an address and KEY=VALUE are one word
-_${prog}_whole_words() {
-  local line="$${COMP_LINE:0:COMP_POINT}" place breaks="$${COMP_WORDBREAKS//[^:=]/}"
-  local -a COMP_WORDS
-  read -ra COMP_WORDS <<<"$$line"
-  [[ "$$line" == *" " ]] && COMP_WORDS+=("")
-  local COMP_CWORD=$$(( $${#COMP_WORDS[@]} - 1 ))
-  local typed="$${COMP_WORDS[COMP_CWORD]}"
-  _shtab_${prog} "$$@"
-  local last="$${typed##*["$$breaks"]}"
-  if [[ -n "$$breaks" && "$$last" != "$$typed" ]]; then
-    for place in "$${!COMPREPLY[@]}"; do COMPREPLY[place]="$${COMPREPLY[place]#"$${typed%"$$last"}"}"; done
-  fi
-}
-complete -o bashdefault -F _${prog}_whole_words ${prog}""")
+_PATHS = ('compgen -f -- "$1"', "_files", "__fish_complete_path (commandline -ct)")
+"""Completion of files in bash, zsh and fish."""

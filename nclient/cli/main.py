@@ -26,6 +26,7 @@ from nclient.common.arguments import Parser
 from nclient.common.exit_codes import ExitCode, in_short
 from nclient.common.hints import closest_match, install_hint, version
 from nclient.common.process import TerminatedBySignal, handle_termination_signals
+from nclient.common.start import exit_on_interrupt
 from nclient.errors import NomadError
 
 GROUP = "nomad.commands"
@@ -37,11 +38,9 @@ class Subcommand(Protocol):
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Add the options of the command."""
-        ...
 
     def run(self, options: argparse.Namespace) -> int:
         """Run the command, and return the exit code."""
-        ...
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -88,7 +87,8 @@ def _dispatch(arguments: list[str]) -> int:
         return _report_usage_error(_unknown(name, commands))
     try:
         # 2. Import only the command that is run: others may need packages that are not installed.
-        command: Subcommand = commands[name].load()
+        with exit_on_interrupt():
+            command: Subcommand = commands[name].load()
     except ImportError as error:
         return _report_usage_error(_unloadable(name, error))
     # 3. Parse its arguments and run it.
@@ -101,7 +101,7 @@ def whole_parser() -> Parser:
     """Return a parser with all subcommands, for completion; one that cannot be imported has its name only."""
     points = {point.name: point for point in entry_points(group=GROUP)}
     parser = _top_parser(points)
-    commands = parser.add_subparsers(dest="command", metavar="COMMAND")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", parser_class=Parser)
     for name, point in sorted(points.items()):
         try:
             command: Subcommand = point.load()
@@ -131,16 +131,26 @@ def _protect_coordinates(word: str) -> str:
     return f" {word}" if re.match(r"-[\d.][^,]*,", word) else word
 
 
+class _TopParser(Parser):
+    """The parser of `nomad` itself; its help lists the commands, whose files are read only for that."""
+
+    commands: dict[str, EntryPoint]
+
+    def format_help(self) -> str:
+        width = max(map(len, self.commands), default=0)
+        lines = [f"  {name:{width}}  {summary(point)}".rstrip() for name, point in sorted(self.commands.items())]
+        self.epilog = "\n".join(("commands (nomad help COMMAND shows their options):", *lines))
+        return super().format_help()
+
+
 def _top_parser(commands: dict[str, EntryPoint]) -> Parser:
-    width = max(map(len, commands), default=0)
-    lines = [f"  {name:{width}}  {summary(point)}".rstrip() for name, point in sorted(commands.items())]
-    parser = Parser(
+    parser = _TopParser(
         prog="nomad",
         usage="nomad COMMAND ...",
         description=f"Nomad robots and their Nserver from the command line.\nExit codes: {in_short()}.",
-        epilog="\n".join(("commands (nomad help COMMAND shows their options):", *lines)),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
+    parser.commands = commands
     parser.add_argument("--version", action="version", version=f"nomad {version()}")
     return parser
 

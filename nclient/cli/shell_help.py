@@ -21,7 +21,6 @@ from nclient.cli import state_text
 from nclient.errors import ShellError
 from nclient.protocol.codec import serial_argument_bounds
 from nclient.protocol.commands import BY_NAME, COMMANDS, Argument, Command, exists_on_serial
-from nclient.protocol.requests import FLAG_WORD
 from nclient.protocol.types import MODELS, Model
 from nclient.protocol.wire_state import WireState
 
@@ -286,7 +285,7 @@ def _where(row: Command) -> str:
 
 
 def _unit(row: Command, argument: Argument) -> str:
-    if argument.tcp is FLAG_WORD:
+    if argument.is_flag:
         return "0 or 1"
     unit = UNITS.get(argument.name, "")
     return unit + _RATES.get(row.name, "") if argument.name in _LINEAR + _ANGULAR else unit

@@ -21,9 +21,9 @@ from collections.abc import Callable
 from nclient.backends.base import Backend
 from nclient.backends.direct import QUICK_S, send_emergency_stop
 from nclient.cli.serving import print_message
-from nclient.common.arguments import seconds
+from nclient.common.arguments import add_address, seconds
 from nclient.common.exit_codes import ExitCode
-from nclient.connect import Connector, address_or_default
+from nclient.connector import Connector, address_or_default
 from nclient.errors import ConnectionLost, NomadError, ReplyTimeout, RobotRefused, WireError
 from nclient.protocol.decode import model_mismatch_hint
 from nclient.protocol.types import Model
@@ -43,13 +43,7 @@ _QUERIES = 20
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    parser.add_argument(
-        "address",
-        nargs="?",
-        metavar="ADDRESS",
-        help="robot, such as nserver://localhost:7019/1 or serial:///dev/ttyUSB0 (default: $NOMAD_ROBOT, "
-        "or robot 1 of a local nserver)",
-    )
+    add_address(parser)
     parser.add_argument("--patience", type=seconds, default=DEFAULT_PATIENCE_S, metavar="S",
                         help=f"try for S seconds (default {DEFAULT_PATIENCE_S:g})")
 

@@ -1,7 +1,7 @@
 """Sensor data and pose as the client stores them: the State vector, laser, position stamps, clock, battery.
 
     0 speed | 1-16 infrared | 17-32 sonar | 33 bumper | 34-37 x y steering turret | 38-40 velocities
-    41 motors | 42 laser mode | 43 compass | 44 error        (PROTOCOL.md, section 3)
+    41 motors | 42 laser mode | 43 compass | 44 error        (docs/protocol.md, State vector)
 
 Replies are stored as the C client does: a state reply over TCP fills 0..43 and clears 44; the serial line never
 writes 0, 42 and 44; an error reply writes its code to 44 and nothing else; a prediction is not stored.
@@ -15,7 +15,6 @@ It reports the mask and laser mode in force. As on the serial line, Smask[41] is
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import NamedTuple
 
 from construct import Bytes, ConstructError, Int8ub, Padding, Struct, Terminated
@@ -33,8 +32,7 @@ _UNSIGNED = 0xFFFFFFFF
 
 def zero_extend(reply: Reply) -> Reply:
     """Return the reply as a 64-bit C client reads it: words without sign, so that -200 becomes 4294967096."""
-    return replace(
-        reply,
+    return reply._replace(
         slots={slot: value & _UNSIGNED for slot, value in reply.slots.items()},
         laser=None if reply.laser is None else tuple(value & _UNSIGNED for value in reply.laser),
         stamps={name: Stamp(*[value & _UNSIGNED for value in stamp]) for name, stamp in reply.stamps.items()},

@@ -15,14 +15,13 @@ from typing import Any, NamedTuple
 from construct import Construct
 
 from nclient.protocol import replies as shape
-from nclient.protocol.fields import LINE_BYTE, LINE_SIGNED, LINE_UNSIGNED, MAX_LASER_READINGS, WORD, Words
-from nclient.protocol.replies import ReplyShape
+from nclient.protocol.fields import LINE_BYTE, LINE_SIGNED, LINE_UNSIGNED, MAX_LASER_READINGS
+from nclient.protocol.replies import LineLayout, TcpLayout
 from nclient.protocol.requests import (
     ARM_MOVE,
     ARM_WAIT,
     ARM_ZERO,
     FLAG_BYTE,
-    FLAG_WORD,
     HISTORY_BYTE,
     LASER_MODE_BYTE,
     MAX_OBSTACLE_VERTICES,
@@ -31,10 +30,12 @@ from nclient.protocol.requests import (
     ArmPacket,
     ByteWords,
     Fields,
+    FlagWords,
     LineMask,
     LineText,
     MotionWords,
     ObstacleWords,
+    TcpArguments,
     TcpMask,
     TextWords,
     UserPacket,
@@ -47,11 +48,15 @@ NOT_N200 = ALL - N200
 
 
 class Argument(NamedTuple):
-    """An argument of a command: its name, and its field over TCP and on the serial line."""
+    """An argument of a command: its name, and its field on the serial line; over TCP it is a word."""
 
     name: str
-    tcp: Construct = WORD
     line: Construct = LINE_SIGNED
+
+    @property
+    def is_flag(self) -> bool:
+        """True for an argument that is 0 or 1."""
+        return self.line is FLAG_BYTE
 
 
 class Call(NamedTuple):
@@ -76,13 +81,14 @@ class Command:
     summary: str
     arguments: tuple[Argument, ...]
     tcp_type: int | None
-    tcp_request: Construct
+    tcp_request: TcpArguments | None
+    """None where each argument is a word."""
     tcp_words: tuple[int, int]
     """Minimum and maximum words of a request."""
-    tcp_reply: ReplyShape
+    tcp_reply: TcpLayout
     line_type: int | None
     line_request: Construct
-    line_reply: ReplyShape
+    line_reply: LineLayout
     line_models: frozenset[str]
     """Models with this command on their serial line."""
     line_timeout_s: float
@@ -100,17 +106,15 @@ def _row(
     method: str,
     types: tuple[int | None, int | None],
     arguments: Iterable[Argument],
-    reply: tuple[ReplyShape, ReplyShape],
+    reply: tuple[TcpLayout, LineLayout],
     summary: str,
     **special: Any,
 ) -> Command:
     arguments = tuple(arguments)
     count = len(arguments)
-    # Plain words are parsed in one call of struct.
-    plain = all(argument.tcp is WORD for argument in arguments)
-    tcp = Words(count) if plain else Fields(*[a.name / a.tcp for a in arguments])
+    are_flags = [argument.is_flag for argument in arguments]
     fields: dict[str, Any] = {
-        "tcp_request": tcp,
+        "tcp_request": FlagWords(are_flags) if any(are_flags) else None,
         "tcp_words": (count, count),
         "line_request": Fields(*[a.name / a.line for a in arguments]),
         "line_models": ALL,
@@ -145,7 +149,7 @@ _MODES = [
     for axis in ("translation", "steering", "turret")
     for argument in (Argument(f"{axis}_mode", line=LINE_UNSIGNED), Argument(f"{axis}_value"))
 ]
-_FLAGS = tuple(Argument(name, FLAG_WORD, FLAG_BYTE) for name in ("translation", "steering", "turret"))
+_FLAGS = tuple(Argument(name, FLAG_BYTE) for name in ("translation", "steering", "turret"))
 _POSE = _signed("x", "y", "steering", "turret")
 _SMASK = _signed(*[f"Smask_{k}" for k in range(44)])
 _STATE = (shape.STATE, shape.LINE_STATE)
@@ -280,7 +284,7 @@ COMMANDS: tuple[Command, ...] = (
     _row("real_robot", "use_real_robot", (71, None), (), _SIMPLE, "pass the commands to the real robot"),
     _row("simulated_robot", "use_simulated_robot", (74, None), (), _SIMPLE, "pass the commands to the simulation"),
     _row("quit_server", "quit_server", (70, None), (), _SIMPLE, "end the server, if its setup allows it"),
-    # additions of this project (PROTOCOL.md, section 5)
+    # additions of this project (docs/protocol.md, Additional messages)
     _row("sim_truth", "truth", (1000, None), (), (shape.TRUTH, shape.LINE_STATE),
          "ask a simulation where the actual robot is"),
     _row("sim_control", "control_time", (1001, None), _signed("verb", "value"), (shape.CONTROL, shape.LINE_STATE),
@@ -294,7 +298,7 @@ BY_PACKET_TYPE = {row.packet_type: row for row in COMMANDS if row.packet_type is
 
 NAK_TYPE = 8
 ERROR_TYPE = 91
-REPLY_TYPES: dict[ReplyShape, int] = {
+REPLY_TYPES: dict[TcpLayout, int] = {
     shape.STATE: 80, shape.PREDICTION: 80, shape.SIMPLE: 82, shape.SIMPLE_LIST: 82, shape.COLLISION: 82,
     shape.INFRARED: 83, shape.SONAR: 84, shape.LASER: 85, shape.SEGMENTS: 85, shape.COMPASS: 86,
     shape.BUMPER: 87, shape.CONFIGURATION: 88, shape.CLICKED_CONFIGURATION: 88, shape.VELOCITY: 89,

@@ -21,17 +21,12 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from nclient.errors import WireError
-from nclient.protocol import (
-    client_state,
-    codec,
-    serial_framing,
-    tcp_framing,
-)
+from nclient.protocol import client_state, codec, serial_framing
 from nclient.protocol import replies as shape
 from nclient.protocol.client_state import STATE_SIZE, ClientState, zero_extend
+from nclient.protocol.codec import TcpFrame, reply_bounds, request_bounds
 from nclient.protocol.commands import BY_LINE_TYPE, BY_NAME, ERROR_TYPE, REPLY_TYPES, Call, Command
-from nclient.protocol.replies import LINE_STATE, Reply, ReplyShape
-from nclient.protocol.tcp_framing import TcpFrame, reply_bounds, request_bounds
+from nclient.protocol.replies import LINE_STATE, Reply, TcpLayout
 from nclient.protocol.types import BUMPER_SLOT, CPU_RANGE_V, MODELS, MOTOR_RANGE_V, N150, N200, SCOUT, Model, volts
 from nclient.protocol.wire_state import WireState, serial_wire_state, tcp_wire_state
 
@@ -43,7 +38,7 @@ MAX_OUTSTANDING = 256
 
 # Reply types of old servers (moved, acceleration) with the layout of another type.
 _SAME_SHAPE = {81: 80, 90: 89}
-_BY_REPLY_TYPE: dict[int, tuple[ReplyShape, ...]] = {
+_BY_REPLY_TYPE: dict[int, tuple[TcpLayout, ...]] = {
     80: (shape.STATE,), 82: (shape.SIMPLE_LIST,), 83: (shape.INFRARED,), 84: (shape.SONAR,),
     85: (shape.LASER, shape.SEGMENTS), 86: (shape.COMPASS,), 87: (shape.BUMPER,), 88: (shape.CONFIGURATION,),
     89: (shape.VELOCITY,), ERROR_TYPE: (shape.ERROR,), 300: (shape.SPECIAL,), 1000: (shape.TRUTH,),
@@ -230,7 +225,7 @@ class _TcpEnds:
         self._outstanding: deque[tuple[Command, WireState]] = deque(maxlen=MAX_OUTSTANDING)
 
     def call(self, data: bytes) -> Call:
-        return codec.decode_tcp_request(tcp_framing.parse_single_frame(data, request_bounds, self.wire_state.wide))
+        return codec.decode_tcp_request(codec.parse_single_frame(data, request_bounds, self.wire_state.wide))
 
     def expect(self, row: Command) -> None:
         if row.has_tcp_reply and row.tcp_type is not None:
@@ -238,7 +233,7 @@ class _TcpEnds:
 
     def answer(self, data: bytes) -> _Answer:
         # 1. One frame.
-        frame = tcp_framing.parse_single_frame(data, reply_bounds, self.wire_state.wide)
+        frame = codec.parse_single_frame(data, reply_bounds, self.wire_state.wide)
         # 2. The first outstanding request that fits; earlier ones got no reply and are discarded.
         for place, (row, wire_state) in enumerate(self._outstanding):
             reply = _fitting(row, frame, wire_state)
@@ -253,10 +248,10 @@ class _TcpEnds:
         *others, last = _BY_REPLY_TYPE[_SAME_SHAPE.get(frame.type, frame.type)]
         for layout in others:
             try:
-                return layout.parse(frame.payload, self.wire_state)
+                return codec.parse_tcp_payload(layout, frame.payload, self.wire_state)
             except WireError:
                 continue
-        return last.parse(frame.payload, self.wire_state)
+        return codec.parse_tcp_payload(last, frame.payload, self.wire_state)
 
 
 def _fitting(row: Command, frame: TcpFrame, wire_state: WireState) -> Reply | None:

@@ -1,34 +1,27 @@
-"""Construct classes that requests and replies are made of, over TCP and on the serial line.
+"""Construct classes that messages on the serial line are made of (over TCP there are only words: codec.py).
 
-    TCP            every number is a big-endian signed 32-bit word; clocks are unsigned
-    serial line    low byte first; signed numbers are sign-magnitude (top bit = minus): -50 is 32 80, -0 reads as 0
+    low byte first; signed numbers are sign-magnitude (top bit = minus): -50 is 32 80, -0 reads as 0
 
 A class parses to one part of a Reply: State slots {number: value}, stamps {name: Stamp}, a laser vector (n, values...),
 or plain values. Classes that depend on mask or model read them from the WireState in the context
 (`wire_state=` of parse and build). Missing bytes raise construct's StreamError.
 
-Numbers of the serial line are packed as runs (class Run): one call of struct per run instead of one per number makes
-state packets ten times as fast.
+Numbers are packed as runs (class Run): one call of struct per run instead of one per number makes state packets ten
+times as fast.
 """
 
 from __future__ import annotations
 
 import struct
 from abc import abstractmethod
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from operator import itemgetter
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, Literal
 
-from construct import Construct, FormatFieldError, Int8ub, Int16ul, Int32sb, Int32ub, Int32ul, StreamError
+from construct import Construct, FormatFieldError, Int8ub, Int16ul, Int32ul, StreamError
 
 from nclient.protocol.types import NO_STAMP, STAMP_KEYS, Mask, Position, Stamp
 from nclient.protocol.wire_state import WireState
 
-# Words over TCP: 32 bits, big-endian.
-WORD = Int32sb
-UNSIGNED_WORD = Int32ub
-# A stamp: seven signed words of pose and velocities, two unsigned ones of times in ms.
-STAMP_WORDS = struct.Struct(">7i2I")
 MAX_LASER_READINGS = 482
 """Number of columns of the laser, and so the maximum number of readings in a reply."""
 
@@ -39,109 +32,6 @@ class Masked(Construct):
     @abstractmethod
     def is_absent(self, mask: Mask) -> bool:
         """Return True if the mask excludes all of it."""
-
-
-class Words(Construct):
-    """Signed words as a tuple of ints: `count` of them, or all that are left if count is None."""
-
-    def __init__(self, count: int | None) -> None:
-        super().__init__()
-        self.count = count
-
-    def _parse(self, stream: Any, context: Any, path: str) -> tuple[int, ...]:
-        if self.count is None:
-            # All that is left, which must be whole words of four bytes.
-            data = stream.read()
-            count = len(data) // 4
-            return struct.unpack(f">{count}i", _exactly(data, 4 * count, path))
-        return struct.unpack(f">{self.count}i", take(stream, 4 * self.count, path))
-
-    def _build(self, obj: Sequence[int], stream: Any, context: Any, path: str) -> Sequence[int]:
-        if self.count is not None and len(obj) != self.count:
-            raise FormatFieldError(f"{self.count} words wanted, {len(obj)} given", path=path)
-        try:
-            stream.write(struct.pack(f">{len(obj)}i", *obj))
-        except struct.error:
-            # struct does not name the value that does not fit.
-            wrong = next(value for value in obj if not isinstance(value, int) or not -(2**31) <= value < 2**31)
-            raise FormatFieldError(f"a word is a whole number, -2^31 to 2^31 - 1, not {wrong!r}", path=path) from None
-        return obj
-
-    def _sizeof(self, context: Any, path: str) -> int:
-        if self.count is None:
-            raise FormatFieldError("any number of words", path=path)
-        return 4 * self.count
-
-
-class WordSlots(Construct):
-    """State[first] to State[last] over TCP, one word each. A missing slot is sent as 0."""
-
-    def __init__(self, first: int, last: int) -> None:
-        super().__init__()
-        self.slots = range(first, last + 1)
-        self.format = struct.Struct(f">{len(self.slots)}i")
-        # One slot more than needed, so that itemgetter returns a tuple for a single slot, too.
-        self.all_of = itemgetter(*self.slots, first)
-
-    def _parse(self, stream: Any, context: Any, path: str) -> dict[int, int]:
-        return dict(zip(self.slots, self.format.unpack(take(stream, self.format.size, path)), strict=True))
-
-    def _build(self, obj: Mapping[int, int], stream: Any, context: Any, path: str) -> Mapping[int, int]:
-        try:
-            # Fast path for a complete state, which is the usual case.
-            values = self.all_of(obj)[:-1]
-        except KeyError:
-            values = tuple(obj.get(slot, 0) for slot in self.slots)
-        try:
-            stream.write(self.format.pack(*values))
-        except struct.error as error:
-            raise FormatFieldError(f"State {dict(obj)}: {error}", path=path) from None
-        return obj
-
-
-class WordStamps(Construct):
-    """Stamps over TCP, nine words each, of all sensors whose bit is set in Smask[0], whatever the rest of the mask."""
-
-    def __init__(self, *wanted: Position) -> None:
-        super().__init__()
-        self.wanted = wanted or tuple(Position)
-
-    def _keys(self, context: Any) -> Iterable[str]:
-        # Smask[0] alone selects the stamps; over TCP the rest of the mask has no influence.
-        position = wire_state_of(context).mask.position
-        return [key for bit in self.wanted if position & bit for key in STAMP_KEYS[bit]] if position else ()
-
-    def _parse(self, stream: Any, context: Any, path: str) -> dict[str, Stamp]:
-        size = STAMP_WORDS.size
-        return {k: Stamp._make(STAMP_WORDS.unpack(take(stream, size, path))) for k in self._keys(context)}
-
-    def _build(self, obj: Mapping[str, Stamp], stream: Any, context: Any, path: str) -> Mapping[str, Stamp]:
-        for key in self._keys(context):
-            stream.write(_pack(">7i2I", obj.get(key, NO_STAMP), path))
-        return obj
-
-
-class WordLaser(Construct):
-    """Laser block over TCP: n, then `width(wire_state)` words per reading. None is sent as n = 0."""
-
-    def __init__(self, width: Callable[[WireState], int]) -> None:
-        super().__init__()
-        self.width = width
-
-    def _parse(self, stream: Any, context: Any, path: str) -> tuple[int, ...]:
-        # The count is checked before it is multiplied: a corrupt one must not allocate memory.
-        (count,) = struct.unpack(">i", take(stream, 4, path))
-        if not count:
-            return (0,)
-        # Points have two words each, lines four, camera rows one.
-        words = checked_readings(count, path) * self.width(wire_state_of(context))
-        return (count, *struct.unpack(f">{words}i", take(stream, 4 * words, path)))
-
-    def _build(self, obj: Sequence[int] | None, stream: Any, context: Any, path: str) -> Any:
-        laser = obj or (0,)
-        check_laser(laser, self.width(wire_state_of(context)), path)
-        stream.write(_pack(f">{len(laser)}i", laser, path))
-        return obj
 
 
 def wire_state_of(context: Any) -> WireState:
@@ -160,13 +50,6 @@ def _exactly(data: bytes, count: int, path: str) -> bytes:
     if len(data) != count:
         raise StreamError(f"{count} bytes wanted, {len(data)} there", path=path)
     return data
-
-
-def _pack(layout: str, values: Iterable[int], path: str) -> bytes:
-    try:
-        return struct.pack(layout, *values)
-    except struct.error as error:
-        raise FormatFieldError(str(error), path=path) from None
 
 
 def checked_readings(count: int, path: str) -> int:

@@ -1,18 +1,21 @@
 """Replies: their values, and the layout of each kind of reply over TCP and on the serial line.
 
     Reply       the values: State slots, laser vector, stamps, clock, battery bytes, or plain numbers
-    ReplyShape  one layout: named constructs that parse bytes to a Reply and build them from it
+    TcpLayout   a layout over TCP: which parts of the Reply are sent, as 32-bit words (codec.py reads and writes them)
+    LineLayout  a layout on the serial line: named constructs that parse bytes to a Reply and build them from it
 
-A member's name gives the part of the Reply that it holds: slots*, stamps*, laser, clock, volts, values.
-Mask and laser mode of the connection come in as WireState.
+A member of a LineLayout is named after the part of the Reply that it holds: slots*, stamps*, laser, clock, volts,
+values. Mask and laser mode of the connection come in as WireState.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from io import BytesIO
+from operator import attrgetter
+from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
 from construct import Construct, ConstructError, GreedyRange, Int8ub
@@ -23,7 +26,6 @@ from nclient.protocol.fields import (
     LINE_CLOCK,
     SHORTS,
     SIGNED_SHORTS,
-    UNSIGNED_WORD,
     BumperBytes,
     LineLaser,
     LineNibbles,
@@ -31,10 +33,6 @@ from nclient.protocol.fields import (
     LineSlots,
     LineStamps,
     Masked,
-    WordLaser,
-    Words,
-    WordSlots,
-    WordStamps,
 )
 from nclient.protocol.types import BUMPER_SLOT, COMPASS_SLOT, LASER_SLOT, Mask, Position, Stamp
 from nclient.protocol.wire_state import LINES, PIXELS, WireState, line_laser_width
@@ -43,8 +41,10 @@ MOTOR_SLOT = 41
 LAST_TCP_SLOT = 44
 
 
-@dataclass(frozen=True, slots=True)
-class Reply:
+_NOTHING: Final[Mapping[Any, Any]] = MappingProxyType({})
+
+
+class Reply(NamedTuple):
     """Values of one reply, in wire units.
 
     Attributes
@@ -66,12 +66,41 @@ class Reply:
     """
 
     kind: str
-    slots: Mapping[int, int] = field(default_factory=dict)
+    slots: Mapping[int, int] = _NOTHING
     laser: tuple[int, ...] | None = None
-    stamps: Mapping[str, Stamp] = field(default_factory=dict)
+    stamps: Mapping[str, Stamp] = _NOTHING
     clock: int | None = None
     volts: tuple[int, int] | None = None
     values: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TcpLayout:
+    """Layout of a reply over TCP: these parts of a Reply, in this order, as big-endian words of 32 bits.
+
+    Attributes
+    ----------
+    kind
+        Of the Reply.
+    values
+        Number of plain words, None for any number.
+    slots
+        State slots, one word each.
+    laser_width
+        Words per laser reading behind the count of readings; None: no laser block.
+    stamps
+        Sensors whose stamps of nine words are sent, if their bit is set in Smask[0].
+    has_clock, has_volts
+        True if the clock (unsigned) and the two battery bytes follow.
+    """
+
+    kind: str
+    values: int | None = 0
+    slots: Sequence[int] = ()
+    laser_width: Callable[[WireState], int] | None = None
+    stamps: tuple[Position, ...] = ()
+    has_clock: bool = False
+    has_volts: bool = False
 
 
 class _Context:
@@ -101,11 +130,11 @@ def _member(name: str, subcon: Construct) -> _Member:
     return _Member(name, name.partition("_")[0], subcon._parse, subcon._build, is_absent)
 
 
-class ReplyShape:
-    """Layout of a reply: its kind, and named constructs in the order of their bytes.
+class LineLayout:
+    """Layout of a reply on the serial line: its kind, and named constructs in the order of their bytes.
 
-    Replaces a construct Struct, which takes three times as long: every reply of the server passes through here.
-    Members that the mask excludes (`Masked.absent`) are skipped.
+    Replaces a construct Struct, which takes three times as long: every reply of a robot's line passes through here.
+    Members that the mask excludes (`Masked.is_absent`) are skipped.
     """
 
     def __init__(self, kind: str, **members: Any) -> None:
@@ -175,63 +204,45 @@ def summarize_error(error: Exception) -> str:
     return " ".join(text.split())
 
 
-def _words(kind: str, count: int | None) -> ReplyShape:
-    return ReplyShape(kind, values=Words(count))
-
-
-# Layouts over TCP (PROTOCOL.md, section 1). A state reply is the State vector of 45 words, the laser block, stamps for
+# Layouts over TCP (docs/protocol.md). A state reply is the State vector of 45 words, the laser block, stamps for
 # the bits in Smask[0], clock in ms, CPU and motor voltage bytes.
-STATE = ReplyShape(
+STATE = TcpLayout(
     "state",
-    slots=WordSlots(0, LAST_TCP_SLOT),
-    laser=WordLaser(lambda wire_state: wire_state.laser_width),
-    stamps=WordStamps(),
-    clock=UNSIGNED_WORD,
-    volts=Words(2),
+    slots=range(LAST_TCP_SLOT + 1),
+    laser_width=attrgetter("laser_width"),
+    stamps=tuple(Position),
+    has_clock=True,
+    has_volts=True,
 )
 # get_ir, get_sn: 16 values, stamps, clock. get_bp, get_cp: one value, stamp, clock.
-INFRARED = ReplyShape(
-    "infrared", slots=WordSlots(1, 16), stamps=WordStamps(Position.INFRARED), clock=UNSIGNED_WORD
-)
-SONAR = ReplyShape("sonar", slots=WordSlots(17, 32), stamps=WordStamps(Position.SONAR), clock=UNSIGNED_WORD)
-BUMPER = ReplyShape(
-    "bumper",
-    slots=WordSlots(BUMPER_SLOT, BUMPER_SLOT),
-    stamps=WordStamps(Position.BUMPER),
-    clock=UNSIGNED_WORD,
-)
-COMPASS = ReplyShape(
-    "compass",
-    slots=WordSlots(COMPASS_SLOT, COMPASS_SLOT),
-    stamps=WordStamps(Position.COMPASS),
-    clock=UNSIGNED_WORD,
-)
+INFRARED = TcpLayout("infrared", slots=range(1, 17), stamps=(Position.INFRARED,), has_clock=True)
+SONAR = TcpLayout("sonar", slots=range(17, 33), stamps=(Position.SONAR,), has_clock=True)
+BUMPER = TcpLayout("bumper", slots=(BUMPER_SLOT,), stamps=(Position.BUMPER,), has_clock=True)
+COMPASS = TcpLayout("compass", slots=(COMPASS_SLOT,), stamps=(Position.COMPASS,), has_clock=True)
 # get_ls and get_sg: laser block, stamp, clock.
-LASER = ReplyShape(
+LASER = TcpLayout(
     "laser",
-    laser=WordLaser(lambda wire_state: wire_state.get_laser_width),
-    stamps=WordStamps(Position.LASER),
-    clock=UNSIGNED_WORD,
+    laser_width=attrgetter("get_laser_width"),
+    stamps=(Position.LASER,),
+    has_clock=True,
 )
-SEGMENTS = ReplyShape(
-    "laser", laser=WordLaser(lambda _: LINES), stamps=WordStamps(Position.LASER), clock=UNSIGNED_WORD
-)
+SEGMENTS = TcpLayout("laser", laser_width=lambda _: LINES, stamps=(Position.LASER,), has_clock=True)
 # get_rc: x y steering turret; get_rv, get_ra: three values; predict_sensors: words 0..43 and a laser block.
-CONFIGURATION = ReplyShape("configuration", slots=WordSlots(34, 37))
-CLICKED_CONFIGURATION = _words("configuration", 4)
-VELOCITY = ReplyShape("velocity", slots=WordSlots(38, 40))
-PREDICTION = ReplyShape("prediction", values=Words(44), laser=WordLaser(lambda wire_state: wire_state.laser_width))
-SIMPLE = _words("simple", 1)
-SIMPLE_LIST = _words("simple", None)
-COLLISION = _words("simple", 4)
-SPECIAL = _words("special", None)
-TRUTH = _words("truth", 8)
-CONTROL = _words("control", 4)
-ERROR = _words("error", 1)
+CONFIGURATION = TcpLayout("configuration", slots=range(34, 38))
+CLICKED_CONFIGURATION = TcpLayout("configuration", values=4)
+VELOCITY = TcpLayout("velocity", slots=range(38, 41))
+PREDICTION = TcpLayout("prediction", values=44, laser_width=attrgetter("laser_width"))
+SIMPLE = TcpLayout("simple", values=1)
+SIMPLE_LIST = TcpLayout("simple", values=None)
+COLLISION = TcpLayout("simple", values=4)
+SPECIAL = TcpLayout("special", values=None)
+TRUTH = TcpLayout("truth", values=8)
+CONTROL = TcpLayout("control", values=4)
+ERROR = TcpLayout("error", values=1)
 
-# Layouts on the serial line (PROTOCOL.md, section 2). A state packet holds only what the mask selects; motor status,
+# Layouts on the serial line (docs/protocol.md). A state packet holds only what the mask selects; motor status,
 # clock and voltages are always there.
-LINE_STATE = ReplyShape(
+LINE_STATE = LineLayout(
     "state",
     slots_infrared=LineNibbles(1, 16),
     stamps_infrared=LineStamps(Position.INFRARED, range(1, 17)),
@@ -249,39 +260,39 @@ LINE_STATE = ReplyShape(
     volts=LineRun(2, BYTES),
 )
 # Replies to get_* commands carry all their values, whatever the mask.
-LINE_INFRARED = ReplyShape(
+LINE_INFRARED = LineLayout(
     "infrared",
     slots=LineNibbles(1, 16, masked=False),
     stamps=LineStamps(Position.INFRARED),
     clock=LINE_CLOCK,
 )
-LINE_SONAR = ReplyShape(
+LINE_SONAR = LineLayout(
     "sonar",
     slots=LineSlots(17, 32, BYTES, masked=False),
     stamps=LineStamps(Position.SONAR),
     clock=LINE_CLOCK,
 )
-LINE_BUMPER = ReplyShape(
+LINE_BUMPER = LineLayout(
     "bumper",
     slots=BumperBytes(BUMPER_SLOT, masked=False),
     stamps=LineStamps(Position.BUMPER),
     clock=LINE_CLOCK,
 )
-LINE_COMPASS = ReplyShape(
+LINE_COMPASS = LineLayout(
     "compass",
     slots=LineSlots(COMPASS_SLOT, COMPASS_SLOT, SHORTS, masked=False),
     stamps=LineStamps(Position.COMPASS),
     clock=LINE_CLOCK,
 )
-LINE_LASER = ReplyShape(
+LINE_LASER = LineLayout(
     "laser", laser=LineLaser(lambda _: PIXELS), stamps=LineStamps(Position.LASER), clock=LINE_CLOCK
 )
-LINE_SEGMENTS = ReplyShape(
+LINE_SEGMENTS = LineLayout(
     "laser", laser=LineLaser(lambda _: LINES), stamps=LineStamps(Position.LASER), clock=LINE_CLOCK
 )
-LINE_CONFIGURATION = ReplyShape("configuration", slots=LineSlots(34, 37, SIGNED_SHORTS, masked=False))
-LINE_VELOCITY = ReplyShape("velocity", slots=LineSlots(38, 40, SIGNED_SHORTS, masked=False))
-LINE_NOTHING = ReplyShape("velocity")
-LINE_CALIBRATION = ReplyShape("compass", values=LineRun(3, BYTES))
-LINE_SPECIAL = ReplyShape("special", values=GreedyRange(Int8ub))
-LINE_NAK = ReplyShape("nak")
+LINE_CONFIGURATION = LineLayout("configuration", slots=LineSlots(34, 37, SIGNED_SHORTS, masked=False))
+LINE_VELOCITY = LineLayout("velocity", slots=LineSlots(38, 40, SIGNED_SHORTS, masked=False))
+LINE_NOTHING = LineLayout("velocity")
+LINE_CALIBRATION = LineLayout("compass", values=LineRun(3, BYTES))
+LINE_SPECIAL = LineLayout("special", values=GreedyRange(Int8ub))
+LINE_NAK = LineLayout("nak")

@@ -1,11 +1,11 @@
-"""Layouts of request arguments, as construct classes: one flat tuple of arguments to bytes and back.
+"""Layouts of request arguments: one flat tuple of arguments to words over TCP or bytes on the serial line, and back.
 
     arguments    integers in the order of the C call, arrays flattened; the text of tk is the only string
-    Words        the usual layout over TCP: one word per argument
-    Fields       the usual layout on the serial line: one field per argument
+    over TCP     one word per argument, for a few commands other words (TcpArguments)
+    Fields       the usual layout on the serial line: one field per argument, as constructs
 
-Values out of range raise construct's errors. `parse` and `build` replace construct's own, which create a context per
-call that refers to itself and so stays in memory until the garbage collector runs; here all calls share two.
+Values out of range raise construct's errors or WireError. `parse` and `build` replace construct's own, which create a
+context per call that refers to itself and stays in memory until the garbage collector runs; here all calls share two.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Sequence as Arguments
 from io import BytesIO
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 from construct import (
     Adapter,
@@ -35,7 +35,8 @@ from construct import (
     this,
 )
 
-from nclient.protocol.fields import LINE_BYTE, LINE_UNSIGNED, WORD, Words
+from nclient.errors import WireError
+from nclient.protocol.fields import LINE_BYTE, LINE_UNSIGNED
 from nclient.protocol.types import Mask, mask_from_line, mask_from_tcp
 
 
@@ -79,13 +80,12 @@ MAX_TEXT_WORDS = 64
 MAX_PACKET_DATA = 250
 """Maximum bytes of user data in a special packet: a host's serial frame has less than 256 bytes."""
 MOTION_LINE, MOTION_ARC = 0, 1
-# Laser mode 51 (points) is sent as 35 on the serial line, a history above 10 as 10 (PROTOCOL.md, section 2).
+# Laser mode 51 (points) is sent as 35 on the serial line, a history above 10 as 10 (docs/protocol.md, Laser).
 _POINT_LASER, _SERIAL_POINT_LASER = 51, 35
 _MAX_HISTORY = 10
 _ROUNDING_DIGITS = 6
 """Digits to round to before truncation: 1.001 x 1000 is 1000.9999999999999 in doubles, and means 1001."""
 
-FLAG_WORD = ExprAdapter(WORD, lambda obj, _: int(bool(obj)), lambda obj, _: int(bool(obj)))
 FLAG_BYTE = ExprAdapter(LINE_BYTE, lambda obj, _: int(bool(obj)), lambda obj, _: int(bool(obj)))
 HISTORY_BYTE = ExprAdapter(LINE_BYTE, lambda obj, _: obj, lambda obj, _: min(obj, _MAX_HISTORY))
 LASER_MODE_BYTE = ExprAdapter(
@@ -109,17 +109,41 @@ class Fields(Adapter):
         return [*obj, None]
 
 
-class TcpMask(Adapter):
+class TcpArguments(Protocol):
+    """Arguments of a command that are not sent as one word each over TCP. Both methods may raise WireError."""
+
+    def decode(self, words: Arguments[int]) -> tuple[Any, ...]:
+        """Return the arguments in these words."""
+        ...
+
+    def encode(self, args: Arguments[Any]) -> Arguments[int]:
+        """Return the words of these arguments."""
+        ...
+
+
+class FlagWords:
+    """Request data of ws over TCP: flags are 0 or 1, other words any number."""
+
+    def __init__(self, are_flags: Arguments[bool]) -> None:
+        self._are_flags = are_flags
+
+    def decode(self, words: Arguments[int]) -> tuple[int, ...]:
+        """Return the arguments in these words."""
+        return tuple(int(bool(word)) if flag else word for word, flag in zip(words, self._are_flags, strict=True))
+
+    encode = decode
+
+
+class TcpMask:
     """Request data of ct over TCP: the 44 numbers of Smask as seven bytes, one per word."""
 
-    def __init__(self) -> None:
-        super().__init__(Words(7))
+    def decode(self, words: Arguments[int]) -> tuple[int, ...]:
+        """Return the 44 numbers."""
+        return mask_from_tcp(words).smask
 
-    def _decode(self, obj: Arguments[int], context: Any, path: str) -> tuple[int, ...]:
-        return mask_from_tcp(obj).smask
-
-    def _encode(self, obj: Arguments[int], context: Any, path: str) -> tuple[int, ...]:
-        return Mask(tuple(obj)).tcp_bytes()
+    def encode(self, args: Arguments[int]) -> tuple[int, ...]:
+        """Return the seven words."""
+        return Mask(tuple(args)).tcp_bytes()
 
 
 class LineMask(Adapter):
@@ -135,26 +159,25 @@ class LineMask(Adapter):
         return list(Mask(tuple(obj)).line_bytes())
 
 
-class TextWords(Adapter):
+class TextWords:
     """Request data of tk over TCP: the C string laid into little-endian words, each then sent big-endian.
 
     Every group of four characters arrives reversed; bytes after the NUL are undefined. "hello" is
     `6c 6c 65 68 | .. .. 00 6f`.
     """
 
-    def __init__(self) -> None:
-        super().__init__(Words(None))
-
-    def _decode(self, obj: Arguments[int], context: Any, path: str) -> tuple[str]:
-        text, _, _ = struct.pack(f"<{len(obj)}i", *obj).partition(b"\0")
+    def decode(self, words: Arguments[int]) -> tuple[str]:
+        """Return the text."""
+        text, _, _ = struct.pack(f"<{len(words)}i", *words).partition(b"\0")
         return (text.decode("latin-1"),)
 
-    def _encode(self, obj: tuple[str], context: Any, path: str) -> tuple[int, ...]:
-        text = _encode_latin1(obj[0], path)
+    def encode(self, args: Arguments[str]) -> tuple[int, ...]:
+        """Return the words of the text and its NUL."""
+        text = _encode_latin1(args[0])
         # Room for the NUL: (length + 4) / 4 words, as the C client counts.
         count = (len(text) + 4) // 4
         if count > MAX_TEXT_WORDS:
-            raise FormatFieldError(f"a text has at most {4 * MAX_TEXT_WORDS - 1} characters", path=path)
+            raise WireError(f"a text has at most {4 * MAX_TEXT_WORDS - 1} characters")
         return struct.unpack(f"<{count}i", text.ljust(4 * count, b"\0"))
 
 
@@ -168,30 +191,28 @@ class LineText(Adapter):
         return (obj.decode("latin-1"),)
 
     def _encode(self, obj: tuple[str], context: Any, path: str) -> bytes:
-        return _encode_latin1(obj[0], path)
+        return _encode_latin1(obj[0])
 
 
-class ObstacleWords(Adapter):
+class ObstacleWords:
     """Obstacle over TCP: n, x1, y1 .. xn, yn, and `tail` numbers more (the shift of move_obstacle)."""
 
     def __init__(self, tail: int = 0) -> None:
-        super().__init__(Words(None))
         self.tail = tail
 
-    def _decode(self, obj: Arguments[int], context: Any, path: str) -> tuple[int, ...]:
-        if not obj or not 1 <= obj[0] <= MAX_OBSTACLE_VERTICES or len(obj) != 1 + 2 * obj[0] + self.tail:
-            raise FormatFieldError(
+    def decode(self, words: Arguments[int]) -> tuple[int, ...]:
+        """Return the same numbers after checking their count."""
+        if not words or not 1 <= words[0] <= MAX_OBSTACLE_VERTICES or len(words) != 1 + 2 * words[0] + self.tail:
+            raise WireError(
                 f"an obstacle is n = 1..{MAX_OBSTACLE_VERTICES}, then n vertices x, y"
-                + (", then the shift dx, dy" if self.tail else ""),
-                path=path,
+                + (", then the shift dx, dy" if self.tail else "")
             )
-        return tuple(obj)
+        return tuple(words)
 
-    def _encode(self, obj: Arguments[int], context: Any, path: str) -> tuple[int, ...]:
-        return self._decode(obj, context, path)
+    encode = decode
 
 
-class MotionWords(Adapter):
+class MotionWords:
     """Request data of motion_check over TCP: eight words. Arguments are the C call's doubles in thousandths.
 
     Lengths are sent as hundredths and angles as millionths of a radian, truncated toward zero; the three words
@@ -202,30 +223,31 @@ class MotionWords(Adapter):
     _COUNTS = (4, 7)
     _ANGLES = (frozenset[int](), frozenset({2, 3}))
 
-    def __init__(self) -> None:
-        super().__init__(Words(8))
+    def decode(self, words: Arguments[int]) -> tuple[float, ...]:
+        """Return type and numbers of the C call."""
+        kind = self._kind(words)
+        if len(words) != 1 + max(self._COUNTS):
+            raise WireError(f"motion_check takes {1 + max(self._COUNTS)} words, not {len(words)}")
+        numbers = enumerate(words[1 : 1 + self._COUNTS[kind]])
+        return (kind, *(_whole_if_exact(word / 1000) if k in self._ANGLES[kind] else 10 * word for k, word in numbers))
 
-    def _decode(self, obj: Arguments[int], context: Any, path: str) -> tuple[float, ...]:
-        kind = self._kind(obj, path)
-        words = enumerate(obj[1 : 1 + self._COUNTS[kind]])
-        return (kind, *(_whole_if_exact(word / 1000) if k in self._ANGLES[kind] else 10 * word for k, word in words))
-
-    def _encode(self, obj: Arguments[float], context: Any, path: str) -> tuple[int, ...]:
-        kind = self._kind(obj, path)
+    def encode(self, args: Arguments[float]) -> tuple[int, ...]:
+        """Return the eight words."""
+        kind = self._kind(args)
         count = self._COUNTS[kind]
-        if len(obj) != 1 + count:
-            raise FormatFieldError(f"motion_check {kind} takes {count} numbers after the type", path=path)
+        if len(args) != 1 + count:
+            raise WireError(f"motion_check {kind} takes {count} numbers after the type")
         words = [
             int(round(v * 1000, _ROUNDING_DIGITS)) if k in self._ANGLES[kind] else int(v / 10)
-            for k, v in enumerate(obj[1:])
+            for k, v in enumerate(args[1:])
         ]
         return (kind, *words, *[0] * (7 - count))
 
     @staticmethod
-    def _kind(obj: Arguments[float], path: str) -> int:
-        if not obj or obj[0] not in (MOTION_LINE, MOTION_ARC):
-            raise FormatFieldError("motion_check takes type 0 (line) or 1 (arc) first", path=path)
-        return int(obj[0])
+    def _kind(numbers: Arguments[float]) -> int:
+        if not numbers or numbers[0] not in (MOTION_LINE, MOTION_ARC):
+            raise WireError("motion_check takes type 0 (line) or 1 (arc) first")
+        return int(numbers[0])
 
 
 class UserPacket(Adapter):
@@ -272,19 +294,19 @@ class ArmPacket(Adapter):
         return [None, 0, None, *obj]
 
 
-class ByteWords(Adapter):
+class ByteWords:
     """A packet over TCP: one byte per word."""
 
     def __init__(self, packet: Construct) -> None:
-        super().__init__(Words(None))
         self.packet = packet
 
-    def _decode(self, obj: Arguments[int], context: Any, path: str) -> tuple[int, ...]:
-        parsed: tuple[int, ...] = parse(self.packet, bytes(word & 255 for word in obj))
-        return parsed
+    def decode(self, words: Arguments[int]) -> tuple[int, ...]:
+        """Return the arguments in the packet."""
+        return tuple(parse(self.packet, bytes(word & 255 for word in words)))
 
-    def _encode(self, obj: Arguments[int], context: Any, path: str) -> tuple[int, ...]:
-        return tuple(build(self.packet, obj))
+    def encode(self, args: Arguments[int]) -> tuple[int, ...]:
+        """Return the bytes of the packet."""
+        return tuple(build(self.packet, args))
 
 
 # The arm's packets: 40 zero [uint16 override], 41 wait [uint16 lift, uint16 grip, uint32 timeout],
@@ -296,13 +318,13 @@ ARM_NUMBER = ExprAdapter(Int32sl, lambda obj, _: obj, lambda obj, _: obj - 2**32
 ARM_MOVE = ArmPacket(42, *[ARM_NUMBER] * 4)
 
 
-def _encode_latin1(text: Any, path: str) -> bytes:
+def _encode_latin1(text: Any) -> bytes:
     if not isinstance(text, str):
-        raise FormatFieldError(f"a text is wanted, not {text!r}", path=path)
+        raise WireError(f"a text is wanted, not {text!r}")
     try:
         return text.encode("latin-1").split(b"\0")[0]
     except UnicodeEncodeError:
-        raise FormatFieldError(f"the robot's texts are Latin-1; {text!r} is not", path=path) from None
+        raise WireError(f"the robot's texts are Latin-1; {text!r} is not") from None
 
 
 def _whole_if_exact(value: float) -> float:

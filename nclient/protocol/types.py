@@ -65,7 +65,7 @@ def get_model(name: str) -> Model:
 
 
 DEFAULT_SONAR_ORDER = (0, 2, 15, 1, 14, 3, 13, 4, 12, 5, 11, 6, 10, 7, 9, 8)
-"""Firing order of the sonar ring before any conf_sn (PROTOCOL.md, section 3)."""
+"""Firing order of the sonar ring before any conf_sn (docs/protocol.md, State vector)."""
 DEFAULT_SONAR_RATE = 15
 """Firing rate before any conf_sn: 60 ms between two sonars."""
 SONAR_RATE_STEP_S = 0.004
@@ -166,7 +166,7 @@ FULL_TURN_TENTHS = 3600
 SCOUT_WHEEL_IN_PER_DEG = 0.118597
 """Travel of a Scout's wheel per degree of turn: half its track of 13.590 in, times pi / 180."""
 WORD_LIMIT = 2**31
-# Full range of the two battery measurements in volts (PROTOCOL.md, section 3).
+# Full range of the two battery measurements in volts (docs/protocol.md, State vector).
 CPU_RANGE_V = 12.0
 MOTOR_RANGE_V = 12.85
 
@@ -207,7 +207,7 @@ def rad_from_tenths(angle_tenths: float) -> float:
 
 
 def volts(raw: int, full_range_v: float) -> float:
-    """Convert a raw battery byte r to volts: (2 + 3 r / 255) x range / 5 (PROTOCOL.md, section 3)."""
+    """Convert a raw battery byte r to volts: (2 + 3 r / 255) x range / 5 (docs/protocol.md, State vector)."""
     return (2 + 3 * raw / 255) * full_range_v / 5
 
 

@@ -28,7 +28,7 @@ def tcp_laser_width(mode: int) -> int:
 
 def line_laser_width(mode: int) -> int:
     """Return the numbers per laser reading in a state packet on the serial line: 4 in line modes, else 1."""
-    # PROTOCOL.md, section 2: line mode is (mode & 0x1e) == 0.
+    # docs/protocol.md, State vector, Laser: line mode is (mode & 0x1e) == 0.
     return LINES if mode & 0x1E == 0 else PIXELS
 
 

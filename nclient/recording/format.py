@@ -233,9 +233,9 @@ def _header(line: str, name: str) -> dict[str, Any]:
     if not isinstance(header, dict) or header.get("format") != FORMAT:
         raise RecordingError(f'{name}, line 1: no recording; one begins with {{"format": "{FORMAT}", ...}}, as '
                              "record=FILE in an address or `nserver --record FILE` writes it")
-    if header.get("version") != VERSION:
-        raise RecordingError(f"{name}, line 1: version {header.get('version')}; this program reads version {VERSION}: "
-                             "take the one that wrote it")
+    if (version := header.get("version")) != VERSION:
+        raise RecordingError(f"{name}, line 1: version {version!r}; this program reads version {VERSION}: take the one "
+                             "that wrote it")
     return header
 
 
@@ -277,7 +277,7 @@ def _read_entry(whole: dict[str, Any], number: int) -> Entry:
 
 # -- entries as text --------------------------------------------------------------------------------------------------
 
-# Places in the State vector (PROTOCOL.md, section 3).
+# Places in the State vector (docs/protocol.md).
 _POSE: Final = ((34, "x"), (35, "y"), (36, "steer"), (37, "turret"))
 _SONARS, _INFRAREDS, _SPEEDS = slice(17, 33), slice(1, 17), slice(38, 41)
 _BUMPER, _COMPASS = 33, 43
@@ -307,6 +307,16 @@ def format_entry(entry: Entry, with_bytes: bool = False) -> Iterator[str]:
     RecordingError
         If `decoded` does not have the form that a recorder writes.
     """
+    # The text of a recording may come from anywhere, and goes to a terminal.
+    return map(escape_controls, _entry_lines(entry, with_bytes))
+
+
+def escape_controls(text: str) -> str:
+    r"""Return the text with control characters as escapes, such as \x1b."""
+    return "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in text)
+
+
+def _entry_lines(entry: Entry, with_bytes: bool) -> Iterator[str]:
     start = f"{entry.time_s:10.3f}  {entry.connection + ' ' if entry.connection else ''}"
     if entry.kind not in _ARROWS:
         if entry.kind != TIME:

@@ -21,11 +21,11 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple, Protocol
 
 from nclient.common.hints import version
-from nclient.protocol import serial_framing, tcp_framing
+from nclient.protocol import codec, serial_framing
 from nclient.protocol.client_state import HANDSHAKE_SIZE
+from nclient.protocol.codec import InvalidFrame, TcpFrame, TcpFramer, reply_bounds, request_bounds
 from nclient.protocol.decode import WireDecoder
 from nclient.protocol.serial_framing import HOST_LIMIT, SerialFramer
-from nclient.protocol.tcp_framing import InvalidFrame, TcpFrame, TcpFramer, reply_bounds, request_bounds
 from nclient.protocol.types import Model
 from nclient.protocol.wire_state import WireState
 from nclient.recording.format import CLOSE, IN, OPEN, OUT, TIME, Entry, RecordingWriter
@@ -47,23 +47,81 @@ class Frame(NamedTuple):
     error: str = ""
 
 
-class FrameTap(Protocol):
-    """Framers of one connection, in both directions."""
+class TcpFrameTap:
+    """Messages of a 32-bit or 64-bit client of Nserver."""
 
-    wide: bool
-    """True if the client is known to be a 64-bit one."""
+    def __init__(self) -> None:
+        self._requests = TcpFramer(request_bounds)
+        self._replies = TcpFramer(reply_bounds, wide=False)
+        self.wide = False
 
     def resume(self, wide: bool) -> None:
-        """Continue with a connection that is already identified."""
-        ...
+        """Continue in words of 8 bytes (`wide`) or 4, without a CONNECT."""
+        self._requests.wide = self._replies.wide = self.wide = wide
 
     def to_robot(self, data: bytes) -> list[Frame]:
-        """Return the frames that bytes from the host complete."""
-        ...
+        """Return completed requests; a CONNECT decides the word size of both directions."""
+        items = self._requests.receive(data)
+        self.wide = self._replies.wide = bool(self._requests.wide)
+        return self._frames(items, reply=False)
 
     def to_host(self, data: bytes) -> list[Frame]:
-        """Return the frames that bytes from the robot complete."""
-        ...
+        """Return completed replies."""
+        return self._frames(self._replies.receive(data), reply=True)
+
+    def _frames(self, items: list[TcpFrame | InvalidFrame], reply: bool) -> list[Frame]:
+        return [
+            Frame(codec.build_frame(item.type, item.payload, wide=self.wide, reply=reply))
+            if isinstance(item, TcpFrame)
+            else Frame(b"", item.reason)
+            for item in items
+        ]
+
+
+class SerialFrameTap:
+    """Frames of the serial line among other bytes; with `has_handshake` eleven bytes of the robot come first."""
+
+    wide = False
+
+    def __init__(self, has_handshake: bool) -> None:
+        self._requests = SerialFramer(HOST_LIMIT)
+        self._replies = SerialFramer()
+        self._handshake: bytes | None = b"" if has_handshake else None
+
+    def resume(self, wide: bool) -> None:
+        """Continue without expecting a handshake."""
+        del wide
+        self._handshake = None
+
+    def to_robot(self, data: bytes) -> list[Frame]:
+        """Return completed requests, and what was discarded of an incomplete reply."""
+        # A host discards what it has received before it sends a request.
+        missed = self._replies.pending
+        self._replies.clear()
+        discarded = [Frame(b"", f"{missed} bytes of an answer that never became whole")] if missed else []
+        return discarded + _frames_of(self._requests, data)
+
+    def to_host(self, data: bytes) -> list[Frame]:
+        """Return the handshake if one is expected, then completed replies."""
+        if self._handshake is None:
+            return _frames_of(self._replies, data)
+        self._handshake += data
+        if len(self._handshake) < HANDSHAKE_SIZE:
+            return []
+        handshake, rest = self._handshake[:HANDSHAKE_SIZE], self._handshake[HANDSHAKE_SIZE:]
+        self._handshake = None
+        return [Frame(handshake), *_frames_of(self._replies, rest)]
+
+
+def _frames_of(framer: SerialFramer, data: bytes) -> list[Frame]:
+    before = framer.skipped_bytes
+    frames = [Frame(serial_framing.build_frame(frame.type, frame.data)) for frame in framer.receive(data)]
+    skipped = framer.skipped_bytes - before
+    return [Frame(b"", f"{skipped} bytes that are no frame"), *frames] if skipped else frames
+
+
+FrameTap = TcpFrameTap | SerialFrameTap
+"""Framers of one connection, in both directions; `wide` is True if the client is known to be a 64-bit one."""
 
 
 def make_frame_tap(line: str, model: Model) -> FrameTap:
@@ -118,79 +176,6 @@ class FrameDecoder:
         return self._decoder
 
 
-class TcpFrameTap:
-    """Messages of a 32-bit or 64-bit client of Nserver."""
-
-    def __init__(self) -> None:
-        self._requests = TcpFramer(request_bounds)
-        self._replies = TcpFramer(reply_bounds, wide=False)
-        self.wide = False
-
-    def resume(self, wide: bool) -> None:
-        """Continue in words of 8 bytes (`wide`) or 4, without a CONNECT."""
-        self._requests.wide = self._replies.wide = self.wide = wide
-
-    def to_robot(self, data: bytes) -> list[Frame]:
-        """Return completed requests; a CONNECT decides the word size of both directions."""
-        items = self._requests.receive(data)
-        self.wide = self._replies.wide = bool(self._requests.wide)
-        return self._frames(items, reply=False)
-
-    def to_host(self, data: bytes) -> list[Frame]:
-        """Return completed replies."""
-        return self._frames(self._replies.receive(data), reply=True)
-
-    def _frames(self, items: list[TcpFrame | InvalidFrame], reply: bool) -> list[Frame]:
-        return [
-            Frame(tcp_framing.build_frame(item.type, item.payload, wide=self.wide, reply=reply))
-            if isinstance(item, TcpFrame)
-            else Frame(b"", item.reason)
-            for item in items
-        ]
-
-
-class SerialFrameTap:
-    """Frames of the serial line among other bytes; with `has_handshake` eleven bytes of the robot come first."""
-
-    wide = False
-
-    def __init__(self, has_handshake: bool) -> None:
-        self._requests = SerialFramer(HOST_LIMIT)
-        self._replies = SerialFramer()
-        self._handshake: bytes | None = b"" if has_handshake else None
-
-    def resume(self, wide: bool) -> None:
-        """Continue without expecting a handshake."""
-        del wide
-        self._handshake = None
-
-    def to_robot(self, data: bytes) -> list[Frame]:
-        """Return completed requests, and what was discarded of an incomplete reply."""
-        # A host discards what it has received before it sends a request.
-        missed = self._replies.pending
-        self._replies.clear()
-        discarded = [Frame(b"", f"{missed} bytes of an answer that never became whole")] if missed else []
-        return discarded + _frames_of(self._requests, data)
-
-    def to_host(self, data: bytes) -> list[Frame]:
-        """Return the handshake if one is expected, then completed replies."""
-        if self._handshake is None:
-            return _frames_of(self._replies, data)
-        self._handshake += data
-        if len(self._handshake) < HANDSHAKE_SIZE:
-            return []
-        handshake, rest = self._handshake[:HANDSHAKE_SIZE], self._handshake[HANDSHAKE_SIZE:]
-        self._handshake = None
-        return [Frame(handshake), *_frames_of(self._replies, rest)]
-
-
-def _frames_of(framer: SerialFramer, data: bytes) -> list[Frame]:
-    before = framer.skipped_bytes
-    frames = [Frame(serial_framing.build_frame(frame.type, frame.data)) for frame in framer.receive(data)]
-    skipped = framer.skipped_bytes - before
-    return [Frame(b"", f"{skipped} bytes that are no frame"), *frames] if skipped else frames
-
-
 # -- recorders --------------------------------------------------------------------------------------------------------
 
 _MAX_STEPS: Final = 1000
@@ -203,7 +188,6 @@ class ConnectionRecorder(Protocol):
 
     def to_robot(self, data: bytes) -> None:
         """Record bytes sent to the robot."""
-        ...
 
     def to_host(self, data: bytes, by_time: bool = False) -> None:
         """Record bytes from the robot.
@@ -215,11 +199,9 @@ class ConnectionRecorder(Protocol):
         by_time
             True if the reply was sent because simulated time passed.
         """
-        ...
 
     def close(self) -> None:
         """Record the end of the connection; idempotent."""
-        ...
 
 
 class TrafficRecorder(Protocol):
@@ -227,23 +209,18 @@ class TrafficRecorder(Protocol):
 
     def open(self, name: str, line: str, model: Model, robot_id: int | None = None) -> ConnectionRecorder:
         """Start the record of a connection."""
-        ...
 
     def record_step(self, dt_s: float) -> None:
         """Record a time step of `dt_s` seconds that no request caused."""
-        ...
 
     def record_pace(self, factor: float | None, paused: bool) -> None:
         """Record a change of pace that no request caused; State[0] shows the pace."""
-        ...
 
     def record_change(self, what: Mapping[str, Any]) -> None:
         """Record a change of the simulation that no request caused."""
-        ...
 
     def close(self) -> None:
         """Write the last time steps and close the recording."""
-        ...
 
 
 class Recorder:
@@ -389,11 +366,23 @@ class RecordingStream:
     """A stream that records its traffic in the order and the pieces of the program's calls.
 
     Bytes are recorded before they are sent, because part of them may be sent even if sending fails.
+
+    Parameters
+    ----------
+    stream
+        The stream to record.
+    recorder
+        Recorder of this connection.
+    on_close
+        Called once the end is recorded.
     """
 
-    def __init__(self, stream: ByteStream, recorder: ConnectionRecorder) -> None:
+    def __init__(
+        self, stream: ByteStream, recorder: ConnectionRecorder, on_close: Callable[[], None] = lambda: None
+    ) -> None:
         self._stream = stream
         self._recorder = recorder
+        self._on_close = on_close
         self._closed = False
 
     def send(self, data: bytes) -> None:
@@ -414,14 +403,7 @@ class RecordingStream:
         if not self._closed:
             self._closed = True
             self._recorder.close()
-
-
-class RecordingTarget(NamedTuple):
-    """Address, protocol (one of LINES) and robot model of a recorded connection."""
-
-    address: str
-    line: str
-    model: Model
+            self._on_close()
 
 
 class ClientRecording:
@@ -431,8 +413,12 @@ class ClientRecording:
     ----------
     path
         File to write.
-    target
-        Address, protocol and model.
+    address
+        Address of the robot.
+    line
+        Protocol, one of LINES.
+    model
+        Model of the robot.
     clock
         Returns seconds since the start; None for the robot's clock, so that the same run gives the same file.
     started
@@ -447,7 +433,9 @@ class ClientRecording:
     def __init__(
         self,
         path: Path,
-        target: RecordingTarget,
+        address: str,
+        line: str,
+        model: Model,
         clock: Callable[[], float] | None = None,
         started: datetime | None = None,
     ) -> None:
@@ -455,26 +443,14 @@ class ClientRecording:
             "package": version(),
             "started": started and started.isoformat(timespec="seconds"),
             "time": "the robot's clock" if clock is None else "seconds since the start",
-            "address": target.address, "wire": target.line, "model": target.model.name,
+            "address": address, "wire": line, "model": model.name,
         }  # fmt: skip
         self._recorder = Recorder(RecordingWriter(path, header), clock)
-        self._line, self._model = target.line, target.model
+        self._line, self._model = line, model
         self._count = 0
 
     def wrap(self, stream: ByteStream) -> RecordingStream:
-        """Return a stream that records `stream` as the next connection."""
+        """Return a stream that records `stream` as the next connection. The file is open as long as a connection is."""
         self._count += 1
         connection = self._recorder.open(str(self._count), self._line, self._model)
-        return RecordingStream(stream, _ReleasingRecorder(connection, self._recorder))
-
-
-class _ReleasingRecorder:
-    """ConnectionRecorder that closes the file with the connection; the next connection opens it again."""
-
-    def __init__(self, connection: ConnectionRecorder, recorder: Recorder) -> None:
-        self._connection, self._recorder = connection, recorder
-        self.to_robot, self.to_host = connection.to_robot, connection.to_host
-
-    def close(self) -> None:
-        self._connection.close()
-        self._recorder.release()
+        return RecordingStream(stream, connection, self._recorder.release)

@@ -19,14 +19,10 @@ from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple
 
 from nclient.errors import AddressError, RecordingError, WireError
-from nclient.protocol import (
-    codec,
-    serial_framing,
-    tcp_framing,
-)
+from nclient.protocol import codec, serial_framing
+from nclient.protocol.codec import request_bounds
 from nclient.protocol.commands import BY_NAME, REPLY_TYPES, Call
 from nclient.protocol.replies import LINE_STATE, STATE
-from nclient.protocol.tcp_framing import request_bounds
 from nclient.protocol.types import N150, Model, get_model
 from nclient.protocol.wire_state import serial_wire_state
 from nclient.recording.format import IN, OPEN, OUT, Entry, Recording
@@ -109,7 +105,7 @@ class RequestReader:
 
     def _decode(self, data: bytes) -> Call:
         if self._tcp:
-            return codec.decode_tcp_request(tcp_framing.parse_single_frame(data, request_bounds, self.tap.wide))
+            return codec.decode_tcp_request(codec.parse_single_frame(data, request_bounds, self.tap.wide))
         return codec.decode_serial_request(serial_framing.parse_single_frame(data), self._wire_state)
 
 

@@ -141,15 +141,12 @@ class Listener(Protocol):
 
     def accept(self) -> ByteStream:
         """Wait for the next connection and return it."""
-        ...
 
     def has_pending_request(self) -> bool:
         """Return True if a connection that is not served yet has sent something."""
-        ...
 
     def close(self) -> None:
         """Stop listening. May be called twice."""
-        ...
 
 
 class TcpListener:

@@ -21,7 +21,7 @@ from typing import Final
 
 from nclient.backends.base import Backend
 from nclient.backends.wrappers import POLL_S, SpeedLimiter
-from nclient.connect import Connector
+from nclient.connector import Connector
 from nclient.url import parse_address
 from nserver_emu.gateway.gateway import TIMEOUT_S, Gateway, RealRobotProxy
 from nserver_emu.server.daemon import Daemon

@@ -5,3 +5,11 @@ simulation > multi_robot > robot              which robots may meet
                    > encoders | chassis       reported | true pose > collision  contact and bumpers
                    > sonar, infrared, laser, compass               > noise, odometry: errors; models: which robot
 """
+
+from __future__ import annotations
+
+import logging
+
+# As a library the emulator logs nothing, unless the program that uses it sets up logging. Here, in the package that all
+# others import, because importing `logging` in the root would delay the start of `nserver`.
+logging.getLogger("nserver_emu").addHandler(logging.NullHandler())

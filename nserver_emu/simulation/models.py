@@ -27,17 +27,22 @@ from dataclasses import dataclass, replace
 from math import degrees, radians, tau
 from pathlib import Path
 from types import MappingProxyType
-from typing import Final
+from typing import Final, TypeVar
+
+from msgspec import UNSET, UnsetType
 
 from nclient.common.hints import suggest
+from nclient.common.validation import InvalidValue, given, keys_of, reported_as, unknown_key
+from nclient.errors import WorldFileError
 from nserver_emu.simulation.axis import MAX_RESTORED_SPEED, AxisLimits
 from nserver_emu.simulation.drive import NO_AXIS, DifferentialDrive, Drive, SynchroDrive
+from worlds.robots import MAX_BUMPERS, SONARS, AngularAxis, Body, Calibration, LinearAxis, ModelTable, read_model_file
 from worlds.robots import N150 as N150_BODY
 from worlds.robots import N200 as N200_BODY
 from worlds.robots import SCOUT as SCOUT_BODY
-from worlds.robots import SONARS, Body, Calibration, parse_calibration
-from worlds.robots import TABLES as CALIBRATION_TABLES
-from worlds.schema import INCHES_PER_UNIT, Table, parse_toml, read_text
+from worlds.schema import INCHES_PER_UNIT, read_text
+
+T = TypeVar("T")
 
 ROLLING: Final = AxisLimits(
     top_speed=20.0,
@@ -150,9 +155,6 @@ SCOUT: Final = RobotModel("scout", SCOUT_BODY, (WHEEL, WHEEL, NO_AXIS), SCOUT_TR
 MODELS: Final[Mapping[str, RobotModel]] = MappingProxyType({model.name: model for model in (N150, N200, SCOUT)})
 """The predefined models by name."""
 
-MAX_BUMPERS: Final = 24
-"""Bits in the three bytes of State[33]."""
-
 SYNCHRO_AXES: Final = ("translation", "steering", "turret")
 WHEELS: Final = ("right", "left")
 SPEEDS: Final = ("top_speed", "top_acceleration", "speed", "acceleration")
@@ -165,81 +167,69 @@ def load_models(path: Path) -> Mapping[str, RobotModel]:
 
 def parse_models(text: str, file: str) -> Mapping[str, RobotModel]:
     """Return the models of a file's text; `file` is its name in errors. A model may derive from an earlier one."""
-    values = parse_toml(text, file)
-    top = Table(file, "", values)
-    top.allow(("model",))
+    rows = read_model_file(text, file)
     models = dict(MODELS)
-    taken: set[str] = set()
-    for table in top.tables("model"):
-        model = _parse_model(table, models)
-        if model.name in taken:
-            table.fail("name", f"{model.name!r} is taken by an earlier model; expected another")
-        taken.add(model.name)
-        models[model.name] = model
-    if not taken:
-        top.fail("", "expected at least one [[model]], found none")
+    with reported_as(WorldFileError, file):
+        if not rows:
+            raise InvalidValue("expected at least one [[model]], found none")
+        for number, row in enumerate(rows):
+            if any(row.name == earlier.name for earlier in rows[:number]):
+                complaint = f"{row.name!r} is taken by an earlier model; expected another"
+                raise InvalidValue(complaint, f"model[{number}].name")
+            models[row.name] = _parse_model(row, models, f"model[{number}]")
     return MappingProxyType(models)
 
 
-def _parse_model(table: Table, models: Mapping[str, RobotModel]) -> RobotModel:
-    # 1. The name, and the model it derives from.
-    name = table.text("name", "")
-    if not name or name != name.strip().lower():
-        table.fail("name", f"expected a name in small letters, found {name!r}")
-    like = table.text("like", name)
+def _parse_model(row: ModelTable, models: Mapping[str, RobotModel], place: str) -> RobotModel:
+    # 1. The model it derives from.
+    like = row.like or row.name
     if like not in models:
-        key = "like" if "like" in table.values else "name"
-        table.fail(
-            key, f"expected a model to be made from, `like` one of {', '.join(models)}, found {like!r}"
-            f"{suggest(like, models)}"
+        raise InvalidValue(
+            f"expected a model to be made from, `like` one of {', '.join(models)}, found {like!r}"
+            f"{suggest(like, models)}", f"{place}.{'like' if row.like else 'name'}",
         )  # fmt: skip
     base = models[like]
-    # 2. Unknown keys.
+    # 2. Keys of the other drive.
     axes = SYNCHRO_AXES if base.track_in is None else WHEELS
-    table.allow(
-        ("name", "like", "bumpers", "compass", *axes, *CALIBRATION_TABLES),
-        ("radius", "sonar_ring_radius", *(() if base.track_in is None else ("track",))),
-    )
+    other = {*SYNCHRO_AXES, *WHEELS, *(f"track_{unit}" for unit in INCHES_PER_UNIT if base.track_in is None)} - {*axes}
+    for key in given(row):
+        if key in other:
+            unknown = unknown_key(key, (name for name in keys_of(row) if name not in other))
+            raise InvalidValue(unknown.complaint, f"{place}.{key}")
     # 3. Values.
-    limits = [_parse_axis(table, axis, base.axes[row], base.in_inches[row]) for row, axis in enumerate(axes)]
+    limits = [_parse_axis(getattr(row, axis), base.axes[number]) for number, axis in enumerate(axes)]
     first, second, third = (*limits, *base.axes[len(limits) :])
-    return replace(
-        base,
-        name=name,
-        family=base.family,
-        body=_parse_body(table, name, base.body),
-        axes=(first, second, third),
-        has_compass=table.flag("compass") if "compass" in table.values else base.has_compass,
-        track_in=None if base.track_in is None else _length(table, "track", base.track_in),
-        calibration=parse_calibration(table) if {*CALIBRATION_TABLES} & {*table.values} else base.calibration,
-    )
-
-
-def _parse_body(table: Table, name: str, base: Body) -> Body:
     # Bumpers are evenly spaced from the front.
-    count = table.index("bumpers", MAX_BUMPERS + 1)
-    if count == 0:
-        table.fail("bumpers", f"expected 1 to {MAX_BUMPERS}, found 0")
-    angles = base.bumper_angles_rad if count is None else tuple(tau * number / count for number in range(count))
-    return replace(
-        base,
-        name=name,
-        radius_in=_length(table, "radius", base.radius_in),
-        sonar_ring_radius_in=_length(table, "sonar_ring_radius", base.sonar_ring_radius_in),
+    count = row.bumpers
+    angles = base.body.bumper_angles_rad if count is UNSET else tuple(tau * k / count for k in range(count))
+    body = replace(
+        base.body,
+        name=row.name,
+        radius_in=_or(row.radius, base.body.radius_in),
+        sonar_ring_radius_in=_or(row.sonar_ring_radius, base.body.sonar_ring_radius_in),
         bumper_angles_rad=angles,
     )
-
-
-def _parse_axis(model: Table, name: str, base: AxisLimits, in_inches: bool) -> AxisLimits:
-    """Return the limits of one axis; a speed at power-on above the new top speed is reduced to it."""
-    if name not in model.values:
-        return base
-    table = model.table(name)
-    table.allow(*(((), SPEEDS) if in_inches else ([f"{speed}_deg" for speed in SPEEDS],)))
-    top_speed, top_acceleration, speed, acceleration = (
-        _length(table, key, getattr(base, key)) if in_inches else _angle(table, key, getattr(base, key))
-        for key in SPEEDS
+    return replace(
+        base,
+        name=row.name,
+        body=body,
+        axes=(first, second, third),
+        has_compass=_or(row.compass, base.has_compass),
+        track_in=_or(row.track, base.track_in),
+        calibration=row.calibration() or base.calibration,
     )
+
+
+def _parse_axis(row: LinearAxis | AngularAxis | UnsetType, base: AxisLimits) -> AxisLimits:
+    """Return the limits of one axis; a speed at power-on above the new top speed is reduced to it."""
+    if row is UNSET:
+        return base
+    if isinstance(row, LinearAxis):
+        values = [_or(getattr(row, key), getattr(base, key)) for key in SPEEDS]
+    else:
+        angles = {key: getattr(row, f"{key}_deg") for key in SPEEDS}
+        values = [getattr(base, key) if angle is UNSET else radians(angle) for key, angle in angles.items()]
+    top_speed, top_acceleration, speed, acceleration = values
     return replace(
         base,
         top_speed=top_speed,
@@ -250,19 +240,5 @@ def _parse_axis(model: Table, name: str, base: AxisLimits, in_inches: bool) -> A
     )
 
 
-def _length(table: Table, name: str, default_in: float) -> float:
-    """Return a length, or a speed in lengths, above 0; the default where none is given."""
-    if not any(f"{name}_{unit}" in table.values for unit in INCHES_PER_UNIT):
-        return default_in
-    return _positive(table, table.key_of(name), table.length_in(name))
-
-
-def _angle(table: Table, name: str, default_rad: float) -> float:
-    key = f"{name}_deg"
-    return _positive(table, key, table.angle_rad(name)) if key in table.values else default_rad
-
-
-def _positive(table: Table, key: str, value: float) -> float:
-    if value <= 0.0:
-        table.fail(key, f"expected more than 0, found {table.values[key]}")
-    return value
+def _or(value: T | UnsetType, default: T) -> T:
+    return default if value is UNSET else value

@@ -29,22 +29,25 @@ from enum import IntEnum
 from math import radians, sqrt
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final, NamedTuple
+from typing import Annotated, Any, Final, NamedTuple
 
+import msgspec
 import numpy as np
+from msgspec import UNSET, Meta, UnsetType
 
 from nclient.common.hints import suggest
-from nclient.errors import AddressError
+from nclient.common.validation import InvalidValue, Text, convert, given, one_of, reported_as
+from nclient.errors import AddressError, WorldFileError
 from nserver_emu.simulation.acoustics import Polaroid, SonarErrors
 from nserver_emu.simulation.compass import NO_COMPASS_NOISE, CompassNoise
 from nserver_emu.simulation.infrared import NO_INFRARED_NOISE, InfraredNoise
 from nserver_emu.simulation.models import RobotModel
 from nserver_emu.simulation.odometry import EXACT, Odometry
 from nserver_emu.simulation.segments import ConstantAccelerationSegment
-from nserver_emu.simulation.settings import SONAR_NUMBERS, Key, keys_of, setting
+from nserver_emu.simulation.settings import Key, keys_of, setting
 from nserver_emu.simulation.sonar import IDEAL_SONAR, SonarModel, SonarNoise
 from worlds.robots import SONARS, Calibration
-from worlds.schema import Table, parse_toml, read_text
+from worlds.schema import parse_toml, read_text
 
 log = logging.getLogger(__name__)
 
@@ -252,79 +255,84 @@ def load_setup(path: Path) -> RobotSetup:
     return parse_setup(read_text(path), str(path), path.stem)
 
 
+def _table_type(name: str, keys: Iterable[Key], *more: tuple[str, Any, Any], conditions: Iterable[Any] = ()) -> Any:
+    """Return the type of a table in which every key is optional; keys of earlier versions are still read.
+
+    `more` are further fields, `conditions` those on several keys as JSON Schema.
+    """
+    fields = [*more, *((key.name, key.type | UnsetType, UNSET) for key in keys)]
+    old = Meta(extra_json_schema={"deprecated": True})
+    fields += [(key.former, Annotated[key.type | UnsetType, old], UNSET) for key in keys if key.former]
+    both = [{"not": {"required": [key.name, key.former]}} for key in keys if key.former]
+    namespace = {"__doc__": f"{name}: how realistic a simulation is.", "CONDITIONS": [*both, *conditions]}
+    return msgspec.defstruct(name, fields, namespace=namespace, frozen=True, forbid_unknown_fields=True)
+
+
+def _keys_in(table: str) -> list[Key]:
+    return [key for key in KEYS if key.table == table]
+
+
+# Keys of the Polaroid ring cannot stand beside exact rays, whether those are named or the base's.
+_RING: Final = {"model": {"const": POLAROID}}
+_RING_BASES: Final = [name for name, setup in SETUPS.items() if isinstance(setup.sonar, Polaroid)]
+_RING_KEYS: Final = [name for key in KEYS if key.sonar_model for name in (key.name, key.former) if name]
+_RING_CONDITIONS: Final = [{"anyOf": [
+    {"properties": {"sonar": {"properties": _RING, "required": ["model"]}}, "required": ["sonar"]},
+    {"properties": {"sonar": {"properties": _RING}, "base": {"enum": _RING_BASES}}, "required": ["base"]},
+    {"properties": {"sonar": {"properties": dict.fromkeys(_RING_KEYS, False)}}},
+]}]  # fmt: skip
+_MODEL: Final = ("model", Annotated[one_of(SONAR_MODELS), Meta(description="one exact ray, or a Polaroid ring")], "")
+SetupFile: Final = _table_type(
+    "Setup", _keys_in(""),
+    ("base", Annotated[one_of(SETUPS), Meta(description="setup that it derives from; default: ideal")], IDEAL.name),
+    ("name", Annotated[Text, Meta(description="default: the name of the file")], ""),
+    *((part, _table_type(part.capitalize(), _keys_in(part), *[_MODEL][: part == "sonar"]) | UnsetType, UNSET)
+      for part in TABLES),
+    conditions=_RING_CONDITIONS,
+)  # fmt: skip
+"""A setup file: how realistic a simulation is."""
+
+
 def parse_setup(text: str, file: str, name: str) -> RobotSetup:
     """Return the setup of a file's text; `file` is its name in errors, `name` the setup's unless the text gives one."""
-    # 1. Top of the file.
-    values = parse_toml(text, file)
-    top = Table(file, "", values)
-    top.allow(("base", "name", *(key.name for key in KEYS if not key.table), *TABLES))
-    base_name = top.text("base", IDEAL.name)
-    if base_name not in SETUPS:
-        names = ", ".join(SETUPS)
-        top.fail("base", f"expected one of {names}, found {base_name!r}{suggest(base_name, SETUPS)}")
-    base = SETUPS[base_name]
-    # 2. Tables.
-    parts: dict[str, Any] = {part: _parse_part(top.table(part), base) for part in TABLES if part in values}
-    return replace(base, name=top.text("name", name), **_parse_fields(top, base, KEYS), **parts)
+    with reported_as(WorldFileError, file):
+        values = convert(parse_toml(text, file), SetupFile)
+        base = SETUPS[values.base]
+        tables = {part: getattr(values, part) for part in TABLES if getattr(values, part) is not UNSET}
+        parts = {part: _read_part(row, part, base, file) for part, row in tables.items()}
+        return replace(base, name=values.name or name, **_read_fields(values, "", file), **parts)
 
 
-def _parse_part(table: Table, base: RobotSetup) -> Any:
+def _read_part(row: Any, part: str, base: RobotSetup, file: str) -> Any:
     """Return one part of a setup as its table gives it."""
-    keys = [key for key in KEYS if key.table == table.path]
-    table = _with_current_names(table, keys)
-    if table.path != "sonar":
-        table.allow(key.name for key in keys)
-        return replace(getattr(base, table.path), **_parse_fields(table, base, keys))
-    # The sonar table also selects the model, and has keys that only one model knows.
-    model = _parse_sonar_model(table, base.sonar)
-    chosen = RAY if isinstance(model, SonarNoise) else POLAROID
-    table.allow(("model", *(key.name for key in keys)))
-    for key in keys:
-        other = key.sonar_model
-        if key.name in table.values and other not in ("", chosen):
-            table.fail(key.name, f'belongs to the model "{other}"; expected it beside model = "{other}"')
-    return replace(model, **_parse_fields(table, replace(base, sonar=model), keys))
+    current, found = getattr(base, part), _read_fields(row, part, file)
+    if part == "sonar":
+        # The sonar table also selects the model, and has keys that only one model knows.
+        model = SONAR_MODELS[row.model] if row.model else type(current)
+        # A new model keeps the base's common settings.
+        if not isinstance(current, model):
+            current = model(**{field: getattr(current, field) for field in _COMMON})
+        for key in _keys_in(part):
+            if key.field in found and not hasattr(current, key.field):
+                other = key.sonar_model
+                complaint = f'belongs to the model "{other}"; expected it beside model = "{other}"'
+                raise InvalidValue(complaint, f"{part}.{key.name}")
+    return replace(current, **found)
 
 
-def _with_current_names(table: Table, keys: Iterable[Key]) -> Table:
-    """Return a table in which keys of earlier versions have their current names; log a warning for each."""
-    values = dict(table.values)
-    for key in keys:
-        if key.former and key.former in values and key.name not in values:
-            log.warning("%s: %s.%s is now called %s", table.file, table.path, key.former, key.name)
-            values[key.name] = values.pop(key.former)
-    return Table(table.file, table.path, values)
-
-
-def _parse_sonar_model(table: Table, base: SonarModel) -> SonarModel:
-    """Return the sonar model before its settings are applied; a new model keeps the base's common settings."""
-    chosen = RAY if isinstance(base, SonarNoise) else POLAROID
-    name = table.text("model", chosen)
-    if name not in SONAR_MODELS:
-        table.fail(
-            "model", f"expected one of {', '.join(SONAR_MODELS)}, found {name!r}{suggest(name, SONAR_MODELS)}"
-        )  # fmt: skip
-    if name == chosen:
-        return base
-    return SONAR_MODELS[name](**{field: getattr(base, field) for field in _COMMON})
-
-
-def _parse_fields(table: Table, base: RobotSetup, keys: Iterable[Key]) -> dict[str, Any]:
-    """Return the fields that a table sets, in the simulation's units."""
-    given = [key for key in keys if key.table == table.path and key.name in table.values]
-    return {key.field: _parse_value(table, key, key.of(base)) for key in given}
-
-
-def _parse_value(table: Table, key: Key, current: object) -> Any:
-    # The type of the current value decides how the key is read.
-    if isinstance(current, bool):
-        return table.flag(key.name)
-    if key.unit == SONAR_NUMBERS:
-        return table.indices(key.name, SONARS)
-    if isinstance(current, tuple):
-        return table.numbers(key.name, len(current), key.low, key.high)
-    number = table.number(key.name, key.low, key.high)
-    return radians(number) if key.in_degrees else number
+def _read_fields(row: Any, table: str, file: str) -> dict[str, Any]:
+    """Return the fields that a table gives; log a warning for each key of an earlier version."""
+    found: dict[str, Any] = {}
+    values = given(row)
+    for key in _keys_in(table):
+        if key.former in values:
+            log.warning("%s: %s.%s is now called %s", file, table, key.former, key.name)
+            if key.name in values:
+                raise InvalidValue(f"is the former name of {key.name}; expected one of them", f"{table}.{key.former}")
+            values[key.name] = values[key.former]
+        if key.name in values:
+            found[key.field] = key.from_file(values[key.name])
+    return found
 
 
 def apply_calibration(model: RobotModel, setup: RobotSetup) -> RobotSetup:

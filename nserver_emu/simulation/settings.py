@@ -7,8 +7,12 @@ range, the unit and the meaning stand here once. Angles are radians in the field
 from __future__ import annotations
 
 from dataclasses import field, fields
-from math import degrees, isfinite
-from typing import Any, Final, NamedTuple
+from math import degrees, isfinite, radians
+from typing import Annotated, Any, Final, NamedTuple
+
+from msgspec import Meta
+
+from nclient.common.validation import InvalidValue
 
 _SETTING: Final = "setting"
 SONAR_NUMBERS: Final = "sonars"
@@ -32,6 +36,8 @@ class Key(NamedTuple):
         Key of earlier versions, still read; "" for none.
     sonar_model
         The only sonar model that has this key; "" for both.
+    default
+        Default of the dataclass, in the simulation's units.
     """
 
     table: str
@@ -42,6 +48,7 @@ class Key(NamedTuple):
     meaning: str
     former: str = ""
     sonar_model: str = ""
+    default: object = 0.0
 
     @property
     def name(self) -> str:
@@ -52,6 +59,31 @@ class Key(NamedTuple):
     def in_degrees(self) -> bool:
         """True for an angle, which the simulation holds in radians."""
         return self.field.endswith("_rad")
+
+    @property
+    def type(self) -> Any:
+        """Type of the value in a file."""
+        description = f"{self.meaning}, {self.unit}" if self.unit else self.meaning
+        if isinstance(self.default, bool):
+            return Annotated[bool, Meta(description=description)]
+        if self.unit == SONAR_NUMBERS:
+            title = f"a list of whole numbers from {self.low} to {self.high}"
+            meta = Meta(title=title, description=self.meaning, extra_json_schema={"uniqueItems": True})
+            return Annotated[tuple[Annotated[int, Meta(ge=self.low, le=self.high)], ...], meta]
+        if not isinstance(self.default, tuple):
+            return Annotated[float, Meta(ge=self.low, le=self.high, description=description)]
+        count = len(self.default)
+        title = f"a list of {count} numbers"
+        meta = Meta(min_length=count, max_length=count, title=title, description=description)
+        return Annotated[tuple[Annotated[float, Meta(ge=self.low, le=self.high)], ...], meta]
+
+    def from_file(self, value: Any) -> Any:
+        """Return a value of a file in the simulation's units. Raises InvalidValue."""
+        if self.unit == SONAR_NUMBERS:
+            if len(set(value)) < len(value):
+                raise InvalidValue(f"expected each number once, found {list(value)}", f"{self.table}.{self.name}")
+            return tuple(sorted(value))
+        return radians(value) if self.in_degrees else value
 
     def of(self, setup: object) -> object:
         """Return a setup's value in the simulation's units; None where its sonar model has no such setting."""
@@ -79,6 +111,6 @@ def setting(default: Any, low: float, high: float, unit: str, meaning: str, form
 def keys_of(table: str, kind: type, sonar_model: str = "") -> tuple[Key, ...]:
     """Return the keys of a dataclass, in the order of its fields."""
     return tuple(
-        row.metadata[_SETTING]._replace(table=table, field=row.name, sonar_model=sonar_model)
+        row.metadata[_SETTING]._replace(table=table, field=row.name, sonar_model=sonar_model, default=row.default)
         for row in fields(kind) if _SETTING in row.metadata
     )  # fmt: skip

@@ -26,6 +26,7 @@ from aiohttp import WSCloseCode, WSMsgType, web
 
 from nclient.common.allowlist import LOOPBACK_NAME, NOT_ALLOWED, is_loopback, is_same_machine
 from nclient.errors import ConnectionLost
+from nserver_emu.server.admission import listen
 from nserver_emu.viewer.auth import (
     HTTP_LOG,
     REFUSED,
@@ -157,8 +158,7 @@ class ViewerServer:
         try:
             assert self._runner.server is not None
             self._admission = HttpAdmission(self._door, self._runner.server)
-            loop = asyncio.get_running_loop()
-            self._server = await loop.create_server(self._admission.protocol_factory, host, port)
+            self._server = await listen(self._admission.protocol_factory, host, port)
         except OSError as error:
             await self._runner.cleanup()
             remedy = REMEDIES.get(error.errno or 0, "take an address of this machine")

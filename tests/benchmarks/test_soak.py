@@ -58,11 +58,11 @@ def test_wrong_number_is_reported_and_sets_exit_code(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     target = Target(0, 0, "", "", "")
-    for is_kept in (True, False):
-        found = [Finding("tasks left over", 0 if is_kept else 2, "0", is_kept)]
+    for is_met in (True, False):
+        found = [Finding("tasks left over", 0 if is_met else 2, "0", is_met)]
         monkeypatch.setattr(soak, "run", lambda *_, findings=found: (GOOD, target, findings))
-        assert soak.main([]) == (0 if is_kept else 1)
-        assert capsys.readouterr().out.startswith("ok     tasks" if is_kept else "BROKEN tasks left over: 2 (bound: 0)")
+        assert soak.main([]) == (0 if is_met else 1)
+        assert capsys.readouterr().out.startswith("ok     tasks" if is_met else "BROKEN tasks left over: 2 (bound: 0)")
 
 
 def test_short_run(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,7 +13,7 @@ from localization.experiments import __main__ as experiments
 from localization.experiments import live_trial
 from localization.experiments.execution import ClusterError, code_hash, drive_batch, drive_on_cluster, on_cluster
 from localization.experiments.figure_trial import FIGURES
-from localization.experiments.live import TrialCache
+from localization.experiments.live import trial_cache
 from localization.experiments.live_trial import TrialJob, trials
 
 distributed = pytest.importorskip("distributed")
@@ -32,7 +32,7 @@ def test_live_trials_are_identical(address: str, tmp_path: Path) -> None:
     arguments = ["--scenario", "exact", "measured", "--figures", "5.4", "--methods", "ekf", "mcl", "--seeds", "2"]
     whole = ["live", *arguments, "--periods", "12", "--no-pictures", "--out", str(tmp_path), "--cluster", address]
     assert experiments.main(whole) == 0
-    store = TrialCache(tmp_path / "trials", code_hash())
+    store = trial_cache(tmp_path / "trials", code_hash())
     for trial in trials(["exact", "measured"], ["5.4"], ["ekf", "mcl"], 2, 12):
         there = store.get(trial)
         assert there is not None

@@ -15,9 +15,9 @@ import pytest
 
 from nclient.errors import ConnectionLost
 from nclient.protocol import codec
+from nclient.protocol.codec import InvalidFrame, TcpFrame
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
-from nclient.protocol.tcp_framing import InvalidFrame, TcpFrame
 from nserver_emu.server.connection import MAX_BYTES_PER_TURN, MAX_REQUESTS_PER_TURN, TcpConnection
 from nserver_emu.server.context import Allowed, SimulationClock
 from nserver_emu.server.daemon import Daemon, stop_on_signals
@@ -134,14 +134,14 @@ async def test_bytes_and_requests_per_turn_are_limited(monkeypatch: pytest.Monke
 
 async def test_reading_pauses_while_reply_is_deferred(monkeypatch: pytest.MonkeyPatch) -> None:
     turns = 0
-    next_turn_original = TcpConnection._next_turn
+    run_turn_original = TcpConnection.run_turn
 
-    def next_turn(connection: TcpConnection) -> None:
+    def run_turn(connection: TcpConnection) -> None:
         nonlocal turns
-        turns += 1
-        next_turn_original(connection)
+        turns += connection.session.waiting
+        run_turn_original(connection)
 
-    monkeypatch.setattr(TcpConnection, "_next_turn", next_turn)
+    monkeypatch.setattr(TcpConnection, "run_turn", run_turn)
     async with running_server() as server:
         waiting, other = await server.connect_client(), await server.connect_client()
         await waiting.ask("vm", 0, 0, 20)

@@ -319,14 +319,14 @@ def test_speed_limits_of_address_apply(model: str) -> None:
 def fastest(robot: Robot, ask: Callable[[Robot], object]) -> tuple[float, float]:
     """Return the true speeds in inches and degrees per second in the two seconds after a command."""
     ask(robot)
-    ways_in_s, turns_deg_s = [], []
+    speeds_in_s, turns_deg_s = [], []
     for _ in range(20):
         before = robot.truth()
         robot.refresh()
         after = robot.truth()
         took_s = after.time_s - before.time_s
-        ways_in_s.append(hypot(after.x_in - before.x_in, after.y_in - before.y_in) / took_s)
+        speeds_in_s.append(hypot(after.x_in - before.x_in, after.y_in - before.y_in) / took_s)
         turns_deg_s.append(abs((after.steering_deg - before.steering_deg + 180) % 360 - 180) / took_s)
     robot.stop()
     robot.wait_until_still(10)
-    return max(ways_in_s), max(turns_deg_s)
+    return max(speeds_in_s), max(turns_deg_s)

@@ -16,9 +16,9 @@ from concurrent.futures import ThreadPoolExecutor
 from nclient.backends.nserver import NserverBackend
 from nclient.protocol import codec
 from nclient.protocol import replies as shape
+from nclient.protocol.codec import TcpFrame, TcpFramer, request_bounds
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
-from nclient.protocol.tcp_framing import TcpFrame, TcpFramer, request_bounds
 from nclient.protocol.types import N150, Model
 from nclient.protocol.wire_state import tcp_wire_state
 from nclient.robot import Robot
@@ -88,7 +88,7 @@ class ScriptedServer:
             return answer or b""
         return codec.encode_tcp_reply(row, answer, self.wire_state)
 
-    def _default_reply(self, name: str, layout: shape.ReplyShape) -> Reply:
+    def _default_reply(self, name: str, layout: shape.TcpLayout) -> Reply:
         if name in ("connect_robot", "create_robot"):
             return simple(PORT)
         if layout is shape.STATE:

@@ -16,7 +16,7 @@ from nclient import (
     connect,
     connect_async,
 )
-from nclient.connect import ConnectOptions, is_listening, open_machine
+from nclient.connector import ConnectOptions, is_listening, open_machine
 from nclient.protocol.types import EVERYTHING, N150, N200, SCOUT
 from nclient.transports import memory
 from nclient.transports.memory import MemoryStream
@@ -213,7 +213,7 @@ def test_the_environment_is_the_default_machine(
     open_machine("other", 7654, ConnectOptions(robot_id=2))
     monkeypatch.setenv("NOMAD_ROBOT", "lab:1234")
     assert not is_listening("", 7654)
-    with pytest.raises(AddressError, match="NOMAD_ROBOT: 'lab:1234' is no address"):
+    with pytest.raises(AddressError, match="NOMAD_ROBOT: 'lab:1234'"):
         open_machine("", 7654, ConnectOptions(robot_id=2))
     monkeypatch.setenv("NOMAD_ROBOT", "")
     open_machine("", 7654, ConnectOptions(robot_id=2))
@@ -249,9 +249,9 @@ def test_machine_names_with_port_and_addresses(
 
 
 def test_address_and_program_must_agree_on_the_robot(dialled: list[tuple[str, int]]) -> None:
-    with pytest.raises(AddressError, match=r"'nserver://lab/2' names robot 2, the program asks for robot 1: .*leave"):
+    with pytest.raises(AddressError, match=r"nserver://lab/2' names robot 2.* robot 1: .*leave"):
         open_machine("nserver://lab/2", 7019, ConnectOptions(robot_id=1))
-    with pytest.raises(AddressError, match="the robot's number, 1 or more, not '/one'"):
+    with pytest.raises(AddressError, match="1 or more, not '/one'"):
         open_machine("nserver://lab/one", 7019, ConnectOptions(robot_id=1))
     assert dialled == []
     assert is_listening("nserver://lab/2", 7019)

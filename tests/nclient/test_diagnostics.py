@@ -8,7 +8,7 @@ import pytest
 
 from nclient.backends.base import Backend
 from nclient.backends.nserver import NserverBackend
-from nclient.connect import Connector
+from nclient.connector import Connector
 from nclient.diagnostics import DiagnosticData, Diagnostics, percentile_s, report
 from nclient.protocol import codec
 from nclient.protocol.commands import Call

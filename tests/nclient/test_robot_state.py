@@ -1,4 +1,4 @@
-"""A robot's state in people's units: judged by the numbers of PROTOCOL.md, section 3, done by hand."""
+"""A robot's state in inches, metres and degrees, compared with values computed by hand from docs/protocol.md."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from nclient import AddressError, BumperHit, ConnectionLost, ReplyTimeout, Robot, RobotRefused, connect, connect_async
-from nclient.connect import is_listening
+from nclient.connector import is_listening
 from nclient.protocol.client_state import Handshake, build_handshake
 from nclient.protocol.commands import Call
 from nclient.protocol.types import EVERYTHING, N150, N200, SCOUT
@@ -130,7 +130,7 @@ def test_reply_timeouts(bench: Bench) -> None:
         ("serial:///dev/ttyUSB0?tm_s=0&retries=0", None, 1), ("serial:///dev/ttyUSB0?tm_s=0&retries=0", 3, 3),
         ("serial:///dev/ttyUSB0?tm_s=0&retries=0&timeout_s=0.5", 3, 0.5),
     ):  # fmt: skip
-        with pytest.raises(ReplyTimeout, match=f"no answer within {wait_s} s"):
+        with pytest.raises(ReplyTimeout, match=f"no answer .* {wait_s} s"):
             bench.connect(address, timeout_s=given).refresh()
 
 

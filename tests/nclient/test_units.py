@@ -50,13 +50,13 @@ def test_the_default_without_value() -> None:
 
 
 def test_two_units_of_one_quantity_are_rejected() -> None:
-    with pytest.raises(TypeError, match="one of x_in, x_m, not x_in and x_m"):
+    with pytest.raises(TypeError, match=r"one of .*not x_in and x_m"):
         tenths_of(x_in=1, x_m=1)
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_values_that_are_not_finite_are_rejected(value: float) -> None:
-    with pytest.raises(ValueError, match="steering_deg is a finite number"):
+    with pytest.raises(ValueError, match=r"steering_deg .*finite"):
         tenths_of(steering_deg=value)
 
 
@@ -76,7 +76,7 @@ def test_a_firing_order_is_filled_up_with_255() -> None:
 
 @pytest.mark.parametrize("order", [[16], [-1], [255], [0] * 17])
 def test_an_invalid_firing_order_is_rejected(order: list[int]) -> None:
-    with pytest.raises(ValueError, match=r"at most 16 sensors 0\.\.15"):
+    with pytest.raises(ValueError, match=r"at most 16"):
         firing_order(order)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,7 @@ import pytest
 from nclient import url
 from nclient.errors import AddressError
 from nclient.protocol.types import N150, N200, SCOUT
-from nclient.url import OPTIONS, SCHEMES, AddressOptions, parse_address, split_address
+from nclient.url import OPTIONS, SCHEMES, parse_address, split_address
 
 
 def test_split_address_returns_scheme_and_options() -> None:
@@ -26,7 +25,7 @@ def test_url_parts_need_two_slashes_and_a_port_number() -> None:
     parts = split_address("robotd://lab:65001/x?model=n200").url_parts("robotd://host[:port]")
     assert (parts.hostname, parts.port, parts.path) == ("lab", 65001, "/x")
     for wrong in ("robotd:lab", "robotd://lab:port"):
-        with pytest.raises(AddressError, match=r"such an address is robotd://host|an address is robotd://host"):
+        with pytest.raises(AddressError, match="address is robotd://host"):
             split_address(wrong).url_parts("robotd://host[:port]")
 
 
@@ -48,7 +47,7 @@ def test_without_removes_options_and_changes_nothing_else(text: str, left: str) 
 def test_unknown_options_are_ignored_only_on_request() -> None:
     raw = split_address("sim:w?seed=4&feed=1")
     assert raw.parse_options({"feed": url.flag}, ignore_unknown=True) == {"feed": True}
-    with pytest.raises(AddressError, match=r"no option 'seed'; did you mean feed\? There are feed"):
+    with pytest.raises(AddressError, match=r"'seed'.*mean feed.*There are feed"):
         raw.parse_options({"feed": url.flag})
 
 
@@ -77,7 +76,7 @@ def test_option_parsers(parse: Callable[[str], Any], good: str, value: object, b
 
 
 def test_a_repeated_option_is_rejected() -> None:
-    with pytest.raises(AddressError, match=r"'serial:///dev/r1.baud=1.*': baud is given 2 times; expected once"):
+    with pytest.raises(AddressError, match=r"'serial:///dev/r1.baud=1.*': baud .* 2 times"):
         split_address("serial:///dev/r1?baud=1&model=n150&baud=1")
 
 
@@ -116,17 +115,13 @@ def test_the_wire_protocol_of_each_scheme() -> None:
     assert parse_address("sim:thesis_room?line=1").wire == "serial"
 
 
-def test_every_option_has_a_field() -> None:
-    assert [field.name for field in fields(AddressOptions)] == [option.name for option in OPTIONS]
-
-
 def test_docs_list_every_scheme_and_option() -> None:
     page = (Path(__file__).parents[2] / "docs" / "addresses.md").read_text()
     rows = [line.split("|") for line in page.splitlines() if line.startswith("| `")]
     names = [row[1].strip(" `") for row in rows]
     schemes = {name.partition(":")[0] for name in names if ":" in name}
     assert schemes == {*SCHEMES, "sim"}
-    assert [name for name in names if ":" not in name] == [option.name for option in OPTIONS]
-    for option, row in zip(OPTIONS, rows[len(schemes) :], strict=True):
+    assert [name for name in names if ":" not in name] == list(OPTIONS)
+    for (name, option), row in zip(OPTIONS.items(), rows[len(schemes) :], strict=True):
         documented = set(row[2].replace(",", " ").split())
-        assert documented == (set(option.schemes) if option.schemes else {"all"}), option.name
+        assert documented == (set(option.schemes) if option.schemes else {"all"}), name

@@ -8,7 +8,7 @@ from math import asin, atan, hypot
 
 import pytest
 
-from nclient.connect import connect
+from nclient.connector import connect
 
 
 def test_the_laser_shows_the_arc_of_the_other_robot_over_tcp() -> None:

@@ -66,22 +66,18 @@ PATIENCE_S = 10.0
 FED = {"WATCHDOG_USEC": "2000"}
 
 
-def test_an_absent_service_manager_is_notified_later(
+async def test_an_absent_service_manager_is_notified_later(
     caplog: pytest.LogCaptureFixture, tmp_path: Path
 ) -> None:
     place = str(tmp_path / "absent")
-
-    async def scenario() -> None:
-        async with asyncio.timeout(PATIENCE_S), announced(ServiceManager({"NOTIFY_SOCKET": place} | FED)):
-            await asyncio.sleep(0.02)
-            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
-                listener.setblocking(False)
-                listener.bind(place)
-                message = await asyncio.get_running_loop().sock_recv(listener, 100)
-                assert message.split() == [b"READY=1", b"WATCHDOG=1"]
-                assert await asyncio.get_running_loop().sock_recv(listener, 100) == b"WATCHDOG=1"
-
-    asyncio.run(scenario())
+    async with asyncio.timeout(PATIENCE_S), announced(ServiceManager({"NOTIFY_SOCKET": place} | FED)):
+        await asyncio.sleep(0.02)
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
+            listener.setblocking(False)
+            listener.bind(place)
+            message = await asyncio.get_running_loop().sock_recv(listener, 100)
+            assert message.split() == [b"READY=1", b"WATCHDOG=1"]
+            assert await asyncio.get_running_loop().sock_recv(listener, 100) == b"WATCHDOG=1"
     assert caplog.text.count("does not listen") == 1
     assert caplog.text.count("listens again") == 1
 

@@ -46,7 +46,7 @@ def test_wheel_has_only_the_packages(distribution: tuple[Path, Path]) -> None:
     with zipfile.ZipFile(distribution[0]) as archive:
         tops = {name.partition("/")[0] for name in archive.namelist()}
     packages = {"nclient", "nserver_emu", "localization", "worlds"}
-    assert tops == packages | {"nomad_start.py", f"nomad_nserver-{VERSION}.dist-info"}
+    assert tops == packages | {f"nomad_nserver-{VERSION}.dist-info"}
 
 
 def test_sdist_has_files_for_its_scripts(distribution: tuple[Path, Path]) -> None:

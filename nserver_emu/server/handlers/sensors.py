@@ -11,9 +11,8 @@ import math
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import BUMPER_SLOT, COMPASS_SLOT, Position, clamp_word, heading_tenths, wrap_word
 from nclient.protocol.wire_state import LINES
-from nserver_emu.server.context import ServerState
-from nserver_emu.server.session import BAD_VALUES, NOT_AVAILABLE, ConnectionContext, error_reply
-from nserver_emu.server.state_encoder import (
+from nserver_emu.server.context import (
+    ServerState,
     axis_tenths,
     compass_stamps,
     infrared_stamps,
@@ -25,6 +24,7 @@ from nserver_emu.server.state_encoder import (
     stamp_now,
     velocity_tenths,
 )
+from nserver_emu.server.session import BAD_VALUES, NOT_AVAILABLE, ConnectionContext, error_reply
 from nserver_emu.simulation.compass import CompassMode
 from nserver_emu.simulation.infrared import INFRAREDS
 

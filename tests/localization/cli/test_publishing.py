@@ -84,7 +84,7 @@ def test_only_waypoints_set_later_are_returned() -> None:
 
 
 def test_refusal_of_first_message_raises_with_reason() -> None:
-    with a_page((403, "the token is wrong")) as (url, _), pytest.raises(ConnectionLost, match="the token is wrong"):
+    with a_page((403, "the token is wrong")) as (url, _), pytest.raises(ConnectionLost, match="token is wrong"):
         Publisher(url).publish({})
 
 
@@ -141,7 +141,7 @@ def test_answer_is_waypoints_and_their_version() -> None:
     b'{"waypoints": [[1' + b"0" * 400 + b', 1]], "set": 1}', b'{"waypoints": 1e999, "set": 1}',
 ])  # fmt: skip
 def test_invalid_answers_raise_value_error(answer: bytes) -> None:
-    with pytest.raises(ValueError, match="invalid answer of the page: "):
+    with pytest.raises(ValueError, match="invalid answer"):
         parse_answer(answer)
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from localization.experiments import __main__ as experiments
 from localization.experiments import live_trial
-from localization.experiments.live import TrialCache, collect
+from localization.experiments.live import collect, trial_cache
 from localization.experiments.live_trial import FinishedTrial, TrialJob, trials
 
 SHORT = ["--scenario", "exact", "--figures", "5.4", "--methods", "ekf", "ukf", "--seeds", "2", "--periods", "8"]
@@ -57,7 +57,7 @@ def test_two_processes_make_the_same_numbers(tmp_path: Path) -> None:
 
 
 def test_cached_trials_are_not_repeated(tmp_path: Path) -> None:
-    store, crew, tallies = TrialCache(tmp_path, "code"), Executor(), list[int]()
+    store, crew, tallies = trial_cache(tmp_path, "code"), Executor(), list[int]()
     collect(WANTED[:2], store, None, crew, tallies.append)
     whole = collect(WANTED, store, None, crew, tallies.append)
     assert [job.trial.seed for job in crew.jobs] == [0, 1, 2]
@@ -72,14 +72,14 @@ def test_interrupted_run_keeps_finished_trials(tmp_path: Path) -> None:
         yield live_trial.run(jobs[0])
         raise KeyboardInterrupt
 
-    store = TrialCache(tmp_path, "code")
+    store = trial_cache(tmp_path, "code")
     with pytest.raises(KeyboardInterrupt):
         collect(WANTED, store, None, interrupted, lambda _: None)
     assert [store.get(trial) is not None for trial in WANTED] == [True, False, False]
 
 
 def test_paths_that_are_missing_or_older_are_driven_for(tmp_path: Path) -> None:
-    store, crew = TrialCache(tmp_path / "trials", "code"), Executor()
+    store, crew = trial_cache(tmp_path / "trials", "code"), Executor()
     collect(WANTED[:1], store, None, crew, lambda _: None)
     collect(WANTED[:1], store, tmp_path / "tum", crew, lambda _: None)
     assert [job.whole for job in crew.jobs] == [False, True]

@@ -38,8 +38,8 @@ def test_without_distributed_the_extra_is_named(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_cluster_without_workers_or_with_other_code_fails() -> None:
-    with pytest.raises(ClusterError, match="no workers: start some with `dask worker there:1`"):
+    with pytest.raises(ClusterError, match=r"no workers.*there:1"):
         _check_workers({}, "there:1", "mine")
-    with pytest.raises(ClusterError, match="different code or numpy on b, c"):
+    with pytest.raises(ClusterError, match=r"different code.* b, c"):
         _check_workers({"a": "mine", "c": "old", "b": "new"}, "there:1", "mine")
     _check_workers({"a": "mine"}, "there:1", "mine")

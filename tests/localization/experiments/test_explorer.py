@@ -7,15 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from localization.experiments.lost_trial import STAND, RandomExplorer
-from localization.navigation.limits import (
-    VelocityCommand,
-)
+from localization.experiments.lost_trial import RandomExplorer
+from localization.navigation.limits import STAND, VelocityCommand
 from localization.navigation.recovery import TURN_RAD_S
 from localization.navigation.roadmap import Roadmap
-from localization.navigation.waypoints import (
-    Speeds,
-)
+from localization.navigation.waypoints import Speeds
 from worlds.geometry import polygon_segments
 
 ROOM = polygon_segments([(0.0, 0.0), (100.0, 0.0), (100.0, 100.0), (0.0, 100.0)])

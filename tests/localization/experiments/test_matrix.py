@@ -4,16 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from localization.experiments.live_trial import (
-    SCENARIOS,
-    Cell,
-    Trial,
-    TrialJob,
-    result_of,
-    run,
-    summaries,
-    trials,
-)
+from localization.experiments.live_trial import SCENARIOS, Cell, Trial, TrialJob, result_of, run, summaries, trials
 
 
 def test_every_combination_has_its_seeds() -> None:

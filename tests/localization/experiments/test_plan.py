@@ -13,8 +13,17 @@ import pytest
 from localization.experiments import execution
 from localization.experiments import plan as plan_command
 from localization.experiments.__main__ import main
-from localization.experiments.execution import ResultCache
-from localization.experiments.plan import APART_IN, SPACE_IN, WORLDS, DrivePair, DriveResult, drive, ends_of
+from localization.experiments.execution import run_cached
+from localization.experiments.plan import (
+    APART_IN,
+    SPACE_IN,
+    WORLDS,
+    DrivePair,
+    DriveResult,
+    drive,
+    drive_cache,
+    ends_of,
+)
 from worlds.io import load_world
 from worlds.robots import N150
 
@@ -53,12 +62,12 @@ def test_saved_drives_are_not_repeated(tmp_path: Path) -> None:
         yield from ((pair, replace(DRIVEN, number=pair.number)) for pair in left)
 
     output: list[int] = []
-    first = plan_command.collect(pairs[:2], ResultCache(tmp_path, "code"), work, output.append)
-    again = plan_command.collect(pairs, ResultCache(tmp_path, "code"), work, output.append)
+    first = run_cached(pairs[:2], drive_cache(tmp_path, "code"), work, output.append)
+    again = run_cached(pairs, drive_cache(tmp_path, "code"), work, output.append)
     assert worked == pairs
     assert output == [0, 1, 2, 2, 3]
     assert {pair: again[pair] for pair in pairs[:2]} == first
-    plan_command.collect(pairs[:1], ResultCache(tmp_path, "other"), work, output.append)
+    run_cached(pairs[:1], drive_cache(tmp_path, "other"), work, output.append)
     assert worked[-1] == pairs[0]
     assert not list(tmp_path.glob("*.part"))
 

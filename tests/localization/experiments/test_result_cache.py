@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 from localization.experiments.execution import ResultCache
 
 
+@dataclass(frozen=True)
+class Numbers:
+    x: float
+    y: float | None
+
+
+def cache(folder: Path, code: str) -> ResultCache[int, Numbers]:
+    return ResultCache(folder, code, Numbers, lambda item: ("run_1", (item, "a")))
+
+
 def test_cached_result_needs_same_key_and_code(tmp_path: Path) -> None:
-    saved = ResultCache(tmp_path / "new", "code")
-    path = saved.path("run_1", (1, "a"))
-    assert saved.get(path) is None
-    saved.put(path, {"x": 0.1, "y": None})
-    assert ResultCache(tmp_path / "new", "code").get(saved.path("run_1", (1, "a"))) == {"x": 0.1, "y": None}
-    assert path.name.startswith("run_1_")
-    assert (
-        len({path, saved.path("run_1", (2, "a")), ResultCache(tmp_path / "new", "other").path("run_1", (1, "a"))}) == 3
-    )
-    assert [file.name for file in (tmp_path / "new").iterdir()] == [path.name]
+    saved = cache(tmp_path / "new", "code")
+    assert saved.get(1) is None
+    saved.put(1, Numbers(0.1, None))
+    assert cache(tmp_path / "new", "code").get(1) == Numbers(0.1, None)
+    assert cache(tmp_path / "new", "other").get(1) is None
+    assert saved.get(2) is None
+    assert saved.path(1).name.startswith("run_1_")
+    assert [file.name for file in (tmp_path / "new").iterdir()] == [saved.path(1).name]

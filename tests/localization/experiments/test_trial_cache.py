@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from localization.experiments.live import TrialCache
+from localization.experiments.live import trial_cache
 from localization.experiments.live_trial import SCENARIOS, Trial, TrialResult
 from localization.filters.sonar_cone import ConeSonar
 
@@ -14,7 +14,7 @@ RESULT = TrialResult(7, True, 10, 0.1 + 0.2, 1e-17, 2.0 / 3.0, 9, 1.0, 2.0, 3.0,
 
 
 def test_cached_result_round_trips_exactly(tmp_path: Path) -> None:
-    store = TrialCache(tmp_path / "new", "code")
+    store = trial_cache(tmp_path / "new", "code")
     assert store.get(TRIAL) is None
     store.put(TRIAL, RESULT)
     assert store.get(TRIAL) == RESULT
@@ -33,13 +33,13 @@ def test_all_that_decides_a_result_is_in_its_name(tmp_path: Path) -> None:
         replace(TRIAL, scenario=replace(scenario, sonar=ConeSonar(margin_db=31.0))),
         replace(TRIAL, scenario=replace(scenario, odometry=replace(scenario.odometry, drift_std=0.003))),
     ]
-    store = TrialCache(tmp_path, "code")
-    names = {store.path(trial) for trial in (TRIAL, *others)} | {TrialCache(tmp_path, "other code").path(TRIAL)}
+    store = trial_cache(tmp_path, "code")
+    names = {store.path(trial) for trial in (TRIAL, *others)} | {trial_cache(tmp_path, "other code").path(TRIAL)}
     assert len(names) == len(others) + 2
 
 
 def test_a_file_cut_short_is_no_result(tmp_path: Path) -> None:
-    store = TrialCache(tmp_path, "code")
+    store = trial_cache(tmp_path, "code")
     store.path(TRIAL).with_suffix(".part").write_text('{"seed": 7', encoding="utf-8")
     assert store.get(TRIAL) is None
     store.put(TRIAL, RESULT)

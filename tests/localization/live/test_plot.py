@@ -31,8 +31,8 @@ def test_without_matplotlib_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")
 def test_a_picture_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
     (tmp_path / "full.png").symlink_to("/dev/full")
-    with pytest.raises(OutputFileError, match=r"full\.png: cannot be written: No space left on device; make room"):
+    with pytest.raises(OutputFileError, match=r"full\.png: .*No space.*make room"):
         plot.save(plot.blank(1.0, 1.0), tmp_path / "full.png")
     (tmp_path / "file").touch()
-    with pytest.raises(OutputFileError, match=r"run\.png: cannot be written: "):
+    with pytest.raises(OutputFileError, match=r"run\.png: .*written"):
         plot.save(plot.blank(1.0, 1.0), tmp_path / "file" / "run.png")

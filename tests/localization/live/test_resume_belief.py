@@ -99,7 +99,7 @@ def test_displacement_std_is_added_after_driven_step() -> None:
 
 def test_another_map_or_robot_is_refused() -> None:
     now = SAVED.encoders
-    with pytest.raises(EstimateFileError, match=r"'thesis_room'.*not those of 'several_walls'.*--map thesis_room"):
+    with pytest.raises(EstimateFileError, match=r"thesis_room.*several_walls.*--map thesis_room"):
         resume_belief(SAVED, map_signature(load_world("several_walls"), "n150"), now, NOISE)
-    with pytest.raises(EstimateFileError, match=r"of a n150, not of a scout.*--body n150"):
+    with pytest.raises(EstimateFileError, match=r"n150.*scout.*--body n150"):
         resume_belief(SAVED, SITE._replace(body="scout"), now, NOISE)

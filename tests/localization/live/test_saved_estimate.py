@@ -84,7 +84,7 @@ def test_largest_state_fits_and_longer_file_is_refused(file: Path) -> None:
     assert file.stat().st_size < MAX_BYTES / 10
     assert len(load(file).belief.mean) == MAX_STATE
     file.write_text(file.read_text() + " " * MAX_BYTES)
-    with pytest.raises(EstimateFileError, match=rf"here\.json: is longer than {MAX_BYTES} bytes"):
+    with pytest.raises(EstimateFileError, match=rf"here\.json: .*longer than {MAX_BYTES}"):
         load(file)
 
 

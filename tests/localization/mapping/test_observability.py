@@ -15,14 +15,7 @@ from localization.filters.registry import make
 from localization.filters.sonar_cone import ConeSonar
 from localization.filters.sonar_ray import range_variance
 from localization.filters.update import Refusal
-from localization.mapping.observability import (
-    CYCLE_S,
-    CYCLES,
-    DIRECTIONS,
-    HEADINGS,
-    START_STD,
-    compute_observability,
-)
+from localization.mapping.observability import CYCLE_S, CYCLES, DIRECTIONS, HEADINGS, START_STD, compute_observability
 from worlds.raycast import cast_rays
 from worlds.robots import N150, SONARS
 

@@ -55,7 +55,7 @@ from nclient.errors import MissionFileError
         (lambda robot: robot.dock(1, 2, nan),
          "dock: heading_deg: expected an angle in degrees, a finite number, found nan"),
         (lambda robot: robot.dock(1e9, 2, 0),
-         "dock: x_in: expected at most 100000 in either direction, found 1000000000.0; is the unit right?"),
+         "dock: x_in: expected -100000 to 100000, found 1000000000.0; is the unit right?"),
     ],
 )  # fmt: skip
 def test_invalid_argument_is_refused_before_any_motion(verb: Callable[[Any], object], expected: str) -> None:

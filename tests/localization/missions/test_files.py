@@ -110,7 +110,7 @@ def test_settings_are_read_and_have_defaults() -> None:
         ("", "m.toml: step: expected at least one [[step]], found none"),
         ("step = 3", "m.toml: line 1: step: expected tables under [[step]], each with its double brackets, found 3"),
         ('tite = "x"', "m.toml: line 1: tite: unknown key; expected one of title, map, time_limit_s, on_lost, lost_s, "
-                       "step, fence_in, fence_cm, fence_m; did you mean title?"),
+                       "fence_in, fence_cm, fence_m, step; did you mean title?"),
         ('[[step]]\ndo = "go_too"\n', "m.toml: line 2: step[0].do: expected one of go_to, follow, turn, "
          "look, wait_for, patrol, dock, note, found 'go_too'; did you mean go_to?"),
         ('[[step]]\ndo = "look"\n\n[[step]]\n\ndo = "go_to"\nto_in = [1, "x"]\n',
@@ -119,7 +119,8 @@ def test_settings_are_read_and_have_defaults() -> None:
          "m.toml: line 3: step[0].to_in: expected a point [x, y], found the list [1, 2, 3]"),
         ('[[step]]\ndo = "go_to"\n', "m.toml: line 1: step[0].to_in: expected exactly one of to_in, to_cm, to_m, found "
                                      "none of them"),
-        ('[[step]]\ndo = "turn"\n', "m.toml: line 1: step[0]: expected heading_deg or by_deg, one of them"),
+        ('[[step]]\ndo = "turn"\n', "m.toml: line 1: step[0].heading_deg: expected exactly one of heading_deg, "
+         "by_deg, found none of them"),
         ('[[step]]\ndo = "dock"\nto_in = [1, 2]\n',
          "m.toml: line 1: step[0].heading_deg: is missing: the heading to drive in, in degrees"),
         ('[[step]]\nwords = "hello"\n',
@@ -130,8 +131,8 @@ def test_settings_are_read_and_have_defaults() -> None:
         ('[[step]]\ndo = "turn"\nby_deg = 3601\n',
          "m.toml: line 3: step[0].by_deg: expected -3600 to 3600, found 3601"),
         ('[[step]]\ndo = "note"\n', "m.toml: line 1: step[0].words: is missing: the text for the report"),
-        ('[[step]]\ndo = "wait_for"\ntime_limit_s = 3\n', "m.toml: line 1: step[0]: expected one of touching, "
-         "nearer_than_in, farther_than_in, known_to_in, finds, found none"),
+        ('[[step]]\ndo = "wait_for"\ntime_limit_s = 3\n', "m.toml: line 1: step[0].touching: expected exactly one of "
+         "touching, nearer_than_in, farther_than_in, known_to_in, finds, found none of them"),
         ('[[step]]\ndo = "wait_for"\nfinds = 3\n',
          "m.toml: line 1: step[0].time_limit_s: is missing: the longest time to wait, in seconds"),
         ('[[step]]\ndo = "look"\nretries = 3\n',
@@ -148,7 +149,7 @@ def test_settings_are_read_and_have_defaults() -> None:
         ('\nfence_in = [[0, 0], [9, 9], [9, 0], [0, 9]]\n[[step]]\ndo = "look"\n', "m.toml: line 2: fence_in: expected "
          "the corners in their order around, found edges 0 and 2 that cross"),
         ('# rounds\n\n[[stp]]\ndo = "look"\n', "m.toml: stp: unknown key; expected one of title, map, time_limit_s, "
-         "on_lost, lost_s, step, fence_in, fence_cm, fence_m; did you mean step?"),
+         "on_lost, lost_s, fence_in, fence_cm, fence_m, step; did you mean step?"),
     ],
 )  # fmt: skip
 def test_invalid_step_list_is_reported_with_its_line(text: str, expected: str) -> None:
@@ -194,7 +195,7 @@ def test_missing_map_is_reported_with_file_and_key(tmp_path: Path, name: str, te
     file = tmp_path / name
     file.write_text(text)
     orders = load_mission(file)
-    with pytest.raises(MissionFileError, match="did you mean several_walls") as refused:
+    with pytest.raises(MissionFileError, match="mean several_walls") as refused:
         orders.check_map()
     assert str(refused.value).startswith(f"{file}: {expected}")
     file.write_text(text.replace("several_wals", "several_walls"))

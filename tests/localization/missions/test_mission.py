@@ -89,7 +89,7 @@ def test_waiting_ends_by_the_condition_or_by_its_limit(controller_at: MakeContro
     mission = Mission(controller_at("thesis_room"))
     seen = mission.wait_for(lambda seen: seen.clock_s > 0.5, 5.0)
     assert 0.5 < seen.clock_s < 0.7
-    with pytest.raises(StepFailed, match="obstacle: not fulfilled within 1 s") as failed:
+    with pytest.raises(StepFailed, match=r"obstacle: not fulfilled.* 1 s") as failed:
         mission.wait_for(lambda seen: seen.touching, 1.0, "obstacle")
     assert failed.value.ending == "condition"
     assert endings(mission) == [("wait_for", "done"), ("wait_for", "condition")]
@@ -110,7 +110,7 @@ def test_dock_is_entered_straight_and_contact_fails(controller_at: MakeControlle
 
 def test_failed_step_is_retried(controller_at: MakeController) -> None:
     mission = Mission(controller_at("thesis_room"))
-    with pytest.raises(StepFailed, match=r"no space at \(0, -11\)"):
+    with pytest.raises(StepFailed, match=r"no space.*\(0, -11\)"):
         mission.go_to(0, -11, retries=2)
     (step,) = mission.report.steps
     assert (step.tries, step.ending) == (3, "blocked")
@@ -121,11 +121,11 @@ def test_failed_step_is_retried(controller_at: MakeController) -> None:
 
 def test_time_limits_of_step_and_mission(controller_at: MakeController) -> None:
     mission = Mission(controller_at("thesis_room"), Settings(time_limit_s=6.0))
-    with pytest.raises(StepFailed, match="time limit of the step exceeded") as failed:
+    with pytest.raises(StepFailed, match="limit of the step") as failed:
         mission.go_to(60, 0, limit_s=2.0)
     assert failed.value.ending == "timeout"
     assert not isinstance(failed.value, MissionOver)
-    with pytest.raises(MissionOver, match="time limit of the mission exceeded: 6 s"):
+    with pytest.raises(MissionOver, match=r"limit of the mission.* 6 s"):
         mission.look(60.0)
     assert mission.seen.clock_s == pytest.approx(6.1, abs=0.15)
 
@@ -148,9 +148,9 @@ def test_held_robot_is_reported_and_goes_on_once_released(
     assert len(output) == 1
     assert output[0].startswith("the robot has not moved for 5 s although commanded to: ")
     until_s = inf
-    with pytest.raises(StepFailed, match=r"step exceeded; the robot has not moved for 1[01] s although .* is it held"):
+    with pytest.raises(StepFailed, match=r"step exceeded.*not moved for 1[01] s.*held"):
         mission.go_to(40, 0, limit_s=11.0)
-    with pytest.raises(MissionOver, match=r"the mission exceeded: 40 s; the robot has not moved .* is it held"):
+    with pytest.raises(MissionOver, match=r"mission exceeded: 40 s.*not moved.*held"):
         mission.go_to(40, 0)
 
 
@@ -164,14 +164,14 @@ def test_a_fence_is_planned_within_and_left_by_nothing(controller_at: MakeContro
     fence = ((-11.0, -11.0), (70.0, -11.0), (70.0, 40.0), (-11.0, 40.0))
     controller = controller_at("thesis_room", setup="noisy")
     mission = Mission(controller, Settings(fence_in=fence))
-    with pytest.raises(StepFailed, match=r"no space at \(40, 60\)|no path from") as failed:
+    with pytest.raises(StepFailed, match=r"no space.*\(40, 60\)|no path") as failed:
         mission.go_to(40, 60)
     assert failed.value.ending == "blocked"
     mission.go_to(50, 20)
     controller.robot.set_position(x_in=50, y_in=20)
     jumped = controller_at("thesis_room", start="60,60,0,0")
     outside = Mission(jumped, Settings(fence_in=fence))
-    with pytest.raises(MissionOver, match=r"is outside of the fence") as over:
+    with pytest.raises(MissionOver, match="outside of the fence") as over:
         outside.look(1.0)
     assert over.value.ending == "fence"
 
@@ -234,7 +234,7 @@ def test_nested_steps_are_refused(controller_at: MakeController) -> None:
         mission.look()
         return True
 
-    with pytest.raises(StepFailed, match="look inside of wait_for: one step at a time"):
+    with pytest.raises(StepFailed, match=r"inside of wait_for.*one step"):
         mission.wait_for(meddle, 3.0)
 
 

@@ -7,15 +7,8 @@ from math import pi, tau
 import numpy as np
 import pytest
 
-from localization.navigation.path import (
-    wall_distances,
-)
-from localization.navigation.roadmap import (
-    CornerCircle,
-    common_tangents,
-    points_on_circles,
-    tangents_from,
-)
+from localization.navigation.path import wall_distances
+from localization.navigation.roadmap import CornerCircle, common_tangents, points_on_circles, tangents_from
 from worlds.geometry import nearest_points
 from worlds.io import load_world
 

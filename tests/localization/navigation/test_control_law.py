@@ -10,13 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from localization.filters.odometry import move
-from localization.navigation.control_law import (
-    ControlGains,
-    bearing_error,
-    distance_to,
-    is_reached,
-    next_step,
-)
+from localization.navigation.control_law import ControlGains, bearing_error, distance_to, is_reached, next_step
 
 GAINS = ControlGains(drho_max_in=0.05, dtheta_max_rad=0.05, alpha_rho=0.1, alpha_theta=0.1)
 

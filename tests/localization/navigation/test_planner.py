@@ -6,15 +6,9 @@ import numpy as np
 import pytest
 
 from localization.navigation.limits import MODEL_LIMITS
-from localization.navigation.path import (
-    total_length_in,
-    wall_distances,
-)
+from localization.navigation.path import total_length_in, wall_distances
 from localization.navigation.planner import DETOUR, MARGINS_IN, PlannedPath, Planner
-from localization.navigation.roadmap import (
-    NoPathError,
-    Roadmap,
-)
+from localization.navigation.roadmap import NoPathError, Roadmap
 from worlds.io import load_world
 from worlds.robots import N150
 
@@ -65,7 +59,7 @@ def test_given_points_are_passed_by_on_straight_paths() -> None:
     (section,) = plan.sections
     place = section.at(section.nearest(35.0, 55.0))
     assert np.hypot(place.x_in - 35.0, place.y_in - 55.0) <= 1.0 + 1e-9
-    with pytest.raises(NoPathError, match=r"from \(5, 5\) to \(90, 0\) comes within 0.0 in of a wall"):
+    with pytest.raises(NoPathError, match=r"\(5, 5\).*\(90, 0\).* 0\.0 in .*wall"):
         PLANNER.along([(5.0, 5.0), (90.0, 0.0)], 1.0, MODEL_LIMITS["n150"])
 
 

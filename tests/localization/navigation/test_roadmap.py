@@ -14,15 +14,8 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import ConvexHull
 
 from localization.filters.belief import Floats
-from localization.navigation.path import (
-    PathElement,
-    total_length_in,
-)
-from localization.navigation.roadmap import (
-    NoPathError,
-    Roadmap,
-    segment_clearances,
-)
+from localization.navigation.path import PathElement, total_length_in
+from localization.navigation.roadmap import NoPathError, Roadmap, segment_clearances
 from worlds.geometry import nearest_points
 from worlds.io import load_world
 from worlds.robots import N150
@@ -163,14 +156,14 @@ def test_start_near_wall_is_left_straight_goal_is_refused() -> None:
     assert (path[0].x_in, path[0].y_in) == (-2.0, 10.0)
     assert path[0].length_in == pytest.approx(0.72, abs=0.3)
     assert total_length_in(path) < total_length_in(roadmap.path((-1.2, 10.0), (80.0, 0.0))) + 2.0
-    with pytest.raises(NoPathError, match=r"no space at \(-2, 40\): 0.0 in to a wall, 10.7 in needed"):
+    with pytest.raises(NoPathError, match=r"no space.*\(-2, 40\).* 0\.0 in .* 10\.7 in"):
         roadmap.path((60.0, 60.0), (-2.0, 40.0))
     assert end_of(roadmap.path((80.0, 0.0), (-2.0, 10.0), 9.72)) == pytest.approx((-2.0, 10.0))
 
 
 def test_a_start_without_any_room_has_no_path() -> None:
     narrow = np.array([[-500.0, 0.0, 500.0, 0.0], [-500.0, 12.0, 500.0, 12.0]])
-    with pytest.raises(NoPathError, match=r"no path from \(0, 6\) to \(0, 60\)"):
+    with pytest.raises(NoPathError, match=r"no path.*\(0, 6\).*\(0, 60\)"):
         Roadmap(narrow, 10.0).path((0.0, 6.0), (0.0, 60.0))
 
 
@@ -183,7 +176,7 @@ def test_missing_path_raises() -> None:
 def test_given_paths_too_near_to_walls_are_refused() -> None:
     roadmap = Roadmap(np.array([[0.0, 0.0, 0.0, -500.0]]), 10.0)
     roadmap.require_free([(-5.0, 0.0), (-20.0, 0.0), (-20.0, 30.0)])
-    with pytest.raises(NoPathError, match=r"from \(-20, 0\) to \(20, 0\) comes within"):
+    with pytest.raises(NoPathError, match=r"\(-20, 0\).*\(20, 0\) comes within"):
         roadmap.require_free([(-20.0, 20.0), (-20.0, 0.0), (20.0, 0.0)])
 
 

@@ -12,12 +12,7 @@ from localization.filters.belief import independent
 from localization.filters.health import HEALTHY, FilterHealth, HealthStatus
 from localization.filters.update import Refusal
 from localization.live.localizer import Echo, Estimate
-from localization.navigation.obstacles import (
-    MAX_FILTERED,
-    ObstacleTracker,
-    filter_unmapped,
-    update_obstacles,
-)
+from localization.navigation.obstacles import MAX_FILTERED, ObstacleTracker, filter_unmapped, update_obstacles
 from nclient import connect
 from nclient.robot import Robot
 from nclient.state import RobotState

@@ -81,7 +81,7 @@ def test_an_n200_over_tcp_sends_its_mask_first() -> None:
     for few in (b"", b"\xff" * 10):
         robot = ScriptedLine(model=N200)
         robot.out += few
-        with pytest.raises(ReplyTimeout, match=f"11 bytes first, and {len(few)} came; is it a n200"):
+        with pytest.raises(ReplyTimeout, match=f"11 bytes.* {len(few)} came.* n200"):
             direct_on(robot, hello=True)
         assert robot.closed == 1
 
@@ -147,7 +147,7 @@ def test_invalid_calls_are_not_sent() -> None:
 def test_a_nak_is_a_refusal_and_the_session_continues() -> None:
     robot = ScriptedLine({"vm": NAK})
     backend = direct_on(robot)
-    with pytest.raises(RobotRefused, match="vm was refused: NAK") as refusal:
+    with pytest.raises(RobotRefused, match=r"vm .*refused.*NAK") as refusal:
         backend.execute(VM)
     assert refusal.value.is_nak
     assert backend.execute(GS).kind == "state"
@@ -180,7 +180,7 @@ def robot_state(model: Model) -> Reply:
 def test_a_timeout_leaves_the_session_open() -> None:
     robot = ScriptedLine({"vm": None})
     backend = direct_on(robot)
-    with pytest.raises(ReplyTimeout, match="vm: no answer within 1 s"):
+    with pytest.raises(ReplyTimeout, match=r"vm: no answer.* 1 s"):
         backend.execute(VM)
     assert not backend.closed
     assert backend.execute(GS).kind == "state"
@@ -227,7 +227,7 @@ def test_a_motion_waits_until_no_late_reply_can_match() -> None:
     move = Call("pr", (100, 0, 0))
     with pytest.raises(ReplyTimeout, match="pr: no answer"):
         backend.execute(move)
-    with pytest.raises(ReplyTimeout, match="pr was not sent"):
+    with pytest.raises(ReplyTimeout, match=r"pr .*not sent"):
         backend.execute(move)
     assert robot.names() == ["pr", "get_ra"]
     assert backend.execute(move).kind == "state"
@@ -314,7 +314,7 @@ def test_a_corrupt_length_is_abandoned_at_the_gap() -> None:
 def test_a_valid_frame_that_does_not_fit_is_no_reply() -> None:
     robot = ScriptedLine({"gs": [build_frame(7, bytes(41))], "vm": [build_frame(99)]})
     backend = direct_on(robot)
-    with pytest.raises(ReplyTimeout, match="gs: the reply does not fit"):
+    with pytest.raises(ReplyTimeout, match=r"gs: .*not fit"):
         backend.execute(GS)
     with pytest.raises(ReplyTimeout, match="vm: no answer"):
         backend.execute(VM)
@@ -327,7 +327,7 @@ def test_an_implausible_reply_is_rejected() -> None:
     backend = direct_on(robot)
     backend.execute(GS)
     robot.answers["gs"] = [Reply("state", {**robot.slots, 36: 3600}, clock=5000, volts=robot.volts)]
-    with pytest.raises(ReplyTimeout, match=r"gs: the answer cannot be true, steering reads 3600.*checks=0"):
+    with pytest.raises(ReplyTimeout, match=r"gs: .*steering reads 3600.*checks=0"):
         backend.execute(GS)
     assert (backend.link.implausible, backend.link.timeouts) == (1, 1)
     assert backend.execute(GS).slots[36] == 0
@@ -568,9 +568,9 @@ def test_no_model_hint_after_a_valid_reply() -> None:
 
 
 def test_a_missing_n200_is_reported_with_a_hint() -> None:
-    with pytest.raises(ReplyTimeout, match=r"no answer within 1 s; is it a n200. Else write model=n150 or model=scout"):
+    with pytest.raises(ReplyTimeout, match=r"no answer.* 1 s.* n200.*model=n150.*model=scout"):
         direct_on(ScriptedLine({"ct": None}, N200))
-    with pytest.raises(RobotRefused, match=r"ct was refused: NAK; is it a n200. Else write model=n150 or model=scout"):
+    with pytest.raises(RobotRefused, match=r"ct .*NAK.* n200.*model=n150.*model=scout"):
         direct_on(ScriptedLine({"ct": NAK_FRAME}, N200))
-    with pytest.raises(ReplyTimeout, match=r"sends 11 bytes first, and 0 came; is it a n200. Else write model="):
+    with pytest.raises(ReplyTimeout, match=r"11 bytes.* 0 came.* n200.*model="):
         direct_on(ScriptedLine(model=N200), hello=True)

@@ -86,11 +86,11 @@ def test_invalid_calls_leave_the_session_open() -> None:
 def test_a_timeout_closes_the_session() -> None:
     server = ScriptedServer({"vm": None})
     backend = connected(server, timeout_s=0.05)
-    with pytest.raises(ReplyTimeout, match=r"vm, with 0\.05 s to answer"):
+    with pytest.raises(ReplyTimeout, match=r"vm, with 0\.05 s"):
         backend.execute(VM)
     assert backend.closed
     assert server.closed == 1
-    with pytest.raises(ConnectionLost, match=r"gs: vm was not answered.*connect again"):
+    with pytest.raises(ConnectionLost, match=r"gs: vm .*not answered.*connect again"):
         backend.execute(GS)
     assert server.names() == ["vm"]
 
@@ -108,17 +108,17 @@ def test_a_timeout_closes_the_session() -> None:
 )  # fmt: skip
 def test_a_reply_that_does_not_fit_closes_the_session(answer: bytes) -> None:
     backend = connected(ScriptedServer({"gs": answer}))
-    with pytest.raises(ConnectionLost, match=r"(?s)gs: .*the connection was closed") as lost:
+    with pytest.raises(ConnectionLost, match=r"(?s)gs: .*was closed") as lost:
         backend.execute(GS)
     assert isinstance(lost.value.__cause__, WireError)
     assert backend.closed
-    with pytest.raises(ConnectionLost, match="gs was answered by a"):
+    with pytest.raises(ConnectionLost, match=r"gs .*answered by a"):
         backend.execute(GS)
 
 
 def test_a_server_that_is_no_nserver_is_reported() -> None:
     page = ScriptedServer({"connect_robot": b"HTTP/1.1 400 Bad Request\r\n\r\n"})
-    with pytest.raises(ConnectionLost, match=r"closed\. Is it an Nserver that answers there\? Its port is 7019"):
+    with pytest.raises(ConnectionLost, match=r"closed.*an Nserver.* 7019"):
         connected(page)
 
 

@@ -73,7 +73,7 @@ def test_pauses_double_up_to_a_maximum() -> None:
         with pytest.raises(ConnectionLost):
             backend.execute(GS)
     assert cable.waits == [0.1, 0.2, 0.4, 0.8, 1.0, 1.0]
-    with pytest.raises(ConnectionLost, match="gs: not back yet, the next try in 1 s: there is no port"):
+    with pytest.raises(ConnectionLost, match=r"gs: not back.* in 1 s: .*no port"):
         backend.execute(GS)
     cable.plugged = True
     backend.execute(GS)
@@ -174,7 +174,7 @@ def test_close_ends_reconnecting() -> None:
     backend = cable.backend()
     backend.close()
     assert backend.closed
-    with pytest.raises(ConnectionLost, match="this side closed the connection"):
+    with pytest.raises(ConnectionLost, match="this side closed"):
         backend.execute(GS)
     assert (cable.link.losses, len(cable.streams)) == (0, 1)
 

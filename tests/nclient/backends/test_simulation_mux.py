@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from nclient import AddressError, ConnectionLost, RobotRefused, connect
-from nclient.connect import Connector
+from nclient.connector import Connector
 from nclient.protocol.commands import Call
 from nclient.transports import memory
 from nclient.url import parse_address

@@ -78,8 +78,8 @@ def test_numbers_that_cannot_be_sent_are_the_wires_to_refuse(text: str, wire_sta
 def test_a_robots_own_line_has_commands_of_its_own() -> None:
     assert call("conf_ser 1 9600", serial_wire_state(N150)).args == (1, 9600)
     with pytest.raises(
-        ShellError, match="there is no sim_truth on the serial line of a n200; help sim_truth shows where"
+        ShellError, match=r"no sim_truth .* n200.*help sim_truth"
     ):
         call("sim_truth", serial_wire_state(N200))
-    with pytest.raises(ShellError, match="there is no pa on the serial line of a n150"):
+    with pytest.raises(ShellError, match=r"no pa .* n150"):
         call("pa 0 0 0", serial_wire_state(N150))

@@ -95,7 +95,7 @@ class Runaway:
     def opens(self) -> Backend:
         if self.absent:
             self.absent -= 1
-            raise ConnectionLost("nobody answers")
+            raise ConnectionLost("no answer")
         return NserverBackend(MemoryStream(self))
 
     def send(self, data: bytes) -> None:
@@ -157,4 +157,4 @@ def test_one_that_is_not_there(capsys: pytest.CaptureFixture[str]) -> None:
     assert RobotStopper(Runaway(absent=10**6).opens, time.clock, time.sleep).run(1) == 1
     reported = capsys.readouterr()
     assert reported.out == "NOT STOPPED: no reply; st sent 0 times, 20 errors\n"
-    assert reported.err == "nomad: nobody answers\n", "each trouble is reported once"
+    assert reported.err == "nomad: no answer\n", "each trouble is reported once"

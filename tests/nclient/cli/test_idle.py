@@ -88,7 +88,7 @@ def test_a_click_in_the_window_may_be_long_in_coming() -> None:
     assert lasts_s(idle_timer, clock) == 125
 
 
-def test_another_word_while_he_waits_does_not_end_the_waiting() -> None:
+def test_other_events_do_not_end_the_wait() -> None:
     clock, idle_timer, monitor = conversation(SERIAL)
     monitor.to_robot(captured(SERIAL, "ws", 1, 1, 1, 40))
     monitor.to_robot(captured(SERIAL, "gs"))

@@ -38,7 +38,7 @@ def test_above_128_a_code_is_its_signals(name: str) -> None:
     ([*NSERVER, "ctl", "help"], ExitCode.DONE),
     ([*NOMAD, "state", "nserver://localhost:1"], ExitCode.FAILED),
     ([*NSERVER, "no_such_world.toml"], ExitCode.FAILED),
-    ([*NSERVER, "ctl", "--control", "/nobody/there", "status"], ExitCode.FAILED),
+    ([*NSERVER, "ctl", "--control", "/absent/socket", "status"], ExitCode.FAILED),
     ([*NOMAD, "stat"], ExitCode.USAGE),
     ([*NSERVER, "--porrt", "0"], ExitCode.USAGE),
     ([*NSERVER, "ctl", "statsu"], ExitCode.USAGE),

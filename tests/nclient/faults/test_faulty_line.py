@@ -9,10 +9,10 @@ from nclient.faults.frames import LINE_NAK, Delivery, Injector, Language, LineLa
 from nclient.faults.inject import DelayQueue, FaultyLine
 from nclient.faults.plan import Delay, Direction, Drop, DropByte, Fault, Nak, Plan, Rule, When
 from nclient.protocol import codec
+from nclient.protocol.codec import TcpFrame, TcpFramer, reply_bounds
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.serial_framing import build_frame
-from nclient.protocol.tcp_framing import TcpFrame, TcpFramer, reply_bounds
 from nclient.protocol.types import N150
 from nclient.protocol.wire_state import serial_wire_state, tcp_wire_state
 

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nclient.faults.frames import Frames, LineFrames, StreamPiece, TcpFrames
-from nclient.protocol import tcp_framing
+from nclient.protocol import codec
 from nclient.protocol.serial_framing import HOST_LIMIT, SerialFrame, SerialFramer, build_frame
 from tests.nclient.protocol.strategies import cuts, in_pieces
 
@@ -88,7 +88,7 @@ def test_flush_returns_an_incomplete_frame() -> None:
 def test_the_messages_of_a_connection(
     sent: list[tuple[int, bytes]], places: list[int], wide: bool, replies: bool
 ) -> None:
-    built = [tcp_framing.build_frame(number, payload, wide=wide, reply=replies) for number, payload in sent]
+    built = [codec.build_frame(number, payload, wide=wide, reply=replies) for number, payload in sent]
     frames = TcpFrames(wide)
     found = pieces_of(frames, b"".join(built), places)
     assert found == [StreamPiece(data, number) for data, (number, _) in zip(built, sent, strict=True)]
@@ -97,8 +97,8 @@ def test_the_messages_of_a_connection(
 @pytest.mark.parametrize("wide", [False, True])
 @given(cuts)
 def test_connect_determines_the_word_size(wide: bool, places: list[int]) -> None:
-    connect = tcp_framing.build_frame(102, (1).to_bytes(4, "big") + (77).to_bytes(4, "big"), wide=wide)
-    gs = tcp_framing.build_frame(15, b"", wide=wide)
+    connect = codec.build_frame(102, (1).to_bytes(4, "big") + (77).to_bytes(4, "big"), wide=wide)
+    gs = codec.build_frame(15, b"", wide=wide)
     frames = TcpFrames(None)
     frames.receive(b"")
     assert frames.pending_bytes == 0

@@ -253,7 +253,7 @@ def test_seed_repeats_and_rules_do_not_affect_each_other(sent: list[bytes], seed
     assert all(a == b for a, b in pairwise(runs))
 
 
-def test_each_line_has_chances_and_counts_of_its_own() -> None:
+def test_each_line_has_its_own_random_stream_and_counts() -> None:
     plan = Plan((Rule("it", (Corrupt(),), When(percent=50.0)),), seed=1)
     one, other = Injector(plan, "serial:1"), Injector(plan, "serial:2")
     assert passed(one, [FRAME] * 50) != passed(other, [FRAME] * 50)

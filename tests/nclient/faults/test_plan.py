@@ -80,7 +80,7 @@ PLANS = st.builds(
 
 
 @given(PLANS)
-def test_a_plan_reads_back_as_it_was_written(plan: Plan) -> None:
+def test_a_written_plan_reads_back_equal(plan: Plan) -> None:
     assert parse_plan(plan_text(plan)) == plan
 
 
@@ -127,48 +127,48 @@ def test_an_empty_plan_does_nothing() -> None:
     ("text", "words"),
     [
         ("rule = 3", r"p\.toml: rule: expected tables under \[\[rule\]\]"),
-        ("rule = [3]", r"rule: expected tables under \[\[rule\]\]"),
+        ("rule = [3]", r"rule\[0\]: expected tables under \[\[rule\]\]"),
         ("[[", "is no TOML"),
-        ("seed = -1", "seed: a whole number, 0 to 9223372036854775808, not -1"),
-        ("seed = true", "seed: a whole number"),
-        ("rules = []", "rules: unknown here; expected one of seed, rule; did you mean rule?"),
-        ("[[rule]]", "rule 'rule 1': do: expected at least one kind"),
-        ("[[rule]]\ndo = 'drp'", "rule 'rule 1': do: no kind of fault 'drp'; there are drop, .*; did you mean drop?"),
-        ("[[rule]]\ndo = 7", "do: expected a text or a list of texts, found 7"),
-        ("[[rule]]\ndo = ['drop', 7]", "do: expected a text or a list of texts"),
+        ("seed = -1", "seed: expected a whole number from 0 to 9223372036854775808, found -1"),
+        ("seed = true", "seed: expected a whole number"),
+        ("rules = []", "rules: unknown key; expected one of seed, rule; did you mean rule?"),
+        ("[[rule]]", "rule 'rule 1': do: is missing: a kind of fault"),
+        ("[[rule]]\ndo = 'drp'", "rule 'rule 1': do: expected one of corrupt, .*, found 'drp'; did you mean drop?"),
+        ("[[rule]]\ndo = 7", "do: expected one of corrupt, .*, found 7"),
+        ("[[rule]]\ndo = ['drop', 7]", r"do\[1\]: expected one of corrupt, .*, found 7"),
         ("[[rule]]\nname = 5", "rule 1: name: expected a text, found 5"),
         ("[[rule]]\nname = ' '", "rule 1: name: expected a text"),
         ("[[rule]]\ndo = ['drop', 'drop']", "do: drop is named twice"),
         ("[[rule]]\nname = 'x'\ndo = 'drop'\n[[rule]]\nname='x'\ndo = 'nak'", "rule 'x': name: an earlier rule"),
-        ("[[rule]]\ndo = 'drop'\ndelay_s = 1", "rule 'rule 1': delay_s: unknown here"),
-        ("[[rule]]\ndo = 'drop'\nevrey = 1", "evrey: unknown here; .*; did you mean every?"),
+        ("[[rule]]\ndo = 'drop'\ndelay_s = 1", "rule 'rule 1': delay_s: unknown key"),
+        ("[[rule]]\ndo = 'drop'\nevrey = 1", "evrey: unknown key; .*; did you mean every?"),
         ("[[rule]]\ndo = 'delay'", "delay_s: required by do = 'delay'"),
-        ("[[rule]]\ndo = 'delay'\ndelay_s = -1", "delay_s: a number, 0 to 86400, not -1"),
-        ("[[rule]]\ndo = 'delay'\ndelay_s = 1\njitter_s = 2.5", "jitter_s: at most delay_s, 1, .* not 2.5"),
-        ("[[rule]]\ndo = 'delay'\ndelay_s = nan", "delay_s: a number, .* not nan"),
-        ("[[rule]]\ndo = 'delay'\ndelay_s = 'x'", "delay_s: a number, .* not 'x'"),
-        ("[[rule]]\ndo = 'silence'\nsilence_s = true", "silence_s: a number"),
-        ("[[rule]]\ndo = 'corrupt'\nchange = 'nibble'", "change: one of bit, byte, not 'nibble'"),
-        ("[[rule]]\ndo = 'corrupt'\nplace = 1.5", "place: a whole number, the index of a byte"),
-        ("[[rule]]\ndo = 'drop_byte'\nplace = true", "place: a whole number"),
-        ("[[rule]]\ndo = 'stray'\ncount = 0", "count: a whole number, 1 to 65535, not 0"),
-        ("[[rule]]\ndo = 'cut'\nkeep = -1", "keep: a whole number, 0 or more, not -1"),
-        ("[[rule]]\ndo = 'noise'", "corrupt_percent .* together more than 0 and at most 100, not 0"),
+        ("[[rule]]\ndo = 'delay'\ndelay_s = -1", "delay_s: expected 0 to 86400, found -1"),
+        ("[[rule]]\ndo = 'delay'\ndelay_s = 1\njitter_s = 2.5", "jitter_s: expected at most delay_s, 1, .* found 2.5"),
+        ("[[rule]]\ndo = 'delay'\ndelay_s = nan", "delay_s: expected .* a finite number, found nan"),
+        ("[[rule]]\ndo = 'delay'\ndelay_s = 'x'", "delay_s: expected .* a number, found the text 'x'"),
+        ("[[rule]]\ndo = 'silence'\nsilence_s = true", "silence_s: expected .* a number, found true"),
+        ("[[rule]]\ndo = 'corrupt'\nchange = 'nibble'", "change: expected one of bit, byte, found 'nibble'"),
+        ("[[rule]]\ndo = 'corrupt'\nplace = 1.5", "place: expected a whole number, the index of a byte"),
+        ("[[rule]]\ndo = 'drop_byte'\nplace = true", "place: expected a whole number"),
+        ("[[rule]]\ndo = 'stray'\ncount = 0", "count: expected a whole number from 1 to 65535, found 0"),
+        ("[[rule]]\ndo = 'cut'\nkeep = -1", "keep: expected a whole number, 0 or more, found -1"),
+        ("[[rule]]\ndo = 'noise'", "corrupt_percent .* expected together more than 0 and at most 100, found 0"),
         ("[[rule]]\ndo = 'noise'\ndrop_percent = 60\nadd_percent = 60", "together more than 0 and at most 100"),
-        ("[[rule]]\ndo = 'noise'\ndrop_percent = 101", "drop_percent: a number, 0 to 100, not 101"),
-        ("[[rule]]\ndo = 'drop'\nevery = 0", "every: a whole number, 1 or more, not 0"),
+        ("[[rule]]\ndo = 'noise'\ndrop_percent = 101", "drop_percent: expected 0 to 100, found 101"),
+        ("[[rule]]\ndo = 'drop'\nevery = 0", "every: expected a whole number, 1 or more, found 0"),
         ("[[rule]]\ndo = 'drop'\nevery = 10\npercent = 1", "percent: every and percent exclude each other; use one"),
-        ("[[rule]]\ndo = 'drop'\npercent = 150", "percent: a number, 0 to 100, not 150"),
-        ("[[rule]]\ndo = 'drop'\nfirst = 'x'", "first: a whole number"),
-        ("[[rule]]\ndo = 'drop'\nat = []", "at: expected numbers"),
-        ("[[rule]]\ndo = 'drop'\nat = [0]", "at: a whole number, 1 or more, not 0"),
-        ("[[rule]]\ndo = 'drop'\nfrom_s = -1", "from_s: a number, 0 or more, not -1"),
-        ("[[rule]]\ndo = 'drop'\nfrom_s = 5\nuntil_s = 5", "until_s: later than from_s, 5, not 5"),
+        ("[[rule]]\ndo = 'drop'\npercent = 150", "percent: expected 0 to 100, found 150"),
+        ("[[rule]]\ndo = 'drop'\nfirst = 'x'", "first: expected a whole number"),
+        ("[[rule]]\ndo = 'drop'\nat = []", "at: expected at least 1 numbers of frames"),
+        ("[[rule]]\ndo = 'drop'\nat = [0]", r"at\[0\]: expected a whole number, 1 or more, found 0"),
+        ("[[rule]]\ndo = 'drop'\nfrom_s = -1", "from_s: expected 0 or more, found -1"),
+        ("[[rule]]\ndo = 'drop'\nfrom_s = 5\nuntil_s = 5", "until_s: expected later than from_s, 5, found 5"),
         ("[[rule]]\ndo = 'drop'\ncommand = 'get_sm'", "command: no command 'get_sm'; did you mean get_s"),
         ("[[rule]]\ndo = 'drop'\ncommand = 'arm_zr'", "arm_zr is sent as a special_request; write that"),
         ("[[rule]]\ndo = 'drop'\ncommand = 5", "rule 'rule 1': command: expected a text"),
-        ("[[rule]]\ndo = 'drop'\ndirection = 'up'", "direction: one of both, request, reply, not 'up'"),
-        ("[[rule]]\ndo = 'drop'\ndirection = []", r"direction: one of both, request, reply, not \[\]"),
+        ("[[rule]]\ndo = 'drop'\ndirection = 'up'", "direction: expected one of both, reply, request, found 'up'"),
+        ("[[rule]]\ndo = 'drop'\ndirection = []", r"direction: expected one of both, .*, found the list \[\]"),
         ("[[rule]]\ndo = 'drop'\nline = 'seral:1'", "line: no line 'seral:1'; .* mean serial?"),
         ("[[rule]]\ndo = 'drop'\nline = 'serial:x'", "line: no line 'serial:x'"),
     ],
@@ -180,20 +180,20 @@ def test_what_is_wrong_is_named(text: str, words: str) -> None:
 
 
 def test_a_rule_that_cannot_be_written_cannot_be_made() -> None:
-    with pytest.raises(FaultPlanError, match="place: applies to all kinds of a rule"):
+    with pytest.raises(FaultPlanError, match=r"place: .*all kinds"):
         Rule("x", (Corrupt(place=1), InsertBytes(place=2)))
-    with pytest.raises(FaultPlanError, match="direction: expected request, reply or both"):
+    with pytest.raises(FaultPlanError, match=r"direction: .*request, reply or both"):
         Rule("x", (Drop(),), directions=frozenset())
 
 
 def test_files_that_are_no_plans(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(FaultPlanError, match=r"nowhere\.toml: cannot be read: No such file"):
+    with pytest.raises(FaultPlanError, match=r"nowhere\.toml: .*No such file"):
         load_plan(tmp_path / "nowhere.toml")
-    with pytest.raises(FaultPlanError, match="cannot be read: embedded null byte"):
+    with pytest.raises(FaultPlanError, match="embedded null byte"):
         load_plan(tmp_path / "plan\0.toml")
     odd = tmp_path / "odd.toml"
     odd.write_bytes(b"seed = 1 # \xff")
-    with pytest.raises(FaultPlanError, match=r"odd\.toml: expected text in UTF-8, found other bytes at 11"):
+    with pytest.raises(FaultPlanError, match=r"odd\.toml: .*UTF-8.* 11"):
         load_plan(odd)
     monkeypatch.setattr(plan_file, "MAX_BYTES", 3)
     with pytest.raises(FaultPlanError, match="is longer than"):

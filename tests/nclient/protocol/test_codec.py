@@ -9,14 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nclient.errors import WireError
-from nclient.protocol import (
-    codec,
-    serial_framing,
-    tcp_framing,
-)
+from nclient.protocol import codec, serial_framing
+from nclient.protocol.codec import TcpFrame
 from nclient.protocol.commands import BY_TCP_TYPE, Call, Command
 from nclient.protocol.serial_framing import HOST_LIMIT, SerialFrame
-from nclient.protocol.tcp_framing import TcpFrame
 from nclient.protocol.types import MODELS, N150, N200, Mask, Model
 from nclient.protocol.wire_state import serial_wire_state, tcp_wire_state
 from tests.nclient.protocol.strategies import LINE_CASE_NAMES, LINE_CASES, TCP_ROWS, calls
@@ -31,7 +27,7 @@ def test_calls_over_tcp_come_back_from_their_bytes(row: Command, data: st.DataOb
     call = data.draw(calls(row, line=False))
     wide = data.draw(st.booleans())
     built = codec.encode_tcp_request(call, wide=wide)
-    frame = tcp_framing.parse_single_frame(built, tcp_framing.request_bounds, wide)
+    frame = codec.parse_single_frame(built, codec.request_bounds, wide)
     assert codec.decode_tcp_request(frame) == call
     assert len(built) == 4 + len(frame.payload) * (1 + wide)
 
@@ -75,7 +71,7 @@ def test_any_bytes_on_the_line_are_a_call_or_a_wire_error(kind: int, data: bytes
 def test_payloads_that_no_framer_lets_through(payload: bytes) -> None:
     for kind in (*BY_TCP_TYPE, 9999):
         if kind == 9999:
-            with pytest.raises(WireError, match="unknown message type 9999"):
+            with pytest.raises(WireError, match="message type 9999"):
                 codec.decode_tcp_request(TcpFrame(kind, payload))
         elif BY_TCP_TYPE[kind].tcp_words[0] > 3:
             with pytest.raises(WireError):
@@ -84,10 +80,10 @@ def test_payloads_that_no_framer_lets_through(payload: bytes) -> None:
 
 @pytest.mark.parametrize("kind", [0, 4, 8, 99, 255])
 def test_types_that_an_n150_does_not_have(kind: int) -> None:
-    with pytest.raises(WireError, match=f"type {kind} does not exist on the line of a n150"):
+    with pytest.raises(WireError, match=f"type {kind} .* n150"):
         codec.decode_serial_request(SerialFrame(kind, b""), serial_wire_state(N150))
     if kind != 8:
-        with pytest.raises(WireError, match=f"no answer of type {kind} comes from a n150"):
+        with pytest.raises(WireError, match=f"answer of type {kind} .* n150"):
             codec.decode_serial_reply(SerialFrame(kind, b""), serial_wire_state(N150))
 
 

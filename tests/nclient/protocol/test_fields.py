@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import struct
+from typing import Any
 
 import pytest
 from construct import ConstructError, FormatFieldError, StreamError
 from hypothesis import given, settings
 
+from nclient.errors import WireError
+from nclient.protocol import codec
 from nclient.protocol.fields import (
     BYTES,
     LINE_LONG,
@@ -17,11 +20,8 @@ from nclient.protocol.fields import (
     LineNibbles,
     LineSlots,
     LineStamps,
-    WordLaser,
-    Words,
-    WordSlots,
-    WordStamps,
 )
+from nclient.protocol.replies import Reply, TcpLayout
 from nclient.protocol.types import EVERYTHING, LASER_SLOT, N150, N200, NO_STAMP, SCOUT, Mask, Model, Position, Stamp
 from nclient.protocol.wire_state import WireState, serial_wire_state, tcp_wire_state
 from tests.nclient.protocol.strategies import masks, signed16, word
@@ -63,39 +63,43 @@ def test_numbers_too_big_for_sign_magnitude(value: int) -> None:
         LINE_SIGNED.build(value)
 
 
+TCP = tcp_wire_state(N200)
+
+
+def layout_of(**parts: Any) -> TcpLayout:
+    """Return a layout of these parts alone."""
+    return TcpLayout("part", **parts)
+
+
 def test_words_are_counted() -> None:
-    assert Words(None).parse(b"") == ()
-    assert Words(2).sizeof() == 8
-    with pytest.raises(ConstructError):
-        Words(None).sizeof()
-    with pytest.raises(StreamError, match="4 bytes wanted, 6 there"):
-        Words(None).parse(bytes(6))
-    with pytest.raises(StreamError, match="8 bytes wanted, 4 there"):
-        Words(2).parse(bytes(4))
-    with pytest.raises(FormatFieldError, match="2 words wanted, 1 given"):
-        Words(2).build((1,))
-    with pytest.raises(FormatFieldError):
-        Words(1).build((2**31,))
+    assert codec.parse_tcp_payload(layout_of(values=None), b"", TCP).values == ()
+    for layout, size in ((layout_of(values=None), 6), (layout_of(values=2), 4), (layout_of(values=2), 12)):
+        with pytest.raises(WireError, match=f"{size} bytes"):
+            codec.parse_tcp_payload(layout, bytes(size), TCP)
+    with pytest.raises(WireError, match="2 words wanted, 1"):
+        codec.build_tcp_payload(layout_of(values=2), Reply("part", values=(1,)), TCP)
+    with pytest.raises(WireError, match="not 2147483648"):
+        codec.build_tcp_payload(layout_of(values=1), Reply("part", values=(2**31,)), TCP)
 
 
 def test_slots_over_tcp_default_to_0() -> None:
-    slots = WordSlots(34, 36)
-    assert slots.build({35: -2}) == struct.pack(">3i", 0, -2, 0)
-    assert slots.parse(struct.pack(">3i", 7, 8, 9)) == {34: 7, 35: 8, 36: 9}
-    with pytest.raises(FormatFieldError, match="State"):
-        slots.build({35: 2**31})
+    layout = layout_of(slots=range(34, 37))
+    assert codec.build_tcp_payload(layout, Reply("part", {35: -2}), TCP) == struct.pack(">3i", 0, -2, 0)
+    assert codec.parse_tcp_payload(layout, struct.pack(">3i", 7, 8, 9), TCP).slots == {34: 7, 35: 8, 36: 9}
+    with pytest.raises(WireError, match="not 2147483648"):
+        codec.build_tcp_payload(layout, Reply("part", {35: 2**31}), TCP)
 
 
 @quick
 @given(masks)
 def test_stamps_over_tcp_follow_the_position_bits_alone(mask: Mask) -> None:
-    wire_state = tcp_wire_state(N200)
+    wire_state, layout = tcp_wire_state(N200), layout_of(stamps=tuple(Position))
     wire_state.set_mask(mask)
     sensors = {1: 16, 2: 16, 4: 1, 8: 1, 16: 1}
     expected = sum(count for bit, count in sensors.items() if mask.position & bit)
-    built = WordStamps().build({"sonar_3": STAMP}, wire_state=wire_state)
+    built = codec.build_tcp_payload(layout, Reply("part", stamps={"sonar_3": STAMP}), wire_state)
     assert len(built) == 36 * expected
-    parsed = WordStamps().parse(built, wire_state=wire_state)
+    parsed = codec.parse_tcp_payload(layout, built, wire_state).stamps
     assert parsed.get("sonar_3", STAMP) == STAMP
     assert all(stamp == NO_STAMP for name, stamp in parsed.items() if name != "sonar_3")
 
@@ -103,29 +107,29 @@ def test_stamps_over_tcp_follow_the_position_bits_alone(mask: Mask) -> None:
 def test_stamps_of_one_kind_of_sensor() -> None:
     wire_state = tcp_wire_state(N200)
     wire_state.set_mask(EVERYTHING.with_position(Position.COMPASS | Position.BUMPER))
-    assert list(WordStamps(Position.COMPASS).parse(bytes(36), wire_state=wire_state)) == ["compass"]
-    assert WordStamps(Position.SONAR).parse(b"", wire_state=wire_state) == {}
+    compass, sonar = layout_of(stamps=(Position.COMPASS,)), layout_of(stamps=(Position.SONAR,))
+    assert list(codec.parse_tcp_payload(compass, bytes(36), wire_state).stamps) == ["compass"]
+    assert codec.parse_tcp_payload(sonar, b"", wire_state).stamps == {}
 
 
 @pytest.mark.parametrize("count", [-1, 483, 2**31 - 1])
 def test_a_laser_over_tcp_has_0_to_482_readings(count: int) -> None:
-    laser = WordLaser(lambda _: 2)
-    with pytest.raises(StreamError, match=f"not {count}"):
-        laser.parse(struct.pack(">i", count) + bytes(16), wire_state=tcp_wire_state(N200))
-    with pytest.raises(ConstructError, match=f"not {count}"):
-        laser.build((count, 1, 2), wire_state=tcp_wire_state(N200))
+    layout = layout_of(laser_width=lambda _: 2)
+    with pytest.raises(WireError, match=f"not {count}"):
+        codec.parse_tcp_payload(layout, struct.pack(">i", count) + bytes(16), TCP)
+    with pytest.raises(WireError, match=f"not {count}"):
+        codec.build_tcp_payload(layout, Reply("part", laser=(count, 1, 2)), TCP)
 
 
 def test_a_laser_vector_has_as_many_numbers_as_it_says() -> None:
-    laser = WordLaser(lambda wire_state: wire_state.laser_width)
-    wire_state = tcp_wire_state(N200)
-    assert laser.build(None, wire_state=wire_state) == bytes(4)
-    data = laser.build((2, 1, -2, 3, -4), wire_state=wire_state)
-    assert laser.parse(data, wire_state=wire_state) == (2, 1, -2, 3, -4)
-    with pytest.raises(FormatFieldError, match="a laser vector of 2 readings has 4 numbers after the count, not 3"):
-        laser.build((2, 1, 2, 3), wire_state=wire_state)
-    with pytest.raises(StreamError):
-        laser.parse(struct.pack(">4i", 2, 1, 2, 3), wire_state=wire_state)
+    layout = layout_of(laser_width=lambda wire_state: wire_state.laser_width)
+    assert codec.build_tcp_payload(layout, Reply("part"), TCP) == bytes(4)
+    data = codec.build_tcp_payload(layout, Reply("part", laser=(2, 1, -2, 3, -4)), TCP)
+    assert codec.parse_tcp_payload(layout, data, TCP).laser == (2, 1, -2, 3, -4)
+    with pytest.raises(WireError, match=r"vector of 2 readings .* 4 numbers .*not 3"):
+        codec.build_tcp_payload(layout, Reply("part", laser=(2, 1, 2, 3)), TCP)
+    with pytest.raises(WireError, match="16 bytes"):
+        codec.parse_tcp_payload(layout, struct.pack(">4i", 2, 1, 2, 3), TCP)
 
 
 def test_infrareds_are_packed_low_half_first_and_padded() -> None:
@@ -173,5 +177,5 @@ def test_a_laser_on_the_line() -> None:
     assert pixels.parse(bytes.fromhex("0200" "ffff" "0180"), wire_state=unseen) == (2, 65535, 32769)
     with pytest.raises(StreamError, match="not 483"):
         pixels.parse(b"\xe3\x01" + bytes(966), wire_state=unseen)
-    with pytest.raises(FormatFieldError, match="a laser vector of 2"):
+    with pytest.raises(FormatFieldError, match="vector of 2"):
         pixels.build((2, 1), wire_state=unseen)

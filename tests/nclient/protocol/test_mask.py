@@ -6,14 +6,7 @@ import pytest
 from hypothesis import given, settings
 
 from nclient.errors import WireError
-from nclient.protocol.types import (
-    EVERYTHING,
-    NO_MASK_MODELS,
-    Mask,
-    Position,
-    mask_from_line,
-    mask_from_tcp,
-)
+from nclient.protocol.types import EVERYTHING, NO_MASK_MODELS, Mask, Position, mask_from_line, mask_from_tcp
 from tests.nclient.protocol.strategies import line_masks, masks
 
 

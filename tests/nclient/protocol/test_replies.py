@@ -9,11 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nclient.errors import WireError
-from nclient.protocol import (
-    codec,
-    serial_framing,
-    tcp_framing,
-)
+from nclient.protocol import codec, serial_framing
 from nclient.protocol import replies as shape
 from nclient.protocol.commands import BY_LINE_TYPE, BY_NAME, MAX_REPLY_WORDS, REPLY_TYPES, Command
 from nclient.protocol.replies import Reply
@@ -62,7 +58,7 @@ def test_the_reply_to_every_command_over_tcp(row: Command, wide: bool, data: st.
     count = 4 if row.tcp_reply is shape.COLLISION else _TCP_VALUES.get(kind, 0)
     sent = tcp_reply_of(kind, data.draw(seeds), (data.draw(laser_counts), tcp_width(row, wire_state)), count)
     built = codec.encode_tcp_reply(row, sent, wire_state)
-    frame = tcp_framing.parse_single_frame(built, tcp_framing.reply_bounds, wide)
+    frame = codec.parse_single_frame(built, codec.reply_bounds, wide)
     parsed = codec.decode_tcp_reply(row, frame, wire_state)
     assert frame.type == REPLY_TYPES[row.tcp_reply]
     check_carried(parsed, sent)
@@ -74,11 +70,11 @@ def test_the_reply_to_every_command_over_tcp(row: Command, wide: bool, data: st.
 @given(tcp_agreements(wide=False), seeds, laser_counts)
 def test_a_state_reply_over_tcp_is_as_long_as_documented(wire_state: WireState, seed: int, count: int) -> None:
     sent = tcp_reply_of("state", seed, (count, wire_state.laser_width), 0)
-    payload = shape.STATE.build(sent, wire_state)
+    payload = codec.build_tcp_payload(shape.STATE, sent, wire_state)
     sensors = {1: 16, 2: 16, 4: 1, 8: 1, 16: 1}
     stamps = sum(n for bit, n in sensors.items() if wire_state.mask.position & bit)
     assert len(payload) == 4 * (45 + 1 + count * wire_state.laser_width + 9 * stamps + 3)
-    parsed = shape.STATE.parse(payload, wire_state)
+    parsed = codec.parse_tcp_payload(shape.STATE, payload, wire_state)
     assert parsed.slots == sent.slots
     assert (parsed.laser, parsed.clock, parsed.volts) == (sent.laser, sent.clock, sent.volts)
     assert list(parsed.stamps) == [name for name in ALL_STAMPS if name in parsed.stamps]
@@ -131,7 +127,7 @@ def test_the_longest_replies_fit_the_bounds_of_the_framers() -> None:
     wire_state = tcp_wire_state(N200)
     wire_state.set_mask(FULL)
     wire_state.set_laser_mode(33)
-    longest = shape.STATE.build(tcp_reply_of("state", 1, (482, 4), 0), wire_state)
+    longest = codec.build_tcp_payload(shape.STATE, tcp_reply_of("state", 1, (482, 4), 0), wire_state)
     assert len(longest) == 4 * MAX_REPLY_WORDS[80]
     packet = shape.LINE_STATE.build(line_reply_of("state", 1, (482, 4), 0, True), wire_state)
     built = serial_framing.build_frame(7, packet)
@@ -146,21 +142,23 @@ _FIXED_WORDS = {
 
 
 @pytest.mark.parametrize(("layout", "kind"), _FIXED_WORDS.items(), ids=lambda value: str(getattr(value, "kind", value)))
-def test_the_most_words_a_type_can_carry(layout: shape.ReplyShape, kind: int) -> None:
+def test_the_most_words_a_type_can_carry(layout: shape.TcpLayout, kind: int) -> None:
     wire_state = tcp_wire_state(N200)
     wire_state.set_mask(FULL)
     values = {"error": 1, "truth": 8, "control": 4}.get(layout.kind, 0)
-    assert len(layout.build(tcp_reply_of(layout.kind, 3, (0, 1), values), wire_state)) == 4 * MAX_REPLY_WORDS[kind]
+    payload = codec.build_tcp_payload(layout, tcp_reply_of(layout.kind, 3, (0, 1), values), wire_state)
+    assert len(payload) == 4 * MAX_REPLY_WORDS[kind]
 
 
 def test_what_is_not_given_is_sent_as_nothing() -> None:
-    parsed = shape.STATE.parse(shape.STATE.build(Reply("state"), tcp_wire_state(N150)), tcp_wire_state(N150))
+    wire_state = tcp_wire_state(N150)
+    payload = codec.build_tcp_payload(shape.STATE, Reply("state"), wire_state)
+    parsed = codec.parse_tcp_payload(shape.STATE, payload, wire_state)
     assert set(parsed.slots.values()) == {0}
     assert (parsed.laser, parsed.clock, parsed.volts) == ((0,), 0, (0, 0))
-    wire_state = tcp_wire_state(N150)
     wire_state.set_mask(FULL)
-    data = shape.SONAR.build(Reply("sonar"), wire_state)
-    assert set(shape.SONAR.parse(data, wire_state).stamps.values()) == {NO_STAMP}
+    data = codec.build_tcp_payload(shape.SONAR, Reply("sonar"), wire_state)
+    assert set(codec.parse_tcp_payload(shape.SONAR, data, wire_state).stamps.values()) == {NO_STAMP}
 
 
 @settings(max_examples=40)
@@ -168,10 +166,10 @@ def test_what_is_not_given_is_sent_as_nothing() -> None:
 def test_any_bytes_are_a_reply_or_a_wire_error(data: bytes, kind: int, wire_state: WireState) -> None:
     for layout in (layout for layout, its_type in REPLY_TYPES.items() if its_type == kind):
         try:
-            reply = layout.parse(data, wire_state)
+            reply = codec.parse_tcp_payload(layout, data, wire_state)
         except WireError:
             continue
-        assert layout.build(reply, wire_state) == data
+        assert codec.build_tcp_payload(layout, reply, wire_state) == data
 
 
 @settings(max_examples=60)
@@ -188,10 +186,10 @@ def test_any_bytes_are_an_answer_on_the_line_or_a_wire_error(data: bytes, kind: 
 
 def test_truncated_and_overlong_replies() -> None:
     wire_state = tcp_wire_state(N150)
-    payload = shape.STATE.build(Reply("state"), wire_state)
+    payload = codec.build_tcp_payload(shape.STATE, Reply("state"), wire_state)
     for wrong in (payload[:-4], payload + bytes(4), payload[:100], b""):
-        with pytest.raises(WireError, match="no state reply of this shape"):
-            shape.STATE.parse(wrong, wire_state)
+        with pytest.raises(WireError, match="no state reply"):
+            codec.parse_tcp_payload(shape.STATE, wrong, wire_state)
 
 
 @pytest.mark.parametrize("reply", [
@@ -199,8 +197,8 @@ def test_truncated_and_overlong_replies() -> None:
     Reply("state", laser=(2, 1, 2, 3)), Reply("state", laser=(483,)),
 ])
 def test_what_a_state_reply_cannot_carry(reply: Reply) -> None:
-    with pytest.raises(WireError, match="a state reply cannot carry this"):
-        shape.STATE.build(reply, tcp_wire_state(N150))
+    with pytest.raises(WireError, match="reply cannot carry"):
+        codec.build_tcp_payload(shape.STATE, reply, tcp_wire_state(N150))
 
 
 @pytest.mark.parametrize("reply", [
@@ -208,7 +206,7 @@ def test_what_a_state_reply_cannot_carry(reply: Reply) -> None:
     Reply("state", clock=2**32),
 ])
 def test_what_a_state_packet_cannot_carry(reply: Reply) -> None:
-    with pytest.raises(WireError, match="a state reply cannot carry this"):
+    with pytest.raises(WireError, match="reply cannot carry"):
         shape.LINE_STATE.build(reply, serial_wire_state(N150))
 
 
@@ -223,5 +221,5 @@ def test_a_nak_and_an_error_go_by_their_own_layouts() -> None:
 
 
 def test_a_row_without_a_line_has_no_answer_there() -> None:
-    with pytest.raises(WireError, match="get_rpx does not exist on a robot's own line"):
+    with pytest.raises(WireError, match=r"get_rpx .*robot's own line"):
         codec.encode_serial_reply(BY_NAME["get_rpx"], Reply("state"), serial_wire_state(N200))

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 from nclient.errors import WireError
 from nclient.protocol import codec
+from nclient.protocol.codec import TcpFrame
 from nclient.protocol.commands import Call
 from nclient.protocol.serial_framing import SerialFrame
-from nclient.protocol.tcp_framing import TcpFrame
 from nclient.protocol.types import N150, N200, SCOUT
 from nclient.protocol.wire_state import serial_wire_state
 
@@ -106,7 +106,7 @@ def test_motion_checks_that_cannot_be(args: tuple[Any, ...]) -> None:
 
 
 def test_a_motion_check_of_no_known_type() -> None:
-    with pytest.raises(WireError, match=r"type 0 \(line\) or 1 \(arc\)"):
+    with pytest.raises(WireError, match=r"0 \(line\) or 1 \(arc\)"):
         codec.decode_tcp_request(TcpFrame(400, struct.pack(">8i", 2, *[0] * 7)))
 
 
@@ -133,7 +133,7 @@ def test_special_packets_that_cannot_be(args: tuple[Any, ...]) -> None:
 def test_the_longest_special_packet() -> None:
     assert len(tcp("special_request", 1, *[7] * 250)) == 4 + 4 * 254
     assert len(line("special_request", 1, *[7] * 245)) == 255
-    with pytest.raises(WireError, match="a host's frame has at most 255 bytes, not 256"):
+    with pytest.raises(WireError, match="255 bytes, not 256"):
         line("special_request", 1, *[7] * 246)
 
 
@@ -186,9 +186,9 @@ def test_numbers_that_vm_cannot_carry_over_tcp(args: tuple[Any, ...]) -> None:
 
 
 def test_wrong_argument_count_lists_the_names() -> None:
-    with pytest.raises(WireError, match=r"dp takes 2 numbers \(x, y\), got 1"):
+    with pytest.raises(WireError, match=r"dp takes 2 .*\(x, y\), got 1"):
         tcp("dp", 1)
-    with pytest.raises(WireError, match=r"gs takes 0 numbers \(nothing\), got 1"):
+    with pytest.raises(WireError, match=r"gs takes 0 .*\(nothing\), got 1"):
         tcp("gs", 1)
 
 
@@ -204,12 +204,12 @@ def test_masks_that_cannot_be_sent() -> None:
 ])
 def test_what_a_models_line_does_not_have(name: str, args: tuple[Any, ...], models: tuple[Any, ...]) -> None:
     for model in models:
-        with pytest.raises(WireError, match=f"{name} does not exist on the line of a {model.name}"):
+        with pytest.raises(WireError, match=f"{name} does not exist .* {model.name}"):
             codec.encode_serial_request(Call(name, args), serial_wire_state(model))
 
 
 def test_what_tcp_does_not_have() -> None:
-    with pytest.raises(WireError, match="conf_ser does not exist over TCP"):
+    with pytest.raises(WireError, match=r"conf_ser .*over TCP"):
         tcp("conf_ser", 1, 9600)
     with pytest.raises(WireError, match="no command 'fly'"):
         tcp("fly")

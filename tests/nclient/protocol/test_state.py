@@ -43,7 +43,7 @@ def test_a_packet_on_the_line_leaves_what_it_does_not_carry() -> None:
 @pytest.mark.parametrize("reply", [
     Reply("nak"), Reply("prediction", laser=(0,), values=(1,) * 44), Reply("simple", values=(0,)), Reply("velocity"),
 ])
-def test_replies_that_leave_all_as_it_was(reply: Reply) -> None:
+def test_replies_that_change_nothing(reply: Reply) -> None:
     before, after = held_after(STATE), held_after(STATE, reply)
     assert vars(before) == vars(after)
 

@@ -9,8 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nclient.errors import WireError
-from nclient.protocol.commands import BY_TCP_TYPE, MAX_REPLY_WORDS
-from nclient.protocol.tcp_framing import (
+from nclient.protocol.codec import (
     UNKNOWN_TYPE,
     WRONG_COUNT,
     Bounds,
@@ -22,6 +21,7 @@ from nclient.protocol.tcp_framing import (
     reply_bounds,
     request_bounds,
 )
+from nclient.protocol.commands import BY_TCP_TYPE, MAX_REPLY_WORDS
 from tests.nclient.protocol.strategies import cuts, in_pieces
 
 quick = settings(max_examples=60)
@@ -152,7 +152,7 @@ def test_what_is_wrong_with_one_line_of_a_recording(text: str, wrong: str) -> No
 def test_what_is_behind_a_64_bit_message() -> None:
     message = build_frame(21, CONNECT, wide=True)
     assert parse_single_frame(message, request_bounds, wide=True) == TcpFrame(21, CONNECT)
-    with pytest.raises(WireError, match="2 bytes behind the message: abcd"):
+    with pytest.raises(WireError, match=r"2 bytes behind .*abcd"):
         parse_single_frame(message + b"\xab\xcd", request_bounds, wide=True)
 
 

@@ -8,10 +8,10 @@ import pytest
 
 from nclient.protocol import codec
 from nclient.protocol.client_state import ClientState
+from nclient.protocol.codec import TcpFrame, TcpFramer, reply_bounds, request_bounds
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.serial_framing import SerialFramer
-from nclient.protocol.tcp_framing import TcpFrame, TcpFramer, reply_bounds, request_bounds
 from nclient.protocol.types import CPU_RANGE_V, EVERYTHING, MOTOR_RANGE_V, N200, volts
 from nclient.protocol.wire_state import WireState, serial_wire_state, tcp_wire_state
 from tests.nclient.protocol.recorded import (

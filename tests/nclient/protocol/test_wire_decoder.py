@@ -68,7 +68,7 @@ def check_held(found: dict[str, Any], decoded: dict[str, Any]) -> None:
         assert [found["volt_cpu"], found["volt_motor"]] == [decoded["volt_cpu"], decoded["volt_motor"]]
 
 
-def check_said(found: dict[str, Any], decoded: dict[str, Any]) -> None:
+def check_fields(found: dict[str, Any], decoded: dict[str, Any]) -> None:
     for name in ("obs", "special"):
         if name in decoded:
             assert found[name] == decoded[name][: len(found[name])]
@@ -93,7 +93,7 @@ def follow(cases: list[dict[str, Any]], transcript: WireDecoder, model: Model | 
                 assert found["reply"] == expected_kind(case, asked["call"], model is None)
         if found:
             check_held(found, case["decoded"])
-            check_said(found, case["decoded"])
+            check_fields(found, case["decoded"])
     return count
 
 
@@ -325,7 +325,7 @@ def test_what_a_caller_knows_beforehand() -> None:
 
 
 def test_no_such_line() -> None:
-    with pytest.raises(WireError, match="no line 'usb'; there are tcp, tcp64, serial"):
+    with pytest.raises(WireError, match=r"'usb'.* tcp, tcp64, serial"):
         WireDecoder("usb", N150)
 
 

@@ -28,7 +28,7 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
     writer = RecordingWriter(path, {"seed": 7})
     for entry in entries:
         writer.write(entry)
-        assert len(path.read_text().splitlines()) == entry.line, "a line is on its way to the disk at once"
+        assert len(path.read_text().splitlines()) == entry.line, "each line is written at once"
     writer.close()
     writer.close()
     writer.write(entries[0])
@@ -89,14 +89,14 @@ def test_a_recording_is_as_long_as_it_is_and_a_line_is_not(tmp_path: Path, monke
     path.write_text(HEADER + 1000 * GS)
     assert len(read_recording(path).entries) == 1000
     path.write_text(HEADER + GS + GS.rstrip() + 20 * " " + "\n")
-    with pytest.raises(RecordingError, match=r"run\.log, line 3: longer than .* is it the right file\?"):
+    with pytest.raises(RecordingError, match=r"run\.log, line 3: longer .*right file"):
         read_recording(path)
 
 
 @pytest.mark.skipif(not Path("/dev/zero").exists(), reason="the system has no /dev/zero")
 def test_what_is_no_recording_is_not_read_to_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(log, "MAX_LINE", 10_000)
-    with pytest.raises(RecordingError, match="/dev/zero, line 1: longer than 10000 characters"):
+    with pytest.raises(RecordingError, match=r"/dev/zero, line 1: .* 10000 characters"):
         read_recording(Path("/dev/zero"))
 
 
@@ -109,7 +109,7 @@ def test_lines_of_another_system_are_read_as_well(tmp_path: Path) -> None:
 def test_files_that_cannot_be(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="cannot be read"):
         read_recording(tmp_path / "none.log")
-    with pytest.raises(RecordingError, match=r"cannot be read \(embedded null byte"):
+    with pytest.raises(RecordingError, match="embedded null byte"):
         read_recording(tmp_path / "run\0.log")
     with pytest.raises(RecordingError, match="cannot be written"):
         RecordingWriter(tmp_path / "nowhere" / "run.log", {})

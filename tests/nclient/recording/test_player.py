@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from nclient import RecordingError, Robot, connect
-from nclient.connect import Connector
+from nclient.connector import Connector
 from nclient.protocol import codec
 from nclient.protocol.client_state import Handshake, build_handshake
 from nclient.protocol.commands import BY_NAME, Call
@@ -27,11 +27,11 @@ def run(robot: Robot) -> list[tuple[int, ...]]:
     with robot:
         seen = [robot.drive(translation_in_s=6, steering_deg_s=10), robot.wait_until_still(1), robot.read_sonars()]
         seen += [robot.refresh() for _ in range(5)]
-        robot.say("on my way")
+        robot.say("driving")
         return [state.raw for state in seen]
 
 
-def test_a_run_is_played_as_it_was_with_no_robot_there(tmp_path: Path) -> None:
+def test_a_recorded_run_is_replayed_without_a_robot(tmp_path: Path) -> None:
     path = tmp_path / "a run.log"
     seen = run(connect(f"{SIM}&record={path}"))
     assert run(connect(f"replay:{path}")) == seen
@@ -48,13 +48,13 @@ def test_a_played_run_can_be_recorded_and_is_the_same(tmp_path: Path) -> None:
 def test_unrecorded_request_is_reported_with_its_line(tmp_path: Path) -> None:
     run(connect(f"{SIM}&record={tmp_path}/run.log"))
     robot = connect(f"replay:{tmp_path}/run.log")
-    with pytest.raises(RecordingError, match=r"log, line 7: recorded was `vm 60 100 0`, the program sends `pr 30 0 0`"):
+    with pytest.raises(RecordingError, match=r"line 7: .*`vm 60 100 0`.*`pr 30 0 0`"):
         robot.move(translation_in=3)
     assert robot.closed
 
 
 def test_unknown_order_is_rejected(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="order is one of strict, loose"):
+    with pytest.raises(ValueError, match="one of strict, loose"):
         connect(f"replay:{tmp_path}/run.log?order=lose")
 
 
@@ -87,20 +87,20 @@ def test_keep_alive_requests_may_be_omitted() -> None:
     assert asked(player, "gs") == answer("gs", 2).data
     assert player.answers(codec.encode_tcp_request(Call("st"))) == [ReplyChunk(0.25, answer("st", 4).data)]
     assert player.remaining == 1
-    with pytest.raises(RecordingError, match=r"run.log, line 2: recorded was `gs`, the program sends `st`"):
+    with pytest.raises(RecordingError, match=r"run\.log, line 2: .*`gs`.*`st`"):
         asked(player, "st")
     assert asked(player, "gs") == answer("gs", 5).data
     with pytest.raises(
-        RecordingError, match=r"run.log: the recording ends here, and the program sends `gs`; record a longer run"
+        RecordingError, match=r"run\.log: .*ends here.*`gs`.*longer run"
     ):
         asked(player, "gs")
     assert asked(player, "disconnect_robot", 1, 77) == b"", "leaving is always allowed"
 
 
 def test_strict_leaves_nothing_else_out() -> None:
-    with pytest.raises(RecordingError, match="line 2: recorded was `vm 1 2 3`, the program sends `vm 1 2 4`"):
+    with pytest.raises(RecordingError, match=r"line 2: .*`vm 1 2 3`.*`vm 1 2 4`"):
         asked(Player(load_exchanges(FED)), "vm", 1, 2, 4)
-    with pytest.raises(RecordingError, match="recorded was `vm 1 2 3`, the program sends `st`"):
+    with pytest.raises(RecordingError, match=r"recorded .*`vm 1 2 3`.* sends `st`"):
         asked(Player(load_exchanges(FED)), "st")
 
 
@@ -108,7 +108,7 @@ def test_loose_answers_as_the_next_like_it() -> None:
     player = Player(load_exchanges(FED), LOOSE)
     assert asked(player, "gs") == answer("gs", 2).data
     assert asked(player, "st") == answer("st", 4).data
-    with pytest.raises(RecordingError, match=r"run.log: `vm 1 2 3` does not come again from line 2 on"):
+    with pytest.raises(RecordingError, match=r"run\.log: `vm 1 2 3` .*not come again.*line 2"):
         asked(player, "vm", 1, 2, 3)
 
 
@@ -141,7 +141,7 @@ def test_what_was_refused_is_refused_again() -> None:
     ))
     player = Player(script)
     assert player.answers(unknown) == [ReplyChunk(0, refusal)]
-    with pytest.raises(RecordingError, match=r"line 4: recorded was `ws 0 0 0 0`, the program sends bytes that are no"):
+    with pytest.raises(RecordingError, match=r"line 4: .*`ws 0 0 0 0`.*bytes that are no"):
         player.answers(unknown)
     assert str(RequestKey("ct", tuple(EVERYTHING.smask))) == "`ct`"
 
@@ -152,7 +152,7 @@ def test_invalid_calls_are_distinguished_by_their_bytes() -> None:
 
     (found,) = load_exchanges(recording(Entry(0, "out", "", odd(1), line=2))).exchanges
     assert found.request.error
-    with pytest.raises(RecordingError, match="bytes that are no call"):
+    with pytest.raises(RecordingError, match="are no call"):
         Player(load_exchanges(recording(Entry(0, "out", "", odd(1), line=2)))).answers(odd(2))
 
 
@@ -177,7 +177,7 @@ def test_unrecorded_conf_tm_gets_the_last_state() -> None:
     asked(player, "st")
     assert asked(player, "conf_tm", 5) == answer("st", 4).data
     silent = Player(load_exchanges(recording(ask("connect_robot", 1, 1), answer("connect_robot", 1))))
-    with pytest.raises(RecordingError, match="the program sends `conf_tm 5`"):
+    with pytest.raises(RecordingError, match="sends `conf_tm 5`"):
         asked(silent, "conf_tm", 5)
 
 
@@ -234,7 +234,7 @@ def test_one_of_several_connections(tmp_path: Path) -> None:
     for _ in range(2):
         run(connect(f"{SIM}&record={tmp_path}/run.log"))
     assert run(connect(f"replay:{tmp_path}/run.log?connection=1"))
-    with pytest.raises(RecordingError, match="no connection '2'; there are 1"):
+    with pytest.raises(RecordingError, match=r"connection '2'.* 1"):
         connect(f"replay:{tmp_path}/run.log?connection=2")
 
 

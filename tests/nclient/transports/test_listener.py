@@ -40,7 +40,7 @@ def test_tcp_connections_are_served_one_after_the_other() -> None:
             with pytest.raises(ConnectionLost, match="disconnected"):
                 stream.receive(Deadline.after(5))
             stream.close()
-        with pytest.raises(ConnectionLost, match="port 0 takes a free one"):
+        with pytest.raises(ConnectionLost, match="port 0 takes"):
             TcpListener("127.0.0.1", listener.port)
     finally:
         listener.close()
@@ -185,7 +185,7 @@ def test_a_full_queue_drops_an_idle_connection_for_a_request(
     assert receive_once(listener) == b"stop"
 
 
-def test_a_full_queue_without_idle_connections_rejects_the_newest(
+def test_a_full_queue_of_active_connections_rejects_the_newest(
     listener: TcpListener, dial: Dial, rejected: list[tuple[str, str]]
 ) -> None:
     for _ in range(MAX_PENDING):
@@ -267,9 +267,9 @@ def test_a_pty_stream_ends_with_its_listener(tmp_path: Path) -> None:
 def test_a_pty_does_not_replace_files_of_others(tmp_path: Path) -> None:
     existing = tmp_path / "file"
     existing.write_text("mine")
-    with pytest.raises(ConnectionLost, match="is there and no symbolic link: it stays"):
+    with pytest.raises(ConnectionLost, match="no symbolic link"):
         PtyListener(existing)
-    with pytest.raises(ConnectionLost, match="cannot make the serial link"):
+    with pytest.raises(ConnectionLost, match="cannot make"):
         PtyListener(tmp_path / "no" / "robot")
     listener = PtyListener(tmp_path / "robot")
     (tmp_path / "robot").unlink()

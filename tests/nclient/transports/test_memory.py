@@ -64,7 +64,7 @@ def test_an_opener_receives_the_whole_address(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_a_scheme_without_opener_is_an_address_error() -> None:
-    with pytest.raises(AddressError, match="no installed package opens nosuch:"):
+    with pytest.raises(AddressError, match=r"no .*package opens nosuch:"):
         open_in_process("nosuch", "nosuch:x")
 
 
@@ -72,5 +72,5 @@ def test_a_scheme_without_opener_is_an_address_error() -> None:
 def test_an_opener_that_does_not_load_is_an_address_error(monkeypatch: pytest.MonkeyPatch, value: str) -> None:
     broken = EntryPoint("broken", value, "nomad.openers")
     monkeypatch.setattr(memory, "entry_points", lambda **_: [broken])
-    with pytest.raises(AddressError, match=f"broken: addresses cannot be opened, {value} does not load"):
+    with pytest.raises(AddressError, match=f"broken: .*{value} does not load"):
         open_in_process("broken", "broken:")

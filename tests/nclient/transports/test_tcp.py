@@ -73,7 +73,7 @@ def test_a_past_deadline_still_returns_what_arrived() -> None:
 def test_a_closed_connection_is_lost_and_named() -> None:
     with on_socket(socket.socket.close) as port:
         stream = TcpStream("127.0.0.1", port)
-        with pytest.raises(ConnectionLost, match=f"127.0.0.1:{port} is gone: it closed the connection"):
+        with pytest.raises(ConnectionLost, match=rf"127\.0\.0\.1:{port} is gone: .*closed"):
             stream.receive(Deadline.after(5))
         stream.close()
 
@@ -130,13 +130,13 @@ def test_closing_wakes_a_receiver_on_another_thread() -> None:
 
 def test_a_refused_connection_names_host_port_and_remedy() -> None:
     port = free_port()
-    with pytest.raises(ConnectionLost, match=rf"no answer at 127\.0\.0\.1:{port} .*`nserver --port {port}`"):
+    with pytest.raises(ConnectionLost, match=rf"no answer .*127\.0\.0\.1:{port} .*`nserver --port {port}`"):
         TcpStream("127.0.0.1", port)
 
 
 def test_a_serial_line_over_tcp_has_its_own_remedy() -> None:
     port = free_port()
-    with pytest.raises(ConnectionLost, match=f"is nserver running. `nserver --robotd {port}`"):
+    with pytest.raises(ConnectionLost, match=f"`nserver --robotd {port}`"):
         TcpStream("127.0.0.1", port, served_by=ROBOT_LINE)
 
 
@@ -153,7 +153,7 @@ def test_an_unknown_host_name_is_reported(monkeypatch: pytest.MonkeyPatch) -> No
         raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
 
     monkeypatch.setattr(socket, "create_connection", unknown)
-    with pytest.raises(ConnectionLost, match=r"there is no host 'lab'.*is its name right"):
+    with pytest.raises(ConnectionLost, match=r"no host 'lab'.*name right"):
         TcpStream("lab", 7019)
 
 
@@ -173,6 +173,6 @@ def test_a_connection_closed_at_once_hints_at_admission() -> None:
 
     with socket.create_server(("127.0.0.1", 0)) as listener, ThreadPoolExecutor(1) as thread:
         closing = thread.submit(reject)
-        with pytest.raises(ConnectionLost, match=r"connect_robot: .* Does it accept this machine \(--allow"):
+        with pytest.raises(ConnectionLost, match=r"connect_robot: .*accept this machine .*--allow"):
             connect(f"nserver://127.0.0.1:{listener.getsockname()[1]}")
         closing.result(10)

@@ -39,5 +39,5 @@ def test_an_unknown_result_names_the_json_option(result: str) -> None:
         format_result(parse_response(b'{"ok": true, "said": %s}' % result.encode()))
 
 
-def test_half_a_surrogate_is_shown_as_it_was_spelt() -> None:
+def test_half_a_surrogate_is_shown_escaped() -> None:
     assert format_result({"saved": "\ud800"}) == [r"saved: \ud800"]

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from nclient import connect
-from nclient.connect import Connector
+from nclient.connector import Connector
 from nclient.errors import AddressError, ConnectionLost, RobotRefused
 from nclient.protocol.commands import Call
 from nserver_emu import cli

@@ -1,4 +1,4 @@
-"""What a call becomes on a real robot, row by row of THE table, and State rebuilt from a line's packet."""
+"""Translation of calls for a real robot, by row of the command table, and the State rebuilt from its reply."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def shaped(name: str, reply: Reply, *args: int, link: Link = LINE, of: Connectio
     return planned(name, *args, link=link, of=asking).build_reply(asking, reply, link)
 
 
-def test_each_command_is_translated_kept_here_or_lacking() -> None:
+def test_each_command_is_translated_local_or_unsupported() -> None:
     staying = {row.name for row in COMMANDS if stays_here(row.name)}
     assert staying == {
         "create_robot", "connect_robot", "disconnect_robot", "get_rpx", "add_obstacle", "delete_obstacle",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import dataclasses
 import json
+from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
 
@@ -30,11 +31,12 @@ from nserver_emu.server.daemon import MAX_CATCH_UP_S
 from nserver_emu.server.handlers.server import MAX_STEP_MS
 from nserver_emu.server.inprocess import open_address
 from tests.nserver_emu.server.lockstep_run import request
-from tests.nserver_emu.server.running_server import Client, RunningServer, Scenario, run_scenario
+from tests.nserver_emu.server.running_server import Client, RunningServer, running_server
 from worlds.io import SHIPPED, format_world, load_world
 
 pytestmark = pytest.mark.long
 
+REAL_TIME = RunHeader(SimulationConfig(), SimulationClock(), Allowed())
 LOCKSTEP = RunHeader(SimulationConfig(noisy=True, seed=5), SimulationClock(lockstep_s=0.1), Allowed())
 THREE = SimulationConfig(
     world="several_walls", start=pose_from_text("5,5,0,0"), seed=3, setup="measured",
@@ -42,14 +44,17 @@ THREE = SimulationConfig(
 )  # fmt: skip
 
 
-def recorded(path: Path, run_header: RunHeader, scenario: Scenario, speed: float | None = 1.0) -> Recording:
+async def recorded(
+    path: Path, run_header: RunHeader, scenario: Callable[[RunningServer], Awaitable[None]], speed: float | None = 1.0
+) -> Recording:
     """Return the recording of a daemon that ran the scenario."""
 
     def record(server: RunningServer) -> None:
         numbers = {"port": server.port, "requests_a_turn": MAX_REQUESTS_PER_TURN}
         server.daemon.record(path, run_header.to_json("2026-01-01T00:00:00", **numbers))
 
-    run_scenario(scenario, speed, run_header.create_emulator(), record)
+    async with running_server(speed, run_header.create_emulator(), record) as server:
+        await scenario(server)
     return read_recording(path)
 
 
@@ -70,11 +75,11 @@ async def three_at_once(server: RunningServer) -> None:
     await asyncio.gather(*[talk_of(server, robot_id, 25) for robot_id in (1, 2, 3)])
 
 
-def test_a_lockstep_recording_replays_byte_by_byte(tmp_path: Path) -> None:
+async def test_a_lockstep_recording_replays_byte_by_byte(tmp_path: Path) -> None:
     async def scenario(server: RunningServer) -> None:
         await converse(await server.connect_client(), 0, 120)
 
-    recording = recorded(tmp_path / "run.log", LOCKSTEP, scenario)
+    recording = await recorded(tmp_path / "run.log", LOCKSTEP, scenario)
     outcome = replay(recording)
     assert (outcome.answers, outcome.difference) == (121, "")
     assert outcome.size == sum(len(entry.data) for entry in recording.entries if entry.kind == "in")
@@ -89,14 +94,16 @@ def test_a_lockstep_recording_replays_byte_by_byte(tmp_path: Path) -> None:
         (SimulationClock(lockstep_s=0.05), 1.0),
     ],
 )
-def test_three_noisy_robots_and_as_many_clients(tmp_path: Path, pace: SimulationClock, speed: float | None) -> None:
-    recording = recorded(tmp_path / "run.log", RunHeader(THREE, pace, Allowed()), three_at_once, speed)
+async def test_three_noisy_robots_and_as_many_clients(
+    tmp_path: Path, pace: SimulationClock, speed: float | None
+) -> None:
+    recording = await recorded(tmp_path / "run.log", RunHeader(THREE, pace, Allowed()), three_at_once, speed)
     outcome = replay(recording)
     assert (outcome.answers, outcome.difference) == (3 * 27, "")
     assert len(recording.connections()) == 3
 
 
-def test_replay_of_closed_pipelining_and_unconnected_clients(tmp_path: Path) -> None:
+async def test_replay_of_closed_pipelining_and_unconnected_clients(tmp_path: Path) -> None:
     """One motion stops as its client vanishes, another's many requests wait their turn, a third knows the robot."""
 
     async def scenario(server: RunningServer) -> None:
@@ -118,12 +125,12 @@ def test_replay_of_closed_pipelining_and_unconnected_clients(tmp_path: Path) -> 
         run_header = RunHeader(
             SimulationConfig(noisy=True), SimulationClock(factor=50.0, lockstep_s=lockstep_s), Allowed()
         )
-        outcome = replay(recorded(tmp_path / "run.log", run_header, scenario, 50.0))
+        outcome = replay(await recorded(tmp_path / "run.log", run_header, scenario, 50.0))
         assert outcome.answers > 5
         assert outcome.difference == ""
 
 
-def test_replay_repeats_control_commands_but_no_faults(tmp_path: Path) -> None:
+async def test_replay_repeats_control_commands_but_no_faults(tmp_path: Path) -> None:
     async def scenario(server: RunningServer) -> None:
         client, shown = await server.connect_client(), []
         await client.ask("vm", 100, 0, 0)
@@ -137,14 +144,14 @@ def test_replay_repeats_control_commands_but_no_faults(tmp_path: Path) -> None:
         assert (await client.ask("vm", 0, 0, 0)).kind == "error"
         assert (await client.ask("gs")).slots[38] == 100
 
-    recording = recorded(
+    recording = await recorded(
         tmp_path / "run.log", RunHeader(SimulationConfig(noisy=True), SimulationClock(), Allowed()), scenario
     )
     assert not any(entry.kind == "in" and entry.data[1:2] == b"\x5b" for entry in recording.entries)
     assert (replay(recording).answers, replay(recording).difference) == (8, "")
 
 
-def test_replay_repeats_changes_of_noise_and_world(tmp_path: Path) -> None:
+async def test_replay_repeats_changes_of_noise_and_world(tmp_path: Path) -> None:
     async def scenario(server: RunningServer) -> None:
         client = await server.connect_client()
         other = format_world(load_world("several_walls"))
@@ -158,14 +165,14 @@ def test_replay_repeats_changes_of_noise_and_world(tmp_path: Path) -> None:
             server.daemon.step(1.5)
             await client.ask("gs")
 
-    recording = recorded(tmp_path / "run.log", RunHeader(SimulationConfig(), SimulationClock(), Allowed()), scenario)
+    recording = await recorded(tmp_path / "run.log", REAL_TIME, scenario)
     outcome = replay(recording)
     assert (outcome.answers, outcome.difference) == (7, "")
     tape = dataclasses.replace(recording, entries=tuple(e for e in recording.entries if "noise" not in e.more))
     assert replay(tape).difference
 
 
-def test_replay_repeats_changes_of_obstacles_and_worlds(tmp_path: Path) -> None:
+async def test_replay_repeats_changes_of_obstacles_and_worlds(tmp_path: Path) -> None:
     async def scenario(server: RunningServer) -> None:
         def control(command: str, argument: object = None) -> dict[str, Any]:
             line = json.dumps({"command": command, "argument": argument}).encode()
@@ -188,13 +195,13 @@ def test_replay_repeats_changes_of_obstacles_and_worlds(tmp_path: Path) -> None:
         server.daemon.step(1.5)
         await client.ask("gs")
 
-    recording = recorded(tmp_path / "run.log", RunHeader(SimulationConfig(), SimulationClock(), Allowed()), scenario)
+    recording = await recorded(tmp_path / "run.log", REAL_TIME, scenario)
     assert (replay(recording).answers, replay(recording).difference) == (6, "")
     tape = dataclasses.replace(recording, entries=tuple(e for e in recording.entries if "obstacle" not in e.more))
     assert replay(tape).difference
 
 
-def test_replay_repeats_emergency_stops(tmp_path: Path) -> None:
+async def test_replay_repeats_emergency_stops(tmp_path: Path) -> None:
     async def scenario(server: RunningServer) -> None:
         client = await server.connect_client()
         await client.ask("vm", 100, 0, 0)
@@ -206,14 +213,14 @@ def test_replay_repeats_emergency_stops(tmp_path: Path) -> None:
         server.daemon.release([1])
         assert (await client.ask("vm", 100, 0, 0)).slots[38] == 100
 
-    recording = recorded(tmp_path / "run.log", RunHeader(SimulationConfig(), SimulationClock(), Allowed()), scenario)
+    recording = await recorded(tmp_path / "run.log", REAL_TIME, scenario)
     outcome = replay(recording)
     assert (outcome.answers, outcome.difference) == (6, "")
     tape = dataclasses.replace(recording, entries=tuple(e for e in recording.entries if "hold" not in e.more))
     assert replay(tape).difference
 
 
-def test_replay_of_a_run_that_continued_a_snapshot(tmp_path: Path) -> None:
+async def test_replay_of_a_run_that_continued_a_snapshot(tmp_path: Path) -> None:
     emulator = LOCKSTEP.create_emulator()
     emulator.simulation.robots[1].set_velocities(10.0, 0.1, 0.0)
     emulator.simulation.step(1.0)
@@ -225,13 +232,13 @@ def test_replay_of_a_run_that_continued_a_snapshot(tmp_path: Path) -> None:
         await converse(client, 0, 20)
 
     run_header = dataclasses.replace(LOCKSTEP, restored=tmp_path / "saved.json")
-    recording = recorded(tmp_path / "run.log", run_header, scenario)
+    recording = await recorded(tmp_path / "run.log", run_header, scenario)
     (tmp_path / "saved.json").write_text("what the daemon saved in the end")
     assert replay(recording).difference == ""
 
 
 @pytest.mark.parametrize("field", ["world", "setup", "model_file"])
-def test_a_changed_file_is_named(field: str, tmp_path: Path) -> None:
+async def test_a_changed_file_is_named(field: str, tmp_path: Path) -> None:
     """Else the first other byte would be blamed."""
     mine = tmp_path / "mine.toml"
     room = SHIPPED.joinpath("thesis_room.toml").read_text()
@@ -243,19 +250,19 @@ def test_a_changed_file_is_named(field: str, tmp_path: Path) -> None:
     async def scenario(server: RunningServer) -> None:
         await converse(await server.connect_client(), 0, 2)
 
-    recording = recorded(tmp_path / "run.log", run_header, scenario)
+    recording = await recorded(tmp_path / "run.log", run_header, scenario)
     assert replay(recording).difference == ""
     mine.write_text(mine.read_text() + "\n")
     with pytest.raises(RecordingError, match=f"run.log.*{mine}.*changed"):
         replay(recording)
 
 
-def test_a_difference_is_reported_with_its_position(tmp_path: Path) -> None:
+async def test_a_difference_is_reported_with_its_position(tmp_path: Path) -> None:
     async def scenario(server: RunningServer) -> None:
         await converse(await server.connect_client(), 0, 60)
 
     path = tmp_path / "run.log"
-    recorded(path, LOCKSTEP, scenario)
+    await recorded(path, LOCKSTEP, scenario)
     path.write_text(path.read_text().replace('"seed":5', '"seed":6', 1))
     outcome = replay(read_recording(path))
     assert 0 < outcome.answers < 61
@@ -263,11 +270,11 @@ def test_a_difference_is_reported_with_its_position(tmp_path: Path) -> None:
     assert " instead of " in outcome.difference
 
 
-def test_missing_bytes_at_the_end_are_a_difference(tmp_path: Path) -> None:
+async def test_missing_bytes_at_the_end_are_a_difference(tmp_path: Path) -> None:
     async def scenario(server: RunningServer) -> None:
         await server.connect_client()
 
-    recording = recorded(tmp_path / "run.log", LOCKSTEP, scenario)
+    recording = await recorded(tmp_path / "run.log", LOCKSTEP, scenario)
     (answer,) = (entry for entry in recording.entries if entry.kind == "in")
     longer = dataclasses.replace(answer, data=answer.data + b"\x07")
     changed = dataclasses.replace(
@@ -309,7 +316,7 @@ def test_recordings_that_cannot_be_replayed(tmp_path: Path) -> None:
     recorder.open("a", "tcp", N150).to_robot(b"")
     recorder.close()
     path.write_text(path.read_text().replace('"event":"open"', '"event":"time"'))
-    with pytest.raises(RecordingError, match="line 3: connection 'a' was never opened"):
+    with pytest.raises(RecordingError, match=r"line 3: .*'a' .*never opened"):
         replay(read_recording(path))
 
 
@@ -340,7 +347,7 @@ def test_opening_entries_with_missing_values_are_named(tmp_path: Path, missing: 
     del fields[missing]
     writer.write(Entry(0.0, "open", "a", more=fields))
     writer.close()
-    with pytest.raises(RecordingError, match=rf"line 2: not an entry of a server \(KeyError\('{missing}'\)\)"):
+    with pytest.raises(RecordingError, match=rf"line 2: .*KeyError\('{missing}'\)"):
         replay(read_recording(path))
 
 
@@ -351,7 +358,7 @@ def test_entries_of_closed_connections_are_refused(tmp_path: Path, kind: str) ->
     for each in ("open", "close", kind):
         writer.write(Entry(0.0, each, "a", more={"wire": "tcp", "model": "n150"} if each == "open" else {}))
     writer.close()
-    with pytest.raises(RecordingError, match="line 4: connection 'a' was never opened"):
+    with pytest.raises(RecordingError, match=r"line 4: .*'a' .*never opened"):
         replay(read_recording(path))
 
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Callable
 from typing import cast
 
 from nclient.protocol import codec
+from nclient.protocol.codec import TcpFrame, TcpFramer, reply_bounds
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
-from nclient.protocol.tcp_framing import TcpFrame, TcpFramer, reply_bounds
 from nclient.protocol.types import N150
 from nclient.protocol.wire_state import tcp_wire_state
 from nserver_emu.server.daemon import Daemon
@@ -94,19 +94,3 @@ async def running_server(
     finally:
         await server.close_clients()
     assert not daemon.connections
-
-
-Scenario = Callable[[RunningServer], Awaitable[None]]
-
-
-def run_scenario(
-    scenario: Scenario, speed: float | None = 1.0, emulator: Emulator | None = None,
-    before: Callable[[RunningServer], None] = lambda _: None,
-) -> None:
-    """Run a scenario with a daemon of its own, in an event loop of its own."""
-
-    async def main() -> None:
-        async with running_server(speed, emulator, before) as server:
-            await scenario(server)
-
-    asyncio.run(main())

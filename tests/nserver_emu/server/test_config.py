@@ -39,7 +39,7 @@ def test_models_of_a_file(tmp_path: Path) -> None:
     path.write_text('[[model]]\nname = "small"\nlike = "n200"\nradius_in = 6\n', encoding="utf-8")
     robot = SimulationConfig(robot="Small", model_file=path).simulation().robots[1]
     assert (robot.model.name, robot.model.family, robot.model.body.radius_in) == ("small", "n200", 6.0)
-    with pytest.raises(AddressError, match="'small'; there are n150, n200, scout"):
+    with pytest.raises(AddressError, match=r"'small'.* n150, n200, scout"):
         SimulationConfig(robot="small").simulation()
 
 
@@ -57,5 +57,5 @@ def test_sonars_see_at_power_on_robots_with_higher_numbers_too() -> None:
 
 @pytest.mark.parametrize("text", ["10", "1,2,3,4,5", "a,b", "nan,1", "inf,1", "10,1e308", "1e6,0", "1,2,1e999"])
 def test_a_start_beyond_the_map_is_an_error(text: str) -> None:
-    with pytest.raises(AddressError, match=r"a start is X,Y,STEER,TURRET .*, none beyond 100000; got"):
+    with pytest.raises(AddressError, match=r"X,Y,STEER,TURRET .* 100000.*got"):
         pose_from_text(text)

@@ -10,32 +10,30 @@ import pytest
 
 from nclient.faults.plan import Delay, Plan, Rule
 from nserver_emu.server.connection import ConnectionHandler, TcpConnection
-from tests.nserver_emu.server.running_server import RunningServer, run_scenario
+from tests.nserver_emu.server.running_server import running_server
 
 
 @pytest.mark.parametrize("faults", [False, True])
 @pytest.mark.parametrize("talks", [False, True])
-def test_nothing_of_it_is_left(talks: bool, faults: bool) -> None:
+async def test_nothing_of_it_is_left(talks: bool, faults: bool) -> None:
     plan = Plan((Rule("late", (Delay(0.001),), commands=("gs",)),))
-
-    async def scenario(server: RunningServer) -> None:
-        if faults:
-            server.daemon.faults.put(plan, server.daemon.lines())
-        client = await (server.connect_client() if talks else server.open_client())
-        if talks:
-            await client.ask("gs")
-        while not server.daemon.connections:
-            await asyncio.sleep(0.005)
-        gone: list[weakref.ref[ConnectionHandler]] = [weakref.ref(one) for one in server.daemon.connections]
-        assert [type(one()) for one in gone] == [TcpConnection]
-        client.writer.close()
-        async with asyncio.timeout(30):
-            while any(one() for one in gone):
-                await asyncio.sleep(0.01)
 
     gc.collect()
     gc.disable()
     try:
-        run_scenario(scenario)
+        async with running_server() as server:
+            if faults:
+                server.daemon.faults.put(plan, server.daemon.lines())
+            client = await (server.connect_client() if talks else server.open_client())
+            if talks:
+                await client.ask("gs")
+            while not server.daemon.connections:
+                await asyncio.sleep(0.005)
+            gone: list[weakref.ref[ConnectionHandler]] = [weakref.ref(one) for one in server.daemon.connections]
+            assert [type(one()) for one in gone] == [TcpConnection]
+            client.writer.close()
+            async with asyncio.timeout(30):
+                while any(one() for one in gone):
+                    await asyncio.sleep(0.01)
     finally:
         gc.enable()

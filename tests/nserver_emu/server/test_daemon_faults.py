@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
+import contextlib
+from collections.abc import AsyncIterator, Awaitable, Callable
 
 import pytest
 
 from nclient.faults.plan import Corrupt, Delay, Direction, Drop, Nak, Plan, Rule, When
 from nclient.protocol import codec
+from nclient.protocol.codec import TcpFrame, TcpFramer, reply_bounds
 from nclient.protocol.commands import Call
-from nclient.protocol.tcp_framing import TcpFrame, TcpFramer, reply_bounds
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.simulation.models import N200
@@ -46,39 +47,34 @@ class Client:
         await self._writer.wait_closed()
 
 
-Knock = Callable[..., Awaitable[Client]]
+@contextlib.asynccontextmanager
+async def faulty_daemon(
+    plan: Plan | None, world: Simulation | None = None
+) -> AsyncIterator[tuple[Daemon, Callable[..., Awaitable[Client]]]]:
+    """Serve with a fault plan; yield the daemon and a function that opens a connected client."""
+    daemon = Daemon(Emulator(world or simulation()))
+    port = await daemon.listen("127.0.0.1", 0)
+    if plan is not None:
+        daemon.faults.put(plan, daemon.lines())
+    clients: list[Client] = []
+
+    async def open_client(wide: bool = False) -> Client:
+        clients.append(Client(*await asyncio.open_connection("127.0.0.1", port), wide))
+        clients[-1].send(Call("connect_robot", (1, 7)))
+        assert await clients[-1].types(1) == [82]
+        return clients[-1]
+
+    try:
+        async with serving(daemon):
+            yield daemon, open_client
+    finally:
+        for client in clients:
+            await client.close()
 
 
-def run_scenario(
-    plan: Plan | None, scenario: Callable[[Daemon, Knock], Awaitable[None]], world: Simulation | None = None
-) -> None:
-    async def evening() -> None:
-        daemon = Daemon(Emulator(world or simulation()))
-        port = await daemon.listen("127.0.0.1", 0)
-        if plan is not None:
-            daemon.faults.put(plan, daemon.lines())
-        clients: list[Client] = []
-
-        async def open_client(wide: bool = False) -> Client:
-            clients.append(Client(*await asyncio.open_connection("127.0.0.1", port), wide))
-            clients[-1].send(Call("connect_robot", (1, 7)))
-            assert await clients[-1].types(1) == [82]
-            return clients[-1]
-
-        try:
-            async with serving(daemon):
-                await scenario(daemon, open_client)
-        finally:
-            for client in clients:
-                await client.close()
-
-    asyncio.run(evening())
-
-
-def test_delayed_replies_stay_complete_and_in_order() -> None:
+async def test_delayed_replies_stay_complete_and_in_order() -> None:
     late, count = Plan((Rule("late", (Delay(0.3),), commands=("gs", "get_rc")),)), 1200
-
-    async def scenario(daemon: Daemon, open_client: Knock) -> None:
+    async with faulty_daemon(late) as (daemon, open_client):
         flooding, other = await open_client(), await open_client()
         flooding.send(*[Call("gs"), Call("get_rc")] * count)
         other.send(Call("st"))
@@ -86,16 +82,13 @@ def test_delayed_replies_stay_complete_and_in_order() -> None:
         assert await flooding.types(2 * count) == [80, 88] * count
         assert daemon.faults.counts()["nserver"]["late"] == {"seen": 2 * count, "delay": 2 * count}
 
-    run_scenario(late, scenario)
 
-
-def test_a_briefly_full_channel_does_not_suspend_reading() -> None:
+async def test_a_briefly_full_channel_does_not_suspend_reading() -> None:
     """Twenty answers with a laser's columns exceed the transit limit, and none is late."""
     plan = Plan((Rule("late", (Delay(0.01),), commands=("get_rc",)),))
     laser = Simulation(load_world("thesis_room"))
     laser.add_robot(1, ORIGIN, N200)
-
-    async def scenario(daemon: Daemon, open_client: Knock) -> None:
+    async with faulty_daemon(plan, laser) as (daemon, open_client):
         client = await open_client()
         client.send(*[Call("gs")] * 20)
         assert await client.types(20) == [80] * 20
@@ -105,14 +98,11 @@ def test_a_briefly_full_channel_does_not_suspend_reading() -> None:
         while daemon.connections:
             await asyncio.sleep(0.005)
 
-    run_scenario(plan, scenario, laser)
-
 
 @pytest.mark.parametrize("wide", [False, True])
-def test_a_client_of_any_width_is_refused_and_goes_on(wide: bool) -> None:
+async def test_a_client_of_any_width_is_refused_and_goes_on(wide: bool) -> None:
     plan = Plan((Rule("no", (Nak(),), When(every=2), ("vm",), REQUEST),))
-
-    async def scenario(daemon: Daemon, open_client: Knock) -> None:
+    async with faulty_daemon(plan) as (daemon, open_client):
         client = await open_client(wide)
         for answer in (80, 91, 80, 91):
             client.send(Call("vm", (1, 2, 3)))
@@ -121,14 +111,11 @@ def test_a_client_of_any_width_is_refused_and_goes_on(wide: bool) -> None:
         assert await client.types(1) == [88]
         assert [client["refused"] for client in daemon.connected_clients()] == [0]
 
-    run_scenario(plan, scenario)
-
 
 @pytest.mark.parametrize("wide", [False, True])
-def test_a_plan_comes_and_goes_under_a_connection(wide: bool) -> None:
+async def test_a_plan_comes_and_goes_under_a_connection(wide: bool) -> None:
     plan = Plan((Rule("lost", (Drop(),), commands=("get_rc",)),))
-
-    async def scenario(daemon: Daemon, open_client: Knock) -> None:
+    async with faulty_daemon(None) as (daemon, open_client):
         client = await open_client(wide)
         for in_force, answered in ((False, [88, 80]), (True, [80]), (False, [88, 80]), (True, [80])):
             if in_force:
@@ -138,15 +125,10 @@ def test_a_plan_comes_and_goes_under_a_connection(wide: bool) -> None:
             client.send(Call("get_rc"), Call("gs"))
             assert await client.types(len(answered)) == answered
 
-    run_scenario(None, scenario)
 
-
-def test_a_corrupted_type_is_refused_by_the_session_itself() -> None:
+async def test_a_corrupted_type_is_refused_by_the_session_itself() -> None:
     plan = Plan((Rule("odd", (Corrupt(place=0),), When(at=(1,)), ("gs",), REQUEST),))
-
-    async def scenario(_: Daemon, open_client: Knock) -> None:
+    async with faulty_daemon(plan) as (_, open_client):
         client = await open_client()
         client.send(Call("gs"), Call("gs"))
         assert await client.types(2) == [91, 80]
-
-    run_scenario(plan, scenario)

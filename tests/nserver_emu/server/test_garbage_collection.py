@@ -19,7 +19,7 @@ from nserver_emu.server.garbage_collection import (
     GarbageCollector,
     rare_collection,
 )
-from tests.nserver_emu.server.running_server import RunningServer, run_scenario
+from tests.nserver_emu.server.running_server import running_server
 
 
 class Ring:
@@ -103,17 +103,14 @@ def create_garbage(rings: int) -> None:
     left.clear()
 
 
-def test_a_daemon_collects_what_connections_leave(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_daemon_collects_what_connections_leave(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(garbage, "MIN_INTERVAL_S", 0.01)
-
-    async def scenario(server: RunningServer) -> None:
-        client = await server.connect_client()
-        first = weakref.ref(Ring())
-        create_garbage(2 * MIN_OBJECTS)
-        await client.ask("gs")
-        async with asyncio.timeout(30):
-            while first() is not None:
-                await asyncio.sleep(0.01)
-
     with rare_collection():
-        run_scenario(scenario)
+        async with running_server() as server:
+            client = await server.connect_client()
+            first = weakref.ref(Ring())
+            create_garbage(2 * MIN_OBJECTS)
+            await client.ask("gs")
+            async with asyncio.timeout(30):
+                while first() is not None:
+                    await asyncio.sleep(0.01)

@@ -93,7 +93,7 @@ def test_closing_stops_the_robot() -> None:
         ("sim:?start=nan,0", "a start is X,Y,STEER,TURRET"),
     ],
 )
-def test_a_bad_address_names_the_guilty(address: str, words: str) -> None:
+def test_a_bad_address_names_the_wrong_part(address: str, words: str) -> None:
     with pytest.raises(AddressError, match=words):
         open_address(address)
 
@@ -124,7 +124,7 @@ def test_the_client_controls_the_time() -> None:
 def test_a_setup_can_be_named_and_counts_before_noisy() -> None:
     for options, setup in (("setup=measured", "measured"), ("noisy=1&setup=ideal", "ideal"), ("noisy=1", "noisy")):
         assert open_address(f"sim:?{options}").emulator.simulation.robots[1].setup.name == setup
-    with pytest.raises(AddressError, match="no setup 'perfect'; there are ideal, noisy, measured, worn, and files"):
+    with pytest.raises(AddressError, match=r"'perfect'.* ideal, noisy, measured, worn.* files"):
         open_address("sim:?setup=perfect")
 
 

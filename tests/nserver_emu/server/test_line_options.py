@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import asyncio
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -41,24 +41,20 @@ def three_robots() -> Emulator:
     return emulator
 
 
-def opened(*words: str) -> tuple[list[str], dict[str, str]]:
+async def opened(*words: str) -> tuple[list[str], dict[str, str]]:
     """Return the printed lines, and the addresses of the daemon's lines."""
-
-    async def start() -> tuple[list[str], dict[str, str]]:
-        daemon = Daemon(three_robots())
-        try:
-            printed = await open_lines(daemon, parsed(*words))
-            return printed, dict(daemon.places)
-        finally:
-            await daemon.close()
-
-    return asyncio.run(start())
+    daemon = Daemon(three_robots())
+    try:
+        printed = await open_lines(daemon, parsed(*words))
+        return printed, dict(daemon.places)
+    finally:
+        await daemon.close()
 
 
-def test_lines_belong_to_robots_in_order_unless_numbered(tmp_path: Path) -> None:
+async def test_lines_belong_to_robots_in_order_unless_numbered(tmp_path: Path) -> None:
     a, b, c = (str(tmp_path / name) for name in "abc")
-    printed, places = opened("--serial-link", a, "--serial-link", f"{b}@3", "--serial-link", f"{c}@2", "--robotd", "0",
-                          "--robotd=0@3")  # fmt: skip
+    words = ["--serial-link", a, "--serial-link", f"{b}@3", "--serial-link", f"{c}@2", "--robotd", "0", "--robotd=0@3"]
+    printed, places = await opened(*words)
     assert printed[2:] == [f"listening serial {path}" for path in (a, b, c)]
     assert all(line.startswith("listening robotd 127.0.0.1:") for line in printed[:2])
     assert {name: places[name] for name in ("serial:1", "serial:2", "serial:3")} == {
@@ -67,9 +63,10 @@ def test_lines_belong_to_robots_in_order_unless_numbered(tmp_path: Path) -> None
     assert list(tmp_path.iterdir()) == []
 
 
-def test_all_lines_of_one_robot_are_printed(tmp_path: Path) -> None:
+async def test_all_lines_of_one_robot_are_printed(tmp_path: Path) -> None:
     a, b = (str(tmp_path / name) for name in "ab")
-    printed, places = opened("--serial-link", f"{a}@1", "--serial-link", f"{b}@1", "--robotd", "0@1", "--robotd", "0@1")
+    words = ["--serial-link", f"{a}@1", "--serial-link", f"{b}@1", "--robotd", "0@1", "--robotd", "0@1"]
+    printed, places = await opened(*words)
     assert places["serial:1"] == f"{a}, {b}"
     assert [f"listening robotd {place}" for place in places["robotd:1"].split(", ")] == printed[:2]
 
@@ -102,20 +99,29 @@ def test_what_cannot_be_is_wrong_usage(
     assert complaint in capsys.readouterr().err
 
 
-def test_a_line_that_cannot_be_opened_leaves_nothing(tmp_path: Path) -> None:
-    with pytest.raises(AddressError, match="robot 4: there is no such robot, only 1, 2, 3"):
-        opened("--serial-link", str(tmp_path / "a"), "--serial-link", f"{tmp_path}/b@4")
+async def test_a_line_that_cannot_be_opened_leaves_nothing(tmp_path: Path) -> None:
+    with pytest.raises(AddressError, match=r"robot 4: .*only 1, 2, 3"):
+        await opened("--serial-link", str(tmp_path / "a"), "--serial-link", f"{tmp_path}/b@4")
     (tmp_path / "precious").write_text("x")
     with pytest.raises(ConnectionLost, match="no symbolic link"):
-        opened("--serial-link", str(tmp_path / "a"), "--serial-link", str(tmp_path / "precious"))
+        await opened("--serial-link", str(tmp_path / "a"), "--serial-link", str(tmp_path / "precious"))
     assert [entry.name for entry in tmp_path.iterdir()] == ["precious"]
 
 
-def test_a_system_without_pseudo_terminals_has_robotd(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_system_without_pseudo_terminals_has_robotd(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "nserver_emu.server.pty", None)
     with pytest.raises(ConnectionLost, match="use --robotd"):
-        opened("--serial-link", str(tmp_path / "a"))
+        await opened("--serial-link", str(tmp_path / "a"))
 
 
 def test_hosts_with_colons_stand_in_brackets() -> None:
     assert (at_port("::1", 5), at_port("localhost", 5)) == ("[::1]:5", "localhost:5")
+
+
+@pytest.mark.skipif(not Path("/dev/shm").is_dir(), reason="no writable folder below /dev")
+async def test_links_that_old_programs_take_for_hosts(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    with tempfile.TemporaryDirectory(dir="/dev/shm") as folder:
+        for link, is_reported in ((tmp_path / "line", True), (Path(folder) / "line", False)):
+            caplog.clear()
+            await opened("--serial-link", str(link))
+            assert (f"--serial-link {link}: old C programs" in caplog.text) == is_reported

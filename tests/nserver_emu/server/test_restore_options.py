@@ -155,7 +155,7 @@ def test_a_restored_run_keeps_its_speed_unless_given(
         SimulationClock(paused=1),  # type: ignore[arg-type]
     ],
 )
-def test_a_strangers_pace_is_refused(pace: SimulationClock) -> None:
+def test_an_invalid_clock_is_refused(pace: SimulationClock) -> None:
     text = snapshot.dumps(Emulator(simulation(), clock=pace))
     emulator = Emulator(simulation())
     with pytest.raises(SnapshotError, match="is damaged"):

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from nclient.protocol import codec
+from nclient.protocol.codec import TcpFrame, TcpFramer, reply_bounds
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
-from nclient.protocol.tcp_framing import TcpFrame, TcpFramer, reply_bounds
 from nclient.protocol.types import N150
 from nclient.protocol.wire_state import tcp_wire_state
 from nserver_emu.server.handlers.table import Emulator

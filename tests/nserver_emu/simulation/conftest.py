@@ -1,4 +1,4 @@
-"""What the tests of physics share: a closed square room, and robots in it. Only fixtures, no truths."""
+"""Fixtures of the physics tests: a closed square room and robots in it."""
 
 from __future__ import annotations
 

@@ -13,6 +13,7 @@ from nserver_emu.simulation.models import N150 as N150_MODEL
 from nserver_emu.simulation.noise import MEASURED, NO_NOISE
 from nserver_emu.simulation.segments import to_ps
 from nserver_emu.simulation.simulation import Simulation
+from tests.nserver_emu.simulation.single_pings import first_echo_in
 from worlds.geometry import FloatArray
 from worlds.robots import N150
 from worlds.world import StartPose, World
@@ -45,7 +46,7 @@ def first(
     discs: FloatArray, model: Polaroid = MODEL, walls: FloatArray = NO_WALLS, now: Ping | None = None,
     earlier: tuple[Ping, ...] = (),
 ) -> float:  # fmt: skip
-    return model.first_echo_in(now or ping(), earlier, ReflectorMap(walls), N150, discs)
+    return first_echo_in(model, now or ping(), earlier, ReflectorMap(walls), N150, discs)
 
 
 def rays(count: int) -> tuple[FloatArray, FloatArray]:
@@ -55,8 +56,11 @@ def rays(count: int) -> tuple[FloatArray, FloatArray]:
 
 
 def met_by(directions: FloatArray, discs: FloatArray, walls: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Where rays from the transducer first meet a disc: ranges (count,), FAR where none or a wall before it; and the
-    cosines of incidence. Slow and plain: every ray with every disc and wall by the quadratic and by Cramer."""
+    """Return ranges (count,) at which rays from the transducer first hit a disc, and the cosines of incidence.
+
+    The range is FAR if there is no disc or a wall is in front of it. Oracle by brute force: each ray with each disc by
+    the quadratic formula and with each wall by solving the 2x2 system.
+    """
     ranges, cosines = np.full(len(directions), FAR), np.zeros(len(directions))
     for ray, direction in enumerate(directions):
         for x, y, radius in discs:
@@ -77,7 +81,7 @@ def met_by(directions: FloatArray, discs: FloatArray, walls: FloatArray) -> tupl
 
 @pytest.mark.parametrize("seed", range(12))
 def test_the_nearest_loud_point_of_a_robot_is_the_echo(seed: int) -> None:
-    """What comes back of 4001 rays: the skin's points, each with its loss, and those that are struck head-on."""
+    """Compare with 4001 rays: each point of the disc with its loss, and the points of normal incidence."""
     rng = np.random.default_rng(seed)
     discs = np.concatenate([disc(rng.uniform(15.0, 120.0), rng.uniform(-0.6, 0.6), rng.uniform(7.0, 10.0))
                             for _ in range(2)])  # fmt: skip
@@ -87,14 +91,14 @@ def test_the_nearest_loud_point_of_a_robot_is_the_echo(seed: int) -> None:
     model = replace(MODEL, edge_loss_db=inf)
     angles, directions = rays(4001)
     ranges, cosines = met_by(directions, discs, walls)
-    rim_db = MODEL.cone_loss_db * (angles / HALF) ** 2 + MODEL.absorption_db_in * ranges
-    loud = rim_db + MODEL.skin_loss_db <= MODEL.margin_db
+    beam_db = MODEL.cone_loss_db * (angles / HALF) ** 2 + MODEL.absorption_db_in * ranges
+    loud = beam_db + MODEL.skin_loss_db <= MODEL.margin_db
     for x, y, radius in discs:
         spread_db = 10.0 * log10(1.0 + (hypot(x - FACE, y) - radius) / radius)
         ours = np.abs(np.hypot(FACE + ranges * directions[:, 0] - x, ranges * directions[:, 1] - y) - radius) < 1e-6
-        loud |= ours & (cosines > 1.0 - 1e-5) & (rim_db + spread_db <= MODEL.margin_db)
+        loud |= ours & (cosines > 1.0 - 1e-5) & (beam_db + spread_db <= MODEL.margin_db)
     expected = ranges[loud].min(initial=inf)
-    off_the_wall = model.first_echo_in(ping(), (), ReflectorMap(walls), N150)
+    off_the_wall = first_echo_in(model, ping(), (), ReflectorMap(walls), N150)
     measured = first(discs, model, walls)
     assert measured == pytest.approx(min(expected - MODEL.recess_in, off_the_wall), abs=0.5)
 

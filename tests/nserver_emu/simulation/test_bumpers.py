@@ -1,4 +1,4 @@
-"""Which bumpers a touch sets."""
+"""Bumper bits set by a contact."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ def test_compiled_code_changes_no_bit_of_a_simulation(setup: RobotSetup, monkeyp
     assert loaded.load()
 
     def lived(kernel: CompiledKernel) -> list[object]:
-        monkeypatch.setattr(sonar, "NEAREST_OBSTACLE", kernel)
+        monkeypatch.setattr(sonar, "RAYCAST_KERNEL", kernel)
         square = Polygon(((-70.0, -70.0), (70.0, -70.0), (70.0, 70.0), (-70.0, 70.0)))
         simulation = Simulation(World("square", rooms=(square,)), seed=9)
         for number in range(3):

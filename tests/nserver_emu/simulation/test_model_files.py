@@ -50,7 +50,7 @@ def test_a_model_may_lack_a_compass_or_have_one() -> None:
     assert {name: model.has_compass for name, model in models.items()} == {
         "n150": False, "n200": True, "scout": False, "needle": True
     }  # fmt: skip
-    with pytest.raises(WorldFileError, match=r"compass: expected true or false, found 1"):
+    with pytest.raises(WorldFileError, match=r"compass: .*true or false, found 1"):
         parse_models('[[model]]\nname = "n150"\ncompass = 1\n', "mine.toml")
 
 
@@ -87,15 +87,15 @@ def test_a_differential_drive_has_wheels_and_a_track() -> None:
         ("", r"m: expected at least one \[\[model\]\]"),
         ("x =", "m: is no TOML"),
         ("modle = 1", "m: modle: unknown key.*did you mean model"),
-        ("[[model]]", r"model\[0\].name: expected a name in small letters"),
+        ("[[model]]", r"model\[0\].name: is missing: a name in small letters"),
         ('[[model]]\nname = "N150"', "name in small letters"),
         ('[[model]]\nname = "snail"', r"model\[0\].name: expected a model to be made from"),
         ('[[model]]\nname = "a"\nlike = "skout"', r"model\[0\].like: .*did you mean scout"),
         ('[[model]]\nname = "n150"\nraduis_in = 3', r"raduis_in: unknown key.*did you mean radius_in"),
         ('[[model]]\nname = "n150"\nradius_in = 0', r"radius_in: expected more than 0"),
         ('[[model]]\nname = "n150"\nradius_in = 1\nradius_cm = 1', "expected exactly one of"),
-        ('[[model]]\nname = "n150"\nbumpers = 0', "bumpers: expected 1 to 24"),
-        ('[[model]]\nname = "n150"\nbumpers = 25', "whole number from 0 to 24"),
+        ('[[model]]\nname = "n150"\nbumpers = 0', "bumpers: expected a whole number from 1 to 24, found 0"),
+        ('[[model]]\nname = "n150"\nbumpers = 25', "whole number from 1 to 24, found 25"),
         ('[[model]]\nname = "n150"\ntrack_in = 9', "track_in: unknown key"),
         ('[[model]]\nname = "n150"\nturret = 3', r"model\[0\].turret: expected a table, found 3"),
         ('[[model]]\nname = "n150"\n[model.turret]\ntop_speed_in = 3', r"model\[0\].turret.top_speed_in: unknown key"),
@@ -110,9 +110,9 @@ def test_errors_name_the_key(text: str, words: str) -> None:
 
 def test_files(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
-    with pytest.raises(WorldFileError, match="cannot be read: No such file"):
+    with pytest.raises(WorldFileError, match="cannot be read: No such"):
         load_models(path)
-    with pytest.raises(WorldFileError, match="cannot be read: embedded null byte"):
+    with pytest.raises(WorldFileError, match="embedded null byte"):
         load_models(tmp_path / "mine\0.toml")
     path.write_bytes(b"\xff\xfe")
     with pytest.raises(WorldFileError, match="UTF-8"):

@@ -127,7 +127,7 @@ def test_moving_robots_are_detected_where_they_were_a_tick_ago(room: World) -> N
 def test_starts_keep_clear_of_other_robots(room: World) -> None:
     simulation = Simulation(room)
     simulation.add_robot(2, StartPose(0.0, 0.0))
-    with pytest.raises(StartError, match="touches robot 2, which stands at"):
+    with pytest.raises(StartError, match="touches robot 2"):
         simulation.add_robot(1, StartPose(15.0, 0.0))
     simulation.add_robot(1, StartPose(20.0, 0.0))
     assert list(simulation.robots) == [1, 2]
@@ -197,7 +197,7 @@ def roaming(seed: int, world: World, setup: RobotSetup, count: int = 14) -> Iter
 
 
 def by_ticks(simulation: Simulation, begin_ps: int, end_ps: int) -> None:
-    """What `Company.run` does, without a thought for who is where: all by turns in each tick, each against all."""
+    """Advance all robots by ticks, each against all others: the brute-force form of `RobotGroup`."""
     robots = list(simulation.robots.values())
     for tick in range(begin_ps // TICK_PS, end_ps // TICK_PS):
         for turn in range(len(robots)):

@@ -171,7 +171,7 @@ def test_the_example_of_the_page_is_a_setup() -> None:
     ("text", "words"),
     [
         ("x =", "m: is no TOML"),
-        ('base = "measurd"', "base: expected one of ideal, noisy, measured, worn, found 'measurd'; did you mean meas"),
+        ('base = "measurd"', "base: expected one of ideal, measured, noisy, worn, found 'measurd'; did you mean meas"),
         ("name = 3", "name: expected a text, found 3"),
         ("rampes = true", "rampes: unknown key.*did you mean ramps"),
         ("ramps = 1", "ramps: expected true or false, found 1"),
@@ -188,7 +188,7 @@ def test_the_example_of_the_page_is_a_setup() -> None:
         ("[sonar]\ndead = [1, true]", r"sonar.dead\[1\]: expected a whole number"),
         ("[sonar]\ndead = [1, 1]", "sonar.dead: expected each number once"),
         ("[sonar]\ncone_deg = 20", 'cone_deg: belongs to the model "polaroid"; expected it beside model = "pol'),
-        ('[sonar]\nmodel = "polaroyd"', "sonar.model: expected one of ray, polaroid, .*did you mean polaroid"),
+        ('[sonar]\nmodel = "polaroyd"', "sonar.model: expected one of polaroid, ray, .*did you mean polaroid"),
         ("[sonar]\nstd = 1", "sonar.std: unknown key"),
     ],
 )
@@ -199,12 +199,12 @@ def test_errors_name_the_key(text: str, words: str) -> None:
 
 def test_names_and_files(tmp_path: Path) -> None:
     assert [setup_named(name) for name in ("ideal", "noisy", "measured", "worn")] == [IDEAL, NOISY, MEASURED, WORN]
-    with pytest.raises(AddressError, match=r"no setup 'worm'; there are ideal, .*\.toml; did you mean worn"):
+    with pytest.raises(AddressError, match=r"'worm'.* ideal, .*\.toml.*mean worn"):
         setup_named("worm")
     path = tmp_path / "mine.toml"
-    with pytest.raises(WorldFileError, match="cannot be read: No such file"):
+    with pytest.raises(WorldFileError, match="cannot be read: No such"):
         setup_named(str(path))
-    with pytest.raises(WorldFileError, match="cannot be read: embedded null byte"):
+    with pytest.raises(WorldFileError, match="embedded null byte"):
         setup_named(str(tmp_path / "mine\0.toml"))
     path.write_bytes(b"\xff\xfe")
     with pytest.raises(WorldFileError, match="UTF-8"):

@@ -19,5 +19,5 @@ def test_ten_tenths_are_one_second() -> None:
 
 @pytest.mark.parametrize("seconds", [-0.1, inf, nan])
 def test_time_runs_forward_only(seconds: float) -> None:
-    with pytest.raises(ValueError, match="expected a time of 0 s or more"):
+    with pytest.raises(ValueError, match="0 s or more"):
         to_ps(seconds)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator
 
 import pytest
 
@@ -19,13 +20,12 @@ ICON = b"GET /favicon.ico HTTP/1.1\r\nHost: localhost\r\n\r\n"
 PATIENCE_S = 20
 
 
-def at(limits: Limits, scenario: Callable[[Served], Awaitable[None]]) -> None:
-    async def evening() -> None:
-        async with serve_viewer(Emulator(simulation())) as here:
-            here.daemon.admission.limits = limits
-            await scenario(here)
-
-    asyncio.run(evening())
+@contextlib.asynccontextmanager
+async def serve_with(limits: Limits) -> AsyncIterator[Served]:
+    """Serve the page with these limits."""
+    async with serve_viewer(Emulator(simulation())) as here:
+        here.daemon.admission.limits = limits
+        yield here
 
 
 async def comes(here: Served, says: bytes = HALF) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
@@ -44,8 +44,8 @@ async def let_go(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> 
     return not there
 
 
-def test_a_connection_without_a_request_is_closed() -> None:
-    async def scenario(here: Served) -> None:
+async def test_a_connection_without_a_request_is_closed() -> None:
+    async with serve_with(Limits(stall=1)) as here:
         silent, half = await comes(here, b""), await comes(here)
         reader, writer = await comes(here, ICON)
         assert (await reader.readuntil(b"\r\n\r\n")).startswith(b"HTTP/1.1 204")
@@ -57,12 +57,10 @@ def test_a_connection_without_a_request_is_closed() -> None:
         assert (await reader.readuntil(b"\r\n\r\n")).startswith(b"HTTP/1.1 204")
         writer.close()
 
-    at(Limits(stall=1), scenario)
-
 
 @pytest.mark.parametrize(("limits", "most"), [(Limits(viewers=1), CONNECTIONS_PER_PAGE), (Limits(per_address=3), 3)])
-def test_there_are_no_more_than_pages_want(limits: Limits, most: int, caplog: pytest.LogCaptureFixture) -> None:
-    async def scenario(here: Served) -> None:
+async def test_there_are_no_more_than_pages_want(limits: Limits, most: int, caplog: pytest.LogCaptureFixture) -> None:
+    async with serve_with(limits) as here:
         inside = [await comes(here) for _ in range(most)]
         assert here.viewer_server._runner is not None
         server = here.viewer_server._runner.server
@@ -74,45 +72,40 @@ def test_there_are_no_more_than_pages_want(limits: Limits, most: int, caplog: py
         assert here.daemon.admission.rejected == 1
         for _, writer in inside:
             writer.close()
-
-    at(limits, scenario)
     assert f"there are {most} connections to the page" in caplog.text
 
 
-def test_bytes_that_are_no_http_are_logged_without_a_traceback(caplog: pytest.LogCaptureFixture) -> None:
-    async def scenario(here: Served) -> None:
+async def test_bytes_that_are_no_http_are_logged_without_a_traceback(caplog: pytest.LogCaptureFixture) -> None:
+    async with serve_with(Limits()) as here:
         for says in (b"GET / HTTP/1.1\r\n\r\n", b"GET /" + b"a" * 70_000, b"GET / HTTP/1.1\r\nHost\r\n\r\n"):
             reader, writer = await comes(here, says)
             async with asyncio.timeout(PATIENCE_S):
                 assert b" 400 " in await reader.readline()
             writer.close()
         assert here.daemon.admission.rejected == 3
-
-    at(Limits(), scenario)
-    (picture,) = [record for record in caplog.records if record.levelno >= logging.WARNING]
-    assert picture.getMessage().startswith(f"{HOST}: rejected: what it says at the page's port is no HTTP")
+    records = [record for record in caplog.records if record.levelno >= logging.WARNING]
+    assert len(records) == 3
+    for record in records:
+        assert record.getMessage().startswith(f"{HOST}: rejected: what it says at the page's port is no HTTP")
+        assert record.exc_info is None
     assert HTTP_LOG.filters == []
 
 
-def test_an_internal_error_is_logged_with_its_traceback(caplog: pytest.LogCaptureFixture) -> None:
-    async def scenario(_: Served) -> None:
+async def test_an_internal_error_is_logged_with_its_traceback(caplog: pytest.LogCaptureFixture) -> None:
+    async with serve_with(Limits()):
         try:
             raise RuntimeError("of our own")
         except RuntimeError:
             HTTP_LOG.exception("Error handling request from %s", HOST)
         HTTP_LOG.error("Missing return statement on request handler")
-
-    at(Limits(), scenario)
     assert "RuntimeError: of our own" in caplog.text
     assert "Missing return statement" in caplog.text
 
 
-def test_without_a_stall_limit_no_connection_is_closed() -> None:
-    async def scenario(here: Served) -> None:
+async def test_without_a_stall_limit_no_connection_is_closed() -> None:
+    async with serve_with(Limits(stall=0)) as here:
         reader, writer = await comes(here)
         await asyncio.sleep(0.05)
         writer.write(b"Host: localhost\r\n\r\n")
         assert (await reader.readuntil(b"\r\n")).startswith(b"HTTP/1.1 200")
         writer.close()
-
-    at(Limits(stall=0), scenario)

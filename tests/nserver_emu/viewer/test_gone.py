@@ -12,7 +12,8 @@ from collections.abc import Awaitable, Callable
 import pytest
 
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.viewer import controller, server
+from nserver_emu.viewer import server
+from nserver_emu.viewer.broadcaster import Viewer
 from tests.nserver_emu.server.wire_client import simulation
 from tests.nserver_emu.viewer.page_client import HOST, Served, serve_viewer
 
@@ -63,7 +64,7 @@ async def test_a_page_that_vanished_is_forgotten_and_its_line_let_go(monkeypatch
         with await dumb_page(here) as end:
             assert await forgotten(here) < 1.5 * SHORT_S + 2.0
             assert not here.daemon.emulator.pose_requests.open
-            await told_to_the_end(end)
+            await read_to_end(end)
 
 
 async def test_a_page_that_sends_but_never_receives_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -76,7 +77,7 @@ async def test_a_page_that_sends_but_never_receives_is_closed(monkeypatch: pytes
             here.viewer_server.broadcaster.notify("x" * MORE_THAN_LINES_HOLD)
             assert await forgotten(here) < SHORT_S + 2.0
             talking.cancel()
-            await told_to_the_end(end)
+            await read_to_end(end)
 
 
 async def talk_on(loop: asyncio.AbstractEventLoop, end: socket.socket) -> None:
@@ -87,42 +88,34 @@ async def talk_on(loop: asyncio.AbstractEventLoop, end: socket.socket) -> None:
         await asyncio.sleep(0.05)
 
 
-def test_messages_for_a_closed_page_are_dropped(caplog: pytest.LogCaptureFixture) -> None:
-    async def scenario() -> None:
-        async with serve_viewer(Emulator(simulation())) as here:
-            async with here.page() as page:
-                await page.until(lambda message: message["type"] == "picture")
-                (viewer,) = here.viewer_server.broadcaster.viewers
-            await forgotten(here)
-            viewer.notify("{}")
-            await asyncio.sleep(0.02)
-            assert viewer.take_messages() == ["{}"]
-
-    asyncio.run(scenario())
+async def test_messages_for_a_closed_page_are_dropped(caplog: pytest.LogCaptureFixture) -> None:
+    async with serve_viewer(Emulator(simulation())) as here:
+        async with here.page() as page:
+            await page.until(lambda message: message["type"] == "picture")
+            (viewer,) = here.viewer_server.broadcaster.viewers
+        await forgotten(here)
+        viewer.notify("{}")
+        await asyncio.sleep(0.02)
+        assert viewer.take_messages() == ["{}"]
     assert not [record for record in caplog.records if record.levelname == "ERROR"]
 
 
-def test_a_page_that_floods_does_not_block_others(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_page_that_floods_does_not_block_others(monkeypatch: pytest.MonkeyPatch) -> None:
     turns: list[int] = []
     turn = 0
-    monkeypatch.setitem(controller._ACTIONS, "seen", lambda *_: turns.append(turn))
-
-    async def scenario() -> None:
-        nonlocal turn
-        async with serve_viewer(Emulator(simulation())) as here, here.page() as page:
-            for number in range(MUCH):
-                await page.send_message(do="seen", frame=number)
-            async with asyncio.timeout(10):
-                while len(turns) < MUCH:
-                    await asyncio.sleep(0)
-                    turn += 1
-            assert len(set(turns)) == MUCH
-
-    asyncio.run(scenario())
+    monkeypatch.setattr(Viewer, "mark_drawn", lambda *_: turns.append(turn))
+    async with serve_viewer(Emulator(simulation())) as here, here.page() as page:
+        for number in range(MUCH):
+            await page.send_message(do="seen", frame=number)
+        async with asyncio.timeout(10):
+            while len(turns) < MUCH:
+                await asyncio.sleep(0)
+                turn += 1
+        assert len(set(turns)) == MUCH
 
 
-async def told_to_the_end(end: socket.socket) -> None:
-    """The line ends, which a line that is only closed would not before all is read, and is read in no time here."""
+async def read_to_end(end: socket.socket) -> None:
+    """Read until the server ends the connection; fail if it does not within 5 s."""
     loop = asyncio.get_running_loop()
     async with asyncio.timeout(5):
         try:
@@ -175,20 +168,19 @@ async def torn_off(here: Served) -> None:
 
 
 @pytest.mark.parametrize("act", [refusals, torn_off])
-def test_errors_hold_no_frames_until_garbage_collection(act: Callable[[Served], Awaitable[None]]) -> None:
-    async def scenario() -> list[object]:
-        async with serve_viewer(Emulator(simulation())) as here:
+async def test_errors_hold_no_frames_until_garbage_collection(act: Callable[[Served], Awaitable[None]]) -> None:
+    async with serve_viewer(Emulator(simulation())) as here:
+        # The first run fills caches; only the second is judged.
+        await act(here)
+        gc.collect()
+        gc.disable()
+        gc.set_debug(gc.DEBUG_SAVEALL)
+        try:
             await act(here)
             gc.collect()
-            gc.disable()
-            gc.set_debug(gc.DEBUG_SAVEALL)
-            try:
-                await act(here)
-                gc.collect()
-                return [thing for thing in gc.garbage if isinstance(thing, types.FrameType | types.TracebackType)]
-            finally:
-                gc.set_debug(0)
-                gc.garbage.clear()
-                gc.enable()
-
-    assert asyncio.run(scenario()) == []
+            held = [thing for thing in gc.garbage if isinstance(thing, types.FrameType | types.TracebackType)]
+        finally:
+            gc.set_debug(0)
+            gc.garbage.clear()
+            gc.enable()
+    assert held == []

@@ -1,4 +1,4 @@
-"""/metrics and /health: what they say, in which form, and to whom."""
+"""/metrics and /health: contents, format and access."""
 
 from __future__ import annotations
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import asyncio
 import importlib.util
 import re
 
@@ -44,23 +43,17 @@ def test_what_is_no_port_is_wrong_usage(text: str, capsys: pytest.CaptureFixture
 
 
 @pytest.mark.parametrize(("host", "name"), [("127.0.0.1", r"127\.0\.0\.1"), ("::1", r"\[::1\]")])
-def test_one_line_says_where_and_the_token(host: str, name: str) -> None:
-    async def scenario() -> list[str]:
-        daemon = Daemon(Emulator(simulation()))
-        options = argparse.Namespace(viewer=ListenAddress(host, 0), viewer_token_file=None)
-        async with running_viewer(daemon, options) as lines:
-            return lines
-
-    (line,) = asyncio.run(scenario())
+async def test_one_line_says_where_and_the_token(host: str, name: str) -> None:
+    daemon = Daemon(Emulator(simulation()))
+    options = argparse.Namespace(viewer=ListenAddress(host, 0), viewer_token_file=None)
+    async with running_viewer(daemon, options) as (line,):
+        pass
     assert re.fullmatch(rf"listening viewer http://{name}:\d+/\?token=[\w-]{{32}}", line)
 
 
-def test_without_the_option_there_is_no_page() -> None:
-    async def scenario() -> list[str]:
-        async with running_viewer(Daemon(Emulator(simulation())), options()) as lines:
-            return lines
-
-    assert asyncio.run(scenario()) == []
+async def test_without_the_option_there_is_no_page() -> None:
+    async with running_viewer(Daemon(Emulator(simulation())), options()) as lines:
+        assert lines == []
 
 
 def test_without_aiohttp_the_extra_is_named(

@@ -79,7 +79,7 @@ def test_beams_are_sent_once_and_end_when_the_robot_is_placed() -> None:
     history.take()
     emulator.pass_time(1.0)
     history.take()
-    assert "beams" not in history.since(1), "all have cried anew, from where they were"
+    assert "beams" not in history.since(1), "all sonars have emitted again from the same place"
     client.ask("vm", 100, 0, 200)
     emulator.pass_time(0.5)
     client.ask("st")

@@ -118,13 +118,10 @@ async def test_stop_applies_to_one_robot_or_to_all() -> None:
         assert (await page.answer(4))["error"] == "there is no robot 7; there are 1, 2"
 
 
-def test_stop_and_release_are_logged_with_the_viewer(caplog: pytest.LogCaptureFixture) -> None:
-    async def scenario() -> None:
-        async with serve_viewer(Emulator(simulation())) as here:
-            here.daemon.hold([1], "nserver ctl")
-            here.daemon.release([1])
-
-    asyncio.run(scenario())
+async def test_stop_and_release_are_logged_with_the_viewer(caplog: pytest.LogCaptureFixture) -> None:
+    async with serve_viewer(Emulator(simulation())) as here:
+        here.daemon.hold([1], "nserver ctl")
+        here.daemon.release([1])
     assert [record.getMessage() for record in caplog.records if record.levelname == "WARNING"] == [
         "emergency stop by nserver ctl: robot 1; release in the viewer or with nserver ctl release",
         "released: robot 1",

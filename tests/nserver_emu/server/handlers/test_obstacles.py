@@ -36,7 +36,7 @@ def test_obstacles_with_many_corners_move_and_are_removed() -> None:
     assert moved == (Polygon(tuple((x + 1.5, y - 0.25) for x, y in TWELVE), "pillar"), TABLE)
     assert result == {"obstacles": 2, "was": [list(corner) for corner in TWELVE], "name": "pillar", "at": 0,
                     "is": [list(corner) for corner in moved[0].corners_in]}  # fmt: skip
-    with pytest.raises(ControlError, match="there is none with these corners"):
+    with pytest.raises(ControlError, match="none with these corners"):
         change_obstacle(emulator, {"corners": DISPLAYED})
     result = change_obstacle(emulator, {"corners": [[x + 1.5, y - 0.25] for x, y in DISPLAYED]})
     assert (result["obstacles"], result["is"]) == (1, None)
@@ -96,6 +96,6 @@ def test_an_obstacle_that_cannot_be_changed_so_stays(wanted: dict[str, Any], wor
 
 def test_no_more_are_put_than_may_be() -> None:
     emulator = a_stage(allowed=2)
-    with pytest.raises(ControlError, match="there are 2 already"):
+    with pytest.raises(ControlError, match="are 2 already"):
         change_obstacle(emulator, {"put": ONE})
     change_obstacle(emulator, {"corners": DISPLAYED, "by": [1, 0]})

@@ -1,0 +1,22 @@
+"""The script `nomad`, and `python -m nclient.cli`."""
+
+from __future__ import annotations
+
+import sys
+
+from nclient.common.exit_codes import ExitCode
+from nclient.common.start import exit_on_interrupt
+
+
+def main() -> int:
+    """Run `nomad`, and return the exit code."""
+    try:
+        with exit_on_interrupt():
+            from nclient.cli import main as command
+        return command.main()
+    except KeyboardInterrupt:
+        return ExitCode.INTERRUPTED
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,74 @@
+"""The guard around imports: SIGINT exits at once; an ignored SIGINT stays ignored."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from types import SimpleNamespace
+
+import pytest
+
+from nclient.cli import __main__ as nomad
+from nclient.common.exit_codes import ExitCode
+from nclient.common.start import exit_on_interrupt
+from nserver_emu import __main__ as nserver
+
+
+@pytest.fixture(autouse=True)
+def _python_handler() -> Iterator[None]:
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+def test_a_signal_exits_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    def leave(code: int) -> None:
+        raise SystemExit(code)
+
+    monkeypatch.setattr(os, "_exit", leave)
+    with pytest.raises(SystemExit, match="130"), exit_on_interrupt():
+        signal.raise_signal(signal.SIGINT)
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_a_failed_import_restores_the_handler() -> None:
+    with pytest.raises(ImportError), exit_on_interrupt():
+        raise ImportError
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_an_ignored_signal_stays_ignored() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with exit_on_interrupt():
+        signal.raise_signal(signal.SIGINT)
+    assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+
+
+@pytest.mark.parametrize(("script", "command"), [(nomad, "nclient.cli.main"), (nserver, "nserver_emu.cli")])
+def test_scripts_run_the_command(script: SimpleNamespace, command: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    handlers: list[object] = []
+
+    def main() -> int:
+        handlers.append(signal.getsignal(signal.SIGINT))
+        if len(handlers) == 2:
+            raise KeyboardInterrupt
+        return 3
+
+    monkeypatch.setattr(f"{command}.main", main)
+    assert script.main() == 3
+    assert script.main() == ExitCode.INTERRUPTED
+    assert handlers == [signal.default_int_handler] * 2
+
+
+def test_the_package_imports_its_names_when_used() -> None:
+    program = (
+        "import sys, nclient; nclient.BumperHit\n"
+        "assert 'nclient.errors' in sys.modules and not {'nclient.connector', 'asyncio'} & set(sys.modules)\n"
+        "assert set(nclient.__all__) <= set(dir(nclient)) and not hasattr(nclient, 'other')\n"
+        "assert all(hasattr(nclient, name) for name in nclient.__all__)\n"
+        "import nclient.connector; assert nclient.connect is nclient.connector.connect\n"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True, timeout=60)

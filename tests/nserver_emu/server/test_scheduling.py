@@ -1,0 +1,111 @@
+"""Event-loop turns bounded by cost and shared by processor time; costs are set by the test, not measured."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections import Counter
+from dataclasses import dataclass, field
+
+import pytest
+
+from nserver_emu.server.connection import TURN_BUDGET_S, FairScheduler
+
+
+class Clock:
+    """Stands for the event loop's clock and for the thread's processor time."""
+
+    now_s = 0.0
+
+
+@dataclass
+class Load:
+    """A connection with a backlog of equally expensive requests."""
+
+    name: str
+    cost_s: float
+    backlog: int
+    clock: Clock
+    scheduler: FairScheduler
+    order: list[str]
+    is_queued: bool = False
+    finish_tag_s: float = 0.0
+    turns: list[int] = field(default_factory=list)
+
+    def run_turn(self) -> None:
+        self.clock.now_s += self.cost_s
+        self.backlog -= 1
+        self.order.append(self.name)
+        self.turns.append(self.scheduler.turns)
+        if self.backlog:
+            self.scheduler.submit(self)
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    clock = Clock()
+    monkeypatch.setattr(time, "thread_time", lambda: clock.now_s)
+    return clock
+
+
+async def drained(scheduler: FairScheduler, clock: Clock, loads: list[Load]) -> None:
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(asyncio.get_running_loop(), "time", lambda: clock.now_s)
+        for load in loads:
+            scheduler.submit(load)
+        while any(load.backlog for load in loads):
+            await asyncio.sleep(0)
+
+
+async def test_a_turn_is_bounded_by_cost_not_by_count(clock: Clock) -> None:
+    scheduler = FairScheduler()
+    order: list[str] = []
+    loads = [Load(str(number), TURN_BUDGET_S / 5, 4, clock, scheduler, order) for number in range(50)]
+    await drained(scheduler, clock, loads)
+    served = Counter(turn for load in loads for turn in load.turns)
+    # Fifty floods: the last job of a turn may exceed the budget, no other.
+    assert max(served.values()) <= 6
+    assert all(max(Counter(load.turns).values()) == 1 for load in loads)
+
+
+async def test_time_is_shared_whatever_requests_cost(clock: Clock) -> None:
+    scheduler = FairScheduler()
+    order: list[str] = []
+    dear = Load("dear", 0.010, 20, clock, scheduler, order)
+    cheap = Load("cheap", 0.0001, 1000, clock, scheduler, order)
+    await drained(scheduler, clock, [dear, cheap])
+    # While both have a backlog, one request of the one takes as long as a hundred of the other.
+    between = order.index("dear", order.index("dear") + 1)
+    assert 90 <= order[between:].index("dear", 1) <= 101
+
+
+async def test_a_rested_connection_is_next(clock: Clock) -> None:
+    scheduler = FairScheduler()
+    order: list[str] = []
+    floods = [Load(f"flood {number}", TURN_BUDGET_S / 4, 40, clock, scheduler, order) for number in range(50)]
+    draining = asyncio.create_task(drained(scheduler, clock, list(floods)))
+    while len(order) < 300:
+        await asyncio.sleep(0)
+    rested, before = Load("rested", 0.00001, 1, clock, scheduler, order), len(order)
+    scheduler.submit(rested)
+    await draining
+    assert order.index("rested") - before <= 4  # one turn
+
+
+async def test_an_idle_loop_answers_at_once() -> None:
+    scheduler = FairScheduler()
+    assert scheduler.may_run_now(100.0)
+    assert scheduler.may_run_now(100.0 + 0.9 * TURN_BUDGET_S)
+    assert not scheduler.may_run_now(100.0 + 1.1 * TURN_BUDGET_S), "the turn is used up"
+    assert scheduler.may_run_now(100.0 + 2.1 * TURN_BUDGET_S)
+
+
+async def test_nothing_overtakes_queued_work(clock: Clock) -> None:
+    scheduler = FairScheduler()
+    withdrawn = Load("withdrawn", 1.0, 1, clock, scheduler, [])
+    scheduler.submit(withdrawn)
+    assert not scheduler.may_run_now(100.0)
+    withdrawn.is_queued = False
+    await asyncio.sleep(0)
+    assert withdrawn.order == []
+    assert len(scheduler) == 0
