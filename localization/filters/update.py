@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from enum import IntEnum
 from math import exp, nan, pi, sqrt
-from typing import Any, Final, NamedTuple, Protocol, runtime_checkable
+from typing import Final, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -151,10 +151,17 @@ class MeasurementModel(Protocol):
 
 @runtime_checkable
 class DirectModel(MeasurementModel, Protocol):
-    """A model with an update of its own by the linear rule, of a reading in a direction from the heading."""
+    """A model with an update of its own by the linear rule."""
 
-    angles_rad: Sequence[float]
-    update: Callable[[State, Covariance, float, float, Any, int], Outcome]
+    @property
+    def angles_rad(self) -> Sequence[float]:
+        """Return the direction of each sonar from that of the turret."""
+        ...
+
+    @property
+    def update(self) -> Callable[..., Outcome]:
+        """Return a function of x, P, direction from the heading, reading, this model, and count (`update_by_ray`)."""
+        ...
 
 
 # 2. Gain and innovation of one hypothesis.
