@@ -47,7 +47,7 @@ from nserver_emu.server.admission import RESERVED_CONNECTIONS, AdmissionControl
 from nserver_emu.server.config import MODEL_NAMES, SimulationConfig, robot_placements
 from nserver_emu.server.connection import MAX_REQUESTS_PER_TURN
 from nserver_emu.server.context import Allowed, SimulationClock
-from nserver_emu.server.daemon import Daemon, stop_on_signals
+from nserver_emu.server.daemon import Daemon, ignore_signals, restored_signals, stop_on_signals
 from nserver_emu.server.garbage_collection import rare_collection
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.legacy_setup import LegacySetup, read_setups
@@ -76,8 +76,11 @@ def main(argv: list[str] | None = None) -> int:
     # 1. The first word decides: a command for a running daemon, or the daemon itself.
     words = _help_as_option(sys.argv[1:] if argv is None else argv)
     run = _daemon if words[:1] != [CONTROL] else lambda words: cli.main(words[1:])
+    # A program that calls this function with arguments continues after it, with its own signal handlers.
+    handlers = contextlib.nullcontext() if argv is None else restored_signals()
     try:
-        code = run(words)
+        with handlers:
+            code = run(words)
         sys.stdout.flush()
     # 2. A reader of stdout that has ended, such as `head`, is no error of the daemon.
     except OSError as error:
@@ -163,6 +166,7 @@ async def _serve_with(
         await _run(daemon, gateway, options, stop, file)
     finally:
         await daemon.close()
+        ignore_signals()
     return ExitCode.DONE
 
 

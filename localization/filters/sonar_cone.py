@@ -310,15 +310,21 @@ def expected_echoes(
 
 
 def echo_probabilities(
-    poses: Floats, heading_std_rad: Floats, mount: SonarMount, around: Reflectors, sonar: ConeSonar
+    poses: Floats,
+    heading_std_rad: Floats,
+    mount: SonarMount,
+    around: Reflectors,
+    sonar: ConeSonar,
+    walls_in: Floats | None = None,
 ) -> tuple[Floats, Floats]:
     """Return ranges and probabilities (n, j) of `expected_echoes` at poses (n, 3).
 
-    Only the j reflectors that are detected from at least one of the poses are included.
+    Only the j reflectors that are detected from at least one of the poses are included. `walls_in` (m', 4) may block
+    the path. Default: all walls of `around`.
     """
     near = _within_reach(poses, heading_std_rad, mount, around, sonar)
     seen = _geometry(poses, mount, near)
-    detected = _detected(seen, heading_std_rad, near, sonar, around.walls)
+    detected = _detected(seen, heading_std_rad, near, sonar, around.walls if walls_in is None else walls_in)
     which = detected.any(axis=0)
     ranges = seen.ranges_in[:, which]
     return ranges, _first_echo(ranges, detected[:, which])

@@ -168,6 +168,19 @@ class TcpFramer:
         """Return the number of bytes still to arrive of a rejected message that is being skipped."""
         return self._to_skip
 
+    @property
+    def may_be_narrow(self) -> bool:
+        """True if the buffer has the begin of a 64-bit CONNECT that is also a whole 32-bit CONNECT to robot 0."""
+        if not self.wide or self.frames or len(self._buffer) < _HEADER.size:
+            return False
+        message_type, count = _HEADER.unpack_from(self._buffer)
+        return message_type in _CONNECT_TYPES and len(self._buffer) == _HEADER.size + _WORD_SIZE * count
+
+    def reread_as_narrow(self) -> list[TcpFrame | InvalidFrame]:
+        """Read the buffer as messages of a 32-bit client, and return them."""
+        self.wide = False
+        return self.receive(b"")
+
     def receive(self, data: bytes) -> list[TcpFrame | InvalidFrame]:
         """Add bytes, and return the frames and rejected frames that they complete, in order."""
         if self._lost and self._drop_after_loss:

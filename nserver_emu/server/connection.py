@@ -125,17 +125,19 @@ class FairScheduler:
         loop = asyncio.get_running_loop()
         now_s = loop.time()
         self._end_s, first_again_s = now_s + TURN_BUDGET_S, inf
-        while self._queue and now_s < self._end_s and self._queue[0][0] <= first_again_s:
-            self._virtual_s, _, job = heappop(self._queue)
-            if job.is_queued:
-                self._run(job)
-                now_s = loop.time()
+        try:
+            while self._queue and now_s < self._end_s and self._queue[0][0] <= first_again_s:
+                self._virtual_s, _, job = heappop(self._queue)
                 if job.is_queued:
-                    first_again_s = min(first_again_s, job.finish_tag_s)
-        # 3. The rest follows in the next turn.
-        self._is_turn_scheduled = bool(self._queue or self._submitted)
-        if self._is_turn_scheduled:
-            loop.call_soon(self._run_turn)
+                    self._run(job)
+                    now_s = loop.time()
+                    if job.is_queued:
+                        first_again_s = min(first_again_s, job.finish_tag_s)
+        finally:
+            # 3. The rest follows in the next turn, also after an error, which the event loop logs.
+            self._is_turn_scheduled = bool(self._queue or self._submitted)
+            if self._is_turn_scheduled:
+                loop.call_soon(self._run_turn)
 
     def _run(self, job: Job) -> None:
         """Run a job and charge it for its processor time."""
@@ -181,6 +183,11 @@ READ_SIZE: Final = 4096
 # least that a turn can do: requests differ in cost by a factor of a hundred.
 MAX_BYTES_PER_TURN: Final = 512
 MAX_REQUESTS_PER_TURN: Final = 1
+
+# Seconds to wait for the second half of a 64-bit CONNECT before it is read as a 32-bit CONNECT to robot 0.
+CONNECT_WAIT_S: Final = 1.0
+# Socket option that acknowledges received bytes at once; only Linux has it.
+_QUICK_ACK: Final[int | None] = getattr(socket, "TCP_QUICKACK", None)
 
 
 class Server(Protocol):
@@ -485,6 +492,8 @@ class TcpConnection(ConnectionHandler, asyncio.BufferedProtocol):
         self._timeouts = ConnectionTimeouts(limits.idle, limits.stall, now_s)
         self._timeout_check: asyncio.TimerHandle | None = None
         self._is_closed_by_timeout = False
+        # Fires if a CONNECT of a 64-bit client remains incomplete.
+        self._connect_timer: asyncio.TimerHandle | None = None
         self.opened_s = now_s
 
     # asyncio.BufferedProtocol.
@@ -493,7 +502,8 @@ class TcpConnection(ConnectionHandler, asyncio.BufferedProtocol):
         """Set socket options, then start the session."""
         self._transport = cast(asyncio.Transport, transport)
         peer = transport.get_extra_info("peername")
-        transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        self._socket: socket.socket = transport.get_extra_info("socket")
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         self.host = peer[0] if peer else ""
         self._transport.set_write_buffer_limits(high=self._server.admission.limits.write_queue)
         self._start_session(f"{peer[0]}:{peer[1]}" if peer else "client")
@@ -507,8 +517,9 @@ class TcpConnection(ConnectionHandler, asyncio.BufferedProtocol):
         session, registry = self.session, self._server.client_registry
         # 1. No more turns and timers.
         self._cancel_timers()
-        if self._timeout_check is not None:
-            self._timeout_check.cancel()
+        for timer in (self._timeout_check, self._connect_timer):
+            if timer is not None:
+                timer.cancel()
         self._server.connections.discard(self)
         # 2. After DISCONNECT the registry entry ends at once; otherwise it stays for a second connection of the client
         #    that may continue without CONNECT.
@@ -536,6 +547,27 @@ class TcpConnection(ConnectionHandler, asyncio.BufferedProtocol):
         """Process the bytes read into the buffer."""
         self._timeouts.active_s = self._loop.time()
         self.data_received(bytes(self._buffer[:nbytes]))
+
+    def _take_turn(self, data: bytes) -> None:
+        super()._take_turn(data)
+        if self.session.unfinished:
+            self._await_rest()
+
+    def _await_rest(self) -> None:
+        """Prepare for the rest of an incomplete request.
+
+        A client that writes it in pieces does not send the next piece before the first is acknowledged. The system
+        delays that by 40 ms unless it is told otherwise, after each read again.
+        """
+        if _QUICK_ACK is not None and not self._transport.is_closing():
+            self._socket.setsockopt(socket.IPPROTO_TCP, _QUICK_ACK, 1)
+        session = self.session
+        if isinstance(session, Session) and session.may_have_32_bit_words and self._connect_timer is None:
+            self._connect_timer = self._loop.call_later(CONNECT_WAIT_S, self._assume_32_bit_words, session)
+
+    def _assume_32_bit_words(self, session: Session) -> None:
+        session.assume_32_bit_words()
+        self._schedule()
 
     def pause_writing(self) -> None:
         """Stop answering requests: the client does not read its replies."""
@@ -580,12 +612,12 @@ class TcpConnection(ConnectionHandler, asyncio.BufferedProtocol):
         # collection, and those are rare (garbage.py).
         lookup = weakref.WeakMethod(self._lookup_identity)
         self.session = Session(
-            self._handler.answer, name, lambda wide: method(wide) if (method := lookup()) else None,
+            self._handler.answer, name, lambda wide: method(wide) if (method := lookup()) else [],
             self._server.emulator.allowed.frame,
         )  # fmt: skip
         self._recorder = self._server.recorder.open(name, TCP, N150)
 
-    def _lookup_identity(self, wide: bool | None) -> ClientIdentity | None:
+    def _lookup_identity(self, wide: bool | None) -> list[ClientIdentity]:
         return self._server.client_registry.lookup(self, self.host, wide)
 
     # Timeouts.

@@ -12,7 +12,7 @@ import errno
 import logging
 import signal
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -287,12 +287,40 @@ def _names(robot_ids: Iterable[int]) -> str:
     return ", ".join(f"robot {robot_id}" for robot_id in robot_ids) or "no robot"
 
 
-def stop_on_signals(stop: asyncio.Event) -> None:
-    """Set `stop` on SIGINT, SIGTERM and SIGHUP where they exist; a SIGHUP ignored at start (nohup) stays ignored."""
-    loop = asyncio.get_running_loop()
+def _ending_signals() -> set[signal.Signals]:
+    """Return the signals that end the daemon, where they exist; a SIGHUP ignored at start (nohup) stays ignored."""
     ending = {signal.SIGINT, signal.SIGTERM}
     if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
         ending.add(signal.SIGHUP)
-    for number in ending:
+    return ending
+
+
+def stop_on_signals(stop: asyncio.Event) -> None:
+    """Set `stop` on SIGINT, SIGTERM and SIGHUP."""
+    for number in _ending_signals():
         with contextlib.suppress(NotImplementedError):
-            loop.add_signal_handler(number, stop.set)
+            asyncio.get_running_loop().add_signal_handler(number, stop.set)
+
+
+@contextlib.contextmanager
+def restored_signals() -> Iterator[None]:
+    """Restore the handlers of these signals at the end, unless this is not the main thread."""
+    handlers = {number: signal.getsignal(number) for number in _ending_signals()}
+    try:
+        yield
+    finally:
+        with contextlib.suppress(ValueError):
+            for number, handler in handlers.items():
+                signal.signal(number, handler)
+
+
+def ignore_signals() -> None:
+    """Ignore these signals from now on: the daemon has ended, and a closing event loop reports them as errors."""
+    loop, ending = asyncio.get_running_loop(), _ending_signals()
+    with contextlib.suppress(NotImplementedError, AttributeError):
+        # Blocked meanwhile: removing a handler restores the default, which ends the process.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, ending)
+        for number in ending:
+            if loop.remove_signal_handler(number):
+                signal.signal(number, signal.SIG_IGN)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -134,7 +134,7 @@ class SerialSession(BaseSession[SerialFrame]):
             try:
                 call = codec.decode_serial_request(request, wire_state)
             except WireError as error:
-                self._count_refused("values", str(error))
+                self._count_refused(f"type {request.type}", str(error))
                 return codec.encode_serial_reply(BY_NAME["gs"], NAK, wire_state)
             if len(self._cached_calls) < MAX_CACHED_CALLS:
                 self._cached_calls[request] = call

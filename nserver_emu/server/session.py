@@ -22,7 +22,7 @@ from __future__ import annotations
 import logging
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final, Generic, NamedTuple, Protocol, TypeVar
 
@@ -138,7 +138,7 @@ class ClientIdentity(NamedTuple):
     robot_id: int
     # True for a client with 64-bit words.
     wide: bool
-    # True while the client has sent nothing since its CONNECT.
+    # True while the client has sent nothing since its CONNECT but the sensor mask (ct).
     silent: bool = False
 
 
@@ -280,7 +280,7 @@ class Session(BaseSession[TcpFrame | InvalidFrame]):
         Name of the client in logs.
     find_identity
         Called for a connection that does not start with CONNECT, with the word size that its first bytes show (True 64,
-        False 32 bits, None unknown); returns the identity that it continues, or None.
+        False 32 bits, None unknown); returns the identity that it continues, several if that is ambiguous.
     max_words
         Maximum length of a request.
     """
@@ -289,13 +289,15 @@ class Session(BaseSession[TcpFrame | InvalidFrame]):
         self,
         answer: Answer,
         name: str = "client",
-        find_identity: Callable[[bool | None], ClientIdentity | None] = lambda _: None,
+        find_identity: Callable[[bool | None], Sequence[ClientIdentity]] = lambda _: (),
         max_words: int = Limits().frame,
     ) -> None:
         super().__init__(answer, name, ConnectionContext())
         self._find_identity = find_identity
         # The first bytes until they identify the client, then None.
         self._head: bytes | None = b""
+        # True for a connection without CONNECT that could continue several clients.
+        self._is_ambiguous = False
         self._framer = TcpFramer(limited_request_bounds(max_words), drop_after_loss=True)
 
     @property
@@ -315,18 +317,39 @@ class Session(BaseSession[TcpFrame | InvalidFrame]):
             self._identify(data)
         self._queue.extend(self._framer.receive(data))
 
+    @property
+    def may_have_32_bit_words(self) -> bool:
+        """True if an incomplete CONNECT of a 64-bit client would be a whole CONNECT to robot 0 of a 32-bit client."""
+        return self._framer.may_be_narrow
+
+    def assume_32_bit_words(self) -> None:
+        """Read an incomplete CONNECT as one to robot 0, because the rest of a 64-bit message has not come."""
+        if self._framer.may_be_narrow:
+            log.warning("%s: connects to robot 0; the numbers of robots begin with 1", self.name, extra=self.log_extra)
+            self._queue.extend(self._framer.reread_as_narrow())
+
     def _identify(self, head: bytes) -> None:
         """Continue the session of another connection if this one does not start with CONNECT."""
-        identity = None if is_connect(head) else self._find_identity(sniff_word_size(head))
-        if identity is not None:
-            log.info("%s: continues without CONNECT, as robot %d", self.name, identity.robot_id,
-                     extra=self.log_extra)
-            self.context.robot_id = identity.robot_id
-            self._framer.wide = identity.wide
-            self.identity = identity._replace(silent=False)
+        found = () if is_connect(head) else self._find_identity(sniff_word_size(head))
+        if not found:
+            return
+        identity, *others = found
+        self._framer.wide = identity.wide
+        if others:
+            self._is_ambiguous = True
+            names = " or ".join(f"robot {each.robot_id} ({64 if each.wide else 32}-bit words)" for each in found)
+            log.warning("%s: closed: it starts without CONNECT and could continue %s of the same address; start such "
+                        "programs one after another", self.name, names, extra=self.log_extra)  # fmt: skip
+            return
+        log.info("%s: continues without CONNECT, as robot %d", self.name, identity.robot_id, extra=self.log_extra)
+        self.context.robot_id = identity.robot_id
+        self.identity = identity._replace(silent=False)
 
     def _process_one(self, request: TcpFrame | InvalidFrame) -> bytes:
-        # 1. Frames that are no request.
+        # 1. Requests of an unknown client, and frames that are no request.
+        if self._is_ambiguous:
+            self.closing = True
+            return self._refuse("ambiguous", NOT_CONNECTED, "a request without CONNECT of an ambiguous client")
         if isinstance(request, InvalidFrame):
             self.closing = request.fatal
             if request.fatal:
@@ -340,16 +363,23 @@ class Session(BaseSession[TcpFrame | InvalidFrame]):
         row = BY_NAME[call.name]
         if self.context.robot_id is None and call.name not in _CONNECT_NAMES:
             return self._refuse("not connected", NOT_CONNECTED, f"{call.name} before connect_robot")
+        # No process has the number 0: it is the second half of a word that has eight bytes.
+        if call.name in _CONNECT_NAMES and call.args[-1] == 0 and (self._queue or self.unfinished):
+            self.closing = True
+            reason = (f"{call.name}: words of eight bytes with the value in front; only 64-bit words with the value "
+                      "behind four zero bytes are known: build the program for 32 bits, or with clib")  # fmt: skip
+            return self._refuse("word layout", BAD_VALUES, reason)
         # 3. Settings of the protocol that the request changes take effect in its own reply.
         context, wire_state = self.context, self.context.wire_state
         wire_state.wide = bool(self._framer.wide)
         codec.update_from_request(call, wire_state)
         # 4. Execute. The result of CONNECT is an identity, unless it named no existing robot.
         answer = self._answer(call, context)
-        is_connect = call.name in _CONNECT_NAMES
-        if is_connect or self.identity is None or self.identity.silent:
+        was_silent = self.identity is not None and self.identity.silent
+        is_silent = call.name in _CONNECT_NAMES or (was_silent and call.name == "ct")
+        if is_silent or self.identity is None or was_silent:
             robot_id = context.robot_id
-            self.identity = None if robot_id is None else ClientIdentity(robot_id, wire_state.wide, is_connect)
+            self.identity = None if robot_id is None else ClientIdentity(robot_id, wire_state.wide, is_silent)
         # 5. Reply. A request without a reply (disconnect_robot) ends the connection.
         self.closing = not row.has_tcp_reply
         if self.closing:
