@@ -81,6 +81,8 @@ def test_straight_at_a_wall() -> None:
     beams = ranges_from(np.zeros(3), AHEAD, N150, walls)
     assert beams.range_in == pytest.approx([20.0 - 9.06])
     assert np.stack(beams.H, axis=-1) == pytest.approx(np.array([[-1.0, 0.0, 0.0]]))
+    _, _, cosine = intersect_line(0.0, 0.0, 1.0, 0.0, walls.line(0))
+    assert abs(cosine) == pytest.approx(1.0)
 
 
 def test_a_wall_within_the_ring_is_still_the_first() -> None:
