@@ -66,6 +66,7 @@ def test_given_points_are_passed_by_on_straight_paths() -> None:
 def test_around_finds_there_is_the_widest_room_there_is() -> None:
     find = np.array([[28.0, 22.0, 24.0, 26.0]])
     walls = np.concatenate((WALLS, find))
+    # The wider margins have no path: the planner took the widest that has one.
     plan = PLANNER.plan((5.0, 5.0), (60.0, 55.0), find)
     wider = [margin for margin in MARGINS_IN if margin > plan.margin_in]
     for margin in wider[:1]:
