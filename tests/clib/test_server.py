@@ -88,7 +88,8 @@ def test_silent_server_is_disconnected(client: str) -> None:
 
     def talk(connection: socket.socket) -> None:
         by_script(server, 3)(connection)
-        assert connection.recv(1) == b""  # the client closes the connection without another request
+        # The client closes the connection without another request.
+        assert connection.recv(1) == b""
 
     with on_socket(talk) as port:
         _, silent, after, _ = run_calls([client, str(port)], "connect_robot 1\ngs\nst\n")
@@ -193,7 +194,8 @@ def test_robot_number_in_address_must_match(
         monkeypatch.setenv("NOMAD_ROBOT", f"nserver://127.0.0.1:{listener.getsockname()[1]}/2")
         refused, running, _ = run_calls([client], f"{call} 1\nserver_is_running\n")
         listener.settimeout(10)
-        listener.accept()[0].close()  # the connection of server_is_running
+        # The connection of server_is_running.
+        listener.accept()[0].close()
         listener.settimeout(0)
         with pytest.raises(BlockingIOError):
             listener.accept()

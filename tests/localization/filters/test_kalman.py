@@ -75,7 +75,8 @@ def test_a_ring_away_from_its_estimate_degrades() -> None:
         # As many rounds of the ring as fill the window of the monitor.
         for sonar, reading_in in readings_there * (WINDOW // len(readings_there) + 1):
             kalman.update(sonar, 0.0, round(reading_in))
-            kalman._x, kalman._P = unpack(HERE)  # keep the belief: a filter this certain would hardly move
+            # Keep the belief: a filter this certain would hardly move.
+            kalman._x, kalman._P = unpack(HERE)
         assert kalman.health.status is status, place
 
 

@@ -129,7 +129,8 @@ def test_a_cloud_away_from_the_robot_degrades() -> None:
         # Four rounds of the ring; refusals are counted.
         for sonar in [*range(16)] * 4:
             refused += cloud.update(sonar, 0.0, _reading(truth, sonar)).refusal is Refusal.GATE
-            cloud.states = draw_particles(BELIEF, 500, rng)  # held where it is believed to be
+            # Held where it is believed to be.
+            cloud.states = draw_particles(BELIEF, 500, rng)
         assert cloud.health.status is status
         # Off by 17 in, more than half of the 64 readings are refused.
         assert (refused > 32) is (off_in > 0.0)

@@ -66,7 +66,8 @@ def test_the_nearer_reflector_comes_first() -> None:
     beside = reflectors([*SQUARE_ROOM, [30, 1, 30, 40]])
     found = expected_echoes(np.zeros(3), SURE, FRONT, beside, MODEL)
     edge = len(beside.walls) + int(np.flatnonzero((beside.vertices == (30, 1)).all(axis=-1))[0])
-    nearer = found.probability[edge] + found.probability[4]  # a wall ends softly: it may be the wall itself
+    # A wall ends softly: it may be the wall itself.
+    nearer = found.probability[edge] + found.probability[4]
     assert found.probability[edge] > 0.95
     assert nearer > 0.99
     assert found.probability[RIGHT_WALL] == pytest.approx(1.0 - nearer, abs=0.01)
