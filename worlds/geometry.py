@@ -8,11 +8,38 @@ Lengths in inches. Rays are cast in raycast.py.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from itertools import count
+from math import ceil, inf, sqrt
+from typing import Final
+
 import numpy as np
 import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
+IndexArray = npt.NDArray[np.intp]
+
+MAX_ALL_PAIRS: Final = 64
+"""Up to so many segments, all pairs are faster than a grid."""
+
+MAX_PAIRS: Final = 30_000_000
+"""Candidate pairs of one search, about three seconds of work; a map of rooms has about ten per wall."""
+
+MAX_CELLS_PER_SEGMENT: Final = 16
+"""Mean number of cells of a segment; bounds the memory of the grid."""
+
+PAIR_BLOCK: Final = 4000
+"""Pairs per block: keeps arrays within 128 kB, from which on the C library requests new pages for each."""
+
+GRID_MARGIN_IN: Final = 1e-4
+"""Rounding of positions within a grid; a slope is at most 1e5 / UPRIGHT_IN, coordinates are rounded to 1e-11 in."""
+
+MIN_BLOCK, BLOCK_PAIRS = 32, 100_000
+"""Least number of points, and usual number of pairs of point and segment, that are computed at once."""
+
+UPRIGHT_IN: Final = 0.1
+"""A segment narrower than this counts as upright in a grid, so that no slope magnifies rounding."""
 
 NO_DISCS: FloatArray = np.zeros((0, 3))
 """No discs: rows x y radius in inches."""
@@ -59,9 +86,13 @@ def nearest_points(points: npt.ArrayLike, segments: FloatArray) -> tuple[FloatAr
     nearest : (..., m, 2) array
     distances : (..., m) array
     """
-    here = np.asarray(points, dtype=np.float64)[..., np.newaxis]
-    x, y = here[..., 0, :], here[..., 1, :]
-    x1, y1, x2, y2 = segments.T
+    return nearest_points_of_pairs(np.asarray(points, dtype=np.float64)[..., np.newaxis, :], segments)
+
+
+def nearest_points_of_pairs(points: FloatArray, segments: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the nearest point (..., 2) of segment (..., 4) to point (..., 2), and the distance (...), elementwise."""
+    x, y = points[..., 0], points[..., 1]
+    x1, y1, x2, y2 = np.moveaxis(segments, -1, 0)
     along_x, along_y = x2 - x1, y2 - y1
     # The foot of the perpendicular, as a fraction of the segment, limited to its two ends.
     squared = along_x * along_x + along_y * along_y
@@ -70,6 +101,33 @@ def nearest_points(points: npt.ArrayLike, segments: FloatArray) -> tuple[FloatAr
     fraction = np.minimum(np.maximum(fraction, 0.0), 1.0)
     nearest_x, nearest_y = x1 + fraction * along_x, y1 + fraction * along_y
     return np.stack((nearest_x, nearest_y), axis=-1), np.hypot(x - nearest_x, y - nearest_y)
+
+
+def nearest_distances(points: FloatArray, segments: FloatArray) -> FloatArray:
+    """Return the distance (...) of points (..., 2) to the nearest of segments (m, 4); inf if there are none.
+
+    Points are taken in blocks, and segments that are too far from a whole block are skipped: fast if neighbours in the
+    array are neighbours in the plane. The result is that of `nearest_points`, to the bit.
+    """
+    flat = np.asarray(points, dtype=np.float64).reshape(-1, 2)
+    nearest = np.full(len(flat), inf)
+    if len(segments):
+        for part in _blocks(len(flat), len(segments)):
+            block, near = flat[part], segments
+            if len(flat) > len(block):
+                # A segment may be nearest if it is nearer to the centre than the nearest one plus the block's size.
+                centre = (block.min(axis=0) + block.max(axis=0)) / 2.0
+                size = 2.0 * float(np.hypot(*(block - centre).T).max())
+                from_centre = nearest_points(centre, segments)[1]
+                near = segments[from_centre <= (from_centre.min() + size) * (1.0 + 1e-9) + 1e-9]
+            nearest[part] = nearest_points(block, near)[1].min(axis=-1)
+    return nearest.reshape(np.shape(points)[:-1])
+
+
+def _blocks(points: int, segments: int) -> Iterator[slice]:
+    """Yield slices of `points` that make arrays of bounded size with `segments`."""
+    step = max(MIN_BLOCK, BLOCK_PAIRS // max(segments, 1))
+    return (slice(first, first + step) for first in range(0, points, step))
 
 
 def inside(points: npt.ArrayLike, edges: FloatArray, firsts: npt.ArrayLike = (0,)) -> BoolArray:
@@ -90,14 +148,25 @@ def inside(points: npt.ArrayLike, edges: FloatArray, firsts: npt.ArrayLike = (0,
     -------
     (..., p) array of bool
     """
-    here = np.asarray(points, dtype=np.float64)[..., np.newaxis]
-    x, y = here[..., 0, :], here[..., 1, :]
-    x1, y1, x2, y2 = edges.T
-    spans = (y1 > y) != (y2 > y)
-    left_of_edge = (x2 - x1) * (y - y1) - (x - x1) * (y2 - y1) > 0.0
-    crossed = spans & (left_of_edge == (y2 > y1))
-    odd: BoolArray = np.logical_xor.reduceat(crossed, np.asarray(firsts, dtype=np.intp), axis=-1)
-    return odd
+    here, rows = np.asarray(points, dtype=np.float64), np.asarray(firsts, dtype=np.intp)
+    flat = here.reshape(-1, 2)
+    within = np.zeros((len(flat), len(rows)), dtype=bool)
+    low, high = np.minimum(edges[:, 1], edges[:, 3]), np.maximum(edges[:, 1], edges[:, 3])
+    polygons = np.repeat(np.arange(len(rows)), np.diff(rows, append=len(edges)))
+    for part in _blocks(len(flat), len(edges)):
+        # 1. Edges beside the points of the block; the others are not crossed.
+        x, y = flat[part, :1], flat[part, 1:]
+        near = np.flatnonzero((low <= y.max()) & (high >= y.min()))
+        present, starts = np.unique(polygons[near], return_index=True)
+        if not len(near):
+            continue
+        # 2. Edges crossed, and their parity for each polygon.
+        x1, y1, x2, y2 = edges[near].T
+        spans = (y1 > y) != (y2 > y)
+        left_of_edge = (x2 - x1) * (y - y1) - (x - x1) * (y2 - y1) > 0.0
+        crossed = spans & (left_of_edge == (y2 > y1))
+        within[part, present] = np.logical_xor.reduceat(crossed, starts, axis=-1)
+    return within.reshape(*here.shape[:-1], len(rows))
 
 
 def area(corners: npt.ArrayLike) -> float:
@@ -109,21 +178,109 @@ def area(corners: npt.ArrayLike) -> float:
 
 
 def crossing(edges: FloatArray) -> tuple[int, int] | None:
-    """Return the rows (i, j), i < j, of the first two of edges (n, 4) that cross; None if no two do.
+    """Return the rows (i, j), i < j, of two of edges (n, 4) that cross; None if no two do.
 
     Two edges cross if each has its ends on both sides of the other: edges that only touch do not cross.
+
+    Raises
+    ------
+    ValueError
+        As for `candidate_pairs`.
     """
-    first, second = edges[:, :2], edges[:, 2:]
-    sides_1 = _sides(first, second, first)
-    sides_2 = _sides(first, second, second)
-    parted = sides_1 * sides_2 < 0.0
-    rows = np.argwhere(np.triu(parted & parted.T))
-    return (int(rows[0, 0]), int(rows[0, 1])) if len(rows) else None
+    for one, other in candidate_pairs(edges):
+        first, second = edges[one], edges[other]
+        crossed = np.flatnonzero(_side_product(first, second) < 0.0)
+        crossed = crossed[_side_product(second[crossed], first[crossed]) < 0.0]
+        if len(crossed):
+            return int(one[crossed[0]]), int(other[crossed[0]])
+    return None
 
 
-def _sides(first: FloatArray, second: FloatArray, points: FloatArray) -> FloatArray:
-    """Return the sides (n, k) of k points relative to lines from n first to n second ends: left positive."""
-    along = (second - first)[:, np.newaxis]
-    offset = points[np.newaxis] - first[:, np.newaxis]
-    sides: FloatArray = along[..., 0] * offset[..., 1] - along[..., 1] * offset[..., 0]
-    return sides
+def _side_product(lines: FloatArray, segments: FloatArray) -> FloatArray:
+    """Return the product (n,) of the sides of a segment's two ends relative to its line: negative if they differ."""
+    along_x, along_y = lines[:, 2] - lines[:, 0], lines[:, 3] - lines[:, 1]
+    side_1 = along_x * (segments[:, 1] - lines[:, 1]) - along_y * (segments[:, 0] - lines[:, 0])
+    side_2 = along_x * (segments[:, 3] - lines[:, 1]) - along_y * (segments[:, 2] - lines[:, 0])
+    product: FloatArray = side_1 * side_2
+    return product
+
+
+def candidate_pairs(segments: FloatArray, reach_in: float = 0.0) -> Iterator[tuple[IndexArray, IndexArray]]:
+    """Yield pairs of rows of segments (m, 4) in blocks: at least all pairs that come within a distance of each other.
+
+    Segments are entered into a grid of about m cells, and only those in the same cell are paired: time and memory in
+    proportion to m, as long as walls are not much longer than their distances. A pair may be yielded repeatedly.
+
+    Yields
+    ------
+    one, other : (k,) arrays of int
+        Rows, one < other elementwise.
+
+    Raises
+    ------
+    ValueError
+        If there are more than MAX_PAIRS pairs.
+    """
+    # 1. Few segments: all pairs.
+    if len(segments) <= MAX_ALL_PAIRS:
+        yield np.triu_indices(len(segments), 1)
+        return
+    # 2. Entries (cell, row), sorted by cell and then by row.
+    cells, rows = _enter_into_grid(segments, reach_in)
+    order = cells.argsort(kind="stable")
+    cells, rows = cells[order], rows[order]
+    # 3. Each entry with the next one of its cell, then with the one after it, and so on.
+    entries, total = np.arange(len(cells)), 0
+    for ahead in count(1):
+        entries = entries[: np.searchsorted(entries, len(cells) - ahead)]
+        entries = entries[cells[entries] == cells[entries + ahead]]
+        if not len(entries):
+            return
+        total += len(entries)
+        if total > MAX_PAIRS:
+            raise ValueError(f"more than {MAX_PAIRS} pairs of walls lie close together")
+        for begin in range(0, len(entries), PAIR_BLOCK):
+            block = entries[begin : begin + PAIR_BLOCK]
+            yield rows[block], rows[block + ahead]
+
+
+def _enter_into_grid(segments: FloatArray, reach_in: float) -> tuple[IndexArray, IndexArray]:
+    """Return the cells that each segment passes within a distance, and the row of that segment."""
+    margin = reach_in + GRID_MARGIN_IN
+    x1, y1, x2, y2 = segments.T
+    along_x, along_y = x2 - x1, y2 - y1
+    low_x, high_x = np.minimum(x1, x2), np.maximum(x1, x2)
+    divisor = np.where(along_x == 0.0, 1.0, along_x)
+    upright = np.abs(along_x) < UPRIGHT_IN
+    side = ceil(sqrt(len(segments)))
+    while True:
+        # 1. Lines of the grid at quantiles of the ends: cells are small where there are many walls.
+        at = np.linspace(0.0, 1.0, side + 1)[1:-1]
+        lines_x = np.unique(np.quantile(segments[:, 0::2], at))
+        lines_y = np.unique(np.quantile(segments[:, 1::2], at))
+        # 2. The columns of each segment.
+        first = np.searchsorted(lines_x, low_x - margin)
+        rows, columns = _expand(first, np.searchsorted(lines_x, high_x + margin, side="right"))
+        # 3. Its part in each column, and the cells of that part.
+        bounds = np.concatenate(([-inf], lines_x, [inf]))
+        left = np.maximum(bounds[columns] - margin, low_x[rows])
+        right = np.minimum(bounds[columns + 1] + margin, high_x[rows])
+        ends_y = [
+            y1[rows] + np.clip((x - x1[rows]) / divisor[rows], 0.0, 1.0) * along_y[rows] for x in (left, right)
+        ]
+        low_y = np.where(upright[rows], np.minimum(y1, y2)[rows], np.minimum(*ends_y))
+        high_y = np.where(upright[rows], np.maximum(y1, y2)[rows], np.maximum(*ends_y))
+        first = np.searchsorted(lines_y, low_y - margin)
+        last = np.searchsorted(lines_y, high_y + margin, side="right")
+        # 4. A coarser grid if long segments pass too many cells.
+        if int((last - first + 1).sum()) <= MAX_CELLS_PER_SEGMENT * len(segments) or side <= 2:
+            parts, lines = _expand(first, last)
+            return columns[parts] * (len(lines_y) + 1) + lines, rows[parts]
+        side //= 2
+
+
+def _expand(first: IndexArray, last: IndexArray) -> tuple[IndexArray, IndexArray]:
+    """Return all numbers of n ranges, each from `first` to `last`, and before them the index of the range."""
+    counts = last - first + 1
+    indices = np.repeat(np.arange(len(first)), counts)
+    return indices, np.arange(len(indices)) - np.repeat(counts.cumsum() - counts, counts) + first[indices]

@@ -14,11 +14,11 @@ from __future__ import annotations
 
 import functools
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from math import degrees, radians
 from os import PathLike, fspath
 from pathlib import Path as FilePath
-from typing import Annotated, Final
+from typing import Annotated, Any, Final
 
 import numpy as np
 from msgspec import UNSET, Meta, UnsetType
@@ -39,7 +39,7 @@ from worlds.schema import (
     require_outline,
     table,
 )
-from worlds.world import AT_ORIGIN, Path, Point, Polygon, StartPose, World
+from worlds.world import AT_ORIGIN, MAX_CORNERS, MAX_PATH_POINTS, MAX_STARTS, Path, Point, Polygon, StartPose, World
 
 SHIPPED: Final = FilePath(__file__).resolve().parent
 """Folder of the shipped worlds."""
@@ -106,7 +106,7 @@ class _Start(Table):
     turret_deg: Angle = 0.0
 
 
-@table(schema={"anyOf": [{"required": ["name"]}, {"required": ["figure"]}]})
+@table(condition={"anyOf": [{"required": ["name"]}, {"required": ["figure"]}]})
 class _Path(Table):
     name: Text = ""
     figure: Text = ""
@@ -119,7 +119,7 @@ class _Path(Table):
         _reject_repeats(self, "points", polyline_segments(self.points))
 
 
-@table(schema={"anyOf": [{"required": [key], "properties": {key: {"minItems": 1}}} for key in CONTENT]})
+@table(condition={"anyOf": [{"required": [key], "properties": {key: {"minItems": 1}}} for key in CONTENT]})
 class WorldFile(Table):
     """A world file: walls, start poses and paths of a simulated building."""
 
@@ -154,6 +154,7 @@ def parse_world(text: str, file: str, name: str) -> World:
     """
     values = parse_toml(text, file)
     with reported_as(WorldFileError, file):
+        _check_size(values)
         return _build_world(convert(values, WorldFile), name)
 
 
@@ -173,20 +174,32 @@ def _build_world(values: WorldFile, name: str) -> World:
         starts=starts or AT_ORIGIN,
         paths=_paths(values.path, starts or AT_ORIGIN),
     )
-    # 2. Starts and paths must be in free space.
-    for k, start in enumerate(starts):
-        _require_free(f"start[{k}]", world, (start.x_in, start.y_in))
-    for k, path in enumerate(world.paths.values()):
-        for point in path.points_in:
-            _require_free(f"path[{k}]", world, point)
+    # 2. Starts and paths must be in free space, where at least the smallest robot touches nothing.
+    places = [(f"start[{k}]", (start.x_in, start.y_in)) for k, start in enumerate(starts)]
+    places += [(f"path[{k}]", point) for k, path in enumerate(world.paths.values()) for point in path.points_in]
+    clearances = world.clearances(np.array([point for _, point in places]).reshape(-1, 2))
+    for (key, (x, y)), clearance in zip(places, clearances.tolist(), strict=True):
+        if clearance <= 0:
+            found = f"found ({x:g}, {y:g}) in"
+            raise InvalidValue(f"expected a place inside the world and clear of its walls, {found}", key)
     return world
 
 
-def _require_free(key: str, world: World, point: Point) -> None:
-    """Reject a point where even the smallest robot would touch something."""
-    x, y = point
-    if world.clearance(x, y) <= 0:
-        raise InvalidValue(f"expected a place inside the world and clear of its walls, found ({x:g}, {y:g}) in", key)
+def _check_size(values: Mapping[str, Any]) -> None:
+    """Raise InvalidValue if a world is too large, before anything is computed from it."""
+    # The values have any type yet; those of a wrong one are reported later.
+    tables = {key: rows if isinstance(rows, list) else [] for key, rows in values.items()}
+    sizes = {
+        key: sum(len(each) for row in rows if isinstance(row, dict) for each in row.values() if isinstance(each, list))
+        for key, rows in tables.items()
+    }
+    for key, found, maximum, what in (
+        ("", sum(sizes.get(key, 0) for key in CONTENT), MAX_CORNERS, "corners in total"),
+        ("start", len(tables.get("start", ())), MAX_STARTS, "starts"),
+        ("path", sizes.get("path", 0), MAX_PATH_POINTS, "points in total"),
+    ):
+        if found > maximum:
+            raise InvalidValue(f"expected at most {maximum} {what}, found {found}", key)
 
 
 def _find(name: str) -> FilePath:
@@ -283,7 +296,8 @@ def _format_lines(world: World) -> Iterator[str]:
     for thing in world.obstacles:
         yield from _format_outline("obstacle", thing)
     # Only starts in free space can be read again.
-    starts = [start for start in world.starts if world.clearance(start.x_in, start.y_in) > 0.0]
+    is_free = world.clearances(np.array([(start.x_in, start.y_in) for start in world.starts])) > 0.0
+    starts = [start for start, free in zip(world.starts, is_free, strict=True) if free]
     for start in world.starts:
         if start not in starts:
             yield from ("", f"# omitted because an obstacle stands there: a start at {start.x_in!r}, {start.y_in!r}")
@@ -292,7 +306,7 @@ def _format_lines(world: World) -> Iterator[str]:
             yield f"steering_deg = {degrees(start.steering_rad)!r}"
             yield f"turret_deg = {degrees(start.turret_rad)!r}"
     for path in world.paths.values():
-        if all(world.clearance(*point) > 0.0 for point in path.points_in):
+        if (world.clearances(np.array(path.points_in)) > 0.0).all():
             yield from _format_path(path, starts)
         else:
             yield from ("", f"# omitted because an obstacle stands on it: the path {_quote(path.name)}")

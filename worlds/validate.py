@@ -11,14 +11,13 @@ Space is searched on a grid: a passage wider than the robot by less than two gri
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from worlds.geometry import BoolArray, FloatArray, lengths, nearest_points
+from worlds.geometry import BoolArray, FloatArray, candidate_pairs, lengths, nearest_points_of_pairs
 from worlds.world import AT_ORIGIN, World
 
 TOUCHING_IN: Final = 1e-6
@@ -68,8 +67,9 @@ def validate_world(world: World, radius_in: float, limits: ValidationLimits | No
     """Return all problems of a world for a robot of this radius."""
     limits = limits or ValidationLimits()
     return [
-        *_gaps(world.walls, limits),
-        *_doubled(world.walls, limits),
+        # Obstacles stand where they stand: a cupboard at a wall is no mistake of the map.
+        *_gaps(world.fixed_walls, limits),
+        *_doubled(world.fixed_walls, limits),
         *_short_segments(world.walls, limits),
         *_starts(world, radius_in),
         *_closed_off(find_free_space(world, radius_in), limits),
@@ -107,44 +107,54 @@ def _nearest_fit(fits: BoolArray, column: float, row: float) -> tuple[int, int] 
     return min(there, key=lambda node: (node[0] - column) ** 2 + (node[1] - row) ** 2, default=None)
 
 
-def _flood(fits: BoolArray, reached: BoolArray, seed: tuple[int, int]) -> None:
-    """Mark all nodes connected to a node. Steps are no longer than the radius, so none leads through a wall."""
+def _flood(fits: BoolArray, reached: BoolArray, seed: tuple[int, int]) -> list[tuple[int, int]]:
+    """Mark all nodes connected to a node, and return those that were not marked.
+
+    Steps are no longer than the radius, so none leads through a wall.
+    """
     if reached[seed]:
-        return
+        return []
     reached[seed] = True
-    open_nodes = deque([seed])
-    while open_nodes:
-        i, k = open_nodes.popleft()
+    nodes = [seed]
+    for i, k in nodes:  # grows meanwhile
         for node in ((i - 1, k), (i + 1, k), (i, k - 1), (i, k + 1)):
             if 0 <= node[0] < fits.shape[0] and 0 <= node[1] < fits.shape[1] and fits[node] and not reached[node]:
                 reached[node] = True
-                open_nodes.append(node)
+                nodes.append(node)
+    return nodes
 
 
 def _gaps(walls: FloatArray, limits: ValidationLimits) -> Iterator[Finding]:
     """Yield ends of walls that stop just before another wall; short segments and doubled walls are excluded."""
-    ends = walls.reshape(-1, 2)
-    points, far = nearest_points(ends, walls)
-    # 1. A wall is not a gap to itself.
-    far[np.arange(len(ends)), np.arange(len(ends)) // 2] = np.inf
-    # Short segments and doubled walls are reported separately.
-    short = np.flatnonzero(lengths(walls) < limits.short_segment_in)
-    far[:, short] = far[np.concatenate((2 * short, 2 * short + 1))] = np.inf
-    for one, other, *_ in _overlaps(walls, limits):
-        far[[2 * one, 2 * one + 1], other] = far[[2 * other, 2 * other + 1], one] = np.inf
-    # 2. The nearest other wall of each end; a gap is near, but not touching.
-    nearest = far.argmin(axis=1) if len(walls) > 1 else np.zeros(0, dtype=int)
-    for end, other in enumerate(nearest):
-        gap = far[end, other]
+    # 1. Each wall with each other one nearby. Short segments and doubled walls are reported separately.
+    short = lengths(walls) < limits.short_segment_in
+    doubled = {(one, other) for one, other, *_ in _overlaps(walls, limits)}
+    near = [pair for pair in _near_pairs(walls, limits.gap_in) if pair not in doubled and not short[list(pair)].any()]
+    one, other = np.array(near, dtype=np.intp).reshape(-1, 2).T
+    # 2. Both ends of each wall with the other one: rows of the end and of the wall.
+    ends = np.concatenate((2 * one, 2 * one + 1, 2 * other, 2 * other + 1))
+    others = np.concatenate((other, other, one, one))
+    points, far = nearest_points_of_pairs(walls.reshape(-1, 2)[ends], walls[others])
+    # 3. The nearest other wall of each end; a gap is near, but not touching.
+    order = np.lexsort((others, far, ends))
+    _, first = np.unique(ends[order], return_index=True)
+    for row in order[first].tolist():
+        gap = far[row]
         if TOUCHING_IN < gap <= limits.gap_in:
-            x, y = ends[end]
-            at_x, at_y = points[end, other]
+            end, (at_x, at_y) = int(ends[row]), points[row]
+            x, y = walls.reshape(-1, 2)[end]
             yield Finding(
                 "gap",
                 (float(x), float(y)),
                 f"{_wall(walls, end // 2)} stops {gap:.3g} in short of "
-                f"({at_x:g}, {at_y:g}) on {_wall(walls, int(other))}",
+                f"({at_x:g}, {at_y:g}) on {_wall(walls, int(others[row]))}",
             )
+
+
+def _near_pairs(walls: FloatArray, reach_in: float) -> list[tuple[int, int]]:
+    """Return pairs of rows in order: at least all walls that come within a distance of each other."""
+    blocks = [one * len(walls) + other for one, other in candidate_pairs(walls, reach_in)]
+    return [divmod(pair, len(walls)) for pair in np.unique(np.concatenate(blocks)).tolist()] if blocks else []
 
 
 def _doubled(walls: FloatArray, limits: ValidationLimits) -> Iterator[Finding]:
@@ -161,19 +171,19 @@ def _overlaps(
     walls: FloatArray, limits: ValidationLimits
 ) -> Iterator[tuple[int, int, tuple[float, float], float, float]]:
     """Yield pairs of doubled walls: rows, middle of the overlap, its length, and their distance."""
-    for number, wall in enumerate(walls):
-        # Ends of the other wall in the frame of this one: along its direction and across it.
-        along = (wall[2:] - wall[:2]) / np.hypot(*(wall[2:] - wall[:2]))
+    for number, other in _near_pairs(walls, limits.apart_in):
+        # 1. Ends of the other wall in the frame of this one: along its direction and across it.
+        wall = walls[number]
         length = float(np.hypot(*(wall[2:] - wall[:2])))
-        for other in range(number + 1, len(walls)):
-            off = walls[other].reshape(2, 2) - wall[:2]
-            # Distance: the farther end across. Overlap: the common part of both spans along.
-            apart = np.abs(off[:, 0] * along[1] - off[:, 1] * along[0]).max()
-            begin, end = sorted((off @ along).tolist())
-            overlap = min(end, length) - max(begin, 0.0)
-            if apart <= limits.apart_in and overlap >= limits.overlap_in:
-                x, y = wall[:2] + along * 0.5 * (min(end, length) + max(begin, 0.0))
-                yield number, other, (float(x), float(y)), overlap, float(apart)
+        along = (wall[2:] - wall[:2]) / length
+        off = walls[other].reshape(2, 2) - wall[:2]
+        # 2. Distance: the farther end across. Overlap: the common part of both spans along.
+        apart = np.abs(off[:, 0] * along[1] - off[:, 1] * along[0]).max()
+        begin, end = sorted((off @ along).tolist())
+        overlap = min(end, length) - max(begin, 0.0)
+        if apart <= limits.apart_in and overlap >= limits.overlap_in:
+            x, y = wall[:2] + along * 0.5 * (min(end, length) + max(begin, 0.0))
+            yield number, other, (float(x), float(y)), overlap, float(apart)
 
 
 def _short_segments(walls: FloatArray, limits: ValidationLimits) -> Iterator[Finding]:
@@ -195,24 +205,18 @@ def _starts(world: World, radius_in: float) -> Iterator[Finding]:
 
 def _closed_off(found: FreeSpace, limits: ValidationLimits) -> Iterator[Finding]:
     """Yield each closed-off space, the largest first."""
-    # 1. Connected regions that no start reaches, by flood fill.
+    # 1. Connected regions that no start reaches, by flood fill; those above the minimum area.
     seen = found.reached.copy()
-    spaces = []
-    for i, k in np.argwhere(found.fits & ~found.reached).tolist():
-        if not seen[i, k]:
-            here = np.zeros_like(seen)
-            _flood(found.fits, here, (i, k))
-            seen |= here
-            spaces.append(here)
-    # 2. Regions above the minimum area; the position is the node nearest to the region's mean.
-    for here in sorted(spaces, key=lambda nodes: -int(nodes.sum())):
-        area = float(here.sum()) * found.step_in**2
-        if area >= limits.space_in2:
-            nodes = np.argwhere(here)
-            middle = nodes[np.square(nodes - nodes.mean(axis=0)).sum(axis=1).argmin()]
-            x, y = float(found.xs[middle[0]]), float(found.ys[middle[1]])
-            words = f"{area:.0f} in^2 for the robot's axis around ({x:.0f}, {y:.0f}) cannot be reached from a start"
-            yield Finding("closed off", (x, y), words)
+    spaces = [_flood(found.fits, seen, (i, k)) for i, k in np.argwhere(found.fits & ~found.reached).tolist()]
+    spaces = [space for space in spaces if space and len(space) * found.step_in**2 >= limits.space_in2]
+    # 2. The position is the node nearest to the region's mean.
+    for space in sorted(spaces, key=len, reverse=True):
+        nodes = np.array(sorted(space))
+        area = len(nodes) * found.step_in**2
+        middle = nodes[np.square(nodes - nodes.mean(axis=0)).sum(axis=1).argmin()]
+        x, y = float(found.xs[middle[0]]), float(found.ys[middle[1]])
+        words = f"{area:.0f} in^2 for the robot's axis around ({x:.0f}, {y:.0f}) cannot be reached from a start"
+        yield Finding("closed off", (x, y), words)
 
 
 def _wall(walls: FloatArray, number: int) -> str:

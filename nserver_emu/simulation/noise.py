@@ -206,11 +206,6 @@ SETUPS: Final[Mapping[str, RobotSetup]] = MappingProxyType(
 """The predefined setups by name."""
 
 
-def setup_names() -> tuple[str, ...]:
-    """Return the names of the predefined setups."""
-    return tuple(SETUPS)
-
-
 RAY, POLAROID = "ray", "polaroid"
 SONAR_MODELS: Final[dict[str, type[SonarNoise] | type[Polaroid]]] = {RAY: SonarNoise, POLAROID: Polaroid}
 """The two sonar models: one exact ray with noise; a Polaroid ring."""
@@ -255,16 +250,16 @@ def load_setup(path: Path) -> RobotSetup:
     return parse_setup(read_text(path), str(path), path.stem)
 
 
-def _table_type(name: str, keys: Iterable[Key], *more: tuple[str, Any, Any], schema: Iterable[Any] = ()) -> Any:
+def _table_type(name: str, keys: Iterable[Key], *more: tuple[str, Any, Any], conditions: Iterable[Any] = ()) -> Any:
     """Return the type of a table in which every key is optional; keys of earlier versions are still read.
 
-    `more` are further fields, `schema` conditions on several keys as JSON Schema.
+    `more` are further fields, `conditions` those on several keys as JSON Schema.
     """
     fields = [*more, *((key.name, key.type | UnsetType, UNSET) for key in keys)]
     old = Meta(extra_json_schema={"deprecated": True})
     fields += [(key.former, Annotated[key.type | UnsetType, old], UNSET) for key in keys if key.former]
     both = [{"not": {"required": [key.name, key.former]}} for key in keys if key.former]
-    namespace = {"SCHEMA": {"allOf": [*both, *schema]}}
+    namespace = {"__doc__": f"{name}: how realistic a simulation is.", "CONDITIONS": [*both, *conditions]}
     return msgspec.defstruct(name, fields, namespace=namespace, frozen=True, forbid_unknown_fields=True)
 
 
@@ -283,12 +278,12 @@ _RING_CONDITIONS: Final = [{"anyOf": [
 ]}]  # fmt: skip
 _MODEL: Final = ("model", Annotated[one_of(SONAR_MODELS), Meta(description="one exact ray, or a Polaroid ring")], "")
 SetupFile: Final = _table_type(
-    "SetupFile", _keys_in(""),
+    "Setup", _keys_in(""),
     ("base", Annotated[one_of(SETUPS), Meta(description="setup that it derives from; default: ideal")], IDEAL.name),
     ("name", Annotated[Text, Meta(description="default: the name of the file")], ""),
     *((part, _table_type(part.capitalize(), _keys_in(part), *[_MODEL][: part == "sonar"]) | UnsetType, UNSET)
       for part in TABLES),
-    schema=_RING_CONDITIONS,
+    conditions=_RING_CONDITIONS,
 )  # fmt: skip
 """A setup file: how realistic a simulation is."""
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from dataclasses import field, fields
 from math import degrees, isfinite, radians
-from types import GenericAlias
 from typing import Annotated, Any, Final, NamedTuple
 
 from msgspec import Meta
@@ -74,8 +73,9 @@ class Key(NamedTuple):
         if not isinstance(self.default, tuple):
             return Annotated[float, Meta(ge=self.low, le=self.high, description=description)]
         count = len(self.default)
-        numbers: Any = GenericAlias(tuple, (Annotated[float, Meta(ge=self.low, le=self.high)],) * count)
-        return Annotated[numbers, Meta(title=f"a list of {count} numbers", description=description)]
+        title = f"a list of {count} numbers"
+        meta = Meta(min_length=count, max_length=count, title=title, description=description)
+        return Annotated[tuple[Annotated[float, Meta(ge=self.low, le=self.high)], ...], meta]
 
     def from_file(self, value: Any) -> Any:
         """Return a value of a file in the simulation's units. Raises InvalidValue."""

@@ -24,15 +24,19 @@ def test_evidence_falls_from_its_maximum_within_limits() -> None:
     for likelihood, expected in ((10.0, 0.0), (exp(-2.0), 2.0), (exp(1.0), 1.0), (1e-9, 5.0), (1e9, 4.0)):
         monitor.add_evidence(likelihood, 1.0, None)
         assert monitor.fall_nats == pytest.approx(expected)
+<<<<<<< HEAD
     assert monitor.health(SHARP) == HEALTHY
     # Two losses of 4 more exceed the 10 nats.
+=======
+    assert monitor.health(SHARP.cov) == HEALTHY
+>>>>>>> main
     monitor.add_evidence(1e-9, 1.0, None)
     monitor.add_evidence(1e-9, 1.0, None)
-    health = monitor.health(SHARP)
+    health = monitor.health(SHARP.cov)
     assert health.status is HealthStatus.LOST
     assert "anywhere" in health.reason
     monitor.reset()
-    assert monitor.health(SHARP) == HEALTHY
+    assert monitor.health(SHARP.cov) == HEALTHY
 
 
 def test_false_alarms_are_no_more_frequent_than_walds_bound() -> None:
@@ -42,7 +46,7 @@ def test_false_alarms_are_no_more_frequent_than_walds_bound() -> None:
     monitor = IntegrityMonitor(HealthLimits(lost_nats=3.5, max_loss_nats=50.0, max_gain_nats=50.0))
     for z in rng.standard_normal(readings).tolist():
         monitor.add_evidence(exp(-0.5 * z * z), exp(-0.5 * (z - 1.0) ** 2), None)
-        if monitor.health(SHARP).status is HealthStatus.LOST:
+        if monitor.health(SHARP.cov).status is HealthStatus.LOST:
             alarms += 1
             monitor.reset()
     # Wald: the probability of a false alarm after a restart is at most exp(-threshold).
@@ -50,7 +54,7 @@ def test_false_alarms_are_no_more_frequent_than_walds_bound() -> None:
 
 
 def test_a_spread_position_is_degraded_from_the_beginning() -> None:
-    health = IntegrityMonitor().health(BLUNT)
+    health = IntegrityMonitor().health(BLUNT.cov)
     assert health.status is HealthStatus.DEGRADED
     assert "4.0 in" in health.reason
 
@@ -60,14 +64,19 @@ def test_few_explained_echoes_degrade() -> None:
     # 3 of 10 echoes are explained: less than 0.35.
     for index in range(10):
         monitor.add_evidence(1.0, 1.0, outcome(outlier_probability=0.0 if index < 3 else 1.0))
+<<<<<<< HEAD
     assert monitor.health(SHARP).status is HealthStatus.DEGRADED
     assert "30% of the last 10" in monitor.health(SHARP).reason
     # Four more explained ones replace unexplained ones of the window: 7 of 10.
+=======
+    assert monitor.health(SHARP.cov).status is HealthStatus.DEGRADED
+    assert "30% of the last 10" in monitor.health(SHARP.cov).reason
+>>>>>>> main
     monitor.add_evidence(1.0, 1.0, outcome())
     monitor.add_evidence(1.0, 1.0, outcome())
     monitor.add_evidence(1.0, 1.0, outcome())
     monitor.add_evidence(1.0, 1.0, outcome())
-    assert monitor.health(SHARP) == HEALTHY
+    assert monitor.health(SHARP.cov) == HEALTHY
 
 
 def test_large_innovations_degrade_except_of_outliers() -> None:
@@ -75,13 +84,13 @@ def test_large_innovations_degrade_except_of_outliers() -> None:
     for _ in range(10):
         # NIS has one degree of freedom: its expectation is 1.
         monitor.add_evidence(1.0, 1.0, outcome(outlier_probability=0.2, nis=4.0))
-    assert monitor.health(SHARP).status is HealthStatus.DEGRADED
-    assert "4.0 times" in monitor.health(SHARP).reason
+    assert monitor.health(SHARP.cov).status is HealthStatus.DEGRADED
+    assert "4.0 times" in monitor.health(SHARP.cov).reason
     monitor.reset()
     # Likely outliers: their innovations say nothing of the estimate.
     for _ in range(10):
         monitor.add_evidence(1.0, 1.0, outcome(outlier_probability=0.55, nis=100.0))
-    assert monitor.health(SHARP) == HEALTHY
+    assert monitor.health(SHARP.cov) == HEALTHY
 
 
 def test_logarithms_are_natural() -> None:

@@ -8,7 +8,7 @@ import pytest
 from localization.filters.base import measurement_model
 from localization.filters.belief import Belief, independent, unpack
 from localization.filters.ekf import KalmanFilter
-from localization.filters.global_localization import GlobalLocalizer
+from localization.filters.global_localization import GlobalLocalizer, TableSearch
 from localization.filters.health import HEALTHY, HealthLimits, HealthStatus
 from localization.filters.odometry import OdometryNoise
 from localization.filters.range_table import build_range_table
@@ -99,9 +99,8 @@ def tracking(kind: str) -> KalmanFilter | GlobalLocalizer:
     update = update_for(ROOM, N150, rays)
     if kind == "kalman":
         return KalmanFilter(MIDST, update, OdometryNoise())
-    return GlobalLocalizer(
-        MIDST, update, OdometryNoise(), lambda: build_range_table(ROOM, N150, rays, 9.0), N150.sonar_angles_rad
-    )
+    poses = TableSearch(lambda: build_range_table(ROOM, N150, rays, 9.0), update, OdometryNoise())
+    return GlobalLocalizer(MIDST, update, OdometryNoise(), poses, N150.sonar_angles_rad)
 
 
 @pytest.mark.parametrize("kind", ["kalman", "finder"])

@@ -8,6 +8,7 @@ import contextlib
 import socket
 import struct
 import time
+from collections import Counter
 from collections.abc import AsyncIterator
 from dataclasses import replace
 from ipaddress import ip_network
@@ -19,6 +20,7 @@ from nclient.common.allowlist import Allowlist
 from nclient.protocol import codec
 from nclient.protocol.commands import BY_TCP_TYPE, Call
 from nserver_emu import cli
+from nserver_emu.logs import MAX_REPEATS, RepeatLimiter
 from nserver_emu.server.admission import AdmissionControl
 from nserver_emu.server.connection import MAX_REQUESTS_PER_TURN
 from nserver_emu.server.context import Allowed
@@ -107,16 +109,18 @@ def test_from_another_address_there_is_room() -> None:
     assert "--limit-connections" in door.rejection_reason("10.0.0.2", ["10.0.0.1", "10.0.0.3"])
 
 
-def test_a_rejected_address_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
+def test_rejections_are_logged_per_address_and_then_counted(caplog: pytest.LogCaptureFixture) -> None:
     door = AdmissionControl(access=Allowlist(()))
     assert not door.rejection_reason("10.0.0.1", [])
     fenced = AdmissionControl(access=Allowlist((ip_network("10.9.9.0/24"),)))
     assert "--allow" in fenced.rejection_reason("10.0.0.1", [], "10.0.0.2")
     assert not fenced.rejection_reason("10.0.0.1", [], "10.0.0.1")
-    door.reject("10.0.0.1", "because")
-    door.reject("10.0.0.2", "because")
-    assert [record.getMessage()[:8] for record in caplog.records if record.levelname == "WARNING"] == ["10.0.0.1"]
-    assert door.rejected == 2
+    for host in ("10.0.0.1", "10.0.0.2"):
+        for _ in range(MAX_REPEATS + 1):
+            door.reject(host, "because")
+    written = filter(RepeatLimiter(), caplog.records)
+    assert Counter(record.getMessage()[:8] for record in written) == {"10.0.0.1": MAX_REPEATS, "10.0.0.2": MAX_REPEATS}
+    assert door.rejected == 2 * MAX_REPEATS + 2
 
 
 async def test_a_fast_client_is_slowed_without_loss() -> None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from nserver_emu.server.scheduling import TURN_BUDGET_S, FairScheduler
+from nserver_emu.server.connection import TURN_BUDGET_S, FairScheduler
 
 
 class Clock:

@@ -12,6 +12,7 @@ from nserver_emu.simulation.acoustics import Ping, Polaroid, ReflectorMap
 from nserver_emu.simulation.segments import Pose, Stamp, to_ps
 from nserver_emu.simulation.sonar import SonarRing
 from nserver_emu.simulation.visibility import SensorPose
+from tests.nserver_emu.simulation.single_pings import first_echo_in, measured_range
 from worlds.geometry import FloatArray, nearest_points
 from worlds.robots import N150
 
@@ -32,7 +33,7 @@ def ping(direction_rad: float = 0.0, instant_s: float = 0.0, noise: tuple[float,
 
 
 def first(walls: list[list[float]], now: Ping, model: Polaroid = MODEL, earlier: tuple[Ping, ...] = ()) -> float:
-    return model.first_echo_in(now, earlier, ReflectorMap(np.array(walls)), N150)
+    return first_echo_in(model, now, earlier, ReflectorMap(np.array(walls)), N150)
 
 
 def wall(normal_rad: float, distance_in: float, half_in: float = 500.0) -> list[float]:
@@ -100,7 +101,7 @@ def test_the_first_echo_is_the_shortest_path_of_traced_rays(seed: int) -> None:
         # Half of the path, less the recess of the transducer behind the face.
         lengths = traced(walls, mine, mine)
         expected = lengths[0] / 2.0 - MODEL.recess_in if lengths else inf
-        measured = LOUD.first_echo_in(mine, (), ReflectorMap(walls), N150)
+        measured = first_echo_in(LOUD, mine, (), ReflectorMap(walls), N150)
         assert measured == pytest.approx(expected, abs=0.02)
 
 
@@ -136,7 +137,7 @@ def test_edges_scatter_but_not_where_a_wall_continues() -> None:
 
 def test_walls_without_a_length_reflect_nothing() -> None:
     assert first([[FACE + 30.0, 0.0, FACE + 30.0, 0.0]], ping(), LOUD) == inf
-    assert MODEL.first_echo_in(ping(), (), ReflectorMap(np.empty((0, 4))), N150) == inf
+    assert first_echo_in(MODEL, ping(), (), ReflectorMap(np.empty((0, 4))), N150) == inf
 
 
 # Levels
@@ -155,7 +156,7 @@ def test_echoes_near_the_limit_are_lost_by_the_level_noise() -> None:
     model = replace(MODEL, edge_loss_db=inf)
     above_db, pings = 2.0, 2000
     reflectors = ReflectorMap(np.array([wall(0.0, (MODEL.margin_db - above_db) / MODEL.absorption_db_in)]))
-    measured = sum(model.first_echo_in(ping(noise=model.draw(rng)), (), reflectors, N150) < inf for _ in range(pings))
+    measured = sum(first_echo_in(model, ping(noise=model.draw(rng)), (), reflectors, N150) < inf for _ in range(pings))
     expected = 0.5 * (1.0 + erf(above_db / MODEL.margin_std_db / sqrt(2.0)))
     assert measured / pings == pytest.approx(expected, abs=4.0 * sqrt(expected * (1.0 - expected) / pings))
 
@@ -164,10 +165,10 @@ def test_ranges_have_one_percent_of_noise_and_a_floor() -> None:
     rng = np.random.default_rng(4)
     for distance, std in ((100.0, 0.995), (3.0, 0.05)):
         reflectors = ReflectorMap(np.array([wall(0.0, distance)]))
-        measured = [MODEL.measured_range(ping(noise=MODEL.draw(rng)), (), reflectors, N150) for _ in range(1500)]
+        measured = [measured_range(MODEL, ping(noise=MODEL.draw(rng)), (), reflectors, N150) for _ in range(1500)]
         assert np.mean(measured) == pytest.approx(distance - 0.5, abs=4.0 * std / sqrt(1500))
         assert np.std(measured) == pytest.approx(std, rel=0.08)
-    assert MODEL.measured_range(ping(), (), ReflectorMap(np.empty((0, 4))), N150) == inf
+    assert measured_range(MODEL, ping(), (), ReflectorMap(np.empty((0, 4))), N150) == inf
 
 
 # Neighbours

@@ -13,6 +13,7 @@ from nserver_emu.simulation.models import N150 as N150_MODEL
 from nserver_emu.simulation.noise import MEASURED, NO_NOISE
 from nserver_emu.simulation.segments import to_ps
 from nserver_emu.simulation.simulation import Simulation
+from tests.nserver_emu.simulation.single_pings import first_echo_in
 from worlds.geometry import FloatArray
 from worlds.robots import N150
 from worlds.world import StartPose, World
@@ -45,7 +46,7 @@ def first(
     discs: FloatArray, model: Polaroid = MODEL, walls: FloatArray = NO_WALLS, now: Ping | None = None,
     earlier: tuple[Ping, ...] = (),
 ) -> float:  # fmt: skip
-    return model.first_echo_in(now or ping(), earlier, ReflectorMap(walls), N150, discs)
+    return first_echo_in(model, now or ping(), earlier, ReflectorMap(walls), N150, discs)
 
 
 def rays(count: int) -> tuple[FloatArray, FloatArray]:
@@ -105,7 +106,7 @@ def test_the_nearest_loud_point_of_a_robot_is_the_echo(seed: int) -> None:
         loud |= ours & (cosines > 1.0 - 1e-5) & (beam_db + spread_db <= MODEL.margin_db)
     expected = ranges[loud].min(initial=inf)
     # The wall alone, by the simulator itself: walls are tested elsewhere.
-    off_the_wall = model.first_echo_in(ping(), (), ReflectorMap(walls), N150)
+    off_the_wall = first_echo_in(model, ping(), (), ReflectorMap(walls), N150)
     measured = first(discs, model, walls)
     assert measured == pytest.approx(min(expected - MODEL.recess_in, off_the_wall), abs=0.5)
 

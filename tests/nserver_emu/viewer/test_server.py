@@ -186,7 +186,7 @@ async def test_what_is_no_message_is_answered_and_costs_nothing() -> None:
         await page.socket.send_bytes(b"\xff\x00")
         assert "text, not bytes" in (await page.until(lambda message: message["type"] == "answer"))["error"]
         await page.socket.send_str('{"do": "drive", "id": 5, "robot": 1, "args": [1.5, 0, 0]}')
-        assert "three whole numbers" in (await page.answer(5))["error"]
+        assert "args[0]: expected a whole number" in (await page.answer(5))["error"]
 
 
 async def test_a_new_page_gets_the_waypoints() -> None:
