@@ -193,12 +193,6 @@ def test_robot_number_in_address_must_match(
     with socket.create_server(("127.0.0.1", 0)) as listener:
         monkeypatch.setenv("NOMAD_ROBOT", f"nserver://127.0.0.1:{listener.getsockname()[1]}/2")
         refused, running, _ = run_calls([client], f"{call} 1\nserver_is_running\n")
-<<<<<<< HEAD
-        listener.settimeout(10)
-        # The connection of server_is_running.
-        listener.accept()[0].close()
-=======
->>>>>>> main
         listener.settimeout(0)
         with pytest.raises(BlockingIOError):
             listener.accept()

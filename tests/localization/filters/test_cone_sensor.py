@@ -25,12 +25,8 @@ def test_scalar_candidates_equal_array_candidates(world: str, model: ConeSonar) 
         mount, std = SonarMount(rng.uniform(-np.pi, np.pi), N150.sonar_ring_radius_in), rng.choice([0.0, 0.01, 0.2])
         plain = expected_echoes(pose, np.array(std), mount, around, model)
         x, y, heading = pose.tolist()
-<<<<<<< HEAD
-        mine = sensor.candidates((x, y, heading), std, mount)
-        # The same reflectors, in the same order.
-=======
         mine = sorted(first_echoes(x, y, heading, std, mount.direction_rad, sensor))
->>>>>>> main
+        # The same reflectors, in the same order.
         assert [found.reflector for found in mine] == np.flatnonzero(plain.probability).tolist()
         several += len(mine) > 1
         # Range, derivative and probability of each agree.

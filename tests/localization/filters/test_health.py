@@ -24,12 +24,8 @@ def test_evidence_falls_from_its_maximum_within_limits() -> None:
     for likelihood, expected in ((10.0, 0.0), (exp(-2.0), 2.0), (exp(1.0), 1.0), (1e-9, 5.0), (1e9, 4.0)):
         monitor.add_evidence(likelihood, 1.0, None)
         assert monitor.fall_nats == pytest.approx(expected)
-<<<<<<< HEAD
-    assert monitor.health(SHARP) == HEALTHY
-    # Two losses of 4 more exceed the 10 nats.
-=======
     assert monitor.health(SHARP.cov) == HEALTHY
->>>>>>> main
+    # Two losses of 4 more exceed the 10 nats.
     monitor.add_evidence(1e-9, 1.0, None)
     monitor.add_evidence(1e-9, 1.0, None)
     health = monitor.health(SHARP.cov)
@@ -64,14 +60,9 @@ def test_few_explained_echoes_degrade() -> None:
     # 3 of 10 echoes are explained: less than 0.35.
     for index in range(10):
         monitor.add_evidence(1.0, 1.0, outcome(outlier_probability=0.0 if index < 3 else 1.0))
-<<<<<<< HEAD
-    assert monitor.health(SHARP).status is HealthStatus.DEGRADED
-    assert "30% of the last 10" in monitor.health(SHARP).reason
-    # Four more explained ones replace unexplained ones of the window: 7 of 10.
-=======
     assert monitor.health(SHARP.cov).status is HealthStatus.DEGRADED
     assert "30% of the last 10" in monitor.health(SHARP.cov).reason
->>>>>>> main
+    # Four more explained ones replace unexplained ones of the window: 7 of 10.
     monitor.add_evidence(1.0, 1.0, outcome())
     monitor.add_evidence(1.0, 1.0, outcome())
     monitor.add_evidence(1.0, 1.0, outcome())

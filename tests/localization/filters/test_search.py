@@ -110,16 +110,10 @@ def test_the_table_holds_the_echo_at_the_middle_of_a_cell() -> None:
     # Any place of the table; the turn index has steps of 3 degrees.
     place = table.places_in[100]
     for turn in range(0, 120, 7):
-<<<<<<< HEAD
-        pose = np.array([[*place, math.radians(3.0 * turn) - 0.4]])
-        range_in, expected = (float(column[0]) for column in table.look_up(pose, 0.4))
-        # The exact probability and range, with a blur of half a cell.
-        exact = expected_echoes(pose[0] + [0, 0, 0.4], np.array(0.015), SonarMount(0.0, 9.06), around, ConeSonar())
-=======
         pose = np.array([*place, math.radians(3.0 * turn)])
         range_in, expected = (part.item() for part in table.look_up(place[:1, None], place[1:, None], np.array([turn])))
+        # The exact probability and range, with a blur of half a cell.
         exact = expected_echoes(pose, np.array(0.015), SonarMount(0.0, 9.06), around, ConeSonar())
->>>>>>> main
         best = int(exact.probability.argmax())
         assert expected == pytest.approx(exact.probability[best], abs=0.05)
         if expected > 0.5:

@@ -64,12 +64,8 @@ def test_one_certain_reflector_is_the_kalman_update() -> None:
     sure = replace(MODEL, outlier_probability=0.0)
     one = returns((40.0, (-0.8, 0.6, 2.0), 1.0), model=sure)
     after, result = updated(BELIEF, 41.0, one)
-<<<<<<< HEAD
     # The Kalman update of the textbook: S = H P H' + R, K = P H' / S.
-    H, R = np.array([-0.8, 0.6, 2.0]), sure.variance_at(40.0)
-=======
     H, R = np.array([-0.8, 0.6, 2.0]), range_variance(sure, 40.0)
->>>>>>> main
     S = H @ BELIEF.cov @ H + R
     K = BELIEF.cov @ H / S
     np.testing.assert_allclose(after.mean, BELIEF.mean + K, atol=1e-12)
