@@ -85,7 +85,7 @@ def test_straight_at_a_wall() -> None:
     beams = ranges_from(np.zeros(3), AHEAD, N150, walls)
     assert beams.range_in == pytest.approx([20.0 - 9.06])
     assert np.stack(beams.H, axis=-1) == pytest.approx(np.array([[-1.0, 0.0, 0.0]]))
-    _, _, cosine = intersect_line(0.0, 0.0, 1.0, 0.0, walls.line(0))
+    _, _, cosine = intersect_line(0.0, 0.0, 1.0, 0.0, line_of(0, walls))
     assert abs(cosine) == pytest.approx(1.0)
 
 
