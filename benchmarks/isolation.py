@@ -217,11 +217,11 @@ async def call(page: str, count: Count) -> None:
     origin, _, query = page.partition("/?")
     async with aiohttp.ClientSession() as session, session.ws_connect(f"{origin}/ws?{query}", origin=origin) as web:
         for number in range(20):
-            await web.send_json({"do": "call", "id": number, "robot": 1, "call": "gs", "args": []})
+            await web.send_json({"do": "call", "id": number, "robot": 1, "call": "st", "args": []})
         async for message in web:
             if json.loads(message.data)["type"] == "answer":
                 count()
-                await web.send_json({"do": "call", "id": 1, "robot": 1, "call": "gs", "args": []})
+                await web.send_json({"do": "call", "id": 1, "robot": 1, "call": "st", "args": []})
 
 
 def get(page: str, count: Count) -> None:

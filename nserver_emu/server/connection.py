@@ -125,17 +125,19 @@ class FairScheduler:
         loop = asyncio.get_running_loop()
         now_s = loop.time()
         self._end_s, first_again_s = now_s + TURN_BUDGET_S, inf
-        while self._queue and now_s < self._end_s and self._queue[0][0] <= first_again_s:
-            self._virtual_s, _, job = heappop(self._queue)
-            if job.is_queued:
-                self._run(job)
-                now_s = loop.time()
+        try:
+            while self._queue and now_s < self._end_s and self._queue[0][0] <= first_again_s:
+                self._virtual_s, _, job = heappop(self._queue)
                 if job.is_queued:
-                    first_again_s = min(first_again_s, job.finish_tag_s)
-        # 3. The rest follows in the next turn.
-        self._is_turn_scheduled = bool(self._queue or self._submitted)
-        if self._is_turn_scheduled:
-            loop.call_soon(self._run_turn)
+                    self._run(job)
+                    now_s = loop.time()
+                    if job.is_queued:
+                        first_again_s = min(first_again_s, job.finish_tag_s)
+        finally:
+            # 3. The rest follows in the next turn, also after an error, which the event loop logs.
+            self._is_turn_scheduled = bool(self._queue or self._submitted)
+            if self._is_turn_scheduled:
+                loop.call_soon(self._run_turn)
 
     def _run(self, job: Job) -> None:
         """Run a job and charge it for its processor time."""

@@ -206,11 +206,6 @@ SETUPS: Final[Mapping[str, RobotSetup]] = MappingProxyType(
 """The predefined setups by name."""
 
 
-def setup_names() -> tuple[str, ...]:
-    """Return the names of the predefined setups."""
-    return tuple(SETUPS)
-
-
 RAY, POLAROID = "ray", "polaroid"
 SONAR_MODELS: Final[dict[str, type[SonarNoise] | type[Polaroid]]] = {RAY: SonarNoise, POLAROID: Polaroid}
 """The two sonar models: one exact ray with noise; a Polaroid ring."""

@@ -23,14 +23,14 @@ def test_evidence_falls_from_its_maximum_within_limits() -> None:
     for likelihood, expected in ((10.0, 0.0), (exp(-2.0), 2.0), (exp(1.0), 1.0), (1e-9, 5.0), (1e9, 4.0)):
         monitor.add_evidence(likelihood, 1.0, None)
         assert monitor.fall_nats == pytest.approx(expected)
-    assert monitor.health(SHARP) == HEALTHY
+    assert monitor.health(SHARP.cov) == HEALTHY
     monitor.add_evidence(1e-9, 1.0, None)
     monitor.add_evidence(1e-9, 1.0, None)
-    health = monitor.health(SHARP)
+    health = monitor.health(SHARP.cov)
     assert health.status is HealthStatus.LOST
     assert "anywhere" in health.reason
     monitor.reset()
-    assert monitor.health(SHARP) == HEALTHY
+    assert monitor.health(SHARP.cov) == HEALTHY
 
 
 def test_false_alarms_are_no_more_frequent_than_walds_bound() -> None:
@@ -39,14 +39,14 @@ def test_false_alarms_are_no_more_frequent_than_walds_bound() -> None:
     monitor = IntegrityMonitor(HealthLimits(lost_nats=3.5, max_loss_nats=50.0, max_gain_nats=50.0))
     for z in rng.standard_normal(readings).tolist():
         monitor.add_evidence(exp(-0.5 * z * z), exp(-0.5 * (z - 1.0) ** 2), None)
-        if monitor.health(SHARP).status is HealthStatus.LOST:
+        if monitor.health(SHARP.cov).status is HealthStatus.LOST:
             alarms += 1
             monitor.reset()
     assert 0 < alarms <= readings * exp(-3.5)
 
 
 def test_a_spread_position_is_degraded_from_the_beginning() -> None:
-    health = IntegrityMonitor().health(BLUNT)
+    health = IntegrityMonitor().health(BLUNT.cov)
     assert health.status is HealthStatus.DEGRADED
     assert "4.0 in" in health.reason
 
@@ -55,25 +55,25 @@ def test_few_explained_echoes_degrade() -> None:
     monitor = IntegrityMonitor(HealthLimits(window=10, min_matched=0.35))
     for index in range(10):
         monitor.add_evidence(1.0, 1.0, outcome(outlier_probability=0.0 if index < 3 else 1.0))
-    assert monitor.health(SHARP).status is HealthStatus.DEGRADED
-    assert "30% of the last 10" in monitor.health(SHARP).reason
+    assert monitor.health(SHARP.cov).status is HealthStatus.DEGRADED
+    assert "30% of the last 10" in monitor.health(SHARP.cov).reason
     monitor.add_evidence(1.0, 1.0, outcome())
     monitor.add_evidence(1.0, 1.0, outcome())
     monitor.add_evidence(1.0, 1.0, outcome())
     monitor.add_evidence(1.0, 1.0, outcome())
-    assert monitor.health(SHARP) == HEALTHY
+    assert monitor.health(SHARP.cov) == HEALTHY
 
 
 def test_large_innovations_degrade_except_of_outliers() -> None:
     monitor = IntegrityMonitor(HealthLimits(window=10))
     for _ in range(10):
         monitor.add_evidence(1.0, 1.0, outcome(outlier_probability=0.2, nis=4.0))
-    assert monitor.health(SHARP).status is HealthStatus.DEGRADED
-    assert "4.0 times" in monitor.health(SHARP).reason
+    assert monitor.health(SHARP.cov).status is HealthStatus.DEGRADED
+    assert "4.0 times" in monitor.health(SHARP.cov).reason
     monitor.reset()
     for _ in range(10):
         monitor.add_evidence(1.0, 1.0, outcome(outlier_probability=0.55, nis=100.0))
-    assert monitor.health(SHARP) == HEALTHY
+    assert monitor.health(SHARP.cov) == HEALTHY
 
 
 def test_logarithms_are_natural() -> None:

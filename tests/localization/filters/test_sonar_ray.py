@@ -18,9 +18,11 @@ from localization.filters.sonar_ray import (
     RaySonar,
     WallMap,
     intersect_line,
+    line_of,
     observe_ring,
     predict_beam,
     predicted_variance,
+    range_variance,
     ranges_from,
     wall_map,
 )
@@ -92,7 +94,7 @@ def test_a_wall_within_the_ring_is_still_the_first() -> None:
 
 def test_a_ray_parallel_to_a_line_has_no_range() -> None:
     walls = wall_map([[0.0, 5.0, 50.0, 5.0]])
-    distance, H, cosine = intersect_line(0.0, 0.0, 1.0, 0.0, walls.line(0))
+    distance, H, cosine = intersect_line(0.0, 0.0, 1.0, 0.0, line_of(0, walls))
     assert np.isnan([distance, *H, cosine]).all()
     beams = ranges_from(np.zeros(3), AHEAD, N150, walls)
     assert beams.row.tolist() == [NO_WALL]
@@ -129,7 +131,7 @@ def test_the_variance_of_a_reading() -> None:
     ranges = np.array([2.0, 5.0, 100.0])
     assert RaySonar().variance(ranges) == pytest.approx([0.0025, 0.0025, 1.0])
     assert WIRE_SONAR.variance(ranges) == pytest.approx(np.array([0.0025, 0.0025, 1.0]) + 1 / 12)
-    assert [WIRE_SONAR.variance_at(float(range_in)) for range_in in ranges] == WIRE_SONAR.variance(ranges).tolist()
+    assert [range_variance(WIRE_SONAR, float(range_in)) for range_in in ranges] == WIRE_SONAR.variance(ranges).tolist()
 
 
 # The gate.
@@ -330,7 +332,7 @@ def test_a_live_reading_is_judged_as_in_arrays() -> None:
 
 def alone(belief: Belief, walls: WallMap) -> tuple[Refusal, float, tuple[float, float, float]]:
     beam = predict_beam(*unpack(belief), 0.0, 9.0, walls, STRICT)
-    return beam.refusal, beam.range_in, beam.H
+    return Refusal(beam.refusal), beam.range_in, beam.H
 
 
 def test_a_certain_pose_and_a_wall_seen_end_on() -> None:

@@ -9,6 +9,7 @@ import pytest
 
 from localization.filters.belief import Belief, Floats, pack, unpack
 from localization.filters.sonar_cone import ConeSonar
+from localization.filters.sonar_ray import range_variance
 from localization.filters.update import Association, PdaResult, Refusal, kalman_update, pda_update
 
 MODEL = ConeSonar(outlier_probability=0.2)
@@ -22,7 +23,7 @@ def unknown(_: Floats) -> tuple[Floats, Floats]:
 
 def returns(*found: tuple[float, tuple[float, float, float], float], model: ConeSonar = MODEL) -> Association:
     ranges, rows, probability = zip(*found, strict=True) if found else ((), (), ())
-    R = [model.variance_at(range_in) for range_in in ranges]
+    R = [range_variance(model, range_in) for range_in in ranges]
     return Association(
         Refusal.NONE, 1.0, ranges, rows, R, [CONSTANT] * len(R), probability, unknown,
         model.outlier_probability, model.outlier_density,
@@ -60,7 +61,7 @@ def test_one_certain_reflector_is_the_kalman_update() -> None:
     sure = replace(MODEL, outlier_probability=0.0)
     one = returns((40.0, (-0.8, 0.6, 2.0), 1.0), model=sure)
     after, result = updated(BELIEF, 41.0, one)
-    H, R = np.array([-0.8, 0.6, 2.0]), sure.variance_at(40.0)
+    H, R = np.array([-0.8, 0.6, 2.0]), range_variance(sure, 40.0)
     S = H @ BELIEF.cov @ H + R
     K = BELIEF.cov @ H / S
     np.testing.assert_allclose(after.mean, BELIEF.mean + K, atol=1e-12)
@@ -76,12 +77,12 @@ def test_a_reading_of_nothing_on_the_map_changes_nothing() -> None:
     after, result = updated(BELIEF, 200.0, TWO)
     np.testing.assert_allclose(after.mean, BELIEF.mean, atol=1e-12)
     np.testing.assert_allclose(after.cov, BELIEF.cov, atol=1e-12)
-    assert result.outlier_probability == pytest.approx(1.0)
+    assert result.beta[-1] == pytest.approx(1.0)
 
 
 def test_without_reflectors_every_reading_is_an_outlier() -> None:
     after, result = updated(BELIEF, 50.0, returns())
-    assert result.outlier_probability == 1.0
+    assert result.beta[-1] == 1.0
     assert result.likelihood == MODEL.outlier_density
     assert np.isnan(result.nis)
     np.testing.assert_array_equal(after.mean, BELIEF.mean)
@@ -111,7 +112,7 @@ def test_repeated_readings_give_the_true_variance() -> None:
     count, prior = 6, BELIEF.cov[0, 0]
     none = after_readings(np.full(count, 40.0)).mean[0]
     weights = np.array([after_readings(40.0 + one).mean[0] - none for one in np.eye(count)])
-    noise = np.eye(count) * (MODEL.variance_at(40.0) - CONSTANT) + CONSTANT
+    noise = np.eye(count) * (range_variance(MODEL, 40.0) - CONSTANT) + CONSTANT
     true = (1.0 + weights.sum()) ** 2 * prior + weights @ noise @ weights
     assert after_readings(np.full(count, 40.0)).cov[0, 0] == pytest.approx(true, rel=1e-9)
 

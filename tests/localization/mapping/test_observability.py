@@ -13,6 +13,7 @@ from localization.filters.belief import Floats, difference, independent, unpack
 from localization.filters.odometry import OdometryNoise, move, process_covariance, step_jacobians, step_variance
 from localization.filters.registry import make
 from localization.filters.sonar_cone import ConeSonar
+from localization.filters.sonar_ray import range_variance
 from localization.filters.update import Refusal
 from localization.mapping.observability import (
     CYCLE_S,
@@ -122,7 +123,7 @@ def test_nor_does_one_that_drives_straight_on() -> None:
                     continue
                 probability = np.array(found.probability)
                 range_in = float(rng.choice(found.ranges_in, p=probability / probability.sum()))
-                range_in += sqrt(ConeSonar().variance_at(range_in) - 1.0 / 12.0) * rng.standard_normal()
+                range_in += sqrt(range_variance(ConeSonar(), range_in) - 1.0 / 12.0) * rng.standard_normal()
                 bad = rng.random() < ConeSonar().outlier_probability
                 method.update(sonar, 0.0, float(np.floor((rng.uniform(7.0, 254.0) if bad else range_in) + 0.5)))
             if round_ > 30:

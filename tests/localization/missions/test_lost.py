@@ -119,7 +119,7 @@ def test_estimate_lost_before_dock_repeats_approach(controller_at: MakeControlle
         """Report a lost estimate for two seconds near the dock."""
         if sight.estimate.pose[0] > 41.0 and len(lost) < 20:
             lost.append(sight)
-            nowhere = replace(sight.estimate, health=FilterHealth(HealthStatus.LOST, "nothing fits"))
+            nowhere = sight.estimate._replace(health=FilterHealth(HealthStatus.LOST, "nothing fits"))
             controller.last = sight._replace(estimate=nowhere)
 
     controller.observers.insert(0, on_the_last_foot)
