@@ -11,7 +11,7 @@ import pytest
 
 from localization.filters.belief import Belief, independent
 from localization.filters.odometry import MAX_STATE
-from localization.live.saved_estimate import KEYS, MAX_BYTES, MapSignature, SavedEstimate, load, save
+from localization.live.saved_estimate import MAX_BYTES, MapSignature, SavedEstimate, load, save
 from localization.live.sensor_input import EncoderPose
 from nclient.errors import EstimateFileError
 
@@ -40,12 +40,14 @@ def test_estimate_round_trips_exactly(file: Path) -> None:
     assert [path.name for path in file.parent.iterdir()] == ["here.json"]
 
 
-@pytest.mark.parametrize("key", KEYS)
+@pytest.mark.parametrize(
+    "key", ["format", "world", "walls", "body", "clock_s", "encoders", "turret_rad", "mean", "cov"]
+)
 def test_a_missing_key_is_reported(file: Path, key: str) -> None:
     values = json.loads(file.read_text())
     del values[key]
     file.write_text(json.dumps(values))
-    with pytest.raises(EstimateFileError, match=f"here.json: {key}: "):
+    with pytest.raises(EstimateFileError, match=rf"here\.json: {key}(\[\d\])*: "):
         load(file)
 
 
@@ -62,7 +64,7 @@ def test_a_missing_key_is_reported(file: Path, key: str) -> None:
 )  # fmt: skip
 def test_a_wrong_value_is_reported(file: Path, key: str, value: Any) -> None:
     file.write_text(json.dumps(json.loads(file.read_text()) | {key: value}))
-    with pytest.raises(EstimateFileError, match=f"here.json: {key}: "):
+    with pytest.raises(EstimateFileError, match=rf"here\.json: {key}(\[\d\])*: "):
         load(file)
 
 
