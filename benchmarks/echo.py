@@ -63,18 +63,26 @@ def started(command: list[str]) -> Iterator[str]:
 
 
 class Pinger:
-    """A blocking client: the same prepared request again and again, each answered before the next."""
+    """A blocking client: the same prepared request again and again, each answered before the next.
 
-    def __init__(self, port: int, request: bytes, reply_size: int, greeting: bytes = b"", greeted: int = 0) -> None:
+    With a `piece_size` it writes the request in pieces, and its system delays them by Nagle's algorithm.
+    """
+
+    def __init__(
+        self, port: int, request: bytes, reply_size: int, greeting: bytes = b"", greeted: int = 0, piece_size: int = 0
+    ) -> None:  # fmt: skip
         self._socket = socket.create_connection(("127.0.0.1", port))
-        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._request, self._size = request, reply_size
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, int(not piece_size))
+        size = piece_size or len(request)
+        self._pieces = [request[at : at + size] for at in range(0, len(request), size)]
+        self._size = reply_size
         if greeting:
             self._socket.sendall(greeting)
             self._receive(greeted)
 
     def __call__(self) -> None:
-        self._socket.sendall(self._request)
+        for piece in self._pieces:
+            self._socket.sendall(piece)
         self._receive(self._size)
 
     def _receive(self, size: int) -> None:
@@ -102,6 +110,7 @@ def compare(sides: dict[str, Callable[[], None]], rounds: int, calls: int) -> di
     """Each side makes `calls` round trips a round, in turns; one round more at the beginning does not count."""
     rates: dict[str, list[float]] = {name: [] for name in sides}
     trips: dict[str, list[float]] = {name: [] for name in sides}
+    # Round 0 warms up caches and branch predictors and is not counted.
     for number in range(rounds + 1):
         for name, call in sides.items():
             taken = [_timed(call) for _ in range(calls)]

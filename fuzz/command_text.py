@@ -77,7 +77,7 @@ def _encode(lines: tuple[str, ...], head: bytes = b"") -> list[bytes]:
 _COMMAND_WORDS = tuple(name.encode() for name in (*(row.name for row in COMMANDS), *BUILTINS))
 _SHELL_SYNTAX = (b"{", b"}", b"(", b")", b";", b"Smask[", b"]", b"=", b"#", b"State", b'"')
 _QUERY = (b"&", b"?", b"=", b"%00", b"%", b"//", b":", b"@", b"[", b"]", b"#", b"+", b";")
-_OPTION = tuple(f"&{option.name}=".encode() for option in OPTIONS)
+_OPTION = tuple(f"&{name}=".encode() for name in OPTIONS)
 _SIMULATION_OPTIONS = (b"&robots=", b"&start=", b"&seed=", b"&step_s=", b"&setup=", b"&model_file=", b"&line=", b",",
                        b"robot=")  # fmt: skip
 

@@ -11,6 +11,8 @@ import json
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
+import msgspec
+
 from fuzz.mutation import any_of, mutate_bytes, mutate_json
 from fuzz.reader import Reader
 from localization.live.publish import parse_answer
@@ -82,7 +84,7 @@ def _control(data: bytes) -> None:
 
 
 def _message(data: bytes) -> None:
-    json.dumps(parse_message(data.decode()), allow_nan=False)
+    json.dumps(msgspec.to_builtins(parse_message(data.decode())), allow_nan=False)
 
 
 def _published(data: bytes) -> None:

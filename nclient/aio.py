@@ -75,8 +75,8 @@ class AsyncRobot:
 
     async def _finish(self, disconnect: Callable[[], None]) -> None:
         """Disconnect after all submitted calls, cancelled or not, and end the thread."""
-        # The executor has one thread and a queue: this runs after all calls before it.
-        if not self._disconnected:
+        # The executor has one thread and a queue: this runs after all calls before it. A forked child has no thread.
+        if not self._disconnected and not self._robot._is_inherited:
             self._disconnected = True
             disconnecting = self._thread.submit(disconnect)
             self._thread.shutdown(wait=False)

@@ -14,7 +14,8 @@
         disconnect_robot(1)
 
 As in the C library nothing is raised and nothing printed: a call returns TRUE, or FALSE if it was refused or the link
-is lost (`last_error` has the reason); State[44] has the code of a refusal. Numbers are in wire units, truncated to
+is lost (`last_error` has the reason); State[44] has the code of a refusal. Calls whose reply has no values, such as tk
+and place_robot, return TRUE also if the server refuses them. Numbers are in wire units, truncated to
 integers as in C, and clamped on a serial line to what it can carry. A list stands for a C array or pointer and is
 filled in place. One program, one thread, one robot. The settings in capitals are module variables: assign them as
 `capi.NAME`, since an import with * only copies them.
@@ -24,7 +25,7 @@ as they come (State[33] is 0xF00000 at rest), a NAK is a success, State[0], [42]
 
 from __future__ import annotations
 
-from collections.abc import MutableSequence, Sequence
+from collections.abc import Callable, MutableSequence, Sequence
 from typing import Any
 
 from nclient.backends.base import Backend
@@ -32,9 +33,9 @@ from nclient.connector import ConnectOptions, is_listening, open_line, open_mach
 from nclient.errors import ConnectionLost, NomadError, RobotRefused
 from nclient.protocol.client_state import STATE_SIZE, ClientState
 from nclient.protocol.codec import clamp_to_serial
-from nclient.protocol.commands import Call
+from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.fields import MAX_LASER_READINGS
-from nclient.protocol.replies import Reply
+from nclient.protocol.replies import SIMPLE, Reply
 from nclient.protocol.requests import MOTION_LINE
 from nclient.protocol.types import (
     CPU_RANGE_V,
@@ -91,7 +92,7 @@ Out = MutableSequence[Any]
 _PACKET_HEAD = 4
 _NO_SUCH_MODES = frozenset({6, 7, 8})
 _NAK = Reply("nak")
-"""The C library takes it for success."""
+"""A refusal that the C library takes for success."""
 
 _backend: Backend | None = None
 _client_state = ClientState()
@@ -101,6 +102,17 @@ _error: NomadError | None = None
 def last_error() -> NomadError | None:
     """Return the error of the last call that failed; the C library has no such function."""
     return _error
+
+
+def _command(name: str, about: str) -> Callable[[], int]:
+    """Return the function of a command without arguments; `about` is its docstring."""
+
+    def call() -> int:
+        return _send(name)
+
+    call.__name__ = call.__qualname__ = name
+    call.__doc__ = about
+    return call
 
 
 # -- connecting -------------------------------------------------------------------------------------------------------
@@ -148,19 +160,9 @@ def server_is_running() -> int:
     return int(is_listening(SERVER_MACHINE_NAME, int(SERV_TCP_PORT)))
 
 
-def quit_server() -> int:
-    """End the server, if its setup allows it."""
-    return _send("quit_server")
-
-
-def real_robot() -> int:
-    """Send commands to the real robot."""
-    return _send("real_robot")
-
-
-def simulated_robot() -> int:
-    """Send commands to the simulation."""
-    return _send("simulated_robot")
+quit_server = _command("quit_server", "End the server, if its setup allows it.")
+real_robot = _command("real_robot", "Send commands to the real robot.")
+simulated_robot = _command("simulated_robot", "Send commands to the simulation.")
 
 
 # -- motion -----------------------------------------------------------------------------------------------------------
@@ -224,19 +226,9 @@ def scout_pr(trans: int, steer: int) -> int:
     return pr(RIGHT(trans, steer), LEFT(trans, steer), 0)
 
 
-def st() -> int:
-    """Stop and hold."""
-    return _send("st")
-
-
-def lp() -> int:
-    """Switch the motors off."""
-    return _send("lp")
-
-
-def zr() -> int:
-    """Turn steering and turret to the bumper's zero."""
-    return _send("zr")
+st = _command("st", "Stop and hold.")
+lp = _command("lp", "Switch the motors off.")
+zr = _command("zr", "Turn steering and turret to the bumper's zero.")
 
 
 def ws(t_ws: int, s_ws: int, r_ws: int, timeout: int) -> int:
@@ -305,54 +297,16 @@ def conf_ser(port: int, baud: int) -> int:
 # -- queries ----------------------------------------------------------------------------------------------------------
 
 
-def gs() -> int:
-    """Query the whole State."""
-    return _send("gs")
-
-
-def get_ir() -> int:
-    """Query the infrareds: State[1] to State[16]."""
-    return _send("get_ir")
-
-
-def get_sn() -> int:
-    """Query the sonars: State[17] to State[32]."""
-    return _send("get_sn")
-
-
-def get_rc() -> int:
-    """Query position and angles: State[34] to State[37]."""
-    return _send("get_rc")
-
-
-def get_rv() -> int:
-    """Query the velocities: State[38] to State[40]."""
-    return _send("get_rv")
-
-
-def get_ra() -> int:
-    """Query the accelerations, in the slots of the velocities: State[38] to State[40]."""
-    return _send("get_ra")
-
-
-def get_cp() -> int:
-    """Query the compass: State[43]."""
-    return _send("get_cp")
-
-
-def get_ls() -> int:
-    """Query the laser: Laser."""
-    return _send("get_ls")
-
-
-def get_sg() -> int:
-    """Query the laser's line segments: Laser."""
-    return _send("get_sg")
-
-
-def get_bp() -> int:
-    """Query the bumpers: State[33]."""
-    return _send("get_bp")
+gs = _command("gs", "Query the whole State.")
+get_ir = _command("get_ir", "Query the infrareds: State[1] to State[16].")
+get_sn = _command("get_sn", "Query the sonars: State[17] to State[32].")
+get_rc = _command("get_rc", "Query position and angles: State[34] to State[37].")
+get_rv = _command("get_rv", "Query the velocities: State[38] to State[40].")
+get_ra = _command("get_ra", "Query the accelerations, in the slots of the velocities: State[38] to State[40].")
+get_cp = _command("get_cp", "Query the compass: State[43].")
+get_ls = _command("get_ls", "Query the laser: Laser.")
+get_sg = _command("get_sg", "Query the laser's line segments: Laser.")
+get_bp = _command("get_bp", "Query the bumpers: State[33].")
 
 
 def get_rpx(robot_pos: Out) -> int:
@@ -486,9 +440,7 @@ def move_obstacle(obs: Out, dx: int, dy: int) -> int:
     return _fill(obs, _values("move_obstacle", *_polygon(obs), dx, dy))
 
 
-def new_world() -> int:
-    """Remove all obstacles."""
-    return _send("new_world")
+new_world = _command("new_world", "Remove all obstacles.")
 
 
 def predict_sensors(x: int, y: int, th: int, tu: int, state: Out, laser: Out) -> int:
@@ -533,54 +485,16 @@ def draw_arc(x_0: int, y_0: int, w: int, h: int, th1: int, th2: int, mode: int) 
     return _send("draw_arc", x_0, y_0, w, h, th1, th2, mode)
 
 
-def refresh_all() -> int:
-    """Redraw everything."""
-    return _send("refresh_all")
-
-
-def refresh_all_traces() -> int:
-    """Redraw both traces."""
-    return _send("refresh_all_traces")
-
-
-def refresh_actual_trace() -> int:
-    """Redraw the trace of the actual robot."""
-    return _send("refresh_actual_trace")
-
-
-def refresh_encoder_trace() -> int:
-    """Redraw the trace of the encoder robot."""
-    return _send("refresh_encoder_trace")
-
-
-def refresh_all_sensors() -> int:
-    """Redraw all sensors."""
-    return _send("refresh_all_sensors")
-
-
-def refresh_bumper_sensor() -> int:
-    """Redraw the bumpers."""
-    return _send("refresh_bumper_sensor")
-
-
-def refresh_infrared_sensor() -> int:
-    """Redraw the infrareds."""
-    return _send("refresh_infrared_sensor")
-
-
-def refresh_sonar_sensor() -> int:
-    """Redraw the sonars."""
-    return _send("refresh_sonar_sensor")
-
-
-def refresh_laser_sensor() -> int:
-    """Redraw the laser."""
-    return _send("refresh_laser_sensor")
-
-
-def refresh_client_graphics() -> int:
-    """Redraw the drawings of clients."""
-    return _send("refresh_client_graphics")
+refresh_all = _command("refresh_all", "Redraw everything.")
+refresh_all_traces = _command("refresh_all_traces", "Redraw both traces.")
+refresh_actual_trace = _command("refresh_actual_trace", "Redraw the trace of the actual robot.")
+refresh_encoder_trace = _command("refresh_encoder_trace", "Redraw the trace of the encoder robot.")
+refresh_all_sensors = _command("refresh_all_sensors", "Redraw all sensors.")
+refresh_bumper_sensor = _command("refresh_bumper_sensor", "Redraw the bumpers.")
+refresh_infrared_sensor = _command("refresh_infrared_sensor", "Redraw the infrareds.")
+refresh_sonar_sensor = _command("refresh_sonar_sensor", "Redraw the sonars.")
+refresh_laser_sensor = _command("refresh_laser_sensor", "Redraw the laser.")
+refresh_client_graphics = _command("refresh_client_graphics", "Redraw the drawings of clients.")
 
 
 # -- simulations of this project; Nclient.h has none of these ---------------------------------------------------------
@@ -632,10 +546,15 @@ def _reply(name: str, *args: Any) -> Reply | None:
         reply = _backend.execute(clamp_to_serial(call) if _backend.wire_state.line else call)
     except NomadError as error:
         _error = error
-        # As in the C library a refusal sets State[44], and a NAK on the serial line is a success.
-        if isinstance(error, RobotRefused) and error.code is not None:
+        if not isinstance(error, RobotRefused):
+            return None
+        # As in the C library a NAK on the serial line is a success, and a call whose reply has no values succeeds also
+        # if the server refuses it. Another refusal sets State[44].
+        if error.is_nak or (error.code is not None and BY_NAME[name].tcp_reply is SIMPLE):
+            return _NAK
+        if error.code is not None:
             _apply(Reply("error", values=(error.code,)))
-        return _NAK if isinstance(error, RobotRefused) and error.is_nak else None
+        return None
     _apply(reply)
     return reply
 

@@ -44,7 +44,7 @@ from nclient.faults.inject import FaultyLine, FaultyStream
 from nclient.faults.plan import require_rules_for
 from nclient.protocol.types import MODELS, Model
 from nclient.recording.format import Recording, read_recording
-from nclient.recording.recorder import HANDSHAKE_FIRST, TCP, ClientRecording, RecordingTarget
+from nclient.recording.recorder import HANDSHAKE_FIRST, TCP, ClientRecording
 from nclient.recording.replayer import STRICT, Player, RecordedConnection, ReplayPeer, load_exchanges
 from nclient.robot import Robot
 from nclient.transports import memory, serial, tcp
@@ -249,12 +249,12 @@ class Connector:
         return stream
 
     def _open_recorder(self, path: Path) -> ClientRecording:
-        header = RecordingTarget(self.address.stripped_text, self.wire, self.model)
+        target = (self.address.stripped_text, self.wire, self.model)
         if self.address.in_process:
             # Simulated time: entries carry the robot's clock, so that the same run gives the same file.
-            return ClientRecording(path, header)
+            return ClientRecording(path, *target)
         start_s = time.monotonic()
-        return ClientRecording(path, header, lambda: time.monotonic() - start_s, datetime.now(UTC))
+        return ClientRecording(path, *target, lambda: time.monotonic() - start_s, datetime.now(UTC))
 
     def _current_injector(self) -> Callable[[], Injector] | None:
         plan = self.address.options.faults

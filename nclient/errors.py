@@ -8,6 +8,7 @@
     ├── BumperHit                          a bumper closed while the robot moved, and it was stopped (bumper_stop=1)
     ├── WireError (ValueError)             malformed bytes, or values that cannot be encoded
     ├── WorldFileError (ValueError)        a world, model or setup file in TOML that is not valid: file, key
+    ├── MapFileError (ValueError)          a map of another tool that cannot be read, or written
     ├── StartError (ValueError)            a start pose that touches a wall or lies outside
     ├── VariableError (ValueError)         an environment variable with a value that is not allowed
     ├── SetupFileError (ValueError)        an old robot.setup or world.setup that is not valid: file, line
@@ -117,6 +118,10 @@ class WireError(NomadError, ValueError):
 
 class WorldFileError(NomadError, ValueError):
     """A world, model or setup file in TOML is not valid; the message names file, key and what was expected."""
+
+
+class MapFileError(NomadError, ValueError):
+    """A map of another tool that cannot be read or written; the message names the file and the cause."""
 
 
 class StartError(NomadError, ValueError):

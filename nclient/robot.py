@@ -118,7 +118,9 @@ class Robot:
     def __init__(self, backend: Backend) -> None:
         self._backend = backend
         self._client_state = ClientState()
+        self._applied: Reply | None = None
         self._lock = threading.RLock()
+        self._pid = os.getpid()
         # Replies update the client state, of which every exchange takes an immutable snapshot.
         if backend.greeting is not None:
             self._client_state.apply_reply(backend.greeting)
@@ -130,6 +132,8 @@ class Robot:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        if self._is_inherited:
+            return
         try:
             # A lost link is no news here: the robot stops by its motion timeout.
             with contextlib.suppress(ConnectionLost, ReplyTimeout):
@@ -149,6 +153,11 @@ class Robot:
     def closed(self) -> bool:
         """True if the connection is over; every method then raises ConnectionLost."""
         return self._backend.closed
+
+    @property
+    def _is_inherited(self) -> bool:
+        """True in a forked child: the connection is its parent's, and is neither stopped nor closed by the child."""
+        return os.getpid() != self._pid
 
     @property
     def link(self) -> LinkStatistics | None:
@@ -176,7 +185,8 @@ class Robot:
 
     def disconnect(self) -> None:
         """Close the connection; the robot is not stopped. May be called twice. C: disconnect_robot."""
-        self._backend.close()
+        if not self._is_inherited:
+            self._backend.close()
 
     # -- motion -------------------------------------------------------------------------------------------------------
 
@@ -834,6 +844,10 @@ class Robot:
     # -- exchanges ----------------------------------------------------------------------------------------------------
 
     def _apply(self, reply: Reply) -> None:
+        # The backend returns the same object for the same bytes: nothing has changed since it was applied.
+        if reply is self._applied:
+            return
+        self._applied = reply
         self._client_state.apply_reply(reply)
         self._state = snapshot(self._client_state, self._backend.wire_state.model)
 

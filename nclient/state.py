@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, cast
 
 from nclient.protocol.client_state import ClientState
 from nclient.protocol.types import (
@@ -338,7 +338,9 @@ class RobotState:
 
 def snapshot(client_state: ClientState, model: Model) -> RobotState:
     """Return the current client state as an immutable value."""
-    raw = tuple([value or 0 for value in client_state.slots])
+    slots = client_state.slots
+    # Slots without a value yet read 0; after the first whole state there are none.
+    raw = tuple([value or 0 for value in slots]) if None in slots else cast("tuple[int, ...]", tuple(slots))
     stamps = dict(client_state.stamps) if client_state.stamps else {}
     return RobotState(model, raw, client_state.laser or (0,), stamps, client_state.clock, client_state.volts)
 

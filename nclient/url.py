@@ -4,18 +4,19 @@
     serial:///dev/ttyUSB0?model=n150      scheme serial, path /dev/ttyUSB0
     sim:thesis_room?seed=1                scheme sim: the rest is read by the opener of that scheme
 
-`SCHEMES` and `OPTIONS` are the only lists of what an address may contain; docs/addresses.md shows them to users.
+`SCHEMES` and `AddressOptions` are the only lists of what an address may contain; docs/addresses.md shows them to users.
 `nclient.connect` turns an `Address` into a connection.
 """
 
 from __future__ import annotations
 
 import math
+import sys
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Container, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Annotated, Any, Final, NamedTuple, get_type_hints
 from urllib.parse import SplitResult, parse_qsl, unquote, unquote_plus, urlsplit
 
 from nclient.backends.keep_alive import DEFAULT_TIMEOUT_S
@@ -41,44 +42,38 @@ EXAMPLES: Final = "such as nserver://localhost:7019/1 or sim:thesis_room"
 # A parser returns the value of an option's text, or raises ValueError with a description of what it accepts.
 
 
-def seconds(text: str) -> float:
-    """Return a duration above 0 in seconds."""
-    return _number(text, "a number of seconds above 0", lambda value: value > 0)
+def _number(description: str, is_valid: Callable[[float], bool]) -> Callable[[str], float]:
+    def parse(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not (math.isfinite(value) and is_valid(value)):
+            raise ValueError(description)
+        return value
+
+    return parse
 
 
-def seconds_or_zero(text: str) -> float:
-    """Return a duration in seconds, where 0 switches something off."""
-    return _number(text, "a number of seconds, 0 for none", lambda value: value >= 0)
+def _whole_number(description: str, allowed: Container[int]) -> Callable[[str], int]:
+    def parse(text: str) -> int:
+        # isdecimal() accepts the digits of other scripts, and int() reads them.
+        if not (text.isascii() and text.isdecimal()) or int(text) not in allowed:
+            raise ValueError(description)
+        return int(text)
+
+    return parse
 
 
-def speed(text: str) -> float:
-    """Return a speed limit above 0 (inches or degrees per second)."""
-    return _number(text, "a number above 0", lambda value: value > 0)
-
-
-def count(text: str) -> int:
-    """Return a whole number, 0 or more."""
-    # isdecimal() accepts the digits of other scripts, and int() reads them.
-    if not (text.isascii() and text.isdecimal()):
-        raise ValueError("a whole number, 0 or more")
-    return int(text)
-
-
-def baud(text: str) -> int:
-    """Return the speed of a serial port in bits per second."""
-    if not count(text):
-        raise ValueError("a number of bits a second")
-    return int(text)
-
-
-def motion_timeout(text: str) -> int:
-    """Return whole seconds as conf_tm takes them: 0, or 2 to 255.
-
-    One second is excluded: the robot counts whole seconds, so the timeout could expire between two keep-alives.
-    """
-    if not (text.isascii() and text.isdecimal()) or int(text) not in (0, *range(2, 256)):
-        raise ValueError("whole seconds, 2 to 255, or 0 for none")
-    return int(text)
+seconds = _number("a number of seconds above 0", lambda value: value > 0)
+seconds_or_zero = _number("a number of seconds, 0 for none", lambda value: value >= 0)
+"""A duration, where 0 switches something off."""
+speed = _number("a number above 0", lambda value: value > 0)
+"""A speed limit in inches or degrees per second."""
+count = _whole_number("a whole number, 0 or more", range(sys.maxsize))
+baud = _whole_number("a number of bits a second", range(1, sys.maxsize))
+motion_timeout = _whole_number("whole seconds, 2 to 255, or 0 for none", {0, *range(2, 256)})
+"""Whole seconds as conf_tm takes them. The robot counts whole seconds: one could expire between two keep-alives."""
 
 
 def flag(text: str) -> bool:
@@ -112,16 +107,6 @@ def fault_plan(text: str) -> Plan:
     return load_plan(Path(file_name(text)))
 
 
-def _number(text: str, description: str, is_valid: Callable[[float], bool]) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not (math.isfinite(value) and is_valid(value)):
-        raise ValueError(description)
-    return value
-
-
 # -- tables -----------------------------------------------------------------------------------------------------------
 
 
@@ -150,11 +135,9 @@ _SERIAL_PROTOCOL: Final = frozenset({"serial", "robotd"})
 _REMOTE: Final = _SERIAL_PROTOCOL | {"nserver"}
 
 
-@dataclass(frozen=True, slots=True)
-class Option:
+class Option(NamedTuple):
     """Describe an option of addresses: its type, the schemes that have it, and its default."""
 
-    name: str
     parse: Parser
     schemes: frozenset[str] | None = None
     """None: every scheme."""
@@ -167,49 +150,35 @@ class Option:
         return self.schemes is None or scheme in self.schemes
 
 
-OPTIONS: Final[tuple[Option, ...]] = (
-    # The link and the robot at its end.
-    Option("timeout_s", seconds, _REMOTE),
-    Option("model", get_model, _REMOTE),
-    Option("baud", baud, _SERIAL_PORT),
-    Option("checks", flag, _SERIAL_PROTOCOL),
-    # Replay of a recording.
-    Option("order", one_of(ORDERS), _REPLAY),
-    Option("connection", file_name, _REPLAY),
-    # Layers around the stream.
-    Option("record", file_name),
-    Option("faults", fault_plan),
-    # Layers around the protocol: recovery and safety.
-    Option("reconnect", seconds_or_zero, _REMOTE, MAX_PAUSE_S, _SERIAL_PROTOCOL),
-    Option("retries", count, _SERIAL_PROTOCOL, DEFAULT_RETRIES, _SERIAL_PROTOCOL),
-    Option("bumper_stop", flag),
-    # Where time runs by itself, a robot has to stop when its program dies; a simulation waits for its client instead.
-    Option("feed", flag, None, True, _REMOTE),
-    Option("tm_s", motion_timeout, None, DEFAULT_TIMEOUT_S, _REMOTE),
-    Option("max_turn_deg_s", speed),
-    Option("max_speed_in_s", speed),
-)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AddressOptions:
-    """Hold the values of `OPTIONS`; None where an option is neither given nor has a default."""
+    """Hold the values of the options; None where an option is neither given nor has a default."""
 
-    timeout_s: float | None = None
-    model: Model | None = None
-    baud: int | None = None
-    checks: bool | None = None
-    order: str | None = None
-    connection: str | None = None
-    record: str | None = None
-    faults: Plan | None = None
-    reconnect: float | None = None
-    retries: int | None = None
-    bumper_stop: bool | None = None
-    feed: bool | None = None
-    tm_s: int | None = None
-    max_turn_deg_s: float | None = None
-    max_speed_in_s: float | None = None
+    # The link and the robot at its end.
+    timeout_s: Annotated[float | None, Option(seconds, _REMOTE)] = None
+    model: Annotated[Model | None, Option(get_model, _REMOTE)] = None
+    baud: Annotated[int | None, Option(baud, _SERIAL_PORT)] = None
+    checks: Annotated[bool | None, Option(flag, _SERIAL_PROTOCOL)] = None
+    # Replay of a recording.
+    order: Annotated[str | None, Option(one_of(ORDERS), _REPLAY)] = None
+    connection: Annotated[str | None, Option(file_name, _REPLAY)] = None
+    # Layers around the stream.
+    record: Annotated[str | None, Option(file_name)] = None
+    faults: Annotated[Plan | None, Option(fault_plan)] = None
+    # Layers around the protocol: recovery and safety.
+    reconnect: Annotated[float | None, Option(seconds_or_zero, _REMOTE, MAX_PAUSE_S, _SERIAL_PROTOCOL)] = None
+    retries: Annotated[int | None, Option(count, _SERIAL_PROTOCOL, DEFAULT_RETRIES, _SERIAL_PROTOCOL)] = None
+    bumper_stop: Annotated[bool | None, Option(flag)] = None
+    # Where time runs by itself, a robot has to stop when its program dies; a simulation waits for its client instead.
+    feed: Annotated[bool | None, Option(flag, None, True, _REMOTE)] = None
+    tm_s: Annotated[int | None, Option(motion_timeout, None, DEFAULT_TIMEOUT_S, _REMOTE)] = None
+    max_turn_deg_s: Annotated[float | None, Option(speed)] = None
+    max_speed_in_s: Annotated[float | None, Option(speed)] = None
+
+
+OPTIONS: Final[dict[str, Option]] = {
+    name: hint.__metadata__[0] for name, hint in get_type_hints(AddressOptions, include_extras=True).items()
+}
 
 
 # -- parsing ----------------------------------------------------------------------------------------------------------
@@ -344,15 +313,15 @@ def parse_address(text: str) -> Address:
     is_foreign = raw.scheme not in SCHEMES
 
     # 2. Options: defaults of the scheme, then what is given. An in-process peer checks its own options.
-    options = [option for option in OPTIONS if option.applies_to(raw.scheme)]
-    values = {option.name: option.default for option in options if raw.scheme in option.default_for}
-    values |= raw.parse_options({option.name: option.parse for option in options}, ignore_unknown=is_foreign)
+    options = {name: option for name, option in OPTIONS.items() if option.applies_to(raw.scheme)}
+    values = {name: option.default for name, option in options.items() if raw.scheme in option.default_for}
+    values |= raw.parse_options({name: options[name].parse for name in options}, ignore_unknown=is_foreign)
     if is_foreign:
         values["model"] = get_model(raw.options.get("robot", N150.name))
 
     # 3. Place: host and port, device, or file.
     place = {} if is_foreign else _parse_place(raw, scheme)
-    stripped = raw.without([option.name for option in OPTIONS if option.schemes is None])
+    stripped = raw.without([name for name, option in OPTIONS.items() if option.schemes is None])
     return Address(
         raw.text, raw.scheme, scheme.wire, scheme.in_process, AddressOptions(**values), frozenset(raw.options),
         stripped_text=stripped, **place,

@@ -19,8 +19,12 @@ import signal
 import sys
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
+from textwrap import indent
+
+import numpy as np
 
 from nclient.common import process
 from nclient.common.allowlist import allowlist_from_options, warning
@@ -39,11 +43,11 @@ from nserver_emu.persistence.autosave import SaveFile, autosaved
 from nserver_emu.persistence.options import resolve_restore
 from nserver_emu.persistence.recording import RunHeader
 from nserver_emu.persistence.replay import replay
-from nserver_emu.server.admission import AdmissionControl
+from nserver_emu.server.admission import RESERVED_CONNECTIONS, AdmissionControl
 from nserver_emu.server.config import MODEL_NAMES, SimulationConfig, robot_placements
 from nserver_emu.server.connection import MAX_REQUESTS_PER_TURN
 from nserver_emu.server.context import Allowed, SimulationClock
-from nserver_emu.server.daemon import Daemon, stop_on_signals
+from nserver_emu.server.daemon import Daemon, ignore_signals, restored_signals, stop_on_signals
 from nserver_emu.server.garbage_collection import rare_collection
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.legacy_setup import LegacySetup, read_setups
@@ -52,6 +56,7 @@ from nserver_emu.server.link import FaultController
 from nserver_emu.server.serial_lines import at_port, open_lines
 from nserver_emu.service import STOPPING, ServiceManager, announced
 from nserver_emu.viewer.options import running_viewer
+from worlds.cells import braille_picture
 from worlds.io import load_world, world_names
 from worlds.raycast import load_compiled
 
@@ -59,6 +64,8 @@ log = logging.getLogger(__name__)
 
 CONTROL = "ctl"
 """First word of a command for a running daemon."""
+LIST_PICTURE = 48, 12
+"""Width and height of the pictures of `--list-worlds`, characters."""
 HELP = "help"
 """First word of a request for help."""
 
@@ -69,8 +76,11 @@ def main(argv: list[str] | None = None) -> int:
     # 1. The first word decides: a command for a running daemon, or the daemon itself.
     words = _help_as_option(sys.argv[1:] if argv is None else argv)
     run = _daemon if words[:1] != [CONTROL] else lambda words: cli.main(words[1:])
+    # A program that calls this function with arguments continues after it, with its own signal handlers.
+    handlers = contextlib.nullcontext() if argv is None else restored_signals()
     try:
-        code = run(words)
+        with handlers:
+            code = run(words)
         sys.stdout.flush()
     # 2. A reader of stdout that has ended, such as `head`, is no error of the daemon.
     except OSError as error:
@@ -90,20 +100,25 @@ def _help_as_option(words: list[str]) -> list[str]:
 def _daemon(words: list[str]) -> int:
     parser = nserver_parser()
     options = read_options(parser, words)
-    logs.configure(options)
-    resolve_restore(parser, options)
     try:
-        if options.list_worlds:
-            _list_worlds()
-            return ExitCode.DONE
-        if options.replay:
-            return _replay(options.replay)
-        return asyncio.run(_serve(options))
+        with logs.logging_to_stderr(options):
+            resolve_restore(parser, options)
+            return _run_command(options)
     except NomadError as error:
-        logs.log_failure(options, error)
+        logs.print_failure(options, error)
         return ExitCode.USAGE if error.usage else ExitCode.FAILED
     except KeyboardInterrupt:  # before it serves: afterwards stop_on_signals handles it
         return ExitCode.INTERRUPTED
+
+
+def _run_command(options: argparse.Namespace) -> int:
+    """Do what the options ask for: list worlds, replay a recording, or serve."""
+    if options.list_worlds:
+        _list_worlds()
+        return ExitCode.DONE
+    if options.replay:
+        return _replay(options.replay)
+    return asyncio.run(_serve(options))
 
 
 async def _serve(options: argparse.Namespace) -> int:
@@ -130,8 +145,11 @@ async def _serve_with(
     # 2. Daemon, with a gateway between clients and simulation if there are real robots.
     gateway = Gateway(emulator, proxies, shadow=options.shadow, wrap=real_options.speed_limiter(options))
     daemon = Daemon(emulator, emulator.clock.factor, gateway if proxies else emulator, faults)
-    daemon.admission = AdmissionControl(limits := limits_of(options), allowlist_from_options(options))
-    make_room(limits.connections + (limits.page_connections if options.viewer else 0))
+    limits = limits_of(options)
+    pages = limits.page_connections if options.viewer else 0
+    room = make_room(limits.connections + RESERVED_CONNECTIONS + pages)
+    limits = replace(limits, connections=min(limits.connections, room))
+    daemon.admission = AdmissionControl(limits, allowlist_from_options(options))
     daemon.places |= real_options.line_addresses(options)
     # 3. Signals, before the first port is open.
     stop = asyncio.Event()
@@ -148,6 +166,7 @@ async def _serve_with(
         await _run(daemon, gateway, options, stop, file)
     finally:
         await daemon.close()
+        ignore_signals()
     return ExitCode.DONE
 
 
@@ -234,8 +253,15 @@ def _saved_on_signal(emulator: Emulator, path: Path | None) -> SaveFile | None:
 
 
 def _list_worlds() -> None:
+    # Braille dots need a terminal or file that can show them.
+    has_dots = (sys.stdout.encoding or "").lower().startswith("utf")
     for name in world_names():
-        print(f"{name:16} {load_world(name).title}")
+        world = load_world(name)
+        width_in, height_in = np.ptp(world.walls.reshape(-1, 2), axis=0)
+        size = f"{width_in:.0f} x {height_in:.0f} in ({0.0254 * width_in:.3g} x {0.0254 * height_in:.3g} m)"
+        print(f"{name:16} {world.title}\n{'':16} {size}, {len(world.walls)} walls, {len(world.starts)} starts")
+        if has_dots:
+            print(indent(braille_picture(world, *LIST_PICTURE), " " * 17))
 
 
 def whole_parser() -> Parser:

@@ -4,19 +4,32 @@
      "message": "127.0.0.1:4711: refused: ...", "template": "%s: refused: %s ..."}        and "exception" for tracebacks
 
 `template` is the same for all lines of one kind, so that they can be counted; fields passed by `extra=` are added. A
-message is always one line. Where stderr or stdout is on a full disk the daemon continues: lost lines are counted, and
-the count is logged when lines can be written again.
+message is always one line.
+
+    log.warning() -> RepeatLimiter -> queue of MAX_QUEUED lines -> thread -> stderr
+
+Nothing on stderr can stop the daemon: a thread of its own writes, so that a reader that does not read (a full pipe)
+blocks the thread only, and a full disk loses lines. Lost lines are counted, and the count is logged when lines can be
+written again. Of lines about a client (`extra={"address": ...}`) only a few of each kind are written per minute and
+address; the rest is counted and reported as one line.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
+import copy
 import io
 import json
 import logging
 import os
+import queue
 import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
+from logging.handlers import QueueHandler, QueueListener
 from pathlib import Path
 from typing import Any, Final, TextIO
 
@@ -24,6 +37,15 @@ log = logging.getLogger(__name__)
 
 TEXT, JSON = "text", "json"
 LEVELS: Final = {"debug": logging.DEBUG, "info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}
+# Lines that wait for a reader of stderr; a line has some 100 bytes.
+MAX_QUEUED: Final = 1000
+# At exit: time for the lines that wait.
+STOP_S: Final = 1.0
+# Lines of one kind about one address in each interval, and how many of both are counted separately. Ten lines of 100
+# bytes a minute are 1.5 MB a day.
+MAX_REPEATS: Final = 10
+REPEAT_INTERVAL_S: Final = 60.0
+MAX_KINDS: Final = 1000
 # Attributes of every record; the formatter adds two, and newer versions of Python taskName.
 _STANDARD_FIELDS: Final = frozenset(vars(logging.makeLogRecord({}))) | {"message", "asctime", "taskName"}
 
@@ -37,15 +59,28 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-v", "--verbose", action="count", default=0, help="log more on stderr (-vv: everything)")
 
 
-def configure(options: argparse.Namespace) -> None:
-    """Configure logging, Python's warnings included; do nothing in a program that has configured it already."""
+@contextlib.contextmanager
+def logging_to_stderr(options: argparse.Namespace) -> Iterator[None]:
+    """Log to stderr within the block, Python's warnings included; unless the program has configured logging already."""
+    root = logging.getLogger()
     # A program that embeds the daemon decides about logging itself.
-    if logging.getLogger().handlers:
+    if root.handlers:
+        yield
         return
-    handler = LossCountingHandler(_unbuffered(sys.stderr))
-    handler.setFormatter(JsonFormatter() if options.log_format == JSON else TextFormatter())
+    formatter = JsonFormatter() if options.log_format == JSON else TextFormatter()
+    stderr = LossCountingHandler(_unbuffered(sys.stderr))
+    stderr.setFormatter(formatter)
+    handler = BoundedQueueHandler(formatter)
+    listener = BoundedListener(handler, stderr)
     logging.basicConfig(level=level_of(options), handlers=[handler])
     logging.captureWarnings(True)
+    listener.start()
+    try:
+        yield
+    finally:
+        logging.captureWarnings(False)
+        root.removeHandler(handler)
+        listener.stop()
 
 
 def level_of(options: argparse.Namespace) -> int:
@@ -65,12 +100,19 @@ def print_line(line: str) -> None:
             os.dup2(null.fileno(), sys.stdout.fileno())
 
 
-def log_failure(options: argparse.Namespace, error: Exception) -> None:
-    """Report the error that ends the daemon, as its last line."""
+def print_failure(options: argparse.Namespace, error: Exception) -> None:
+    """Report the error that ended the daemon, as its last line on stderr."""
+    line = f"nserver: {error}"
     if options.log_format == JSON:
-        logging.getLogger(__package__).critical("nserver: %s", error)
-    else:
-        print(f"nserver: {error}", file=sys.stderr)
+        record = logging.makeLogRecord({
+            "name": __package__, "levelno": logging.CRITICAL, "levelname": "CRITICAL", "msg": "nserver: %s",
+            "args": (error,),
+        })  # fmt: skip
+        line = JsonFormatter().format(record)
+    # In a thread, since nothing may read stderr.
+    writer = threading.Thread(target=_unbuffered(sys.stderr).write, args=(f"{line}\n",), daemon=True)
+    writer.start()
+    writer.join(STOP_S)
 
 
 def _unbuffered(stream: TextIO) -> TextIO:
@@ -82,6 +124,110 @@ def _unbuffered(stream: TextIO) -> TextIO:
     return io.TextIOWrapper(raw, stream.encoding, "backslashreplace", write_through=True)
 
 
+class RepeatLimiter:
+    """Counts repeated lines instead of writing them: MAX_REPEATS of a template and address in each interval.
+
+    A filter of a handler. `clock` returns seconds, monotonic.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._lock = threading.Lock()
+        # Beginning of the interval and number of lines in it, by template and address, oldest first.
+        self._counts: dict[tuple[str, str], tuple[float, int]] = {}
+
+    def __call__(self, record: logging.LogRecord) -> bool:
+        """Return True if the line is to be written."""
+        address = getattr(record, "address", None)
+        if address is None:
+            return True
+        key, now_s = (str(record.msg), str(address)), self._clock()
+        with self._lock:
+            if key not in self._counts and len(self._counts) >= MAX_KINDS:
+                # So many addresses share one count.
+                key = key[0], "other addresses"
+            begin_s, count = self._counts.setdefault(key, (now_s, 0))
+            self._counts[key] = begin_s, count + 1
+            return count < MAX_REPEATS
+
+    def summaries(self, *, at_end: bool = False) -> list[logging.LogRecord]:
+        """Return a line for each kind with lines that were not written, where its interval is over."""
+        now_s, found = self._clock(), []
+        with self._lock:
+            over = [key for key, (begin_s, _) in self._counts.items() if at_end or now_s - begin_s >= REPEAT_INTERVAL_S]
+            for template, address in over:
+                begin_s, count = self._counts.pop((template, address))
+                if count > MAX_REPEATS:
+                    found.append(_record("%s: %d more lines in %.0f s like %r",
+                                         address, count - MAX_REPEATS, now_s - begin_s, template))
+        return found
+
+
+class BoundedQueueHandler(QueueHandler):
+    """Puts formatted lines into a bounded queue; drops and counts them while it is full."""
+
+    def __init__(self, formatter: logging.Formatter) -> None:
+        self.lines: queue.Queue[logging.LogRecord | None] = queue.Queue(MAX_QUEUED)
+        super().__init__(self.lines)
+        self.setFormatter(formatter)
+        self.limiter = RepeatLimiter()
+        self.addFilter(self.limiter)
+        self.dropped = 0
+        """Lines dropped since the last line that was queued."""
+
+    def prepare(self, record: logging.LogRecord) -> logging.LogRecord:
+        """Return the record with its line and without the objects it was made of, which may change or be large."""
+        line, record = self.format(record), copy.copy(record)
+        record.msg, record.args, record.exc_info, record.exc_text = line, None, None, None
+        record.is_formatted = True
+        return record
+
+    def enqueue(self, record: logging.LogRecord) -> None:
+        """Queue a line, preceded by the number of dropped ones, if any."""
+        try:
+            if self.dropped:
+                lost = _record("%d lines of this log were lost: nothing read them in time", self.dropped)
+                self.lines.put_nowait(self.prepare(lost))
+                self.dropped = 0
+            self.lines.put_nowait(record)
+        except queue.Full:
+            self.dropped += 1
+
+
+class BoundedListener(QueueListener):
+    """Writes queued lines in a thread of its own, and waits at most STOP_S for them at the end."""
+
+    def __init__(self, source: BoundedQueueHandler, target: logging.Handler) -> None:
+        super().__init__(source.lines, target)
+        self._source = source
+
+    def dequeue(self, block: bool) -> logging.LogRecord:
+        """Return the next line; report repeated lines meanwhile."""
+        while True:
+            for record in self._source.limiter.summaries():
+                self.handle(record)
+            with contextlib.suppress(queue.Empty):
+                return self._source.lines.get(block, timeout=REPEAT_INTERVAL_S / 10.0)  # type: ignore[return-value]
+
+    def stop(self) -> None:
+        """Write what is queued, then end the thread; after STOP_S without it."""
+        for record in self._source.limiter.summaries(at_end=True):
+            self._source.enqueue(self._source.prepare(record))
+        thread: threading.Thread | None = self._thread
+        with contextlib.suppress(queue.Full):
+            self._source.lines.put(None, timeout=STOP_S)
+            if thread is not None:
+                thread.join(STOP_S)
+        self._thread = None
+
+
+def _record(message: str, *args: object) -> logging.LogRecord:
+    """Return a warning about the log itself."""
+    return logging.makeLogRecord({
+        "name": __name__, "levelno": logging.WARNING, "levelname": "WARNING", "msg": message, "args": args,
+    })  # fmt: skip
+
+
 class LossCountingHandler(logging.StreamHandler[TextIO]):
     """Handler for a stream that may be unwritable for some time."""
 
@@ -90,16 +236,20 @@ class LossCountingHandler(logging.StreamHandler[TextIO]):
         self.lost = 0
         """Lines lost since the last line that was written."""
 
+    def createLock(self) -> None:  # noqa: N802 - name given by logging
+        """Do without a lock: only one thread writes, and the exit of the program must not wait for it."""
+        self.lock = None
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return the line of a record, which was formatted before it was queued."""
+        return str(record.msg) if getattr(record, "is_formatted", False) else super().format(record)
+
     def emit(self, record: logging.LogRecord) -> None:
         """Write a record, preceded by the number of lost lines, if any."""
         # First the number of lost lines; if that fails, this line is not attempted either.
         if self.lost:
-            message = logging.makeLogRecord({
-                "name": __name__, "levelno": logging.WARNING, "levelname": "WARNING",
-                "msg": "%d lines of this log were lost: it could not be written", "args": (self.lost,),
-            })  # fmt: skip
             before = self.lost
-            super().emit(message)
+            super().emit(_record("%d lines of this log were lost: it could not be written", self.lost))
             if self.lost > before:
                 return
             self.lost = 0

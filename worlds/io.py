@@ -106,7 +106,7 @@ class _Start(Table):
     turret_deg: Angle = 0.0
 
 
-@table(schema={"anyOf": [{"required": ["name"]}, {"required": ["figure"]}]})
+@table(condition={"anyOf": [{"required": ["name"]}, {"required": ["figure"]}]})
 class _Path(Table):
     name: Text = ""
     figure: Text = ""
@@ -119,7 +119,7 @@ class _Path(Table):
         _reject_repeats(self, "points", polyline_segments(self.points))
 
 
-@table(schema={"anyOf": [{"required": [key], "properties": {key: {"minItems": 1}}} for key in CONTENT]})
+@table(condition={"anyOf": [{"required": [key], "properties": {key: {"minItems": 1}}} for key in CONTENT]})
 class WorldFile(Table):
     """A world file: walls, start poses and paths of a simulated building."""
 

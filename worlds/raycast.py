@@ -10,9 +10,10 @@ A ray meets a wall whose ends lie on different sides of its line. The range is t
 with the other's `side`: a convex mean, so nothing cancels. Two walls that share an end agree on its side, so no ray
 passes between them.
 
-    intersect, nearest_wall, nearest_obstacle    plain numbers; numba compiles these same functions
+    intersect, nearest_wall, sole_wall, nearest_obstacle    plain numbers; numba compiles these same functions
     cast_ray, cast_each                          the same for many walls or several rays: arrays select, numbers decide
     cast_rays, cast_discs                        arrays, for many rays at once
+    cast_fan                                     many rays from one point, among many walls
 
 The formula therefore stands here twice: `intersect` in numbers, `_intersections` in arrays. A simulated sonar or a live
 filter casts one to three rays at a time; in arrays that takes about ten times as long
@@ -31,7 +32,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nclient.errors import VariableError
-from worlds.geometry import FloatArray
+from worlds.geometry import FloatArray, nearest_points
 
 IndexArray = npt.NDArray[np.intp]
 WallRows = Iterable[Sequence[float] | FloatArray]
@@ -69,6 +70,12 @@ MAX_LOOP_WALLS: Final = 20
 
 MAX_SINGLE_RAYS: Final = 2
 """Up to so many rays, selecting the walls for each ray in turn is faster than for all rays at once."""
+
+MAX_PAIRED_WALLS: Final = 400
+"""With more walls, arrays of all pairs of ray and wall leave the processor's cache."""
+
+FAN_MARGIN_RAD: Final = 1e-9
+"""A wall's end this far from a ray's direction counts as on it when rays are selected: far more than rounding."""
 
 
 # One ray, in plain numbers. numba compiles these functions unchanged, and caches the result for as long as this file
@@ -122,6 +129,39 @@ def nearest_wall(x: float, y: float, dx: float, dy: float, walls: WallRows) -> t
         if -ON_WALL_IN <= range_in < nearest:
             nearest, hit = range_in, row
     return max(nearest, 0.0), hit
+
+
+def sole_wall(x: float, y: float, dx: float, dy: float, walls: WallRows, margin_in: float) -> int:
+    """Return the row of the only wall that this ray and all rays near it can meet; NO_WALL if that is uncertain.
+
+    A ray is near if it moves no end of a wall by more than the margin in the frame of the ray, and its origin by no
+    more than that. This is a test of one loop, and sufficient only: where it fails, cast the rays.
+    """
+    sole = NO_WALL
+    for row, (x1, y1, x2, y2) in enumerate(walls):
+        # 1. Both ends clearly on one side, or clearly behind: no near ray meets the wall.
+        to_x_1, to_y_1, to_x_2, to_y_2 = x1 - x, y1 - y, x2 - x, y2 - y
+        side_1, side_2 = dx * to_y_1 - dy * to_x_1, dx * to_y_2 - dy * to_x_2
+        if (side_1 > margin_in and side_2 > margin_in) or (side_1 < -margin_in and side_2 < -margin_in):
+            continue
+        ahead_1, ahead_2 = to_x_1 * dx + to_y_1 * dy, to_x_2 * dx + to_y_2 * dy
+        if ahead_1 < -margin_in and ahead_2 < -margin_in:
+            continue
+        # 2. The ends clearly on different sides, the origin clearly on one side of the wall: all near rays meet it
+        #    ahead, or none does. The weighted mean of `intersect`: the cross product is the distance to the wall times
+        #    its length.
+        cross = ahead_1 * side_2 - ahead_2 * side_1
+        if (
+            abs(side_1) <= margin_in
+            or abs(side_2) <= margin_in
+            or abs(cross) <= margin_in * (abs(x2 - x1) + abs(y2 - y1))
+        ):
+            return NO_WALL
+        if (cross > 0.0) == (side_2 > side_1):
+            if sole != NO_WALL:
+                return NO_WALL
+            sole = row
+    return sole
 
 
 def ray_to_disc(x: float, y: float, dx: float, dy: float, disc: Sequence[float] | FloatArray) -> float:
@@ -205,11 +245,11 @@ def cast_each(origins: Sequence[complex], directions: Sequence[complex], walls: 
         (m, 4), contiguous.
     """
     rays = [(o.real, o.imag, d.real, d.imag) for o, d in zip(origins, directions, strict=True)]
-    # Few walls or few rays: no array for all pairs.
+    # Few walls, few rays, or too many walls for an array of all pairs.
     if len(walls) <= MAX_LOOP_WALLS:
         rows = walls.tolist()
         return [nearest_wall(*ray, rows)[0] for ray in rays]
-    if len(rays) <= MAX_SINGLE_RAYS:
+    if len(rays) <= MAX_SINGLE_RAYS or len(walls) > MAX_PAIRED_WALLS:
         return [cast_ray(*ray, walls)[0] for ray in rays]
     # 1. All ends in the frames of all rays; the pairs of ray and wall worth a look, in the order of the rays.
     ends = walls.view(np.complex128).reshape(1, -1)
@@ -225,27 +265,6 @@ def cast_each(origins: Sequence[complex], directions: Sequence[complex], walls: 
         ranges.append(nearest_wall(*ray, rows[start:end])[0])
         start = end
     return ranges
-
-
-class WallIndex:
-    """Walls prepared for casting single rays again and again.
-
-    Parameters
-    ----------
-    walls
-        (m, 4), rows x1 y1 x2 y2 in inches.
-    """
-
-    def __init__(self, walls: npt.ArrayLike) -> None:
-        self._walls = np.ascontiguousarray(walls, dtype=np.float64).reshape(-1, 4)
-        self._rows: list[list[float]] = self._walls.tolist()
-        self._many = len(self._walls) > MAX_LOOP_WALLS
-
-    def nearest(self, x: float, y: float, dx: float, dy: float) -> tuple[float, int]:
-        """Return range and row of `nearest_wall`; inf and NO_WALL where nothing is met."""
-        if self._many:
-            return cast_ray(x, y, dx, dy, self._walls)
-        return nearest_wall(x, y, dx, dy, self._rows)
 
 
 # Many rays, in arrays.
@@ -283,6 +302,119 @@ def cast_rays(origins: npt.ArrayLike, directions: npt.ArrayLike, walls: npt.Arra
         np.broadcast_to(starts, shape).reshape(-1, 2), np.broadcast_to(along, shape).reshape(-1, 2), segments
     )
     return ranges.reshape(shape[:-1]), rows.reshape(shape[:-1])
+
+
+def cast_fan(x: float, y: float, angles_rad: FloatArray, walls: FloatArray, reach_in: float) -> FloatArray:
+    """Return `cast_rays` for rays from one point, computing only the pairs of ray and wall that can meet.
+
+    Parameters
+    ----------
+    angles_rad
+        (n,) directions, increasing, over less than half a turn.
+    walls
+        (m, 4), rows x1 y1 x2 y2 in inches.
+    reach_in
+        Ranges beyond it count as inf.
+
+    Returns
+    -------
+    array
+        Ranges (n,).
+    """
+    ranges: FloatArray = np.full(len(angles_rad), inf)
+    # 1. Walls within reach, in the frame of the fan's middle; not wholly behind it.
+    middle_rad = 0.5 * (angles_rad[0] + angles_rad[-1])
+    walls = near_walls(x, y, reach_in, walls)
+    ends = (walls.view(np.complex128) - complex(x, y)) * complex(np.cos(middle_rad), -np.sin(middle_rad))
+    is_ahead = ends.real.max(axis=1, initial=-inf) >= -ON_WALL_IN
+    walls, ends = walls[is_ahead], ends[is_ahead]
+    # 2. The interval of directions of each wall. A wall that passes the origin closely has any direction.
+    first = np.angle(ends[:, 0])
+    turn = np.angle(ends[:, 1] * ends[:, 0].conj())
+    low, high = np.minimum(first, first + turn), np.maximum(first, first + turn)
+    offsets = nearest_points((x, y), walls)[1]
+    is_close = offsets <= 1e3 * ON_WALL_IN
+    low[is_close], high[is_close] = -2.0 * np.pi, 2.0 * np.pi
+    # 3. The rays in these intervals, which may lie a turn away.
+    rays = angles_rad - middle_rad
+    begins, stops = (
+        np.column_stack([
+            np.searchsorted(rays, bound + shift + margin) for shift in (-2.0 * np.pi, 0.0, 2.0 * np.pi)
+        ])
+        for bound, margin in ((low, -FAN_MARGIN_RAD), (high, FAN_MARGIN_RAD))
+    )
+    begin = np.where(begins < stops, begins, len(rays)).min(axis=1, initial=len(rays))
+    stop = np.where(begins < stops, stops, 0).max(axis=1, initial=0)
+    # 4. Nearest walls first, a block of pairs at a time: what stands behind them is left out.
+    order = np.argsort(offsets, kind="stable")
+    order = order[begin[order] < stop[order]]
+    directions = np.stack((np.cos(angles_rad), np.sin(angles_rad)), axis=1)
+    while len(order):
+        counts = stop[order] - begin[order]
+        taken = order[: max(1, int(np.searchsorted(np.cumsum(counts), _BLOCK)))]
+        ray, wall = _pairs(begin[taken], stop[taken])
+        hits = _meet(*_pair_frames(x, y, directions[ray], walls[taken[wall]]))
+        np.minimum.at(ranges, ray, hits)
+        order = order[len(taken):]
+        order = order[offsets[order] <= _farthest(ranges, begin[order], stop[order])]
+    np.maximum(ranges, 0.0, out=ranges)
+    ranges[ranges > reach_in] = inf
+    return ranges
+
+
+def near_walls(x: float, y: float, reach_in: float, walls: FloatArray) -> FloatArray:
+    """Return the walls (k, 4) that reach into the square of this half width around a point."""
+    if len(walls) <= MAX_LOOP_WALLS:
+        return walls
+    low_x, low_y, high_x, high_y = _bounds(walls)
+    is_near = low_x <= x + reach_in
+    is_near &= high_x >= x - reach_in
+    is_near &= low_y <= y + reach_in
+    is_near &= high_y >= y - reach_in
+    near: FloatArray = walls.take(is_near.nonzero()[0], axis=0)
+    return near
+
+
+# Bounds of the walls that were used last: those of worlds are read-only and used again and again.
+_MAX_CACHED_BOUNDS: Final = 4
+_cached_bounds: list[tuple[FloatArray, FloatArray]] = []
+
+
+def _bounds(walls: FloatArray) -> FloatArray:
+    """Return the bounds of walls (m, 4) as columns low x, low y, high x, high y (4, m)."""
+    for cached, bounds in _cached_bounds:
+        if cached is walls:
+            return bounds
+    ends = np.ascontiguousarray(walls.T)
+    bounds = np.concatenate((np.minimum(ends[:2], ends[2:]), np.maximum(ends[:2], ends[2:])))
+    if not walls.flags.writeable:
+        _cached_bounds.insert(0, (walls, bounds))
+        del _cached_bounds[_MAX_CACHED_BOUNDS:]
+    return bounds
+
+
+def _pairs(begin: IndexArray, stop: IndexArray) -> tuple[IndexArray, IndexArray]:
+    """Return the numbers from begin to stop of each row, one row after the other, and the number of the row."""
+    counts = stop - begin
+    row = np.repeat(np.arange(len(begin)), counts)
+    number = np.arange(len(row)) - np.repeat(np.cumsum(counts) - counts, counts) + begin[row]
+    return number, row
+
+
+def _farthest(ranges: FloatArray, begin: IndexArray, stop: IndexArray) -> FloatArray:
+    """Return the largest range from begin to stop of each row; no row is empty."""
+    if not len(begin):
+        return np.empty(0)
+    bounds = np.column_stack((begin, stop)).ravel()
+    largest: FloatArray = np.maximum.reduceat(np.append(ranges, 0.0), bounds)[::2]
+    return largest
+
+
+def _pair_frames(x: float, y: float, directions: FloatArray, walls: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return sides and aheads (2, k) of both ends of k walls, each in the frame of its own ray."""
+    dx, dy = directions.T
+    to_x, to_y = walls[:, 0::2].T - x, walls[:, 1::2].T - y
+    return dx * to_y - dy * to_x, to_x * dx + to_y * dy
 
 
 def cast_discs(origins: npt.ArrayLike, directions: npt.ArrayLike, discs: npt.ArrayLike) -> FloatArray:
@@ -330,8 +462,16 @@ def _cast_many(origins: FloatArray, directions: FloatArray, walls: FloatArray) -
 
 def _intersections(origins: FloatArray, directions: FloatArray, walls: FloatArray) -> FloatArray:
     """Return `intersect` of n rays (n, 2) with m walls (m, 4): (m, n), inf where they do not meet or meet behind."""
-    # 1. The ends in the frames of the rays.
-    (side_1, side_2), (ahead_1, ahead_2) = sides, _ = _in_ray_frames(origins, directions, walls)
+    return _meet(*_in_ray_frames(origins, directions, walls))
+
+
+def _meet(sides: FloatArray, aheads: FloatArray) -> FloatArray:
+    """Return `intersect` of walls, from sides and aheads (2, ...) of their ends in the frames of the rays; inf behind.
+
+    The arrays are not changed.
+    """
+    # 1. Both ends.
+    (side_1, side_2), (ahead_1, ahead_2) = sides, aheads
     # 2. The weighted mean.
     hits: FloatArray = ahead_1 * side_2
     hits -= ahead_2 * side_1

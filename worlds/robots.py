@@ -223,7 +223,7 @@ class ModelTable(Table):
         )  # fmt: skip
 
 
-@table(schema={"required": ["model"], "properties": {"model": {"minItems": 1}}})
+@table(condition={"required": ["model"], "properties": {"model": {"minItems": 1}}})
 class ModelFile(Table):
     """A model file: robot models, and calibrations of single robots."""
 

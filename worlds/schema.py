@@ -16,12 +16,14 @@ import msgspec
 from msgspec import UNSET, Meta, UnsetType
 
 from nclient.common import files
-from nclient.common.validation import InvalidValue
+from nclient.common.validation import InvalidValue, at_most_one
 from nclient.errors import WorldFileError
 from worlds.geometry import area, crossing, lengths, polygon_segments
 
 INCHES_PER_UNIT: Final = {"in": 1.0, "cm": 1.0 / 2.54, "m": 100.0 / 2.54}
 """Inches in one of each unit that a key may end in."""
+
+_UNITS: Final = {"in": "inches", "cm": "centimetres", "m": "metres"}
 
 MAX_COORDINATE_IN: Final = 1e5
 """Largest coordinate, inches (2.5 km): beyond it rounding approaches the tolerances of the ray caster, and the unit is
@@ -50,8 +52,8 @@ def _length(limit: float) -> Any:
 
 
 def _point(limit: float) -> Any:
-    pair: Any = GenericAlias(tuple, (_length(limit), _length(limit)))
-    return Annotated[pair, Meta(title="a point [x, y]")]
+    numbers: Any = GenericAlias(tuple, (_length(limit), ...))
+    return Annotated[numbers, Meta(min_length=2, max_length=2, title="a point [x, y]")]
 
 
 def points(least: int) -> InUnits:
@@ -94,7 +96,9 @@ def _keys(name: str) -> tuple[str, ...]:
     return tuple(f"{name}_{unit}" for unit in INCHES_PER_UNIT)
 
 
-def table(*one_of: tuple[str, ...], schema: dict[str, Any] | None = None, **tag: str) -> Callable[[type[T]], type[T]]:
+def table(
+    *one_of: tuple[str, ...], condition: dict[str, Any] | None = None, **tag: str
+) -> Callable[[type[T]], type[T]]:
     """Return a decorator that makes a msgspec struct of a class with annotations: a table of a file.
 
     Unknown keys are refused. A field in units is read from exactly one of NAME_in, NAME_cm, NAME_m, and is in inches;
@@ -104,8 +108,8 @@ def table(*one_of: tuple[str, ...], schema: dict[str, Any] | None = None, **tag:
     ----------
     one_of
         Further keys of which exactly one must be given.
-    schema
-        Conditions on several keys that the class's `check` checks, as JSON Schema.
+    condition
+        What the class's `check` checks, as JSON Schema.
     tag
         Key and value that tell the table from others: do="turn".
     """
@@ -118,14 +122,15 @@ def table(*one_of: tuple[str, ...], schema: dict[str, Any] | None = None, **tag:
         for name, kind in get_type_hints(cls, include_extras=True).items():
             mark = _mark(kind)
             if mark is not None:
-                fields += [_unit_field(name, unit, mark) for unit in INCHES_PER_UNIT]
+                fields += [_unit_field(name, unit, kind, mark) for unit in INCHES_PER_UNIT]
                 groups.append((_keys(name), 0 if hasattr(cls, name) else 1))
                 members[name] = property(_reader(name))
             else:
                 fields.append((name, kind, getattr(cls, name)) if hasattr(cls, name) else (name, kind))
         # 2. Checks of several keys.
+        members["__doc__"] = cls.__doc__
         members["__post_init__"] = lambda self: _check_groups(self, groups)
-        members["SCHEMA"] = {"allOf": [*(_one_of(*group) for group in groups), schema or {}]}
+        members["CONDITIONS"] = [*(at_most_one(*group) for group in groups), *([condition] if condition else [])]
         key, value = next(iter(tag.items()), (None, None))
         made: Any = msgspec.defstruct(
             cls.__name__.strip("_"), fields, namespace=members, module=cls.__module__, frozen=True, kw_only=True,
@@ -142,8 +147,11 @@ def _mark(kind: Any) -> InUnits | None:
     return next((mark for mark in marks if isinstance(mark, InUnits)), None)
 
 
-def _unit_field(name: str, unit: str, mark: InUnits) -> tuple[str, Any, Any]:
-    return f"{name}_{unit}", mark.type_for(MAX_COORDINATE_IN / INCHES_PER_UNIT[unit]) | UnsetType, UNSET
+def _unit_field(name: str, unit: str, kind: Any, mark: InUnits) -> tuple[str, Any, Any]:
+    metas = [each for each in getattr(kind, "__metadata__", ()) if isinstance(each, Meta)]
+    meta = Meta(description=f"{metas[0].description if metas else name}, in {_UNITS[unit]}")
+    limited = mark.type_for(MAX_COORDINATE_IN / INCHES_PER_UNIT[unit])
+    return f"{name}_{unit}", Annotated[limited | UnsetType, meta], UNSET
 
 
 def _reader(name: str) -> Callable[[Table], Any]:
@@ -169,12 +177,6 @@ def _check_groups(values: Any, groups: list[tuple[tuple[str, ...], int]]) -> Non
             complaint = f"expected exactly one of {', '.join(keys)}, found {' and '.join(given) or 'none of them'}"
             raise InvalidValue(complaint, given[-1] if given else keys[0])
     values.check()
-
-
-def _one_of(keys: tuple[str, ...], least: int) -> dict[str, Any]:
-    """Return the condition that exactly one of the keys is given, or none of them, as JSON Schema."""
-    choices: list[dict[str, Any]] = [{"required": [key]} for key in keys]
-    return {"oneOf": choices if least else [*choices, {"not": {"anyOf": choices}}]}
 
 
 def read_text(path: Path) -> str:

@@ -39,7 +39,7 @@ def simplify_world(world: World, tolerance_in: float) -> World:
     # Each of the two steps may move a wall by half the tolerance.
     half = tolerance_in / 2.0
     merged = _merge_collinear(world.inner_walls, half)
-    walls = [polyline_segments(_douglas_peucker(line, half)) for line in _chain(merged)]
+    walls = [polyline_segments(_select(line, half)) for line in _chain(merged)]
     return replace(
         world,
         rooms=tuple(_simplify_polygon(room, tolerance_in) for room in world.rooms),
@@ -68,8 +68,8 @@ def _simplify_polygon(polygon: Polygon, tolerance_in: float) -> Polygon:
     # Split the outline at two corners far apart, which remain.
     far = int(np.argmax(np.hypot(*(np.array(corners) - corners[0]).T)))
     one, other = (
-        _douglas_peucker(corners[: far + 1], tolerance_in),
-        _douglas_peucker([*corners[far:], corners[0]], tolerance_in),
+        _select(corners[: far + 1], tolerance_in),
+        _select([*corners[far:], corners[0]], tolerance_in),
     )
     selected = [*one[:-1], *other[:-1]]
     edges = polygon_segments(selected)
@@ -78,14 +78,18 @@ def _simplify_polygon(polygon: Polygon, tolerance_in: float) -> Polygon:
     return replace(polygon, corners_in=tuple(selected))
 
 
-def _douglas_peucker(line: Sequence[Point], tolerance_in: float) -> list[Point]:
-    """Return the points of a line that the Douglas-Peucker algorithm selects.
+def _select(line: Sequence[Point], tolerance_in: float) -> list[Point]:
+    """Return the points of a line that the Douglas-Peucker algorithm selects."""
+    return [line[number] for number in douglas_peucker(np.array(line, dtype=np.float64), tolerance_in)]
+
+
+def douglas_peucker(points: FloatArray, tolerance: float) -> list[int]:
+    """Return the numbers of the points (n, 2) that the Douglas-Peucker algorithm selects, in order.
 
     It keeps the ends of each span and splits it at the point farthest from the chord if that is beyond the tolerance.
     """
-    selected = [0, len(line) - 1]
-    spans = [(0, len(line) - 1)]
-    points = np.array(line, dtype=np.float64)
+    selected = [0, len(points) - 1]
+    spans = [(0, len(points) - 1)]
     while spans:
         first, last = spans.pop()
         if last - first < 2:
@@ -93,10 +97,10 @@ def _douglas_peucker(line: Sequence[Point], tolerance_in: float) -> list[Point]:
         chord = np.concatenate((points[first], points[last]))[None]
         off = nearest_points(points[first + 1 : last], chord)[1][:, 0]
         middle = first + 1 + int(off.argmax())
-        if off.max() > tolerance_in:
+        if off.max() > tolerance:
             selected.append(middle)
             spans += [(first, middle), (middle, last)]
-    return [line[number] for number in sorted(selected)]
+    return sorted(selected)
 
 
 def _merge_collinear(walls: FloatArray, tolerance_in: float) -> FloatArray:

@@ -10,6 +10,7 @@ fixed; obstacles may be added, moved and deleted by clients (`with_obstacles`).
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from itertools import accumulate
 from math import inf, isfinite
@@ -118,8 +119,45 @@ class World:
             object.__setattr__(self, name, value)
 
     def with_obstacles(self, obstacles: Iterable[Polygon]) -> World:
-        """Return this world with other obstacles; fixed walls keep their rows."""
-        return replace(self, obstacles=tuple(obstacles))
+        """Return this world with other obstacles; fixed walls keep their rows.
+
+        Rows of obstacles that remain at the beginning and at the end are copied, not computed.
+        """
+        # 1. The obstacles that are the same at both ends.
+        before, after = self.obstacles, tuple(obstacles)
+        shorter = min(len(before), len(after))
+        same = zip(before, after, strict=False)
+        head = next((number for number, (one, other) in enumerate(same) if one is not other), shorter)
+        same = zip(reversed(before[head:]), reversed(after[head:]), strict=False)
+        tail = next((number for number, (one, other) in enumerate(same) if one is not other), shorter - head)
+        # 2. Their rows, with the new ones in between.
+        new = [polygon.segments() for polygon in after[head : len(after) - tail]]
+        firsts, rooms = (*self._firsts, len(self._edges)), len(self.rooms)
+        begin, end = firsts[rooms + head], firsts[rooms + len(before) - tail]
+        inner = len(self.walls) - len(self._edges)
+        added = sum(map(len, new)) - (end - begin)
+        derived = {
+            "obstacles": after,
+            "walls": _stacked([self.walls[: begin + inner], *new, self.walls[end + inner :]]),
+            "_edges": _stacked([self._edges[:begin], *new, self._edges[end:]]),
+            "_firsts": (
+                *firsts[: rooms + head], *(begin + row for row in _first_rows(new)),
+                *(row + added for row in firsts[rooms + len(before) - tail : -1]),
+            ),
+        }  # fmt: skip
+        # 3. A copy with those values, set as in __post_init__.
+        world = copy(self)
+        for name, value in derived.items():
+            object.__setattr__(world, name, value)
+        return world
+
+    def obstacles_with_corner(self, x_in: float, y_in: float, within_in: float) -> list[int]:
+        """Return the numbers of obstacles with a corner within a distance in x and y of a point, increasing."""
+        first = self._firsts[len(self.rooms)] if self.obstacles else 0
+        corners = self._edges[first:, :2]
+        rows = np.flatnonzero((np.abs(corners - (x_in, y_in)) <= within_in).all(axis=1)) + first
+        numbers = np.searchsorted(self._firsts[len(self.rooms) :], rows, side="right") - 1
+        return sorted(set(numbers.tolist()))
 
     def clearance(self, x_in: float, y_in: float) -> float:
         """Return the distance from a point to the nearest wall, inches; inf if there are no walls.

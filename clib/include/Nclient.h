@@ -12,8 +12,12 @@
  * Units: lengths in 1/10 inch, angles in 1/10 degree, counter-clockwise positive, speeds per second, sonar in whole
  * inches. A call returns TRUE, or FALSE if it was rejected, could not be sent, or had no valid reply; the reason is
  * printed to stderr. The code of a server's error reply is in State[STATE_ERROR]: 1 unknown message, 2 wrong number or
- * range of values, 3 not connected, 4 not available on this model, 5 not allowed, 6 the real robot did not reply.
- * Numbers beyond the range of a message are clamped to it.
+ * range of values, 3 not connected, 4 not available on this model, 5 not allowed, 6 the real robot did not reply; 111
+ * after a call that found no server or lost it. Calls whose reply has no values (tk, place_robot, add_obstacle,
+ * delete_obstacle, new_world, real_robot, simulated_robot, quit_server, draw_ and refresh_ calls) return TRUE and leave
+ * State[STATE_ERROR] alone when the server refuses them. Numbers beyond the range of a message are clamped to it.
+ *
+ * A program may define State, Smask, Laser and the other variables itself; the library then uses those.
  *
  * One program, one thread, one robot. Usable from C89, C99 and C++. Additions to the old library are in nomad.h, to
  * avoid name clashes with old programs. MIT licence; see clib/README.md.
@@ -31,6 +35,15 @@ extern "C" {
 #ifndef FALSE
 #define FALSE 0
 #endif
+
+/* Sizes. */
+
+#define SONARS 16
+#define INFRAREDS 16
+#define MAX_VERTICES 10 /* of an obstacle */
+#define BUFSIZE 4096
+#define MAX_USER_BUF 65535
+#define USER_BUFFER_LENGTH 65535
 
 /* State: the last reported values of the robot. */
 
@@ -81,7 +94,7 @@ extern "C" {
 #define STATE_MOTOR_STATUS 41 /* bits 0 1 2: translation, steering, turret is moving */
 #define STATE_LASER 42        /* laser mode */
 #define STATE_COMPASS 43
-#define STATE_ERROR 44 /* code of the last error reply; 0 after every state from a server */
+#define STATE_ERROR 44 /* code of the last error reply, 111: no server; 0 after every state from a server */
 
 extern long State[NUM_STATE];
 
@@ -130,6 +143,7 @@ extern long State[NUM_STATE];
 #define SMASK_VEL_TRANS 38
 #define SMASK_VEL_STEER 39
 #define SMASK_VEL_TURRET 40
+#define SMASK_RESERVED 41
 #define SMASK_LASER 42
 #define SMASK_COMPASS 43
 
@@ -141,15 +155,35 @@ extern int Smask[NUM_MASK];
 
 extern int Laser[2 * NUM_LASER + 1];
 
+/* Copies of these arrays; set_mask sets Smask, which ct sends. init_mask sets Smask to its initial values, init_sensors
+ * also sends it. */
+
+extern int get_state(long state[NUM_STATE]);
+extern int get_laser(int laser[2 * NUM_LASER + 1]);
+extern int get_mask(int mask[NUM_MASK]);
+extern int set_mask(int mask[NUM_MASK]);
+extern void init_mask(void);
+extern int init_sensors(void);
+
 /* The server to connect to. */
 
 extern char SERVER_MACHINE_NAME[80]; /* host or host:port; if empty, NOMAD_ROBOT; else localhost */
-extern int SERV_TCP_PORT;            /* its port, 7019 by default */
+extern int SERV_TCP_PORT;            /* its port, 7019 by default, also if a program defines it without a value */
 
-/* The robot to which libndirect connects for connect_robot(1), without further arguments. */
+extern int set_server_machine_name(char *name);
+extern int set_serv_tcp_port(int port);
 
+/* The robot to which libndirect connects for connect_robot(1), without further arguments. A connection sets CONN_TYPE
+ * and the variables of its type to what it uses. -1 and empty texts: the values named DEFAULT_ apply. */
+
+extern int CONN_TYPE;                /* -1: not connected yet, 1: serial port, 2: TCP */
 extern char ROBOT_MACHINE_NAME[80];  /* host that serves the robot's line; if empty, a serial port is used */
-extern int CONN_TCP_PORT;            /* port of that host, 65001 by default */
+extern int ROBOT_TCP_PORT;           /* port of that host; if -1, CONN_TCP_PORT */
+extern int CONN_TCP_PORT;            /* 65001 */
+extern char SERIAL_PORT[40];
+extern int SERIAL_BAUD;
+extern char NOMAD_SERIAL_PORT[40];   /* other names of these two, used if SERIAL_PORT is empty, SERIAL_BAUD -1 */
+extern int NOMAD_SERIAL_BAUD;
 extern char DEFAULT_SERIAL_PORT[80]; /* "/dev/ttyS0" */
 extern int DEFAULT_SERIAL_BAUD;      /* 38400 */
 extern int DEFAULT_ROBOT_MODEL;      /* MODEL_N150 */
@@ -157,25 +191,36 @@ extern int DEFAULT_ROBOT_MODEL;      /* MODEL_N150 */
 #define MODEL_N200 0
 #define MODEL_N150 1
 #define MODEL_SCOUT 2
+#define MODEL_SCOUT2 2
 
-/* Connecting. connect_robot(1) returns the server's port (libndirect: TRUE), or FALSE. With libndirect
- * connect_robot(1, MODEL_N150, "/dev/ttyUSB0", 38400) or connect_robot(1, MODEL_N200, "host", 65001) gives the
- * connection; libnclient ignores arguments after the number. An existing connection is closed first. */
+/* Laser calibration, as programs store it; the library does not use it. */
+
+extern double LASER_CALIBRATION[8];
+extern double LASER_OFFSET[2];
+
+/* Connecting. connect_robot(1) returns the server's port (libndirect: TRUE), or FALSE; then an existing connection
+ * remains. With libndirect connect_robot(1, MODEL_N150, "/dev/ttyUSB0", 38400) or
+ * connect_robot(1, MODEL_N200, "host", 65001) gives the connection; libnclient ignores arguments after the number.
+ * server_is_running is the old name of connect_robot(1). open_serial connects to a line, only in libndirect. */
 
 extern int connect_robot(long robot_id, ...);
 extern int create_robot(long robot_id);
 extern int disconnect_robot(long robot_id);
 extern int server_is_running(void);
+extern int open_serial(char *port, unsigned short baud);
 extern int quit_server(void);
 extern int real_robot(void);
 extern int simulated_robot(void);
 
-/* Only a macro can mark the end of the arguments in C. */
-#if defined(__cplusplus) || !defined(__STRICT_ANSI__) || (defined(__STDC_VERSION__) && __STDC_VERSION__ >= 199901L)
-#define NOMAD_NO_MORE (-20047)
-#define connect_robot(...) nomad_connect_robot(__VA_ARGS__, NOMAD_NO_MORE)
+/* Pass the number of arguments, by which libndirect distinguishes connect_robot(1) from a call with a line. This is no
+ * macro: connect_robot remains usable in prototypes and as the name of a method. */
+extern int nomad_connect_robot(long robot_id, int extra_count, ...);
+#if defined(__GNUC__) && !defined(__clang__)
+extern __inline __attribute__((__gnu_inline__, __always_inline__, __artificial__)) int connect_robot(long robot_id, ...)
+{
+    return nomad_connect_robot(robot_id, __builtin_va_arg_pack_len(), __builtin_va_arg_pack());
+}
 #endif
-extern int nomad_connect_robot(long robot_id, ...);
 
 /* Motion. The axes are translation, steering, turret; Scout: right wheel, left wheel, 0. */
 
@@ -185,6 +230,9 @@ extern int nomad_connect_robot(long robot_id, ...);
 #define MV_LP 3     /* limp */
 #define MV_AC 4     /* set its acceleration */
 #define MV_SP 5     /* set its speed */
+#define MV_PA 6     /* these three are not sent: mv returns FALSE */
+#define MV_TQ 7
+#define MV_MT 8
 
 extern int ac(int t_ac, int s_ac, int r_ac);
 extern int sp(int t_sp, int s_sp, int r_sp);
@@ -195,7 +243,7 @@ extern int mv(int t_mode, int t_mv, int s_mode, int s_mv, int r_mode, int r_mv);
 extern int st(void);
 extern int lp(void);
 extern int zr(void);
-extern int ws(int t_ws, int s_ws, int r_ws, int timeout); /* seconds */
+extern int ws(unsigned char t_ws, unsigned char s_ws, unsigned char r_ws, unsigned char timeout); /* seconds */
 extern int dp(int x, int y);
 extern int da(int th, int tu);
 extern int place_robot(int x, int y, int th, int tu);
@@ -213,9 +261,10 @@ extern int ct(void);
 extern int conf_ir(int history, int order[16]);
 extern int conf_sn(int rate, int order[16]); /* rate in steps of 4 ms; 255 ends the order */
 extern int conf_cp(int mode);
-extern int conf_ls(int mode, int threshold, int width, int num_data, int processing);
-extern int conf_tm(int timeout); /* seconds; 0: no time-out */
-extern int conf_sg(int threshold, int min_points, int gap);
+extern int conf_ls(unsigned int mode, unsigned int threshold, unsigned int width, unsigned int num_data,
+                   unsigned int processing);
+extern int conf_tm(unsigned char timeout); /* seconds; 0: no time-out */
+extern int conf_sg(unsigned int threshold, unsigned int min_points, unsigned int gap);
 extern int conf_ser(int port, int baud); /* only on the line of an N150 or Scout */
 
 /* Queries. */
@@ -233,14 +282,53 @@ extern int get_bp(void);
 extern int get_rpx(long *robot_pos);     /* long[31]: n, then n times x, y, heading; at most ten robots */
 extern int get_robot_conf(long *conf);   /* long[4]: x, y, steering, turret of a click in the server's window */
 
-/* Position data: the encoder pose of the robot when a sensor took its reading. The robot defines the order of the nine
- * numbers, this header their names; a long[9] has the same layout. */
+/* Position data: the encoder pose of the robot when a sensor took its reading. */
+
+typedef unsigned long TimeData; /* ms of the robot's clock */
+
+typedef struct ConfigData {
+    long configX, configY, configSteer, configTurret;
+    long velTrans, velSteer, velTurret;
+    TimeData timeStamp; /* of the pose */
+} ConfigData;
 
 typedef struct PosData {
-    long x, y, steer, turret;
-    long v_trans, v_steer, v_turret;
-    unsigned long pose_time, sensor_time; /* ms of the robot's clock */
+    ConfigData config;
+    TimeData timeStamp; /* of the reading */
 } PosData;
+
+#define POS_IR_1 0 /* numbers of sensors for posInfraredGet and posSonarGet */
+#define POS_IR_2 1
+#define POS_IR_3 2
+#define POS_IR_4 3
+#define POS_IR_5 4
+#define POS_IR_6 5
+#define POS_IR_7 6
+#define POS_IR_8 7
+#define POS_IR_9 8
+#define POS_IR_10 9
+#define POS_IR_11 10
+#define POS_IR_12 11
+#define POS_IR_13 12
+#define POS_IR_14 13
+#define POS_IR_15 14
+#define POS_IR_16 15
+#define POS_SONAR_1 0
+#define POS_SONAR_2 1
+#define POS_SONAR_3 2
+#define POS_SONAR_4 3
+#define POS_SONAR_5 4
+#define POS_SONAR_6 5
+#define POS_SONAR_7 6
+#define POS_SONAR_8 7
+#define POS_SONAR_9 8
+#define POS_SONAR_10 9
+#define POS_SONAR_11 10
+#define POS_SONAR_12 11
+#define POS_SONAR_13 12
+#define POS_SONAR_14 13
+#define POS_SONAR_15 14
+#define POS_SONAR_16 15
 
 #define POS_NONE 0
 #define POS_INFRARED 1
@@ -249,6 +337,12 @@ typedef struct PosData {
 #define POS_LASER 8
 #define POS_COMPASS 16
 #define POS_ALL 31
+
+#define POS_INFRARED_P ((posDataCheck() & POS_INFRARED) ? 1 : 0) /* is this position data requested? */
+#define POS_SONAR_P ((posDataCheck() & POS_SONAR) ? 1 : 0)
+#define POS_BUMPER_P ((posDataCheck() & POS_BUMPER) ? 1 : 0)
+#define POS_LASER_P ((posDataCheck() & POS_LASER) ? 1 : 0)
+#define POS_COMPASS_P ((posDataCheck() & POS_COMPASS) ? 1 : 0)
 
 extern int posDataRequest(int posRequest); /* a sum of POS_ bits; FALSE for other values */
 extern int posDataCheck(void);
@@ -269,9 +363,80 @@ extern float voltMotorGet(void);
 
 extern int tk(char *talk);
 extern int special_request(unsigned char *user_send_buffer, unsigned char *user_receive_buffer);
-extern int arm_zr(int override);
-extern int arm_ws(int lift, int grip, long timeout, long *time_remain);
+extern int arm_zr(short override);
+extern int arm_ws(short lift, short grip, long timeout, long *time_remain);
 extern int arm_mv(long l_mode, long l_v, long g_mode, long g_v);
+
+#define ARM_ZR 40 /* types of the arm's packets */
+#define ARM_WS 41
+#define ARM_MV 42
+#define ZR_CHECK 1 /* bits of the override of arm_zr */
+#define ZR_ORIENT 2
+#define ZR_NO_N_GRIPPER 4
+
+/* Packets byte by byte. The functions init_ set `index` to the first byte after the header. The functions stuff store
+ * a number at buffer[*index] and advance *index, the functions extract read one; low byte first. They return FALSE
+ * beyond MAX_USER_BUF (extract: 0). */
+
+extern int init_send_buffer(unsigned short *index);
+extern int init_receive_buffer(unsigned short *index);
+extern int stuff_send_buffer_header(unsigned short length, unsigned char serial_number, unsigned char packet_type,
+                                    unsigned char *buffer);
+extern int extract_receive_buffer_header(unsigned short *length, unsigned char *serial_number,
+                                         unsigned char *packet_type, unsigned char *buffer);
+extern int stuffchar(signed char data, unsigned char *buffer, unsigned short *index);
+extern int stuff2byteint(short data, unsigned char *buffer, unsigned short *index);
+extern int stuff4byteint(long data, unsigned char *buffer, unsigned short *index);
+extern int stuffuchar(unsigned char data, unsigned char *buffer, unsigned short *index);
+extern int stuff2byteuint(unsigned short data, unsigned char *buffer, unsigned short *index);
+extern int stuff4byteuint(unsigned long data, unsigned char *buffer, unsigned short *index);
+extern int stuffdouble(double data, unsigned char *buffer, unsigned short *index);
+extern signed char extractchar(unsigned char *buffer, unsigned short *index);
+extern short extract2byteint(unsigned char *buffer, unsigned short *index);
+extern long extract4byteint(unsigned char *buffer, unsigned short *index);
+extern unsigned char extractuchar(unsigned char *buffer, unsigned short *index);
+extern unsigned short extract2byteuint(unsigned char *buffer, unsigned short *index);
+extern unsigned long extract4byteuint(unsigned char *buffer, unsigned short *index);
+extern double extractdouble(unsigned char *buffer, unsigned short *index);
+
+/* A number and its bytes, and a message of the server's protocol. */
+
+typedef union double_union {
+    double data;
+    unsigned char bytes[8];
+} double_union;
+
+typedef union long_union {
+    int data; /* four bytes, also where a long has eight */
+    unsigned char bytes[4];
+} long_union;
+
+typedef union ulong_union {
+    unsigned int data;
+    unsigned char bytes[4];
+} ulong_union;
+
+typedef union short_union {
+    short data;
+    unsigned char bytes[2];
+} short_union;
+
+typedef union ushort_union {
+    unsigned short data;
+    unsigned char bytes[2];
+} ushort_union;
+
+typedef struct request_struct {
+    short type;
+    unsigned short size;
+    long mesg[USER_BUFFER_LENGTH];
+} request_struct;
+
+typedef struct reply_struct {
+    short type;
+    unsigned short size;
+    long mesg[USER_BUFFER_LENGTH];
+} reply_struct;
 
 /* World and display, only with an Nserver. obs is long[21]: n, x1, y1 .. xn, yn; n is at most 10. */
 
@@ -279,6 +444,9 @@ extern int add_obstacle(long obs[21]);
 extern int delete_obstacle(long obs[21]);
 extern int move_obstacle(long obs[21], long dx, long dy); /* obs receives the new position */
 extern int new_world(void);
+extern int add_Obs(long obs[21]); /* other names of these three */
+extern int delete_Obs(long obs[21]);
+extern int move_Obs(long obs[21], long dx, long dy);
 extern int predict_sensors(int x, int y, int th, int tu, long *state, int *laser); /* laid out as State and Laser */
 extern int motion_check(long type, double a1, double a2, double a3, double a4, double a5, double a6, double a7,
                         double collide[3]); /* 1 on a collision: x, y, inward normal in radians */

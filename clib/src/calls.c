@@ -3,36 +3,56 @@
 #include "session.h"
 #include "nomad.h"
 
+#include <stdarg.h>
 #include <string.h>
 
 /* Connecting */
 
-int nomad_connect_robot(long robot_id, ...)
+/* Read the arguments after the robot number; `count` is -1 if their number is unknown. */
+static int connect_to(long robot_id, int count, va_list *extra)
+{
+    struct line_arguments line = {.count = count};
+
+    if (count == 0 || count == 1 || count == 2)
+        return nomad_open_session(CMD_CONNECT_ROBOT, robot_id, count ? &line : NULL);
+    line.model = va_arg(*extra, int);
+    line.name = va_arg(*extra, const char *);
+    line.number = va_arg(*extra, int);
+    return nomad_open_session(CMD_CONNECT_ROBOT, robot_id, &line);
+}
+
+int nomad_connect_robot(long robot_id, int extra_count, ...)
 {
     va_list extra;
     int connected;
 
-    va_start(extra, robot_id);
-    connected = nomad_open_session(CMD_CONNECT_ROBOT, robot_id, &extra, 1);
+    va_start(extra, extra_count);
+    connected = connect_to(robot_id, extra_count, &extra);
     va_end(extra);
     return connected;
 }
 
-#undef connect_robot
+/* Called by programs that do not include Nclient.h, and by those of other compilers than gcc. */
 int connect_robot(long robot_id, ...)
 {
     va_list extra;
     int connected;
 
     va_start(extra, robot_id);
-    connected = nomad_open_session(CMD_CONNECT_ROBOT, robot_id, &extra, 0);
+    connected = connect_to(robot_id, -1, &extra);
     va_end(extra);
     return connected;
 }
 
-int create_robot(long robot_id) { return nomad_open_session(CMD_CREATE_ROBOT, robot_id, NULL, 1); }
+int open_serial(char *port, unsigned short baud)
+{
+    const struct line_arguments line = {DEFAULT_ROBOT_MODEL, port, baud, 3};
+    return nomad_open_line(&line);
+}
+
+int create_robot(long robot_id) { return nomad_open_session(CMD_CREATE_ROBOT, robot_id, NULL); }
 int disconnect_robot(long robot_id) { return nomad_disconnect(robot_id); }
-int server_is_running(void) { return nomad_is_running(); }
+int server_is_running(void) { return nomad_open_session(CMD_CONNECT_ROBOT, 1, NULL); }
 int quit_server(void) { return SEND_EMPTY(QUIT_SERVER); }
 int real_robot(void) { return SEND_EMPTY(REAL_ROBOT); }
 int simulated_robot(void) { return SEND_EMPTY(SIMULATED_ROBOT); }
@@ -61,7 +81,12 @@ int scout_pr(int trans, int steer) { return pr(RIGHT(trans, steer), LEFT(trans, 
 int st(void) { return SEND_EMPTY(ST); }
 int lp(void) { return SEND_EMPTY(LP); }
 int zr(void) { return SEND_EMPTY(ZR); }
-int ws(int t_ws, int s_ws, int r_ws, int timeout) { return SEND(WS, t_ws, s_ws, r_ws, timeout < 0 ? 0 : timeout); }
+
+int ws(unsigned char t_ws, unsigned char s_ws, unsigned char r_ws, unsigned char timeout)
+{
+    return SEND(WS, t_ws, s_ws, r_ws, timeout);
+}
+
 int dp(int x, int y) { return SEND(DP, x, y); }
 int da(int th, int tu) { return SEND(DA, th, tu); }
 int place_robot(int x, int y, int th, int tu) { return SEND(PLACE_ROBOT, x, y, th, tu); }
@@ -77,8 +102,14 @@ int ct(void)
         return FALSE;
     }
     request.command = &nomad_commands[CMD_CT];
-    memcpy(request.mask, Smask, sizeof request.mask);
+    get_mask(request.mask);
     return nomad_request(&request) != NULL;
+}
+
+int init_sensors(void)
+{
+    init_mask();
+    return ct();
 }
 
 static int send_order(enum command_id id, int first, const int order[16])
@@ -104,13 +135,19 @@ int conf_cp(int mode)
     return reply != NULL;
 }
 
-int conf_ls(int mode, int threshold, int width, int num_data, int processing)
+int conf_ls(unsigned int mode, unsigned int threshold, unsigned int width, unsigned int num_data,
+            unsigned int processing)
 {
-    return SEND(CONF_LS, mode, threshold, width, num_data, processing);
+    return SEND(CONF_LS, (int)mode, (int)threshold, (int)width, (int)num_data, (int)processing);
 }
 
-int conf_tm(int timeout) { return SEND(CONF_TM, timeout); }
-int conf_sg(int threshold, int min_points, int gap) { return SEND(CONF_SG, threshold, min_points, gap); }
+int conf_tm(unsigned char timeout) { return SEND(CONF_TM, timeout); }
+
+int conf_sg(unsigned int threshold, unsigned int min_points, unsigned int gap)
+{
+    return SEND(CONF_SG, (int)threshold, (int)min_points, (int)gap);
+}
+
 int conf_ser(int port, int baud) { return SEND(CONF_SER, port, baud); }
 
 int posDataRequest(int posRequest)
@@ -119,6 +156,8 @@ int posDataRequest(int posRequest)
         nomad_report_error("posDataRequest: %d is not a sum of 1, 2, 4, 8, 16", posRequest);
         return FALSE;
     }
+    if (!nomad_sends_mask()) /* the line of an N150 or Scout has no position data */
+        return TRUE;
     Smask[SMASK_POS_DATA] = posRequest;
     return ct();
 }

@@ -1,25 +1,14 @@
-/* The globals of Nclient.h, how replies update them, and the calls that only read stored data. */
+/* How replies update the variables of Nclient.h, and the calls that only read and write these. */
 #include "client_state.h"
 
 #include "error.h"
 
 #include <string.h>
 
-long State[NUM_STATE];
-int Laser[2 * NUM_LASER + 1];
-char SERVER_MACHINE_NAME[80] = "";
-int SERV_TCP_PORT = 7019;
-char ROBOT_MACHINE_NAME[80] = "";
-int CONN_TCP_PORT = 65001;
-char DEFAULT_SERIAL_PORT[80] = "/dev/ttyS0";
-int DEFAULT_SERIAL_BAUD = 38400;
-int DEFAULT_ROBOT_MODEL = MODEL_N150;
-
 #define SIXTEEN_ON 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1
 #define SIXTEEN_OFF 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0
 #define FULL_MASK {0, SIXTEEN_ON, SIXTEEN_ON, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1}
 
-int Smask[NUM_MASK] = FULL_MASK;
 const int nomad_full_mask[NUM_MASK] = FULL_MASK;
 const int nomad_fixed_mask[NUM_MASK] = {0, SIXTEEN_OFF, SIXTEEN_ON, 1, 1, 1, 1, 1, 1, 1, 1, 0, 0, 1};
 
@@ -29,7 +18,7 @@ static int volts[2];
 
 void nomad_reset_client_state(const int mask[NUM_MASK])
 {
-    memcpy(Smask, mask, sizeof Smask);
+    memcpy(Smask, mask, NUM_MASK * sizeof *mask);
     memset(stamps, 0, sizeof stamps);
     memset(volts, 0, sizeof volts);
     clock_ms = 0;
@@ -52,6 +41,58 @@ void nomad_apply_reply(const struct reply *reply)
 }
 
 void nomad_set_error_code(long code) { State[STATE_ERROR] = code; }
+
+/* A program that defines SERV_TCP_PORT without a value has 0 there. */
+static void __attribute__((constructor)) set_default_port(void)
+{
+    if (SERV_TCP_PORT == 0)
+        SERV_TCP_PORT = 7019;
+}
+
+/* Copies of the arrays */
+
+int get_state(long state[NUM_STATE])
+{
+    memcpy(state, State, NUM_STATE * sizeof *state);
+    return TRUE;
+}
+
+int get_laser(int laser[2 * NUM_LASER + 1])
+{
+    memcpy(laser, Laser, (2 * NUM_LASER + 1) * sizeof *laser);
+    return TRUE;
+}
+
+int get_mask(int mask[NUM_MASK])
+{
+    memcpy(mask, Smask, NUM_MASK * sizeof *mask);
+    return TRUE;
+}
+
+int set_mask(int mask[NUM_MASK])
+{
+    memcpy(Smask, mask, NUM_MASK * sizeof *mask);
+    return TRUE;
+}
+
+void init_mask(void) { memcpy(Smask, nomad_full_mask, sizeof nomad_full_mask); }
+
+int set_server_machine_name(char *name)
+{
+    if (strlen(name) >= sizeof SERVER_MACHINE_NAME) {
+        nomad_report_error("set_server_machine_name: the name may have at most %d characters",
+                           (int)sizeof SERVER_MACHINE_NAME - 1);
+        return FALSE;
+    }
+    memcpy(SERVER_MACHINE_NAME, name, strlen(name) + 1);
+    return TRUE;
+}
+
+int set_serv_tcp_port(int port)
+{
+    SERV_TCP_PORT = port;
+    return TRUE;
+}
 
 /* Position data, clock, battery */
 

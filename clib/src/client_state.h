@@ -10,6 +10,9 @@ void nomad_reset_client_state(const int mask[NUM_MASK]);
 /* Store all values of a reply. */
 void nomad_apply_reply(const struct reply *reply);
 
+/* State[STATE_ERROR] without a connection; the value that programs of the time compared with. */
+enum { NO_SERVER = 111 };
+
 /* Store the code of a server's error reply in State. */
 void nomad_set_error_code(long code);
 

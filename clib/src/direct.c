@@ -11,17 +11,18 @@
 #include "serial_config.h"
 #include "stream.h"
 
+#include <stdio.h>
 #include <string.h>
 
 enum {
     HANDSHAKE_MS = 5000,
     OPEN_MS = 5000,
     HANDSHAKE_SIZE = 11, /* an N200 first sends its mask and laser mode over TCP */
-    HANDSHAKE_ATTEMPTS = 3,
-    MAX_WAIT_S = 255
+    HANDSHAKE_ATTEMPTS = 3
 };
 
 static struct robot_line line = {.fd = -1};
+static char device[80]; /* of the open line; "" for TCP */
 static struct request unconfirmed[2]; /* ct and conf_ls without a reply: the robot may or may not have received them */
 
 /* Return the entry for a request that changes the layout of states; NULL for other requests. */
@@ -83,25 +84,6 @@ static enum outcome transact_checked(const struct request *request, struct reply
     return unconfirmed_slot(request) ? exchange_layout(request, reply) : nomad_serial_transact(&line, request, reply);
 }
 
-/* Split a wait longer than one byte can express: until the given axes stand still or the time is over. */
-static enum outcome split_wait(const struct request *request, struct reply *reply)
-{
-    struct request part = *request;
-    long left = request->args[3];
-
-    for (;;) {
-        enum outcome outcome;
-        long moving;
-
-        part.args[3] = left < MAX_WAIT_S ? left : MAX_WAIT_S;
-        left -= part.args[3];
-        outcome = transact_checked(&part, reply);
-        moving = (request->args[0] != 0) | (request->args[1] != 0) << 1 | (request->args[2] != 0) << 2;
-        if (outcome != REPLIED || left <= 0 || !(State[STATE_MOTOR_STATUS] & moving))
-            return outcome;
-    }
-}
-
 static enum outcome place_robot_in_two_steps(const struct request *request, struct reply *reply)
 {
     struct request step = *request;
@@ -121,8 +103,6 @@ enum outcome nomad_transact(const struct request *request, struct reply *reply)
 {
     if (request->command == &nomad_commands[CMD_PLACE_ROBOT])
         return place_robot_in_two_steps(request, reply);
-    if (request->command == &nomad_commands[CMD_WS])
-        return split_wait(request, reply);
     return transact_checked(request, reply);
 }
 
@@ -182,33 +162,54 @@ static void begin(const struct serial_config *config)
     nomad_reset_client_state(mask);
 }
 
-int nomad_connect(enum command_id how, long robot_id, va_list *extra, int has_end_marker)
+/* Return 1 if the connection is to the device that is open already, which is locked and must be closed first. */
+static int is_open_device(const struct serial_config *config)
 {
-    struct serial_config config;
+    return line.fd >= 0 && config->is_device && strcmp(config->name, device) == 0;
+}
 
-    if (how != CMD_CONNECT_ROBOT) {
-        nomad_report_error("%s: available only with an Nserver", nomad_commands[how].name);
-        return FALSE;
-    }
-    if (nomad_is_connected())
-        nomad_disconnect(robot_id);
-    if (!nomad_config_from_arguments(&config, extra, has_end_marker))
-        return FALSE;
-    if (config.model < 0 || config.model > MODEL_SCOUT) {
+static int open_line(const struct serial_config *config)
+{
+    int previous = line.fd, opened;
+
+    if (config->model < 0 || config->model > MODEL_SCOUT) {
         nomad_report_error("connect_robot: the model number must be 0 (N200), 1 (N150) or 2 (Scout), not %d",
-                           config.model);
+                           config->model);
         return FALSE;
     }
-    line.fd = config.is_device ? nomad_open_serial(config.name, config.number)
-                               : nomad_open_tcp(config.name, config.number, nomad_reply_timeout(OPEN_MS), 1);
-    if (line.fd < 0)
+    if (is_open_device(config))
+        nomad_close(&line.fd);
+    opened = config->is_device ? nomad_open_serial(config->name, config->number)
+                               : nomad_open_tcp(config->name, config->number, nomad_reply_timeout(OPEN_MS), 1);
+    if (opened < 0) {
+        nomad_set_error_code(NO_SERVER);
         return FALSE;
-    begin(&config);
-    if (perform_handshake(&config) && (!config.tm_s || conf_tm(config.tm_s)))
+    }
+    if (line.fd >= 0)
+        nomad_close(&previous);
+    line.fd = opened;
+    snprintf(device, sizeof device, "%s", config->is_device ? config->name : "");
+    begin(config);
+    if (perform_handshake(config) && (!config->tm_s || conf_tm((unsigned char)config->tm_s))) {
+        nomad_set_error_code(0);
+        nomad_store_config(config);
         return TRUE;
+    }
     nomad_close(&line.fd);
     return FALSE;
 }
+
+int nomad_connect(enum command_id how, long robot_id, const struct line_arguments *given)
+{
+    struct serial_config config;
+
+    (void)robot_id;
+    if (how != CMD_CONNECT_ROBOT)
+        return TRUE; /* create_robot has no effect */
+    return nomad_config_from_arguments(&config, given) && open_line(&config);
+}
+
+int nomad_open_line(const struct line_arguments *given) { return nomad_open_session(CMD_CONNECT_ROBOT, 1, given); }
 
 int nomad_disconnect(long robot_id)
 {
@@ -221,19 +222,16 @@ int nomad_disconnect(long robot_id)
 
 int nomad_is_connected(void) { return line.fd >= 0; }
 
-/* Without a server, return TRUE if the line can be opened. */
-int nomad_is_running(void)
+/* Calls for a simulation, which programs make before they drive a real robot as well. */
+int nomad_is_ignored(const struct command *command)
 {
-    struct serial_config config;
-    int found, running;
+    static const enum command_id IGNORED[] = {CMD_REAL_ROBOT,   CMD_SIMULATED_ROBOT, CMD_PREDICT_SENSORS,
+                                              CMD_ADD_OBSTACLE, CMD_NEW_WORLD,       CMD_GET_ROBOT_CONF};
 
-    if (nomad_is_connected())
-        return TRUE;
-    if (!nomad_default_config(&config))
-        return FALSE;
-    found = config.is_device ? nomad_open_serial(config.name, config.number)
-                             : nomad_open_tcp(config.name, config.number, nomad_reply_timeout(OPEN_MS), 0);
-    running = found >= 0;
-    nomad_close(&found);
-    return running;
+    for (size_t k = 0; k < sizeof IGNORED / sizeof *IGNORED; k++)
+        if (command == &nomad_commands[IGNORED[k]])
+            return 1;
+    return 0;
 }
+
+int nomad_sends_mask(void) { return !nomad_is_connected() || line.wire.model == MODEL_N200; }

@@ -13,7 +13,6 @@
 #include "wire.h"
 
 enum {
-    MAX_VERTICES = 10,
     MAX_ROBOTS = 10,
     MAX_ARGS = 24,
     MAX_TEXT = 255,

@@ -78,9 +78,9 @@ static int arm(enum command_id id, const long *numbers, long *rest)
     return result;
 }
 
-int arm_zr(int override) { return arm(CMD_ARM_ZR, (const long[]){override}, NULL); }
+int arm_zr(short override) { return arm(CMD_ARM_ZR, (const long[]){override}, NULL); }
 
-int arm_ws(int lift, int grip, long timeout, long *time_remain)
+int arm_ws(short lift, short grip, long timeout, long *time_remain)
 {
     return arm(CMD_ARM_WS, (const long[]){lift, grip, timeout}, time_remain);
 }

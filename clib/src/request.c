@@ -1,5 +1,6 @@
 /* Sends one request and returns its reply, over whichever transport the library has. */
 #include "error.h"
+#include "client_state.h"
 #include "session.h"
 #include "nomad.h"
 
@@ -22,9 +23,9 @@ static void report_not_connected(const struct request *request)
     is_missing_reported = nomad_verbose;
 }
 
-int nomad_open_session(enum command_id how, long robot_id, va_list *extra, int has_end_marker)
+int nomad_open_session(enum command_id how, long robot_id, const struct line_arguments *line)
 {
-    int connected = nomad_connect(how, robot_id, extra, has_end_marker);
+    int connected = nomad_connect(how, robot_id, line);
 
     if (connected)
         is_missing_reported = 0;
@@ -35,8 +36,12 @@ const struct reply *nomad_request(const struct request *request)
 {
     static struct reply reply;
 
+    nomad_reset_reply(&reply, SHAPE_NOTHING);
+    if (nomad_is_ignored(request->command))
+        return &reply;
     if (!nomad_is_connected()) {
         report_not_connected(request);
+        nomad_set_error_code(NO_SERVER);
         return NULL;
     }
     switch (nomad_transact(request, &reply)) {
@@ -45,8 +50,11 @@ const struct reply *nomad_request(const struct request *request)
         nomad_print("Nak");
         nomad_reset_reply(&reply, SHAPE_NOTHING);
         return &reply;
-    default: return NULL;
+    default: break;
     }
+    if (!nomad_is_connected())
+        nomad_set_error_code(NO_SERVER);
+    return NULL;
 }
 
 const struct reply *nomad_request_numbers(enum command_id id, const long *numbers, int count)

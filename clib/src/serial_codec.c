@@ -90,7 +90,7 @@ void nomad_update_serial_state(const struct request *request, struct wire_state 
 
 static int is_there(const int *mask, int slot) { return mask == NULL || mask[slot]; }
 
-static void get_nibbles(struct reader *from, struct reply *reply, const int *mask)
+static void read_nibbles(struct reader *from, struct reply *reply, const int *mask)
 {
     int byte = 0, found = 0;
 
@@ -104,14 +104,14 @@ static void get_nibbles(struct reader *from, struct reply *reply, const int *mas
     }
 }
 
-static void get_sonars(struct reader *from, struct reply *reply, const int *mask)
+static void read_sonars(struct reader *from, struct reply *reply, const int *mask)
 {
     for (int slot = STATE_SONAR_0; slot < STATE_SONAR_0 + 16; slot++)
         if (is_there(mask, slot))
             nomad_set_slot(reply, slot, nomad_get_byte(from));
 }
 
-static void get_bumpers(struct reader *from, struct reply *reply, const int *mask, int model)
+static void read_bumpers(struct reader *from, struct reply *reply, const int *mask, int model)
 {
     if (is_there(mask, STATE_BUMPER)) {
         int b0 = nomad_get_byte(from), b1 = nomad_get_byte(from), b2 = nomad_get_byte(from);
@@ -119,39 +119,39 @@ static void get_bumpers(struct reader *from, struct reply *reply, const int *mas
     }
 }
 
-static void get_signed(struct reader *from, struct reply *reply, const int *mask, int first, int last)
+static void read_signed(struct reader *from, struct reply *reply, const int *mask, int first, int last)
 {
     for (int slot = first; slot <= last; slot++)
         if (is_there(mask, slot))
             nomad_set_slot(reply, slot, nomad_get_signed(from, 2));
 }
 
-static void get_stamp(struct reader *from, struct reply *reply, int which)
+static void read_stamp(struct reader *from, struct reply *reply, int which)
 {
     PosData *at = &reply->stamps[which];
 
-    at->x = nomad_get_signed(from, 4);
-    at->y = nomad_get_signed(from, 4);
-    at->steer = nomad_get_signed(from, 4);
-    at->turret = nomad_get_signed(from, 4);
-    at->v_trans = nomad_get_signed(from, 4);
-    at->v_steer = nomad_get_signed(from, 4);
-    at->v_turret = nomad_get_signed(from, 4);
-    at->pose_time = nomad_get_bytes(from, 4);
-    at->sensor_time = nomad_get_bytes(from, 4);
+    at->config.configX = nomad_get_signed(from, 4);
+    at->config.configY = nomad_get_signed(from, 4);
+    at->config.configSteer = nomad_get_signed(from, 4);
+    at->config.configTurret = nomad_get_signed(from, 4);
+    at->config.velTrans = nomad_get_signed(from, 4);
+    at->config.velSteer = nomad_get_signed(from, 4);
+    at->config.velTurret = nomad_get_signed(from, 4);
+    at->config.timeStamp = nomad_get_bytes(from, 4);
+    at->timeStamp = nomad_get_bytes(from, 4);
     reply->has_stamp[which] = 1;
 }
 
 /* Read the stamps of `count` sensors whose first slot is `slot`, if `wanted`. */
-static void get_stamps(struct reader *from, struct reply *reply, int wanted, int first, int count, int slot,
+static void read_stamps(struct reader *from, struct reply *reply, int wanted, int first, int count, int slot,
                        const int *mask)
 {
     for (int k = 0; wanted && k < count; k++)
         if (is_there(mask, slot + k))
-            get_stamp(from, reply, first + k);
+            read_stamp(from, reply, first + k);
 }
 
-static void get_laser(struct reader *from, struct reply *reply, int width)
+static void read_laser(struct reader *from, struct reply *reply, int width)
 {
     long readings = (long)nomad_get_bytes(from, 2);
 
@@ -164,37 +164,37 @@ static void get_laser(struct reader *from, struct reply *reply, int width)
     nomad_end_laser(reply, readings, width);
 }
 
-static void get_clock(struct reader *from, struct reply *reply)
+static void read_clock(struct reader *from, struct reply *reply)
 {
     reply->clock_ms = nomad_get_bytes(from, 4);
     reply->has_clock = 1;
 }
 
-static void get_state(struct reader *from, struct reply *reply, const struct wire_state *wire)
+static void read_state(struct reader *from, struct reply *reply, const struct wire_state *wire)
 {
     const int *mask = wire->mask;
     int position = mask[SMASK_POS_DATA];
 
-    get_nibbles(from, reply, mask);
-    get_stamps(from, reply, position & POS_INFRARED, 0, 16, STATE_IR_0, mask);
-    get_sonars(from, reply, mask);
-    get_stamps(from, reply, position & POS_SONAR, STAMP_SONAR, 16, STATE_SONAR_0, mask);
-    get_bumpers(from, reply, mask, wire->model);
-    get_stamps(from, reply, position & POS_BUMPER, STAMP_BUMPER, 1, STATE_BUMPER, mask);
-    get_signed(from, reply, mask, STATE_CONF_X, STATE_VEL_TURRET);
-    get_signed(from, reply, mask, STATE_COMPASS, STATE_COMPASS);
-    get_stamps(from, reply, position & POS_COMPASS, STAMP_COMPASS, 1, STATE_COMPASS, mask);
+    read_nibbles(from, reply, mask);
+    read_stamps(from, reply, position & POS_INFRARED, 0, 16, STATE_IR_0, mask);
+    read_sonars(from, reply, mask);
+    read_stamps(from, reply, position & POS_SONAR, STAMP_SONAR, 16, STATE_SONAR_0, mask);
+    read_bumpers(from, reply, mask, wire->model);
+    read_stamps(from, reply, position & POS_BUMPER, STAMP_BUMPER, 1, STATE_BUMPER, mask);
+    read_signed(from, reply, mask, STATE_CONF_X, STATE_VEL_TURRET);
+    read_signed(from, reply, mask, STATE_COMPASS, STATE_COMPASS);
+    read_stamps(from, reply, position & POS_COMPASS, STAMP_COMPASS, 1, STATE_COMPASS, mask);
     if (mask[SMASK_LASER])
-        get_laser(from, reply, wire->laser_width);
-    get_stamps(from, reply, position & POS_LASER, STAMP_LASER, 1, STATE_LASER, mask);
+        read_laser(from, reply, wire->laser_width);
+    read_stamps(from, reply, position & POS_LASER, STAMP_LASER, 1, STATE_LASER, mask);
     nomad_set_slot(reply, STATE_MOTOR_STATUS, nomad_get_byte(from));
-    get_clock(from, reply);
+    read_clock(from, reply);
     reply->volts[0] = nomad_get_byte(from);
     reply->volts[1] = nomad_get_byte(from);
     reply->has_volts = 1;
 }
 
-static void get_values(struct reader *from, struct reply *reply, size_t min, size_t max)
+static void read_values(struct reader *from, struct reply *reply, size_t min, size_t max)
 {
     size_t count = nomad_remaining(from);
 
@@ -204,40 +204,40 @@ static void get_values(struct reader *from, struct reply *reply, size_t min, siz
         reply->values[reply->count++] = nomad_get_byte(from);
 }
 
-static void get_reply(struct reader *from, struct reply *reply, const struct wire_state *wire)
+static void read_reply(struct reader *from, struct reply *reply, const struct wire_state *wire)
 {
     int position = wire->mask[SMASK_POS_DATA];
 
     switch (reply->shape) {
-    case SHAPE_STATE: get_state(from, reply, wire); return;
+    case SHAPE_STATE: read_state(from, reply, wire); return;
     case SHAPE_INFRARED:
-        get_nibbles(from, reply, NULL);
-        get_stamps(from, reply, position & POS_INFRARED, 0, 16, 0, NULL);
+        read_nibbles(from, reply, NULL);
+        read_stamps(from, reply, position & POS_INFRARED, 0, 16, 0, NULL);
         break;
     case SHAPE_SONAR:
-        get_sonars(from, reply, NULL);
-        get_stamps(from, reply, position & POS_SONAR, STAMP_SONAR, 16, 0, NULL);
+        read_sonars(from, reply, NULL);
+        read_stamps(from, reply, position & POS_SONAR, STAMP_SONAR, 16, 0, NULL);
         break;
     case SHAPE_BUMPER:
-        get_bumpers(from, reply, NULL, wire->model);
-        get_stamps(from, reply, position & POS_BUMPER, STAMP_BUMPER, 1, 0, NULL);
+        read_bumpers(from, reply, NULL, wire->model);
+        read_stamps(from, reply, position & POS_BUMPER, STAMP_BUMPER, 1, 0, NULL);
         break;
     case SHAPE_COMPASS:
         nomad_set_slot(reply, STATE_COMPASS, (long)nomad_get_bytes(from, 2));
-        get_stamps(from, reply, position & POS_COMPASS, STAMP_COMPASS, 1, 0, NULL);
+        read_stamps(from, reply, position & POS_COMPASS, STAMP_COMPASS, 1, 0, NULL);
         break;
     case SHAPE_LASER:
     case SHAPE_SEGMENTS:
-        get_laser(from, reply, reply->shape == SHAPE_SEGMENTS ? LINES : PIXELS);
-        get_stamps(from, reply, position & POS_LASER, STAMP_LASER, 1, 0, NULL);
+        read_laser(from, reply, reply->shape == SHAPE_SEGMENTS ? LINES : PIXELS);
+        read_stamps(from, reply, position & POS_LASER, STAMP_LASER, 1, 0, NULL);
         break;
-    case SHAPE_POSE: get_signed(from, reply, NULL, STATE_CONF_X, STATE_CONF_TURRET); return;
-    case SHAPE_VELOCITY: get_signed(from, reply, NULL, STATE_VEL_TRANS, STATE_VEL_TURRET); return;
-    case SHAPE_CALIBRATION: get_values(from, reply, 3, 3); return;
-    case SHAPE_SPECIAL: get_values(from, reply, PACKET_HEAD, MAX_PACKET); return;
+    case SHAPE_POSE: read_signed(from, reply, NULL, STATE_CONF_X, STATE_CONF_TURRET); return;
+    case SHAPE_VELOCITY: read_signed(from, reply, NULL, STATE_VEL_TRANS, STATE_VEL_TURRET); return;
+    case SHAPE_CALIBRATION: read_values(from, reply, 3, 3); return;
+    case SHAPE_SPECIAL: read_values(from, reply, PACKET_HEAD, MAX_PACKET); return;
     default: return; /* get_ra has no reply data */
     }
-    get_clock(from, reply);
+    read_clock(from, reply);
 }
 
 int nomad_decode_serial_reply(enum shape shape, const unsigned char *bytes, size_t size, const struct wire_state *wire,
@@ -246,6 +246,6 @@ int nomad_decode_serial_reply(enum shape shape, const unsigned char *bytes, size
     struct reader from = nomad_reader(bytes, size);
 
     nomad_reset_reply(reply, shape);
-    get_reply(&from, reply, wire);
+    read_reply(&from, reply, wire);
     return !from.failed && nomad_remaining(&from) == 0;
 }

@@ -6,7 +6,9 @@
 #ifndef NOMAD_SERIAL_CONFIG_H
 #define NOMAD_SERIAL_CONFIG_H
 
-#include <stdarg.h>
+#include "session.h"
+
+enum { SERIAL_CONNECTION = 1, TCP_CONNECTION = 2 }; /* values of CONN_TYPE */
 
 struct serial_config {
     int is_device; /* a serial device; otherwise a TCP host */
@@ -16,8 +18,10 @@ struct serial_config {
     int tm_s; /* sent as conf_tm after connecting; 0: not sent */
 };
 
-/* Return 1, or 0 after reporting an error. `has_end_marker` is set if the arguments end with NOMAD_NO_MORE. */
-int nomad_config_from_arguments(struct serial_config *to, va_list *extra, int has_end_marker);
-int nomad_default_config(struct serial_config *to);
+/* Return 1, or 0 after reporting an error. */
+int nomad_config_from_arguments(struct serial_config *to, const struct line_arguments *given);
+
+/* Set CONN_TYPE and the variables of the connection in use. */
+void nomad_store_config(const struct serial_config *config);
 
 #endif

@@ -26,6 +26,8 @@ enum {
 
 static int fd = -1;
 static struct wire_state wire;
+static long robot; /* the robot of this connection */
+static pid_t owner; /* the process that opened it; a forked child shares it */
 
 static enum outcome close_with_error(const struct request *request, const char *why)
 {
@@ -65,8 +67,16 @@ static int receive(unsigned char *bytes, size_t size, milliseconds deadline)
     return 1;
 }
 
-static enum outcome report_refusal(const struct request *request, long code)
+/* Calls whose reply has no values succeed also if the server refuses them, as in the old library. */
+static int has_simple_reply(const struct command *command)
 {
+    return command->tcp_reply == SHAPE_SIMPLE && command != &nomad_commands[CMD_CONNECT_ROBOT]
+           && command != &nomad_commands[CMD_CREATE_ROBOT];
+}
+
+static enum outcome report_refusal(const struct request *request, struct reply *reply)
+{
+    long code = reply->values[0];
     static const char *const WHY[] = {
         "unknown message",
         "wrong number or range of values",
@@ -76,9 +86,12 @@ static enum outcome report_refusal(const struct request *request, long code)
         "the real robot did not reply",
     };
 
-    nomad_set_error_code(code);
     nomad_report_error("%s: error %ld, %s", request->command->name, code,
                        code >= 1 && code <= 6 ? WHY[code - 1] : "an unknown error code");
+    nomad_reset_reply(reply, SHAPE_NOTHING);
+    if (has_simple_reply(request->command))
+        return REPLIED;
+    nomad_set_error_code(code);
     return NO_REPLY;
 }
 
@@ -89,7 +102,7 @@ static enum outcome parse_reply(const struct request *request, unsigned type, co
     if (type == ERROR_TYPE) {
         if (!nomad_decode_tcp_reply(SHAPE_SIMPLE, bytes, size, &wire, reply))
             return close_with_error(request, "the error reply has no code");
-        return report_refusal(request, reply->values[0]);
+        return report_refusal(request, reply);
     }
     if (!nomad_decode_tcp_reply(request->command->tcp_reply, bytes, size, &wire, reply))
         return close_with_error(request, "the reply has the wrong format");
@@ -139,19 +152,19 @@ enum outcome nomad_transact(const struct request *request, struct reply *reply)
 /* Connecting */
 
 /* Report conflicting robot numbers instead of choosing one: the wrong choice would move another robot. */
-static int has_other_robot_id(const struct address *address, const long *robot_id)
+static int has_other_robot_id(const struct address *address, long robot_id)
 {
-    if (!robot_id || !address->robot || address->robot == *robot_id)
+    if (!address->robot || address->robot == robot_id)
         return 0;
     nomad_report_error(
         "NOMAD_ROBOT names robot %ld, the program connects to robot %ld: use the same number, or leave it "
         "out of the address",
-        address->robot, *robot_id);
+        address->robot, robot_id);
     return 1;
 }
 
-/* Open a connection to the configured server. `robot_id` is the robot of the program; NULL to only test the server. */
-static int open_server(const long *robot_id, int report_errors, struct address *address)
+/* Open a connection to the configured server, for robot `robot_id`. */
+static int open_server(long robot_id, struct address *address)
 {
     int status = SERVER_MACHINE_NAME[0] ? 0 : nomad_parse_address(address),
         timeout_ms = nomad_reply_timeout(DEFAULT_TIMEOUT_MS), found;
@@ -159,7 +172,7 @@ static int open_server(const long *robot_id, int report_errors, struct address *
 
     /* 1. the program's own choice, 2. NOMAD_ROBOT, 3. localhost, 4. the name of this machine */
     if (SERVER_MACHINE_NAME[0])
-        return nomad_open_tcp(SERVER_MACHINE_NAME, SERV_TCP_PORT, timeout_ms, report_errors);
+        return nomad_open_tcp(SERVER_MACHINE_NAME, SERV_TCP_PORT, timeout_ms, 1);
     if (status < 0)
         return -1;
     if (status && strcmp(address->scheme, "nserver") != 0) {
@@ -171,11 +184,11 @@ static int open_server(const long *robot_id, int report_errors, struct address *
     if (status && has_other_robot_id(address, robot_id))
         return -1;
     if (status)
-        return nomad_open_tcp(address->location, SERV_TCP_PORT, timeout_ms, report_errors);
+        return nomad_open_tcp(address->location, SERV_TCP_PORT, timeout_ms, 1);
     found = nomad_open_tcp("localhost", SERV_TCP_PORT, timeout_ms, 0);
     if (found >= 0 || gethostname(hostname, sizeof hostname - 1) != 0)
         return found;
-    return nomad_open_tcp(hostname, SERV_TCP_PORT, timeout_ms, report_errors);
+    return nomad_open_tcp(hostname, SERV_TCP_PORT, timeout_ms, 1);
 }
 
 static int register_client(enum command_id how, long robot_id)
@@ -193,28 +206,61 @@ static int register_client(enum command_id how, long robot_id)
     return (int)port;
 }
 
-int nomad_connect(enum command_id how, long robot_id, va_list *extra, int has_end_marker)
+/* Leave the previous connection. A connection that the parent of this process opened is only closed here: DISCONNECT
+ * would end it for the parent. */
+static void leave(int previous)
+{
+    struct request request = {.command = &nomad_commands[CMD_DISCONNECT_ROBOT], .args = {robot, (long)getpid()}, .count = 2};
+    unsigned char bytes[MAX_REQUEST];
+
+    if (previous >= 0 && owner == getpid())
+        nomad_send(previous, bytes, nomad_encode_tcp_request(&request, bytes, sizeof bytes), nomad_now());
+    nomad_close(&previous);
+}
+
+int nomad_connect(enum command_id how, long robot_id, const struct line_arguments *line)
 {
     struct address address = {.tm_s = 0};
-    int port;
+    long state[NUM_STATE];
+    int laser[2 * NUM_LASER + 1], previous = fd, port, connected;
 
-    (void)extra;
-    (void)has_end_marker;
-    if (nomad_is_connected())
-        nomad_disconnect(robot_id);
-    fd = open_server(&robot_id, 1, &address);
+    (void)line;
+    /* 1. Register over a new connection. If that fails, the program keeps the connection it has. */
+    fd = open_server(robot_id, &address);
     if (fd < 0)
+        nomad_set_error_code(NO_SERVER);
+    port = fd < 0 ? 0 : register_client(how, robot_id);
+    if (port == 0) {
+        nomad_close(&fd);
+        fd = previous;
         return FALSE;
+    }
+    /* 2. Leave the previous one. */
+    leave(previous);
+    robot = robot_id;
+    owner = getpid();
+    /* 3. Set up the new one. create_robot leaves State as it was. */
     wire.laser_mode = DEFAULT_LASER_MODE;
     wire.laser_width = POINTS;
     memcpy(wire.mask, nomad_full_mask, sizeof wire.mask);
     nomad_reset_client_state(nomad_full_mask);
-    port = register_client(how, robot_id);
-    if (port == 0 || !ct() || (address.tm_s > 0 && !conf_tm(address.tm_s))) {
-        nomad_close(&fd);
-        return FALSE;
+    get_state(state);
+    get_laser(laser);
+    connected = ct() && (address.tm_s <= 0 || conf_tm((unsigned char)address.tm_s));
+    if (connected && how == CMD_CREATE_ROBOT) {
+        memcpy(State, state, sizeof state);
+        memcpy(Laser, laser, sizeof laser);
     }
-    return port;
+    if (!connected)
+        nomad_close(&fd);
+    return connected ? port : FALSE;
+}
+
+int nomad_open_line(const struct line_arguments *line)
+{
+    (void)line;
+    nomad_report_error("open_serial: available only for a robot's own line; link with -lndirect");
+    return FALSE;
 }
 
 int nomad_disconnect(long robot_id)
@@ -231,11 +277,10 @@ int nomad_disconnect(long robot_id)
 
 int nomad_is_connected(void) { return fd >= 0; }
 
-int nomad_is_running(void)
+int nomad_is_ignored(const struct command *command)
 {
-    struct address address;
-    int found = open_server(NULL, 0, &address), running = found >= 0;
-
-    nomad_close(&found);
-    return running;
+    (void)command;
+    return 0;
 }
+
+int nomad_sends_mask(void) { return 1; }

@@ -8,21 +8,33 @@
 
 #include "message.h"
 
-#include <stdarg.h>
-
 enum outcome { NO_REPLY, REPLIED, NOT_ACKNOWLEDGED };
 
-/* Return the result of connect_robot. `extra` holds the arguments after the robot number; `has_end_marker` is set if
- * they end with NOMAD_NO_MORE. */
-int nomad_connect(enum command_id how, long robot_id, va_list *extra, int has_end_marker);
+/* The arguments of connect_robot after the robot number. */
+struct line_arguments {
+    int model;
+    const char *name; /* device or host */
+    int number;       /* baud, or TCP port */
+    int count;        /* -1: unknown; the three are random if the call had only the robot number */
+};
+
+/* Return the result of connect_robot; `line` is NULL if the call has only the robot number. After a failure an existing
+ * connection remains. */
+int nomad_connect(enum command_id how, long robot_id, const struct line_arguments *line);
+int nomad_open_line(const struct line_arguments *line); /* open_serial; 0: not in this library */
 int nomad_disconnect(long robot_id);
 int nomad_is_connected(void);
-int nomad_is_running(void);
+
+/* Return 1 for a call that a session of this kind does not send and answers with success. */
+int nomad_is_ignored(const struct command *command);
+
+/* Return 1 if the robot has a mask that ct sends. */
+int nomad_sends_mask(void);
 
 enum outcome nomad_transact(const struct request *request, struct reply *reply);
 
 /* Connect; after success, the next lost connection is reported again. */
-int nomad_open_session(enum command_id how, long robot_id, va_list *extra, int has_end_marker);
+int nomad_open_session(enum command_id how, long robot_id, const struct line_arguments *line);
 
 /* Return the reply to a request, or NULL if it failed. The reply is empty after a NAK. */
 const struct reply *nomad_request(const struct request *request);

@@ -107,32 +107,32 @@ void nomad_update_tcp_state(const struct request *request, struct wire_state *wi
 
 /* Replies */
 
-static void get_slots(struct reader *from, struct reply *reply, int first, int count)
+static void read_slots(struct reader *from, struct reply *reply, int first, int count)
 {
     for (int k = 0; k < count; k++)
         nomad_set_slot(reply, first + k, nomad_get_word(from));
 }
 
-static void get_stamps(struct reader *from, struct reply *reply, int wanted, int first, int count)
+static void read_stamps(struct reader *from, struct reply *reply, int wanted, int first, int count)
 {
     if (!wanted)
         return;
     for (int k = first; k < first + count; k++) {
         PosData *at = &reply->stamps[k];
-        at->x = nomad_get_word(from);
-        at->y = nomad_get_word(from);
-        at->steer = nomad_get_word(from);
-        at->turret = nomad_get_word(from);
-        at->v_trans = nomad_get_word(from);
-        at->v_steer = nomad_get_word(from);
-        at->v_turret = nomad_get_word(from);
-        at->pose_time = nomad_get_unsigned_word(from);
-        at->sensor_time = nomad_get_unsigned_word(from);
+        at->config.configX = nomad_get_word(from);
+        at->config.configY = nomad_get_word(from);
+        at->config.configSteer = nomad_get_word(from);
+        at->config.configTurret = nomad_get_word(from);
+        at->config.velTrans = nomad_get_word(from);
+        at->config.velSteer = nomad_get_word(from);
+        at->config.velTurret = nomad_get_word(from);
+        at->config.timeStamp = nomad_get_unsigned_word(from);
+        at->timeStamp = nomad_get_unsigned_word(from);
         reply->has_stamp[k] = 1;
     }
 }
 
-static void get_laser(struct reader *from, struct reply *reply, int width)
+static void read_laser(struct reader *from, struct reply *reply, int width)
 {
     long readings = nomad_get_word(from);
 
@@ -145,46 +145,46 @@ static void get_laser(struct reader *from, struct reply *reply, int width)
     nomad_end_laser(reply, readings, width);
 }
 
-static void get_clock(struct reader *from, struct reply *reply)
+static void read_clock(struct reader *from, struct reply *reply)
 {
     reply->clock_ms = nomad_get_unsigned_word(from);
     reply->has_clock = 1;
 }
 
-static void get_state(struct reader *from, struct reply *reply, const struct wire_state *wire)
+static void read_state(struct reader *from, struct reply *reply, const struct wire_state *wire)
 {
     int position = wire->mask[SMASK_POS_DATA];
 
-    get_slots(from, reply, 0, LAST_SLOT + 1);
-    get_laser(from, reply, wire->laser_width);
-    get_stamps(from, reply, position & POS_INFRARED, 0, 16);
-    get_stamps(from, reply, position & POS_SONAR, STAMP_SONAR, 16);
-    get_stamps(from, reply, position & POS_BUMPER, STAMP_BUMPER, 1);
-    get_stamps(from, reply, position & POS_LASER, STAMP_LASER, 1);
-    get_stamps(from, reply, position & POS_COMPASS, STAMP_COMPASS, 1);
-    get_clock(from, reply);
+    read_slots(from, reply, 0, LAST_SLOT + 1);
+    read_laser(from, reply, wire->laser_width);
+    read_stamps(from, reply, position & POS_INFRARED, 0, 16);
+    read_stamps(from, reply, position & POS_SONAR, STAMP_SONAR, 16);
+    read_stamps(from, reply, position & POS_BUMPER, STAMP_BUMPER, 1);
+    read_stamps(from, reply, position & POS_LASER, STAMP_LASER, 1);
+    read_stamps(from, reply, position & POS_COMPASS, STAMP_COMPASS, 1);
+    read_clock(from, reply);
     reply->volts[0] = (int)(nomad_get_unsigned_word(from) & 0xFF);
     reply->volts[1] = (int)(nomad_get_unsigned_word(from) & 0xFF);
     reply->has_volts = 1;
     nomad_set_slot(reply, STATE_ERROR, 0); /* a state reply means no error, whatever its last word is */
 }
 
-static void get_sensor(struct reader *from, struct reply *reply, const struct wire_state *wire, int first, int count,
+static void read_sensor(struct reader *from, struct reply *reply, const struct wire_state *wire, int first, int count,
                        int bit, int stamp)
 {
-    get_slots(from, reply, first, count);
-    get_stamps(from, reply, wire->mask[SMASK_POS_DATA] & bit, stamp, count);
-    get_clock(from, reply);
+    read_slots(from, reply, first, count);
+    read_stamps(from, reply, wire->mask[SMASK_POS_DATA] & bit, stamp, count);
+    read_clock(from, reply);
 }
 
-static void get_laser_reply(struct reader *from, struct reply *reply, const struct wire_state *wire, int width)
+static void read_laser_reply(struct reader *from, struct reply *reply, const struct wire_state *wire, int width)
 {
-    get_laser(from, reply, width);
-    get_stamps(from, reply, wire->mask[SMASK_POS_DATA] & POS_LASER, STAMP_LASER, 1);
-    get_clock(from, reply);
+    read_laser(from, reply, width);
+    read_stamps(from, reply, wire->mask[SMASK_POS_DATA] & POS_LASER, STAMP_LASER, 1);
+    read_clock(from, reply);
 }
 
-static void get_values(struct reader *from, struct reply *reply, size_t min, size_t max)
+static void read_values(struct reader *from, struct reply *reply, size_t min, size_t max)
 {
     size_t count = nomad_remaining(from) / 4;
 
@@ -194,30 +194,30 @@ static void get_values(struct reader *from, struct reply *reply, size_t min, siz
         reply->values[reply->count++] = nomad_get_word(from);
 }
 
-static void get_reply(struct reader *from, struct reply *reply, const struct wire_state *wire)
+static void read_reply(struct reader *from, struct reply *reply, const struct wire_state *wire)
 {
     switch (reply->shape) {
-    case SHAPE_STATE: get_state(from, reply, wire); break;
-    case SHAPE_INFRARED: get_sensor(from, reply, wire, STATE_IR_0, 16, POS_INFRARED, 0); break;
-    case SHAPE_SONAR: get_sensor(from, reply, wire, STATE_SONAR_0, 16, POS_SONAR, STAMP_SONAR); break;
-    case SHAPE_BUMPER: get_sensor(from, reply, wire, STATE_BUMPER, 1, POS_BUMPER, STAMP_BUMPER); break;
-    case SHAPE_COMPASS: get_sensor(from, reply, wire, STATE_COMPASS, 1, POS_COMPASS, STAMP_COMPASS); break;
-    case SHAPE_LASER: get_laser_reply(from, reply, wire, get_ls_width(wire)); break;
-    case SHAPE_SEGMENTS: get_laser_reply(from, reply, wire, LINES); break;
-    case SHAPE_POSE: get_slots(from, reply, FIRST_POSE, 4); break;
-    case SHAPE_VELOCITY: get_slots(from, reply, FIRST_VELOCITY, 3); break;
+    case SHAPE_STATE: read_state(from, reply, wire); break;
+    case SHAPE_INFRARED: read_sensor(from, reply, wire, STATE_IR_0, 16, POS_INFRARED, 0); break;
+    case SHAPE_SONAR: read_sensor(from, reply, wire, STATE_SONAR_0, 16, POS_SONAR, STAMP_SONAR); break;
+    case SHAPE_BUMPER: read_sensor(from, reply, wire, STATE_BUMPER, 1, POS_BUMPER, STAMP_BUMPER); break;
+    case SHAPE_COMPASS: read_sensor(from, reply, wire, STATE_COMPASS, 1, POS_COMPASS, STAMP_COMPASS); break;
+    case SHAPE_LASER: read_laser_reply(from, reply, wire, get_ls_width(wire)); break;
+    case SHAPE_SEGMENTS: read_laser_reply(from, reply, wire, LINES); break;
+    case SHAPE_POSE: read_slots(from, reply, FIRST_POSE, 4); break;
+    case SHAPE_VELOCITY: read_slots(from, reply, FIRST_VELOCITY, 3); break;
     case SHAPE_PREDICTION:
         while (!from->failed && reply->count < STATE_ERROR)
             reply->values[reply->count++] = nomad_get_word(from);
-        get_laser(from, reply, wire->laser_width);
+        read_laser(from, reply, wire->laser_width);
         break;
-    case SHAPE_SIMPLE: get_values(from, reply, 1, 1); break;
-    case SHAPE_LIST: get_values(from, reply, 1, MAX_VALUES); break;
+    case SHAPE_SIMPLE: read_values(from, reply, 1, 1); break;
+    case SHAPE_LIST: read_values(from, reply, 1, MAX_VALUES); break;
     case SHAPE_COLLISION:
     case SHAPE_CLICKED:
-    case SHAPE_CONTROL: get_values(from, reply, 4, 4); break;
-    case SHAPE_TRUTH: get_values(from, reply, 8, 8); break;
-    case SHAPE_SPECIAL: get_values(from, reply, PACKET_HEAD, MAX_PACKET); break;
+    case SHAPE_CONTROL: read_values(from, reply, 4, 4); break;
+    case SHAPE_TRUTH: read_values(from, reply, 8, 8); break;
+    case SHAPE_SPECIAL: read_values(from, reply, PACKET_HEAD, MAX_PACKET); break;
     case SHAPE_CALIBRATION:
     case SHAPE_NOTHING: break;
     }
@@ -229,6 +229,6 @@ int nomad_decode_tcp_reply(enum shape shape, const unsigned char *bytes, size_t 
     struct reader from = nomad_reader(bytes, size);
 
     nomad_reset_reply(reply, shape);
-    get_reply(&from, reply, wire);
+    read_reply(&from, reply, wire);
     return !from.failed && nomad_remaining(&from) == 0;
 }

@@ -28,6 +28,9 @@ static const struct reply *send_obstacle(enum command_id id, const long *obs, co
 
 int add_obstacle(long obs[21]) { return send_obstacle(CMD_ADD_OBSTACLE, obs, NULL) != NULL; }
 int delete_obstacle(long obs[21]) { return send_obstacle(CMD_DELETE_OBSTACLE, obs, NULL) != NULL; }
+int add_Obs(long obs[21]) { return add_obstacle(obs); }
+int delete_Obs(long obs[21]) { return delete_obstacle(obs); }
+int move_Obs(long obs[21], long dx, long dy) { return move_obstacle(obs, dx, dy); }
 int new_world(void) { return SEND_EMPTY(NEW_WORLD); }
 
 /* Copy n and its n elements of `width` numbers each. Return FALSE if the reply has another number of elements. */
@@ -73,8 +76,8 @@ int predict_sensors(int x, int y, int th, int tu, long *state, int *laser)
 {
     const struct reply *reply = nomad_request_numbers(CMD_PREDICT_SENSORS, NUMBERS(x, y, th, tu));
 
-    if (reply == NULL)
-        return FALSE;
+    if (reply == NULL || reply->shape != SHAPE_PREDICTION)
+        return reply != NULL;
     memcpy(state + STATE_IR_0, reply->values + STATE_IR_0, 32 * sizeof *state);
     memcpy(laser, reply->laser, (size_t)reply->laser_size * sizeof *laser);
     return TRUE;

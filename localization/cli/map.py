@@ -1,4 +1,4 @@
-"""Check a map, simplify it, or show where localization is inaccurate."""
+"""Check a map, simplify it, show where localization is inaccurate, or exchange maps with other tools."""
 
 from __future__ import annotations
 
@@ -16,12 +16,13 @@ from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig
 from localization.filters.belief import Floats
 from localization.filters.sonar_cone import ConeSonar
 from localization.filters.sonar_ray import WIRE_SONAR
-from localization.live.plot import ESTIMATE, GOAL, blank, draw_walls, save
+from localization.live.plot import ESTIMATE, GOAL, blank, check_picture, draw_walls, save
 from localization.mapping.observability import Observability, compute_observability
 from nclient.common.exit_codes import ExitCode
 from nclient.common.files import describe_write_error
-from nclient.errors import WorldFileError
+from nclient.errors import MapFileError, WorldFileError
 from worlds.io import format_world, load_world, parse_world
+from worlds.map_files import IN_PER_M, ImportSettings, read_map_file, write_ros_map
 from worlds.robots import BODIES
 from worlds.simplify import hausdorff_distance_in, simplify_world
 from worlds.validate import Finding, FreeSpace, ValidationLimits, find_free_space, validate_world
@@ -31,7 +32,7 @@ MAX_SHOWN_IN = 3.0
 """Upper end of the color scale."""
 
 
-def draw_map(path: Path, world: World, found: FreeSpace, worst_in: Floats, validate_world: Sequence[Finding]) -> None:
+def draw_map(path: Path, world: World, found: FreeSpace, worst_in: Floats, findings: Sequence[Finding]) -> None:
     """Draw a map as PNG, colored by the bound.
 
     Parameters
@@ -56,16 +57,16 @@ def draw_map(path: Path, world: World, found: FreeSpace, worst_in: Floats, valid
     draw_walls(axes, world.walls)
     starts = np.array([(start.x_in, start.y_in) for start in world.starts])
     axes.plot(*starts.T, marker="o", color=GOAL, linestyle="", label="starts")
-    if validate_world:
-        places = np.array([finding.place_in for finding in validate_world])
+    if findings:
+        places = np.array([finding.place_in for finding in findings])
         axes.plot(*places.T, marker="x", color=ESTIMATE, markersize=9, linestyle="", label="findings")
     axes.set(xlabel="x (in)", ylabel="y (in)", title=world.title or world.name)
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=2, frameon=False)
     save(picture, path)
 
 
-# Default grid step of `show`, inches.
-CELL_IN = 3.0
+# Default grid step of `show`, inches, and the number of positions above which it is larger.
+CELL_IN, MAX_PLACES = 3.0, 2500
 # Bound above which a position is called weak, inches.
 WEAK_IN = 1.0
 # Exit code 3, as of other commands that ran and did not succeed.
@@ -74,9 +75,11 @@ PROBLEMS_FOUND = ExitCode.NOT_REACHED
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `nomad map`."""
-    parser.description = "Check a map, simplify it, or show where localization is inaccurate."
+    parser.description = (
+        "Check a map, simplify it, show where localization is inaccurate, or exchange maps with other tools."
+    )
     parser.epilog = "example: nomad map show several_walls --out out/map.png"
-    tools = parser.add_subparsers(dest="tool", required=True, metavar="check|simplify|show")
+    tools = parser.add_subparsers(dest="tool", required=True, metavar="check|simplify|show|import|export")
     check = tools.add_parser(
         "check", help="find gaps, doubled walls, very short walls, starts without space, closed-off space"
     )
@@ -107,9 +110,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     show.add_argument(
         "--cell",
         type=parse_positive,
-        default=CELL_IN,
         metavar="IN",
-        help="grid step in in (default: %(default)s)",
+        help=f"grid step in in (default: {CELL_IN:g}, or larger for at most {MAX_PLACES} positions)",
     )
     show.add_argument(
         "--speed",
@@ -132,6 +134,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="IN",
         help="call positions with a bound above this distance in in weak (default: %(default)s)",
     )
+    _add_import(tools.add_parser("import", help="make a world file of a ROS, CARMEN, SVG or DXF map, or of a bitmap"))
+    _add_export(tools.add_parser("export", help="write a world as map of ROS: map.yaml and PGM"))
     for tool in (check, simplify, show):
         tool.add_argument("world", metavar="WORLD", help="map: a shipped world or a TOML file")
         if tool is not simplify:
@@ -139,12 +143,111 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         tool.add_argument("--json", action="store_true", help="print only the result, as JSON, on stdout")
 
 
+def _add_import(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("file", type=Path, metavar="FILE", help=".yaml (ROS), .map (CARMEN), .svg, .dxf or a bitmap")
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="write this world file")
+    parser.add_argument(
+        "--tolerance",
+        type=parse_positive,
+        metavar="IN",
+        help="straighten walls within this distance in in (default: 0.9 cells; 0.25 in of a drawing's curves)",
+    )
+    scale = parser.add_mutually_exclusive_group()
+    scale.add_argument("--cell", type=parse_positive, metavar="IN", help="side of a bitmap's pixel in in")
+    scale.add_argument(
+        "--unit", type=parse_positive, metavar="IN", help="inches of a drawing's unit (default: as the file states)"
+    )
+    parser.add_argument(
+        "--min-cells", type=int, default=4, metavar="N", help="ignore smaller spots of a grid (default: %(default)s)"
+    )
+    parser.add_argument("--close", action="store_true", help="put walls where known space ends without one")
+    parser.add_argument(
+        "--layer", action="append", default=[], metavar="NAME", help="read this layer of a DXF; may be repeated"
+    )
+    parser.add_argument("--picture", type=Path, metavar="PNG", help="draw the walls into this file (extra `plot`)")
+    parser.add_argument("--json", action="store_true", help="print only the result, as JSON, on stdout")
+
+
+def _add_export(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("world", metavar="WORLD", help="map: a shipped world or a TOML file")
+    parser.add_argument("--out", type=Path, required=True, metavar="YAML", help="write this file, and a PGM beside it")
+    parser.add_argument(
+        "--resolution",
+        type=parse_positive,
+        default=0.05,
+        metavar="M",
+        help="side of a cell in m (default: %(default)s)",
+    )
+    parser.add_argument("--json", action="store_true", help="print only the result, as JSON, on stdout")
+
+
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit code; `check` returns 3 if it found problems."""
+    if options.tool == "import":
+        return _import(options)
     world = load_world(options.world)
-    if options.tool == "simplify":
-        return _simplify(world, options)
-    return _check(world, options) if options.tool == "check" else _show(world, options)
+    match options.tool:
+        case "simplify":
+            return _simplify(world, options)
+        case "export":
+            return _export(world, options)
+        case "check":
+            return _check(world, options)
+        case _:
+            return _show(world, options)
+
+
+def _import(options: argparse.Namespace) -> int:
+    # 1. Report unwritable files before the work.
+    check_writable(options.out)
+    if options.picture is not None:
+        check_picture(options.picture)
+    settings = ImportSettings(
+        options.tolerance, options.cell, options.unit, options.min_cells, options.close, tuple(options.layer)
+    )
+    found = read_map_file(options.file, settings)
+    # 2. The file states where it came from; reading it again checks it as any other world file.
+    comment = f"nomad map import {options.file.name}: walls at most {found.apart_in:.3g} in from the original"
+    text = format_world(found.world, comment)
+    world = parse_world(text, str(options.out), found.world.name)
+    _write(options.out, text)
+    if options.picture is not None:
+        _draw_walls(options.picture, world)
+    # 3. Walls that end where the robot that made the map saw no farther are open.
+    result = {"walls": len(world.walls), "apart_in": found.apart_in, "open_in": found.open_in}
+    opened = f"; {found.open_in:.0f} in of its border are open (--close)" if found.open_in else ""
+    words = f"{len(world.walls)} walls, at most {found.apart_in:.3g} in from {options.file}{opened}: {options.out}"
+    print(json.dumps(result) if options.json else words)
+    return 0
+
+
+def _export(world: World, options: argparse.Namespace) -> int:
+    check_writable(options.out)
+    try:
+        image, grid = write_ros_map(world, options.out, options.resolution * IN_PER_M)
+    except OSError as error:
+        raise MapFileError(describe_write_error(options.out, error)) from error
+    width, height = grid.cells.shape
+    result = {"image": str(image), "width": width, "height": height, "resolution_m": options.resolution}
+    print(json.dumps(result) if options.json else f"{width} x {height} cells: {options.out}, {image}")
+    return 0
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise WorldFileError(describe_write_error(path, error)) from error
+
+
+def _draw_walls(path: Path, world: World) -> None:
+    picture = blank(10.0, 7.0)
+    axes = picture.subplots()
+    axes.set_aspect("equal")
+    draw_walls(axes, world.walls)
+    axes.plot(*np.array([(start.x_in, start.y_in) for start in world.starts]).T, marker="o", color=GOAL, linestyle="")
+    axes.set(xlabel="x (in)", ylabel="y (in)", title=world.title or world.name)
+    save(picture, path)
 
 
 def _check(world: World, options: argparse.Namespace) -> int:
@@ -171,10 +274,7 @@ def _simplify(world: World, options: argparse.Namespace) -> int:
     text = format_world(simpler, comment)
     # 3. Reading it again checks that starts and paths are still in free space.
     parse_world(text, str(options.out), world.name)
-    try:
-        options.out.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise WorldFileError(describe_write_error(options.out, error)) from error
+    _write(options.out, text)
     result = {"walls_before": len(world.walls), "walls": len(simpler.walls), "apart_in": far_in}
     print(
         json.dumps(result)
@@ -186,12 +286,12 @@ def _simplify(world: World, options: argparse.Namespace) -> int:
 
 def _show(world: World, options: argparse.Namespace) -> int:
     if options.out is not None:
-        from localization.live.plot import check_picture
-
         check_picture(options.out)
     body = BODIES[options.body]
     # 1. Positions the robot can reach.
-    reached = find_free_space(world, body.radius_in, options.cell)
+    reached = find_free_space(world, body.radius_in, options.cell or CELL_IN)
+    if not options.cell and (count := np.count_nonzero(reached.reached)) > MAX_PLACES:
+        reached = find_free_space(world, body.radius_in, CELL_IN * math.sqrt(count / MAX_PLACES))
     columns, rows = np.nonzero(reached.reached)
     places = np.stack((reached.xs[columns], reached.ys[rows]), axis=-1)
     if not len(places):

@@ -167,7 +167,7 @@ class _Note(Table):
 Step = _GoTo | _Follow | _Turn | _Look | _WaitFor | _Patrol | _Dock | _Note
 
 
-@table(schema={"required": ["step"], "properties": {"step": {"minItems": 1}}})
+@table(condition={"required": ["step"], "properties": {"step": {"minItems": 1}}})
 class MissionFile(Table):
     """A mission as a list of steps."""
 

@@ -103,27 +103,22 @@ class Backend(Protocol):
     @property
     def wire_state(self) -> WireState:
         """Return model, sensor mask and laser mode, which determine the format of replies."""
-        ...
 
     @property
     def greeting(self) -> Reply | None:
         """Return the state received while connecting, None if there was none."""
-        ...
 
     @property
     def port(self) -> int:
         """Return the port on which the server accepts connections, as it replied to connect_robot; 1 without server."""
-        ...
 
     @property
     def closed(self) -> bool:
         """Return True if the session is over; every call then raises ConnectionLost."""
-        ...
 
     @property
     def link(self) -> LinkStatistics | None:
         """Return the statistics of the link, None if nothing is counted."""
-        ...
 
     def execute(self, call: Call) -> Reply:
         """Send a command and return its reply, an empty one if the command has none.
@@ -139,11 +134,9 @@ class Backend(Protocol):
         ReplyTimeout
             If no reply came in time. The session is closed over TCP and continues on a serial line; see `closed`.
         """
-        ...
 
     def close(self) -> None:
         """Disconnect without waiting for a reply. May be called twice, and from another thread than `execute`."""
-        ...
 
 
 class Wrapper:

@@ -30,7 +30,7 @@ from nclient.protocol.decode import guess_model, model_mismatch_hint
 from nclient.protocol.replies import LINE_STATE, Reply
 from nclient.protocol.serial_framing import MIN_FRAME, SerialFrame, SerialFramer
 from nclient.protocol.types import EVERYTHING, N150, Model
-from nclient.protocol.wire_state import DEFAULT_LASER_MODE, LINES, WireState, serial_wire_state
+from nclient.protocol.wire_state import DEFAULT_LASER_MODE, LINES, serial_wire_state
 from nclient.transports.stream import ByteStream, Deadline
 
 GAP_S: Final = 0.25
@@ -190,9 +190,7 @@ class SerialLink:
                 if self._matches_last_request(frame):
                     return frame
                 self._statistics.strays += 1
-        raise ReplyTimeout(
-            f"{unframed} bytes came and no answer" if unframed else f"no answer within {timeout_s:g} s"
-        )
+        raise ReplyTimeout(f"{unframed} bytes came and no answer" if unframed else f"no answer within {timeout_s:g} s")
 
     def _matches_last_request(self, frame: SerialFrame) -> bool:
         """Match a frame to the earliest request that it can answer; return True if that is the last one.
@@ -244,6 +242,9 @@ class DirectBackend:
         If connecting fails.
     """
 
+    port = 1
+    """As connect_robot of the C library returns."""
+
     def __init__(
         self,
         stream: ByteStream,
@@ -256,9 +257,10 @@ class DirectBackend:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.timeout_s = QUICK_S if timeout_s is None else timeout_s
-        self._statistics = link or LinkStatistics()
-        self._line = SerialLink(stream, self._statistics, clock)
-        self._wire_state = serial_wire_state(model)
+        self.link = link or LinkStatistics()
+        self._line = SerialLink(stream, self.link, clock)
+        self.wire_state = serial_wire_state(model)
+        """Model, sensor mask and laser mode, which determine the format of replies."""
         self._validator = ReplyValidator(model) if checks else None
         self._format_calls: dict[str, Call] = {}
         """The last ct and conf_ls that were sent."""
@@ -271,35 +273,16 @@ class DirectBackend:
         try:
             if hello:
                 self._receive_handshake()
-            self._greeting = None if hello else self._send_mask()
+            self.greeting = None if hello else self._send_mask()
+            """The state that an N200 answers to its mask; other models are not asked for one."""
         except BaseException:
             self._finish("connecting failed")
             raise
 
     @property
-    def wire_state(self) -> WireState:
-        """Return model, sensor mask and laser mode."""
-        return self._wire_state
-
-    @property
-    def greeting(self) -> Reply | None:
-        """Return the state that an N200 answers to its mask; other models are not asked for one."""
-        return self._greeting
-
-    @property
-    def port(self) -> int:
-        """Return 1, as connect_robot of the C library does."""
-        return 1
-
-    @property
     def closed(self) -> bool:
         """Return True if the session is over."""
         return self._closed_because is not None
-
-    @property
-    def link(self) -> LinkStatistics:
-        """Return the statistics of the line."""
-        return self._statistics
 
     def execute(self, call: Call) -> Reply:
         """Send a command and return its reply. Raises as `Backend.execute`."""
@@ -320,7 +303,7 @@ class DirectBackend:
 
         # 2. One exchange, once no older reply can be taken for this one.
         self._require_exists_on_serial(row)
-        request = _encode(call, self._wire_state.model)
+        request = _encode(call, self.wire_state.model)
         try:
             self._resynchronize(row, request)
             return self._request(row, call, request)
@@ -341,7 +324,7 @@ class DirectBackend:
 
     def _require_exists_on_serial(self, row: Command) -> None:
         """Raise RobotRefused for a command that the serial line of this model does not have."""
-        model = self._wire_state.model
+        model = self.wire_state.model
         if row.line_type is None:
             raise RobotRefused(row.name, None, "exists only on an Nserver, not on a robot's own line")
         if not exists_on_serial(row, model):
@@ -353,7 +336,7 @@ class DirectBackend:
         frame = self._exchange(row, request, self._reply_timeout_s(row, call))
         # 2. A NAK says that it had no effect.
         if frame.type == NAK_TYPE:
-            self._statistics.naks += 1
+            self.link.naks += 1
             self._line.record_latency()
             revert()
             raise RobotRefused(row.name, None)
@@ -375,13 +358,13 @@ class DirectBackend:
         try:
             reply = self._decode(frame)
         except WireError as error:
-            self._statistics.misfits += 1
+            self.link.misfits += 1
             self._unconfirmed.update(self._format_calls)
             reason = f"{row.name}: the reply does not fit the command: {error}"
             raise self._no_reply(reason + self._hint_for(row, frame)) from None
         inconsistency = self._validator.find_inconsistency(reply) if self._validator else ""
         if inconsistency:
-            self._statistics.implausible += 1
+            self.link.implausible += 1
             raise self._no_reply(
                 f"{row.name}: the answer cannot be true, {inconsistency}; checks=0 turns such checks off"
             )
@@ -395,32 +378,28 @@ class DirectBackend:
         shows which.
         """
         try:
-            return codec.decode_serial_reply(frame, self._wire_state)
+            return codec.decode_serial_reply(frame, self.wire_state)
         except WireError:
-            if (
-                self._laser_mode_is_certain
-                or "conf_ls" in self._format_calls
-                or not self._wire_state.model.has_laser
-            ):
+            if self._laser_mode_is_certain or "conf_ls" in self._format_calls or not self.wire_state.model.has_laser:
                 raise
             # Line modes have four numbers per reading, other modes one: if one does not fit, the other may.
-            other = self._wire_state.copy()
+            other = self.wire_state.copy()
             other.set_laser_mode(_PIXEL_MODE if other.laser_width == LINES else _LINE_MODE)
             with contextlib.suppress(WireError):
                 reply = codec.decode_serial_reply(frame, other)
-                self._wire_state = other
+                self.wire_state = other
                 return reply
             raise
 
     def _hint_for(self, row: Command, frame: SerialFrame) -> str:
         """Return a hint if no reply was decoded yet and this one looks like another model's."""
         model = guess_model(frame.data) if row.line_reply is LINE_STATE and not self._decoded_any else None
-        if model is None or model is self._wire_state.model:
+        if model is None or model is self.wire_state.model:
             return ""
-        return "; " + model_mismatch_hint(self._wire_state.model, frame.data)
+        return "; " + model_mismatch_hint(self.wire_state.model, frame.data)
 
     def _no_reply(self, reason: str) -> ReplyTimeout:
-        self._statistics.timeouts += 1
+        self.link.timeouts += 1
         return ReplyTimeout(reason)
 
     def _reply_timeout_s(self, row: Command, call: Call) -> float:
@@ -441,7 +420,7 @@ class DirectBackend:
         for name in sorted(self._unconfirmed - {row.name}, key=_FORMAT_COMMANDS.index):
             call, format_row = self._format_calls[name], codec.find_command(name)
             self._flush_pending_reply(format_row, row)
-            self._request(format_row, call, _encode(call, self._wire_state.model))
+            self._request(format_row, call, _encode(call, self.wire_state.model))
 
     def _flush_pending_reply(self, row: Command, for_row: Command) -> None:
         """Exchange something of another type while a reply like this row's is outstanding; then none can come."""
@@ -457,7 +436,7 @@ class DirectBackend:
             if probe is None:
                 self._line.drain()
             else:
-                self._exchange(probe, _encode(Call(probe.name), self._wire_state.model), self.timeout_s)
+                self._exchange(probe, _encode(Call(probe.name), self.wire_state.model), self.timeout_s)
                 self._line.record_latency()
         except ReplyTimeout as error:
             raise ReplyTimeout(
@@ -468,7 +447,7 @@ class DirectBackend:
 
     def _send_mask(self) -> Reply | None:
         """Send ct to an N200 and return its reply; N150 and Scout have a fixed mask."""
-        if not self._wire_state.model.sends_mask:
+        if not self.wire_state.model.sends_mask:
             return None
         # The first request on a line is often lost: an open port starts with noise.
         mask = Call("ct", EVERYTHING.smask)
@@ -483,7 +462,7 @@ class DirectBackend:
             raise RobotRefused("ct", None, f"NAK; {self._mismatch_hint()}") from None
 
     def _mismatch_hint(self) -> str:
-        return model_mismatch_hint(self._wire_state.model)
+        return model_mismatch_hint(self.wire_state.model)
 
     def _receive_handshake(self) -> None:
         data = self._line.receive_raw(HANDSHAKE_SIZE, self._line.deadline(HANDSHAKE_S))
@@ -491,9 +470,9 @@ class DirectBackend:
             raise ReplyTimeout(
                 f"an n200 sends {HANDSHAKE_SIZE} bytes first, and {len(data)} came; {self._mismatch_hint()}"
             )
-        apply_handshake(read_handshake(data), self._wire_state)
+        apply_handshake(read_handshake(data), self.wire_state)
         self._laser_mode_is_certain = True
-        self._format_calls["ct"] = Call("ct", self._wire_state.mask.smask)
+        self._format_calls["ct"] = Call("ct", self.wire_state.mask.smask)
 
     def _update_format(self, call: Call) -> Callable[[], None]:
         """Update the format of replies before a call is sent, which may take effect even if no reply arrives.
@@ -504,13 +483,13 @@ class DirectBackend:
             self._validator.update_from_request(call)
         if call.name not in _FORMAT_COMMANDS:
             return lambda: None
-        before, calls = self._wire_state.copy(), dict(self._format_calls)
-        codec.update_from_request(call, self._wire_state)
+        before, calls = self.wire_state.copy(), dict(self._format_calls)
+        codec.update_from_request(call, self.wire_state)
         self._format_calls[call.name] = call
         self._unconfirmed.add(call.name)
 
         def revert() -> None:
-            self._wire_state, self._format_calls = before, calls
+            self.wire_state, self._format_calls = before, calls
             self._unconfirmed.discard(call.name)
 
         return revert

@@ -1,19 +1,26 @@
 """Keep-alive of the robot's motion timeout (conf_tm): the robot stops if its program dies, not if its program sleeps.
 
+    connected and in use       gs from a thread, so that the timeout does not expire
+    closed                     the thread ends
+    dropped without closing    the thread stops the robot, closes the connection and ends
+
     connecting -> conf_tm tm_s -> no request for tm_s / 3 -> gs, sent by a thread -> ...
 
 Calls and the thread share a lock; a thread that finds it taken has nothing to do. An error in the thread (a lost link,
 a bumper hit) is raised by the next call. A program that sends conf_tm itself takes over, and keep-alive ends. A ws,
 during which no request is possible, is split into pieces shorter than the timeout. A robot that was restarted gets its
-timeout again.
+timeout again. The thread has only a weak reference, so that a robot that the program no longer references is dropped.
 """
 
 from __future__ import annotations
 
+import contextlib
+import queue
 import threading
 import time
+import weakref
 from collections.abc import Callable
-from typing import Final
+from typing import Final, Literal
 
 from nclient.backends.base import Backend, Wrapper, is_wait, split_wait
 from nclient.errors import NomadError, ReplyTimeout, RobotRefused
@@ -27,7 +34,10 @@ _INTERVALS_PER_TIMEOUT: Final = 3
 """A request that is lost, and one after it, still leave time for a third."""
 _SPEED_SLOT, _REAL_TIME = 0, 10
 _MIN_INTERVAL_S: Final = 0.005
-_GS: Final = Call("gs")
+_GS, _ST = Call("gs"), Call("st")
+_Event = Literal["closed", "dropped"]
+_CLOSED: Final = "closed"
+_DROPPED: Final = "dropped"
 
 
 class KeepAlive(Wrapper):
@@ -61,7 +71,8 @@ class KeepAlive(Wrapper):
         self._interval_s = min(timeout_s / _INTERVALS_PER_TIMEOUT, at_least_every_s)
         self._clock = clock
         self._lock = threading.Lock()
-        self._closed = threading.Event()
+        self._events: queue.SimpleQueue[_Event] = queue.SimpleQueue()
+        """The end, for the thread. Finalizers may put into a SimpleQueue wherever they are executed."""
         self._pending_error: NomadError | None = None
         self._speed = 1.0
         """Robot time per real time; 0 if its time stands still between exchanges."""
@@ -70,9 +81,16 @@ class KeepAlive(Wrapper):
         self._last_request_s = clock()
         self._active = self._set_timeout(inner)
         """False if the other end has no motion timeout, or the program controls it."""
-        self._thread = threading.Thread(target=self._run, name="nomad-keep-alive", daemon=True)
+        self._thread = threading.Thread(
+            target=_poll_until_end,
+            args=(weakref.ref(self), inner, self._events, self._interval_s),
+            name="nomad-keep-alive",
+            daemon=True,
+        )
         if feeds and self._active:
             self._thread.start()
+            # At the end of the program, which ends the thread, the timeout stops the robot.
+            weakref.finalize(self, self._events.put, _DROPPED).atexit = False
 
     @property
     def greeting(self) -> Reply | None:
@@ -86,7 +104,7 @@ class KeepAlive(Wrapper):
                 error, self._pending_error = self._pending_error, None
                 raise error
             # During a ws no other request is possible: split it, with a margin of two.
-            if self._active and is_wait(call):
+            if call.name == "ws" and self._active and is_wait(call):
                 return split_wait(call, self._timeout_s // 2, self._request)
             if call.name == "conf_tm":
                 self._active = False
@@ -95,7 +113,7 @@ class KeepAlive(Wrapper):
     def close(self) -> None:
         """End the thread and close the inner backend."""
         # The thread may itself close the backend, and cannot join itself.
-        self._closed.set()
+        self._events.put(_CLOSED)
         if self._thread.is_alive() and self._thread is not threading.current_thread():
             self._thread.join(1.0)
         self._inner.close()
@@ -122,11 +140,6 @@ class KeepAlive(Wrapper):
             self._lock.release()
         return interval_s
 
-    def _run(self) -> None:
-        left_s = self._interval_s
-        while not self._closed.wait(left_s):
-            left_s = self.poll()
-
     def _set_timeout(self, inner: Backend) -> bool:
         """Send conf_tm; return False if the other end has no motion timeout."""
         try:
@@ -143,19 +156,35 @@ class KeepAlive(Wrapper):
         self._last_request_s = self._clock()
         self._update_speed(reply)
         if reply.clock is not None:
-            self._detect_restart(reply.clock)
+            # The clock went back: the robot was restarted, and needs its timeout again.
+            if reply.clock < self._robot_ms and self._active:
+                try:
+                    self._inner.execute(Call("conf_tm", (self._timeout_s,)))
+                except (ReplyTimeout, RobotRefused):
+                    return reply  # `_robot_ms` is unchanged, so that the next reply is a new attempt
+            self._robot_ms = reply.clock
         return reply
-
-    def _detect_restart(self, robot_ms: int) -> None:
-        """Set the timeout again if the robot's clock went back: it was restarted."""
-        if robot_ms < self._robot_ms and self._active:
-            try:
-                self._inner.execute(Call("conf_tm", (self._timeout_s,)))
-            except (ReplyTimeout, RobotRefused):
-                return  # `_robot_ms` is unchanged, so that the next reply is a new attempt
-        self._robot_ms = robot_ms
 
     def _update_speed(self, reply: Reply) -> None:
         speed = reply.slots.get(_SPEED_SLOT)
         if speed is not None:
             self._speed = speed / _REAL_TIME
+
+
+def _poll_until_end(
+    reference: weakref.ref[KeepAlive], inner: Backend, events: queue.SimpleQueue[_Event], interval_s: float
+) -> None:
+    """Poll until the end, with a strong reference only during a poll; stop the robot if it was dropped."""
+    while True:
+        try:
+            event = events.get(timeout=interval_s)
+            break
+        except queue.Empty:
+            keep_alive = reference()
+            interval_s = keep_alive.poll() if keep_alive else interval_s
+            del keep_alive
+    if event == _DROPPED:
+        # The motion timeout stops a robot that cannot be reached.
+        with contextlib.suppress(NomadError):
+            inner.execute(_ST)
+        inner.close()

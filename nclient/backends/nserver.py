@@ -20,9 +20,9 @@ from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused, WireError
 from nclient.protocol import codec
 from nclient.protocol.codec import TcpFrame, TcpFramer, reply_bounds
 from nclient.protocol.commands import Call, Command
-from nclient.protocol.replies import Reply
-from nclient.protocol.types import EVERYTHING, N150, Model
-from nclient.protocol.wire_state import WireState, tcp_wire_state
+from nclient.protocol.replies import STATE, Reply, TcpLayout
+from nclient.protocol.types import EVERYTHING, N150, Mask, Model
+from nclient.protocol.wire_state import tcp_wire_state
 from nclient.transports.stream import ByteStream, Deadline
 
 DEFAULT_TIMEOUT_S: Final = 5.0
@@ -92,11 +92,17 @@ class NserverBackend:
     ) -> None:
         self.timeout_s = timeout_s
         self.robot_id = robot_id
-        self._link = link
+        self.link = link
+        """Statistics of the link, None if nothing is counted."""
         self._pid = os.getpid() if pid is None else pid
         self._stream = stream
-        self._wire_state = tcp_wire_state(model)
+        self.wire_state = tcp_wire_state(model)
+        """Model, sensor mask and laser mode, which determine the format of replies."""
         self._framer = TcpFramer(reply_bounds, wide=False)
+        # The last reply, its bytes, and what else its form depends on.
+        self._last_frame: TcpFrame | None = None
+        self._last_format: tuple[TcpLayout, Mask, int] | None = None
+        self._last_reply = _NO_REPLY
         self._outstanding = 0
         """Replies that are still to come."""
         self._slowness = 1.0
@@ -104,36 +110,17 @@ class NserverBackend:
         self._closed_because: str | None = None
         try:
             connecting = Call("create_robot" if create else "connect_robot", (robot_id, self._pid))
-            self._port = self.execute(connecting).values[0]
-            self._greeting = self.execute(Call("ct", EVERYTHING.smask))
+            # The port is where the server accepts connections, the greeting the state at that time.
+            self.port = self.execute(connecting).values[0]
+            self.greeting = self.execute(Call("ct", EVERYTHING.smask))
         except BaseException:
             self._finish("connecting failed")
             raise
 
     @property
-    def wire_state(self) -> WireState:
-        """Return model, sensor mask and laser mode."""
-        return self._wire_state
-
-    @property
-    def greeting(self) -> Reply:
-        """Return the state received while connecting."""
-        return self._greeting
-
-    @property
-    def port(self) -> int:
-        """Return the port on which the server accepts connections, as it replied to connect_robot."""
-        return self._port
-
-    @property
     def closed(self) -> bool:
         """Return True if the session is over."""
         return self._closed_because is not None
-
-    @property
-    def link(self) -> LinkStatistics | None:
-        """Return the statistics of the link, None if nothing is counted."""
-        return self._link
 
     def execute(self, call: Call) -> Reply:
         """Send a command and return its reply. Raises as `Backend.execute`."""
@@ -146,16 +133,23 @@ class NserverBackend:
         request = _encode(call)
 
         # 2. Exchange. The request may change the format of its own reply (ct, conf_ls).
-        codec.update_from_request(call, self._wire_state)
+        codec.update_from_request(call, self.wire_state)
         if not row.has_tcp_reply:
             return self._disconnect(request)
-        exchange = self._exchange if self._link is None else self._counted_exchange
+        exchange = self._exchange if self.link is None else self._counted_exchange
         frame = exchange(call, request, self._reply_timeout_s(row, call))
 
-        # 3. Decode, and raise what the server refused.
-        reply = self._decode(row, frame)
-        self._evaluate(call, reply)
-        return reply
+        # 3. Decode, and raise what the server refused. While nothing changes, the server sends the same state again.
+        format_key = (row.tcp_reply, self.wire_state.mask, self.wire_state.laser_width)
+        if frame != self._last_frame or format_key != self._last_format or row.tcp_reply is not STATE:
+            try:
+                self._last_reply = codec.decode_tcp_reply(row, frame, self.wire_state)
+            except WireError as error:
+                self._finish(f"{row.name} was answered by a reply that does not fit it")
+                raise ConnectionLost(f"{row.name}: {error}; the connection was closed") from error
+            self._last_frame, self._last_format = frame, format_key
+        self._evaluate(call, self._last_reply)
+        return self._last_reply
 
     def close(self) -> None:
         """Send disconnect_robot, unless a reply is outstanding, and close the connection."""
@@ -171,7 +165,7 @@ class NserverBackend:
         try:
             self._stream.send(request)
             sent = True
-            return self._next_reply(Deadline.after(timeout_s))
+            return self._next_reply(Deadline(time.monotonic() + timeout_s))
         except ReplyTimeout as error:
             # A late reply would be taken for that of the next call.
             self._finish(f"{call.name} was not answered, and a late answer must not be taken for another's")
@@ -191,16 +185,16 @@ class NserverBackend:
                 self._finish(f"{call.name} was cut off while it was sent")
 
     def _counted_exchange(self, call: Call, request: bytes, timeout_s: float) -> TcpFrame:
-        assert self._link is not None
-        self._link.exchanges += 1
+        assert self.link is not None
+        self.link.exchanges += 1
         start_s = time.monotonic()
         try:
             frame = self._exchange(call, request, timeout_s)
         except ReplyTimeout:
-            self._link.timeouts += 1
+            self.link.timeouts += 1
             raise
-        self._link.frames += 1
-        self._link.record_latency(time.monotonic() - start_s)
+        self.link.frames += 1
+        self.link.record_latency(time.monotonic() - start_s)
         return frame
 
     def _next_reply(self, deadline: Deadline) -> TcpFrame:
@@ -216,13 +210,6 @@ class NserverBackend:
                     return frame
             if self._outstanding <= 0:
                 raise WireError("more replies came than requests were sent")
-
-    def _decode(self, row: Command, frame: TcpFrame) -> Reply:
-        try:
-            return codec.decode_tcp_reply(row, frame, self._wire_state)
-        except WireError as error:
-            self._finish(f"{row.name} was answered by a reply that does not fit it")
-            raise ConnectionLost(f"{row.name}: {error}; the connection was closed") from error
 
     def _evaluate(self, call: Call, reply: Reply) -> None:
         """Raise RobotRefused for a refusal; record which robot is connected and how fast its time runs."""

@@ -23,6 +23,7 @@ from urllib.parse import quote
 
 from nclient.cli.serving import (
     POLL_INTERVAL_S,
+    SIGNALS,
     ClientSession,
     IdleMonitor,
     add_listener_options,
@@ -66,7 +67,7 @@ def run(options: argparse.Namespace) -> int:
             far.close()
 
     try:
-        with contextlib.suppress(KeyboardInterrupt), open_listener(options, "bridge") as listener:
+        with contextlib.suppress(*SIGNALS), open_listener(options, "bridge") as listener:
             serve_clients(listener, options, serve)
     finally:
         for far in opened:

@@ -12,7 +12,7 @@ import argparse
 import json
 import time
 
-from nclient.common.arguments import seconds
+from nclient.common.arguments import add_address, seconds, whole_number
 from nclient.common.exit_codes import ExitCode
 from nclient.connector import Connector, address_or_default
 from nclient.diagnostics import EXCHANGES, INTERVAL_S, Diagnostics, Finding, Grade, report, worst
@@ -21,10 +21,9 @@ from nclient.url import parse_address
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    parser.add_argument("address", nargs="?", metavar="ADDRESS",
-                        help="robot, such as nserver://localhost:7019/1, serial:///dev/ttyUSB0 or sim:thesis_room "
-                             "(default: $NOMAD_ROBOT, or robot 1 of a local nserver)")
-    parser.add_argument("--exchanges", type=_count, default=EXCHANGES, metavar="N",
+    add_address(parser)
+    count = whole_number("the number of exchanges", 1, 1_000_000)
+    parser.add_argument("--exchanges", type=count, default=EXCHANGES, metavar="N",
                         help=f"send gs N times (default {EXCHANGES})")
     parser.add_argument("--interval", type=seconds, default=INTERVAL_S, metavar="S",
                         help=f"send gs at intervals of S seconds (default {INTERVAL_S:g})")
@@ -49,9 +48,3 @@ def run(options: argparse.Namespace) -> int:
 
 def _as_object(finding: Finding) -> dict[str, str]:
     return {"grade": finding.grade.name, "what": finding.what, "seen": finding.seen, "remedy": finding.remedy}
-
-
-def _count(text: str) -> int:
-    if not (text.isascii() and text.isdecimal()) or not 1 <= int(text) <= 1_000_000:
-        raise argparse.ArgumentTypeError(f"1 to 1000000 exchanges, not {text}")
-    return int(text)

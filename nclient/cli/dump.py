@@ -21,7 +21,7 @@ from nclient.common.exit_codes import ExitCode
 from nclient.errors import RecordingError
 from nclient.protocol.codec import find_command
 from nclient.protocol.types import MODELS, N150, get_model
-from nclient.recording.format import IN, OUT, Entry, Recording, format_entry, read_recording
+from nclient.recording.format import IN, OUT, Entry, Recording, escape_controls, format_entry, read_recording
 from nclient.recording.recorder import LINES, FrameDecoder
 
 # Bytes of a file of plain bytes that are decoded and shown together.
@@ -46,7 +46,7 @@ def run(options: argparse.Namespace) -> int:
         find_command(options.filter)
     recording = _read_plain_bytes(options) if options.line else read_recording(options.file)
     if options.connection and options.connection not in recording.connections():
-        there = ", ".join(recording.connections())
+        there = escape_controls(", ".join(recording.connections()))
         raise RecordingError(f"{options.file}: no connection {options.connection!r}; there are {there}")
     for entry in _selected_entries(recording, options):
         if options.json:

@@ -38,11 +38,9 @@ class Subcommand(Protocol):
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Add the options of the command."""
-        ...
 
     def run(self, options: argparse.Namespace) -> int:
         """Run the command, and return the exit code."""
-        ...
 
 
 def main(argv: Sequence[str] | None = None) -> int:

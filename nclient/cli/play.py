@@ -19,6 +19,7 @@ from pathlib import Path
 
 from nclient.cli.serving import (
     POLL_INTERVAL_S,
+    SIGNALS,
     ClientSession,
     add_listener_options,
     open_listener,
@@ -65,7 +66,7 @@ def run(options: argparse.Namespace) -> int:
             mismatches.append(error)
             print_message(str(error))
 
-    with contextlib.suppress(KeyboardInterrupt), open_listener(options, "play", _MAY) as listener:
+    with contextlib.suppress(*SIGNALS), open_listener(options, "play", _MAY) as listener:
         serve_clients(listener, options, serve)
     return ExitCode.FAILED if mismatches else ExitCode.DONE
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import math
-import signal
 import sys
 import threading
 import time
@@ -21,7 +20,8 @@ from typing import Final
 
 from nclient.backends.nserver import CLICK_S, ORDINARY_S
 from nclient.common import allowlist
-from nclient.common.arguments import seconds
+from nclient.common.arguments import seconds, whole_number
+from nclient.common.process import TerminatedBySignal
 from nclient.protocol.commands import BY_NAME
 from nclient.protocol.types import Model
 from nclient.recording.replayer import RequestKey, RequestReader
@@ -43,7 +43,8 @@ NO_LIMIT: Final = 0.0
 def add_listener_options(parser: argparse.ArgumentParser) -> None:
     """Add --listen, --link, --bind, --allow, --limit-silent and --once."""
     place = parser.add_mutually_exclusive_group(required=True)
-    place.add_argument("--listen", type=_port, metavar="PORT", help="listen on this TCP port; 0 takes a free one")
+    port = whole_number("a port", 0, 65535)
+    place.add_argument("--listen", type=port, metavar="PORT", help="listen on this TCP port; 0 takes a free one")
     place.add_argument("--link", type=Path, metavar="PATH", help="create a pseudo-terminal, with PATH as a link to it")
     parser.add_argument("--bind", default=LOOPBACK, metavar="HOST", help=f"listen on this address (default {LOOPBACK})")
     allowlist.add_options(parser)
@@ -53,9 +54,13 @@ def add_listener_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--once", action="store_true", help="exit when the first client disconnects")
 
 
+SIGNALS: Final = (KeyboardInterrupt, TerminatedBySignal)
+"""What Ctrl-C, SIGTERM and SIGHUP raise: the usual end of a command that serves."""
+
+
 @contextlib.contextmanager
 def open_listener(options: argparse.Namespace, name: str, may: str = allowlist.DRIVES) -> Iterator[Listener]:
-    """Open the listener that the options select and announce it; SIGTERM and SIGHUP close it as Ctrl-C does.
+    """Open the listener that the options select and announce it.
 
     Parameters
     ----------
@@ -67,25 +72,9 @@ def open_listener(options: argparse.Namespace, name: str, may: str = allowlist.D
         What clients may do, for the warning about listening on the network.
     """
     listener: Listener = _open_port(options, may) if options.link is None else PtyListener(options.link)
-    try:
-        with _signals_as_interrupts():
-            print(f"listening {name} {listener.name}", flush=True)
-            yield listener
-    finally:
-        listener.close()
-
-
-@contextlib.contextmanager
-def _signals_as_interrupts() -> Iterator[None]:
-    """Raise KeyboardInterrupt at SIGTERM and SIGHUP within this block."""
-    # Windows has no SIGHUP.
-    names = [name for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
-    before = {name: signal.signal(getattr(signal, name), signal.default_int_handler) for name in names}
-    try:
-        yield
-    finally:
-        for name, handler in before.items():
-            signal.signal(getattr(signal, name), handler)
+    with contextlib.closing(listener):
+        print(f"listening {name} {listener.name}", flush=True)
+        yield listener
 
 
 def _open_port(options: argparse.Namespace, may: str) -> TcpListener:
@@ -104,12 +93,6 @@ def _open_port(options: argparse.Namespace, may: str) -> TcpListener:
     if warning := allowlist.warning(options.bind, allowed, may):
         print_message(warning)
     return listener
-
-
-def _port(text: str) -> int:
-    if not (text.isascii() and text.isdecimal()) or int(text) > 65535:
-        raise argparse.ArgumentTypeError(f"a port is 0 to 65535, not {text}")
-    return int(text)
 
 
 # -- idle clients -----------------------------------------------------------------------------------------------------

@@ -27,6 +27,7 @@ from nclient.cli import state_text
 from nclient.cli.serving import print_message
 from nclient.cli.shell_help import candidates, parse
 from nclient.cli.shell_session import Session
+from nclient.common.arguments import add_address
 from nclient.common.exit_codes import ExitCode
 from nclient.common.files import read_text
 from nclient.connector import Connector, address_or_default
@@ -43,11 +44,9 @@ class Reader(Protocol):
 
     def read(self, prompt: str) -> str:
         """Return a line. Raises EOFError at its end, KeyboardInterrupt at Ctrl-C."""
-        ...
 
     def close(self) -> None:
         """Save the history."""
-        ...
 
 
 def open_reader(wire_state: Callable[[], WireState], status: Callable[[], str], history: Path | None) -> Reader:
@@ -200,8 +199,7 @@ MAX_BYTES: Final = 1 << 20
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    parser.add_argument("address", nargs="?", help="robot, such as nserver://localhost:7019/1, serial:///dev/ttyUSB0 "
-                        "or sim:thesis_room (default: $NOMAD_ROBOT, or a local Nserver)")
+    add_address(parser)
     source = parser.add_mutually_exclusive_group()
     source.add_argument("--script", metavar="FILE", help="execute the lines of FILE and exit; - reads stdin")
     source.add_argument("--command", "-c", metavar="LINE", help="execute LINE and exit")

@@ -200,10 +200,6 @@ class Session:
         self._sleep = sleep
         self._pid = os.getpid() if pid is None else pid
         self._smask = list(EVERYTHING.smask)
-        self._builtins: dict[str, Callable[[tuple[Value, ...]], Iterator[str]]] = {
-            "help": self._help, "state": self._state, "wait": self._wait, "sleep": self._pass_time,
-            "quit": self._quit, "exit": self._quit,
-        }  # fmt: skip
 
     @property
     def wire_state(self) -> WireState:
@@ -235,8 +231,8 @@ class Session:
                 return
             if isinstance(command, Element):
                 yield from self._element(command)
-            elif command.name in self._builtins:
-                yield from self._builtins[command.name](command.values)
+            elif command.name in BUILTINS:
+                yield from self._execute_builtin(command)
             else:
                 yield from self._execute(build_call(command, self.wire_state, self._smask, self._pid))
 
@@ -257,6 +253,19 @@ class Session:
             yield state_text.format_state(self.robot.refresh())
         else:
             yield from format_reply(call, reply, self.robot.state)
+
+    def _execute_builtin(self, command: ParsedCommand) -> Iterator[str]:
+        match command.name:
+            case "help":
+                yield from self._help(command.values)
+            case "state":
+                yield from state_text.format_parts(self.robot.refresh(), map(str, command.values))
+            case "wait":
+                yield self._wait(_seconds(command.values or (WAIT_S,)))
+            case "sleep":
+                self._sleep_by_robot_clock(_seconds(command.values))
+            case _:
+                self.finished = True
 
     def _help(self, values: tuple[Value, ...]) -> Iterator[str]:
         if not values:
@@ -279,19 +288,11 @@ class Session:
             )
         yield f"{model_note(self.wire_state.model)}; help NAME says more"
 
-    def _state(self, values: tuple[Value, ...]) -> Iterator[str]:
-        yield from state_text.format_parts(self.robot.refresh(), map(str, values))
-
-    def _wait(self, values: tuple[Value, ...]) -> Iterator[str]:
-        seconds = _seconds(values or (WAIT_S,))
+    def _wait(self, seconds: float) -> str:
         state = self.robot.wait_until_still(seconds)
         if state.moving:
             raise ShellError(f"wait: after {seconds:g} s the robot is {state_text.format_motion(state)}")
-        yield state_text.format_state(state)
-
-    def _pass_time(self, values: tuple[Value, ...]) -> Iterator[str]:
-        self._sleep_by_robot_clock(_seconds(values))
-        return iter(())
+        return state_text.format_state(state)
 
     def _sleep_by_robot_clock(self, seconds: float) -> None:
         # A lockstep simulation advances with each query, a real robot by itself; both end by the robot's clock.
@@ -316,11 +317,6 @@ class Session:
         """Wait, unless simulated time advances only with requests."""
         if self.wire_state.line or self.robot.state.speed_factor:
             self._sleep(min(left_s, POLL_INTERVAL_S))
-
-    def _quit(self, values: tuple[Value, ...]) -> Iterator[str]:
-        del values
-        self.finished = True
-        return iter(())
 
     def _element(self, element: Element) -> Iterator[str]:
         array, place, value = element

@@ -19,7 +19,7 @@ import time
 from collections.abc import Callable
 
 from nclient.cli import state_text
-from nclient.common.arguments import seconds
+from nclient.common.arguments import seconds, whole_number
 from nclient.common.exit_codes import ExitCode
 from nclient.connector import Connector, address_or_default
 from nclient.errors import AddressError, ShellError
@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="repeat until Ctrl-C; implied by --every and --count")
     parser.add_argument("--every", type=seconds, metavar="S",
                         help=f"repeat at intervals of S seconds (default {EVERY_S:g})")
-    parser.add_argument("--count", type=_count, metavar="N", help="repeat N times")
+    parser.add_argument("--count", type=whole_number("the number of times", 1), metavar="N", help="repeat N times")
     parser.add_argument("--json", action="store_true", help="print one JSON object per line, with all parts")
 
 
@@ -92,9 +92,3 @@ def _sorted_words(words: list[str]) -> tuple[str | None, list[str]]:
         schemes = ", ".join(f"{scheme}:" for scheme in available_schemes())
         raise AddressError(f"{error}; an address begins with one of {schemes}") from None
     return (addresses[0] if addresses else None), parts
-
-
-def _count(text: str) -> int:
-    if not (text.isascii() and text.isdecimal()) or not int(text):
-        raise argparse.ArgumentTypeError(f"a whole number above 0, not {text}")
-    return int(text)

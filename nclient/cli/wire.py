@@ -14,6 +14,7 @@ import argparse
 import json
 import sys
 from collections.abc import Iterator
+from inspect import getdoc
 from textwrap import fill
 from typing import Any
 
@@ -27,56 +28,21 @@ from nclient.protocol.wire_state import serial_wire_state
 
 # Set on the parser, since --line and --model exist both before and after the verb.
 _DEFAULTS = {"line": "tcp", "model": "n150"}
-_ENCODE = """Print the bytes of a call as hex, one frame per line.
-
-Arguments are integers in the order of the C call, arrays flattened: tenths of an inch and of a degree;
-motion_check in thousandths; the text of tk in quotes. Options go before the call or after its last argument.
-
-    nomad wire encode vm 100 -50 0
-    nomad wire encode vm 100 -50 0 --line serial --model n150
-    nomad wire encode connect_robot 1 --pid 4711 --line tcp64
-    nomad wire encode ct --mask 2,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,0,0,0
-    nomad wire encode special_request 1 2 3 --packet-type 200
-    nomad wire encode tk "Where am I?" --line serial --model n200
-
-On the serial line place_robot is two frames, dp and da.
-
-Calls:
-
-""" + fill(" ".join(BY_NAME), 100, initial_indent="    ", subsequent_indent="    ")
 _LIST = "nomad wire encode --help lists them all"
-_DECODE = """Print one frame as a JSON object; exit code 1 and nothing on stdout if the frame is invalid.
-
-    nomad wire decode 000c000300000064ffffffce00000000
-    nomad wire decode --line serial 0108000564003280 0000245c
-    nomad wire decode --to host --call get_rc 00580004fffffd0efffffc5300001dc800002036
-
-Over TCP a reply does not name its command: without --call it is read by its type. --mask and --laser-mode set
-the state of the connection; by default all sensors are on and the laser mode is 51."""
-_DUMP = """Read lines `> hex` (to the robot) and `< hex` (from it), print one JSON object for each line.
-
-    {"to": "robot", "call": "vm", "args": [100, -50, 0]}
-    {"to": "host", "reply": "state", "State": [45 numbers], "Laser": [...], "positions": {...}, "clock": ...,
-     "volt_cpu": ..., "volt_motor": ...}      the client's state after the reply, null for values it never got
-    {"error": "..."}                          a line that is no valid frame, an empty one included
-
-Requests that change mask or laser mode apply to later lines. With --line serial --model n200 the first line from
-the robot may be the eleven bytes that it sends first over TCP.
-
-    printf '> 000f0000\\n' | nomad wire dump"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add encode, decode and dump; --line and --model may stand before or after them."""
     _add_line(parser)
     verbs = parser.add_subparsers(dest="verb", metavar="encode|decode|dump", required=True)
-    encode = _add_verb(verbs, "encode", _ENCODE)
+    names = fill(" ".join(BY_NAME), 100, initial_indent="    ", subsequent_indent="    ")
+    encode = _add_verb(verbs, "encode", f"{getdoc(_encode)}\n\nCalls:\n\n{names}")
     encode.add_argument("call", help="C name, such as vm, get_sn, special_request")
     encode.add_argument("args", nargs="*", help="arguments of the call")
     encode.add_argument("--pid", type=int, default=1, help="process id that connect_robot sends (default: 1)")
     encode.add_argument("--packet-type", type=int, help="packet type of special_request")
     encode.add_argument("--mask", type=_mask, default=EVERYTHING, help="44 numbers that ct sends (default: all on)")
-    decode = _add_verb(verbs, "decode", _DECODE)
+    decode = _add_verb(verbs, "decode", getdoc(_decode) or "")
     decode.add_argument("hex", nargs="+", action=_Hex, help="bytes of one frame")
     decode.add_argument(
         "--to", choices=("robot", "host"), default="robot", help="direction of the frame (default: robot)"
@@ -84,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     decode.add_argument("--call", help="decode as the reply to this call")
     decode.add_argument("--mask", type=_mask, help="44 numbers of the mask in force (default: all on)")
     decode.add_argument("--laser-mode", type=int, help="laser mode in force (default: 51)")
-    _add_verb(verbs, "dump", _DUMP)
+    _add_verb(verbs, "dump", getdoc(_dump) or "")
     parser.set_defaults(**_DEFAULTS)
 
 
@@ -120,6 +86,20 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _encode(options: argparse.Namespace) -> int:
+    """Print the bytes of a call as hex, one frame per line.
+
+    Arguments are integers in the order of the C call, arrays flattened: tenths of an inch and of a degree;
+    motion_check in thousandths; the text of tk in quotes. Options go before the call or after its last argument.
+
+        nomad wire encode vm 100 -50 0
+        nomad wire encode vm 100 -50 0 --line serial --model n150
+        nomad wire encode connect_robot 1 --pid 4711 --line tcp64
+        nomad wire encode ct --mask 2,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,0,0,0
+        nomad wire encode special_request 1 2 3 --packet-type 200
+        nomad wire encode tk "Where am I?" --line serial --model n200
+
+    On the serial line place_robot is two frames, dp and da.
+    """  # noqa: E501   the 44 numbers of a mask in one line, to be copied
     model = get_model(options.model)
     for call in _calls(options):
         if options.line == "serial":
@@ -159,6 +139,15 @@ def _with_extra_arguments(name: str, args: tuple[float, ...], options: argparse.
 
 
 def _decode(options: argparse.Namespace) -> int:
+    """Print one frame as a JSON object; exit code 1 and nothing on stdout if the frame is invalid.
+
+        nomad wire decode 000c000300000064ffffffce00000000
+        nomad wire decode --line serial 0108000564003280 0000245c
+        nomad wire decode --to host --call get_rc 00580004fffffd0efffffc5300001dc800002036
+
+    Over TCP a reply does not name its command: without --call it is read by its type. --mask and --laser-mode set
+    the state of the connection; by default all sensors are on and the laser mode is 51.
+    """
     decoder = WireDecoder(options.line, get_model(options.model))
     # 1. State of the connection: it decides the layout of state replies.
     if options.mask:
@@ -177,6 +166,18 @@ def _decode(options: argparse.Namespace) -> int:
 
 
 def _dump(options: argparse.Namespace) -> int:
+    r"""Read lines `> hex` (to the robot) and `< hex` (from it), print one JSON object for each line.
+
+        {"to": "robot", "call": "vm", "args": [100, -50, 0]}
+        {"to": "host", "reply": "state", "State": [45 numbers], "Laser": [...], "positions": {...}, "clock": ...,
+         "volt_cpu": ..., "volt_motor": ...}      the client's state after the reply, null for values it never got
+        {"error": "..."}                          a line that is no valid frame, an empty one included
+
+    Requests that change mask or laser mode apply to later lines. With --line serial --model n200 the first line from
+    the robot may be the eleven bytes that it sends first over TCP.
+
+        printf '> 000f0000\n' | nomad wire dump
+    """
     decoder = WireDecoder(options.line, get_model(options.model))
     # Bytes that are no UTF-8 become replacement characters, and an error object like any other invalid line.
     for line in sys.stdin.buffer:

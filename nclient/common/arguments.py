@@ -11,10 +11,14 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Sequence
+import sys
+from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
 from nclient.common.hints import closest_match, suggest
+
+MAX_DIGITS = 18
+"""Maximum length of a whole number; int() refuses very long ones."""
 
 
 class Parser(argparse.ArgumentParser):
@@ -76,3 +80,23 @@ def seconds(text: str) -> float:
     if not (math.isfinite(value) and value >= 0):
         raise argparse.ArgumentTypeError(f"a number of seconds, 0 or more, not {text}")
     return value
+
+
+def whole_number(what: str, low: int, high: int = sys.maxsize) -> Callable[[str], int]:
+    """Return a parser of whole numbers; `what` names the number in the message of its ArgumentTypeError."""
+
+    def parse(text: str) -> int:
+        # isdecimal() accepts the digits of other scripts, and int() reads them.
+        if not (text.isascii() and text.isdecimal() and len(text) <= MAX_DIGITS) or not low <= int(text) <= high:
+            bounds = f"{low} or more" if high == sys.maxsize else f"{low} to {high}"
+            raise argparse.ArgumentTypeError(f"{what} is {bounds}, not {text}")
+        return int(text)
+
+    return parse
+
+
+def add_address(parser: argparse.ArgumentParser) -> None:
+    """Add the address of a robot, which may be left out."""
+    parser.add_argument("address", nargs="?", metavar="ADDRESS",
+                        help="robot, such as nserver://localhost:7019/1, serial:///dev/ttyUSB0 or sim:thesis_room "
+                        "(default: $NOMAD_ROBOT, or robot 1 of a local nserver)")

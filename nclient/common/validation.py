@@ -9,11 +9,14 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import json
+import operator
 import re
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from typing import Annotated, Any, Final, Literal, TypeVar, get_type_hints, overload
+from types import NoneType, UnionType
+from typing import Annotated, Any, Final, Literal, TypeVar, Union, get_args, get_origin, get_type_hints, overload
 
 import msgspec
 
@@ -78,39 +81,60 @@ def convert(value: object, kind: Any, key: str = "") -> Any:
         return msgspec.convert(value, kind)
     except msgspec.ValidationError as failure:
         raise _explain(failure, value, kind, key) from None
+    except UnicodeEncodeError as failure:
+        # JSON may escape half of a surrogate pair.
+        raise InvalidValue(f"expected text, found {failure.object!r:.60}, which is no character", key) from None
 
 
 def decode_json(text: str) -> Any:
-    """Return the value of a JSON text. Raises InvalidValue, also if it is nested too deeply."""
+    """Return the value of a JSON text. Raises InvalidValue, also if it is nested too deeply.
+
+    NaN and infinity are read, so that the error for them names their key.
+    """
     try:
-        return msgspec.json.decode(text)
-    except (msgspec.DecodeError, RecursionError, UnicodeError) as failure:
+        return json.loads(text)
+    except (ValueError, RecursionError) as failure:
         raise InvalidValue(f"is no JSON: {failure}") from None
 
 
 def check_fields(instance: Any, error: ErrorFactory) -> None:
     """Check the values of a dataclass against the types of its fields. Raises `error`."""
     with reported_as(error):
-        for name, kind in field_types(instance.__class__).items():
+        for name, kind in _cached_field_types(type(instance)).items():
             convert(getattr(instance, name), kind, name)
 
 
-@functools.cache
-def field_types(kind: type) -> dict[str, Any]:
+def field_types(kind: Any) -> dict[str, Any]:
     """Return the types of a dataclass's fields, with their constraints."""
     hints = get_type_hints(kind, include_extras=True)
     return {field.name: hints[field.name] for field in dataclasses.fields(kind)}
 
 
-def dataclass_keys(kind: type) -> list[tuple[str, Any, Any]]:
+_cached_field_types: Any = functools.cache(field_types)
+
+
+def dataclass_keys(kind: Any) -> list[tuple[str, Any, Any]]:
     """Return the fields of a dataclass as optional keys of a struct, for msgspec.defstruct."""
-    return [(name, each | msgspec.UnsetType, msgspec.UNSET) for name, each in field_types(kind).items()]
+    return [(name, without_none(each) | msgspec.UnsetType, msgspec.UNSET) for name, each in field_types(kind).items()]
+
+
+def without_none(kind: Any) -> Any:
+    """Return the type of a key whose absence is None in a program: files have no null."""
+    if get_origin(kind) not in (Union, UnionType):
+        return kind
+    return functools.reduce(operator.or_, (each for each in get_args(kind) if each is not NoneType))
 
 
 def one_of(names: Iterable[str]) -> Any:
     """Return the type of a text that is one of these names."""
     literal: Any = Literal
     return literal[tuple(names)]
+
+
+def at_most_one(keys: Iterable[str], least: int = 0) -> dict[str, Any]:
+    """Return the condition that one of the keys is given, or for `least` 0 none of them, as JSON Schema."""
+    choices: list[dict[str, Any]] = [{"required": [key]} for key in keys]
+    return {"oneOf": choices if least else [*choices, {"not": {"anyOf": choices}}]}
 
 
 def keys_of(struct: Any) -> tuple[str, ...]:
@@ -182,9 +206,9 @@ def _complain(kind: Any, value: Any, parts: list[str]) -> InvalidValue:
     # 2. A table with wrong keys, or a list with too few or too many items.
     if isinstance(value, dict) and node["type"] == "object":
         return _complain_keys(node, value)
-    if isinstance(value, list) and node["type"] == "array":
+    if isinstance(value, list | tuple) and node["type"] == "array":
         low, high, items = node.get("minItems", 0), node.get("maxItems"), node.get("x-items", "values")
-        if "prefixItems" not in node and low != high:
+        if low != high:
             limit = f"at least {low}" if len(value) < low else f"at most {high}"
             return InvalidValue(f"expected {limit} {items}, found {len(value)}")
     # 3. A wrong value.
@@ -192,7 +216,8 @@ def _complain(kind: Any, value: Any, parts: list[str]) -> InvalidValue:
     if "enum" in node and isinstance(value, str):
         found = repr(value) + suggest(value, node["enum"])
     tables = node if node.get("type") == "array" else parent
-    if tables.get("type") == "array" and "title" not in tables and "$ref" in str(tables.get("items")):
+    items = _resolve(tables.get("items") or {}, None, definitions)
+    if items["type"] == "object" and "title" not in tables:
         name = next(part for part in reversed(parts) if not part.isdecimal())
         return InvalidValue(f"expected tables under [[{name}]], each with its double brackets, found {found}")
     hint = node.get("x-hint", "") if _is_number(value) and _is_finite(value) else ""
@@ -216,8 +241,7 @@ def _enter(node: Node, value: Any, part: str) -> tuple[Node, Any]:
     """Return the schema and the value under a key or an index."""
     if isinstance(value, dict):
         return node["properties"][part], value[part]
-    at = int(part)
-    return node["prefixItems"][at] if "prefixItems" in node else node["items"], value[at]
+    return node["items"], value[int(part)]
 
 
 def _resolve(node: Node, value: Any, definitions: dict[str, Node]) -> Node:
@@ -240,7 +264,7 @@ def _resolve(node: Node, value: Any, definitions: dict[str, Node]) -> Node:
 
 def _expected(node: Node, value: Any) -> str:
     """Return what a schema expects, in words."""
-    if "enum" in node:
+    if "enum" in node and not node["type"]:
         return f"one of {', '.join(map(str, node['enum']))}"
     low, high, title = node.get("minimum"), node.get("maximum"), node.get("title")
     match node["type"]:
@@ -256,8 +280,8 @@ def _expected(node: Node, value: Any) -> str:
             if not _is_number(value):
                 return f"{title or span}, a number"
             return span if _is_finite(value) else f"{title or span}, a finite number"
-        case "array" if "prefixItems" in node:
-            return str(title or f"a list of {len(node['prefixItems'])} numbers")
+        case "array":
+            return str(title or "a list")
     return str(title or "a text")
 
 

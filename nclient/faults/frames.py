@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections import Counter, deque
 from collections.abc import Iterator, Mapping
 from random import Random
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from nclient.faults.plan import (
     BIT,
@@ -56,23 +56,6 @@ class StreamPiece(NamedTuple):
     type: int | None
 
 
-class Frames(Protocol):
-    """Framer of one direction of a connection."""
-
-    @property
-    def pending_bytes(self) -> int:
-        """Return the number of buffered bytes of an incomplete frame."""
-        ...
-
-    def receive(self, data: bytes) -> list[StreamPiece]:
-        """Add bytes, and return the pieces that they complete, in order."""
-        ...
-
-    def flush(self) -> list[StreamPiece]:
-        """Return the buffered bytes of an incomplete frame."""
-        ...
-
-
 class LineFrames:
     """Framer of one direction of the serial line.
 
@@ -95,7 +78,7 @@ class LineFrames:
         return len(self._buffer)
 
     def receive(self, data: bytes) -> list[StreamPiece]:
-        """Add bytes as in `Frames`; the bare bytes at the start are one piece."""
+        """Add bytes, and return the pieces that they complete, in order; the bare bytes at the start are one piece."""
         self._buffer += data
         if len(self._buffer) < self._bare:
             return []
@@ -174,7 +157,7 @@ class TcpFrames:
         return len(self._buffer)
 
     def receive(self, data: bytes) -> list[StreamPiece]:
-        """Add bytes as in `Frames`."""
+        """Add bytes, and return the pieces that they complete, in order."""
         self._buffer += data
         found: list[StreamPiece] = []
         while not self._lost and len(self._buffer) >= _TCP_HEADER:
@@ -207,6 +190,10 @@ class TcpFrames:
                 return False
             self.wide = not any(first)
         return True
+
+
+Frames = LineFrames | TcpFrames
+"""Framer of one direction of a connection. `receive` returns the pieces that are complete, `flush` the rest."""
 
 
 def _merge(pieces: list[StreamPiece]) -> list[StreamPiece]:
@@ -442,41 +429,16 @@ NAK_ERROR = 5
 _MAX_OUTSTANDING = 1 << 16
 
 
-class Language(Protocol):
-    """Wire protocol of a connection: its framers, and the command of each frame."""
-
-    requests: Frames
-    replies: Frames
-    partial_timeout_s: float | None
-    """Time after which an incomplete request is passed on: on the serial line it may never become complete."""
-
-    @property
-    def nak(self) -> bytes:
-        """Return a refusal."""
-        ...
-
-    def request_name(self, piece: StreamPiece) -> str:
-        """Return the C name of a request; "" if it is none."""
-        ...
-
-    def request_delivered(self, command: str) -> None:
-        """Note that a request of this command was delivered to the robot."""
-        ...
-
-    def reply_name(self, piece: StreamPiece) -> str:
-        """Return the C name of the request that a reply belongs to; "" if it is not known."""
-        ...
-
-
 class LineLanguage:
     """Serial line; with `has_handshake` the robot sends eleven bytes first, as an N200 does over TCP."""
 
     nak = LINE_NAK
     partial_timeout_s: float | None = 0.25
+    """Time after which an incomplete request is passed on: it may never become complete."""
 
     def __init__(self, has_handshake: bool = False) -> None:
-        self.requests: Frames = LineFrames(HOST_LIMIT)
-        self.replies: Frames = LineFrames(bare=HANDSHAKE_SIZE if has_handshake else 0)
+        self.requests = LineFrames(HOST_LIMIT)
+        self.replies = LineFrames(bare=HANDSHAKE_SIZE if has_handshake else 0)
         self._greets = has_handshake
         # On the serial line one request is outstanding at most, so the last one is enough.
         self._last_command = ""
@@ -503,21 +465,17 @@ class TcpLanguage:
     partial_timeout_s: float | None = None
 
     def __init__(self, wide: bool | None = None) -> None:
-        self.requests: Frames
-        self.replies: Frames
-        self.requests, self.replies = self._request_frames, self._reply_frames = TcpFrames(wide), TcpFrames(wide)
+        self.requests, self.replies = TcpFrames(wide), TcpFrames(wide)
         self._outstanding: deque[str] = deque(maxlen=_MAX_OUTSTANDING)
 
     @property
     def nak(self) -> bytes:
         """Return an ERROR reply: over TCP there is no NAK."""
-        return build_tcp_frame(
-            ERROR_TYPE, NAK_ERROR.to_bytes(4, "big"), wide=bool(self._request_frames.wide), reply=True
-        )
+        return build_tcp_frame(ERROR_TYPE, NAK_ERROR.to_bytes(4, "big"), wide=bool(self.requests.wide), reply=True)
 
     def request_name(self, piece: StreamPiece) -> str:
         """Return the C name of a request, by its type word."""
-        self._reply_frames.wide = bool(self._request_frames.wide)
+        self.replies.wide = bool(self.requests.wide)
         row = None if piece.type is None else BY_TCP_TYPE.get(piece.type)
         return row.name if row else ""
 
@@ -530,6 +488,10 @@ class TcpLanguage:
         # Bytes that are no frame must not use up an outstanding request.
         whole = piece.type is not None and self._outstanding
         return self._outstanding.popleft() if whole else ""
+
+
+Language = LineLanguage | TcpLanguage
+"""Wire protocol of a connection: its framers, the command of each frame, and a refusal (`nak`)."""
 
 
 def _line_name(piece: StreamPiece) -> str:

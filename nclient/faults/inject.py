@@ -48,9 +48,8 @@ class FaultyLine:
 
     def request(self, data: bytes, now_s: float, whole: bool = False) -> list[Delivery]:
         """Return the deliveries for bytes to the robot; `whole`: they end with a frame, so that none is buffered."""
-        frames = self._language.requests
-        pieces = frames.receive(data) + (frames.flush() if whole else [])
-        return [delivery for piece in pieces for delivery in self._process_request(piece, now_s)]
+        deliveries = self._requests(self._language.requests.receive(data), now_s)
+        return deliveries + (self.flush_request(now_s) if whole else [])
 
     def reply(self, data: bytes, now_s: float) -> list[Delivery]:
         """Return the deliveries for bytes to the host."""
@@ -62,16 +61,18 @@ class FaultyLine:
 
     def flush_request(self, now_s: float) -> list[Delivery]:
         """Return the deliveries for an incomplete request after its timeout."""
-        pieces = self._language.requests.flush()
-        return [delivery for piece in pieces for delivery in self._process_request(piece, now_s)]
+        return self._requests(self._language.requests.flush(), now_s)
 
-    def _process_request(self, piece: StreamPiece, now_s: float) -> list[Delivery]:
-        name, language = self._language.request_name(piece), self._language
-        deliveries = self.injector().process_frame(piece.data, name, Direction.REQUEST, now_s, language.nak)
-        # A refused or dropped request gets no reply from the robot, so none may be expected.
-        if any(not delivery.to_sender for delivery in deliveries):
-            language.request_delivered(name)
-        return deliveries
+    def _requests(self, pieces: Iterable[StreamPiece], now_s: float) -> list[Delivery]:
+        language, found = self._language, []
+        for piece in pieces:
+            name = language.request_name(piece)
+            deliveries = self.injector().process_frame(piece.data, name, Direction.REQUEST, now_s, language.nak)
+            # A refused or dropped request gets no reply from the robot, so none may be expected.
+            if any(not delivery.to_sender for delivery in deliveries):
+                language.request_delivered(name)
+            found += deliveries
+        return found
 
     def _replies(self, pieces: Iterable[StreamPiece], now_s: float) -> list[Delivery]:
         language, found = self._language, []

@@ -25,24 +25,58 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from enum import Enum
 from pathlib import Path
-from typing import Any, ClassVar, Final
+from typing import Annotated, Any, ClassVar, Final, Literal
+
+import msgspec
+from msgspec import UNSET, Meta, UnsetType
 
 from nclient.common.files import parse_toml, read_text
 from nclient.common.hints import suggest
+from nclient.common.validation import (
+    InvalidValue,
+    Text,
+    at_most_one,
+    check_fields,
+    convert,
+    dataclass_keys,
+    field_types,
+    given,
+    one_of,
+    reported_as,
+    unknown_key,
+)
 from nclient.errors import FaultPlanError
 from nclient.protocol.codec import describe_unknown_command
 from nclient.protocol.commands import BY_NAME
 
 # Values of `change`: one flipped bit, as noise on a wire makes, or any other byte.
-BIT, BYTE = "bit", "byte"
+BIT: Literal["bit"] = "bit"
+BYTE: Literal["byte"] = "byte"
 MAX_INSERTED = 0xFFFF
 """Maximum number of bytes that one fault inserts."""
 MAX_DURATION_S = 86_400.0
 """Maximum delay or silence in seconds: one day."""
+
+Seconds = Annotated[float, Meta(ge=0.0, le=MAX_DURATION_S)]
+Since = Annotated[float, Meta(ge=0.0, description="seconds since the plan came into force")]
+Percent = Annotated[float, Meta(ge=0.0, le=100.0)]
+Number = Annotated[int, Meta(ge=1)]
+Size = Annotated[int, Meta(ge=0, description="number of bytes that still arrive")]
+Place = Annotated[int, Meta(title="a whole number, the index of a byte, negative from the end")]
+Change = Annotated[Literal["bit", "byte"], Meta(description="one flipped bit, or any other byte")]
+
+
+class _Checked:
+    """A dataclass whose values are checked against the types of its fields when it is created."""
+
+    __slots__ = ()
+
+    def __post_init__(self) -> None:
+        check_fields(self, FaultPlanError)
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,69 +87,53 @@ class Drop:
 
 
 @dataclass(frozen=True, slots=True)
-class Delay:
+class Delay(_Checked):
     """Delay the frame by `delay_s` +- `jitter_s`, uniformly distributed; later frames do not overtake it."""
 
-    delay_s: float
-    jitter_s: float = 0.0
+    delay_s: Seconds
+    jitter_s: Seconds = 0.0
     kind: ClassVar[str] = "delay"
 
     def __post_init__(self) -> None:
-        check_number("delay_s", self.delay_s, 0.0, MAX_DURATION_S)
-        check_number("jitter_s", self.jitter_s, 0.0, MAX_DURATION_S)
+        check_fields(self, FaultPlanError)
         # A jitter larger than the delay would need negative delays.
         if self.jitter_s > self.delay_s:
-            fail("jitter_s", f"at most delay_s, {self.delay_s:g}, because nothing arrives before it was sent",
-                 self.jitter_s)
+            raise FaultPlanError(f"jitter_s: expected at most delay_s, {self.delay_s:g}, because nothing arrives "
+                                 f"before it was sent, found {self.jitter_s:g}")
 
 
 @dataclass(frozen=True, slots=True)
-class Corrupt:
+class Corrupt(_Checked):
     """Change one byte: one bit of it, or to any other byte."""
 
-    change: str = BYTE
-    place: int | None = None
+    change: Change = BYTE
+    place: Place | None = None
     kind: ClassVar[str] = "corrupt"
 
-    def __post_init__(self) -> None:
-        check_choice("change", self.change, (BIT, BYTE))
-        _check_place(self.place)
-
 
 @dataclass(frozen=True, slots=True)
-class DropByte:
+class DropByte(_Checked):
     """Drop one byte."""
 
-    place: int | None = None
+    place: Place | None = None
     kind: ClassVar[str] = "drop_byte"
 
-    def __post_init__(self) -> None:
-        _check_place(self.place)
-
 
 @dataclass(frozen=True, slots=True)
-class InsertBytes:
+class InsertBytes(_Checked):
     """Insert `count` random bytes at one place, which may be before the first byte or behind the last."""
 
-    count: int = 1
-    place: int | None = None
+    count: Annotated[int, Meta(ge=1, le=MAX_INSERTED, description="number of bytes")] = 1
+    place: Place | None = None
     kind: ClassVar[str] = "stray"
-
-    def __post_init__(self) -> None:
-        check_whole("count", self.count, 1, MAX_INSERTED)
-        _check_place(self.place)
 
 
 @dataclass(frozen=True, slots=True)
-class Cut:
+class Cut(_Checked):
     """Deliver only the first `keep` bytes, at most all but one."""
 
-    keep: int | None = None
+    keep: Size | None = None
     kind: ClassVar[str] = "cut"
-
-    def __post_init__(self) -> None:
-        if self.keep is not None:
-            check_whole("keep", self.keep, 0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,45 +147,38 @@ class Nak:
 
 
 @dataclass(frozen=True, slots=True)
-class Blackout:
+class Blackout(_Checked):
     """Drop this frame and all later ones for `silence_s`, of any command, in the directions of the rule."""
 
-    silence_s: float
+    silence_s: Seconds
     kind: ClassVar[str] = "silence"
 
-    def __post_init__(self) -> None:
-        check_number("silence_s", self.silence_s, 0.0, MAX_DURATION_S)
-
 
 @dataclass(frozen=True, slots=True)
-class HangUp:
+class HangUp(_Checked):
     """Close the connection after `keep` bytes of the frame."""
 
-    keep: int = 0
+    keep: Size = 0
     kind: ClassVar[str] = "hang_up"
-
-    def __post_init__(self) -> None:
-        check_whole("keep", self.keep, 0)
 
 
 @dataclass(frozen=True, slots=True)
-class Noise:
+class Noise(_Checked):
     """Change, drop or add bytes at random: each rate is the percentage of all bytes."""
 
-    corrupt_percent: float = 0.0
-    drop_percent: float = 0.0
-    add_percent: float = 0.0
-    change: str = BYTE
+    corrupt_percent: Percent = 0.0
+    drop_percent: Percent = 0.0
+    add_percent: Percent = 0.0
+    change: Change = BYTE
     kind: ClassVar[str] = "noise"
 
     def __post_init__(self) -> None:
+        check_fields(self, FaultPlanError)
         # The three rates share one draw per byte, so their sum is a probability.
-        rates = {name: getattr(self, name) for name in ("corrupt_percent", "drop_percent", "add_percent")}
-        for name, rate in rates.items():
-            check_number(name, rate, 0.0, 100.0)
-        check_choice("change", self.change, (BIT, BYTE))
-        if not 0.0 < sum(rates.values()) <= 100.0:
-            fail(" + ".join(rates), "together more than 0 and at most 100", sum(rates.values()))
+        rate = self.corrupt_percent + self.drop_percent + self.add_percent
+        if not 0.0 < rate <= 100.0:
+            raise FaultPlanError("corrupt_percent + drop_percent + add_percent: expected together more than 0 and at "
+                                 f"most 100, found {rate:g}")
 
 
 Alteration = Corrupt | DropByte | InsertBytes | Cut
@@ -179,44 +190,6 @@ KINDS: dict[str, type[Fault]] = {
 """Kinds by their names in plans."""
 
 
-def fail(key: str, wanted: str, found: object) -> None:
-    """Raise FaultPlanError for one setting."""
-    # Numbers without trailing zeros, texts in quotes.
-    shown = f"{found:g}" if isinstance(found, float) else repr(found)
-    raise FaultPlanError(f"{key}: {wanted}, not {shown}")
-
-
-def check_whole(key: str, value: object, minimum: int, maximum: int | None = None) -> None:
-    """Raise FaultPlanError unless `value` is a whole number from `minimum` to `maximum`."""
-    wanted = f"a whole number, {minimum} or more" if maximum is None else f"a whole number, {minimum} to {maximum}"
-    if (
-        not isinstance(value, int)
-        or isinstance(value, bool)
-        or value < minimum
-        or (maximum is not None and value > maximum)
-    ):
-        fail(key, wanted, value)
-
-
-def check_number(key: str, value: object, minimum: float, maximum: float) -> None:
-    """Raise FaultPlanError unless `value` is a number from `minimum` to `maximum`."""
-    if not isinstance(value, int | float) or isinstance(value, bool) or not minimum <= value <= maximum:
-        upper = f"{minimum:g} or more" if math.isinf(maximum) else f"{minimum:g} to {maximum:g}"
-        fail(key, f"a number, {upper}", value)
-
-
-def check_choice(key: str, value: object, choices: Iterable[str]) -> None:
-    """Raise FaultPlanError unless `value` is one of `choices`."""
-    choices = tuple(choices)
-    if value not in choices:
-        fail(key, f"one of {', '.join(choices)}", value)
-
-
-def _check_place(place: object) -> None:
-    if place is not None and (not isinstance(place, int) or isinstance(place, bool)):
-        fail("place", "a whole number, the index of a byte, negative from the end", place)
-
-
 GREETING = "hello"
 """Command name in plans of the handshake, eleven bytes that an N200 sends first over TCP."""
 LINE_KINDS = ("serial", "robotd", "nserver", "real", "sim", "replay")
@@ -224,6 +197,7 @@ LINE_KINDS = ("serial", "robotd", "nserver", "real", "sim", "replay")
 and a recording in the program's own process."""
 # Upper limit of seeds: integers of TOML have 64 bits.
 MAX_SEED = 2**63
+Seed = Annotated[int, Meta(ge=0, description="seed of all random numbers", extra_json_schema={"maximum": MAX_SEED})]
 
 
 class Direction(Enum):
@@ -234,6 +208,9 @@ class Direction(Enum):
 
 
 BOTH = frozenset(Direction)
+Numbers = Annotated[tuple[Number, ...], Meta(min_length=1, extra_json_schema={"x-items": "numbers of frames"})]
+METHODS = ("every", "percent", "first", "at")
+"""Methods of selecting frames, of which a rule has at most one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -254,34 +231,23 @@ class When:
         Seconds since the plan came into force.
     """
 
-    every: int | None = None
-    percent: float | None = None
-    first: int | None = None
-    at: tuple[int, ...] | None = None
-    from_s: float = 0.0
-    until_s: float = math.inf
+    every: Number | None = None
+    percent: Percent | None = None
+    first: Number | None = None
+    at: Numbers | None = None
+    from_s: Since = 0.0
+    until_s: Since = math.inf
 
     def __post_init__(self) -> None:
         # 1. At most one method; none of them selects every frame.
-        methods = [name for name in ("every", "percent", "first", "at") if getattr(self, name) is not None]
+        methods = [name for name in METHODS if getattr(self, name) is not None]
         if len(methods) > 1:
             raise FaultPlanError(f"{methods[1]}: {' and '.join(methods)} exclude each other; use one of them")
-        # 2. Its value.
-        if self.every is not None:
-            check_whole("every", self.every, 1)
-        if self.percent is not None:
-            check_number("percent", self.percent, 0.0, 100.0)
-        if self.first is not None:
-            check_whole("first", self.first, 1)
-        if self.at == ():
-            raise FaultPlanError("at: expected numbers of frames, such as [3, 7]; there are none")
-        for number in self.at or ():
-            check_whole("at", number, 1)
+        # 2. Values.
+        check_fields(self, FaultPlanError)
         # 3. A time window of positive length.
-        check_number("from_s", self.from_s, 0.0, math.inf)
-        check_number("until_s", self.until_s, 0.0, math.inf)
         if self.until_s <= self.from_s:
-            fail("until_s", f"later than from_s, {self.from_s:g}", self.until_s)
+            raise FaultPlanError(f"until_s: expected later than from_s, {self.from_s:g}, found {self.until_s:g}")
 
     def covers(self, elapsed_s: float) -> bool:
         """Return True if the rule is in force `elapsed_s` after the start of the plan."""
@@ -363,7 +329,9 @@ class Plan:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        check_whole("seed", self.seed, 0, MAX_SEED)
+        with reported_as(FaultPlanError):
+            if convert(self.seed, Seed, "seed") > MAX_SEED:
+                raise InvalidValue(f"expected a whole number from 0 to {MAX_SEED}, found {self.seed}", "seed")
         names: set[str] = set()
         for rule in self.rules:
             if rule.name in names:
@@ -418,10 +386,62 @@ def _check_line(rule: str, line: str) -> None:
 MAX_BYTES: Final = 1 << 20
 """Maximum size of a plan; a larger file is something else."""
 _ANY = "all"
-# Keys of the selection are the fields of When; the same applies to the settings of kinds.
-_WHEN = tuple(entry.name for entry in dataclasses.fields(When))
-_RULE = ("name", "do", "command", "direction", "line", *_WHEN)
 _DIRECTIONS = {"both": BOTH} | {direction.value: frozenset({direction}) for direction in Direction}
+_COMMANDS = [name for name, row in BY_NAME.items() if row.packet_type is None]
+_LINE = Annotated[str, Meta(extra_json_schema={"pattern": f"^({'|'.join(LINE_KINDS)})(:[0-9]+)?$|^{_ANY}$"})]
+_COMMAND = Annotated[str, Meta(title="a text", extra_json_schema={"enum": [*_COMMANDS, GREETING, _ANY]})]
+_KIND: Any = one_of(KINDS)
+_KINDS = Annotated[tuple[_KIND, ...], Meta(min_length=1, extra_json_schema={"uniqueItems": True, "x-items": "kinds"})]
+_RULE_FIELDS: list[Any] = [
+    ("name", Annotated[Text, Meta(description="name in errors and counts; default: rule 1, rule 2 ...")], "rule"),
+    ("do", Annotated[_KIND | _KINDS, Meta(description="a kind of fault, or several, drawn each time")]),
+    ("command", _COMMAND | tuple[_COMMAND, ...], _ANY),
+    ("line", _LINE | tuple[_LINE, ...], _ANY),
+    ("direction", one_of(_DIRECTIONS), Direction.REPLY.value),
+    *(row for row in dataclass_keys(When) if row[0] != "at"),
+    # `at = 3` is short for `at = [3]`.
+    ("at", Number | Numbers | UnsetType, UNSET),
+]
+_RULE_KEYS: list[str] = [row[0] for row in _RULE_FIELDS]
+_SETTINGS: dict[str, Any] = {row[0]: row for kind in KINDS.values() for row in dataclass_keys(kind)}
+
+
+def _does(*kinds: str) -> dict[str, Any]:
+    """Return the condition that a rule's `do` has one of these kinds, as JSON Schema."""
+    names = {"enum": kinds}
+    return {"properties": {"do": {"anyOf": [names, {"type": "array", "contains": names}]}}}
+
+
+def _conditions() -> Iterator[dict[str, Any]]:
+    """Yield the conditions on several keys of a rule, as JSON Schema."""
+    yield at_most_one(METHODS)
+    for key in _SETTINGS:
+        kinds = (name for name, kind in KINDS.items() if key in field_types(kind))
+        yield {"if": {"required": [key]}, "then": _does(*kinds)}
+    for name, kind in KINDS.items():
+        required = [entry.name for entry in fields(kind) if entry.default is dataclasses.MISSING]
+        yield {"if": _does(name), "then": {"required": required}}
+
+
+RuleTable: Any = msgspec.defstruct(
+    "Rule", [*_RULE_FIELDS, *_SETTINGS.values()],
+    namespace={"__doc__": "Faults, and the frames they are applied to.", "CONDITIONS": [*_conditions()]},
+    forbid_unknown_fields=True, kw_only=True,
+)  # fmt: skip
+"""A [[rule]] of a plan file."""
+
+
+class _PlanTables(msgspec.Struct, forbid_unknown_fields=True):
+    """The tables of a plan file; each rule is converted on its own, since errors name the rule."""
+
+    seed: Seed = 0
+    rule: tuple[dict[str, Any], ...] = ()
+
+
+class PlanFile(_PlanTables, forbid_unknown_fields=True):
+    """A fault plan: which frames on the way to and from robots are lost, delayed or changed."""
+
+    rule: Annotated[tuple[RuleTable, ...], Meta(description="rules, in the order in which a frame passes them")] = ()
 
 
 def load_plan(path: Path) -> Plan:
@@ -437,13 +457,10 @@ def read_plan(path: Path) -> str:
 def parse_plan(text: str, file: str = "plan") -> Plan:
     """Parse a plan; `file` is the name in error messages. Raises FaultPlanError."""
     top = parse_toml(text, file, FaultPlanError)
+    with reported_as(FaultPlanError, file):
+        values = convert(top, _PlanTables)
     try:
-        # Unknown keys are errors, with a suggestion, since a misspelt one would be ignored.
-        _allow(top, ("seed", "rule"))
-        tables = top.get("rule", [])
-        if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
-            raise FaultPlanError("rule: expected tables under [[rule]], each with its double brackets")
-        return Plan(tuple(_rule(table, number) for number, table in enumerate(tables, start=1)), top.get("seed", 0))
+        return Plan(tuple(_rule(table, number) for number, table in enumerate(values.rule, start=1)), values.seed)
     except FaultPlanError as error:
         raise FaultPlanError(f"{file}: {error}") from None
 
@@ -456,69 +473,44 @@ def plan_text(plan: Plan) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _rule(table: Mapping[str, Any], number: int) -> Rule:
+def _rule(table: dict[str, Any], number: int) -> Rule:
     name = table.get("name", f"rule {number}")
-    if not isinstance(name, str) or not name.strip():
-        raise FaultPlanError(f"rule {number}: name: expected a text, found {name!r}")
+    with reported_as(FaultPlanError, f"rule {number}"):
+        convert(name, Text, "name")
+    with reported_as(FaultPlanError, f"rule {name!r}"):
+        row = convert(table, RuleTable)
+        # 1. Settings of other kinds are unknown keys.
+        kinds = [KINDS[word] for word in _words(row.do)]
+        settings = sorted(key for kind in kinds for key in field_types(kind))
+        for key in table:
+            if key not in _RULE_KEYS and key not in settings:
+                raise unknown_key(key, (*_RULE_KEYS, *settings))
     try:
-        # 1. The kinds decide which other keys the rule may have.
-        kinds = [_kind(word) for word in _words(table, "do", ())]
-        # Keys of a rule: its own, and the settings of its kinds.
-        settings = {entry.name for kind in kinds for entry in dataclasses.fields(kind)}
-        _allow(table, (*_RULE, *sorted(settings)))
-        # 2. Faults, selection and direction; each checks its own values.
-        faults = tuple(_fault(kind, table) for kind in kinds)
-        when = When(**{key: _plain(key, table[key]) for key in _WHEN if key in table})
-        direction = table.get("direction", Direction.REPLY.value)
-        check_choice("direction", direction, _DIRECTIONS)
-        commands, lines = _names(table, "command"), _names(table, "line")
+        # 2. Faults, selection and direction; each checks how its own values fit together.
+        values = given(row)
+        faults = tuple(_fault(kind, values) for kind in kinds)
+        times = {key: values[key] for key in field_types(When) if key in values}
+        if isinstance(row.at, int):
+            times["at"] = (row.at,)
+        when = When(**times)
     except FaultPlanError as error:
         raise FaultPlanError(f"rule {name!r}: {error}") from None
-    return Rule(name, faults, when, commands, _DIRECTIONS[direction], lines)
+    return Rule(name, faults, when, _names(row.command), _DIRECTIONS[row.direction], _names(row.line))
 
 
-def _kind(word: str) -> type[Fault]:
-    if word not in KINDS:
-        raise FaultPlanError(f"do: no kind of fault {word!r}; there are {', '.join(KINDS)}{suggest(word, KINDS)}")
-    return KINDS[word]
-
-
-def _fault(kind: type[Fault], table: Mapping[str, Any]) -> Fault:
-    given = {}
-    for entry in dataclasses.fields(kind):
-        # Keys that are not given take the default of the dataclass.
-        if entry.name in table:
-            given[entry.name] = table[entry.name]
-        elif entry.default is dataclasses.MISSING:
+def _fault(kind: type[Fault], values: Mapping[str, Any]) -> Fault:
+    for entry in fields(kind):
+        if entry.name not in values and entry.default is dataclasses.MISSING:
             raise FaultPlanError(f"{entry.name}: required by do = {kind.kind!r}")
-    return kind(**given)
+    return kind(**{key: values[key] for key in field_types(kind) if key in values})
 
 
-def _words(table: Mapping[str, Any], key: str, default: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the value of a key as a tuple: one text or a list of texts."""
-    value = table.get(key, list(default))
-    words = [value] if isinstance(value, str) else value
-    if not isinstance(words, list) or not all(isinstance(word, str) for word in words):
-        raise FaultPlanError(f"{key}: expected a text or a list of texts, found {value!r}")
-    return tuple(words)
+def _words(value: str | tuple[str, ...]) -> tuple[str, ...]:
+    return (value,) if isinstance(value, str) else value
 
 
-def _names(table: Mapping[str, Any], key: str) -> tuple[str, ...]:
-    words = _words(table, key, (_ANY,))
-    return () if _ANY in words else words
-
-
-def _plain(key: str, value: Any) -> Any:
-    # `at = 3` is short for `at = [3]`.
-    if key != "at":
-        return value
-    return tuple(value) if isinstance(value, list) else (value,)
-
-
-def _allow(table: Mapping[str, Any], choices: tuple[str, ...]) -> None:
-    for key in table:
-        if key not in choices:
-            raise FaultPlanError(f"{key}: unknown here; expected one of {', '.join(choices)}{suggest(key, choices)}")
+def _names(value: str | tuple[str, ...]) -> tuple[str, ...]:
+    return () if _ANY in _words(value) else _words(value)
 
 
 def _entries(rule: Rule) -> Iterator[tuple[str, Any]]:

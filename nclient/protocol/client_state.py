@@ -15,7 +15,6 @@ It reports the mask and laser mode in force. As on the serial line, Smask[41] is
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import NamedTuple
 
 from construct import Bytes, ConstructError, Int8ub, Padding, Struct, Terminated
@@ -33,8 +32,7 @@ _UNSIGNED = 0xFFFFFFFF
 
 def zero_extend(reply: Reply) -> Reply:
     """Return the reply as a 64-bit C client reads it: words without sign, so that -200 becomes 4294967096."""
-    return replace(
-        reply,
+    return reply._replace(
         slots={slot: value & _UNSIGNED for slot, value in reply.slots.items()},
         laser=None if reply.laser is None else tuple(value & _UNSIGNED for value in reply.laser),
         stamps={name: Stamp(*[value & _UNSIGNED for value in stamp]) for name, stamp in reply.stamps.items()},

@@ -22,7 +22,7 @@ import contextlib
 import struct
 from collections.abc import Callable, Iterable, Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from construct import ConstructError
 
@@ -81,26 +81,16 @@ class InvalidFrame(NamedTuple):
     """True if synchronisation was lost, so that later bytes may be misread."""
 
 
-def request_bounds(message_type: int) -> tuple[int, int] | None:
-    """Return the minimum and maximum words of a request of this type; None for an unknown type."""
-    row = BY_TCP_TYPE.get(message_type)
-    return row.tcp_words if row else None
+# By type of the message; None for an unknown type.
+_REQUEST_BOUNDS: Final = {number: row.tcp_words for number, row in BY_TCP_TYPE.items()}
+request_bounds: Final[Bounds] = _REQUEST_BOUNDS.get
+reply_bounds: Final[Bounds] = {number: (1, most) for number, most in MAX_REPLY_WORDS.items()}.get
 
 
-def reply_bounds(message_type: int) -> tuple[int, int] | None:
-    """Return the minimum and maximum words of a reply of this type; None for an unknown type."""
-    most = MAX_REPLY_WORDS.get(message_type)
-    return None if most is None else (1, most)
-
-
-def limit_words(bounds: Bounds, max_words: int) -> Bounds:
-    """Return the same bounds with the maximum limited to `max_words`."""
-
-    def limited(message_type: int) -> tuple[int, int] | None:
-        found = bounds(message_type)
-        return None if found is None else (found[0], min(found[1], max_words))
-
-    return limited
+@lru_cache
+def limited_request_bounds(max_words: int) -> Bounds:
+    """Return the bounds of requests with the maximum limited to `max_words`."""
+    return {number: (least, min(most, max_words)) for number, (least, most) in _REQUEST_BOUNDS.items()}.get
 
 
 def build_frame(frame_type: int, payload: bytes, *, wide: bool = False, reply: bool = False) -> bytes:
@@ -177,6 +167,19 @@ class TcpFramer:
     def bytes_to_skip(self) -> int:
         """Return the number of bytes still to arrive of a rejected message that is being skipped."""
         return self._to_skip
+
+    @property
+    def may_be_narrow(self) -> bool:
+        """True if the buffer has the begin of a 64-bit CONNECT that is also a whole 32-bit CONNECT to robot 0."""
+        if not self.wide or self.frames or len(self._buffer) < _HEADER.size:
+            return False
+        message_type, count = _HEADER.unpack_from(self._buffer)
+        return message_type in _CONNECT_TYPES and len(self._buffer) == _HEADER.size + _WORD_SIZE * count
+
+    def reread_as_narrow(self) -> list[TcpFrame | InvalidFrame]:
+        """Read the buffer as messages of a 32-bit client, and return them."""
+        self.wide = False
+        return self.receive(b"")
 
     def receive(self, data: bytes) -> list[TcpFrame | InvalidFrame]:
         """Add bytes, and return the frames and rejected frames that they complete, in order."""
@@ -405,9 +408,11 @@ def build_tcp_payload(layout: TcpLayout, reply: Reply, wire_state: WireState) ->
             raise WireError(f"{layout.values} words wanted, {len(words)} given")
         words += [reply.slots.get(slot, 0) for slot in layout.slots]
         if layout.laser_width is not None:
-            laser = reply.laser or (0,)
-            check_laser(laser, layout.laser_width(wire_state), "laser")
-            words += laser
+            if reply.laser is None:
+                words.append(0)
+            else:
+                check_laser(reply.laser, layout.laser_width(wire_state), "laser")
+                words += reply.laser
         code = f"{len(words)}i"
         # 2. Stamps and clock, whose times are unsigned.
         for key in _stamp_keys(layout, wire_state):
@@ -429,7 +434,8 @@ def parse_tcp_payload(layout: TcpLayout, payload: bytes, wire_state: WireState) 
     """Parse the words of a reply. Raises WireError if they do not have this layout."""
     count = len(payload) // _WORD_SIZE
     words = struct.unpack_from(f">{count}i", payload)
-    values, laser, stamps, clock, volts = (), None, {}, None, None  # type: tuple[int, ...], Any, Any, Any, Any
+    stamps: dict[str, Stamp] = {}
+    laser, clock, volts = None, None, None
     try:
         # 1. Signed words: plain ones, State slots, readings of the laser behind their number.
         at = count if layout.values is None else layout.values
@@ -437,8 +443,10 @@ def parse_tcp_payload(layout: TcpLayout, payload: bytes, wire_state: WireState) 
         slots = dict(zip(layout.slots, words[at:], strict=False))
         at += len(layout.slots)
         if layout.laser_width is not None:
-            # The number is checked before it is multiplied: a corrupt one must not allocate memory.
-            size = 1 + checked_readings(words[at], "laser") * layout.laser_width(wire_state)
+            size = 1
+            if words[at]:
+                # The number is checked before it is multiplied: a corrupt one must not allocate memory.
+                size += checked_readings(words[at], "laser") * layout.laser_width(wire_state)
             laser = words[at : at + size]
             at += size
         # 2. Stamps and clock, whose times are unsigned.

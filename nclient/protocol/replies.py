@@ -12,8 +12,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from io import BytesIO
+from operator import attrgetter
+from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
 from construct import Construct, ConstructError, GreedyRange, Int8ub
@@ -39,8 +41,10 @@ MOTOR_SLOT = 41
 LAST_TCP_SLOT = 44
 
 
-@dataclass(frozen=True, slots=True)
-class Reply:
+_NOTHING: Final[Mapping[Any, Any]] = MappingProxyType({})
+
+
+class Reply(NamedTuple):
     """Values of one reply, in wire units.
 
     Attributes
@@ -62,9 +66,9 @@ class Reply:
     """
 
     kind: str
-    slots: Mapping[int, int] = field(default_factory=dict)
+    slots: Mapping[int, int] = _NOTHING
     laser: tuple[int, ...] | None = None
-    stamps: Mapping[str, Stamp] = field(default_factory=dict)
+    stamps: Mapping[str, Stamp] = _NOTHING
     clock: int | None = None
     volts: tuple[int, int] | None = None
     values: tuple[int, ...] = ()
@@ -205,7 +209,7 @@ def summarize_error(error: Exception) -> str:
 STATE = TcpLayout(
     "state",
     slots=range(LAST_TCP_SLOT + 1),
-    laser_width=lambda wire_state: wire_state.laser_width,
+    laser_width=attrgetter("laser_width"),
     stamps=tuple(Position),
     has_clock=True,
     has_volts=True,
@@ -218,7 +222,7 @@ COMPASS = TcpLayout("compass", slots=(COMPASS_SLOT,), stamps=(Position.COMPASS,)
 # get_ls and get_sg: laser block, stamp, clock.
 LASER = TcpLayout(
     "laser",
-    laser_width=lambda wire_state: wire_state.get_laser_width,
+    laser_width=attrgetter("get_laser_width"),
     stamps=(Position.LASER,),
     has_clock=True,
 )
@@ -227,7 +231,7 @@ SEGMENTS = TcpLayout("laser", laser_width=lambda _: LINES, stamps=(Position.LASE
 CONFIGURATION = TcpLayout("configuration", slots=range(34, 38))
 CLICKED_CONFIGURATION = TcpLayout("configuration", values=4)
 VELOCITY = TcpLayout("velocity", slots=range(38, 41))
-PREDICTION = TcpLayout("prediction", values=44, laser_width=lambda wire_state: wire_state.laser_width)
+PREDICTION = TcpLayout("prediction", values=44, laser_width=attrgetter("laser_width"))
 SIMPLE = TcpLayout("simple", values=1)
 SIMPLE_LIST = TcpLayout("simple", values=None)
 COLLISION = TcpLayout("simple", values=4)

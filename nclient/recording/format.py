@@ -233,9 +233,9 @@ def _header(line: str, name: str) -> dict[str, Any]:
     if not isinstance(header, dict) or header.get("format") != FORMAT:
         raise RecordingError(f'{name}, line 1: no recording; one begins with {{"format": "{FORMAT}", ...}}, as '
                              "record=FILE in an address or `nserver --record FILE` writes it")
-    if header.get("version") != VERSION:
-        raise RecordingError(f"{name}, line 1: version {header.get('version')}; this program reads version {VERSION}: "
-                             "take the one that wrote it")
+    if (version := header.get("version")) != VERSION:
+        raise RecordingError(f"{name}, line 1: version {version!r}; this program reads version {VERSION}: take the one "
+                             "that wrote it")
     return header
 
 
@@ -307,6 +307,16 @@ def format_entry(entry: Entry, with_bytes: bool = False) -> Iterator[str]:
     RecordingError
         If `decoded` does not have the form that a recorder writes.
     """
+    # The text of a recording may come from anywhere, and goes to a terminal.
+    return map(escape_controls, _entry_lines(entry, with_bytes))
+
+
+def escape_controls(text: str) -> str:
+    r"""Return the text with control characters as escapes, such as \x1b."""
+    return "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in text)
+
+
+def _entry_lines(entry: Entry, with_bytes: bool) -> Iterator[str]:
     start = f"{entry.time_s:10.3f}  {entry.connection + ' ' if entry.connection else ''}"
     if entry.kind not in _ARROWS:
         if entry.kind != TIME:

@@ -47,77 +47,6 @@ class Frame(NamedTuple):
     error: str = ""
 
 
-class FrameTap(Protocol):
-    """Framers of one connection, in both directions."""
-
-    wide: bool
-    """True if the client is known to be a 64-bit one."""
-
-    def resume(self, wide: bool) -> None:
-        """Continue with a connection that is already identified."""
-        ...
-
-    def to_robot(self, data: bytes) -> list[Frame]:
-        """Return the frames that bytes from the host complete."""
-        ...
-
-    def to_host(self, data: bytes) -> list[Frame]:
-        """Return the frames that bytes from the robot complete."""
-        ...
-
-
-def make_frame_tap(line: str, model: Model) -> FrameTap:
-    """Return the framers for a protocol of LINES. Only models with a mask send a handshake."""
-    return TcpFrameTap() if line == TCP else SerialFrameTap(line == HANDSHAKE_FIRST and model.sends_mask)
-
-
-class FrameDecoder:
-    """Decoder of the bytes of one connection.
-
-    Parameters
-    ----------
-    line
-        Protocol, one of LINES.
-    model
-        Model of the robot.
-    """
-
-    def __init__(self, line: str, model: Model) -> None:
-        self._tap = make_frame_tap(line, model)
-        self._line, self._model = line, model
-        self._decoder: WireDecoder | None = None
-
-    def resume(self, wire_state: WireState) -> None:
-        """Continue a connection whose beginning was not seen, between two requests."""
-        self._tap.resume(wire_state.wide)
-        self._get_decoder().set_wire_state(wire_state)
-
-    def to_robot(self, data: bytes) -> list[Decoded]:
-        """Return the decoded frames that these bytes to the robot complete."""
-        return [self._decode(frame, to_robot=True) for frame in self._tap.to_robot(data)]
-
-    def to_host(self, data: bytes) -> list[Decoded]:
-        """Return the decoded frames that these bytes from the robot complete."""
-        return [self._decode(frame, to_robot=False) for frame in self._tap.to_host(data)]
-
-    @property
-    def clock_s(self) -> float:
-        """Return the robot's clock in its last reply, 0 before the first one."""
-        return (self._decoder.client_state.clock or 0) / 1000 if self._decoder else 0.0
-
-    def _decode(self, frame: Frame, to_robot: bool) -> Decoded:
-        if frame.error:
-            return {"error": frame.error}
-        return self._get_decoder().request(frame.data) if to_robot else self._get_decoder().reply(frame.data)
-
-    def _get_decoder(self) -> WireDecoder:
-        # Created with the first frame: the first request shows the word size.
-        if self._decoder is None:
-            wire = SERIAL if self._line != TCP else "tcp64" if self._tap.wide else TCP
-            self._decoder = WireDecoder(wire, self._model)
-        return self._decoder
-
-
 class TcpFrameTap:
     """Messages of a 32-bit or 64-bit client of Nserver."""
 
@@ -191,6 +120,62 @@ def _frames_of(framer: SerialFramer, data: bytes) -> list[Frame]:
     return [Frame(b"", f"{skipped} bytes that are no frame"), *frames] if skipped else frames
 
 
+FrameTap = TcpFrameTap | SerialFrameTap
+"""Framers of one connection, in both directions; `wide` is True if the client is known to be a 64-bit one."""
+
+
+def make_frame_tap(line: str, model: Model) -> FrameTap:
+    """Return the framers for a protocol of LINES. Only models with a mask send a handshake."""
+    return TcpFrameTap() if line == TCP else SerialFrameTap(line == HANDSHAKE_FIRST and model.sends_mask)
+
+
+class FrameDecoder:
+    """Decoder of the bytes of one connection.
+
+    Parameters
+    ----------
+    line
+        Protocol, one of LINES.
+    model
+        Model of the robot.
+    """
+
+    def __init__(self, line: str, model: Model) -> None:
+        self._tap = make_frame_tap(line, model)
+        self._line, self._model = line, model
+        self._decoder: WireDecoder | None = None
+
+    def resume(self, wire_state: WireState) -> None:
+        """Continue a connection whose beginning was not seen, between two requests."""
+        self._tap.resume(wire_state.wide)
+        self._get_decoder().set_wire_state(wire_state)
+
+    def to_robot(self, data: bytes) -> list[Decoded]:
+        """Return the decoded frames that these bytes to the robot complete."""
+        return [self._decode(frame, to_robot=True) for frame in self._tap.to_robot(data)]
+
+    def to_host(self, data: bytes) -> list[Decoded]:
+        """Return the decoded frames that these bytes from the robot complete."""
+        return [self._decode(frame, to_robot=False) for frame in self._tap.to_host(data)]
+
+    @property
+    def clock_s(self) -> float:
+        """Return the robot's clock in its last reply, 0 before the first one."""
+        return (self._decoder.client_state.clock or 0) / 1000 if self._decoder else 0.0
+
+    def _decode(self, frame: Frame, to_robot: bool) -> Decoded:
+        if frame.error:
+            return {"error": frame.error}
+        return self._get_decoder().request(frame.data) if to_robot else self._get_decoder().reply(frame.data)
+
+    def _get_decoder(self) -> WireDecoder:
+        # Created with the first frame: the first request shows the word size.
+        if self._decoder is None:
+            wire = SERIAL if self._line != TCP else "tcp64" if self._tap.wide else TCP
+            self._decoder = WireDecoder(wire, self._model)
+        return self._decoder
+
+
 # -- recorders --------------------------------------------------------------------------------------------------------
 
 _MAX_STEPS: Final = 1000
@@ -203,7 +188,6 @@ class ConnectionRecorder(Protocol):
 
     def to_robot(self, data: bytes) -> None:
         """Record bytes sent to the robot."""
-        ...
 
     def to_host(self, data: bytes, by_time: bool = False) -> None:
         """Record bytes from the robot.
@@ -215,11 +199,9 @@ class ConnectionRecorder(Protocol):
         by_time
             True if the reply was sent because simulated time passed.
         """
-        ...
 
     def close(self) -> None:
         """Record the end of the connection; idempotent."""
-        ...
 
 
 class TrafficRecorder(Protocol):
@@ -227,23 +209,18 @@ class TrafficRecorder(Protocol):
 
     def open(self, name: str, line: str, model: Model, robot_id: int | None = None) -> ConnectionRecorder:
         """Start the record of a connection."""
-        ...
 
     def record_step(self, dt_s: float) -> None:
         """Record a time step of `dt_s` seconds that no request caused."""
-        ...
 
     def record_pace(self, factor: float | None, paused: bool) -> None:
         """Record a change of pace that no request caused; State[0] shows the pace."""
-        ...
 
     def record_change(self, what: Mapping[str, Any]) -> None:
         """Record a change of the simulation that no request caused."""
-        ...
 
     def close(self) -> None:
         """Write the last time steps and close the recording."""
-        ...
 
 
 class Recorder:
@@ -389,11 +366,23 @@ class RecordingStream:
     """A stream that records its traffic in the order and the pieces of the program's calls.
 
     Bytes are recorded before they are sent, because part of them may be sent even if sending fails.
+
+    Parameters
+    ----------
+    stream
+        The stream to record.
+    recorder
+        Recorder of this connection.
+    on_close
+        Called once the end is recorded.
     """
 
-    def __init__(self, stream: ByteStream, recorder: ConnectionRecorder) -> None:
+    def __init__(
+        self, stream: ByteStream, recorder: ConnectionRecorder, on_close: Callable[[], None] = lambda: None
+    ) -> None:
         self._stream = stream
         self._recorder = recorder
+        self._on_close = on_close
         self._closed = False
 
     def send(self, data: bytes) -> None:
@@ -414,14 +403,7 @@ class RecordingStream:
         if not self._closed:
             self._closed = True
             self._recorder.close()
-
-
-class RecordingTarget(NamedTuple):
-    """Address, protocol (one of LINES) and robot model of a recorded connection."""
-
-    address: str
-    line: str
-    model: Model
+            self._on_close()
 
 
 class ClientRecording:
@@ -431,8 +413,12 @@ class ClientRecording:
     ----------
     path
         File to write.
-    target
-        Address, protocol and model.
+    address
+        Address of the robot.
+    line
+        Protocol, one of LINES.
+    model
+        Model of the robot.
     clock
         Returns seconds since the start; None for the robot's clock, so that the same run gives the same file.
     started
@@ -447,7 +433,9 @@ class ClientRecording:
     def __init__(
         self,
         path: Path,
-        target: RecordingTarget,
+        address: str,
+        line: str,
+        model: Model,
         clock: Callable[[], float] | None = None,
         started: datetime | None = None,
     ) -> None:
@@ -455,26 +443,14 @@ class ClientRecording:
             "package": version(),
             "started": started and started.isoformat(timespec="seconds"),
             "time": "the robot's clock" if clock is None else "seconds since the start",
-            "address": target.address, "wire": target.line, "model": target.model.name,
+            "address": address, "wire": line, "model": model.name,
         }  # fmt: skip
         self._recorder = Recorder(RecordingWriter(path, header), clock)
-        self._line, self._model = target.line, target.model
+        self._line, self._model = line, model
         self._count = 0
 
     def wrap(self, stream: ByteStream) -> RecordingStream:
-        """Return a stream that records `stream` as the next connection."""
+        """Return a stream that records `stream` as the next connection. The file is open as long as a connection is."""
         self._count += 1
         connection = self._recorder.open(str(self._count), self._line, self._model)
-        return RecordingStream(stream, _ReleasingRecorder(connection, self._recorder))
-
-
-class _ReleasingRecorder:
-    """ConnectionRecorder that closes the file with the connection; the next connection opens it again."""
-
-    def __init__(self, connection: ConnectionRecorder, recorder: Recorder) -> None:
-        self._connection, self._recorder = connection, recorder
-        self.to_robot, self.to_host = connection.to_robot, connection.to_host
-
-    def close(self) -> None:
-        self._connection.close()
-        self._recorder.release()
+        return RecordingStream(stream, connection, self._recorder.release)

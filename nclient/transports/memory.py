@@ -22,15 +22,12 @@ class Peer(Protocol):
 
     def send(self, data: bytes) -> None:
         """Process bytes from the client."""
-        ...
 
     def receive(self) -> bytes:
         """Return the replies so far; empty if nothing more comes until something is sent."""
-        ...
 
     def close(self) -> None:
         """Close: the client has disconnected."""
-        ...
 
 
 @runtime_checkable
@@ -39,7 +36,6 @@ class LinePeer(Peer, Protocol):
 
     def beside(self) -> Peer:
         """Return a peer of the same simulation that speaks the TCP protocol and whose requests take no time."""
-        ...
 
 
 class MemoryStream:

@@ -36,7 +36,6 @@ class ByteStream(Protocol):
 
     def send(self, data: bytes) -> None:
         """Send all bytes. Raises ConnectionLost."""
-        ...
 
     def receive(self, deadline: Deadline) -> bytes:
         """Return at least one byte, as soon as there is one.
@@ -50,8 +49,6 @@ class ByteStream(Protocol):
         ConnectionLost
             If either end has closed the connection.
         """
-        ...
 
     def close(self) -> None:
         """Close the stream; a `receive` in another thread ends with ConnectionLost. May be called twice."""
-        ...

@@ -14,6 +14,8 @@ SERVER: Final = "nserver --port"
 ROBOT_LINE: Final = "nserver --robotd"
 """Commands that listen on a port in the TCP protocol and in the serial one; errors suggest them."""
 _CHUNK: Final = 65536
+# Relative, so that 0 s, what has already arrived, is exact.
+_TIMEOUT_TOLERANCE: Final = 0.01
 
 
 class TcpStream:
@@ -34,9 +36,10 @@ class TcpStream:
         If nothing accepts the connection in time.
     """
 
-    def __init__(
-        self, host: str, port: int, timeout_s: float = CONNECT_TIMEOUT_S, *, served_by: str = SERVER
-    ) -> None:
+    # The timeout that the socket has; negative until one was set.
+    _socket_timeout_s = -1.0
+
+    def __init__(self, host: str, port: int, timeout_s: float = CONNECT_TIMEOUT_S, *, served_by: str = SERVER) -> None:
         self.name = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
         self._timeout_s = timeout_s
         try:
@@ -55,7 +58,7 @@ class TcpStream:
     def send(self, data: bytes) -> None:
         """Send all bytes. Raises ConnectionLost."""
         try:
-            self._socket.settimeout(self._timeout_s)
+            self._set_timeout(self._timeout_s)
             self._socket.sendall(data)
         except OSError as error:
             raise self._lost(_reason(error)) from error
@@ -63,7 +66,7 @@ class TcpStream:
     def receive(self, deadline: Deadline) -> bytes:
         """Return at least one byte. Raises ReplyTimeout at the deadline, ConnectionLost if the other end has closed."""
         try:
-            self._socket.settimeout(deadline.remaining())
+            self._set_timeout(deadline.remaining())
             data = self._socket.recv(_CHUNK)
         except (TimeoutError, BlockingIOError):
             raise ReplyTimeout(f"{self.name} did not answer in time") from None
@@ -79,6 +82,12 @@ class TcpStream:
         with contextlib.suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
+
+    def _set_timeout(self, seconds: float) -> None:
+        """Set the timeout of the socket, unless it is nearly that: the system call takes as long as a send."""
+        if abs(seconds - self._socket_timeout_s) > _TIMEOUT_TOLERANCE * seconds:
+            self._socket.settimeout(seconds)
+            self._socket_timeout_s = seconds
 
     def _lost(self, reason: str) -> ConnectionLost:
         return ConnectionLost(f"{self.name} is gone: {reason}; is nserver still running?")

@@ -39,9 +39,9 @@ from nserver_emu.gateway.translate import (
     state_for,
     stays_here,
 )
+from nserver_emu.server.estop import MOTIONS, moves
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.handlers.world import done
-from nserver_emu.server.ownership import MOTIONS, moves
 from nserver_emu.server.session import REFUSED, ConnectionContext, DeferredReply, error_reply
 from nserver_emu.simulation.robot import SimulatedRobot
 

@@ -16,7 +16,7 @@ without stamps included. Numbers beyond the range of the robot's line are clampe
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -27,9 +27,9 @@ from nclient.protocol.commands import BY_NAME, Call, exists_on_serial
 from nclient.protocol.replies import MOTOR_SLOT, Reply
 from nclient.protocol.types import BUMPER_SLOT, COMPASS_SLOT, LASER_SLOT, Model, tenths
 from nclient.protocol.wire_state import LINES, PIXELS, POINTS
+from nserver_emu.server.context import INFRARED_NOTHING, apply_mask
 from nserver_emu.server.handlers.world import done
 from nserver_emu.server.session import BAD_VALUES, NOT_AVAILABLE, ConnectionContext, error_reply
-from nserver_emu.server.state_encoder import INFRARED_NOTHING, apply_mask
 from nserver_emu.simulation.laser import COLUMNS, PIXEL_IN, LineFit, lines, points
 from worlds.geometry import FloatArray
 from worlds.robots import BODIES, Body
@@ -132,13 +132,13 @@ def state_for(context: ConnectionContext, reply: Reply, link: Link) -> Reply:
         slots[LASER_SLOT] = context.wire_state.laser_mode
         wire_state = context.wire_state
         laser = shaped(reply.laser, wire_state.laser_width, link) if wire_state.mask.has(LASER_SLOT) else None
-    return replace(reply, slots=dict(enumerate(apply_mask(context, slots))), laser=laser)
+    return reply._replace(slots=dict(enumerate(apply_mask(context, slots))), laser=laser)
 
 
 def laser_for(context: ConnectionContext, reply: Reply, link: Link, *, segments: bool) -> Reply:
     """Return the reply to get_ls or, with `segments`, to get_sg."""
     width = LINES if segments else context.wire_state.get_laser_width
-    return replace(reply, laser=shaped(reply.laser, width, link))
+    return reply._replace(laser=shaped(reply.laser, width, link))
 
 
 def moving_axes(reply: Reply) -> int:
@@ -199,7 +199,7 @@ def _done(_context: ConnectionContext, _reply: Reply, _link: Link) -> Reply:
 
 def _numbers(context: ConnectionContext, reply: Reply, link: Link) -> Reply:
     """Reply to a query that sets slots of State; later state replies repeat them."""
-    clean = replace(reply, slots=link.clean(reply.slots))
+    clean = reply._replace(slots=link.clean(reply.slots))
     context.update_last_sent(clean.slots)
     return clean
 

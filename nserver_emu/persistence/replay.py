@@ -195,6 +195,8 @@ class _ServerReplayer:
             return session.tick()
         if not session.ready:
             session.tick()  # discards an incomplete frame, so that the one behind it is found
+            if isinstance(session, Session):
+                session.assume_32_bit_words()
         # 3. A turn; the handshake of a TCP client registers its identity.
         before = session.identity
         reply = session.process_requests(self._max_requests)

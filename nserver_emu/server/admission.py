@@ -1,17 +1,23 @@
-"""Listening sockets and limits on connections: admission, request rate, timeouts.
+"""Listening sockets and limits on connections: admission and timeouts.
 
 The path of a new connection:
 
-    socket -> AdmissionProtocol -> TcpConnection      or closed at once without a reply, logged once and counted
+    socket -> AdmissionProtocol -> TcpConnection      or closed at once without a reply, logged and counted
+
+Connections that do nothing cannot lock others out: at a limit the longest idle one is closed for a new one, and a few
+more are accepted for a short time, so that `nomad stop` gets through (`ConnectionReserve`).
 """
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import errno
 import logging
+import os
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 from nclient.common.allowlist import NOT_ALLOWED, Allowlist
 from nserver_emu.server.limits import Limits
@@ -24,8 +30,19 @@ ACCEPTS_PER_TURN: Final = 1
 # Connections that the system queues meanwhile, per listening socket.
 LISTEN_BACKLOG: Final = 128
 
-# Seconds of unused rate that an idle client accumulates.
-BURST_S: Final = 0.1
+# Seconds without a request after which a connection may be closed for a new one.
+MIN_IDLE_S: Final = 10.0
+# Connections beyond the limits, and how long each may stay there. `nomad stop` takes some milliseconds, after which
+# its connection may be closed for the next.
+RESERVED_CONNECTIONS: Final = 8
+RESERVED_S: Final = 2.0
+MIN_RESERVED_S: Final = 0.1
+
+# Errors of accept() where the process or the system has no more descriptors or memory.
+OUT_OF_RESOURCES: Final = frozenset({errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM})
+# Connections that are then accepted to be closed, so that their clients do not wait.
+MAX_CLOSED_AT_ONCE: Final = 20
+
 # Timeout checks within the shortest timeout: it is exceeded by at most a quarter.
 _CHECKS_PER_TIMEOUT: Final = 4
 
@@ -62,10 +79,9 @@ class AdmissionControl:
         return ""
 
     def reject(self, host: str, reason: str) -> None:
-        """Count and log a rejected connection; only the first is a warning, so that a flood does not fill the log."""
+        """Count and log a rejected connection."""
         self.rejected += 1
-        level = logging.WARNING if self.rejected == 1 else logging.DEBUG
-        log.log(level, "%s: rejected: %s (further ones are counted, and logged at debug)", host, reason)
+        log.warning("%s: rejected: %s", host, reason, extra={"address": host})
 
 
 async def listen(protocol_factory: Callable[[], asyncio.BaseProtocol], host: str, port: int) -> asyncio.Server:
@@ -102,6 +118,8 @@ class AdmissionProtocol(asyncio.Protocol):
         Returns the addresses of all open connections.
     new_protocol
         Creates the protocol of an accepted connection.
+    make_room
+        Called with an address that a limit rejects; returns True if the connection is accepted all the same.
     """
 
     def __init__(
@@ -109,8 +127,10 @@ class AdmissionProtocol(asyncio.Protocol):
         rules: AdmissionRules,
         present: Callable[[], Collection[str]],
         new_protocol: Callable[[], asyncio.BaseProtocol],
+        make_room: Callable[[str], bool] = lambda _host: False,
     ) -> None:
         self._rules, self._present, self._new_protocol = rules, present, new_protocol
+        self._make_room = make_room
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Admit the connection to its own protocol, or close it."""
@@ -118,7 +138,7 @@ class AdmissionProtocol(asyncio.Protocol):
         peer, own = transport.get_extra_info("peername"), transport.get_extra_info("sockname")
         host = peer[0] if peer else ""
         reason = self._rules.rejection_reason(host, self._present(), own[0] if own else "")
-        if reason:
+        if reason and (reason == NOT_ALLOWED or not self._make_room(host)):
             self._rules.reject(host, reason)
             transport.close()
             return
@@ -127,27 +147,105 @@ class AdmissionProtocol(asyncio.Protocol):
         protocol.connection_made(transport)
 
 
-class TokenBucket:
-    """A limit on requests per second.
+class ReservableConnection(Protocol):
+    """A connection that may have to make room for another."""
 
-    The bucket holds up to BURST_S of the rate, at least one turn. It may become negative by the last turn, which is
-    then waited for before the next. Times are seconds of a monotonic clock.
+    host: str
+    opened_s: float
+
+    @property
+    def idle_s(self) -> float:
+        """Seconds since the last bytes from the client."""
+        ...
+
+    def close_because(self, reason: str) -> None:
+        """Close the connection now and log the reason."""
+        ...
+
+
+class ConnectionReserve:
+    """Room for new connections where the limits are reached.
+
+    Parameters
+    ----------
+    admission
+        The limits.
+    may_close
+        Returns False for a connection that must stay, since closing it would stop a robot.
     """
 
-    def __init__(self, rate: float, turn: int, now_s: float) -> None:
-        self._rate = rate
-        self._capacity = max(rate * BURST_S, turn)
-        self._tokens = self._capacity
-        self._updated_s = now_s
+    def __init__(self, admission: AdmissionControl, may_close: Callable[[ReservableConnection], bool]) -> None:
+        self._admission, self._may_close = admission, may_close
 
-    def consume(self, count: int, now_s: float) -> None:
-        """Take tokens for `count` answered requests."""
-        self._tokens = min(self._capacity, self._tokens + self._rate * (now_s - self._updated_s)) - count
-        self._updated_s = now_s
+    def make_room(self, host: str, present: Collection[ReservableConnection], now_s: float) -> bool:
+        """Return True if a connection from an address is accepted though a limit is reached."""
+        limits = self._admission.limits
+        # 1. Close the longest idle connection: of all, or of this address if only its own limit is reached.
+        pool = present if len(present) >= limits.connections else [one for one in present if one.host == host]
+        idle = [one for one in pool if one.idle_s >= MIN_IDLE_S and self._may_close(one)]
+        if idle:
+            max(idle, key=lambda one: one.idle_s).close_because("idle, and its place is needed for a new connection")
+            return True
+        # 2. A place of the reserve, if necessary that of the connection which has been there longest.
+        reserved = self.reserved(present)
+        if len(reserved) < RESERVED_CONNECTIONS:
+            return True
+        if now_s - reserved[0].opened_s < MIN_RESERVED_S or not self._may_close(reserved[0]):
+            return False
+        self._close(reserved[0])
+        return True
 
-    def wait_s(self, now_s: float) -> float:
-        """Return the seconds until a request may be answered, 0 for now."""
-        return max(0.0, -self._tokens / self._rate - (now_s - self._updated_s))
+    def check(self, present: Collection[ReservableConnection], now_s: float) -> None:
+        """Close the connections that were in the reserve for too long."""
+        for connection in self.reserved(present):
+            if now_s - connection.opened_s >= RESERVED_S and self._may_close(connection):
+                self._close(connection)
+
+    def reserved(self, present: Collection[ReservableConnection]) -> list[ReservableConnection]:
+        """Return the connections beyond a limit, oldest first."""
+        limits, beyond, counts = self._admission.limits, [], dict[str, int]()
+        for number, connection in enumerate(sorted(present, key=lambda one: one.opened_s), 1):
+            counts[connection.host] = counts.get(connection.host, 0) + 1
+            if number > limits.connections or counts[connection.host] > limits.per_address:
+                beyond.append(connection)
+        return beyond
+
+    def _close(self, connection: ReservableConnection) -> None:
+        self._admission.rejected += 1
+        connection.close_because("--limit-connections or --limit-per-address is reached")
+
+
+class AcceptErrorHandler:
+    """Exception handler of an event loop: accept() without a free descriptor is one line in the log, not a traceback.
+
+    asyncio then leaves the port alone for a second. Two spare descriptors, one for the port and one for the
+    connection, serve to close what waits there.
+    """
+
+    def __init__(self) -> None:
+        self._spare = [os.open(os.devnull, os.O_RDONLY) for _ in range(2)]
+        self.failed = 0
+        """Number of times that no connection could be accepted."""
+
+    def __call__(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        """Handle an error that asyncio reports."""
+        error, listener = context.get("exception"), context.get("socket")
+        if not isinstance(error, OSError) or error.errno not in OUT_OF_RESOURCES or listener is None:
+            loop.default_exception_handler(context)
+            return
+        self.failed += 1
+        log.error("no connection can be accepted for a second: %s", error.strerror, extra={"address": "all"})
+        self.close()
+        with contextlib.suppress(OSError), listener.dup() as port:
+            for _ in range(MAX_CLOSED_AT_ONCE):
+                port.accept()[0].close()
+        with contextlib.suppress(OSError):
+            self._spare = [os.open(os.devnull, os.O_RDONLY) for _ in range(2)]
+
+    def close(self) -> None:
+        """Free the spare descriptors."""
+        while self._spare:
+            os.close(self._spare.pop())
 
 
 @dataclass(slots=True)
@@ -165,19 +263,16 @@ class ConnectionTimeouts:
     # Since when the connection is stalled, and the requests answered by then.
     _stalled_s: float | None = None
     _answered: int = 0
-    _active_s: float = 0.0
+    # Time of the last bytes received; set it to reset the idle timeout.
+    active_s: float = 0.0
 
     def __post_init__(self) -> None:
-        self._active_s = self.now_s
+        self.active_s = self.now_s
 
     @property
     def check_interval_s(self) -> float | None:
         """Seconds between checks, None for no checks: cheaper than a timer restarted at each request."""
         return min((limit / _CHECKS_PER_TIMEOUT for limit in (self.idle_s, self.stall_s) if limit), default=None)
-
-    def on_activity(self, now_s: float) -> None:
-        """Reset the idle timeout."""
-        self._active_s = now_s
 
     def timeout_reason(self, now_s: float, answered: int, is_stalled: bool) -> str:
         """Return the reason to close the connection, empty to keep it open.
@@ -195,6 +290,6 @@ class ConnectionTimeouts:
             self._stalled_s, self._answered = now_s if is_stalled else None, answered
         elif self.stall_s and now_s - self._stalled_s >= self.stall_s:
             return f"incomplete request, or replies not read, for {self.stall_s:g} s"
-        if self.idle_s and now_s - self._active_s >= self.idle_s:
+        if self.idle_s and now_s - self.active_s >= self.idle_s:
             return f"idle for {self.idle_s:g} s"
         return ""

@@ -1,13 +1,14 @@
 """Identities of connected clients, for old clients that continue over a second connection without another CONNECT.
 
-Such a client's second connection continues, of the connections from the same address,
+Such a client's second connection continues one of the connections from the same address:
 
-- the oldest that has sent nothing since its CONNECT and that no other connection continues already, or else
-- the one that connected last.
+- one that no other connection continues already, if there are any;
+- of these, one that has sent nothing since its CONNECT but the sensor mask, if there are any.
 
-A word size seen in the first bytes of the second connection excludes clients of the other size. The entry of a closed
-connection is kept while an unidentified connection from the same address is pending. A DISCONNECT over the second
-connection removes the entry of the first too.
+If the remaining ones differ in their robot or word size, the connection is ambiguous and refused: it could be given the
+robot of another program, or be misread. A word size seen in its first bytes excludes clients of the other size. The
+entry of a closed connection is kept while an unidentified connection from the same address is pending. A DISCONNECT
+over the second connection removes the entry of the first too.
 
 No sockets: a connection is represented by any hashable key.
 """
@@ -60,8 +61,8 @@ class ClientRegistry:
             entry.identity = identity
         self._resolve(connection)
 
-    def lookup(self, connection: Hashable, host: str, wide: bool | None) -> ClientIdentity | None:
-        """Return the identity that a new connection without CONNECT continues, None if there is none.
+    def lookup(self, connection: Hashable, host: str, wide: bool | None) -> list[ClientIdentity]:
+        """Return the identity that a new connection without CONNECT continues.
 
         Parameters
         ----------
@@ -69,21 +70,33 @@ class ClientRegistry:
             The new connection and its address.
         wide
             True for 64-bit words, False for 32-bit words, None if the first bytes do not show it.
+
+        Returns
+        -------
+        list
+            One identity; none if there is no such client; several, with different robots or word sizes, if the
+            connection is ambiguous.
         """
         # 1. Entries from this address with a matching word size.
         matching = {
             other: entry
             for other, entry in self._entries.items()
-            if entry.host == host and (wide is None or entry.identity.wide == wide)
+            if entry.host == host and wide in (None, entry.identity.wide)
         }
-        # 2. Prefer one that only sent CONNECT: old clients open their second connection right after it.
-        silent = [other for other, entry in matching.items() if entry.identity.silent and not entry.is_continued]
-        first = silent[0] if silent else next(reversed(matching), None)
-        if first is not None:
-            matching[first].is_continued = True
+        # 2. Prefer clients that nothing continues yet, and of these the ones that only connected: old clients open
+        #    their second connection right after that.
+        originals = {other: entry for other, entry in matching.items() if other not in self._continued}
+        fresh = {other: entry for other, entry in originals.items() if not entry.is_continued}
+        silent = {other: entry for other, entry in fresh.items() if entry.identity.silent}
+        candidates = silent or fresh or originals or matching
+        # 3. Continue one if it makes no difference which.
+        distinct = {entry.identity[:2]: entry.identity for entry in candidates.values()}
+        if len(distinct) == 1:
+            first = next(iter(candidates))
+            candidates[first].is_continued = True
             self._continued[connection] = first
         self._resolve(connection)
-        return None if first is None else matching[first].identity
+        return list(distinct.values())
 
     def remove(self, connection: Hashable, *, disconnected: bool = False) -> None:
         """Mark a connection as closed; `disconnected`: after DISCONNECT, which ends the one it continued too."""

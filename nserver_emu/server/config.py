@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
-from math import cos, hypot, inf, sin, tau
+from math import cos, hypot, inf, sin, sqrt, tau
 from pathlib import Path
 from typing import Final
+
+import numpy as np
 
 from nclient.errors import AddressError, StartError
 from nserver_emu.simulation.models import MODELS, RobotModel, load_models
@@ -20,6 +23,8 @@ from worlds.world import StartPose
 
 # Distance between neighbours in a ring.
 GAP_IN: Final = 1.0
+# Distance that a robot can drive ahead from its start, where the world has room for that: old programs drive at once.
+ROOM_AHEAD_IN: Final = 24.0
 # Rings around each start: 11,000 poses, enough for a thousand robots in a world of that size.
 MAX_RINGS: Final = 60
 
@@ -27,21 +32,55 @@ MAX_RINGS: Final = 60
 class StartPoseAllocator:
     """Allocator of free poses: the starts of the world, then rings of poses around them.
 
-    A pose found occupied is not tried again; robots may be added meanwhile, but none may be removed or move.
+    Poses where a robot has ROOM_AHEAD_IN before it, and takes none of another robot's, come first; then the others. A
+    pose found occupied is not tried again; robots may be added meanwhile, but none may be removed or move.
     """
 
     def __init__(self, simulation: Simulation) -> None:
         self._simulation = simulation
         self._untried: dict[float, Iterator[StartPose]] = {}
+        # Free poses without room ahead, by radius.
+        self._cramped: dict[float, deque[StartPose]] = {}
 
     def next(self, radius_in: float) -> StartPose | None:
         """Return the first pose where a robot of this radius touches nothing, None if there is none."""
-        spatial_hash, world = self._simulation.spatial_hash, self._simulation.world
+        cramped = self._cramped.setdefault(radius_in, deque())
         for pose in self._untried.setdefault(radius_in, self._candidates(2.0 * radius_in + GAP_IN)):
-            position = pose.x_in, pose.y_in
-            if not spatial_hash.touched(*position, radius_in) and world.clearance(*position) > radius_in:
+            if not self._is_free(pose, radius_in):
+                continue
+            if self._has_room_ahead(pose, radius_in):
+                return pose
+            cramped.append(pose)
+        while cramped:
+            if self._is_free(pose := cramped.popleft(), radius_in):
                 return pose
         return None
+
+    def _is_free(self, pose: StartPose, radius_in: float) -> bool:
+        """Return True if a robot touches nothing there."""
+        position = pose.x_in, pose.y_in
+        return (
+            not self._simulation.spatial_hash.touched(*position, radius_in)
+            and self._simulation.world.clearance(*position) > radius_in
+        )
+
+    def _has_room_ahead(self, pose: StartPose, radius_in: float) -> bool:
+        """Return True if a robot can drive ROOM_AHEAD_IN straight ahead, and stands in no other robot's way."""
+        # 1. Walls: the clearance at points half a radius apart.
+        cosine, sine = cos(pose.steering_rad), sin(pose.steering_rad)
+        distances = np.arange(0.0, ROOM_AHEAD_IN + radius_in / 2.0, radius_in / 2.0).clip(max=ROOM_AHEAD_IN)
+        ahead = np.column_stack((pose.x_in + distances * cosine, pose.y_in + distances * sine))
+        if (self._simulation.world.clearances(ahead) <= radius_in).any():
+            return False
+        # 2. Robots nearby: neither may be in the other's way.
+        near = self._simulation.spatial_hash.touched(pose.x_in, pose.y_in, radius_in + ROOM_AHEAD_IN)
+        for number, (x, y, radius) in near:
+            reach_in, dx, dy = radius + radius_in, x - pose.x_in, y - pose.y_in
+            if _is_in_way(dx, dy, pose.steering_rad, reach_in):
+                return False
+            if _is_in_way(-dx, -dy, self._simulation.robots[number].actual.steering_rad, reach_in):
+                return False
+        return True
 
     def _candidates(self, spacing_in: float) -> Iterator[StartPose]:
         """Return the starts, then rings around each to the farthest corner of a room."""
@@ -60,6 +99,13 @@ class StartPoseAllocator:
         """Return the distance from a start to the farthest corner of a room, infinity without rooms."""
         corners = [corner for room in self._simulation.world.rooms for corner in room.corners_in]
         return max((hypot(x - start.x_in, y - start.y_in) for x, y in corners), default=inf)
+
+
+def _is_in_way(dx_in: float, dy_in: float, heading_rad: float, reach_in: float) -> bool:
+    """Return True if a robot touches another at (dx, dy) within ROOM_AHEAD_IN; `reach_in` is the sum of their radii."""
+    along = dx_in * cos(heading_rad) + dy_in * sin(heading_rad)
+    across = dy_in * cos(heading_rad) - dx_in * sin(heading_rad)
+    return along > 0.0 and abs(across) < reach_in and along - sqrt(reach_in**2 - across**2) < ROOM_AHEAD_IN
 
 
 FIRST_ROBOT = 1

@@ -1,21 +1,31 @@
 """Connections to the server: bytes from a port, through a session, and back. All asyncio code of the request path.
 
-The path of a TCP request, file by file (no other module of this package runs; the gateway only with `--real`):
+The path of a TCP request, file by file (the gateway only with `--real`):
 
-1. `connection.py`         `TcpConnection.buffer_updated`: bytes from the socket
-2. `session.py`            `Session.receive`, `process_requests`: framing, decoding, one reply per request in order
-3. `handlers/table.py`     `Emulator.answer`: time in lockstep, emergency stop, then the handler of the command
-4. `handlers/motion.py`    (or `sensors`, `world`, `server`, `graphics`): the command itself, on `ServerState`
-5. `context.py`            `ServerState.state_reply`: the reply with the robot's state, cached between two time steps
-6. `state_encoder.py`      inches and radians to the wire's State vector
+1. `connection.py`                  `TcpConnection.buffer_updated`: bytes from the socket
+2. `session.py`                     `Session.receive`, `process_requests`: one reply per request, in order
+3. `nclient/protocol/codec.py`      `TcpFramer`, `decode_tcp_request`: frames and calls, shared with the client
+4. `context.py`                     `ServerState.answer`: time in lockstep, emergency stop, then the command's handler
+5. `handlers/motion.py`             (or `sensors`, `world`, `server`, `graphics`): the command itself
+6. `nserver_emu/simulation/robot.py`    the simulated robot
 
-Framing and field encoding are shared with the client (`nclient.protocol`). The reply returns the same way:
-`Session` encodes it, `ConnectionHandler.send` passes it to the socket.
+The reply returns the same way: `ServerState.state_reply` reads the robot, `Session` encodes it with `codec.py`,
+`ConnectionHandler.send` passes it to the socket.
 
 Fair scheduling: a connection processes at most `MAX_BYTES_PER_TURN` bytes and `MAX_REQUESTS_PER_TURN` requests per
-event-loop turn, and connections share turns by the processor time they use (scheduling.py). While requests are left
-over, or the client does not read its replies, its port is not read, so that memory stays bounded. An exception in a
-session closes that connection only.
+event-loop turn. Turns are bounded by cost, and shared by the processor time that each connection used:
+
+    bytes from a port -> may_run_now()?  yes -> the request is answered at once
+                                         no  -> submit() -> a later turn of the event loop, in order of virtual time
+
+While the event loop is idle nothing is queued and nothing is measured. Otherwise start-time fair queueing decides
+(`FairScheduler`), so that the delay a client sees does not depend on how many requests others send, nor on what they
+cost; only a single request is indivisible. While requests are left over, or the client does not read its replies, its
+port is not read, so that memory stays bounded. An exception in a session closes that connection only.
+
+References
+----------
+Goyal, Vin and Cheng, Start-time fair queueing, SIGCOMM 1996.
 """
 
 from __future__ import annotations
@@ -23,20 +33,147 @@ from __future__ import annotations
 import asyncio
 import logging
 import socket
+import time
 import weakref
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from heapq import heappop, heappush
+from math import inf
 from typing import Any, Final, Protocol, cast
 
 from nclient.faults.frames import Language, TcpLanguage
 from nclient.protocol.types import N150
 from nclient.recording.recorder import NULL_RECORDER, TCP, ConnectionRecorder, TrafficRecorder
-from nserver_emu.server.admission import AdmissionControl, ConnectionTimeouts, TokenBucket
+from nserver_emu.server.admission import AdmissionControl, ConnectionTimeouts
 from nserver_emu.server.client_registry import CLOSED_RETENTION_S, ClientRegistry
 from nserver_emu.server.context import ServerState
 from nserver_emu.server.link import Arrival, FaultController, FaultyChannel, SerialChannel
-from nserver_emu.server.scheduling import FairScheduler
 from nserver_emu.server.session import BaseSession, ClientIdentity, CommandHandler, Session
+
+# Time that all connections together may use in one turn of the event loop. Between two turns the loop polls its
+# sockets, which takes some 15 us: 3 % of this.
+TURN_BUDGET_S: Final = 0.0005
+
+
+class Job(Protocol):
+    """A connection, or anything else that shares the event loop."""
+
+    # True while it waits in the queue; set to False to withdraw it.
+    is_queued: bool
+    # Processor time that it had used in virtual time when it was last served.
+    finish_tag_s: float
+
+    def run_turn(self) -> None:
+        """Do the work of one turn; submit itself again if some is left."""
+        ...
+
+
+class FairScheduler:
+    """Start-time fair queueing of jobs by processor time.
+
+    A job gets a start tag, the later of the virtual time and the end of its own last service. The job with the
+    earliest tag runs, its tag becomes the virtual time, and what it costs moves its own next tag. So a job that rested
+    is next in line, and those with a backlog share equally, whatever their requests cost.
+
+    Attributes
+    ----------
+    turns, served
+        Number of turns that had queued work, and of jobs that were run in them.
+    """
+
+    def __init__(self) -> None:
+        self.turns = 0
+        self.served = 0
+        self._virtual_s = 0.0
+        # Queued jobs by start tag; the number decides between equal tags: first come, first served.
+        self._queue: list[tuple[float, int, Job]] = []
+        self._number = 0
+        # Jobs submitted while a turn runs: they wait for the next one, since the loop must poll its sockets first.
+        self._submitted: list[Job] = []
+        self._is_turn_scheduled = False
+        # End of the period in which work may be done at once.
+        self._end_s = 0.0
+
+    def __len__(self) -> int:
+        return len(self._queue)
+
+    def may_run_now(self, now_s: float) -> bool:
+        """Return True if work that has just arrived may be done at once; otherwise `submit` it."""
+        if self._is_turn_scheduled:
+            return False
+        if now_s >= self._end_s + TURN_BUDGET_S:
+            # Nothing was done for so long that this is another turn.
+            self._end_s = now_s + TURN_BUDGET_S
+        return now_s < self._end_s
+
+    def submit(self, job: Job) -> None:
+        """Queue a job for a later turn of the event loop."""
+        job.is_queued = True
+        self._submitted.append(job)
+        if not self._is_turn_scheduled:
+            self._is_turn_scheduled = True
+            asyncio.get_running_loop().call_soon(self._run_turn)
+
+    def _run_turn(self) -> None:
+        """Run queued jobs until the time of this turn is used up, each at most once."""
+        # 1. What was submitted since the last turn joins the queue.
+        for job in self._submitted:
+            self._number += 1
+            heappush(self._queue, (max(self._virtual_s, job.finish_tag_s), self._number, job))
+        self._submitted.clear()
+        # 2. Jobs by their tags, until one that has run and has more to do is before all others.
+        self.turns += 1
+        loop = asyncio.get_running_loop()
+        now_s = loop.time()
+        self._end_s, first_again_s = now_s + TURN_BUDGET_S, inf
+        try:
+            while self._queue and now_s < self._end_s and self._queue[0][0] <= first_again_s:
+                self._virtual_s, _, job = heappop(self._queue)
+                if job.is_queued:
+                    self._run(job)
+                    now_s = loop.time()
+                    if job.is_queued:
+                        first_again_s = min(first_again_s, job.finish_tag_s)
+        finally:
+            # 3. The rest follows in the next turn, also after an error, which the event loop logs.
+            self._is_turn_scheduled = bool(self._queue or self._submitted)
+            if self._is_turn_scheduled:
+                loop.call_soon(self._run_turn)
+
+    def _run(self, job: Job) -> None:
+        """Run a job and charge it for its processor time."""
+        self.served += 1
+        job.is_queued = False
+        start_s = time.thread_time()
+        job.run_turn()
+        job.finish_tag_s = self._virtual_s + time.thread_time() - start_s
+
+
+# Seconds of unused rate that an idle client accumulates.
+BURST_S: Final = 0.1
+
+
+class TokenBucket:
+    """A limit on requests per second.
+
+    The bucket holds up to BURST_S of the rate, at least one turn. It may become negative by the last turn, which is
+    then waited for before the next. Times are seconds of a monotonic clock.
+    """
+
+    def __init__(self, rate: float, turn: int, now_s: float) -> None:
+        self._rate = rate
+        self._capacity = max(rate * BURST_S, turn)
+        self._tokens = self._capacity
+        self._updated_s = now_s
+
+    def consume(self, count: int, now_s: float) -> None:
+        """Take tokens for `count` answered requests."""
+        self._tokens = min(self._capacity, self._tokens + self._rate * (now_s - self._updated_s)) - count
+        self._updated_s = now_s
+
+    def wait_s(self, now_s: float) -> float:
+        """Return the seconds until a request may be answered, 0 for now."""
+        return max(0.0, -self._tokens / self._rate - (now_s - self._updated_s))
+
 
 log = logging.getLogger(__name__)
 
@@ -46,6 +183,13 @@ READ_SIZE: Final = 4096
 # least that a turn can do: requests differ in cost by a factor of a hundred.
 MAX_BYTES_PER_TURN: Final = 512
 MAX_REQUESTS_PER_TURN: Final = 1
+# Turns over which the work for one reply is spread. At unlimited speed new work may come in each of them.
+MAX_PREPARING_TURNS: Final = 4
+
+# Seconds to wait for the second half of a 64-bit CONNECT before it is read as a 32-bit CONNECT to robot 0.
+CONNECT_WAIT_S: Final = 1.0
+# Socket option that acknowledges received bytes at once; only Linux has it.
+_QUICK_ACK: Final[int | None] = getattr(socket, "TCP_QUICKACK", None)
 
 
 class Server(Protocol):
@@ -86,6 +230,10 @@ class ConnectionHandler(ABC):
     line: str
     # False for a connection whose requests are always answered at once.
     is_scheduled = True
+    # True for a connection whose identity another one may continue.
+    is_registered = False
+    # Address of the client, if it has one.
+    host = ""
 
     def __init__(self, server: Server, channel: SerialChannel | None = None) -> None:
         self._server = server
@@ -100,6 +248,8 @@ class ConnectionHandler(ABC):
         self._rate_limit: TokenBucket | None = None
         # False while a port is open without a peer (a pseudo-terminal that no host has opened).
         self.is_connected = True
+        # The identity last reported by the session.
+        self._identity: ClientIdentity | None = None
         # True while the peer does not read its replies.
         self.is_write_paused = False
         # True if the channel was full when last checked, so that reading is suspended.
@@ -110,6 +260,8 @@ class ConnectionHandler(ABC):
         self.is_queued = False
         self.finish_tag_s = 0.0
         self._turn: asyncio.TimerHandle | None = None
+        # Turns spent on the preparation of the next reply.
+        self._preparing = 0
         # Fires when bytes in the channel are due.
         self._delivery_timer: asyncio.TimerHandle | None = None
         # Time at which the bytes being processed left the channel; None without one.
@@ -119,7 +271,8 @@ class ConnectionHandler(ABC):
 
     def data_received(self, data: bytes) -> None:
         """Accept bytes from the port."""
-        self._install_faults()
+        if self._server.faults.plan.rules:
+            self._install_faults()
         if self._channel is None:
             self.process(data)
             return
@@ -152,7 +305,7 @@ class ConnectionHandler(ABC):
     def tick(self) -> None:
         """Send a deferred reply if simulated time has completed it."""
         if self.session.waiting or self.session.unfinished:
-            self._run_session(self.session.tick, by_time=True)
+            self._run_session(by_time=True)
             self._schedule()
 
     def _next_chunk(self) -> bytes:
@@ -166,39 +319,59 @@ class ConnectionHandler(ABC):
     @property
     def _has_backlog(self) -> bool:
         """True if received bytes wait and the session can take them."""
+        if not self._receive_backlog:
+            return False
         session = self.session
-        return bool(self._receive_backlog) and not (session.ready or session.is_queue_full or session.closing)
+        return not (session.ready or session.is_queue_full or session.closing)
 
     # Requests and replies.
 
     def _process_requests(self) -> None:
         """Answer the requests of this turn, unless the peer does not read or its rate limit is used up."""
-        if not self.is_write_paused and not self._rate_limit_wait_s():
+        limit = self._rate_limit
+        if not self.is_write_paused and (limit is None or not self._rate_limit_wait_s()) and self._is_prepared():
             before = self.session.answered
-            self._run_session(lambda: self.session.process_requests(MAX_REQUESTS_PER_TURN))
-            if self._rate_limit is not None:
-                self._rate_limit.consume(self.session.answered - before, self._loop.time())
+            self._run_session()
+            if limit is not None:
+                limit.consume(self.session.answered - before, self._loop.time())
         self._schedule()
 
-    def _run_session(self, step: Callable[[], bytes], by_time: bool = False) -> None:
-        """Run a step of the session, record and send its replies; an exception closes this connection only."""
-        has_request = self.session.ready and not by_time
+    def _is_prepared(self) -> bool:
+        """Do part of the work for the next reply; return False if the rest is for later turns, but not too often."""
+        server = self._server
+        is_simulated = self.is_scheduled and server.handler is server.emulator
+        if is_simulated and self.session.ready and self._preparing < MAX_PREPARING_TURNS:
+            self._preparing += 1
+            if not server.emulator.prepare_reply(self.session.context):
+                return False
+        self._preparing = 0
+        return True
+
+    def _run_session(self, by_time: bool = False) -> None:
+        """Answer requests, or a deferred one `by_time`; an exception closes this connection only."""
+        session = self.session
+        has_request = not by_time and session.ready
         try:
-            replies = step()
+            replies = session.tick() if by_time else session.process_requests(MAX_REQUESTS_PER_TURN)
         except Exception:
-            log.exception("%s: internal error; connection closed", self.session.name)
+            log.exception("%s: internal error; connection closed", session.name)
             self._abort()
             return
         if has_request or replies:
             self._recorder.to_host(replies, by_time)
         if replies:
             self.send(replies)
-        if self.session.closing:
+        if session.closing:
             self._close_port()
+        if session.identity is not self._identity:
+            self._identity = session.identity
+            if self.is_registered:
+                self._server.client_registry.register(self, self.host, self._identity)
 
     def send(self, data: bytes) -> None:
         """Send replies to the peer, through the channel if there is one."""
-        self._install_faults()
+        if self._server.faults.plan.rules:
+            self._install_faults()
         if self._channel is None:
             self._write(data)
             return
@@ -280,7 +453,7 @@ class ConnectionHandler(ABC):
     def _install_faults(self) -> None:
         """Put the fault injector into the channel, as soon as a plan acts on this line and no frame is incomplete."""
         faults, line = self._server.faults, self.line
-        if self._has_faults or not faults.plan.rules or self._is_mid_request or not faults.acts_on(line):
+        if self._has_faults or self._is_mid_request or not faults.acts_on(line):
             return
         self._has_faults = True
         self._channel = FaultyChannel(self._language(), lambda: faults.injector(line), self._channel)
@@ -321,21 +494,22 @@ class TcpConnection(ConnectionHandler, asyncio.BufferedProtocol):
     """A client's TCP connection to the port of Nserver."""
 
     line = "nserver"
+    is_registered = True
 
     def __init__(self, server: Server) -> None:
         super().__init__(server)
         self._handler: CommandHandler = server.handler
         # Receive buffer, reused: asyncio fills it in place.
         self._buffer = bytearray(READ_SIZE)
-        # The identity last reported to the client registry.
-        self._identity: ClientIdentity | None = None
+        self._is_reading = True
         limits, now_s = server.admission.limits, self._loop.time()
         self._rate_limit = TokenBucket(limits.rate, MAX_REQUESTS_PER_TURN, now_s) if limits.rate else None
         self._timeouts = ConnectionTimeouts(limits.idle, limits.stall, now_s)
         self._timeout_check: asyncio.TimerHandle | None = None
         self._is_closed_by_timeout = False
-        # Address of the client.
-        self.host = ""
+        # Fires if a CONNECT of a 64-bit client remains incomplete.
+        self._connect_timer: asyncio.TimerHandle | None = None
+        self.opened_s = now_s
 
     # asyncio.BufferedProtocol.
 
@@ -343,22 +517,24 @@ class TcpConnection(ConnectionHandler, asyncio.BufferedProtocol):
         """Set socket options, then start the session."""
         self._transport = cast(asyncio.Transport, transport)
         peer = transport.get_extra_info("peername")
-        transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        self._socket: socket.socket = transport.get_extra_info("socket")
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         self.host = peer[0] if peer else ""
         self._transport.set_write_buffer_limits(high=self._server.admission.limits.write_queue)
         self._start_session(f"{peer[0]}:{peer[1]}" if peer else "client")
         self._server.connections.add(self)
         self._server.client_registry.add_pending(self, self.host)
         self._schedule_timeout_check()
-        log.info("%s: connected", self.session.name)
+        log.info("%s: connected", self.session.name, extra=self.session.log_extra)
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Release everything the session owns: timers, axes, registry entry."""
         session, registry = self.session, self._server.client_registry
         # 1. No more turns and timers.
         self._cancel_timers()
-        if self._timeout_check is not None:
-            self._timeout_check.cancel()
+        for timer in (self._timeout_check, self._connect_timer):
+            if timer is not None:
+                timer.cancel()
         self._server.connections.discard(self)
         # 2. After DISCONNECT the registry entry ends at once; otherwise it stays for a second connection of the client
         #    that may continue without CONNECT.
@@ -368,14 +544,14 @@ class TcpConnection(ConnectionHandler, asyncio.BufferedProtocol):
             self._loop.call_later(CLOSED_RETENTION_S, registry.remove, self)
         if not self._is_closed_by_timeout and (exc or session.unfinished):
             log.warning("%s: connection lost%s%s", session.name, " in mid-request" if session.unfinished else "",
-                        f": {exc}" if exc else "")
+                        f": {exc}" if exc else "", extra=session.log_extra)
         # 3. Axes that this connection set in motion stop.
         self._handler.on_disconnect(session.context)
         self._server.closed_answered += session.answered
         self._server.closed_refused += session.refused
         self._recorder.close()
         session.closing = True
-        log.info("%s: closed after %d refused requests", session.name, session.refused)
+        log.info("%s: closed after %d refused requests", session.name, session.refused, extra=session.log_extra)
 
     def get_buffer(self, sizehint: int) -> bytearray:
         """Return the receive buffer, which is reused for every read."""
@@ -384,8 +560,29 @@ class TcpConnection(ConnectionHandler, asyncio.BufferedProtocol):
 
     def buffer_updated(self, nbytes: int) -> None:
         """Process the bytes read into the buffer."""
-        self._timeouts.on_activity(self._loop.time())
+        self._timeouts.active_s = self._loop.time()
         self.data_received(bytes(self._buffer[:nbytes]))
+
+    def _take_turn(self, data: bytes) -> None:
+        super()._take_turn(data)
+        if self.session.unfinished:
+            self._await_rest()
+
+    def _await_rest(self) -> None:
+        """Prepare for the rest of an incomplete request.
+
+        A client that writes it in pieces does not send the next piece before the first is acknowledged. The system
+        delays that by 40 ms unless it is told otherwise, after each read again.
+        """
+        if _QUICK_ACK is not None and not self._transport.is_closing():
+            self._socket.setsockopt(socket.IPPROTO_TCP, _QUICK_ACK, 1)
+        session = self.session
+        if isinstance(session, Session) and session.may_have_32_bit_words and self._connect_timer is None:
+            self._connect_timer = self._loop.call_later(CONNECT_WAIT_S, self._assume_32_bit_words, session)
+
+    def _assume_32_bit_words(self, session: Session) -> None:
+        session.assume_32_bit_words()
+        self._schedule()
 
     def pause_writing(self) -> None:
         """Stop answering requests: the client does not read its replies."""
@@ -410,8 +607,9 @@ class TcpConnection(ConnectionHandler, asyncio.BufferedProtocol):
         self._transport.write(data)
 
     def _set_reading(self, on: bool) -> None:
-        if self._transport.is_closing():
+        if on == self._is_reading or self._transport.is_closing():
             return
+        self._is_reading = on
         if on:
             self._transport.resume_reading()
         else:
@@ -423,24 +621,18 @@ class TcpConnection(ConnectionHandler, asyncio.BufferedProtocol):
     def _abort(self) -> None:
         self._transport.abort()
 
-    def _run_session(self, step: Callable[[], bytes], by_time: bool = False) -> None:
-        super()._run_session(step, by_time)
-        if self.session.identity != self._identity:
-            self._identity = self.session.identity
-            self._server.client_registry.register(self, self.host, self._identity)
-
     def _start_session(self, name: str) -> None:
         """Create the session; `name` is the client's in logs and recordings."""
         # The session must not hold a reference to its connection: the cycle would live until the next garbage
         # collection, and those are rare (garbage.py).
         lookup = weakref.WeakMethod(self._lookup_identity)
         self.session = Session(
-            self._handler.answer, name, lambda wide: method(wide) if (method := lookup()) else None,
+            self._handler.answer, name, lambda wide: method(wide) if (method := lookup()) else [],
             self._server.emulator.allowed.frame,
         )  # fmt: skip
         self._recorder = self._server.recorder.open(name, TCP, N150)
 
-    def _lookup_identity(self, wide: bool | None) -> ClientIdentity | None:
+    def _lookup_identity(self, wide: bool | None) -> list[ClientIdentity]:
         return self._server.client_registry.lookup(self, self.host, wide)
 
     # Timeouts.
@@ -454,12 +646,21 @@ class TcpConnection(ConnectionHandler, asyncio.BufferedProtocol):
         now_s, is_waiting = self._loop.time(), self.session.waiting
         if is_waiting:
             # A client that waits for a deferred reply is not idle.
-            self._timeouts.on_activity(now_s)
+            self._timeouts.active_s = now_s
         is_stalled = self.is_write_paused or (bool(self.session.unfinished) and not is_waiting)
         reason = self._timeouts.timeout_reason(now_s, self.session.answered, is_stalled)
         if not reason:
             self._schedule_timeout_check()
             return
-        log.warning("%s: closed: %s", self.session.name, reason)
+        self.close_because(reason)
+
+    @property
+    def idle_s(self) -> float:
+        """Seconds since the last bytes from the client; 0 while it waits for a deferred reply."""
+        return 0.0 if self.session.waiting else self._loop.time() - self._timeouts.active_s
+
+    def close_because(self, reason: str) -> None:
+        """Close the connection now and log the reason."""
+        log.warning("%s: closed: %s", self.session.name, reason, extra=self.session.log_extra)
         self._is_closed_by_timeout = True
         self._abort()

@@ -1,29 +1,76 @@
-"""The state of a server that commands act on: the simulation and everything a server adds to it. No I/O, no wire units.
+"""The simulation behind the protocol: a call from any connection is executed here, and its reply is made.
 
     ServerState   simulation | clock | graphics | traces | transcript | arms | ownership | emergency stop | permissions
 
-Handlers change it; daemon and viewer read it. A snapshot contains it except for what belongs to connections and
+    answer(call) ──> time in lockstep, command timeout, emergency stop ──> handler of the command (handlers/)
+                                                                            └─> state_reply(), cached between changes
+
+Handlers change the state; daemon and viewer read it. A snapshot contains it except for what belongs to connections and
 operators (ownership, emergency stop, pending pose requests).
+
+In the State vector and the laser vector inches and radians become tenths:
+
+    State   0 speed | 1-16 infrared | 17-32 sonar | 33 bumper | 34-37 x y steering turret | 38-40 velocities
+            41 motors | 42 laser mode | 43 compass | 44 error
+    laser   count, then per reading 4 words (lines x1 y1 x2 y2), 2 words (points x y, robot's frame) or 1 word (the
+            camera's row of each column)
+
+Axes count in tenths of an inch if they roll and tenths of a degree if they turn; the model decides (the second axis of
+an N150 steers, that of a Scout is its left wheel). A slot that the sensor mask excludes keeps the value last sent on
+that connection; on a robot's own line it is not sent. Excluded sensors are not evaluated, which saves their ray casts.
 """
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Iterable
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Final, NamedTuple
 
+import numpy as np
+
+from nclient.protocol.client_state import STATE_SIZE
+from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
-from nclient.protocol.types import get_model
-from nclient.protocol.wire_state import WireState, serial_wire_state
-from nserver_emu.server.graphics import Graphics, Traces, layers
+from nclient.protocol.types import (
+    BUMPER_SLOT,
+    COMPASS_SLOT,
+    CPU_RANGE_V,
+    EVERYTHING,
+    INFRARED_KEYS,
+    LASER_SLOT,
+    MOTOR_RANGE_V,
+    SONAR_KEYS,
+    Mask,
+    Position,
+    Stamp,
+    clamp_word,
+    get_model,
+    heading_tenths,
+    rad_from_tenths,
+    raw_volts,
+    tenths,
+)
+from nclient.protocol.wire_state import LINES, POINTS, WireState, serial_wire_state
+from nserver_emu.server.deferred import DeferredReplies, PoseRequests
+from nserver_emu.server.estop import EStop
+from nserver_emu.server.graphics import Graphics, SpeechLog, Traces, layers
 from nserver_emu.server.limits import Limits
-from nserver_emu.server.ownership import ALL_AXES, AxisOwnership, EStop
-from nserver_emu.server.session import CachedStateReply, ConnectionContext, DeferredReply
-from nserver_emu.server.state_encoder import StateSnapshot, build_state_reply, clock_ms
+from nserver_emu.server.session import (
+    NOT_AVAILABLE,
+    REFUSED,
+    CachedStateReply,
+    ConnectionContext,
+    DeferredReply,
+    error_reply,
+)
+from nserver_emu.simulation import segments
 from nserver_emu.simulation.arm import Arm
-from nserver_emu.simulation.robot import SimulatedRobot
-from nserver_emu.simulation.segments import PS_PER_S, to_ps, to_s
+from nserver_emu.simulation.axis import Command
+from nserver_emu.simulation.laser import LineFit, lines, pixels, points
+from nserver_emu.simulation.robot import SimulatedRobot, battery_v
+from nserver_emu.simulation.segments import PS_PER_S, Pose, to_ps, to_s
 from nserver_emu.simulation.simulation import Simulation
 from worlds.world import World
 
@@ -76,145 +123,6 @@ class SimulationClock:
         return UNLIMITED_SPEED if self.factor is None else round(10 * self.factor)
 
 
-# get_robot_conf: a pose clicked in the viewer.
-
-# x, y, steering and turret in tenths.
-ClickedPose = tuple[int, int, int, int]
-
-
-@dataclass(eq=False, slots=True)
-class PoseRequest:
-    """A connection that waits for a pose."""
-
-    robot_id: int
-    context: ConnectionContext
-    pose: ClickedPose | None = None
-
-
-class PoseRequests:
-    """Pending requests for a clicked pose. One click answers all requests for that robot."""
-
-    def __init__(self) -> None:
-        # True while a viewer with permission to click is open; without one, requests are answered at once.
-        self.open = False
-        self._requests: list[PoseRequest] = []
-
-    def add(
-        self, robot_id: int, context: ConnectionContext, default: Callable[[], ClickedPose]
-    ) -> Callable[[], ClickedPose | None]:
-        """Request a pose of a robot.
-
-        Returns
-        -------
-        Callable
-            Poll it until it returns a pose. It returns `default()` as soon as no viewer is open.
-        """
-        request = PoseRequest(robot_id, context)
-        self._requests.append(request)
-
-        def poll() -> ClickedPose | None:
-            if request.pose is None and not self.open:
-                self._requests = [other for other in self._requests if other is not request]
-                request.pose = default()
-            return request.pose
-
-        return poll
-
-    def counts(self) -> dict[int, int]:
-        """Return the number of pending requests by robot."""
-        counts: dict[int, int] = {}
-        for request in self._requests:
-            counts[request.robot_id] = counts.get(request.robot_id, 0) + 1
-        return counts
-
-    def answer(self, robot_id: int, pose: ClickedPose) -> bool:
-        """Answer the requests for a robot with a clicked pose; return True if there were any."""
-        pending = [request for request in self._requests if request.robot_id == robot_id]
-        for request in pending:
-            request.pose = pose
-        self._requests = [request for request in self._requests if request.pose is None]
-        return bool(pending)
-
-    def cancel(self, context: ConnectionContext) -> None:
-        """Drop the requests of a closed connection."""
-        self._requests = [request for request in self._requests if request.context is not context]
-
-
-# tk: speech output of robots.
-
-# Older utterances are dropped, so that clients that speak for days do not fill memory.
-MAX_UTTERANCES: Final = 1000
-
-
-class Utterance(NamedTuple):
-    """A text spoken by a robot."""
-
-    # Simulated seconds.
-    time_s: float
-    robot_id: int
-    text: str
-
-
-class SpeechLog:
-    """The last texts spoken by robots, oldest first."""
-
-    def __init__(self) -> None:
-        self._utterances: deque[Utterance] = deque(maxlen=MAX_UTTERANCES)
-
-    @property
-    def utterances(self) -> tuple[Utterance, ...]:
-        """All stored texts."""
-        return tuple(self._utterances)
-
-    def add(self, utterance: Utterance) -> None:
-        """Append a text."""
-        self._utterances.append(utterance)
-
-
-# Replies that need simulated time.
-
-
-class PolledReply:
-    """A deferred reply that is built at the moment it is due, however late its session fetches it."""
-
-    def __init__(self, context: ConnectionContext, poll: DeferredReply) -> None:
-        self.context = context
-        self.reply: Reply | None = None
-        self._poll = poll
-
-    def __call__(self) -> Reply | None:
-        """Return the reply if it exists now."""
-        if self.reply is None:
-            self.reply = self._poll()
-        return self.reply
-
-
-class DeferredReplies:
-    """All deferred replies, polled each time simulated time has passed."""
-
-    def __init__(self) -> None:
-        self._pending: list[PolledReply] = []
-
-    def __len__(self) -> int:
-        return len(self._pending)
-
-    def add(self, context: ConnectionContext, poll: DeferredReply) -> PolledReply:
-        """Add the deferred reply of a connection."""
-        reply = PolledReply(context, poll)
-        self._pending.append(reply)
-        return reply
-
-    def poll(self) -> None:
-        """Build the replies that are due."""
-        self._pending = [reply for reply in self._pending if reply() is None]
-
-    def cancel(self, context: ConnectionContext) -> None:
-        """Drop the deferred replies of a connection."""
-        self._pending = [reply for reply in self._pending if reply.context is not context]
-
-
-# The server.
-
 _LIMITS: Final = Limits()
 # Simulated time between polls of deferred replies, a tenth of a second.
 POLL_INTERVAL_PS: Final = PS_PER_S // 10
@@ -233,6 +141,362 @@ class Allowed:
     frame: int = _LIMITS.frame
 
 
+# Axis ownership: the connection that last commanded an axis owns it while it moves. When the connection closes, its
+# axes stop; axes that other connections set in motion continue.
+
+ALL_AXES: Final = (0, 1, 2)
+
+
+class AxisOwnership:
+    """The owner of each moving axis and arm, by robot."""
+
+    def __init__(self) -> None:
+        # Owner of each of the three axes; None for an axis without commands.
+        self._owners: dict[int, list[ConnectionContext | None]] = {}
+        self._arm_owners: dict[int, ConnectionContext] = {}
+        # Robots of a restored simulation that no connection has claimed yet.
+        self._unowned: set[int] = set()
+
+    def claim(self, context: ConnectionContext, robot_id: int, axes: Iterable[int]) -> None:
+        """Make a connection the owner of these axes."""
+        owners = self._owners.setdefault(robot_id, [None] * len(ALL_AXES))
+        for axis in axes:
+            owners[axis] = context
+
+    def claim_arm(self, context: ConnectionContext, robot_id: int) -> None:
+        """Make a connection the owner of a robot's arm."""
+        self._arm_owners[robot_id] = context
+
+    def release_arms(self, context: ConnectionContext) -> list[int]:
+        """End the ownership of arms by a closed connection; return the robots."""
+        robot_ids = [robot_id for robot_id, owner in self._arm_owners.items() if owner is context]
+        for robot_id in robot_ids:
+            del self._arm_owners[robot_id]
+        return robot_ids
+
+    def release_all(self, robot_ids: Iterable[int]) -> None:
+        """Remove all owners: these robots come from a snapshot, and their connections do not exist any more."""
+        self._owners.clear()
+        self._arm_owners.clear()
+        self._unowned = set(robot_ids)
+
+    def claim_unowned(self, context: ConnectionContext, robot_id: int, robot: SimulatedRobot) -> None:
+        """Give the axes that still move after a restore to the first connection to their robot."""
+        if robot_id not in self._unowned:
+            return
+        self._unowned.discard(robot_id)
+        self._arm_owners.setdefault(robot_id, context)
+        owners = self._owners.get(robot_id, [None] * len(ALL_AXES))
+        self.claim(context, robot_id, [axis for axis in ALL_AXES if robot.moving[axis] and owners[axis] is None])
+
+    def may_feed_watchdog(self, context: ConnectionContext, robot_id: int, robot: SimulatedRobot) -> bool:
+        """Return True if a request of this connection restarts the robot's command timeout (conf_tm).
+
+        It does if the connection owns a moving axis or the arm, or if there is no owner.
+        """
+        # 1. The usual case: no other connection has commanded this robot.
+        axis_owners, arm_owner = self._owners.get(robot_id, ()), self._arm_owners.get(robot_id)
+        others = [owner for owner in (*axis_owners, arm_owner) if owner is not None and owner is not context]
+        if not others:
+            return True
+        # 2. Otherwise the owners of what moves.
+        owners = [owner for owner, moves in zip(axis_owners, robot.moving, strict=False) if moves and owner is not None]
+        if arm_owner is not None:
+            owners.append(arm_owner)
+        return not owners or any(owner is context for owner in owners)
+
+    def has_motion(self, context: ConnectionContext, robots: Mapping[int, SimulatedRobot]) -> bool:
+        """Return True if closing this connection would stop an axis, or could stop an arm."""
+        moving = (
+            owner is context and moves
+            for robot_id, owners in self._owners.items()
+            for owner, moves in zip(owners, robots[robot_id].moving, strict=True)
+        )
+        return any(owner is context for owner in self._arm_owners.values()) or any(moving)
+
+    def on_disconnect(self, context: ConnectionContext, robots: Mapping[int, SimulatedRobot]) -> None:
+        """Stop the axes that a closed connection owns."""
+        for robot_id, owners in self._owners.items():
+            robot = robots[robot_id]
+            for axis in (axis for axis in ALL_AXES if owners[axis] is context):
+                owners[axis] = None
+                if robot.moving[axis]:
+                    robot.command_axis(axis, Command.VELOCITY, 0.0)
+
+
+# The State vector.
+
+
+def axis_values(robot: SimulatedRobot, tenths: tuple[int, ...]) -> tuple[float, float, float]:
+    """Return the three values of a command in inches or radians, as the model's axes count."""
+    first, second, third = (
+        number / 10 if rolls else rad_from_tenths(number)
+        for number, rolls in zip(tenths, robot.model.in_inches, strict=True)
+    )
+    return first, second, third
+
+
+def axis_tenths(robot: SimulatedRobot, values: tuple[float, float, float]) -> tuple[int, int, int]:
+    """Return axis values (inches or radians) in tenths; a value other than zero never becomes zero."""
+    first, second, third = (
+        away_from_zero(value * 10 if rolls else math.degrees(value) * 10)
+        for value, rolls in zip(values, robot.model.in_inches, strict=True)
+    )
+    return first, second, third
+
+
+def away_from_zero(value: float) -> int:
+    """Return the nearest integer, for a value other than zero the nearest except zero."""
+    rounded = round(value)
+    return rounded if rounded or not value else (1 if value > 0 else -1)
+
+
+def is_on(mode: int) -> bool:
+    """Return True if the laser is on in this mode (bit 0)."""
+    return bool(mode & 1)
+
+
+def laser_vector(robot: SimulatedRobot, context: ConnectionContext, width: int) -> tuple[int, ...]:
+    """Return the laser vector with `width` words per reading and a connection's settings; (0,) if it is empty."""
+    view = robot.scan_laser(context.laser_columns)
+    if width not in (POINTS, LINES):
+        rows = pixels(view)
+        return (len(rows), *rows)
+    found = points(view, robot.model.body)
+    if width == LINES:
+        found = lines(found, _line_fit(context))
+    # Rounded as `tenths` does, but in an array: a scan has up to 964 numbers.
+    values = np.floor(np.abs(found.ravel()) * 10 + 0.5)
+    return (len(found), *np.where(found.ravel() < 0.0, -values, values).astype(int).tolist())
+
+
+def _line_fit(context: ConnectionContext) -> LineFit:
+    """Return the line extraction settings of a connection (conf_sg)."""
+    if context.segments is None:
+        return LineFit()
+    threshold, min_points, gap = context.segments
+    return LineFit(threshold / 10, min_points, gap / 10)
+
+
+# The infrared reading without an obstacle in range.
+INFRARED_NOTHING = 15
+# The clock is a 32-bit word of milliseconds: it wraps around after 50 days.
+CLOCK_WORD = 0xFFFFFFFF
+_MOTORS_SLOT = 41
+# Slots that no mask excludes: speed, motors, error.
+UNMASKED_SLOTS = (0, _MOTORS_SLOT, 44)
+
+
+def clock_ms(time_s: float, step_s: float = 0.0) -> int:
+    """Return a time as a clock of whole milliseconds that advances in steps of `step_s` (0: every millisecond)."""
+    shown_s = math.floor(time_s / step_s + 1e-9) * step_s if step_s else time_s
+    return math.floor(shown_s * 1000 + 1e-6) & CLOCK_WORD
+
+
+def robot_clock_ms(robot: SimulatedRobot, time_s: float) -> int:
+    """Return the robot's own clock at a simulated time, in steps of 16.4 ms if the noise model has them."""
+    return clock_ms(time_s, robot.setup.clock_step_s)
+
+
+@lru_cache(maxsize=1)  # all requests between two steps have the same time
+def volts_raw(time_s: float) -> tuple[int, int]:
+    """Return the raw battery bytes of CPU and motors."""
+    voltage = battery_v(time_s)
+    return raw_volts(voltage, CPU_RANGE_V), raw_volts(voltage, MOTOR_RANGE_V)
+
+
+def pose_tenths(robot: SimulatedRobot) -> tuple[int, int, int, int]:
+    """Return x, y, steering and turret of the encoders as in State, tenths."""
+    return _pose_tenths(robot.encoder)
+
+
+def velocity_tenths(robot: SimulatedRobot) -> tuple[int, int, int]:
+    """Return the three velocities in tenths; a moving axis is never 0, one at rest always."""
+    return axis_tenths(robot, robot.velocities)
+
+
+def _pose_tenths(pose: Pose) -> tuple[int, int, int, int]:
+    return (
+        clamp_word(tenths(pose.x_in)),
+        clamp_word(tenths(pose.y_in)),
+        heading_tenths(pose.steering_rad),
+        heading_tenths(pose.turret_rad),
+    )
+
+
+def stamp_now(robot: SimulatedRobot, time_s: float) -> Stamp:
+    """Return a stamp of now: bumpers and laser are read when they are requested."""
+    now_ms = robot_clock_ms(robot, time_s)
+    return Stamp(*pose_tenths(robot), *velocity_tenths(robot), now_ms, now_ms)
+
+
+def _stamp(robot: SimulatedRobot, at: segments.Stamp) -> Stamp:
+    return Stamp(
+        *_pose_tenths(at.pose),
+        *axis_tenths(robot, at.velocities),
+        robot_clock_ms(robot, at.pose_time_s),
+        robot_clock_ms(robot, at.sensor_time_s),
+    )
+
+
+class StateSensor(NamedTuple):
+    """A sensor with slots in State: its snapshot, its stamps and the reply to its get_ command follow from this.
+
+    Attributes
+    ----------
+    kind
+        Of the reply to the get_ command.
+    slots
+        Its State slots.
+    position
+        The bit in Smask[0] that selects its stamps.
+    absent
+        Value of its slots in State where the model has no such sensor.
+    values
+        Return its readings in wire units, None where the model has none.
+    stamps
+        Return the stamps of its readings by name.
+    """
+
+    kind: str
+    slots: range
+    position: Position
+    absent: int
+    values: Callable[[SimulatedRobot], Sequence[int] | None]
+    stamps: Callable[[SimulatedRobot, float], dict[str, Stamp]]
+
+    def state_values(self, robot: SimulatedRobot) -> Sequence[int]:
+        """Return the values of its slots in State."""
+        values = self.values(robot)
+        return (self.absent,) * len(self.slots) if values is None else values
+
+
+def _ring_stamps(robot: SimulatedRobot, keys: Sequence[str], ring: Any) -> dict[str, Stamp]:
+    """Return pose and time of the last reading of each sensor of a ring; empty if the robot has none."""
+    return {} if ring is None else {key: _stamp(robot, at) for key, at in zip(keys, ring.stamps, strict=True)}
+
+
+def _compass_stamps(robot: SimulatedRobot, time_s: float) -> dict[str, Stamp]:
+    """Return the pose of now with the time of the last compass reading, up to 0.1 s ago; empty without a compass."""
+    if robot.compass is None:
+        return {}
+    taken_ms = robot_clock_ms(robot, to_s(robot.compass.read_ps))
+    return {"compass": stamp_now(robot, time_s)._replace(sensor_time=taken_ms)}
+
+
+INFRARED: Final = StateSensor(
+    "infrared", range(1, 17), Position.INFRARED, INFRARED_NOTHING,
+    lambda robot: None if robot.infrared is None else robot.infrared.readings,
+    lambda robot, _: _ring_stamps(robot, INFRARED_KEYS, robot.infrared),
+)  # fmt: skip
+SONAR: Final = StateSensor(
+    "sonar", range(17, 33), Position.SONAR, 0, lambda robot: robot.sonar.readings_in,
+    lambda robot, _: _ring_stamps(robot, SONAR_KEYS, robot.sonar),
+)  # fmt: skip
+BUMPER: Final = StateSensor(
+    "bumper", range(BUMPER_SLOT, BUMPER_SLOT + 1), Position.BUMPER, 0, lambda robot: (robot.bumpers,),
+    lambda robot, time_s: {"bumper": stamp_now(robot, time_s)},
+)  # fmt: skip
+COMPASS: Final = StateSensor(
+    "compass", range(COMPASS_SLOT, COMPASS_SLOT + 1), Position.COMPASS, 0,
+    lambda robot: None if robot.compass is None else (heading_tenths(robot.compass.direction_rad),), _compass_stamps,
+)  # fmt: skip
+STATE_SENSORS: Final = (INFRARED, SONAR, BUMPER, COMPASS)
+
+# The parts of State that a mask can exclude: first slot, end slot, values.
+_PARTS: Final[tuple[tuple[int, int, Callable[[SimulatedRobot], Sequence[int]]], ...]] = (
+    *((sensor.slots.start, sensor.slots.stop, sensor.state_values) for sensor in STATE_SENSORS),
+    (34, 38, pose_tenths),
+    (38, 41, velocity_tenths),
+)
+
+
+class StateSnapshot:
+    """The State vector of a robot at one moment, shared by all connections.
+
+    Each part is computed when the first connection needs it, and once. `speed` is State[0].
+    """
+
+    def __init__(self, robot: SimulatedRobot, speed: int, time_ps: int = 0) -> None:
+        self.time_ps = time_ps
+        self._robot = robot
+        moving = robot.moving
+        self._slots = [0] * STATE_SIZE
+        self._slots[0], self._slots[_MOTORS_SLOT] = speed, moving[0] | moving[1] << 1 | moving[2] << 2
+        self._missing = list(_PARTS)
+
+    def slots(self, mask: Mask = EVERYTHING) -> list[int]:
+        """Return State[0..44], valid in the slots that the mask includes; callers must not change the list."""
+        if self._missing:
+            needed = [part for part in self._missing if mask.whole or any(mask.smask[part[0] : part[1]])]
+            for first, end, values in needed:
+                self._slots[first:end] = values(self._robot)
+            self._missing = [part for part in self._missing if part not in needed]
+        return self._slots
+
+
+def state_slots(robot: SimulatedRobot, speed: int) -> list[int]:
+    """Return State[0..44] of now with all sensors."""
+    return StateSnapshot(robot, speed).slots()
+
+
+def build_state_reply(
+    robot: SimulatedRobot, context: ConnectionContext, snapshot: StateSnapshot
+) -> Reply:
+    """Return the state reply to a connection, from a snapshot of now."""
+    # 1. State and laser in the form that the connection has chosen.
+    mask, time_s = context.wire_state.mask, to_s(snapshot.time_ps)
+    slots, laser = add_laser(robot, context, snapshot.slots(mask), wanted=mask.has(LASER_SLOT))
+    # 2. Excluded slots keep the value last sent.
+    slots = apply_mask(context, slots)
+    # 3. Positions and times of the readings, if requested.
+    stamps: dict[str, Stamp] = {}
+    if mask.position:
+        for sensor in STATE_SENSORS:
+            if mask.position & sensor.position:
+                stamps |= sensor.stamps(robot, time_s)
+        if mask.position & Position.LASER and robot.model.has_light_sensors:
+            stamps["laser"] = stamp_now(robot, time_s)
+    return Reply("state", dict(enumerate(slots)), laser, stamps, robot_clock_ms(robot, time_s), volts_raw(time_s))
+
+
+def apply_mask(context: ConnectionContext, slots: list[int]) -> list[int]:
+    """Return State[0..44] as sent to a connection, and record it as last sent."""
+    mask, last_sent = context.wire_state.mask, context.last_sent
+    if not mask.whole and not context.wire_state.line:
+        slots = [
+            value if slot in UNMASKED_SLOTS or mask.has(slot) else last_sent[slot] for slot, value in enumerate(slots)
+        ]
+    context.last_sent = slots
+    return slots
+
+
+def add_laser(
+    robot: SimulatedRobot, context: ConnectionContext, slots: list[int], *, wanted: bool = True
+) -> tuple[list[int], tuple[int, ...] | None]:
+    """Return the slots with the laser mode of a connection, and its laser vector (None if off or excluded)."""
+    if not robot.model.has_light_sensors:
+        return slots, None
+    wire_state = context.wire_state
+    with_mode = [*slots[:LASER_SLOT], wire_state.laser_mode, *slots[LASER_SLOT + 1 :]]
+    return with_mode, laser_vector(robot, context, wire_state.laser_width) if wanted and is_on(
+        wire_state.laser_mode
+    ) else None
+
+
+# The server.
+
+# A function(server, context, arguments) with the name of a command. None stands for the state, the usual reply.
+Handler = Callable[["ServerState", ConnectionContext, tuple[Any, ...]], "Reply | DeferredReply | None"]
+
+# Commands that do not change the robot.
+QUERIES: Final = frozenset({"gs", "ct", "sim_truth", *(name for name in BY_NAME if name.startswith("get_"))})
+# Queries whose replies contain State slots.
+STATE_QUERIES: Final = frozenset({"get_ir", "get_sn", "get_rc", "get_rv", "get_cp", "get_bp"})
+# Commands that take no time in lockstep and do not restart the command timeout: observers must not keep a robot moving.
+TIMELESS: Final = frozenset({"connect_robot", "create_robot", "disconnect_robot", "sim_truth", "sim_control"})
+
+
 class ServerState:
     """A simulation and everything that a server adds to it.
 
@@ -245,6 +509,9 @@ class ServerState:
     clock, allowed
         Speed of simulated time, and permissions of clients; None for the defaults.
     """
+
+    # Handlers by name of the command (handlers/table.py).
+    handlers: Mapping[str, Handler] = {}
 
     def __init__(
         self,
@@ -273,9 +540,43 @@ class ServerState:
         self.pose_requests = PoseRequests()
         # Mask and laser mode of robots' own lines.
         self._serial_wire_states: dict[int, WireState] = {}
-        # The last state snapshot of each robot and its time.
-        self._snapshots: dict[int, tuple[float, StateSnapshot]] = {}
+        # The last state snapshot of each robot.
+        self._snapshots: dict[int, StateSnapshot] = {}
         self._deferred = DeferredReplies()
+
+    # Calls.
+
+    def answer(self, call: Call, context: ConnectionContext) -> Reply | DeferredReply:
+        """Execute a call and return its reply, ERROR 4 if there is no handler."""
+        name = call.name
+        if name not in TIMELESS:
+            # 1. In lockstep, time advances before the call, so that the reply shows the result.
+            if self.clock.lockstep_s is not None:
+                self.pass_time(self.clock.step_per_request_s)
+            # 2. The command timeout of the robot restarts.
+            if context.robot_id is not None:
+                self.feed_watchdog(context)
+        # 3. A command may change the robot, and any but gs what this connection is sent.
+        if name != "gs":
+            context.cached_state = None
+            if name not in QUERIES:
+                self.invalidate_state_cache()
+        # 4. Under emergency stop, motions become st or are refused.
+        effective = self.estop.effective_call(call, context.robot_id) if self.estop.holds else call
+        answer = error_reply(REFUSED) if effective is None else self._execute(effective, context)
+        # 5. These replies contain State slots: they count as sent for slots that the mask excludes.
+        if not isinstance(answer, Reply):
+            return self.defer(context, answer)
+        if name in STATE_QUERIES:
+            context.update_last_sent(answer.slots)
+        return answer
+
+    def _execute(self, call: Call, context: ConnectionContext) -> Reply | DeferredReply:
+        handler = self.handlers.get(call.name)
+        if handler is None:
+            return error_reply(NOT_AVAILABLE)
+        answer = handler(self, context, call.args)
+        return self.state_reply(context) if answer is None else answer
 
     # Time.
 
@@ -318,6 +619,16 @@ class ServerState:
         assert context.robot_id is not None
         self.axis_ownership.claim(context, context.robot_id, axes)
         return self.robot_of(context)
+
+    def prepare_reply(self, context: ConnectionContext) -> bool:
+        """Do part of what the next reply to a connection may need; return False if more of it is left.
+
+        It changes no reply, whenever it is done: sonars that nothing read for some time take several milliseconds.
+        """
+        robot_id, mask = context.robot_id, context.wire_state.mask
+        if robot_id is None or not (mask.whole or any(map(mask.has, SONAR.slots))):
+            return True
+        return self.simulation.robots[robot_id].sonar.compute_some()
 
     def feed_watchdog(self, context: ConnectionContext) -> None:
         """Restart the command timeout (conf_tm) of a connection's robot, unless only other connections move it."""
@@ -379,21 +690,26 @@ class ServerState:
     def state_reply(self, context: ConnectionContext) -> Reply:
         """Return the state reply, with which most commands answer.
 
-        Between two steps a robot changes by commands only, so all connections share one snapshot of it; on a serial
-        line, where nothing else enters the packet, they share the reply.
+        Between two steps a robot changes by commands only: all connections share one snapshot of it, and a connection
+        that polls gets the same reply again, which its session has encoded already.
         """
         assert context.robot_id is not None
-        robot, now_s = self.simulation.robots[context.robot_id], self.simulation.time_s
-        taken_s, snapshot = self._snapshots.get(context.robot_id, (None, None))
-        if snapshot is None or taken_s != now_s:
-            snapshot = StateSnapshot(robot, self.clock.speed_tenths)
-            self._snapshots[context.robot_id] = (now_s, snapshot)
-        if not context.wire_state.line:
-            return build_state_reply(robot, context, now_s, snapshot)
-        cached, mask, mode = context.cached_state, context.wire_state.mask, context.wire_state.laser_mode
-        if cached is None or cached.snapshot is not snapshot or cached.mask is not mask or cached.laser_mode != mode:
-            reply = build_state_reply(robot, context, now_s, snapshot)
-            cached = context.cached_state = CachedStateReply(snapshot, mask, mode, reply)
+        robot, wire_state = self.simulation.robots[context.robot_id], context.wire_state
+        snapshot = self._snapshots.get(context.robot_id)
+        if snapshot is None or snapshot.time_ps != self.simulation.time_ps:
+            snapshot = StateSnapshot(robot, self.clock.speed_tenths, self.simulation.time_ps)
+            self._snapshots[context.robot_id] = snapshot
+        cached = context.cached_state
+        # A robot's own lines share mask and laser mode, so another connection may change them.
+        if (
+            cached is None
+            or cached.snapshot is not snapshot
+            or cached.mask is not wire_state.mask
+            or cached.laser_mode != wire_state.laser_mode
+        ):
+            reply = build_state_reply(robot, context, snapshot)
+            cached = CachedStateReply(snapshot, wire_state.mask, wire_state.laser_mode, reply)
+            context.cached_state = cached
         return cached.reply
 
     def invalidate_state_cache(self) -> None:

@@ -12,7 +12,7 @@ import errno
 import logging
 import signal
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,13 +20,19 @@ from nclient.errors import ConnectionLost
 from nclient.recording.format import RecordingWriter
 from nclient.recording.recorder import NULL_RECORDER, Recorder, TrafficRecorder
 from nserver_emu.server import admission
-from nserver_emu.server.admission import AdmissionControl, AdmissionProtocol
+from nserver_emu.server.admission import (
+    RESERVED_S,
+    AcceptErrorHandler,
+    AdmissionControl,
+    AdmissionProtocol,
+    ConnectionReserve,
+    ReservableConnection,
+)
 from nserver_emu.server.client_registry import ClientRegistry
-from nserver_emu.server.connection import ConnectionHandler, TcpConnection
+from nserver_emu.server.connection import ConnectionHandler, FairScheduler, TcpConnection
 from nserver_emu.server.garbage_collection import GarbageCollector
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.link import FaultController
-from nserver_emu.server.scheduling import FairScheduler
 from nserver_emu.server.session import CommandHandler
 
 log = logging.getLogger(__name__)
@@ -111,7 +117,8 @@ class Daemon:
         """
         try:
             server = await admission.listen(
-                lambda: AdmissionProtocol(self.admission, self._client_hosts, new_connection), host, port
+                lambda: AdmissionProtocol(self.admission, self._client_hosts, new_connection, self._make_room),
+                host, port,
             )
         except OSError as error:
             remedy = f"is another nserver running? {option} 0 takes a free port"
@@ -123,7 +130,33 @@ class Daemon:
 
     def _client_hosts(self) -> list[str]:
         """Return the addresses of all TCP clients."""
-        return [connection.host for connection in self.connections if isinstance(connection, TcpConnection)]
+        return [connection.host for connection in self._tcp_connections()]
+
+    def _make_room(self, host: str) -> bool:
+        """Return True if a new connection is accepted though a limit is reached."""
+        now_s = asyncio.get_running_loop().time()
+        is_accepted = self._reserve.make_room(host, self._tcp_connections(), now_s)
+        if is_accepted:
+            # A place of the reserve is only for a short time.
+            loop = asyncio.get_running_loop()
+            loop.call_later(RESERVED_S, lambda: self._reserve.check(self._tcp_connections(), loop.time()))
+        return is_accepted
+
+    @property
+    def _reserve(self) -> ConnectionReserve:
+        return ConnectionReserve(self.admission, self._may_close)
+
+    def _tcp_connections(self) -> list[TcpConnection]:
+        return [connection for connection in self.connections if isinstance(connection, TcpConnection)]
+
+    def _may_close(self, connection: ReservableConnection) -> bool:
+        """Return True if closing a connection for another one stops no robot."""
+        assert isinstance(connection, TcpConnection)
+        context = connection.session.context
+        if self.handler is not self.emulator and context.robot_id is not None:
+            # A real robot: its motion is not known for certain.
+            return False
+        return not self.emulator.axis_ownership.has_motion(context, self.emulator.simulation.robots)
 
     def lines(self) -> Mapping[str, str]:
         """Return the address of each line by its name."""
@@ -151,11 +184,11 @@ class Daemon:
         self.recorder.record_pace(self.emulator.clock.factor, self.emulator.clock.paused)
 
     def record_change(self, change: Mapping[str, Any]) -> None:
-        """Record a change of the simulation by the operator (runtime_settings.py, ownership.py)."""
+        """Record a change of the simulation by the operator (runtime_settings.py, estop.py)."""
         self.recorder.record_change(change)
 
     def hold(self, robot_ids: Iterable[int], by: str) -> None:
-        """Stop these robots and ignore motion commands until `release` (ownership.py)."""
+        """Stop these robots and ignore motion commands until `release` (estop.py)."""
         robot_ids = list(robot_ids)
         for robot_id in robot_ids:
             self.handler.hold(robot_id, by)
@@ -178,6 +211,8 @@ class Daemon:
 
         `before_close` runs before any connection is closed and any robot is stopped because of that.
         """
+        loop, accept_errors = asyncio.get_running_loop(), AcceptErrorHandler()
+        loop.set_exception_handler(accept_errors)
         clock = asyncio.create_task(self._run_clock())
         stopped = asyncio.create_task(stop.wait())
         try:
@@ -189,6 +224,8 @@ class Daemon:
                 before_close()
             finally:
                 await self.close()
+                loop.set_exception_handler(None)
+                accept_errors.close()
         if clock.done() and not clock.cancelled():
             clock.result()
 
@@ -250,12 +287,40 @@ def _names(robot_ids: Iterable[int]) -> str:
     return ", ".join(f"robot {robot_id}" for robot_id in robot_ids) or "no robot"
 
 
-def stop_on_signals(stop: asyncio.Event) -> None:
-    """Set `stop` on SIGINT, SIGTERM and SIGHUP where they exist; a SIGHUP ignored at start (nohup) stays ignored."""
-    loop = asyncio.get_running_loop()
+def _ending_signals() -> set[signal.Signals]:
+    """Return the signals that end the daemon, where they exist; a SIGHUP ignored at start (nohup) stays ignored."""
     ending = {signal.SIGINT, signal.SIGTERM}
     if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
         ending.add(signal.SIGHUP)
-    for number in ending:
+    return ending
+
+
+def stop_on_signals(stop: asyncio.Event) -> None:
+    """Set `stop` on SIGINT, SIGTERM and SIGHUP."""
+    for number in _ending_signals():
         with contextlib.suppress(NotImplementedError):
-            loop.add_signal_handler(number, stop.set)
+            asyncio.get_running_loop().add_signal_handler(number, stop.set)
+
+
+@contextlib.contextmanager
+def restored_signals() -> Iterator[None]:
+    """Restore the handlers of these signals at the end, unless this is not the main thread."""
+    handlers = {number: signal.getsignal(number) for number in _ending_signals()}
+    try:
+        yield
+    finally:
+        with contextlib.suppress(ValueError):
+            for number, handler in handlers.items():
+                signal.signal(number, handler)
+
+
+def ignore_signals() -> None:
+    """Ignore these signals from now on: the daemon has ended, and a closing event loop reports them as errors."""
+    loop, ending = asyncio.get_running_loop(), _ending_signals()
+    with contextlib.suppress(NotImplementedError, AttributeError):
+        # Blocked meanwhile: removing a handler restores the default, which ends the process.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, ending)
+        for number in ending:
+            if loop.remove_signal_handler(number):
+                signal.signal(number, signal.SIG_IGN)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -322,3 +322,34 @@ def layers(robot_id: int, robot: SimulatedRobot, traces: Traces, graphics: Graph
 
 def _track(trace: Trace | None) -> list[list[float]]:
     return [] if trace is None else [list(point) for point in trace.points]
+
+
+# tk: speech output of robots.
+
+# Older utterances are dropped, so that clients that speak for days do not fill memory.
+MAX_UTTERANCES: Final = 1000
+
+
+class Utterance(NamedTuple):
+    """A text spoken by a robot."""
+
+    # Simulated seconds.
+    time_s: float
+    robot_id: int
+    text: str
+
+
+class SpeechLog:
+    """The last texts spoken by robots, oldest first."""
+
+    def __init__(self) -> None:
+        self._utterances: deque[Utterance] = deque(maxlen=MAX_UTTERANCES)
+
+    @property
+    def utterances(self) -> tuple[Utterance, ...]:
+        """All stored texts."""
+        return tuple(self._utterances)
+
+    def add(self, utterance: Utterance) -> None:
+        """Append a text."""
+        self._utterances.append(utterance)

@@ -56,14 +56,14 @@ class Limits:
 
     connections: int = _limit(
         500, (1, 100_000), "connections", "clients, and hosts of serial lines over TCP, in total",
-        "a new connection is closed at once, without a reply", "server/admission.py")
+        "the longest idle connection is closed for a new one; else see below", "server/admission.py")
     per_address: int = _limit(
         300, (1, 100_000), "connections", "the same, from one address",
-        "a new connection is closed at once, without a reply", "server/admission.py")
+        "the longest idle connection is closed for a new one; else see below", "server/admission.py")
     rate: int = _limit(
         10_000, (10, 1_000_000), "requests per second", "replies to one connection",
         "requests are read and answered later, as over a slow network; nothing is lost or refused",
-        "server/admission.py", none=True)
+        "server/connection.py", none=True)
     frame: int = _limit(
         254, (17, 254), "words", "length of a request; only texts and arm packets are long",
         "ERROR 2; the request is skipped and the connection continues; a request above "
@@ -82,6 +82,9 @@ class Limits:
         "the page's websocket is refused with HTTP 503 and retried by the page. The port accepts "
         f"{CONNECTIONS_PER_PAGE} times as many connections; idle ones are closed as by --limit-stall",
         "viewer/server.py")
+    page_rate: int = _limit(
+        200, (10, 1_000_000), "messages per second", "messages of one page, and HTTP requests of one address to the "
+        "viewer's port", "they are handled later; nothing is lost or refused", "viewer/server.py", none=True)
     obstacles: int = _limit(
         1000, (1, 100_000), "polygons", "obstacles in the world",
         "ERROR 5 to add_obstacle", "server/handlers/world.py")
@@ -133,18 +136,23 @@ log = logging.getLogger(__name__)
 
 # File descriptors of the daemon itself: ports, logs, recordings, lines, event loop.
 OTHER_DESCRIPTORS: Final = 64
+# Connections that are accepted however few files the process may have open.
+MIN_CONNECTIONS: Final = 16
 
 
-def make_room(connections: int) -> None:
-    """Raise the limit of open files for that many connections; log a warning if that is not possible."""
+def make_room(connections: int) -> int:
+    """Raise the limit of open files for that many connections, and return for how many there is room.
+
+    Logs a warning if these are fewer.
+    """
     try:
         import resource
     except ImportError:
-        return
+        return connections
     wanted = connections + OTHER_DESCRIPTORS
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if soft == resource.RLIM_INFINITY or soft >= wanted:
-        return
+        return connections
     may = wanted if hard == resource.RLIM_INFINITY else min(hard, wanted)
     with contextlib.suppress(OSError, ValueError):
         resource.setrlimit(resource.RLIMIT_NOFILE, (may, hard))
@@ -152,3 +160,4 @@ def make_room(connections: int) -> None:
     if soft < wanted:
         log.warning("this process may have %d files open, and --limit-connections and --limit-viewers allow %d: raise "
                     "the limit (ulimit -n, LimitNOFILE=) or lower the options", soft, connections)  # fmt: skip
+    return max(MIN_CONNECTIONS, min(connections, soft - OTHER_DESCRIPTORS))

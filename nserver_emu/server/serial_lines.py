@@ -42,6 +42,8 @@ LINK_CHECK_INTERVAL_S = 0.5
 ROBOTD_PORT: Final = 65001
 MIN_BAUD, MAX_BAUD = 9600, 4_000_000
 _MAX_PORT = 65535
+# Beginning of the names that old C programs take for serial ports.
+DEVICE_FOLDER: Final = "/dev"
 
 
 class RobotLine(NamedTuple):
@@ -233,7 +235,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("robots' own lines")
     group.add_argument("--serial-link", action="append", type=_link, default=[], metavar="PATH[@ROBOT]",
                        help="create a pseudo-terminal as a robot's serial line, and PATH as a symbolic link to it; "
-                       "repeat for robot 2 and so on; clients connect to serial://PATH?model=MODEL")
+                       "repeat for robot 2 and so on; clients connect to serial://PATH?model=MODEL, old C programs to "
+                       "PATH if it begins with /dev, such as /dev/shm/nomad")
     group.add_argument("--robotd", action="append", type=_port, nargs="?",
                        const=RequestedLine(str(ROBOTD_PORT), None), default=[], metavar="PORT[@ROBOT]",
                        help=f"listen for a robot's line over TCP (default {ROBOTD_PORT}; 0 takes a free port); clients "
@@ -259,6 +262,10 @@ async def open_lines(daemon: Daemon, options: argparse.Namespace) -> list[str]:
         If a port or link cannot be opened; the message names the remedy.
     """
     host = options.bind
+    for place, _ in options.serial_link:
+        if not place.startswith(DEVICE_FOLDER):
+            log.warning("--serial-link %s: old C programs take a name that does not begin with %s for a host; link it "
+                        "as /dev/shm/nomad for them", place, DEVICE_FOLDER)  # fmt: skip
     ports = [await _open_robotd(daemon, robot, host, int(port)) for robot, port in _lines(daemon, options.robotd)]
     paths = [_open_serial(daemon, robot, path, options.baud) for robot, path in _lines(daemon, options.serial_link)]
     return [f"listening robotd {port}" for port in ports] + [f"listening serial {path}" for path in paths]
@@ -300,7 +307,7 @@ def _add_place(daemon: Daemon, line: str, place: str) -> None:
 def _link(text: str) -> RequestedLine:
     line = _split_robot(text)
     if not line.place:
-        raise argparse.ArgumentTypeError("a path such as /tmp/nomad, or /tmp/nomad@2 for robot 2")
+        raise argparse.ArgumentTypeError("a path such as /dev/shm/nomad, or /dev/shm/nomad@2 for robot 2")
     if line.robot_id is None and "@" in Path(line.place).name:
         raise argparse.ArgumentTypeError(f"after @ comes the number of a robot, PATH@2, not {text!r}")
     return line

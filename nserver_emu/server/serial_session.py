@@ -134,7 +134,7 @@ class SerialSession(BaseSession[SerialFrame]):
             try:
                 call = codec.decode_serial_request(request, wire_state)
             except WireError as error:
-                self._count_refused(str(error))
+                self._count_refused(f"type {request.type}", str(error))
                 return codec.encode_serial_reply(BY_NAME["gs"], NAK, wire_state)
             if len(self._cached_calls) < MAX_CACHED_CALLS:
                 self._cached_calls[request] = call
@@ -143,7 +143,8 @@ class SerialSession(BaseSession[SerialFrame]):
 
     def _encode(self, name: str, reply: Reply) -> bytes:
         if reply.kind == "error":
-            self._count_refused(f"{name}: error {reply.values[0]}")
+            reason = f"{name}: error {reply.values[0]}"
+            self._count_refused(reason, reason)
             reply = NAK
         if reply.kind == "state":
             return self._state_packet(name, reply)

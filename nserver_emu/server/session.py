@@ -22,14 +22,14 @@ from __future__ import annotations
 import logging
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final, Generic, NamedTuple, Protocol, TypeVar
 
 from nclient.errors import WireError
 from nclient.protocol import codec
 from nclient.protocol.client_state import STATE_SIZE
-from nclient.protocol.codec import InvalidFrame, TcpFrame, TcpFramer, limit_words, request_bounds
+from nclient.protocol.codec import InvalidFrame, TcpFrame, TcpFramer, limited_request_bounds, request_bounds
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import N150, Mask
@@ -96,13 +96,16 @@ def _word_count(head: bytes) -> int:
 # What a session knows of its connection.
 
 
-class CachedStateReply(NamedTuple):
+@dataclass(slots=True, eq=False)
+class CachedStateReply:
     """A state reply with the inputs that it was built from, valid while they are the same objects."""
 
     snapshot: object
     mask: Mask
     laser_mode: int
     reply: Reply
+    # Its frame, once it was sent.
+    frame: bytes = b""
 
 
 @dataclass(slots=True, eq=False)
@@ -115,7 +118,7 @@ class ConnectionContext:
     robot_id: int | None = None
     # State[0..44] as last sent. Slots that the mask excludes keep these values.
     last_sent: list[int] = field(default_factory=lambda: [0] * STATE_SIZE)
-    # On a robot's own line, where a state packet depends on nothing else: the last one.
+    # The last state reply. A client that polls gets it again while nothing changes.
     cached_state: CachedStateReply | None = None
     # Number of laser columns in use; 0 is all.
     laser_columns: int = 0
@@ -135,7 +138,7 @@ class ClientIdentity(NamedTuple):
     robot_id: int
     # True for a client with 64-bit words.
     wide: bool
-    # True while the client has sent nothing since its CONNECT.
+    # True while the client has sent nothing since its CONNECT but the sensor mask (ct).
     silent: bool = False
 
 
@@ -156,7 +159,7 @@ class CommandHandler(Protocol):
         ...
 
     def hold(self, robot_id: int, by: str) -> None:
-        """Stop a robot and ignore motion commands until it is released (ownership.py)."""
+        """Stop a robot and ignore motion commands until it is released (estop.py)."""
         ...
 
 
@@ -175,12 +178,17 @@ class BaseSession(ABC, Generic[Request]):
 
     def __init__(self, answer: Answer, name: str, context: ConnectionContext) -> None:
         self.context = context
-        # Name of the client in logs and recordings.
+        # Name of the client in logs and recordings, and `extra` of log lines: its address, per which they are limited.
         self.name = name
+        self.log_extra = {"address": name.rpartition(":")[0] or name}
         # True if the connection is to be closed after the returned bytes are sent.
         self.closing = False
+        # The identity that another connection may continue; replaced whenever it changes.
+        self.identity: ClientIdentity | None = None
         # Number of requests answered with an error, and with any reply.
         self.refused = 0
+        # Kinds of refusals that were logged.
+        self._logged_kinds: set[str] = set()
         self.answered = 0
         self._answer = answer
         self._queue: deque[Request] = deque()
@@ -203,11 +211,6 @@ class BaseSession(ABC, Generic[Request]):
         return self._deferred is not None
 
     @property
-    def identity(self) -> ClientIdentity | None:
-        """The identity that another connection may continue; None if there is none."""
-        return None
-
-    @property
     @abstractmethod
     def unfinished(self) -> int:
         """Number of received bytes that do not form a whole request yet."""
@@ -218,12 +221,13 @@ class BaseSession(ABC, Generic[Request]):
 
     def process_requests(self, max_requests: int) -> bytes:
         """Return the replies to at most `max_requests` of the waiting requests."""
-        replies = bytearray()
-        while max_requests > 0 and self.ready:
+        replies = b""
+        for _ in range(max_requests):
+            if not self.ready:
+                break
             replies += self._process_one(self._queue.popleft())
-            max_requests -= 1
             self.answered += 1
-        return bytes(replies)
+        return replies
 
     def tick(self) -> bytes:
         """Return the deferred reply if it exists now, else nothing."""
@@ -250,11 +254,13 @@ class BaseSession(ABC, Generic[Request]):
         self._deferred = (name, answer)
         return self.tick()
 
-    def _count_refused(self, reason: str) -> None:
-        # Log the first only: a client in a loop would fill the log.
+    def _count_refused(self, kind: str, reason: str) -> None:
+        # Log the first of each kind: a client in a loop would fill the log.
         self.refused += 1
-        if self.refused == 1:
-            log.warning("%s: refused: %s (further refusals are counted, not logged)", self.name, reason)
+        if kind not in self._logged_kinds:
+            self._logged_kinds.add(kind)
+            log.warning("%s: refused: %s (further refusals of this kind are counted, not logged)", self.name, reason,
+                        extra=self.log_extra)
 
     @abstractmethod
     def _process_one(self, request: Request) -> bytes: ...
@@ -274,7 +280,7 @@ class Session(BaseSession[TcpFrame | InvalidFrame]):
         Name of the client in logs.
     find_identity
         Called for a connection that does not start with CONNECT, with the word size that its first bytes show (True 64,
-        False 32 bits, None unknown); returns the identity that it continues, or None.
+        False 32 bits, None unknown); returns the identity that it continues, several if that is ambiguous.
     max_words
         Maximum length of a request.
     """
@@ -283,27 +289,21 @@ class Session(BaseSession[TcpFrame | InvalidFrame]):
         self,
         answer: Answer,
         name: str = "client",
-        find_identity: Callable[[bool | None], ClientIdentity | None] = lambda _: None,
+        find_identity: Callable[[bool | None], Sequence[ClientIdentity]] = lambda _: (),
         max_words: int = Limits().frame,
     ) -> None:
         super().__init__(answer, name, ConnectionContext())
         self._find_identity = find_identity
         # The first bytes until they identify the client, then None.
         self._head: bytes | None = b""
-        # True while the last request was a CONNECT.
-        self._silent = False
-        self._framer = TcpFramer(limit_words(request_bounds, max_words), drop_after_loss=True)
+        # True for a connection without CONNECT that could continue several clients.
+        self._is_ambiguous = False
+        self._framer = TcpFramer(limited_request_bounds(max_words), drop_after_loss=True)
 
     @property
     def unfinished(self) -> int:
         """Return the number of received bytes that do not form a whole request yet."""
         return self._framer.pending + self._framer.bytes_to_skip + len(self._head or b"")
-
-    @property
-    def identity(self) -> ClientIdentity | None:
-        """The result of CONNECT; None before it, and after one that named no existing robot."""
-        robot_id = self.context.robot_id
-        return None if robot_id is None else ClientIdentity(robot_id, self.context.wire_state.wide, self._silent)
 
     def receive(self, data: bytes) -> None:
         """Add bytes from the client; the first ones decide its word size."""
@@ -317,47 +317,87 @@ class Session(BaseSession[TcpFrame | InvalidFrame]):
             self._identify(data)
         self._queue.extend(self._framer.receive(data))
 
+    @property
+    def may_have_32_bit_words(self) -> bool:
+        """True if an incomplete CONNECT of a 64-bit client would be a whole CONNECT to robot 0 of a 32-bit client."""
+        return self._framer.may_be_narrow
+
+    def assume_32_bit_words(self) -> None:
+        """Read an incomplete CONNECT as one to robot 0, because the rest of a 64-bit message has not come."""
+        if self._framer.may_be_narrow:
+            log.warning("%s: connects to robot 0; the numbers of robots begin with 1", self.name, extra=self.log_extra)
+            self._queue.extend(self._framer.reread_as_narrow())
+
     def _identify(self, head: bytes) -> None:
         """Continue the session of another connection if this one does not start with CONNECT."""
-        identity = None if is_connect(head) else self._find_identity(sniff_word_size(head))
-        if identity is not None:
-            log.info("%s: continues without CONNECT, as robot %d", self.name, identity.robot_id)
-            self.context.robot_id = identity.robot_id
-            self._framer.wide = identity.wide
+        found = () if is_connect(head) else self._find_identity(sniff_word_size(head))
+        if not found:
+            return
+        identity, *others = found
+        self._framer.wide = identity.wide
+        if others:
+            self._is_ambiguous = True
+            names = " or ".join(f"robot {each.robot_id} ({64 if each.wide else 32}-bit words)" for each in found)
+            log.warning("%s: closed: it starts without CONNECT and could continue %s of the same address; start such "
+                        "programs one after another", self.name, names, extra=self.log_extra)  # fmt: skip
+            return
+        log.info("%s: continues without CONNECT, as robot %d", self.name, identity.robot_id, extra=self.log_extra)
+        self.context.robot_id = identity.robot_id
+        self.identity = identity._replace(silent=False)
 
     def _process_one(self, request: TcpFrame | InvalidFrame) -> bytes:
-        # 1. Frames that are no request.
+        # 1. Requests of an unknown client, and frames that are no request.
+        if self._is_ambiguous:
+            self.closing = True
+            return self._refuse("ambiguous", NOT_CONNECTED, "a request without CONNECT of an ambiguous client")
         if isinstance(request, InvalidFrame):
             self.closing = request.fatal
             if request.fatal:
-                log.warning("%s: closed: %s", self.name, request.reason)
-            return self._refuse(request.code, request.reason)
+                log.warning("%s: closed: %s", self.name, request.reason, extra=self.log_extra)
+            return self._refuse(f"frame {request.code}", request.code, request.reason)
         # 2. Decode, and require a CONNECT.
         try:
             call = codec.decode_tcp_request(request)
         except WireError as error:
-            return self._refuse(BAD_VALUES, str(error))
+            return self._refuse(f"values {request.type}", BAD_VALUES, str(error))
         row = BY_NAME[call.name]
         if self.context.robot_id is None and call.name not in _CONNECT_NAMES:
-            return self._refuse(NOT_CONNECTED, f"{call.name} before connect_robot")
+            return self._refuse("not connected", NOT_CONNECTED, f"{call.name} before connect_robot")
+        # No process has the number 0: it is the second half of a word that has eight bytes.
+        if call.name in _CONNECT_NAMES and call.args[-1] == 0 and (self._queue or self.unfinished):
+            self.closing = True
+            reason = (f"{call.name}: words of eight bytes with the value in front; only 64-bit words with the value "
+                      "behind four zero bytes are known: build the program for 32 bits, or with clib")  # fmt: skip
+            return self._refuse("word layout", BAD_VALUES, reason)
         # 3. Settings of the protocol that the request changes take effect in its own reply.
-        self.context.wire_state.wide = bool(self._framer.wide)
-        codec.update_from_request(call, self.context.wire_state)
-        # 4. Execute and reply. A request without a reply (disconnect_robot) ends the connection.
-        answer = self._answer(call, self.context)
-        self._silent = call.name in _CONNECT_NAMES
+        context, wire_state = self.context, self.context.wire_state
+        wire_state.wide = bool(self._framer.wide)
+        codec.update_from_request(call, wire_state)
+        # 4. Execute. The result of CONNECT is an identity, unless it named no existing robot.
+        answer = self._answer(call, context)
+        was_silent = self.identity is not None and self.identity.silent
+        is_silent = call.name in _CONNECT_NAMES or (was_silent and call.name == "ct")
+        if is_silent or self.identity is None or was_silent:
+            robot_id = context.robot_id
+            self.identity = None if robot_id is None else ClientIdentity(robot_id, wire_state.wide, is_silent)
+        # 5. Reply. A request without a reply (disconnect_robot) ends the connection.
         self.closing = not row.has_tcp_reply
         if self.closing:
             return b""
         return self._reply_or_defer(call.name, answer)
 
     def _encode(self, name: str, reply: Reply) -> bytes:
+        cached = self.context.cached_state
+        if cached is not None and cached.reply is reply:
+            cached.frame = cached.frame or codec.encode_tcp_reply(BY_NAME[name], reply, self.context.wire_state)
+            return cached.frame
         if reply.kind == "error":
-            self._count_refused(f"{name}: error {reply.values[0]}")
+            reason = f"{name}: error {reply.values[0]}"
+            self._count_refused(reason, reason)
         return codec.encode_tcp_reply(BY_NAME[name], reply, self.context.wire_state)
 
-    def _refuse(self, code: int, reason: str) -> bytes:
-        self._count_refused(reason)
+    def _refuse(self, kind: str, code: int, reason: str) -> bytes:
+        self._count_refused(kind, reason)
         self.context.wire_state.wide = bool(self._framer.wide)
         # An ERROR reply has the same form for every command.
         return codec.encode_tcp_reply(BY_NAME["gs"], error_reply(code), self.context.wire_state)

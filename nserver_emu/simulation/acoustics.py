@@ -34,20 +34,20 @@ from cmath import phase, rect
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from itertools import pairwise
-from math import asin, atan2, cos, inf, log10, pi, radians, sin, tan
+from math import asin, cos, inf, log10, nan, pi, radians, sin, tan
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from nserver_emu.simulation.segments import to_s, wrap_to_pi
+from nserver_emu.simulation.segments import PS_PER_S, wrap_to_pi
 from nserver_emu.simulation.settings import SONAR_NUMBERS, setting
-from worlds.geometry import NO_DISCS, BoolArray, FloatArray
-from worlds.raycast import cast_discs, cast_rays
+from worlds.geometry import NO_DISCS, BoolArray, FloatArray, nearest_points
+from worlds.raycast import cast_discs, cast_rays, near_walls
 from worlds.robots import SONARS, Body
 
 ComplexArray = npt.NDArray[np.complex128]
+IndexArray = npt.NDArray[np.intp]
 
 SMALL_IN: Final = 1e-6
 """Offset of the start of a reflected leg from its wall, and tolerance at its end: inches, a millionth of the resolution
@@ -64,6 +64,27 @@ SCATTERERS: Final = 33
 """Scattering points of a robot, evenly over its visible part: at most 0.8 degrees apart, a third of an inch of range at
 60 in, where a hundredth of the range is noise."""
 
+NO_ECHO_IN: Final = 255
+"""The reading without an echo, or with one from farther away."""
+
+NOISE_SIGMAS: Final = 6.0
+"""Standard deviations of noise that are allowed for where distant walls are left out: one draw in 1e9 goes beyond."""
+
+MIN_FACTOR: Final = 1e-3
+"""Smallest factor of a range by noise that is allowed for then."""
+
+MAX_POINTS: Final = 4
+"""Points on a path: transducer, two walls, transducer."""
+
+MAX_COMBINATIONS: Final = 20_000
+"""Combinations of two walls that are computed at once; more would leave the processor's cache."""
+
+PATHS_PER_TEST: Final = 3
+"""Paths of each ping that are tested at once for obstructions; most pings need no more."""
+
+MAX_UNSELECTED_WALLS: Final = 100
+"""With more walls, those in reach are selected first."""
+
 BISECTIONS: Final = 48
 """Of the arc between the points that face two transducers: the rest is far below SMALL_IN."""
 
@@ -73,6 +94,14 @@ class ReflectorMap:
 
     def __init__(self, walls: FloatArray) -> None:
         self.walls = walls
+
+    def within(self, points: ComplexArray, reach_in: float) -> ReflectorMap:
+        """Return the walls that sound from any of these points reaches."""
+        if len(self.walls) <= MAX_UNSELECTED_WALLS:
+            return self
+        low, high = complex(points.real.min(), points.imag.min()), complex(points.real.max(), points.imag.max())
+        middle, half = (low + high) / 2.0, (high - low) / 2.0
+        return ReflectorMap(near_walls(middle.real, middle.imag, reach_in + max(half.real, half.imag), self.walls))
 
     @cached_property
     def mirrors(self) -> ComplexArray:
@@ -87,25 +116,21 @@ class ReflectorMap:
     @cached_property
     def edges(self) -> ComplexArray:
         """Ends and vertices of the walls (k,), except where a wall continues straight."""
-        directions: dict[tuple[float, float], list[float]] = {}
-        for x1, y1, x2, y2 in self.walls.tolist():
-            directions.setdefault((x1, y1), []).append(atan2(y2 - y1, x2 - x1))
-            directions.setdefault((x2, y2), []).append(atan2(y1 - y2, x1 - x2))
-        points = [point for point, out in directions.items() if not _is_straight(out)]
-        return np.array(points).reshape(-1, 2).view(np.complex128)[:, 0]
-
-
-def _is_straight(directions_rad: list[float]) -> bool:
-    """Return True if exactly two walls meet in a point, one the continuation of the other."""
-    return len(directions_rad) == 2 and abs(abs(wrap_to_pi(directions_rad[0] - directions_rad[1])) - pi) < STRAIGHT_RAD
-
-
-class AcousticPath(NamedTuple):
-    """A path of sound: its length, its loss, and the points between which nothing may stand."""
-
-    length_in: float
-    loss_db: float
-    points: tuple[complex, ...]
+        # 1. All ends, equal ones next to each other, and the direction of the wall at each.
+        ends = self.walls.reshape(-1, 2).view(np.complex128)[:, 0]
+        along = ends[1::2] - ends[::2]
+        directions = np.angle(np.column_stack((along, -along)).ravel())
+        order = np.lexsort((ends.imag, ends.real))
+        ends, directions = ends[order], directions[order]
+        # 2. Points where exactly two walls meet, one the continuation of the other.
+        first = np.flatnonzero(np.append(True, ends[1:] != ends[:-1])) if len(ends) else np.empty(0, dtype=np.intp)
+        pairs = first[np.diff(np.append(first, len(ends))) == 2]
+        turns = np.remainder(directions[pairs + 1] - directions[pairs], 2.0 * pi)
+        is_edge = np.zeros(len(ends), dtype=np.bool_)
+        is_edge[first] = True
+        is_edge[pairs[np.abs(turns - pi) < STRAIGHT_RAD]] = False
+        edges: ComplexArray = ends[is_edge]
+        return edges
 
 
 class Attenuation(NamedTuple):
@@ -121,138 +146,295 @@ class Attenuation(NamedTuple):
 
 
 class Beam(NamedTuple):
-    """The cone of a transducer: its apex, axis, half angle, and the one-way loss at its rim."""
+    """The cones of transducers: apex, axis, half angle, and one-way loss at the rim.
 
-    point: complex
-    direction_rad: float
+    Numbers for one cone, arrays for several: then the methods pair them with their arguments as arrays do.
+    """
+
+    point: Any
+    direction_rad: Any
     half_rad: float
-    one_way_cone_loss_db: float
+    rim_loss_db: float
 
-    def in_frame(self, points: ComplexArray) -> ComplexArray:
+    def take(self, rows: IndexArray) -> Beam:
+        """Return some of several beams, in this order."""
+        return self._replace(point=self.point[rows], direction_rad=self.direction_rad[rows])
+
+    def in_frame(self, points: Any) -> Any:
         """Return points relative to the beam: along its axis (real) and to its left (imaginary)."""
-        return (points - self.point) * rect(1.0, -self.direction_rad)
+        return (points - self.point) * (np.cos(self.direction_rad) - 1j * np.sin(self.direction_rad))
 
-    def loss_db(self, points: ComplexArray) -> FloatArray:
+    def loss_db(self, points: Any) -> Any:
         """Return the one-way loss towards points, which grows with the angle squared; inf outside the cone."""
         local = self.in_frame(points)
         off_axis = np.abs(np.arctan2(local.imag, local.real)) / self.half_rad
-        return np.where(off_axis <= 1.0, self.one_way_cone_loss_db * off_axis * off_axis, inf)
+        return np.where(off_axis <= 1.0, self.rim_loss_db * off_axis * off_axis, inf)
 
-    def may_meet(self, mirrors: ComplexArray) -> ComplexArray:
-        """Return the rows of the mirrors (k, 3) that can reach into the cone: not beyond one of its two sides."""
+    def may_meet(self, mirrors: ComplexArray) -> BoolArray:
+        """Return True for the mirrors (k, 3) that can reach into the cone: not beyond one of its two sides."""
         one, other = self.in_frame(mirrors[:, 0]), self.in_frame(mirrors[:, 0] + mirrors[:, 1])
         slope = tan(self.half_rad)
         rim, far_rim = slope * one.real, slope * other.real
         left, right = (one.imag > rim) & (other.imag > far_rim), (one.imag < -rim) & (other.imag < -far_rim)
-        reached: ComplexArray = mirrors[~(left | right)]
+        reached: BoolArray = ~(left | right)
         return reached
 
-    def may_meet_discs(self, discs: FloatArray) -> FloatArray:
-        """Return the rows of the discs (k, 3) that reach into the cone, or nearly: not beyond a side, not behind."""
+    def may_meet_points(self, points: ComplexArray) -> BoolArray:
+        """Return True for the points (k,) in the cone, or just outside."""
+        local = self.in_frame(points)
+        reached: BoolArray = np.abs(local.imag) <= (1.0 + TINY) * tan(self.half_rad) * local.real + SMALL_IN
+        return reached
+
+    def may_meet_discs(self, discs: FloatArray) -> BoolArray:
+        """Return True for the discs (k, 3) that reach into the cone, or nearly: not beyond a side, not behind."""
         centres = self.in_frame(discs[:, 0] + 1j * discs[:, 1])
         beyond = np.abs(centres.imag) * cos(self.half_rad) - centres.real * sin(self.half_rad) > discs[:, 2]
-        reached: FloatArray = discs[~(beyond | (centres.real < -discs[:, 2]))]
+        reached: BoolArray = ~(beyond | (centres.real < -discs[:, 2]))
         return reached
 
 
-def acoustic_paths(
-    out: Beam, back: Beam, reflectors: ReflectorMap, discs: FloatArray, losses: Attenuation, *, same_sonar: bool
-) -> Iterator[AcousticPath]:
-    """Yield all paths between two transducers, regardless of obstructions.
+class Pairs(NamedTuple):
+    """Pairs of a transmitting and a receiving beam, and which of their echoes count.
 
-    Parameters
+    Attributes
     ----------
-    out, back
-        Beams of the transmitting and the receiving sonar.
-    discs
-        Other robots (k, 3), rows x y radius in inches.
-    same_sonar
-        True if they are one sonar; only then are paths back along themselves possible.
+    beams
+        All beams.
+    source, receiver
+        Rows of the beams of each pair (k,), the same row where a sonar receives its own ping.
+    head_start_in
+        Distance that an earlier ping has travelled when the receiver starts to measure (k,).
+    min_range_in, margin_db
+        Shortest range and largest loss of an echo that is detected (k,).
     """
-    # 1. Edges, one wall, two walls, and over a slanted wall to another and back.
-    first = out.may_meet(reflectors.mirrors)
-    yield from _off_edges(out, back, reflectors.edges, losses)
-    if len(first):
-        yield from _off_one_wall(out, back, first, losses)
-        if not same_sonar:
-            yield from _off_two_walls(out, back, first, back.may_meet(reflectors.mirrors), losses)
-        elif len(first) > 1:
-            yield from _off_two_walls(out, back, first, first, losses)
-    if same_sonar and len(first):
-        yield from _over_wall_to_wall(out, first, reflectors.mirrors, losses)
-    if not len(discs):
-        return
-    # 2. Each robot in both cones; and over a slanted wall to a robot and back.
-    for x, y, radius in back.may_meet_discs(out.may_meet_discs(discs)).tolist():
-        yield from _off_disc(out, back, complex(x, y), radius, losses)
-        yield from _scattered_by_disc(out, back, complex(x, y), radius, losses)
-    if same_sonar and len(first):
-        yield from _over_wall_to_disc(out, first, discs, losses)
+
+    beams: Beam
+    source: IndexArray
+    receiver: IndexArray
+    head_start_in: FloatArray
+    min_range_in: FloatArray
+    margin_db: FloatArray
+
+    @property
+    def each(self) -> Beam:
+        """All beams as a column, to pair each with all of something."""
+        return self.beams.take(np.arange(len(self.beams.point))[:, np.newaxis])
+
+    @property
+    def is_own(self) -> BoolArray:
+        """True for the pairs of a sonar with itself."""
+        own: BoolArray = self.source == self.receiver
+        return own
 
 
-def _off_edges(out: Beam, back: Beam, edges: ComplexArray, losses: Attenuation) -> Iterator[AcousticPath]:
-    lengths = np.abs(edges - out.point) + np.abs(edges - back.point)
-    loss_db = _cone_losses(out, back, edges, edges) + losses.edge_loss_db + losses.absorption_db_in * lengths / 2.0
-    yield from _paths(lengths, loss_db, out, back, edges)
+class Paths(NamedTuple):
+    """Paths of sound: the row of the pair, length, loss, and the points on the way, nan after the last (n, 4).
+
+    Nothing may stand between one point and the next.
+    """
+
+    pair: IndexArray
+    length_in: FloatArray
+    loss_db: FloatArray
+    points: ComplexArray
+
+    @classmethod
+    def between(
+        cls, pairs: Pairs, pair: IndexArray, lengths: FloatArray, loss_db: FloatArray, *stops: ComplexArray,
+        returns: bool = False,
+    ) -> Paths:  # fmt: skip
+        """Return the paths with a finite loss from the source over `stops`, back to the receiver unless it returns."""
+        heard = loss_db < inf
+        pair = pair[heard]
+        columns = [pairs.beams.point[pairs.source[pair]], *(stop[heard] for stop in stops)]
+        if not returns:
+            columns.append(pairs.beams.point[pairs.receiver[pair]])
+        points = np.full((len(pair), MAX_POINTS), complex(nan, nan))
+        for number, column in enumerate(columns):
+            points[:, number] = column
+        return cls(pair, lengths[heard], loss_db[heard], points)
+
+    @classmethod
+    def joined(cls, parts: Sequence[Paths]) -> Paths:
+        """Return all paths of several parts."""
+        if not parts:
+            none = np.empty(0)
+            return cls(none.astype(np.intp), none, none, np.empty((0, MAX_POINTS), dtype=np.complex128))
+        return cls(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+    def take(self, rows: Any) -> Paths:
+        """Return some of the paths."""
+        return Paths(*(column[rows] for column in self))
 
 
-def _off_one_wall(out: Beam, back: Beam, walls: ComplexArray, losses: Attenuation) -> Iterator[AcousticPath]:
-    images = mirror_points(out.point, walls)
-    points, is_met = crossings(images, back.point, walls)
-    if not is_met.any():
-        return
-    images, points = images[is_met], points[is_met]
+def single_paths(
+    pairs: Pairs, reflectors: ReflectorMap, discs: Sequence[FloatArray], losses: Attenuation
+) -> Paths:
+    """Return all paths off one edge, one wall or one robot, and over a wall to a robot, regardless of obstructions.
+
+    `discs` are for each beam the other robots (k, 3), rows x y radius in inches.
+    """
+    mirrors, edges, each = reflectors.mirrors, reflectors.edges, pairs.each
+    may_meet = each.may_meet(mirrors)
+    found = [_off_edges(pairs, each.may_meet_points(edges), edges, losses)]
+    found.append(_off_one_wall(pairs, may_meet, mirrors, losses))
+    if any(map(len, discs)):
+        found += _off_discs(pairs, may_meet, mirrors, discs, losses)
+    return Paths.joined(found)
+
+
+def double_paths(
+    pairs: Pairs, reflectors: ReflectorMap, max_range_in: FloatArray, losses: Attenuation
+) -> Paths:
+    """Return the paths off two walls, and over a slanted wall to another and back, regardless of obstructions.
+
+    `max_range_in` (k,) of each pair: longer paths may be left out, since walls farther than that are not considered.
+    """
+    mirrors, beams = reflectors.mirrors, pairs.beams
+    # A path over a wall is at least as long as twice the distance of that wall less that between the transducers.
+    apart_in = np.abs(beams.point[pairs.source] - beams.point[pairs.receiver])
+    far_in = (max_range_in + (pairs.head_start_in + apart_in) / 2.0)[:, np.newaxis]
+    walls = np.column_stack((mirrors[:, 0], mirrors[:, 0] + mirrors[:, 1])).view(np.float64)
+    _, distances = nearest_points(np.column_stack((beams.point.real, beams.point.imag)), walls)
+    may_meet, is_near_source = pairs.each.may_meet(mirrors), distances[pairs.source] <= far_in
+    first = may_meet[pairs.source] & is_near_source
+    last = may_meet[pairs.receiver] & (distances[pairs.receiver] <= far_in)
+    own = np.flatnonzero(pairs.is_own)
+    return Paths.joined([
+        *_off_two_walls(pairs, first, last, mirrors, losses),
+        *_over_wall_to_wall(pairs, own, first[own], is_near_source[own], mirrors, losses),
+    ])
+
+
+def _off_edges(pairs: Pairs, may_meet: BoolArray, edges: ComplexArray, losses: Attenuation) -> Paths:
+    pair, edge = np.nonzero(may_meet[pairs.source] & may_meet[pairs.receiver])
+    out, back, points = *_beams(pairs, pair), edges[edge]
+    lengths = np.abs(points - out.point) + np.abs(points - back.point)
+    loss_db = out.loss_db(points) + back.loss_db(points) + losses.edge_loss_db + losses.absorption_db_in * lengths / 2.0
+    return Paths.between(pairs, pair, lengths, loss_db, points)
+
+
+def _off_one_wall(pairs: Pairs, may_meet: BoolArray, mirrors: ComplexArray, losses: Attenuation) -> Paths:
+    # The point of reflection lies in both cones, so the wall reaches into both.
+    pair, wall = np.nonzero(may_meet[pairs.source] & may_meet[pairs.receiver])
+    out, back = _beams(pairs, pair)
+    images = mirror_points(out.point, mirrors[wall])
+    points, is_met = crossings(images, back.point, mirrors[wall])
+    pair, images, points = pair[is_met], images[is_met], points[is_met]
+    out, back = _beams(pairs, pair)
     lengths = np.abs(images - back.point)
-    loss_db = _cone_losses(out, back, points, points) + losses.absorption_db_in * lengths / 2.0
-    yield from _paths(lengths, loss_db, out, back, points)
+    loss_db = out.loss_db(points) + back.loss_db(points) + losses.absorption_db_in * lengths / 2.0
+    return Paths.between(pairs, pair, lengths, loss_db, points)
 
 
 def _off_two_walls(
-    out: Beam, back: Beam, first: ComplexArray, last: ComplexArray, losses: Attenuation
-) -> Iterator[AcousticPath]:
-    # 1. Images in every first wall (rows), and of those in every last wall (columns).
-    one = first[:, np.newaxis]
-    images = mirror_points(out.point, one)
-    twice = mirror_points(images, last)
-    # 2. Backwards from the receiver: the point on the last wall, then the one on the first.
-    points_2, is_met = crossings(twice, back.point, last)
-    if not is_met.any():
-        return
-    points_1, is_met_1 = crossings(images, points_2, one)
-    is_met &= is_met_1
-    points_1, points_2 = points_1[is_met], points_2[is_met]
-    # 3. Lengths and losses.
-    lengths = np.abs(twice[is_met] - back.point)
-    loss_db = (
-        _cone_losses(out, back, points_1, points_2) + losses.bounce_loss_db + losses.absorption_db_in * lengths / 2.0
-    )
-    yield from _paths(lengths, loss_db, out, back, points_1, points_2)
+    pairs: Pairs, first: BoolArray, last: BoolArray, mirrors: ComplexArray, losses: Attenuation
+) -> Iterator[Paths]:
+    for pair, one, two in _products(first, last):
+        # 1. The image in the first wall, and its image in the last.
+        out, back = _beams(pairs, pair)
+        images = mirror_points(out.point, mirrors[one])
+        twice = mirror_points(images, mirrors[two])
+        # 2. Backwards from the receiver: the point on the last wall, then the one on the first.
+        points_2, is_met = crossings(twice, back.point, mirrors[two])
+        met = np.flatnonzero(is_met)
+        if not len(met):
+            continue
+        points_1, is_met = crossings(images[met], points_2[met], mirrors[one[met]])
+        met, points_1 = met[is_met], points_1[is_met]
+        # 3. Lengths and losses.
+        out, back = out.take(met), back.take(met)
+        lengths = np.abs(twice[met] - back.point)
+        loss_db = out.loss_db(points_1) + back.loss_db(points_2[met]) + losses.bounce_loss_db
+        loss_db += losses.absorption_db_in * lengths / 2.0
+        yield Paths.between(pairs, pair[met], lengths, loss_db, points_1, points_2[met])
 
 
 def _over_wall_to_wall(
-    out: Beam, first: ComplexArray, walls: ComplexArray, losses: Attenuation
-) -> Iterator[AcousticPath]:
+    pairs: Pairs, own: IndexArray, slanted: BoolArray, second: BoolArray, mirrors: ComplexArray, losses: Attenuation
+) -> Iterator[Paths]:
     """Yield the paths off a slanted wall, perpendicularly onto another, and back along themselves."""
-    # 1. The foot of the perpendicular from each image onto each other wall.
-    one = first[:, np.newaxis]
-    images = mirror_points(out.point, one)
-    start, along = walls[:, 0], walls[:, 1]
-    fraction = ((images - start) / along).real
-    is_met = (fraction >= 0.0) & (fraction <= 1.0)
-    if not is_met.any():
+    for row, one, two in _products(slanted, second):
+        out, _ = _beams(pairs, own[row])
+        first, start, along = mirrors[one], mirrors[two, 0], mirrors[two, 1]
+        # 1. The foot of the perpendicular from each image onto each other wall.
+        images = mirror_points(out.point, first)
+        fraction = ((images - start) / along).real
+        met = np.flatnonzero((fraction >= 0.0) & (fraction <= 1.0))
+        if not len(met):
+            continue
+        feet = start[met] + fraction[met] * along[met]
+        # 2. The point on the slanted wall.
+        points, is_met = crossings(images[met], feet, first[met])
+        met, points, feet = met[is_met], points[is_met], feet[is_met]
+        # 3. Lengths and losses, there and back.
+        lengths = 2.0 * np.abs(images[met] - feet)
+        loss_db = 2.0 * out.take(met).loss_db(points) + 2.0 * losses.bounce_loss_db
+        loss_db += losses.absorption_db_in * lengths / 2.0
+        yield Paths.between(pairs, own[row[met]], lengths, loss_db, points, feet, returns=True)
+
+
+def _beams(pairs: Pairs, pair: IndexArray) -> tuple[Beam, Beam]:
+    """Return the transmitting and the receiving beams of pairs."""
+    return pairs.beams.take(pairs.source[pair]), pairs.beams.take(pairs.receiver[pair])
+
+
+def _products(
+    first: BoolArray, second: BoolArray
+) -> Iterator[tuple[IndexArray, IndexArray, IndexArray]]:
+    """Yield row, column of `first` and column of `second` for all combinations that are True, a block at a time."""
+    first_counts, second_counts = first.sum(axis=1), second.sum(axis=1)
+    counts = first_counts * second_counts
+    first_columns, second_columns = np.nonzero(first)[1], np.nonzero(second)[1]
+    first_begin, second_begin = np.cumsum(first_counts) - first_counts, np.cumsum(second_counts) - second_counts
+    if not counts.any():
         return
-    feet = start + fraction * along
-    # 2. The point on the slanted wall.
-    points, is_met_1 = crossings(images, feet, one)
-    is_met &= is_met_1
-    points, feet = points[is_met], feet[is_met]
-    # 3. Lengths and losses, there and back.
-    lengths = 2.0 * np.abs(np.broadcast_to(images, is_met.shape)[is_met] - feet)
-    loss_db = 2.0 * out.loss_db(points) + 2.0 * losses.bounce_loss_db + losses.absorption_db_in * lengths / 2.0
-    yield from _paths(lengths, loss_db, out, None, points, feet)
+    blocks = np.cumsum(counts) // MAX_COMBINATIONS
+    for block in range(blocks[-1] + 1):
+        rows = np.flatnonzero((blocks == block) & (counts > 0))
+        row = np.repeat(rows, counts[rows])
+        number = np.arange(len(row)) - np.repeat(np.cumsum(counts[rows]) - counts[rows], counts[rows])
+        one, two = np.divmod(number, second_counts[row])
+        yield row, first_columns[first_begin[row] + one], second_columns[second_begin[row] + two]
 
 
-def _off_disc(out: Beam, back: Beam, centre: complex, radius: float, losses: Attenuation) -> Iterator[AcousticPath]:
+def _off_discs(
+    pairs: Pairs, may_meet: BoolArray, mirrors: ComplexArray, discs: Sequence[FloatArray], losses: Attenuation
+) -> Iterator[Paths]:
+    """Yield the paths off other robots."""
+    for receiver in np.unique(pairs.receiver).tolist():
+        robots = discs[receiver]
+        if not len(robots):
+            continue
+        # 1. The robots in both cones of each pair; pairs that share one are few.
+        back, own = _beam(pairs, receiver), np.flatnonzero(pairs.receiver == receiver)
+        outs = pairs.beams.take(pairs.source[own][:, np.newaxis])
+        shared = outs.may_meet_discs(robots) & back.may_meet_discs(robots)
+        for number, robot in np.argwhere(shared).tolist():
+            x, y, radius = robots[robot].tolist()
+            out = _beam(pairs, int(pairs.source[own[number]]))
+            for lengths, loss_db, points in (
+                *_off_disc(out, back, complex(x, y), radius, losses),
+                *_scattered_by_disc(out, back, complex(x, y), radius, losses),
+            ):
+                yield Paths.between(pairs, own[number].repeat(len(lengths)), lengths, loss_db, points)
+        # 2. Over a wall, for the sonar's own ping.
+        for pair in own[pairs.source[own] == receiver]:
+            lengths, loss_db, points, feet = _over_wall_to_disc(back, mirrors[may_meet[receiver]], robots, losses)
+            yield Paths.between(pairs, pair.repeat(len(lengths)), lengths, loss_db, points, feet, returns=True)
+
+
+def _beam(pairs: Pairs, row: int) -> Beam:
+    """Return one of the beams."""
+    beams = pairs.beams
+    return beams._replace(point=complex(beams.point[row]), direction_rad=float(beams.direction_rad[row]))
+
+
+Echoes = tuple[FloatArray, FloatArray, ComplexArray]
+"""Lengths, losses, and the points on a robot."""
+
+
+def _off_disc(out: Beam, back: Beam, centre: complex, radius: float, losses: Attenuation) -> Iterator[Echoes]:
     """Yield the specular path off a disc.
 
     A bundle of rays in the plane that a disc of radius r reflects is spread by 1 + 2 a b / ((a + b) r cos(incidence)),
@@ -268,12 +450,12 @@ def _off_disc(out: Beam, back: Beam, centre: complex, radius: float, losses: Att
     points = np.array([point])
     absorbed_db = losses.absorption_db_in * (before + after) / 2.0
     loss_db = out.loss_db(points) + back.loss_db(points) + absorbed_db + spread_db
-    yield from _paths(np.array([before + after]), loss_db, out, back, points)
+    yield np.array([before + after]), loss_db, points
 
 
 def _scattered_by_disc(
     out: Beam, back: Beam, centre: complex, radius: float, losses: Attenuation
-) -> Iterator[AcousticPath]:
+) -> Iterator[Echoes]:
     """Yield paths off points that evenly spread rays of the first cone meet, across the visible part of a disc."""
     away = abs(centre - out.point)
     if away <= radius or losses.skin_loss_db == inf:
@@ -292,13 +474,16 @@ def _scattered_by_disc(
     lengths = ranges + np.abs(points - back.point)
     absorbed_db = losses.absorption_db_in * lengths / 2.0
     loss_db = out.loss_db(points) + back.loss_db(points) + losses.skin_loss_db + absorbed_db
-    yield from _paths(lengths, loss_db, out, back, points)
+    yield lengths, loss_db, points
 
 
 def _over_wall_to_disc(
     out: Beam, mirrors: ComplexArray, discs: FloatArray, losses: Attenuation
-) -> Iterator[AcousticPath]:
-    """Yield the paths off a slanted wall, perpendicularly onto a disc, and back along themselves."""
+) -> tuple[FloatArray, FloatArray, ComplexArray, ComplexArray]:
+    """Return the paths off a slanted wall, perpendicularly onto a disc, and back along themselves.
+
+    Lengths, losses, points on the wall and on the disc, for each wall and disc; a loss of inf where there is no path.
+    """
     # 1. The point of each disc that faces each image.
     one, radii = mirrors[:, np.newaxis], discs[:, 2]
     images = mirror_points(out.point, one)
@@ -312,7 +497,7 @@ def _over_wall_to_disc(
     gaps = fraction * away
     loss_db = 2.0 * out.loss_db(points) + 2.0 * losses.bounce_loss_db + losses.absorption_db_in * gaps
     loss_db = np.where(is_met & is_outside, loss_db + 10.0 * np.log10(1.0 + gaps / radii), inf)
-    yield from _paths(2.0 * gaps, loss_db, out, None, points, feet)
+    return 2.0 * gaps.ravel(), loss_db.ravel(), points.ravel(), feet.ravel()
 
 
 def _specular_normal(start: complex, end: complex, centre: complex, radius: float) -> complex | None:
@@ -333,22 +518,6 @@ def _specular_normal(start: complex, end: complex, centre: complex, radius: floa
         low, high = (half, high) if incidence < reflection else (low, half)
     normal = rect(1.0, first + arc * low)
     return normal if ((start - centre) / normal).real > radius else None
-
-
-def _cone_losses(out: Beam, back: Beam, first: ComplexArray, last: ComplexArray) -> FloatArray:
-    """Return the losses off the axes of both cones."""
-    outward = out.loss_db(first)
-    return outward + (outward if back == out and last is first else back.loss_db(last))
-
-
-def _paths(
-    lengths: FloatArray, loss_db: FloatArray, out: Beam, back: Beam | None, *stops: ComplexArray
-) -> Iterator[AcousticPath]:
-    """Yield the paths whose loss is finite; back None: they return along themselves."""
-    for at in zip(*np.nonzero(loss_db < inf), strict=True):
-        on_walls = [complex(stop[at]) for stop in stops]
-        points = [out.point, *on_walls, *([back.point] if back is not None else [])]
-        yield AcousticPath(float(lengths[at]), float(loss_db[at]), tuple(points))
 
 
 def mirror_points(points: ComplexArray | complex, mirrors: ComplexArray) -> ComplexArray:
@@ -372,20 +541,23 @@ def crossings(
     return points, is_met
 
 
-def is_free(points: Sequence[complex], walls: FloatArray, discs: FloatArray) -> bool:
-    """Return True if nothing stands between one point and the next: no wall (m, 4) and no disc (k, 3)."""
-    for one, other in pairwise(points):
-        length = abs(other - one)
-        if length <= 3.0 * SMALL_IN:
-            continue
-        direction = (other - one) / length
-        start = one + SMALL_IN * direction
-        ray = (start.real, start.imag), (direction.real, direction.imag)
-        if float(cast_rays(*ray, walls)[0]) < length - 3.0 * SMALL_IN:
-            return False
-        if len(discs) and float(cast_discs(*ray, discs)) < length - 3.0 * SMALL_IN:
-            return False
-    return True
+def is_free(paths: Paths, walls: FloatArray, discs: FloatArray) -> BoolArray:
+    """Return True for the paths (n,) on which nothing stands between one point and the next: no wall, no disc."""
+    # 1. The legs of all paths, without those that are too short to be obstructed.
+    one, other = paths.points[:, :-1], paths.points[:, 1:]
+    length = np.abs(other - one)
+    row, leg = np.nonzero(length > 3.0 * SMALL_IN)
+    one, length = one[row, leg], length[row, leg]
+    direction = (other[row, leg] - one) / length
+    # 2. Rays along them.
+    start = one + SMALL_IN * direction
+    rays = np.column_stack((start.real, start.imag)), np.column_stack((direction.real, direction.imag))
+    met = cast_rays(*rays, walls)[0]
+    if len(discs):
+        met = np.minimum(met, cast_discs(*rays, discs))
+    free = np.ones(len(paths.pair), dtype=np.bool_)
+    free[row[met < length - 3.0 * SMALL_IN]] = False
+    return free
 
 
 class Ping(NamedTuple):
@@ -443,6 +615,12 @@ class SonarErrors:
     )
     turned_rad: float = setting(0.0, -45, 45, "deg", "angle of the ring against the turret")
 
+    @property
+    def max_range_in(self) -> float:
+        """Range beyond which no reading but "no echo" comes, except for one draw of noise in a billion."""
+        farthest_in = NO_ECHO_IN + max(map(abs, self.offsets_in)) + NOISE_SIGMAS * self.range_std_floor_in
+        return farthest_in / max(1.0 - NOISE_SIGMAS * self.range_std_relative, MIN_FACTOR)
+
     def std_in(self, range_in: float) -> float:
         """Return the standard deviation of a range, inches."""
         return max(self.range_std_relative * range_in, self.range_std_floor_in)
@@ -497,49 +675,107 @@ class Polaroid(SonarErrors):
         range_noise, level_noise = rng.standard_normal(2).tolist()
         return range_noise, level_noise
 
-    def measured_range(
-        self, ping: Ping, earlier: Sequence[Ping], reflectors: ReflectorMap, body: Body, others: FloatArray = NO_DISCS
-    ) -> float:
-        """Return the measured range, inches from the ring; inf for no echo.
+    def measured_ranges(
+        self, pings: Sequence[Ping], earlier: Sequence[Sequence[Ping]], reflectors: ReflectorMap, body: Body,
+        others: Sequence[FloatArray], max_range_in: float = inf,
+    ) -> list[float]:  # fmt: skip
+        """Return the measured ranges of pings, inches from the ring; inf for no echo.
 
         Parameters
         ----------
         earlier
-            Pings of the same ring in the last `audible_ps`.
+            For each ping, the pings of the same ring in the last `audible_ps`.
         others
-            Other robots (k, 3), rows x y radius in inches.
+            For each ping, the other robots (k, 3), rows x y radius in inches.
+        max_range_in
+            An echo from farther away may count as none.
         """
-        range_in = self.first_echo_in(ping, earlier, reflectors, body, others)
-        return range_in if range_in == inf else range_in + ping.noise[0] * self.std_in(range_in)
+        ranges_in = self.first_echoes_in(pings, earlier, reflectors, body, others, max_range_in)
+        return [
+            range_in if range_in == inf else range_in + ping.noise[0] * self.std_in(range_in)
+            for ping, range_in in zip(pings, ranges_in, strict=True)
+        ]
 
-    def first_echo_in(
-        self, ping: Ping, earlier: Sequence[Ping], reflectors: ReflectorMap, body: Body, others: FloatArray = NO_DISCS
-    ) -> float:
-        """Return the range of the first echo above the threshold, without noise; inf for none."""
-        margin_db = self.margin_db + self.margin_std_db * ping.noise[1]
+    def first_echoes_in(
+        self, pings: Sequence[Ping], earlier: Sequence[Sequence[Ping]], reflectors: ReflectorMap, body: Body,
+        others: Sequence[FloatArray], max_range_in: float = inf,
+    ) -> list[float]:  # fmt: skip
+        """Return the ranges of the first echoes above the threshold, without noise; inf for none."""
+        pairs = self._pairs(pings, earlier, body)
+        # 1. Reflectors that sound can reach and return from before it is too weak.
+        margin_db = float(pairs.margin_db.max(initial=0.0))
+        reach_in = margin_db / self.absorption_db_in if self.absorption_db_in else inf
+        near = reflectors.within(pairs.beams.point, reach_in)
+        # 2. The first free path off one reflector, then those off two that are shorter.
         losses = Attenuation(self.absorption_db_in, self.bounce_loss_db, self.edge_loss_db, self.skin_loss_db)
-        found: list[tuple[float, AcousticPath]] = []
-        back = self._beam(ping, body)
-        for source in (ping, *earlier):
-            # 1. The distance that an earlier ping has travelled already; it is inaudible if too weak by now.
-            same_sonar = source is ping
-            head_start_in = self.sound_in_s * to_s(ping.instant_ps - source.instant_ps)
-            min_range_in = -inf if same_sonar else self.blanking_in
-            if self.absorption_db_in * (min_range_in + head_start_in / 2.0) > margin_db:
-                continue
-            # 2. All paths that are loud enough.
-            out = self._beam(source, body)
-            for path in acoustic_paths(out, back, reflectors, others, losses, same_sonar=same_sonar):
-                range_in = (path.length_in - head_start_in) / 2.0 - self.recess_in
-                if path.loss_db <= margin_db and range_in >= min_range_in:
-                    found.append((range_in, path))
-        # 3. The shortest that is not obstructed: the costly test comes last.
-        for range_in, path in sorted(found, key=lambda pair: pair[0]):
-            if is_free(path.points, reflectors.walls, others):
-                return range_in
-        return inf
+        discs = [*others, *[NO_DISCS] * (len(pairs.beams.point) - len(pings))]
+        ranges_in = np.full(len(pings), inf)
+        self._find_free(pairs, single_paths(pairs, near, discs, losses), near.walls, discs, ranges_in)
+        nearest_in = np.minimum(ranges_in, min(reach_in, max_range_in))[pairs.receiver] + self.recess_in + SMALL_IN
+        self._find_free(pairs, double_paths(pairs, near, nearest_in, losses), near.walls, discs, ranges_in)
+        found: list[float] = ranges_in.tolist()
+        return found
 
-    def _beam(self, ping: Ping, body: Body) -> Beam:
+    def _find_free(
+        self, pairs: Pairs, paths: Paths, walls: FloatArray, discs: Sequence[FloatArray], ranges_in: FloatArray
+    ) -> None:
+        """Replace the range of each ping by that of the shortest path that is audible and free, if it is shorter."""
+        if not len(paths.pair):
+            return
+        # 1. Paths that are loud enough, by ping and range.
+        range_in = (paths.length_in - pairs.head_start_in[paths.pair]) / 2.0 - self.recess_in
+        heard = (paths.loss_db <= pairs.margin_db[paths.pair]) & (range_in >= pairs.min_range_in[paths.pair])
+        heard &= range_in < ranges_in[pairs.receiver[paths.pair]]
+        paths, range_in = paths.take(heard), range_in[heard]
+        ping = pairs.receiver[paths.pair]
+        order = np.lexsort((range_in, ping))
+        # 2. Whether they are obstructed: the costly test comes last, for a few paths of each ping at a time.
+        while len(order):
+            number = np.arange(len(order)) - np.searchsorted(ping[order], ping[order])
+            tested, order = order[number < PATHS_PER_TEST], order[number >= PATHS_PER_TEST]
+            for group in _by_discs(ping[tested], discs):
+                rows = tested[group]
+                free = rows[is_free(paths.take(rows), walls, discs[ping[rows[0]]])]
+                np.minimum.at(ranges_in, ping[free], range_in[free])
+            order = order[range_in[order] < ranges_in[ping[order]]]
+
+    def _pairs(self, pings: Sequence[Ping], earlier: Sequence[Sequence[Ping]], body: Body) -> Pairs:
+        """Return the pairs of each ping with itself and with those before it that are still audible."""
+        # 1. A beam for each ping: first those that are measured, then the others.
+        rows = {id(ping): row for row, ping in enumerate(pings)}
+        beams = list(pings)
+        source, receiver = list(range(len(pings))), list(range(len(pings)))
+        for number, before in enumerate(earlier):
+            for ping in before:
+                row = rows.setdefault(id(ping), len(beams))
+                if row == len(beams):
+                    beams.append(ping)
+                source.append(row)
+                receiver.append(number)
+        x, y, directions, instants_ps, noise = (np.array(column) for column in zip(*(
+            (ping.x_in, ping.y_in, ping.direction_rad, ping.instant_ps, ping.noise[1]) for ping in beams
+        ), strict=True))
         face_in = body.sonar_ring_radius_in - self.recess_in
-        point = complex(ping.x_in, ping.y_in) + rect(face_in, ping.direction_rad)
-        return Beam(point, ping.direction_rad, self.cone_rad / 2.0, self.cone_loss_db / 2.0)
+        points = x + 1j * y + face_in * (np.cos(directions) + 1j * np.sin(directions))
+        # 2. The distance that an earlier ping has travelled already.
+        sources, receivers = np.array(source), np.array(receiver)
+        head_start_in = self.sound_in_s * ((instants_ps[receivers] - instants_ps[sources]) / PS_PER_S)
+        min_range_in = np.where(sources == receivers, -inf, self.blanking_in)
+        margin_db = self.margin_db + self.margin_std_db * noise[receivers]
+        # 3. It is inaudible if too weak by now.
+        quiet_db = self.absorption_db_in * (self.blanking_in + head_start_in / 2.0)
+        heard = (sources == receivers) | (quiet_db <= margin_db)
+        return Pairs(
+            Beam(points, directions, self.cone_rad / 2.0, self.cone_loss_db / 2.0), sources[heard], receivers[heard],
+            head_start_in[heard], min_range_in[heard], margin_db[heard],
+        )  # fmt: skip
+
+
+def _by_discs(pings: IndexArray, discs: Sequence[FloatArray]) -> list[IndexArray]:
+    """Return groups of rows whose pings have the same other robots: all of them where there are none."""
+    if not any(map(len, discs)):
+        return [np.arange(len(pings))]
+    groups: dict[int, list[int]] = {}
+    for row, ping in enumerate(pings.tolist()):
+        groups.setdefault(ping if len(discs[ping]) else -1, []).append(row)
+    return [np.array(rows) for rows in groups.values()]

@@ -16,12 +16,12 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from nserver_emu.simulation.acoustics import relative_std
+from nserver_emu.simulation.acoustics import MIN_FACTOR, NOISE_SIGMAS, relative_std
 from nserver_emu.simulation.segments import NO_STAMP, PS_PER_S, TIME_MAX_PS, Stamp
 from nserver_emu.simulation.settings import setting
 from nserver_emu.simulation.visibility import SensorPose
 from worlds.geometry import FloatArray, normals
-from worlds.raycast import cast_discs, cast_rays
+from worlds.raycast import cast_discs, cast_rays, near_walls
 from worlds.robots import Body
 
 INFRAREDS: Final = 16
@@ -54,16 +54,22 @@ class InfraredNoise:
     range_std_relative: float = relative_std(0.0)
     slanted: bool = setting(False, 0, 1, "", "surfaces at an angle appear farther away")
 
+    @property
+    def reach_in(self) -> float:
+        """The range from which noise does not bring a reading below MAX_RANGE_IN, but for one in a billion."""
+        return MAX_RANGE_IN / max(1.0 - NOISE_SIGMAS * self.range_std_relative, MIN_FACTOR)
+
 
 NO_INFRARED_NOISE: Final = InfraredNoise()
 """Exact ranges."""
 
 
 class Flash(NamedTuple):
-    """A flash whose ranges have not been computed yet: its pose, and a standard normal number per sensor."""
+    """A flash whose ranges have not been computed yet: its pose, a standard normal number per sensor, and the walls."""
 
     sensor_pose: SensorPose
     noise: FloatArray | None
+    walls: FloatArray
 
 
 class InfraredState(NamedTuple):
@@ -151,13 +157,12 @@ class InfraredRing:
         elif len(self._pending) >= MAX_PENDING:
             self._compute_pending()
         noise = self._rng.standard_normal(INFRAREDS) if self.noise.range_std_relative else None
-        self._pending.append(Flash(sensor_pose, noise))
+        self._pending.append(Flash(sensor_pose, noise, self._walls))
         for number in self._order:
             self._stamps[number] = stamp
 
     def set_walls(self, walls: FloatArray) -> None:
         """Replace the walls (m, 4); earlier flashes still meet the previous ones."""
-        self._compute_pending()
         self._walls = walls
 
     def set_noise(self, noise: InfraredNoise) -> None:
@@ -182,7 +187,8 @@ class InfraredRing:
         angles = flash.sensor_pose.turret_rad + np.array(self.body.sonar_angles_rad)
         directions = np.stack((np.cos(angles), np.sin(angles)), axis=1)
         position, others = (flash.sensor_pose.x_in, flash.sensor_pose.y_in), flash.sensor_pose.others
-        from_axis, rows = cast_rays(position, directions, self._walls)
+        walls = near_walls(*position, self.body.radius_in + self.noise.reach_in, flash.walls)
+        from_axis, rows = cast_rays(position, directions, walls)
         to_robots = cast_discs(position, directions, others)
         is_robot = to_robots < from_axis
         ranges: FloatArray = np.minimum(from_axis, to_robots) - self.body.radius_in
@@ -191,7 +197,7 @@ class InfraredRing:
         if self.noise.slanted and is_met.any():
             facing = np.zeros_like(directions)
             is_wall = is_met & ~is_robot
-            facing[is_wall] = normals(self._walls[rows[is_wall]])
+            facing[is_wall] = normals(walls[rows[is_wall]])
             if is_robot.any():
                 hits = np.array(position) + to_robots[is_robot, np.newaxis] * directions[is_robot]
                 facing[is_robot] = _disc_normals(hits, others)

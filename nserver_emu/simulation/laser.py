@@ -19,7 +19,7 @@ import numpy as np
 
 from nserver_emu.simulation.visibility import SensorPose
 from worlds.geometry import BoolArray, FloatArray
-from worlds.raycast import cast_discs, cast_rays
+from worlds.raycast import cast_discs, cast_fan
 from worlds.robots import Body
 
 COLUMNS: Final = 482
@@ -55,13 +55,13 @@ class LineFit:
 def ranges(sensor_pose: SensorPose, walls: FloatArray, body: Body) -> FloatArray:
     """Return the range of each column: (482,) inches from the front of the turret, inf for nothing in 6 to 180 in."""
     angles = sensor_pose.turret_rad + ANGLES_RAD
-    directions = np.stack((np.cos(angles), np.sin(angles)), axis=1)
     # The sheet starts at the front of the body.
     x_in = sensor_pose.x_in + body.radius_in * cos(sensor_pose.turret_rad)
     start = x_in, sensor_pose.y_in + body.radius_in * sin(sensor_pose.turret_rad)
-    met = cast_rays(start, directions, walls)[0]
+    met = cast_fan(*start, angles, walls, MAX_RANGE_IN)
     others = sensor_pose.others
     if len(others):
+        directions = np.stack((np.cos(angles), np.sin(angles)), axis=1)
         met = np.minimum(met, cast_discs(start, directions, others))
     return np.where((met >= MIN_RANGE_IN) & (met <= MAX_RANGE_IN), met, inf)
 

@@ -46,7 +46,7 @@ from nserver_emu.simulation.odometry import EXACT, Odometry
 from nserver_emu.simulation.segments import ConstantAccelerationSegment
 from nserver_emu.simulation.settings import Key, keys_of, setting
 from nserver_emu.simulation.sonar import IDEAL_SONAR, SonarModel, SonarNoise
-from worlds.robots import SONARS, Calibration
+from worlds.robots import Calibration
 from worlds.schema import parse_toml, read_text
 
 log = logging.getLogger(__name__)
@@ -171,11 +171,7 @@ class RobotSetup:
         """Raise ValueError if a value is outside the range of its key."""
         # The ranges of the keys bound the work that a snapshot can cause.
         for key in KEYS:
-            value = key.of(self)
-            if value is not None and not key.accepts(value):
-                raise ValueError(f"{key.table}.{key.name} out of range")
-        if len(self.sonar.offsets_in) != SONARS:
-            raise ValueError("sonar.offsets_in without 16 values")
+            key.check(self)
 
 
 IDEAL: Final = RobotSetup("ideal")
@@ -204,11 +200,6 @@ SETUPS: Final[Mapping[str, RobotSetup]] = MappingProxyType(
     {setup.name: setup for setup in (IDEAL, NOISY, MEASURED, WORN)}
 )
 """The predefined setups by name."""
-
-
-def setup_names() -> tuple[str, ...]:
-    """Return the names of the predefined setups."""
-    return tuple(SETUPS)
 
 
 RAY, POLAROID = "ray", "polaroid"
@@ -255,16 +246,16 @@ def load_setup(path: Path) -> RobotSetup:
     return parse_setup(read_text(path), str(path), path.stem)
 
 
-def _table_type(name: str, keys: Iterable[Key], *more: tuple[str, Any, Any], schema: Iterable[Any] = ()) -> Any:
+def _table_type(name: str, keys: Iterable[Key], *more: tuple[str, Any, Any], conditions: Iterable[Any] = ()) -> Any:
     """Return the type of a table in which every key is optional; keys of earlier versions are still read.
 
-    `more` are further fields, `schema` conditions on several keys as JSON Schema.
+    `more` are further fields, `conditions` those on several keys as JSON Schema.
     """
     fields = [*more, *((key.name, key.type | UnsetType, UNSET) for key in keys)]
     old = Meta(extra_json_schema={"deprecated": True})
     fields += [(key.former, Annotated[key.type | UnsetType, old], UNSET) for key in keys if key.former]
     both = [{"not": {"required": [key.name, key.former]}} for key in keys if key.former]
-    namespace = {"SCHEMA": {"allOf": [*both, *schema]}}
+    namespace = {"__doc__": f"{name}: how realistic a simulation is.", "CONDITIONS": [*both, *conditions]}
     return msgspec.defstruct(name, fields, namespace=namespace, frozen=True, forbid_unknown_fields=True)
 
 
@@ -283,12 +274,12 @@ _RING_CONDITIONS: Final = [{"anyOf": [
 ]}]  # fmt: skip
 _MODEL: Final = ("model", Annotated[one_of(SONAR_MODELS), Meta(description="one exact ray, or a Polaroid ring")], "")
 SetupFile: Final = _table_type(
-    "SetupFile", _keys_in(""),
+    "Setup", _keys_in(""),
     ("base", Annotated[one_of(SETUPS), Meta(description="setup that it derives from; default: ideal")], IDEAL.name),
     ("name", Annotated[Text, Meta(description="default: the name of the file")], ""),
     *((part, _table_type(part.capitalize(), _keys_in(part), *[_MODEL][: part == "sonar"]) | UnsetType, UNSET)
       for part in TABLES),
-    schema=_RING_CONDITIONS,
+    conditions=_RING_CONDITIONS,
 )  # fmt: skip
 """A setup file: how realistic a simulation is."""
 

@@ -75,13 +75,15 @@ class Simulation:
         By their numbers, sorted.
     seed
         0 or more.
+    time_ps
+        Simulated time since the beginning.
     """
 
     def __init__(self, world: World, seed: int = 0) -> None:
         self.seed = seed
         self.robots: dict[int, SimulatedRobot] = {}
         self._world = world
-        self._time_ps = 0
+        self.time_ps = 0
         self._group = RobotGroup()
         self._spatial_hash: SpatialHash | None = None
         self._has_new_robots = False
@@ -92,7 +94,7 @@ class Simulation:
         # 2. The states.
         self._join_new_robots()
         robots = {number: robot.to_state() for number, robot in self.robots.items()}
-        return SimulationState(self.seed, self._time_ps, WorldState.of(self._world), robots, self._group.to_state())
+        return SimulationState(self.seed, self.time_ps, WorldState.of(self._world), robots, self._group.to_state())
 
     @classmethod
     def from_state(cls, state: SimulationState) -> Simulation:
@@ -104,7 +106,7 @@ class Simulation:
             raise ValueError("robots that are not in order")
         # 2. World and robots.
         simulation = cls(state.world.world(), state.seed)
-        simulation._time_ps = state.time_ps
+        simulation.time_ps = state.time_ps
         walls = simulation.world.walls
         simulation.robots = {
             number: SimulatedRobot.from_state(robot, RngFactory(number, state.seed), walls, state.time_ps)
@@ -123,7 +125,7 @@ class Simulation:
     @property
     def time_s(self) -> float:
         """Simulated time since the beginning."""
-        return to_s(self._time_ps)
+        return to_s(self.time_ps)
 
     def add_robot(
         self,
@@ -157,7 +159,7 @@ class Simulation:
         self.require_free(pose.x_in, pose.y_in, model.body.radius_in)
         # 2. The robot, without power: its sensors must not measure before it is known to the others.
         rng_factory = RngFactory(robot_id, self.seed)
-        robot = SimulatedRobot(rng_factory, pose, self._world.walls, model, setup, self._time_ps, powered=False)
+        robot = SimulatedRobot(rng_factory, pose, self._world.walls, model, setup, self.time_ps, powered=False)
         # 3. Robots stay sorted by number, which is the order of their rows.
         is_in_order = not self.robots or robot_id > next(reversed(self.robots))
         self.robots[robot_id] = robot
@@ -192,7 +194,7 @@ class Simulation:
         if self._has_new_robots:
             load_compiled(len(self.robots))
             if len(self.robots) > 1:
-                self._group.set_robots(self.robots, self._time_ps)
+                self._group.set_robots(self.robots, self.time_ps)
         self._has_new_robots = False
 
     def require_free(self, x_in: float, y_in: float, radius_in: float, robot_id: int | None = None) -> None:
@@ -216,7 +218,7 @@ class Simulation:
         self.robots[robot_id].place(x_in, y_in, steering_rad, turret_rad)
         self._spatial_hash = None
         if len(self.robots) > 1:
-            self._group.set_robots(self.robots, self._time_ps)
+            self._group.set_robots(self.robots, self.time_ps)
             update_obstacles(list(self.robots.values()))
 
     def change_world(self, world: World) -> None:
@@ -233,11 +235,11 @@ class Simulation:
         Without noise the size of the steps changes no result (with it, only which numbers are drawn), except where two
         moving robots meet: there by the distance driven within a tick.
         """
-        begin_ps, self._time_ps = self._time_ps, self._time_ps + to_ps(dt_s)
+        begin_ps, self.time_ps = self.time_ps, self.time_ps + to_ps(dt_s)
         self._spatial_hash = None
         self._join_new_robots()
         # Several robots advance together, so that they can stop at one another.
         if len(self.robots) > 1:
-            self._group.advance(self.robots, begin_ps, self._time_ps)
+            self._group.advance(self.robots, begin_ps, self.time_ps)
         for robot in self.robots.values():
-            robot.advance_to(self._time_ps)
+            robot.advance_to(self.time_ps)

@@ -2,8 +2,8 @@
 
     order 0 2 15 1 ..., rate 15:    0 fires at 0 ms, 2 at 60 ms, 15 at 120 ms, 1 at 180 ms ... and again
 
-A firing records its pose and draws its noise; the range is computed when a reading is used, or when the walls are about
-to change. An unused ring therefore costs nothing, and reading it earlier or later changes no value. The sonar model
+A firing records its pose and walls and draws its noise; the range is computed when a reading is used. An unused ring
+therefore costs nothing, and reading it earlier or later changes no value. The sonar model
 computes the range: SonarNoise, one exact ray with noise, or Polaroid (acoustics.py), which models a real ring.
 """
 
@@ -16,18 +16,15 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from nserver_emu.simulation.acoustics import Ping, Polaroid, ReflectorMap, SonarErrors
+from nserver_emu.simulation.acoustics import MAX_UNSELECTED_WALLS, NO_ECHO_IN, Ping, Polaroid, ReflectorMap, SonarErrors
 from nserver_emu.simulation.segments import NO_STAMP, PS_PER_S, TIME_MAX_PS, SegmentTime, Stamp
 from nserver_emu.simulation.visibility import MAX_ROBOT_RANGE_IN, NO_NEAR_ROBOTS, SensorPose, robots_on_rays
 from worlds.geometry import FloatArray
-from worlds.raycast import RAYCAST_KERNEL, cast_each, ray_to_disc
+from worlds.raycast import RAYCAST_KERNEL, cast_each, near_walls, ray_to_disc
 from worlds.robots import SONARS, Body
 
 MIN_READING_IN: Final = 6
 """Nearer walls read this: the transducer still rings from its own ping."""
-
-NO_ECHO_IN: Final = 255
-"""The reading without an echo, or with one from farther away."""
 
 DEAD_IN: Final = 0
 """The reading of a dead sonar."""
@@ -37,6 +34,10 @@ TICK_PS: Final = 4 * PS_PER_S // 1000
 
 MAX_RATE: Final = 255
 """The largest firing rate that a byte on the robot's serial line can hold; the slowest ring."""
+
+MAX_PAIRS_AT_ONCE: Final = 64
+"""Pairs of a ping and one before it that `compute_some` computes, among no more than FEW_WALLS."""
+FEW_WALLS: Final = 20
 
 DEFAULT_ORDER: Final = (0, 2, 15, 1, 14, 3, 13, 4, 12, 5, 11, 6, 10, 7, 9, 8)
 DEFAULT_RATE: Final = 15
@@ -71,6 +72,9 @@ class SonarNoise(SonarErrors):
 
         The number of rays in a call changes no bit of the result.
         """
+        # 0. Among many walls, those that an echo can come from.
+        if len(walls) > MAX_UNSELECTED_WALLS:
+            walls = self._walls_in_reach(pings, walls, body)
         # 1. Ranges from the axis: compiled, ray by ray ...
         if RAYCAST_KERNEL.run is not None:
             cast = RAYCAST_KERNEL.run
@@ -83,6 +87,13 @@ class SonarNoise(SonarErrors):
             met = ray_to_disc(pings[ray].x_in, pings[ray].y_in, directions[ray].real, directions[ray].imag, disc)
             from_axis[ray] = min(from_axis[ray], met)
         return self._from_ring(from_axis, pings, body)
+
+    def _walls_in_reach(self, pings: Sequence[Ping], walls: FloatArray, body: Body) -> FloatArray:
+        """Return the walls that decide the readings of these pings."""
+        x, y = [ping.x_in for ping in pings], [ping.y_in for ping in pings]
+        apart_in = max(max(x) - min(x), max(y) - min(y))
+        reach_in = self.max_range_in + body.sonar_ring_radius_in + apart_in
+        return near_walls(x[0], y[0], reach_in, walls)
 
     def _from_ring(self, from_axis: Sequence[float], pings: Sequence[Ping], body: Body) -> list[float]:
         # 2. From the ring, with noise.
@@ -118,11 +129,12 @@ SonarModel = SonarNoise | Polaroid
 
 
 class Firing(NamedTuple):
-    """A ping whose range has not been computed yet, the pings before it that are still audible, and its pose."""
+    """A ping whose range has not been computed yet, the pings before it that are still audible, its pose and walls."""
 
     ping: Ping
     earlier: tuple[Ping, ...]
     sensor_pose: SensorPose
+    reflectors: ReflectorMap
 
 
 class SonarState(NamedTuple):
@@ -252,7 +264,6 @@ class SonarRing:
 
     def set_walls(self, walls: FloatArray) -> None:
         """Replace the walls (m, 4); earlier pings still meet the previous ones."""
-        self._compute_pending()
         self._reflectors = ReflectorMap(walls)
 
     def set_model(self, model: SonarModel) -> None:
@@ -271,31 +282,58 @@ class SonarRing:
         # The beam points away from the axis of the ring.
         direction_rad = turret_rad + self.model.turned_rad + self.body.sonar_angles_rad[sonar]
         ping = Ping(x, y, direction_rad, instant_ps, self.model.draw(self._rng))
-        self._pending[sonar] = Firing(ping, earlier, sensor_pose)
+        self._pending[sonar] = Firing(ping, earlier, sensor_pose, self._reflectors)
         self._stamps[sonar] = stamp
         self._pings[sonar] = ping
         return ping
 
+    def compute_some(self) -> bool:
+        """Compute some of the readings that are pending; return True if none are left.
+
+        A part costs a millisecond or two; a whole ring at its fastest rate several times as much.
+        """
+        if not self._pending or isinstance(self.model, SonarNoise):
+            return True
+        # Cost grows with the pairs of a ping and one before it, and with the walls.
+        most_pairs = MAX_PAIRS_AT_ONCE * FEW_WALLS // max(FEW_WALLS, len(self._reflectors.walls))
+        sonars, pairs = list[int](), 0
+        for sonar, firing in self._pending.items():
+            pairs += 1 + len(firing.earlier)
+            if sonars and pairs > most_pairs:
+                break
+            sonars.append(sonar)
+        self._compute(sonars)
+        return not self._pending
+
     def _compute_pending(self) -> None:
         """Compute the readings of all firings since the last call."""
-        if not self._pending:
-            return
-        # Dead sonars draw noise as well, but are never computed.
-        dead, offsets_in, pending = self.model.dead, self.model.offsets_in, self._pending
-        if dead:
-            pending = {sonar: firing for sonar, firing in pending.items() if sonar not in dead}
-        for sonar, range_in in zip(pending, self._measured_ranges(list(pending.values())), strict=True):
-            self._readings[sonar] = _reading(range_in + offsets_in[sonar])
-        self._pending.clear()
+        if self._pending:
+            self._compute(list(self._pending))
+
+    def _compute(self, sonars: Sequence[int]) -> None:
+        """Compute the pending readings of these sonars."""
+        dead, offsets_in = self.model.dead, self.model.offsets_in
+        # Firings among the same walls are computed together; between two readings walls seldom change.
+        by_walls: dict[int, list[int]] = {}
+        for sonar in sonars:
+            # Dead sonars draw noise as well, but are never computed.
+            if sonar not in dead:
+                by_walls.setdefault(id(self._pending[sonar].reflectors), []).append(sonar)
+        for group in by_walls.values():
+            ranges_in = self._measured_ranges([self._pending[sonar] for sonar in group])
+            for sonar, range_in in zip(group, ranges_in, strict=True):
+                self._readings[sonar] = _reading(range_in + offsets_in[sonar])
+        for sonar in sonars:
+            del self._pending[sonar]
 
     def _measured_ranges(self, firings: Sequence[Firing]) -> list[float]:
-        """Return ranges, inches, inf for no echo."""
-        model, reflectors, body = self.model, self._reflectors, self.body
-        # Rays of all firings are cast together; the Polaroid model treats each ping separately.
+        """Return ranges of firings among the same walls, inches, inf for no echo."""
+        model, reflectors, body = self.model, firings[0].reflectors, self.body
+        pings, poses = [firing.ping for firing in firings], [firing.sensor_pose for firing in firings]
         if isinstance(model, SonarNoise):
-            pings, poses = [firing.ping for firing in firings], [firing.sensor_pose for firing in firings]
             return model.measured_ranges(pings, poses, reflectors.walls, body)
-        return [model.measured_range(ping, earlier, reflectors, body, pose.others) for ping, earlier, pose in firings]
+        earlier, others = [firing.earlier for firing in firings], [pose.others for pose in poses]
+        return model.measured_ranges(pings, earlier, reflectors, body, others, model.max_range_in)
 
 
 def _reading(range_in: float) -> int:

@@ -28,7 +28,7 @@ from nclient.protocol.wire_state import WireState, tcp_wire_state
 from nclient.recording.recorder import TCP
 from nserver_emu.control.commands import answer_line
 from nserver_emu.server.connection import ConnectionHandler
-from nserver_emu.server.ownership import MOTIONS
+from nserver_emu.server.estop import MOTIONS
 from nserver_emu.server.session import Session
 from nserver_emu.viewer.broadcaster import Broadcaster, Viewer
 from nserver_emu.viewer.error_boundary import ErrorBoundary
@@ -36,9 +36,17 @@ from nserver_emu.viewer.localization import parse_estimate
 from nserver_emu.viewer.messages import (
     DRIVE_TIMEOUT_S,
     VERSION,
-    WATCH_MESSAGES,
+    CallRobot,
+    Click,
+    ControlServer,
+    Drive,
     InvalidMessage,
     Message,
+    Release,
+    Seen,
+    Stop,
+    Watch,
+    Waypoints,
     encode_message,
     parse_message,
 )
@@ -221,7 +229,7 @@ class ViewerController:
         """Where each robot is to go, as set at a page."""
         self._waypoints_set: Counter[int] = Counter()
         self._clients: dict[Viewer, ViewerClients] = {}
-        self._published: dict[int, tuple[float, Message]] = {}
+        self._published: dict[int, tuple[float, dict[str, Any]]] = {}
         # The monitor takes the recorder's place and passes everything on to it.
         self.traffic_monitor = TrafficMonitor(
             daemon.recorder, self._wire_state_of, lambda: daemon.emulator.simulation.time_s
@@ -273,8 +281,8 @@ class ViewerController:
             self._refuse(viewer, error.number, str(error))
             return
         # 2. Permission.
-        number = message.get("id")
-        if message["do"] not in WATCH_MESSAGES and not viewer.may_act:
+        number = getattr(message, "id", None)
+        if not isinstance(message, Seen | Watch) and not viewer.may_act:
             self._refuse(viewer, number, "this link only looks")
             return
 
@@ -283,11 +291,44 @@ class ViewerController:
 
         with self.error_boundary.guard("a message of a page", viewer.name, failed):
             try:
-                _ACTIONS[message["do"]](self, viewer, message, now)
+                self._carry_out(message, viewer, now)
             except InvalidMessage as error:
                 self._refuse(viewer, number, str(error))
 
-    def publish(self, text: str, now: float) -> Message:
+    def _carry_out(self, message: Message, viewer: Viewer, now: float) -> None:
+        match message:
+            case Seen():
+                viewer.mark_drawn(message.frame)
+            case Watch():
+                viewer.traffic, viewer.laser, viewer.laser_robot = message.traffic, message.laser, message.robot
+                self.traffic_monitor.watched = self.broadcaster.watch_traffic
+            case CallRobot():
+                self.clients(viewer).call(message.robot, message.call, message.args, _replier(viewer, message.id))
+            case Drive():
+                reply, others = _replier(viewer, message.id), self.others(viewer, message.robot)
+                self.clients(viewer).drive(
+                    message.robot, message.args, now, lambda answer: reply(answer | {"others": others})
+                )
+            case Stop() | Release():
+                robots = self.robots(message.robot)
+                if isinstance(message, Stop):
+                    self.daemon.hold(robots, viewer.name)
+                else:
+                    self.daemon.release(robots)
+                _replier(viewer, message.id)({"ok": True, "held": self.daemon.emulator.estop.as_dict()})
+            case ControlServer():
+                # The same form as on the control socket, so that both have the same checks and replies.
+                request = json.dumps({"command": message.command, "argument": message.argument})
+                answer: dict[str, Any] = json.loads(answer_line(self.daemon, request.encode()))
+                _replier(viewer, message.id)(answer)
+            case Click():
+                x, y, steer, turret = message.pose
+                if not self.daemon.emulator.pose_requests.answer(message.robot, (x, y, steer, turret)):
+                    self._refuse(viewer, None, f"no client asks for a pose of robot {message.robot}")
+            case Waypoints():
+                self.set_waypoints(message.robot, message.points)
+
+    def publish(self, text: str, now: float) -> dict[str, Any]:
         """Show a localizer's estimate on all pages; return the reply with the way-points.
 
         Raises
@@ -319,9 +360,9 @@ class ViewerController:
             if other is not viewer and clients.is_driving(robot)
         ]
 
-    def robots(self, message: Message) -> list[int]:
+    def robots(self, named: int | None) -> list[int]:
         """Return the robots that a message is about: the one it names, or all. Raises InvalidMessage."""
-        robots, named = list(self.daemon.emulator.simulation.robots), message.get("robot")
+        robots = list(self.daemon.emulator.simulation.robots)
         if named is not None and named not in robots:
             raise InvalidMessage(f"there is no robot {named}; there are {', '.join(map(str, robots))}")
         return robots if named is None else [named]
@@ -357,63 +398,6 @@ class ViewerController:
         self.daemon.emulator.pose_requests.open = any(viewer.may_act for viewer in self.broadcaster.viewers)
 
 
-def _seen(_desk: ViewerController, viewer: Viewer, message: Message, _now: float) -> None:
-    viewer.mark_drawn(message["frame"])
-
-
-def _watch(controller: ViewerController, viewer: Viewer, message: Message, _now: float) -> None:
-    viewer.traffic, viewer.laser, viewer.laser_robot = message["traffic"], message["laser"], message.get("robot")
-    controller.traffic_monitor.watched = controller.broadcaster.watch_traffic
-
-
-def _call(controller: ViewerController, viewer: Viewer, message: Message, _now: float) -> None:
-    controller.clients(viewer).call(message["robot"], message["call"], message["args"], _replier(viewer, message["id"]))
-
-
-def _drive(controller: ViewerController, viewer: Viewer, message: Message, now: float) -> None:
-    robot, reply = message["robot"], _replier(viewer, message["id"])
-    others = controller.others(viewer, robot)
-    controller.clients(viewer).drive(robot, message["args"], now, lambda answer: reply(answer | {"others": others}))
-
-
-def _stop(controller: ViewerController, viewer: Viewer, message: Message, _now: float) -> None:
-    controller.daemon.hold(controller.robots(message), viewer.name)
-    _reply_held(controller, viewer, message)
-
-
-def _release(controller: ViewerController, viewer: Viewer, message: Message, _now: float) -> None:
-    controller.daemon.release(controller.robots(message))
-    _reply_held(controller, viewer, message)
-
-
-def _reply_held(controller: ViewerController, viewer: Viewer, message: Message) -> None:
-    _replier(viewer, message["id"])({"ok": True, "held": controller.daemon.emulator.estop.as_dict()})
-
-
-def _control(controller: ViewerController, viewer: Viewer, message: Message, _now: float) -> None:
-    # The same form as on the control socket, so that both have the same checks and replies.
-    request = json.dumps({"command": message["command"], "argument": message.get("argument")})
-    answer: dict[str, Any] = json.loads(answer_line(controller.daemon, request.encode()))
-    _replier(viewer, message["id"])(answer)
-
-
-def _click(controller: ViewerController, viewer: Viewer, message: Message, _now: float) -> None:
-    x, y, steer, turret = message["pose"]
-    if not controller.daemon.emulator.pose_requests.answer(message["robot"], (x, y, steer, turret)):
-        error = f"no client asks for a pose of robot {message['robot']}"
-        viewer.notify(encode_message("answer", id=None, ok=False, error=error))
-
-
-def _waypoints(controller: ViewerController, _viewer: Viewer, message: Message, _now: float) -> None:
-    controller.set_waypoints(message["robot"], message["points"])
-
-
 def _replier(viewer: Viewer, number: int) -> Callable[[Answer], None]:
     """Return a function that sends a viewer the reply to its message of this number."""
     return lambda answer: viewer.notify(encode_message("answer", id=number, **answer))
-
-
-_ACTIONS: Final[dict[str, Callable[[ViewerController, Viewer, Message, float], None]]] = {
-    "seen": _seen, "watch": _watch, "call": _call, "drive": _drive, "stop": _stop, "release": _release,
-    "control": _control, "click": _click, "waypoints": _waypoints,
-}  # fmt: skip

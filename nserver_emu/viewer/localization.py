@@ -15,108 +15,89 @@ Units are inches and radians. Anything else raises InvalidMessage.
 
 from __future__ import annotations
 
-import json
-from collections.abc import Sequence
-from typing import Any, Final
+from typing import Annotated, Any, Final, Literal, get_args
 
+import msgspec
 import numpy as np
+from msgspec import Meta, Struct
 
-from nserver_emu.viewer.messages import MAX_NUMBER, MAX_POINTS, InvalidMessage, Message
+from nclient.common.validation import InvalidValue, convert, decode_json, reported_as
+from nserver_emu.viewer.messages import MAX_POINTS, Id, InvalidMessage, Number, Point
 from worlds.robots import SONARS
 
-REFUSALS: Final = ("none", "limit", "no_wall", "ambiguous_wall", "grazing", "gate")
-TRUSTS: Final = ("OK", "DEGRADED", "LOST")
+Refusal = Literal["none", "limit", "no_wall", "ambiguous_wall", "grazing", "gate"]
+Trust = Literal["OK", "DEGRADED", "LOST"]
+REFUSALS: Final = get_args(Refusal)
+TRUSTS: Final = get_args(Trust)
 MAX_ECHOES: Final = 64
 MAX_PLACES: Final = 20
 MAX_REASON: Final = 200
 """Characters of a reason."""
 MAX_READING_IN: Final = 1000.0
 """More than any sonar measures."""
-_POSE, _COV = 3, 9
 _ROUNDING: Final = 1e-6
 
+Pose = Annotated[list[Number], Meta(min_length=3, max_length=3, title="three numbers")]
 
-def parse_estimate(text: str) -> Message:
-    """Parse and check a published estimate.
+
+class Echo(Struct):
+    """An echo since the previous update."""
+
+    sonar: Annotated[int, Meta(ge=0, le=SONARS - 1)]
+    reading_in: Annotated[float, Meta(ge=0.0, le=MAX_READING_IN)]
+    refusal: Refusal
+    innovation_in: Number
+    nis: Annotated[float, Meta(ge=0.0, le=1e9)]
+
+
+class Place(Struct):
+    """A candidate pose and its probability."""
+
+    pose: Pose
+    share: Annotated[float, Meta(ge=0.0, le=1.0)]
+
+
+class Estimate(Struct):
+    """A published estimate, in inches and radians."""
+
+    robot: Id
+    clock_s: Number
+    pose: Pose
+    turret: Number
+    cov: Annotated[list[Pose], Meta(min_length=3, max_length=3, title="three rows of three numbers")]
+    odometry: Pose
+    truth: Pose | None
+    echoes: Annotated[list[Echo], Meta(title="a list of echoes")]
+    waypoints: Annotated[list[Point], Meta(title="a list of points [[x, y], ...]")]
+    trust: Trust
+    reason: str
+    places: Annotated[list[Place], Meta(title="a list of places")]
+    passed: Id
+    began: bool = False
+
+    def __post_init__(self) -> None:
+        matrix = np.array(self.cov)
+        largest = float(np.abs(matrix).max())
+        is_symmetric = np.abs(matrix - matrix.T).max() <= _ROUNDING * largest
+        if not is_symmetric or np.linalg.eigvalsh(matrix)[0] < -_ROUNDING * largest:
+            raise InvalidValue("is no covariance: not symmetric, or not positive semidefinite", "cov")
+        if sum(place.share for place in self.places[:MAX_PLACES]) > 1.0 + _ROUNDING:
+            raise InvalidValue("the shares sum to more than 1", "places")
+
+
+def parse_estimate(text: str) -> dict[str, Any]:
+    """Parse and check a published estimate; long lists and reasons are truncated, and the covariance is flattened.
 
     Raises
     ------
     InvalidMessage
         If a field is missing or wrong.
     """
-    try:
-        raw = json.loads(text)
-        message = {
-            "robot": _integer(raw["robot"]), "clock_s": _number(raw["clock_s"]), "pose": _numbers(raw["pose"], _POSE),
-            "turret": _number(raw["turret"]), "cov": _covariance(raw["cov"]),
-            "odometry": _numbers(raw["odometry"], _POSE),
-            "truth": None if raw["truth"] is None else _numbers(raw["truth"], _POSE),
-            "echoes": [_echo(echo) for echo in raw["echoes"][:MAX_ECHOES]],
-            "waypoints": [_numbers(point, 2) for point in raw["waypoints"][:MAX_POINTS]],
-            "trust": _one_of(TRUSTS, raw["trust"]), "reason": _text(raw["reason"]),
-            "places": _places(raw["places"][:MAX_PLACES]), "passed": _integer(raw["passed"]),
-            "began": raw.get("began") is True,
-        }  # fmt: skip
-    except (KeyError, TypeError, ValueError, AttributeError, IndexError, RecursionError, OverflowError) as error:
-        raise InvalidMessage(f"what is published is robot, clock_s, pose, turret, cov, odometry, truth, echoes, "
-                             f"waypoints, passed, trust, reason, places: {error!r}") from None
-    return message
-
-
-def _echo(raw: Any) -> Message:
-    return {
-        "sonar": _integer(raw["sonar"], below=SONARS), "refusal": _one_of(REFUSALS, raw["refusal"]),
-        "reading_in": _number(raw["reading_in"], 0.0, MAX_READING_IN),
-        "innovation_in": _number(raw["innovation_in"]), "nis": _number(raw["nis"], 0.0),
+    with reported_as(InvalidMessage, "published estimate"):
+        estimate = convert(decode_json(text), Estimate)
+    fields: dict[str, Any] = msgspec.to_builtins(estimate)
+    return fields | {
+        "cov": [number for row in estimate.cov for number in row],
+        "echoes": fields["echoes"][:MAX_ECHOES], "waypoints": estimate.waypoints[:MAX_POINTS],
+        "places": fields["places"][:MAX_PLACES], "reason": estimate.reason[:MAX_REASON],
     }  # fmt: skip
-
-
-def _places(raw: Any) -> list[Message]:
-    places: list[Message] = [
-        {"pose": _numbers(place["pose"], _POSE), "share": _number(place["share"], 0.0, 1.0)} for place in raw
-    ]
-    if sum(place["share"] for place in places) > 1.0 + _ROUNDING:
-        raise ValueError("the shares of places sum to more than 1")
-    return places
-
-
-def _covariance(rows: Any) -> list[float]:
-    """Return the nine numbers of a covariance: symmetric and positive semidefinite, up to rounding."""
-    cov = _numbers([n for row in rows for n in row], _COV)
-    matrix = np.array(cov).reshape(_POSE, _POSE)
-    largest = float(np.abs(matrix).max())
-    is_symmetric = np.abs(matrix - matrix.T).max() <= _ROUNDING * largest
-    if not is_symmetric or np.linalg.eigvalsh(matrix)[0] < -_ROUNDING * largest:
-        raise ValueError("cov is no covariance: not symmetric, or not positive semidefinite")
-    return cov
-
-
-def _one_of(names: Sequence[str], value: Any) -> str:
-    if not isinstance(value, str) or value not in names:
-        raise ValueError(f"one of {', '.join(names)}, not {value!r:.60}")
-    return value
-
-
-def _text(value: Any) -> str:
-    if not isinstance(value, str):
-        raise ValueError(f"no text: {value!r:.60}")
-    return value[:MAX_REASON]
-
-
-def _integer(value: Any, below: int = 2**31) -> int:
-    if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < below:
-        raise ValueError(f"no whole number from 0 below {below}: {value!r}")
-    return value
-
-
-def _numbers(values: Any, count: int) -> list[float]:
-    numbers = [_number(value) for value in values]
-    if len(numbers) != count:
-        raise ValueError(f"{count} numbers, not {len(numbers)}")
-    return numbers
-
-
-def _number(value: Any, low: float = -MAX_NUMBER, high: float = MAX_NUMBER) -> float:
-    if not isinstance(value, int | float) or isinstance(value, bool) or not low <= value <= high:
-        raise ValueError(f"no number from {low:g} to {high:g}: {value!r:.60}")
-    return float(value)

@@ -18,47 +18,140 @@ from the page, by `do`
     call         id, robot, call (C name), args (wire units): a client's call to that robot
     drive        id, robot, args: a vm that ends by itself unless the next comes within DRIVE_TIMEOUT_S
     stop         id, robot (left out: all): stop it, and refuse motions until it is released, from programs, other
-                 viewers and this page (server/ownership.py)
+                 viewers and this page (server/estop.py)
     release      id, robot (left out: all): allow motions again
     control      id, command, argument: time, faults, noise, world (control/commands.py)
     click        robot, pose: x, y, steer, turret in tenths
     waypoints    robot, points: [[x_in, y_in] ...] for its localizer
 
-A message of any other form raises InvalidMessage, which names the correct form. A viewer that may only watch may send
-seen and watch.
+A message of any other form raises InvalidMessage, which names the correct form; unknown keys are left out. A viewer
+that may only watch may send seen and watch.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
-from typing import Any, Final
+from functools import partial
+from typing import Annotated, Any, Final, Literal, get_args
+
+from msgspec import Meta, Struct
+
+from nclient.common.validation import InvalidValue, convert, decode_json, describe_value, reported_as
 
 VERSION: Final = 4
 MAX_TEXT: Final = 2_000_000
 """Characters of a message from the page; a plan of faults is the longest."""
 MAX_ARGS: Final = 64
 MAX_POINTS: Final = 200
-MAX_SHOWN: Final = 60
-"""Characters of a wrong value that an error message shows."""
 MAX_NUMBER: Final = 1e9
 """Largest absolute value of any number: inches, radians, seconds."""
 MAX_DEPTH: Final = 3
 """Nesting of an argument: the corners of an obstacle."""
 DRIVE_TIMEOUT_S: Final = 0.5
 """Real seconds without a repeated drive message after which the robot stops."""
-CALLS: Final = frozenset({
+_COMPACT: Final = json.JSONEncoder(separators=(",", ":"))
+
+Id = Annotated[int, Meta(ge=0, le=2**31 - 1)]
+RobotOrAll = Annotated[
+    int, Meta(ge=0, le=2**31 - 1, title="the number of a robot, or left out for every robot")
+]
+Word = Annotated[int, Meta(ge=-(2**31), le=2**31 - 1)]
+Number = Annotated[float, Meta(ge=-MAX_NUMBER, le=MAX_NUMBER)]
+Point = Annotated[list[Number], Meta(min_length=2, max_length=2, title="a point [x, y]")]
+Points = Annotated[list[Point], Meta(max_length=MAX_POINTS, title="a list of points [[x, y], ...] in inches")]
+Call = Literal[
     "st", "lp", "zr", "vm", "pr", "dp", "da", "conf_tm", "conf_sn", "place_robot", "add_obstacle", "delete_obstacle",
     "move_obstacle", "new_world", "refresh_all", "create_robot",
-})  # fmt: skip
-CONTROLS: Final = frozenset({
+]  # fmt: skip
+Control = Literal[
     "status", "pause", "resume", "speed", "step", "faults show", "faults set", "faults clear", "faults counts", "noise",
     "world show", "world set", "obstacle",
-})  # fmt: skip
+]  # fmt: skip
 """Control commands of the page: all but those that write files."""
-WATCH_MESSAGES: Final = frozenset({"seen", "watch"})
-_COMPACT: Final = json.JSONEncoder(separators=(",", ":"))
-Message = dict[str, Any]
+CALLS: Final = get_args(Call)
+CONTROLS: Final = get_args(Control)
+
+
+class _Message(Struct, tag_field="do", omit_defaults=True):
+    """A message from the page."""
+
+
+class _Request(_Message):
+    """A message that gets an answer."""
+
+    id: Id
+
+
+class Seen(_Message, tag="seen"):
+    """The picture of this frame was drawn."""
+
+    frame: Id
+
+
+class Watch(_Message, tag="watch"):
+    """What the page wants to be sent."""
+
+    traffic: bool
+    laser: bool
+    robot: RobotOrAll | None = None
+
+
+class CallRobot(_Request, tag="call"):
+    """A client's call."""
+
+    robot: Id
+    call: Call
+    args: Annotated[list[Word], Meta(max_length=MAX_ARGS, title="a list of whole numbers of 32 bits")]
+
+
+class Drive(_Request, tag="drive"):
+    """Velocities until the next message."""
+
+    robot: Id
+    args: Annotated[list[Word], Meta(min_length=3, max_length=3, title="three whole numbers")]
+
+
+class Stop(_Request, tag="stop"):
+    """Stop and hold a robot, or all."""
+
+    robot: RobotOrAll | None = None
+
+
+class Release(_Request, tag="release"):
+    """End a hold."""
+
+    robot: RobotOrAll | None = None
+
+
+class ControlServer(_Request, tag="control"):
+    """A control command."""
+
+    command: Control
+    argument: Any = None
+
+    def __post_init__(self) -> None:
+        if isinstance(self.argument, list | bool) or not _is_plain(self.argument, MAX_DEPTH):
+            found = describe_value(self.argument)
+            raise InvalidValue(f"expected nothing, a number, a text or an object of such, found {found}", "argument")
+
+
+class Click(_Message, tag="click"):
+    """A pose for a client that waits for one."""
+
+    robot: Id
+    pose: Annotated[
+        list[Word], Meta(min_length=4, max_length=4, title="x, y, steer and turret in whole tenths")
+    ]
+
+
+class Waypoints(_Message, tag="waypoints"):
+    """Where a robot's localizer is to drive it."""
+
+    robot: Id
+    points: Points
+
+
+Message = Seen | Watch | CallRobot | Drive | Stop | Release | ControlServer | Click | Waypoints
 
 
 class InvalidMessage(ValueError):
@@ -73,19 +166,16 @@ def parse_message(text: str) -> Message:
     """Parse and check a message from the page. Raises InvalidMessage."""
     if len(text) > MAX_TEXT:
         raise InvalidMessage(f"a message is at most {MAX_TEXT} characters")
-    try:
-        raw = json.loads(text)
-    except (ValueError, RecursionError):
-        raise InvalidMessage("a message is a JSON object") from None
-    kind = raw.get("do") if isinstance(raw, dict) else None
-    row = FIELDS.get(kind) if isinstance(kind, str) else None
-    number = raw.get("id") if isinstance(raw, dict) and _is_id(raw.get("id")) else None
-    if row is None:
-        raise InvalidMessage(f"do is one of {', '.join(FIELDS)}, not {_short(kind)}", number)
-    for name, (is_valid, expected) in row.items():
-        if not is_valid(raw.get(name)):
-            raise InvalidMessage(f"{kind}: {name} is {expected}, not {_short(raw.get(name))}", number)
-    return {"do": kind} | {name: raw[name] for name in row if name in raw}
+    with reported_as(InvalidMessage, "a message"):
+        raw = decode_json(text)
+    if not isinstance(raw, dict):
+        raise InvalidMessage(f"a message is a JSON object, not {describe_value(raw)}")
+    # An answer to a wrong message carries its number, if that is right.
+    number = raw.get("id")
+    is_number = isinstance(number, int) and not isinstance(number, bool) and 0 <= number < 2**31
+    with reported_as(partial(InvalidMessage, number=number if is_number else None)):
+        message: Message = convert(raw, Message)
+    return message
 
 
 def encode_message(kind: str, **fields: Any) -> str:
@@ -93,74 +183,11 @@ def encode_message(kind: str, **fields: Any) -> str:
     return _COMPACT.encode({"type": kind} | fields)
 
 
-def _short(value: object) -> str:
-    shown = json.dumps(value)
-    return shown if len(shown) <= MAX_SHOWN else f"{shown[:MAX_SHOWN]}..."
-
-
-def _is_int(value: object) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and -(2**31) <= value < 2**31
-
-
-def _is_id(value: object) -> bool:
-    return _is_int(value) and isinstance(value, int) and value >= 0
-
-
-def _are_ints(value: object, count: int | None = None) -> bool:
-    return (
-        isinstance(value, list) and len(value) <= MAX_ARGS and all(map(_is_int, value))
-        and (count is None or len(value) == count)
-    )  # fmt: skip
-
-
-def _are_points(value: object) -> bool:
-    return isinstance(value, list) and len(value) <= MAX_POINTS and all(map(_is_point, value))
-
-
-def _is_point(value: object) -> bool:
-    return isinstance(value, list) and len(value) == 2 and all(_is_number(number) for number in value)
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and -MAX_NUMBER <= value <= MAX_NUMBER
-
-
-def _is_argument(value: object) -> bool:
-    return not isinstance(value, list | bool) and _is_plain(value, MAX_DEPTH)
-
-
 def _is_plain(value: object, depth: int) -> bool:
     """Return True if a value is plain JSON with numbers in range and at most this nesting."""
     if isinstance(value, list | dict):
         items = value.values() if isinstance(value, dict) else value
         return depth > 0 and all(_is_plain(item, depth - 1) for item in items)
-    return value is None or isinstance(value, str | bool) or _is_number(value)
-
-
-Field = tuple[Callable[[object], bool], str]
-_ID: Final[Field] = (_is_id, "a whole number of 0 or more")
-_ROBOT_OR_ALL: Final[Field] = (
-    lambda value: value is None or _is_id(value), "the number of a robot, or left out for every robot"
-)
-_FLAG: Final[Field] = (lambda value: isinstance(value, bool), "true or false")
-_ARGS: Final[Field] = (_are_ints, f"a list of at most {MAX_ARGS} whole numbers of 32 bits")
-FIELDS: Final[dict[str, dict[str, Field]]] = {
-    "seen": {"frame": _ID},
-    "watch": {"traffic": _FLAG, "laser": _FLAG, "robot": _ROBOT_OR_ALL},
-    "call": {
-        "id": _ID, "robot": _ID, "args": _ARGS,
-        "call": (lambda value: isinstance(value, str) and value in CALLS, f"one of {', '.join(sorted(CALLS))}"),
-    },
-    "drive": {"id": _ID, "robot": _ID, "args": (lambda value: _are_ints(value, 3), "three whole numbers")},
-    "stop": {"id": _ID, "robot": _ROBOT_OR_ALL},
-    "release": {"id": _ID, "robot": _ROBOT_OR_ALL},
-    "control": {
-        "id": _ID, "argument": (_is_argument, "nothing, a number, a text or an object of such"),
-        "command": (
-            lambda value: isinstance(value, str) and value in CONTROLS, f"one of {', '.join(sorted(CONTROLS))}"
-        ),
-    },
-    "click": {"robot": _ID, "pose": (lambda value: _are_ints(value, 4), "x, y, steer and turret in whole tenths")},
-    "waypoints": {"robot": _ID, "points": (_are_points, f"a list of at most {MAX_POINTS} points [x, y] in inches")},
-}  # fmt: skip
-"""All messages from the page: for each field a check and a description of correct values."""
+    return value is None or isinstance(value, str | bool) or (
+        isinstance(value, int | float) and -MAX_NUMBER <= value <= MAX_NUMBER
+    )  # fmt: skip

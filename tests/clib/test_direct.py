@@ -39,17 +39,15 @@ def calls_with_line(direct: str, robot: ScriptedLine, *calls: str) -> list[dict[
     return after
 
 
-def test_numbers_are_clamped_and_long_waits_split(direct: str) -> None:
+def test_numbers_are_clamped(direct: str) -> None:
     robot = ScriptedLine()
-    robot.slots[41] = 1
-    found = calls_with_line(direct, robot, "pr 40000 -40000 1", "sp -5 70000 450", "conf_tm 300",
-                            "place_robot 40000 1 2 3", "ws 1 0 0 600", "ws 0 1 0 600", "conf_ser 1 9600")  # fmt: skip
-    assert [after["return"] for after in found] == [1] * 7
+    found = calls_with_line(direct, robot, "pr 40000 -40000 1", "sp -5 70000 450", "conf_tm 255",
+                            "place_robot 40000 1 2 3", "ws 1 0 0 255", "conf_ser 1 9600")  # fmt: skip
+    assert [after["return"] for after in found] == [1] * 6
     assert robot.calls == [
         Call("pr", (32767, -32767, 1)), Call("sp", (0, 65535, 450)), Call("conf_tm", (255,)),
         Call("dp", (32767, 1)), Call("da", (2, 3)),
-        Call("ws", (1, 0, 0, 255)), Call("ws", (1, 0, 0, 255)), Call("ws", (1, 0, 0, 90)), Call("ws", (0, 1, 0, 255)),
-        Call("conf_ser", (1, 9600)),
+        Call("ws", (1, 0, 0, 255)), Call("conf_ser", (1, 9600)),
     ]  # fmt: skip
 
 
@@ -152,8 +150,8 @@ def test_disconnected_line(direct: str, monkeypatch: pytest.MonkeyPatch) -> None
 @pytest.mark.parametrize(("model", "call", "reason"), [
     (SCOUT, "tk hello", "not available on the serial line of model Scout"),
     (N200, "conf_ser 1 9600", "not available on the serial line of model N200"),
-    (N200, "real_robot", "only with an Nserver"),
-    (N200, "create_robot 2", "only with an Nserver"),
+    (N200, "refresh_all", "only with an Nserver"),
+    (N200, "draw_line 1 2 3 4 5", "only with an Nserver"),
     (N200, "tk " + "x" * 250, "at most 255 bytes"),
 ])  # fmt: skip
 def test_unavailable_commands_are_not_sent(direct: str, model: Model, call: str, reason: str) -> None:
@@ -242,6 +240,29 @@ def test_line_from_environment(direct: str, monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setenv("NOMAD_ROBOT", "robotd://127.0.0.1:1/2?model=n150")
     found, _ = run_calls([direct], "connect_robot 1\n")
     assert "only a host and a port may follow robotd://, not /2" in found["error"]
+
+
+@pytest.mark.parametrize("call", ["real_robot", "simulated_robot", "create_robot 2", "predict_sensors 1 2 3 4",
+                                  "add_obstacle 3 0 0 9 0 0 9", "new_world", "get_robot_conf"])  # fmt: skip
+def test_calls_for_a_simulation_do_nothing_on_a_line(direct: str, call: str) -> None:
+    robot = ScriptedLine()
+    queried, found = calls_with_line(direct, robot, "gs", call)
+    assert found["return"] == 1
+    assert {name: value for name, value in found.items() if name in queried} == queried
+    assert robot.names() == ["gs"]
+
+
+def test_position_data_on_line_of_n150(direct: str) -> None:
+    robot = ScriptedLine()
+    (found,) = calls_with_line(direct, robot, "posDataRequest 3")
+    assert (found["return"], found["pos"], robot.names()) == (1, 0, [])
+
+
+def test_state_44_is_111_without_line(direct: str) -> None:
+    found, *_ = run_calls([direct, "1", "/dev/no-such-line", "38400"], "connect_robot 1\n")
+    assert (found["return"], found["State"][44]) == (0, 111)
+    (found, *_) = run_calls([direct], "gs\n")
+    assert (found["return"], found["State"][44]) == (0, 111)
 
 
 def test_line_from_globals(builds: BuildCache, tmp_path: Path) -> None:

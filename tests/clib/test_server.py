@@ -88,7 +88,8 @@ def test_silent_server_is_disconnected(client: str) -> None:
 
     def talk(connection: socket.socket) -> None:
         by_script(server, 3)(connection)
-        assert connection.recv(1) == b""  # the client closes the connection without another request
+        # The client closes the connection without another request.
+        assert connection.recv(1) == b""
 
     with on_socket(talk) as port:
         _, silent, after, _ = run_calls([client, str(port)], "connect_robot 1\ngs\nst\n")
@@ -192,12 +193,10 @@ def test_robot_number_in_address_must_match(
     with socket.create_server(("127.0.0.1", 0)) as listener:
         monkeypatch.setenv("NOMAD_ROBOT", f"nserver://127.0.0.1:{listener.getsockname()[1]}/2")
         refused, running, _ = run_calls([client], f"{call} 1\nserver_is_running\n")
-        listener.settimeout(10)
-        listener.accept()[0].close()  # the connection of server_is_running
         listener.settimeout(0)
         with pytest.raises(BlockingIOError):
             listener.accept()
-    assert (refused["return"], running["return"]) == (0, 1)
+    assert (refused["return"], running["return"]) == (0, 0)
     assert refused["error"] == ("NOMAD_ROBOT names robot 2, the program connects to robot 1: use the same number, or "
                                 "leave it out of the address")  # fmt: skip
     for path in ("/2", "/2/", "/", ""):
@@ -258,11 +257,11 @@ int main(int count, char **words)
         port = listener.getsockname()[1]
         wrapped = port + 65536
         why = f"the port must be 1 to 65535, not {wrapped}\n"
-        assert refused(f"127.0.0.1:{wrapped}") == f"Nclient: 127.0.0.1:{wrapped}: {why}"
-        assert refused("127.0.0.1", str(wrapped)) == f"Nclient: 127.0.0.1: {why}"
+        assert refused(f"127.0.0.1:{wrapped}") == 2 * f"Nclient: 127.0.0.1:{wrapped}: {why}"
+        assert refused("127.0.0.1", str(wrapped)) == 2 * f"Nclient: 127.0.0.1: {why}"
         assert refused("", str(wrapped)).endswith(why)
         monkeypatch.setenv("NOMAD_ROBOT", f"nserver://127.0.0.1:{wrapped}/1")
-        assert refused() == f"Nclient: 127.0.0.1:{wrapped}: {why}"
+        assert refused() == 2 * f"Nclient: 127.0.0.1:{wrapped}: {why}"
         for none in ("70x9", "0", "-1", f"+{port}", "99999999999999999999"):
             assert refused(f"127.0.0.1:{none}").endswith(f"the port must be 1 to 65535, not {none}\n")
             assert refused(f"[::1]:{none}").endswith(f"the port must be 1 to 65535, not {none}\n")
@@ -270,22 +269,84 @@ int main(int count, char **words)
         assert refused("127.0.0.1", "-58517").endswith("not -58517\n")
 
 
-def test_server_is_running(client: str) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        port = str(listener.getsockname()[1])
-        assert run_calls([client, port], "server_is_running\n")[0]["return"] == 1
-    assert run_calls([client, port], "server_is_running\n")[0]["return"] == 0
+def test_server_is_running_connects_to_robot_1(client: str) -> None:
+    server = ScriptedServer()
+    with on_socket(by_script(server, 3)) as port:
+        running, queried, _ = run_calls([client, str(port)], "server_is_running\ngs\n")
+    assert (running["return"], queried["return"]) == (7019, 1)
+    assert [(call.name, call.args[0]) for call in server.calls[:2]] == [("connect_robot", 1), ("ct", 0)]
+    assert run_calls([client, str(port)], "server_is_running\n")[0]["return"] == 0
+
+
+SIMPLE_CALLS = ["tk hello", "real_robot", "simulated_robot", "place_robot 1 2 3 4", "add_obstacle 3 0 0 9 0 0 9",
+                "delete_obstacle 3 0 0 9 0 0 9", "new_world", "draw_line 1 2 3 4 5", "refresh_all",
+                "quit_server"]  # fmt: skip
+
+
+@pytest.mark.parametrize("call", SIMPLE_CALLS)
+def test_refused_call_without_values_succeeds(client: str, call: str) -> None:
+    server = ScriptedServer({call.split()[0]: error(5), "vm": error(2)})
+    _, refused = calls_with_server(client, server, 2, "vm 1 2 3", call)
+    assert (refused["return"], refused["State"][44]) == (1, 2)
+    assert "error 5" in refused["error"]
+
+
+def test_state_44_is_111_without_server(client: str) -> None:
+    found, *_ = run_calls([client, "1"], "connect_robot 1\n")
+    assert (found["return"], found["State"][44]) == (0, 111)
+    (found, *_) = run_calls([client, "1"], "gs\n")
+    assert (found["return"], found["State"][44]) == (0, 111)
+    closed, simple_call = calls_with_server(client, ScriptedServer(), 0, "gs", "tk hello")
+    assert (closed["State"][44], simple_call["return"], simple_call["State"][44]) == (111, 0, 111)
+
+
+def test_failed_connect_keeps_connection(client: str) -> None:
+    server, other = ScriptedServer(), ScriptedServer({"connect_robot": simple(0)})
+    found = in_turn(client, [(server, 3), (other, 1)], "connect_robot 1", "connect_robot 5", "gs")
+    assert [after["return"] for after in found] == [7019, 0, 1]
+    assert (server.names(), other.calls[0].args[0]) == (["gs"], 5)
+
+
+def test_create_robot_leaves_state(client: str) -> None:
+    first, second = ScriptedServer(), ScriptedServer()
+    first.slots, second.slots = {34: 111}, {34: 222}
+    _, created, queried = in_turn(client, [(first, 3), (second, 3)], "connect_robot 1", "create_robot 2", "gs")
+    assert (created["return"], created["State"][34], queried["State"][34]) == (7019, 111, 222)
+    assert first.names() == ["disconnect_robot"]
+
+
+def in_turn(client: str, servers: list[tuple[ScriptedServer, int]], *calls: str) -> list[dict[str, Any]]:
+    """Make calls over several connections that stay open, one for each server; return the states."""
+    with socket.create_server(("127.0.0.1", 0)) as listener, ThreadPoolExecutor(len(servers) + 1) as threads:
+
+        def serve(connection: socket.socket, server: ScriptedServer, count: int) -> None:
+            with connection:
+                by_script(server, count)(connection)
+                connection.recv(1)
+
+        def accept() -> None:
+            for served in [threads.submit(serve, listener.accept()[0], *each) for each in servers]:
+                served.result(10)
+
+        serving = threads.submit(accept)
+        *found, _ = run_calls([client, str(listener.getsockname()[1])], "\n".join((*calls, "")))
+        serving.result(10)
+    return found
 
 
 def test_edges(builds: BuildCache) -> None:
     program = builds.program(PROGRAMS / "edges.c", SANITIZED)
     server = ScriptedServer({"special_request": Reply("special", values=(4, 0, 0, 200))})
 
+    def one_client(connection: socket.socket, calls: int) -> None:
+        with connection:
+            by_script(server, calls)(connection)
+            assert connection.recv(1) == b""
+
     def two_clients() -> None:
-        for calls in (3, 11):
-            with listener.accept()[0] as connection:
-                by_script(server, calls)(connection)
-                assert connection.recv(1) == b""
+        with ThreadPoolExecutor(2) as each:
+            for served in [each.submit(one_client, listener.accept()[0], calls) for calls in (3, 11)]:
+                served.result(10)
 
     with socket.create_server(("127.0.0.1", 0)) as listener, ThreadPoolExecutor(1) as thread:
         serving = thread.submit(two_clients)

@@ -138,7 +138,7 @@ async def test_reading_pauses_while_reply_is_deferred(monkeypatch: pytest.Monkey
 
     def run_turn(connection: TcpConnection) -> None:
         nonlocal turns
-        turns += 1
+        turns += connection.session.waiting
         run_turn_original(connection)
 
     monkeypatch.setattr(TcpConnection, "run_turn", run_turn)

@@ -10,7 +10,7 @@ consumed, one reply per command; after it the default reply is sent.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from nclient.backends.direct import DirectBackend
 from nclient.protocol import codec
@@ -106,7 +106,7 @@ class ScriptedLine:
             return Reply("compass", values=(1, 2, 3))
         if name == "get_ra":
             return Reply("velocity")
-        return replace(self.state(), kind=layout.kind)
+        return self.state()._replace(kind=layout.kind)
 
 
 def direct_on(robot: ScriptedLine, *, hello: bool = False) -> DirectBackend:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import argparse
 import errno
+import fcntl
 import io
 import json
 import logging
+import socket
 import subprocess
 import sys
+import threading
 import warnings
 from collections.abc import Iterator
 from datetime import UTC, datetime
@@ -59,9 +62,9 @@ def test_levels(words: list[str], level: int) -> None:
 
 def test_a_json_line_has_message_and_template(capsys: pytest.CaptureFixture[str]) -> None:
     as_a_process_begins()
-    logs.configure(options("--log-format", "json"))
-    logging.getLogger("package").info("hidden")
-    logging.getLogger("package").warning("%s: refused:\n%s", "lab", "pr", extra={"robot": 2, "path": Path("x")})
+    with logs.logging_to_stderr(options("--log-format", "json")):
+        logging.getLogger("package").info("hidden")
+        logging.getLogger("package").warning("%s: refused:\n%s", "lab", "pr", extra={"robot": 2, "path": Path("x")})
     (line,) = capsys.readouterr().err.splitlines()
     fields = json.loads(line)
     at = datetime.fromisoformat(fields.pop("time"))
@@ -74,11 +77,11 @@ def test_a_json_line_has_message_and_template(capsys: pytest.CaptureFixture[str]
 
 def test_an_exception_stands_in_its_own_key(capsys: pytest.CaptureFixture[str]) -> None:
     as_a_process_begins()
-    logs.configure(options("--log-format", "json"))
-    try:
-        raise ValueError("internal error")
-    except ValueError:
-        logging.getLogger("package").exception("closed")
+    with logs.logging_to_stderr(options("--log-format", "json")):
+        try:
+            raise ValueError("internal error")
+        except ValueError:
+            logging.getLogger("package").exception("closed")
     (line,) = capsys.readouterr().err.splitlines()
     fields = json.loads(line)
     assert (fields["level"], fields["message"]) == ("error", "closed")
@@ -87,12 +90,9 @@ def test_an_exception_stands_in_its_own_key(capsys: pytest.CaptureFixture[str]) 
 
 def test_text_lines_and_python_warnings_are_logged(capsys: pytest.CaptureFixture[str]) -> None:
     as_a_process_begins()
-    logs.configure(options())
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(), logs.logging_to_stderr(options()):
         warnings.simplefilter("always")
-        logging.captureWarnings(True)
         warnings.warn("old", stacklevel=1)
-        logging.captureWarnings(False)
     first = capsys.readouterr().err.splitlines()[0]
     assert "WARNING" in first
     assert "UserWarning: old" in first
@@ -115,9 +115,9 @@ def test_why_it_could_not_start_is_the_last_line(form: str, capsys: pytest.Captu
 def test_an_embedding_programs_logging_is_left_alone(capsys: pytest.CaptureFixture[str]) -> None:
     own = logging.NullHandler()
     as_a_process_begins().addHandler(own)
-    logs.configure(options("--log-format", "json", "-vv"))
-    assert logging.getLogger().handlers == [own]
-    logging.getLogger("package").warning("shown")
+    with logs.logging_to_stderr(options("--log-format", "json", "-vv")):
+        assert logging.getLogger().handlers == [own]
+        logging.getLogger("package").warning("shown")
     assert capsys.readouterr().err == ""
 
 
@@ -159,6 +159,90 @@ def test_lost_log_lines_are_counted_and_reported(capsys: pytest.CaptureFixture[s
         "WARNING line 5",
     ]
     assert capsys.readouterr().err == ""
+
+
+class Unread(io.StringIO):
+    """A pipe that is full and that nothing reads."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.is_read = threading.Event()
+
+    def write(self, text: str) -> int:
+        self.is_read.wait()
+        return super().write(text)
+
+
+def test_unread_stderr_blocks_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    pipe = Unread()
+    monkeypatch.setattr(sys, "stderr", pipe)
+    monkeypatch.setattr(logs, "STOP_S", 0.1)
+    as_a_process_begins()
+    with logs.logging_to_stderr(options()):
+        for number in range(logs.MAX_QUEUED + 102):
+            logging.getLogger("package").warning("line %d", number)
+    assert pipe.getvalue() == ""
+    pipe.is_read.set()
+
+
+def test_dropped_lines_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(logs, "MAX_QUEUED", 3)
+    handler = logs.BoundedQueueHandler(logging.Formatter("%(message)s"))
+    as_a_process_begins().addHandler(handler)
+    room = logging.getLogger("package")
+    for number in range(5):
+        room.warning("line %d", number)
+    first = handler.lines.get_nowait(), handler.lines.get_nowait()
+    room.warning("line 5")
+    rest = [handler.lines.get_nowait() for _ in range(handler.lines.qsize())]
+    assert [record.msg for record in (*first, *rest) if record] == [
+        "line 0", "line 1", "line 2", "2 lines of this log were lost: nothing read them in time", "line 5"
+    ]
+
+
+def test_repeated_lines_are_counted_per_address() -> None:
+    now_s = 0.0
+    limiter = logs.RepeatLimiter(lambda: now_s)
+
+    def written(address: str, template: str) -> int:
+        record = logging.makeLogRecord({"msg": template, "address": address})
+        return sum(limiter(record) for _ in range(1000))
+
+    assert written("10.0.0.1", "%s: refused: %s") == logs.MAX_REPEATS
+    assert written("10.0.0.1", "%s: closed: %s") == logs.MAX_REPEATS
+    assert written("10.0.0.2", "%s: refused: %s") == logs.MAX_REPEATS
+    assert limiter.summaries() == []
+    now_s = logs.REPEAT_INTERVAL_S
+    assert [record.getMessage() for record in limiter.summaries()] == [
+        "10.0.0.1: 990 more lines in 60 s like '%s: refused: %s'",
+        "10.0.0.1: 990 more lines in 60 s like '%s: closed: %s'",
+        "10.0.0.2: 990 more lines in 60 s like '%s: refused: %s'",
+    ]
+    assert written("10.0.0.1", "%s: refused: %s") == logs.MAX_REPEATS
+    assert all(limiter(logging.makeLogRecord({"msg": "without an address"})) for _ in range(1000))
+
+
+def test_many_addresses_share_one_count() -> None:
+    limiter = logs.RepeatLimiter()
+    records = [logging.makeLogRecord({"msg": "bad", "address": f"{n}"}) for n in range(10 * logs.MAX_KINDS)]
+    assert sum(map(limiter, records)) == logs.MAX_KINDS + logs.MAX_REPEATS
+
+
+def test_a_daemon_with_unread_stderr_serves_and_ends() -> None:
+    """Its log is longer than a pipe holds."""
+    command = [sys.executable, "-m", "nserver_emu", "--port", "0", "-vv"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as daemon:
+        assert daemon.stdout is not None
+        assert daemon.stderr is not None
+        fcntl.fcntl(daemon.stderr.fileno(), fcntl.F_SETPIPE_SZ, 4096)
+        host, _, port = daemon.stdout.readline().split()[-1].partition(":")
+        for _ in range(300):
+            with socket.create_connection((host, int(port)), timeout=20) as bad:
+                bad.sendall(bytes(range(100)))
+        with connect(f"nserver://{host}:{port}/1?tm_s=0") as robot:
+            robot.refresh()
+        daemon.terminate()
+        assert daemon.wait(timeout=30) == 0
 
 
 def test_a_fault_in_what_is_logged_is_shown(capsys: pytest.CaptureFixture[str]) -> None:

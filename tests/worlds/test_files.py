@@ -19,7 +19,7 @@ from worlds.robots import N150
 from worlds.world import Polygon, StartPose
 
 ROOM = "[[room]]\ncorners_in = [[0, 0], [10, 0], [10, 10], [0, 10]]\n"
-SHIPPED = ("centre_vertex", "several_walls", "thesis_room")
+SHIPPED = ("arena", "centre_vertex", "corridor", "flat", "hall", "maze", "office", "several_walls", "thesis_room")
 
 
 def complaint(text: str) -> str:
@@ -364,7 +364,7 @@ def test_existing_path_is_read_and_bare_name_is_shipped(
         ("thesis_rom", "; did you mean thesis_room?"),
         ("worlds/thesisroom.toml", "; did you mean thesis_room?"),
         ("elsewhere/thesis_room.toml", "; did you mean thesis_room?"),
-        ("zzz", "expected a path or one of centre_vertex, several_walls, thesis_room"),
+        ("zzz", "expected a path or one of arena, centre_vertex"),
         ("", "'': no such file"),
         ("a\0b", "no such file"),
     ],
@@ -374,7 +374,7 @@ def test_a_world_that_is_nowhere_is_reported_which_there_are(name: str, says: st
         load_world(name)
     assert says in str(caught.value)
     assert str(caught.value).startswith(name)
-    assert "centre_vertex, several_walls, thesis_room" in str(caught.value)
+    assert ", ".join(SHIPPED) in str(caught.value)
 
 
 def test_a_directory_and_a_pipe_are_no_world_files(tmp_path: Path) -> None:

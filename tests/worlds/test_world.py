@@ -12,6 +12,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from nclient.errors import StartError
+from worlds.geometry import FloatArray
 from worlds.raycast import cast_rays
 from worlds.robots import N150
 from worlds.world import MARGIN_IN, Path, Polygon, StartPose, World
@@ -108,7 +109,8 @@ def test_place_in_any_room_is_free() -> None:
 @given(st.floats(0.5, 99.5), st.floats(0.5, 79.5))
 def test_clearance_agrees_with_sampled_walls_and_rays(x: float, y: float) -> None:
     clearance = abs(WORLD.clearance(x, y))
-    dots = np.linspace(WORLD.walls[:, :2], WORLD.walls[:, 2:], 1001)  # at most 0.1 in apart
+    # At most 0.1 in apart.
+    dots = np.linspace(WORLD.walls[:, :2], WORLD.walls[:, 2:], 1001)
     nearest = float(np.hypot(dots[..., 0] - x, dots[..., 1] - y).min())
     assert clearance - 1e-9 <= nearest <= hypot(clearance, 0.05) + 1e-9
     turns = np.linspace(0.0, 2.0 * np.pi, 90)
@@ -202,3 +204,51 @@ def test_clearances_of_many_points_are_those_of_each() -> None:
         each = [[world.clearance(float(x), float(y)) for x, y in row] for row in points]
         np.testing.assert_allclose(world.clearances(points), each, atol=1e-12)
     assert World("nothing").clearances(points[0]).tolist() == [np.inf] * 50
+
+
+def _square(number: int) -> Polygon:
+    x = 20.0 * number
+    return Polygon(((x, 0.0), (x + 10.0, 0.0), (x + 10.0, 10.0), (x, 10.0))[: 3 + number % 2], f"{number}")
+
+
+@given(st.lists(st.integers(0, 9), max_size=8, unique=True), st.lists(st.integers(0, 9), max_size=8, unique=True))
+def test_changed_obstacles_equal_a_world_built_anew(before: list[int], after: list[int]) -> None:
+    squares = [_square(number) for number in range(10)]
+    room = Polygon(((-50.0, -50.0), (500.0, -50.0), (500.0, 500.0), (-50.0, 500.0)))
+    inner = np.array([(0.0, 100.0, 50.0, 100.0)])
+    for rooms in ((room,), ()):
+        world = World("test", "", rooms, inner, tuple(squares[number] for number in before))
+        changed = world.with_obstacles(squares[number] for number in after)
+        anew = World("test", "", rooms, inner, tuple(squares[number] for number in after))
+        assert changed.obstacles == anew.obstacles
+        assert not changed.walls.flags.writeable
+        for name in ("walls", "fixed_walls", "_edges"):
+            np.testing.assert_array_equal(getattr(changed, name), getattr(anew, name))
+        assert changed._firsts == anew._firsts
+        assert world.obstacles == tuple(squares[number] for number in before)
+
+
+def test_an_added_obstacle_is_the_only_one_computed(monkeypatch: pytest.MonkeyPatch) -> None:
+    computed: list[str] = []
+    segments = Polygon.segments
+
+    def counted(polygon: Polygon) -> FloatArray:
+        computed.append(polygon.name)
+        return segments(polygon)
+
+    world = World("test", obstacles=tuple(_square(number) for number in range(1000)))
+    monkeypatch.setattr(Polygon, "segments", counted)
+    world = world.with_obstacles((*world.obstacles, _square(1000)))
+    assert computed == ["1000"]
+    world = world.with_obstacles(world.obstacles[1:])
+    assert computed == ["1000"]
+    world.with_obstacles((*world.obstacles[:500], _square(2000), *world.obstacles[501:]))
+    assert computed == ["1000", "2000"]
+
+
+def test_obstacles_are_found_by_a_corner() -> None:
+    world = World("test", obstacles=tuple(_square(number) for number in range(10)))
+    assert world.obstacles_with_corner(20.05, 0.0, 0.1) == [1]
+    assert world.obstacles_with_corner(25.0, 0.0, 5.0) == [1]
+    assert world.obstacles_with_corner(25.0, 5.0, 0.1) == []
+    assert World("test").obstacles_with_corner(0.0, 0.0, 0.1) == []

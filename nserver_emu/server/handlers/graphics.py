@@ -15,8 +15,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from nclient.protocol.replies import Reply
-from nserver_emu.server.context import ServerState, Utterance
-from nserver_emu.server.graphics import Figure, Layer
+from nserver_emu.server.context import ServerState
+from nserver_emu.server.graphics import Figure, Layer, Utterance
 from nserver_emu.server.handlers.world import done
 from nserver_emu.server.session import BAD_VALUES, NOT_AVAILABLE, ConnectionContext, DeferredReply, error_reply
 from nserver_emu.simulation.arm import Arm

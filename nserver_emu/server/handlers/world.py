@@ -20,16 +20,16 @@ from nclient.errors import StartError
 from nclient.protocol.replies import Reply
 from nclient.protocol.requests import MOTION_LINE
 from nclient.protocol.types import heading_tenths, rad_from_tenths, tenths
-from nserver_emu.server.context import ClickedPose, ServerState
+from nserver_emu.server.context import ServerState, add_laser, state_slots
+from nserver_emu.server.deferred import ClickedPose
 from nserver_emu.server.session import BAD_VALUES, REFUSED, ConnectionContext, DeferredReply, error_reply
-from nserver_emu.server.state_encoder import add_laser, state_slots
 from nserver_emu.simulation.multi_robot import discs_of
-from nserver_emu.simulation.noise import IDEAL
+from nserver_emu.simulation.noise import IDEAL, Purpose, RngFactory
 from nserver_emu.simulation.robot import SimulatedRobot
 from nserver_emu.simulation.visibility import RobotPositions
 from worlds.geometry import FloatArray, area, crossing, inside, lengths, nearest_points
 from worlds.raycast import cast_rays
-from worlds.world import Polygon, StartPose
+from worlds.world import Polygon, StartPose, World
 
 # A path that misses a wall by at most this meets it: coordinates up to 1e5 in have rounding errors of 1e-11.
 TOUCH_IN: Final = 1e-9
@@ -131,6 +131,8 @@ def _normal(wall: list[float], direction: tuple[float, float], side: tuple[float
 MAX_ROBOTS_IN_REPLY: Final = 341
 # Half the size of the map: rays are exact so far, and all numbers fit into their words.
 MAX_COORDINATE_IN: Final = 1e5
+# Corners that are equal in tenths differ by less.
+TENTH_IN: Final = 0.1
 # A robot may touch an obstacle: overlap up to this does not count.
 MAX_OVERLAP_IN: Final = 1e-3
 # Number of State slots in a prediction: all but the error.
@@ -156,7 +158,7 @@ def add_obstacle(server: ServerState, _context: ConnectionContext, args: tuple[i
 def delete_obstacle(server: ServerState, _context: ConnectionContext, args: tuple[int, ...]) -> Reply:
     """Remove the obstacle with these corners, the last one if there are several."""
     obstacles = list(server.simulation.world.obstacles)
-    number = _number_of(obstacles, _corners(args))
+    number = _number_of(server.simulation.world, _corners(args))
     if number is None:
         return error_reply(BAD_VALUES)
     del obstacles[number]
@@ -169,7 +171,7 @@ def move_obstacle(server: ServerState, _context: ConnectionContext, args: tuple[
     *_, dx, dy = args
     corners = _corners(args[:-2])
     obstacles = list(server.simulation.world.obstacles)
-    number = _number_of(obstacles, corners)
+    number = _number_of(server.simulation.world, corners)
     if number is None:
         return error_reply(BAD_VALUES)
     moved = obstacles[number].moved(dx / 10, dy / 10)
@@ -230,13 +232,25 @@ def get_robot_conf(server: ServerState, context: ConnectionContext, _args: tuple
     return poll
 
 
+class _NoDraws(RngFactory):
+    """Random streams of a robot without noise, which draws nothing: one for all, since making them takes longest."""
+
+    def stream(self, purpose: Purpose) -> np.random.Generator:
+        """Return a stream that must not be used."""
+        del purpose
+        return _UNUSED_RNG
+
+
+_UNUSED_RNG: Final = np.random.default_rng(0)
+
+
 def predict_sensors(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Reply:
     """Return the noise-free readings of the sensors at another pose; the robot does not move."""
     simulation, robot = server.simulation, server.robot_of(context)
     others = {number: other for number, other in simulation.robots.items() if other is not robot}
     others_there = RobotPositions(np.vstack((discs_of(others.values()), (0.0, 0.0, 0.0))))
     there = SimulatedRobot(
-        robot.rng_factory, _start(args), simulation.world.walls, robot.model, IDEAL, positions=others_there,
+        _NoDraws(*robot.rng_factory), _start(args), simulation.world.walls, robot.model, IDEAL, positions=others_there,
         self_index=len(others),
     )
     slots, laser = add_laser(there, context, state_slots(there, server.clock.speed_tenths))
@@ -292,20 +306,17 @@ def is_valid_polygon(polygon: Polygon) -> bool:
 
 def overlaps_robot(server: ServerState, polygon: Polygon) -> bool:
     """Return True if an obstacle overlaps a robot."""
-    edges = polygon.segments()
-    for robot in server.simulation.robots.values():
-        *place, radius_in = robot.disc
-        _, distances = nearest_points(place, edges)
-        if distances.min() < radius_in - MAX_OVERLAP_IN or inside(place, edges).any():
-            return True
-    return False
+    edges, discs = polygon.segments(), discs_of(server.simulation.robots.values())
+    _, distances = nearest_points(discs[:, :2], edges)
+    is_near = distances.min(axis=1) < discs[:, 2] - MAX_OVERLAP_IN
+    return bool((is_near | inside(discs[:, :2], edges)[:, 0]).any())
 
 
-def _number_of(obstacles: Sequence[Polygon], corners: _Corners) -> int | None:
+def _number_of(world: World, corners: _Corners) -> int | None:
     """Return the index of the last obstacle with these corners, None if there is none."""
-    outline = _canonical(corners)
-    for number in reversed(range(len(obstacles))):
-        there = tuple((tenths(x), tenths(y)) for x, y in obstacles[number].corners_in)
+    outline, (x, y) = _canonical(corners), corners[0]
+    for number in reversed(world.obstacles_with_corner(x / 10, y / 10, TENTH_IN)):
+        there = tuple((tenths(x), tenths(y)) for x, y in world.obstacles[number].corners_in)
         if len(there) == len(corners) and _canonical(there) == outline:
             return number
     return None

@@ -42,7 +42,7 @@ int main(int count, char **words)
     expect(connect_robot(1) == 7019, "the default server is localhost");
     expect(connect_robot(2) == 7019, "connecting again closes the first session");
     expect(!posSonarGet(&at, 16) && !posInfraredGet(&at, -1), "there are sixteen sensors");
-    expect(posSonarGet(&at, 15) && at.x == 0, "a sensor without a reading has zeros");
+    expect(posSonarGet(&at, 15) && at.config.configX == 0, "a sensor without a reading has zeros");
     expect(!special(3) && !special(255) && special(4) && special(254), "packets have 4 to 254 bytes");
     expect(motion_check(0, -12.345, 0.29, 1e300, -1e300, 0, 0, 0, collide) == 0, "no collision far away");
     expect(motion_check(1, NAN, HUGE_VAL, 1.57, -3.14, 1, 2, 3, collide) == 0, "NaN causes no crash");

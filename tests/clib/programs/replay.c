@@ -29,8 +29,9 @@ static void print_longs(const char *name, const long *values, int count)
 
 static void print_stamp(const char *name, const PosData *at)
 {
-    long values[9] = {at->x, at->y, at->steer, at->turret, at->v_trans, at->v_steer, at->v_turret,
-                      (long)at->pose_time, (long)at->sensor_time};
+    long values[9];
+
+    memcpy(values, at, sizeof values); /* a PosData consists of nine numbers */
     print_longs(name, values, 9);
 }
 

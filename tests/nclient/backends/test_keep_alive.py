@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -194,7 +193,7 @@ def test_the_next_call_raises_a_bumper_hit() -> None:
 
 
 def moving(robot: ScriptedLine, motors: int) -> Any:
-    return replace(robot.state(), slots={**robot.slots, 41: motors})
+    return robot.state()._replace(slots={**robot.slots, 41: motors})
 
 
 def test_ws_is_split_until_the_axes_are_still() -> None:
@@ -240,3 +239,30 @@ def test_the_thread_sends_gs_and_ends_on_close(monkeypatch: pytest.MonkeyPatch) 
     assert backend.closed
     assert robot.closed == 1
     backend.close()
+
+
+def test_the_thread_stops_a_dropped_robot(monkeypatch: pytest.MonkeyPatch) -> None:
+    closed, robot = threading.Event(), ScriptedLine()
+    monkeypatch.setattr(robot, "close", closed.set)
+    backend = KeepAlive(direct_on(robot))
+    del backend
+    assert closed.wait(10)
+    assert robot.names()[-1] == "st"
+
+
+def test_a_dropped_robot_is_dropped_during_a_poll(monkeypatch: pytest.MonkeyPatch) -> None:
+    closed, polled, robot = threading.Event(), threading.Event(), ScriptedLine()
+    backend = [KeepAlive(direct_on(robot), at_least_every_s=0.01)]
+    answer = robot.send
+
+    def send(data: bytes) -> None:
+        answer(data)
+        if robot.names()[-1] == "gs":
+            backend.clear()
+            polled.set()
+
+    monkeypatch.setattr(robot, "send", send)
+    monkeypatch.setattr(robot, "close", closed.set)
+    assert polled.wait(10)
+    assert closed.wait(10)
+    assert robot.names()[-1] == "st"

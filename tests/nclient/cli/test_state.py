@@ -72,7 +72,7 @@ def test_words_that_are_neither(words: list[str], reported: str, capsys: pytest.
 def test_a_count_is_a_number(count: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit, match="2"):
         main.main(["state", "sim:", f"--count={count}"])
-    assert "a whole number above 0" in capsys.readouterr().err
+    assert "1 or more" in capsys.readouterr().err
 
 
 def test_on_a_terminal_it_stays_in_its_place(

@@ -31,6 +31,9 @@ Whole = Annotated[int, Meta(ge=2, le=8)]
 Number = Annotated[float, Meta(ge=0.5, le=2.0)]
 
 
+Pair = Annotated[tuple[Number, ...], Meta(min_length=2, max_length=2, title="a list of 2 numbers")]
+
+
 class Inner(msgspec.Struct, forbid_unknown_fields=True):
     """A table in a list."""
 
@@ -63,7 +66,7 @@ class Everything(msgspec.Struct, forbid_unknown_fields=True):
     few: Annotated[float, Meta(gt=0.0, le=9.0)] = 1.0
     late: Annotated[float, Meta(ge=3.0)] = 3.0
     length: Annotated[float, Meta(ge=-9.0, le=9.0, title="a length", extra_json_schema={"x-hint": "; is it?"})] = 0.0
-    pair: tuple[Number, Number] = (1.0, 1.0)
+    pair: Pair = (1.0, 1.0)
     rows: Annotated[tuple[Number, ...], Meta(min_length=2, max_length=3)] = (1.0, 1.0)
     words: str | list[str] = ""
     shape: one_of(("round", "square")) = "round"  # type: ignore[valid-type]
@@ -97,7 +100,7 @@ def test_found_is_never_long() -> None:
 
 def test_valid_values_are_returned() -> None:
     assert convert(2, Number) == 2.0
-    assert convert([1, 2], tuple[Number, Number]) == (1.0, 2.0)
+    assert convert([1, 2], Pair) == (1.0, 2.0)
     found = convert({"whole": 3, "inner": [{"size": 1}], "step": [{"do": "blue"}]}, Everything)
     assert given(found.inner[0]) == {"size": 1.0, "name": ""}
     assert found.step == (Blue(),)
@@ -153,7 +156,13 @@ def test_errors_name_key_value_and_remedy(value: object, message: str) -> None:
 
 def test_a_named_value_stands_before_its_indices() -> None:
     with pytest.raises(InvalidValue, match=r"^points_in\[1\]: expected 0.5 to 2"):
-        convert([1, 9], tuple[Number, Number], "points_in")
+        convert([1, 9], Pair, "points_in")
+
+
+@pytest.mark.parametrize("value", [{"\ud800": 1}, {"shape": "\ud800"}, {"step": [{"do": "\ud800"}]}])
+def test_half_of_a_surrogate_pair_is_refused(value: object) -> None:
+    with pytest.raises(InvalidValue):
+        convert(value, Everything)
 
 
 @pytest.mark.parametrize("key", ["x` - at `$.inner", "a - at `$.b[0]`", "$", "", "inner[0]"])
@@ -197,7 +206,7 @@ def test_errors_become_those_of_the_caller() -> None:
         raise InvalidValue("wrong", "a")
 
 
-@pytest.mark.parametrize("text", ["", "{", "[" * 100_000, "NaN", '"\ud800"', '"\\ud800"', "1e999"])
+@pytest.mark.parametrize("text", ["", "{", "[" * 100_000, "nothing"])
 def test_json_that_is_none_is_refused(text: str) -> None:
     with pytest.raises(InvalidValue, match="is no JSON"):
         decode_json(text)

@@ -24,3 +24,12 @@ def test_what_is_wrong_with_bytes_is_shown() -> None:
     assert [line.split() for line in format_entry(entry, with_bytes=True)] == [
         ["1.500", "a", "<", "!", "1", "bytes", "that", "are", "no", "frame"], ["1.500", "a", "<", "[01]"],
     ]  # fmt: skip
+
+
+def test_control_characters_are_escaped() -> None:
+    hostile, shown = "\x1b[2J\r\n\x9b\u202e\ud800é", r"\x1b[2J\r\n\x9b\u202e\ud800é"
+    frames = ({"error": hostile}, {"call": hostile, "args": [hostile]}, {"reply": hostile})
+    lines = list(format_entry(Entry(0.0, "in", hostile, decoded=frames)))
+    lines += format_entry(Entry(0.0, "open", hostile, more={"wire": hostile, "model": hostile}))
+    assert len(lines) == 4
+    assert all(line.isprintable() and line.count(shown) >= 2 for line in lines)

@@ -10,7 +10,7 @@ from nclient import RecordingError, connect
 from nclient.connector import Connector
 from nclient.protocol.types import N150
 from nclient.recording.format import read_recording
-from nclient.recording.recorder import ClientRecording, RecordingTarget
+from nclient.recording.recorder import ClientRecording
 from nclient.transports.memory import MemoryStream
 from nclient.transports.stream import Deadline
 from nclient.url import parse_address
@@ -90,7 +90,7 @@ class Silent:
 def test_file_that_cannot_be_reopened_ends_only_the_recording(tmp_path: Path) -> None:
     folder = tmp_path / "gone"
     folder.mkdir()
-    recording = ClientRecording(folder / "run.log", RecordingTarget("here", "serial", N150))
+    recording = ClientRecording(folder / "run.log", "here", "serial", N150)
     recording.wrap(MemoryStream(Silent())).close()
     (folder / "run.log").unlink()
     folder.rmdir()

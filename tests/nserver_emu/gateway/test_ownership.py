@@ -6,7 +6,7 @@ import pytest
 
 from nclient.protocol.commands import COMMANDS, Call
 from nserver_emu.gateway.gateway import Ownership, changes
-from nserver_emu.server.ownership import moves
+from nserver_emu.server.estop import moves
 from nserver_emu.server.session import ConnectionContext
 
 VM = Call("vm", (100, 0, 0))

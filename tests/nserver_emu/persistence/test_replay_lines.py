@@ -19,6 +19,7 @@ from nclient.recording.format import Recording, read_recording
 from nserver_emu.persistence.recording import RunHeader
 from nserver_emu.persistence.replay import replay
 from nserver_emu.server.config import SimulationConfig, pose_from_text
+from nserver_emu.server.connection import MAX_REQUESTS_PER_TURN
 from nserver_emu.server.context import Allowed, SimulationClock
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.pty import PseudoTerminal
@@ -81,7 +82,7 @@ async def recorded(
     run_header = RunHeader(TWO, pace, Allowed())
     daemon = Daemon(run_header.create_emulator(), pace.factor)
     port = await daemon.listen("127.0.0.1", 0)
-    daemon.record(path, run_header.to_json("2026-01-01T00:00:00", port=port, requests_a_turn=20))
+    daemon.record(path, run_header.to_json("2026-01-01T00:00:00", port=port, requests_a_turn=MAX_REQUESTS_PER_TURN))
     server = RunningServer(daemon)
     async with serving(daemon), server.hosts:
         await scenario(server)

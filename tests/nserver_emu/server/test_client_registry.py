@@ -21,47 +21,67 @@ def registry_with(**identities: ClientIdentity) -> ClientRegistry:
     return made
 
 
-def test_the_oldest_silent_client_is_continued_once() -> None:
+def test_a_silent_client_is_continued_once() -> None:
     registry = registry_with(
         talks=ClientIdentity(1, wide=False),
         old=ClientIdentity(2, wide=False, silent=True),
-        young=ClientIdentity(3, wide=False, silent=True),
-        last=ClientIdentity(4, wide=False),
+        young=ClientIdentity(2, wide=False, silent=True),
     )
     found = [registry.lookup(f"second {number}", HOME, None) for number in range(3)]
-    assert [identity.robot_id for identity in found if identity] == [2, 3, 4]
-    assert registry.lookup("other", ELSEWHERE, None) is None
+    assert [[identity.robot_id for identity in each] for each in found] == [[2], [2], [1]]
+    assert registry.lookup("other", ELSEWHERE, None) == []
+
+
+@pytest.mark.parametrize("silent", [False, True])
+@pytest.mark.parametrize("other", [ClientIdentity(2, wide=False), ClientIdentity(1, wide=True)])
+def test_clients_that_differ_are_ambiguous(silent: bool, other: ClientIdentity) -> None:
+    first, second = ClientIdentity(1, wide=False, silent=silent), other._replace(silent=silent)
+    registry = registry_with(first=first, second=second)
+    assert registry.lookup("x", HOME, None) == [first, second]
+    assert registry.lookup("y", HOME, None) == [first, second]
+    registry.remove("first", disconnected=True)
+    assert registry.lookup("z", HOME, None) == [second]
+
+
+def test_programs_started_one_after_another_are_not_ambiguous() -> None:
+    registry = ClientRegistry()
+    for robot_id in (1, 2, 3):
+        identity = ClientIdentity(robot_id, wide=False)
+        registry.register(f"first {robot_id}", HOME, identity)
+        assert registry.lookup(f"second {robot_id}", HOME, None) == [identity]
+        registry.register(f"second {robot_id}", HOME, identity)
 
 
 def test_a_width_that_shows_leaves_out_the_others() -> None:
     registry = registry_with(narrow=ClientIdentity(1, wide=False, silent=True), wide=ClientIdentity(2, wide=True))
-    assert registry.lookup("x", HOME, True) == ClientIdentity(2, wide=True)
-    assert registry.lookup("y", HOME, False) == ClientIdentity(1, wide=False, silent=True)
+    assert registry.lookup("x", HOME, True) == [ClientIdentity(2, wide=True)]
+    assert registry.lookup("y", HOME, False) == [ClientIdentity(1, wide=False, silent=True)]
     registry.remove("wide")
-    assert registry.lookup("z", HOME, True) is None
+    assert registry.lookup("z", HOME, True) == []
 
 
 def test_a_request_ends_silence_and_none_removes_an_entry() -> None:
     registry = registry_with(a=ClientIdentity(1, wide=False, silent=True), b=ClientIdentity(2, wide=False, silent=True))
     registry.register("a", HOME, ClientIdentity(1, wide=False))
-    assert registry.lookup("x", HOME, None) == ClientIdentity(2, wide=False, silent=True)
+    assert registry.lookup("x", HOME, None) == [ClientIdentity(2, wide=False, silent=True)]
     registry.register("b", HOME, None)
     registry.register("never", HOME, None)
-    assert registry.lookup("y", HOME, None) == ClientIdentity(1, wide=False)
+    assert registry.lookup("y", HOME, None) == [ClientIdentity(1, wide=False)]
 
 
 def test_a_disconnect_removes_both_connections() -> None:
-    registry = registry_with(a=ClientIdentity(1, wide=False, silent=True), b=ClientIdentity(2, wide=False, silent=True))
+    registry = registry_with(a=ClientIdentity(1, wide=False, silent=True))
     assert registry.lookup("a again", HOME, None)
+    registry.register("b", HOME, ClientIdentity(2, wide=False, silent=True))
     assert registry.lookup("b again", HOME, None)
     registry.register("a again", HOME, ClientIdentity(1, wide=False))
     registry.remove("b again")
     assert len(registry) == 3
     registry.remove("a again", disconnected=True)
-    assert registry.lookup("other", HOME, None) == ClientIdentity(2, wide=False, silent=True)
+    assert registry.lookup("other", HOME, None) == [ClientIdentity(2, wide=False, silent=True)]
     registry.remove("b", disconnected=True)
     assert len(registry) == 0
-    assert registry.lookup("late", HOME, None) is None
+    assert registry.lookup("late", HOME, None) == []
 
 
 def test_the_first_may_close_before_the_second_speaks() -> None:
@@ -70,7 +90,7 @@ def test_the_first_may_close_before_the_second_speaks() -> None:
         registry.add_pending(connection, HOME)
     registry.add_pending("far away", ELSEWHERE)
     registry.remove("a")
-    assert registry.lookup("second", HOME, None) == ClientIdentity(1, wide=False, silent=True)
+    assert registry.lookup("second", HOME, None) == [ClientIdentity(1, wide=False, silent=True)]
     registry.remove("silent for ever")
     assert len(registry) == 0
 
@@ -79,7 +99,7 @@ def test_a_disconnect_is_not_waited_after() -> None:
     registry = registry_with(a=ClientIdentity(1, wide=False, silent=True))
     registry.add_pending("other", HOME)
     registry.remove("a", disconnected=True)
-    assert registry.lookup("other", HOME, None) is None
+    assert registry.lookup("other", HOME, None) == []
 
 
 MASK, TURN, GS = Call("ct", EVERYTHING.smask), Call("vm", (0, 100, 0)), Call("gs")

@@ -8,8 +8,8 @@ import pytest
 
 from docs.generate.commands import examples
 from nclient.protocol.commands import BY_NAME, Call
+from nserver_emu.server.estop import EStop, moves
 from nserver_emu.server.handlers.table import HANDLERS, Emulator
-from nserver_emu.server.ownership import EStop, moves
 from nserver_emu.server.session import ConnectionContext, error_reply
 from nserver_emu.simulation.models import N200
 from nserver_emu.simulation.noise import IDEAL

@@ -6,17 +6,21 @@ The client is an independent implementation of docs/protocol.md with struct only
 from __future__ import annotations
 
 import contextlib
+import itertools
 import re
+import signal
 import socket
+import statistics
 import struct
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 
 import pytest
 
 AC, SP, PR, VM, GS, CT, ST, MV, GET_RC, GET_RV, GET_SN, GET_BP = 10, 11, 13, 12, 15, 16, 17, 43, 29, 30, 28, 35
-PLACE, CONF_SN, CONF_TM, CONNECT, DISCONNECT, WS = 41, 23, 26, 102, 103, 39
+PLACE, CONF_SN, CONF_TM, CONNECT, DISCONNECT, WS, QUIT = 41, 23, 26, 102, 103, 39, 70
 STATE, ERROR = 80, 91
 ALL_SENSORS = (255, 255, 255, 255, 255, 0b1110, 0)
 ORDER = (0, 2, 15, 1, 14, 3, 13, 4, 12, 5, 11, 6, 10, 7, 9, 8)
@@ -34,6 +38,10 @@ class OldClient:
     def ask(self, message_type: int, *words: int) -> tuple[int, list[int]]:
         """Type and words of the answer."""
         self.send(message_type, *words)
+        return self.read_reply()
+
+    def read_reply(self) -> tuple[int, list[int]]:
+        """Type and words of the next reply."""
         answered, count = struct.unpack(">hH", self._read(4))
         layout = ">i4x" if self._wide else ">i"
         data = self._read(count * struct.calcsize(layout))
@@ -44,6 +52,12 @@ class OldClient:
         layout = ">4xi" if self._wide else ">i"
         data = b"".join(struct.pack(layout, word) for word in words)
         self._socket.sendall(struct.pack(">hH", message_type, len(words)) + data)
+
+    def send_in_pieces(self, message_type: int, *words: int) -> None:
+        """Write header and words one by one."""
+        self._socket.sendall(struct.pack(">hH", message_type, len(words)))
+        for word in words:
+            self._socket.sendall(struct.pack(">i", word))
 
     def connect_robot(self) -> int:
         """CONNECT, then the CT that the library sends at once; the port."""
@@ -100,7 +114,8 @@ def test_teambots_waits_for_a_motion_by_asking_for_velocities(client: OldClient)
         while client.ask(GET_RV)[1] != [0, 0, 0]:
             asked += 1
         assert client.ask(GET_RC)[1][0] == target
-    assert asked > 0  # over all three: a tenth of an inch may be gone between two questions on a busy machine
+    # Over all three: a tenth of an inch may be gone between two questions on a busy machine.
+    assert asked > 0
 
 
 def test_an_mv_that_leaves_all_axes_changes_nothing(client: OldClient) -> None:
@@ -153,6 +168,68 @@ def test_a_second_connection_continues_without_connect(port: int, wide: bool) ->
     assert (kind, state[34:36]) == (STATE, [100, 200])
     second.send(DISCONNECT, 1, 4711)
     second.close()
+
+
+def test_connect_to_robot_0_is_answered(port: int) -> None:
+    client = OldClient("127.0.0.1", port)
+    assert client.ask(CONNECT, 0, 4711) == (82, [0])
+    assert client.ask(CONNECT, 1, 4711) == (82, [port])
+    client.close()
+
+
+def test_two_programs_never_get_each_others_robots() -> None:
+    """Both go on over second connections, without CONNECT and at the same time."""
+    with nserver("--port", "0", "--robots", "2") as port, contextlib.ExitStack() as clients:
+        one, two = (OldClient("127.0.0.1", port) for _ in range(2))
+        assert [client.ask(CONNECT, robot, 4711)[1] for robot, client in ((1, one), (2, two))] == [[port]] * 2
+        for _ in range(2):
+            second = OldClient("127.0.0.1", port)
+            clients.callback(second.close)
+            assert second.ask(GS) == (ERROR, [3])
+        for client in (two, one):
+            client.send(DISCONNECT, 1, 4711)
+            client.close()
+        # one after another
+        for robot, x in ((1, 20), (2, 600)):
+            first = OldClient("127.0.0.1", port)
+            first.ask(CONNECT, robot, 4711)
+            second = OldClient("127.0.0.1", port)
+            assert second.ask(PLACE, x, 600, 0, 0) == (82, [0])
+            for client in (first, second):
+                clients.callback(client.close)
+        assert second.ask(GS)[1][34] == 600
+
+
+def test_signals_while_quitting_are_no_error() -> None:
+    words = ("--port", "0", "--allow-quit")
+    with subprocess.Popen([sys.executable, "-m", "nserver_emu", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+                          text=True) as daemon:  # fmt: skip
+        assert daemon.stdout is not None
+        client = OldClient("127.0.0.1", int(daemon.stdout.readline().rpartition(":")[2]))
+        client.connect_robot()
+        assert client.ask(QUIT) == (82, [0])
+        for number in itertools.cycle((signal.SIGTERM, signal.SIGINT, signal.SIGHUP)):
+            if daemon.poll() is not None:
+                break
+            daemon.send_signal(number)
+            time.sleep(0.0005)
+        client.close()
+        assert (daemon.returncode, daemon.communicate()[1]) == (0, "")
+
+
+@pytest.mark.skipif(not hasattr(socket, "TCP_QUICKACK"), reason="only Linux acknowledges at once on request")
+def test_request_in_pieces_is_not_delayed(port: int) -> None:
+    """Programs wrote header and words one by one, and did not switch Nagle's algorithm off."""
+    client = OldClient("127.0.0.1", port)
+    client.connect_robot()
+    times_s = []
+    for _ in range(21):
+        before_s = time.perf_counter()
+        client.send_in_pieces(VM, 0, 0, 0)
+        client.read_reply()
+        times_s.append(time.perf_counter() - before_s)
+    assert statistics.median(times_s) < 0.02
+    client.close()
 
 
 def test_a_client_on_64_bits_drives_and_reads(port: int) -> None:

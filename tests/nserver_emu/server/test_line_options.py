@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -115,3 +116,12 @@ async def test_a_system_without_pseudo_terminals_has_robotd(tmp_path: Path, monk
 
 def test_hosts_with_colons_stand_in_brackets() -> None:
     assert (at_port("::1", 5), at_port("localhost", 5)) == ("[::1]:5", "localhost:5")
+
+
+@pytest.mark.skipif(not Path("/dev/shm").is_dir(), reason="no writable folder below /dev")
+async def test_links_that_old_programs_take_for_hosts(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    with tempfile.TemporaryDirectory(dir="/dev/shm") as folder:
+        for link, is_reported in ((tmp_path / "line", True), (Path(folder) / "line", False)):
+            caplog.clear()
+            await opened("--serial-link", str(link))
+            assert (f"--serial-link {link}: old C programs" in caplog.text) == is_reported

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import struct
 
 import pytest
 from hypothesis import given, settings
@@ -12,7 +13,8 @@ from nclient.protocol import codec
 from nclient.protocol.codec import TcpFrame, TcpFramer, reply_bounds
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
-from nserver_emu.server.session import ClientIdentity, ConnectionContext, DeferredReply, Session
+from nclient.protocol.types import EVERYTHING
+from nserver_emu.server.session import ClientIdentity, ConnectionContext, DeferredReply, Session, error_reply
 
 CONNECT = codec.encode_tcp_request(Call("connect_robot", (1, 7)))
 GS = codec.encode_tcp_request(Call("gs"))
@@ -25,6 +27,8 @@ def answer(call: Call, context: ConnectionContext) -> Reply | DeferredReply:
         return Reply("simple", values=(7019,))
     if call.name == "tk":
         return Reply("simple", values=(0,))
+    if call.name in ("get_ir", "get_cp"):
+        return error_reply(4)
     return Reply("state", {36: 900}, clock=5, volts=(1, 2))
 
 
@@ -143,14 +147,62 @@ def test_a_64_bit_client_is_recognised_by_its_connect() -> None:
     assert types(session.process_requests(max_requests=2), wide=True) == [91, 80]
 
 
-def test_only_the_first_refusal_is_logged(caplog: pytest.LogCaptureFixture) -> None:
+def test_each_kind_of_refusal_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
     session = connected()
     with caplog.at_level(logging.WARNING):
-        session.receive(b"\x00\x0c\x00\x02" + bytes(8) + b"\x03\xe7\x00\x00")
+        session.receive(2 * (b"\x00\x0c\x00\x02" + bytes(8) + b"\x03\xe7\x00\x00"))
+        session.receive(2 * codec.encode_tcp_request(Call("get_ir")) + codec.encode_tcp_request(Call("get_cp")))
         session.process_requests(max_requests=9)
-    assert session.refused == 2
-    assert len(caplog.records) == 1
-    assert "takes 3 words, not 2" in caplog.text
+    assert session.refused == 7
+    assert [record.getMessage().split(" (")[0] for record in caplog.records] == [
+        "client: refused: type 12 takes 3 words, not 2", "client: refused: unknown message type 999",
+        "client: refused: get_ir: error 4", "client: refused: get_cp: error 4",
+    ]  # fmt: skip
+
+
+def test_ambiguous_client_is_refused_and_closed(caplog: pytest.LogCaptureFixture) -> None:
+    session = Session(answer, find_identity=lambda _: [ClientIdentity(1, wide=False), ClientIdentity(2, wide=True)])
+    with caplog.at_level(logging.WARNING):
+        session.receive(GS)
+        assert error_codes(session.process_requests(max_requests=9)) == [3]
+    assert session.closing
+    assert session.identity is None
+    assert "robot 1 (32-bit words) or robot 2 (64-bit words)" in caplog.text
+
+
+@pytest.mark.parametrize("name", ["connect_robot", "create_robot"])
+def test_connect_to_robot_0_with_32_bit_words(name: str, caplog: pytest.LogCaptureFixture) -> None:
+    session = Session(lambda call, _: Reply("simple", values=(0 if call.args[0] == 0 else 7019,)))
+    session.receive(codec.encode_tcp_request(Call(name, (0, 4711))))
+    assert not session.ready
+    assert session.may_have_32_bit_words
+    with caplog.at_level(logging.WARNING):
+        session.assume_32_bit_words()
+    assert session.process_requests(max_requests=1) == bytes.fromhex("0052000100000000")
+    assert "connects to robot 0" in caplog.text
+
+
+def test_incomplete_connect_with_64_bit_words_is_completed() -> None:
+    session = Session(answer)
+    request = codec.encode_tcp_request(Call("connect_robot", (1, 7)), wide=True)
+    found = []
+    for part in (request[:12], request[12:]):
+        session.receive(part)
+        found.append(session.may_have_32_bit_words)
+    session.assume_32_bit_words()
+    assert found == [True, False]
+    assert types(session.process_requests(max_requests=1), wide=True) == [82]
+
+
+@pytest.mark.parametrize("layout", [">i4x", "<i4x"])
+def test_64_bit_words_of_another_layout_are_logged(layout: str, caplog: pytest.LogCaptureFixture) -> None:
+    session = Session(answer)
+    words = struct.pack(layout, 1) + struct.pack(layout, 4711)
+    with caplog.at_level(logging.WARNING):
+        session.receive(b"\x00\x66\x00\x02" + words)
+        assert error_codes(session.process_requests(max_requests=9)) == [2]
+    assert session.closing
+    assert "words of eight bytes with the value in front" in caplog.text
 
 
 @given(st.binary(max_size=400))
@@ -164,7 +216,7 @@ def test_any_bytes_get_errors_or_nothing(data: bytes) -> None:
 
 
 def second_connection(wide: bool = False) -> Session:
-    return Session(answer, find_identity=lambda _: ClientIdentity(3, wide))
+    return Session(answer, find_identity=lambda _: [ClientIdentity(3, wide)])
 
 
 @pytest.mark.parametrize("wide", [False, True])
@@ -189,6 +241,9 @@ def test_a_second_connection_with_connect_is_independent() -> None:
 def test_a_client_is_silent_until_a_request_after_connect() -> None:
     session = connected()
     assert session.identity == ClientIdentity(1, wide=False, silent=True)
+    session.receive(codec.encode_tcp_request(Call("ct", EVERYTHING.smask)))
+    session.process_requests(max_requests=1)
+    assert session.identity == ClientIdentity(1, wide=False, silent=True)
     session.receive(GS)
     session.process_requests(max_requests=1)
     assert session.identity == ClientIdentity(1, wide=False)
@@ -197,7 +252,12 @@ def test_a_client_is_silent_until_a_request_after_connect() -> None:
 @pytest.mark.parametrize(("pid", "seen"), [(b"\0\0\0\xff", False), (b"\0\0\0\0", True)])
 def test_the_width_that_the_first_words_show_is_asked_for(pid: bytes, seen: bool) -> None:
     asked: list[bool | None] = []
-    session = Session(answer, find_identity=asked.append)
+
+    def find(wide: bool | None) -> list[ClientIdentity]:
+        asked.append(wide)
+        return []
+
+    session = Session(answer, find_identity=find)
     for byte in b"\0\x10\0\x07" + pid + b"\0\0\0\xff" + bytes(20):
         assert session.unfinished <= 31
         session.receive(bytes([byte]))

@@ -11,14 +11,14 @@ def test_an_idle_connection_times_out() -> None:
     timeouts = ConnectionTimeouts(10.0, 0.0, 100.0)
     assert not timeouts.timeout_reason(109.9, 3, is_stalled=False)
     assert "idle for 10 s" in timeouts.timeout_reason(110.0, 3, is_stalled=False)
-    timeouts.on_activity(110.0)
+    timeouts.active_s = 110.0
     assert not timeouts.timeout_reason(119.0, 3, is_stalled=False)
 
 
 def test_a_stalled_connection_times_out_despite_bytes() -> None:
     timeouts = ConnectionTimeouts(0.0, 4.0, 0.0)
     for now in range(4):
-        timeouts.on_activity(now)
+        timeouts.active_s = now
         assert not timeouts.timeout_reason(now + 1.0, 7, is_stalled=True)
     assert "for 4 s" in timeouts.timeout_reason(5.0, 7, is_stalled=True)
 

@@ -95,7 +95,7 @@ async def test_an_unexpected_error_is_answered_and_ends_nothing(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     async with serve_viewer(Emulator(simulation())) as here, here.page() as page:
-        monkeypatch.setitem(controller._ACTIONS, "control", trouble)
+        monkeypatch.setattr(controller, "answer_line", trouble)
         await page.send_message(do="control", id=9, command="pause")
         answer = await page.answer(9)
         assert not answer["ok"]

@@ -12,7 +12,8 @@ from collections.abc import Awaitable, Callable
 import pytest
 
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.viewer import controller, server
+from nserver_emu.viewer import server
+from nserver_emu.viewer.broadcaster import Viewer
 from tests.nserver_emu.server.wire_client import simulation
 from tests.nserver_emu.viewer.page_client import HOST, Served, serve_viewer
 
@@ -102,7 +103,7 @@ async def test_messages_for_a_closed_page_are_dropped(caplog: pytest.LogCaptureF
 async def test_a_page_that_floods_does_not_block_others(monkeypatch: pytest.MonkeyPatch) -> None:
     turns: list[int] = []
     turn = 0
-    monkeypatch.setitem(controller._ACTIONS, "seen", lambda *_: turns.append(turn))
+    monkeypatch.setattr(Viewer, "mark_drawn", lambda *_: turns.append(turn))
     async with serve_viewer(Emulator(simulation())) as here, here.page() as page:
         for number in range(MUCH):
             await page.send_message(do="seen", frame=number)
@@ -160,7 +161,8 @@ async def refusals(here: Served) -> None:
 
 async def torn_off(here: Served) -> None:
     page = await dumb_page(here)
-    page.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")  # an end without goodbye
+    # An end without goodbye.
+    page.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
     page.close()
     await forgotten(here)
     await asyncio.sleep(0.05)

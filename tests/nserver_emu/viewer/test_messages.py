@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import json
-from typing import Any
+from typing import Any, get_args
 
+import msgspec
 import pytest
 
 from nserver_emu.viewer.messages import (
-    FIELDS,
     MAX_ARGS,
     MAX_POINTS,
     MAX_TEXT,
     InvalidMessage,
+    Message,
     encode_message,
     parse_message,
 )
@@ -34,40 +35,40 @@ GOOD: list[dict[str, Any]] = [
     {"do": "waypoints", "robot": 1, "points": [[1, 2.5], [3, 4]]},
 ]
 BAD: list[tuple[Any, str]] = [
-    ([], "do is one of"),
-    ({"do": "format"}, "do is one of"),
-    ({"do": ["seen"]}, "do is one of"),
-    ({"do": "seen"}, "frame is a whole number"),
-    ({"do": "seen", "frame": -1}, "frame is a whole number"),
-    ({"do": "seen", "frame": True}, "frame is a whole number"),
-    ({"do": "seen", "frame": 2**31}, "frame is a whole number"),
-    ({"do": "watch", "traffic": 1, "laser": False}, "traffic is true or false"),
-    ({"do": "call", "id": 1, "robot": 1, "call": "quit_server", "args": []}, "call is one of add_obstacle"),
-    ({"do": "call", "id": 1, "robot": 1, "call": "vm", "args": [1.5]}, "args is a list"),
-    ({"do": "call", "id": 1, "robot": 1, "call": "vm", "args": [0] * (MAX_ARGS + 1)}, "args is a list"),
+    ([], "a JSON object"),
+    ({"do": "format"}, "do: expected one of seen, watch, call"),
+    ({"do": ["seen"]}, "do: expected one of seen, watch, call"),
+    ({"do": "seen"}, "frame: is missing"),
+    ({"do": "seen", "frame": -1}, "frame: expected a whole number"),
+    ({"do": "seen", "frame": True}, "frame: expected a whole number"),
+    ({"do": "seen", "frame": 2**31}, "frame: expected a whole number"),
+    ({"do": "watch", "traffic": 1, "laser": False}, "traffic: expected true or false"),
+    ({"do": "call", "id": 1, "robot": 1, "call": "quit_server", "args": []}, "call: expected one of add_obstacle"),
+    ({"do": "call", "id": 1, "robot": 1, "call": "vm", "args": [1.5]}, r"args\[0\]: expected a whole number"),
+    ({"do": "call", "id": 1, "robot": 1, "call": "vm", "args": [0] * (MAX_ARGS + 1)}, "args: expected at most 64"),
     ({"do": "drive", "id": 1, "robot": 1, "args": [1, 2]}, "three whole numbers"),
     ({"do": "stop", "id": 1, "robot": "all"}, "the number of a robot, or left out"),
-    ({"do": "control", "id": 1, "command": "save", "argument": "/etc/passwd"}, "command is one of faults"),
-    ({"do": "control", "id": 1, "command": "speed", "argument": [1]}, "argument is nothing"),
-    ({"do": "click", "robot": 1, "pose": [1, 2, 3]}, "pose is x, y"),
-    ({"do": "waypoints", "robot": 1, "points": [[1, 2, 3]]}, "points is a list"),
-    ({"do": "waypoints", "robot": 1, "points": [[0, 0]] * (MAX_POINTS + 1)}, "points is a list"),
-    ({"do": "waypoints", "robot": 1, "points": [[0, float("inf")]]}, "points is a list"),
-    ({"do": "waypoints", "robot": 1, "points": [[10**400, 0]]}, "points is a list"),
-    ({"do": "control", "id": 1, "command": "speed", "argument": 10**400}, "argument is nothing, a number"),
+    ({"do": "control", "id": 1, "command": "save", "argument": "/etc/passwd"}, "command: expected one of faults"),
+    ({"do": "control", "id": 1, "command": "speed", "argument": [1]}, "argument: expected nothing"),
+    ({"do": "click", "robot": 1, "pose": [1, 2, 3]}, "pose: expected x, y"),
+    ({"do": "waypoints", "robot": 1, "points": [[1, 2, 3]]}, r"points\[0\]: expected a point"),
+    ({"do": "waypoints", "robot": 1, "points": [[0, 0]] * (MAX_POINTS + 1)}, "points: expected at most 200"),
+    ({"do": "waypoints", "robot": 1, "points": [[0, float("inf")]]}, r"points\[0\]\[1\]: expected .* finite"),
+    ({"do": "waypoints", "robot": 1, "points": [[10**400, 0]]}, r"points\[0\]\[0\]: expected .* finite"),
+    ({"do": "control", "id": 1, "command": "speed", "argument": 10**400}, "argument: expected nothing, a number"),
     ({"do": "control", "id": 1, "command": "obstacle", "argument": {"to": [[0, float("inf")]]}}, "an object of such"),
     ({"do": "control", "id": 1, "command": "obstacle", "argument": {"to": [[[0]]]}}, "an object of such"),
-    ({"do": "control", "id": 1, "command": "noise", "argument": True}, "argument is nothing"),
+    ({"do": "control", "id": 1, "command": "noise", "argument": True}, "argument: expected nothing"),
 ]
 
 
 @pytest.mark.parametrize("message", GOOD, ids=lambda message: str(message["do"]))
 def test_what_is_right_comes_through_as_it_is(message: dict[str, Any]) -> None:
-    assert parse_message(json.dumps(message | {"more": "is left out"})) == message
+    assert msgspec.to_builtins(parse_message(json.dumps(message | {"more": "is left out"}))) == message
 
 
 def test_every_message_has_an_example() -> None:
-    assert {message["do"] for message in GOOD} == set(FIELDS)
+    assert {message["do"] for message in GOOD} == {kind.__struct_config__.tag for kind in get_args(Message)}
 
 
 @pytest.mark.parametrize(("message", "words"), BAD)

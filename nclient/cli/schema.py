@@ -1,0 +1,65 @@
+"""Print the JSON Schema of a kind of file, so that editors complete and check it.
+
+    nomad schema world > world.schema.json        then in a world's first line: #:schema world.schema.json
+
+Kinds of files are found by the entry points of the group nomad.schemas: msgspec types that the readers use, too. The
+schema cannot express what needs geometry or other files; then the reader refuses what the schema allows. Apart from
+"$schema" it uses keywords that draft 7 has, too, since editors know no later one.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator
+from importlib.metadata import entry_points
+from typing import Any, Final, get_args
+
+import msgspec
+
+from nclient.common.exit_codes import ExitCode
+
+GROUP: Final = "nomad.schemas"
+DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    kinds = sorted(point.name for point in entry_points(group=GROUP))
+    parser.add_argument("kind", choices=kinds, help="kind of file")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print the schema, and return the exit code."""
+    print(json.dumps(file_schema(options.kind), indent=2))
+    return ExitCode.DONE
+
+
+def file_schema(kind: str) -> dict[str, Any]:
+    """Return the schema of a kind of file."""
+    (point,) = entry_points(group=GROUP, name=kind)
+    return json_schema(point.load())
+
+
+def json_schema(kind: Any) -> dict[str, Any]:
+    """Return the JSON Schema of a type, with the conditions on several keys that its tables have as CONDITIONS."""
+    schema = msgspec.json.schema(kind)
+    for struct in _structs(kind):
+        table = schema["$defs"][struct.__name__]
+        if conditions := getattr(struct, "CONDITIONS", []):
+            table["allOf"] = conditions
+        # An editor would insert an empty default.
+        for entry in table["properties"].values():
+            if not entry.get("default", True):
+                del entry["default"]
+    return {"$schema": DIALECT, "description": kind.__doc__} | schema
+
+
+def _structs(kind: Any) -> Iterator[Any]:
+    """Yield the structs that a type consists of."""
+    if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
+        yield kind
+        for field in msgspec.structs.fields(kind):
+            yield from _structs(field.type)
+    for part in get_args(kind):
+        yield from _structs(part)
