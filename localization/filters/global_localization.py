@@ -27,7 +27,10 @@ from localization.filters.base import Place
 from localization.filters.belief import HEADING, POSE, Belief, Floats, add, difference, independent, pack, unpack
 from localization.filters.health import FilterHealth, HealthStatus, IntegrityMonitor
 from localization.filters.odometry import (
+    NO_LAG,
+    Lag,
     OdometryNoise,
+    add_lag,
     move,
     predict,
     predict_state,
@@ -484,7 +487,7 @@ class GlobalLocalizer:
             best = self.hypotheses[0].probability
             reason = f"{len(self.hypotheses)} places look alike, the likeliest with {best:.0%}"
             return FilterHealth(HealthStatus.LOST, reason)
-        return self._monitor.health(self.belief)
+        return self._monitor.health(self.belief.cov)
 
     def predict(self, distance_in: float, turn_rad: float) -> None:
         """Predict all hypotheses after a step that the encoders report."""
@@ -498,9 +501,9 @@ class GlobalLocalizer:
         if self._test:
             self._test.predict(distance_in, turn_rad)
 
-    def predicted(self, distance_in: float, turn_rad: float) -> Belief:
-        """Return the belief after such a step, without taking it."""
-        return predict(self.belief, np.array((distance_in, turn_rad)), self._odometry)
+    def predicted(self, distance_in: float, turn_rad: float, lag: Lag = NO_LAG) -> Belief:
+        """Return the belief after such a step, without taking it, widened by a lag."""
+        return add_lag(predict(self.belief, np.array((distance_in, turn_rad)), self._odometry), lag)
 
     def update(self, sonar: int, turret_offset_rad: float, reading_in: float) -> UpdateResult:
         """Correct every hypothesis by a reading, and reweight them."""
@@ -518,7 +521,7 @@ class GlobalLocalizer:
             self._measurement.updated(hypothesis.belief, sonar, turret_offset_rad, reading_in, count)
             for hypothesis in self.hypotheses
         ]
-        result = outcomes[0][1].result
+        result = outcomes[0][1]
         if result.refusal is Refusal.NONE:
             self._correlated.record(sonar, turret_offset_rad)
         # 3. One hypothesis: monitor it. Several: weigh them by the likelihood of the reading.
