@@ -2,7 +2,7 @@
 
     python benchmarks/client.py [--rounds N] [--calls N] [--json]
 
-Target: a ratio of at least 0.3. The client builds a request, parses the reply and creates a RobotState; the other
+Target: a ratio of at least 0.4. The client builds a request, parses the reply and creates a RobotState; the other
 end is nserver.
 """
 
@@ -17,7 +17,7 @@ from nclient import Robot, connect
 from nclient.protocol import codec
 from nclient.protocol.commands import Call
 
-TARGET_RATIO = 0.3
+TARGET_RATIO = 0.4
 REPLY_SIZE = 4 + 4 * 49
 
 

@@ -10,12 +10,20 @@ import pytest
 from localization.experiments.live_trial import EXACT_RAYS
 from localization.filters.base import LocalizationConfig, measurement_model
 from localization.filters.belief import Floats, difference, independent, unpack
-from localization.filters.odometry import OdometryNoise, move, step_variance
+from localization.filters.odometry import OdometryNoise, move, process_covariance, step_jacobians, step_variance
 from localization.filters.registry import make
 from localization.filters.sonar_cone import ConeSonar
 from localization.filters.sonar_ray import range_variance
 from localization.filters.update import Refusal
-from localization.mapping.observability import CYCLE_S, CYCLES, DIRECTIONS, HEADINGS, START_STD, compute_observability
+from localization.mapping.observability import (
+    CYCLE_S,
+    CYCLES,
+    DIRECTIONS,
+    HEADINGS,
+    START_STD,
+    _bound_after_cycles,
+    compute_observability,
+)
 from worlds.raycast import cast_rays
 from worlds.robots import N150, SONARS
 
@@ -155,3 +163,15 @@ def test_the_faster_the_weaker_and_cones_weaker_than_rays() -> None:
     )
     assert (slow.worst_in < fast.worst_in).all()
     assert (slow.worst_in < real.worst_in).all()
+
+
+def test_squared_cycles_equal_one_cycle_after_the_other() -> None:
+    rng = np.random.default_rng(4)
+    information = np.array([(part := rng.standard_normal((3, 3))) @ part.T for _ in range(5)])
+    F, G = step_jacobians(np.array([0.0, 0.0, 0.7]), np.array([4.8, 0.0]))
+    Q = process_covariance(G, np.array([4.8, 0.0]), QUIET)
+    P = np.tile(np.diag(np.square(START_STD)), (5, 1, 1))
+    for _ in range(CYCLES):
+        P = np.linalg.inv(np.linalg.inv(F @ P @ F.T + Q) + information)
+    found = _bound_after_cycles(QUIET, information, 4.8, 0.7)
+    np.testing.assert_allclose(found, P, rtol=1e-7, atol=1e-12)
