@@ -11,14 +11,15 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Container, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Final, NamedTuple, get_type_hints
 from urllib.parse import SplitResult, parse_qsl, unquote, unquote_plus, urlsplit
 
-from nclient.backends.keep_alive import DEFAULT_TIMEOUT_S
+from nclient.backends.keep_alive import DEFAULT_TIMEOUT_S, MIN_TIMEOUT_S
 from nclient.backends.wrappers import DEFAULT_RETRIES, MAX_PAUSE_S
 from nclient.common.hints import suggest
 from nclient.errors import AddressError, NomadError
@@ -41,44 +42,38 @@ EXAMPLES: Final = "such as nserver://localhost:7019/1 or sim:thesis_room"
 # A parser returns the value of an option's text, or raises ValueError with a description of what it accepts.
 
 
-def seconds(text: str) -> float:
-    """Return a duration above 0 in seconds."""
-    return _number(text, "a number of seconds above 0", lambda value: value > 0)
+def _number(description: str, is_valid: Callable[[float], bool]) -> Callable[[str], float]:
+    def parse(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not (math.isfinite(value) and is_valid(value)):
+            raise ValueError(description)
+        return value
+
+    return parse
 
 
-def seconds_or_zero(text: str) -> float:
-    """Return a duration in seconds, where 0 switches something off."""
-    return _number(text, "a number of seconds, 0 for none", lambda value: value >= 0)
+def _whole_number(description: str, allowed: Container[int]) -> Callable[[str], int]:
+    def parse(text: str) -> int:
+        # isdecimal() accepts the digits of other scripts, and int() reads them.
+        if not (text.isascii() and text.isdecimal()) or int(text) not in allowed:
+            raise ValueError(description)
+        return int(text)
+
+    return parse
 
 
-def speed(text: str) -> float:
-    """Return a speed limit above 0 (inches or degrees per second)."""
-    return _number(text, "a number above 0", lambda value: value > 0)
-
-
-def count(text: str) -> int:
-    """Return a whole number, 0 or more."""
-    # isdecimal() accepts the digits of other scripts, and int() reads them.
-    if not (text.isascii() and text.isdecimal()):
-        raise ValueError("a whole number, 0 or more")
-    return int(text)
-
-
-def baud(text: str) -> int:
-    """Return the speed of a serial port in bits per second."""
-    if not count(text):
-        raise ValueError("a number of bits a second")
-    return int(text)
-
-
-def motion_timeout(text: str) -> int:
-    """Return whole seconds as conf_tm takes them: 0, or 2 to 255.
-
-    One second is excluded: the robot counts whole seconds, so the timeout could expire between two keep-alives.
-    """
-    if not (text.isascii() and text.isdecimal()) or int(text) not in (0, *range(2, 256)):
-        raise ValueError("whole seconds, 2 to 255, or 0 for none")
-    return int(text)
+seconds = _number("a number of seconds above 0", lambda value: value > 0)
+seconds_or_zero = _number("a number of seconds, 0 for none", lambda value: value >= 0)
+"""A duration, where 0 switches something off."""
+speed = _number("a number above 0", lambda value: value > 0)
+"""A speed limit in inches or degrees per second."""
+count = _whole_number("a whole number, 0 or more", range(sys.maxsize))
+baud = _whole_number("a number of bits a second", range(1, sys.maxsize))
+motion_timeout = _whole_number("whole seconds, 2 to 255, or 0 for none", {0, *range(MIN_TIMEOUT_S, 256)})
+"""Whole seconds as conf_tm takes them. The robot counts whole seconds: one could expire between two keep-alives."""
 
 
 def flag(text: str) -> bool:
@@ -110,16 +105,6 @@ def file_name(text: str) -> str:
 def fault_plan(text: str) -> Plan:
     """Return the fault plan of a file. Raises FaultPlanError if it is not valid."""
     return load_plan(Path(file_name(text)))
-
-
-def _number(text: str, description: str, is_valid: Callable[[float], bool]) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not (math.isfinite(value) and is_valid(value)):
-        raise ValueError(description)
-    return value
 
 
 # -- tables -----------------------------------------------------------------------------------------------------------

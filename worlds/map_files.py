@@ -13,7 +13,6 @@ MapFileError. The libraries that read the formats are in the extra `maps`.
 from __future__ import annotations
 
 import gzip
-import struct
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -219,10 +218,11 @@ def _read_carmen(path: Path) -> OccupancyGrid:
         raise MapFileError(f"{path}: not a CARMEN map: {_CARMEN_MAGIC.decode()} is missing")
     at += len(_CARMEN_MAGIC)
     while at + 15 <= len(content):
-        (size,) = struct.unpack_from("<i", content, at + 1)
+        size = int(np.frombuffer(content, "<i4", 1, at + 1)[0])
         body = content[at + 5 : at + 5 + size]
         if body[:10].rstrip() == _CARMEN_GRID and len(body) >= 22:
-            width, height, resolution_m = struct.unpack_from("<iif", body, 10)
+            width, height = np.frombuffer(body, "<i4", 2, 10).tolist()
+            resolution_m = float(np.frombuffer(body, "<f4", 1, 18)[0])
             if not (0 < width * height <= MAX_CELLS and width > 0 and 0.0 < resolution_m < 100.0):
                 raise MapFileError(f"{path}: a grid of {width} x {height} cells of {resolution_m:g} m")
             if len(body) < 22 + 4 * width * height:

@@ -10,7 +10,7 @@ A ray meets a wall whose ends lie on different sides of its line. The range is t
 with the other's `side`: a convex mean, so nothing cancels. Two walls that share an end agree on its side, so no ray
 passes between them.
 
-    intersect, nearest_wall, nearest_obstacle    plain numbers; numba compiles these same functions
+    intersect, nearest_wall, sole_wall, nearest_obstacle    plain numbers; numba compiles these same functions
     cast_ray, cast_each                          the same for many walls or several rays: arrays select, numbers decide
     cast_rays, cast_discs                        arrays, for many rays at once
     cast_fan                                     many rays from one point, among many walls
@@ -131,6 +131,39 @@ def nearest_wall(x: float, y: float, dx: float, dy: float, walls: WallRows) -> t
     return max(nearest, 0.0), hit
 
 
+def sole_wall(x: float, y: float, dx: float, dy: float, walls: WallRows, margin_in: float) -> int:
+    """Return the row of the only wall that this ray and all rays near it can meet; NO_WALL if that is uncertain.
+
+    A ray is near if it moves no end of a wall by more than the margin in the frame of the ray, and its origin by no
+    more than that. This is a test of one loop, and sufficient only: where it fails, cast the rays.
+    """
+    sole = NO_WALL
+    for row, (x1, y1, x2, y2) in enumerate(walls):
+        # 1. Both ends clearly on one side, or clearly behind: no near ray meets the wall.
+        to_x_1, to_y_1, to_x_2, to_y_2 = x1 - x, y1 - y, x2 - x, y2 - y
+        side_1, side_2 = dx * to_y_1 - dy * to_x_1, dx * to_y_2 - dy * to_x_2
+        if (side_1 > margin_in and side_2 > margin_in) or (side_1 < -margin_in and side_2 < -margin_in):
+            continue
+        ahead_1, ahead_2 = to_x_1 * dx + to_y_1 * dy, to_x_2 * dx + to_y_2 * dy
+        if ahead_1 < -margin_in and ahead_2 < -margin_in:
+            continue
+        # 2. The ends clearly on different sides, the origin clearly on one side of the wall: all near rays meet it
+        #    ahead, or none does. The weighted mean of `intersect`: the cross product is the distance to the wall times
+        #    its length.
+        cross = ahead_1 * side_2 - ahead_2 * side_1
+        if (
+            abs(side_1) <= margin_in
+            or abs(side_2) <= margin_in
+            or abs(cross) <= margin_in * (abs(x2 - x1) + abs(y2 - y1))
+        ):
+            return NO_WALL
+        if (cross > 0.0) == (side_2 > side_1):
+            if sole != NO_WALL:
+                return NO_WALL
+            sole = row
+    return sole
+
+
 def ray_to_disc(x: float, y: float, dx: float, dy: float, disc: Sequence[float] | FloatArray) -> float:
     """Return `cast_discs` of a single ray and one disc (x, y, radius), to the same bit."""
     to_x, to_y, radius = disc[0] - x, disc[1] - y, disc[2]
@@ -234,27 +267,6 @@ def cast_each(origins: Sequence[complex], directions: Sequence[complex], walls: 
     return ranges
 
 
-class WallIndex:
-    """Walls prepared for casting single rays again and again.
-
-    Parameters
-    ----------
-    walls
-        (m, 4), rows x1 y1 x2 y2 in inches.
-    """
-
-    def __init__(self, walls: npt.ArrayLike) -> None:
-        self._walls = np.ascontiguousarray(walls, dtype=np.float64).reshape(-1, 4)
-        self._rows: list[list[float]] = self._walls.tolist()
-        self._many = len(self._walls) > MAX_LOOP_WALLS
-
-    def nearest(self, x: float, y: float, dx: float, dy: float) -> tuple[float, int]:
-        """Return range and row of `nearest_wall`; inf and NO_WALL where nothing is met."""
-        if self._many:
-            return cast_ray(x, y, dx, dy, self._walls)
-        return nearest_wall(x, y, dx, dy, self._rows)
-
-
 # Many rays, in arrays.
 
 
@@ -354,13 +366,31 @@ def near_walls(x: float, y: float, reach_in: float, walls: FloatArray) -> FloatA
     """Return the walls (k, 4) that reach into the square of this half width around a point."""
     if len(walls) <= MAX_LOOP_WALLS:
         return walls
-    x1, y1, x2, y2 = walls.T
-    is_near = np.minimum(x1, x2) <= x + reach_in
-    is_near &= np.maximum(x1, x2) >= x - reach_in
-    is_near &= np.minimum(y1, y2) <= y + reach_in
-    is_near &= np.maximum(y1, y2) >= y - reach_in
-    near: FloatArray = walls[is_near]
+    low_x, low_y, high_x, high_y = _bounds(walls)
+    is_near = low_x <= x + reach_in
+    is_near &= high_x >= x - reach_in
+    is_near &= low_y <= y + reach_in
+    is_near &= high_y >= y - reach_in
+    near: FloatArray = walls.take(is_near.nonzero()[0], axis=0)
     return near
+
+
+# Bounds of the walls that were used last: those of worlds are read-only and used again and again.
+_MAX_CACHED_BOUNDS: Final = 4
+_cached_bounds: list[tuple[FloatArray, FloatArray]] = []
+
+
+def _bounds(walls: FloatArray) -> FloatArray:
+    """Return the bounds of walls (m, 4) as columns low x, low y, high x, high y (4, m)."""
+    for cached, bounds in _cached_bounds:
+        if cached is walls:
+            return bounds
+    ends = np.ascontiguousarray(walls.T)
+    bounds = np.concatenate((np.minimum(ends[:2], ends[2:]), np.maximum(ends[:2], ends[2:])))
+    if not walls.flags.writeable:
+        _cached_bounds.insert(0, (walls, bounds))
+        del _cached_bounds[_MAX_CACHED_BOUNDS:]
+    return bounds
 
 
 def _pairs(begin: IndexArray, stop: IndexArray) -> tuple[IndexArray, IndexArray]:

@@ -18,17 +18,20 @@ from localization.cli.options import (
     add_localization_options,
     add_map_option,
     check_writable,
+    is_lockstep,
     open_robot,
     parse_point,
     parse_positive,
     parse_seconds,
     parse_start,
     prepare_localization,
+    report_wait,
     resolve_world,
     save_run,
 )
-from localization.filters.registry import DEFAULT_METHOD, FINDER, finder
+from localization.filters.registry import DEFAULT_METHOD, FINDER
 from localization.live.assumptions import resolve_robot_model
+from localization.live.background_search import filter_on_robot
 from localization.live.publish import Publisher, build_message
 from localization.live.run import GroundTruth, Run, RunMoment
 from localization.navigation.limits import PoseSmoother
@@ -197,26 +200,29 @@ def _drive(
     belief, config, done.sonars = prepare_localization(robot, simulated, world, options)
     stays = options.stay and publisher is not None
     navigator = Navigator(done.waypoints, Speeds(translation_in_s=options.speed), options.radius, stays=stays)
-    method = finder(config, None, options.scale_std) if options.start == UNKNOWN else options.method
-    localizer = start_localizer(robot, config, belief, method)
-    # 2. Drive until the last waypoint, a stall or the time limit.
-    ground_truth, stall_detector, printed_s = GroundTruth(robot, simulated), StallDetector(options.speed), -math.inf
-    for progress in follow_waypoints(robot, localizer, navigator, time.sleep, PoseSmoother(options.smooth)):
-        clock_s, state = progress.estimate.clock_s, progress.state
-        # Record, publish, print.
-        done.add(_moment(progress, ground_truth))
-        if publisher:
-            _publish(publisher, done, navigator, ground_truth.robot_id)
-        if not options.json and clock_s >= printed_s + 1.0:
-            printed_s = clock_s
-            print(done.line(), flush=True)
-        # End on a stall or at the time limit.
-        aim = None if done.moments[-1].lost else navigator.goal
-        done.stopped = stall_detector.reason(clock_s, state, progress.estimate.pose, aim)
-        if not done.stopped and done.duration_s > options.time_limit:
-            done.stopped = f"time limit exceeded: {options.time_limit:g} s (--time-limit)"
-        if done.stopped:
-            break
+    start = None if options.start == UNKNOWN else belief
+    with filter_on_robot(
+        options.method, config, start, options.scale_std, waits=is_lockstep(options.address), report=report_wait
+    ) as method:
+        localizer = start_localizer(robot, config, belief, method)
+        # 2. Drive until the last waypoint, a stall or the time limit.
+        ground_truth, stall_detector, printed_s = GroundTruth(robot, simulated), StallDetector(options.speed), -math.inf
+        for progress in follow_waypoints(robot, localizer, navigator, time.sleep, PoseSmoother(options.smooth)):
+            clock_s, state = progress.estimate.clock_s, progress.state
+            # Record, publish, print.
+            done.add(_moment(progress, ground_truth))
+            if publisher:
+                _publish(publisher, done, navigator, ground_truth.robot_id)
+            if not options.json and clock_s >= printed_s + 1.0:
+                printed_s = clock_s
+                print(done.line(), flush=True)
+            # End on a stall or at the time limit.
+            aim = None if done.moments[-1].lost else navigator.goal
+            done.stopped = stall_detector.reason(clock_s, state, progress.estimate.pose, aim)
+            if not done.stopped and done.duration_s > options.time_limit:
+                done.stopped = f"time limit exceeded: {options.time_limit:g} s (--time-limit)"
+            if done.stopped:
+                break
 
 
 def _moment(progress: NavigationStep, ground_truth: GroundTruth) -> RunMoment:

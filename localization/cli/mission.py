@@ -22,13 +22,16 @@ from localization.cli.options import (
     add_localization_options,
     add_map_option,
     check_writable,
+    is_lockstep,
     open_robot,
     parse_pose,
     prepare_localization,
+    report_wait,
     resolve_world,
     save_estimate,
 )
 from localization.live.assumptions import SonarAssumption, resolve_robot_model, sonar_mismatch_hint
+from localization.live.background_search import filter_on_robot
 from localization.live.localizer import Echo
 from localization.live.publish import Publisher
 from localization.live.run import GroundTruth
@@ -146,7 +149,12 @@ def open_mission(options: argparse.Namespace, map_name: str = "") -> Iterator[Mi
         options.body = resolve_robot_model(options.body, robot.model.name, options.address)
         belief, config, sonars = prepare_localization(robot, simulated, world, options)
         body = BODIES[options.body]
-        with RobotController(robot, config, body, belief, time.sleep, options.method, options.speed) as controller:
+        with (
+            filter_on_robot(
+                options.method, config, belief, waits=is_lockstep(options.address), report=report_wait
+            ) as method,
+            RobotController(robot, config, body, belief, time.sleep, method, options.speed) as controller,
+        ):
             context = MissionContext(controller, robot, simulated, sonars, [], [], world)
             # 3. Observers.
             controller.observers.append(lambda observation: context.echoes.extend(observation.estimate.echoes))

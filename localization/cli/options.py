@@ -240,6 +240,17 @@ def open_robot(address: str | None) -> tuple[Robot, bool]:
         return connect(address), False
 
 
+def is_lockstep(address: str | None) -> bool:
+    """Return True if the address is a simulation in this process, whose time waits for its client."""
+    return split_address(address_or_default(address)).scheme == SIMULATION
+
+
+def report_wait(words: str) -> None:
+    """Show what is waited for, on a terminal only."""
+    if sys.stderr.isatty():
+        print(f"nomad: {words}", file=sys.stderr, flush=True)
+
+
 def make_folder(folder: Path) -> None:
     """Create a folder for results before anything is run. Raises OutputFileError."""
     try:

@@ -8,6 +8,7 @@ Filters are made by name (registry.make_filter). Echoes come in order of time, e
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple, Protocol, runtime_checkable
 
@@ -15,10 +16,10 @@ import numpy.typing as npt
 
 from localization.filters.belief import Belief
 from localization.filters.health import FilterHealth
-from localization.filters.odometry import OdometryNoise
+from localization.filters.odometry import NO_LAG, Lag, OdometryNoise, pose_at, relative_step
 from localization.filters.sonar_cone import ConeModel, ConeSonar
 from localization.filters.sonar_ray import STRICT, WIRE_SONAR, Gate, RayModel, RaySonar, SonarRing
-from localization.filters.update import MeasurementModel, UpdateResult
+from localization.filters.update import MeasurementModel, Outcome, UpdateResult
 from worlds.robots import IDEAL_CALIBRATION, Calibration
 
 THESIS_ODOMETRY: Final = OdometryNoise()
@@ -42,13 +43,54 @@ class Filter(Protocol):
         """Predict the belief after a step that the encoders report, inches and radians."""
         ...
 
-    def predicted(self, distance_in: float, turn_rad: float) -> Belief:
-        """Return the belief after such a step, without taking it."""
+    def predicted(self, distance_in: float, turn_rad: float, lag: Lag = NO_LAG) -> Belief:
+        """Return the belief after such a step, without taking it, widened by a lag."""
         ...
 
     def update(self, sonar: int, turret_offset_rad: float, reading_in: float) -> UpdateResult:
         """Correct the belief by a reading of sonar number `sonar`, the turret turned by so much against the heading."""
         ...
+
+
+EncoderRow = tuple[float, float, float, float, float]
+"""The encoders at an instant: clock_s, x_in, y_in, heading_rad, turret_rad."""
+NewEcho = tuple[float, int, float]
+"""An echo: the instant, the sonar, and its reading in inches."""
+
+
+@runtime_checkable
+class RingFilter(Protocol):
+    """A filter that takes all echoes of a ring in one call."""
+
+    def process(
+        self, encoders: EncoderRow, poses: Sequence[EncoderRow], echoes: Sequence[NewEcho]
+    ) -> Sequence[Outcome]:
+        """Predict to the instant of each echo and update; see `process_each`."""
+        ...
+
+
+def process_each(
+    to: Filter, encoders: EncoderRow, poses: Sequence[EncoderRow], echoes: Sequence[NewEcho]
+) -> Sequence[Outcome]:
+    """Predict a filter to the instant of each echo, and update it.
+
+    Parameters
+    ----------
+    encoders
+        The encoders at the instant to which the filter has predicted.
+    poses
+        The polled encoders, from the last before the first echo.
+    echoes
+        In order of time.
+    """
+    results = []
+    _, x, y, heading, _ = encoders
+    for instant_s, sonar, reading_in in echoes:
+        to_x, to_y, to_heading, turret = pose_at(poses, instant_s)
+        to.predict(*relative_step(x, y, heading, to_x, to_y, to_heading))
+        results.append(to.update(sonar, turret - to_heading, reading_in))
+        x, y, heading = to_x, to_y, to_heading
+    return results
 
 
 class Place(NamedTuple):

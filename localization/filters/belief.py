@@ -4,8 +4,8 @@ A state x (..., n), n >= 3, is x_in, y_in, heading_rad, then what a filter adds 
 are seeds, hypotheses or particles. Headings wrap here only: states are added and subtracted by `add` and `difference`.
 
 The formulas of the filter (odometry, update, sonar_ray) are written once, element by element, on `Number`: a float for
-one live robot, an array for many robots at once. `cos`, `sin`, `sqrt`, `exp`, `hypot`, `clip`, `wrap_angle`
-and `choose` accept either.
+one live robot, an array for many robots at once. `unit_vector`, `sqrt`, `exp`, `hypot`, `clip`, `wrap_angle` and
+`choose` accept either. numba compiles the same source for floats (`compiled`).
 """
 
 from __future__ import annotations
@@ -31,14 +31,11 @@ POSE: Final = 3
 _TURN: Final = 2.0 * math.pi
 
 
-def cos(angle_rad: Number) -> Number:
-    """Return the cosine."""
-    return math.cos(angle_rad) if isinstance(angle_rad, float) else np.cos(angle_rad)
-
-
-def sin(angle_rad: Number) -> Number:
-    """Return the sine."""
-    return math.sin(angle_rad) if isinstance(angle_rad, float) else np.sin(angle_rad)
+def unit_vector(angle_rad: Number) -> tuple[Number, Number]:
+    """Return the cosine and the sine of an angle."""
+    if isinstance(angle_rad, float):
+        return math.cos(angle_rad), math.sin(angle_rad)
+    return np.cos(angle_rad), np.sin(angle_rad)
 
 
 def sqrt(value: Number) -> Number:
@@ -64,15 +61,15 @@ def clip(value: Number, low: float, high: float) -> Number:
 def wrap_angle(angle_rad: Number) -> Number:
     """Return the same direction within [-pi, pi]; angles already there are returned to the bit."""
     if isinstance(angle_rad, float):
-        return angle_rad - _TURN * round(angle_rad / _TURN)
+        return angle_rad if -math.pi <= angle_rad <= math.pi else angle_rad - _TURN * round(angle_rad / _TURN)
     return angle_rad - _TURN * np.rint(angle_rad / _TURN)
 
 
 def choose(condition: Any, value: Any, other: Any) -> Any:
     """Return `value` where the condition holds, else `other`: bool and numbers, or arrays."""
-    if isinstance(condition, np.ndarray):
-        return np.where(condition, value, other)
-    return value if condition else other
+    if isinstance(condition, bool):
+        return value if condition else other
+    return np.where(condition, value, other)
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,6 +114,23 @@ def pack(x: Sequence[Any], P: Sequence[Sequence[Any]]) -> Belief:
     n = len(x)
     elements = np.stack(np.broadcast_arrays(*x, *(element for row in P for element in row)), axis=-1)
     return Belief(elements[..., :n], elements[..., n:].reshape(*elements.shape[:-1], n, n))
+
+
+def add_outer(P: list[list[Number]], weight: Number, v: Sequence[Number]) -> None:
+    """Add weight v v' to P, in place."""
+    a, b, c = v[0], v[1], v[2]
+    of_x, of_y, of_heading = P[0], P[1], P[2]
+    scaled_a, scaled_b = weight * a, weight * b
+    of_x[0] = of_x[0] + scaled_a * a
+    of_y[0] = of_x[1] = of_x[1] + scaled_a * b
+    of_heading[0] = of_x[2] = of_x[2] + scaled_a * c
+    of_y[1] = of_y[1] + scaled_b * b
+    of_heading[1] = of_y[2] = of_y[2] + scaled_b * c
+    of_heading[2] = of_heading[2] + weight * c * c
+    for i in range(POSE, len(v)):
+        row, scaled = P[i], weight * v[i]
+        for j in range(i + 1):
+            row[j] = P[j][i] = row[j] + scaled * v[j]
 
 
 def independent(mean: npt.ArrayLike, std: npt.ArrayLike) -> Belief:

@@ -13,7 +13,7 @@ ring hardly depend on the angle: which walls its sonars detect at all shows its 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from math import exp, pi, radians, sqrt
 from typing import Final, NamedTuple
@@ -22,21 +22,29 @@ import numpy as np
 import numpy.typing as npt
 
 from localization.filters.base import LocalizationConfig, measurement_model
-from localization.filters.belief import HEADING, POSE, Belief, Floats, chi_square_quantile, pack, unpack, wrap_angle
+from localization.filters.belief import (
+    HEADING,
+    POSE,
+    Belief,
+    Floats,
+    add_outer,
+    chi_square_quantile,
+    pack,
+    unpack,
+    wrap_angle,
+)
 from localization.filters.health import FilterHealth, IntegrityMonitor
-from localization.filters.odometry import MAX_STATE, predict_state
-from localization.filters.reflectors import reflectors
-from localization.filters.sonar_cone import ConeSensor, ConeSonar, EchoCandidate, SonarMount
-from localization.filters.sonar_ray import RaySonar, SonarRing, wall_map
+from localization.filters.odometry import MAX_STATE, NO_LAG, Lag, predict_state, widen
+from localization.filters.sonar_cone import ConeModel, ConeSonar, EchoCandidate, first_echoes
+from localization.filters.sonar_ray import RaySonar, SonarRing, range_variance
 from localization.filters.update import (
     INFORMATIVE,
     MeasurementModel,
     Refusal,
     UpdateResult,
-    add_outer,
     linear,
-    pda_update,
-    refusal_of,
+    result_of,
+    update_by_association,
 )
 from worlds.robots import SONARS
 
@@ -105,20 +113,18 @@ class ConeAim:
     """
 
     def __init__(self, walls: npt.ArrayLike, body: SonarRing, sonar: ConeSonar) -> None:
-        self._sensor = ConeSensor(reflectors(wall_map(walls).segments), sonar)
-        self._body, self._sonar = body, sonar
+        self._model = ConeModel(walls, body, sonar)
 
     def posterior(self, reading: AimReading) -> tuple[float, float]:
         """Return the mean offset of the axis, radians, and its variance as a fraction of the prior one."""
         blur_rad = max(EDGE_STD_RAD, _SPACING * reading.std_rad)
-        direction_rad = reading.offset_rad + self._body.sonar_angles_rad[reading.sonar]
+        direction_rad = reading.offset_rad + self._model.angles_rad[reading.sonar]
         likelihood = np.empty(len(NODES))
         densities: dict[int, float] = {}
         for count, at in enumerate(_ENDS_FIRST):
             offset_rad = float(NODES[at]) * reading.std_rad
-            mount = SonarMount(direction_rad + offset_rad, self._body.sonar_ring_radius_in)
-            candidates = self._sensor.candidates(reading.pose, blur_rad, mount)
-            likelihood[at] = _likelihood(candidates, densities, self._sonar, reading)
+            candidates = first_echoes(*reading.pose, blur_rad, direction_rad + offset_rad, self._model)
+            likelihood[at] = _likelihood(candidates, densities, self._model.noise, reading)
             if count == 2 and reading.std_rad < NARROW_RAD and _is_flat(likelihood[_ENDS_FIRST[:3]]):
                 return 0.0, 1.0
         posterior = _WEIGHTS * likelihood
@@ -143,7 +149,7 @@ def _likelihood(
     for candidate in candidates:
         density = densities.get(candidate.reflector)
         if density is None:
-            S = reading.variance_in2 + sonar.variance_at(candidate.range_in)
+            S = reading.variance_in2 + range_variance(sonar, candidate.range_in)
             innovation = reading.reading_in - candidate.range_in
             densities[candidate.reflector] = density = exp(-0.5 * innovation * innovation / S) / sqrt(2.0 * pi * S)
         total += candidate.probability * density
@@ -172,7 +178,6 @@ class CalibratingFilter:
         prior.cov[:size, :size] = start.cov
         self._x, self._P = unpack(prior)
         self._odometry, self._sonar = config.odometry, config.sonar
-        self._variance: Callable[[float], float] = config.sonar.variance_at
         self._model = _tolerant(config)
         self._aim = None
         if isinstance(config.sonar, ConeSonar):
@@ -188,16 +193,17 @@ class CalibratingFilter:
     @property
     def health(self) -> FilterHealth:
         """Health of the estimate."""
-        return self._monitor.health(self.belief)
+        return self._monitor.health(self._P)
 
     def predict(self, distance_in: float, turn_rad: float) -> None:
         """Predict the belief after a step that the encoders report."""
         predict_state(self._x, self._P, distance_in, turn_rad, self._odometry)
 
-    def predicted(self, distance_in: float, turn_rad: float) -> Belief:
-        """Return the belief after such a step, without taking it."""
+    def predicted(self, distance_in: float, turn_rad: float, lag: Lag = NO_LAG) -> Belief:
+        """Return the belief after such a step, without taking it, widened by a lag."""
         x, P = self._x.copy(), [row.copy() for row in self._P]
         predict_state(x, P, distance_in, turn_rad, self._odometry)
+        widen(x, P, lag)
         return pack(x, P)
 
     def update(self, sonar: int, turret_offset_rad: float, reading_in: float) -> UpdateResult:
@@ -224,16 +230,14 @@ class CalibratingFilter:
         # 3. Their derivatives by the long state.
         association = found._replace(
             H=[_long_derivative(H, sonar) for H in found.H],
-            R=[self._variance(expected_in) for expected_in in found.ranges_in],
+            R=[range_variance(self._sonar, expected_in) for expected_in in found.ranges_in],
         )
         # 4. The gate of rays, which have no outliers, and the update.
         if not association.outlier_probability:
             (first,) = linear(x, P, range_in, association, association.R)
             if first.nis > self._threshold:
                 return UpdateResult(Refusal.GATE, first.innovation, first.nis, 1.0)
-        done = pda_update(x, P, range_in, association)
-        outlier = done.outlier_probability
-        return UpdateResult(refusal_of(outlier), done.innovation_in, done.nis, outlier)
+        return result_of(update_by_association(x, P, range_in, association, linear, 1))
 
     def _correct_aim(self, sonar: int, turret_offset_rad: float, reading_in: float) -> None:
         """Correct heading and ring turn together by what the sonar detects."""

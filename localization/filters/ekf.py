@@ -8,27 +8,79 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from localization.filters import compiled
+from localization.filters.base import EncoderRow, NewEcho, process_each
 from localization.filters.belief import HEADING, Belief, Floats, pack, unpack, wrap_angle
 from localization.filters.health import FilterHealth, IntegrityMonitor
-from localization.filters.odometry import OdometryNoise, predict_state
+from localization.filters.odometry import NO_LAG, Lag, OdometryNoise, pose_at, predict_state, relative_step, widen
 from localization.filters.sonar_ray import Observation
 from localization.filters.update import (
     INFORMATIVE,
+    NONE,
     CorrelatedReadings,
     Covariance,
+    DirectModel,
     MeasurementUpdate,
+    Outcome,
     Refusal,
     State,
     UpdateResult,
+    Used,
+    count_used,
     kalman_update,
+    move_on,
+    record_used,
 )
 
 Prediction = Callable[[State, Covariance, float, float, OdometryNoise], None]
 """Predicts x and P after a step (distance, turn), in place."""
+
+
+def filter_ring(
+    x: State,
+    P: Covariance,
+    used: Used,
+    encoders: EncoderRow,
+    poses: Sequence[EncoderRow],
+    echoes: Sequence[NewEcho],
+    noise: OdometryNoise,
+    model: DirectModel,
+    correct: Callable[..., Outcome],
+) -> list[Outcome]:
+    """Filter x, P by all echoes of a ring in order of time, in place; return the outcome of each.
+
+    This is the loop of the extended Kalman filter; `compiled` compiles it with all that it calls.
+
+    Parameters
+    ----------
+    used
+        Of `CorrelatedReadings`.
+    encoders, poses, echoes
+        As in `base.process_each`.
+    correct
+        The update by the model: `sonar_ray.update_by_ray` or `sonar_cone.update_by_cone`.
+    """
+    outcomes = []
+    x_in, y_in, heading = encoders[1], encoders[2], encoders[3]
+    for echo in echoes:
+        # 1. Predict to the pose of the encoders at the instant of the echo.
+        to_x, to_y, to_heading, turret = pose_at(poses, echo[0])
+        distance, turn = relative_step(x_in, y_in, heading, to_x, to_y, to_heading)
+        predict_state(x, P, distance, turn, noise)
+        move_on(used, distance, turn)
+        x_in, y_in, heading = to_x, to_y, to_heading
+        # 2. Correct by the reading, the `count`-th one used from here.
+        sonar, offset = int(echo[1]), turret - to_heading
+        count = count_used(used, sonar, offset) + 1
+        outcome = correct(x, P, offset + model.angles_rad[sonar], echo[2], model, count)
+        if outcome[0] == NONE:
+            record_used(used, sonar, offset, count)
+        outcomes.append(outcome)
+    return outcomes
 
 
 class KalmanFilter:
@@ -59,6 +111,10 @@ class KalmanFilter:
         self._predict = prediction
         self._monitor = IntegrityMonitor()
         self._correlated = CorrelatedReadings()
+        self._direct = measurement.direct if prediction is predict_state else None
+        self._compiled = compiled.ring(filter_ring, self._direct, odometry)
+        if self._compiled:
+            self._correlated.used = np.array(self._correlated.used)  # type: ignore[assignment]
 
     @property
     def belief(self) -> Belief:
@@ -68,28 +124,45 @@ class KalmanFilter:
     @property
     def health(self) -> FilterHealth:
         """Health of the estimate; a filter that considers one pose only never reports LOST."""
-        return self._monitor.health(self.belief)
+        return self._monitor.health(self._P)
 
     def predict(self, distance_in: float, turn_rad: float) -> None:
         """Predict the belief after a step that the encoders report."""
         self._predict(self._x, self._P, distance_in, turn_rad, self._odometry)
         self._correlated.move(distance_in, turn_rad)
 
-    def predicted(self, distance_in: float, turn_rad: float) -> Belief:
-        """Return the belief after such a step, without taking it."""
+    def predicted(self, distance_in: float, turn_rad: float, lag: Lag = NO_LAG) -> Belief:
+        """Return the belief after such a step, without taking it, widened by a lag."""
         x, P = self._x.copy(), [row.copy() for row in self._P]
         self._predict(x, P, distance_in, turn_rad, self._odometry)
-        return pack(x, P)
+        widen(x, P, lag)
+        return Belief(np.array(x), np.array(P))
 
     def update(self, sonar: int, turret_offset_rad: float, reading_in: float) -> UpdateResult:
         """Correct the belief by a reading of a sonar that fired at this very pose."""
         count = self._correlated.count(sonar, turret_offset_rad) + 1
-        result = self._measurement.apply(self._x, self._P, sonar, turret_offset_rad, reading_in, count).result
+        result = self._measurement.apply(self._x, self._P, sonar, turret_offset_rad, reading_in, count)
         if result.refusal is Refusal.NONE:
             self._correlated.record(sonar, turret_offset_rad)
         if result.refusal in INFORMATIVE:
             self._monitor.add(result)
         return result
+
+    def process(
+        self, encoders: EncoderRow, poses: Sequence[EncoderRow], echoes: Sequence[NewEcho]
+    ) -> Sequence[Outcome]:
+        """Predict to the instant of each echo and update; see `process_each`."""
+        if not self._direct:
+            return process_each(self, encoders, poses, echoes)
+        x, P, used, noise, model = self._x, self._P, self._correlated.used, self._odometry, self._direct
+        if self._compiled:
+            outcomes = self._compiled.filter(x, P, used, encoders, poses, echoes)
+        else:
+            outcomes = filter_ring(x, P, used, encoders, poses, echoes, noise, model, model.update)
+        for outcome in outcomes:
+            if outcome[0] in INFORMATIVE:
+                self._monitor.add(outcome)
+        return outcomes
 
 
 def update_ring(belief: Belief, observation: Observation) -> tuple[Belief, Floats]:

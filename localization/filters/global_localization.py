@@ -17,8 +17,9 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from functools import cached_property
 from math import inf, log
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
@@ -26,7 +27,10 @@ from localization.filters.base import Place
 from localization.filters.belief import HEADING, POSE, Belief, Floats, add, difference, independent, pack, unpack
 from localization.filters.health import FilterHealth, HealthStatus, IntegrityMonitor
 from localization.filters.odometry import (
+    NO_LAG,
+    Lag,
     OdometryNoise,
+    add_lag,
     move,
     predict,
     predict_state,
@@ -34,7 +38,7 @@ from localization.filters.odometry import (
     with_parameters,
     with_pose,
 )
-from localization.filters.range_table import CELL_IN, DIRECTIONS, OUTLIER_PROBABILITY, RangeTable
+from localization.filters.range_table import DIRECTIONS, OUTLIER_PROBABILITY, RangeTable
 from localization.filters.update import RANGE_SPAN_IN, CorrelatedReadings, MeasurementUpdate, Refusal, UpdateResult
 
 LOWEST_IN, NOTHING_IN = 6.0, 255.0
@@ -42,22 +46,22 @@ LOWEST_IN, NOTHING_IN = 6.0, 255.0
 
 # 1. The search: all poses that explain the last echoes.
 
-CELL_STD_IN: Final = 2.0
-"""Difference of a reading from that in the middle of its cell: half a diagonal, and half a cell of heading."""
-PEAK_DISTANCE_IN, PEAK_DISTANCE_RAD = 2.5 * CELL_IN, 0.35
+CELL_STD: Final = 2.0 / 3.0
+"""Standard deviation of a reading against that from the middle of its cell, in cells: half a diagonal, and more."""
+PEAK_CELLS, PEAK_RAD = 2.5, 0.35
 """A pose nearer than this to a better one belongs to the same peak."""
-SLIP_IN, SLIP_RAD = PEAK_DISTANCE_IN, 0.5
+SLIP_IN, SLIP_RAD = 7.5, 0.5
 """An estimate may have slipped by this: a heading by the width of the cone, 25 degrees, over which an echo stays."""
 MAX_PEAKS: Final = 40
 MAX_CANDIDATES: Final = 20_000
 """Poses among which peaks are looked for."""
 MAX_PEAK_NATS: Final = 25.0
 """A peak this much less likely than the best is no candidate."""
-REFINED_STD: Final = (0.6 * CELL_IN, 0.6 * CELL_IN, 0.06)
-"""Standard deviations of a peak before it is refined: of a cell."""
+PEAK_STD, PEAK_HEADING_STD_RAD = 0.6, 0.06
+"""Standard deviations of a peak before it is refined: of a cell, in cells and radians."""
 SAME_SQUARED: Final = 16.27
 """A pose within this squared distance of a belief is the same: chi-square of 3 degrees of freedom, 99.9 %."""
-SAME_IN, SAME_RAD = CELL_IN, 0.15
+SAME_IN, SAME_RAD = 3.0, 0.15
 """Refined hypotheses nearer than this are one."""
 MIN_WEIGHT: Final = 1e-4
 """Hypotheses with less weight than this, against the best, are dropped."""
@@ -116,7 +120,7 @@ def alternatives(
 ) -> Alternatives:
     """Return what else explains the records. Near is within the standard deviation of the belief, or a slip from it."""
     # 1. The given belief, widened by a cell of the grid: nearer poses cannot be distinguished from it.
-    wide = Belief(given.mean[:POSE], given.cov[:POSE, :POSE] + np.diag(np.square(REFINED_STD)))
+    wide = Belief(given.mean[:POSE], given.cov[:POSE, :POSE] + np.diag(np.square(_peak_std(table))))
     information = np.linalg.inv(wide.cov)
     # 2. The best explanation near it (True) and elsewhere (False).
     best: dict[bool, tuple[Belief, float]] = {}
@@ -129,6 +133,63 @@ def alternatives(
     lead = max((score for _, score in best.values()), default=-inf) - _replayed(wide, records, measurement, odometry)[1]
     near_by, elsewhere = (best[near][0] if near in best else None for near in (True, False))
     return Alternatives(near_by, elsewhere, lead)
+
+
+class SearchResult(NamedTuple):
+    """Answer of a search: all hypotheses, or the alternatives to a given belief."""
+
+    hypotheses: list[Hypothesis]
+    alternatives: Alternatives | None = None
+
+
+PendingSearch = Callable[[], SearchResult | None]
+"""Returns the answer of a search, None while it runs."""
+
+
+class PoseSearch(Protocol):
+    """Searches for poses on a map; an implementation may run beside the filter."""
+
+    @property
+    def progress(self) -> str:
+        """What a search still waits for, in words; "" if nothing."""
+        ...
+
+    def density(self, reading_in: float) -> float:
+        """Return the probability density of a reading from an unknown pose."""
+        ...
+
+    def start(self, records: Sequence[EchoRecord], given: Belief | None = None) -> PendingSearch:
+        """Begin a search for all poses that explain the records, or for the alternatives to a given belief."""
+        ...
+
+
+class TableSearch:
+    """Search in this process, which answers at once; the table is built at its first use."""
+
+    progress = ""
+
+    def __init__(
+        self, table: Callable[[], RangeTable], measurement: MeasurementUpdate, odometry: OdometryNoise
+    ) -> None:
+        self._build, self._measurement, self._odometry = table, measurement, odometry
+
+    @cached_property
+    def table(self) -> RangeTable:
+        """The range table of the map."""
+        return self._build()
+
+    def density(self, reading_in: float) -> float:
+        """Return the probability density of a reading from an unknown pose."""
+        return self.table.density(reading_in)
+
+    def start(self, records: Sequence[EchoRecord], given: Belief | None = None) -> PendingSearch:
+        """Return the answer of a search."""
+        if given is None:
+            result = SearchResult(search(records, self.table, self._measurement, self._odometry))
+        else:
+            found = alternatives(given, records, self.table, self._measurement, self._odometry)
+            result = SearchResult([], found)
+        return lambda: result
 
 
 def merged(weighted: Sequence[tuple[Belief, float]]) -> list[Hypothesis]:
@@ -156,31 +217,39 @@ def _explanations(
         return []
     # 1. The likelihood of every free cell and heading, from the table.  2. Its peaks.  3. Each refined by the filter.
     poses, score = _coarse(records, table, places)
-    return [_replayed(independent(peak, REFINED_STD), records, measurement, odometry) for peak in _peaks(poses, score)]
+    peaks, std = _peaks(poses, score, PEAK_CELLS * table.cell_in), _peak_std(table)
+    return [_replayed(independent(peak, std), records, measurement, odometry) for peak in peaks]
+
+
+def _peak_std(table: RangeTable) -> tuple[float, float, float]:
+    return PEAK_STD * table.cell_in, PEAK_STD * table.cell_in, PEAK_HEADING_STD_RAD
 
 
 def _coarse(records: Sequence[EchoRecord], table: RangeTable, places: Floats) -> tuple[Floats, Floats]:
     """Return all poses (n, 3) of the grid at the last record, and their log likelihoods (n,)."""
     # 1. Every free cell with every heading.
     headings = np.arange(DIRECTIONS) * (2.0 * np.pi / DIRECTIONS)
-    poses = np.empty((len(places) * DIRECTIONS, 3))
-    poses[:, :2] = np.repeat(places, DIRECTIONS, axis=0)
-    poses[:, HEADING] = np.tile(headings, len(places))
-    score = np.zeros(len(poses))
+    score = np.zeros((len(places), DIRECTIONS))
     # 2. Sum of log likelihoods; readings are independent given the pose.
-    inlier = 1.0 - OUTLIER_PROBABILITY
+    inlier, cell_std_in = 1.0 - OUTLIER_PROBABILITY, CELL_STD * table.cell_in
     for record in records:
         if record.reading_in <= LOWEST_IN:
             continue
-        there = _displaced(poses, records[-1].encoders, record.encoders)
-        ranges, probability = table.look_up(there, record.sonar_rad)
+        # Where the robot was then depends on the heading alone: the same step from all places.
+        dx, dy, heading = _displaced(np.stack((0.0 * headings, 0.0 * headings, headings), axis=-1),
+                                     records[-1].encoders, record.encoders).T  # fmt: skip
+        directions = np.rint((heading + record.sonar_rad) * (DIRECTIONS / (2.0 * np.pi))).astype(np.intp) % DIRECTIONS
+        ranges, probability = table.look_up(places[:, :1] + dx, places[:, 1:] + dy, directions)
         if record.reading_in >= NOTHING_IN:
             score += np.log(1.0 - inlier * probability)
             continue
-        variance = CELL_STD_IN**2 + (0.01 * ranges) ** 2
+        variance = cell_std_in**2 + (0.01 * ranges) ** 2
         hit = probability * np.exp(-0.5 * (record.reading_in - ranges) ** 2 / variance)
         score += np.log(inlier * hit / np.sqrt(2.0 * np.pi * variance) + OUTLIER_PROBABILITY / RANGE_SPAN_IN)
-    return poses, score
+    # 3. As a list of poses.
+    poses = np.empty((*score.shape, 3))
+    poses[..., :2], poses[..., HEADING] = places[:, None], headings
+    return poses.reshape(-1, 3), score.ravel()
 
 
 def _displaced(poses: Floats, last: Floats, then: Floats) -> Floats:
@@ -196,8 +265,8 @@ def _displaced(poses: Floats, last: Floats, then: Floats) -> Floats:
     return there
 
 
-def _peaks(poses: Floats, score: Floats) -> list[Floats]:
-    """Return the best poses (3,), one for each peak."""
+def _peaks(poses: Floats, score: Floats, distance_in: float) -> list[Floats]:
+    """Return the best poses (3,), one for each peak: no two within this distance with nearly the same heading."""
     # Non-maximum suppression: take the best pose, drop its neighbours, repeat.
     order = np.argsort(score)[::-1]
     order = order[score[order] > score[order[0]] - MAX_PEAK_NATS][:MAX_CANDIDATES]
@@ -208,7 +277,7 @@ def _peaks(poses: Floats, score: Floats) -> list[Floats]:
         found.append(peak)
         offset = difference(rest, np.broadcast_to(peak, rest.shape))
         distance = np.hypot(offset[:, 0], offset[:, 1])
-        rest = rest[~((distance < PEAK_DISTANCE_IN) & (np.abs(offset[:, HEADING]) < PEAK_DISTANCE_RAD))]
+        rest = rest[~((distance < distance_in) & (np.abs(offset[:, HEADING]) < PEAK_RAD))]
     return found
 
 
@@ -217,8 +286,19 @@ def _replayed(
 ) -> tuple[Belief, float]:
     """Return a belief, moved back to the first record and filtered along all of them, and its log likelihood."""
     start = _displaced(last.mean[None, :], records[-1].encoders, records[0].encoders)[0]
-    x, P = unpack(Belief(add(start, np.zeros(POSE)), last.cov))
-    score, before = 0.0, records[0].encoders
+    return continued(Belief(add(start, np.zeros(POSE)), last.cov), records[0].encoders, records, measurement, odometry)
+
+
+def continued(
+    belief: Belief,
+    before: Floats,
+    records: Sequence[EchoRecord],
+    measurement: MeasurementUpdate,
+    odometry: OdometryNoise,
+) -> tuple[Belief, float]:
+    """Return a belief at the encoders `before` (3,), filtered along records since, and their log likelihood."""
+    x, P = unpack(belief)
+    score = 0.0
     for record in records:
         distance_in, turn_rad = step_between(before, record.encoders).tolist()
         predict_state(x, P, distance_in, turn_rad, odometry)
@@ -351,8 +431,8 @@ class GlobalLocalizer:
     ----------
     belief
         Belief before the first step; None to begin with a search.
-    table
-        Returns the range table of the map, built when first needed.
+    poses
+        Searches the map.
     sonar_angles_rad
         Direction of each sonar on the turret.
     parameter_stds
@@ -364,15 +444,18 @@ class GlobalLocalizer:
         belief: Belief | None,
         measurement: MeasurementUpdate,
         odometry: OdometryNoise,
-        table: Callable[[], RangeTable],
+        poses: PoseSearch,
         sonar_angles_rad: Sequence[float],
         parameter_stds: tuple[float, ...] = (),
         monitor: IntegrityMonitor | None = None,
     ) -> None:
         self._measurement, self._odometry = measurement, odometry
         self._sonar_angles_rad, self._parameter_stds = sonar_angles_rad, parameter_stds
-        self._build_table = table
-        self._built: RangeTable | None = None
+        self._poses = poses
+        # A search in progress, and the records since it began.
+        self._pending: PendingSearch | None = None
+        self._since: list[EchoRecord] = []
+        self._searched: Floats = np.zeros(POSE)
         self._monitor = monitor or IntegrityMonitor()
         self._encoders, self._correlated = np.zeros(POSE), CorrelatedReadings()
         self._records: deque[EchoRecord] = deque(maxlen=MAX_RECORDS)
@@ -398,12 +481,13 @@ class GlobalLocalizer:
     def health(self) -> FilterHealth:
         """Health of the estimate."""
         if not self.hypotheses:
-            return FilterHealth(HealthStatus.LOST, f"searching: {self._reason}")
+            waits = f"; {self._poses.progress}" if self._poses.progress else ""
+            return FilterHealth(HealthStatus.LOST, f"searching: {self._reason}{waits}")
         if len(self.hypotheses) > 1:
             best = self.hypotheses[0].probability
             reason = f"{len(self.hypotheses)} places look alike, the likeliest with {best:.0%}"
             return FilterHealth(HealthStatus.LOST, reason)
-        return self._monitor.health(self.belief)
+        return self._monitor.health(self.belief.cov)
 
     def predict(self, distance_in: float, turn_rad: float) -> None:
         """Predict all hypotheses after a step that the encoders report."""
@@ -417,9 +501,9 @@ class GlobalLocalizer:
         if self._test:
             self._test.predict(distance_in, turn_rad)
 
-    def predicted(self, distance_in: float, turn_rad: float) -> Belief:
-        """Return the belief after such a step, without taking it."""
-        return predict(self.belief, np.array((distance_in, turn_rad)), self._odometry)
+    def predicted(self, distance_in: float, turn_rad: float, lag: Lag = NO_LAG) -> Belief:
+        """Return the belief after such a step, without taking it, widened by a lag."""
+        return add_lag(predict(self.belief, np.array((distance_in, turn_rad)), self._odometry), lag)
 
     def update(self, sonar: int, turret_offset_rad: float, reading_in: float) -> UpdateResult:
         """Correct every hypothesis by a reading, and reweight them."""
@@ -427,6 +511,8 @@ class GlobalLocalizer:
         direction = turret_offset_rad + self._sonar_angles_rad[sonar]
         self._records.append(EchoRecord(self._encoders, direction, sonar, turret_offset_rad, reading_in))
         self._new_records += 1
+        if self._pending:
+            self._since.append(self._records[-1])
         if not self.hypotheses:
             return self._search()
         # 2. Correct every hypothesis.
@@ -435,7 +521,7 @@ class GlobalLocalizer:
             self._measurement.updated(hypothesis.belief, sonar, turret_offset_rad, reading_in, count)
             for hypothesis in self.hypotheses
         ]
-        result = outcomes[0][1].result
+        result = outcomes[0][1]
         if result.refusal is Refusal.NONE:
             self._correlated.record(sonar, turret_offset_rad)
         # 3. One hypothesis: monitor it. Several: weigh them by the likelihood of the reading.
@@ -460,22 +546,51 @@ class GlobalLocalizer:
         if record.reading_in <= LOWEST_IN:
             return
         is_limit = result.refusal is Refusal.LIMIT
-        self._monitor.add_evidence(likelihood, self._table.density(record.reading_in), None if is_limit else result)
+        self._monitor.add_evidence(likelihood, self._poses.density(record.reading_in), None if is_limit else result)
         if self._test:
             self._test.update(record, likelihood)
             self._decide(self._test)
+        elif self._pending:
+            self._take_alternatives()
         if self._monitor.is_lost:
             self._give_up(self._monitor.reason)
-        elif self._monitor.is_suspicious and not self._test and self._new_records >= MAX_RECORDS // 2:
+        elif self._monitor.is_suspicious and not self._test and not self._pending and (
+            self._new_records >= MAX_RECORDS // 2
+        ):
             self._look_for_alternatives()
 
     def _look_for_alternatives(self) -> None:
-        """Search for poses that explain more; test those that do against the estimate."""
+        """Search for poses that explain more."""
         self._new_records = 0
-        found = alternatives(self.belief, list(self._records), self._table, self._measurement, self._odometry)
-        if found.lead_nats >= MIN_LEAD_NATS:
-            near, elsewhere = (belief and with_pose(_widened(belief), self.belief) for belief in found[:2])
-            self._test = SequentialTest(near, elsewhere, self._measurement, self._odometry)
+        self._begin(self.belief)
+        self._take_alternatives()
+
+    def _take_alternatives(self) -> None:
+        """Test alternatives that a search has found against the estimate."""
+        found = self._answer()
+        if found is None or found.alternatives is None or found.alternatives.lead_nats < MIN_LEAD_NATS:
+            return
+        near, elsewhere = (
+            belief and self._caught_up(with_pose(_widened(belief), self.belief))[0]
+            for belief in found.alternatives[:2]
+        )
+        self._test = SequentialTest(near, elsewhere, self._measurement, self._odometry)
+
+    def _begin(self, given: Belief | None = None) -> None:
+        """Begin a search by the last records."""
+        self._pending, self._since = self._poses.start(list(self._records), given), []
+        self._searched = self._records[-1].encoders
+
+    def _answer(self) -> SearchResult | None:
+        """Return the answer of a search once."""
+        found = self._pending() if self._pending else None
+        if found is not None:
+            self._pending = None
+        return found
+
+    def _caught_up(self, belief: Belief) -> tuple[Belief, float]:
+        """Return a belief at the last record of a search, filtered along the records since, and their likelihood."""
+        return continued(belief, self._searched, self._since, self._measurement, self._odometry)
 
     def _decide(self, test: SequentialTest) -> None:
         """End a test that is decided, or has lasted long enough."""
@@ -492,27 +607,24 @@ class GlobalLocalizer:
         """Begin a search, with the echoes from now on."""
         self._reason = reason
         self._monitor.reset()
-        self._test = None
+        self._test = self._pending = None
         self.hypotheses = []
         self._new_records = 0
 
     def _search(self) -> UpdateResult:
-        if self._new_records >= MAX_RECORDS:
+        """Begin a search when there are enough records, and take its answer."""
+        if self._pending is None and self._new_records >= MAX_RECORDS:
             self._new_records = MAX_RECORDS // 2
-            found = search(list(self._records), self._table, self._measurement, self._odometry)
-            self.hypotheses = [
-                Hypothesis(with_parameters(_widened(place.belief), self._parameter_stds), place.probability)
-                for place in found
+            self._begin()
+        found = self._answer()
+        if found is not None:
+            places = [
+                (self._caught_up(with_parameters(_widened(place.belief), self._parameter_stds)), place.probability)
+                for place in found.hypotheses
             ]
+            self.hypotheses = merged([(belief, log(probability) + nats) for (belief, nats), probability in places])
             self._monitor.reset()
         return UpdateResult(Refusal.LIMIT, 0.0, 0.0, 1.0)
-
-    @property
-    def _table(self) -> RangeTable:
-        """The range table, built when first needed."""
-        if self._built is None:
-            self._built = self._build_table()
-        return self._built
 
 
 def _widened(belief: Belief) -> Belief:

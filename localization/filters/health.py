@@ -15,13 +15,14 @@ References: Page, Continuous inspection schemes (1954).
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from math import hypot, log, sqrt
 from typing import Final, NamedTuple
 
-from localization.filters.belief import Belief, chi_square_quantile
-from localization.filters.update import OUTLIER_THRESHOLD, UpdateResult
+from localization.filters.belief import Floats, chi_square_quantile
+from localization.filters.update import OUTLIER_THRESHOLD, Outcome
 
 
 class HealthStatus(Enum):
@@ -99,7 +100,7 @@ class IntegrityMonitor:
         self._matched.clear()
         self._nis.clear()
 
-    def add_evidence(self, likelihood: float, anywhere: float, result: UpdateResult | None) -> None:
+    def add_evidence(self, likelihood: float, anywhere: float, result: Outcome | None) -> None:
         """Take note of a reading.
 
         Parameters
@@ -114,11 +115,12 @@ class IntegrityMonitor:
         if result is not None:
             self.add(result)
 
-    def add(self, result: UpdateResult) -> None:
+    def add(self, result: Outcome) -> None:
         """Take note of the outcome of a range; all that a filter can report that considers one pose only."""
-        self._matched.append(1.0 - result.outlier_probability)
-        if result.outlier_probability < OUTLIER_THRESHOLD:
-            self._nis.append(result.nis)
+        _, _, nis, outlier_probability, _ = result
+        self._matched.append(1.0 - outlier_probability)
+        if outlier_probability < OUTLIER_THRESHOLD:
+            self._nis.append(nis)
 
     @property
     def is_suspicious(self) -> bool:
@@ -130,13 +132,13 @@ class IntegrityMonitor:
         """Reason for giving up the estimate."""
         return f"readings fit anywhere on the map better than here, by e^{self._fall:.0f}"
 
-    def health(self, belief: Belief) -> FilterHealth:
-        """Return the health of the estimate now."""
+    def health(self, P: Sequence[Sequence[float]] | Floats) -> FilterHealth:
+        """Return the health of an estimate of covariance P now."""
         limits = self.limits
         if self.is_lost:
             return FilterHealth(HealthStatus.LOST, self.reason)
         # 1. The larger eigenvalue of the covariance of the position.
-        (xx, xy), (_, yy) = belief.cov[:2, :2].tolist()
+        xx, xy, yy = P[0][0], P[0][1], P[1][1]
         std = sqrt(0.5 * (xx + yy) + hypot(0.5 * (xx - yy), xy))
         if std > limits.max_std_in:
             return FilterHealth(HealthStatus.DEGRADED, f"the position is known to {std:.1f} in only")

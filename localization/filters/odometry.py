@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -29,10 +29,10 @@ from localization.filters.belief import (
     Floats,
     Number,
     add,
+    add_outer,
     component,
-    cos,
     pack,
-    sin,
+    unit_vector,
     unpack,
     wrap_angle,
 )
@@ -50,9 +50,6 @@ MAX_STATE: Final = POSE + len(OdometryParameter)
 """Coordinates of a pose with all odometry parameters."""
 
 _SCALE, _TURN_SCALE, _DRIFT = (int(parameter) for parameter in OdometryParameter)
-
-Columns = list[tuple[int, tuple[Any, Any, Any]]]
-"""Columns of a matrix (3, n): the index of each, and its three elements."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,34 +92,39 @@ def true_step(x: Sequence[Number], distance: Number, turn: Number) -> tuple[Numb
     return true_distance, true_turn
 
 
-def jacobians(x: Sequence[Number], distance: Number, turn: Number) -> tuple[Number, Number, Columns, Columns]:
-    """Return the true step, and the derivatives of the motion model at x.
+def jacobians(
+    x: Sequence[Number], distance: Number, turn: Number
+) -> tuple[Number, Number, tuple[Number, Number], tuple[Number, Number]]:
+    """Return the true step, and G, the derivative of the pose by it, at x.
 
     Returns
     -------
     tuple
-        The true distance and turn; the columns of F - I by which the pose depends on the heading and the odometry
-        parameters; and the two columns of G, the derivative of the pose by the true step.
+        The true distance d and turn t; the elements of G that depend on the state: g, of x and y by d, and h, by t.
+        The heading's are 0 and 1, so G is ((g_x, h_x), (g_y, h_y), (0, 1)).
 
     References
     ----------
-    Thrun, Burgard, Fox, Probabilistic Robotics (2005), section 7.4: G_t and V_t, here for the odometry of section 5.4.
+    Thrun, Burgard, Fox, Probabilistic Robotics (2005), section 7.4: V_t, here for the odometry of section 5.4.
     """
-    n = len(x)
     d, t = true_step(x, distance, turn)
-    middle = x[HEADING] + 0.5 * t
-    c, s = cos(middle), sin(middle)
-    # 1. G: the pose by the distance and by the turn.
-    by_distance, by_turn = (c, s, 0.0), (-0.5 * d * s, 0.5 * d * c, 1.0)
-    # 2. F - I: the pose by the heading, and by each parameter, which acts through the true step.
-    F: Columns = [(HEADING, (-d * s, d * c, 0.0))]
-    if n > _SCALE:
-        F.append((_SCALE, (distance * by_distance[0], distance * by_distance[1], distance * by_distance[2])))
-    if n > _TURN_SCALE:
-        F.append((_TURN_SCALE, (turn * by_turn[0], turn * by_turn[1], turn * by_turn[2])))
-    if n > _DRIFT:
-        F.append((_DRIFT, (distance * by_turn[0], distance * by_turn[1], distance * by_turn[2])))
-    return d, t, F, [(0, by_distance), (1, by_turn)]
+    c, s = unit_vector(x[HEADING] + 0.5 * t)
+    return d, t, (c, s), (-0.5 * d * s, 0.5 * d * c)
+
+
+def parameter_columns(
+    n: int, distance: Number, turn: Number, g: tuple[Number, Number], h: tuple[Number, Number]
+) -> list[tuple[int, Number, Number, Number]]:
+    """Return the columns of F for the odometry parameters of a state of n coordinates, each with its index.
+
+    A parameter acts through the true step, so its column is one of G times the reported distance or turn.
+    """
+    columns = [
+        (_SCALE, distance * g[0], distance * g[1], 0.0 * distance),
+        (_TURN_SCALE, turn * h[0], turn * h[1], turn),
+        (_DRIFT, distance * h[0], distance * h[1], distance),
+    ]
+    return columns[: n - POSE]
 
 
 def predict_state(x: list[Number], P: list[list[Number]], distance: Number, turn: Number, noise: OdometryNoise) -> None:
@@ -142,37 +144,47 @@ def predict_state(x: list[Number], P: list[list[Number]], distance: Number, turn
     """
     n = len(x)
     # 1. The motion model and its derivatives.
-    d, t, F, G = jacobians(x, distance, turn)
-    (_, g), (_, h) = G
+    d, t, (g_x, g_y), (h_x, h_y) = jacobians(x, distance, turn)
     q_distance, q_turn = process_variance(distance, turn, noise)
     # 2. x' = f(x, u).
-    x[0] = x[0] + d * g[0]
-    x[1] = x[1] + d * g[1]
+    x[0] = x[0] + d * g_x
+    x[1] = x[1] + d * g_y
     x[HEADING] = wrap_angle(x[HEADING] + t)
-    # 3. P <- F P. F is the identity but for the rows of the pose. The heading comes first among its columns and has
-    #    nothing in its own row, so every row on the right is still the old one.
-    of_x, of_y, of_heading = P[:POSE]
-    for k, (f_x, f_y, f_heading) in F:
-        for j, value in enumerate(P[k]):
-            of_x[j] = of_x[j] + f_x * value
-            of_y[j] = of_y[j] + f_y * value
-            if k != HEADING:
-                of_heading[j] = of_heading[j] + f_heading * value
-    # 4. P <- P F' in the rows of the pose.
-    for row in P[:POSE]:
-        for k, (f_x, f_y, f_heading) in F:
-            value = row[k]
-            row[0] = row[0] + f_x * value
-            row[1] = row[1] + f_y * value
-            if k != HEADING:
-                row[2] = row[2] + f_heading * value
-    # 5. P <- P + G Q G' in its upper half; the lower half by symmetry.
-    for i in range(POSE):
-        row, along, about = P[i], q_distance * g[i], q_turn * h[i]
-        for j in range(i, POSE):
-            row[j] = P[j][i] = row[j] + along * g[j] + about * h[j]
+    # 3. P <- F P F'. F is the product of one factor I + f e_k' for each column k: the heading, whose column is
+    #    twice that of the turn in G, but for its 1, and the parameters.
+    of_x, of_y, of_heading = P[0], P[1], P[2]
+    f_x, f_y = 2.0 * h_x, 2.0 * h_y
+    x_heading, y_heading = of_x[2] + f_x * of_heading[2], of_y[2] + f_y * of_heading[2]
+    of_x[0] = of_x[0] + f_x * (of_x[2] + x_heading)
+    of_x[1] = of_x[1] + f_x * of_y[2] + f_y * x_heading
+    of_y[1] = of_y[1] + f_y * (of_y[2] + y_heading)
+    of_x[2], of_y[2] = x_heading, y_heading
+    if n > POSE:
         for j in range(POSE, n):
-            P[j][i] = row[j]
+            P[j][0] = of_x[j] = of_x[j] + f_x * of_heading[j]
+            P[j][1] = of_y[j] = of_y[j] + f_y * of_heading[j]
+        of_y[0], of_heading[0], of_heading[1] = of_x[1], of_x[2], of_y[2]
+        for k, a, b, c in parameter_columns(n, distance, turn, (g_x, g_y), (h_x, h_y)):
+            for j in range(n):  # the rows of the pose
+                of_x[j] = of_x[j] + a * P[k][j]
+                of_y[j] = of_y[j] + b * P[k][j]
+                of_heading[j] = of_heading[j] + c * P[k][j]
+            # Their columns, in the upper half.
+            of_x[0] = of_x[0] + a * of_x[k]
+            of_x[1] = of_x[1] + b * of_x[k]
+            of_x[2] = of_x[2] + c * of_x[k]
+            of_y[1] = of_y[1] + b * of_y[k]
+            of_y[2] = of_y[2] + c * of_y[k]
+            of_heading[2] = of_heading[2] + c * of_heading[k]
+            for j in range(POSE, n):
+                P[j][0], P[j][1], P[j][2] = of_x[j], of_y[j], of_heading[j]
+    # 4. P <- P + G Q G'; the lower half by symmetry.
+    of_x[0] = of_x[0] + q_distance * g_x * g_x + q_turn * h_x * h_x
+    of_y[0] = of_x[1] = of_x[1] + q_distance * g_x * g_y + q_turn * h_x * h_y
+    of_heading[0] = of_x[2] = of_x[2] + q_turn * h_x
+    of_y[1] = of_y[1] + q_distance * g_y * g_y + q_turn * h_y * h_y
+    of_heading[1] = of_y[2] = of_y[2] + q_turn * h_y
+    of_heading[2] = of_heading[2] + q_turn
 
 
 def predict(belief: Belief, step: Floats, noise: OdometryNoise) -> Belief:
@@ -212,14 +224,18 @@ def move(states: Floats, step: Floats) -> Floats:
 def step_jacobians(states: Floats, step: Floats) -> tuple[Floats, Floats]:
     """Return F (..., n, n) and G (..., 3, 2) at states (..., n) and steps (..., 2) as matrices."""
     n = states.shape[-1]
-    _, _, F, G = jacobians([component(states, index) for index in range(n)], *_components(step))
+    distance, turn = _components(step)
+    _, _, g, h = jacobians([component(states, index) for index in range(n)], distance, turn)
     shape = np.broadcast_shapes(states.shape[:-1], step.shape[:-1])
     by_state, by_step = np.zeros((*shape, n, n)), np.zeros((*shape, POSE, 2))
     by_state[...] = np.eye(n)
-    for matrix, columns in ((by_state, F), (by_step, G)):
-        for index, column in columns:
-            for row in range(POSE):
-                matrix[..., row, index] += column[row]
+    by_step[..., HEADING, 1] = 1.0
+    for row in range(HEADING):
+        by_state[..., row, HEADING] = 2.0 * h[row]
+        by_step[..., row, 0], by_step[..., row, 1] = g[row], h[row]
+    for k, *column in parameter_columns(n, distance, turn, g, h):
+        for row in range(POSE):
+            by_state[..., row, k] = column[row]
     return by_state, by_step
 
 
@@ -247,6 +263,50 @@ def step_between(before: Floats, after: Floats) -> Floats:
     return np.stack(relative_step(x, y, heading, to_x, to_y, to_heading), axis=-1)
 
 
+def pose_at(poses: Sequence[Sequence[float]], instant_s: float) -> tuple[float, float, float, float]:
+    """Return x, y, heading and turret of the encoders at an instant, between or nearest to the poses given.
+
+    Parameters
+    ----------
+    poses
+        Rows of clock, x, y, heading and turret, in order of time.
+    """
+    # 1. The last pose before the instant, and the next one.
+    k = len(poses) - 1
+    while k > 1 and poses[k - 1][0] >= instant_s:
+        k -= 1
+    later, earlier = poses[k], poses[max(k - 1, 0)]
+    # 2. Linear between them, angles by the shorter turn.
+    passed_s = later[0] - earlier[0]
+    fraction = min(max((instant_s - earlier[0]) / passed_s, 0.0), 1.0) if passed_s > 0.0 else 1.0
+    return (
+        earlier[1] + fraction * (later[1] - earlier[1]),
+        earlier[2] + fraction * (later[2] - earlier[2]),
+        wrap_angle(earlier[3] + fraction * wrap_angle(later[3] - earlier[3])),
+        earlier[4] + fraction * wrap_angle(later[4] - earlier[4]),
+    )
+
+
+Lag = tuple[float, float]
+"""Standard deviations of an error that is the same multiple of both: inches along the heading, and radians."""
+NO_LAG: Final = (0.0, 0.0)
+
+
+def add_lag(belief: Belief, lag: Lag) -> Belief:
+    """Return a belief over states (n,) widened by a lag."""
+    if lag == NO_LAG:
+        return belief
+    x, P = unpack(belief)
+    widen(x, P, lag)
+    return pack(x, P)
+
+
+def widen(x: list[float], P: list[list[float]], lag: Lag) -> None:
+    """Add the variance of a lag to P, in place."""
+    c, s = unit_vector(x[HEADING])
+    add_outer(P, 1.0, (lag[0] * c, lag[0] * s, lag[1]))
+
+
 def relative_step(
     x: Number, y: Number, heading: Number, to_x: Number, to_y: Number, to_heading: Number
 ) -> tuple[Number, Number]:
@@ -256,8 +316,8 @@ def relative_step(
     step can make, is left out, so poses must be read often enough for one arc to describe the path between them.
     """
     turn = wrap_angle(to_heading - heading)
-    middle = heading + 0.5 * turn
-    return (to_x - x) * cos(middle) + (to_y - y) * sin(middle), turn
+    c, s = unit_vector(heading + 0.5 * turn)
+    return (to_x - x) * c + (to_y - y) * s, turn
 
 
 def with_parameters(belief: Belief, stds: tuple[float, ...]) -> Belief:

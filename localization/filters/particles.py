@@ -18,17 +18,26 @@ import numpy.typing as npt
 
 from localization.filters.belief import HEADING, POSE, Belief, Floats, difference, wrap_angle
 from localization.filters.health import FilterHealth, IntegrityMonitor
-from localization.filters.odometry import OdometryNoise, move, step_variance
+from localization.filters.odometry import NO_LAG, Lag, OdometryNoise, add_lag, move, step_variance
 from localization.filters.reflectors import reflectors
 from localization.filters.sonar_cone import ConeSonar, SonarMount, echo_probabilities
-from localization.filters.sonar_ray import RangeNoise, RaySonar, SonarRing, ranges_from, wall_map
+from localization.filters.sonar_ray import (
+    RangeNoise,
+    RaySonar,
+    SonarRing,
+    constant_variance,
+    range_variance,
+    ranges_from,
+    wall_map,
+)
 from localization.filters.update import (
     RANGE_SPAN_IN,
     CorrelatedReadings,
     Refusal,
     UpdateResult,
+    gate_code,
     information_fraction,
-    refusal_of,
+    result_of,
 )
 
 # The likelihood of one reading at many poses. It is widened by what the number of particles cannot resolve: a
@@ -64,7 +73,7 @@ def _is_range(noise: RangeNoise, reading_in: float) -> bool:
 
 def _information(noise: RangeNoise, widened_in2: float, reading_in: float, count: int) -> float:
     """Return the new information; the widening counts as an error that stays."""
-    variance, constant = noise.variance_at(reading_in), noise.constant_variance_at(reading_in)
+    variance, constant = range_variance(noise, reading_in), constant_variance(noise, reading_in)
     return information_fraction(variance + widened_in2, constant + widened_in2, count)
 
 
@@ -210,7 +219,7 @@ class ParticleFilter:
     @property
     def health(self) -> FilterHealth:
         """Health of the estimate."""
-        return self._monitor.health(self.belief)
+        return self._monitor.health(self.belief.cov)
 
     @property
     def effective(self) -> float:
@@ -224,7 +233,7 @@ class ParticleFilter:
         self.states = move(self.states, step + noise)
         self._correlated.move(distance_in, turn_rad)
 
-    def predicted(self, distance_in: float, turn_rad: float) -> Belief:
+    def predicted(self, distance_in: float, turn_rad: float, lag: Lag = NO_LAG) -> Belief:
         """Return the belief after such a step without drawing: the step's variance is added to the Gaussian."""
         step = np.array((distance_in, turn_rad))
         after = moments(move(self.states, step), self.weights)
@@ -233,7 +242,7 @@ class ParticleFilter:
         ahead = np.array([np.cos(after.mean[HEADING]), np.sin(after.mean[HEADING])])
         cov[:2, :2] += q_distance * np.outer(ahead, ahead)
         cov[HEADING, HEADING] += q_turn
-        return Belief(after.mean, cov)
+        return add_lag(Belief(after.mean, cov), lag)
 
     def update(self, sonar: int, turret_offset_rad: float, reading_in: float) -> UpdateResult:
         """Weigh the particles by a reading; limits change nothing."""
@@ -251,7 +260,7 @@ class ParticleFilter:
         # 3. Resampling.
         if self.effective < self._parameters.resample_threshold * len(self.states):
             self._resample()
-        result = UpdateResult(refusal_of(outlier_probability), 0.0, 0.0, outlier_probability)
+        result = result_of((gate_code(outlier_probability), 0.0, 0.0, outlier_probability, 1.0))
         self._monitor.add(result)
         return result
 

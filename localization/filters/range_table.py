@@ -1,14 +1,15 @@
 """A table of expected echoes from anywhere on the map, for localizing a robot whose pose is unknown.
 
-    ranges_in, probabilities    [row, column, direction]: the most probable echo of a sonar that looks in that
-                                direction, the robot on a grid over the free floor
+    ranges_in, probabilities    [place, direction]: the most probable echo of a sonar that looks in that direction,
+                                the robot on a grid over the free floor
 
 With it the likelihood of a ring of echoes at a hundred thousand poses is a matter of look-ups. Ranges are those from
-the middle of a cell; the caller widens the variance by the size of a cell.
+the middle of a cell; the caller widens the variance by the size of a cell. Cells are larger on large maps.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -18,12 +19,15 @@ import numpy.typing as npt
 
 from localization.filters.belief import Floats
 from localization.filters.reflectors import Reflectors, reflectors
-from localization.filters.sonar_cone import ConeSonar, SonarMount, expected_echoes
+from localization.filters.sonar_cone import CLEARANCE_IN, ConeSonar, SonarMount, echo_probabilities
 from localization.filters.sonar_ray import RaySonar, SonarRing, ranges_from, wall_map
 from worlds.geometry import nearest_points
+from worlds.raycast import cast_rays
 
-CELL_IN: Final = 3.0
-"""Side of a cell of the grid."""
+CELL_IN, LARGE_CELL_IN = 3.0, 6.0
+"""Side of a cell of the grid: on a map of up to MAX_SMALL_PLACES, and on larger ones."""
+MAX_SMALL_PLACES: Final = 5_000
+"""29 m^2 in cells of 3 in: above it a table of these cells would take a minute or more to build."""
 DIRECTIONS: Final = 120
 """Directions of 3 degrees: the 22.5 degrees between two sonars are 7.5, so a heading falls anywhere in a cell."""
 OUTLIER_PROBABILITY: Final = 0.3
@@ -31,8 +35,10 @@ OUTLIER_PROBABILITY: Final = 0.3
 MAX_READING_IN: Final = 255
 HEADING_STD_RAD: Final = 2.0 * np.pi / DIRECTIONS / np.sqrt(12.0)
 """Standard deviation of a direction within its cell."""
-_BLOCK: Final = 20_000
-"""Poses per block: about 100 MB."""
+_BLOCK_CELLS: Final = 8
+"""Cells along a side of the blocks that are built together."""
+_FAR_IN: Final = MAX_READING_IN + 45.0
+"""Reflectors farther than this from the middle of a block return nothing to it: the range, and half a block."""
 _SMOOTHING: Final = np.full(5, 0.2)
 """Smooths the histogram of ranges by the size of a cell."""
 
@@ -45,22 +51,25 @@ class RangeTable:
     ----------
     origin_in
         (2,) the middle of cell [0, 0].
+    cell_in
+        Side of a cell.
+    number
+        (rows, columns): number of the place in each cell, -1 where the robot does not fit.
     ranges_in, probabilities
-        (rows, columns, DIRECTIONS); probability 0: no echo.
-    free
-        (rows, columns): True where the robot fits.
+        (places, DIRECTIONS); probability 0: no echo.
     """
 
     origin_in: Floats
+    cell_in: float
+    number: npt.NDArray[np.int32]
     ranges_in: npt.NDArray[np.float32]
     probabilities: npt.NDArray[np.float32]
-    free: npt.NDArray[np.bool_]
 
     @property
     def places_in(self) -> Floats:
         """The middles of all free cells (k, 2)."""
-        rows, columns = np.nonzero(self.free)
-        return self.origin_in + CELL_IN * np.stack((columns, rows), axis=-1)
+        rows, columns = np.nonzero(self.number >= 0)
+        return self.origin_in + self.cell_in * np.stack((columns, rows), axis=-1)
 
     def density(self, reading_in: float) -> float:
         """Return the probability of a whole-inch reading from an unknown pose: per inch, or of "nothing" (255)."""
@@ -68,59 +77,131 @@ class RangeTable:
 
     @cached_property
     def _densities(self) -> Floats:
-        """Densities for whole inches from 0 to 255."""
-        # 1. The histogram of expected ranges over the free floor.
-        weights = self.probabilities[self.free].ravel()
-        edges = np.arange(MAX_READING_IN + 2) - 0.5
-        counts, _ = np.histogram(self.ranges_in[self.free].ravel(), edges, weights=weights)
-        smooth = np.convolve(counts, _SMOOTHING, mode="same")
-        # 2. Outliers anywhere, and "nothing" where no echo is expected.
-        detected = float(weights.mean()) if len(weights) else 0.0
-        inlier = 1.0 - OUTLIER_PROBABILITY
-        densities: Floats = OUTLIER_PROBABILITY / MAX_READING_IN + inlier * detected * smooth / max(
-            float(smooth.sum()), 1e-9
-        )
-        densities[MAX_READING_IN] = 1.0 - inlier * detected
-        return densities
+        return reading_densities(self.ranges_in, self.probabilities)
 
-    def look_up(self, poses: Floats, direction_rad: float) -> tuple[Floats, Floats]:
-        """Return ranges and probabilities (n,) of a sonar at an angle from the heading of poses (n, 3); 0 off floor."""
-        column, row = np.rint((poses[:, :2] - self.origin_in) / CELL_IN).astype(np.intp).T
-        turn = np.rint((poses[:, 2] + direction_rad) * (DIRECTIONS / (2.0 * np.pi))).astype(np.intp) % DIRECTIONS
-        rows, columns = self.free.shape
+    def look_up(self, x_in: Floats, y_in: Floats, directions: npt.NDArray[np.intp]) -> tuple[Floats, Floats]:
+        """Return ranges and probabilities (k, n) of sonars at places (k, n) that look in directions (n,); 0 off floor.
+
+        `directions` are numbers of steps of 360 degrees / DIRECTIONS.
+        """
+        column = np.rint((x_in - self.origin_in[0]) / self.cell_in).astype(np.intp)
+        row = np.rint((y_in - self.origin_in[1]) / self.cell_in).astype(np.intp)
+        rows, columns = self.number.shape
         inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
-        at = np.where(inside, row, 0), np.where(inside, column, 0), turn
-        on_floor = inside & self.free[at[0], at[1]]
+        place = self.number[np.where(inside, row, 0), np.where(inside, column, 0)]
+        on_floor = inside & (place >= 0)
+        at = np.where(on_floor, place, 0), directions
+        if not len(self.ranges_in):
+            return np.zeros(x_in.shape), np.zeros(x_in.shape)
         ranges: Floats = np.where(on_floor, self.ranges_in[at], 0.0)
         return ranges, np.where(on_floor, self.probabilities[at], 0.0)
 
 
-def build_range_table(
-    walls: npt.ArrayLike, body: SonarRing, sonar: RaySonar | ConeSonar, clearance_in: float
-) -> RangeTable:
-    """Return the table of a map of wall segments (m, 4) for this ring, its axis `clearance_in` from any wall."""
-    # 1. The grid, and its free cells.
+def reading_densities(ranges_in: npt.ArrayLike, probabilities: npt.ArrayLike) -> Floats:
+    """Return the densities (256,) of whole-inch readings from 0 to 255, from expected echoes at poses on a map."""
+    # 1. The histogram of expected ranges.
+    weights = np.ravel(probabilities)
+    edges = np.arange(MAX_READING_IN + 2) - 0.5
+    counts, _ = np.histogram(np.ravel(ranges_in), edges, weights=weights)
+    smooth = np.convolve(counts, _SMOOTHING, mode="same")
+    # 2. Outliers anywhere, and "nothing" where no echo is expected.
+    detected = float(weights.mean()) if len(weights) else 0.0
+    inlier = 1.0 - OUTLIER_PROBABILITY
+    densities: Floats = OUTLIER_PROBABILITY / MAX_READING_IN + inlier * detected * smooth / max(
+        float(smooth.sum()), 1e-9
+    )
+    densities[MAX_READING_IN] = 1.0 - inlier * detected
+    return densities
+
+
+def sampled_echoes(
+    walls: npt.ArrayLike, body: SonarRing, sonar: RaySonar | ConeSonar, clearance_in: float, places: int
+) -> tuple[Floats, Floats]:
+    """Return ranges and probabilities (k, DIRECTIONS) at up to k = `places` random places on the floor of a map."""
     segments = wall_map(walls).segments
+    low, high = segments.reshape(-1, 2).min(axis=0), segments.reshape(-1, 2).max(axis=0)
+    around = reflectors(segments)
+    # Always the same places, so that a run can be repeated.
+    drawn = np.random.default_rng(0).uniform(low, high, (20 * places, 2))
+    chosen: list[tuple[Floats, Floats]] = []
+    for place in drawn:
+        if len(chosen) < places and nearest_points(place, segments)[1].min() >= clearance_in:
+            chosen.append(_expected(place[None], segments, around, body, sonar))
+    if not chosen:
+        return np.zeros((0, DIRECTIONS)), np.zeros((0, DIRECTIONS))
+    ranges, probabilities = (np.concatenate(part) for part in zip(*chosen, strict=True))
+    return ranges, probabilities
+
+
+def build_range_table(
+    walls: npt.ArrayLike,
+    body: SonarRing,
+    sonar: RaySonar | ConeSonar,
+    clearance_in: float,
+    progress: Callable[[float], None] = lambda _: None,
+) -> RangeTable:
+    """Return the table of a map of wall segments (m, 4) for this ring, its axis `clearance_in` from any wall.
+
+    `progress` is called with the fraction that is done.
+    """
+    # 1. The grid, and its free cells; coarser if there are too many.
+    segments = wall_map(walls).segments
+    cell_in = CELL_IN
+    origin, free = _floor(segments, clearance_in, cell_in)
+    if np.count_nonzero(free) > MAX_SMALL_PLACES:
+        cell_in = LARGE_CELL_IN
+        origin, free = _floor(segments, clearance_in, cell_in)
+    number = np.full(free.shape, -1, dtype=np.int32)
+    count = np.count_nonzero(free)
+    number[free] = np.arange(count)
+    # 2. The most probable echo in every direction, block by block of neighbouring cells.
+    ranges = np.zeros((count, DIRECTIONS), dtype=np.float32)
+    probabilities = np.zeros_like(ranges)
+    around, done = reflectors(segments), 0
+    for block in _blocks(number):
+        rows, columns = block
+        places = origin + cell_in * np.stack((columns, rows), axis=-1)
+        numbers = number[block]
+        ranges[numbers], probabilities[numbers] = _expected(places, segments, around, body, sonar)
+        done += len(numbers)
+        progress(done / count)
+    return RangeTable(origin, cell_in, number, ranges, probabilities)
+
+
+def _expected(
+    places: Floats, segments: Floats, around: Reflectors, body: SonarRing, sonar: RaySonar | ConeSonar
+) -> tuple[Floats, Floats]:
+    """Return ranges and probabilities (n, DIRECTIONS) of the most probable echo at neighbouring places (n, 2)."""
+    directions: Floats = np.arange(DIRECTIONS, dtype=np.float64) * (2.0 * np.pi / DIRECTIONS)
+    if isinstance(sonar, ConeSonar):
+        return _most_probable(places, directions, around, body, sonar)
+    range_in = ranges_from(_poses(places, directions), np.zeros(1), body, wall_map(segments)).range_in[..., 0]
+    has_wall = np.isfinite(range_in)
+    return np.where(has_wall, range_in, 0.0), has_wall.astype(np.float64)
+
+
+def _floor(segments: Floats, clearance_in: float, cell_in: float) -> tuple[Floats, npt.NDArray[np.bool_]]:
+    """Return the middle of cell [0, 0] of a grid over the map, and (rows, columns) True where the robot fits."""
     low = segments.reshape(-1, 2).min(axis=0) + clearance_in
     high = segments.reshape(-1, 2).max(axis=0) - clearance_in
-    columns, rows = np.maximum(np.floor((high - low) / CELL_IN).astype(int) + 1, 1)
-    origin = low + 0.5 * (high - low - CELL_IN * np.array([columns - 1, rows - 1]))
-    grid = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1) * CELL_IN + origin
-    _, distances = nearest_points(grid, segments)
-    free = distances.min(axis=-1) >= clearance_in
-    # 2. The most probable echo in every direction, block by block.
-    ranges = np.zeros((rows, columns, DIRECTIONS), dtype=np.float32)
-    probabilities = np.zeros_like(ranges)
-    directions: Floats = np.arange(DIRECTIONS, dtype=np.float64) * (2.0 * np.pi / DIRECTIONS)
-    places = grid[free]
-    size = max(1, _BLOCK // DIRECTIONS)
-    blocks = [
-        _expected(_poses(places[first : first + size], directions), segments, body, sonar)
-        for first in range(0, len(places), size)
-    ]
-    if blocks:
-        ranges[free], probabilities[free] = (np.concatenate(column) for column in zip(*blocks, strict=True))
-    return RangeTable(origin, ranges, probabilities, free)
+    columns, rows = np.maximum(np.floor((high - low) / cell_in).astype(int) + 1, 1)
+    origin = low + 0.5 * (high - low - cell_in * np.array([columns - 1, rows - 1]))
+    free = np.empty((rows, columns), dtype=np.bool_)
+    # Row by row: an array of all cells and all walls would be large on a large map.
+    for row in range(rows):
+        points = origin + cell_in * np.stack((np.arange(columns), np.full(columns, row)), axis=-1)
+        free[row] = nearest_points(points, segments)[1].min(axis=-1) >= clearance_in
+    return origin, free
+
+
+def _blocks(number: npt.NDArray[np.int32]) -> Iterator[tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]]:
+    """Yield the rows and columns of the free cells of each block."""
+    rows, columns = number.shape
+    for row in range(0, rows, _BLOCK_CELLS):
+        for column in range(0, columns, _BLOCK_CELLS):
+            at = np.nonzero(number[row : row + _BLOCK_CELLS, column : column + _BLOCK_CELLS] >= 0)
+            if len(at[0]):
+                yield at[0] + row, at[1] + column
 
 
 def _poses(places: Floats, directions: Floats) -> Floats:
@@ -130,18 +211,45 @@ def _poses(places: Floats, directions: Floats) -> Floats:
     return poses
 
 
-def _expected(poses: Floats, walls: Floats, body: SonarRing, sonar: RaySonar | ConeSonar) -> tuple[Floats, Floats]:
-    """Return ranges and probabilities (...) of the most probable echo of a sonar that looks along poses (..., 3)."""
-    if isinstance(sonar, ConeSonar):
-        return _most_probable(poses, reflectors(walls), body, sonar)
-    range_in = ranges_from(poses, np.zeros(1), body, wall_map(walls)).range_in[..., 0]
-    has_wall = np.isfinite(range_in)
-    return np.where(has_wall, range_in, 0.0), has_wall.astype(np.float64)
+def _most_probable(
+    places: Floats, directions: Floats, around: Reflectors, body: SonarRing, sonar: ConeSonar
+) -> tuple[Floats, Floats]:
+    """Return ranges and probabilities (n, d) of the most probable echo at neighbouring places (n, 2), by direction."""
+    seen, blocking = around_block(places, around, body.sonar_ring_radius_in)
+    poses = _poses(places, directions).reshape(-1, 3)
+    mount, std = SonarMount(0.0, body.sonar_ring_radius_in), np.full(len(poses), HEADING_STD_RAD)
+    ranges_in, probability = echo_probabilities(poses, std, mount, seen, sonar, blocking)
+    shape = len(places), len(directions)
+    if not probability.shape[1]:
+        return np.zeros(shape), np.zeros(shape)
+    best = probability.argmax(axis=-1)[:, None]
+    range_in, likeliest = (np.take_along_axis(part, best, axis=-1).reshape(shape) for part in (ranges_in, probability))
+    return range_in, likeliest
 
 
-def _most_probable(poses: Floats, around: Reflectors, body: SonarRing, sonar: ConeSonar) -> tuple[Floats, Floats]:
-    std = np.full(poses.shape[:-1], HEADING_STD_RAD)
-    echoes = expected_echoes(poses, std, SonarMount(0.0, body.sonar_ring_radius_in), around, sonar)
-    best = echoes.probability.argmax(axis=-1)[..., None]
-    ranges = np.take_along_axis(echoes.ranges_in, best, axis=-1)[..., 0]
-    return ranges, np.take_along_axis(echoes.probability, best, axis=-1)[..., 0]
+def around_block(places: Floats, around: Reflectors, ring_in: float) -> tuple[Reflectors, Floats]:
+    """Return the reflectors in sight of neighbouring places (n, 2), and the walls (m, 4) that may block the view.
+
+    In sight is what can be seen from a place, or from a sonar's distance `ring_in` beside an outer one.
+    """
+    middle = places.mean(axis=0)
+    around = around.some(
+        nearest_points(middle, around.walls)[1] <= _FAR_IN, np.hypot(*(around.vertices - middle).T) <= _FAR_IN
+    )
+    # 1. The places at the block's border, moved outwards by the ring: faces of sonars are there.
+    low, high = places.min(axis=0), places.max(axis=0)
+    outer = places[((places == low) | (places == high)).any(axis=1)]
+    points = np.concatenate((places, outer + ring_in * np.sign(outer - 0.5 * (low + high))))
+    # 2. Perpendiculars to walls, and lines to vertices.
+    nearest, _ = nearest_points(points, around.walls)
+    targets = np.concatenate((nearest, np.broadcast_to(around.vertices, (len(points), *around.vertices.shape))), axis=1)
+    offset = targets - points[:, None]
+    far = np.hypot(offset[..., 0], offset[..., 1])
+    direction = offset / np.maximum(far, 1e-9)[..., None]
+    faces = np.broadcast_to(points[:, None], targets.shape)
+    free_in, rows = cast_rays(faces.reshape(-1, 2), direction.reshape(-1, 2), around.walls)
+    in_sight = (free_in.reshape(far.shape) >= far - CLEARANCE_IN).any(axis=0)
+    count = len(around.walls)
+    blocking = in_sight[:count].copy()
+    blocking[rows[rows >= 0]] = True
+    return around.some(in_sight[:count], in_sight[count:]), around.walls[blocking]

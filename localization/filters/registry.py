@@ -15,7 +15,7 @@ from localization.filters.base import Filter, LocalizationConfig, measurement_mo
 from localization.filters.belief import POSE, Belief
 from localization.filters.calibration import CalibratingFilter
 from localization.filters.ekf import KalmanFilter
-from localization.filters.global_localization import GlobalLocalizer
+from localization.filters.global_localization import GlobalLocalizer, PoseSearch, TableSearch
 from localization.filters.odometry import MAX_STATE, with_parameters
 from localization.filters.particles import (
     ConeLikelihood,
@@ -99,21 +99,32 @@ def make(method: str, config: LocalizationConfig, belief: Belief, seed: int = 0)
 
 
 def finder(
-    config: LocalizationConfig, belief: Belief | None, parameter_stds: tuple[float, ...] = ()
+    config: LocalizationConfig,
+    belief: Belief | None,
+    parameter_stds: tuple[float, ...] = (),
+    poses: PoseSearch | None = None,
 ) -> GlobalLocalizer:
     """Return the filter that localizes globally; without a belief it begins with a search.
 
-    `parameter_stds` are of the odometry parameters, where there is no belief that has them.
+    `parameter_stds` are of the odometry parameters, where there is no belief that has them. `poses` searches the map.
+    Default: in this process, which may take seconds on a large map.
     """
     # With a belief the parameters' uncertainty is in it.
     stds = parameter_stds if belief is None else tuple(belief.std[POSE:].tolist())
+    measurement = _measurement(config)
+    poses = poses or table_search(config)
+    return GlobalLocalizer(belief, measurement, config.odometry, poses, config.body.sonar_angles_rad, stds)
+
+
+def table_search(config: LocalizationConfig) -> TableSearch:
+    """Return a search in this process, by a table that is built once for all robots on a map."""
 
     def table() -> RangeTable:
         # Bytes are hashable, arrays are not: the walls are part of the cache's key.
         walls = np.asarray(config.walls, dtype=np.float64).tobytes()
         return _table(walls, _Ring(config.body.sonar_ring_radius_in, ()), config.sonar, config.clearance_in)
 
-    return GlobalLocalizer(belief, _measurement(config), config.odometry, table, config.body.sonar_angles_rad, stds)
+    return TableSearch(table, _measurement(config), config.odometry)
 
 
 class _Ring(NamedTuple):

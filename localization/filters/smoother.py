@@ -43,6 +43,7 @@ class FixedLagSmoother(KalmanFilter):
 
     def __init__(self, belief: Belief, measurement: MeasurementUpdate, odometry: OdometryNoise, lag: int = LAG) -> None:
         super().__init__(belief, measurement, odometry)
+        self._direct = None  # one prediction at a time, to record it
         if lag < 1:
             raise ValueError(f"the lag of a smoother must be at least 1 step, not {lag}")
         self._steps: deque[Step] = deque(maxlen=lag)

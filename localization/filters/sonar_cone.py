@@ -12,24 +12,36 @@ The probability of each detection follows from its level (decibels, from the dat
 which the uncertain heading blurs, and from nearer reflectors: the first echo counts.
 
 The formulas (`to_wall`, `to_vertex`, `detection_probability`, `range_jacobian`) are here once, for numbers and arrays.
-`ConeSensor` applies them to one pose and loops over few reflectors; `expected_echoes` to many poses in arrays.
+`first_echoes` applies them to one pose and loops over few reflectors; `expected_echoes` to many poses in arrays.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from math import atan2, cos, log, pi, radians, sin, sqrt
+from math import atan2, cos, log, pi, radians, sqrt
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from localization.filters.belief import HEADING, Floats, Number, choose, clip, exp, hypot, wrap_angle
+from localization.filters.belief import HEADING, Floats, Number, choose, clip, exp, hypot, unit_vector, wrap_angle
 from localization.filters.reflectors import Reflectors, reflectors
-from localization.filters.sonar_ray import RangeNoise, SonarRing, wall_map
-from localization.filters.update import Association, Covariance, Refusal, State
-from worlds.raycast import WallIndex, cast_rays
+from localization.filters.sonar_ray import RangeNoise, SonarRing, constant_variance, nearest, range_variance, wall_map
+from localization.filters.update import (
+    LIMIT,
+    NO_WALL,
+    NONE,
+    REFUSALS,
+    Association,
+    Covariance,
+    Outcome,
+    Refusal,
+    State,
+    linear,
+    update_by_association,
+)
+from worlds.raycast import cast_rays
 
 Indices = npt.NDArray[np.intp]
 Mask = npt.NDArray[np.bool_]
@@ -46,6 +58,8 @@ LOGISTIC_SLOPE: Final = 1.702
 """A logistic curve of this slope is nowhere off the normal distribution by more than 0.0095 (Camilli 1994)."""
 MAX_SIGMAS: Final = log(1.0 / MIN_PROBABILITY - 1.0) / LOGISTIC_SLOPE
 """What is so many standard deviations out of reach has MIN_PROBABILITY at most."""
+REACH_IN: Final = MAX_SIGMAS * FOOT_STD_IN
+"""A foot farther than this beyond an end is not detected."""
 _ROUNDING: Final = 1e-6
 """Margin for rounding, inches or radians."""
 _MIN_RANGE_IN: Final = 1e-9
@@ -162,6 +176,18 @@ def detection_probability(
 
 # One sonar at one pose.
 
+Rows = list[list[float]]
+
+
+def rows_of_five(rows: Rows) -> Rows:
+    """Return an iterable of rows of five numbers: `compiled` has one for arrays."""
+    return rows
+
+
+def rows_of_three(rows: Rows) -> Rows:
+    """Return an iterable of rows of three numbers: `compiled` has one for arrays."""
+    return rows
+
 
 class EchoCandidate(NamedTuple):
     """A reflector that may return the first echo: its number, range, derivative by the pose, and probability."""
@@ -172,94 +198,111 @@ class EchoCandidate(NamedTuple):
     probability: float
 
 
-class ConeSensor:
-    """The sonars of one model on a map."""
+def first_echoes(
+    x: float, y: float, heading: float, heading_std_rad: float, angle_rad: float, model: ConeModel
+) -> list[EchoCandidate]:
+    """Return what a sonar in a direction from the heading may detect from a pose, the nearest first."""
+    # 1. The face of the sonar, its axis, and the widest angle at which anything is detected.
+    sonar, axis = model.noise, heading + angle_rad
+    axis_x, axis_y = unit_vector(axis)
+    arm_x, arm_y = model.ring_radius_in * axis_x, model.ring_radius_in * axis_y
+    face_x, face_y = x + arm_x, y + arm_y
+    blur = max(heading_std_rad, MIN_ANGLE_STD_RAD)
+    widest = 0.5 * sonar.cone_rad + MAX_SIGMAS * blur
+    min_cosine = cos(widest) - 1e-9 if widest < pi else -2.0
+    # 2. The reflectors in the cone: walls with their foot on them, and vertices.
+    found, number = [], -1
+    for corner_x, corner_y, normal_x, normal_y, length in rows_of_five(model.faces):
+        number += 1
+        range_in, to_x, to_y, foot = to_wall(face_x, face_y, corner_x, corner_y, normal_x, normal_y)
+        if to_x * axis_x + to_y * axis_y > min_cosine and -REACH_IN < foot < length + REACH_IN:
+            found.append((range_in, number, to_x, to_y, foot_probability(foot, length), 0.0))
+    for vertex_x, vertex_y, loss_db in rows_of_three(model.vertices):
+        number += 1
+        range_in, to_x, to_y = to_vertex(face_x, face_y, vertex_x, vertex_y)
+        if to_x * axis_x + to_y * axis_y >= min_cosine:
+            found.append((range_in, number, to_x, to_y, 1.0, loss_db))
+    # 3. The first echo: the probability of each, if the path to it is clear, and that no nearer one was detected.
+    found.sort()
+    undetected, echoes = 1.0, []
+    for range_in, number, to_x, to_y, on_wall, loss_db in found:
+        off_axis = wrap_angle(atan2(to_y, to_x) - axis)
+        probability = on_wall * detection_probability(off_axis, range_in, loss_db, blur, sonar)
+        if probability <= MIN_PROBABILITY:
+            continue
+        if nearest(face_x, face_y, to_x, to_y, model.walls)[0] < range_in - CLEARANCE_IN:
+            continue
+        if undetected > 0.0:
+            H = range_jacobian(to_x, to_y, arm_x, arm_y)
+            echoes.append(EchoCandidate(number, range_in, H, probability * undetected))
+        undetected *= 1.0 - probability
+    return echoes
 
-    def __init__(self, around: Reflectors, sonar: ConeSonar) -> None:
-        self._sonar, self._index = sonar, WallIndex(around.walls)
-        walls = np.concatenate((around.corners, around.normals, around.lengths[:, None]), axis=1)
-        losses = np.where(around.square, sonar.bounce_loss_db, sonar.edge_loss_db)
-        self._walls = list(enumerate(walls.tolist()))
-        self._vertices = list(enumerate(np.column_stack((around.vertices, losses)).tolist(), start=len(around.walls)))
 
-    def candidates(
-        self, pose: tuple[float, float, float], heading_std_rad: float, mount: SonarMount
-    ) -> list[EchoCandidate]:
-        """Return what a sonar may detect from a pose, in the order of the reflectors."""
-        # 1. The face of the sonar, its axis, and the widest angle at which anything is detected.
-        axis = pose[2] + mount.direction_rad
-        axis_x, axis_y = cos(axis), sin(axis)
-        arm_x, arm_y = mount.ring_in * axis_x, mount.ring_in * axis_y
-        x, y = pose[0] + arm_x, pose[1] + arm_y
-        blur = max(heading_std_rad, MIN_ANGLE_STD_RAD)
-        widest = 0.5 * self._sonar.cone_rad + MAX_SIGMAS * blur
-        min_cosine = cos(widest) - 1e-9 if widest < pi else -2.0
-        # 2. Each reflector in the cone: its probability, and whether the path to it is clear.
-        detected = []
-        for reflector, range_in, to_x, to_y, on_wall, loss_db in self._in_cone(x, y, axis_x, axis_y, min_cosine):
-            off_axis = wrap_angle(atan2(to_y, to_x) - axis)
-            probability = on_wall * detection_probability(off_axis, range_in, loss_db, blur, self._sonar)
-            if probability > MIN_PROBABILITY and self._index.nearest(x, y, to_x, to_y)[0] >= range_in - CLEARANCE_IN:
-                detected.append((range_in, reflector, range_jacobian(to_x, to_y, arm_x, arm_y), probability))
-        # 3. The first echo: no nearer reflector was detected.
-        undetected, found = 1.0, []
-        for range_in, reflector, H, probability in sorted(detected):
-            if probability * undetected:
-                found.append(EchoCandidate(reflector, range_in, H, probability * undetected))
-            undetected *= 1.0 - probability
-        return sorted(found)
+def detectable(
+    x: State, P: Covariance, angle_rad: float, reading_in: float, model: ConeModel
+) -> tuple[int, float, list[EchoCandidate]]:
+    """Return NONE or why a reading is no echo, its likelihood then, and the reflectors that may have returned it."""
+    noise = model.noise
+    candidates = first_echoes(x[0], x[1], x[HEADING], sqrt(P[HEADING][HEADING]), angle_rad, model)
+    if reading_in <= noise.lowest_in:
+        return LIMIT, 1.0, candidates
+    if reading_in >= noise.highest_in:  # "nothing": the probability that nothing was detected
+        detected = sum([candidate.probability for candidate in candidates])
+        return LIMIT, 1.0 - (1.0 - noise.outlier_probability) * detected, candidates
+    return (NONE, 1.0, candidates) if candidates else (NO_WALL, noise.outlier_density, candidates)
 
-    def _in_cone(
-        self, x: float, y: float, axis_x: float, axis_y: float, min_cosine: float
-    ) -> list[tuple[int, float, float, float, float, float]]:
-        """Return number, range, direction, probability that the foot is on the wall, and loss, of the near axis."""
-        reach = MAX_SIGMAS * FOOT_STD_IN
-        found = []
-        for number, (corner_x, corner_y, normal_x, normal_y, length) in self._walls:
-            range_in, to_x, to_y, foot = to_wall(x, y, corner_x, corner_y, normal_x, normal_y)
-            if -reach < foot < length + reach and to_x * axis_x + to_y * axis_y > min_cosine:
-                found.append((number, range_in, to_x, to_y, foot_probability(foot, length), 0.0))
-        for number, (vertex_x, vertex_y, loss_db) in self._vertices:
-            range_in, to_x, to_y = to_vertex(x, y, vertex_x, vertex_y)
-            if to_x * axis_x + to_y * axis_y >= min_cosine:
-                found.append((number, range_in, to_x, to_y, 1.0, loss_db))
-        return found
+
+def hypotheses(candidates: list[EchoCandidate], noise: ConeSonar) -> Association:
+    """Return the hypotheses for a reading of one of these reflectors."""
+    return Association(
+        Refusal.NONE,
+        1.0,
+        [candidate.range_in for candidate in candidates],
+        [candidate.H for candidate in candidates],
+        [range_variance(noise, candidate.range_in) for candidate in candidates],
+        [constant_variance(noise, candidate.range_in) for candidate in candidates],
+        [candidate.probability for candidate in candidates],
+        None,
+        noise.outlier_probability,
+        noise.outlier_density,
+        0.0,
+    )
+
+
+def update_by_cone(
+    x: State, P: Covariance, angle_rad: float, reading_in: float, model: ConeModel, count: int
+) -> Outcome:
+    """Correct x and P by the reading of a sonar that looks `angle_rad` from the heading, in place (`pda_update`)."""
+    refusal, likelihood, candidates = detectable(x, P, angle_rad, reading_in, model)
+    if refusal != NONE:
+        return refusal, 0.0, 0.0, 1.0, likelihood
+    return update_by_association(x, P, reading_in, hypotheses(candidates, model.noise), linear, count)
 
 
 class ConeModel:
     """Measurement model of sonars whose reading is the first echo out of a cone, or an outlier."""
 
     def __init__(self, walls: npt.ArrayLike, body: SonarRing, sonar: ConeSonar) -> None:
-        self._around, self._body, self._sonar = reflectors(wall_map(walls).segments), body, sonar
-        self._sensor = ConeSensor(self._around, sonar)
+        self.walls, self.noise = wall_map(walls), sonar
+        self.angles_rad, self.ring_radius_in = body.sonar_angles_rad, body.sonar_ring_radius_in
+        self._around = around = reflectors(self.walls.segments)
+        losses = np.where(around.square, sonar.bounce_loss_db, sonar.edge_loss_db)
+        self.faces = np.concatenate((around.corners, around.normals, around.lengths[:, None]), axis=1).tolist()
+        self.vertices = np.column_stack((around.vertices, losses)).tolist()
+        self.update = update_by_cone
 
     def associate(
         self, x: State, P: Covariance, sonar: int, turret_offset_rad: float, reading_in: float
     ) -> Association:
         """Return a hypothesis for each reflector that may return the first echo."""
-        noise = self._sonar
-        if reading_in <= noise.lowest_in:
-            return Association(Refusal.LIMIT, 1.0)
-        mount = SonarMount(turret_offset_rad + self._body.sonar_angles_rad[sonar], self._body.sonar_ring_radius_in)
-        candidates = self._sensor.candidates((x[0], x[1], x[HEADING]), sqrt(P[HEADING][HEADING]), mount)
-        if reading_in >= noise.highest_in:  # "nothing": the probability that nothing was detected
-            detected = sum([candidate.probability for candidate in candidates])
-            return Association(Refusal.LIMIT, 1.0 - (1.0 - noise.outlier_probability) * detected)
-        if not candidates:
-            return Association(Refusal.NO_WALL, noise.outlier_density)
-        numbers, ranges, H, probability = zip(*candidates, strict=True)
-        return Association(
-            Refusal.NONE,
-            1.0,
-            ranges,
-            H,
-            [noise.variance_at(range_in) for range_in in ranges],
-            [noise.constant_variance_at(range_in) for range_in in ranges],
-            probability,
-            partial(ranges_to, mount=mount, around=self._around, numbers=np.array(numbers)),
-            noise.outlier_probability,
-            noise.outlier_density,
-        )
+        angle_rad = turret_offset_rad + self.angles_rad[sonar]
+        refusal, likelihood, candidates = detectable(x, P, angle_rad, reading_in, self)
+        if refusal != NONE:
+            return Association(REFUSALS[refusal], likelihood)
+        numbers, mount = np.array([one.reflector for one in candidates]), SonarMount(angle_rad, self.ring_radius_in)
+        expect = partial(ranges_to, mount=mount, around=self._around, numbers=numbers)
+        return hypotheses(candidates, self.noise)._replace(range_function=expect)
 
 
 # Many poses, in arrays.
@@ -298,27 +341,42 @@ class _Geometry(NamedTuple):
 
 
 def expected_echoes(
-    poses: Floats, heading_std_rad: Floats, mount: SonarMount, around: Reflectors, sonar: ConeSonar
+    poses: Floats,
+    heading_std_rad: Floats,
+    mount: SonarMount,
+    around: Reflectors,
+    sonar: ConeSonar,
+    walls_in: Floats | None = None,
 ) -> ExpectedEchoes:
-    """Return the expected echoes of all reflectors at poses (..., 3), their headings uncertain by (...) radians."""
+    """Return the expected echoes of all reflectors at poses (..., 3), their headings uncertain by (...) radians.
+
+    `walls_in` (m', 4) may block the path. Default: all walls of `around`.
+    """
     if poses.ndim == 1:
-        alone = expected_echoes(poses[None], heading_std_rad, mount, around, sonar)
+        alone = expected_echoes(poses[None], heading_std_rad, mount, around, sonar, walls_in)
         return ExpectedEchoes(*(part[0] for part in alone))
     seen = _geometry(poses, mount, around)
-    probability = _first_echo(seen.ranges_in, _detected(seen, heading_std_rad, around, sonar, around.walls))
+    walls_in = around.walls if walls_in is None else walls_in
+    probability = _first_echo(seen.ranges_in, _detected(seen, heading_std_rad, around, sonar, walls_in))
     return ExpectedEchoes(seen.ranges_in, _stacked(seen.to_x, seen.to_y, seen.arm_x, seen.arm_y), probability)
 
 
 def echo_probabilities(
-    poses: Floats, heading_std_rad: Floats, mount: SonarMount, around: Reflectors, sonar: ConeSonar
+    poses: Floats,
+    heading_std_rad: Floats,
+    mount: SonarMount,
+    around: Reflectors,
+    sonar: ConeSonar,
+    walls_in: Floats | None = None,
 ) -> tuple[Floats, Floats]:
     """Return ranges and probabilities (n, j) of `expected_echoes` at poses (n, 3).
 
-    Only the j reflectors that are detected from at least one of the poses are included.
+    Only the j reflectors that are detected from at least one of the poses are included. `walls_in` (m', 4) may block
+    the path. Default: all walls of `around`.
     """
     near = _within_reach(poses, heading_std_rad, mount, around, sonar)
     seen = _geometry(poses, mount, near)
-    detected = _detected(seen, heading_std_rad, near, sonar, around.walls)
+    detected = _detected(seen, heading_std_rad, near, sonar, around.walls if walls_in is None else walls_in)
     which = detected.any(axis=0)
     ranges = seen.ranges_in[:, which]
     return ranges, _first_echo(ranges, detected[:, which])
@@ -378,7 +436,7 @@ def _within_reach(
     off_axis = np.abs(wrap_angle(np.arctan2(seen.to_y, seen.to_x) - seen.axis))
     # 2. Walls: near, or in the widened cone with the foot on them.
     count = len(around.walls)
-    reach = about + MAX_SIGMAS * FOOT_STD_IN + _ROUNDING
+    reach = about + REACH_IN + _ROUNDING
     walls = (seen.ranges_in[:count] <= about) | (off_axis[:count] <= widest + _ROUNDING)
     walls &= (seen.feet_in >= -reach) & (seen.feet_in <= around.lengths + reach)
     # 3. Vertices: in the cone widened by the angle under which they see all poses.
@@ -400,8 +458,7 @@ def _detected(
     blur = np.maximum(heading_std_rad, MIN_ANGLE_STD_RAD)[..., None]
     widest = np.minimum(half + MAX_SIGMAS * blur + 1e-9, np.pi)
     able: Mask = seen.to_x * np.cos(seen.axis) + seen.to_y * np.sin(seen.axis) >= np.cos(widest) - 1e-12
-    reach = MAX_SIGMAS * FOOT_STD_IN
-    able[..., :count] &= (seen.feet_in > -reach) & (seen.feet_in < around.lengths + reach)
+    able[..., :count] &= (seen.feet_in > -REACH_IN) & (seen.feet_in < around.lengths + REACH_IN)
     # 2. The probability of the others, pair by pair of pose and reflector.
     at = np.nonzero(able)
     poses, which = at[:-1], at[-1]

@@ -31,15 +31,34 @@ from localization.filters.belief import (
     Belief,
     Floats,
     Number,
+    add_outer,
     chi_square_quantile,
     choose,
-    cos,
-    sin,
+    hypot,
     sqrt,
+    unit_vector,
     unpack,
 )
-from localization.filters.update import RANGE_SPAN_IN, Association, Covariance, Refusal, State
-from worlds.raycast import NO_WALL, WallIndex, cast_rays
+from localization.filters.update import (
+    AMBIGUOUS_WALL,
+    GATE,
+    GRAZING,
+    LIMIT,
+    NO_WALL,
+    NONE,
+    RANGE_SPAN_IN,
+    REFUSALS,
+    Association,
+    Covariance,
+    Outcome,
+    Refusal,
+    State,
+    inflated_variance,
+    kalman_gain,
+    shift,
+)
+from worlds import raycast
+from worlds.raycast import MAX_LOOP_WALLS, cast_ray, cast_rays, nearest_wall, sole_wall
 
 Codes = npt.NDArray[np.int8]
 
@@ -80,26 +99,28 @@ class RangeNoise:
         variance: Floats = std * std + self.rounding_var_in2
         return variance
 
-    def variance_at(self, range_in: float) -> float:
-        """Return `variance` of a single range."""
-        std = max(self.range_std_relative * range_in, self.range_std_floor_in)
-        return std * std + self.rounding_var_in2
 
-    def constant_variance_at(self, range_in: float) -> float:
-        """Return the part of the variance that is one error for all readings of a range that stays the same.
+def range_variance(noise: RangeNoise, range_in: float) -> float:
+    """Return `RangeNoise.variance` of a single range."""
+    std = max(noise.range_std_relative * range_in, noise.range_std_floor_in)
+    return std * std + noise.rounding_var_in2
 
-        Rounding repeats its error unless noise moves the reading from one step to the next. The errors of two readings
-        of one range, with noise of `std` each, in steps of q, have the covariance
-        q^2 sum_k exp(-4 pi^2 k^2 std^2 / q^2) / (2 pi^2 k^2) <= q^2 / 12 exp(-4 pi^2 std^2 / q^2).
 
-        References
-        ----------
-        Widrow, Kollar, Quantization Noise (2008), appendix on dither; the bound is met without noise.
-        """
-        if not self.rounding_var_in2:
-            return 0.0
-        std = max(self.range_std_relative * range_in, self.range_std_floor_in)
-        return self.rounding_var_in2 * exp(-((pi * std) ** 2) / (3.0 * self.rounding_var_in2))
+def constant_variance(noise: RangeNoise, range_in: float) -> float:
+    """Return the part of the variance that is one error for all readings of a range that stays the same.
+
+    Rounding repeats its error unless noise moves the reading from one step to the next. The errors of two readings
+    of one range, with noise of `std` each, in steps of q, have the covariance
+    q^2 sum_k exp(-4 pi^2 k^2 std^2 / q^2) / (2 pi^2 k^2) <= q^2 / 12 exp(-4 pi^2 std^2 / q^2).
+
+    References
+    ----------
+    Widrow, Kollar, Quantization Noise (2008), appendix on dither; the bound is met without noise.
+    """
+    if not noise.rounding_var_in2:
+        return 0.0
+    std = max(noise.range_std_relative * range_in, noise.range_std_floor_in)
+    return noise.rounding_var_in2 * exp(-((pi * std) ** 2) / (3.0 * noise.rounding_var_in2))
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,29 +189,58 @@ class WallMap:
     segments
         (m, 4), rows x1 y1 x2 y2 in inches.
     lines
-        (m + 1, 3) unit normal and offset; the last, which row NO_WALL leads to, is no line (zeros).
+        (m + 1, 3) unit normal and offset; the last, which row raycast.NO_WALL leads to, is no line (zeros).
     """
 
     segments: Floats
     lines: Floats
-    _index: WallIndex = field(init=False, repr=False)
-    _listed: list[list[float]] = field(init=False, repr=False)
+    rows: list[list[float]] = field(init=False, repr=False)
+    """The segments as lists."""
+    listed: list[list[float]] = field(init=False, repr=False)
+    """The lines as lists."""
+    middle: tuple[float, float, float] = field(init=False, repr=False)
+    """x and y of the middle of the bounding box, and half its diagonal."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "_index", WallIndex(self.segments))
-        object.__setattr__(self, "_listed", self.lines.tolist())
+        ends = self.segments.reshape(-1, 2) if len(self.segments) else np.zeros((1, 2))
+        low, high = ends.min(axis=0), ends.max(axis=0)
+        middle = (*(0.5 * (low + high)).tolist(), 0.5 * float(np.hypot(*(high - low))))
+        object.__setattr__(self, "middle", middle)
+        object.__setattr__(self, "rows", self.segments.tolist())
+        object.__setattr__(self, "listed", self.lines.tolist())
 
-    def first_wall(self, x: Number, y: Number, dx: Number, dy: Number) -> Any:
-        """Return the row of the first wall on the ray from (x, y) along (dx, dy), NO_WALL for none."""
-        if isinstance(x, float):
-            return self._index.nearest(x, y, dx, dy)[1]
-        starts, directions = np.empty((*dx.shape, 2)), np.empty((*dx.shape, 2))
-        starts[..., 0], starts[..., 1], directions[..., 0], directions[..., 1] = x, y, dx, dy
-        return cast_rays(starts, directions, self.segments)[1]
 
-    def line(self, row: Any) -> Sequence[Any]:
-        """Return normal x, normal y and offset of the walls of these rows."""
-        return self._listed[row] if isinstance(row, int) else np.moveaxis(self.lines[row], -1, 0)
+def nearest(x: Number, y: Number, dx: Number, dy: Number, walls: WallMap) -> tuple[Any, Any]:
+    """Return the range from (x, y) along (dx, dy) to the first wall, and its row; inf and raycast.NO_WALL for none."""
+    if isinstance(x, float):
+        few = len(walls.segments) <= MAX_LOOP_WALLS
+        return nearest_wall(x, y, dx, dy, walls.rows) if few else cast_ray(x, y, dx, dy, walls.segments)
+    starts, directions = np.empty((*dx.shape, 2)), np.empty((*dx.shape, 2))
+    starts[..., 0], starts[..., 1], directions[..., 0], directions[..., 1] = x, y, dx, dy
+    return cast_rays(starts, directions, walls.segments)
+
+
+def only_wall(
+    x: Sequence[float], P: Sequence[Sequence[float]], dx: float, dy: float, walls: WallMap, gate: Gate
+) -> int:
+    """Return the only wall that a beam can meet from any pose of the ellipsoid of `gate.sigmas`.
+
+    These poses move the end of a wall, in the frame of the beam, by no more than the origin moves and the angle times
+    the distance of the end. raycast.NO_WALL if there may be another.
+    """
+    to_end_in = hypot(x[0] - walls.middle[0], x[1] - walls.middle[1]) + walls.middle[2]
+    margin_in = gate.sigmas * (sqrt(P[0][0] + P[1][1]) + to_end_in * sqrt(P[HEADING][HEADING]))
+    return sole_wall(x[0], x[1], dx, dy, wall_rows(walls), margin_in)
+
+
+def wall_rows(walls: WallMap) -> Sequence[Sequence[float]]:
+    """Return the ends of the walls, in rows of four numbers: `compiled` has one for arrays."""
+    return walls.rows
+
+
+def line_of(row: Any, walls: WallMap) -> Sequence[Any]:
+    """Return normal x, normal y and offset of the walls of these rows."""
+    return walls.listed[row] if isinstance(row, int) else np.moveaxis(walls.lines[row], -1, 0)
 
 
 def wall_map(segments: npt.ArrayLike) -> WallMap:
@@ -222,7 +272,7 @@ class BeamPrediction(NamedTuple):
     Attributes
     ----------
     row
-        The wall, a row of the map; NO_WALL for none.
+        The wall, a row of the map; raycast.NO_WALL for none.
     range_in
         Expected range from the sonar, inches.
     H
@@ -303,21 +353,26 @@ def predict_beam(
     x_in, y_in, heading = x[0], x[1], x[HEADING]
     # 1. The wall that the beam meets, from the axis: a wall within the ring is still the first.
     direction = heading + angle_rad
-    dx, dy = cos(direction), sin(direction)
-    row = walls.first_wall(x_in, y_in, dx, dy)
+    dx, dy = unit_vector(direction)
+    few = isinstance(x_in, float) and len(walls.segments) <= MAX_LOOP_WALLS
+    sole = only_wall(x, P, dx, dy, walls, gate) if few else raycast.NO_WALL
+    row = nearest(x_in, y_in, dx, dy, walls)[1] if sole == raycast.NO_WALL else sole
     # 2. The expected range and its derivative.
-    distance, H, cosine = intersect_line(x_in, y_in, dx, dy, walls.line(row))
+    distance, H, cosine = intersect_line(x_in, y_in, dx, dy, line_of(row, walls))
     # 3. The wall from the two poses that move the end of the beam farthest sideways.
-    reach = choose(cosine == cosine, distance, 0.0)  # NaN where there is no wall: the ray caster wants finite rays
-    shift_x, shift_y, shift_heading = sideways_shift(P, dx, dy, reach, gate.sigmas)
-    left, right = direction + shift_heading, direction - shift_heading
-    ambiguous = (walls.first_wall(x_in + shift_x, y_in + shift_y, cos(left), sin(left)) != row) | (
-        walls.first_wall(x_in - shift_x, y_in - shift_y, cos(right), sin(right)) != row
-    )
+    ambiguous = row != row
+    if sole == raycast.NO_WALL:
+        reach = choose(cosine == cosine, distance, 0.0)  # NaN where there is no wall: the ray caster wants finite rays
+        shift_x, shift_y, shift_heading = sideways_shift(P, dx, dy, reach, gate.sigmas)
+        left_x, left_y = unit_vector(direction + shift_heading)
+        right_x, right_y = unit_vector(direction - shift_heading)
+        ambiguous = (nearest(x_in + shift_x, y_in + shift_y, left_x, left_y, walls)[1] != row) | (
+            nearest(x_in - shift_x, y_in - shift_y, right_x, right_y, walls)[1] != row
+        )
     # 4. The first reason, in the order of Refusal, that excludes the beam. A wall seen end-on is ambiguous.
-    refusal = choose(abs(cosine) >= gate.min_cos_incidence, Refusal.NONE, Refusal.GRAZING)
-    refusal = choose(ambiguous | (cosine != cosine), Refusal.AMBIGUOUS_WALL, refusal)
-    refusal = choose(row == NO_WALL, Refusal.NO_WALL, refusal)
+    refusal = choose(abs(cosine) >= gate.min_cos_incidence, NONE, GRAZING)
+    refusal = choose(ambiguous | (cosine != cosine), AMBIGUOUS_WALL, refusal)
+    refusal = choose(row == raycast.NO_WALL, NO_WALL, refusal)
     return BeamPrediction(row, distance - ring_radius_in, H, refusal)
 
 
@@ -332,40 +387,66 @@ def predicted_variance(P: Sequence[Sequence[Number]], H: Sequence[Number]) -> Nu
 # One reading of a live robot.
 
 
+def update_by_ray(x: State, P: Covariance, angle_rad: float, reading_in: float, model: RayModel, count: int) -> Outcome:
+    """Correct x and P by the reading of a beam, in place, if it passes the gate: the Kalman update.
+
+    Parameters
+    ----------
+    angle_rad
+        Direction of the beam from the heading.
+    count
+        Number of this reading among those from the same pose (`CorrelatedReadings`).
+    """
+    # 1. A reading at a limit is no range.
+    noise = model.noise
+    if not noise.lowest_in < reading_in < noise.highest_in:
+        return LIMIT, 0.0, 0.0, 1.0, 1.0
+    # 2. The expected reading, and whether the beam can be used.
+    beam = predict_beam(x, P, angle_rad, model.ring_radius_in, model.walls, model.gate)
+    if beam.refusal != NONE:
+        return beam.refusal, 0.0, 0.0, 1.0, 1.0 / RANGE_SPAN_IN
+    # 3. The chi-square gate. For the likelihood some readings are outliers, and these are beyond it.
+    R, innovation = range_variance(noise, beam.range_in), reading_in - beam.range_in
+    K, S = kalman_gain(P, beam.H, R)
+    nis = innovation * innovation / S
+    if not nis <= model.threshold:
+        return GATE, 0.0, 0.0, 1.0, RAY_OUTLIERS / RANGE_SPAN_IN
+    density = exp(-0.5 * nis) / sqrt(2.0 * pi * S)
+    # 4. x' = x + K innovation, P' = P - K S K'; of a repeated reading with the R that leaves its new information.
+    if count > 1:
+        K, S = kalman_gain(P, beam.H, inflated_variance(R, constant_variance(noise, beam.range_in), count))
+    shift(x, K, innovation)
+    add_outer(P, -S, K)
+    return NONE, innovation, nis, 0.0, (1.0 - RAY_OUTLIERS) * density + RAY_OUTLIERS / RANGE_SPAN_IN
+
+
 class RayModel:
     """Measurement model of sonars whose readings are the range along one ray, or refused by the gate."""
 
     def __init__(self, walls: npt.ArrayLike, body: SonarRing, sonar: RaySonar, gate: Gate = STRICT) -> None:
-        self._walls, self._sonar, self._gate = wall_map(walls), sonar, gate
-        self._angles, self._radius_in = body.sonar_angles_rad, body.sonar_ring_radius_in
-        self._threshold = gate.threshold
+        self.walls, self.noise, self.gate, self.threshold = wall_map(walls), sonar, gate, gate.threshold
+        self.angles_rad, self.ring_radius_in = body.sonar_angles_rad, body.sonar_ring_radius_in
+        self.update = update_by_ray
 
     def associate(
         self, x: State, P: Covariance, sonar: int, turret_offset_rad: float, reading_in: float
     ) -> Association:
         """Return the one hypothesis for a reading: the wall that its beam meets, or the reason why it is refused."""
-        noise = self._sonar
-        # 1. A reading at a limit is no range.
-        if not noise.lowest_in < reading_in < noise.highest_in:
-            return _REFUSED[Refusal.LIMIT]
-        # 2. The expected reading, and whether the beam can be used.
-        angle_rad = turret_offset_rad + self._angles[sonar]
-        beam = predict_beam(x, P, angle_rad, self._radius_in, self._walls, self._gate)
-        if beam.refusal is not Refusal.NONE:
-            return _REFUSED[beam.refusal]
-        # 3. The chi-square gate: innovation^2 <= threshold S.
-        R, innovation = noise.variance_at(beam.range_in), reading_in - beam.range_in
-        if not innovation * innovation <= self._threshold * (predicted_variance(P, beam.H) + R):
-            return _REFUSED[Refusal.GATE]
+        angle_rad = turret_offset_rad + self.angles_rad[sonar]
+        # A trial update of a copy, so that all rules refuse the same readings.
+        refusal, *_, likelihood = update_by_ray(x.copy(), [row.copy() for row in P], angle_rad, reading_in, self, 1)
+        if refusal != NONE:
+            return Association(REFUSALS[refusal], likelihood)
+        beam = predict_beam(x, P, angle_rad, self.ring_radius_in, self.walls, self.gate)
         return Association(
             Refusal.NONE,
             1.0,
-            (beam.range_in,),
-            (beam.H,),
-            (R,),
-            (noise.constant_variance_at(beam.range_in),),
-            (1.0,),
-            partial(_ranges_to_line, angle_rad, self._radius_in, self._walls.line(beam.row)),
+            [beam.range_in],
+            [beam.H],
+            [range_variance(self.noise, beam.range_in)],
+            [constant_variance(self.noise, beam.range_in)],
+            [1.0],
+            partial(_ranges_to_line, angle_rad, self.ring_radius_in, line_of(beam.row, self.walls)),
             gate_outliers=RAY_OUTLIERS,
         )
 
@@ -374,24 +455,9 @@ def _ranges_to_line(
     angle_rad: float, ring_radius_in: float, line: Sequence[float], poses: Floats
 ) -> tuple[Floats, Floats]:
     """Return ranges (..., 1) of a beam to a line, and their derivatives (..., 1, 3), from poses (..., 1, 3)."""
-    direction = poses[..., HEADING] + angle_rad
-    along_x, along_y = np.cos(direction), np.sin(direction)
+    along_x, along_y = unit_vector(poses[..., HEADING] + angle_rad)
     distance, H, _ = intersect_line(poses[..., 0], poses[..., 1], along_x, along_y, [np.full((), v) for v in line])
     return distance - ring_radius_in, np.stack(np.broadcast_arrays(*H), axis=-1)
-
-
-def _refused_likelihood(refusal: Refusal) -> float:
-    """Return the likelihood of a refused reading: of an outlier where it missed the gate, else of any reading."""
-    match refusal:
-        case Refusal.LIMIT:
-            return 1.0
-        case Refusal.GATE:
-            return RAY_OUTLIERS / RANGE_SPAN_IN
-        case _:
-            return 1.0 / RANGE_SPAN_IN
-
-
-_REFUSED: Final = {refusal: Association(refusal, _refused_likelihood(refusal)) for refusal in Refusal if refusal}
 
 
 # A whole ring of many robots.
@@ -423,7 +489,7 @@ class Observation:
     @property
     def used(self) -> npt.NDArray[np.bool_]:
         """The beams that may correct, (..., n)."""
-        used: npt.NDArray[np.bool_] = self.refusals == Refusal.NONE.value
+        used: npt.NDArray[np.bool_] = self.refusals == NONE
         return used
 
     def reasons(self) -> tuple[Refusal, ...]:
@@ -437,12 +503,12 @@ def ranges_from(poses: Floats, angles_rad: Floats, body: SonarRing, walls: WallM
     Beams without a wall, or parallel to it, are NaN.
     """
     x, y, heading = (poses[..., index, None] for index in range(3))
-    direction = heading + angles_rad
-    dx, dy = np.cos(direction), np.sin(direction)
-    row = walls.first_wall(x, y, dx, dy)
-    distance, H, cosine = intersect_line(x, y, dx, dy, walls.line(row))
-    flat = choose(np.abs(cosine) >= STRICT.min_cos_incidence, Refusal.NONE, Refusal.GRAZING)
-    return BeamPrediction(row, distance - body.sonar_ring_radius_in, H, choose(row == NO_WALL, Refusal.NO_WALL, flat))
+    dx, dy = unit_vector(heading + angles_rad)
+    _, row = nearest(x, y, dx, dy, walls)
+    distance, H, cosine = intersect_line(x, y, dx, dy, line_of(row, walls))
+    flat = np.where(np.abs(cosine) >= STRICT.min_cos_incidence, NONE, GRAZING)
+    refusal = np.where(row == raycast.NO_WALL, NO_WALL, flat)
+    return BeamPrediction(row, distance - body.sonar_ring_radius_in, H, refusal)
 
 
 def observe_ring(
@@ -462,11 +528,11 @@ def observe_ring(
     innovation = readings_in - beams.range_in
     R = sonar.variance(beams.range_in)
     passed = innovation * innovation <= gate.threshold * (predicted_variance(P, beams.H) + R)
-    refusals = np.where((beams.refusal == Refusal.NONE.value) & ~passed, Refusal.GATE.value, beams.refusal)
+    refusals = np.where((beams.refusal == NONE) & ~passed, GATE, beams.refusal)
     is_range = (readings_in > sonar.lowest_in) & (readings_in < sonar.highest_in)
-    refusals = np.where(is_range, refusals, Refusal.LIMIT.value).astype(np.int8)
+    refusals = np.where(is_range, refusals, LIMIT).astype(np.int8)
     # 3. Beams left out change nothing.
-    used = refusals == Refusal.NONE.value
+    used = refusals == NONE
     H = np.stack(np.broadcast_arrays(*beams.H), axis=-1)
     return Observation(
         np.where(used, innovation, 0.0), np.where(used[..., None], H, 0.0), np.where(used, R, 1.0), refusals

@@ -18,11 +18,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from enum import IntEnum
 from math import exp, nan, pi, sqrt
-from typing import Final, NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from localization.filters.belief import HEADING, POSE, Belief, Floats, Number, pack, unpack, wrap_angle
+from localization.filters.belief import HEADING, POSE, Belief, Floats, Number, add_outer, pack, unpack, wrap_angle
+from worlds.robots import SONARS
 
 State = list[float]
 Covariance = list[list[float]]
@@ -56,8 +57,16 @@ class Refusal(IntEnum):
     """The innovation is larger than its variance explains."""
 
 
-INFORMATIVE: Final = frozenset({Refusal.NONE, Refusal.NO_WALL, Refusal.GATE})
+REFUSALS: Final = tuple(Refusal)
+"""Reasons by their codes: formulas return codes, which are plain integers."""
+NONE, LIMIT, NO_WALL, AMBIGUOUS_WALL, GRAZING, GATE = (refusal.value for refusal in Refusal)
+
+INFORMATIVE: Final = (NONE, NO_WALL, GATE)
 """Outcomes that say whether the belief is right; the others depend on the geometry only."""
+
+
+Outcome = tuple[int, float, float, float, float]
+"""An `UpdateResult` as formulas return it: the refusal is a code."""
 
 
 class UpdateResult(NamedTuple):
@@ -73,17 +82,21 @@ class UpdateResult(NamedTuple):
         Squared innovation over its variance.
     outlier_probability
         Probability that the reading was an outlier.
+    likelihood
+        Of the reading under the belief before it: a density per inch for a range and a probability for a limit, the
+        same kind for the same reading, whatever the belief.
     """
 
     refusal: Refusal
     innovation_in: float
     nis: float
     outlier_probability: float
+    likelihood: float = 1.0
 
 
-def refusal_of(outlier_probability: float) -> Refusal:
+def gate_code(outlier_probability: float) -> int:
     """Return GATE for a reading that is more probably an outlier than not, else NONE."""
-    return Refusal.GATE if outlier_probability > OUTLIER_THRESHOLD else Refusal.NONE
+    return GATE if outlier_probability > OUTLIER_THRESHOLD else NONE
 
 
 # 1. What a reading may be of.
@@ -136,6 +149,21 @@ class MeasurementModel(Protocol):
         ...
 
 
+@runtime_checkable
+class DirectModel(MeasurementModel, Protocol):
+    """A model with an update of its own by the linear rule."""
+
+    @property
+    def angles_rad(self) -> Sequence[float]:
+        """Return the direction of each sonar from that of the turret."""
+        ...
+
+    @property
+    def update(self) -> Callable[..., Outcome]:
+        """Return a function of x, P, direction from the heading, reading, this model, and count (`update_by_ray`)."""
+        ...
+
+
 # 2. Gain and innovation of one hypothesis.
 
 
@@ -151,17 +179,21 @@ def kalman_gain(P: Sequence[Sequence[Number]], H: Sequence[Number], R: Number) -
     R
         Variance of the reading.
     """
-    PHt = [_dot(row, H) for row in P]
-    S = _dot(PHt, H) + R
+    a, b, c = H[0], H[1], H[2]
+    PHt = [row[0] * a + row[1] * b + row[2] * c for row in P]
+    for j in range(POSE, len(H)):
+        PHt = [value + row[j] * H[j] for value, row in zip(PHt, P)]  # noqa: B905  for numba
+    S = PHt[0] * a + PHt[1] * b + PHt[2] * c + R
+    for j in range(POSE, len(H)):
+        S = S + PHt[j] * H[j]
     return [value / S for value in PHt], S
 
 
-def add_outer(P: list[list[Number]], weight: Number, v: Sequence[Number]) -> None:
-    """Add weight v v' to P, in place."""
-    for i in range(len(v)):
-        row, scaled = P[i], weight * v[i]
-        for j in range(i + 1):
-            row[j] = P[j][i] = row[j] + scaled * v[j]
+def shift(x: State, K: Sequence[float], innovation: float) -> None:
+    """Add K innovation to x in place, the heading wrapped."""
+    for i, gain in enumerate(K):
+        x[i] += gain * innovation
+    x[HEADING] = wrap_angle(x[HEADING])
 
 
 def kalman_update(x: list[Number], P: list[list[Number]], H: Sequence[Number], R: Number, innovation: Number) -> Number:
@@ -199,12 +231,15 @@ Rule = Callable[[State, Covariance, float, Association, Sequence[float]], list[C
 
 
 def linear(
-    x: State, P: Covariance, reading_in: float, association: Association, variances: Sequence[float]
+    x: State,  # noqa: ARG001  a rule has it
+    P: Covariance,
+    reading_in: float,
+    association: Association,
+    variances: Sequence[float],
 ) -> list[Correction]:
     """Return the corrections of the extended Kalman filter: one derivative, at x."""
-    del x
     corrections = []
-    for range_in, H, R in zip(association.ranges_in, association.H, variances, strict=True):
+    for range_in, H, R in zip(association.ranges_in, association.H, variances):  # noqa: B905  for numba
         K, S = kalman_gain(P, H, R)
         innovation = reading_in - range_in
         dx = [gain * innovation for gain in K]
@@ -255,14 +290,6 @@ def iterated(
     return list(map(Correction, K.tolist(), S.tolist(), innovation, cost.tolist(), dx.tolist()))
 
 
-def _dot(row: Sequence[Number], H: Sequence[Number]) -> Number:
-    """Return row . H over the coordinates of H, 3 or more."""
-    total = row[0] * H[0] + row[1] * H[1] + row[2] * H[2]
-    for j in range(POSE, len(H)):
-        total = total + row[j] * H[j]
-    return total
-
-
 def _gains(cov: Floats, H: Floats, R: Floats) -> tuple[Floats, Floats]:
     """Return `kalman_gain` of k scalar readings, each alone: K (k, n) and S (k,)."""
     K, S = kalman_gain([list(row) for row in cov], list(H.T), R)
@@ -297,11 +324,6 @@ class PdaResult(NamedTuple):
     innovation_in: float
     nis: float
 
-    @property
-    def outlier_probability(self) -> float:
-        """Probability that the reading was an outlier."""
-        return self.beta[-1]
-
 
 def pda_update(
     x: State, P: Covariance, reading_in: float, association: Association, rule: Rule = linear, count: int = 1
@@ -324,64 +346,43 @@ def pda_update(
     """
     # 1. K, S and innovation of each hypothesis.
     corrections = rule(x, P, reading_in, association, association.R)
-    if len(corrections) == 1 and not association.outlier_density:
-        return _update_certain(x, P, reading_in, association, rule, count, corrections[0])
     # 2. beta: prior probability times likelihood, normalised. An echo of none of the reflectors is an outlier as well.
-    inlier = 1.0 - association.outlier_probability
-    weights = [
-        inlier * probability * exp(-0.5 * correction.nis) / sqrt(2.0 * pi * correction.S)
-        for probability, correction in zip(association.probability, corrections, strict=True)
-    ]
-    best = max(range(len(weights)), key=weights.__getitem__, default=None)
-    weights.append(association.outlier_density * (1.0 - inlier * sum(association.probability)))
-    likelihood = sum(weights)
-    beta = [weight / likelihood for weight in weights]
-    result = PdaResult(
-        beta,
-        likelihood,
-        nan if best is None else corrections[best].innovation,
-        nan if best is None else corrections[best].nis,
-    )
+    inlier, outlier, likelihood, best = 1.0 - association.outlier_probability, 1.0, 0.0, -1
+    beta = [0.0 for _ in corrections]
+    for j, correction in enumerate(corrections):
+        prior = inlier * association.probability[j]
+        beta[j] = prior * exp(-0.5 * correction.nis) / sqrt(2.0 * pi * correction.S)
+        likelihood, outlier = likelihood + beta[j], outlier - prior
+        if best < 0 or beta[j] > beta[best]:
+            best = j
+    beta.append(association.outlier_density * outlier)
+    if len(corrections) == 1 and not association.outlier_density:
+        beta = [1.0, 0.0]  # certain, however improbable
+    else:
+        likelihood += beta[-1]
+        beta = [one / likelihood for one in beta]
+    innovation_in, nis = nan, nan
+    if best >= 0:
+        innovation_in, nis = corrections[best].innovation, corrections[best].nis
     # 3. A repeated reading corrects with the variance that leaves its new information.
     if count > 1:
-        corrections = rule(x, P, reading_in, association, _inflated(association, count))
+        parts = zip(association.R, association.constant_variance)  # noqa: B905  for numba
+        inflated = [inflated_variance(R, constant, count) for R, constant in parts]
+        corrections = rule(x, P, reading_in, association, inflated)
     # 4. x' = x + sum_j beta_j dx_j.
-    dx = [0.0] * len(x)
-    for probability, correction in zip(beta, corrections, strict=False):
-        dx = [total + probability * change for total, change in zip(dx, correction.dx, strict=True)]
+    mean = [0.0 for _ in x]
+    for j, correction in enumerate(corrections):
+        mean = [total + beta[j] * change for total, change in zip(mean, correction.dx)]  # noqa: B905  for numba
+    shift(x, mean, 1.0)
     # 5. P' = P - sum_j beta_j K_j S_j K_j' + sum_j beta_j (dx_j - dx) (dx_j - dx)': an outlier leaves x as it is.
-    for probability, correction in zip(beta, corrections, strict=False):
-        add_outer(P, -probability * correction.S, correction.K)
-        add_outer(P, probability, [one - mean for one, mean in zip(correction.dx, dx, strict=True)])
-    add_outer(P, beta[-1], dx)
-    _shift(x, dx)
-    return result
-
-
-def _update_certain(
-    x: State, P: Covariance, reading_in: float, association: Association, rule: Rule, count: int, correction: Correction
-) -> PdaResult:
-    """Correct x and P by a reading of one certain hypothesis, in place: beta is 1, the update Kalman's."""
-    _, S, innovation, nis, _ = correction
-    likelihood = association.probability[0] * exp(-0.5 * nis) / sqrt(2.0 * pi * S)
-    if count > 1:
-        (correction,) = rule(x, P, reading_in, association, _inflated(association, count))
-    add_outer(P, -correction.S, correction.K)
-    _shift(x, correction.dx)
-    return PdaResult([1.0, 0.0], likelihood, innovation, nis)
-
-
-def _inflated(association: Association, count: int) -> list[float]:
-    """Return R of the `count`-th reading from one pose, for each hypothesis."""
-    parts = zip(association.R, association.constant_variance, strict=True)
-    return [inflated_variance(R, constant, count) for R, constant in parts]
-
-
-def _shift(x: State, dx: Sequence[float]) -> None:
-    """Add dx to x in place, the heading wrapped."""
-    for i, change in enumerate(dx):
-        x[i] += change
-    x[HEADING] = wrap_angle(x[HEADING])
+    for j, correction in enumerate(corrections):
+        add_outer(P, -beta[j] * correction.S, correction.K)
+        if beta[j] < 1.0:
+            spread = [one - change for one, change in zip(correction.dx, mean)]  # noqa: B905  for numba
+            add_outer(P, beta[j], spread)
+    if beta[-1]:
+        add_outer(P, beta[-1], mean)
+    return PdaResult(beta, likelihood, innovation_in, nis)
 
 
 # Repeated readings from one pose.
@@ -404,57 +405,55 @@ def inflated_variance(variance: float, constant: float, count: int) -> float:
     return variance / max(information_fraction(variance, constant, count), MIN_INFORMATION)
 
 
-class _Repeated(NamedTuple):
-    """Pose of the first used reading of a sonar (travel and turn so far, turret), and the number used since."""
+Used = list[list[float]]
+"""For each sonar, of the first reading used from a pose: travel and turn until then, the turret, and how many were used
+from there; in a last row travel and turn so far."""
 
-    travel_in: float
-    turned_rad: float
-    turret_rad: float
-    number: int
+
+def move_on(used: Used, distance_in: float, turn_rad: float) -> None:
+    """Take note of a step of the encoders."""
+    so_far = used[-1]
+    so_far[0] += abs(distance_in)
+    so_far[1] += turn_rad
+
+
+def count_used(used: Used, sonar: int, turret_offset_rad: float) -> int:
+    """Return how many readings of this sonar were used from here, the turret turned so against the heading."""
+    first, so_far = used[sonar], used[-1]
+    turned_rad = so_far[1] - first[1]
+    is_here = (
+        so_far[0] - first[0] <= SAME_POSE_IN
+        and abs(turned_rad) <= SAME_POSE_RAD
+        and abs(wrap_angle(turned_rad + turret_offset_rad - first[2])) <= SAME_POSE_RAD
+    )
+    return int(first[3]) if is_here else 0
+
+
+def record_used(used: Used, sonar: int, turret_offset_rad: float, count: int) -> None:
+    """Record the `count`-th reading used from here."""
+    first, so_far = used[sonar], used[-1]
+    if count == 1:
+        first[0], first[1], first[2] = so_far[0], so_far[1], turret_offset_rad
+    first[3] = float(count)
 
 
 class CorrelatedReadings:
     """Count the used readings of each sonar from the pose where the robot stands, by odometry alone."""
 
-    def __init__(self) -> None:
-        self._travel_in = self._turned_rad = 0.0
-        self._repeated: dict[int, _Repeated] = {}
+    def __init__(self, sonars: int = SONARS) -> None:
+        self.used: Used = [[0.0] * 4 for _ in range(sonars + 1)]
 
     def move(self, distance_in: float, turn_rad: float) -> None:
         """Take note of a step of the encoders."""
-        self._travel_in += abs(distance_in)
-        self._turned_rad += turn_rad
+        move_on(self.used, distance_in, turn_rad)
 
     def count(self, sonar: int, turret_offset_rad: float) -> int:
         """Return how many readings of this sonar were used from here, the turret turned so against the heading."""
-        repeated = self._repeated.get(sonar)
-        return repeated.number if repeated and self._is_here(repeated, turret_offset_rad) else 0
+        return count_used(self.used, sonar, turret_offset_rad)
 
     def record(self, sonar: int, turret_offset_rad: float) -> None:
         """Count one more reading as used."""
-        repeated = self._repeated.get(sonar)
-        if repeated and self._is_here(repeated, turret_offset_rad):
-            self._repeated[sonar] = repeated._replace(number=repeated.number + 1)
-        else:
-            self._repeated[sonar] = _Repeated(self._travel_in, self._turned_rad, turret_offset_rad, 1)
-
-    def _is_here(self, there: _Repeated, turret_offset_rad: float) -> bool:
-        return (
-            self._travel_in - there.travel_in <= SAME_POSE_IN
-            and abs(turned := self._turned_rad - there.turned_rad) <= SAME_POSE_RAD
-            and abs(wrap_angle(turned + turret_offset_rad - there.turret_rad)) <= SAME_POSE_RAD
-        )
-
-
-class EchoResult(NamedTuple):
-    """Outcome of a reading, and how well the belief before it explains it.
-
-    `likelihood` is a density per inch for a range and a probability for a limit: the same kind for the same reading,
-    whatever the belief.
-    """
-
-    result: UpdateResult
-    likelihood: float
+        record_used(self.used, sonar, turret_offset_rad, self.count(sonar, turret_offset_rad) + 1)
 
 
 class MeasurementUpdate:
@@ -465,10 +464,12 @@ class MeasurementUpdate:
 
     def __init__(self, model: MeasurementModel, rule: Rule = linear) -> None:
         self._model, self._rule = model, rule
+        self.direct = model if isinstance(model, DirectModel) and rule is linear else None
+        """The model, where it updates by the linear rule itself: in one function, which can be compiled."""
 
     def apply(
         self, x: State, P: Covariance, sonar: int, turret_offset_rad: float, reading_in: float, count: int = 1
-    ) -> EchoResult:
+    ) -> UpdateResult:
         """Correct x and P in place by a reading, the `count`-th one used from this pose.
 
         Parameters
@@ -480,21 +481,34 @@ class MeasurementUpdate:
         reading_in
             Inches, its calibration offset subtracted.
         """
+        direct = self.direct
+        if direct:
+            angle_rad = turret_offset_rad + direct.angles_rad[sonar]
+            return result_of(direct.update(x, P, angle_rad, reading_in, direct, count))
         association = self._model.associate(x, P, sonar, turret_offset_rad, reading_in)
         if association.refusal is not Refusal.NONE:
-            return EchoResult(UpdateResult(association.refusal, 0.0, 0.0, 1.0), association.likelihood)
-        done = pda_update(x, P, reading_in, association, self._rule, count)
-        outlier = done.beta[-1]
-        result = UpdateResult(refusal_of(outlier), done.innovation_in, done.nis, outlier)
-        if association.gate_outliers:
-            share = association.gate_outliers
-            return EchoResult(result, (1.0 - share) * done.likelihood + share / RANGE_SPAN_IN)
-        return EchoResult(result, done.likelihood)
+            return UpdateResult(association.refusal, 0.0, 0.0, 1.0, association.likelihood)
+        return result_of(update_by_association(x, P, reading_in, association, self._rule, count))
 
     def updated(
         self, belief: Belief, sonar: int, turret_offset_rad: float, reading_in: float, count: int = 1
-    ) -> tuple[Belief, EchoResult]:
+    ) -> tuple[Belief, UpdateResult]:
         """Return the belief after `apply`, and its result."""
         x, P = unpack(belief)
         outcome = self.apply(x, P, sonar, turret_offset_rad, reading_in, count)
         return pack(x, P), outcome
+
+
+def update_by_association(
+    x: State, P: Covariance, reading_in: float, association: Association, rule: Rule, count: int
+) -> Outcome:
+    """Correct x and P by a reading and its hypotheses, in place."""
+    beta, likelihood, innovation_in, nis = pda_update(x, P, reading_in, association, rule, count)
+    outlier, share = beta[-1], association.gate_outliers
+    return gate_code(outlier), innovation_in, nis, outlier, (1.0 - share) * likelihood + share / RANGE_SPAN_IN
+
+
+def result_of(outcome: Outcome) -> UpdateResult:
+    """Return an outcome as a result."""
+    code, innovation_in, nis, outlier, likelihood = outcome
+    return UpdateResult(REFUSALS[code], innovation_in, nis, outlier, likelihood)

@@ -10,19 +10,21 @@ time from the robot's clock. Each echo counts once; limits (6, 255) are never ra
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from math import cos, sin, sqrt
+from functools import partial
+from math import sqrt
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from localization.filters.base import Filter, LocalizationConfig, Place, Searching, Smoothing
-from localization.filters.belief import HEADING, POSE, Belief, Floats, wrap_angle
+from localization.filters import compiled
+from localization.filters.base import Filter, LocalizationConfig, Place, RingFilter, Searching, Smoothing, process_each
+from localization.filters.belief import POSE, Belief, Floats
 from localization.filters.health import HEALTHY, FilterHealth
-from localization.filters.odometry import relative_step
+from localization.filters.odometry import NO_LAG, Lag, relative_step
 from localization.filters.registry import DEFAULT_METHOD, make
-from localization.filters.update import Refusal
+from localization.filters.update import REFUSALS, Refusal
 from localization.live.sensor_input import (
     CLOCK_STEP_S,
     EncoderPose,
@@ -32,6 +34,7 @@ from localization.live.sensor_input import (
     SensorInput,
     corrected,
 )
+from worlds.raycast import is_compiled_for
 
 
 class Echo(NamedTuple):
@@ -63,8 +66,7 @@ class Smoothed(NamedTuple):
     belief: Belief
 
 
-@dataclass(frozen=True, slots=True)
-class Estimate:
+class Estimate(NamedTuple):
     """The belief at `clock_s` of the robot's clock, and the echoes since the last one.
 
     `smoothed` is of filters that smooth, `places` of filters that search: all poses at which the robot may be.
@@ -108,12 +110,17 @@ class Localizer:
         method: str | Filter = DEFAULT_METHOD,
         seed: int = 0,
     ) -> None:
+        if is_compiled_for(1):
+            compiled.load()
         self._filter = make(method, config, belief, seed) if isinstance(method, str) else method
         self._schedule, self._calibration = schedule, config.calibration
         self._history = PoseHistory()
         self._encoders: EncoderPose | None = None
         """Encoders at the instant to which the filter has predicted."""
         self._last_echo_s = -np.inf
+        self._process_echoes = (
+            self._filter.process if isinstance(self._filter, RingFilter) else partial(process_each, self._filter)
+        )
         self._searching = self._filter if isinstance(self._filter, Searching) else None
         self._smoothing = self._filter if isinstance(self._filter, Smoothing) else None
         self._instants: deque[float] = deque(maxlen=1 + (self._smoothing.lag if self._smoothing else 0))
@@ -143,30 +150,32 @@ class Localizer:
         latest = self._history.latest
         # 2. Every new echo: predict to the pose of its instant, update.
         firings = self._schedule.readable(self._last_echo_s, latest.clock_s)
-        echoes = tuple([self._update(firing, state.sonars_in[firing.sonar]) for firing in firings])
+        echoes = self._process(firings, state.sonars_in) if firings else ()
         # 3. The estimate now: predicted from the last echo, widened by the uncertain instants.
-        belief = self._filter.predicted(*_step(self._encoders, latest))
-        belief = with_lag(belief, *self._history.last_two)
+        belief = self._filter.predicted(*_step(self._encoders, latest), clock_lag(*self._history.last_two))
         smoothed = Smoothed(self._instants[0], self._smoothing.smoothed()) if self._smoothing else None
         places = self._searching.places if self._searching else ()
         return Estimate(latest.clock_s, belief, echoes, self._filter.health, smoothed, places)
 
-    def _update(self, firing: FiringTime, reading_in: float) -> Echo:
-        """Predict the filter to the encoders at the instant of an echo, and update it."""
+    def _process(self, firings: list[FiringTime], sonars_in: Sequence[float]) -> tuple[Echo, ...]:
+        """Predict the filter to the encoders at the instant of each echo, and update it."""
         assert self._encoders is not None
-        there = self._history.at(firing.instant_s)
-        self._filter.predict(*_step(self._encoders, there))
-        self._encoders, self._last_echo_s = there, firing.instant_s
-        self._instants.append(firing.instant_s)
-        result = self._filter.update(firing.sonar, there.turret_offset_rad, float(reading_in))
-        return Echo(firing.sonar, firing.instant_s, reading_in, *result)
+        new = [(instant_s, sonar, float(sonars_in[sonar])) for sonar, instant_s in firings]
+        outcomes = self._process_echoes(self._encoders, self._history.since(new[0][0]), new)
+        self._last_echo_s = new[-1][0]
+        self._encoders = self._history.at(self._last_echo_s)
+        self._instants.extend([instant_s for instant_s, _, _ in new])
+        return tuple(
+            [
+                Echo(sonar, instant_s, sonars_in[sonar], REFUSALS[code], innovation_in, nis, outlier)
+                for (instant_s, sonar, _), (code, innovation_in, nis, outlier, _) in zip(new, outcomes, strict=True)
+            ]
+        )
 
 
 def _step(before: EncoderPose, after: EncoderPose) -> tuple[float, float]:
     """Return distance and turn between two poses of the encoders."""
-    _, x, y, heading, _ = before
-    _, to_x, to_y, to_heading, _ = after
-    return relative_step(x, y, heading, to_x, to_y, to_heading)
+    return relative_step(*before[1:4], *after[1:4])
 
 
 # Uncertain instants.
@@ -175,33 +184,21 @@ LAG_STD_S: Final = CLOCK_STEP_S / sqrt(6.0)
 """Standard deviation of the difference of two instants, each anywhere within one step of the clock."""
 
 
-def with_lag(belief: Belief, before: EncoderPose, now: EncoderPose) -> Belief:
-    """Return the belief widened by the uncertain instants of echoes and states.
+def clock_lag(before: EncoderPose, now: EncoderPose) -> Lag:
+    """Return what the uncertain instants of echoes and states add to the last two poses of the encoders.
 
         P + LAG_STD_S^2 xdot xdot'        xdot = (v cos(heading), v sin(heading), turn rate)
 
     A clock in steps leaves it open when the ring was restarted and when a state was taken, so the estimate is ahead of
     the robot or behind it. The first is constant over a run: no filter averages it out, and no noise of the echoes
-    describes it. It is added to what is reported, never to the belief that the filter continues from.
-
-    Parameters
-    ----------
-    belief
-        Over states (n,).
-    before, now
-        The last two poses of the encoders; a robot that stands changes nothing.
+    describes it. It is added to what is reported, never to the belief that the filter continues from. A robot that
+    stands has none.
     """
     passed_s = now.clock_s - before.clock_s
-    dx, dy = now.x_in - before.x_in, now.y_in - before.y_in
-    turn = wrap_angle(now.heading_rad - before.heading_rad)
-    if passed_s <= 0.0 or not (dx or dy or turn):
-        return belief
-    middle, heading = before.heading_rad + 0.5 * turn, float(belief.mean[HEADING])
-    lag_in = LAG_STD_S * (dx * cos(middle) + dy * sin(middle)) / passed_s
-    ahead = np.array([lag_in * cos(heading), lag_in * sin(heading), LAG_STD_S * turn / passed_s])
-    cov = belief.cov.copy()
-    cov[:POSE, :POSE] += ahead[:, None] * ahead
-    return Belief(belief.mean, cov)
+    if passed_s <= 0.0:
+        return NO_LAG
+    distance_in, turn_rad = _step(before, now)
+    return LAG_STD_S * distance_in / passed_s, LAG_STD_S * turn_rad / passed_s
 
 
 # Consistency of a whole run.

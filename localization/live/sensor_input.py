@@ -14,8 +14,8 @@ from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
-from localization.filters.belief import HEADING, POSE, Belief, Floats, wrap_angle
-from localization.filters.odometry import with_parameters
+from localization.filters.belief import HEADING, POSE, Belief, Floats
+from localization.filters.odometry import pose_at, with_parameters
 from nclient.protocol.types import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE, SONAR_RATE_STEP_S
 from worlds.robots import IDEAL_CALIBRATION, Calibration
 
@@ -157,11 +157,12 @@ class FiringSchedule:
 
         An echo is readable until its sonar may have fired again.
         """
-        interval_s, start_s, order = self.interval_s, self.start_s, self.order
+        start_s, order = self.start_s, self.order
+        interval_s = self.rate * SONAR_RATE_STEP_S
         # 1. The first that is later than `after_s`, and not yet overwritten.
         since_start = (after_s - start_s) / interval_s
         first = max(0, math.floor(since_start + _TINY) + 1) if after_s >= start_s else 0
-        overwritten_s = now_s + CLOCK_STEP_S - self.round_s
+        overwritten_s = now_s + CLOCK_STEP_S - interval_s * len(order)
         first = max(first, math.floor((overwritten_s - start_s) / interval_s + _TINY) + 1)
         # 2. The last that is certainly past.
         last = math.floor((now_s - CLOCK_STEP_S - start_s) / interval_s + _TINY)
@@ -226,23 +227,13 @@ class PoseHistory:
 
     def at(self, instant_s: float) -> EncoderPose:
         """Return the pose at an instant, interpolated; before or after all poses, the nearest."""
-        later = None
-        for earlier in reversed(self._poses):
-            if earlier.clock_s < instant_s:
-                return earlier._replace(clock_s=instant_s) if later is None else _between(earlier, later, instant_s)
-            later = earlier
-        return self._poses[0]._replace(clock_s=instant_s)
+        return EncoderPose(instant_s, *pose_at(self.since(instant_s), instant_s))
 
-
-def _between(earlier: EncoderPose, later: EncoderPose, instant_s: float) -> EncoderPose:
-    """Interpolate linearly, angles by the shorter turn."""
-    clock_s, x, y, heading, turret = earlier
-    later_s, later_x, later_y, later_heading, later_turret = later
-    fraction = (instant_s - clock_s) / (later_s - clock_s)
-    return EncoderPose(
-        instant_s,
-        x + fraction * (later_x - x),
-        y + fraction * (later_y - y),
-        wrap_angle(heading + fraction * wrap_angle(later_heading - heading)),
-        turret + fraction * wrap_angle(later_turret - turret),
-    )
+    def since(self, instant_s: float) -> list[EncoderPose]:
+        """Return the poses from the last one before an instant."""
+        poses = self._poses
+        first = len(poses) - 1
+        while first > 0 and poses[first][0] >= instant_s:
+            first -= 1
+        # Two at least, to interpolate between them.
+        return [poses[k] for k in range(max(min(first, len(poses) - 2), 0), len(poses))]

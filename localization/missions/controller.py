@@ -15,7 +15,7 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from localization.filters.base import LocalizationConfig
+from localization.filters.base import Filter, LocalizationConfig
 from localization.filters.belief import Belief, Floats
 from localization.filters.registry import DEFAULT_METHOD
 from localization.live.localizer import Estimate
@@ -56,8 +56,8 @@ class RobotController:
         Initial belief.
     wait : callable
         `wait(seconds)` lets real time pass.
-    method : str
-        Name of the filter.
+    method : str or Filter
+        Name of a filter, or a filter.
     speed_in_s, turn_rad_s : float
         Speed limits.
     """
@@ -69,7 +69,7 @@ class RobotController:
         body: Body,
         belief: Belief,
         wait: Wait,
-        method: str = DEFAULT_METHOD,
+        method: str | Filter = DEFAULT_METHOD,
         speed_in_s: float = Speeds().translation_in_s,
         turn_rad_s: float = Speeds().steering_rad_s,
     ) -> None:

@@ -190,9 +190,7 @@ class SerialLink:
                 if self._matches_last_request(frame):
                     return frame
                 self._statistics.strays += 1
-        raise ReplyTimeout(
-            f"{unframed} bytes came and no answer" if unframed else f"no answer within {timeout_s:g} s"
-        )
+        raise ReplyTimeout(f"{unframed} bytes came and no answer" if unframed else f"no answer within {timeout_s:g} s")
 
     def _matches_last_request(self, frame: SerialFrame) -> bool:
         """Match a frame to the earliest request that it can answer; return True if that is the last one.
@@ -382,11 +380,7 @@ class DirectBackend:
         try:
             return codec.decode_serial_reply(frame, self.wire_state)
         except WireError:
-            if (
-                self._laser_mode_is_certain
-                or "conf_ls" in self._format_calls
-                or not self.wire_state.model.has_laser
-            ):
+            if self._laser_mode_is_certain or "conf_ls" in self._format_calls or not self.wire_state.model.has_laser:
                 raise
             # Line modes have four numbers per reading, other modes one: if one does not fit, the other may.
             other = self.wire_state.copy()

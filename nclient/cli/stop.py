@@ -17,6 +17,8 @@ import argparse
 import time
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
 
 from nclient.backends.base import Backend
 from nclient.backends.direct import QUICK_S, send_emergency_stop
@@ -59,14 +61,11 @@ def run(options: argparse.Namespace) -> int:
 
 def _stop_first_connector(connector: Connector) -> StopFirstConnector:
     timeout_s = QUICK_S if connector.timeout_s is None else connector.timeout_s
-    return StopFirstConnector(
-        connector.open_stream,
-        lambda stream: connector.start_session(stream, hello=False),
-        connector.model,
-        timeout_s,
-    )
+    start_session = partial(connector.start_session, hello=False)
+    return StopFirstConnector(connector.open_stream, start_session, connector.model, timeout_s)
 
 
+@dataclass
 class StopFirstConnector:
     """Connects to a serial line with st as the first bytes of every connection.
 
@@ -84,33 +83,29 @@ class StopFirstConnector:
         Returns seconds.
     """
 
-    def __init__(
-        self,
-        open_stream: Callable[[], ByteStream],
-        start_session: Callable[[ByteStream], Backend],
-        model: Model,
-        timeout_s: float = QUICK_S,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        self._open_stream, self._start_session = open_stream, start_session
-        self._model, self._timeout_s, self._clock = model, timeout_s, clock
-        self.stops_sent = 0
-        self.replies: list[bytes] = []
+    open_stream: Callable[[], ByteStream]
+    start_session: Callable[[ByteStream], Backend]
+    model: Model
+    timeout_s: float = QUICK_S
+    clock: Callable[[], float] = time.monotonic
+    stops_sent: int = field(default=0, init=False)
+    replies: list[bytes] = field(default_factory=list, init=False)
+    """The data of the replies to st."""
 
     def __call__(self) -> Backend:
         """Connect to a robot, which has replied to st. Raises as send_emergency_stop and `start_session` do."""
         # Any exception closes the line, so that the next attempt can open it again.
-        stream = self._open_stream()
+        stream = self.open_stream()
         try:
-            self.replies.append(send_emergency_stop(stream, self._timeout_s, self._clock, self._count_stop).data)
-            return self._start_session(stream)
+            self.replies.append(send_emergency_stop(stream, self.timeout_s, self.clock, self._count_stop).data)
+            return self.start_session(stream)
         except BaseException:
             stream.close()
             raise
 
     def describe_unreadable(self) -> str:
         """Return a message for a robot that replied to st, but to nothing else that could be read."""
-        hint = model_mismatch_hint(self._model, self.replies[-1])
+        hint = model_mismatch_hint(self.model, self.replies[-1])
         return f"st was answered, and nothing showed that it stands still{'; ' if hint else ''}{hint}"
 
     def _count_stop(self) -> None:

@@ -10,7 +10,6 @@ however many, do not block a client with a request. A pseudo-terminal stands beh
 from __future__ import annotations
 
 import contextlib
-import enum
 import os
 import select
 import socket
@@ -40,14 +39,6 @@ class PendingConnection(NamedTuple):
     port: int
 
 
-class _Received(enum.Enum):
-    """State of the receive buffer of a pending connection; nothing is consumed from it."""
-
-    NOTHING = enum.auto()
-    DATA = enum.auto()
-    END = enum.auto()
-
-
 class AcceptQueue:
     """The pending connections of a listening socket, at most `MAX_PENDING`.
 
@@ -73,11 +64,11 @@ class AcceptQueue:
         # 1. New connections.
         self._accept_available()
         # 2. Connections whose client has disconnected.
-        for connection in [each for each in self._pending if _received(each) is _Received.END]:
+        for connection in [each for each in self._pending if _peek(each) == b""]:
             self._drop(connection)
         # 3. Too many: reject the oldest idle one, or the newest if none is idle.
         while len(self._pending) > MAX_PENDING:
-            idle = (each for each in self._pending if _received(each) is _Received.NOTHING)
+            idle = (each for each in self._pending if _peek(each) is None)
             connection = next(idle, self._pending[-1])
             self._drop(connection)
             self._on_rejected(connection.host, QUEUE_FULL)
@@ -118,20 +109,21 @@ class AcceptQueue:
         self._on_rejected(connection.host, reason)
 
     def _first_with_data(self) -> PendingConnection | None:
-        return next((each for each in self._pending if _received(each) is _Received.DATA), None)
+        return next((each for each in self._pending if _peek(each)), None)
 
     def _drop(self, connection: PendingConnection) -> None:
         self._pending.remove(connection)
         connection.socket.close()
 
 
-def _received(connection: PendingConnection) -> _Received:
+def _peek(connection: PendingConnection) -> bytes | None:
+    """Return the first byte that was received, without consuming it: None if there is none yet, b"" at the end."""
     try:
-        return _Received.DATA if connection.socket.recv(1, socket.MSG_PEEK) else _Received.END
+        return connection.socket.recv(1, socket.MSG_PEEK)
     except BlockingIOError:
-        return _Received.NOTHING
+        return None
     except OSError:
-        return _Received.END
+        return b""
 
 
 class Listener(Protocol):

@@ -39,9 +39,7 @@ class TcpStream:
     # The timeout that the socket has; negative until one was set.
     _socket_timeout_s = -1.0
 
-    def __init__(
-        self, host: str, port: int, timeout_s: float = CONNECT_TIMEOUT_S, *, served_by: str = SERVER
-    ) -> None:
+    def __init__(self, host: str, port: int, timeout_s: float = CONNECT_TIMEOUT_S, *, served_by: str = SERVER) -> None:
         self.name = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
         self._timeout_s = timeout_s
         try:

@@ -8,7 +8,8 @@ Every part of the simulation has a state, a NamedTuple or a dataclass next to it
 declarations; parts raise ValueError for values that a simulation cannot have, which bounds the work of a damaged file.
 Floats are written with all digits. Random streams continue where they were.
 
-Renaming or adding a field changes the format: increase FORMAT_VERSION.
+Renaming a field changes the format, and so does adding one: increase FORMAT_VERSION. A dataclass's field whose default
+is None may be missing, so that a new part, such as a sensor, leaves older snapshots readable.
 """
 
 from __future__ import annotations
@@ -244,11 +245,13 @@ def _enum_decoder(kind: type[Enum]) -> Decoder:
 def _dataclass_decoder(kind: type, hints: Mapping[str, Any]) -> Decoder:
     fields = {name: decoder(hint) for name, hint in hints.items()}
     names = {*fields, "type"} if kind in TYPE_NAMES else {*fields}
+    # Parts of a state that earlier versions did not have.
+    optional = {field.name for field in dataclasses.fields(kind) if field.default is None}
 
     def decode(data: Any) -> Any:
-        if _object(data).keys() != names:
+        if not names - optional <= _object(data).keys() <= names:
             raise ValueError(f"expected the fields of a {kind.__name__}")
-        return kind(**{name: field(data[name]) for name, field in fields.items()})
+        return kind(**{name: field(data[name]) for name, field in fields.items() if name in data})
 
     return decode
 

@@ -26,12 +26,12 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from nclient.protocol.client_state import STATE_SIZE
-from nclient.protocol.commands import Call
+from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import (
     BUMPER_SLOT,
@@ -315,19 +315,99 @@ def velocity_tenths(robot: SimulatedRobot) -> tuple[int, int, int]:
     return axis_tenths(robot, robot.velocities)
 
 
-def _infrareds(robot: SimulatedRobot) -> Sequence[int]:
-    return robot.infrared.readings if robot.infrared is not None else (INFRARED_NOTHING,) * 16
+def _pose_tenths(pose: Pose) -> tuple[int, int, int, int]:
+    return (
+        clamp_word(tenths(pose.x_in)),
+        clamp_word(tenths(pose.y_in)),
+        heading_tenths(pose.steering_rad),
+        heading_tenths(pose.turret_rad),
+    )
 
 
-# The parts of State that a mask can exclude.
+def stamp_now(robot: SimulatedRobot, time_s: float) -> Stamp:
+    """Return a stamp of now: bumpers and laser are read when they are requested."""
+    now_ms = robot_clock_ms(robot, time_s)
+    return Stamp(*pose_tenths(robot), *velocity_tenths(robot), now_ms, now_ms)
+
+
+def _stamp(robot: SimulatedRobot, at: segments.Stamp) -> Stamp:
+    return Stamp(
+        *_pose_tenths(at.pose),
+        *axis_tenths(robot, at.velocities),
+        robot_clock_ms(robot, at.pose_time_s),
+        robot_clock_ms(robot, at.sensor_time_s),
+    )
+
+
+class StateSensor(NamedTuple):
+    """A sensor with slots in State: its snapshot, its stamps and the reply to its get_ command follow from this.
+
+    Attributes
+    ----------
+    kind
+        Of the reply to the get_ command.
+    slots
+        Its State slots.
+    position
+        The bit in Smask[0] that selects its stamps.
+    absent
+        Value of its slots in State where the model has no such sensor.
+    values
+        Return its readings in wire units, None where the model has none.
+    stamps
+        Return the stamps of its readings by name.
+    """
+
+    kind: str
+    slots: range
+    position: Position
+    absent: int
+    values: Callable[[SimulatedRobot], Sequence[int] | None]
+    stamps: Callable[[SimulatedRobot, float], dict[str, Stamp]]
+
+    def state_values(self, robot: SimulatedRobot) -> Sequence[int]:
+        """Return the values of its slots in State."""
+        values = self.values(robot)
+        return (self.absent,) * len(self.slots) if values is None else values
+
+
+def _ring_stamps(robot: SimulatedRobot, keys: Sequence[str], ring: Any) -> dict[str, Stamp]:
+    """Return pose and time of the last reading of each sensor of a ring; empty if the robot has none."""
+    return {} if ring is None else {key: _stamp(robot, at) for key, at in zip(keys, ring.stamps, strict=True)}
+
+
+def _compass_stamps(robot: SimulatedRobot, time_s: float) -> dict[str, Stamp]:
+    """Return the pose of now with the time of the last compass reading, up to 0.1 s ago; empty without a compass."""
+    if robot.compass is None:
+        return {}
+    taken_ms = robot_clock_ms(robot, to_s(robot.compass.read_ps))
+    return {"compass": stamp_now(robot, time_s)._replace(sensor_time=taken_ms)}
+
+
+INFRARED: Final = StateSensor(
+    "infrared", range(1, 17), Position.INFRARED, INFRARED_NOTHING,
+    lambda robot: None if robot.infrared is None else robot.infrared.readings,
+    lambda robot, _: _ring_stamps(robot, INFRARED_KEYS, robot.infrared),
+)  # fmt: skip
+SONAR: Final = StateSensor(
+    "sonar", range(17, 33), Position.SONAR, 0, lambda robot: robot.sonar.readings_in,
+    lambda robot, _: _ring_stamps(robot, SONAR_KEYS, robot.sonar),
+)  # fmt: skip
+BUMPER: Final = StateSensor(
+    "bumper", range(BUMPER_SLOT, BUMPER_SLOT + 1), Position.BUMPER, 0, lambda robot: (robot.bumpers,),
+    lambda robot, time_s: {"bumper": stamp_now(robot, time_s)},
+)  # fmt: skip
+COMPASS: Final = StateSensor(
+    "compass", range(COMPASS_SLOT, COMPASS_SLOT + 1), Position.COMPASS, 0,
+    lambda robot: None if robot.compass is None else (heading_tenths(robot.compass.direction_rad),), _compass_stamps,
+)  # fmt: skip
+STATE_SENSORS: Final = (INFRARED, SONAR, BUMPER, COMPASS)
+
+# The parts of State that a mask can exclude: first slot, end slot, values.
 _PARTS: Final[tuple[tuple[int, int, Callable[[SimulatedRobot], Sequence[int]]], ...]] = (
-    # First slot, end slot, values.
-    (1, 17, _infrareds),
-    (17, 33, lambda robot: robot.sonar.readings_in),
-    (BUMPER_SLOT, 34, lambda robot: (robot.bumpers,)),
+    *((sensor.slots.start, sensor.slots.stop, sensor.state_values) for sensor in STATE_SENSORS),
     (34, 38, pose_tenths),
     (38, 41, velocity_tenths),
-    (COMPASS_SLOT, 44, lambda robot: (heading_tenths(robot.compass.direction_rad) if robot.compass else 0,)),
 )
 
 
@@ -370,7 +450,13 @@ def build_state_reply(
     # 2. Excluded slots keep the value last sent.
     slots = apply_mask(context, slots)
     # 3. Positions and times of the readings, if requested.
-    stamps = all_stamps(robot, mask.position, time_s) if mask.position else {}
+    stamps: dict[str, Stamp] = {}
+    if mask.position:
+        for sensor in STATE_SENSORS:
+            if mask.position & sensor.position:
+                stamps |= sensor.stamps(robot, time_s)
+        if mask.position & Position.LASER and robot.model.has_light_sensors:
+            stamps["laser"] = stamp_now(robot, time_s)
     return Reply("state", dict(enumerate(slots)), laser, stamps, robot_clock_ms(robot, time_s), volts_raw(time_s))
 
 
@@ -398,72 +484,13 @@ def add_laser(
     ) else None
 
 
-def all_stamps(robot: SimulatedRobot, position: int, time_s: float) -> dict[str, Stamp]:
-    """Return the stamps requested by the position-data bits of a mask, for the sensors that the robot has."""
-    stamps = sonar_stamps(robot) if position & Position.SONAR else {}
-    if position & Position.INFRARED:
-        stamps |= infrared_stamps(robot)
-    if position & Position.BUMPER:
-        stamps["bumper"] = stamp_now(robot, time_s)
-    if position & Position.LASER and robot.model.has_light_sensors:
-        stamps["laser"] = stamp_now(robot, time_s)
-    if position & Position.COMPASS:
-        stamps |= compass_stamps(robot, time_s)
-    return stamps
-
-
-def sonar_stamps(robot: SimulatedRobot) -> dict[str, Stamp]:
-    """Return pose and time of the last reading of each sonar."""
-    return {key: _stamp(robot, at) for key, at in zip(SONAR_KEYS, robot.sonar.stamps, strict=True)}
-
-
-def infrared_stamps(robot: SimulatedRobot) -> dict[str, Stamp]:
-    """Return pose and time of the last reading of each infrared sensor; empty if the robot has none."""
-    if robot.infrared is None:
-        return {}
-    return {key: _stamp(robot, at) for key, at in zip(INFRARED_KEYS, robot.infrared.stamps, strict=True)}
-
-
-def _pose_tenths(pose: Pose) -> tuple[int, int, int, int]:
-    return (
-        clamp_word(tenths(pose.x_in)),
-        clamp_word(tenths(pose.y_in)),
-        heading_tenths(pose.steering_rad),
-        heading_tenths(pose.turret_rad),
-    )
-
-
-def stamp_now(robot: SimulatedRobot, time_s: float) -> Stamp:
-    """Return a stamp of now: bumpers and laser are read when they are requested."""
-    now_ms = robot_clock_ms(robot, time_s)
-    return Stamp(*pose_tenths(robot), *velocity_tenths(robot), now_ms, now_ms)
-
-
-def compass_stamps(robot: SimulatedRobot, time_s: float) -> dict[str, Stamp]:
-    """Return the pose of now with the time of the last compass reading, up to 0.1 s ago; empty without a compass."""
-    if robot.compass is None:
-        return {}
-    taken_ms = robot_clock_ms(robot, to_s(robot.compass.read_ps))
-    return {"compass": stamp_now(robot, time_s)._replace(sensor_time=taken_ms)}
-
-
-def _stamp(robot: SimulatedRobot, at: segments.Stamp) -> Stamp:
-    return Stamp(
-        *_pose_tenths(at.pose),
-        *axis_tenths(robot, at.velocities),
-        robot_clock_ms(robot, at.pose_time_s),
-        robot_clock_ms(robot, at.sensor_time_s),
-    )
-
-
 # The server.
 
-# A function(server, context, arguments) with the name of a command.
-Handler = Callable[["ServerState", ConnectionContext, tuple[Any, ...]], "Reply | DeferredReply"]
+# A function(server, context, arguments) with the name of a command. None stands for the state, the usual reply.
+Handler = Callable[["ServerState", ConnectionContext, tuple[Any, ...]], "Reply | DeferredReply | None"]
 
 # Commands that do not change the robot.
-QUERIES: Final = frozenset({"gs", "ct", "get_sn", "get_rc", "get_rv", "get_ra", "get_bp", "get_rpx", "sim_truth",
-    "get_ir", "get_cp", "get_ls", "get_sg"})  # fmt: skip
+QUERIES: Final = frozenset({"gs", "ct", "sim_truth", *(name for name in BY_NAME if name.startswith("get_"))})
 # Queries whose replies contain State slots.
 STATE_QUERIES: Final = frozenset({"get_ir", "get_sn", "get_rc", "get_rv", "get_cp", "get_bp"})
 # Commands that take no time in lockstep and do not restart the command timeout: observers must not keep a robot moving.
@@ -546,7 +573,10 @@ class ServerState:
 
     def _execute(self, call: Call, context: ConnectionContext) -> Reply | DeferredReply:
         handler = self.handlers.get(call.name)
-        return handler(self, context, call.args) if handler else error_reply(NOT_AVAILABLE)
+        if handler is None:
+            return error_reply(NOT_AVAILABLE)
+        answer = handler(self, context, call.args)
+        return self.state_reply(context) if answer is None else answer
 
     # Time.
 
@@ -589,6 +619,16 @@ class ServerState:
         assert context.robot_id is not None
         self.axis_ownership.claim(context, context.robot_id, axes)
         return self.robot_of(context)
+
+    def prepare_reply(self, context: ConnectionContext) -> bool:
+        """Do part of what the next reply to a connection may need; return False if more of it is left.
+
+        It changes no reply, whenever it is done: sonars that nothing read for some time take several milliseconds.
+        """
+        robot_id, mask = context.robot_id, context.wire_state.mask
+        if robot_id is None or not (mask.whole or any(map(mask.has, SONAR.slots))):
+            return True
+        return self.simulation.robots[robot_id].sonar.compute_some()
 
     def feed_watchdog(self, context: ConnectionContext) -> None:
         """Restart the command timeout (conf_tm) of a connection's robot, unless only other connections move it."""

@@ -56,10 +56,10 @@ class Limits:
 
     connections: int = _limit(
         500, (1, 100_000), "connections", "clients, and hosts of serial lines over TCP, in total",
-        "a new connection is closed at once, without a reply", "server/admission.py")
+        "the longest idle connection is closed for a new one; else see below", "server/admission.py")
     per_address: int = _limit(
         300, (1, 100_000), "connections", "the same, from one address",
-        "a new connection is closed at once, without a reply", "server/admission.py")
+        "the longest idle connection is closed for a new one; else see below", "server/admission.py")
     rate: int = _limit(
         10_000, (10, 1_000_000), "requests per second", "replies to one connection",
         "requests are read and answered later, as over a slow network; nothing is lost or refused",
@@ -82,6 +82,9 @@ class Limits:
         "the page's websocket is refused with HTTP 503 and retried by the page. The port accepts "
         f"{CONNECTIONS_PER_PAGE} times as many connections; idle ones are closed as by --limit-stall",
         "viewer/server.py")
+    page_rate: int = _limit(
+        200, (10, 1_000_000), "messages per second", "messages of one page, and HTTP requests of one address to the "
+        "viewer's port", "they are handled later; nothing is lost or refused", "viewer/server.py", none=True)
     obstacles: int = _limit(
         1000, (1, 100_000), "polygons", "obstacles in the world",
         "ERROR 5 to add_obstacle", "server/handlers/world.py")

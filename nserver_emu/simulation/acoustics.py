@@ -126,8 +126,10 @@ class ReflectorMap:
         first = np.flatnonzero(np.append(True, ends[1:] != ends[:-1])) if len(ends) else np.empty(0, dtype=np.intp)
         pairs = first[np.diff(np.append(first, len(ends))) == 2]
         turns = np.remainder(directions[pairs + 1] - directions[pairs], 2.0 * pi)
-        straight = pairs[np.abs(turns - pi) < STRAIGHT_RAD]
-        edges: ComplexArray = ends[np.setdiff1d(first, straight)]
+        is_edge = np.zeros(len(ends), dtype=np.bool_)
+        is_edge[first] = True
+        is_edge[pairs[np.abs(turns - pi) < STRAIGHT_RAD]] = False
+        edges: ComplexArray = ends[is_edge]
         return edges
 
 
@@ -336,6 +338,8 @@ def _off_two_walls(
         # 2. Backwards from the receiver: the point on the last wall, then the one on the first.
         points_2, is_met = crossings(twice, back.point, mirrors[two])
         met = np.flatnonzero(is_met)
+        if not len(met):
+            continue
         points_1, is_met = crossings(images[met], points_2[met], mirrors[one[met]])
         met, points_1 = met[is_met], points_1[is_met]
         # 3. Lengths and losses.
@@ -357,6 +361,8 @@ def _over_wall_to_wall(
         images = mirror_points(out.point, first)
         fraction = ((images - start) / along).real
         met = np.flatnonzero((fraction >= 0.0) & (fraction <= 1.0))
+        if not len(met):
+            continue
         feet = start[met] + fraction[met] * along[met]
         # 2. The point on the slanted wall.
         points, is_met = crossings(images[met], feet, first[met])
@@ -381,8 +387,10 @@ def _products(
     counts = first_counts * second_counts
     first_columns, second_columns = np.nonzero(first)[1], np.nonzero(second)[1]
     first_begin, second_begin = np.cumsum(first_counts) - first_counts, np.cumsum(second_counts) - second_counts
+    if not counts.any():
+        return
     blocks = np.cumsum(counts) // MAX_COMBINATIONS
-    for block in np.unique(blocks):
+    for block in range(blocks[-1] + 1):
         rows = np.flatnonzero((blocks == block) & (counts > 0))
         row = np.repeat(rows, counts[rows])
         number = np.arange(len(row)) - np.repeat(np.cumsum(counts[rows]) - counts[rows], counts[rows])
@@ -712,6 +720,8 @@ class Polaroid(SonarErrors):
         self, pairs: Pairs, paths: Paths, walls: FloatArray, discs: Sequence[FloatArray], ranges_in: FloatArray
     ) -> None:
         """Replace the range of each ping by that of the shortest path that is audible and free, if it is shorter."""
+        if not len(paths.pair):
+            return
         # 1. Paths that are loud enough, by ping and range.
         range_in = (paths.length_in - pairs.head_start_in[paths.pair]) / 2.0 - self.recess_in
         heard = (paths.loss_db <= pairs.margin_db[paths.pair]) & (range_in >= pairs.min_range_in[paths.pair])
@@ -763,8 +773,8 @@ class Polaroid(SonarErrors):
 
 def _by_discs(pings: IndexArray, discs: Sequence[FloatArray]) -> list[IndexArray]:
     """Return groups of rows whose pings have the same other robots: all of them where there are none."""
-    if not len(pings):
-        return []
+    if not any(map(len, discs)):
+        return [np.arange(len(pings))]
     groups: dict[int, list[int]] = {}
     for row, ping in enumerate(pings.tolist()):
         groups.setdefault(ping if len(discs[ping]) else -1, []).append(row)

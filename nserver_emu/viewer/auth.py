@@ -31,6 +31,7 @@ from aiohttp.http import HttpProcessingError
 from nclient.common.allowlist import LOOPBACK_NAME
 from nclient.errors import NomadError
 from nserver_emu.server.admission import AdmissionControl, AdmissionProtocol
+from nserver_emu.server.connection import TokenBucket
 
 _WILDCARDS: Final = {"0.0.0.0": ("192.0.2.1", "127.0.0.1"), "::": ("2001:db8::1", "::1")}
 """Wildcard addresses: a documentation address to find the outgoing interface (RFC 5737, 3849), and loopback."""
@@ -38,6 +39,9 @@ _WILDCARDS: Final = {"0.0.0.0": ("192.0.2.1", "127.0.0.1"), "::": ("2001:db8::1"
 _TOKEN: Final = re.compile(r"[A-Za-z0-9_-]{16,200}")
 # Permissions of group and others, which a token file must not have.
 _OTHERS: Final = stat.S_IRWXG | stat.S_IRWXO
+# Requests that opening a page needs at once, and addresses whose rate is counted.
+MIN_BURST: Final = 40
+MAX_RATE_LIMITS: Final = 1000
 # Port of a UDP socket that is connected and never used.
 _ANY_PORT: Final = 9
 
@@ -156,6 +160,7 @@ class HttpAdmission:
     def __init__(self, door: AdmissionControl, server: web.Server) -> None:
         self._door, self._server = door, server
         self._silent: set[asyncio.BaseProtocol] = set()
+        self._rate_limits: dict[str, TokenBucket] = {}
 
     def protocol_factory(self) -> AdmissionProtocol:
         """Return the protocol of a new socket."""
@@ -164,6 +169,16 @@ class HttpAdmission:
     def request_received(self, request: web.Request) -> None:
         """Record that the request's connection is in use."""
         self._silent.discard(request.protocol)
+
+    def rate_limit(self, host: str, now_s: float) -> TokenBucket | None:
+        """Return the rate limit of requests from an address, None if there is none."""
+        rate = self._door.limits.page_rate
+        if not rate:
+            return None
+        if host not in self._rate_limits and len(self._rate_limits) >= MAX_RATE_LIMITS:
+            # A limit that is forgotten allows a burst; addresses that come and go cost no memory.
+            self._rate_limits.clear()
+        return self._rate_limits.setdefault(host, TokenBucket(rate, MIN_BURST, now_s))
 
     def rejection_reason(self, host: str, present: Collection[str], at: str = "") -> str:
         """Return the reason to reject a new connection; empty to accept it. Addresses are checked per request."""

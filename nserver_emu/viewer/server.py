@@ -27,6 +27,7 @@ from aiohttp import WSCloseCode, WSMsgType, web
 from nclient.common.allowlist import LOOPBACK_NAME, NOT_ALLOWED, is_loopback, is_same_machine
 from nclient.errors import ConnectionLost
 from nserver_emu.server.admission import listen
+from nserver_emu.server.connection import FairScheduler, TokenBucket
 from nserver_emu.viewer.auth import (
     HTTP_LOG,
     REFUSED,
@@ -84,6 +85,48 @@ class PageWriter:
     def abort(self) -> None:
         """Disconnect at once; closing would wait until everything is received."""
         self._transport.abort()
+
+
+class PageMessages:
+    """Handles the messages of one page in turns of the event loop that connections share (a `Job`).
+
+    `rate` is the limit of messages per second, 0 for none.
+    """
+
+    def __init__(self, scheduler: FairScheduler, handle: Callable[[str], None], rate: int) -> None:
+        self.is_queued = False
+        self.finish_tag_s = 0.0
+        self._scheduler = scheduler
+        self._handle = handle
+        self._limit = TokenBucket(rate, 1, _now()) if rate else None
+        self._text = ""
+        self._done: asyncio.Future[None] | None = None
+
+    async def handle(self, text: str) -> None:
+        """Handle a message when its turn has come."""
+        await wait_for_rate(self._limit)
+        self._text, self._done = text, asyncio.get_running_loop().create_future()
+        self._scheduler.submit(self)
+        try:
+            await self._done
+        finally:
+            self.is_queued = False
+
+    def run_turn(self) -> None:
+        """Handle the message, for the scheduler."""
+        assert self._done is not None
+        try:
+            self._handle(self._text)
+        finally:
+            self._done.set_result(None)
+
+
+async def wait_for_rate(limit: TokenBucket | None) -> None:
+    """Take a token of a rate limit, and wait until it is there: in the order of the calls."""
+    if limit is not None:
+        limit.consume(1, _now())
+        if wait_s := limit.wait_s(_now()):
+            await asyncio.sleep(wait_s)
 
 
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
@@ -219,6 +262,8 @@ class ViewerServer:
         if self._admission is not None:
             self._admission.request_received(request)
         host = request.remote or ""
+        if self._admission is not None:
+            await wait_for_rate(self._admission.rate_limit(host, _now()))
         if not self._door.access.allows(host, _local_address(request)):
             self._door.reject(host, NOT_ALLOWED)
             return web.Response(status=HTTPStatus.FORBIDDEN, text="this address is not allowed\n")
@@ -293,10 +338,14 @@ class ViewerServer:
         self._writers[viewer] = writer
         viewer.on_message = lambda: self._send_soon(viewer)
         viewer.on_message()
+        messages = PageMessages(
+            self._daemon.scheduler, lambda text: self.controller.handle_message(viewer, text, _now()),
+            self._door.limits.page_rate,
+        )  # fmt: skip
         try:
             async for message in socket:
                 if message.type == WSMsgType.TEXT:
-                    self.controller.handle_message(viewer, message.data, _now())
+                    await messages.handle(message.data)
                 elif message.type == WSMsgType.BINARY:
                     viewer.notify(encode_message("answer", id=None, ok=False, error="a message is text, not bytes"))
                 await asyncio.sleep(0)  # let others run, however much this page sends

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from nclient import connect
+from nclient import connect, connect_async
 from nclient.robot import Robot
 from tests.programs.forked import Forked
 from tests.waiting import wait_until
@@ -59,6 +59,18 @@ def test_a_dropped_robot_stops(where: str, is_cycle: bool) -> None:
         assert is_moving(observer)
         if is_cycle:
             vars(robot)["itself"] = robot
+        del robot
+        gc.collect()
+        start_s = time.monotonic()
+        wait_until(lambda: not is_moving(observer))
+        assert time.monotonic() - start_s < TM_S / 2
+
+
+async def test_a_dropped_async_robot_stops(where: str) -> None:
+    with connect(f"nserver://{where}/1?tm_s=0") as observer:
+        robot = await connect_async(f"nserver://{where}/1?tm_s={TM_S}")
+        await robot.drive(translation_in_s=1)
+        assert is_moving(observer)
         del robot
         gc.collect()
         start_s = time.monotonic()

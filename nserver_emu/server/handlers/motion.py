@@ -19,21 +19,19 @@ _MV_MOTIONS = (1, 2, 3)
 _ROUNDING = 1e-9
 
 
-def vm(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Reply:
+def vm(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> None:
     """Move at velocities until another motion command or the timeout."""
     robot = server.claim_axes(context)
     robot.set_velocities(*axis_values(robot, args))
-    return server.state_reply(context)
 
 
-def pr(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Reply:
+def pr(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> None:
     """Move each axis by a distance, all at once."""
     robot = server.claim_axes(context)
     robot.move_relative(*axis_values(robot, args))
-    return server.state_reply(context)
 
 
-def pa(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Reply:
+def pa(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> None:
     """Move each axis to a position, all at once, at the speeds of sp.
 
     Steering and turret turn the shorter direction to the encoder angle. Wheels roll to a total distance since power-on
@@ -49,10 +47,9 @@ def pa(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -
         )
     )
     robot.move_relative(first, second, third)
-    return server.state_reply(context)
 
 
-def mv(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Reply:
+def mv(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Reply | None:
     """Command each axis in its own mode; an unknown mode is refused before anything moves."""
     # Arguments are three pairs of mode and value.
     modes = args[::2]
@@ -62,35 +59,31 @@ def mv(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -
     values = axis_values(robot, args[1::2])
     for axis, (mode, value) in enumerate(zip(modes, values, strict=True)):
         robot.command_axis(axis, mode, value)
-    return server.state_reply(context)
+    return None
 
 
-def sp(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Reply:
+def sp(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> None:
     """Set the speeds of pr and pa."""
     robot = server.robot_of(context)
     robot.set_speeds(*axis_values(robot, args))
-    return server.state_reply(context)
 
 
-def ac(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Reply:
+def ac(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> None:
     """Set the accelerations; without effect in an ideal setup, as the original's documentation says."""
     robot = server.robot_of(context)
     robot.set_accelerations(*axis_values(robot, args))
-    return server.state_reply(context)
 
 
-def st(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
+def st(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> None:
     """Stop all axes and the arm."""
     server.claim_axes(context).stop()
     assert context.robot_id is not None
     server.stop_arm(context.robot_id)
-    return server.state_reply(context)
 
 
-def lp(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
+def lp(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> None:
     """Switch the motors off."""
     server.claim_axes(context).limp()
-    return server.state_reply(context)
 
 
 def ws(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> DeferredReply:
@@ -117,23 +110,20 @@ def zr(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) 
     return lambda: None if robot.zeroing else server.state_reply(context)
 
 
-def dp(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Reply:
+def dp(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> None:
     """Set the encoders' position; beyond the range of a word it is later sent clamped."""
     robot = server.robot_of(context)
     robot.define_position(args[0] / 10, args[1] / 10)
-    return server.state_reply(context)
 
 
-def da(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Reply:
+def da(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> None:
     """Set the encoders' angles."""
     server.robot_of(context).define_angles(rad_from_tenths(args[0]), rad_from_tenths(args[1]))
-    return server.state_reply(context)
 
 
-def conf_tm(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Reply:
+def conf_tm(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> None:
     """Set the command timeout in simulated seconds after which motion stops; 0 is never."""
     server.robot_of(context).set_timeout(max(0, args[0]))
-    return server.state_reply(context)
 
 
 def _without_rounding(distance: float) -> float:

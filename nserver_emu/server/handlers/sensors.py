@@ -9,18 +9,20 @@ from __future__ import annotations
 import math
 
 from nclient.protocol.replies import Reply
-from nclient.protocol.types import BUMPER_SLOT, COMPASS_SLOT, Position, clamp_word, heading_tenths, wrap_word
+from nclient.protocol.types import Position, clamp_word, wrap_word
 from nclient.protocol.wire_state import LINES
 from nserver_emu.server.context import (
+    BUMPER,
+    COMPASS,
+    INFRARED,
+    SONAR,
     ServerState,
+    StateSensor,
     axis_tenths,
-    compass_stamps,
-    infrared_stamps,
     is_on,
     laser_vector,
     pose_tenths,
     robot_clock_ms,
-    sonar_stamps,
     stamp_now,
     velocity_tenths,
 )
@@ -28,8 +30,8 @@ from nserver_emu.server.session import BAD_VALUES, NOT_AVAILABLE, ConnectionCont
 from nserver_emu.simulation.compass import CompassMode
 from nserver_emu.simulation.infrared import INFRAREDS
 
-# First State slots of infrared, sonar, pose and velocities.
-_INFRARED_SLOT, _SONAR_SLOT, _POSE_SLOT, _VELOCITY_SLOT = 1, 17, 34, 38
+# First State slots of pose and velocities.
+_POSE_SLOT, _VELOCITY_SLOT = 34, 38
 # In an order of sensors: no more follow.
 _END_OF_ORDER = 255
 _MAX_BYTE = 255
@@ -41,14 +43,12 @@ CALIBRATED, NOT_CALIBRATED = (9, 9, 1), (0, 0, 0)
 # State and encoders.
 
 
-def gs(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
+def gs(_server: ServerState, _context: ConnectionContext, _args: tuple[int, ...]) -> None:
     """Return the state."""
-    return server.state_reply(context)
 
 
-def ct(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
+def ct(_server: ServerState, _context: ConnectionContext, _args: tuple[int, ...]) -> None:
     """Return the state with the new sensor mask, which the session has already set."""
-    return server.state_reply(context)
 
 
 def get_rc(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
@@ -86,37 +86,41 @@ def sim_truth(server: ServerState, context: ConnectionContext, _args: tuple[int,
 # Bumpers and sonars.
 
 
+def _reading(server: ServerState, context: ConnectionContext, sensor: StateSensor) -> Reply:
+    """Return all readings of a sensor regardless of the mask, which selects the stamps only."""
+    robot, now_s = server.robot_of(context), server.simulation.time_s
+    values = sensor.values(robot)
+    if values is None:
+        return error_reply(NOT_AVAILABLE)
+    stamps = sensor.stamps(robot, now_s) if context.wire_state.mask.position & sensor.position else {}
+    slots = dict(zip(sensor.slots, values, strict=True))
+    return Reply(sensor.kind, slots, stamps=stamps, clock=robot_clock_ms(robot, now_s))
+
+
 def get_bp(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
     """Return the bumpers."""
-    robot, now_s = server.robot_of(context), server.simulation.time_s
-    stamps = {"bumper": stamp_now(robot, now_s)} if context.wire_state.mask.position & Position.BUMPER else {}
-    return Reply("bumper", {BUMPER_SLOT: robot.bumpers}, stamps=stamps, clock=robot_clock_ms(robot, now_s))
+    return _reading(server, context, BUMPER)
 
 
-def conf_sn(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Reply:
+def conf_sn(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> None:
     """Set the sonars' firing rate (clamped) and order, which ends at the first number that is no sonar."""
     rate, *order = args
     server.robot_of(context).configure_sonars(rate, tuple(order))
-    return server.state_reply(context)
 
 
 def get_sn(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
     """Return all 16 sonars regardless of the mask."""
-    robot = server.robot_of(context)
-    slots = dict(enumerate(robot.sonar.readings_in, start=_SONAR_SLOT))
-    stamps = sonar_stamps(robot) if context.wire_state.mask.position & Position.SONAR else {}
-    return Reply("sonar", slots, stamps=stamps, clock=robot_clock_ms(robot, server.simulation.time_s))
+    return _reading(server, context, SONAR)
 
 
-def conf_ser(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
+def conf_ser(_server: ServerState, _context: ConnectionContext, _args: tuple[int, ...]) -> None:
     """Accept the speed of the robot's other serial port; nothing is connected there."""
-    return server.state_reply(context)
 
 
 # Infrared sensors.
 
 
-def conf_ir(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Reply:
+def conf_ir(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Reply | None:
     """Set the infrareds' history (tenths, at most 9) and which of them measure."""
     robot, (history, *order) = server.robot_of(context), args
     if robot.infrared is None:
@@ -125,23 +129,18 @@ def conf_ir(server: ServerState, context: ConnectionContext, args: tuple[int, ..
     if history < 0 or not all(0 <= number < INFRAREDS for number in order[:end]):
         return error_reply(BAD_VALUES)
     robot.configure_infrareds(history, order[:end])
-    return server.state_reply(context)
+    return None
 
 
 def get_ir(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
     """Return all 16 infrareds regardless of the mask."""
-    robot = server.robot_of(context)
-    if robot.infrared is None:
-        return error_reply(NOT_AVAILABLE)
-    stamps = infrared_stamps(robot) if context.wire_state.mask.position & Position.INFRARED else {}
-    slots = dict(enumerate(robot.infrared.readings, start=_INFRARED_SLOT))
-    return Reply("infrared", slots, stamps=stamps, clock=robot_clock_ms(robot, server.simulation.time_s))
+    return _reading(server, context, INFRARED)
 
 
 # Compass.
 
 
-def conf_cp(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Reply:
+def conf_cp(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Reply | None:
     """Switch the compass off, on, or to calibration, which a full turn of the turret completes.
 
     On the robot's own line the reply has the three scores of the calibration. No source says what they mean; quality
@@ -155,23 +154,18 @@ def conf_cp(server: ServerState, context: ConnectionContext, args: tuple[int, ..
     robot.configure_compass(args[0])
     if context.wire_state.line:
         return Reply("compass", values=CALIBRATED if robot.compass.calibrated else NOT_CALIBRATED)
-    return server.state_reply(context)
+    return None
 
 
 def get_cp(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
     """Return the turret's direction of the last compass reading."""
-    robot, now_s = server.robot_of(context), server.simulation.time_s
-    if robot.compass is None:
-        return error_reply(NOT_AVAILABLE)
-    stamps = compass_stamps(robot, now_s) if context.wire_state.mask.position & Position.COMPASS else {}
-    slots = {COMPASS_SLOT: heading_tenths(robot.compass.direction_rad)}
-    return Reply("compass", slots, stamps=stamps, clock=robot_clock_ms(robot, now_s))
+    return _reading(server, context, COMPASS)
 
 
 # Laser.
 
 
-def conf_ls(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Reply:
+def conf_ls(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Reply | None:
     """Set the number of laser columns in use on this connection (0: all); the session has set the mode.
 
     Threshold, width and processing separate signal from noise in a camera picture. There is no picture here, and no
@@ -180,7 +174,7 @@ def conf_ls(server: ServerState, context: ConnectionContext, args: tuple[int, ..
     if not server.robot_of(context).model.has_light_sensors:
         return error_reply(NOT_AVAILABLE)
     context.laser_columns = max(0, args[3])
-    return server.state_reply(context)
+    return None
 
 
 def get_ls(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
@@ -188,7 +182,7 @@ def get_ls(server: ServerState, context: ConnectionContext, _args: tuple[int, ..
     return _laser_reply(server, context, context.wire_state.get_laser_width)
 
 
-def conf_sg(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Reply:
+def conf_sg(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Reply | None:
     """Set the line extraction of this connection: threshold and gap in tenths of an inch, minimum number of points."""
     if not server.robot_of(context).model.has_light_sensors:
         return error_reply(NOT_AVAILABLE)
@@ -196,7 +190,7 @@ def conf_sg(server: ServerState, context: ConnectionContext, args: tuple[int, ..
         return error_reply(BAD_VALUES)
     threshold, min_points, gap = args
     context.segments = (threshold, min_points, gap)
-    return server.state_reply(context)
+    return None
 
 
 def get_sg(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:

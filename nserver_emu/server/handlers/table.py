@@ -2,8 +2,9 @@
 
     modules    motion.py | sensors.py | world.py (obstacles, poses) | graphics.py (window, speech, arm) | server.py
 
-A handler is a function(server, context, args) -> Reply or DeferredReply with the name of its command. To add a command:
-a row in `nclient/protocol/commands.py`, and its function. A command without a handler gets ERROR 4.
+A handler is a function(server, context, args) with the name of its command; it returns a Reply, a DeferredReply, or
+None for the state. To add a command: a row in `nclient/protocol/commands.py`, and its function. A command without a
+handler gets ERROR 4.
 """
 
 from __future__ import annotations

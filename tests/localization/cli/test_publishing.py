@@ -8,7 +8,6 @@ import socket
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -59,7 +58,7 @@ def test_health_and_hypotheses_are_published() -> None:
     moment, verdict = a_moment(), FilterHealth(HealthStatus.LOST, "2 places look alike")
     elsewhere = with_parameters(Belief(np.array([7.0, 8.0, -1.0]), np.eye(3)), (0.05,))
     places = (Place(moment.estimate.belief, 0.75), *[Place(elsewhere, 0.01)] * 25)
-    text = build_message(1, moment._replace(estimate=replace(moment.estimate, health=verdict, places=places)), 0.0, [])
+    text = build_message(1, moment._replace(estimate=moment.estimate._replace(health=verdict, places=places)), 0.0, [])
     assert (text["trust"], text["reason"]) == ("LOST", "2 places look alike")
     assert text["places"][:2] == [{"pose": [1, 2, 0.5], "share": 0.75}, {"pose": [7, 8, -1], "share": 0.01}]
     assert len(text["places"]) == MAX_HYPOTHESES
@@ -68,7 +67,7 @@ def test_health_and_hypotheses_are_published() -> None:
 def test_message_of_longer_state_has_its_pose() -> None:
     moment = a_moment()
     longer = with_parameters(moment.estimate.belief, (0.05, 0.01))
-    text = build_message(1, moment._replace(estimate=replace(moment.estimate, belief=longer)), 0.0, [])
+    text = build_message(1, moment._replace(estimate=moment.estimate._replace(belief=longer)), 0.0, [])
     assert text["pose"] == [1, 2, 0.5]
     assert text["cov"] == [[0.1, 0, 0], [0, 0.2, 0], [0, 0, 0.3]]
 

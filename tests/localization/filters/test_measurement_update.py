@@ -32,8 +32,7 @@ def test_the_type_of_sonar_selects_the_model() -> None:
 
 @pytest.mark.parametrize("measurement", [CONE, RAYS])
 def test_a_good_reading_corrects(measurement: MeasurementUpdate) -> None:
-    after, outcome = measurement.updated(BELIEF, 0, 0.0, 54.0)
-    result = outcome.result
+    after, result = measurement.updated(BELIEF, 0, 0.0, 54.0)
     assert result.refusal is Refusal.NONE
     assert result.innovation_in == pytest.approx(54.0 - EAST_IN)
     assert after.mean[0] < BELIEF.mean[0]
@@ -46,14 +45,14 @@ def test_a_good_reading_corrects(measurement: MeasurementUpdate) -> None:
 @pytest.mark.parametrize(("reading", "refusal"), [(6.0, Refusal.LIMIT), (255.0, Refusal.LIMIT), (90.0, Refusal.GATE)])
 def test_bad_readings_are_refused(measurement: MeasurementUpdate, reading: float, refusal: Refusal) -> None:
     after, outcome = measurement.updated(BELIEF, 0, 0.0, reading)
-    assert outcome.result.refusal is refusal
-    assert outcome.result.outlier_probability > 0.99
+    assert outcome.refusal is refusal
+    assert outcome.outlier_probability > 0.99
     np.testing.assert_allclose(after.mean, BELIEF.mean, atol=1e-6)
 
 
 def test_a_cone_without_reflectors_changes_nothing() -> None:
     after, outcome = CONE.updated(BELIEF, 1, math.radians(0.0), 100.0)
-    assert outcome.result.refusal is Refusal.NO_WALL
+    assert outcome.refusal is Refusal.NO_WALL
     np.testing.assert_array_equal(after.mean, BELIEF.mean)
     np.testing.assert_array_equal(after.cov, BELIEF.cov)
 
@@ -70,7 +69,7 @@ def test_single_ray_update_equals_ring_update() -> None:
         after, outcome = RAYS.updated(BELIEF, 3, 0.2, reading)
         seen = observe_ring(BELIEF, angle, np.array([reading]), N150, wall_map(ROOM), WIRE_SONAR)
         expected, _ = update_ring(BELIEF, seen)
-        assert outcome.result.refusal is seen.reasons()[0]
+        assert outcome.refusal is seen.reasons()[0]
         np.testing.assert_allclose(after.mean, expected.mean, atol=1e-12)
         np.testing.assert_allclose(after.cov, expected.cov, atol=1e-12)
 
@@ -93,7 +92,7 @@ def test_with_little_uncertainty_all_rules_agree(sonar: ConeSonar | RaySonar, ru
     for number in range(16):
         plain, plain_outcome = update_for(ROOM, N150, sonar).updated(sure, number, 0.1, 54.0)
         other, other_outcome = update_for(ROOM, N150, sonar, rule=rule).updated(sure, number, 0.1, 54.0)
-        assert other_outcome.result.refusal is plain_outcome.result.refusal
+        assert other_outcome.refusal is plain_outcome.refusal
         np.testing.assert_allclose(other.mean, plain.mean, atol=1e-3)
         np.testing.assert_allclose(other.cov, plain.cov, atol=1e-5)
         assert other_outcome.likelihood == pytest.approx(plain_outcome.likelihood, rel=0.02)

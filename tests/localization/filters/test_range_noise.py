@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from localization.filters.sonar_cone import ConeSonar
-from localization.filters.sonar_ray import WIRE_SONAR, RangeNoise
+from localization.filters.sonar_ray import WIRE_SONAR, RangeNoise, constant_variance, range_variance
 
 
 def covariance_of_rounding(std: float, step: float) -> float:
@@ -25,18 +25,18 @@ def covariance_of_rounding(std: float, step: float) -> float:
 @pytest.mark.parametrize("std", [0.01, 0.05, 0.1, 0.2, 0.3])
 def test_rounding_error_is_constant_until_noise_dithers_it(std: float, step: float) -> None:
     noise = RangeNoise(range_std_relative=0.0, range_std_floor_in=std * step, rounding_var_in2=step * step / 12.0)
-    there, constant = covariance_of_rounding(std * step, step), noise.constant_variance_at(30.0)
+    there, constant = covariance_of_rounding(std * step, step), constant_variance(noise, 30.0)
     assert there - 1e-3 * step * step <= constant <= 1.7 * there + 1e-9 * step * step
-    assert constant <= noise.variance_at(30.0)
+    assert constant <= range_variance(noise, 30.0)
 
 
 def test_without_noise_all_of_the_rounding_is_constant() -> None:
-    assert RangeNoise(0.0, 1e-6, 1 / 12).constant_variance_at(50.0) == pytest.approx(1 / 12)
-    assert RangeNoise().constant_variance_at(50.0) == 0.0
+    assert constant_variance(RangeNoise(0.0, 1e-6, 1 / 12), 50.0) == pytest.approx(1 / 12)
+    assert constant_variance(RangeNoise(), 50.0) == 0.0
 
 
 @pytest.mark.parametrize("noise", [WIRE_SONAR, ConeSonar()])
 def test_constant_variance_vanishes_at_long_range(noise: RangeNoise) -> None:
-    assert noise.constant_variance_at(10.0) > 0.5 * noise.rounding_var_in2
-    assert noise.constant_variance_at(100.0) < 1e-9
-    assert noise.variance_at(100.0) == pytest.approx(float(noise.variance(np.array(100.0))))
+    assert constant_variance(noise, 10.0) > 0.5 * noise.rounding_var_in2
+    assert constant_variance(noise, 100.0) < 1e-9
+    assert range_variance(noise, 100.0) == pytest.approx(float(noise.variance(np.array(100.0))))

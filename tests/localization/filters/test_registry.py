@@ -11,7 +11,7 @@ from localization.filters.base import LocalizationConfig
 from localization.filters.belief import Belief, independent
 from localization.filters.odometry import OdometryNoise, with_parameters
 from localization.filters.range_table import build_range_table
-from localization.filters.registry import METHODS, finder, make
+from localization.filters.registry import METHODS, make, table_search
 from worlds.io import load_world
 from worlds.robots import N150
 
@@ -38,11 +38,11 @@ def test_an_unknown_method_is_refused() -> None:
 
 def test_robots_on_the_same_map_share_its_range_table() -> None:
     config = KNOWN
-    one, other = finder(config, None), finder(replace(config, odometry=OdometryNoise(0.0, 0.0, 0.0)), None)
-    assert one._table is other._table
+    one, other = table_search(config), table_search(replace(config, odometry=OdometryNoise(0.0, 0.0, 0.0)))
+    assert one.table is other.table
     built = build_range_table(config.walls, N150, config.sonar, config.clearance_in)
-    assert (one._table.ranges_in == built.ranges_in).all()
-    assert finder(replace(config, clearance_in=12.0), None)._table is not one._table
+    assert (one.table.ranges_in == built.ranges_in).all()
+    assert table_search(replace(config, clearance_in=12.0)).table is not one.table
 
 
 def test_offsets_estimates_the_parameters_of_the_belief() -> None:

@@ -9,6 +9,7 @@ import pytest
 
 from localization.filters.belief import Belief, Floats, pack, unpack
 from localization.filters.sonar_cone import ConeSonar
+from localization.filters.sonar_ray import range_variance
 from localization.filters.update import Association, PdaResult, Refusal, kalman_update, pda_update
 
 MODEL = ConeSonar(outlier_probability=0.2)
@@ -22,7 +23,7 @@ def unknown(_: Floats) -> tuple[Floats, Floats]:
 
 def returns(*found: tuple[float, tuple[float, float, float], float], model: ConeSonar = MODEL) -> Association:
     ranges, rows, probability = zip(*found, strict=True) if found else ((), (), ())
-    R = [model.variance_at(range_in) for range_in in ranges]
+    R = [range_variance(model, range_in) for range_in in ranges]
     return Association(
         Refusal.NONE, 1.0, ranges, rows, R, [CONSTANT] * len(R), probability, unknown,
         model.outlier_probability, model.outlier_density,
@@ -41,8 +42,10 @@ TWO = returns((40.0, (-1.0, 0.0, 0.0), 0.6), (43.0, (-1.0, 0.0, 0.0), 0.3))
 
 @pytest.mark.parametrize("reading", [40.0, 41.5, 43.0, 46.0, 120.0])
 def test_moments_of_the_mixture_by_quadrature(reading: float) -> None:
+    # Bayes' rule on a grid of 200,001 states: prior, outliers, two reflectors.
     x = np.linspace(-15, 15, 200_001)
     prior = np.exp(-0.5 * (x / 1.5) ** 2)
+    # Weight 0.2 is the outlier probability; 0.1 is the probability of no echo from either reflector.
     likelihood = np.full_like(x, MODEL.outlier_density * (0.2 + 0.8 * 0.1))
     for at, probability in ((40.0, 0.6), (43.0, 0.3)):
         variance = float(MODEL.variance(np.array(at)))
@@ -50,6 +53,7 @@ def test_moments_of_the_mixture_by_quadrature(reading: float) -> None:
         likelihood += 0.8 * probability * density
     posterior = prior * likelihood / (prior * likelihood).sum()
     mean = (posterior * x).sum()
+    # The update gives mean and variance of this posterior.
     after, result = updated(BELIEF, reading, TWO)
     assert after.mean[0] == pytest.approx(mean, abs=1e-6)
     assert after.cov[0, 0] == pytest.approx((posterior * (x - mean) ** 2).sum(), rel=1e-5)
@@ -60,12 +64,14 @@ def test_one_certain_reflector_is_the_kalman_update() -> None:
     sure = replace(MODEL, outlier_probability=0.0)
     one = returns((40.0, (-0.8, 0.6, 2.0), 1.0), model=sure)
     after, result = updated(BELIEF, 41.0, one)
-    H, R = np.array([-0.8, 0.6, 2.0]), sure.variance_at(40.0)
+    # The Kalman update of the textbook: S = H P H' + R, K = P H' / S.
+    H, R = np.array([-0.8, 0.6, 2.0]), range_variance(sure, 40.0)
     S = H @ BELIEF.cov @ H + R
     K = BELIEF.cov @ H / S
     np.testing.assert_allclose(after.mean, BELIEF.mean + K, atol=1e-12)
     np.testing.assert_allclose(after.cov, BELIEF.cov - S * np.outer(K, K), atol=1e-12)
     assert result.nis == pytest.approx(1.0 / S)
+    # kalman_update changes x and P in place and gives the same.
     x, P = unpack(BELIEF)
     assert kalman_update(x, P, H.tolist(), R, 1.0) == pytest.approx(1.0 / S)
     np.testing.assert_allclose(pack(x, P).mean, after.mean, atol=1e-15)
@@ -76,12 +82,12 @@ def test_a_reading_of_nothing_on_the_map_changes_nothing() -> None:
     after, result = updated(BELIEF, 200.0, TWO)
     np.testing.assert_allclose(after.mean, BELIEF.mean, atol=1e-12)
     np.testing.assert_allclose(after.cov, BELIEF.cov, atol=1e-12)
-    assert result.outlier_probability == pytest.approx(1.0)
+    assert result.beta[-1] == pytest.approx(1.0)
 
 
 def test_without_reflectors_every_reading_is_an_outlier() -> None:
     after, result = updated(BELIEF, 50.0, returns())
-    assert result.outlier_probability == 1.0
+    assert result.beta[-1] == 1.0
     assert result.likelihood == MODEL.outlier_density
     assert np.isnan(result.nis)
     np.testing.assert_array_equal(after.mean, BELIEF.mean)
@@ -111,7 +117,7 @@ def test_repeated_readings_give_the_true_variance() -> None:
     count, prior = 6, BELIEF.cov[0, 0]
     none = after_readings(np.full(count, 40.0)).mean[0]
     weights = np.array([after_readings(40.0 + one).mean[0] - none for one in np.eye(count)])
-    noise = np.eye(count) * (MODEL.variance_at(40.0) - CONSTANT) + CONSTANT
+    noise = np.eye(count) * (range_variance(MODEL, 40.0) - CONSTANT) + CONSTANT
     true = (1.0 + weights.sum()) ** 2 * prior + weights @ noise @ weights
     assert after_readings(np.full(count, 40.0)).cov[0, 0] == pytest.approx(true, rel=1e-9)
 

@@ -1,0 +1,220 @@
+"""The echoes of a whole ring in one call of machine code: numba (extra `fast`) compiles the formulas of the filter.
+
+numba compiles the functions of odometry, sonar_ray, sonar_cone, update and worlds.raycast from their own source, for
+floats. Only what numba cannot type has a second form here: access to the walls, which are lists in plain Python and
+arrays in compiled code. No fast math: results agree with plain Python to rounding.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import fields
+from functools import cache
+from pathlib import Path
+from typing import Any, Final, NamedTuple, cast
+from zlib import crc32
+
+import numpy as np
+
+from localization.filters import belief, odometry, sonar_cone, sonar_ray, update
+from localization.filters.belief import POSE, Floats
+from localization.filters.odometry import OdometryNoise
+from localization.filters.sonar_cone import ConeSonar
+from localization.filters.sonar_ray import Gate, RayModel, RaySonar
+from localization.filters.update import Covariance, DirectModel, Outcome, State
+from worlds import raycast
+
+ENCODERS: Final = 5
+"""Elements of `base.EncoderRow`."""
+_log = logging.getLogger(__name__)
+
+# Arguments of compiled code: what it reads of the classes of the same name, with arrays for lists.
+NoiseRow = NamedTuple("NoiseRow", [(field.name, float) for field in fields(OdometryNoise)])  # type: ignore[misc]
+RaySonarRow = NamedTuple("RaySonarRow", [(field.name, float) for field in fields(RaySonar)])  # type: ignore[misc]
+ConeSonarRow = NamedTuple(
+    "ConeSonarRow",
+    [*((field.name, float) for field in fields(ConeSonar)), ("outlier_density", float)],  # type: ignore[misc]
+)
+GateRow = NamedTuple("GateRow", [(field.name, float) for field in fields(Gate)])  # type: ignore[misc]
+
+
+class WallArrays(NamedTuple):
+    """A `WallMap`."""
+
+    segments: Floats
+    lines: Floats
+    middle: tuple[float, float, float]
+
+
+class RayArrays(NamedTuple):
+    """A `RayModel`."""
+
+    noise: Any
+    walls: WallArrays
+    gate: Any
+    threshold: float
+    ring_radius_in: float
+    angles_rad: Floats
+
+
+class ConeArrays(NamedTuple):
+    """A `ConeModel`."""
+
+    noise: Any
+    walls: WallArrays
+    faces: Floats
+    vertices: Floats
+    ring_radius_in: float
+    angles_rad: Floats
+
+
+def _row(row: Any, record: object) -> Any:
+    """Return a record as a row of floats."""
+    return row(*(float(getattr(record, name)) for name in row._fields))
+
+
+def _arrays(model: Any) -> RayArrays | ConeArrays:
+    """Return a model, of rays or cones, as compiled code takes it."""
+    walls, angles = WallArrays(model.walls.segments, model.walls.lines, model.walls.middle), np.array(model.angles_rad)
+    if isinstance(model, RayModel):
+        noise, gate = _row(RaySonarRow, model.noise), _row(GateRow, model.gate)
+        return RayArrays(noise, walls, gate, model.threshold, model.ring_radius_in, angles)
+    faces, vertices = np.array(model.faces).reshape(-1, 5), np.array(model.vertices).reshape(-1, 3)
+    return ConeArrays(_row(ConeSonarRow, model.noise), walls, faces, vertices, model.ring_radius_in, angles)
+
+
+# Compiling.
+
+_SOURCES: Final = (belief, odometry, sonar_ray, sonar_cone, update, raycast)
+_FORMULAS: Final[tuple[Callable[..., Any], ...]] = (
+    raycast.intersect, raycast.nearest_wall, raycast.sole_wall,
+    belief.unit_vector, belief.sqrt, belief.exp, belief.hypot, belief.clip, belief.wrap_angle,
+    odometry.process_variance, odometry.true_step, odometry.jacobians, odometry.parameter_columns,
+    odometry.predict_state, odometry.pose_at, odometry.relative_step,
+    sonar_ray.range_variance, sonar_ray.constant_variance, sonar_ray.intersect_line, sonar_ray.sideways_shift,
+    sonar_ray.only_wall, sonar_ray.predict_beam, sonar_ray.update_by_ray,
+    sonar_cone.to_wall, sonar_cone.to_vertex, sonar_cone.range_jacobian, sonar_cone.normal_cdf,
+    sonar_cone.foot_probability, sonar_cone.detection_probability, sonar_cone.first_echoes, sonar_cone.detectable,
+    sonar_cone.hypotheses, sonar_cone.update_by_cone,
+    belief.add_outer, update.kalman_gain, update.shift, update.information_fraction, update.inflated_variance,
+    update.linear, update.gate_code, update.pda_update, update.update_by_association,
+    update.move_on, update.count_used, update.record_used,
+)  # fmt: skip
+
+
+# Forms for numba of what differs between lists and arrays. It cannot unpack a row of an array: rows become tuples.
+
+
+def _wall_rows(walls: Any) -> Any:
+    return [(row[0], row[1], row[2], row[3]) for row in walls.segments]
+
+
+def _rows_of_five(rows: Any) -> Any:
+    return [(row[0], row[1], row[2], row[3], row[4]) for row in rows]
+
+
+def _rows_of_three(rows: Any) -> Any:
+    return [(row[0], row[1], row[2]) for row in rows]
+
+
+def _nearest(x: Any, y: Any, dx: Any, dy: Any, walls: Any) -> Any:
+    return raycast.nearest_wall(x, y, dx, dy, sonar_ray.wall_rows(walls))
+
+
+def _line_of(row: Any, walls: Any) -> Any:
+    return walls.lines[row, 0], walls.lines[row, 1], walls.lines[row, 2]
+
+
+def _choose(condition: Any, value: Any, other: Any) -> Any:
+    return value if condition else other
+
+
+_FORMS: Final[tuple[tuple[Callable[..., Any], Callable[..., Any]], ...]] = (
+    (sonar_ray.wall_rows, _wall_rows),
+    (sonar_cone.rows_of_five, _rows_of_five),
+    (sonar_cone.rows_of_three, _rows_of_three),
+    (sonar_ray.nearest, _nearest),
+    (sonar_ray.line_of, _line_of),
+    (belief.choose, _choose),
+)
+
+
+def _same(form: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function that gives numba this form for arguments of any type."""
+    return lambda *_: form
+
+
+@cache
+def load() -> bool:
+    """Prepare numba; return True if it is installed. From then on `compiled_ring` returns rings."""
+    try:
+        import numba
+        import numba.extending
+    except ImportError:
+        return False
+    for formula in _FORMULAS:
+        numba.extending.register_jitable(formula)
+    for function, form in _FORMS:
+        numba.extending.overload(function, strict=False)(_same(form))
+    return True
+
+
+@cache
+def _compile(loop: Callable[..., list[Outcome]], correct: Callable[..., Outcome]) -> Callable[..., list[Outcome]]:
+    """Return the loop over a ring with this update: compiled when called first, or loaded from the cache."""
+    import numba
+
+    # numba's cache watches this file only: the checksum of the others is part of its key, as a variable of the closure.
+    checksum = crc32(Path(loop.__code__.co_filename).read_bytes())
+    for module in _SOURCES:
+        checksum = crc32(Path(str(module.__file__)).read_bytes(), checksum)
+
+    def filter_ring(
+        x: Any, P: Any, used: Any, encoders: Any, poses: Any, echoes: Any, noise: Any, model: Any
+    ) -> list[Outcome]:
+        assert checksum >= 0
+        return loop(x, P, used, encoders, poses, echoes, noise, model, correct)
+
+    numba.extending.register_jitable(loop)
+    try:
+        compiled: Any = numba.njit(cache=True)(filter_ring)
+        is_cached = any(Path(compiled.stats.cache_path).glob("compiled._compile*.nbi"))
+    except RuntimeError:  # no writable directory for the cache
+        compiled, is_cached = numba.njit(filter_ring), False
+    if not is_cached:
+        _log.warning("compiling the filter with numba; the result is cached function=%s", correct.__name__)
+    return cast("Callable[..., list[Outcome]]", compiled)
+
+
+class CompiledRing:
+    """`ekf.filter_ring` in machine code, for one model and odometry."""
+
+    def __init__(self, loop: Callable[..., list[Outcome]], model: DirectModel, noise: OdometryNoise) -> None:
+        self._run = _compile(loop, model.update)
+        self._noise, self._model = _row(NoiseRow, noise), _arrays(model)
+        # Compile now, not in the first update.
+        encoders = (0.0,) * ENCODERS
+        self.filter([0.0] * POSE, [[0.0] * POSE for _ in range(POSE)], np.zeros((1, 4)), encoders, [encoders], [])
+
+    def filter(
+        self,
+        x: State,
+        P: Covariance,
+        used: Any,
+        encoders: Sequence[float],
+        poses: Sequence[Sequence[float]],
+        echoes: Sequence[Sequence[float]],
+    ) -> list[Outcome]:
+        """Filter x, P by all echoes of a ring, in place: see `ekf.filter_ring`; `used` is an array."""
+        mean, cov, rows = np.array(x), np.array(P), np.array(echoes).reshape(-1, 3)
+        outcomes = self._run(mean, cov, used, tuple(encoders), np.array(poses), rows, self._noise, self._model)
+        x[:], P[:] = mean.tolist(), cov.tolist()
+        return outcomes
+
+
+def ring(
+    loop: Callable[..., list[Outcome]], model: DirectModel | None, noise: OdometryNoise
+) -> CompiledRing | None:
+    """Return the compiled loop; None for a model without an update of its own, or if `load` was not called."""
+    return CompiledRing(loop, model, noise) if model and load.cache_info().currsize and load() else None

@@ -1,0 +1,197 @@
+"""Search in a process of its own: same answers, stored tables, progress, catching up, and its end."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from localization.experiments.live_trial import QUIET
+from localization.filters.base import LocalizationConfig
+from localization.filters.belief import Belief, independent
+from localization.filters.global_localization import (
+    EchoRecord,
+    GlobalLocalizer,
+    PendingSearch,
+    SearchResult,
+    TableSearch,
+)
+from localization.filters.health import HealthStatus
+from localization.filters.range_table import DIRECTIONS, build_range_table
+from localization.filters.registry import DEFAULT_METHOD, FINDER, finder, table_search
+from localization.filters.sonar_cone import ConeSonar
+from localization.live.background_search import (
+    MAX_CACHED,
+    BackgroundSearch,
+    cache_folder,
+    filter_on_robot,
+    load_or_build,
+)
+from localization.live.localizer import Estimate, Localizer
+from localization.live.sensor_input import FiringSchedule
+from nclient import connect
+from nclient.protocol.types import DEFAULT_SONAR_ORDER
+from worlds.io import load_world
+from worlds.robots import N150
+
+CONFIG = LocalizationConfig(load_world("several_walls").walls, N150, QUIET, ConeSonar())
+START = (30.0, 60.0, 0.3)
+
+
+def turn_from_unknown_start(filter_: GlobalLocalizer, seconds: float = 6.0) -> tuple[list[Estimate], float]:
+    """Turn on the spot from an unknown pose; return all estimates and the error of the last in inches."""
+    heading = math.degrees(START[2])
+    address = f"sim:several_walls?setup=measured&seed=3&start={START[0]},{START[1]},{heading},{heading}&step_s=0.05"
+    with connect(address) as robot:
+        state = robot.configure_sonars(rate=15, order=DEFAULT_SONAR_ORDER)
+        assert state.clock_s is not None
+        localizer = Localizer(CONFIG, filter_.belief, FiringSchedule(state.clock_s), filter_)
+        estimates = []
+        for _ in range(round(seconds / 0.1)):
+            robot.drive(translation_in_s=0.0, steering_rad_s=0.2)
+            estimates.append(localizer.update(robot.refresh()))
+        truth = robot.truth()
+        return estimates, math.hypot(estimates[-1].pose[0] - truth.x_in, estimates[-1].pose[1] - truth.y_in)
+
+
+@pytest.mark.long
+def test_answers_are_those_of_a_search_in_this_process(tmp_path: Path) -> None:
+    alone, _ = turn_from_unknown_start(finder(CONFIG, None))
+    reports: list[str] = []
+    with BackgroundSearch(CONFIG, waits=True, report=reports.append, folder=tmp_path) as poses:
+        beside, off_in = turn_from_unknown_start(finder(CONFIG, None, poses=poses))
+        assert poses.progress == ""
+    assert off_in < 2.0
+    np.testing.assert_array_equal(alone[-1].pose, beside[-1].pose)
+    assert len(list(tmp_path.glob("*.npz"))) == 1
+    assert set(reports) <= {"searching"} | {f"preparing the map, {percent}%" for percent in range(101)}
+
+
+class Late(TableSearch):
+    """Search whose answers are late by a number of questions."""
+
+    def __init__(self, search: TableSearch, questions: int) -> None:
+        super().__init__(lambda: search.table, search._measurement, search._odometry)
+        self.questions = questions
+
+    def start(self, records: Sequence[EchoRecord], given: Belief | None = None) -> PendingSearch:
+        answer, left = super().start(records, given), [self.questions]
+
+        def pending() -> SearchResult | None:
+            left[0] -= 1
+            return answer() if left[0] < 0 else None
+
+        return pending
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("questions", [1, 40])
+def test_a_late_answer_is_brought_up_to_date(questions: int) -> None:
+    """The robot turns on while a search runs: forty echoes are two and a half rings, 0.5 rad."""
+    estimates, off_in = turn_from_unknown_start(finder(CONFIG, None, poses=Late(table_search(CONFIG), questions)))
+    assert estimates[-1].health.status is HealthStatus.OK
+    assert off_in < 2.0
+
+
+@pytest.mark.long
+def test_late_alternatives_still_find_a_slipped_heading() -> None:
+    slipped = independent((*START[:2], START[2] + 0.35), (0.2, 0.2, 0.02))
+    estimates, off_in = turn_from_unknown_start(finder(CONFIG, slipped, poses=Late(table_search(CONFIG), 6)), 8.0)
+    assert off_in < 1.0
+    assert estimates[-1].health.status is HealthStatus.OK
+
+
+def test_stored_table_is_read_again_and_equal(tmp_path: Path) -> None:
+    built: list[float] = []
+    first = load_or_build(CONFIG, tmp_path / "new", built.append)
+    assert built[-1] == pytest.approx(1.0)
+    assert built == sorted(built)
+    count = len(built)
+    second = load_or_build(CONFIG, tmp_path / "new", built.append)
+    assert len(built) == count
+    assert second.cell_in == first.cell_in
+    for name in ("origin_in", "number", "ranges_in", "probabilities"):
+        np.testing.assert_array_equal(getattr(second, name), getattr(first, name))
+
+
+def test_damaged_tables_are_built_again_and_old_ones_removed(tmp_path: Path) -> None:
+    load_or_build(CONFIG, tmp_path, lambda _: None)
+    (stored,) = tmp_path.glob("*.npz")
+    stored.write_bytes(b"no table")
+    built: list[float] = []
+    load_or_build(CONFIG, tmp_path, built.append)
+    assert built
+    stored.unlink()
+    for number in range(MAX_CACHED + 3):
+        (tmp_path / f"{number}.npz").write_bytes(b"")
+    load_or_build(CONFIG, tmp_path, built.append)
+    assert len(list(tmp_path.glob("*.npz"))) == MAX_CACHED
+    assert stored.exists()
+    assert not list(tmp_path.glob("*.part"))
+
+
+def test_a_folder_that_cannot_be_written_is_no_error(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    assert len(load_or_build(CONFIG, tmp_path / "file", lambda _: None).ranges_in)
+
+
+def test_cache_is_in_the_users_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert cache_folder().is_relative_to(tmp_path)
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    assert cache_folder().is_relative_to(Path.home())
+
+
+def test_large_maps_have_larger_cells_and_bounded_tables() -> None:
+    """Three flats of 114 m^2 in cells of 3 in would have 34,000 places."""
+    walls = [(0.0, 0.0, 1400.0, 0.0), (1400.0, 0.0, 1400.0, 350.0), (1400.0, 350.0, 0.0, 350.0), (0.0, 350.0, 0.0, 0.0)]
+    table = build_range_table(walls, N150, CONFIG.sonar, 9.0)
+    assert table.cell_in == 6.0
+    assert len(table.ranges_in) == len(table.places_in)
+    assert table.ranges_in.nbytes + table.probabilities.nbytes < 20e6
+    assert table.ranges_in.shape[1] == DIRECTIONS
+
+
+def test_readings_have_a_density_before_any_search() -> None:
+    with BackgroundSearch(CONFIG, waits=False) as poses:
+        sampled = np.array([poses.density(reading) for reading in range(256)])
+    exact = np.array([table_search(CONFIG).density(reading) for reading in range(256)])
+    assert sampled.min() > 0.0
+    # The mean log ratio over readings as they come: the evidence per echo that sampling adds or takes.
+    assert abs(float((exact * np.log(sampled / exact)).sum())) < 0.1
+
+
+@pytest.mark.long
+def test_worker_ends_with_its_user_in_the_middle_of_its_work(tmp_path: Path) -> None:
+    flat = LocalizationConfig(load_world("flat").walls, N150, QUIET, ConeSonar())
+    poses = BackgroundSearch(flat, waits=False, folder=tmp_path)
+    poses.prepare()
+    assert poses._pool is not None
+    processes = list(poses._pool._processes.values())
+    pending = poses.start([EchoRecord(np.zeros(3), 0.0, 0, 0.0, 30.0)])
+    assert pending() is None
+    poses.close()
+    assert not any(process.is_alive() for process in processes)
+
+
+def test_only_the_finder_has_a_search(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    belief = independent(START, (0.2, 0.2, 0.01))
+    with filter_on_robot(DEFAULT_METHOD, CONFIG, belief, waits=True) as method:
+        assert method == DEFAULT_METHOD
+    with filter_on_robot(FINDER, CONFIG, belief, waits=True) as method:
+        assert isinstance(method, GlobalLocalizer)
+        assert method.health.status is HealthStatus.OK
+
+
+def test_health_says_what_is_waited_for() -> None:
+    class Preparing(Late):
+        progress = "preparing the map, 40 %"
+
+    lost = finder(CONFIG, None, poses=Preparing(table_search(CONFIG), 1))
+    assert lost.health.reason == "searching: the start is unknown; preparing the map, 40 %"
+
+
