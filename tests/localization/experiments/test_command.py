@@ -47,6 +47,7 @@ def test_json_is_alone_on_stdout(capsys: pytest.CaptureFixture[str], tmp_path: P
     assert not (tmp_path / "live.png").exists()
 
 
+@pytest.mark.long
 def test_two_processes_make_the_same_numbers(tmp_path: Path) -> None:
     rows = []
     for jobs in ("1", "2"):

@@ -25,6 +25,7 @@ def test_the_parts_are_all_the_seeds_in_order(count: int, jobs: int, sizes: list
     assert [len(part) for part in parts] == sizes
 
 
+@pytest.mark.long
 def test_the_numbers_do_not_depend_on_the_processes() -> None:
     figure = FIGURES["5.6"]
     reports: list[int] = []

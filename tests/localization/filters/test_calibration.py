@@ -143,6 +143,7 @@ def test_readings_at_limits_or_off_the_map_are_refused() -> None:
     assert cones.update(0, 0.0, 200.0).refusal is Refusal.GATE
 
 
+@pytest.mark.long
 def test_calibration_estimate_is_accurate_and_consistent() -> None:
     """A robot that circles with drawn errors, measured by exact rays: errors are as large as their std says."""
     off = []

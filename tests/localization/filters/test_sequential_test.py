@@ -109,6 +109,7 @@ def test_a_slipped_estimate_does_not_let_a_third_pose_win() -> None:
     assert readings(at(54.0)).winner is Side.NEAR
 
 
+@pytest.mark.long
 def test_wrong_decisions_stay_within_villes_bound(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -101,6 +101,7 @@ def test_a_lag_of_nothing_is_refused() -> None:
         smoother(independent([0.0, 0.0, 0.0], [1.0, 1.0, 1.0]), 0)
 
 
+@pytest.mark.long
 def test_smoothing_is_more_accurate_and_consistent() -> None:
     rng = np.random.default_rng(11)
     start, lag = independent([0.0, 0.0, 0.0], [0.3, 0.3, 0.02]), 8

@@ -85,6 +85,7 @@ def test_position_along_corridor_is_unobservable(sonar: ConeSonar) -> None:
     assert bound.heading_rad[0] < 0.1
 
 
+@pytest.mark.long
 def test_filter_error_approaches_the_bound() -> None:
     """A robot that goes in circles about a place, its sixteen sonars measured at once, by a filter that is no part of
     this."""
@@ -115,7 +116,8 @@ def test_filter_error_approaches_the_bound() -> None:
     assert 0.9 * bound.heading_rad[0] < sqrt(np.mean(headings))
 
 
-def test_nor_does_one_that_drives_straight_on() -> None:
+@pytest.mark.long
+def test_heading_error_approaches_the_bound_down_a_hall() -> None:
     """Down a long hall, where the path driven reports the heading far better than the ranges of a moment."""
     hall = np.array([[0, 0, 500, 0], [500, 0, 500, 100], [500, 100, 0, 100], [0, 100, 0, 0]], dtype=np.float64)
     config = LocalizationConfig(hall, N150, QUIET, ConeSonar())

@@ -53,6 +53,7 @@ def test_mapped_walls_and_second_echoes_confirm_nothing() -> None:
     assert not len(obstacles.confirmed)
 
 
+@pytest.mark.long
 def test_one_fifth_random_readings_confirms_no_obstacle() -> None:
     """Ten minutes of a standing robot in the square room: the rest goes through to the walls."""
     walls, rng = np.array(load_world("thesis_room").walls), np.random.default_rng(7)

@@ -368,6 +368,7 @@ def test_sonars_measure_from_the_actual_pose(lone: Lone) -> None:
     assert read[8] == round(100.0 + 20.0 * robot.sonar.stamps[8].sensor_time_s - 9.06)
 
 
+@pytest.mark.long
 def test_the_random_walk_of_a_run_has_the_spread_of_its_formula(lone: Lone) -> None:
     """20 in ahead: x spreads by a_t sqrt(20), y by the integral of the heading's walk, the heading by a_d sqrt(20)."""
     strays = []

@@ -92,6 +92,7 @@ def test_limits(gap: float, reading: int) -> None:
     assert all(type(value) is int for value in sonars.readings_in)
 
 
+@pytest.mark.long
 def test_noise_has_its_standard_deviation() -> None:
     # 1 % of the range, 0.05 in at least.
     noise = SonarNoise(range_std_relative=0.01, range_std_floor_in=0.05)
