@@ -121,9 +121,11 @@ class Live:
         self._walls = wall_map(load_world(WORLD).walls)
         config = LocalizationConfig(self._walls.segments, N150, sonar=sonar)
         schedule = FiringSchedule(0.0)
+        # One update per period: `echoes` firings of 60 ms.
         self._sonar, self._period_s = sonar, echoes * schedule.interval_s
         self._localizer = Localizer(config, independent(POSE, (0.2, 0.2, 0.01)), schedule)
         self._around = reflectors(self._walls.segments)
+        # The first state only initialises the schedule.
         self._states = self._drive()
         self._last = self._localizer.update(next(self._states))
         self.echoes = self.used = 0
@@ -153,12 +155,14 @@ class Live:
 
     def _readings(self, pose: Floats) -> tuple[float, ...]:
         """Return whole inches: along rays, or the most probable echo of a cone, 255 for none."""
+        # Readings of the true pose; noise would make refusals depend on the seed.
         angles = np.array(N150.sonar_angles_rad)
         if isinstance(self._sonar, RaySonar):
             return tuple(np.rint(ranges_from(pose, angles, N150, self._walls).range_in).tolist())
         readings = []
         for angle in angles.tolist():
             mount = SonarMount(angle, N150.sonar_ring_radius_in)
+            # A blur of 0.01 rad, like the heading of the belief.
             echoes = expected_echoes(pose, np.array(0.01), mount, self._around, self._sonar)
             best = int(echoes.probability.argmax())
             readings.append(float(np.rint(echoes.ranges_in[best])) if echoes.probability[best] > 0.5 else NOTHING_IN)
@@ -168,6 +172,7 @@ class Live:
 def live_us(live: Live, count: int) -> list[float]:
     """Return the processor microseconds of so many updates, one after another; the first is not counted."""
     taken = []
+    # CPU time of this thread: other processes do not count.
     for number, state in enumerate([live.next_state() for _ in range(count + 1)]):
         begin = time.thread_time_ns()
         live.update(state)
@@ -191,13 +196,16 @@ def make_case() -> Case:
     """Return the step of a robot in the thesis room that uses all sixteen beams."""
     walls, angles, step = wall_map(load_world(WORLD).walls), np.array(N150.sonar_angles_rad), np.array(STEP)
     before, noise = independent(POSE, STD), OdometryNoise()
+    # The prediction, then readings off by a sine of 0.1 in, so that all innovations differ.
     predicted = predict(before, step, noise)
     ranges = ranges_from(predicted.mean, angles, N150, walls).range_in
     readings = ranges + 0.1 * np.sin(np.arange(len(ranges)))
     seen = observe_ring(predicted, angles, readings, N150, walls, IDEAL_SONAR)
+    # A refused beam would make the peers do more work than the product.
     if not seen.used.all():
         raise SystemExit(f"the case is meant to use all beams, but: {seen.reasons()}")
     F, G = step_jacobians(before.mean, step)
+    # The peers get z, F, H, Q and R ready: only their arithmetic is timed.
     z = seen.innovation + seen.H @ predicted.mean
     given = Linear(before, predicted.mean, F, process_covariance(G, step, noise), z, seen.R, seen.H)
     return Case(given, update_ring(predicted, seen)[0])
@@ -213,6 +221,7 @@ def times_us(works: list[Callable[[], object]], rounds: int, block: int = BLOCK)
     taken: list[list[float]] = [[] for _ in works]
     for _ in range(rounds):
         for work, record in zip(works, taken, strict=True):
+            # Once without timing: caches.
             work()
             for _ in range(block):
                 begin = time.thread_time_ns()
@@ -234,6 +243,7 @@ def particle_ring(sonar: RaySonar | ConeSonar) -> Callable[[], object]:
 
     def ring() -> None:
         for number, reading in enumerate(readings):
+            # Back and forth: the cloud stays in the room.
             sign = 1.0 if number % 2 else -1.0
             particles.predict(sign * STEP[0], sign * STEP[1])
             particles.update(number, 0.0, reading)
@@ -261,14 +271,17 @@ def measure(rounds: int, seeds: int, jobs: int) -> Result:
     """Run all measurements."""
     case = make_case()
     filterpy, stonesoup = FilterPy(case.given), StoneSoup(case.given)
+    # Results must agree before times are compared.
     if not (is_same(case.after, filterpy.step()) and is_same(case.after, stonesoup.step())):
         raise SystemExit("the filters disagree; nothing to compare")
+    # Both sonar models, with 16 new echoes per state and with one.
     kinds = [(sonar, echoes) for sonar in (WIRE_SONAR, ConeSonar()) for echoes in (16, 1)]
     lives = [Live(sonar, echoes) for sonar, echoes in kinds]
     if compiled.load():  # from here on filters are compiled
         lives += [Live(sonar, echoes) for sonar, echoes in kinds]
     live_samples: list[list[float]] = [[] for _ in lives]
     peers: list[list[float]] = [[], []]
+    # By turns in blocks, as the speed of the processor changes over seconds.
     for _ in range(rounds):
         for live, samples in zip(lives, live_samples, strict=True):
             samples.extend(live_us(live, BLOCK))
@@ -279,6 +292,7 @@ def measure(rounds: int, seeds: int, jobs: int) -> Result:
         (statistics.median(samples), float(np.quantile(samples, 0.99))) for samples in live_samples
     )
     filterpy_us, stonesoup_us = (statistics.median(samples) for samples in peers)
+    # A ring of the particle filter takes milliseconds: fewer rounds.
     rings = times_us([particle_ring(WIRE_SONAR), particle_ring(ConeSonar())], max(1, rounds // BLOCK), RINGS)
     rays_ms, cones_ms = (statistics.median(sample) / 1e3 for sample in rings)
     wall_s, cpu_s = figure_s(seeds, jobs)

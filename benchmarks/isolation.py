@@ -19,8 +19,9 @@ Targets, each the median of the rounds, except for the attempts, which are count
 
 Daemon, measuring client and hostile client are three processes; rounds without and with the hostile client alternate.
 The daemon's event loop is measured in the daemon (`time.thread_time` around each turn). A round trip counts from its
-due time. On a machine that does other work, --ahead runs all with real-time priority (Linux, root). The exit code is 1
-if a target is missed.
+due time. On a machine that does other work, --ahead runs all with real-time priority (Linux, root). Linux then stops
+a process that never rests for 50 ms in each second: beside clients that keep the daemon busy, p95, which is printed
+too, says more than p99. The exit code is 1 if a target is missed.
 """
 
 from __future__ import annotations
@@ -43,6 +44,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+import aiohttp
 from load import BEGUN, CLIENTS, CONNECT, DAEMON, GS, HOST, HOSTILE_ONE, bound_ms, p99, scheduled
 
 from nclient.protocol import codec
@@ -212,8 +214,6 @@ def flood(port: int, count: Count, message: bytes, connections: int, laser: bool
 
 async def call(page: str, count: Count) -> None:
     """Make calls over a page's websocket, twenty on their way at a time."""
-    import aiohttp
-
     origin, _, query = page.partition("/?")
     async with aiohttp.ClientSession() as session, session.ws_connect(f"{origin}/ws?{query}", origin=origin) as web:
         for number in range(20):
@@ -301,8 +301,8 @@ def probe(port: int) -> float:
         return time.perf_counter() - began_s
 
 
-def watch(port: int, seconds: float) -> tuple[float, float]:
-    """Return p99 of round trips, and the longest time to serve a new connection; ms."""
+def watch(port: int, seconds: float) -> tuple[float, float, float]:
+    """Return p99 of round trips, the longest time to serve a new connection, and p95 of round trips; ms."""
     trips: list[float] = []
     served: list[float] = []
     clients, due_s = [connected(port) for _ in range(WATCHERS)], time.perf_counter()
@@ -318,7 +318,7 @@ def watch(port: int, seconds: float) -> tuple[float, float]:
             due_s = max(due_s, time.perf_counter())
     for client in clients:
         client.close()
-    return 1000 * p99(trips), 1000 * max(served)
+    return 1000 * p99(trips), 1000 * max(served), 1000 * statistics.quantiles(trips, n=20)[18]
 
 
 def prepare(kind: str, port: int) -> None:
@@ -332,24 +332,26 @@ def prepare(kind: str, port: int) -> None:
 def measure(kind: str, rounds: int, seconds: float, ahead: bool = False) -> dict[str, Any]:
     """Return what was measured, and whether the targets are met."""
     attempts: list[int] = []
-    alone, beside, served, turns, longest = [], [], [], [], []
+    alone, beside, served, turns, longest, p95 = [], [], [], [], [], []
     with daemon(kind, ahead=ahead) as running:
         prepare(kind, running.port)
         for _ in range(rounds):
             alone.append(watch(running.port, seconds)[0])
             with hostility(kind, running, attempts, ahead=ahead):
                 running.turns()
-                trip_ms, served_ms = watch(running.port, seconds)
+                trip_ms, served_ms, p95_ms = watch(running.port, seconds)
                 turn = running.turns()
             beside.append(trip_ms)
             served.append(served_ms)
+            p95.append(p95_ms)
             turns.append(turn["turn_ms"])
             longest.append(turn["longest_ms"])
     bound = bound_ms(statistics.median(alone))
     found: dict[str, Any] = {
         "hostile": kind, "attempts_per_s": sum(attempts) / (rounds * seconds), "turn_ms": statistics.median(turns),
         "longest_turn_ms": statistics.median(longest), "alone_p99_ms": statistics.median(alone),
-        "p99_ms": statistics.median(beside), "p99_bound_ms": bound, "served_ms": statistics.median(served),
+        "p99_ms": statistics.median(beside), "p95_ms": statistics.median(p95), "p99_bound_ms": bound,
+        "served_ms": statistics.median(served),
         "rounds": rounds,
     }  # fmt: skip
     found["kept"] = (
@@ -384,8 +386,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(json.dumps(found) if options.json else
               f"{kind}: {found['attempts_per_s']:.0f} attempts/s; turn {found['turn_ms']:.2f} ms (at most "
               f"{TURN_BOUND_MS:g}, longest {found['longest_turn_ms']:.1f}); p99 {found['alone_p99_ms']:.2f} ms alone, "
-              f"{found['p99_ms']:.2f} beside (at most {found['p99_bound_ms']:.2f}); served {found['served_ms']:.1f} ms "
-              f"(at most {SERVED_BOUND_MS:g}): {'passed' if found['kept'] else 'FAILED'}", flush=True)
+              f"{found['p99_ms']:.2f} beside (at most {found['p99_bound_ms']:.2f}, p95 {found['p95_ms']:.2f}); "
+              f"served {found['served_ms']:.1f} ms (at most {SERVED_BOUND_MS:g}): "
+              f"{'passed' if found['kept'] else 'FAILED'}", flush=True)
     return 0 if is_kept else 1
 
 

@@ -366,13 +366,31 @@ def near_walls(x: float, y: float, reach_in: float, walls: FloatArray) -> FloatA
     """Return the walls (k, 4) that reach into the square of this half width around a point."""
     if len(walls) <= MAX_LOOP_WALLS:
         return walls
-    x1, y1, x2, y2 = walls.T
-    is_near = np.minimum(x1, x2) <= x + reach_in
-    is_near &= np.maximum(x1, x2) >= x - reach_in
-    is_near &= np.minimum(y1, y2) <= y + reach_in
-    is_near &= np.maximum(y1, y2) >= y - reach_in
-    near: FloatArray = walls[is_near]
+    low_x, low_y, high_x, high_y = _bounds(walls)
+    is_near = low_x <= x + reach_in
+    is_near &= high_x >= x - reach_in
+    is_near &= low_y <= y + reach_in
+    is_near &= high_y >= y - reach_in
+    near: FloatArray = walls.take(is_near.nonzero()[0], axis=0)
     return near
+
+
+# Bounds of the walls that were used last: those of worlds are read-only and used again and again.
+_MAX_CACHED_BOUNDS: Final = 4
+_cached_bounds: list[tuple[FloatArray, FloatArray]] = []
+
+
+def _bounds(walls: FloatArray) -> FloatArray:
+    """Return the bounds of walls (m, 4) as columns low x, low y, high x, high y (4, m)."""
+    for cached, bounds in _cached_bounds:
+        if cached is walls:
+            return bounds
+    ends = np.ascontiguousarray(walls.T)
+    bounds = np.concatenate((np.minimum(ends[:2], ends[2:]), np.maximum(ends[:2], ends[2:])))
+    if not walls.flags.writeable:
+        _cached_bounds.insert(0, (walls, bounds))
+        del _cached_bounds[_MAX_CACHED_BOUNDS:]
+    return bounds
 
 
 def _pairs(begin: IndexArray, stop: IndexArray) -> tuple[IndexArray, IndexArray]:

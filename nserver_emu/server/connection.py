@@ -183,6 +183,8 @@ READ_SIZE: Final = 4096
 # least that a turn can do: requests differ in cost by a factor of a hundred.
 MAX_BYTES_PER_TURN: Final = 512
 MAX_REQUESTS_PER_TURN: Final = 1
+# Turns over which the work for one reply is spread. At unlimited speed new work may come in each of them.
+MAX_PREPARING_TURNS: Final = 4
 
 # Seconds to wait for the second half of a 64-bit CONNECT before it is read as a 32-bit CONNECT to robot 0.
 CONNECT_WAIT_S: Final = 1.0
@@ -258,6 +260,8 @@ class ConnectionHandler(ABC):
         self.is_queued = False
         self.finish_tag_s = 0.0
         self._turn: asyncio.TimerHandle | None = None
+        # Turns spent on the preparation of the next reply.
+        self._preparing = 0
         # Fires when bytes in the channel are due.
         self._delivery_timer: asyncio.TimerHandle | None = None
         # Time at which the bytes being processed left the channel; None without one.
@@ -325,12 +329,23 @@ class ConnectionHandler(ABC):
     def _process_requests(self) -> None:
         """Answer the requests of this turn, unless the peer does not read or its rate limit is used up."""
         limit = self._rate_limit
-        if not self.is_write_paused and (limit is None or not self._rate_limit_wait_s()):
+        if not self.is_write_paused and (limit is None or not self._rate_limit_wait_s()) and self._is_prepared():
             before = self.session.answered
             self._run_session()
             if limit is not None:
                 limit.consume(self.session.answered - before, self._loop.time())
         self._schedule()
+
+    def _is_prepared(self) -> bool:
+        """Do part of the work for the next reply; return False if the rest is for later turns, but not too often."""
+        server = self._server
+        is_simulated = self.is_scheduled and server.handler is server.emulator
+        if is_simulated and self.session.ready and self._preparing < MAX_PREPARING_TURNS:
+            self._preparing += 1
+            if not server.emulator.prepare_reply(self.session.context):
+                return False
+        self._preparing = 0
+        return True
 
     def _run_session(self, by_time: bool = False) -> None:
         """Answer requests, or a deferred one `by_time`; an exception closes this connection only."""

@@ -620,6 +620,16 @@ class ServerState:
         self.axis_ownership.claim(context, context.robot_id, axes)
         return self.robot_of(context)
 
+    def prepare_reply(self, context: ConnectionContext) -> bool:
+        """Do part of what the next reply to a connection may need; return False if more of it is left.
+
+        It changes no reply, whenever it is done: sonars that nothing read for some time take several milliseconds.
+        """
+        robot_id, mask = context.robot_id, context.wire_state.mask
+        if robot_id is None or not (mask.whole or any(map(mask.has, SONAR.slots))):
+            return True
+        return self.simulation.robots[robot_id].sonar.compute_some()
+
     def feed_watchdog(self, context: ConnectionContext) -> None:
         """Restart the command timeout (conf_tm) of a connection's robot, unless only other connections move it."""
         assert context.robot_id is not None

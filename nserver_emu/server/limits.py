@@ -56,10 +56,10 @@ class Limits:
 
     connections: int = _limit(
         500, (1, 100_000), "connections", "clients, and hosts of serial lines over TCP, in total",
-        "a new connection is closed at once, without a reply", "server/admission.py")
+        "the longest idle connection is closed for a new one; else see below", "server/admission.py")
     per_address: int = _limit(
         300, (1, 100_000), "connections", "the same, from one address",
-        "a new connection is closed at once, without a reply", "server/admission.py")
+        "the longest idle connection is closed for a new one; else see below", "server/admission.py")
     rate: int = _limit(
         10_000, (10, 1_000_000), "requests per second", "replies to one connection",
         "requests are read and answered later, as over a slow network; nothing is lost or refused",

@@ -35,6 +35,10 @@ TICK_PS: Final = 4 * PS_PER_S // 1000
 MAX_RATE: Final = 255
 """The largest firing rate that a byte on the robot's serial line can hold; the slowest ring."""
 
+MAX_PAIRS_AT_ONCE: Final = 64
+"""Pairs of a ping and one before it that `compute_some` computes, among no more than FEW_WALLS."""
+FEW_WALLS: Final = 20
+
 DEFAULT_ORDER: Final = (0, 2, 15, 1, 14, 3, 13, 4, 12, 5, 11, 6, 10, 7, 9, 8)
 DEFAULT_RATE: Final = 15
 """The ring is on at power-on: programs written for Nserver do not configure it."""
@@ -283,23 +287,44 @@ class SonarRing:
         self._pings[sonar] = ping
         return ping
 
+    def compute_some(self) -> bool:
+        """Compute some of the readings that are pending; return True if none are left.
+
+        A part costs a millisecond or two; a whole ring at its fastest rate several times as much.
+        """
+        if not self._pending or isinstance(self.model, SonarNoise):
+            return True
+        # Cost grows with the pairs of a ping and one before it, and with the walls.
+        most_pairs = MAX_PAIRS_AT_ONCE * FEW_WALLS // max(FEW_WALLS, len(self._reflectors.walls))
+        sonars, pairs = list[int](), 0
+        for sonar, firing in self._pending.items():
+            pairs += 1 + len(firing.earlier)
+            if sonars and pairs > most_pairs:
+                break
+            sonars.append(sonar)
+        self._compute(sonars)
+        return not self._pending
+
     def _compute_pending(self) -> None:
         """Compute the readings of all firings since the last call."""
-        if not self._pending:
-            return
-        # Dead sonars draw noise as well, but are never computed.
-        dead, offsets_in, pending = self.model.dead, self.model.offsets_in, self._pending
-        if dead:
-            pending = {sonar: firing for sonar, firing in pending.items() if sonar not in dead}
+        if self._pending:
+            self._compute(list(self._pending))
+
+    def _compute(self, sonars: Sequence[int]) -> None:
+        """Compute the pending readings of these sonars."""
+        dead, offsets_in = self.model.dead, self.model.offsets_in
         # Firings among the same walls are computed together; between two readings walls seldom change.
         by_walls: dict[int, list[int]] = {}
-        for sonar, firing in pending.items():
-            by_walls.setdefault(id(firing.reflectors), []).append(sonar)
-        for sonars in by_walls.values():
-            ranges_in = self._measured_ranges([pending[sonar] for sonar in sonars])
-            for sonar, range_in in zip(sonars, ranges_in, strict=True):
+        for sonar in sonars:
+            # Dead sonars draw noise as well, but are never computed.
+            if sonar not in dead:
+                by_walls.setdefault(id(self._pending[sonar].reflectors), []).append(sonar)
+        for group in by_walls.values():
+            ranges_in = self._measured_ranges([self._pending[sonar] for sonar in group])
+            for sonar, range_in in zip(group, ranges_in, strict=True):
                 self._readings[sonar] = _reading(range_in + offsets_in[sonar])
-        self._pending.clear()
+        for sonar in sonars:
+            del self._pending[sonar]
 
     def _measured_ranges(self, firings: Sequence[Firing]) -> list[float]:
         """Return ranges of firings among the same walls, inches, inf for no echo."""

@@ -24,7 +24,7 @@ from nserver_emu.server.context import ServerState, add_laser, state_slots
 from nserver_emu.server.deferred import ClickedPose
 from nserver_emu.server.session import BAD_VALUES, REFUSED, ConnectionContext, DeferredReply, error_reply
 from nserver_emu.simulation.multi_robot import discs_of
-from nserver_emu.simulation.noise import IDEAL
+from nserver_emu.simulation.noise import IDEAL, Purpose, RngFactory
 from nserver_emu.simulation.robot import SimulatedRobot
 from nserver_emu.simulation.visibility import RobotPositions
 from worlds.geometry import FloatArray, area, crossing, inside, lengths, nearest_points
@@ -232,13 +232,25 @@ def get_robot_conf(server: ServerState, context: ConnectionContext, _args: tuple
     return poll
 
 
+class _NoDraws(RngFactory):
+    """Random streams of a robot without noise, which draws nothing: one for all, since making them takes longest."""
+
+    def stream(self, purpose: Purpose) -> np.random.Generator:
+        """Return a stream that must not be used."""
+        del purpose
+        return _UNUSED_RNG
+
+
+_UNUSED_RNG: Final = np.random.default_rng(0)
+
+
 def predict_sensors(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Reply:
     """Return the noise-free readings of the sensors at another pose; the robot does not move."""
     simulation, robot = server.simulation, server.robot_of(context)
     others = {number: other for number, other in simulation.robots.items() if other is not robot}
     others_there = RobotPositions(np.vstack((discs_of(others.values()), (0.0, 0.0, 0.0))))
     there = SimulatedRobot(
-        robot.rng_factory, _start(args), simulation.world.walls, robot.model, IDEAL, positions=others_there,
+        _NoDraws(*robot.rng_factory), _start(args), simulation.world.walls, robot.model, IDEAL, positions=others_there,
         self_index=len(others),
     )
     slots, laser = add_laser(there, context, state_slots(there, server.clock.speed_tenths))

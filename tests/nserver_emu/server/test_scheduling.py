@@ -5,11 +5,20 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import pytest
 
-from nserver_emu.server.connection import TURN_BUDGET_S, FairScheduler
+from nserver_emu.server.connection import MAX_PREPARING_TURNS, TURN_BUDGET_S, FairScheduler
+from nserver_emu.server.context import ServerState
+from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.server.session import ConnectionContext
+from nserver_emu.simulation.noise import MEASURED
+from nserver_emu.simulation.simulation import Simulation
+from nserver_emu.simulation.sonar import DEFAULT_ORDER, MAX_PAIRS_AT_ONCE, Firing, SonarRing
+from tests.nserver_emu.server.running_server import running_server
+from worlds.io import load_world
 
 
 class Clock:
@@ -109,3 +118,40 @@ async def test_nothing_overtakes_queued_work(clock: Clock) -> None:
     await asyncio.sleep(0)
     assert withdrawn.order == []
     assert len(scheduler) == 0
+
+
+async def test_a_costly_reply_is_prepared_over_several_turns(monkeypatch: pytest.MonkeyPatch) -> None:
+    simulation = Simulation(load_world("several_walls"))
+    simulation.add_robot(1, setup=MEASURED)
+    pings: dict[int, int] = {}
+
+    async with running_server(speed=None, emulator=Emulator(simulation)) as server:
+        scheduler, client = server.daemon.scheduler, await server.connect_client()
+        measured_ranges = SonarRing._measured_ranges
+
+        def counted(ring: SonarRing, firings: Sequence[Firing]) -> list[float]:
+            pairs = sum(1 + len(firing.earlier) for firing in firings)
+            pings[scheduler.turns] = pings.get(scheduler.turns, 0) + pairs
+            return measured_ranges(ring, firings)
+
+        await client.ask("conf_sn", 1, *DEFAULT_ORDER)
+        server.daemon.emulator.clock.paused = True
+        monkeypatch.setattr(SonarRing, "_measured_ranges", counted)
+        assert (await client.ask("gs")).kind == "state"
+    assert len(pings) >= 3
+    assert max(pings.values()) <= MAX_PAIRS_AT_ONCE
+
+
+async def test_preparing_ends_though_new_work_comes(monkeypatch: pytest.MonkeyPatch) -> None:
+    prepared = 0
+
+    def prepare(_state: ServerState, _context: ConnectionContext) -> bool:
+        nonlocal prepared
+        prepared += 1
+        return False
+
+    async with running_server() as server:
+        client = await server.connect_client()
+        monkeypatch.setattr(ServerState, "prepare_reply", prepare)
+        assert (await client.ask("gs")).kind == "state"
+    assert prepared == MAX_PREPARING_TURNS

@@ -89,3 +89,24 @@ def test_new_obstacles_simulate_no_ping(monkeypatch: pytest.MonkeyPatch) -> None
     simulation.step(1.0)
     assert robot.sonar.readings_in != before
     assert isinstance(robot.sonar.model, SonarNoise)
+
+
+def test_part_of_the_pings_gives_the_same_readings() -> None:
+    def ring() -> SonarRing:
+        simulation = Simulation(load_world("several_walls"))
+        robot = simulation.add_robot(1, setup=MEASURED)
+        robot.configure_sonars(1, DEFAULT_ORDER)
+        simulation.step(1.0)
+        return robot.sonar
+
+    at_once, in_parts, parts = ring(), ring(), 1
+    while not in_parts.compute_some():
+        parts += 1
+    assert 2 <= parts <= 4
+    assert in_parts.readings_in == at_once.readings_in
+    assert in_parts.compute_some()
+
+
+def test_exact_rays_are_not_divided() -> None:
+    simulation = Simulation(load_world("several_walls"))
+    assert simulation.add_robot(1).sonar.compute_some()

@@ -1,0 +1,42 @@
+"""The isolation benchmark: every kind runs, attempts are counted, and a missed target is an exit code."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import isolation
+import pytest
+
+
+@pytest.mark.parametrize("kind", list(isolation.ARGUMENTS))
+def test_every_kind_is_measured(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(isolation, "OBSTACLES", 20)
+    found = isolation.measure(kind, rounds=1, seconds=0.5)
+    assert found["hostile"] == kind
+    assert found["attempts_per_s"] > 0.0
+    assert found["turn_ms"] > 0.0
+    assert found["p99_ms"] > 0.0
+    assert found["served_ms"] > 0.0
+    is_kept = (
+        found["turn_ms"] <= isolation.TURN_BOUND_MS
+        and found["p99_ms"] <= found["p99_bound_ms"]
+        and found["served_ms"] <= isolation.SERVED_BOUND_MS
+    )
+    assert found["kept"] is is_kept
+
+
+@pytest.mark.parametrize("is_kept", [True, False])
+def test_missed_target_sets_exit_code(
+    is_kept: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found: dict[str, Any] = dict.fromkeys(
+        ("attempts_per_s", "turn_ms", "longest_turn_ms", "alone_p99_ms", "p99_ms", "p95_ms", "p99_bound_ms",
+         "served_ms"), 1.0)  # fmt: skip
+    monkeypatch.setattr(isolation, "measure", lambda *_: {**found, "kept": is_kept})
+    assert isolation.main(["--hostile", "churn"]) == (0 if is_kept else 1)
+    assert ("FAILED" in capsys.readouterr().out) is not is_kept
+
+
+def test_blocks_do_not_overlap() -> None:
+    corners = {isolation.block(number)[1:3] for number in range(isolation.OBSTACLES)}
+    assert len(corners) == isolation.OBSTACLES
