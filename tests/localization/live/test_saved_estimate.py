@@ -76,6 +76,7 @@ def test_other_content_is_reported(file: Path, text: str) -> None:
 
 
 def test_largest_state_fits_and_longer_file_is_refused(file: Path) -> None:
+    # The longest numbers that JSON writes.
     cov = np.full((MAX_STATE, MAX_STATE), -1.2345678901234567e-300) + np.eye(MAX_STATE)
     save(
         file,
@@ -85,6 +86,7 @@ def test_largest_state_fits_and_longer_file_is_refused(file: Path) -> None:
     )
     assert file.stat().st_size < MAX_BYTES / 10
     assert len(load(file).belief.mean) == MAX_STATE
+    # Blanks are allowed by JSON, and make the file too long.
     file.write_text(file.read_text() + " " * MAX_BYTES)
     with pytest.raises(EstimateFileError, match=rf"here\.json: .*longer than {MAX_BYTES}"):
         load(file)
