@@ -103,7 +103,7 @@ def test_a_frame_is_sent_again_until_something_changes(emulator: Emulator) -> No
         client.ask("gs")
         cached = session.context.cached_state
         assert cached is not None
-        return cached.frame
+        return cached.frames["gs"]
 
     first = frame()
     assert frame() is first
