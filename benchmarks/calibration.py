@@ -70,6 +70,7 @@ def draw_robot(seed: int) -> Calibration:
     def draw(low: float, high: float, count: int = 1) -> list[float]:
         return [float(drawn) for drawn in rng.choice([-1.0, 1.0]) * rng.uniform(low, high, count)]
 
+    # Ranges of errors as found on worn robots, of either sign, never near zero: relative errors need a true value.
     (distance,), (turn,), (drift,) = draw(0.03, 0.06), draw(0.03, 0.06), draw(0.0005, 0.0015)
     offsets, (turned_deg,) = draw(1.0, 2.0, SONARS), draw(2.0, 4.0)
     return Calibration(1.0 + distance, 1.0 + turn, drift, tuple(offsets), float(np.radians(turned_deg)))
@@ -84,12 +85,14 @@ def run_calibration(seed: int, words: list[str]) -> Outcome:
         The command ended with an exit code other than 0.
     """
     true = draw_robot(seed)
+    # The true robot is a model file for the simulator; the command does not get it.
     with tempfile.TemporaryDirectory() as folder:
         model, setup = Path(folder, "model.toml"), Path(folder, "setup.toml")
         model.write_text(format_calibration("n150", true), encoding="utf-8")
         setup.write_text(SETUP, encoding="utf-8")
         address = f"sim:{WORLD}?seed={seed}&setup={setup}&model_file={model}"
         output = io.StringIO()
+        # Other speeds or laps come from the command line of the benchmark.
         options = ["--world", WORLD, "--odometry-noise", ODOMETRY_NOISE, "--json", *words]
         with contextlib.redirect_stdout(output):
             code = cli.main(["calibrate", address, *options])
@@ -152,6 +155,7 @@ def options_parser() -> argparse.ArgumentParser:
 def main(words: list[str] | None = None) -> int:
     """Run the benchmark with the words of its command line; return its exit code."""
     words = list(sys.argv[1:] if words is None else words)
+    # Words after `--` are options of `nomad calibrate`.
     cut = words.index("--") if "--" in words else len(words)
     options = options_parser().parse_args(words[:cut])
     outcomes = []

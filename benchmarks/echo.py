@@ -110,6 +110,7 @@ def compare(sides: dict[str, Callable[[], None]], rounds: int, calls: int) -> di
     """Each side makes `calls` round trips a round, in turns; one round more at the beginning does not count."""
     rates: dict[str, list[float]] = {name: [] for name in sides}
     trips: dict[str, list[float]] = {name: [] for name in sides}
+    # Round 0 warms up caches and branch predictors and is not counted.
     for number in range(rounds + 1):
         for name, call in sides.items():
             taken = [_timed(call) for _ in range(calls)]

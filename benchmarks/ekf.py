@@ -4,8 +4,9 @@
 
 A state with 16 new echoes, or with one: pose history, prediction, ray casting, association, gate and Kalman update of
 each, as `nomad localize` runs them. The others do 16 scalar updates, given H, R and the predicted mean. All are timed
-in this run by turns, by the processor time of the thread, and must agree before they are timed. Then particle filters,
-and a whole figure of the thesis by the clock on the wall.
+in this run by turns, by the processor time of the thread, and must agree before they are timed. The live filter is
+timed in plain Python and, where numba is installed, compiled (NOMAD_COMPILED=always). Then particle filters, and a
+whole figure of the thesis by the clock on the wall.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import os
 import statistics
 import time
 from collections.abc import Callable, Iterator
+from math import nan
 from typing import Final, NamedTuple, TypedDict
 
 import numpy as np
@@ -23,6 +25,7 @@ from ekf_peers import FilterPy, Linear, StoneSoup
 
 from localization.experiments.execution import drive
 from localization.experiments.figure_trial import FIGURES, figure_setup, run
+from localization.filters import compiled
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import Belief, Floats, independent
 from localization.filters.ekf import update_ring
@@ -40,6 +43,9 @@ from worlds.robots import N150
 
 BOUNDS: Final = {
     "filterpy_ratio": 1.0,
+    "one_echo_ratio": 10.0,
+    "cones_ratio": 0.67,
+    "compiled_ratio": 4.0,
     "figure_s": 60.0,
     "figure_cpu_s": 60.0,
     "particles_rays_ms": 50.0,
@@ -65,8 +71,10 @@ NOTHING_IN: Final = 255.0
 class Result(TypedDict):
     """Microseconds are medians for a state; `p99` is the 99th percentile.
 
-    `rays_16`: a state with 16 new echoes of exact rays, `cones_1`: with one of a real ring. `..._ratio`: how many times
-    as long the other takes as `rays_16`. `bounds`: what is required.
+    `rays_16`: a state with 16 new echoes of exact rays, `cones_1`: with one of a real ring; `compiled_...`: by numba,
+    NaN without it. `filterpy_ratio`, `stonesoup_ratio`: how many times as long the other takes as `rays_16`;
+    `one_echo_ratio`, `cones_ratio`, `compiled_ratio`: filterpy as `rays_1`, `cones_16`, `compiled_rays_16`. `bounds`:
+    what is required.
     """
 
     rays_16_us: float
@@ -77,10 +85,17 @@ class Result(TypedDict):
     cones_16_p99_us: float
     cones_1_us: float
     cones_1_p99_us: float
+    compiled_rays_16_us: float
+    compiled_rays_1_us: float
+    compiled_cones_16_us: float
+    compiled_cones_1_us: float
     used_rays: float
     used_cones: float
     filterpy_us: float
     filterpy_ratio: float
+    one_echo_ratio: float
+    cones_ratio: float
+    compiled_ratio: float
     stonesoup_us: float
     stonesoup_ratio: float
     particles: int
@@ -106,9 +121,11 @@ class Live:
         self._walls = wall_map(load_world(WORLD).walls)
         config = LocalizationConfig(self._walls.segments, N150, sonar=sonar)
         schedule = FiringSchedule(0.0)
+        # One update per period: `echoes` firings of 60 ms.
         self._sonar, self._period_s = sonar, echoes * schedule.interval_s
         self._localizer = Localizer(config, independent(POSE, (0.2, 0.2, 0.01)), schedule)
         self._around = reflectors(self._walls.segments)
+        # The first state only initialises the schedule.
         self._states = self._drive()
         self._last = self._localizer.update(next(self._states))
         self.echoes = self.used = 0
@@ -138,12 +155,14 @@ class Live:
 
     def _readings(self, pose: Floats) -> tuple[float, ...]:
         """Return whole inches: along rays, or the most probable echo of a cone, 255 for none."""
+        # Readings of the true pose; noise would make refusals depend on the seed.
         angles = np.array(N150.sonar_angles_rad)
         if isinstance(self._sonar, RaySonar):
             return tuple(np.rint(ranges_from(pose, angles, N150, self._walls).range_in).tolist())
         readings = []
         for angle in angles.tolist():
             mount = SonarMount(angle, N150.sonar_ring_radius_in)
+            # A blur of 0.01 rad, like the heading of the belief.
             echoes = expected_echoes(pose, np.array(0.01), mount, self._around, self._sonar)
             best = int(echoes.probability.argmax())
             readings.append(float(np.rint(echoes.ranges_in[best])) if echoes.probability[best] > 0.5 else NOTHING_IN)
@@ -151,10 +170,10 @@ class Live:
 
 
 def live_us(live: Live, count: int) -> list[float]:
-    """Return the processor microseconds of so many updates; the first is not counted."""
+    """Return the processor microseconds of so many updates, one after another; the first is not counted."""
     taken = []
-    for number in range(count + 1):
-        state = live.next_state()
+    # CPU time of this thread: other processes do not count.
+    for number, state in enumerate([live.next_state() for _ in range(count + 1)]):
         begin = time.thread_time_ns()
         live.update(state)
         if number:
@@ -177,13 +196,16 @@ def make_case() -> Case:
     """Return the step of a robot in the thesis room that uses all sixteen beams."""
     walls, angles, step = wall_map(load_world(WORLD).walls), np.array(N150.sonar_angles_rad), np.array(STEP)
     before, noise = independent(POSE, STD), OdometryNoise()
+    # The prediction, then readings off by a sine of 0.1 in, so that all innovations differ.
     predicted = predict(before, step, noise)
     ranges = ranges_from(predicted.mean, angles, N150, walls).range_in
     readings = ranges + 0.1 * np.sin(np.arange(len(ranges)))
     seen = observe_ring(predicted, angles, readings, N150, walls, IDEAL_SONAR)
+    # A refused beam would make the peers do more work than the product.
     if not seen.used.all():
         raise SystemExit(f"the case is meant to use all beams, but: {seen.reasons()}")
     F, G = step_jacobians(before.mean, step)
+    # The peers get z, F, H, Q and R ready: only their arithmetic is timed.
     z = seen.innovation + seen.H @ predicted.mean
     given = Linear(before, predicted.mean, F, process_covariance(G, step, noise), z, seen.R, seen.H)
     return Case(given, update_ring(predicted, seen)[0])
@@ -199,6 +221,7 @@ def times_us(works: list[Callable[[], object]], rounds: int, block: int = BLOCK)
     taken: list[list[float]] = [[] for _ in works]
     for _ in range(rounds):
         for work, record in zip(works, taken, strict=True):
+            # Once without timing: caches.
             work()
             for _ in range(block):
                 begin = time.thread_time_ns()
@@ -220,6 +243,7 @@ def particle_ring(sonar: RaySonar | ConeSonar) -> Callable[[], object]:
 
     def ring() -> None:
         for number, reading in enumerate(readings):
+            # Back and forth: the cloud stays in the room.
             sign = 1.0 if number % 2 else -1.0
             particles.predict(sign * STEP[0], sign * STEP[1])
             particles.update(number, 0.0, reading)
@@ -247,20 +271,28 @@ def measure(rounds: int, seeds: int, jobs: int) -> Result:
     """Run all measurements."""
     case = make_case()
     filterpy, stonesoup = FilterPy(case.given), StoneSoup(case.given)
+    # Results must agree before times are compared.
     if not (is_same(case.after, filterpy.step()) and is_same(case.after, stonesoup.step())):
         raise SystemExit("the filters disagree; nothing to compare")
-    lives = [Live(sonar, echoes) for sonar in (WIRE_SONAR, ConeSonar()) for echoes in (16, 1)]
+    # Both sonar models, with 16 new echoes per state and with one.
+    kinds = [(sonar, echoes) for sonar in (WIRE_SONAR, ConeSonar()) for echoes in (16, 1)]
+    lives = [Live(sonar, echoes) for sonar, echoes in kinds]
+    if compiled.load():  # from here on filters are compiled
+        lives += [Live(sonar, echoes) for sonar, echoes in kinds]
     live_samples: list[list[float]] = [[] for _ in lives]
     peers: list[list[float]] = [[], []]
+    # By turns in blocks, as the speed of the processor changes over seconds.
     for _ in range(rounds):
         for live, samples in zip(lives, live_samples, strict=True):
             samples.extend(live_us(live, BLOCK))
         for samples, more in zip(peers, times_us([filterpy.step, stonesoup.step], 1), strict=True):
             samples.extend(more)
-    rays_16, rays_1, cones_16, cones_1 = (
+    live_samples += [[nan]] * (2 * len(kinds) - len(live_samples))
+    rays_16, rays_1, cones_16, cones_1, *fast = (
         (statistics.median(samples), float(np.quantile(samples, 0.99))) for samples in live_samples
     )
     filterpy_us, stonesoup_us = (statistics.median(samples) for samples in peers)
+    # A ring of the particle filter takes milliseconds: fewer rounds.
     rings = times_us([particle_ring(WIRE_SONAR), particle_ring(ConeSonar())], max(1, rounds // BLOCK), RINGS)
     rays_ms, cones_ms = (statistics.median(sample) / 1e3 for sample in rings)
     wall_s, cpu_s = figure_s(seeds, jobs)
@@ -274,10 +306,17 @@ def measure(rounds: int, seeds: int, jobs: int) -> Result:
         cones_16_p99_us=cones_16[1],
         cones_1_us=cones_1[0],
         cones_1_p99_us=cones_1[1],
+        compiled_rays_16_us=fast[0][0],
+        compiled_rays_1_us=fast[1][0],
+        compiled_cones_16_us=fast[2][0],
+        compiled_cones_1_us=fast[3][0],
         used_rays=lives[0].used / lives[0].echoes,
         used_cones=lives[2].used / lives[2].echoes,
         filterpy_us=filterpy_us,
         filterpy_ratio=filterpy_us / rays_16[0],
+        one_echo_ratio=filterpy_us / rays_1[0],
+        cones_ratio=filterpy_us / cones_16[0],
+        compiled_ratio=filterpy_us / fast[0][0],
         stonesoup_us=stonesoup_us,
         stonesoup_ratio=stonesoup_us / rays_16[0],
         particles=MonteCarlo().particles,
@@ -306,8 +345,15 @@ def table(result: Result) -> str:
         ("  99th percentile", result["cones_16_p99_us"], "us", ""),
         ("  one new echo", result["cones_1_us"], "us", ""),
         ("  99th percentile", result["cones_1_p99_us"], "us", ""),
+        ("compiled, 16 new echoes, rays", result["compiled_rays_16_us"], "us", ""),
+        ("  one new echo", result["compiled_rays_1_us"], "us", ""),
+        ("compiled, 16 new echoes, cones", result["compiled_cones_16_us"], "us", ""),
+        ("  one new echo", result["compiled_cones_1_us"], "us", ""),
         ("filterpy, 16 scalar updates", result["filterpy_us"], "us", ""),
         ("  / Localizer.update, 16 echoes, rays", result["filterpy_ratio"], "times", "filterpy_ratio"),
+        ("  / one echo, rays", result["one_echo_ratio"], "times", "one_echo_ratio"),
+        ("  / 16 echoes, cones", result["cones_ratio"], "times", "cones_ratio"),
+        ("  / compiled, 16 echoes, rays", result["compiled_ratio"], "times", "compiled_ratio"),
         ("Stone-Soup, 16 scalar updates", result["stonesoup_us"], "us", ""),
         ("  / Localizer.update, 16 echoes, rays", result["stonesoup_ratio"], "times", ""),
         (f"{particles} rays", result["particles_rays_ms"], "ms", "particles_rays_ms"),

@@ -73,12 +73,14 @@ class SimulatedCable:
 
     def receive(self, deadline: Deadline) -> bytes:
         """Return the robot's reply. Raises ReplyTimeout at the deadline."""
+        # Simulated time passes only while the client waits: a run takes seconds, and repeats exactly.
         while not (data := self._session.tick() + self._session.process_requests(max_requests=100)):
             left_s = deadline.remaining()
             if left_s < INSTANT_S:
                 raise ReplyTimeout("the robot is silent")
             self.sleep(min(left_s, POLL_S))
         self.last_reply = data
+        # Ten bits per byte at 38400 baud.
         self._transit_s += len(data) * BYTE_S
         return data
 
@@ -137,9 +139,11 @@ def noise(seed: int) -> Plan:
 
 def missed(outcome: Outcome) -> list[str]:
     """Return the missed targets; noise affects every byte, other plans every tenth exchange."""
+    # Noise may produce a valid checksum: a low rate of wrong values is allowed.
     if "noise" in outcome.struck:
         allowed = max(1, TARGET_WRONG * outcome.exchanges // 100_000)
         return [f"{outcome.wrong} wrong values, {allowed} at most"] if outcome.wrong > allowed else []
+    # Plans affect every tenth exchange: others must not be lost.
     clean = [number for number in outcome.lost if number % 10]
     struck = sum(outcome.struck.values())
     return [

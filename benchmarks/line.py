@@ -63,6 +63,7 @@ class Host:
 
 async def _serve_echo() -> None:
     """Print the name of a pseudo-terminal and answer complete requests on it."""
+    # A pseudo-terminal in raw mode, whose other end is the host's.
     fd, other = os.openpty()
     tty.setraw(other)
     os.set_blocking(fd, False)
@@ -70,6 +71,7 @@ async def _serve_echo() -> None:
 
     def readable() -> None:
         nonlocal pending
+        # Requests may arrive in parts: only complete ones are answered.
         whole, pending = divmod(pending + len(os.read(fd, 4096)), len(REQUEST))
         if whole:
             os.write(fd, reply * whole)
@@ -95,6 +97,7 @@ def hosts(*words: str) -> Iterator[dict[str, Callable[[], None]]]:
         lines = [f"--serial-link={link}@1" for link in links]
         opened.enter_context(started([sys.executable, "-m", "nserver_emu", "--port", "0", *lines, *words]))
         _wait_for(links[-1])
+        # The links exist once the daemon listens.
         backend = open_backend(f"serial://{links[1]}")
         opened.callback(backend.close)
         yield {"nserver": opened.enter_context(contextlib.closing(Host(links[0]))), "client": partial(_ask, backend)}
@@ -123,6 +126,7 @@ def _ask(backend: Backend) -> None:
 
 def _result(fast: dict[str, Pace], slow: dict[str, Pace]) -> dict[str, float]:
     """Return the figures of the best rounds, the echo's too: load on the machine can only lower a rate."""
+    # Exchanges per second at this baud rate: request and reply, ten bits per byte.
     allowed = BAUD / BITS_PER_BYTE / (len(REQUEST) + REPLY_SIZE)
     echo = fast["echo"].best_per_second
     result = {"echo_per_second": echo, "ratio_target": TARGET_RATIO, "share_target": TARGET_SHARE}

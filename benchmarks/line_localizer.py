@@ -40,11 +40,13 @@ TIME_LIMIT_S = 60.0
 def daemon(seed: int, speed: float) -> Iterator[dict[str, str]]:
     """Run a daemon with a noisy N150 and yield its addresses by protocol."""
     with tempfile.TemporaryDirectory() as folder:
+        # Port 0 and a temporary folder: runs do not disturb each other.
         words = [WORLD, "--noisy", "--seed", str(seed), "--speed", str(speed), "--port", "0"]
         command = [sys.executable, "-m", "nserver_emu", *words, "--serial-link", str(Path(folder) / "robot")]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as program:
             assert program.stdout is not None
             try:
+                # Two lines of output: the TCP and the serial address.
                 places = dict(program.stdout.readline().split()[1:] for _ in range(2))
                 yield {"tcp": f"nserver://{places['nserver']}/1", "serial": f"serial://{places['serial']}?model=n150"}
             finally:
@@ -54,6 +56,7 @@ def daemon(seed: int, speed: float) -> Iterator[dict[str, str]]:
 def localized(address: str, observer: Robot) -> Run:
     """Return the run of `nomad localize ADDRESS`, with ground truth from a second connection."""
     config = LocalizationConfig(load_world(WORLD).walls, BODIES["n150"], THESIS_ODOMETRY)
+    # Truth is read before and after each state, and interpolated at the time of the estimate.
     run, truth_after = Run(WAYPOINTS), _truth(observer)
     with connect(address) as robot:
         state = robot.refresh()

@@ -78,6 +78,7 @@ async def asking(client: Client, first_s: float, end_s: float) -> list[float]:
     reader, writer = client
     trips, due_s = [], first_s
     while due_s < end_s:
+        # Due times, not sending times: a delayed reply must not delay the next request (coordinated omission).
         await asyncio.sleep(max(0.0, due_s - loop.time()))
         writer.write(GS)
         await reader.readexactly(REPLY_SIZE)
@@ -109,6 +110,7 @@ def be_hostile(kind: str, port: int) -> None:
 
 def _once(kind: str, hostile: socket.socket) -> None:
     """Send until the daemon closes the connection."""
+    # Half a request, or many at once.
     hostile.sendall(CONNECT + (GS + GS[:3] if kind == "stall" else GS * MANY))
     print(BEGUN, flush=True)
     if kind == "stall":
@@ -116,6 +118,7 @@ def _once(kind: str, hostile: socket.socket) -> None:
             pass
         return
     hostile.setblocking(False)
+    # A flood receives its replies, so that the daemon never stops sending.
     listens = [hostile] if kind == "flood" else []
     while True:
         readable, writable, _ = select.select(listens, [hostile], [])
@@ -157,6 +160,7 @@ def measure(
     with started(command) as line:
         port = int(line.rpartition(":")[2])
         for _ in range(rounds):
+            # Without and with the hostile client by turns; the median of the rounds is compared.
             alone.append(1000 * p99(asyncio.run(ask(port, clients, seconds))))
             with hostility(kind, port, ahead=ahead):
                 beside.append(1000 * p99(asyncio.run(ask(port, clients, seconds))))

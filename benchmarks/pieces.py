@@ -23,7 +23,7 @@ PIECE_SIZE = 4
 
 
 def measure(rounds: int, calls: int) -> dict[str, float]:
-    """Return the mean time of an exchange both ways, and the difference."""
+    """Return the mean time of an exchange sent whole and in pieces, and the difference."""
     request = codec.encode_tcp_request(Call("vm", (0, 0, 0)))
     connect = codec.encode_tcp_request(Call("connect_robot", (1, 1)))
     with started([sys.executable, "-m", "nserver_emu", "--port", "0", "--limit-rate", "0"]) as line:

@@ -14,9 +14,9 @@
         disconnect_robot(1)
 
 As in the C library nothing is raised and nothing printed: a call returns TRUE, or FALSE if it was refused or the link
-is lost (`last_error` has the reason); State[44] has the code of a refusal. Calls whose reply has no values, such as tk
-and place_robot, return TRUE also if the server refuses them. Numbers are in wire units, truncated to
-integers as in C, and clamped on a serial line to what it can carry. A list stands for a C array or pointer and is
+is lost (`last_error` has the reason); State[44] has the code of a refusal, 111 without a server. Calls whose reply has
+no values, such as tk and place_robot, return TRUE also if the server refuses them. Numbers are in wire units, truncated
+to integers as in C, and clamped on a serial line to what it can carry. A list stands for a C array or pointer and is
 filled in place. One program, one thread, one robot. The settings in capitals are module variables: assign them as
 `capi.NAME`, since an import with * only copies them.
 connect_robot(1, MODEL_N150, "/dev/ttyUSB0", 38400), as in the direct library, opens a robot's serial line: bumper bits
@@ -89,6 +89,8 @@ Laser: list[int] = [0] * (1 + 2 * MAX_LASER_READINGS)
 
 Ints = Sequence[int]
 Out = MutableSequence[Any]
+NO_SERVER = 111
+"""State[44] after a call that found no server or lost it."""
 _PACKET_HEAD = 4
 _NO_SUCH_MODES = frozenset({6, 7, 8})
 _NAK = Reply("nak")
@@ -526,6 +528,8 @@ def _connect(robot_id: int, *, create: bool = False, line: tuple[int, str, int] 
             _backend = open_line(*line, options)
     except NomadError as error:
         _error = error
+        if isinstance(error, ConnectionLost):
+            _apply(Reply("error", values=(NO_SERVER,)))
         return FALSE
     # What the C library sets on connecting: the mask in force, and the state that came with it.
     Smask[:] = (_backend.wire_state.mask if _backend.wire_state.model.sends_mask else EVERYTHING).smask
@@ -540,6 +544,7 @@ def _reply(name: str, *args: Any) -> Reply | None:
     global _error
     if _backend is None:
         _error = ConnectionLost(f"{name}: connect_robot first")
+        _apply(Reply("error", values=(NO_SERVER,)))
         return None
     try:
         call = Call(name, args)
@@ -547,6 +552,8 @@ def _reply(name: str, *args: Any) -> Reply | None:
     except NomadError as error:
         _error = error
         if not isinstance(error, RobotRefused):
+            if _backend.closed:
+                _apply(Reply("error", values=(NO_SERVER,)))
             return None
         # As in the C library a NAK on the serial line is a success, and a call whose reply has no values succeeds also
         # if the server refuses it. Another refusal sets State[44].

@@ -118,6 +118,7 @@ class Robot:
     def __init__(self, backend: Backend) -> None:
         self._backend = backend
         self._client_state = ClientState()
+        self._applied: Reply | None = None
         self._lock = threading.RLock()
         self._pid = os.getpid()
         # Replies update the client state, of which every exchange takes an immutable snapshot.
@@ -843,6 +844,10 @@ class Robot:
     # -- exchanges ----------------------------------------------------------------------------------------------------
 
     def _apply(self, reply: Reply) -> None:
+        # The backend returns the same object for the same bytes: nothing has changed since it was applied.
+        if reply is self._applied:
+            return
+        self._applied = reply
         self._client_state.apply_reply(reply)
         self._state = snapshot(self._client_state, self._backend.wire_state.model)
 

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Annotated, Any, Final, NamedTuple, get_type_hints
 from urllib.parse import SplitResult, parse_qsl, unquote, unquote_plus, urlsplit
 
-from nclient.backends.keep_alive import DEFAULT_TIMEOUT_S
+from nclient.backends.keep_alive import DEFAULT_TIMEOUT_S, MIN_TIMEOUT_S
 from nclient.backends.wrappers import DEFAULT_RETRIES, MAX_PAUSE_S
 from nclient.common.hints import suggest
 from nclient.errors import AddressError, NomadError
@@ -72,7 +72,7 @@ speed = _number("a number above 0", lambda value: value > 0)
 """A speed limit in inches or degrees per second."""
 count = _whole_number("a whole number, 0 or more", range(sys.maxsize))
 baud = _whole_number("a number of bits a second", range(1, sys.maxsize))
-motion_timeout = _whole_number("whole seconds, 2 to 255, or 0 for none", {0, *range(2, 256)})
+motion_timeout = _whole_number("whole seconds, 2 to 255, or 0 for none", {0, *range(MIN_TIMEOUT_S, 256)})
 """Whole seconds as conf_tm takes them. The robot counts whole seconds: one could expire between two keep-alives."""
 
 

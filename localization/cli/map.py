@@ -65,8 +65,8 @@ def draw_map(path: Path, world: World, found: FreeSpace, worst_in: Floats, findi
     save(picture, path)
 
 
-# Default grid step of `show`, inches.
-CELL_IN = 3.0
+# Default grid step of `show`, inches, and the number of positions above which it is larger.
+CELL_IN, MAX_PLACES = 3.0, 2500
 # Bound above which a position is called weak, inches.
 WEAK_IN = 1.0
 # Exit code 3, as of other commands that ran and did not succeed.
@@ -110,9 +110,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     show.add_argument(
         "--cell",
         type=parse_positive,
-        default=CELL_IN,
         metavar="IN",
-        help="grid step in in (default: %(default)s)",
+        help=f"grid step in in (default: {CELL_IN:g}, or larger for at most {MAX_PLACES} positions)",
     )
     show.add_argument(
         "--speed",
@@ -290,7 +289,9 @@ def _show(world: World, options: argparse.Namespace) -> int:
         check_picture(options.out)
     body = BODIES[options.body]
     # 1. Positions the robot can reach.
-    reached = find_free_space(world, body.radius_in, options.cell)
+    reached = find_free_space(world, body.radius_in, options.cell or CELL_IN)
+    if not options.cell and (count := np.count_nonzero(reached.reached)) > MAX_PLACES:
+        reached = find_free_space(world, body.radius_in, CELL_IN * math.sqrt(count / MAX_PLACES))
     columns, rows = np.nonzero(reached.reached)
     places = np.stack((reached.xs[columns], reached.ys[rows]), axis=-1)
     if not len(places):

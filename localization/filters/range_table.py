@@ -215,16 +215,10 @@ def _most_probable(
     places: Floats, directions: Floats, around: Reflectors, body: SonarRing, sonar: ConeSonar
 ) -> tuple[Floats, Floats]:
     """Return ranges and probabilities (n, d) of the most probable echo at neighbouring places (n, 2), by direction."""
-    # 1. Of all reflectors only those near, of these only those in sight of any of the places or of points around them.
-    middle = places.mean(axis=0)
-    near = around.some(
-        nearest_points(middle, around.walls)[1] <= _FAR_IN, np.hypot(*(around.vertices - middle).T) <= _FAR_IN
-    )
-    seen, blocking = _in_sight(places, near, body.sonar_ring_radius_in)
-    # 2. All directions at once.
+    seen, blocking = around_block(places, around, body.sonar_ring_radius_in)
     poses = _poses(places, directions).reshape(-1, 3)
     mount, std = SonarMount(0.0, body.sonar_ring_radius_in), np.full(len(poses), HEADING_STD_RAD)
-    ranges_in, probability = echo_probabilities(poses, std, mount, seen, sonar, near.walls[blocking])
+    ranges_in, probability = echo_probabilities(poses, std, mount, seen, sonar, blocking)
     shape = len(places), len(directions)
     if not probability.shape[1]:
         return np.zeros(shape), np.zeros(shape)
@@ -233,16 +227,19 @@ def _most_probable(
     return range_in, likeliest
 
 
-def _in_sight(places: Floats, around: Reflectors, ring_in: float) -> tuple[Reflectors, npt.NDArray[np.bool_]]:
-    """Return the reflectors that can be seen from the places (n, 2), or from a sonar's distance beside one of them.
+def around_block(places: Floats, around: Reflectors, ring_in: float) -> tuple[Reflectors, Floats]:
+    """Return the reflectors in sight of neighbouring places (n, 2), and the walls (m, 4) that may block the view.
 
-    Also returns which walls can block the view (m,).
+    In sight is what can be seen from a place, or from a sonar's distance `ring_in` beside an outer one.
     """
+    middle = places.mean(axis=0)
+    around = around.some(
+        nearest_points(middle, around.walls)[1] <= _FAR_IN, np.hypot(*(around.vertices - middle).T) <= _FAR_IN
+    )
     # 1. The places at the block's border, moved outwards by the ring: faces of sonars are there.
     low, high = places.min(axis=0), places.max(axis=0)
-    middle = 0.5 * (low + high)
     outer = places[((places == low) | (places == high)).any(axis=1)]
-    points = np.concatenate((places, outer + ring_in * np.sign(outer - middle)))
+    points = np.concatenate((places, outer + ring_in * np.sign(outer - 0.5 * (low + high))))
     # 2. Perpendiculars to walls, and lines to vertices.
     nearest, _ = nearest_points(points, around.walls)
     targets = np.concatenate((nearest, np.broadcast_to(around.vertices, (len(points), *around.vertices.shape))), axis=1)
@@ -255,4 +252,4 @@ def _in_sight(places: Floats, around: Reflectors, ring_in: float) -> tuple[Refle
     count = len(around.walls)
     blocking = in_sight[:count].copy()
     blocking[rows[rows >= 0]] = True
-    return around.some(in_sight[:count], in_sight[count:]), blocking
+    return around.some(in_sight[:count], in_sight[count:]), around.walls[blocking]

@@ -341,14 +341,23 @@ class _Geometry(NamedTuple):
 
 
 def expected_echoes(
-    poses: Floats, heading_std_rad: Floats, mount: SonarMount, around: Reflectors, sonar: ConeSonar
+    poses: Floats,
+    heading_std_rad: Floats,
+    mount: SonarMount,
+    around: Reflectors,
+    sonar: ConeSonar,
+    walls_in: Floats | None = None,
 ) -> ExpectedEchoes:
-    """Return the expected echoes of all reflectors at poses (..., 3), their headings uncertain by (...) radians."""
+    """Return the expected echoes of all reflectors at poses (..., 3), their headings uncertain by (...) radians.
+
+    `walls_in` (m', 4) may block the path. Default: all walls of `around`.
+    """
     if poses.ndim == 1:
-        alone = expected_echoes(poses[None], heading_std_rad, mount, around, sonar)
+        alone = expected_echoes(poses[None], heading_std_rad, mount, around, sonar, walls_in)
         return ExpectedEchoes(*(part[0] for part in alone))
     seen = _geometry(poses, mount, around)
-    probability = _first_echo(seen.ranges_in, _detected(seen, heading_std_rad, around, sonar, around.walls))
+    walls_in = around.walls if walls_in is None else walls_in
+    probability = _first_echo(seen.ranges_in, _detected(seen, heading_std_rad, around, sonar, walls_in))
     return ExpectedEchoes(seen.ranges_in, _stacked(seen.to_x, seen.to_y, seen.arm_x, seen.arm_y), probability)
 
 

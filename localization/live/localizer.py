@@ -22,7 +22,7 @@ from localization.filters import compiled
 from localization.filters.base import Filter, LocalizationConfig, Place, RingFilter, Searching, Smoothing, process_each
 from localization.filters.belief import POSE, Belief, Floats
 from localization.filters.health import HEALTHY, FilterHealth
-from localization.filters.odometry import NO_LAG, Lag, relative_step
+from localization.filters.odometry import NO_LAG, Lag, pose_at, relative_step
 from localization.filters.registry import DEFAULT_METHOD, make
 from localization.filters.update import REFUSALS, Refusal
 from localization.live.sensor_input import (
@@ -161,10 +161,11 @@ class Localizer:
         """Predict the filter to the encoders at the instant of each echo, and update it."""
         assert self._encoders is not None
         new = [(instant_s, sonar, float(sonars_in[sonar])) for sonar, instant_s in firings]
-        outcomes = self._process_echoes(self._encoders, self._history.since(new[0][0]), new)
-        self._last_echo_s = new[-1][0]
-        self._encoders = self._history.at(self._last_echo_s)
-        self._instants.extend([instant_s for instant_s, _, _ in new])
+        poses, self._last_echo_s = self._history.since(new[0][0]), new[-1][0]
+        outcomes = self._process_echoes(self._encoders, poses, new)
+        self._encoders = EncoderPose(self._last_echo_s, *pose_at(poses, self._last_echo_s))
+        if self._smoothing:
+            self._instants.extend([instant_s for instant_s, _, _ in new])
         return tuple(
             [
                 Echo(sonar, instant_s, sonars_in[sonar], REFUSALS[code], innovation_in, nis, outlier)
@@ -175,7 +176,9 @@ class Localizer:
 
 def _step(before: EncoderPose, after: EncoderPose) -> tuple[float, float]:
     """Return distance and turn between two poses of the encoders."""
-    return relative_step(*before[1:4], *after[1:4])
+    _, x, y, heading, _ = before
+    _, to_x, to_y, to_heading, _ = after
+    return relative_step(x, y, heading, to_x, to_y, to_heading)
 
 
 # Uncertain instants.

@@ -13,11 +13,12 @@ import contextlib
 import http.client
 import json
 import logging
-import math
 import time
 from collections.abc import Callable, Sequence
 from typing import Any, Final
 from urllib.parse import urlsplit
+
+import msgspec
 
 from localization.live.run import RunMoment
 from nclient.errors import AddressError, ConnectionLost
@@ -61,6 +62,11 @@ def build_message(
     }  # fmt: skip
 
 
+class _Answer(msgspec.Struct):
+    waypoints: Points | None
+    set: int
+
+
 def parse_answer(answer: bytes) -> tuple[Points, int]:
     """Return the waypoints in the page's answer, empty if they were cleared, and how often they have been set.
 
@@ -70,15 +76,12 @@ def parse_answer(answer: bytes) -> tuple[Points, int]:
         If the answer is invalid.
     """
     try:
-        # `waypoints` is null if they were cleared. NaN and infinity are valid for json.loads.
-        values = json.loads(answer)
-        waypoints = [(float(x), float(y)) for x, y in values["waypoints"] or ()]
-        if not all(map(math.isfinite, (number for point in waypoints for number in point))):
-            raise ValueError("a waypoint is not a finite number")
-        return waypoints, int(values["set"])
+        found = msgspec.json.decode(answer, type=_Answer)
     # All that a foreign server at this address may send.
-    except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
-        raise ValueError(f"invalid answer of the page: {type(error).__name__}: {error}") from None
+    except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:
+        raise ValueError(f"invalid answer of the page: {error}") from None
+    # They are null if they were cleared.
+    return found.waypoints or [], found.set
 
 
 class Publisher:

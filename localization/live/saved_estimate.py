@@ -18,14 +18,16 @@ from dataclasses import dataclass
 from hashlib import sha256
 from math import cos, hypot, pi, sin
 from pathlib import Path
-from typing import Any, Final, NamedTuple, NoReturn
+from typing import Annotated, Final, NamedTuple
 
 import numpy as np
+from msgspec import Meta, Struct
 
 from localization.filters.belief import HEADING, POSE, Belief, Floats, add, difference
 from localization.filters.odometry import MAX_STATE, OdometryNoise
 from localization.live.sensor_input import EncoderPose
 from nclient.common.files import read_text, write_atomic
+from nclient.common.validation import InvalidValue, convert, decode_json, reported_as
 from nclient.errors import EstimateFileError
 from worlds.world import World
 
@@ -197,13 +199,27 @@ def _distance_in(before: EncoderPose, now: EncoderPose) -> float:
 
 
 FORMAT: Final = "nomad estimate 1"
-KEYS: Final = ("format", "world", "walls", "body", "clock_s", "encoders", "turret_rad", "mean", "cov")
 MAX_BYTES: Final = 1 << 16
 """Twenty times the size of the largest state."""
 MAX_NUMBER: Final = 1e12
 """No time, length or angle of a run, and no square of one, is larger."""
 MIN_EIGENVALUE: Final = -1e-9
 """Rounding may make a singular covariance slightly negative."""
+
+
+Number = Annotated[float, Meta(ge=-MAX_NUMBER, le=MAX_NUMBER)]
+
+
+class _EstimateFile(Struct, forbid_unknown_fields=True):
+    format: str
+    world: str
+    walls: str
+    body: str
+    clock_s: Number
+    encoders: Annotated[list[Number], Meta(min_length=POSE, max_length=POSE, title=f"{POSE} numbers")]
+    turret_rad: Number
+    mean: Annotated[list[Number], Meta(min_length=POSE, max_length=MAX_STATE)]
+    cov: list[list[Number]]
 
 
 def save(path: Path, saved: SavedEstimate) -> None:
@@ -223,49 +239,22 @@ def save(path: Path, saved: SavedEstimate) -> None:
 def load(path: Path) -> SavedEstimate:
     """Read a saved estimate and check every key. Raises EstimateFileError."""
     text = read_text(path, MAX_BYTES, EstimateFileError)
-    try:
-        values = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise EstimateFileError(f"{path}: is not valid JSON: {error}") from error
-    # 1. The format first: for any other file the message is about the file, not about a key.
-    if not isinstance(values, dict) or values.get("format") != FORMAT:
-        _fail(path, "format", f"expected {FORMAT!r}: a file that `nomad localize --save` wrote")
-    # 2. Missing and unknown keys, then each value.
-    for key in {*KEYS} ^ {*values}:
-        _fail(path, key, "is missing" if key in KEYS else "unknown key")
-    signature = MapSignature(*(_text(path, key, values[key]) for key in MapSignature._fields))
-    clock_s, turret_rad = _numbers(path, "clock_s", values, ()), _numbers(path, "turret_rad", values, ())
-    encoders = EncoderPose.of(float(clock_s), _numbers(path, "encoders", values, (POSE,)), float(turret_rad))
-    return SavedEstimate(signature, encoders, _belief(path, values))
+    with reported_as(EstimateFileError, str(path)):
+        # The format first: for any other file the message is about the file, not about a key.
+        values = decode_json(text)
+        if not isinstance(values, dict) or values.get("format") != FORMAT:
+            raise InvalidValue(f"expected {FORMAT!r}: a file that `nomad localize --save` wrote", "format")
+        found = convert(values, _EstimateFile)
+        encoders = EncoderPose.of(found.clock_s, np.array(found.encoders), found.turret_rad)
+        return SavedEstimate(MapSignature(found.world, found.walls, found.body), encoders, _belief(found))
 
 
-def _belief(path: Path, values: dict[str, Any]) -> Belief:
+def _belief(found: _EstimateFile) -> Belief:
     # The state is the pose and possibly odometry parameters.
-    size = len(values["mean"]) if isinstance(values["mean"], list) else 0
-    if not POSE <= size <= MAX_STATE:
-        _fail(path, "mean", f"expected {POSE} to {MAX_STATE} numbers")
-    mean, cov = _numbers(path, "mean", values, (size,)), _numbers(path, "cov", values, (size, size))
+    mean, size = np.array(found.mean), len(found.mean)
+    if [len(row) for row in found.cov] != [size] * size:
+        raise InvalidValue(f"expected {size} by {size} numbers", "cov")
+    cov = np.array(found.cov)
     if not np.allclose(cov, cov.T) or np.linalg.eigvalsh(cov)[0] < MIN_EIGENVALUE:
-        _fail(path, "cov", "is not a covariance: expected a symmetric, positive semidefinite matrix")
+        raise InvalidValue("is not a covariance: expected a symmetric, positive semidefinite matrix", "cov")
     return Belief(mean, 0.5 * (cov + cov.T))
-
-
-def _numbers(path: Path, key: str, values: dict[str, Any], shape: tuple[int, ...]) -> Floats:
-    expected = " by ".join(map(str, shape)) + " numbers" if shape else "a number"
-    try:
-        found = np.array(values[key], dtype=np.float64)
-    except (ValueError, TypeError, OverflowError):
-        _fail(path, key, f"expected {expected}")
-    if found.shape != shape or not all(abs(number) <= MAX_NUMBER for number in found.ravel().tolist()):
-        _fail(path, key, f"expected {expected}, none beyond {MAX_NUMBER:g}")
-    return found
-
-
-def _text(path: Path, key: str, value: object) -> str:
-    if not isinstance(value, str):
-        _fail(path, key, "expected a text")
-    return value
-
-
-def _fail(path: Path, key: str, complaint: str) -> NoReturn:
-    raise EstimateFileError(f"{path}: {key}: {complaint}")

@@ -15,7 +15,7 @@ from typing import Final, NamedTuple, Protocol
 import numpy as np
 
 from localization.filters.belief import HEADING, POSE, Belief, Floats
-from localization.filters.odometry import pose_at, with_parameters
+from localization.filters.odometry import with_parameters
 from nclient.protocol.types import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE, SONAR_RATE_STEP_S
 from worlds.robots import IDEAL_CALIBRATION, Calibration
 
@@ -197,11 +197,6 @@ class EncoderPose(NamedTuple):
         """x_in, y_in and heading in radians, (3,)."""
         return np.array(self[1 : 2 + HEADING])
 
-    @property
-    def turret_offset_rad(self) -> float:
-        """Turret less steering: the direction of the ring's front from the heading."""
-        return self.turret_rad - self.heading_rad
-
 
 class PoseHistory:
     """The encoder poses of the last seconds."""
@@ -224,10 +219,6 @@ class PoseHistory:
         self._poses.append(pose)
         while len(self._poses) > 2 and self._poses[1].clock_s < pose.clock_s - HISTORY_S:
             self._poses.popleft()
-
-    def at(self, instant_s: float) -> EncoderPose:
-        """Return the pose at an instant, interpolated; before or after all poses, the nearest."""
-        return EncoderPose(instant_s, *pose_at(self.since(instant_s), instant_s))
 
     def since(self, instant_s: float) -> list[EncoderPose]:
         """Return the poses from the last one before an instant."""

@@ -104,7 +104,7 @@ class KeepAlive(Wrapper):
                 error, self._pending_error = self._pending_error, None
                 raise error
             # During a ws no other request is possible: split it, with a margin of two.
-            if self._active and is_wait(call):
+            if call.name == "ws" and self._active and is_wait(call):
                 return split_wait(call, self._timeout_s // 2, self._request)
             if call.name == "conf_tm":
                 self._active = False
@@ -156,17 +156,14 @@ class KeepAlive(Wrapper):
         self._last_request_s = self._clock()
         self._update_speed(reply)
         if reply.clock is not None:
-            self._detect_restart(reply.clock)
+            # The clock went back: the robot was restarted, and needs its timeout again.
+            if reply.clock < self._robot_ms and self._active:
+                try:
+                    self._inner.execute(Call("conf_tm", (self._timeout_s,)))
+                except (ReplyTimeout, RobotRefused):
+                    return reply  # `_robot_ms` is unchanged, so that the next reply is a new attempt
+            self._robot_ms = reply.clock
         return reply
-
-    def _detect_restart(self, robot_ms: int) -> None:
-        """Set the timeout again if the robot's clock went back: it was restarted."""
-        if robot_ms < self._robot_ms and self._active:
-            try:
-                self._inner.execute(Call("conf_tm", (self._timeout_s,)))
-            except (ReplyTimeout, RobotRefused):
-                return  # `_robot_ms` is unchanged, so that the next reply is a new attempt
-        self._robot_ms = robot_ms
 
     def _update_speed(self, reply: Reply) -> None:
         speed = reply.slots.get(_SPEED_SLOT)

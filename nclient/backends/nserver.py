@@ -20,8 +20,8 @@ from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused, WireError
 from nclient.protocol import codec
 from nclient.protocol.codec import TcpFrame, TcpFramer, reply_bounds
 from nclient.protocol.commands import Call, Command
-from nclient.protocol.replies import Reply
-from nclient.protocol.types import EVERYTHING, N150, Model
+from nclient.protocol.replies import STATE, Reply, TcpLayout
+from nclient.protocol.types import EVERYTHING, N150, Mask, Model
 from nclient.protocol.wire_state import tcp_wire_state
 from nclient.transports.stream import ByteStream, Deadline
 
@@ -99,6 +99,10 @@ class NserverBackend:
         self.wire_state = tcp_wire_state(model)
         """Model, sensor mask and laser mode, which determine the format of replies."""
         self._framer = TcpFramer(reply_bounds, wide=False)
+        # The last reply, its bytes, and what else its form depends on.
+        self._last_frame: TcpFrame | None = None
+        self._last_format: tuple[TcpLayout, Mask, int] | None = None
+        self._last_reply = _NO_REPLY
         self._outstanding = 0
         """Replies that are still to come."""
         self._slowness = 1.0
@@ -135,14 +139,17 @@ class NserverBackend:
         exchange = self._exchange if self.link is None else self._counted_exchange
         frame = exchange(call, request, self._reply_timeout_s(row, call))
 
-        # 3. Decode, and raise what the server refused.
-        try:
-            reply = codec.decode_tcp_reply(row, frame, self.wire_state)
-        except WireError as error:
-            self._finish(f"{row.name} was answered by a reply that does not fit it")
-            raise ConnectionLost(f"{row.name}: {error}; the connection was closed") from error
-        self._evaluate(call, reply)
-        return reply
+        # 3. Decode, and raise what the server refused. While nothing changes, the server sends the same state again.
+        format_key = (row.tcp_reply, self.wire_state.mask, self.wire_state.laser_width)
+        if frame != self._last_frame or format_key != self._last_format or row.tcp_reply is not STATE:
+            try:
+                self._last_reply = codec.decode_tcp_reply(row, frame, self.wire_state)
+            except WireError as error:
+                self._finish(f"{row.name} was answered by a reply that does not fit it")
+                raise ConnectionLost(f"{row.name}: {error}; the connection was closed") from error
+            self._last_frame, self._last_format = frame, format_key
+        self._evaluate(call, self._last_reply)
+        return self._last_reply
 
     def close(self) -> None:
         """Send disconnect_robot, unless a reply is outstanding, and close the connection."""
@@ -158,7 +165,7 @@ class NserverBackend:
         try:
             self._stream.send(request)
             sent = True
-            return self._next_reply(Deadline.after(timeout_s))
+            return self._next_reply(Deadline(time.monotonic() + timeout_s))
         except ReplyTimeout as error:
             # A late reply would be taken for that of the next call.
             self._finish(f"{call.name} was not answered, and a late answer must not be taken for another's")

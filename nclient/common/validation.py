@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import json
 import operator
 import re
 import sys
@@ -80,13 +81,19 @@ def convert(value: object, kind: Any, key: str = "") -> Any:
         return msgspec.convert(value, kind)
     except msgspec.ValidationError as failure:
         raise _explain(failure, value, kind, key) from None
+    except UnicodeEncodeError as failure:
+        # JSON may escape half of a surrogate pair.
+        raise InvalidValue(f"expected text, found {failure.object!r:.60}, which is no character", key) from None
 
 
 def decode_json(text: str) -> Any:
-    """Return the value of a JSON text. Raises InvalidValue, also if it is nested too deeply."""
+    """Return the value of a JSON text. Raises InvalidValue, also if it is nested too deeply.
+
+    NaN and infinity are read, so that the error for them names their key.
+    """
     try:
-        return msgspec.json.decode(text)
-    except (msgspec.DecodeError, RecursionError, UnicodeError) as failure:
+        return json.loads(text)
+    except (ValueError, RecursionError) as failure:
         raise InvalidValue(f"is no JSON: {failure}") from None
 
 

@@ -70,6 +70,15 @@ Place = Annotated[int, Meta(title="a whole number, the index of a byte, negative
 Change = Annotated[Literal["bit", "byte"], Meta(description="one flipped bit, or any other byte")]
 
 
+class _Checked:
+    """A dataclass whose values are checked against the types of its fields when it is created."""
+
+    __slots__ = ()
+
+    def __post_init__(self) -> None:
+        check_fields(self, FaultPlanError)
+
+
 @dataclass(frozen=True, slots=True)
 class Drop:
     """Drop the frame."""
@@ -78,7 +87,7 @@ class Drop:
 
 
 @dataclass(frozen=True, slots=True)
-class Delay:
+class Delay(_Checked):
     """Delay the frame by `delay_s` +- `jitter_s`, uniformly distributed; later frames do not overtake it."""
 
     delay_s: Seconds
@@ -94,49 +103,37 @@ class Delay:
 
 
 @dataclass(frozen=True, slots=True)
-class Corrupt:
+class Corrupt(_Checked):
     """Change one byte: one bit of it, or to any other byte."""
 
     change: Change = BYTE
     place: Place | None = None
     kind: ClassVar[str] = "corrupt"
 
-    def __post_init__(self) -> None:
-        check_fields(self, FaultPlanError)
-
 
 @dataclass(frozen=True, slots=True)
-class DropByte:
+class DropByte(_Checked):
     """Drop one byte."""
 
     place: Place | None = None
     kind: ClassVar[str] = "drop_byte"
 
-    def __post_init__(self) -> None:
-        check_fields(self, FaultPlanError)
-
 
 @dataclass(frozen=True, slots=True)
-class InsertBytes:
+class InsertBytes(_Checked):
     """Insert `count` random bytes at one place, which may be before the first byte or behind the last."""
 
     count: Annotated[int, Meta(ge=1, le=MAX_INSERTED, description="number of bytes")] = 1
     place: Place | None = None
     kind: ClassVar[str] = "stray"
 
-    def __post_init__(self) -> None:
-        check_fields(self, FaultPlanError)
-
 
 @dataclass(frozen=True, slots=True)
-class Cut:
+class Cut(_Checked):
     """Deliver only the first `keep` bytes, at most all but one."""
 
     keep: Size | None = None
     kind: ClassVar[str] = "cut"
-
-    def __post_init__(self) -> None:
-        check_fields(self, FaultPlanError)
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,29 +147,23 @@ class Nak:
 
 
 @dataclass(frozen=True, slots=True)
-class Blackout:
+class Blackout(_Checked):
     """Drop this frame and all later ones for `silence_s`, of any command, in the directions of the rule."""
 
     silence_s: Seconds
     kind: ClassVar[str] = "silence"
 
-    def __post_init__(self) -> None:
-        check_fields(self, FaultPlanError)
-
 
 @dataclass(frozen=True, slots=True)
-class HangUp:
+class HangUp(_Checked):
     """Close the connection after `keep` bytes of the frame."""
 
     keep: Size = 0
     kind: ClassVar[str] = "hang_up"
 
-    def __post_init__(self) -> None:
-        check_fields(self, FaultPlanError)
-
 
 @dataclass(frozen=True, slots=True)
-class Noise:
+class Noise(_Checked):
     """Change, drop or add bytes at random: each rate is the percentage of all bytes."""
 
     corrupt_percent: Percent = 0.0

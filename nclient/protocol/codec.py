@@ -360,6 +360,9 @@ def decode_tcp_request(frame: TcpFrame) -> Call:
     row, payload = BY_TCP_TYPE.get(frame.type), frame.payload
     if row is None:
         raise WireError(f"unknown message type {frame.type}")
+    # Most queries have neither words nor arguments.
+    if not payload and not row.arguments:
+        return Call(row.name)
     # 1. Packets of the arm are special requests whose type is in their bytes.
     if row.name == "special_request" and len(payload) > _SPECIAL_TYPE_WORD:
         packet = BY_PACKET_TYPE.get(payload[_SPECIAL_TYPE_WORD])

@@ -386,7 +386,8 @@ class ConnectionHandler(ABC):
         During a deferred reply (ws, zr) reading continues until the queue is full, so that a closed connection is
         noticed.
         """
-        is_ready = (self.session.ready or self._has_backlog) and not self.is_write_paused
+        session = self.session
+        is_ready = (session.ready or self._has_backlog) and not self.is_write_paused
         if is_ready and self._turn is None and not self.is_queued:
             if wait_s := self._rate_limit_wait_s():
                 self._turn = self._loop.call_later(wait_s, self._next_turn)
@@ -394,7 +395,7 @@ class ConnectionHandler(ABC):
                 self._server.scheduler.submit(self)
         self._is_channel_full = self._channel is not None and self._channel.full
         self._set_reading(
-            not (is_ready or self.is_write_paused or self._is_channel_full or self.session.is_queue_full)
+            not (is_ready or self.is_write_paused or self._is_channel_full or session.is_queue_full)
         )
 
     def _next_turn(self) -> None:

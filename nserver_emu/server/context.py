@@ -633,7 +633,7 @@ class ServerState:
     def feed_watchdog(self, context: ConnectionContext) -> None:
         """Restart the command timeout (conf_tm) of a connection's robot, unless only other connections move it."""
         assert context.robot_id is not None
-        robot = self.robot_of(context)
+        robot = self.simulation.robots[context.robot_id]
         if self.axis_ownership.may_feed_watchdog(context, context.robot_id, robot):
             robot.feed()
 

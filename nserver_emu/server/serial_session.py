@@ -72,8 +72,6 @@ class SerialSession(BaseSession[SerialFrame]):
         # Frames and skipped bytes when that time was taken: a change means that another frame is first now.
         self._progress = (0, 0)
         self._cached_calls: dict[SerialFrame, Call] = {}
-        # The last state reply and its encoded packets, by command.
-        self._cached_packets: tuple[Reply | None, dict[str, bytes]] = (None, {})
 
     @property
     def greeting(self) -> bytes:
@@ -141,26 +139,12 @@ class SerialSession(BaseSession[SerialFrame]):
         codec.update_from_request(call, wire_state)
         return self._reply_or_defer(call.name, self._answer(call, self.context))
 
-    def _encode(self, name: str, reply: Reply) -> bytes:
+    def _encode_anew(self, name: str, reply: Reply) -> bytes:
         if reply.kind == "error":
             reason = f"{name}: error {reply.values[0]}"
             self._count_refused(reason, reason)
             reply = NAK
-        if reply.kind == "state":
-            return self._state_packet(name, reply)
         return codec.encode_serial_reply(BY_NAME[name], to_line_units(reply, self.model), self.context.wire_state)
-
-    def _state_packet(self, name: str, reply: Reply) -> bytes:
-        """Return the packet of a state reply, encoded once per command while the reply is the same object."""
-        cached, packets = self._cached_packets
-        if cached is not reply:
-            packets = {}
-            self._cached_packets = (reply, packets)
-        if name not in packets:
-            packets[name] = codec.encode_serial_reply(
-                BY_NAME[name], to_line_units(reply, self.model), self.context.wire_state
-            )  # fmt: skip
-        return packets[name]
 
 
 def to_line_units(reply: Reply, model: Model) -> Reply:

@@ -104,8 +104,8 @@ class CachedStateReply:
     mask: Mask
     laser_mode: int
     reply: Reply
-    # Its frame, once it was sent.
-    frame: bytes = b""
+    # Its frame by command, once it was sent.
+    frames: dict[str, bytes] = field(default_factory=dict)
 
 
 @dataclass(slots=True, eq=False)
@@ -265,8 +265,17 @@ class BaseSession(ABC, Generic[Request]):
     @abstractmethod
     def _process_one(self, request: Request) -> bytes: ...
 
+    def _encode(self, name: str, reply: Reply) -> bytes:
+        """Return the bytes of a reply; a cached state is encoded once per command."""
+        cached = self.context.cached_state
+        if cached is None or cached.reply is not reply:
+            return self._encode_anew(name, reply)
+        if name not in cached.frames:
+            cached.frames[name] = self._encode_anew(name, reply)
+        return cached.frames[name]
+
     @abstractmethod
-    def _encode(self, name: str, reply: Reply) -> bytes: ...
+    def _encode_anew(self, name: str, reply: Reply) -> bytes: ...
 
 
 class Session(BaseSession[TcpFrame | InvalidFrame]):
@@ -386,11 +395,7 @@ class Session(BaseSession[TcpFrame | InvalidFrame]):
             return b""
         return self._reply_or_defer(call.name, answer)
 
-    def _encode(self, name: str, reply: Reply) -> bytes:
-        cached = self.context.cached_state
-        if cached is not None and cached.reply is reply:
-            cached.frame = cached.frame or codec.encode_tcp_reply(BY_NAME[name], reply, self.context.wire_state)
-            return cached.frame
+    def _encode_anew(self, name: str, reply: Reply) -> bytes:
         if reply.kind == "error":
             reason = f"{name}: error {reply.values[0]}"
             self._count_refused(reason, reason)

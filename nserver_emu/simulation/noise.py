@@ -46,7 +46,7 @@ from nserver_emu.simulation.odometry import EXACT, Odometry
 from nserver_emu.simulation.segments import ConstantAccelerationSegment
 from nserver_emu.simulation.settings import Key, keys_of, setting
 from nserver_emu.simulation.sonar import IDEAL_SONAR, SonarModel, SonarNoise
-from worlds.robots import SONARS, Calibration
+from worlds.robots import Calibration
 from worlds.schema import parse_toml, read_text
 
 log = logging.getLogger(__name__)
@@ -171,11 +171,7 @@ class RobotSetup:
         """Raise ValueError if a value is outside the range of its key."""
         # The ranges of the keys bound the work that a snapshot can cause.
         for key in KEYS:
-            value = key.of(self)
-            if value is not None and not key.accepts(value):
-                raise ValueError(f"{key.table}.{key.name} out of range")
-        if len(self.sonar.offsets_in) != SONARS:
-            raise ValueError("sonar.offsets_in without 16 values")
+            key.check(self)
 
 
 IDEAL: Final = RobotSetup("ideal")

@@ -7,12 +7,12 @@ range, the unit and the meaning stand here once. Angles are radians in the field
 from __future__ import annotations
 
 from dataclasses import field, fields
-from math import degrees, isfinite, radians
+from math import degrees, radians
 from typing import Annotated, Any, Final, NamedTuple
 
 from msgspec import Meta
 
-from nclient.common.validation import InvalidValue
+from nclient.common.validation import InvalidValue, convert
 
 _SETTING: Final = "setting"
 SONAR_NUMBERS: Final = "sonars"
@@ -89,18 +89,12 @@ class Key(NamedTuple):
         """Return a setup's value in the simulation's units; None where its sonar model has no such setting."""
         return getattr(getattr(setup, self.table) if self.table else setup, self.field, None)
 
-    def accepts(self, value: object) -> bool:
-        """Return True if a value, or every value of a tuple, is finite and in the permitted range."""
-        return all(_is_within(number, self) for number in (value if isinstance(value, tuple) else (value,)))
-
-
-def _is_within(value: object, key: Key) -> bool:
-    if not isinstance(value, int | float) or not isfinite(value):
-        return False
-    # Compare in the unit of the file.
-    shown = degrees(value) if key.in_degrees else value
-    tolerance = 1e-9 * max(abs(key.low), abs(key.high))  # degrees -> radians -> degrees rounds
-    return key.low - tolerance <= shown <= key.high + tolerance
+    def check(self, setup: object) -> None:
+        """Raise InvalidValue if a setup's value is not one that a file may contain."""
+        value: Any = self.of(setup)
+        if value is not None:
+            # Bounds in degrees are still exact after the conversion to radians and back.
+            convert(degrees(value) if self.in_degrees else value, self.type, f"{self.table}.{self.name}")
 
 
 def setting(default: Any, low: float, high: float, unit: str, meaning: str, former: str = "") -> Any:

@@ -17,24 +17,24 @@ def test_every_kind_is_measured(kind: str, monkeypatch: pytest.MonkeyPatch) -> N
     assert found["turn_ms"] > 0.0
     assert found["p99_ms"] > 0.0
     assert found["served_ms"] > 0.0
-    is_kept = (
+    is_met = (
         found["turn_ms"] <= isolation.TURN_BOUND_MS
         and found["p99_ms"] <= found["p99_bound_ms"]
         and found["served_ms"] <= isolation.SERVED_BOUND_MS
     )
-    assert found["kept"] is is_kept
+    assert found["is_met"] is is_met
 
 
-@pytest.mark.parametrize("is_kept", [True, False])
+@pytest.mark.parametrize("is_met", [True, False])
 def test_missed_target_sets_exit_code(
-    is_kept: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    is_met: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     found: dict[str, Any] = dict.fromkeys(
         ("attempts_per_s", "turn_ms", "longest_turn_ms", "alone_p99_ms", "p99_ms", "p95_ms", "p99_bound_ms",
          "served_ms"), 1.0)  # fmt: skip
-    monkeypatch.setattr(isolation, "measure", lambda *_: {**found, "kept": is_kept})
-    assert isolation.main(["--hostile", "churn"]) == (0 if is_kept else 1)
-    assert ("FAILED" in capsys.readouterr().out) is not is_kept
+    monkeypatch.setattr(isolation, "measure", lambda *_: {**found, "is_met": is_met})
+    assert isolation.main(["--hostile", "churn"]) == (0 if is_met else 1)
+    assert ("FAILED" in capsys.readouterr().out) is not is_met
 
 
 def test_blocks_do_not_overlap() -> None:

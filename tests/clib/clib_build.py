@@ -140,7 +140,8 @@ def run(command: list[str]) -> str:
 
 def run_calls(program: list[str], script: str) -> list[dict[str, Any]]:
     """Return the client state of programs/replay.c after each call of a script; the last entry is its stderr."""
-    timeout = {"REPLAY_TIMEOUT_MS": "10000"} | os.environ  # tests may set a shorter one
+    # Tests may set a shorter one.
+    timeout = {"REPLAY_TIMEOUT_MS": "10000"} | os.environ
     done = subprocess.run(program, input=script, env=timeout, capture_output=True, text=True, timeout=TIMEOUT_S,
                           check=False)  # fmt: skip
     assert done.returncode == 0, done.stderr

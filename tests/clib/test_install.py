@@ -45,7 +45,8 @@ def test_readme_program_runs_on_installed_library(builds: BuildCache, tmp_path: 
     with on_socket(by_script(server, 6)) as port:
         program.write_text(text.replace("localhost", "127.0.0.1").replace("7019", str(port)))
         described = (prefix / "lib" / "pkgconfig" / "nclient.pc").read_text()
-        assert described.startswith(f"prefix={prefix}\nName: nclient\n")  # not the one of the previous installation
+        # Not the one of the previous installation.
+        assert described.startswith(f"prefix={prefix}\nName: nclient\n")
         assert f"\nVersion: {VERSION}\n" in described
         described = described.replace("${prefix}", str(prefix))
         flags = [word for line in described.splitlines() if line.startswith(("Cflags:", "Libs:"))

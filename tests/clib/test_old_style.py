@@ -75,7 +75,7 @@ def scout(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Path]
 @NEEDS_BUILD
 @WIDTHS
 @pytest.mark.parametrize("library", ["nclient", "ndirect"])
-@pytest.mark.parametrize("name", ["constants.c", "packets.c"])
+@pytest.mark.parametrize("name", ["constants.c", "packets.c", "prototypes.c"])
 def test_constants_types_and_packets(builds: BuildCache, width: BuildKind, name: str, library: str) -> None:
     assert output_of(build(builds, name, width, ANSI, library)) == f"{name.removesuffix('.c')} ok\n"
 
@@ -122,6 +122,24 @@ def test_class_with_methods_of_the_same_names(builds: BuildCache, width: BuildKi
     assert output_of(build(builds, "robot.cc", width, CPLUSPLUS), "127.0.0.1", port, "2") == "robot ok\n"
     direct = build(builds, "robot.cc", width, CPLUSPLUS, "ndirect")
     assert output_of(direct, NOMAD_ROBOT=f"serial://{link}?model=n150") == "robot ok\n"
+
+
+@pytest.mark.parametrize("standard", ["c++98", "c++17"])
+def test_prototypes_and_structures_in_cplusplus(standard: str, tmp_path: Path) -> None:
+    if not can_build_cplusplus(PLAIN):
+        pytest.skip("no C++ compiler: install g++")
+    for name in ("prototypes.c", "packets.c"):
+        run(["c++", f"-std={standard}", "-x", "c++", "-Wall", "-Wextra", "-Werror", "-c", str(OLD_STYLE / name),
+             "-I", str(OLD_STYLE.parents[2] / "clib" / "include"), "-o", str(tmp_path / "object")])  # fmt: skip
+
+
+def test_own_header_takes_precedence(builds: BuildCache, tmp_path: Path) -> None:
+    (tmp_path / "Nclient.h").write_text("extern long State[45];\nextern int connect_robot(long, ...), gs(void);\n")
+    program, made = tmp_path / "own.c", tmp_path / "own"
+    program.write_text('#include "Nclient.h"\nint main(void) { return connect_robot(1) || gs() || State[44] != 111; }')
+    run(["cc", "-std=c89", str(program), "-I", str(OLD_STYLE.parents[2] / "clib" / "include"),
+         "-L", str(builds.libraries(PLAIN)), "-lnclient", "-Wl,--fatal-warnings", "-o", str(made)])  # fmt: skip
+    assert output_of(str(made), NOMAD_ROBOT="nserver://127.0.0.1:1/1") == ""
 
 
 @NEEDS_BUILD

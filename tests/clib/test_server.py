@@ -88,7 +88,8 @@ def test_silent_server_is_disconnected(client: str) -> None:
 
     def talk(connection: socket.socket) -> None:
         by_script(server, 3)(connection)
-        assert connection.recv(1) == b""  # the client closes the connection without another request
+        # The client closes the connection without another request.
+        assert connection.recv(1) == b""
 
     with on_socket(talk) as port:
         _, silent, after, _ = run_calls([client, str(port)], "connect_robot 1\ngs\nst\n")

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 import subprocess
 import sys
 from collections.abc import Mapping
 from pathlib import Path
+
+from tests.programs.forked import run_forked
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -31,9 +34,20 @@ def environment_with_venv() -> dict[str, str]:
 
 
 def run(command: str, folder: Path, environment: Mapping[str, str] | None = None, timeout_s: float = 300) -> str:
-    """Return the output of a shell command, which must succeed."""
-    bash, environment = ["bash", "-c", command], environment or environment_with_venv()
-    done = subprocess.run(bash, cwd=folder, env=environment, capture_output=True, text=True, timeout=timeout_s,
-                          check=False)  # fmt: skip
+    """Return the output of a shell command, which must succeed.
+
+    A command that is only a call of `nomad` is forked, which saves its imports. The README's commands and
+    tests/nclient/common/test_exit_codes.py start the installed programs.
+    """
+    environment = environment or environment_with_venv()
+    lexer = shlex.shlex(command, posix=True, punctuation_chars=True)
+    lexer.whitespace_split = True
+    words = list(lexer)
+    if words[0] == "nomad" and not any(word[0] in "();<>|&" for word in words) and not set("$*~`") & set(command):
+        done = run_forked(*words, timeout=timeout_s, cwd=folder, environment=environment)
+    else:
+        bash = ["bash", "-c", command]
+        done = subprocess.run(bash, cwd=folder, env=environment, capture_output=True, text=True, timeout=timeout_s,
+                              check=False)  # fmt: skip
     assert done.returncode == 0, f"{command}\n{done.stdout}{done.stderr}"
     return done.stdout

@@ -33,7 +33,8 @@ class Setting:
 
 @pytest.fixture(scope="module")
 def setting(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Setting]:
-    folder = tmp_path_factory.mktemp("w")  # short: the path of a Unix socket has at most about a hundred bytes
+    # Short: the path of a Unix socket has at most about a hundred bytes.
+    folder = tmp_path_factory.mktemp("w")
     environment = environment_with_venv() | {"XDG_RUNTIME_DIR": str(folder)}
     start = shlex.split(START.replace("--viewer", "--viewer 0 --port 0 --speed 4"), comments=True)
     with subprocess.Popen(start, stdout=subprocess.PIPE, text=True, env=environment) as daemon:

@@ -63,7 +63,8 @@ def test_restored_server_continues_from_last_autosave(tmp_path: Path) -> None:
         process.kill()
         process.wait(END_S)
     with running(*NSERVER, "--restore", str(saved)) as (_, address), connect(address) as robot:
-        first = reading(robot.state)  # connecting requests a state, one step after the saved one
+        # Connecting requests a state, one step after the saved one.
+        first = reading(robot.state)
     assert first in after
     assert before[-1][0] < first[0]
 

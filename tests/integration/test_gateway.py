@@ -76,7 +76,8 @@ def test_gateway_drives_robot_and_shadow_follows(tmp_path: Path) -> None:
         gateway.end()
         assert gateway.process.returncode == 0
     found = json.loads(report.read_text())["quantities"]
-    assert abs(found["x_in"]["max"]) < 5.0  # half a second at 10 in/s: two servers on a busy machine
+    # Half a second at 10 in/s: two servers on a busy machine.
+    assert abs(found["x_in"]["max"]) < 5.0
     assert abs(found["x_in"]["mean"]) < 1.0
     assert found["sonars_in"]["count"] > 16
 
@@ -92,7 +93,8 @@ def test_lost_robot_is_error_6_until_it_returns() -> None:
             assert error_code(driver) == 6
             again.enter_context(nserver("--port", port))
             wait_until(lambda: error_code(watcher) is None)
-            wait_until(lambda: error_code(driver) is None)  # the keep-alive thread has noticed the loss first
+            # The keep-alive thread has noticed the loss first.
+            wait_until(lambda: error_code(driver) is None)
             assert driver.move(translation_in=1).raw[38] > 0
         errors = gateway.end()
     assert errors.count("the real robot does not answer") == 1
@@ -123,7 +125,8 @@ def test_gateway_limits_speed_and_reconnects_to_line(tmp_path: Path) -> None:
             link.unlink(missing_ok=True)
             again.enter_context(nserver(*robot_words))
             wait_until(lambda: error_code(watcher) is None)
-            wait_until(lambda: error_code(driver) is None)  # the keep-alive thread has noticed the loss first
+            # The keep-alive thread has noticed the loss first.
+            wait_until(lambda: error_code(driver) is None)
             assert driver.move(translation_in=1).raw[38] > 0
         gateway.end()
         assert gateway.process.returncode == 0

@@ -140,7 +140,8 @@ def test_each_robot_has_its_own_line_and_mask(tmp_path: Path) -> None:
             assert over_tcp.read(11) == bytes.fromhex("ffffffffff010133000000")
             assert len(first.ask(GS)) == 42
             assert len(second.ask(CT, NO_SENSORS)) == 14 + 7
-            assert len(over_tcp.ask(GS)) == 14 + 7  # all lines of a robot share its mask
+            # All lines of a robot share its mask.
+            assert len(over_tcp.ask(GS)) == 14 + 7
             first.drive(0, 30, 0)
             assert again.velocities() == (0, 30, 0)
             assert second.velocities() == (0, 0, 0)

@@ -178,7 +178,8 @@ def test_bridge_reconnects_to_its_server(tmp_path: Path) -> None:
         far.settimeout(10)
         address = f"nserver://127.0.0.1:{far.getsockname()[1]}"
         with program("nomad", "bridge", address, "--link", str(tmp_path / "robot")) as (link, process):
-            fd = open_pty(link)  # stays open, as in old programs: the bridge reconnects for it
+            # Stays open, as in old programs: the bridge reconnects for it.
+            fd = open_pty(link)
             for word in (b"one", b"two"):
                 end, _ = far.accept()
                 with end:

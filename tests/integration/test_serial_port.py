@@ -84,12 +84,12 @@ def test_closing_in_another_thread_ends_the_wait(pty: Pty) -> None:
     stream = SerialStream(pty.name)
     closing = threading.Timer(0.1, stream.close)
     closing.start()
-    with pytest.raises(ConnectionLost, match="this end has closed"):
+    with pytest.raises(ConnectionLost, match="this end"):
         stream.receive(Deadline.after(30))
     closing.join()
     stream.close()
     for use in (lambda: stream.send(b"x"), lambda: stream.receive(Deadline.after(1))):
-        with pytest.raises(ConnectionLost, match="this end has closed"):
+        with pytest.raises(ConnectionLost, match="this end"):
             use()
 
 

@@ -168,7 +168,8 @@ def test_a_saved_simulation_is_restored_in_another_process(tmp_path: Path) -> No
 def test_an_end_that_cannot_be_saved_says_so_and_exits_1(tmp_path: Path) -> None:
     with program("--port", "0", "--save", str(tmp_path / "nowhere" / "saved.json")) as started:
         assert started.process.stderr is not None
-        assert "there is no folder" in started.process.stderr.readline()  # at once, not when a day's run is over
+        # At once, not when a day's run is over.
+        assert "there is no folder" in started.process.stderr.readline()
         started.process.send_signal(signal.SIGUSR1)
         assert "not saved" in started.process.stderr.readline()
         started.process.send_signal(signal.SIGTERM)

@@ -17,23 +17,32 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from multiprocessing import reduction
+from pathlib import Path
 from typing import IO, Any, Self
 
 _CONTEXT = multiprocessing.get_context("forkserver")
 _CONTEXT.set_forkserver_preload([
     "nserver_emu.cli", "nserver_emu.server.pty", "nserver_emu.viewer.server", "numpy.random",
     "nclient.cli.main", "nclient.cli.bridge", "nclient.cli.doctor", "nclient.cli.play",
+    "nclient.cli.shell", "nclient.cli.state", "nclient.cli.stop", "nclient.cli.dump",
     "localization.cli.calibrate", "localization.cli.localize", "localization.cli.mission", "localization.cli.go",
+    "localization.cli.map",
 ])  # fmt: skip
 
 
 class Forked:
-    """A process of `nserver` or `nomad`. `stdout` is a pipe; `stderr` on request."""
+    """A process of `nserver` or `nomad`. `stdout` is a pipe; `stderr` on request.
 
-    def __init__(self, program: str, *words: str, stderr: bool = False) -> None:
+    `cwd` and `environment` default to those of the tests.
+    """
+
+    def __init__(
+        self, program: str, *words: str, stderr: bool = False, cwd: Path | None = None,
+        environment: Mapping[str, str] | None = None,
+    ) -> None:
         self.args = (program, *words)
         self.returncode: int | None = None
         self.stdout, out = _pipe()
@@ -43,7 +52,7 @@ class Forked:
             os.close(err)
             self.stderr, err = _pipe()
         streams = _Descriptors(out, err)
-        arguments = (program, words, dict(os.environ), streams)
+        arguments = (program, words, cwd or Path.cwd(), dict(environment or os.environ), streams)
         self._process = _CONTEXT.Process(target=_run_program, args=arguments, daemon=True)
         self._process.start()
         os.close(out)
@@ -111,9 +120,11 @@ class Forked:
             stream.close()
 
 
-def run_forked(program: str, *words: str, timeout: float) -> subprocess.CompletedProcess[str]:
+def run_forked(
+    program: str, *words: str, timeout: float, cwd: Path | None = None, environment: Mapping[str, str] | None = None
+) -> subprocess.CompletedProcess[str]:
     """Run a program that ends by itself and return its output."""
-    with Forked(program, *words, stderr=True) as process:
+    with Forked(program, *words, stderr=True, cwd=cwd, environment=environment) as process:
         out, err = process.communicate(timeout)
         return subprocess.CompletedProcess((program, *words), process.wait(), out, err)
 
@@ -137,8 +148,11 @@ def _detach(*passed: Any) -> tuple[int, ...]:
     return tuple(each.detach() for each in passed)
 
 
-def _run_program(program: str, words: tuple[str, ...], environment: dict[str, str], streams: tuple[int, ...]) -> None:
+def _run_program(
+    program: str, words: tuple[str, ...], cwd: Path, environment: dict[str, str], streams: tuple[int, ...]
+) -> None:
     """Run the program in the forked process."""
+    os.chdir(cwd)
     for number, given in enumerate(streams, 1):
         os.dup2(given, number)
         os.close(given)

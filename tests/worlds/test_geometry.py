@@ -47,7 +47,8 @@ def test_lengths_and_normals(first: Pair, second: Pair) -> None:
     normal = normals(segment)[0]
     assert np.linalg.norm(normal) == pytest.approx(1.0)
     assert normal @ along == pytest.approx(0.0, abs=1e-9)
-    assert along[0] * normal[1] - along[1] * normal[0] > 0.0  # to the left
+    # To the left.
+    assert along[0] * normal[1] - along[1] * normal[0] > 0.0
 
 
 @given(points, points, points)
@@ -88,7 +89,8 @@ def _winding(here: Pair, corners: list[tuple[int, int]]) -> int:
 
 @given(grid, st.lists(grid, min_size=3, max_size=8))
 def test_inside_is_an_odd_number_of_turns_of_the_outline(here: tuple[int, int], corners: list[tuple[int, int]]) -> None:
-    point = (here[0] + 0.137, here[1] + 0.291)  # off the grid, so never on an edge of such small numbers
+    # Off the grid, so never on an edge of such small numbers.
+    point = (here[0] + 0.137, here[1] + 0.291)
     edges = polygon_segments(corners)
     assume(nearest_points(point, edges)[1].min() > 1e-9)
     assert inside(point, edges).tolist() == [_winding(point, corners) % 2 == 1]

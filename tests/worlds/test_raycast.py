@@ -231,7 +231,8 @@ def test_an_end_within_tolerance_of_the_ray_is_met(cast: Cast) -> None:
 @both_kernels
 @pytest.mark.parametrize(("grazed", "other"), [(5.0, 9.0), (9.0, 5.0)])
 def test_a_nearly_parallel_wall_is_met_within_its_ends(cast: Cast, grazed: float, other: float) -> None:
-    wall = [(grazed, 0.9 * ON_LINE_IN, other, 1.1 * ON_LINE_IN)]  # its line meets the ray 18 in beyond the grazed end
+    # Its line meets the ray 18 in beyond the grazed end.
+    wall = [(grazed, 0.9 * ON_LINE_IN, other, 1.1 * ON_LINE_IN)]
     assert cast((0.0, 0.0), EAST, wall) == (grazed, 0)
 
 

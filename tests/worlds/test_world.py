@@ -109,7 +109,8 @@ def test_place_in_any_room_is_free() -> None:
 @given(st.floats(0.5, 99.5), st.floats(0.5, 79.5))
 def test_clearance_agrees_with_sampled_walls_and_rays(x: float, y: float) -> None:
     clearance = abs(WORLD.clearance(x, y))
-    dots = np.linspace(WORLD.walls[:, :2], WORLD.walls[:, 2:], 1001)  # at most 0.1 in apart
+    # At most 0.1 in apart.
+    dots = np.linspace(WORLD.walls[:, :2], WORLD.walls[:, 2:], 1001)
     nearest = float(np.hypot(dots[..., 0] - x, dots[..., 1] - y).min())
     assert clearance - 1e-9 <= nearest <= hypot(clearance, 0.05) + 1e-9
     turns = np.linspace(0.0, 2.0 * np.pi, 90)

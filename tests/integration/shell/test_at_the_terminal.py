@@ -111,7 +111,8 @@ def test_exit_stops_the_robot(ending: str, daemon: str, tmp_path: Path) -> None:
             if ending == "quit":
                 terminal.type("quit\r")
                 assert terminal.leave() == 0
-        deadline_s = time.monotonic() + 2  # sooner than the robot's own time-out of 5 s
+        # Sooner than the robot's own time-out of 5 s.
+        deadline_s = time.monotonic() + 2
         while _rolls(watcher.refresh().translation_in_s):
             assert time.monotonic() < deadline_s
             time.sleep(0.05)

@@ -85,7 +85,8 @@ def test_waypoints_by_keyboard_and_by_pointer(browser: Browser) -> None:
         publish(program.url, 1, waypoints=[[10, 20], [60, 40]], passed=1)
         page.wait("!nserver.justSet('1')")
         page.page.click("#tool-waypoint")
-        page.page.mouse.click(*page.at(80, 80))  # waypoints already reached are not driven to again
+        # Waypoints already reached are not driven to again.
+        page.page.mouse.click(*page.at(80, 80))
         page.wait("nserver.waypoints['1'].length === 2 && nserver.waypoints['1'][0][0] === 60")
         page.page.mouse.move(*page.at(60, 40))
         page.page.mouse.down()

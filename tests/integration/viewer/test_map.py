@@ -22,7 +22,8 @@ def test_robot_on_canvas_follows_state(browser: Browser) -> None:
     with nserver("thesis_room", "--start", "20,30,0,0") as program, open_page(browser, program.url) as page:
         for layer in ("sonar", "grid", "encoder"):
             page.page.evaluate(f"document.getElementById('layer-{layer}').click()")
-        page.wait("(nserver.map.draw(), true)")  # redraw without these layers at once
+        # Redraw without these layers at once.
+        page.wait("(nserver.map.draw(), true)")
         body = page.pixel(20 - 4, 30 - 7)
         floor = page.pixel(90, 90)
         assert not near(body, (floor[0], floor[1], floor[2] - 60))

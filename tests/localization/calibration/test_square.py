@@ -89,9 +89,11 @@ def test_laps_go_both_paths_round_from_the_nearest_corner() -> None:
 
 
 def test_the_driver_goes_round_and_turns_as_reported() -> None:
+    # A square of 60 in, from (10, 10), once round in each direction.
     square = Square(10.0, 10.0, 60.0)
     driver = Driver(tasks(square, (0.0, 0.0), 1, 1), 10.0, 0.7)
     pose, turned, places = np.array([0.0, 0.0, 2.0]), [0.0, 0.0], []
+    # At most 400 s, in periods of 0.1 s.
     for _ in range(4000):
         done = driver.done
         command = driver.command(pose)
@@ -99,14 +101,19 @@ def test_the_driver_goes_round_and_turns_as_reported() -> None:
             places.append(pose[:2].copy())
         if command is None:
             break
+        # The limits of the driver: 10 in/s and 0.7 rad/s.
         assert abs(command.translation_in_s) <= 10.0
         assert abs(command.steering_rad_s) <= 0.7
+        # Left and right turns are added separately.
         turned[command.steering_rad_s < 0.0] += abs(command.steering_rad_s) * PERIOD_S
         pose = move(pose, PERIOD_S * np.array(command))
+        # After the first corner it stays near the sides.
         off_side = min(abs(pose[0] - 10.0), abs(pose[0] - 70.0), abs(pose[1] - 10.0), abs(pose[1] - 70.0))
         assert len(places) == 0 or off_side < 1.5
+    # 17 tasks: sides, corners and turns on the spot.
     assert driver.done == driver.count == 17
     assert hypot(pose[0] - 10.0, pose[1] - 10.0) < 1.0
+    # Four full turns and four quarter turns in each direction; it stops within its tolerance.
     assert turned[0] == pytest.approx(4 * tau + 4 * pi / 2, abs=2.0)
     assert turned[1] == pytest.approx(4 * tau + 4 * pi / 2, abs=3.0)
 
@@ -119,11 +126,13 @@ def test_a_goal_that_was_passed_by_is_behind() -> None:
 
 
 def test_goal_to_the_side_is_turned_to_before_driving() -> None:
+    # The goal is 90 degrees to the left.
     driver = Driver([DriveTo(0.0, 10.0)], 10.0, 0.5)
     command = driver.command(np.array([0.0, 0.0, 0.0]))
     assert command is not None
     assert command.translation_in_s == 0.0
     assert command.steering_rad_s > 0.0
+    # Facing it, it drives at full speed.
     pose = np.array([0.0, 0.0, pi / 2])
     assert pose[HEADING] > 0
     rolling = driver.command(pose)

@@ -47,6 +47,7 @@ def test_json_is_alone_on_stdout(capsys: pytest.CaptureFixture[str], tmp_path: P
     assert not (tmp_path / "live.png").exists()
 
 
+@pytest.mark.long
 def test_two_processes_make_the_same_numbers(tmp_path: Path) -> None:
     rows = []
     for jobs in ("1", "2"):
@@ -80,12 +81,17 @@ def test_interrupted_run_keeps_finished_trials(tmp_path: Path) -> None:
 
 def test_paths_that_are_missing_or_older_are_driven_for(tmp_path: Path) -> None:
     store, crew = trial_cache(tmp_path / "trials", "code"), Executor()
+    # Without a folder for paths only results are saved.
     collect(WANTED[:1], store, None, crew, lambda _: None)
+    # Paths are wanted: the same trial is driven again, as a whole.
     collect(WANTED[:1], store, tmp_path / "tum", crew, lambda _: None)
     assert [job.whole for job in crew.jobs] == [False, True]
+    # Truth, estimate and encoders of the trial.
     assert len(list((tmp_path / "tum").iterdir())) == 3
+    # Now both exist.
     collect(WANTED[:1], store, tmp_path / "tum", crew, lambda _: None)
     assert len(crew.jobs) == 2
+    # A result that is newer than its path: driven again.
     store.put(WANTED[0], live_trial.run(TrialJob(WANTED[0])).result)
     collect(WANTED[:1], store, tmp_path / "tum", crew, lambda _: None)
     assert len(crew.jobs) == 3

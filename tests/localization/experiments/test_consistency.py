@@ -41,9 +41,11 @@ def test_the_bound_is_that_of_the_published_recursion() -> None:
     by_state, process_cov, cov = rng.normal(size=(3, 3)), some_covariance(rng), some_covariance(rng)
     jacobian, variance = rng.normal(size=(16, 3)), rng.uniform(0.1, 2.0, 16)
     inverse = np.linalg.inv(process_cov)
+    # The blocks D11, D12 and D22 of Tichavsky et al. for linear models with Gaussian noise.
     d11, d12 = by_state.T @ inverse @ by_state, -by_state.T @ inverse
     d22 = inverse + jacobian.T @ np.diag(1 / variance) @ jacobian
     expected = np.linalg.inv(d22 - d12.T @ np.linalg.inv(np.linalg.inv(cov) + d11) @ d12)
+    # The recursion of the module needs no inverse of Q.
     assert bound_step(cov, by_state, process_cov, information(jacobian, variance)) == pytest.approx(expected)
 
 

@@ -34,10 +34,13 @@ def test_trajectory_plot_has_path_points_truth_and_estimate() -> None:
     picture = output.trajectory(figure, course, track)
     (axes,) = picture.axes
     drawn = lines(picture)
+    # An inch is as long in x as in y.
     assert axes.get_aspect() == 1.0
+    # The drawn line begins at the start, which is no step of the track.
     assert drawn["truth"][1:] == pytest.approx(track.truth[:, :2])
     assert drawn["estimate"] == pytest.approx(track.mean[:, :2])
     assert drawn["waypoints"] == pytest.approx(course.goals_in)
+    # Every wall is a line of the picture.
     ends = [tuple(np.asarray(line.get_xydata()).ravel()) for line in axes.get_lines()]
     assert all(tuple(wall) in ends for wall in course.walls.segments)
     assert "0.0" in axes.get_title()

@@ -46,6 +46,7 @@ def test_files_hold_the_same_rows(tmp_path: Path) -> None:
     with written[0].open(encoding="utf-8", newline="") as file:
         sheet = list(csv.DictReader(file))
     assert [row["method"] for row in sheet] == ["ekf", "ukf"]
+    # Numbers as text, and empty cells where a method has none.
     assert float(sheet[0]["nees_mean"]) == 3.1
     assert sheet[1]["nees_mean"] == ""
     assert written[2].read_bytes().startswith(b"\x89PNG")

@@ -30,10 +30,12 @@ def test_runs_that_are_saved_are_not_made_again(
 ) -> None:
     asked = ["lost", "calm", "kidnapped", "--runs", "2", "--minutes", "1", "--jobs", "1", "--out", str(tmp_path)]
     assert main(asked) == 0
+    # Two runs of a minute for each kind.
     assert [(case.kind, case.seed, case.seconds) for case in made] == [
         (Kind.TRACKING, 0, 60.0), (Kind.TRACKING, 1, 60.0), (Kind.KIDNAPPED, 0, 60.0), (Kind.KIDNAPPED, 1, 60.0)
     ]
     assert "detected (LOST): 2, 2 of them within 5 s" in capsys.readouterr().out
+    # The second time all results come from the cache.
     assert main([*asked, "--json"]) == 0
     assert len(made) == 4
     printed = json.loads(capsys.readouterr().out)

@@ -14,27 +14,33 @@ def case(kind: Kind, seed: int) -> Case:
 
 
 def test_calm_runs_count_their_alarms_and_weigh_by_time() -> None:
+    # Runs of 600, 300 and 900 s: half an hour in total.
     (found,) = summaries({
         case(Kind.TRACKING, 0): LostResult(600.0, 0, 0.1, 1.0),
         case(Kind.TRACKING, 1): LostResult(300.0, 3, 0.4, 2.0),
         case(Kind.TRACKING, 2): LostResult(900.0, 0, 0.0, None),
     })
     assert (found["runs"], found["false_alarms"], found["alarmed"], found["hours"]) == (3, 3, 1, 0.5)
+    # DEGRADED for a tenth of 600 s and four tenths of 300 s.
     assert found["degraded"] == pytest.approx((60.0 + 120.0) / 1800.0)
+    # Squared errors 1 and 2 by time; the third run has none.
     assert found["rmse_in"] == pytest.approx(2.0**0.5)
     assert found["told"] is found["found"] is None
     assert "3 false alarms in 1 runs; DEGRADED 10.00% of the time; position RMSE 1.41 in" in words(found)
 
 
 def test_kidnapping_summary_counts_alarms_and_recoveries() -> None:
+    # Detected after 2, 7, 3 s and never; recovered correctly twice, once at a wrong place.
     (found,) = summaries({
         case(Kind.KIDNAPPED, 0): LostResult(40.0, 0, 0.0, 0.3, 2.0, 1.0, True),
         case(Kind.KIDNAPPED, 1): LostResult(40.0, 0, 0.0, 0.3, 7.0, 9.0, True),
         case(Kind.KIDNAPPED, 2): LostResult(40.0, 0, 0.0, 0.3, 3.0, 2.0, False),
         case(Kind.KIDNAPPED, 3): LostResult(40.0, 0, 0.0, 0.3, None, None, False),
     })
+    # Two of the detections took at most 5 s.
     assert (found["told"], found["soon"], found["found"], found["mistaken"]) == (3, 2, 2, 1)
     assert found["told_s"] == (3.0, 7.0)
+    # Correct recoveries took 1 and 9 s: the upper median, and the longest.
     assert found["found_s"] == (9.0, 9.0)
     text = words(found)
     assert "detected (LOST): 3, 2 of them within 5 s (median 3.0 s, at most 7.0 s)" in text

@@ -8,6 +8,7 @@ from localization.experiments.live_trial import SCENARIOS, Cell, Trial, TrialJob
 
 
 def test_every_combination_has_its_seeds() -> None:
+    # 2 scenarios x 2 figures x 2 methods x 3 seeds.
     every = trials(["exact", "measured"], ["5.4", "5.9"], ["ekf", "ukf"], 3, 7)
     assert len(set(every)) == len(every) == 24
     assert {trial.cell for trial in every} == {
@@ -22,10 +23,12 @@ def test_every_combination_has_its_seeds() -> None:
 
 def test_job_returns_record_only_if_requested() -> None:
     (trial,) = trials(["exact"], ["5.4"], ["ukf"], 1, 12)
+    # The same trial with and without its record.
     done, again = run(TrialJob(trial, whole=True)), run(TrialJob(trial))
     assert done.trial == trial
     assert done.record is not None
     assert again.record is None
+    # Results are equal to the last bit, except for the time spent.
     assert done.result.same_numbers(again.result)
     assert result_of(done.record) == done.result
     assert not done.result.same_numbers(replace(again.result, nees=again.result.nees + 1e-12))

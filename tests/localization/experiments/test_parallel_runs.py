@@ -25,15 +25,18 @@ def test_the_parts_are_all_the_seeds_in_order(count: int, jobs: int, sizes: list
     assert [len(part) for part in parts] == sizes
 
 
+@pytest.mark.long
 def test_the_numbers_do_not_depend_on_the_processes() -> None:
     figure = FIGURES["5.6"]
     reports: list[int] = []
+    # Three seeds in this process, and in two others.
     alone, shared = drive_batch(figure, range(3)), drive(figure, range(3), jobs=2, report=reports.append)
     assert alone.results == shared.results
     assert [track.seed for track in shared.tracks] == [0, 1, 2]
     for mine, theirs in zip(alone.tracks, shared.tracks, strict=True):
         assert (mine.truth == theirs.truth).all()
         assert (mine.cov == theirs.cov).all()
+    # The last progress report counts all steps.
     assert reports[-1] == sum(result.steps for result in alone.results)
 
 

@@ -62,13 +62,17 @@ def test_saved_drives_are_not_repeated(tmp_path: Path) -> None:
         yield from ((pair, replace(DRIVEN, number=pair.number)) for pair in left)
 
     output: list[int] = []
+    # Two pairs, then three: only the third is driven.
     first = run_cached(pairs[:2], drive_cache(tmp_path, "code"), work, output.append)
     again = run_cached(pairs, drive_cache(tmp_path, "code"), work, output.append)
     assert worked == pairs
+    # Progress counts cached drives at once.
     assert output == [0, 1, 2, 2, 3]
     assert {pair: again[pair] for pair in pairs[:2]} == first
+    # Results of other code are not used.
     run_cached(pairs[:1], drive_cache(tmp_path, "other"), work, output.append)
     assert worked[-1] == pairs[0]
+    # Files are written completely or not at all.
     assert not list(tmp_path.glob("*.part"))
 
 
@@ -106,5 +110,6 @@ def test_the_command_prints_a_table_or_json_and_writes_all(
 
     monkeypatch.setattr(execution, "on_cluster", on_cluster)
     out = str(tmp_path / "cluster")
+    # With --cluster the jobs go to its address.
     assert main(["plan", "--pairs", "1", "--worlds", "thesis_room", "--cluster", "there:8786", "--out", out]) == 0
     assert asked == ["there:8786"]

@@ -32,6 +32,7 @@ def format_entry(name: str, *, filtered: bool = True) -> list[str]:
 def test_every_number_stands_beside_its_reference() -> None:
     lines = format_entry("5.4")
     assert lines[0] == "Figure 5.4: With the filter"
+    # Value and reference of each row, for a summary with known numbers.
     for name, value, note in (
         ("every goal reached", "99", "of 100"),
         ("steps, median", "1440", "1199 in the text"),

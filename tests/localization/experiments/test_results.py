@@ -24,6 +24,7 @@ def made_up_runs(first_seed: int = 0) -> Runs:
     """Two seeds, of two and of three steps, off by (3, 4) in and 0.1 rad, and by nothing; what comes after is wild."""
     truth = np.zeros((3, 2, 3))
     mean = np.zeros((3, 2, 3))
+    # Seed 0 has two steps; the third row must not count.
     mean[:2, 0] = (3.0, 4.0, 0.1)
     mean[2, 0] = 1e6
     return Runs(
@@ -41,6 +42,7 @@ def made_up_runs(first_seed: int = 0) -> Runs:
 
 def test_a_seed_is_summed_over_its_own_steps() -> None:
     first, second = figure_result(made_up_runs(), filtered=True).results
+    # Errors of 5 in at each of two steps: 50 in^2 in total; used beams 10 + 10.
     assert first == SeedResult(
         seed=0,
         steps=2,
@@ -53,6 +55,7 @@ def test_a_seed_is_summed_over_its_own_steps() -> None:
         used=20.0,
         bound_in2=2.0,
     )
+    # NEES of one step: 3^2 / 1 + 4^2 / 4 + 0.1^2 / 0.01.
     assert first.nees == pytest.approx(2 * (9 + 4 + 1))
     assert (second.steps, second.reached, second.end_error_in, second.bound_in2) == (3, False, 0.0, 3.0)
 
@@ -62,11 +65,14 @@ def test_a_figure_is_summed_over_all_steps_of_all_seeds() -> None:
     assert list(summary) == list(Summary.__annotations__)
     assert summary["figure"] == "5.4"
     assert (summary["seeds"], summary["reached"]) == (2, 1)
+    # Medians of 2 and 3 steps; the thesis reports 1199.
     assert (summary["steps_median"], summary["steps_thesis"]) == (2.5, 1199)
     assert summary["end_error_median_in"] == 2.5
+    # Five steps in all, two of them with errors.
     assert summary["rmse_position_in"] == pytest.approx(math.sqrt(50 / 5))
     assert summary["rmse_heading_deg"] == pytest.approx(math.degrees(math.sqrt(0.02 / 5)))
     assert summary["nees_mean"] == pytest.approx(28 / 5)
+    # 64 is the sum of NIS over steps within the runs, 68 the number of beams.
     assert summary["nis_mean"] == pytest.approx(64 / 68)
     assert summary["pcrb_position_in"] == pytest.approx(1.0)
     assert summary["nees_band95"] is not None

@@ -14,8 +14,10 @@ def record(errors: list[tuple[float, float, float]], seed: int = 0, *, reached: 
     """Along x, 10 in apart; the encoders' errors step by 0.1 in; covariances of 0.04, 0.04, 0.01."""
     count = len(errors)
     truth = np.zeros((count, 3))
+    # True x is 0, 10, 20, .. in.
     truth[:, 0] = 10.0 * np.arange(count)
     encoders = truth.copy()
+    # Encoder errors alternate, so that each step is off by 0.1 in.
     encoders[:, 1] = 0.1 * (np.arange(count) % 2)
     cov = np.tile(np.diag([0.04, 0.04, 0.01]), (count, 1, 1))
     spent = 1e-6 * np.arange(1.0, count + 1.0)
@@ -38,9 +40,11 @@ def test_steps_before_judged_path_count_for_jitter_only() -> None:
 
 
 def test_a_summary_is_over_all_estimates_of_all_trials() -> None:
+    # Three estimates off by 0.2 in and 0.1 rad, one off by more than the limit of lost.
     long, short = record([(0.2, 0.0, 0.1)] * 3), record([(0.0, LOST_IN + 0.1, 0.0)], seed=1, reached=False)
     summary = summarize([result_of(long), result_of(short)])
     assert (summary["seeds"], summary["reached"], summary["lost"]) == (2, 1, 1)
+    # LOST_IN is 12 in: the fourth error is 12.1 in.
     assert summary["rmse_position_in"] == pytest.approx(math.sqrt((3 * 0.04 + 12.1**2) / 4))
     assert summary["rmse_heading_deg"] == pytest.approx(math.degrees(math.sqrt(0.03 / 4)))
     assert summary["nees_mean"] == pytest.approx((3 * 2.0 + 12.1**2 / 0.04) / 4)

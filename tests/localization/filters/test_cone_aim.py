@@ -25,6 +25,7 @@ def reading_at(offset_deg: float, std_deg: float, reading_in: float) -> AimReadi
 
 def by_sampling(one: AimReading) -> tuple[float, float]:
     """Return mean and remaining fraction of the variance by importance sampling."""
+    # Headings are drawn from the prior; the weight of each is its likelihood.
     edge = max(EDGE_STD_RAD, 0.5 * one.std_rad)
     offs = one.std_rad * np.random.default_rng(5).standard_normal(40_000)
     poses = np.zeros((len(offs), 3))
@@ -32,12 +33,15 @@ def by_sampling(one: AimReading) -> tuple[float, float]:
     mount = SonarMount(one.offset_rad, N150.sonar_ring_radius_in)
     poses[:, 2] = offs
     is_detected = expected_echoes(poses, np.full(len(offs), edge), mount, around, MODEL)
+    # The variance of the range: that of the pose and that of the sensor.
     variance = one.variance_in2 + MODEL.variance(is_detected.ranges_in[len(offs) // 2])
     middle_in = is_detected.ranges_in[np.argmin(np.abs(offs))]
+    # The mixture of echoes and outliers, as in the filter.
     density = np.exp(-0.5 * (one.reading_in - middle_in) ** 2 / variance) / np.sqrt(2.0 * np.pi * variance)
     good = 1.0 - MODEL.outlier_probability
     any_of = good * is_detected.probability.sum(axis=1)
     likelihood = good * (is_detected.probability * density).sum(axis=1) + MODEL.outlier_density * (1.0 - any_of)
+    # No echo: the probability that no reflector is detected.
     if one.reading_in >= MODEL.highest_in:
         likelihood = 1.0 - any_of
     likelihood /= likelihood.sum()
@@ -67,7 +71,9 @@ def test_turns_about_leave_little_doubt() -> None:
     """A ring mounted 3 degrees off, turned in front of one wall: the offset is found in either direction."""
     for turned_deg in (3.0, -3.0):
         aiming, mean, std = ConeAim(WALL, N150, MODEL), 0.0, radians(5.0)
+        # The wall is passed in steps of 1.37 degrees, which do not repeat with the four phases.
         for angle_deg in np.concatenate([np.arange(phase - 30.0, 30.0, 1.37) for phase in (0.0, 0.4, 0.8, 1.2)]):
+            # An ideal cone detects the wall if the true direction is within its half angle.
             is_detected = abs(angle_deg + turned_deg) < HALF_DEG
             one = reading_at(float(angle_deg) + degrees(mean), degrees(std), 91.0 if is_detected else 255.0)
             off, share = aiming.posterior(one)

@@ -11,13 +11,17 @@ from localization.filters.update import SAME_POSE_IN, SAME_POSE_RAD, CorrelatedR
 @pytest.mark.parametrize(("anew", "constant"), [(0.1, 0.08), (2.0, 1e-3), (0.04, 0.0)])
 def test_inflated_variances_are_exact_and_minimal(anew: float, constant: float) -> None:
     """By the whole covariance of the readings."""
+    # Five readings of one place: independent noise and a part common to all.
     noise = np.eye(5) * anew + constant
     weights = 1.0 / np.array([inflated_variance(anew + constant, constant, times) for times in range(1, 6)])
     for count in range(1, 6):
+        # With inverse variances as weights, information is w'Rw = sum(w): no reading is counted twice.
         first, part = weights[:count], noise[:count, :count]
         assert first @ part @ first == pytest.approx(first.sum(), rel=1e-6)
+        # Smaller variances would claim more information than there is.
         more = np.append(first[:-1], 1.01 * first[-1])
         assert more @ part @ more > more.sum()
+    # The common part bounds the information of any number of readings.
     assert weights.sum() <= (1.0 / (2.0 * constant) if constant else np.inf)
 
 

@@ -57,14 +57,17 @@ def test_a_whole_run_is_that_of_filterpy() -> None:
     rng = np.random.default_rng(11)
     belief = independent((1.0, 2.0, 0.3), (0.1, 0.1, 0.01))
     peer = KalmanFilter(dim_x=3, dim_z=1)
+    # filterpy has its own predict and update; only the motion model is given to it.
     peer.P = belief.cov
     for _ in range(50):
         step = rng.normal(scale=(0.3, 0.02))
         mean, (F, G) = move(belief.mean, step), step_jacobians(belief.mean, step)
         peer.predict(F=F, Q=process_covariance(G, step, NOISE))
+        # The mean moves by the nonlinear model, which filterpy's predict does not have.
         peer.x = mean
         seen = some_observation(rng)
         belief, _ = update_ring(predict(belief, step, NOISE), seen)
+        # filterpy takes measurements, the observation has innovations: add what is expected.
         for reading, row, variance in zip(seen.innovation + seen.H @ mean, seen.H, seen.R, strict=True):
             peer.update(reading, R=variance, H=row[None])
         assert belief.mean == pytest.approx(peer.x, abs=1e-10)
@@ -92,9 +95,11 @@ def test_the_spread_of_drawn_robots_is_the_one_predicted() -> None:
     noise = OdometryNoise(0.02, 0.02, 0.001)
     start = independent((0.0, 0.0, 0.3), (0.05, 0.05, 0.005))
     belief = start
+    # 50,000 robots: their sample covariance is within 1 % of the true one.
     robots = start.mean + start.std * rng.standard_normal((50_000, 3))
     for _ in range(20):
         step = np.array([1.0, 0.05])
+        # Variances of the thesis: proportional to distance and turn, and a drift per distance.
         std = np.sqrt(np.array([0.02**2 * 1.0, 0.02**2 * 0.05 + 0.001**2 * 1.0]))
         robots = move(robots, step + std * rng.standard_normal((50_000, 2)))
         belief = predict(belief, step, noise)
@@ -105,19 +110,23 @@ def test_the_spread_of_drawn_robots_is_the_one_predicted() -> None:
 def test_a_covariance_stays_symmetric_and_never_negative(seed: int, log_noise: float, log_spread: float) -> None:
     """Also where readings are a trillion times better than the belief, or worse."""
     rng = np.random.default_rng(seed)
+    # Both spread and noise vary over many powers of ten.
     belief = Belief(np.zeros(3), 10**log_spread * some_belief(rng).cov)
     seen = some_observation(rng)
     seen = Observation(seen.innovation, seen.H, 10**log_noise * seen.R, seen.refusals)
     cov = update_ring(belief, seen)[0].cov
     assert (cov == cov.T).all()
     values = np.linalg.eigvalsh(cov)
+    # Rounding may leave eigenvalues below zero only by machine precision.
     assert values.min() >= -1e-12 * values.max()
+    # A measurement never increases uncertainty.
     assert values.max() <= np.linalg.eigvalsh(belief.cov).max() * (1 + 1e-9)
 
 
 def test_beams_left_out_change_nothing() -> None:
     rng = np.random.default_rng(15)
     belief, seen = some_belief(rng), some_observation(rng, beams=4)
+    # One beam more, with a refusal: its innovation and row must not matter.
     padded = Observation(
         np.append(seen.innovation, 0.0),
         np.vstack([seen.H, np.zeros(3)]),
@@ -133,6 +142,7 @@ def test_beams_left_out_change_nothing() -> None:
 def test_beams_one_after_another_are_beams_together() -> None:
     rng = np.random.default_rng(16)
     belief, seen = some_belief(rng), some_observation(rng, beams=5)
+    # Sequential updates: the innovation of each is taken at the estimate after the one before.
     one_by_one = belief
     for number in range(5):
         row = seen.H[number : number + 1]
@@ -162,6 +172,7 @@ def test_a_heading_corrected_across_the_turn_wraps() -> None:
 
 
 def test_a_batch_is_filtered_as_each_alone() -> None:
+    # Seven filters with different beliefs, steps and observations.
     rng = np.random.default_rng(18)
     alone = [(some_belief(rng), some_observation(rng)) for _ in range(7)]
     steps = rng.normal(scale=0.1, size=(7, 2))

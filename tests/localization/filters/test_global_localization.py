@@ -75,10 +75,12 @@ def test_pose_is_found_without_prior_if_room_is_unique() -> None:
 def test_in_a_square_room_four_places_look_alike() -> None:
     with open_at("thesis_room", (20.0, 35.0, 0.3)) as robot:
         several = finder(SQUARE, None)
+        # Three seconds of turning are not enough to exclude any of the four corners.
         estimate = turn(robot, localizer_of(robot, several), 4.0)
         assert len(several.hypotheses) == 4
         assert estimate.health.status is HealthStatus.LOST
         assert "4 places look alike" in estimate.health.reason
+        # One of the hypotheses is the true place.
         places = [hypothesis.belief.mean for hypothesis in several.hypotheses]
         truth = robot.truth()
         assert min(math.hypot(place[0] - truth.x_in, place[1] - truth.y_in) for place in places) < 2.0
@@ -89,15 +91,18 @@ def test_kidnapped_robot_is_lost_within_5_s_and_recovers() -> None:
         localizer = localizer_of(robot, finder(ROOM, independent(START, (0.2, 0.2, 0.01))))
         turn(robot, localizer, 3.0)
         displaced = robot.refresh()
+        # The robot is moved by hand; its encoders are set back, so that it cannot notice.
         robot.place(Pose(80.0, 75.0, 2.0, 2.0))
         robot.set_position(x_in=displaced.x_in, y_in=displaced.y_in)
         robot.set_angles(steering_rad=displaced.steering_rad, turret_rad=displaced.turret_rad)
+        # At most ten seconds, in steps of a tenth.
         reports = (turn(robot, localizer, 0.1).health for _ in range(100))
         lost_after, health = next(
             (0.1 * tick, report) for tick, report in enumerate(reports) if report.status is HealthStatus.LOST
         )
         assert lost_after <= 5.0
         assert "another place" in health.reason
+        # Six seconds for the ring to be read several times while turning.
         estimate = turn(robot, localizer, 6.0)
         assert estimate.health.status is HealthStatus.OK
         assert off_in(robot, estimate) < 2.0
@@ -124,6 +129,7 @@ def test_falling_evidence_alone_means_lost(monkeypatch: pytest.MonkeyPatch) -> N
 def test_a_slipped_heading_is_corrected_without_being_lost(slip_rad: float) -> None:
     """Far more standard deviations off than a filter comes back from by itself, but the place is the right one."""
     with open_at("several_walls", START) as robot:
+        # A slip of the given angle, while the filter claims 0.02 rad.
         slipped = independent((*START[:2], START[2] + slip_rad), (0.2, 0.2, 0.02))
         localizer = localizer_of(robot, finder(ROOM, slipped, parameter_stds=(0.05,)))
         reports = [turn(robot, localizer, 0.1) for _ in range(40)]

@@ -20,10 +20,12 @@ def outcome(outlier_probability: float = 0.0, nis: float = 1.0) -> UpdateResult:
 
 def test_evidence_falls_from_its_maximum_within_limits() -> None:
     monitor = IntegrityMonitor(HealthLimits(lost_nats=10.0, max_loss_nats=4.0, max_gain_nats=1.0))
+    # Likelihood against that of an outlier, in nats: losses are limited to 4, gains to 1 per reading.
     for likelihood, expected in ((10.0, 0.0), (exp(-2.0), 2.0), (exp(1.0), 1.0), (1e-9, 5.0), (1e9, 4.0)):
         monitor.add_evidence(likelihood, 1.0, None)
         assert monitor.fall_nats == pytest.approx(expected)
     assert monitor.health(SHARP.cov) == HEALTHY
+    # Two losses of 4 more exceed the 10 nats.
     monitor.add_evidence(1e-9, 1.0, None)
     monitor.add_evidence(1e-9, 1.0, None)
     health = monitor.health(SHARP.cov)
@@ -36,12 +38,14 @@ def test_evidence_falls_from_its_maximum_within_limits() -> None:
 def test_false_alarms_are_no_more_frequent_than_walds_bound() -> None:
     """Readings that really come from the estimate: two gaussians a standard deviation apart, in place of ranges."""
     rng, alarms, readings = np.random.default_rng(5), 0, 20_000
+    # Limits per reading are so wide that they have no influence: Wald's bound needs the plain ratio.
     monitor = IntegrityMonitor(HealthLimits(lost_nats=3.5, max_loss_nats=50.0, max_gain_nats=50.0))
     for z in rng.standard_normal(readings).tolist():
         monitor.add_evidence(exp(-0.5 * z * z), exp(-0.5 * (z - 1.0) ** 2), None)
         if monitor.health(SHARP.cov).status is HealthStatus.LOST:
             alarms += 1
             monitor.reset()
+    # Wald: the probability of a false alarm after a restart is at most exp(-threshold).
     assert 0 < alarms <= readings * exp(-3.5)
 
 
@@ -53,10 +57,12 @@ def test_a_spread_position_is_degraded_from_the_beginning() -> None:
 
 def test_few_explained_echoes_degrade() -> None:
     monitor = IntegrityMonitor(HealthLimits(window=10, min_matched=0.35))
+    # 3 of 10 echoes are explained: less than 0.35.
     for index in range(10):
         monitor.add_evidence(1.0, 1.0, outcome(outlier_probability=0.0 if index < 3 else 1.0))
     assert monitor.health(SHARP.cov).status is HealthStatus.DEGRADED
     assert "30% of the last 10" in monitor.health(SHARP.cov).reason
+    # Four more explained ones replace unexplained ones of the window: 7 of 10.
     monitor.add_evidence(1.0, 1.0, outcome())
     monitor.add_evidence(1.0, 1.0, outcome())
     monitor.add_evidence(1.0, 1.0, outcome())
@@ -67,10 +73,12 @@ def test_few_explained_echoes_degrade() -> None:
 def test_large_innovations_degrade_except_of_outliers() -> None:
     monitor = IntegrityMonitor(HealthLimits(window=10))
     for _ in range(10):
+        # NIS has one degree of freedom: its expectation is 1.
         monitor.add_evidence(1.0, 1.0, outcome(outlier_probability=0.2, nis=4.0))
     assert monitor.health(SHARP.cov).status is HealthStatus.DEGRADED
     assert "4.0 times" in monitor.health(SHARP.cov).reason
     monitor.reset()
+    # Likely outliers: their innovations say nothing of the estimate.
     for _ in range(10):
         monitor.add_evidence(1.0, 1.0, outcome(outlier_probability=0.55, nis=100.0))
     assert monitor.health(SHARP.cov) == HEALTHY
@@ -85,10 +93,12 @@ def test_logarithms_are_natural() -> None:
 def test_falling_evidence_or_few_matches_are_suspicious() -> None:
     monitor = IntegrityMonitor(HealthLimits(suspicious_nats=6.0, lost_nats=10.0, window=4, min_matched=0.5))
     assert not monitor.is_suspicious
+    # Two losses of 4 nats: above 6, below 10.
     monitor.add_evidence(1e-9, 1.0, None)
     monitor.add_evidence(1e-9, 1.0, None)
     assert (monitor.is_suspicious, monitor.is_lost) == (True, False)
     monitor.reset()
+    # Without losses, but three of four readings unexplained.
     for outlier_probability in (1.0, 1.0, 1.0, 0.0):
         assert not monitor.is_suspicious
         monitor.add_evidence(1.0, 1.0, outcome(outlier_probability=outlier_probability))

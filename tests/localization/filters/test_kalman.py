@@ -67,13 +67,16 @@ def test_a_ring_away_from_its_estimate_degrades() -> None:
     def nearest(association: Association) -> float:
         return association.ranges_in[int(np.argmax(association.probability))]
 
+    # Readings of either place are given to a filter that believes to be at HERE.
     there = independent([32.0, 29.0, 0.3], HERE.std)
     for place, status in ((HERE, HealthStatus.OK), (there, HealthStatus.DEGRADED)):
         readings_there = readings(place)
         kalman = KalmanFilter(HERE, MeasurementUpdate(model), OdometryNoise(0.0, 0.0, 0.0))
+        # As many rounds of the ring as fill the window of the monitor.
         for sonar, reading_in in readings_there * (WINDOW // len(readings_there) + 1):
             kalman.update(sonar, 0.0, round(reading_in))
-            kalman._x, kalman._P = unpack(HERE)  # keep the belief: a filter this certain would hardly move
+            # Keep the belief: a filter this certain would hardly move.
+            kalman._x, kalman._P = unpack(HERE)
         assert kalman.health.status is status, place
 
 
@@ -103,12 +106,15 @@ def tracking(kind: str) -> KalmanFilter | GlobalLocalizer:
 @pytest.mark.parametrize("kind", ["kalman", "finder"])
 def test_a_repeated_echo_adds_nothing_until_the_robot_moves(kind: str) -> None:
     kalman = tracking(kind)
+    # The first echo reduces the variance along the beam.
     kalman.update(0, 0.0, AHEAD_IN)
     once = kalman.belief
     assert once.cov[0, 0] < 0.8 * MIDST.cov[0, 0]
+    # The same echo from the same place has the same rounding and noise of the map: no information.
     for _ in range(5):
         assert kalman.update(0, 0.0, AHEAD_IN).refusal is Refusal.NONE
     np.testing.assert_allclose(kalman.belief.cov, once.cov, rtol=1e-6)
+    # Half an inch on, part of the error is new.
     kalman.predict(0.5, 0.0)
     before = kalman.belief.cov
     kalman.update(0, 0.0, AHEAD_IN)

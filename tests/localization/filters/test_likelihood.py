@@ -28,7 +28,8 @@ def test_likelihood_integrates_to_one(kind: Likelihood, sonar: int) -> None:
     readings = np.arange(-20.0, 300.0, 0.25)
     sums = 0.25 * np.sum([kind.at(POSES, sonar, 0.4, float(reading)).total for reading in readings], axis=0)
     assert (sums >= 0.99).all()
-    assert (sums <= 320.0 / RANGE_SPAN_IN + 0.01).all()  # bad readings are spread over less than is summed here
+    # Bad readings are spread over less than is summed here.
+    assert (sums <= 320.0 / RANGE_SPAN_IN + 0.01).all()
 
 
 def test_a_ray_by_hand() -> None:

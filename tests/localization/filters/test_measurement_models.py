@@ -30,12 +30,15 @@ def associations(kind: RaySonar | ConeSonar, pose: Floats) -> dict[int, Associat
 @pytest.mark.parametrize("kind", KINDS)
 def test_ranges_and_derivatives_elsewhere_match_differences(kind: RaySonar | ConeSonar) -> None:
     every = associations(kind, POSE)
+    # Enough of the 16 sonars detect something.
     assert len(every) > 8
     for here in every.values():
         assert here.range_function is not None
+        # The range function at the pose of the association gives the ranges of the association.
         ranges, H = here.range_function(POSE[None, :])
         np.testing.assert_allclose(ranges, here.ranges_in, atol=1e-12)
         np.testing.assert_allclose(H, here.H, atol=1e-12)
+        # At another pose, derivatives are compared with central differences.
         other = POSE + np.array([0.3, -0.2, 0.02])
         poses = np.stack([other + change for change in 1e-5 * np.vstack([np.eye(3), -np.eye(3)])])
         moved, _ = here.range_function(poses[:, None, :])

@@ -115,6 +115,7 @@ def test_batch_equals_single_results() -> None:
     many, steps_of = rng.normal(size=(4, 5, 3)), rng.normal(size=(4, 5, 2))
     together = (move(many, steps_of), *step_jacobians(many, steps_of), covariance_of(many, steps_of))
     between = step_between(many, move(many, steps_of))
+    # Each element of the 4 x 5 batch equals the function of one pose and one step.
     for index in np.ndindex(4, 5):
         pose, step = many[index], steps_of[index]
         alone = (move(pose, step), *step_jacobians(pose, step), covariance_of(pose, step))
@@ -141,6 +142,7 @@ STEPS = [np.array([1.5, 0.2]), np.array([-0.8, 0.6]), np.array([2.0, 0.0]), np.a
 @pytest.mark.parametrize("size", [3, 4, 5, 6])
 @pytest.mark.parametrize("step", STEPS)
 def test_the_covariance_follows_finite_differences(size: int, step: np.ndarray) -> None:
+    # Central differences of the motion model, column by column.
     state, tiny = STATE[:size], 1e-6
     columns = [
         difference(move(state + tiny * unit, step), move(state - tiny * unit, step)) / (2 * tiny)
@@ -148,6 +150,7 @@ def test_the_covariance_follows_finite_differences(size: int, step: np.ndarray) 
     ]
     F = np.stack(columns, axis=-1)
     root = np.random.default_rng(1).normal(size=(size, size))
+    # A random covariance: the root makes it positive definite.
     cov = root @ root.T
     np.testing.assert_allclose(predict(Belief(state, cov), step, QUIET).cov, F @ cov @ F.T, atol=1e-6)
 
@@ -167,12 +170,14 @@ def test_a_batch_is_predicted_as_each_alone() -> None:
 
 
 def test_positions_alone_reveal_a_distance_scale() -> None:
+    # The last element is the distance scale: the wheels are 8 % larger than assumed.
     truth = np.array([0.0, 0.0, 0.0, 0.08])
     belief = with_parameters(independent([0.0, 0.0, 0.0], [0.1, 0.1, 0.01]), (0.1,))
     step = np.array([1.0, 0.02])
     for _ in range(60):
         truth = move(truth, step)
         belief = predict(belief, step, OdometryNoise(0.01, 0.01, 0.0005))
+        # A textbook update with a position (x, y) of variance 0.01, without using the filter's own.
         gain = belief.cov[:, :2] @ np.linalg.inv(belief.cov[:2, :2] + 0.01 * np.eye(2))
         belief = Belief(belief.mean + gain @ (truth - belief.mean)[:2], belief.cov - gain @ belief.cov[:2])
     assert belief.mean[OdometryParameter.DISTANCE_SCALE] == pytest.approx(0.08, abs=0.004)

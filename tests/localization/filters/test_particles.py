@@ -47,6 +47,7 @@ def filter_of(count: int, seed: int = 1, **more: object) -> ParticleFilter:
 
 
 def test_a_linear_problem_agrees_with_the_kalman_filter() -> None:
+    # 200,000 particles: the mean is accurate to std / 450.
     particles, gaussian = filter_of(200_000), BELIEF
     step = np.array([1.0, 0.05])
     for reading in (41.3, 42.0, 43.4):
@@ -54,6 +55,7 @@ def test_a_linear_problem_agrees_with_the_kalman_filter() -> None:
         gaussian = predict(gaussian, step, OdometryNoise())
         particles.update(0, 0.0, reading)
         x, P = unpack(gaussian)
+        # The wall is straight ahead: H = (1, 0, 0) and R = 0.25.
         kalman_update(x, P, [1.0, 0.0, 0.0], 0.25, reading - x[0])
         gaussian = pack(x, P)
     np.testing.assert_allclose(particles.belief.mean, gaussian.mean, atol=0.02)
@@ -124,10 +126,13 @@ def test_a_cloud_away_from_the_robot_degrades() -> None:
         likelihood = RayLikelihood(ROOM, N150, WIRE_SONAR)
         cloud = ParticleFilter(draw_particles(BELIEF, 500, rng), likelihood, OdometryNoise(0.0, 0.0, 0.0), rng)
         refused = 0
+        # Four rounds of the ring; refusals are counted.
         for sonar in [*range(16)] * 4:
             refused += cloud.update(sonar, 0.0, _reading(truth, sonar)).refusal is Refusal.GATE
-            cloud.states = draw_particles(BELIEF, 500, rng)  # held where it is believed to be
+            # Held where it is believed to be.
+            cloud.states = draw_particles(BELIEF, 500, rng)
         assert cloud.health.status is status
+        # Off by 17 in, more than half of the 64 readings are refused.
         assert (refused > 32) is (off_in > 0.0)
 
 
@@ -140,9 +145,11 @@ def test_wide_particle_cloud_is_degraded() -> None:
 
 def test_readings_of_the_room_bring_a_spread_cloud_together() -> None:
     rng, truth = np.random.default_rng(4), np.array([42.0, 44.0, 0.28])
+    # A cloud of 3 in and 0.1 rad around a mean that is 2 in off.
     wide = independent(BELIEF.mean, [3.0, 3.0, 0.1])
     likelihood = RayLikelihood(ROOM, N150, WIRE_SONAR)
     cloud = ParticleFilter(draw_particles(wide, 2000, rng), likelihood, OdometryNoise(), rng)
+    # Four rounds while the robot creeps: a robot at rest would repeat its rounding errors.
     for _ in range(4):
         for sonar in range(16):
             cloud.predict(0.02, 0.0)
@@ -158,12 +165,15 @@ def test_a_robot_that_stands_keeps_its_cloud() -> None:
     likelihood = RayLikelihood(ROOM, N150, WIRE_SONAR)
     cloud = ParticleFilter(draw_particles(BELIEF, 1000, rng), likelihood, OdometryNoise(), rng)
     after = []
+    # Forty rounds without motion.
     for _ in range(40):
         for sonar in range(16):
             cloud.update(sonar, 0.0, _reading(truth, sonar))
         after.append(cloud.belief.std)
+    # Resampling of repeated readings would have left copies of a few particles.
     assert len(np.unique(cloud.states, axis=0)) > 100
     np.testing.assert_allclose(after[-1], after[20], rtol=0.2)
+    # After a motion a reading has weight again.
     cloud.predict(1.0, 0.0)
     cloud.update(0, 0.0, _reading(move(truth, np.array([1.0, 0.0])), 0))
     assert not np.allclose(cloud.weights, cloud.weights[0])

@@ -63,8 +63,10 @@ def test_the_linear_rule_is_filterpys_extended_filter() -> None:
 
 
 def test_the_unscented_rule_is_filterpys_unscented_filter() -> None:
+    # alpha, beta and kappa as in the module; the range is the measurement function.
     points = MerweScaledSigmaPoints(3, 1.0, 2.0, 0.0)
     peer = UnscentedKalmanFilter(3, 1, 1.0, range_of, lambda x, _: x, points)
+    # No process noise: predict only draws the points.
     peer.x, peer.P, peer.R = BELIEF.mean.copy(), BELIEF.cov.copy(), np.array([[VARIANCE]])
     peer.Q = np.zeros((3, 3))
     peer.predict()
@@ -116,23 +118,27 @@ def test_each_rule_agrees_with_stone_soup(rule: Rule, updater: type, options: di
 
 @pytest.mark.parametrize("reading", [4.0, 5.0, 5.6, 7.0])
 def test_the_iterated_rule_finds_the_most_likely_state(reading: float) -> None:
+    # The cost that the iterated update minimizes: innovation and change, each by its variance.
     inverse = np.linalg.inv(BELIEF.cov)
 
     def cost(state: Floats) -> float:
         off = state - BELIEF.mean
         return float((reading - range_of(state)[0]) ** 2 / VARIANCE + off @ inverse @ off)
 
+    # A minimizer without derivatives as the oracle.
     found = minimize(cost, BELIEF.mean, method="Nelder-Mead", options={"xatol": 1e-9, "fatol": 1e-12, "maxiter": 5000})
     taken = corrected(iterated, BELIEF, reading)
     np.testing.assert_allclose(BELIEF.mean + taken.dx, found.x, atol=1e-4)
     assert taken.nis == pytest.approx(found.fun, rel=1e-6, abs=1e-9)
     after = posterior(BELIEF, taken)
+    # The covariance is that of the linearization at the result, not at the prior.
     slope = to_vertex(after.mean)[1]
     np.testing.assert_allclose(after.cov, np.linalg.inv(inverse + np.outer(slope, slope) / VARIANCE), atol=1e-4)
 
 
 def test_a_step_that_leads_astray_is_not_taken() -> None:
     """From close by the vertex the straight line through the mean leads to the far side, where nothing fits."""
+    # 3 in right of and 0.1 in below the vertex, with a standard deviation of 2 in across.
     near = Belief(np.array([3.0, 3.9, 0.0]), np.diag([4.0, 1e-4, 1e-4]))
     taken = corrected(iterated, near, 0.2)
 

@@ -37,6 +37,7 @@ Place = tuple[float, float, float]
 def records_at(world: str, setup: str, pose: Place, distance_in: float = 0.0) -> tuple[list[EchoRecord], Floats]:
     """A ring of echoes, taken while driving `distance_in` ahead; and the true pose at the last."""
     x, y, heading_deg = pose
+    # 60 ms is the interval between two sonars: each refresh has one new echo.
     address = f"sim:{world}?setup={setup}&seed=5&start={x},{y},{heading_deg},{heading_deg}&step_s=0.06"
     with connect(address) as robot:
         robot.configure_sonars(rate=15, order=DEFAULT_SONAR_ORDER)
@@ -46,6 +47,7 @@ def records_at(world: str, setup: str, pose: Place, distance_in: float = 0.0) ->
         for sonar in DEFAULT_SONAR_ORDER:
             state, truth = robot.refresh(), robot.truth()
             encoders = np.array([state.x_in, state.y_in, state.steering_rad])
+            # The ring turns with the turret, encoders report steering and turret.
             offset = state.turret_rad - state.steering_rad
             reading = float(state.sonars_in[sonar])
             records.append(EchoRecord(encoders, offset + N150.sonar_angles_rad[sonar], sonar, offset, reading))
@@ -73,6 +75,7 @@ def test_a_square_room_has_four_places_that_look_alike(setup: str) -> None:
     records, truth = records_at("thesis_room", setup, (20.0, 35.0, 10.0))
     found = found_at("thesis_room", setup, records)
     assert len(found) == 4
+    # The centre of the square room; the other places are rotations by quarter turns about it.
     centre = np.array([45.085, 45.085])
     turned = []
     for quarter in range(4):
@@ -81,6 +84,7 @@ def test_a_square_room_has_four_places_that_look_alike(setup: str) -> None:
     for place in turned:
         assert min(np.hypot(*(hypothesis.belief.mean[:2] - place)) for hypothesis in found) < 3.0
     assert sum(hypothesis.probability for hypothesis in found) == pytest.approx(1.0)
+    # No place is clearly better than the others.
     assert max(hypothesis.probability for hypothesis in found) < 0.8
 
 
@@ -103,10 +107,12 @@ def test_equal_hypotheses_merge_and_improbable_ones_drop() -> None:
 
 def test_the_table_holds_the_echo_at_the_middle_of_a_cell() -> None:
     table, around = table_of("several_walls", "measured"), reflectors(load_world("several_walls").walls)
+    # Any place of the table; the turn index has steps of 3 degrees.
     place = table.places_in[100]
     for turn in range(0, 120, 7):
         pose = np.array([*place, math.radians(3.0 * turn)])
         range_in, expected = (part.item() for part in table.look_up(place[:1, None], place[1:, None], np.array([turn])))
+        # The exact probability and range, with a blur of half a cell.
         exact = expected_echoes(pose, np.array(0.015), SonarMount(0.0, 9.06), around, ConeSonar())
         best = int(exact.probability.argmax())
         assert expected == pytest.approx(exact.probability[best], abs=0.05)
@@ -135,6 +141,7 @@ def test_only_wrong_pose_has_alternative(setup: str) -> None:
     table = table_of("several_walls", setup)
     measurement = update_for(load_world("several_walls").walls, N150, KINDS[setup])
     right, wrong = (independent(place, (0.2, 0.2, 0.01)) for place in (truth, truth + np.array([25.0, 5.0, 1.0])))
+    # At the true pose nothing explains the echoes clearly better.
     assert alternatives(right, records, table, measurement, QUIET).lead_nats < 0.5 * MIN_LEAD_NATS
     found = alternatives(wrong, records, table, measurement, QUIET)
     assert found.lead_nats > MIN_LEAD_NATS
@@ -146,6 +153,7 @@ def test_only_wrong_pose_has_alternative(setup: str) -> None:
 def test_no_alternative_without_free_space() -> None:
     records, truth = records_at("several_walls", "ideal", (30.0, 60.0, 20.0))
     walls = load_world("several_walls").walls
+    # Clearance 500 in: the room has no free place for such a robot.
     nowhere = build_range_table(walls, N150, KINDS["ideal"], 500.0)
     measurement = update_for(walls, N150, KINDS["ideal"])
     assert alternatives(independent(truth, (0.2, 0.2, 0.01)), records, nowhere, measurement, QUIET) == (
@@ -161,6 +169,7 @@ def test_a_slipped_heading_has_its_alternative_nearby(heading_std: float) -> Non
     records, truth = records_at("several_walls", "measured", (30.0, 60.0, 20.0))
     walls = load_world("several_walls").walls
     measurement = update_for(walls, N150, KINDS["measured"])
+    # Turned by 0.3 rad on the spot.
     turned = independent(truth + np.array([0.0, 0.0, 0.3]), (0.2, 0.2, heading_std))
     found = alternatives(turned, records, table_of("several_walls", "measured"), measurement, QUIET)
     assert found.near is not None

@@ -28,6 +28,7 @@ class Straight:
     ) -> Association:
         del P
         assert (turret_offset_rad, np.isfinite(reading_in)) == (0.0, True)
+        # A measurement that is linear in the pose: its row of H depends on the sonar only.
         row = ROWS[sonar]
 
         def expect(poses: Floats) -> tuple[Floats, Floats]:
@@ -51,16 +52,19 @@ def test_smoother_equals_filterpy_rts(lag: int, size: int) -> None:
     """filterpy smooths errors about the predicted path: x_k+1 - F x_k there is what `later - predicted` is here."""
     rng = np.random.default_rng(7)
     made = smoother(with_parameters(independent([1.0, 2.0, 0.3], [0.1, 0.1, 0.01]), (0.02,) * (size - 3)), lag)
+    # All that filterpy needs: covariances, F and Q of each step.
     filtered, predicted, by_state, noise = [made.belief], [made.belief], [], []
     for number, step in enumerate(steps(12)):
         by_state.append(step_jacobians(made.belief.mean, step)[0])
         made.predict(*step.tolist())
         predicted.append(made.belief)
+        # Q is what the prediction adds to F P F'.
         noise.append(made.belief.cov - by_state[-1] @ filtered[-1].cov @ by_state[-1].T)
         expected = ROWS[number % 4] @ made.belief.mean[:3]
         made.update(number % 4, 0.0, float(expected + 0.05 * rng.standard_normal()))
         filtered.append(made.belief)
     first = len(filtered) - 1 - lag
+    # filterpy smooths a linear system; the state is the deviation from the predicted path.
     errors = [np.zeros(size)]
     for k in range(first, len(filtered) - 1):
         errors.append(by_state[k] @ errors[-1] + difference(filtered[k + 1].mean, predicted[k + 1].mean))
@@ -97,10 +101,12 @@ def test_a_lag_of_nothing_is_refused() -> None:
         smoother(independent([0.0, 0.0, 0.0], [1.0, 1.0, 1.0]), 0)
 
 
+@pytest.mark.long
 def test_smoothing_is_more_accurate_and_consistent() -> None:
     rng = np.random.default_rng(11)
     start, lag = independent([0.0, 0.0, 0.0], [0.3, 0.3, 0.02]), 8
     squared, normalised = np.zeros(2), []
+    # 150 runs with drawn truths: mean NEES of three elements has a standard deviation of 0.2.
     for _ in range(150):
         truths = [add(start.mean, start.std * rng.standard_normal(3))]
         made, beliefs = smoother(start, lag), [start]
@@ -111,9 +117,11 @@ def test_smoothing_is_more_accurate_and_consistent() -> None:
             made.update(row, 0.0, float(ROWS[row] @ truths[-1] + np.sqrt(VARIANCE[row]) * rng.standard_normal()))
             beliefs.append(made.belief)
         smoothed = made.smoothed()
+        # Error of the smoothed pose, eight steps in the past.
         error = difference(smoothed.mean, truths[-1 - lag])
         squared += [float(error[:2] @ error[:2]), float(np.sum((beliefs[-1 - lag].mean - truths[-1 - lag])[:2] ** 2))]
         normalised.append(float(error @ np.linalg.solve(smoothed.cov, error)))
         assert (smoothed.std < beliefs[-1 - lag].std).all()
+    # Squared position errors shrink by a fifth at least, with NEES of three degrees of freedom at 3.
     assert squared[0] < 0.8 * squared[1]
     assert 2.4 < np.mean(normalised) < 3.6

@@ -66,7 +66,8 @@ def test_the_nearer_reflector_comes_first() -> None:
     beside = reflectors([*SQUARE_ROOM, [30, 1, 30, 40]])
     found = expected_echoes(np.zeros(3), SURE, FRONT, beside, MODEL)
     edge = len(beside.walls) + int(np.flatnonzero((beside.vertices == (30, 1)).all(axis=-1))[0])
-    nearer = found.probability[edge] + found.probability[4]  # a wall ends softly: it may be the wall itself
+    # A wall ends softly: it may be the wall itself.
+    nearer = found.probability[edge] + found.probability[4]
     assert found.probability[edge] > 0.95
     assert nearer > 0.99
     assert found.probability[RIGHT_WALL] == pytest.approx(1.0 - nearer, abs=0.01)
@@ -117,11 +118,13 @@ def test_sonar_position_depends_on_heading() -> None:
 @pytest.mark.parametrize("spread", [(0.3, 0.3, 0.02), (6.0, 6.0, 0.3), (40.0, 40.0, 3.0)])
 def test_omitted_reflectors_have_no_echo_in_any_particle(spread: tuple[float, float, float]) -> None:
     around, rng = reflectors(load_world("several_walls").walls), np.random.default_rng(9)
+    # Nine directions around the robot; particles spread around the middle of the room.
     for direction in np.linspace(-3.0, 3.0, 9):
         mount = SonarMount(float(direction), 9.06)
         poses = np.array([45.0, 40.0, 0.7]) + spread * rng.uniform(-1.0, 1.0, size=(60, 3))
         every = expected_echoes(poses, np.full(60, 0.03), mount, around, MODEL)
         ranges, probabilities = echo_probabilities(poses, np.array(0.03), mount, around, MODEL)
+        # Reflectors without an echo in any particle are left out; the others agree.
         detected = every.probability.any(axis=0)
         np.testing.assert_allclose(ranges, every.ranges_in[:, detected], atol=1e-12)
         np.testing.assert_allclose(probabilities, every.probability[:, detected], atol=1e-15)

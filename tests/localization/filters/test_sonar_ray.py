@@ -72,7 +72,9 @@ def test_the_derivative_is_that_of_central_differences(turret_rad: float) -> Non
         behind, behind_row = cast_readings(poses - width * unit, angles, WALLS)
         normals = WALLS.lines[beams.row, :2]
         direction = poses[:, 2, None] + angles
+        # At flat angles the range changes too fast for differences of this width.
         steep = np.abs(normals[..., 0] * np.cos(direction) + normals[..., 1] * np.sin(direction)) > 0.1
+        # Only rays that hit the same wall at both poses have a derivative.
         same = (ahead_row == beams.row) & (behind_row == beams.row) & steep
         assert same.mean() > 0.9
         assert beams.H[column][same] == pytest.approx((ahead - behind)[same] / (2 * width), rel=1e-5, abs=1e-4)
@@ -83,6 +85,8 @@ def test_straight_at_a_wall() -> None:
     beams = ranges_from(np.zeros(3), AHEAD, N150, walls)
     assert beams.range_in == pytest.approx([20.0 - 9.06])
     assert np.stack(beams.H, axis=-1) == pytest.approx(np.array([[-1.0, 0.0, 0.0]]))
+    _, _, cosine = intersect_line(0.0, 0.0, 1.0, 0.0, line_of(0, walls))
+    assert abs(cosine) == pytest.approx(1.0)
 
 
 def test_a_wall_within_the_ring_is_still_the_first() -> None:
@@ -241,11 +245,14 @@ def test_no_pose_of_the_ellipsoid_meets_another_wall() -> None:
     rng = np.random.default_rng(6)
     refused = accepted = 0
     for _ in range(40):
+        # A random covariance of some 0.3 in and 0.03 rad, with a small diagonal that makes it definite.
         mix = rng.normal(scale=(0.3, 0.3, 0.03), size=(3, 3))
         pose = np.array([rng.uniform(0, 90), rng.uniform(25, 90), rng.uniform(-3, 3)])
         belief = Belief(pose, mix.T @ mix + np.diag([0.01, 0.01, 1e-4]))
+        # Walls as seen from the mean, and what the gate refuses as ambiguous.
         at_mean = ranges_from(pose, ANGLES, N150, world)
         ambiguous = refusals_of(belief, world) == Refusal.AMBIGUOUS_WALL
+        # 3 sigma is the size of the ellipsoid that the gate checks.
         near, far = (
             (ranges_from(on_the_ellipsoid(belief, share * 3.0), ANGLES, N150, world).row != at_mean.row).any(axis=0)
             for share in (0.9, 1.15)
@@ -254,6 +261,7 @@ def test_no_pose_of_the_ellipsoid_meets_another_wall() -> None:
         assert not (ambiguous & ~far).any()
         refused += int(ambiguous.sum())
         accepted += int((~near).sum())
+    # Both answers must have occurred often.
     assert refused > 50
     assert accepted > 300
 
@@ -262,8 +270,10 @@ def test_a_batch_is_judged_as_each_alone() -> None:
     rng = np.random.default_rng(7)
     means = np.column_stack([rng.uniform(0, 90, 20), rng.uniform(0, 90, 20), rng.uniform(-3, 3, 20)])
     beliefs = independent(means, (0.3, 0.3, 0.03))
+    # Noise of 1 in makes the gate refuse some readings.
     readings = expected(beliefs, ANGLES) + rng.normal(scale=1.0, size=(20, 16))
     together = observe(beliefs, readings, ANGLES)
+    # All reasons occur among the 320 readings.
     assert set(np.unique(together.refusals)) >= {Refusal.NONE, Refusal.AMBIGUOUS_WALL, Refusal.GRAZING, Refusal.GATE}
     for row in range(20):
         alone = observe(Belief(means[row], beliefs.cov[row]), readings[row], ANGLES)
@@ -294,7 +304,9 @@ def beliefs(count: int) -> list[Belief]:
 def test_a_beam_in_numbers_is_that_in_arrays(walls: WallMap) -> None:
     reasons = []
     for at, belief in enumerate(beliefs(400)):
+        # Angles from 0 to 40 rad go around the ring several times.
         angle = 0.1 * at
+        # The same function on numbers and on arrays of one element.
         alone = predict_beam(*unpack(belief), angle, N150.sonar_ring_radius_in, walls, STRICT)
         many = unpack(Belief(belief.mean[None], belief.cov[None]))
         arrays = predict_beam(*many, np.array([angle]), N150.sonar_ring_radius_in, walls, STRICT)
@@ -305,8 +317,10 @@ def test_a_beam_in_numbers_is_that_in_arrays(walls: WallMap) -> None:
             assert alone.range_in == pytest.approx(arrays.range_in[0], abs=1e-9)
             H = np.array([part[0] for part in arrays.H])
             assert pytest.approx(H, abs=1e-9) == alone.H
+            # The scalar H P H' is written out by hand in the product.
             variance = predicted_variance(unpack(belief)[1], alone.H)
             assert variance == pytest.approx(float(H @ belief.cov @ H), rel=1e-9, abs=1e-12)
+    # Enough rays with a wall, and for the open world enough without.
     assert reasons.count(Refusal.NONE) > 20
     assert (reasons.count(Refusal.NO_WALL) > 20) == (walls is OPEN)
 
@@ -318,6 +332,7 @@ def test_a_live_reading_is_judged_as_in_arrays() -> None:
         sonar, offset = at % 16, 0.01 * at
         angle = ANGLES[sonar : sonar + 1] + offset
         range_in = float(ranges_from(belief.mean, angle, N150, WALLS).range_in[0])
+        # Exact readings, with noise, off by 30 in, and beyond the limit.
         reading = float(round(range_in + rng.choice([0.0, 0.3, 30.0, 300.0])))
         arrays = observe_ring(belief, angle, np.array([reading]), N150, WALLS, WIRE_SONAR)
         found = model.associate(*unpack(belief), sonar, offset, reading)

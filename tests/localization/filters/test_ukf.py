@@ -51,6 +51,7 @@ def test_a_certain_coordinate_has_a_root_too() -> None:
 @pytest.mark.parametrize("size", [3, 4, 6])
 def test_a_prediction_is_that_of_filterpys_augmented_filter(size: int) -> None:
     belief, step = some_belief(size), np.array([3.0, 0.4])
+    # Process noise as two more states: the augmented form of the filter.
     whole = np.zeros((size + 2, size + 2))
     whole[:size, :size] = belief.cov
     whole[size:, size:] = np.diag(step_variance(step, NOISE))
@@ -60,6 +61,7 @@ def test_a_prediction_is_that_of_filterpys_augmented_filter(size: int) -> None:
         after[:size] = move(state[:size], step + state[size:])
         return after
 
+    # Sigma points of the augmented state with the parameters of the module.
     points = MerweScaledSigmaPoints(size + 2, 1.0, 2.0, 0.0)
     peer = UnscentedKalmanFilter(size + 2, 1, 1.0, None, moved, points)
     peer.x, peer.P, peer.Q = np.append(belief.mean, [0.0, 0.0]), whole, np.zeros_like(whole)
@@ -89,10 +91,12 @@ def test_a_wide_heading_bends_the_mean_as_drawn_robots_show() -> None:
     """100 in ahead, heading std 0.3 rad: the mean falls short by 4.4 %, which no derivative at the mean shows."""
     rng = np.random.default_rng(5)
     belief, step = independent([0.0, 0.0, 0.0], [1.0, 1.0, 0.3]), np.array([100.0, 0.0])
+    # 200,000 drawn robots as the oracle: cos of a heading with std 0.3 has the mean 0.956.
     drawn = belief.mean + belief.std * rng.standard_normal((200_000, 3))
     robots = move(drawn, step + np.sqrt(step_variance(step, NOISE)) * rng.standard_normal((200_000, 2)))
     sigma, extended = predict(belief, step, NOISE), odometry.predict(belief, step, NOISE)
     assert sigma.mean[0] == pytest.approx(robots[:, 0].mean(), abs=0.3)
     assert extended.mean[0] == pytest.approx(100.0)
+    # The spread across grows; the spread ahead is what a linearization cannot have.
     assert np.sqrt(sigma.cov[1, 1]) == pytest.approx(robots[:, 1].std(), rel=0.05)
     assert np.sqrt(sigma.cov[0, 0]) > 3.0 * np.sqrt(extended.cov[0, 0])

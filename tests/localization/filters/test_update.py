@@ -42,8 +42,10 @@ TWO = returns((40.0, (-1.0, 0.0, 0.0), 0.6), (43.0, (-1.0, 0.0, 0.0), 0.3))
 
 @pytest.mark.parametrize("reading", [40.0, 41.5, 43.0, 46.0, 120.0])
 def test_moments_of_the_mixture_by_quadrature(reading: float) -> None:
+    # Bayes' rule on a grid of 200,001 states: prior, outliers, two reflectors.
     x = np.linspace(-15, 15, 200_001)
     prior = np.exp(-0.5 * (x / 1.5) ** 2)
+    # Weight 0.2 is the outlier probability; 0.1 is the probability of no echo from either reflector.
     likelihood = np.full_like(x, MODEL.outlier_density * (0.2 + 0.8 * 0.1))
     for at, probability in ((40.0, 0.6), (43.0, 0.3)):
         variance = float(MODEL.variance(np.array(at)))
@@ -51,6 +53,7 @@ def test_moments_of_the_mixture_by_quadrature(reading: float) -> None:
         likelihood += 0.8 * probability * density
     posterior = prior * likelihood / (prior * likelihood).sum()
     mean = (posterior * x).sum()
+    # The update gives mean and variance of this posterior.
     after, result = updated(BELIEF, reading, TWO)
     assert after.mean[0] == pytest.approx(mean, abs=1e-6)
     assert after.cov[0, 0] == pytest.approx((posterior * (x - mean) ** 2).sum(), rel=1e-5)
@@ -61,12 +64,14 @@ def test_one_certain_reflector_is_the_kalman_update() -> None:
     sure = replace(MODEL, outlier_probability=0.0)
     one = returns((40.0, (-0.8, 0.6, 2.0), 1.0), model=sure)
     after, result = updated(BELIEF, 41.0, one)
+    # The Kalman update of the textbook: S = H P H' + R, K = P H' / S.
     H, R = np.array([-0.8, 0.6, 2.0]), range_variance(sure, 40.0)
     S = H @ BELIEF.cov @ H + R
     K = BELIEF.cov @ H / S
     np.testing.assert_allclose(after.mean, BELIEF.mean + K, atol=1e-12)
     np.testing.assert_allclose(after.cov, BELIEF.cov - S * np.outer(K, K), atol=1e-12)
     assert result.nis == pytest.approx(1.0 / S)
+    # kalman_update changes x and P in place and gives the same.
     x, P = unpack(BELIEF)
     assert kalman_update(x, P, H.tolist(), R, 1.0) == pytest.approx(1.0 / S)
     np.testing.assert_allclose(pack(x, P).mean, after.mean, atol=1e-15)

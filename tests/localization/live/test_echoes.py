@@ -54,17 +54,21 @@ def test_polled_anyhow_each_readable_echo_comes_once(
     schedule = FiringSchedule(start_s, rate, order)
     echo: list[FiringTime] = []
     last_s, now_s = start_s - 1.0, start_s
+    # Polled at random gaps, by a clock with steps of 16.4 ms.
     for gap_s in gaps_s:
         now_s += gap_s
         fresh = schedule.readable(last_s, now_s)
         assert fresh == sorted(fresh, key=lambda firing: firing.instant_s)
         for firing in fresh:
+            # A readable firing is the newest of its sonar.
             newest = [f for f in written_out(schedule, now_s) if f.sonar == firing.sonar][-1]
             assert newest.instant_s == pytest.approx(firing.instant_s)
             assert newest.sonar == firing.sonar
         echo += fresh
         last_s = fresh[-1].instant_s if fresh else last_s
+    # No firing comes twice.
     assert len({round(f.instant_s, 6) for f in echo}) == len(echo)
+    # If gaps are shorter than a round, none is missed.
     if schedule.round_s > max(gaps_s) + 2 * CLOCK_STEP_S + schedule.interval_s:
         due = [f for f in written_out(schedule, now_s) if f.instant_s < now_s - CLOCK_STEP_S - 1e-6]
         assert [f.sonar for f in echo[: len(due)]] == [f.sonar for f in due]

@@ -19,11 +19,14 @@ def test_the_lag_is_that_of_instants_within_one_step() -> None:
     """The encoders' frame is turned against the map's, and nearly once round."""
     pose, rates = np.array([3.0, -4.0, 0.7]), np.array([5.0, 0.3])
     rng = np.random.default_rng(1)
+    # Clock and reading are each late by a uniform part of a step.
     late = CLOCK_STEP_S * (rng.uniform(0.0, 1.0, 200_000) - rng.uniform(0.0, 1.0, 200_000))
     drawn = move(pose, late[:, None] * rates)
+    # Headings near pi: differences must wrap.
     before = np.array([10.0, 20.0, 3.13])
     lag = clock_lag(encoders(1.0, before), encoders(1.2, move(before, 0.2 * rates)))
     output = add_lag(independent(pose, np.zeros(3)), lag)
+    # 200,000 draws determine the covariance to 1 %.
     np.testing.assert_allclose(output.cov, np.cov(drawn.T), rtol=0.01, atol=1e-7)
     assert (output.mean == pose).all()
 

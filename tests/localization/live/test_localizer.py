@@ -122,17 +122,20 @@ def test_odometry_predicts_to_the_clock_of_the_state() -> None:
 def test_a_smoothing_method_reports_a_past_belief() -> None:
     robot = Robot(5.0)
     belief = independent([20.4, 29.7, 0.52], [0.5, 0.5, 0.03])
+    # The same belief with and without a smoother.
     looking_back = Localizer(LocalizationConfig(ROOM, N150), belief, FiringSchedule(0.0), "smoother")
     plain = localizer(belief)
     looks = []
     for k in range(101):
         estimate = looking_back.update(robot.report(0.1 * k))
+        # The smoother changes no live estimate.
         np.testing.assert_array_equal(estimate.pose, plain.update(robot.report(0.1 * k)).pose)
         looks.append(estimate.smoothed)
     first, last = looks[5], looks[-1]
     assert first is not None
     assert last is not None
     assert first.clock_s == 0.0
+    # The last smoothed pose is 32 firings (two rounds) behind the newest readable echo.
     assert last.clock_s == pytest.approx(0.06 * (math.floor((10.0 - 0.0164) / 0.06) - 32))
     assert np.hypot(*(last.belief.mean[:2] - robot.pose(last.clock_s))) < 0.3
     assert plain.update(robot.report(10.2)).smoothed is None

@@ -82,9 +82,11 @@ def test_a_run_that_has_not_begun_has_reached_nothing() -> None:
 def test_late_truth_is_interpolated_at_estimate_time(late_s: float) -> None:
     speed, turn = 5.0, 0.4
 
+    # Constant speed and turn, with a heading that wraps during the motion.
     def true_pose(clock_s: float) -> tuple[float, float, float]:
         return speed * clock_s, 3.0, (3.0 + turn * clock_s + math.pi) % math.tau - math.pi
 
+    # Truth is sampled before and after the time of the estimate.
     before = TruthSample(1.0 + late_s, true_pose(1.0 + late_s))
     after = TruthSample(1.3 + late_s, true_pose(1.3 + late_s))
     x, y, heading = before.interpolate(after, 1.3)

@@ -11,7 +11,7 @@ import pytest
 
 from localization.filters.belief import Belief, independent
 from localization.filters.odometry import MAX_STATE
-from localization.live.saved_estimate import KEYS, MAX_BYTES, MapSignature, SavedEstimate, load, save
+from localization.live.saved_estimate import MAX_BYTES, MapSignature, SavedEstimate, load, save
 from localization.live.sensor_input import EncoderPose
 from nclient.errors import EstimateFileError
 
@@ -40,12 +40,14 @@ def test_estimate_round_trips_exactly(file: Path) -> None:
     assert [path.name for path in file.parent.iterdir()] == ["here.json"]
 
 
-@pytest.mark.parametrize("key", KEYS)
+@pytest.mark.parametrize(
+    "key", ["format", "world", "walls", "body", "clock_s", "encoders", "turret_rad", "mean", "cov"]
+)
 def test_a_missing_key_is_reported(file: Path, key: str) -> None:
     values = json.loads(file.read_text())
     del values[key]
     file.write_text(json.dumps(values))
-    with pytest.raises(EstimateFileError, match=f"here.json: {key}: "):
+    with pytest.raises(EstimateFileError, match=rf"here\.json: {key}(\[\d\])*: "):
         load(file)
 
 
@@ -62,7 +64,7 @@ def test_a_missing_key_is_reported(file: Path, key: str) -> None:
 )  # fmt: skip
 def test_a_wrong_value_is_reported(file: Path, key: str, value: Any) -> None:
     file.write_text(json.dumps(json.loads(file.read_text()) | {key: value}))
-    with pytest.raises(EstimateFileError, match=f"here.json: {key}: "):
+    with pytest.raises(EstimateFileError, match=rf"here\.json: {key}(\[\d\])*: "):
         load(file)
 
 
@@ -74,6 +76,7 @@ def test_other_content_is_reported(file: Path, text: str) -> None:
 
 
 def test_largest_state_fits_and_longer_file_is_refused(file: Path) -> None:
+    # The longest numbers that JSON writes.
     cov = np.full((MAX_STATE, MAX_STATE), -1.2345678901234567e-300) + np.eye(MAX_STATE)
     save(
         file,
@@ -83,6 +86,7 @@ def test_largest_state_fits_and_longer_file_is_refused(file: Path) -> None:
     )
     assert file.stat().st_size < MAX_BYTES / 10
     assert len(load(file).belief.mean) == MAX_STATE
+    # Blanks are allowed by JSON, and make the file too long.
     file.write_text(file.read_text() + " " * MAX_BYTES)
     with pytest.raises(EstimateFileError, match=rf"here\.json: .*longer than {MAX_BYTES}"):
         load(file)

@@ -24,10 +24,12 @@ def controller_at() -> Iterator[MakeController]:
     with ExitStack() as closing:
 
         def make(world: str, start: str = "0,0,0,0", *, method: str = "ekf", **options: Any) -> RobotController:
+            # Defaults: seed 1 and 50 ms per request, unless the test gives others.
             words = {"start": start, "seed": 1, "step_s": 0.05, **options}
             query = "&".join(f"{key}={value}" for key, value in words.items())
             robot = closing.enter_context(connect(f"sim:{world}?{query}"))
             state = robot.refresh()
+            # The start is known to 0.1 in and 0.01 rad.
             belief = independent([state.x_in, state.y_in, state.steering_rad], (0.1, 0.1, 0.01))
             body = BODIES[str(options.get("robot", "n150"))]
             config = LocalizationConfig(load_world(world).walls, body)

@@ -79,12 +79,15 @@ def test_start_option_and_robot_of_address(capsys: pytest.CaptureFixture[str]) -
 def test_a_mission_is_checked_run_and_its_report_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file, report = tmp_path / "m.toml", tmp_path / "r.json"
     file.write_text('title = "T"\nmap = "thesis_room"\n[[step]]\ndo = "turn"\nby_deg = 30\n')
+    # Only checked: no robot is needed.
     assert main(["mission", str(file), "--check"]) == 0
     assert capsys.readouterr().out == f"{file}: a mission, T\n"
+    # Run, with a report.
     assert main(["mission", str(file), SIM, "--report", str(report)]) == 0
     assert capsys.readouterr().out.splitlines()[0] == "T"
     written = json.loads(report.read_text())
     assert (written["title"], written["ending"], written["steps"][0]["do"]) == ("T", "done", "turn")
+    # A report below a file cannot be written, which is found before the drive.
     describe_write_error = report / "r.json"
     assert main(["mission", str(file), SIM, "--report", str(describe_write_error)]) == 1
     output = capsys.readouterr()
@@ -105,18 +108,24 @@ def test_go_resumes_saved_estimate_with_calibration(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     model, saved = tmp_path / "model.toml", tmp_path / "saved.json"
+    # A robot with 4 % longer distances and sonar offsets of 1.5 in.
     offsets = tuple(1.5 for _ in range(16))
     model.write_text(format_calibration("n150", Calibration(1.04, 1.0, 0.0, offsets)))
     address = f"sim:thesis_room?noisy=1&seed=2&model_file={model}"
     words = ["go", address, "--calibration", str(model), "--json"]
+    # Save at the end of the first drive.
     assert main([*words, "--to", "40,10", "--save", str(saved)]) == 0
     report = json.loads(capsys.readouterr().out)
     assert report["pose"]["x_in"] == pytest.approx(report["truth"]["x_in"], abs=0.5)
+    # Three elements of the pose, three of odometry.
     assert len(saved_estimate.load(saved).belief.mean) == 6
+    # --start contradicts --resume.
     assert main([*words, "--to", "40,10", "--resume", str(saved), "--start", "0,0,0"]) == 1
     assert "--start and --resume" in capsys.readouterr().err
+    # A new simulation starts at the true pose: its encoders were reset.
     there = "{x_in},{y_in},{heading_deg},{heading_deg}".format(**report["truth"])
     on = [words[0], f"{address}&start={there}", *words[2:], "--to", "40,20", "--resume", str(saved)]
+    # The displacement must be given for encoders that were reset.
     assert main(on) == 1
     assert "--displacement-std" in capsys.readouterr().err
     assert main([*on, "--displacement-std", "0.2,0.2,1"]) == 0
@@ -130,6 +139,7 @@ def test_failed_save_is_reported_after_the_ending(
 ) -> None:
     folder = tmp_path / "gone"
     folder.mkdir()
+    # The folder disappears after the check.
     monkeypatch.setattr("localization.cli.mission.check_writable", lambda *_: folder.rmdir())
     assert main(["go", SIM, "--to", "5,0", "--save", str(folder / "saved")]) == 1
     output = capsys.readouterr()
@@ -153,8 +163,10 @@ def test_failed_stop_does_not_hide_the_cause() -> None:
             raise ConnectionLost("not back yet")
 
     robot: Any = Gone()
+    # The error of the body is raised, not that of the stop.
     with pytest.raises(ConnectionLost, match="the cause"), stop_on_exit(robot):
         raise ConnectionLost("the cause")
+    # Without an error in the body, that of the stop is.
     with pytest.raises(ConnectionLost, match="not back"), stop_on_exit(robot):
         pass
     assert robot.stopped == 2
@@ -173,11 +185,13 @@ def test_failing_program_stops_robot_and_is_reported(
 @pytest.mark.parametrize("exit_words", ["sys.exit(0)", "sys.exit(5)"])
 def test_a_program_that_exits_has_failed(exit_words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "m.py"
+    # An exit during the mission, in line 4.
     file.write_text(f"import sys\ndef mission(robot):\n    robot.look(0.2)\n    {exit_words}\n")
     assert main(["mission", str(file), SIM]) == 1
     output = capsys.readouterr()
     assert f"nomad: {file}: line 4: calls sys.exit (" in output.err
     assert "  error at (" in output.out
+    # An exit while the file is loaded, in line 2.
     file.write_text(f"import sys\n{exit_words}\n")
     assert main(["mission", str(file), "--check"]) == 1
     assert f"nomad: {file}: line 2: calls sys.exit (" in capsys.readouterr().err
@@ -188,12 +202,14 @@ def test_missing_map_is_reported_unless_map_option_is_given(
 ) -> None:
     file = tmp_path / "m.toml"
     file.write_text('map = "thesis_rom"\n[[step]]\ndo = "look"\n')
+    # Checked or run, the name is reported with its line.
     for words in ([str(file), "--check"], [str(file), SIM]):
         assert main(["mission", *words]) == 1
         output = capsys.readouterr()
         assert output.err.startswith(f"nomad: {file}: line 1: map: thesis_rom: no such file")
         assert "did you mean thesis_room?" in output.err
         assert output.out == ""
+    # --map replaces the map of the file, and is checked as well.
     assert main(["mission", str(file), SIM, "--map", "thesis_room"]) == 0
     assert main(["mission", str(file), "--check", "--map", "thesis_rom"]) == 1
     assert "nomad: thesis_rom: no such file" in capsys.readouterr().err
@@ -253,16 +269,19 @@ def test_a_report_in_words_and_as_data() -> None:
         "    4.0 s  done    look 1 s  (1.0 s, 0 in)",
         "    5.0 s  blocked: no path",
     ]
+    # The same as JSON, with None for what is not known.
     data = json.loads(json.dumps(report.as_json()))
     assert (data["pose"], data["truth"], data["touches"], data["way_in"]) == (None, None, 1, 30.0)
     assert data["steps"][0]["notes"] == [{"at_s": 1.0, "words": "touched"}]
 
 
 def test_option_values_are_parsed() -> None:
+    # Valid values of each option, in radians.
     assert parse_point("1,-2") == (1.0, -2.0)
     assert parse_pose("1,2,180") == pytest.approx((1.0, 2.0, 3.141592653589793))
     assert parse_seconds("0") == 0.0
     assert parse_scale_std("0.05,0.01") == (0.05, 0.01)
+    # Invalid: missing, not finite, negative, too large, too many.
     for reader, text in ((numbers_of_two, "1"), (parse_point, "1,nan"), (parse_pose_std, "1,-1,1"),
                          (parse_odometry_noise, f"0,0,{MAX_NOISE + 1}"), (parse_scale_std, "-1"),
                          (parse_scale_std, "1,1,1,1"), (parse_seconds, "-1"), (parse_positive, "0")):  # fmt: skip
@@ -296,14 +315,17 @@ def test_a_guess_of_rays_that_does_not_fit_is_doubted(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As of a server, which does not report its setup."""
+    # The setup of a server is not known to its clients: rays are assumed.
     monkeypatch.setattr("localization.live.assumptions.sonar_model_of_address", lambda _: None)
     words = ["go", "sim:thesis_room?setup=measured&seed=1", "--to", "60,40", "--method", "ekf", "--speed", "8"]
     main([*words, "--json"])
     output = capsys.readouterr()
+    # The assumption is printed, and doubted in the result.
     assert output.err == f"{GUESS}\n"
     assert "--sonars cones" in json.loads(output.out)["hint"]
     main(words)
     assert "do not believe this" in capsys.readouterr().out.splitlines()[-1]
+    # Given as an option, it is no assumption.
     main([*words, "--sonars", "rays"])
     printed = capsys.readouterr().out
     assert GUESS not in printed

@@ -17,10 +17,13 @@ def test_period_drives_and_notifies_observers(controller_at: MakeController) -> 
     controller, clocks = controller_at("thesis_room"), []
     controller.observers.append(lambda sight: clocks.append(sight.estimate.clock_s))
     start = controller.clock_s
+    # Ten periods of 0.1 s at 5 in/s, less the ramp.
     for _ in range(10):
         sight = controller.period(VelocityCommand(5.0, 0.0))
     assert sight.state.x_in == pytest.approx(5.0, abs=0.6)
+    # Observers get each period.
     assert clocks == pytest.approx([start + 0.1 * (k + 1) for k in range(10)])
+    # Leaving the block stops the robot.
     with controller:
         controller.period(VelocityCommand(5.0, 0.0))
     assert controller.robot.refresh().translation_in_s == 0.0
@@ -41,8 +44,10 @@ def test_failed_stop_does_not_hide_the_cause(
     controller = controller_at("thesis_room")
     with monkeypatch.context() as patched:
         patched.setattr(controller.robot, "stop", gone)
+        # The error of the body is raised.
         with pytest.raises(ConnectionLost, match="the cause"), controller:
             raise ConnectionLost("the cause")
+        # Without one, that of the stop is.
         with pytest.raises(ConnectionLost, match="not back"), controller:
             pass
 
@@ -56,6 +61,7 @@ def test_bumper_stop_is_seen_in_next_state(
         raise BumperHit("vm", (0,))
 
     monkeypatch.setattr(controller.robot, "drive", hit)
+    # The period ends with the next state all the same.
     before = controller.clock_s
     assert controller.period(VelocityCommand(5.0, 0.0)).estimate.clock_s > before
 

@@ -66,8 +66,10 @@ def test_every_verb_is_called_with_values_of_its_step() -> None:
         do = "note"
         words = "hello"
     """)
+    # Defaults of verbs that are not given: no limit, no retries.
     limits = {"limit_s": inf, "retries": 0}
     assert calls[0][0] == "go_to"
+    # Centimetres and metres are converted to inches.
     assert calls[0][1] == pytest.approx((100.0, 50.0, 90.0))
     assert calls[0][2] == {"limit_s": 30.0, "retries": 2, "within_in": 2.0}
     assert calls[1] == ("follow", (((1.0, 2.0), (3.0, 4.0)),), limits | {"within_in": 1.0})

@@ -39,8 +39,10 @@ class Kidnapper:
             self.done = True
             self._controller.robot.stop()
             output = self._controller.robot.wait_until_still(timeout_s=5)
+            # The turret keeps its angle relative to the steering.
             front = self._pose.steering_rad + output.turret_rad - output.steering_rad
             self._controller.robot.place(replace(self._pose, turret_rad=front))
+            # Encoders are set back: the robot cannot notice the displacement.
             self._controller.robot.set_position(x_in=output.x_in, y_in=output.y_in)
             self._controller.robot.set_angles(steering_rad=output.steering_rad, turret_rad=output.turret_rad)
         if sight.estimate.health.status is HealthStatus.LOST:
@@ -95,16 +97,19 @@ def test_turn_continues_after_lost_robot_is_found(controller_at: MakeController)
 def test_a_search_gropes_and_is_set_back_by_a_touch(controller_at: MakeController) -> None:
     controller = controller_at("thesis_room", "45,45,0,0")
     groping, commands = RecoveryBehavior(PERIOD_S), _search_commands(controller)
+    # The scan in place, then a straight drive.
     for _ in range(round(SCAN_RAD / TURN_RAD_S / PERIOD_S) + 5):
         command = next(commands)
         assert tuple(command) == groping.command(controller.last.state)
         controller.period(command)
     assert command.translation_in_s == DRIVE_IN_S
     free = controller.last
+    # The bumper bit of the state is set by hand.
     controller.last = free._replace(state=replace(free.state, raw=(*free.state.raw[:33], 1, *free.state.raw[34:])))
     assert controller.last.state.touching
     back = [next(commands)]
     controller.last = free
+    # 1.5 s backwards, then a new scan.
     back += [next(commands) for _ in range(14)]
     assert back == [VelocityCommand(-DRIVE_IN_S, 0.0)] * 15
     assert next(commands) == VelocityCommand(0.0, TURN_RAD_S)
@@ -122,10 +127,13 @@ def test_estimate_lost_before_dock_repeats_approach(controller_at: MakeControlle
             nowhere = sight.estimate._replace(health=FilterHealth(HealthStatus.LOST, "nothing fits"))
             controller.last = sight._replace(estimate=nowhere)
 
+    # 20 periods with a lost estimate, in the last part of the approach.
     controller.observers.insert(0, on_the_last_foot)
     mission.dock(50, 5, 0)
     assert len(lost) == 20
+    # It stands after the first second.
     assert {sight.state.translation_in_s for sight in lost[10:]} == {0.0}
+    # The dock is reached all the same.
     truth = controller.robot.truth()
     assert hypot(truth.x_in - 50, truth.y_in - 5) < 1.0
     words = [words for _, words in mission.report.steps[0].notes]

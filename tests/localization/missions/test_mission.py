@@ -36,11 +36,13 @@ def test_go_to_arrives_in_truth_and_is_reported(controller_at: MakeController) -
     controller = controller_at("thesis_room", setup="noisy")
     mission = Mission(controller)
     seen = mission.go_to(30, 20, heading_deg=90)
+    # Truth and estimate agree with the goal.
     truth = controller.robot.truth()
     assert hypot(truth.x_in - 30, truth.y_in - 20) < 1.0
     assert degrees(truth.steering_rad) == pytest.approx(90, abs=6)
     assert seen.heading_deg == pytest.approx(90, abs=3)
     assert (seen.trust, seen.touching, seen.bumpers, seen.finds) == ("OK", False, (), 0)
+    # One step, with one plan and one try.
     (step,) = mission.report.steps
     assert (step.name, step.arguments, step.ending, step.tries, step.plans) == (
         "go_to",
@@ -49,12 +51,14 @@ def test_go_to_arrives_in_truth_and_is_reported(controller_at: MakeController) -
         1,
         1,
     )
+    # The straight line is the shortest path.
     assert step.driven_in == pytest.approx(hypot(30, 20), rel=0.05)
     assert step.planned_in == pytest.approx(hypot(30, 20), rel=0.05)
     assert not controller.robot.refresh().moving
 
 
 def test_unmapped_obstacle_is_avoided(controller_at: MakeController) -> None:
+    # A box in the way that the map does not have.
     controller = controller_at("thesis_room", setup="noisy")
     controller.robot.add_obstacle(corners_in=BOX)
     touched = []
@@ -62,24 +66,30 @@ def test_unmapped_obstacle_is_avoided(controller_at: MakeController) -> None:
     mission = Mission(controller)
     mission.go_to(80, 0)
     assert not any(touched)
+    # At least one new plan, and a path longer than the straight 80 in.
     assert mission.report.steps[0].plans > 1
     assert mission.report.steps[0].driven_in > 82.0
 
 
 def test_follow_patrol_turn_look_and_note(controller_at: MakeController) -> None:
     mission = Mission(controller_at("thesis_room"))
+    # Through two points.
     mission.follow([(10, 0), (10, 10)])
     assert place(mission) == pytest.approx((10, 10), abs=1.2)
+    # There and back, twice.
     mission.patrol([(14, 10), (10, 10)], rounds=2)
     assert place(mission) == pytest.approx((10, 10), abs=1.2)
+    # To a heading, and by an angle.
     mission.turn(-90)
     assert mission.seen.heading_deg == pytest.approx(-90, abs=3)
     mission.turn(by_deg=90)
     assert mission.seen.heading_deg == pytest.approx(0, abs=4)
     before = mission.seen.clock_s
+    # Half a second, to a period of the controller.
     mission.look(0.5)
     assert mission.seen.clock_s == pytest.approx(before + 0.5, abs=0.11)
     mission.note("well")
+    # A patrol is a step for each point.
     assert [verb for verb, _ in endings(mission)] == ["follow", *["patrol"] * 4, "turn", "turn", "look", "note"]
     assert {ending for _, ending in endings(mission)} == {"done"}
     assert mission.report.steps[0].arguments == "(10, 0) (10, 10)"
@@ -98,10 +108,12 @@ def test_waiting_ends_by_the_condition_or_by_its_limit(controller_at: MakeContro
 def test_dock_is_entered_straight_and_contact_fails(controller_at: MakeController) -> None:
     controller = controller_at("thesis_room", setup="noisy")
     mission = Mission(controller)
+    # The dock is 1.5 in behind the origin, at 180 degrees.
     mission.dock(-1.5, 20, 180)
     truth = controller.robot.truth()
     assert (truth.x_in, truth.y_in) == pytest.approx((-1.5, 20), abs=0.8)
     assert degrees(truth.steering_rad) == pytest.approx(180, abs=6)
+    # A box 6 in before the dock.
     blocked = controller_at("thesis_room", "40,60,180,0")
     blocked.robot.add_obstacle(corners_in=[(8.0, 55.0), (12.0, 55.0), (12.0, 65.0), (8.0, 65.0)])
     with pytest.raises(StepFailed, match="before the dock"):
@@ -134,6 +146,7 @@ def test_held_robot_is_reported_and_goes_on_once_released(
     controller_at: MakeController, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     controller = controller_at("thesis_room")
+    # Held for 12 s from now.
     mission, until_s = Mission(controller, Settings(time_limit_s=40.0)), controller.clock_s + 12.0
     drive = controller.robot.drive
 
@@ -142,11 +155,13 @@ def test_held_robot_is_reported_and_goes_on_once_released(
         return controller.robot.stop() if controller.clock_s < until_s else drive(**velocities)
 
     monkeypatch.setattr(controller.robot, "drive", held)
+    # The step goes on after the release.
     mission.go_to(20, 0)
     (step,) = mission.report.steps
     output = [words for _, words in step.notes if "is it held (see nserver ctl status), or its emerg" in words]
     assert len(output) == 1
     assert output[0].startswith("the robot has not moved for 5 s although commanded to: ")
+    # Held for good: the limits of step and mission end it, and say why.
     until_s = inf
     with pytest.raises(StepFailed, match=r"step exceeded.*not moved for 1[01] s.*held"):
         mission.go_to(40, 0, limit_s=11.0)
@@ -161,14 +176,18 @@ def test_look_stands_still_without_notes(controller_at: MakeController) -> None:
 
 
 def test_a_fence_is_planned_within_and_left_by_nothing(controller_at: MakeController) -> None:
+    # The fence excludes the parts of the room beyond x = 70 in and y = 40 in.
     fence = ((-11.0, -11.0), (70.0, -11.0), (70.0, 40.0), (-11.0, 40.0))
     controller = controller_at("thesis_room", setup="noisy")
     mission = Mission(controller, Settings(fence_in=fence))
+    # A goal outside of the fence has no path.
     with pytest.raises(StepFailed, match=r"no space.*\(40, 60\)|no path") as failed:
         mission.go_to(40, 60)
     assert failed.value.ending == "blocked"
+    # One inside is reached.
     mission.go_to(50, 20)
     controller.robot.set_position(x_in=50, y_in=20)
+    # A robot that is outside ends the mission.
     jumped = controller_at("thesis_room", start="60,60,0,0")
     outside = Mission(jumped, Settings(fence_in=fence))
     with pytest.raises(MissionOver, match="outside of the fence") as over:

@@ -40,18 +40,21 @@ def test_invalid_program_is_reported_with_its_line(text: str, expected: str) -> 
 
 
 def test_program_runs_and_exception_is_reported_with_line() -> None:
+    # A recorder in place of the robot: the program's calls, without driving.
     robot: Any = CallRecorder()
     program = parse_program(
         "from localization.missions import Settings\nsettings = Settings(title='T')\n"
         "def mission(robot):\n    robot.go_to(1, 2)\n    {}['x']\n", "m.py",
     )  # fmt: skip
     assert program.settings.title == "T"
+    # The line is that of the program, not of the loader.
     with pytest.raises(MissionFileError, match=r"^m\.py: line 5: KeyError: 'x'$"):
         program.run(robot)
     assert robot.calls == [("go_to", (1, 2), {})]
 
 
 def test_robot_errors_pass_unchanged() -> None:
+    # A refusal by the robot is no error of the program.
     def refuse(*_: object) -> None:
         raise RobotRefused("vm", 4)
 
@@ -59,6 +62,7 @@ def test_robot_errors_pass_unchanged() -> None:
     robot.look = refuse
     with pytest.raises(RobotRefused):
         parse_program("def mission(robot): robot.look()", "m.py").run(robot)
+    # A missing verb is one.
     broken: Any = object.__new__(Mission)
     with pytest.raises(MissionFileError, match=r"^m\.py: line 1: AttributeError"):
         parse_program("def mission(robot): robot.fly()", "m.py").run(broken)
@@ -144,8 +148,10 @@ def test_refused_argument_is_reported_with_its_line() -> None:
     text = "from localization.missions import Settings\n\nsettings = Settings(time_limit_s='300')\n"
     with pytest.raises(MissionFileError) as refused:
         parse_program(text, "m.py")
+    # The message has file, line, name of the setting, range and the value.
     expected = "m.py: line 3: Settings: time_limit_s: expected 0.1 to 86400, a number, found the text '300'"
     assert str(refused.value) == expected
+    # Arguments of verbs are checked in the same way, before the robot moves.
     program = parse_program("def mission(robot):\n    robot.go_to('15', 5)\n", "m.py")
     with pytest.raises(MissionFileError) as refused:
         program.run(object.__new__(Mission))

@@ -24,7 +24,9 @@ def a_page() -> Iterator[tuple[str, list[Any]]]:
     output: list[Any] = []
 
     def taken(message: Any) -> tuple[int, str]:
+        # Validate like the server, which rejects invalid estimates.
         output.append(parse_estimate(json.dumps(message)))
+        # The third answer has a new goal: 8 instead of 7.
         return 200, json.dumps({"waypoints": [[15, 10]], "set": 7 if len(output) < 3 else 8})
 
     with page_that(taken) as (url, _):
@@ -34,13 +36,16 @@ def a_page() -> Iterator[tuple[str, list[Any]]]:
 def test_go_publishes_goal_estimate_and_truth_each_period() -> None:
     with a_page() as (url, output):
         assert main(["go", SIM, "--to", "20,12,90", "--speed", "8", "--publish", url]) == 0
+    # Only the first message begins a run.
     assert [one["began"] for one in output[:2]] == [True, False]
     assert len(output) > 20
     assert {one["trust"] for one in output} == {"OK"}
+    # The goal of the command line, not the page's.
     assert output[-1]["waypoints"] == [[20, 12]]
     assert output[-1]["robot"] == 1
     x, y, heading = output[-1]["pose"]
     assert (x, y, heading) == (pytest.approx(20, abs=1), pytest.approx(12, abs=1), pytest.approx(math.pi / 2, abs=0.1))
+    # Truth and estimate are of the same instant, else they would be some tenths of an inch apart.
     off = [math.dist(one["pose"][:2], one["truth"][:2]) for one in output]
     assert 0 < max(off) < 2, "the truth is that of the estimate's own instant"
     assert any(echo["refusal"] == "none" for one in output for echo in one["echoes"])

@@ -43,12 +43,15 @@ def test_an_uncertain_heading_counts_across_the_path_ahead() -> None:
 def test_the_spread_is_that_of_places_drawn_at_random() -> None:
     """Three sigma of the distance to the wall after the path ahead, by a hundred thousand draws."""
     rng = np.random.default_rng(4)
+    # A covariance with correlations, by its root.
     root = np.array([[0.3, 0.0, 0.0], [0.1, 0.2, 0.0], [0.01, 0.02, 0.03]])
     cov = root @ root.T
     poses = rng.standard_normal((100_000, 3)) @ root.T
     displacement = np.array([4.0, 3.0])
+    # The end of the path in x, for each drawn pose.
     ends = poses[:, 0] + displacement[0] * np.cos(poses[:, 2]) - displacement[1] * np.sin(poses[:, 2])
     sigma = float(ends.std())
+    # A wall at the distance at which half of the speed is allowed.
     room = 3.0 * sigma * 0.5 * (1.0 + FULL_SPEED_RATIO)
     wall = np.array([[4.0 + 5.0 + room, -100.0, 4.0 + 5.0 + room, 100.0]])
     assert allowed_speed_fraction(np.zeros(3), displacement, cov, wall, 5.0) == pytest.approx(0.5, abs=0.03)

@@ -19,9 +19,11 @@ RADIUS_IN = 11.0
 def test_arcs_are_free_where_every_point_of_them_is(world: str) -> None:
     walls, rng = np.array(load_world(world).walls), np.random.default_rng(1)
     seen = set()
+    # Circles around each end of a wall, cut at nine random angles.
     for centre in np.unique(walls.reshape(-1, 2), axis=0):
         rim, angles = CornerCircle(centre, walls, RADIUS_IN), np.sort(rng.uniform(0.0, tau, 9))
         for free, first, last in zip(rim.free(angles), angles, np.append(angles[1:], angles[0] + tau), strict=True):
+            # 2001 points of the arc decide whether it is free.
             turns = np.linspace(first, last, 2001)
             points = centre + RADIUS_IN * np.stack((np.cos(turns), np.sin(turns)), axis=-1)
             assert free == (wall_distances(points, walls).min() >= RADIUS_IN - 1e-4)
@@ -41,11 +43,13 @@ def test_free_angles_at_end_of_single_wall() -> None:
 
 
 def test_tangents_touch_both_circles_and_cut_neither() -> None:
+    # Two far pairs with four tangents each, one overlapping pair with two.
     centres = np.array([[0.0, 0.0], [50.0, 10.0], [60.0, 0.0]])
     angles, circles = common_tangents(centres, RADIUS_IN)
     assert len(angles) == 4 + 4 + 2
     ends = [points_on_circles(centres, circles[:, k], angles[:, k], RADIUS_IN) for k in (0, 1)]
     segments = np.concatenate(ends, axis=1)
+    # Each tangent ends at both circles, and cuts neither.
     for k in (0, 1):
         _, far = nearest_points(centres, segments)
         touched = far[circles[:, k], np.arange(len(segments))]

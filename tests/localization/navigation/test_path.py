@@ -53,29 +53,36 @@ def test_a_straight_leg_between_two_points() -> None:
 
 
 def test_corners_split_path_into_sections() -> None:
+    # A line, a quarter circle of radius 10 in and a line without a corner; then a corner.
     first = line_between((0.0, 0.0), (10.0, 0.0))
     arc = PathElement(10.0, 0.0, 0.0, 0.1, 0.5 * pi / 0.1)
     up = line_between((20.0, 10.0), (20.0, 30.0))
     path = split_into_sections(
         [first, line_between((10, 0), (10, 0)), arc, up, line_between((20.0, 30.0), (0.0, 30.0))]
     )
+    # The line of no length is dropped, the corner starts a new section.
     assert [len(section.elements) for section in path] == [3, 1]
     assert total_length_in(path) == pytest.approx(10.0 + 5.0 * pi + 20.0 + 20.0)
     joined = path[0]
+    # 4 in into the second line.
     assert joined.at(10.0 + 5.0 * pi + 4.0) == pytest.approx((20.0, 14.0, 0.5 * pi, 0.0))
+    # Beyond the ends, the ends.
     assert joined.at(1e9)[:2] == pytest.approx((20.0, 30.0))
     assert joined.at(-1.0)[:2] == (0.0, 0.0)
     assert split_into_sections([]) == ()
 
 
 def test_a_stretch_is_looked_at_between_two_places_only() -> None:
+    # Up and back at a distance of 10 in: two places are near.
     there_and_back = PathSection(
         (line_between((0, 0), (20, 0)), line_between((20, 0), (20, 10)), line_between((20, 10), (0, 10)))
     )
+    # The nearest of all, then only between two lengths of the path.
     assert there_and_back.nearest(5.0, 4.0) == pytest.approx(5.0)
     assert there_and_back.nearest(5.0, 4.0, 22.0) == pytest.approx(45.0)
     assert there_and_back.nearest(5.0, 4.0, 22.0, 30.0) == pytest.approx(24.0)
     assert there_and_back.nearest(5.0, 4.0, 26.0, 30.0) == pytest.approx(26.0)
+    # Points at most 1.5 in apart, from 18 in on.
     points = there_and_back.points(1.5, 18.0)
     assert points[0] == pytest.approx((18.0, 0.0))
     assert points[-1] == pytest.approx((0.0, 10.0))

@@ -27,6 +27,7 @@ def drive(follower: PathFollower, pose: Floats, periods: int = 2000, share: floa
             break
         command = follower.command(poses[-1], share)
         x, y, heading = poses[-1]
+        # Ten steps of 10 ms per period; 0.3 in/s is a step at 30 in/s^2.
         for _ in range(10):
             speed += np.clip(command.translation_in_s - speed, -0.3, 0.3)
             rate += np.clip(command.steering_rad_s - rate, -0.01 * AXES.steering_rad_s2, 0.01 * AXES.steering_rad_s2)
@@ -59,13 +60,16 @@ def test_follower_returns_to_path_without_overshoot() -> None:
 def test_follower_turns_in_place_at_start_and_at_corner() -> None:
     corner = split_into_sections([line_between((0, 0), (30, 0)), line_between((30, 0), (30, 30))])
     follower = PathFollower(corner, AXES)
+    # Heading 3 rad: it first turns in place towards the path.
     first = follower.command(np.array([0.0, 0.0, 3.0]))
     assert first.translation_in_s == 0.0
     assert first.steering_rad_s < 0.0
     assert follower.ahead(2.0) is None
+    # It reaches the corner, turns there, and reaches the end.
     poses = drive(follower, np.array([0.0, 0.0, 3.0]))
     assert np.hypot(*(poses[:, :2] - [30.0, 0.0]).T).min() < 0.5
     assert hypot(poses[-1][0] - 30.0, poses[-1][1] - 30.0) < 0.5
+    # At the end it stands, and nothing remains.
     assert follower.command(poses[-1]) == STAND
     assert follower.remaining_points().shape == (0, 2)
     assert follower.ahead(2.0) is None
@@ -82,17 +86,21 @@ def test_speed_fraction_and_remaining_length() -> None:
     follower = PathFollower(
         [PathSection((line_between((0, 0), (100, 0)), PathElement(100.0, 0.0, 0.0, 0.1, 5.0 * pi)))], AXES
     )
+    # The speed ramps up with the distance driven.
     for along in (6.0, 13.0, 20.0):
         full = follower.command(np.array([along, 0.0, 0.0]))
+    # Half of the allowed fraction is half of the speed.
     half = follower.command(np.array([20.0, 0.0, 0.0]), 0.5)
     assert half.translation_in_s == pytest.approx(0.5 * full.translation_in_s)
     assert follower.command(np.array([20.0, 0.0, 0.0]), 0.0).translation_in_s == 0.0
     assert follower.remaining_points(1.0)[0] == pytest.approx((20.0, 0.0))
+    # The arc ends at a quarter circle of radius 10 in.
     assert follower.remaining_points(1.0)[-1] == pytest.approx((110.0, 10.0))
     assert len(follower.remaining_points(1.0, 5.0)) == 5
     ahead = follower.ahead(3.0)
     assert ahead is not None
     assert ahead == pytest.approx((23.0, 0.0))
+    # Behind and beside the path.
     follower.command(np.array([-4.0, -3.0, 0.0]))
     assert abs(follower.lateral_error_in) >= 3.0
 

@@ -82,10 +82,13 @@ def test_pilot_arrives_and_turns_to_heading() -> None:
     pilot = pilot_of(world, (90.0, 55.0), heading=-2.0)
     world.drive(pilot)
     assert ending(pilot) is Ending.ARRIVED
+    # Within an inch of the goal and 0.06 rad of the heading.
     assert hypot(*(world.pose[:2] - [90.0, 55.0])) < 1.0
     assert np.cos(world.pose[2] + 2.0) > np.cos(0.06)
+    # The robot never touched a wall.
     assert world.least_room > N150.radius_in
     assert len(pilot.log.plans) == 1
+    # After the end each step is a stand-still.
     assert pilot.step(world.estimate(), world.state()) == STAND
 
 
@@ -94,8 +97,10 @@ def test_path_points_are_passed_or_planned_one_by_one() -> None:
     pilot = pilot_of(world, (35.0, 55.0), (90.0, 55.0))
     world.drive(pilot)
     assert ending(pilot) is Ending.ARRIVED
+    # One plan for both points.
     assert len(pilot.log.plans) == 1
     assert pilot.remaining_goals == ((90.0, 55.0),)
+    # The second leg leads through a wall.
     blocked = World()
     pilot = pilot_of(blocked, (35.0, 55.0), (90.0, 0.0))
     blocked.drive(pilot)
@@ -107,10 +112,12 @@ def test_a_find_in_the_path_is_gone_around() -> None:
     world = World()
     pilot = Pilot(WIDE, AXES, world.obstacles, [(40.0, 60.0)])
     world.drive(pilot, 3.0)
+    # Four readings of weight 1 confirm an obstacle in the path.
     for _ in range(4):
         world.obstacles._add(25.0, 30.0, 1.0)
     world.drive(pilot)
     assert ending(pilot) is Ending.ARRIVED
+    # The second plan leads around it.
     assert len(pilot.log.plans) == 2
     assert pilot.log.plans[1].length_in > 40.0
 
@@ -128,20 +135,24 @@ def test_pilot_waits_for_obstacle_then_gives_up_or_goes_on() -> None:
     world = World()
     pilot = pilot_of(world, (40.0, 60.0))
 
+    # Contacts on four sides of the goal: no space there.
     def surround() -> None:
         for x, y in ((40.0, 50.0), (40.0, 70.0), (30.0, 60.0), (50.0, 60.0)):
             world.obstacles.add_contact(0.0, (x, y), 0.0, 0.0)
 
     surround()
+    # It waits without giving up, and does not move.
     world.drive(pilot, 10.0)
     assert pilot.result is None
     assert hypot(*(world.pose[:2] - [5.0, 5.0])) == 0.0
+    # Once they are removed it goes on.
     world.obstacles.clear()
     world.drive(pilot)
     assert ending(pilot) is Ending.ARRIVED
     world = World()
     pilot = pilot_of(world, (40.0, 60.0))
     surround()
+    # Otherwise it gives up after 20 s.
     world.drive(pilot)
     assert ending(pilot) is Ending.BLOCKED
     assert "blocked by an obstacle that is not in the map: no space at (40, 60)" in reason(pilot)
@@ -161,6 +172,7 @@ def test_a_touch_is_backed_off_from_and_gone_around() -> None:
     touched = []
 
     def feels(x: float, y: float, _: float) -> bool:
+        # A post that is not in the map, felt at a distance of 9.8 in.
         near = hypot(x - 22.0, y - 32.0) < 9.8
         touched.append(near)
         return near
@@ -169,6 +181,7 @@ def test_a_touch_is_backed_off_from_and_gone_around() -> None:
     pilot = pilot_of(world, (40.0, 60.0), policy=RetryPolicy(max_touches=10))
     world.drive(pilot)
     assert ending(pilot) is Ending.ARRIVED
+    # A few touches until its size is known.
     assert 1 <= len(pilot.log.touches) < 6
     assert sum(touched) < 40
     assert pilot.log.notes[0][1].startswith("touched something at")
@@ -185,27 +198,33 @@ def test_too_many_contacts_end_the_drive() -> None:
 
 def test_failed_back_off_is_not_repeated() -> None:
     """The wheels turn, and the encoders stand: as on a robot that is held."""
+    # Touching from 1 s on, whatever it does.
     world = World(feels=lambda _x, _y, clock: clock > 1.0)
     pilot = pilot_of(world, (40.0, 60.0), policy=RetryPolicy(max_touches=2, back_off_s=2.0))
+    # The encoders never move.
     still = replace(world.state(), raw=(0,) * 33 + (1,) + (0,) * 11)
     for _ in range(60):
         pilot.step(world.estimate(), still)
         world.clock_s += 0.1
     assert ending(pilot) is Ending.TOUCHED
+    # Not before the time of one back-off.
     assert world.clock_s >= 2.0
 
 
 def test_an_uncertain_robot_slows_down_stands_and_gives_up() -> None:
+    # 0.9 in of uncertainty slows it down.
     sure, unsure = World(), World(std_in=0.9)
     for world in (sure, unsure):
         world.drive(pilot_of(world, (90.0, 55.0)))
     assert unsure.clock_s > sure.clock_s + 2.0
+    # 3 sigma of 12 in exceed any gap.
     hopeless = World(std_in=4.0)
     pilot = pilot_of(hopeless, (90.0, 55.0))
     hopeless.drive(pilot, 900.0)
     assert ending(pilot) is Ending.UNCERTAIN
     assert "uncertain by 12.0 in (3 sigma)" in reason(pilot)
     assert hopeless.least_room - N150.radius_in > 0.0
+    # The reason is noted once per margin at most.
     assert 1 <= sum("too uncertain" in words for _, words in pilot.log.notes) < len(MARGINS_IN)
 
 
@@ -232,12 +251,14 @@ def test_pilot_replans_off_path_limited_number_of_times() -> None:
     world = World()
     pilot = pilot_of(world, (90.0, 55.0))
     world.drive(pilot, 6.0)
+    # The robot slips by 5.7 in.
     world.pose[:2] += [4.0, -4.0]
     world.drive(pilot)
     assert ending(pilot) is Ending.ARRIVED
     assert len(pilot.log.plans) == 2
     assert "beside the path" in pilot.log.notes[0][1]
     world = World()
+    # A slip after each plan: it gives up after three.
     pilot = pilot_of(world, (90.0, 55.0), policy=RetryPolicy(max_plans=3))
     while pilot.result is None:
         world.drive(pilot, world.clock_s + 2.0)
@@ -253,6 +274,7 @@ def test_pilot_replans_if_path_ends_before_goal() -> None:
     while hypot(*(world.pose[:2] - [30.0, 30.0])) > 0.5:
         world.drive(pilot, world.clock_s + 0.1)
         assert pilot.result is None
+    # A slip of 1.3 in at the end of the path: beyond the goal's tolerance.
     world.pose[:2] += [0.9, 0.9]
     world.drive(pilot)
     assert ending(pilot) is Ending.ARRIVED
@@ -263,26 +285,33 @@ def test_pilot_replans_if_path_ends_before_goal() -> None:
 def test_going_backwards_a_touch_is_behind() -> None:
     world = World()
     pilot = pilot_of(world, (90.0, 55.0))
+    # The touch comes while it drives backwards.
     pilot._last_speed_in_s = -1.0
     world.feels = lambda *_: True
     pilot.step(world.estimate(), world.state())
     ((x1, _, x2, _),) = world.obstacles.confirmed
+    # The obstacle is behind, at the rim.
     assert (x1, x2) == pytest.approx((5.0 - N150.radius_in,) * 2)
     world.feels = lambda *_: False
+    # Released, it leaves forwards.
     assert pilot.step(world.estimate(), world.state()).translation_in_s > 0.0
 
 
 def test_speed_is_reduced_near_obstacles() -> None:
+    # A free stretch ahead, at full speed.
     world = World(30.0, 55.0)
     pilot = pilot_of(world, (90.0, 55.0))
     world.drive(pilot, 3.0)
     free = pilot.step(world.estimate(), world.state()).translation_in_s
+    # An unconfirmed obstacle 25 in ahead reduces the speed.
     world.obstacles._add(float(world.pose[0]) + 25.0, 55.0, 0.0)
     suspicious = pilot.step(world.estimate(), world.state()).translation_in_s
     assert 0.0 < suspicious < 0.7 * free
     world.obstacles.clear()
+    # One at the side does not.
     world.obstacles._add(float(world.pose[0]), 35.0, 0.0)
     assert pilot.step(world.estimate(), world.state()).translation_in_s == pytest.approx(free)
+    # A confirmed one at the side does.
     for _ in range(3):
         world.obstacles._add(float(world.pose[0]), 36.0, 0.0)
     assert pilot.step(world.estimate(), world.state()).translation_in_s == pytest.approx(3.0)

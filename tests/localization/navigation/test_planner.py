@@ -66,10 +66,12 @@ def test_given_points_are_passed_by_on_straight_paths() -> None:
 def test_around_finds_there_is_the_widest_room_there_is() -> None:
     find = np.array([[28.0, 22.0, 24.0, 26.0]])
     walls = np.concatenate((WALLS, find))
+    # The wider margins have no path: the planner took the widest that has one.
     plan = PLANNER.plan((5.0, 5.0), (60.0, 55.0), find)
     wider = [margin for margin in MARGINS_IN if margin > plan.margin_in]
     for margin in wider[:1]:
         with pytest.raises(NoPathError):
             Roadmap(walls, N150.radius_in + margin).path((5.0, 5.0), (60.0, 55.0), N150.radius_in)
     narrow = PLANNER.plan((5.0, 5.0), (60.0, 55.0), np.array([[50.0, 35.0, 50.0, 51.0], [62.0, 75.0, 62.0, 74.9]]))
-    assert narrow.margin_in == 3.0  # 26 in between (50, 51) and (60, 75): 3.28 in on either side
+    # 26 in between (50, 51) and (60, 75): 3.28 in on either side.
+    assert narrow.margin_in == 3.0

@@ -28,10 +28,13 @@ def test_recovery_scans_then_drives_if_space_ahead_is_free(
     readings: tuple[int, ...], speed_in_s: float
 ) -> None:
     echo, one = Ring(readings), RecoveryBehavior(PERIOD_S)
+    # First a scan of all directions in place.
     turning = [one.command(echo) for _ in range(round(SCAN_RAD / TURN_RAD_S / PERIOD_S))]
     assert set(turning) == {(0.0, TURN_RAD_S)}
+    # Then straight on, if the sonars ahead are free.
     one.command(echo)
     assert one.command(echo)[0] == speed_in_s
+    # Reset: the scan begins again.
     one.reset()
     assert one.command(echo) == (0.0, TURN_RAD_S)
 

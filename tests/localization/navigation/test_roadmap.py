@@ -45,10 +45,12 @@ def test_in_an_empty_world_the_path_is_straight() -> None:
 def test_path_around_wall_end_is_two_tangents_and_an_arc(height: float) -> None:
     """The wall ends in the origin and goes down; the paths touch the circle of the radius about it."""
     roadmap, half = Roadmap(np.array([[0.0, 0.0, 0.0, -500.0]]), 10.0), 60.0
+    # Two tangents from the ends to the circle, and the arc between them.
     path = roadmap.path((-half, height), (half, height))
     far = hypot(half, height)
     arc = 2.0 * (atan2(half, height) - acos(10.0 / far))
     exact = 2.0 * sqrt(far * far - 100.0) + 10.0 * max(arc, 0.0)
+    # High enough, the straight line passes the circle.
     if arc <= 0.0:
         exact = 2.0 * half
     assert total_length_in(path) == pytest.approx(exact, abs=1e-5)
@@ -72,6 +74,7 @@ class Polygons:
         """Return which of the paths (n, 2) to (n, 2) meet the inside of no polygon."""
         free = np.ones(len(one), dtype=bool)
         for planes in self._planes:
+            # Clip the segment at each half plane (Cyrus and Beck).
             begin = one @ planes[:, :2].T + planes[:, 2] + 1e-7
             slope = (other - one) @ planes[:, :2].T
             with np.errstate(divide="ignore", invalid="ignore"):
@@ -101,11 +104,13 @@ def polygons(world: str) -> tuple[Polygons, Polygons]:
 def grid_length(walls: np.ndarray, start: tuple[float, float], goal: tuple[float, float]) -> float:
     """Dijkstra on a grid of 1 in with sixteen directions: longer than the shortest by 2.7 % at most, and its cells."""
     cells = 115
+    # Grid points with enough distance to walls are nodes.
     x, y = np.meshgrid(np.arange(cells) - 12.0, np.arange(cells) - 12.0)
     points = np.stack((x.ravel(), y.ravel()), axis=-1)
     free = (nearest_points(points, walls)[1].min(axis=1) >= RADIUS_IN).reshape(cells, cells)
     rows, columns, lengths = [], [], []
     number = np.arange(cells * cells).reshape(cells, cells)
+    # Eight directions and their opposites: straight, diagonal and knight's moves.
     for dx, dy in ((1, 0), (0, 1), (1, 1), (1, -1), (1, 2), (2, 1), (1, -2), (2, -1)):
         near = (slice(max(0, -dy), cells - max(0, dy)), slice(0, cells - dx))
         far = (slice(max(0, dy), cells - max(0, -dy)), slice(dx, cells))
@@ -116,6 +121,7 @@ def grid_length(walls: np.ndarray, start: tuple[float, float], goal: tuple[float
     graph = coo_matrix(
         (np.concatenate(lengths), (np.concatenate(rows), np.concatenate(columns))), shape=(cells * cells,) * 2
     )
+    # The nodes at start and goal; grid coordinates begin at -12 in.
     ends = [int(number[round(point[1] + 12), round(point[0] + 12)]) for point in (start, goal)]
     return float(dijkstra(graph.tocsr(), directed=False, indices=ends[0])[ends[1]])
 
@@ -127,17 +133,22 @@ def test_random_paths_are_free_and_shortest(world: str) -> None:
     within, around = polygons(world)
     tried = 0
     while tried < 12:
+        # Random ends that are free.
         start, goal = ((float(a), float(b)) for a, b in rng.integers(0, 90, (2, 2)))
         if nearest_points([start, goal], walls)[1].min() < RADIUS_IN * 1.01 or start == goal:
             continue
         tried += 1
         path = roadmap.path(start, goal)
+        # All points of the path have the clearance.
         assert nearest_points(points_of(path), walls)[1].min() >= RADIUS_IN - 1e-5
         assert end_of(path) == pytest.approx(goal, abs=1e-6)
+        # Elements join without a gap.
         for element, following in pairwise(path):
             assert element.at(element.length_in)[:2] == pytest.approx((following.x_in, following.y_in), abs=1e-6)
         length = total_length_in(path)
+        # Polygons inside and outside of the circles bound the length from both sides.
         assert within.length_in(start, goal) - 1e-5 <= length <= around.length_in(start, goal) + 1e-5
+        # The grid is at most 2.8 % longer, and up to a cell at each end.
         on_grid = grid_length(walls, start, goal)
         assert on_grid / 1.028 - 3.0 <= length <= on_grid * 1.005 + 0.5
 

@@ -38,12 +38,15 @@ def test_no_speed_is_beyond_an_axis() -> None:
     profile = SpeedProfile(BEND, AXES)
     along = np.linspace(0.0, BEND.length_in, 400)
     speeds = np.array([profile.speed_in_s(float(value)) for value in along])
+    # Limits of the axes: translation, and steering in the arc of curvature 0.1.
     assert speeds.max() <= AXES.translation_in_s
     curved = (along > 40.0) & (along < 40.0 + 5.0 * pi)
     assert (speeds[curved] * 0.1).max() <= AXES.steering_rad_s + 1e-9
+    # v dv / ds = a: acceleration from the differences of v^2.
     moving = speeds > CREEP_IN_S + 0.1
     gained = np.diff(speeds**2) / (2.0 * np.diff(along))
     assert gained[moving[1:]].max() <= PLANNED_ACCELERATION * AXES.translation_in_s2 + 0.6
+    # It ends at the creeping speed, which the goal tolerance absorbs.
     assert speeds[-1] == CREEP_IN_S
     assert speeds[0] > 0.0
 
@@ -51,15 +54,18 @@ def test_no_speed_is_beyond_an_axis() -> None:
 def test_steering_ramp_shifts_arc_within_limit() -> None:
     """Simulated: a heading that ramps up and down again around an arc, half of each ramp before its ends."""
     curvature, turn = 0.1, 1.2
+    # The time of the ramp and of the constant rate, for the whole turn.
     speed = max_arc_speed_in_s(curvature, AXES)
     ramp = speed * curvature / AXES.steering_rad_s2
     hold = turn / (speed * curvature) - ramp
+    # Integrate the heading and the position in 40,000 steps.
     time = np.linspace(0.0, 2.0 * ramp + hold, 40_001)
     rate = speed * curvature * np.interp(time, [0.0, ramp, ramp + hold, 2.0 * ramp + hold], [0.0, 1.0, 1.0, 0.0])
     heading = np.concatenate(([0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(time))))
     step = speed * np.diff(time)
     x = np.concatenate(([0.0], np.cumsum(step * np.cos(0.5 * (heading[1:] + heading[:-1]))))) - 0.5 * speed * ramp
     y = np.concatenate(([0.0], np.cumsum(step * np.sin(0.5 * (heading[1:] + heading[:-1])))))
+    # The distance of the middle of the arc from the circle's centre is the shift.
     middle = len(time) // 2
     from_centre = np.hypot(x[middle] - 0.0, y[middle] - 1.0 / curvature)
     assert abs(from_centre - 1.0 / curvature) <= 1.3 * LATERAL_SHIFT_IN

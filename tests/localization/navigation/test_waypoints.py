@@ -33,10 +33,12 @@ def drive(address: str, world: str, waypoints: list[tuple[float, float]]) -> lis
         state = robot.refresh()
         belief = independent([state.x_in, state.y_in, state.steering_rad], [0.1, 0.1, 0.01])
         localizer = start_localizer(robot, LocalizationConfig(load_world(world).walls, N150), belief)
+        # Drive to the end, then compare with the ground truth.
         progress = list(follow_waypoints(robot, localizer, Navigator(waypoints), never))
         truth = robot.truth()
         last = progress[-1].estimate
         assert not robot.wait_until_still(1).moving
+        # Within four standard deviations.
         assert math.hypot(last.pose[0] - truth.x_in, last.pose[1] - truth.y_in) < 4 * max(last.belief.std[:2])
     return progress
 
@@ -58,12 +60,15 @@ def test_the_guided_paths_of_the_thesis(world: str, path: str) -> None:
 
 def test_navigator_slows_and_turns_towards_goal() -> None:
     navigator = Navigator([(10.0, 0.0), (10.0, 30.0)], Speeds(translation_in_s=4.0, steering_rad_s=0.3))
+    # Straight ahead at the given speed.
     straight = navigator.command(np.array([0.0, 0.0, 0.0]))
     assert straight is not None
     assert straight == pytest.approx((4.0, 0.0))
+    # 2 in before a waypoint: half of the speed.
     near = navigator.command(np.array([8.0, 0.0, 0.0]))
     assert near is not None
     assert near.translation_in_s == pytest.approx(2.0)
+    # Within the tolerance the next waypoint counts, 90 degrees to the left.
     turning = navigator.command(np.array([9.5, 0.0, 0.0]))
     assert navigator.passed == 1
     assert turning == pytest.approx((4.0, 0.3))
@@ -73,6 +78,7 @@ def test_navigator_slows_and_turns_towards_goal() -> None:
 
 def test_period_waits_for_rest_of_robot_clock() -> None:
     waited: list[float] = []
+    # Each request takes 20 ms of simulated time.
     with connect("sim:thesis_room?step_s=0.02") as robot:
         state = robot.refresh()
         belief = independent([state.x_in, state.y_in, state.steering_rad], [0.1, 0.1, 0.01])
@@ -82,6 +88,7 @@ def test_period_waits_for_rest_of_robot_clock() -> None:
             next(run)
         run.close()
         assert not robot.refresh().moving
+    # The rest of the period is waited for.
     assert waited == pytest.approx([PERIOD_S - 0.02] * 4)
 
 
@@ -99,6 +106,7 @@ def test_rare_states_reduce_speed_and_estimate_is_consistent(seed: int) -> None:
         state = robot.refresh()
         belief = independent([state.x_in, state.y_in, state.steering_rad], [0.1, 0.1, 0.01])
         localizer = start_localizer(robot, LocalizationConfig(load_world("thesis_room").walls, N150), belief)
+        # Two minutes at most.
         for progress in follow_waypoints(robot, localizer, Navigator(ROUND), never):
             truth, estimate = robot.truth(), progress.estimate
             assert truth.time_s == pytest.approx(estimate.clock_s, abs=0.05)
@@ -107,6 +115,7 @@ def test_rare_states_reduce_speed_and_estimate_is_consistent(seed: int) -> None:
             nees.append(error @ np.linalg.inv(estimate.belief.cov[:3, :3]) @ error)
             if estimate.clock_s > 120.0:
                 break
+    # All waypoints are passed, with a consistent estimate (NEES of 3 on average is exact).
     assert progress.passed == len(ROUND)
     assert max(errors) < 1.0
     assert np.mean(nees) < 6.0
@@ -119,6 +128,7 @@ def test_frequent_states_leave_commands_unchanged(
     with connect("sim:thesis_room?noisy=1&seed=1") as robot:
         drive_it = robot.drive
 
+        # Record the commands that the robot gets.
         def noted(*, translation_in_s: float, steering_rad_s: float) -> object:
             driven.append((translation_in_s, steering_rad_s))
             return drive_it(translation_in_s=translation_in_s, steering_rad_s=steering_rad_s)
@@ -129,6 +139,7 @@ def test_frequent_states_leave_commands_unchanged(
         localizer = start_localizer(robot, LocalizationConfig(load_world("thesis_room").walls, N150), belief)
         poses = [progress.estimate.pose for progress in follow_waypoints(robot, localizer, Navigator(ROUND), never)]
     assert len(driven) > 100
+    # They are those of the navigator, unchanged.
     assert driven == [navigator.command(pose) for pose in poses[:-1]]
 
 
@@ -139,6 +150,7 @@ def test_misfit_is_reported_with_rare_states() -> None:
         state = robot.refresh()
         belief = independent([state.x_in, state.y_in, state.steering_rad], [0.1, 0.1, 0.01])
         config = LocalizationConfig(load_world("thesis_room").walls, N150, sonar=ConeSonar())
+        # The simulation has rays, the filter assumes cones.
         for progress in follow_waypoints(robot, start_localizer(robot, config, belief), Navigator(ROUND), never):
             text.append(progress.estimate.health)
             if progress.estimate.clock_s > 15.0:

@@ -12,7 +12,7 @@ from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused, WireError
 from nclient.protocol import codec
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
-from nclient.protocol.types import EVERYTHING, N150, SCOUT
+from nclient.protocol.types import EVERYTHING, N150, SCOUT, Position
 from nclient.transports.memory import MemoryStream
 from nclient.transports.stream import Deadline
 from nclient.transports.tcp import TcpStream
@@ -352,3 +352,24 @@ def test_exchanges_are_counted_if_statistics_are_given() -> None:
     with pytest.raises(ReplyTimeout):
         backend.execute(GS)
     assert (link.exchanges, link.answers, link.timeouts) == (4, 3, 1)
+
+
+def test_a_state_with_the_same_bytes_is_the_same_reply() -> None:
+    server = ScriptedServer()
+    backend = connected(server)
+    first = backend.execute(GS)
+    assert backend.execute(VM) is first
+    server.slots = {17: 6}
+    changed = backend.execute(GS)
+    assert changed.slots[17] == 6
+    server.slots = {0: 10}
+    assert backend.execute(GS) == first
+
+
+def test_a_reply_in_another_form_is_read_anew() -> None:
+    server = ScriptedServer()
+    backend = connected(server)
+    first = backend.execute(GS)
+    backend.execute(Call("ct", EVERYTHING.with_position(Position.COMPASS).smask))
+    assert list(backend.execute(GS).stamps) == ["compass"]
+    assert not first.stamps

@@ -55,7 +55,7 @@ def test_the_call_after_a_loss_reconnects() -> None:
     backend = cable.backend()
     backend.execute(GS)
     cable.pull()
-    with pytest.raises(ConnectionLost, match="this end has closed"):
+    with pytest.raises(ConnectionLost, match="this end"):
         backend.execute(Call("vm", (100, 0, 0)))
     assert not backend.closed
     cable.plugged = True
@@ -122,7 +122,8 @@ def test_a_laser_mode_is_restored() -> None:
     cable.pull()
     with pytest.raises(ConnectionLost):
         backend.execute(GS)
-    cable.robot.wire_state = serial_wire_state(N200)  # it was switched off, too
+    # It was switched off, too.
+    cable.robot.wire_state = serial_wire_state(N200)
     cable.plugged = True
     cable.robot.laser = (0,)
     cable.robot.calls.clear()

@@ -79,7 +79,8 @@ def test_waiting_for_a_slow_reply_is_not_idle(
     clock.now_s += 2.0
     monitor.to_host(answer(line, name)[:5])
     monitor.to_host(answer(line, name)[5:])
-    assert lasts_s(idle_timer, clock) == (3 if seconds == 5 else 5)  # what is answered at once is not waited for
+    # What is answered at once is not waited for.
+    assert lasts_s(idle_timer, clock) == (3 if seconds == 5 else 5)
 
 
 def test_a_click_in_the_window_may_be_long_in_coming() -> None:

@@ -159,7 +159,8 @@ def test_sleep_uses_the_robots_clock() -> None:
 
     def pass_time(seconds: float) -> None:
         slept(seconds)
-        server.clock += round(10_000 * seconds)  # a simulation ten times as fast
+        # A simulation ten times as fast.
+        server.clock += round(10_000 * seconds)
 
     session._sleep = pass_time
     reported(session, "sleep 20")

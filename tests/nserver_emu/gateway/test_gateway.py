@@ -86,7 +86,8 @@ def test_every_command_is_answered_and_lacking_ones_are_error_4() -> None:
         asked = [row for row in COMMANDS if row.has_tcp_reply and row.tcp_type is not None and row.name not in SERVERS]
         refused = {row.name: refusal(client.ask(row.name, *examples(row))) for row in asked}
         assert {name for name, code in refused.items() if code == (4,)} == lacking
-        world = {"delete_obstacle", "move_obstacle"}  # there is none yet
+        # There is none yet.
+        world = {"delete_obstacle", "move_obstacle"}
         assert {name for name, code in refused.items() if code and code != (4,)} <= world
 
 
@@ -245,7 +246,8 @@ def test_ws_polls_the_state_and_a_stop_interrupts_it() -> None:
     harness.run_pending()
     assert other.ask("st").kind == "state"
     assert robot.names() == ["gs", "st"]
-    robot.state = Reply("state", moving.slots, clock=650)  # 946 ms later: the clock began anew
+    # 946 ms later: the clock began anew.
+    robot.state = Reply("state", moving.slots, clock=650)
     harness.now_s += 1.0
     assert waiter.session.tick() == b""
     harness.run_pending()

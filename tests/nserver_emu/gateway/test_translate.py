@@ -185,7 +185,8 @@ def test_camera_rows_become_points_on_the_wall() -> None:
     count, *numbers = convert_laser((len(rows), *rows), POINTS, N200_BODY, LineFit())
     found = np.reshape(numbers, (-1, 2)) / 10
     assert count == len(found) == 482
-    assert found[:, 0] == pytest.approx(60.0, abs=0.5)  # a row is 0.9 in here
+    # A row is 0.9 in here.
+    assert found[:, 0] == pytest.approx(60.0, abs=0.5)
     assert found[0, 1] < 0 < found[-1, 1]
     blind = (482, *[0] * 482)
     assert convert_laser(blind, POINTS, N200_BODY, LineFit()) == (0,)

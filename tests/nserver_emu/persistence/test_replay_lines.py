@@ -8,6 +8,8 @@ import os
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 
+import pytest
+
 from nclient.protocol import codec
 from nclient.protocol.client_state import HANDSHAKE_SIZE, apply_handshake, read_handshake
 from nclient.protocol.commands import Call
@@ -105,6 +107,7 @@ def check(recording: Recording, at_least: int) -> None:
     assert outcome.answers >= at_least
 
 
+@pytest.mark.long
 async def test_two_robots_on_two_lines(tmp_path: Path) -> None:
     async def scenario(server: RunningServer) -> None:
         one, two = await server.host(1), await server.host(2)

@@ -26,7 +26,8 @@ async def test_a_rejected_connection_is_closed_at_once(monkeypatch: pytest.Monke
             server.daemon.admission.access = Allowlist((ipaddress.ip_network("192.0.2.0/24"),))
             outsider = await server.open_client(of="127.0.0.2")
             assert await outsider.reader.read() == b""
-            assert (await (await server.connect_client()).ask("gs")).kind == "state"  # from the address that it calls
+            # From the address that it calls.
+            assert (await (await server.connect_client()).ask("gs")).kind == "state"
         assert server.daemon.admission.rejected == 1
         assert (await inside.ask("gs")).kind == "state"
         assert (await (await server.connect_client()).ask("gs")).kind == "state"

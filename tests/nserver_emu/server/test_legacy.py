@@ -114,7 +114,8 @@ def test_teambots_waits_for_a_motion_by_asking_for_velocities(client: OldClient)
         while client.ask(GET_RV)[1] != [0, 0, 0]:
             asked += 1
         assert client.ask(GET_RC)[1][0] == target
-    assert asked > 0  # over all three: a tenth of an inch may be gone between two questions on a busy machine
+    # Over all three: a tenth of an inch may be gone between two questions on a busy machine.
+    assert asked > 0
 
 
 def test_an_mv_that_leaves_all_axes_changes_nothing(client: OldClient) -> None:

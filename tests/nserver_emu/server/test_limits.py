@@ -131,7 +131,8 @@ async def test_a_fast_client_is_slowed_without_loss() -> None:
         assert (await other.ask("gs")).kind == "state"
         for _ in range(count):
             assert (await fast.reply("gs")).kind == "state"
-        assert time.monotonic() - began >= 0.2  # 20 at once, one more for CONNECT, then 200 a second
+        # 20 at once, one more for CONNECT, then 200 a second.
+        assert time.monotonic() - began >= 0.2
 
 
 async def test_a_fast_client_without_pipelining_is_slowed() -> None:
@@ -139,7 +140,8 @@ async def test_a_fast_client_without_pipelining_is_slowed() -> None:
         fast, began = await server.connect_client(), time.monotonic()
         for _ in range(60):
             assert (await fast.ask("gs")).kind == "state"
-        assert time.monotonic() - began >= 0.15  # 20 at once, one of them CONNECT, then 200 a second
+        # 20 at once, one of them CONNECT, then 200 a second.
+        assert time.monotonic() - began >= 0.15
 
 
 async def test_a_request_that_is_too_long_is_refused_and_passed_over() -> None:
@@ -190,7 +192,8 @@ async def test_a_stalled_skipped_request_is_closed_and_logged_once(
         assert (await stalled.reply("gs")).kind == "error"
         assert await is_closed(stalled)
     assert "incomplete request" in caplog.text
-    assert "connection lost" not in caplog.text  # it was we who closed it
+    # The server itself closed it.
+    assert "connection lost" not in caplog.text
 
 
 async def test_a_client_that_does_not_read_is_closed(caplog: pytest.LogCaptureFixture) -> None:

@@ -94,3 +94,26 @@ def test_connections_with_other_masks_share_the_snapshot(
     assert min(seen[18], seen[35], seen[43]) > 0
     client.ask("ct", *EVERYTHING.smask)
     assert client.ask("gs").slots == seen
+
+
+def test_a_frame_is_sent_again_until_something_changes(emulator: Emulator) -> None:
+    client, session = meet(emulator)
+
+    def frame() -> bytes:
+        client.ask("gs")
+        cached = session.context.cached_state
+        assert cached is not None
+        return cached.frames["gs"]
+
+    first = frame()
+    assert frame() is first
+    # A command, and time, make another one; so does what this connection selects.
+    client.ask("dp", 100, 0)
+    moved = frame()
+    assert moved != first
+    assert frame() is moved
+    emulator.pass_time(0.01)
+    later = frame()
+    assert later is not moved
+    client.ask("ct", *EVERYTHING.with_position(Position.COMPASS).smask)
+    assert len(frame()) == len(later) + 36

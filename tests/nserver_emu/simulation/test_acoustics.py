@@ -48,31 +48,39 @@ def wall(normal_rad: float, distance_in: float, half_in: float = 500.0) -> list[
 
 def traced(walls: FloatArray, source: Ping, receiver: Ping, rays: int = 30001) -> list[float]:
     """Return the lengths of the paths between two transducers by tracing rays; within 0.03 in is a hit."""
+    # Transmitter and receiver on the ring, rays evenly over the cone.
     start, end = (FACE * np.array([cos(c.direction_rad), sin(c.direction_rad)]) for c in (source, receiver))
     half = MODEL.cone_rad / 2.0
     angles = source.direction_rad + np.linspace(-half, half, rays)
     at, direction = np.tile(start, (rays, 1)), np.stack((np.cos(angles), np.sin(angles)), axis=1)
     gone, sequence, found = np.zeros(rays), [np.full(rays, -1)], []
+    # At most three reflections: direct, two walls of a corner, and back over the first.
     for _ in range(4):
         a, b = walls[:, :2], walls[:, 2:]
         side = b - a
+        # Intersection of each ray with each wall by Cramer's rule.
         turned = direction[:, :1] * side[:, 1] - direction[:, 1:] * side[:, 0]
         off = a - at[:, np.newaxis]
         ahead = (off[..., 0] * side[:, 1] - off[..., 1] * side[:, 0]) / turned
         share = (off[..., 0] * direction[:, 1:] - off[..., 1] * direction[:, :1]) / turned
+        # Behind, beside the wall or at the wall just left: no hit.
         ahead[(share < 0) | (share > 1) | (ahead < 1e-7)] = inf
         ahead[np.arange(rays), sequence[-1]] = np.where(sequence[-1] < 0, ahead[np.arange(rays), sequence[-1]], inf)
         hit, reach = ahead.argmin(axis=1), ahead.min(axis=1)
+        # Closest approach of each ray to the receiver, before the next wall.
         passing = ((end - at) * direction).sum(axis=1)
         miss = np.hypot(*(at + passing[:, np.newaxis] * direction - end).T)
         back = -direction @ np.array([cos(receiver.direction_rad), sin(receiver.direction_rad)])
+        # Received: after a reflection, in front of the next wall, near enough and within the receiver's cone.
         met = (len(sequence) > 1) & (passing > 0) & (passing < reach) & (miss < 0.03) & (back > cos(half))
+        # Three reflections count only as out and back over the same corner.
         if len(sequence) == 4:
             met &= sequence[1] == sequence[3]
         found += (gone + passing)[met].tolist()
         alive = np.isfinite(reach)
         at = at + np.where(alive, reach, 0.0)[:, np.newaxis] * direction
         gone = np.where(alive, gone + reach, 1e9)
+        # Mirror the direction at the normal of the wall.
         normal = np.stack((-side[hit, 1], side[hit, 0]), axis=1) / np.hypot(*side[hit].T)[:, np.newaxis]
         direction = direction - 2.0 * (direction * normal).sum(axis=1)[:, np.newaxis] * normal
         sequence.append(hit)
@@ -82,6 +90,7 @@ def traced(walls: FloatArray, source: Ping, receiver: Ping, rays: int = 30001) -
 @pytest.mark.parametrize("seed", range(4))
 def test_the_first_echo_is_the_shortest_path_of_traced_rays(seed: int) -> None:
     rng = np.random.default_rng(seed)
+    # Seven walls of 80 in at random; none within an inch of the ring.
     turns = rng.uniform(-pi, pi, 7)
     middles = rng.uniform(-90.0, 90.0, (7, 2))
     spans = 40.0 * np.stack((np.cos(turns), np.sin(turns)), axis=1)
@@ -89,6 +98,7 @@ def test_the_first_echo_is_the_shortest_path_of_traced_rays(seed: int) -> None:
     walls = walls[nearest_points(MIDDLE, walls)[1] > FACE + 1.0]
     for number in range(16):
         mine = ping(radians(22.5 * number))
+        # Half of the path, less the recess of the transducer behind the face.
         lengths = traced(walls, mine, mine)
         expected = lengths[0] / 2.0 - MODEL.recess_in if lengths else inf
         measured = first_echo_in(LOUD, mine, (), ReflectorMap(walls), N150)
@@ -166,16 +176,21 @@ def test_ranges_have_one_percent_of_noise_and_a_floor() -> None:
 
 def test_cross_talk_is_too_short_by_the_head_start() -> None:
     midway, distance = radians(11.25), 100.0
+    # A wall at right angles to the direction midway between two neighbouring sonars.
     at = np.array([cos(midway), sin(midway)]) * distance
     along = np.array([-sin(midway), cos(midway)]) * 300.0
     walls = [[*(at - along), *(at + along)]]
     one, other = ping(0.0, 0.0), ping(radians(22.5), 0.004)
     faces = FACE * np.array([[1.0, 0.0], [cos(radians(22.5)), sin(radians(22.5))]])
+    # The path of the echo by the mirror image of the first transducer.
     image = faces[0] + 2.0 * (distance - FACE * cos(midway)) * at / distance
     length = float(np.hypot(*(image - faces[1])))
+    # The second sonar fires 4 ms later and takes the first echo as its own: too short by 2 ms of sound.
     assert first(walls, other, earlier=(one,)) == pytest.approx((length - 0.004 * MODEL.sound_in_s) / 2.0 - 0.5)
+    # Fired 14.5 ms later, the first echo has passed already.
     late = other._replace(instant_ps=to_ps(0.0145))
     assert first(walls, late, earlier=(one,)) == pytest.approx(distance - FACE * cos(midway) - 0.5)
+    # A transducer that faces away does not receive it.
     facing_away = ping(radians(180.0), 0.004)
     assert first(walls, facing_away, earlier=(one,)) == inf
 
@@ -189,11 +204,13 @@ def ring(seed: int = 7, model: Polaroid = MODEL, side: float = 100.0) -> SonarRi
 def too_short(rate: int, order: tuple[int, ...]) -> float:
     """Share of readings that are clearly shorter than anything in the room."""
     sonars = ring(model=replace(MODEL, edge_loss_db=inf))
+    # A new order starts at instant 0; the robot stands in the middle.
     sonars.configure(rate, order, 0)
     short = 0
     for number in range(320):
         sonar = order[number % 16]
         sonars.emit_due(SensorPose(*MIDDLE, radians(11.25)), STAMP)
+        # Everything in the room is at least 85 in away.
         short += sonars.readings_in[sonar] < 85
     return short / 320
 

@@ -64,10 +64,12 @@ def met_by(directions: FloatArray, discs: FloatArray, walls: FloatArray) -> tupl
     ranges, cosines = np.full(len(directions), FAR), np.zeros(len(directions))
     for ray, direction in enumerate(directions):
         for x, y, radius in discs:
+            # Nearest solution of |t d - c| = r.
             to = np.array([x - FACE, y])
             root = (to @ direction) ** 2 - to @ to + radius**2
             reach = to @ direction - sqrt(root) if root >= 0.0 else FAR
             if 0.0 < reach < ranges[ray]:
+                # Cosine between the ray and the normal at the point of incidence.
                 ranges[ray], cosines[ray] = reach, -direction @ (reach * direction - to) / radius
         for x1, y1, x2, y2 in walls:
             reach, share = np.linalg.solve([[direction[0], x1 - x2], [direction[1], y1 - y2]], [x1 - FACE, y1])
@@ -83,21 +85,27 @@ def met_by(directions: FloatArray, discs: FloatArray, walls: FloatArray) -> tupl
 def test_the_nearest_loud_point_of_a_robot_is_the_echo(seed: int) -> None:
     """Compare with 4001 rays: each point of the disc with its loss, and the points of normal incidence."""
     rng = np.random.default_rng(seed)
+    # Two robots of random size in front of the transducer, and a short wall among them.
     discs = np.concatenate([disc(rng.uniform(15.0, 120.0), rng.uniform(-0.6, 0.6), rng.uniform(7.0, 10.0))
                             for _ in range(2)])  # fmt: skip
     middle, turn = rng.uniform((20.0, -10.0), (60.0, 10.0)), rng.uniform(-pi, pi)
     along = 4.0 * np.array([cos(turn), sin(turn)])
     walls = np.array([[*(middle - along), *(middle + along)]])
+    # Edges of the wall are silent: the oracle has none.
     model = replace(MODEL, edge_loss_db=inf)
     angles, directions = rays(4001)
     ranges, cosines = met_by(directions, discs, walls)
+    # Two-way losses of each ray: off the axis and by range.
     beam_db = MODEL.cone_loss_db * (angles / HALF) ** 2 + MODEL.absorption_db_in * ranges
+    # Anywhere on a robot some sound is scattered back.
     loud = beam_db + MODEL.skin_loss_db <= MODEL.margin_db
+    # At normal incidence it is reflected, and spreads by the curvature of the disc.
     for x, y, radius in discs:
         spread_db = 10.0 * log10(1.0 + (hypot(x - FACE, y) - radius) / radius)
         ours = np.abs(np.hypot(FACE + ranges * directions[:, 0] - x, ranges * directions[:, 1] - y) - radius) < 1e-6
         loud |= ours & (cosines > 1.0 - 1e-5) & (beam_db + spread_db <= MODEL.margin_db)
     expected = ranges[loud].min(initial=inf)
+    # The wall alone, by the simulator itself: walls are tested elsewhere.
     off_the_wall = first_echo_in(model, ping(), (), ReflectorMap(walls), N150)
     measured = first(discs, model, walls)
     assert measured == pytest.approx(min(expected - MODEL.recess_in, off_the_wall), abs=0.5)
@@ -106,16 +114,21 @@ def test_the_nearest_loud_point_of_a_robot_is_the_echo(seed: int) -> None:
 @pytest.mark.parametrize("distance", [12.0, 40.0, 90.0, 250.0])
 def test_a_round_robot_spreads_the_sound_as_a_bundle_of_rays(distance: float) -> None:
     """Two rays close together come back so much farther apart than off a wall; the reach is where that is too soft."""
+    # Two rays at +-1e-5 rad; the second follows by symmetry.
     angle = 1e-5
+    # Angle of incidence by the law of sines.
     sideways = distance * sin(angle) / RADIUS
     struck = asin(sideways)
     range_in = distance * cos(angle) - RADIUS * sqrt(1.0 - sideways**2)
+    # Direction after reflection, and the distance between the rays back at the sonar.
     turned = pi + angle - 2.0 * struck
     back = np.array([range_in * cos(angle), range_in * sin(angle)])
     apart = abs(back[1] + (-back[0] / cos(turned)) * sin(turned))
     gap = distance - RADIUS
+    # A flat mirror would return them 2 x gap x angle apart.
     spread_db = 10.0 * log10(apart / (2.0 * gap * angle))
     needed_db = spread_db + MODEL.absorption_db_in * gap
+    # A margin just above the loss detects it, one just below does not.
     assert first(disc(distance), replace(ROUND, margin_db=needed_db + 0.01)) == pytest.approx(gap - MODEL.recess_in)
     assert first(disc(distance), replace(ROUND, margin_db=needed_db - 0.01)) == inf
 
@@ -126,11 +139,13 @@ def test_neighbours_receive_what_obeys_the_law_of_reflection(bearing_deg: float,
     one, other = ping(0.0), ping(radians(22.5), 0.001)
     target = disc(distance, radians(bearing_deg))
     x, y, radius = target[0]
+    # Fermat: of all points of the rim the reflecting one has the shortest path.
     around = np.linspace(0.0, 2.0 * pi, 200_001)
     rim = np.stack((x + radius * np.cos(around), y + radius * np.sin(around)), axis=1)
     faces = [(FACE, 0.0), (FACE * cos(radians(22.5)), FACE * sin(radians(22.5)))]
     there, back = (np.hypot(rim[:, 0] - u, rim[:, 1] - v) for u, v in faces)
     length = float((there + back).min())
+    # The sonar's own echo, and the earlier one of its neighbour with its head start of 1 ms.
     self_index = hypot(x - faces[1][0], y - faces[1][1]) - radius - MODEL.recess_in
     cross = (length - 0.001 * MODEL.sound_in_s) / 2.0 - MODEL.recess_in
     wide = replace(LOUD, cone_rad=pi / 2.0)
@@ -142,13 +157,16 @@ def test_neighbours_receive_what_obeys_the_law_of_reflection(bearing_deg: float,
 
 
 def test_a_robot_echoes_from_its_nearest_point_in_the_cone() -> None:
+    # Within the cone the nearest point is straight towards the centre.
     for bearing in (-0.2, 0.0, 0.1, HALF - 1e-9):
         assert first(disc(60.0, bearing), LOUD) == pytest.approx(60.0 - RADIUS - MODEL.recess_in)
+    # Centre outside the cone: the nearest point lies on the rim of the cone.
     for bearing in (HALF + 0.01, 0.3, -0.35):
         beyond = abs(bearing) - HALF
         reach = 25.0 * cos(beyond) - sqrt(RADIUS**2 - (25.0 * sin(beyond)) ** 2)
         assert first(disc(25.0, bearing)) == pytest.approx(reach - MODEL.recess_in)
         assert first(disc(25.0, bearing), LOUD) == inf
+    # No part of the disc is within the cone.
     for bearing in (HALF + asin(RADIUS / 60.0) + 1e-3, 1.0, pi):
         assert first(disc(60.0, bearing)) == inf
     assert first(disc(RADIUS + 0.2, 2.5)) == inf
@@ -172,16 +190,20 @@ def test_inside_a_robot_there_is_no_echo_from_it() -> None:
 
 
 def test_a_robot_hides_walls_and_a_wall_hides_robots() -> None:
+    # A wall 100 in away; the recess of the transducer is half an inch.
     x = FACE + 100.0
     back_wall = np.array([[x, -300.0, x, 300.0]])
     narrow = disc(50.0, 0.0, 3.0)
     assert first(NO_DISCS, LOUD, back_wall) == pytest.approx(99.5)
+    # Reflection at walls only: losses at a robot exceed the margin.
     deaf_to_robots = replace(LOUD, margin_db=11.0, absorption_db_in=0.0)
     assert first(narrow, LOUD, back_wall) == pytest.approx(46.5)
     assert first(narrow, deaf_to_robots, back_wall) == inf
     assert first(disc(50.0, 0.1, 3.0), deaf_to_robots, back_wall) == pytest.approx(99.5)
+    # A screen at an angle in front of a robot hides it; its own echo is unchanged.
     screen = np.array([[FACE + 30.0, -20.0, FACE + 31.0, 20.0]])
     assert first(disc(60.0), LOUD, screen) == first(NO_DISCS, LOUD, screen) < 31.0
+    # A screen that reflects sideways: neither robot nor screen is detected.
     slanted = np.array([[FACE + 30.0, -20.0, FACE + 50.0, 20.0]])
     assert first(disc(90.0), LOUD, slanted) == inf
 
@@ -201,10 +223,13 @@ def test_a_robot_beside_the_axis_is_measured_in_the_ring(room: World) -> None:
     simulation = Simulation(room, 1)
     simulation.add_robot(1, StartPose(0.0, 0.0), N150_MODEL, MEASURED)
     simulation.add_robot(2, StartPose(50.0, 11.0), N150_MODEL, MEASURED)
+    # One second: the ring fires once (16 x 60 ms).
     simulation.step(1.0)
+    # The other robot is off the axis by more than its radius, and within the cone.
     assert RADIUS < 11.0
     readings = simulation.robots[1].sonar.readings_in
     assert readings[0] == pytest.approx(hypot(50.0 - FACE, 11.0) - RADIUS - 0.5, abs=2.0)
+    # Moved out of the cone: the reading is that of the wall.
     simulation.robots[2].place(-50.0, 60.0, 0.0, 0.0)
     simulation.step(1.0)
     assert simulation.robots[1].sonar.readings_in[0] > 80
@@ -227,6 +252,7 @@ def measured(simulation: Simulation) -> list[tuple[int, ...]]:
 
 def test_step_size_and_reading_change_no_echo_of_a_robot(room: World) -> None:
     results = []
+    # Steps much longer than, equal to and not a divisor of the tick of 10 ms.
     for step_s in (0.5, 0.01, 0.007):
         simulation = two_measured(room)
         while simulation.time_s < 1.5 - 1e-9:

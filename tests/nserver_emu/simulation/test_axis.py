@@ -44,6 +44,7 @@ def test_instant_relative_ends_exactly_on_its_target() -> None:
     axis.set_speed(8.0)
     axis.move_by(-10.0)
     assert (axis.mode, axis.shown_velocity) == (Mode.RELATIVE, -8.0)
+    # 10 in at 8 in/s take 1.25 s: 8 in in the first second, 2 in after it.
     assert axis.phase_left_s == pytest.approx(1.25)
     assert axis.advance(1.0) == pytest.approx(-8.0)
     assert axis.moving
@@ -56,8 +57,11 @@ def test_trapezoid_takes_the_time_of_the_closed_form(distance: float, speed: flo
     rate = 30.0
     axis = ramped(speed, rate)
     axis.move_by(distance)
+    # The distance of accelerating and braking at full speed: v^2 / a.
     full = speed * speed / rate
+    # Trapezoid: d / v + v / a; triangle without a phase of constant speed: 2 sqrt(d / a).
     expected = abs(distance) / speed + speed / rate if abs(distance) > full else 2.0 * sqrt(abs(distance) / rate)
+    # A microsecond before the end it still moves, a microsecond after it does not.
     assert axis.advance(expected - 1e-6) == pytest.approx(distance, abs=1e-9)
     assert axis.moving
     axis.advance(2e-6)
@@ -67,13 +71,16 @@ def test_trapezoid_takes_the_time_of_the_closed_form(distance: float, speed: flo
 def test_velocity_ramp_is_half_a_t_squared() -> None:
     axis = ramped(acceleration=30.0)
     axis.move_at(15.0)
+    # s = a t^2 / 2 until the speed of 15 in/s at 0.5 s.
     assert axis.advance(0.25) == pytest.approx(0.5 * 30.0 * 0.25**2)
     assert axis.velocity == pytest.approx(7.5)
     assert axis.phase_acceleration == 30.0
+    # The rest of the ramp, and one second at constant speed.
     assert axis.advance(1.25) == pytest.approx(0.5 * 30.0 * (0.5**2 - 0.25**2) + 15.0)
     assert axis.phase_acceleration == 0.0
     axis.stop()
     assert axis.moving
+    # Braking distance: v^2 / (2 a).
     assert axis.advance(10.0) == pytest.approx(15.0**2 / 60.0)
 
 
@@ -88,17 +95,21 @@ def test_ramps_keep_speed_and_acceleration_and_reach_the_target(motion: tuple[fl
     axis = ramped(speed, rate, velocity=start)
     axis.move_by(distance)
     dt, here, farthest, before = 1e-2, 0.0, 0.0, axis.velocity
+    # Each step of 10 ms keeps the limits, whatever the motion.
     while axis.moving:
         moved = axis.advance(dt)
         now = axis.velocity
+        # No more than the acceleration allows.
         assert abs(now - before) <= rate * (dt + TIME_TOLERANCE_S) + 1e-12
         assert abs(now) <= max(speed, abs(start)) + 1e-9
+        # The distance is that of the mean speed.
         assert abs(moved - 0.5 * (before + now) * dt) <= rate * dt * dt
         assert axis.moving == (axis.shown_velocity != 0.0)
         here += moved
         farthest = max(farthest, (here - distance) * (1.0 if distance > 0.0 else -1.0))
         before = now
     assert here == pytest.approx(distance, abs=1e-9)
+    # Unless it starts too fast to stop in time, it never passes the target.
     if abs(distance) > start * start / (2.0 * rate) or start * distance < 0.0:
         assert farthest <= 1e-9
 
@@ -110,6 +121,7 @@ def test_step_size_changes_nothing(
 ) -> None:
     start, distance, speed, rate = motion
     whole, cut = (ramped(speed, rate, velocity=start) for _ in range(2))
+    # The same motion in one step and in pieces.
     for axis in (whole, cut):
         axis.ramps = ramps
         axis.move_by(distance)
@@ -139,6 +151,7 @@ def test_a_lower_speed_is_ramped_down_to() -> None:
 def test_first_velocity_shown_is_not_zero_and_the_last_is() -> None:
     axis = ramped()
     axis.move_by(-10.0)
+    # Programs loop until the velocity is zero: at the start it shows the least velocity of the wire.
     assert axis.velocity == 0.0
     assert axis.shown_velocity == -0.1
     axis.move_at(10.0)
@@ -146,6 +159,7 @@ def test_first_velocity_shown_is_not_zero_and_the_last_is() -> None:
     axis.advance(0.1)
     assert axis.shown_velocity == pytest.approx(3.0)
     axis.stop()
+    # Ten microseconds before the end of the ramp.
     axis.advance(0.1 - 1e-5)
     assert axis.shown_velocity == 0.1
     axis.advance(2e-5)
@@ -154,11 +168,13 @@ def test_first_velocity_shown_is_not_zero_and_the_last_is() -> None:
 
 def test_a_reversal_never_shows_a_still_axis() -> None:
     axis = ramped(velocity=10.0)
+    # A reversal from 10 to -10 in/s at 30 in/s^2 passes zero within 0.67 s.
     axis.move_at(-10.0)
     shown = []
     for _ in range(400):
         axis.advance(2e-3)
         shown.append(axis.shown_velocity)
+    # Never 0 while it reverses, and monotonous.
     assert min(abs(velocity) for velocity in shown) == 0.1
     assert shown == sorted(shown, reverse=True)
     assert shown[-1] == -10.0

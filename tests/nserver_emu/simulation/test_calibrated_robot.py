@@ -28,21 +28,26 @@ def robot_of(model: RobotModel) -> SimulatedRobot:
 def test_calibrated_distances_and_turns_on_every_drive(name: str) -> None:
     """Ten inches and half a turn counted, whatever the axes are."""
     robot = robot_of(replace(MODELS[name], calibration=ERRS))
+    # Half a turn by the encoders; a Scout turns by opposite wheels.
     track = MODELS[name].track_in
     turn = 0.5 * tau
     if track is None:
         robot.move_relative(0.0, turn, turn)
     else:
         robot.move_relative(track * turn / 2.0, -track * turn / 2.0, 0.0)
+    # 30 s, which is enough for the slowest turn.
     robot.advance_to(30 * 10**12)
     assert robot.encoder.steering_rad == pytest.approx(turn)
+    # The turn scale of the calibration is 0.97.
     assert robot.actual.steering_rad == pytest.approx(0.97 * turn)
     before = robot.actual
     robot.move_relative(10.0, 0.0 if track is None else 10.0, 0.0)
     robot.advance_to(60 * 10**12)
     after = robot.actual
+    # The drift of 0.002 rad/in bends a straight drive of 10 in.
     bend = after.steering_rad - before.steering_rad
     assert bend == pytest.approx(0.002 * 10.0)
+    # Chord of an arc: 2 R sin(bend / 2), with the distance scale of 1.04.
     chord = np.hypot(after.x_in - before.x_in, after.y_in - before.y_in)
     assert chord == pytest.approx(10.4 * np.sin(bend / 2.0) / (bend / 2.0), rel=1e-6)
 
@@ -50,10 +55,13 @@ def test_calibrated_distances_and_turns_on_every_drive(name: str) -> None:
 def test_calibrated_offsets_and_ring_angle() -> None:
     offsets = ERRS.offsets_in
     plain = robot_of(N150)
+    # Only offsets, with the ring not turned.
     shifted = robot_of(replace(N150, calibration=replace(ERRS, turned_rad=0.0)))
     unshifted = plain.sonar.readings_in
     for sonar, (read, more) in enumerate(zip(shifted.sonar.readings_in, offsets, strict=True)):
+        # Readings are whole inches.
         assert read - unshifted[sonar] == pytest.approx(more, abs=0.5)
+    # A ring turned by 5 degrees measures like a turret turned by 5 degrees.
     turned = robot_of(replace(N150, calibration=Calibration(turned_rad=radians(5.0))))
     aimed = SimulatedRobot(RngFactory(1, 0), StartPose(40.0, 40.0, 0.0, radians(5.0)), WALLS, N150)
     assert turned.sonar.readings_in == aimed.sonar.readings_in

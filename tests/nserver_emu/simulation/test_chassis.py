@@ -27,15 +27,18 @@ def test_cached_clearance_changes_no_contact() -> None:
     contacts = 0
     for _ in range(400):
         steering = rng.uniform(-pi, pi)
+        # Random motions of up to 0.6 s with up to 20 in/s and 0.7 rad/s.
         segment = ConstantAccelerationSegment(
             rng.uniform(0.01, 0.6), rng.uniform(-20.0, 20.0), 0.0, rng.uniform(-0.7, 0.7), 0.0
         )
+        # The same place without anything cached.
         fresh = chassis(*cached.pose(0.0, 0.0)[:2])
         found = cached.first_contact(segment, steering)
         assert found == fresh.first_contact(segment, steering)
         contacts += found is not None
         cached.follow(segment, segment.duration_s if found is None else found.time_s, steering)
         assert cached.bumpers(0.0) == chassis(*cached.pose(0.0, 0.0)[:2]).bumpers(0.0)
+    # Contacts must have occurred.
     assert contacts > 10
 
 
@@ -60,9 +63,11 @@ def test_touching_is_a_thousandth_of_an_inch() -> None:
 
 
 def test_new_walls_and_robots_count_at_once() -> None:
+    # A second at 5 in/s: nothing is in the way.
     robot = chassis(0.0, 0.0)
     ahead = ConstantAccelerationSegment(1.0, 5.0, 0.0, 0.0, 0.0)
     assert robot.first_contact(ahead, 0.0) is None
+    # A robot of 8 in appears 20 in ahead: contact when the rims touch.
     robot.set_obstacles([(20.0, 0.0, 8.0)])
     contact = robot.first_contact(ahead, 0.0)
     assert contact is not None
@@ -70,5 +75,6 @@ def test_new_walls_and_robots_count_at_once() -> None:
     robot.set_obstacles(())
     assert not robot.has_obstacles
     assert robot.first_contact(ahead, 0.0) is None
+    # Walls at a quarter of their distance are in the way.
     robot.set_walls(WallSet(WALLS * 0.25))
     assert robot.first_contact(ahead, 0.0) is not None

@@ -100,14 +100,17 @@ def test_a_slow_march_finds_the_same(
     capsules: np.ndarray, motion: ConstantAccelerationSegment, heading: float, sign: float
 ) -> None:
     motion = motion._replace(speed=sign * motion.speed, acceleration=sign * motion.acceleration)
+    # Starts inside a wall are not meaningful.
     if gap(capsules, 0.0, 0.0) < 0.5:
         return
     placed = PlacedSegment(0.0, 0.0, heading, motion)
     contact = first_contact(placed, RADIUS, all_of(capsules))
     end = motion.duration_s if contact is None else contact.time_s
+    # Sixty positions up to the contact, or up to the end: no overlap beyond the chord error.
     gaps = [gap(capsules, *placed.position(end * number / 60.0)) for number in range(61)]
     assert min(gaps) > -2e-4
     if contact is not None:
+        # At the contact the robot touches and presses on.
         assert gaps[-1] < 1e-3
         assert contact.pressed_by(
             placed.heading_rad + motion.turn_at(end), motion.velocity_at(end) or motion.acceleration
@@ -116,11 +119,14 @@ def test_a_slow_march_finds_the_same(
 
 def test_a_touching_robot_may_leave_and_slide_but_not_press() -> None:
     ground = all_of(WALL)
+    # Touching exactly, by rounding, and 2 in inside of the wall.
     for inset in (0.0, 1e-9, -1e-9, 2.0):
         x = 50.0 - RADIUS + inset
+        # Along the wall and away from it, forwards and backwards: no contact.
         for heading in (pi / 2, -pi / 2, pi / 2 + 0.01, pi):
             assert first_contact(PlacedSegment(x, 0.0, heading, straight(10.0, 1.0)), RADIUS, ground) is None
             assert first_contact(PlacedSegment(x, 0.0, heading + pi, straight(-10.0, 1.0)), RADIUS, ground) is None
+        # Towards the wall: contact at once.
         for heading in (0.0, 1.5, -1.5):
             contact = first_contact(PlacedSegment(x, 0.0, heading, straight(10.0, 1.0)), RADIUS, ground)
             assert contact is not None
@@ -140,12 +146,14 @@ def test_a_path_that_leaves_one_wall_may_meet_another() -> None:
 
 def test_a_grazing_arc_is_found_within_the_chord_error() -> None:
     radius, rate = 30.0, 0.3
+    # The arc enters the wall by half a ten-thousandth of an inch.
     graze = 5e-5
     placed = PlacedSegment(
         50.0 - RADIUS - radius + graze, -radius, 0.0, ConstantAccelerationSegment(12.0, radius * rate, 0.0, rate, 0.0)
     )
     contact = first_contact(placed, RADIUS, all_of(LONG_WALL))
     end = 12.0 if contact is None else contact.time_s
+    # The deepest point of 500 along the path.
     deepest = max(placed.position(end * number / 500)[0] for number in range(501)) + RADIUS - 50.0
     assert deepest < TOUCH_IN / 5.0
 

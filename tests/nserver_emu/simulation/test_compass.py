@@ -58,10 +58,12 @@ def test_the_step_size_changes_no_compass_reading(lone: Lone, step_s: float) -> 
 def test_it_follows_turns_that_end_between_readings(lone: Lone) -> None:
     simulation, robot = lone(StartPose(0.0, 0.0, 0.0, 0.5), RobotSetup("r", True, IDEAL.motion, IDEAL.sonar))
     assert needle_of(robot).direction_rad == 0.5
+    # An empty order switches the sonars off: no readings in between.
     robot.configure_sonars(15, ())
     robot.move_relative(0.0, 0.0, 0.3)
     simulation.step(20.0)
     assert needle_of(robot).direction_rad == pytest.approx(0.8)
+    # Placing changes the direction without a turn.
     robot.place(0.0, 0.0, 0.0, 2.0)
     simulation.step(0.1)
     assert needle_of(robot).direction_rad == pytest.approx(2.0)
@@ -72,23 +74,28 @@ def test_calibration_by_a_full_turn_removes_the_deviation() -> None:
 
     def turn(count: int) -> None:
         start = needle.read_ps // INTERVAL_PS
+        # Readings at the interval of the compass, 0.1 rad apart.
         for number in range(start + 1, start + 1 + count):
             needle.read(number * INTERVAL_PS, (0.1 * number) % tau, 0.1 * number)
 
     turn(10)
+    # After 10 readings: 1.0 rad and the deviation of the iron.
     assert needle.direction_rad == pytest.approx(1.0 + radians(6.0) * sin(1.0 + IRON.phase_rad))
     turn(70)
     needle.configure(2, 8.0)
+    # 62 steps of 0.1 rad are less than a full turn of 6.28 rad, 64 are more.
     turn(62)
     assert (needle.calibrated, needle.mode) == (False, CompassMode.CALIBRATING)
     turn(2)
     assert (needle.calibrated, needle.mode) == (True, CompassMode.ON)
     turn(1)
+    # The deviation is gone: 145 steps of 0.1 rad, modulo two turns.
     assert needle.direction_rad == pytest.approx(14.5 - 2 * tau)
 
 
 def test_off_keeps_the_reading_and_unknown_modes_are_refused() -> None:
     needle = compass()
+    # Mode 0 is off: the reading stays and time goes on.
     needle.read(INTERVAL_PS, 1.0, 1.0)
     needle.configure(0, 1.0)
     needle.read(2 * INTERVAL_PS, 2.0, 2.0)
@@ -103,6 +110,7 @@ def test_off_keeps_the_reading_and_unknown_modes_are_refused() -> None:
 
 def test_each_reading_has_noise_of_its_own() -> None:
     noise = CompassNoise(std_rad=0.01)
+    # One compass is read each time, the other only once: noise depends on the number of the interval.
     each, last = compass(noise), compass(noise)
     read = []
     for number in range(1, 2001):
@@ -110,6 +118,7 @@ def test_each_reading_has_noise_of_its_own() -> None:
         read.append(each.direction_rad)
     last.read(2000 * INTERVAL_PS, pi, 0.0)
     assert last.direction_rad == each.direction_rad
+    # The mean of 2000 readings is accurate to 0.01 / 45 rad.
     assert np.mean(read) == pytest.approx(pi, abs=0.001)
     assert np.std(read) == pytest.approx(0.01, rel=0.08)
 
@@ -148,10 +157,12 @@ def test_turning_to_and_fro_is_no_full_turn(lone: Lone) -> None:
 def test_a_robot_that_is_put_elsewhere_has_not_turned(lone: Lone) -> None:
     simulation, robot = lone()
     robot.configure_compass(2)
+    # Jumps of any size by placing do not count as turns.
     for angle in (radians(359.0), 0.0, 3.0, 12.0, -9.0):
         robot.place(0.0, 0.0, 0.0, angle)
         simulation.step(0.3)
         assert not needle_of(robot).calibrated
+    # 200 and 159 degrees are just less than a full turn, 360 in total are enough.
     assert not turned(simulation, robot, radians(200.0))
     robot.place(0.0, 0.0, 0.0, 1.0)
     assert not turned(simulation, robot, radians(159.0))

@@ -19,6 +19,7 @@ def test_compiled_code_changes_no_bit_of_a_simulation(setup: RobotSetup, monkeyp
 
     def lived(kernel: CompiledKernel) -> list[object]:
         monkeypatch.setattr(sonar, "RAYCAST_KERNEL", kernel)
+        # A small square room, so that echoes and contacts occur.
         square = Polygon(((-70.0, -70.0), (70.0, -70.0), (70.0, 70.0), (-70.0, 70.0)))
         simulation = Simulation(World("square", rooms=(square,)), seed=9)
         for number in range(3):
@@ -26,10 +27,12 @@ def test_compiled_code_changes_no_bit_of_a_simulation(setup: RobotSetup, monkeyp
         rows: list[object] = []
         for step in range(60):
             for number, robot in simulation.robots.items():
+                # New velocities every 1.8 s.
                 if step % 12 == 0:
                     robot.set_velocities(14.0, 0.4 * (number - 2), 0.3)
                 rows.append((robot.actual, robot.encoder, robot.sonar.readings_in, robot.sonar.stamps))
             simulation.step(0.15)
+            # A snapshot in the middle: restored state uses the same code.
             if step == 30:
                 simulation = Simulation.from_state(simulation.to_state())
         return rows

@@ -19,12 +19,15 @@ def drive(ramps: bool = False) -> SynchroDrive:
 
 def test_segments_end_where_an_axis_changes_acceleration() -> None:
     wheels = drive()
+    # At rest the segment lasts as long as requested.
     assert wheels.segment(5.0) == ConstantAccelerationSegment(5.0, 0.0, 0.0, 0.0, 0.0)
+    # 10 in backwards at 20 in/s: half a second.
     wheels.translation.move_by(-10.0)
     wheels.steering.move_at(0.5)
     assert wheels.segment(5.0) == ConstantAccelerationSegment(0.5, -20.0, 0.0, 0.5, 0.0)
     assert wheels.segment(0.1).duration_s == 0.1
     ramped = drive(ramps=True)
+    # 25 degrees per second at 50 degrees per second squared: half a second of ramp.
     ramped.steering.move_at(radians(25.0))
     assert ramped.segment(inf) == pytest.approx((0.5, 0.0, 0.0, 0.0, radians(50.0)))
 
@@ -57,18 +60,22 @@ def test_a_blocked_drive_still_steers() -> None:
 def test_zero_is_sought_along_the_shorter_arc(steering: float) -> None:
     wheels = drive()
     wheels.set_angles(steering, -steering)
+    # Slow steering, a turret without a speed of its own: it uses its top speed.
     wheels.steering.set_speed(0.3)
     wheels.turret.set_speed(0.0)
     wheels.translation.move_at(5.0)
+    # Translation stops before the axes seek zero.
     wheels.seek_zero()
     assert not wheels.translation.moving
     assert abs(wheels.steering.velocity) == (0.3 if steering else 0.0)
     assert abs(wheels.turret.velocity) == (N150.axes[2].top_speed if steering else 0.0)
+    # At most half a turn, at 0.3 rad/s.
     wheels.advance(pi / 0.3 + 1e-6)
     for angle in (wheels.steering_rad, wheels.turret_rad):
         assert angle % (2.0 * pi) == pytest.approx(0.0, abs=1e-9) or angle % (2.0 * pi) == pytest.approx(2.0 * pi)
     assert abs(wheels.steering_rad - steering) <= pi + 1e-9
     assert not any(axis.moving for axis in wheels.axes)
+    # Afterwards both angles read zero.
     wheels.finish_zero()
     assert (wheels.steering_rad, wheels.turret_rad) == (0.0, 0.0)
 
@@ -84,6 +91,7 @@ def two_wheels(right: float, left: float, ramps: bool = False) -> DifferentialDr
 def displacement_of(wheels: DifferentialDrive, span_s: float) -> tuple[float, float, float]:
     """(x, y, heading) after so long, by the stretches that the drive hands out."""
     x = y = 0.0
+    # Follow the segments until the time is over.
     while span_s > 1e-12:
         segment = wheels.segment(span_s)
         dx, dy = segment.displacement(wheels.heading_rad, segment.duration_s)
@@ -105,11 +113,14 @@ def marched(right: float, left: float, span_s: float, ramp: float, steps: int = 
     x = y = heading = 0.0
     dt = span_s / steps
     for step in range(steps):
+        # The velocity of each wheel ramps up to its command.
         time = (step + 0.5) * dt
         v_right = min(abs(right), ramp * time) * (1.0 if right > 0.0 else -1.0)
         v_left = min(abs(left), ramp * time) * (1.0 if left > 0.0 else -1.0)
+        # 13.5902 in is the track of a Scout.
         turn = (v_right - v_left) / 13.5902 * dt
         distance = 0.5 * (v_right + v_left) * dt
+        # Midpoint rule: the direction in the middle of the step.
         x += distance * cos(heading + 0.5 * turn)
         y += distance * sin(heading + 0.5 * turn)
         heading += turn
@@ -145,14 +156,19 @@ def test_ramps_follow_a_slow_march(right: float, left: float, back_r: bool, back
 
 def test_segments_end_where_the_robot_reverses() -> None:
     wheels = two_wheels(20.0, 4.0, ramps=True)
+    # After 2 s both wheels have their speed: 20 and 4 in/s, mean 12.
     wheels.advance(2.0)
+    # The right wheel reverses at 30 in/s^2: the mean decelerates with 15.
     wheels.right.move_at(-20.0)
     segment = wheels.segment(5.0)
     assert segment.velocity_at(segment.duration_s) >= 0.0
+    # After 20/30 s the right wheel stands.
     assert (segment.duration_s, segment.speed, segment.acceleration) == pytest.approx((20.0 / 30.0, 12.0, -15.0))
     wheels.advance(segment.duration_s)
+    # Then the mean passes zero, when the right wheel has -4 in/s.
     assert wheels.segment(5.0).duration_s == pytest.approx(4.0 / 30.0, abs=1e-9)
     wheels.advance(4.0 / 30.0)
+    # The rest of the ramp, to -20 in/s.
     assert wheels.segment(5.0).duration_s == pytest.approx(16.0 / 30.0, abs=1e-9)
 
 

@@ -42,11 +42,13 @@ def test_readings_are_whole_inches_and_15_is_nothing(gap: float, reading: int) -
 
 def test_the_ring_flashes_every_60_ms_and_is_off_without_sensors() -> None:
     sensors = ring(wall(5.0))
+    # Instants in picoseconds, from 7.
     sensors.configure(0, ALL, 7)
     for number in range(3):
         assert sensors.due_ps == 7 + number * INTERVAL_PS
         sensors.flash_due(HERE, stamp(number))
     assert sensors.stamps == (stamp(2),) * 16
+    # 255 as the first entry switches the ring off; readings stay.
     sensors.configure(0, (255, 0), 9)
     assert sensors.due_ps == TIME_MAX_PS
     assert sensors.readings[0] == 5
@@ -72,10 +74,12 @@ def test_history_is_the_weight_of_the_previous_reading(history: int) -> None:
 
 
 def test_reading_often_or_late_gives_the_same_values() -> None:
+    # A corner of two walls at 20 in, noise of 10 %.
     walls = np.array([[-20.0, -20.0, 20.0, -20.0], [20.0, -20.0, 20.0, 20.0]])
     often, late = ring(walls, InfraredNoise(0.1)), ring(walls, InfraredNoise(0.1))
     for sensors in (often, late):
         sensors.configure(8, ALL, 0)
+    # 150 flashes while the robot drives and turns; only one ring is read each time.
     for number in range(150):
         for sensors in (often, late):
             sensors.flash_due(SensorPose(0.01 * number, 0.0, 0.1 * number), stamp())
@@ -94,6 +98,7 @@ def test_a_flash_meets_the_walls_of_its_instant_and_other_robots() -> None:
 
 
 def test_slanted_walls_appear_farther_and_ranges_are_noisy() -> None:
+    # At a slant the reflected light decreases with the cosine; range is measured by its square root.
     slant = radians(50.0)
     sensors = ring(wall(8.0, slant), InfraredNoise(slanted=True))
     sensors.flash_due(HERE, stamp())
@@ -103,6 +108,7 @@ def test_slanted_walls_appear_farther_and_ranges_are_noisy() -> None:
     for _ in range(2000):
         noisy.flash_due(HERE, stamp())
         readings.append(noisy.readings[0])
+    # Mean and variance of 2000 readings: noise of 0.8 in and rounding to whole numbers.
     assert np.mean(readings) == pytest.approx(8.0, abs=0.08)
     assert np.var(readings) == pytest.approx(0.8**2 + 1.0 / 12.0, rel=0.15)
 
@@ -111,8 +117,10 @@ def test_slanted_walls_appear_farther_and_ranges_are_noisy() -> None:
 def test_the_nearest_of_walls_and_robots_counts_at_its_own_slant(seed: int) -> None:
     """Against every ray by itself: a quadratic for each robot, Cramer's rule for each wall."""
     rng = np.random.default_rng(seed)
+    # Five robots around the sensor, about 72 degrees apart.
     angles, aways = 0.4 * np.pi * np.arange(5) + rng.uniform(-0.3, 0.3, 5), rng.uniform(22.0, 34.0, 5)
     others = np.stack((aways * np.cos(angles), aways * np.sin(angles), rng.uniform(6.0, 9.5, 5)), axis=1)
+    # The robot itself is the third disc and must be left out.
     discs = np.insert(others, 2, (0.0, 0.0, N200.radius_in), axis=0)
     walls = np.array([[-30.0, -25.0, 30.0, -28.0], [30.0, -28.0, 25.0, 30.0], [-20.0, 33.0, -28.0, -25.0]])
     sensors = ring(walls, InfraredNoise(slanted=True))
@@ -121,15 +129,18 @@ def test_the_nearest_of_walls_and_robots_counts_at_its_own_slant(seed: int) -> N
     for number, reading in enumerate(sensors.readings):
         direction = np.array([cos(turret + number * radians(22.5)), np.sin(turret + number * radians(22.5))])
         met = [(float("inf"), 1.0)]
+        # Each robot by the quadratic formula.
         for x, y, radius in others:
             ahead = float(direction @ (x, y))
             root = ahead**2 - x * x - y * y + radius**2
             if root >= 0.0 < ahead:
                 met.append((ahead - sqrt(root), sqrt(root) / radius))
+        # Each wall by Cramer's rule, with its cosine of incidence.
         for x1, y1, x2, y2 in walls:
             far, share = np.linalg.solve([[direction[0], x1 - x2], [direction[1], y1 - y2]], [x1, y1])
             if far > 0.0 and 0.0 <= share <= 1.0:
                 met.append((far, abs(float(direction @ (y1 - y2, x2 - x1))) / float(np.hypot(x2 - x1, y2 - y1))))
         far, cosine = min(met)
+        # Slanted surfaces seem farther; beyond 24 in there is no reflection.
         seen = (far - N200.radius_in) / sqrt(cosine)
         assert reading == (round(min(seen, 15.0)) if seen <= 24.0 else 15)

@@ -31,13 +31,16 @@ def test_walls_are_measured_from_6_to_180_inches() -> None:
 
 def test_points_lie_on_the_wall_in_the_frame_of_the_turret() -> None:
     turret, x, y = 2.0, 30.0, -20.0
+    # A wall at right angles to the direction 2.2 rad, 90 in away from the sensor.
     normal, distance = np.array([cos(2.2), sin(2.2)]), 90.0
     along = np.array([-normal[1], normal[0]]) * 400.0
     foot = np.array([x, y]) + distance * normal
     found = points(ranges(SensorPose(x, y, turret), np.array([[*(foot - along), *(foot + along)]]), N200), N200)
     assert len(found) == COLUMNS
+    # Back into the frame of the world: all points lie on the wall.
     back = np.array([[cos(turret), sin(turret)], [-sin(turret), cos(turret)]])
     assert (found @ back) @ normal == pytest.approx(np.full(COLUMNS, distance))
+    # Columns are in order from right to left.
     assert (np.diff(found[:, 1]) > 0.0).all()
 
 
@@ -69,6 +72,7 @@ def test_pixels_grow_with_nearness_and_columns_are_selected() -> None:
 
 
 def test_a_room_corner_and_a_gap_become_three_lines() -> None:
+    # A wall with a gap of 30 in, and a corner.
     walls = np.array(
         [[109.0, -80.0, 109.0, -10.0], [109.0, 20.0, 109.0, 40.0], [109.0, 40.0, 69.0, 80.0]]
     )
@@ -76,16 +80,20 @@ def test_a_room_corner_and_a_gap_become_three_lines() -> None:
     assert len(found) == 3
     assert found[0][[0, 2]] == pytest.approx([109.0, 109.0], abs=1e-6)
     assert found[0][3] == pytest.approx(-10.0, abs=0.5)
+    # Ends are accurate to a column of the scan.
     assert found[1] == pytest.approx([109.0, 20.0, 109.0, 40.0], abs=0.5)
     assert found[2][:2] == pytest.approx([109.0, 40.0], abs=0.5)
+    # The third wall is the line x + y = 149.
     assert found[2][0] + found[2][1] == pytest.approx(149.0, abs=1e-2)
 
 
 def test_settings_decide_what_is_a_line() -> None:
+    # Two walls 6 in apart: one line or two, depending on the largest gap.
     found = points(ranges(HERE, np.array([[60.0, -9.0, 60.0, -3.0], [60.0, 3.0, 60.0, 9.0]]), N200), N200)
     assert len(lines(found, LineFit(gap_in=5.0))) == 2
     assert len(lines(found, LineFit(gap_in=7.0))) == 1
     assert len(lines(found, LineFit(gap_in=5.0, min_points=len(found)))) == 0
+    # A bend of 2 in at most off the chord.
     bent = np.array([[float(x), abs(x) / 10.0] for x in range(-20, 21)])
     assert len(lines(bent, LineFit(threshold_in=2.1))) == 1
     assert len(lines(bent, LineFit(threshold_in=1.9))) == 2
@@ -95,10 +103,12 @@ def test_settings_decide_what_is_a_line() -> None:
 
 @pytest.mark.parametrize("turn", [0.0, 40.0, 90.0, 133.0, 270.0])
 def test_a_line_is_the_one_of_least_squared_distances(turn: float) -> None:
+    # Random points around a line, 0.2 in off.
     rng = np.random.default_rng(1)
     direction = np.array([cos(radians(turn)), sin(radians(turn))])
     found = 50.0 + np.outer(np.linspace(0.0, 40.0, 60), direction) + rng.normal(0.0, 0.2, (60, 2))
     (line,) = lines(found, LineFit(threshold_in=5.0))
+    # The line of least squared distances is the main axis of the covariance.
     values, vectors = np.linalg.eigh(np.cov(found.T))
     fitted = line[2:] - line[:2]
     assert abs(fitted @ vectors[:, 1]) == pytest.approx(np.hypot(*fitted))

@@ -64,11 +64,13 @@ def test_an_override_keeps_all_that_it_does_not_name() -> None:
 def test_a_new_model_is_of_the_family_of_the_one_above_it() -> None:
     model = parse_models(GOOD, "mine.toml")["tortoise"]
     assert (model.name, model.body.name, model.family) == ("tortoise", "tortoise", "n150")
+    # Values of its own replace those of the model above it; the others stay.
     assert model.body.radius_in == pytest.approx(10.0)
     assert model.body.sonar_ring_radius_in == 9.5
     assert [degrees(angle) for angle in model.body.bumper_angles_rad] == pytest.approx([45.0 * i for i in range(8)])
     translation, steering, turret = model.axes
     assert (translation.top_speed, translation.speed, translation.acceleration) == pytest.approx((5.0, 5.0, 10.0))
+    # Degrees in the file are radians in the model.
     assert steering == N150.axes[1]
     assert (turret.top_speed, turret.speed) == pytest.approx((radians(90.0), radians(30.0)))
 

@@ -14,6 +14,7 @@ NOISE = MotionNoise.walk(along=0.1, turn=0.1, drift=0.005)
 def strays(segment: ConstantAccelerationSegment, draws: int, pieces: int = 1) -> np.ndarray:
     """Return the deviations (draws, 2) of distance and turn of a segment driven in equal pieces."""
     rng = np.random.default_rng(7)
+    # The same segment as a whole or in pieces.
     piece = segment._replace(duration_s=segment.duration_s / pieces)
     result = np.zeros((draws, 2))
     for draw in range(draws):

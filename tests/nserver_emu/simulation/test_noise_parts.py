@@ -75,6 +75,7 @@ def test_a_switch_changes_only_later_readings(after: RobotSetup) -> None:
     before.step(2.0)
     ideal, infrared = robot.sonar.readings_in, robot.infrared and robot.infrared.readings
     robot.set_noise_model(after)
+    # Readings taken before stay as they are.
     assert robot.sonar.readings_in == ideal
     assert robot.infrared
     assert robot.infrared.readings == infrared
@@ -82,7 +83,9 @@ def test_a_switch_changes_only_later_readings(after: RobotSetup) -> None:
     for _ in range(5):
         before.step(1.0)
         measured.add(robot.sonar.readings_in)
+    # Each second another reading: noise is on.
     assert len(measured) == 5
+    # Back to ideal: the first readings again.
     robot.set_noise_model(IDEAL)
     before.step(1.0)
     assert robot.sonar.readings_in == ideal
@@ -94,11 +97,13 @@ def test_motion_noise_applies_while_switched_on() -> None:
     robot = simulation.add_robot(1, StartPose(20.0, 20.0, 0.3), N150, IDEAL)
 
     def off_in() -> float:
+        # 20 in ahead and half a radian of turn.
         robot.move_relative(20.0, 0.5, 0.0)
         simulation.step(20.0)
         assert not any(robot.moving)
         return abs(robot.actual.x_in - robot.encoder.x_in) + abs(robot.actual.y_in - robot.encoder.y_in)
 
+    # Without noise encoders and truth agree exactly.
     assert off_in() == 0.0
     robot.set_noise_model(NOISY)
     strayed = off_in()
@@ -106,6 +111,7 @@ def test_motion_noise_applies_while_switched_on() -> None:
     robot.set_noise_model(IDEAL)
     turned_rad = robot.actual.steering_rad - robot.encoder.steering_rad
     off_in()
+    # The heading error of the noisy motion stays, none is added.
     assert robot.actual.steering_rad - robot.encoder.steering_rad == pytest.approx(turned_rad, abs=1e-12)
 
 
@@ -115,6 +121,7 @@ def test_switching_a_sonar_dead_and_back() -> None:
     simulation.step(1.0)
     alive = robot.sonar.readings_in
     robot.set_noise_model(replace(IDEAL, sonar=SonarNoise(dead=(3,))))
+    # A dead sonar reads 0 at once.
     assert robot.sonar.readings_in == (*alive[:3], 0, *alive[4:])
     robot.set_noise_model(IDEAL)
     simulation.step(1.0)
@@ -125,6 +132,7 @@ def test_calibrations_stay_when_parts_are_switched() -> None:
     offsets_in = tuple(0.1 * number for number in range(16))
     calibration = Calibration(distance_scale=1.02, turn_scale=0.97, offsets_in=offsets_in)
     twin = replace(N150, calibration=calibration)
+    # Each choice of noise has the offsets of this robot.
     choices = part_choices("sensors", twin, apply_calibration(twin, IDEAL))
     assert {setup.sonar.offsets_in for setup in choices.values()} == {calibration.offsets_in}
     odometries = [

@@ -36,14 +36,17 @@ def square(
     """(place, turn) at the end of the actual robot, after four legs and four quarter turns back by its encoders."""
     corner = StartPose(-leg_in / 2, -sense * leg_in / 2)
     simulation, robot = robot_with(room, odometry, model, corner)
+    # Turns of 90 degrees: by opposite wheels of a Scout, else by the steering.
     wheel = sense * radians(90.0) * SCOUT_TRACK_IN / 2
     legs = (leg_in, leg_in, 0.0) if model is SCOUT else (leg_in, 0.0, 0.0)
     turns = (wheel, -wheel, 0.0) if model is SCOUT else (0.0, sense * pi / 2, 0.0)
     for _ in range(4):
         for motion in (legs, turns):
             robot.move_relative(*motion)
+            # 12 s are enough for a leg.
             simulation.step(12.0)
             assert robot.is_still((0, 1, 2))
+    # By its encoders the robot is back at the corner.
     assert robot.encoder[:2] == pytest.approx((corner.x_in, corner.y_in), abs=1e-9)
     actual = robot.actual
     return complex(actual.x_in - corner.x_in, actual.y_in - corner.y_in), actual.steering_rad
@@ -82,11 +85,14 @@ def test_a_synchro_square_is_the_closed_form(room: World, sense: int) -> None:
 
 @pytest.mark.parametrize("sense", [CCW, CW])
 def test_a_scouts_square_is_the_closed_form(room: World, sense: int) -> None:
+    # Wheels 0.6 % larger and 0.3 % smaller, track 2 % narrower than assumed.
     right, left, share = 1.006, 0.997, 0.98
     outward = (1.0 / share - 1.0) / SCOUT_TRACK_IN
     place, turn = square(room, Odometry((right, left, 1.0), (outward, -outward)), SCOUT, sense)
+    # Each wheel turns a quarter of the circle of the assumed track.
     counted = sense * pi / 2 * SCOUT_TRACK_IN / 2
     track = SCOUT_TRACK_IN
+    # A leg is an arc because of unequal wheels; a corner turns too far.
     piece = arc(LEG_IN * (right + left) / 2, LEG_IN * (right - left) / track)
     corner = arc(counted * (right - left) / 2, counted * (right + left) / track + outward * 2.0 * counted)
     expected, turned = composed([piece, corner])
@@ -97,12 +103,16 @@ def test_a_scouts_square_is_the_closed_form(room: World, sense: int) -> None:
 @pytest.mark.parametrize(("diameters", "share"), [(1.004, 1.0), (1.0, 0.99), (0.998, 1.006)])
 def test_umbmark_recovers_diameters_and_wheelbase(room: World, diameters: float, share: float) -> None:
     """Its formulas hold for small errors: alpha by the sum, beta by the difference of the two centres of gravity."""
+    # Borenstein and Feng: errors of wheel diameters and track.
     outward = (1.0 / share - 1.0) / SCOUT_TRACK_IN
     mean = (diameters + 1.0) / 2.0
     odometry = Odometry((diameters / mean, 1.0 / mean, 1.0), (outward, -outward))
+    # Ends of the square in both directions.
     errors = {sense: square(room, odometry, SCOUT, sense)[0] for sense in (CCW, CW)}
+    # alpha from the sum, beta from the difference of the x errors.
     alpha = (errors[CW].real + errors[CCW].real) / (-4.0 * LEG_IN)
     beta = (errors[CW].real - errors[CCW].real) / (-4.0 * LEG_IN)
+    # The curvature of a leg gives the ratio of diameters.
     across = 2.0 * sin(beta / 2.0) / LEG_IN
     half = SCOUT_TRACK_IN / 2.0
     assert (1.0 + half * across) / (1.0 - half * across) == pytest.approx(diameters, abs=1e-4)
@@ -111,31 +121,38 @@ def test_umbmark_recovers_diameters_and_wheelbase(room: World, diameters: float,
 
 def test_worn_errors_after_a_square_of_4_m_are_as_documented(room: World) -> None:
     """Return UMBmark's systematic error, the larger of both ends, without noise: by the closed form and simulated."""
+    # 4 m in inches.
     leg_in, odometry = 4.0 / 0.0254, WORN.odometry
     scale, _, _ = odometry.scales
     drift, _ = odometry.drifts
+    # The documented ends: 126 mm for an N150, 338 mm for a Scout.
     for model, off_mm in ((N150, 126.0), (SCOUT, 338.0)):
         wheels = (SCOUT_TRACK_IN, scale - 1.0) if model is SCOUT else (1.0, 0.0)
         counted = pi / 4 * SCOUT_TRACK_IN
         ends, errors = [], []
         for sense in (CCW, CW):
+            # Scout: scale and drift act on the wheels and on the turn.
             if model is SCOUT:
                 piece = arc(leg_in * (scale + 1.0) / 2.0, leg_in * (wheels[1] / wheels[0] + drift))
                 turn = sense * counted * ((scale + 1.0) / SCOUT_TRACK_IN + drift)
                 corner = arc(sense * counted * wheels[1] / 2.0, turn)
             else:
+                # N150: legs are arcs by the drift, corners are exact.
                 piece, corner = arc(leg_in * scale, leg_in * drift), (0j, sense * pi / 2)
             ends.append(abs(composed([piece, corner])[0]) * 25.4)
             errors.append(abs(square(room, odometry, model, sense, leg_in)[0]) * 25.4)
+        # Simulation and closed form agree to 0.01 mm.
         assert errors == pytest.approx(ends, abs=0.01)
         assert max(ends) == pytest.approx(off_mm, abs=0.5)
 
 
 def test_encoders_count_the_slip_at_a_wall(room: World) -> None:
     simulation, robot = robot_with(room, Odometry(slip_in=0.4))
+    # Encoders have another direction than the robot: counted distance is along y.
     robot.define_angles(pi / 2, 0.0)
     robot.set_velocities(10.0, 0.0, 0.0)
     simulation.step(20.0)
+    # The wall is 100 in away; the wheels slip 0.4 in before the motor stops.
     reach = 100.0 - N150.body.radius_in
     assert robot.actual[:2] == pytest.approx((reach, 0.0))
     assert robot.encoder[:2] == pytest.approx((0.0, reach + 0.4))

@@ -43,14 +43,17 @@ def test_sonars_turn_with_the_body(room: World) -> None:
 
 def test_six_bumpers_turn_with_the_body(room: World) -> None:
     simulation, robot = scout(room, 80.0)
+    # 12 in to the wall, at 10 in/s.
     robot.set_velocities(10.0, 10.0, 0.0)
     simulation.step(3.0)
     assert robot.actual.x_in == pytest.approx(92.0)
     assert (robot.bumpers, robot.moving) == (1, (False, False, False))
+    # A third of two quarters is 60 degrees: the next of six bumpers faces the wall.
     for turned in (1, 2, 3):
         robot.move_relative(QUARTER_IN * 2.0 / 3.0, -QUARTER_IN * 2.0 / 3.0, 0.0)
         simulation.step(2.0)
         assert robot.bumpers == 1 << (6 - turned)
+    # After 180 degrees it drives away.
     robot.set_velocities(10.0, 10.0, 0.0)
     simulation.step(1.0)
     assert robot.actual.x_in == pytest.approx(82.0)

@@ -25,6 +25,7 @@ def test_the_gauss_rule_is_numpys() -> None:
 
 
 def test_constant_velocities_draw_the_circle() -> None:
+    # Constant speed and turn rate: an arc of radius v / w.
     speed, rate, heading, time = 10.0, 0.8, 0.3, 2.5
     radius = speed / rate
     expected = (
@@ -65,6 +66,7 @@ def test_any_path_is_the_integral_of_its_velocity(segment: ConstantAccelerationS
 @settings(max_examples=40)
 @given(stretches, st.floats(0.0, 1.0))
 def test_two_pieces_make_the_whole(segment: ConstantAccelerationSegment, share: float) -> None:
+    # Cut the segment: the second piece starts with the velocities at the cut.
     time = segment.duration_s
     cut = share * time
     rest = ConstantAccelerationSegment(
@@ -74,6 +76,7 @@ def test_two_pieces_make_the_whole(segment: ConstantAccelerationSegment, share: 
         segment.turn_rate + segment.turn_acceleration * cut,
         segment.turn_acceleration,
     )
+    # The second piece starts at the heading that the first reached.
     first = segment.displacement(0.4, cut)
     second = rest.displacement(0.4 + segment.turn_at(cut), time - cut)
     whole = segment.displacement(0.4, time)

@@ -54,6 +54,7 @@ def parsed(text: str) -> RobotSetup:
 
 
 def test_a_file_changes_what_it_names_and_leaves_the_rest() -> None:
+    # Each table of the file changes one or two values of its base; angles are in degrees there.
     expected = replace(
         MEASURED,
         name="mine",
@@ -121,11 +122,13 @@ def ends(key: Key) -> tuple[Any, Any]:
 
 @pytest.mark.parametrize("key", KEYS, ids=lambda key: f"{key.table}.{key.name}")
 def test_each_key_takes_its_whole_range_and_nothing_beyond(key: Key) -> None:
+    # The ends of the range are valid.
     low, high = ends(key)
     for value in (low, high):
         got = key.of(parsed(written(key, value)))
         assert got == (tuple(value) if isinstance(value, list) else pytest.approx(
             radians(value) if key.in_degrees else value))  # fmt: skip
+    # A hundredth beyond is not, nor is text.
     for beyond in (key.low - 0.01, key.high + 0.01, "'high'"):
         wrong = [beyond] * len(low) if isinstance(low, list) else beyond
         with pytest.raises(WorldFileError, match=f"m: .*{key.name}"):
@@ -145,12 +148,14 @@ def test_values_of_named_setups_lie_in_the_ranges() -> None:
 
 
 def test_the_page_has_a_row_for_each_key() -> None:
+    # One section per table, one row per key, with the default in its cell.
     tables = PAGE.read_text(encoding="utf-8").split("\n## ")[1:]
     rows = {
         (title.split("`")[1].strip("[]") if "`[" in title.splitlines()[0] else "", line.split("`")[1]): line
         for title in tables for line in title.splitlines() if line.startswith("| `")
     }  # fmt: skip
     assert set(rows) == {(key.table, key.name) for key in KEYS} | {("sonar", "model")}
+    # 25 degrees is the cone of the data sheet, and three setups have scales of 1.
     assert "| 25 |" in rows["sonar", "cone_deg"]
     assert rows["odometry", "scales"].count("[1, 1, 1]") == 3
     for name in SETUPS:

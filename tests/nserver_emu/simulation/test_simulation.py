@@ -84,9 +84,11 @@ def test_robots_have_random_streams_of_their_own(room: World) -> None:
 
 def test_reading_sensors_changes_nothing(lone: Lone) -> None:
     watched, blind = lone(setup=NOISY), lone(setup=NOISY)
+    # The first robot is read after each step, the second never.
     seen = roam(*watched, 20)
     simulation, robot = blind
     for step in range(20):
+        # The same commands at the same instants.
         if step == 0:
             robot.set_velocities(15.0, 0.3, -0.4)
         elif step == 7:
@@ -96,14 +98,17 @@ def test_reading_sensors_changes_nothing(lone: Lone) -> None:
 
 
 def test_starts(room: World) -> None:
+    # Without a start it is placed at the origin.
     simulation = Simulation(room)
     first = simulation.add_robot(1)
     assert first.actual == (0.0, 0.0, 0.0, 0.0)
     with pytest.raises(ValueError, match="here already"):
         simulation.add_robot(1)
+    # 5 in from the wall there is no room; the failed robot leaves nothing.
     with pytest.raises(StartError):
         simulation.add_robot(2, StartPose(95.0, 0.0))
     assert list(simulation.robots) == [1]
+    # A robot that is added later has the time of the simulation.
     simulation.step(2.5)
     second = simulation.add_robot(2, StartPose(50.0, 0.0))
     assert second.time_s == simulation.time_s == 2.5
@@ -122,14 +127,18 @@ def test_time_runs_forward_only(lone: Lone) -> None:
 
 def test_a_changed_world_is_touched_and_measured(lone: Lone) -> None:
     simulation, robot = lone()
+    # A block 30 in ahead appears.
     before = robot.sonar.readings_in[0]
     block = Polygon(((30.0, -20.0), (50.0, -20.0), (50.0, 20.0), (30.0, 20.0)))
     simulation.change_world(simulation.world.with_obstacles((block,)))
+    # The reading is that of the last firing: 100 - 9.06 in.
     assert robot.sonar.readings_in[0] == before == 91
     robot.set_velocities(10.0, 0.0, 0.0)
     simulation.step(5.0)
+    # Contact at the block, where a sonar reads its minimum of 6 in.
     assert robot.actual.x_in == pytest.approx(30.0 - 9.72)
     assert robot.sonar.readings_in[0] == 6
+    # Without the block the bumper is released at once.
     simulation.change_world(simulation.world.with_obstacles(()))
     assert robot.bumpers == 0
 

@@ -49,6 +49,7 @@ def apart(pose: Pose, other: Pose) -> float:
 def test_firing_inside_a_segment_equals_firing_between_segments(room: World, model: RobotModel, ramps: bool) -> None:
     setup = replace(IDEAL, ramps=ramps)
     whole, cut = driven_robot(room, model, setup), driven_robot(room, model, setup)
+    # Fast, slow, turning and standing, with and without a timeout, zeroing and relative moves.
     stopped, step, commands = 0, 0, [(15.0, 0.4, -0.5), (-12.0, 0.0, 0.3), (18.0, 16.0, 0.0), (0.0, 0.0, 0.2)]
     for number, speeds in enumerate(commands * 2):
         for robot in (whole, cut):
@@ -59,16 +60,19 @@ def test_firing_inside_a_segment_equals_firing_between_segments(room: World, mod
                 robot.move_relative(6.0, 3.0, 0.4)
             else:
                 robot.set_velocities(*speeds)
+        # 301 steps of one robot in a go, of the other cut at each firing.
         both(whole, cut, step, 301)
         step += 301
         stopped += whole.bumpers != 0
         assert whole.sonar.readings_in == cut.sonar.readings_in
         assert (whole.moving, whole.bumpers, whole.zeroing) == (cut.moving, cut.bumpers, cut.zeroing)
+        # Rounding differs, because one adds more pieces.
         assert apart(whole.actual, cut.actual) < 1e-9
         for ours, theirs in zip(whole.sonar.stamps, cut.sonar.stamps, strict=True):
             assert apart(ours.pose, theirs.pose) < 1e-9
             assert ours.velocities == pytest.approx(theirs.velocities, abs=1e-9)
             assert ours[2:] == theirs[2:]
+    # A contact must have occurred.
     assert stopped
 
 
@@ -76,8 +80,10 @@ def test_stamps_do_not_depend_on_when_they_are_read(room: World) -> None:
     asked, left = driven_robot(room, N150, IDEAL), driven_robot(room, N150, IDEAL)
     for robot in (asked, left):
         robot.set_velocities(10.0, 0.5, -0.5)
+        # 0.3 s: five firings.
         robot.advance_to(300_000_000_000)
     at_once = asked.sonar.stamps
+    # What happens later must not change a stamp.
     for robot in (asked, left):
         robot.stop()
         robot.place(0.0, 0.0, 0.0, 0.0)
@@ -95,11 +101,13 @@ def test_noisy_motion_is_divided_at_firings(room: World, monkeypatch: pytest.Mon
         return moved(axis, dt_s)
 
     monkeypatch.setattr(Axis, "advance", advance)
+    # Noise divides at firings (20 ms); without noise the segment stays whole.
     for setup, expected_s in ((NOISY, [0.02, 0.02, 0.02]), (IDEAL, [0.06])):
         robot = driven_robot(room, N150, replace(setup, ramps=False))
         robot.set_velocities(10.0, 0.5, 0.0)
         pieces.clear()
         robot.advance_to(60_000_000_000)
+        # Three axes advance for each piece.
         assert pieces[::3] == pytest.approx(expected_s)
 
 
@@ -112,9 +120,11 @@ def test_a_snapshot_between_firings_continues_bit_for_bit(room: World) -> None:
     original, again = emulator(), emulator()
     robot = original.simulation.robots[1]
     robot.set_velocities(10.0, 0.5, -0.5)
+    # Between two firings: 0.17 s is not a multiple of 60 ms.
     original.simulation.step(0.17)
     text = dumps(original)
     loads(again, text)
+    # Saving what was restored gives the same text.
     assert dumps(again) == text
     for one in (original, again):
         one.simulation.step(0.3)

@@ -161,7 +161,8 @@ async def refusals(here: Served) -> None:
 
 async def torn_off(here: Served) -> None:
     page = await dumb_page(here)
-    page.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")  # an end without goodbye
+    # An end without goodbye.
+    page.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
     page.close()
     await forgotten(here)
     await asyncio.sleep(0.05)

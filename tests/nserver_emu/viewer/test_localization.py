@@ -55,7 +55,7 @@ def test_what_is_right_comes_through() -> None:
      {"places": [{"pose": [1, 2, 3], "share": 0.6}] * 2}, {"places": {"pose": [1, 2, 3]}}, {"places": [[1, 2, 3]]}],
 )  # fmt: skip
 def test_anything_else_is_refused(change: dict[str, Any]) -> None:
-    with pytest.raises(InvalidMessage, match=rf"estimate: ({next(iter(change))}|is no JSON)"):
+    with pytest.raises(InvalidMessage, match=rf"estimate: {next(iter(change))}"):
         parse_estimate(json.dumps(GOOD | change))
 
 

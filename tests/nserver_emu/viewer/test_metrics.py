@@ -74,12 +74,14 @@ async def test_from_elsewhere_a_token_is_wanted(path: str, monkeypatch: pytest.M
         while not here.daemon.ticked_s:
             await asyncio.sleep(0.005)
         async with outsider.get(here.origin + path) as answer:
-            assert answer.status == 200  # on loopback all addresses are this machine's
+            # On loopback all addresses are this machine's.
+            assert answer.status == 200
         async with here.web.get(here.origin + path, headers={"Host": "evil.example"}) as answer:
             assert answer.status == 403
         monkeypatch.setattr("nclient.common.allowlist.is_loopback", lambda _host: False)
         async with here.web.get(here.origin + path) as answer:
-            assert answer.status == 200  # from this machine by its own address
+            # From this machine by its own address.
+            assert answer.status == 200
         async with outsider.get(here.origin + path) as answer:
             assert answer.status == 403
         async with outsider.get(here.origin + path, params={"token": here.viewer_server.watch_token}) as answer:

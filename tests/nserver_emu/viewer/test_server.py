@@ -272,7 +272,8 @@ def test_pictures_come_evenly_at_twenty_a_second() -> None:
     due = now = 100.0
     for _ in range(200):
         due = next_due(due, now)
-        now = max(now, due) + 0.012  # the loop wakes late, and the picture takes its time
+        # The loop wakes late, and the picture takes its time.
+        now = max(now, due) + 0.012
     assert (now - 100.0) / 200 == pytest.approx(PERIOD_S, rel=0.01)
     now += 3.0
     due = next_due(due, now)
@@ -301,7 +302,8 @@ async def test_a_failed_websocket_handshake_frees_its_place() -> None:
         query, headers = {"token": here.viewer_server.token}, {"Origin": here.origin}
         for _ in range(2):
             async with here.web.get(f"{here.origin}/ws", params=query, headers=headers) as answer:
-                assert answer.status == 400  # no upgrade was asked for
+                # No upgrade was asked for.
+                assert answer.status == 400
 
 
 async def test_an_address_that_is_not_let_in_gets_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -314,4 +316,5 @@ async def test_an_address_that_is_not_let_in_gets_nothing(monkeypatch: pytest.Mo
                 assert (answer.status, await answer.text()) == (403, "this address is not allowed\n")
         assert here.daemon.admission.rejected == 4
         async with here.web.get(f"{here.origin}/", params={"token": here.viewer_server.token}) as answer:
-            assert answer.status == 200  # from this machine by its own address
+            # From this machine by its own address.
+            assert answer.status == 200
