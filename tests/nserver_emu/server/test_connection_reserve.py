@@ -87,6 +87,10 @@ def test_places_of_the_reserve_are_for_a_short_time() -> None:
     assert not any(one.reasons for one in present)
     places.check(present, 3.0 + RESERVED_S)
     assert [bool(one.reasons) for one in present] == [False, False, False, True]
+    present[1].idle_s = MIN_IDLE_S
+    places.check([*present[:3], Connection(opened_s=4.0)], 6.0)
+    assert present[1].reasons, "it is idle by now"
+    present[1].reasons.clear()
     places.check(present[1:], 100.0)
     assert not any(one.reasons for one in present[1:3]), "there is room again"
 
@@ -132,6 +136,11 @@ def test_without_descriptors_waiting_connections_are_closed(caplog: pytest.LogCa
     caplog.clear()
     handler(loop, {"message": "something else"})
     assert caplog.messages == ["something else"]
+    handled: list[dict[str, object]] = []
+    other = AcceptErrorHandler(lambda _loop, context: handled.append(context))
+    other(loop, {"message": "for the program around it"})
+    assert [context["message"] for context in handled] == ["for the program around it"]
+    other.close()
     loop.close()
 
 
