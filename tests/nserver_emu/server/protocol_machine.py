@@ -362,7 +362,7 @@ class ProtocolMachine(RuleBasedStateMachine):
         peer.send(made)
         self.pump()
         if how == "disconnect":
-            peer.send_bytes(codec.encode_tcp_request(Call("disconnect_robot", (1, 0))))
+            peer.send_bytes(codec.encode_tcp_request(Call("disconnect_robot", (1, 100))))
         else:
             if how == "in mid-request":
                 peer.send_bytes(codec.encode_tcp_request(made)[:-3])
@@ -667,7 +667,7 @@ def main() -> None:
         run_state_machine_as_test(
             ProtocolMachine,
             settings=settings(
-                max_examples=200, stateful_step_count=50, deadline=None, database=None, print_blob=True,
+                max_examples=40, stateful_step_count=50, deadline=None, database=None, print_blob=True,
                 phases=[Phase.generate, Phase.shrink], suppress_health_check=list(HealthCheck),
             ),
         )  # fmt: skip
