@@ -63,7 +63,7 @@ CHECKS = (
     Check((*LOCALIZE, "--picture", "run.png"), "2 of 2 waypoints reached", "plot"),
     Check((*EXPERIMENT, "--jobs", "1"), "5.2", "plot"),
     Check((*EXPERIMENT, "--no-pictures", "--cluster", "127.0.0.1:1"), "no Dask scheduler answers", "cluster"),
-    Check(("nomad", "map", "export", "flat", "--out", "flat.yaml"), "258 x 199 cells", "maps"),
+    Check(("nomad", "map", "export", "flat", "--out", "flat.yaml"), "254 x 194 cells", "maps"),
     Check(("nserver", "thesis_room", "--port", "0", "--viewer", "0"), "listening viewer", "viewer"),
     Check(("python", "-c", MACHINE_CODE), "loaded True", "fast", is_hinted=False),
     Check(("python", "-c", MACHINE_CODE), "loaded"),
