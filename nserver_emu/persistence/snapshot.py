@@ -260,7 +260,10 @@ def _dataclass_decoder(kind: type, hints: Mapping[str, Any]) -> Decoder:
 
 
 def save(emulator: Emulator, path: Path) -> None:
-    """Write a snapshot. Raises SnapshotError where it cannot be written."""
+    """Write a snapshot to a regular file. Raises SnapshotError where it cannot be written."""
+    # A pipe or a device could block the whole server.
+    if path.exists() and not path.is_file():
+        raise SnapshotError(f"{path}: cannot be written: it is no regular file; name another file")
     write(dumps(emulator), path)
 
 
