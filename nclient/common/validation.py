@@ -12,6 +12,7 @@ import functools
 import json
 import operator
 import re
+import reprlib
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -100,17 +101,19 @@ def decode_json(text: str) -> Any:
 def check_fields(instance: Any, error: ErrorFactory) -> None:
     """Check the values of a dataclass against the types of its fields. Raises `error`."""
     with reported_as(error):
-        for name, kind in _cached_field_types(type(instance)).items():
+        for name, kind in field_types(type(instance)).items():
             convert(getattr(instance, name), kind, name)
 
 
 def field_types(kind: Any) -> dict[str, Any]:
     """Return the types of a dataclass's fields, with their constraints."""
+    return _field_types(kind)
+
+
+@functools.cache
+def _field_types(kind: Any) -> dict[str, Any]:
     hints = get_type_hints(kind, include_extras=True)
     return {field.name: hints[field.name] for field in dataclasses.fields(kind)}
-
-
-_cached_field_types: Any = functools.cache(field_types)
 
 
 def dataclass_keys(kind: Any) -> list[tuple[str, Any, Any]]:
@@ -163,10 +166,16 @@ def describe_value(value: object) -> str:
     if isinstance(value, dict):
         return "a table"
     if isinstance(value, list):
-        return f"the list {_shorten(repr(value))}"
+        return f"the list {_shorten(_LISTS.repr(value))}"
     if isinstance(value, int) and abs(value) >= 10**30:
         return "a number of more than 30 digits"
     return _shorten(str(value))
+
+
+# Lists may be long, and nested more deeply than repr can show.
+_LISTS: Final = reprlib.Repr()
+_LISTS.maxlist = MAX_SHOWN
+_LISTS.maxlevel = 4
 
 
 def _shorten(text: str) -> str:

@@ -41,8 +41,7 @@ from nserver_emu.gateway.translate import (
 )
 from nserver_emu.server.estop import MOTIONS, moves
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.server.handlers.world import done
-from nserver_emu.server.session import REFUSED, ConnectionContext, DeferredReply, error_reply
+from nserver_emu.server.session import REFUSED, ConnectionContext, DeferredReply, done, error_reply
 from nserver_emu.simulation.robot import SimulatedRobot
 
 log = logging.getLogger(__name__)

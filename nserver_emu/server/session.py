@@ -168,6 +168,11 @@ def error_reply(code: int) -> Reply:
     return Reply("error", values=(code,))
 
 
+def done() -> Reply:
+    """Return the reply of a command without a result."""
+    return Reply("simple", values=(0,))
+
+
 # Sessions.
 
 Request = TypeVar("Request")

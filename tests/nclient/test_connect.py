@@ -111,7 +111,7 @@ def test_options_of_an_nserver(dialled: list[tuple[str, int]]) -> None:
         ("serial:/dev/ttyUSB0", "such an address is serial:///dev/ttyUSB0"),
         ("serial://dev/ttyUSB0", "three slashes and a port follow: serial:///dev"),
         ("serial:///", "three slashes"),
-        ("serial:///dev/null?baud=fast", "baud is a whole number, 0 or more, not 'fast'"),
+        ("serial:///dev/null?baud=fast", "baud is a number of bits a second, not 'fast'"),
         ("serial:///dev/null?baud=0", "baud is a number of bits a second, not '0'"),
         ("serial:///dev/null?model=n15", "no robot model 'n15'"),
         ("serial:///dev/null?retry=2", "no option 'retry'; did you mean retries?"),

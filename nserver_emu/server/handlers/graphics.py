@@ -17,8 +17,7 @@ from collections.abc import Callable
 from nclient.protocol.replies import Reply
 from nserver_emu.server.context import ServerState
 from nserver_emu.server.graphics import Figure, Layer, Utterance
-from nserver_emu.server.handlers.world import done
-from nserver_emu.server.session import BAD_VALUES, NOT_AVAILABLE, ConnectionContext, DeferredReply, error_reply
+from nserver_emu.server.session import BAD_VALUES, NOT_AVAILABLE, ConnectionContext, DeferredReply, done, error_reply
 from nserver_emu.simulation.arm import Arm
 from nserver_emu.simulation.axis import Command
 

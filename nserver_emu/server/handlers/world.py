@@ -22,7 +22,7 @@ from nclient.protocol.requests import MOTION_LINE
 from nclient.protocol.types import heading_tenths, rad_from_tenths, tenths
 from nserver_emu.server.context import ServerState, add_laser, state_slots
 from nserver_emu.server.deferred import ClickedPose
-from nserver_emu.server.session import BAD_VALUES, REFUSED, ConnectionContext, DeferredReply, error_reply
+from nserver_emu.server.session import BAD_VALUES, REFUSED, ConnectionContext, DeferredReply, done, error_reply
 from nserver_emu.simulation.multi_robot import discs_of
 from nserver_emu.simulation.noise import IDEAL, Purpose, RngFactory
 from nserver_emu.simulation.robot import SimulatedRobot
@@ -272,11 +272,6 @@ def motion_check(server: ServerState, _context: ConnectionContext, args: tuple[f
     if hit is None:
         return Reply("simple", values=(0, 0, 0, 0))
     return Reply("simple", values=(1, round(hit.x_in * 1000), round(hit.y_in * 1000), round(hit.normal_rad * 1e6)))
-
-
-def done() -> Reply:
-    """Return the reply of a command without a result."""
-    return Reply("simple", values=(0,))
 
 
 def _corners(args: Sequence[int]) -> _Corners:

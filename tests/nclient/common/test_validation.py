@@ -96,6 +96,10 @@ def test_found_names_kind_and_value(value: object, words: str) -> None:
 def test_found_is_never_long() -> None:
     assert len(describe_value("x" * 1000)) < 80
     assert describe_value(list(range(1000))).endswith("...")
+    nested: list[Any] = []
+    for _ in range(100_000):
+        nested = [nested]
+    assert describe_value(nested) == "the list [[[[[...]]]]]"
 
 
 def test_valid_values_are_returned() -> None:
