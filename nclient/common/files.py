@@ -117,7 +117,7 @@ def write_atomic(path: Path, text: str, error: ErrorFactory, ending: str = "") -
         Makes the error to raise.
     ending
         Suffix of the temporary file `.FILE.ENDING`, default the process id. With a fixed ending a program that was
-        killed overwrites its own temporary file the next time.
+        killed replaces its own temporary file the next time.
     """
     try:
         real = Path(os.path.realpath(path))
@@ -135,7 +135,10 @@ def write_atomic(path: Path, text: str, error: ErrorFactory, ending: str = "") -
 def _write_and_rename(path: Path, temporary: Path, text: str) -> None:
     try:
         # 1. Write all of it to the disk under the temporary name.
-        with temporary.open("w", encoding="utf-8") as file:
+        # A link or a file that is there already is removed and never written to: "x" creates or fails (O_EXCL).
+        with contextlib.suppress(FileNotFoundError):
+            temporary.unlink()
+        with temporary.open("x", encoding="utf-8") as file:
             for begin in range(0, len(text), _CHUNK):
                 file.write(text[begin : begin + _CHUNK])
             file.flush()

@@ -8,11 +8,14 @@ permissions. An invalid request is answered with what is valid, and changes noth
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import json
 import logging
 import math
+import sys
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Protocol
@@ -29,16 +32,21 @@ from nserver_emu.server.handlers.runtime_settings import (
     noise_of,
     noise_words,
     put_world,
+    read_world_file,
     show_world,
     switch_noise,
 )
 from nserver_emu.server.handlers.server import MAX_STEP_MS
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.link import FaultController
+from worlds.world import World
 
 log = logging.getLogger(__name__)
 
 MAX_SPEED: Final = "max"
+WORLD_SET: Final = "world set"
+# Time after which a thread that computes lets the event loop run; and Python's own default.
+SWITCH_INTERVAL_S, DEFAULT_SWITCH_INTERVAL_S = 0.0005, 0.005
 # The operator in an emergency stop.
 OPERATOR: Final = "nserver ctl"
 JsonObject = dict[str, Any]
@@ -104,12 +112,45 @@ def answer_line(server: ControlledServer, line: bytes) -> bytes:
     return json.dumps(answer).encode() + b"\n"
 
 
-def _execute(server: ControlledServer, line: bytes) -> JsonObject:
+async def answer_line_in_thread(server: ControlledServer, line: bytes) -> bytes:
+    """Return the response line as `answer_line` does, and prepare a new world outside of the event loop."""
+    try:
+        name, argument = _request(line)
+        if name != WORLD_SET:
+            return answer_line(server, line)
+        text, file = _world_text(argument)
+        world = None
+        if text not in server.emulator.exported_worlds:
+            with _short_switch_interval():
+                world = await asyncio.to_thread(read_world_file, text, file)
+        answer = {"ok": True, "said": _put_world(server, argument, world)}
+    except NomadError as error:
+        answer = {"ok": False, "error": str(error)}
+    return json.dumps(answer).encode() + b"\n"
+
+
+@contextlib.contextmanager
+def _short_switch_interval() -> Iterator[None]:
+    """Let the event loop run within SWITCH_INTERVAL_S while a thread computes."""
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(min(before, SWITCH_INTERVAL_S))
+    try:
+        yield
+    finally:
+        sys.setswitchinterval(max(before, DEFAULT_SWITCH_INTERVAL_S))
+
+
+def _request(line: bytes) -> tuple[object, object]:
+    """Return command and argument of a request line."""
     try:
         request = json.loads(line)
-        name, argument = request["command"], request.get("argument")
+        return request["command"], request.get("argument")
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
         raise ControlError('a request is a line such as {"command": "speed", "argument": "10"}') from None
+
+
+def _execute(server: ControlledServer, line: bytes) -> JsonObject:
+    name, argument = _request(line)
     # A name of another type would not be hashable.
     row = BY_NAME.get(name) if isinstance(name, str) else None
     if row is None:
@@ -274,14 +315,20 @@ def _show_world(server: ControlledServer, _: object) -> JsonObject:
     return {"text": text}
 
 
-def _put_world(server: ControlledServer, argument: object) -> JsonObject:
-    usage = "world set: the text of a world file, and its name"
-    if not isinstance(argument, dict):
-        raise ControlError(f'{usage}: {{"text": ..., "file": ...}}')
-    text, file = _text(argument.get("text"), usage), _text(argument.get("file", "world.toml"), usage)
-    world = put_world(server.emulator, text, file)
+def _put_world(server: ControlledServer, argument: object, world: World | None = None) -> JsonObject:
+    """Replace the world by that of a text; `world` is what was read from it already."""
+    text, file = _world_text(argument)
+    world = put_world(server.emulator, text, file, world)
     server.record_change({"world": {"text": text, "file": file}})
     return {"world": world.name}
+
+
+def _world_text(argument: object) -> tuple[str, str]:
+    """Return text and file name of `world set`."""
+    usage = f"{WORLD_SET}: the text of a world file, and its name"
+    if not isinstance(argument, dict):
+        raise ControlError(f'{usage}: {{"text": ..., "file": ...}}')
+    return _text(argument.get("text"), usage), _text(argument.get("file", "world.toml"), usage)
 
 
 def _obstacle(server: ControlledServer, argument: object) -> JsonObject:
@@ -324,7 +371,7 @@ COMMANDS: Final = (
     ControlCommand("faults reset", "", "show the counts and set them to 0", _reset),
     ControlCommand("noise", "WORDS", "set noise models: 'sensors=measured motion=ideal robot=1'", _noise),
     ControlCommand("world show", "", "show the current world, as TOML", _show_world),
-    ControlCommand("world set", "WORLD", "replace the world; robots keep their poses", _put_world),
+    ControlCommand(WORLD_SET, "WORLD", "replace the world; robots keep their poses", _put_world),
     ControlCommand("obstacle", "JSON", "move (by, to), remove or add (put) an obstacle", _obstacle),
     ControlCommand("pause", "", "pause simulated time", _pause),
     ControlCommand("resume", "", "resume simulated time", _resume),

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 from nclient.errors import NomadError
 from nclient.faults.plan import load_plan
-from nserver_emu.control.commands import answer_line
+from nserver_emu.control.commands import answer_line_in_thread
 from nserver_emu.control.socket import ControlSocket, default_path
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ async def _open(daemon: Daemon, options: argparse.Namespace) -> ControlSocket | 
     if options.control is None:
         return None
     path = default_path(os.environ) if options.control == _DEFAULT else options.control
-    control = ControlSocket(path, lambda line: answer_line(daemon, line))
+    control = ControlSocket(path, lambda line: answer_line_in_thread(daemon, line))
     await control.open()
     return control
 

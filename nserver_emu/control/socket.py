@@ -7,12 +7,13 @@ of a running server, and files that are no sockets, are not touched. It is remov
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import os
 import socket
 import stat
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from pathlib import Path
 from typing import Final
 
@@ -39,7 +40,7 @@ def default_path(environment: Mapping[str, str]) -> Path:
 class ControlSocket:
     """A listening control socket; `answer` returns the response to a request line."""
 
-    def __init__(self, path: Path, answer: Callable[[bytes], bytes]) -> None:
+    def __init__(self, path: Path, answer: Callable[[bytes], Awaitable[bytes]]) -> None:
         self.path = path
         self._answer = answer
         self._server: asyncio.Server | None = None
@@ -87,7 +88,7 @@ class ControlSocket:
     async def _answer_lines(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         while line := await reader.readline():
             log.debug("control: %s", line[:200])
-            writer.write(self._answer(line))
+            writer.write(await self._answer(line))
             await writer.drain()
 
 
@@ -96,9 +97,9 @@ def _prepare(path: Path) -> None:
     try:
         # 1. The default folder in /tmp must be the user's own.
         if path.name == NAME:
-            path.parent.mkdir(mode=OWNERS_FOLDER, exist_ok=True)
-            if path.parent.stat().st_uid != os.getuid():
-                raise _cannot(path, "its folder is another user's")
+            with contextlib.suppress(FileExistsError):
+                path.parent.mkdir(mode=OWNERS_FOLDER)
+            _check_folder(path)
         # 2. Nothing there, or a socket without a server.
         if not path.exists() and not path.is_symlink():
             return
@@ -111,6 +112,17 @@ def _prepare(path: Path) -> None:
         if isinstance(error, ConnectionLost):
             raise
         raise _cannot(path, error.strerror or str(error)) from error
+
+
+def _check_folder(path: Path) -> None:
+    """Raise ConnectionLost unless the folder of a socket is the user's own; in /tmp nobody else may write to it."""
+    status, is_shared = path.parent.lstat(), path.parent.parent == Path(tempfile.gettempdir())
+    if stat.S_ISLNK(status.st_mode) and is_shared:
+        raise _cannot(path, "its folder is a symbolic link")
+    if path.parent.stat().st_uid != os.getuid() or status.st_uid != os.getuid():
+        raise _cannot(path, "its folder is another user's")
+    if is_shared and status.st_mode & 0o022:
+        raise _cannot(path, "other users may write to its folder")
 
 
 def _has_server(path: Path) -> bool:

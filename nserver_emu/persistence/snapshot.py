@@ -29,6 +29,7 @@ import numpy as np
 from nclient.common.files import read_text, write_atomic
 from nclient.common.hints import version
 from nclient.errors import SnapshotError
+from nserver_emu.server.config import MAX_ROBOTS
 from nserver_emu.server.context import SimulationClock, state_slots
 from nserver_emu.server.graphics import Graphics, GraphicsState, SpeechLog, Traces, TracesState, Utterance
 from nserver_emu.server.handlers.table import Emulator
@@ -57,6 +58,9 @@ MAX_NUMBER: Final = 1e15
 
 MAX_BITS: Final = 128
 """Size of the largest integers, the states of random streams."""
+
+MAX_CONTAINERS, MAX_VALUES = 5_000_000, 16_000_000
+"""Size of a snapshot: a million shapes have three million arrays and eleven million values."""
 
 _HEAD: Final = 100
 """Characters within which a snapshot names its format."""
@@ -92,6 +96,9 @@ class SnapshotState:
         """Replace the state of an emulator; raise ValueError, and leave it unchanged, if this one cannot be."""
         # 1. All parts, before the first is replaced.
         self.clock.check()
+        if len(self.simulation.robots) > MAX_ROBOTS:
+            found = len(self.simulation.robots)
+            raise ValueError(f"state.simulation.robots: expected at most {MAX_ROBOTS} robots, found {found}")
         simulation = Simulation.from_state(self.simulation)
         arms = {robot_id: Arm.from_state(arm) for robot_id, arm in self.arms.items()}
         for robot_id in {*arms, *self.traces.actual, *self.traces.encoder}:
@@ -103,8 +110,10 @@ class SnapshotState:
         transcript = SpeechLog()
         for utterance in self.transcript:
             transcript.add(utterance)
-        # 2. A trial of a second simulation from the same state.
+        # 2. A trial of a second simulation and of second arms from the same state.
         validate_snapshot(self.simulation)
+        for arm in self.arms.values():
+            Arm.from_state(arm).advance_to(simulation.time_s + TRIAL_S)
         # 3. The emulator.
         emulator.simulation, emulator.clock, emulator.arms = simulation, self.clock, arms
         emulator.graphics, emulator.traces, emulator.transcript = graphics, traces, transcript
@@ -206,20 +215,50 @@ def _object(data: Any) -> dict[str, Any]:
     return data
 
 
+def _decode(decode: Decoder, data: Any, key: str | int) -> Any:
+    """Return the value of a part; errors name its key."""
+    try:
+        return decode(data)
+    except _InvalidPart as error:
+        error.keys.insert(0, key)
+        raise
+    except (ValueError, TypeError, LookupError) as error:
+        reason = f"a {error.args[0]!r:.40} is missing" if isinstance(error, KeyError) else str(error)
+        raise _InvalidPart(reason, key) from error
+
+
+class _InvalidPart(ValueError):
+    """A part of a snapshot with an invalid value; `keys` lead to it."""
+
+    def __init__(self, reason: str, key: str | int) -> None:
+        super().__init__(reason)
+        self.keys = [key]
+
+    def __str__(self) -> str:
+        place = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in self.keys)
+        return f"state{place}: {self.args[0]}"
+
+
 def _tuple_decoder(kinds: tuple[Any, ...]) -> Decoder:
     # tuple[X, ...] has any length, tuple[X, Y] exactly its own.
     if len(kinds) == 2 and kinds[1] is Ellipsis:
         item = decoder(kinds[0])
-        return lambda data: tuple([item(value) for value in _array(data)])
+        return lambda data: tuple([_decode(item, value, index) for index, value in enumerate(_array(data))])
     items = [decoder(kind) for kind in kinds]
-    return lambda data: tuple([item(value) for item, value in zip(items, _array(data), strict=True)])
+
+    def decode(data: Any) -> Any:
+        if len(_array(data)) != len(items):
+            raise ValueError(f"expected {len(items)} values, found {len(data)}")
+        return tuple([_decode(item, value, index) for index, (item, value) in enumerate(zip(items, data, strict=True))])
+
+    return decode
 
 
 def _dict_decoder(key: Decoder, value: Decoder, *, is_number: bool) -> Decoder:
     def decode(data: Any) -> Any:
         # Keys of JSON objects are texts, also those that stand for numbers.
         pairs = ((int(name) if is_number else name, each) for name, each in _object(data).items())
-        return {key(name): value(each) for name, each in pairs}
+        return {key(name): _decode(value, each, name) for name, each in pairs}
 
     return decode
 
@@ -251,7 +290,7 @@ def _dataclass_decoder(kind: type, hints: Mapping[str, Any]) -> Decoder:
     def decode(data: Any) -> Any:
         if not names - optional <= _object(data).keys() <= names:
             raise ValueError(f"expected the fields of a {kind.__name__}")
-        return kind(**{name: field(data[name]) for name, field in fields.items() if name in data})
+        return kind(**{name: _decode(field, data[name], name) for name, field in fields.items() if name in data})
 
     return decode
 
@@ -260,7 +299,10 @@ def _dataclass_decoder(kind: type, hints: Mapping[str, Any]) -> Decoder:
 
 
 def save(emulator: Emulator, path: Path) -> None:
-    """Write a snapshot. Raises SnapshotError where it cannot be written."""
+    """Write a snapshot to a regular file. Raises SnapshotError where it cannot be written."""
+    # A pipe or a device could block the whole server.
+    if path.exists() and not path.is_file():
+        raise SnapshotError(f"{path}: cannot be written: it is no regular file; name another file")
     write(dumps(emulator), path)
 
 
@@ -302,12 +344,23 @@ def dumps(emulator: Emulator) -> str:
     return text.decode()
 
 
+def _check_size(text: str) -> None:
+    """Raise SnapshotError if reading a text would take much more memory than the text itself."""
+    for what, found, maximum in (
+        ("arrays and objects", text.count("[") + text.count("{"), MAX_CONTAINERS),
+        ("values", text.count(","), MAX_VALUES),
+    ):
+        if found > maximum:
+            raise SnapshotError(f"is damaged: expected at most {maximum} {what}, found {found}")
+
+
 def loads(emulator: Emulator, text: str, name: str = "snapshot") -> None:
     """Replace the state of an emulator by that of a snapshot; `name` is the file's name in errors."""
     try:
         # 1. Format and version.
         if FORMAT not in text[:_HEAD]:
             raise SnapshotError("is no snapshot of an nserver")
+        _check_size(text)
         whole = json.loads(text)
         if not isinstance(whole, dict) or whole.get("format") != FORMAT:
             raise SnapshotError("is no snapshot of an nserver")
@@ -318,5 +371,7 @@ def loads(emulator: Emulator, text: str, name: str = "snapshot") -> None:
         decoder(SnapshotState)(whole["state"]).restore(emulator)
     except SnapshotError as error:
         raise SnapshotError(f"{name}: {error}") from None
+    except _InvalidPart as error:
+        raise SnapshotError(f"{name}: is damaged: {error}") from None
     except _DAMAGED as error:
         raise SnapshotError(f"{name}: is damaged: {type(error).__name__}: {error}") from error

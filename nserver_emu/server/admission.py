@@ -179,12 +179,9 @@ class ConnectionReserve:
 
     def make_room(self, host: str, present: Collection[ReservableConnection], now_s: float) -> bool:
         """Return True if a connection from an address is accepted though a limit is reached."""
-        limits = self._admission.limits
-        # 1. Close the longest idle connection: of all, or of this address if only its own limit is reached.
-        pool = present if len(present) >= limits.connections else [one for one in present if one.host == host]
-        idle = [one for one in pool if one.idle_s >= MIN_IDLE_S and self._may_close(one)]
-        if idle:
-            max(idle, key=lambda one: one.idle_s).close_because("idle, and its place is needed for a new connection")
+        # 1. The place of an idle connection.
+        is_full = len(present) >= self._admission.limits.connections
+        if self._close_idle(host, present, is_full):
             return True
         # 2. A place of the reserve, if necessary that of the connection which has been there longest.
         reserved = self.reserved(present)
@@ -196,10 +193,21 @@ class ConnectionReserve:
         return True
 
     def check(self, present: Collection[ReservableConnection], now_s: float) -> None:
-        """Close the connections that were in the reserve for too long."""
+        """Close the connections that were in the reserve for too long, or others that are idle by now."""
+        is_full = len(present) > self._admission.limits.connections
         for connection in self.reserved(present):
-            if now_s - connection.opened_s >= RESERVED_S and self._may_close(connection):
+            if now_s - connection.opened_s < RESERVED_S or not self._may_close(connection):
+                continue
+            if not self._close_idle(connection.host, present, is_full):
                 self._close(connection)
+
+    def _close_idle(self, host: str, present: Collection[ReservableConnection], is_full: bool) -> bool:
+        """Close the longest idle connection: of all, or of this address if only its own limit is reached."""
+        pool = present if is_full else [one for one in present if one.host == host]
+        idle = [one for one in pool if one.idle_s >= MIN_IDLE_S and self._may_close(one)]
+        if idle:
+            max(idle, key=lambda one: one.idle_s).close_because("idle, and its place is needed for a new connection")
+        return bool(idle)
 
     def reserved(self, present: Collection[ReservableConnection]) -> list[ReservableConnection]:
         """Return the connections beyond a limit, oldest first."""
@@ -215,6 +223,9 @@ class ConnectionReserve:
         connection.close_because("--limit-connections or --limit-per-address is reached")
 
 
+ExceptionHandler = Callable[[asyncio.AbstractEventLoop, dict[str, Any]], object]
+
+
 class AcceptErrorHandler:
     """Exception handler of an event loop: accept() without a free descriptor is one line in the log, not a traceback.
 
@@ -222,7 +233,9 @@ class AcceptErrorHandler:
     connection, serve to close what waits there.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, previous: ExceptionHandler | None = None) -> None:
+        # Handles all other errors; None: asyncio does.
+        self.previous = previous
         self._spare = [os.open(os.devnull, os.O_RDONLY) for _ in range(2)]
         self.failed = 0
         """Number of times that no connection could be accepted."""
@@ -231,7 +244,10 @@ class AcceptErrorHandler:
         """Handle an error that asyncio reports."""
         error, listener = context.get("exception"), context.get("socket")
         if not isinstance(error, OSError) or error.errno not in OUT_OF_RESOURCES or listener is None:
-            loop.default_exception_handler(context)
+            if self.previous is None:
+                loop.default_exception_handler(context)
+            else:
+                self.previous(loop, context)
             return
         self.failed += 1
         log.error("no connection can be accepted for a second: %s", error.strerror, extra={"address": "all"})

@@ -211,7 +211,8 @@ class Daemon:
 
         `before_close` runs before any connection is closed and any robot is stopped because of that.
         """
-        loop, accept_errors = asyncio.get_running_loop(), AcceptErrorHandler()
+        loop = asyncio.get_running_loop()
+        accept_errors = AcceptErrorHandler(loop.get_exception_handler())
         loop.set_exception_handler(accept_errors)
         clock = asyncio.create_task(self._run_clock())
         stopped = asyncio.create_task(stop.wait())
@@ -224,7 +225,7 @@ class Daemon:
                 before_close()
             finally:
                 await self.close()
-                loop.set_exception_handler(None)
+                loop.set_exception_handler(accept_errors.previous)
                 accept_errors.close()
         if clock.done() and not clock.cancelled():
             clock.result()

@@ -69,6 +69,11 @@ class Figure(StrEnum):
     ARROW = "arrow"
 
 
+# Number of a shape's numbers by its figure, and their largest magnitude.
+NUMBERS: Final = {Figure.LINE: 4, Figure.ARC: 6, Figure.ROBOT: 4, Figure.ARROW: 4}
+MAX_WORD: Final = 1 << 31
+
+
 class Shape(NamedTuple):
     """A drawn shape: numbers in tenths (1/10 inch, 1/10 degree), colour by name."""
 
@@ -161,7 +166,19 @@ class Graphics:
 
     @classmethod
     def from_state(cls, state: GraphicsState) -> Graphics:
-        """Return the graphics of a state."""
+        """Return the graphics of a state. Raise ValueError if it is invalid."""
+        # 1. Revisions: in order, and none after the last.
+        for numbers in ([number for number, _ in state.shapes], [when for when, _ in state.removed]):
+            if numbers != sorted(numbers) or (numbers and not 0 < numbers[0] <= numbers[-1] <= state.drawn):
+                raise ValueError("graphics with revisions out of order")
+        if min(state.redrawn.values(), default=0) < 0 or len(state.removed) > MAX_REMOVALS:
+            raise ValueError("graphics that were redrawn or removed too often")
+        # 2. Shapes.
+        for _, shape in state.shapes:
+            if len(shape.numbers) != NUMBERS[shape.figure] or shape.colour not in (BLACK, *COLOURS):
+                raise ValueError(f"a {shape.figure.value} that cannot be drawn")
+            if not all(abs(number) <= MAX_WORD for number in shape.numbers):
+                raise ValueError(f"a {shape.figure.value} beyond the numbers of a request")
         graphics = cls()
         graphics.drawn = state.drawn
         graphics.redrawn |= state.redrawn
@@ -261,6 +278,10 @@ class Trace:
         flat = np.frombuffer(b64decode(state.points, validate=True), dtype="<f8")
         if len(flat) % 2 or not np.isfinite(flat).all() or state.total < len(flat) // 2:
             raise ValueError("a trace without points")
+        if len(flat) > 2 * (MAX_POINTS + REMOVED_TOGETHER) or not (np.abs(flat) <= MAX_WORD).all():
+            raise ValueError("a trace with too many points, or beyond the map")
+        if list(state.jumps) != sorted(state.jumps) or not all(0 < number <= state.total for number in state.jumps):
+            raise ValueError("a trace with jumps that are none of its points")
         trace = cls()
         trace._flat = array("d", flat.tolist())
         trace.count, trace.jumps = state.total, state.jumps

@@ -79,6 +79,9 @@ MAX_POINTS: Final = 4
 MAX_COMBINATIONS: Final = 20_000
 """Combinations of two walls that are computed at once; more would leave the processor's cache."""
 
+FEW_COMBINATIONS: Final = 3000
+"""Combinations of two walls that are all computed: fewer take less time than to find out which are needed."""
+
 PATHS_PER_TEST: Final = 3
 """Paths of each ping that are tested at once for obstructions; most pings need no more."""
 
@@ -146,23 +149,24 @@ class Attenuation(NamedTuple):
 
 
 class Beam(NamedTuple):
-    """The cones of transducers: apex, axis, half angle, and one-way loss at the rim.
+    """The cones of transducers: apex, axis as a unit vector and its direction, half angle, one-way loss at the rim.
 
     Numbers for one cone, arrays for several: then the methods pair them with their arguments as arrays do.
     """
 
     point: Any
+    axis: Any
     direction_rad: Any
     half_rad: float
     rim_loss_db: float
 
-    def take(self, rows: IndexArray) -> Beam:
+    def take(self, rows: Any) -> Beam:
         """Return some of several beams, in this order."""
-        return self._replace(point=self.point[rows], direction_rad=self.direction_rad[rows])
+        return Beam(self.point[rows], self.axis[rows], self.direction_rad[rows], self.half_rad, self.rim_loss_db)
 
     def in_frame(self, points: Any) -> Any:
         """Return points relative to the beam: along its axis (real) and to its left (imaginary)."""
-        return (points - self.point) * (np.cos(self.direction_rad) - 1j * np.sin(self.direction_rad))
+        return (points - self.point) * self.axis.conjugate()
 
     def loss_db(self, points: Any) -> Any:
         """Return the one-way loss towards points, which grows with the angle squared; inf outside the cone."""
@@ -268,42 +272,53 @@ class Paths(NamedTuple):
 
 
 def single_paths(
-    pairs: Pairs, reflectors: ReflectorMap, discs: Sequence[FloatArray], losses: Attenuation
-) -> Paths:
+    pairs: Pairs, may_meet: BoolArray, reflectors: ReflectorMap, discs: Sequence[FloatArray], losses: Attenuation
+) -> list[Paths]:
     """Return all paths off one edge, one wall or one robot, and over a wall to a robot, regardless of obstructions.
 
-    `discs` are for each beam the other robots (k, 3), rows x y radius in inches.
+    Parameters
+    ----------
+    may_meet
+        True where a beam (rows) may meet a wall.
+    discs
+        For each beam, the other robots (k, 3), rows x y radius in inches.
     """
-    mirrors, edges, each = reflectors.mirrors, reflectors.edges, pairs.each
-    may_meet = each.may_meet(mirrors)
-    found = [_off_edges(pairs, each.may_meet_points(edges), edges, losses)]
+    mirrors, edges = reflectors.mirrors, reflectors.edges
+    found = [_off_edges(pairs, pairs.each.may_meet_points(edges), edges, losses)]
     found.append(_off_one_wall(pairs, may_meet, mirrors, losses))
     if any(map(len, discs)):
         found += _off_discs(pairs, may_meet, mirrors, discs, losses)
-    return Paths.joined(found)
+    return found
 
 
-def double_paths(
-    pairs: Pairs, reflectors: ReflectorMap, max_range_in: FloatArray, losses: Attenuation
-) -> Paths:
-    """Return the paths off two walls, and over a slanted wall to another and back, regardless of obstructions.
+def double_paths(pairs: Pairs, may_meet: BoolArray, mirrors: ComplexArray, losses: Attenuation) -> list[Paths]:
+    """Return the paths off two walls, and over a slanted wall to another and back, regardless of obstructions."""
+    own = np.flatnonzero(pairs.is_own)
+    first, every = may_meet[pairs.source], np.ones((len(own), len(mirrors)), dtype=np.bool_)
+    return [
+        *_off_two_walls(pairs, first, may_meet[pairs.receiver], mirrors, losses),
+        *_over_wall_to_wall(pairs, own, first[own], every, mirrors, losses),
+    ]
 
-    `max_range_in` (k,) of each pair: longer paths may be left out, since walls farther than that are not considered.
-    """
-    mirrors, beams = reflectors.mirrors, pairs.beams
+
+def short_double_paths(
+    pairs: Pairs, may_meet: BoolArray, mirrors: ComplexArray, max_range_in: FloatArray, losses: Attenuation
+) -> list[Paths]:
+    """Return those of `double_paths` that are no longer than a range (k,) of each pair, and some more."""
+    beams = pairs.beams
     # A path over a wall is at least as long as twice the distance of that wall less that between the transducers.
     apart_in = np.abs(beams.point[pairs.source] - beams.point[pairs.receiver])
     far_in = (max_range_in + (pairs.head_start_in + apart_in) / 2.0)[:, np.newaxis]
     walls = np.column_stack((mirrors[:, 0], mirrors[:, 0] + mirrors[:, 1])).view(np.float64)
     _, distances = nearest_points(np.column_stack((beams.point.real, beams.point.imag)), walls)
-    may_meet, is_near_source = pairs.each.may_meet(mirrors), distances[pairs.source] <= far_in
+    is_near_source = distances[pairs.source] <= far_in
     first = may_meet[pairs.source] & is_near_source
     last = may_meet[pairs.receiver] & (distances[pairs.receiver] <= far_in)
     own = np.flatnonzero(pairs.is_own)
-    return Paths.joined([
+    return [
         *_off_two_walls(pairs, first, last, mirrors, losses),
         *_over_wall_to_wall(pairs, own, first[own], is_near_source[own], mirrors, losses),
-    ])
+    ]
 
 
 def _off_edges(pairs: Pairs, may_meet: BoolArray, edges: ComplexArray, losses: Attenuation) -> Paths:
@@ -427,7 +442,9 @@ def _off_discs(
 def _beam(pairs: Pairs, row: int) -> Beam:
     """Return one of the beams."""
     beams = pairs.beams
-    return beams._replace(point=complex(beams.point[row]), direction_rad=float(beams.direction_rad[row]))
+    return beams._replace(
+        point=complex(beams.point[row]), axis=complex(beams.axis[row]), direction_rad=float(beams.direction_rad[row])
+    )
 
 
 Echoes = tuple[FloatArray, FloatArray, ComplexArray]
@@ -706,13 +723,22 @@ class Polaroid(SonarErrors):
         margin_db = float(pairs.margin_db.max(initial=0.0))
         reach_in = margin_db / self.absorption_db_in if self.absorption_db_in else inf
         near = reflectors.within(pairs.beams.point, reach_in)
-        # 2. The first free path off one reflector, then those off two that are shorter.
+        may_meet = pairs.each.may_meet(near.mirrors)
         losses = Attenuation(self.absorption_db_in, self.bounce_loss_db, self.edge_loss_db, self.skin_loss_db)
         discs = [*others, *[NO_DISCS] * (len(pairs.beams.point) - len(pings))]
         ranges_in = np.full(len(pings), inf)
-        self._find_free(pairs, single_paths(pairs, near, discs, losses), near.walls, discs, ranges_in)
-        nearest_in = np.minimum(ranges_in, min(reach_in, max_range_in))[pairs.receiver] + self.recess_in + SMALL_IN
-        self._find_free(pairs, double_paths(pairs, near, nearest_in, losses), near.walls, discs, ranges_in)
+        single = single_paths(pairs, may_meet, near, discs, losses)
+        counts = may_meet.sum(axis=1)
+        if int((counts[pairs.source] * counts[pairs.receiver]).sum()) <= FEW_COMBINATIONS:
+            # 2. The first free path of all ...
+            double = double_paths(pairs, may_meet, near.mirrors, losses)
+            self._find_free(pairs, Paths.joined([*single, *double]), near.walls, discs, ranges_in)
+        else:
+            # ... or, among many walls, off one reflector, then of those off two that are shorter.
+            self._find_free(pairs, Paths.joined(single), near.walls, discs, ranges_in)
+            nearest_in = np.minimum(ranges_in, min(reach_in, max_range_in))[pairs.receiver] + self.recess_in + SMALL_IN
+            double = short_double_paths(pairs, may_meet, near.mirrors, nearest_in, losses)
+            self._find_free(pairs, Paths.joined(double), near.walls, discs, ranges_in)
         found: list[float] = ranges_in.tolist()
         return found
 
@@ -756,7 +782,8 @@ class Polaroid(SonarErrors):
             (ping.x_in, ping.y_in, ping.direction_rad, ping.instant_ps, ping.noise[1]) for ping in beams
         ), strict=True))
         face_in = body.sonar_ring_radius_in - self.recess_in
-        points = x + 1j * y + face_in * (np.cos(directions) + 1j * np.sin(directions))
+        axes = np.cos(directions) + 1j * np.sin(directions)
+        points = x + 1j * y + face_in * axes
         # 2. The distance that an earlier ping has travelled already.
         sources, receivers = np.array(source), np.array(receiver)
         head_start_in = self.sound_in_s * ((instants_ps[receivers] - instants_ps[sources]) / PS_PER_S)
@@ -765,9 +792,9 @@ class Polaroid(SonarErrors):
         # 3. It is inaudible if too weak by now.
         quiet_db = self.absorption_db_in * (self.blanking_in + head_start_in / 2.0)
         heard = (sources == receivers) | (quiet_db <= margin_db)
+        beam = Beam(points, axes, directions, self.cone_rad / 2.0, self.cone_loss_db / 2.0)
         return Pairs(
-            Beam(points, directions, self.cone_rad / 2.0, self.cone_loss_db / 2.0), sources[heard], receivers[heard],
-            head_start_in[heard], min_range_in[heard], margin_db[heard],
+            beam, sources[heard], receivers[heard], head_start_in[heard], min_range_in[heard], margin_db[heard]
         )  # fmt: skip
 
 

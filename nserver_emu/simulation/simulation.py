@@ -7,6 +7,7 @@ continues with the same bits.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -18,7 +19,11 @@ from nserver_emu.simulation.robot import RobotState, SimulatedRobot
 from nserver_emu.simulation.segments import TIME_MAX_PS, to_ps, to_s
 from nserver_emu.simulation.spatial_hash import SpatialHash
 from worlds.raycast import load_compiled
-from worlds.world import Path, Polygon, StartPose, World
+from worlds.schema import MAX_COORDINATE_IN
+from worlds.world import MAX_CORNERS, MAX_STARTS, Path, Polygon, StartPose, World
+
+MAX_OUTLINE_CORNERS: Final = 1_000_000
+"""Corners of rooms and obstacles in a restored world; clients may add more obstacles than a file may have."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +52,12 @@ class WorldState:
         """Return the world; raise ValueError if there can be none."""
         if not self.starts or not all(len(outline.corners_in) > 2 for outline in (*self.rooms, *self.obstacles)):
             raise ValueError("a world without starts or outlines")
+        outlines = [corner for outline in (*self.rooms, *self.obstacles) for corner in outline.corners_in]
+        fixed = len(self.inner_walls) + sum(len(room.corners_in) for room in self.rooms)
+        if fixed > 2 * MAX_CORNERS or len(outlines) > MAX_OUTLINE_CORNERS or len(self.starts) > MAX_STARTS:
+            raise ValueError("a world that is too large")
+        if not all(abs(number) <= MAX_COORDINATE_IN for place in (*outlines, *self.inner_walls) for number in place):
+            raise ValueError(f"a world with coordinates beyond {MAX_COORDINATE_IN:g} in")
         return World(
             self.name, self.title, self.rooms, np.array(self.inner_walls).reshape(-1, 4), self.obstacles, self.starts,
             {path.name: path for path in self.paths},

@@ -160,10 +160,17 @@ def noise_words(text: str) -> dict[str, Any]:
     return {key: int(value) if key == ROBOT and value.isdecimal() else value for key, _, value in pairs}
 
 
-def put_world(server: ServerState, text: str, file: str) -> World:
-    """Replace the world; robots keep their poses, where there must be no wall or obstacle."""
-    exported = server.exported_worlds.get(text)
-    world = parse_world(text, file, PurePath(file).stem) if exported is None else exported
+def read_world_file(text: str, file: str) -> World:
+    """Return the world of a file's text. Raises WorldFileError."""
+    return parse_world(text, file, PurePath(file).stem)
+
+
+def put_world(server: ServerState, text: str, file: str, world: World | None = None) -> World:
+    """Replace the world; robots keep their poses, where there must be no wall or obstacle.
+
+    `world` is that of the text, if it was read before.
+    """
+    world = server.exported_worlds.get(text) or world or read_world_file(text, file)
     for number, robot in server.simulation.robots.items():
         x, y, radius_in = robot.disc
         try:

@@ -134,3 +134,13 @@ def test_file_is_written_where_folders_cannot_be_opened(
     monkeypatch.setattr(os, "open", refused)
     write_atomic(tmp_path / "file", "new", EstimateFileError)
     assert (tmp_path / "file").read_text() == "new"
+
+
+def test_a_link_planted_as_temporary_file_is_not_followed(tmp_path: Path) -> None:
+    other = tmp_path / "other"
+    other.write_text("precious")
+    (tmp_path / ".file.saving").symlink_to(other)
+    write_atomic(tmp_path / "file", "new", EstimateFileError, "saving")
+    assert (tmp_path / "file").read_text() == "new"
+    assert not (tmp_path / "file").is_symlink()
+    assert other.read_text() == "precious"

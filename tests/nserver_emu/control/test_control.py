@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import math
-from collections.abc import Mapping
+import os
+import sys
+import threading
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +16,15 @@ import pytest
 
 from fuzz.messages import FakeServer
 from nclient.faults.plan import Direction, Drop, Plan, Rule, plan_text
-from nserver_emu.control.commands import BY_NAME, answer_line
+from nserver_emu.control.commands import BY_NAME, answer_line, answer_line_in_thread
 from nserver_emu.persistence import snapshot
 from nserver_emu.server.context import SimulationClock
+from nserver_emu.server.handlers.runtime_settings import read_world_file
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.link import FaultController
 from tests.nserver_emu.server.wire_client import ORIGIN, simulation
 from worlds.io import parse_world
+from worlds.world import World
 
 PLAN = Plan((Rule("it", (Drop(),), commands=("gs",)),), seed=4)
 
@@ -222,3 +228,44 @@ corners_in = [[-50, -50], [90, -50], [90, 90], [-50, 90]]
 [[obstacle]]
 corners_in = [[60, 60], [70, 60], [70, 70]]
 """
+
+
+@pytest.mark.parametrize("make", [os.mkfifo, Path.mkdir, lambda path: path.symlink_to("/dev/null")])
+def test_save_refuses_what_is_no_regular_file(tmp_path: Path, make: Callable[[Path], object]) -> None:
+    make(tmp_path / "other")
+    answer = RecordingServer().send({"command": "save", "argument": str(tmp_path / "other")})
+    assert not answer["ok"]
+    assert f"{tmp_path / 'other'}: cannot be written" in answer["error"]
+    assert "regular" in answer["error"]
+
+
+async def test_a_world_is_read_while_the_event_loop_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    may_go_on = threading.Event()
+
+    def read_slowly(text: str, file: str) -> World:
+        assert may_go_on.wait(20.0)
+        return read_world_file(text, file)
+
+    monkeypatch.setattr("nserver_emu.control.commands.read_world_file", read_slowly)
+    server, interval = RecordingServer(), sys.getswitchinterval()
+    argument = {"text": "[[room]]\ncorners_in = [[-50, -50], [90, -50], [90, 90], [-50, 90]]", "file": "new.toml"}
+    request = json.dumps({"command": "world set", "argument": argument}).encode()
+    asyncio.get_running_loop().call_later(0.05, may_go_on.set)
+    answer = json.loads(await answer_line_in_thread(server, request))
+    assert answer == {"ok": True, "said": {"world": "new"}}
+    assert server.emulator.simulation.world.name == "new"
+    assert server.changes == [{"world": argument}]
+    assert sys.getswitchinterval() == pytest.approx(interval)
+
+
+@pytest.mark.parametrize("argument", [None, {"text": 5}, {"text": "[[room", "file": "bad.toml"}])
+async def test_a_wrong_world_is_refused_by_name(argument: object) -> None:
+    server = RecordingServer()
+    before = server.emulator.simulation.world
+    answer = json.loads(
+        await answer_line_in_thread(server, json.dumps({"command": "world set", "argument": argument}).encode())
+    )
+    assert not answer["ok"]
+    assert "world set" in answer["error"] or "bad.toml" in answer["error"]
+    assert server.emulator.simulation.world is before
+    assert json.loads(await answer_line_in_thread(server, b'{"command": "status"}'))["ok"]

@@ -24,7 +24,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("c")
 
 
-def backwards(line: bytes) -> bytes:
+async def backwards(line: bytes) -> bytes:
     if line == b"fault\n":
         raise RuntimeError("a bug")
     return line.strip()[::-1] + b"\n"
@@ -150,3 +150,19 @@ async def test_the_users_own_place(folder: Path, monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(os, "getuid", lambda: 4711)
     with pytest.raises(ConnectionLost, match="another user"):
         await ControlSocket(own, backwards).open()
+
+
+async def test_a_planted_runtime_folder_is_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tempfile.gettempdir", lambda: str(folder))
+    own, elsewhere = default_path({}), folder / "elsewhere"
+    elsewhere.mkdir(mode=0o700)
+    own.parent.symlink_to(elsewhere)
+    with pytest.raises(ConnectionLost, match="symbolic link"):
+        await ControlSocket(own, backwards).open()
+    own.parent.unlink()
+    own.parent.mkdir()
+    own.parent.chmod(0o777)
+    with pytest.raises(ConnectionLost, match="other users"):
+        await ControlSocket(own, backwards).open()
+    assert not list(elsewhere.iterdir())
+    assert not list(own.parent.iterdir())

@@ -386,3 +386,60 @@ def test_values_are_decoded_by_their_declarations() -> None:
     ):  # fmt: skip
         with pytest.raises((ValueError, KeyError)):
             decode(damaged)
+
+
+SHAPE = [1, ["line", [1, 2, 3, 4], "Blue", False]]
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        (("graphics",), [1, {}, [[1, ["line", [1, 2, 3], "Blue", False]]], []]),
+        (("graphics",), [1, {}, [[1, ["line", [1, 2, 3, 4], "<script>", False]]], []]),
+        (("graphics",), [1, {}, [[1, ["line", [1, 2, 3, 2**40], "Blue", False]]], []]),
+        (("graphics",), [2, {}, [[2, SHAPE[1]], [1, ["arc", [0] * 6, "Blue", False]]], []]),
+        (("graphics",), [0, {}, [SHAPE], []]),
+        (("graphics",), [3, {}, [SHAPE], [[9, 1]]]),
+        (("graphics",), [1, {"laser": -1}, [SHAPE], []]),
+        (("traces",), [{"1": ["", 3, [4]]}, {}, 0]),
+        (("traces",), [{"1": ["", 3, [2, 1]]}, {}, 0]),
+        (("traces",), [{"1": ["AAAAAAAA8H8AAAAAAADwfw==", 1, []]}, {}, 0]),
+        (("simulation", "world", "rooms"), [{"corners_in": [[0, 0], [1e9, 0], [0, 9]], "name": ""}]),
+        (("simulation", "world", "inner_walls"), [[0, 0, 1, 1]] * 100_001),
+        (("simulation", "world", "starts"),
+         [{"x_in": 0, "y_in": 0, "steering_rad": 0, "turret_rad": 0}] * 1001),
+    ],
+)  # fmt: skip
+def test_values_that_would_fail_later_are_refused(path: tuple[str | int, ...], value: object) -> None:
+    whole = saved()
+    set_in(whole, path, value)
+    check_refused(json.dumps(whole), "damaged")
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "named"),
+    [
+        ((*ROBOT, "powered"), 1, r"state\.simulation\.robots\[1\]\.powered: expected true"),
+        (("simulation", "world", "rooms"), [5], r"state\.simulation\.world\.rooms\[0\]: expected an object"),
+        (("graphics",), [1, {}, [[1, ["oval", [], "Blue", False]]], []], r"graphics\[2\]\[0\]\[1\]\[0\]: .*oval"),
+    ],
+)
+def test_a_wrong_type_is_named_by_its_key(path: tuple[str | int, ...], value: object, named: str) -> None:
+    whole = saved()
+    set_in(whole, path, value)
+    check_refused(json.dumps(whole), named)
+
+
+@pytest.mark.parametrize("filling", ["[],", "{},", "1,"])
+def test_a_huge_text_is_refused_before_it_is_read(filling: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(snapshot, "MAX_CONTAINERS", 500_000)
+    monkeypatch.setattr(snapshot, "MAX_VALUES", 500_000)
+    text = '{"format": "nserver snapshot", "format_version": 2, "state": [' + filling * 600_000 + "0]}"
+    emulator, _ = busy()
+    tracemalloc.start()
+    try:
+        with pytest.raises(SnapshotError, match="at most 500000"):
+            snapshot.loads(emulator, text)
+        assert tracemalloc.get_traced_memory()[1] < 1e6
+    finally:
+        tracemalloc.stop()

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import pytest
 
 from nclient import connect
-from nserver_emu.server import admission
+from nserver_emu.server import admission, daemon
 from nserver_emu.server.admission import (
     MIN_IDLE_S,
     MIN_RESERVED_S,
@@ -87,6 +87,10 @@ def test_places_of_the_reserve_are_for_a_short_time() -> None:
     assert not any(one.reasons for one in present)
     places.check(present, 3.0 + RESERVED_S)
     assert [bool(one.reasons) for one in present] == [False, False, False, True]
+    present[1].idle_s = MIN_IDLE_S
+    places.check([*present[:3], Connection(opened_s=4.0)], 6.0)
+    assert present[1].reasons, "it is idle by now"
+    present[1].reasons.clear()
     places.check(present[1:], 100.0)
     assert not any(one.reasons for one in present[1:3]), "there is room again"
 
@@ -104,7 +108,10 @@ async def test_a_stop_gets_through_300_idle_connections(monkeypatch: pytest.Monk
         assert not (await driver.ask("get_rv")).slots[40]
 
 
-async def test_a_stop_gets_through_busy_connections() -> None:
+async def test_a_stop_gets_through_busy_connections(monkeypatch: pytest.MonkeyPatch) -> None:
+    # The place is checked below instead of after a time, which a busy machine may spend elsewhere.
+    monkeypatch.setattr(daemon, "RESERVED_S", 1000.0)
+    monkeypatch.setattr(admission, "MIN_IDLE_S", 1000.0)
     async with running_server() as server:
         server.daemon.admission.limits = Limits(per_address=2)
         driver, _busy = await server.connect_client(), await server.connect_client()
@@ -112,6 +119,8 @@ async def test_a_stop_gets_through_busy_connections() -> None:
         stop = await server.connect_client()
         assert (await stop.ask("st")).kind == "state"
         assert not (await driver.ask("get_rv")).slots[40]
+        now_s = asyncio.get_running_loop().time()
+        server.daemon._reserve.check(server.daemon._tcp_connections(), now_s + RESERVED_S)
         assert await stop.reader.read() == b"", "its place was for a short time"
 
 
@@ -132,22 +141,27 @@ def test_without_descriptors_waiting_connections_are_closed(caplog: pytest.LogCa
     caplog.clear()
     handler(loop, {"message": "something else"})
     assert caplog.messages == ["something else"]
+    handled: list[dict[str, object]] = []
+    other = AcceptErrorHandler(lambda _loop, context: handled.append(context))
+    other(loop, {"message": "for the program around it"})
+    assert [context["message"] for context in handled] == ["for the program around it"]
+    other.close()
     loop.close()
 
 
 def test_64_descriptors_are_no_tracebacks() -> None:
     command = ["sh", "-c", 'ulimit -n 64; exec "$0" -m nserver_emu --port 0', sys.executable]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as daemon:
-        assert daemon.stdout is not None
-        address = daemon.stdout.readline().split()[-1]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        address = process.stdout.readline().split()[-1]
         host, _, port = address.partition(":")
         sockets = [socket.create_connection((host, int(port)), timeout=20) for _ in range(100)]
         for one in sockets:
             one.close()
         with connect(f"nserver://{address}/1?tm_s=0") as robot:
             robot.refresh()
-        daemon.terminate()
-        _, log = daemon.communicate(timeout=60)
+        process.terminate()
+        _, log = process.communicate(timeout=60)
     assert "Traceback" not in log
     assert len(log.splitlines()) < 40
-    assert daemon.returncode == 0
+    assert process.returncode == 0
