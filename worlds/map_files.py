@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import gzip
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -101,23 +102,29 @@ def read_map_file(path: Path, settings: ImportSettings | None = None) -> Importe
     MapFileError
         If the file cannot be read, is not of its format, or has no walls.
     MapsExtraMissing
-        If the extra `maps` is not installed.
+        If a library of the extra `maps` is not installed.
     """
     settings = settings or ImportSettings()
     name = path.name.lower()
+    with _extra_needed(path):
+        try:
+            if path.stat().st_size > MAX_FILE_BYTES:
+                raise MapFileError(f"{path}: larger than {MAX_FILE_BYTES // 1_000_000} MB")
+            if name.endswith((".svg", ".dxf")):
+                read = _read_svg if name.endswith(".svg") else _read_dxf
+                return _drawing(path, *read(path, settings), settings)
+            return _cells(path, _read_grid(path, settings), settings)
+        except OSError as error:
+            raise MapFileError(f"{path}: cannot be read: {error.strerror or error}") from error
+
+
+@contextmanager
+def _extra_needed(path: Path) -> Iterator[None]:
+    """Raise MapsExtraMissing where a library is not installed."""
     try:
-        if path.stat().st_size > MAX_FILE_BYTES:
-            raise MapFileError(f"{path}: larger than {MAX_FILE_BYTES // 1_000_000} MB")
-        if name.endswith((".svg", ".dxf")):
-            read = _read_svg if name.endswith(".svg") else _read_dxf
-            return _drawing(path, *read(path, settings), settings)
-        return _cells(path, _read_grid(path, settings), settings)
-    except OSError as error:
-        raise MapFileError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except ImportError as error:
-        if isinstance(error, ExtraMissing):
-            raise
-        raise MapsExtraMissing(f"{path}: reading maps needs {error.name}: pip install 'nomad-nserver[maps]'") from error
+        yield
+    except ModuleNotFoundError as error:
+        raise MapsExtraMissing(f"{path}: this needs {error.name}: pip install 'nomad-nserver[maps]'") from error
 
 
 class MapsExtraMissing(ExtraMissing):
@@ -370,7 +377,8 @@ def write_ros_map(world: World, path: Path, size_in: float) -> tuple[Path, Occup
         If a file cannot be written.
     """
     try:
-        grid = cells_of_world(world, size_in)
+        with _extra_needed(path):
+            grid = cells_of_world(world, size_in)
     except ValueError as error:
         raise MapFileError(f"{world.name}: {error}") from error
     levels = np.array([_GRAY[cell] for cell in Cell], dtype=np.uint8)

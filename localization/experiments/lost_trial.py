@@ -34,7 +34,6 @@ from localization.navigation.waypoints import PERIOD_S, Navigator, Speeds
 from nclient.protocol.types import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
 from nclient.robot import Robot
 from nclient.state import Pose, RobotState
-from worlds.geometry import nearest_points
 from worlds.io import load_world
 from worlds.robots import N150
 from worlds.world import World
@@ -307,8 +306,7 @@ def _positions(world: World) -> Floats:
     # Grid points 2 in apart, over the bounding box of all walls.
     x, y = np.meshgrid(np.arange(low[0], high[0], 2.0), np.arange(low[1], high[1], 2.0))
     points = np.stack((x.ravel(), y.ravel()), axis=-1)
-    _, far = nearest_points(points, world.walls)
-    free: Floats = points[far.min(axis=1) >= N150.radius_in + MARGIN_IN]
+    free: Floats = points[world.clearances(points) >= N150.radius_in + MARGIN_IN]
     return free
 
 

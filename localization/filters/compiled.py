@@ -11,6 +11,7 @@ import logging
 from collections.abc import Callable, Sequence
 from dataclasses import fields
 from functools import cache
+from inspect import isfunction
 from pathlib import Path
 from typing import Any, Final, NamedTuple, cast
 from zlib import crc32
@@ -87,21 +88,7 @@ def _arrays(model: Any) -> RayArrays | ConeArrays:
 # Compiling.
 
 _SOURCES: Final = (belief, odometry, sonar_ray, sonar_cone, update, raycast)
-_FORMULAS: Final[tuple[Callable[..., Any], ...]] = (
-    raycast.intersect, raycast.nearest_wall, raycast.sole_wall,
-    belief.unit_vector, belief.sqrt, belief.exp, belief.hypot, belief.clip, belief.wrap_angle,
-    odometry.process_variance, odometry.true_step, odometry.jacobians, odometry.parameter_columns,
-    odometry.predict_state, odometry.pose_at, odometry.relative_step,
-    sonar_ray.range_variance, sonar_ray.constant_variance, sonar_ray.intersect_line, sonar_ray.sideways_shift,
-    sonar_ray.only_wall, sonar_ray.predict_beam, sonar_ray.update_by_ray,
-    sonar_cone.to_wall, sonar_cone.to_vertex, sonar_cone.range_jacobian, sonar_cone.normal_cdf,
-    sonar_cone.foot_probability, sonar_cone.detection_probability, sonar_cone.first_echoes, sonar_cone.detectable,
-    sonar_cone.hypotheses, sonar_cone.update_by_cone,
-    belief.add_outer, update.kalman_gain, update.shift, update.information_fraction, update.inflated_variance,
-    update.linear, update.gate_code, update.pda_update, update.update_by_association,
-    update.move_on, update.count_used, update.record_used,
-)  # fmt: skip
-
+"""numba may compile all functions of these modules; it does so for those that the loop calls."""
 
 # Forms for numba of what differs between lists and arrays. It cannot unpack a row of an array: rows become tuples.
 
@@ -130,14 +117,14 @@ def _choose(condition: Any, value: Any, other: Any) -> Any:
     return value if condition else other
 
 
-_FORMS: Final[tuple[tuple[Callable[..., Any], Callable[..., Any]], ...]] = (
-    (sonar_ray.wall_rows, _wall_rows),
-    (sonar_cone.rows_of_five, _rows_of_five),
-    (sonar_cone.rows_of_three, _rows_of_three),
-    (sonar_ray.nearest, _nearest),
-    (sonar_ray.line_of, _line_of),
-    (belief.choose, _choose),
-)
+_FORMS: Final[dict[Callable[..., Any], Callable[..., Any]]] = {
+    sonar_ray.wall_rows: _wall_rows,
+    sonar_cone.rows_of_five: _rows_of_five,
+    sonar_cone.rows_of_three: _rows_of_three,
+    sonar_ray.nearest: _nearest,
+    sonar_ray.line_of: _line_of,
+    belief.choose: _choose,
+}
 
 
 def _same(form: Callable[..., Any]) -> Callable[..., Any]:
@@ -153,9 +140,11 @@ def load() -> bool:
         import numba.extending
     except ImportError:
         return False
-    for formula in _FORMULAS:
-        numba.extending.register_jitable(formula)
-    for function, form in _FORMS:
+    for module in _SOURCES:
+        for function in vars(module).values():
+            if isfunction(function) and function.__module__ == module.__name__ and function not in _FORMS:
+                numba.extending.register_jitable(function)
+    for function, form in _FORMS.items():
         numba.extending.overload(function, strict=False)(_same(form))
     return True
 

@@ -52,10 +52,13 @@ PEAK_CELLS, PEAK_RAD = 2.5, 0.35
 """A pose nearer than this to a better one belongs to the same peak."""
 SLIP_IN, SLIP_RAD = 7.5, 0.5
 """An estimate may have slipped by this: a heading by the width of the cone, 25 degrees, over which an echo stays."""
-MAX_PEAKS: Final = 40
+MAX_PEAKS: Final = 100
+EVIDENCE_SHARE: Final = 0.3
+"""Of the evidence of an echo in the probability of a hypothesis: neighbouring sonars and following rounds meet the same
+walls, so their errors are not independent. With 1 wrong poses in a hall or a maze had 99 %."""
 MAX_CANDIDATES: Final = 20_000
 """Poses among which peaks are looked for."""
-MAX_PEAK_NATS: Final = 25.0
+MAX_PEAK_NATS: Final = 40.0
 """A peak this much less likely than the best is no candidate."""
 PEAK_STD, PEAK_HEADING_STD_RAD = 0.6, 0.06
 """Standard deviations of a peak before it is refined: of a cell, in cells and radians."""
@@ -108,7 +111,8 @@ def search(
 
     A symmetric map gives as many hypotheses as it has places that look alike.
     """
-    return merged(_explanations(records, table, measurement, odometry))
+    explained = _explanations(records, table, measurement, odometry)
+    return merged([(belief, EVIDENCE_SHARE * score) for belief, score in explained])
 
 
 def alternatives(
@@ -532,7 +536,7 @@ class GlobalLocalizer:
             return result
         self.hypotheses = merged(
             [
-                (belief, log(before.probability) + log(outcome.likelihood))
+                (belief, log(before.probability) + EVIDENCE_SHARE * log(outcome.likelihood))
                 for before, (belief, outcome) in zip(self.hypotheses, outcomes, strict=True)
             ]
         )
@@ -622,7 +626,9 @@ class GlobalLocalizer:
                 (self._caught_up(with_parameters(_widened(place.belief), self._parameter_stds)), place.probability)
                 for place in found.hypotheses
             ]
-            self.hypotheses = merged([(belief, log(probability) + nats) for (belief, nats), probability in places])
+            self.hypotheses = merged(
+                [(belief, log(probability) + EVIDENCE_SHARE * nats) for (belief, nats), probability in places]
+            )
             self._monitor.reset()
         return UpdateResult(Refusal.LIMIT, 0.0, 0.0, 1.0)
 

@@ -172,6 +172,10 @@ def filter_on_robot(
     if method != FINDER:
         yield method
         return
+    # A daemonic process of multiprocessing may have no children: it searches by itself.
+    if multiprocessing.current_process().daemon:
+        yield finder(config, belief, parameter_stds)
+        return
     with BackgroundSearch(config, waits=waits, report=report) as poses:
         if belief is None:
             poses.prepare()

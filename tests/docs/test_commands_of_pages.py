@@ -21,6 +21,7 @@ TESTS_OF_PAGES = {
     "calibration.md": "docs/test_calibration_and_maps_pages.py",
     "c-programs.md": "docs/test_pages.py",
     "faults.md": "docs/test_pages.py",
+    "files.md": "nclient/cli/test_schema.py",
     "from-c.md": "docs/test_from_c_page.py",
     "fuzzing.md": "fuzz/test_documentation.py",
     "localization.md": "docs/test_pages.py",

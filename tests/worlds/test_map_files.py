@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import json
 import struct
+import sys
 from math import pi
 from pathlib import Path
 
@@ -242,7 +243,7 @@ def test_dxf_layers_and_units(tmp_path: Path) -> None:
 
 def test_missing_library_names_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = box_image(tmp_path / "plan.png")
-    monkeypatch.setitem(__import__("sys").modules, "PIL", None)
+    monkeypatch.setitem(sys.modules, "PIL", None)
     with pytest.raises(MapsExtraMissing, match="maps"):
         read_map_file(path, ImportSettings(cell_in=1.0))
 

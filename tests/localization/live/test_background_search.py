@@ -187,6 +187,13 @@ def test_only_the_finder_has_a_search(tmp_path: Path, monkeypatch: pytest.Monkey
         assert method.health.status is HealthStatus.OK
 
 
+def test_a_process_without_children_searches_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("multiprocessing.process._current_process._config", {"daemon": True, "authkey": b""})
+    with filter_on_robot(FINDER, CONFIG, None, waits=True) as method:
+        assert isinstance(method, GlobalLocalizer)
+        assert isinstance(method._poses, TableSearch)
+
+
 def test_health_says_what_is_waited_for() -> None:
     class Preparing(Late):
         progress = "preparing the map, 40 %"
