@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from math import copysign
+from math import copysign, cos, sin
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -39,7 +39,7 @@ from nserver_emu.simulation.segments import (
     to_s,
 )
 from nserver_emu.simulation.sonar import DEFAULT_ORDER, DEFAULT_RATE, SonarRing, SonarState
-from nserver_emu.simulation.spatial_hash import Disc, SweptBounds, max_travel_in, swept_bounds
+from nserver_emu.simulation.spatial_hash import STATIONARY, Disc, SweptBounds
 from nserver_emu.simulation.visibility import NO_OTHERS, PositionProvider, SensorPose
 from worlds.geometry import FloatArray
 from worlds.world import StartPose
@@ -51,6 +51,10 @@ LIFETIME_S: Final = 6 * 3600.0
 
 MIN_TIMEOUT_PS: Final = PS_PER_S // 1000
 """Shortest time-out of a restored robot: bounds the number of pieces that time is divided into."""
+
+
+NOISE_SIGMAS: Final = 6.0
+"""Standard deviations of motion noise that bounds of the motion allow for: one in 1e9 draws goes beyond."""
 
 
 def battery_v(time_s: float) -> float:
@@ -450,12 +454,38 @@ class SimulatedRobot:
 
         Noise exceeds it with a probability of 1e-9.
         """
-        return max_travel_in(self._drive, None if self._has_exact_motion else self.setup, span_s)
+        drive, setup = self._drive, self.setup
+        if self._has_exact_motion:
+            return drive.max_speed * span_s
+        span_s *= max(map(abs, setup.odometry.scales[:2]))
+        commanded_in = drive.max_speed * span_s
+        return commanded_in + NOISE_SIGMAS * setup.motion.distance_std_in(commanded_in, drive.max_turn_rate * span_s)
 
     def swept_bounds(self, span_s: float) -> SweptBounds:
-        """Return the same bound by direction."""
-        drive, setup = self._drive, None if self._has_exact_motion else self.setup
-        return swept_bounds(drive, setup, self._chassis.heading(drive.steering_rad), span_s)
+        """Return the same bound by direction.
+
+        A path of length s whose heading turns by at most an angle a stays within s a of the straight path, wherever on
+        it the robot is stopped. Towards something in the direction n it therefore comes no nearer than by the straight
+        path's component along n, if that is positive, and the deviation.
+        """
+        drive, farthest_in = self._drive, self.max_travel_in(span_s)
+        if not farthest_in:
+            return STATIONARY
+        backward, forward = drive.velocity_bounds
+        # 1. Largest turn of the heading, and what noise adds to the distance.
+        turn_rad, deviation_in = drive.max_turn_rate * span_s, 0.0
+        if not self._has_exact_motion:
+            odometry, noise = self.setup.odometry, self.setup.motion
+            span_s *= max(map(abs, odometry.scales[:2]))
+            commanded_in, angle_rad = drive.max_speed * span_s, drive.max_turn_rate * span_s
+            drift_rad = max(map(abs, odometry.drifts)) * (drive.axes[0].max_speed + drive.axes[1].max_speed) * span_s
+            turn_rad = angle_rad + drift_rad + NOISE_SIGMAS * noise.turn_std_rad(commanded_in, angle_rad)
+            deviation_in = farthest_in - commanded_in
+        # 2. The straight paths, and the deviation that the turn causes.
+        heading_rad = self._chassis.heading(drive.steering_rad)
+        x, y = span_s * cos(heading_rad), span_s * sin(heading_rad)
+        deviation_in += max(forward, -backward) * span_s * turn_rad
+        return SweptBounds(forward * x, forward * y, backward * x, backward * y, deviation_in)
 
     @property
     def velocities(self) -> Velocities:

@@ -1,21 +1,10 @@
-"""Bounds of the motion of robots, and a grid of their positions.
-
-A path of length s whose heading turns by at most an angle a stays within s a of the straight path, wherever on it the
-robot is stopped. Towards something in the direction n it therefore comes no nearer than by the straight path's
-component along n, if that is positive, and the deviation.
-"""
+"""Bounds of the motion of a robot by direction, and a grid of the positions of all robots."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import cos, floor, hypot, sin
+from math import floor, hypot
 from typing import Final, NamedTuple
-
-from nserver_emu.simulation.drive import Drive
-from nserver_emu.simulation.noise import RobotSetup
-
-NOISE_SIGMAS: Final = 6.0
-"""Standard deviations of motion noise that are allowed for: one in 1e9 draws goes beyond."""
 
 CELL_IN: Final = 40.0
 """Two robots wide: a search examines four cells, or nine."""
@@ -38,42 +27,6 @@ class SweptBounds(NamedTuple):
 
 STATIONARY: Final = SweptBounds(0.0, 0.0, 0.0, 0.0, 0.0)
 """The bounds of a robot that does not move."""
-
-
-def max_travel_in(drive: Drive, setup: RobotSetup | None, span_s: float) -> float:
-    """Return an upper bound of the distance travelled within a time if no command comes, inches; 0 only at rest.
-
-    Parameters
-    ----------
-    setup
-        Its errors of motion; None: every motion is as commanded.
-    """
-    if setup is None:
-        return drive.max_speed * span_s
-    span_s *= max(map(abs, setup.odometry.scales[:2]))
-    commanded_in = drive.max_speed * span_s
-    return commanded_in + NOISE_SIGMAS * setup.motion.distance_std_in(commanded_in, drive.max_turn_rate * span_s)
-
-
-def swept_bounds(drive: Drive, setup: RobotSetup | None, heading_rad: float, span_s: float) -> SweptBounds:
-    """Return the bounds by direction for a robot with this heading; arguments as for `max_travel_in`."""
-    farthest_in = max_travel_in(drive, setup, span_s)
-    if not farthest_in:
-        return STATIONARY
-    backward, forward = drive.velocity_bounds
-    # 1. Largest turn of the heading, and what noise adds to the distance.
-    turn_rad, deviation_in = drive.max_turn_rate * span_s, 0.0
-    if setup is not None:
-        odometry, noise = setup.odometry, setup.motion
-        span_s *= max(map(abs, odometry.scales[:2]))
-        commanded_in, angle_rad = drive.max_speed * span_s, drive.max_turn_rate * span_s
-        drift_rad = max(map(abs, odometry.drifts)) * (drive.axes[0].max_speed + drive.axes[1].max_speed) * span_s
-        turn_rad = angle_rad + drift_rad + NOISE_SIGMAS * noise.turn_std_rad(commanded_in, angle_rad)
-        deviation_in = farthest_in - commanded_in
-    # 2. The straight paths, and the deviation that the turn causes.
-    x, y = span_s * cos(heading_rad), span_s * sin(heading_rad)
-    deviation_in += max(forward, -backward) * span_s * turn_rad
-    return SweptBounds(forward * x, forward * y, backward * x, backward * y, deviation_in)
 
 
 Disc = tuple[float, float, float]
