@@ -15,7 +15,7 @@ passes between them.
     cast_rays, cast_discs                        arrays, for many rays at once
     cast_fan                                     many rays from one point, among many walls
 
-The formula therefore stands here twice: `intersect` in numbers, `_intersections` in arrays. A simulated sonar or a live
+The formula therefore stands here twice: `intersect` in numbers, `_meet` in arrays. A simulated sonar or a live
 filter casts one to three rays at a time; in arrays that takes about ten times as long
 (docs/decisions/023-numba.md).
 """

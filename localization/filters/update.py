@@ -6,9 +6,9 @@
 
 For each hypothesis j, that reading z is of reflector j, with expected range h_j, its derivative H_j and variance R_j:
 
-    innovation_j = z - h_j        S_j = H_j P H_j' + R_j        K_j = P H_j' / S_j
-    x' = x + sum_j beta_j K_j innovation_j
-    P' = P - sum_j beta_j K_j S_j K_j' + the spread of the means
+    innovation_j = z - h_j        S_j = H_j P H_j^T + R_j        K_j = P H_j^T / S_j
+    x+ = x + sum_j beta_j K_j innovation_j
+    P+ = P - sum_j beta_j K_j S_j K_j^T + the spread of the means
 
 `MeasurementUpdate` runs the three steps for a live filter. States may be longer than a pose.
 """
@@ -168,7 +168,7 @@ class DirectModel(MeasurementModel, Protocol):
 
 
 def kalman_gain(P: Sequence[Sequence[Number]], H: Sequence[Number], R: Number) -> tuple[list[Number], Number]:
-    """Return K = P H' / S and S = H P H' + R of a scalar reading.
+    """Return K = P H^T / S and S = H P H^T + R of a scalar reading.
 
     Parameters
     ----------
@@ -203,12 +203,12 @@ def kalman_update(x: list[Number], P: list[list[Number]], H: Sequence[Number], R
     ----------
     Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation (2001), table 5.2.4-1.
     """
-    # 1. K = P H' / S.
+    # 1. K = P H^T / S.
     K, S = kalman_gain(P, H, R)
-    # 2. x' = x + K innovation.
+    # 2. x+ = x + K innovation.
     for i, gain in enumerate(K):
         x[i] = x[i] + gain * innovation
-    # 3. P' = P - K S K'.
+    # 3. P+ = P - K S K^T.
     add_outer(P, -S, K)
     return innovation * innovation / S
 
@@ -216,7 +216,7 @@ def kalman_update(x: list[Number], P: list[list[Number]], H: Sequence[Number], R
 class Correction(NamedTuple):
     """The correction of a state by one hypothesis: gain K, innovation and its variance S, NIS, and change dx of x.
 
-    The hypothesis is then (x + dx, P - K S K'); the density of the reading is exp(-nis / 2) / sqrt(2 pi S).
+    The hypothesis is then (x + dx, P - K S K^T); the density of the reading is exp(-nis / 2) / sqrt(2 pi S).
     """
 
     K: list[float]
@@ -254,10 +254,10 @@ def iterated(
 
     Gauss-Newton from x, all hypotheses at once; a step that makes the state less likely is not taken:
 
-        dx' = K_i (z - h(x_i) + H_i dx_i)      cost = (z - h)^2 / R + dx' P^-1 dx
+        dx_i+1 = K_i (z - h(x_i) + H_i dx_i)      cost = (z - h)^2 / R + dx^T P^-1 dx
 
-    dx is a multiple of the gain, so dx' P^-1 dx = (S - R) (dx / K)^2 and P is not inverted. The density is Laplace's
-    approximation about that state, sqrt(|P'| / |P|) = sqrt(R / S), so the NIS is the cost.
+    dx is a multiple of the gain, so dx^T P^-1 dx = (S - R) (dx / K)^2 and P is not inverted. The density is Laplace's
+    approximation about that state, sqrt(|P+| / |P|) = sqrt(R / S), so the NIS is the cost.
 
     References
     ----------
@@ -369,19 +369,19 @@ def pda_update(
         parts = zip(association.R, association.constant_variance)  # noqa: B905  for numba
         inflated = [inflated_variance(R, constant, count) for R, constant in parts]
         corrections = rule(x, P, reading_in, association, inflated)
-    # 4. x' = x + sum_j beta_j dx_j.
-    mean = [0.0 for _ in x]
+    # 4. x+ = x + dx, with dx = sum_j beta_j dx_j.
+    dx = [0.0 for _ in x]
     for j, correction in enumerate(corrections):
-        mean = [total + beta[j] * change for total, change in zip(mean, correction.dx)]  # noqa: B905  for numba
-    shift(x, mean, 1.0)
-    # 5. P' = P - sum_j beta_j K_j S_j K_j' + sum_j beta_j (dx_j - dx) (dx_j - dx)': an outlier leaves x as it is.
+        dx = [total + beta[j] * change for total, change in zip(dx, correction.dx)]  # noqa: B905  for numba
+    shift(x, dx, 1.0)
+    # 5. P+ = P - sum_j beta_j K_j S_j K_j^T + sum_j beta_j (dx_j - dx) (dx_j - dx)^T: an outlier leaves x as it is.
     for j, correction in enumerate(corrections):
         add_outer(P, -beta[j] * correction.S, correction.K)
         if beta[j] < 1.0:
-            spread = [one - change for one, change in zip(correction.dx, mean)]  # noqa: B905  for numba
+            spread = [one - change for one, change in zip(correction.dx, dx)]  # noqa: B905  for numba
             add_outer(P, beta[j], spread)
     if beta[-1]:
-        add_outer(P, beta[-1], mean)
+        add_outer(P, beta[-1], dx)
     return PdaResult(beta, likelihood, innovation_in, nis)
 
 

@@ -389,16 +389,25 @@ class Session(BaseSession[TcpFrame | InvalidFrame]):
         codec.update_from_request(call, wire_state)
         # 4. Execute. The result of CONNECT is an identity, unless it named no existing robot.
         answer = self._answer(call, context)
-        was_silent = self.identity is not None and self.identity.silent
-        is_silent = call.name in _CONNECT_NAMES or (was_silent and call.name == "ct")
-        if is_silent or self.identity is None or was_silent:
-            robot_id = context.robot_id
-            self.identity = None if robot_id is None else ClientIdentity(robot_id, wire_state.wide, is_silent)
+        self._update_identity(call.name)
         # 5. Reply. A request without a reply (disconnect_robot) ends the connection.
         self.closing = not row.has_tcp_reply
         if self.closing:
             return b""
         return self._reply_or_defer(call.name, answer)
+
+    def _update_identity(self, name: str) -> None:
+        """Note after a request which robot and word size a second connection of this client would continue.
+
+        A client is silent from CONNECT until it sends anything but the sensor mask; its robot is taken from CONNECT and
+        from the first request after the silence, and from any request of a client that had none.
+        """
+        was_silent = self.identity is not None and self.identity.silent
+        is_silent = name in _CONNECT_NAMES or (was_silent and name == "ct")
+        if is_silent or self.identity is None or was_silent:
+            robot_id = self.context.robot_id
+            wide = self.context.wire_state.wide
+            self.identity = None if robot_id is None else ClientIdentity(robot_id, wide, is_silent)
 
     def _encode_anew(self, name: str, reply: Reply) -> bytes:
         if reply.kind == "error":

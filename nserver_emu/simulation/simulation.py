@@ -101,8 +101,7 @@ class Simulation:
 
     def to_state(self) -> SimulationState:
         """Return all that changes, and the world."""
-        # 1. Robots that are not connected to the others yet would need a state of their own.
-        # 2. The states.
+        # New robots join the others first: their state has no form of its own.
         self._join_new_robots()
         robots = {number: robot.to_state() for number, robot in self.robots.items()}
         return SimulationState(self.seed, self.time_ps, WorldState.of(self._world), robots, self._group.to_state())
@@ -112,9 +111,9 @@ class Simulation:
         """Return the simulation of a state; raise ValueError if there can be none."""
         # 1. Values that no simulation has.
         if not 0 <= state.time_ps < TIME_MAX_PS or state.seed < 0:
-            raise ValueError("a time or a seed that cannot be")
+            raise ValueError(f"time_ps {state.time_ps} or seed {state.seed} is out of range")
         if list(state.robots) != sorted(state.robots):
-            raise ValueError("robots that are not in order")
+            raise ValueError(f"robots are not in the order of their numbers: {list(state.robots)}")
         # 2. World and robots.
         simulation = cls(state.world.world(), state.seed)
         simulation.time_ps = state.time_ps
@@ -123,7 +122,7 @@ class Simulation:
             number: SimulatedRobot.from_state(robot, RngFactory(number, state.seed), walls, state.time_ps)
             for number, robot in state.robots.items()
         }
-        # 3. Positions of the robots for one another's sensors.
+        # 3. The compiled ray caster, if there are enough robots for it; positions for one another's sensors.
         load_compiled(len(simulation.robots))
         simulation._group.set_state(state.group, simulation.robots)
         return simulation
