@@ -3,7 +3,7 @@
     predict(distance, turn)          the encoders reported a step      predicted(distance, turn)    the same, not taken
     update(sonar, turret, reading)   an echo, at this instant          belief, health               the estimate
 
-Filters are made by name (registry.make_filter). Echoes come in order of time, each after the prediction to its instant.
+Filters are made by name (registry.make). Echoes come in order of time, each after the prediction to its instant.
 """
 
 from __future__ import annotations

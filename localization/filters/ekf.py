@@ -1,7 +1,8 @@
 """The Kalman filter that `nomad localize` runs: extended, iterated or unscented, one sonar reading at a time.
 
-    predict(step)      x, P by the encoders        odometry.predict_state, or ukf.predict_state
-    update(reading)    x, P by a reading           update.MeasurementUpdate: Kalman gain in update.kalman_gain
+    filter_ring        all new echoes of a ring    for each: odometry.predict_state, then sonar_ray.update_by_ray or
+                                                   sonar_cone.update_by_cone; the gain is update.kalman_gain
+    predict, update    one step, one reading       the same by update.MeasurementUpdate, for other rules
 
 `update_ring` applies the same Kalman update to whole rings of many robots at once, for the experiments.
 """

@@ -10,7 +10,8 @@ For each hypothesis j, that reading z is of reflector j, with expected range h_j
     x+ = x + sum_j beta_j K_j innovation_j
     P+ = P - sum_j beta_j K_j S_j K_j^T + the spread of the means
 
-`MeasurementUpdate` runs the three steps for a live filter. States may be longer than a pose.
+A ring of echoes of a live filter takes these steps in `ekf.filter_ring`, by `sonar_ray.update_by_ray` or
+`sonar_cone.update_by_cone`; other filters by `MeasurementUpdate`. States may be longer than a pose.
 """
 
 from __future__ import annotations
@@ -42,7 +43,10 @@ CONVERGED: Final = 1e-6
 
 
 class Refusal(IntEnum):
-    """Reason why a reading is not used. Where several hold, the first of this order is reported."""
+    """Reason why a reading is not used; the first that holds is reported.
+
+    A cone's reading with GATE is taken for an outlier with more than half of its probability, and used with the rest.
+    """
 
     NONE = 0
     LIMIT = 1

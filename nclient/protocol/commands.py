@@ -2,8 +2,8 @@
 
     a row   C name | Robot's method | type over TCP, type on the line | arguments | reply there and there | models
 
-To add a command, add a row. `ALL` (models) means that the command exists on every model's serial line.
-Lengths are 1/10 inch and angles 1/10 degree, as on the wire.
+A new command needs a row, a handler in nserver_emu/server/handlers and a method of Robot. `ALL` (models) means that the
+command exists on every model's serial line. Lengths are 1/10 inch and angles 1/10 degree, as on the wire.
 """
 
 from __future__ import annotations

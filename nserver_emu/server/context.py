@@ -717,5 +717,5 @@ class ServerState:
         self._snapshots.clear()
 
     def layers(self, robot_id: int) -> dict[str, Any]:
-        """Return what a robot's window shows as plain data (layers.py). Raise KeyError if there is no such robot."""
+        """Return what a robot's window shows as plain data (graphics.py). Raise KeyError if there is no such robot."""
         return layers(robot_id, self.simulation.robots[robot_id], self.traces, self.graphics)

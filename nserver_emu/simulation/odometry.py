@@ -1,7 +1,7 @@
 """Wheel odometry: systematic errors of the true motion, and the encoders' dead reckoning.
 
-Systematic errors only; the random ones (alpha1 to alpha4) are in noise.py. All of them move the true robot and leave
-the encoders unchanged: those count the commanded motion, and the slip, which only they see.
+Systematic errors only; the random ones (alpha1 to alpha4) are in noise.py. Both change the true motion; the encoders
+count the commanded one. Slip is the opposite: the encoders count it, and the robot does not move.
 
     first, second = commanded motion of two axes   translation and steering; right and left wheel
     path_segment(scale_1 first, scale_2 second)    the true motion of the wheels
