@@ -412,7 +412,7 @@ def update_by_ray(x: State, P: Covariance, angle_rad: float, reading_in: float, 
     if not nis <= model.threshold:
         return GATE, 0.0, 0.0, 1.0, RAY_OUTLIERS / RANGE_SPAN_IN
     density = exp(-0.5 * nis) / sqrt(2.0 * pi * S)
-    # 4. x' = x + K innovation, P' = P - K S K'; of a repeated reading with the R that leaves its new information.
+    # 4. x+ = x + K innovation, P+ = P - K S K^T; of a repeated reading with the R that leaves its new information.
     if count > 1:
         K, S = kalman_gain(P, beam.H, inflated_variance(R, constant_variance(noise, beam.range_in), count))
     shift(x, K, innovation)

@@ -213,7 +213,7 @@ MAX_REFUSED: Final = {True: 0.1, False: 0.35}
 
 @dataclass
 class Consistency:
-    """NIS and refusals over a run: the readings show a noise model that is too optimistic, the estimate does not.
+    """NIS and refusals over a run. With a noise model that is too optimistic the NIS is above 1.
 
     `rays` is True if sonars are taken for exact rays.
     """
