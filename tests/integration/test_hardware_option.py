@@ -43,7 +43,7 @@ def test_missing_robot_is_a_failure(tmp_path: Path) -> None:
 def test_two_processes_do_not_share_a_robot() -> None:
     done = pytest_on("serial:///dev/none", "encoders", "-n", "2")
     assert done.returncode == pytest.ExitCode.USAGE_ERROR
-    assert "leave -n out" in done.stderr
+    assert "omit -n" in done.stderr
 
 
 def test_limits_override_the_address() -> None:
