@@ -21,6 +21,7 @@ import argparse
 import asyncio
 import contextlib
 import json
+import os
 import statistics
 import sys
 import time
@@ -105,7 +106,7 @@ async def running() -> AsyncIterator[tuple[Metered, str]]:
     async with serve_viewer(daemon, LOOPBACK, 0) as lines:
         serving = asyncio.create_task(daemon.serve(stop))
         _, writer = await asyncio.open_connection(LOOPBACK, port)
-        for call in (Call("connect_robot", (1, 0)), Call("vm", ROUND_AND_ROUND)):
+        for call in (Call("connect_robot", (1, os.getpid())), Call("vm", ROUND_AND_ROUND)):
             writer.write(codec.encode_tcp_request(call))
         with rare_collection():
             yield daemon, lines[0].split()[-1]
