@@ -155,7 +155,7 @@ class PoseSearch(Protocol):
 
     @property
     def progress(self) -> str:
-        """What a search still waits for, in words; "" if nothing."""
+        """Reason why a search still waits, in words; "" if it does not."""
         ...
 
     def density(self, reading_in: float) -> float:

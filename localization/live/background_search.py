@@ -97,7 +97,7 @@ class BackgroundSearch:
 
     @property
     def progress(self) -> str:
-        """How much of the map is prepared; "" once it is."""
+        """Fraction of the map that is prepared, in words; "" once it is."""
         done = self._done.value if self._done else 1.0
         return "" if done >= 1.0 else f"preparing the map, {done:.0%}"
 

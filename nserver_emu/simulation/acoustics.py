@@ -248,15 +248,15 @@ class Paths(NamedTuple):
         returns: bool = False,
     ) -> Paths:  # fmt: skip
         """Return the paths with a finite loss from the source over `stops`, back to the receiver unless it returns."""
-        heard = loss_db < inf
-        pair = pair[heard]
-        columns = [pairs.beams.point[pairs.source[pair]], *(stop[heard] for stop in stops)]
+        detected = loss_db < inf
+        pair = pair[detected]
+        columns = [pairs.beams.point[pairs.source[pair]], *(stop[detected] for stop in stops)]
         if not returns:
             columns.append(pairs.beams.point[pairs.receiver[pair]])
         points = np.full((len(pair), MAX_POINTS), complex(nan, nan))
         for number, column in enumerate(columns):
             points[:, number] = column
-        return cls(pair, lengths[heard], loss_db[heard], points)
+        return cls(pair, lengths[detected], loss_db[detected], points)
 
     @classmethod
     def joined(cls, parts: Sequence[Paths]) -> Paths:
@@ -750,9 +750,9 @@ class Polaroid(SonarErrors):
             return
         # 1. Paths that are loud enough, by ping and range.
         range_in = (paths.length_in - pairs.head_start_in[paths.pair]) / 2.0 - self.recess_in
-        heard = (paths.loss_db <= pairs.margin_db[paths.pair]) & (range_in >= pairs.min_range_in[paths.pair])
-        heard &= range_in < ranges_in[pairs.receiver[paths.pair]]
-        paths, range_in = paths.take(heard), range_in[heard]
+        detected = (paths.loss_db <= pairs.margin_db[paths.pair]) & (range_in >= pairs.min_range_in[paths.pair])
+        detected &= range_in < ranges_in[pairs.receiver[paths.pair]]
+        paths, range_in = paths.take(detected), range_in[detected]
         ping = pairs.receiver[paths.pair]
         order = np.lexsort((range_in, ping))
         # 2. Whether they are obstructed: the costly test comes last, for a few paths of each ping at a time.
@@ -791,10 +791,10 @@ class Polaroid(SonarErrors):
         margin_db = self.margin_db + self.margin_std_db * noise[receivers]
         # 3. It is inaudible if too weak by now.
         quiet_db = self.absorption_db_in * (self.blanking_in + head_start_in / 2.0)
-        heard = (sources == receivers) | (quiet_db <= margin_db)
+        detected = (sources == receivers) | (quiet_db <= margin_db)
         beam = Beam(points, axes, directions, self.cone_rad / 2.0, self.cone_loss_db / 2.0)
         return Pairs(
-            beam, sources[heard], receivers[heard], head_start_in[heard], min_range_in[heard], margin_db[heard]
+            beam, sources[detected], receivers[detected], head_start_in[detected], min_range_in[detected], margin_db[detected]
         )  # fmt: skip
 
 

@@ -89,7 +89,7 @@ class Seen(_Message, tag="seen"):
 
 
 class Watch(_Message, tag="watch"):
-    """What the page wants to be sent."""
+    """Choice of what the page is sent."""
 
     traffic: bool
     laser: bool
@@ -145,7 +145,7 @@ class Click(_Message, tag="click"):
 
 
 class Waypoints(_Message, tag="waypoints"):
-    """Where a robot's localizer is to drive it."""
+    """Waypoints that a robot's localizer is to drive to."""
 
     robot: Id
     points: Points
