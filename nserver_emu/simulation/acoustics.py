@@ -794,7 +794,8 @@ class Polaroid(SonarErrors):
         detected = (sources == receivers) | (quiet_db <= margin_db)
         beam = Beam(points, axes, directions, self.cone_rad / 2.0, self.cone_loss_db / 2.0)
         return Pairs(
-            beam, sources[detected], receivers[detected], head_start_in[detected], min_range_in[detected], margin_db[detected]
+            beam, sources[detected], receivers[detected], head_start_in[detected], min_range_in[detected],
+            margin_db[detected],
         )  # fmt: skip
 
 
