@@ -267,8 +267,8 @@ def figure_s(seeds: int, jobs: int) -> tuple[float, float]:
     return time.perf_counter() - begin, spent / jobs
 
 
-def measure(rounds: int, seeds: int, jobs: int) -> Result:
-    """Run all measurements."""
+def measure(rounds: int, seeds: int, jobs: int, *, plain: bool = False) -> Result:
+    """Run all measurements; with `plain` without those of the compiled filter."""
     case = make_case()
     filterpy, stonesoup = FilterPy(case.given), StoneSoup(case.given)
     # Results must agree before times are compared.
@@ -277,7 +277,7 @@ def measure(rounds: int, seeds: int, jobs: int) -> Result:
     # Both sonar models, with 16 new echoes per state and with one.
     kinds = [(sonar, echoes) for sonar in (WIRE_SONAR, ConeSonar()) for echoes in (16, 1)]
     lives = [Live(sonar, echoes) for sonar, echoes in kinds]
-    if compiled.load():  # from here on filters are compiled
+    if not plain and compiled.load():  # from here on filters are compiled
         lives += [Live(sonar, echoes) for sonar, echoes in kinds]
     live_samples: list[list[float]] = [[] for _ in lives]
     peers: list[list[float]] = [[], []]
@@ -384,10 +384,11 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=100, metavar="N", help=f"blocks of {BLOCK} states (default 100)")
     parser.add_argument("--seeds", type=int, default=1000, metavar="N", help="seeds of the figure (default 1000)")
     parser.add_argument("--jobs", type=int, default=2, metavar="N", help="processes for them (default 2)")
+    parser.add_argument("--plain", action="store_true", help="leave out the compiled filter, whose compiling takes a minute")
     options = parser.parse_args()
     if min(options.rounds, options.seeds, options.jobs) < 1:
         parser.error("--rounds, --seeds and --jobs must be 1 or more")
-    result = measure(options.rounds, options.seeds, options.jobs)
+    result = measure(options.rounds, options.seeds, options.jobs, plain=options.plain)
     print(json.dumps(result) if options.json else table(result))
 
 
