@@ -384,7 +384,7 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=100, metavar="N", help=f"blocks of {BLOCK} states (default 100)")
     parser.add_argument("--seeds", type=int, default=1000, metavar="N", help="seeds of the figure (default 1000)")
     parser.add_argument("--jobs", type=int, default=2, metavar="N", help="processes for them (default 2)")
-    parser.add_argument("--plain", action="store_true", help="leave out the compiled filter, whose compiling takes a minute")
+    parser.add_argument("--plain", action="store_true", help="leave out the compiled filter (a minute)")
     options = parser.parse_args()
     if min(options.rounds, options.seeds, options.jobs) < 1:
         parser.error("--rounds, --seeds and --jobs must be 1 or more")
