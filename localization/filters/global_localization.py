@@ -418,6 +418,8 @@ def _evidence(reading_in: float, likelihood: float) -> float:
 
 MAX_RECORDS: Final = 24
 """Echoes that a search uses: a ring and a half, so that a missing or bad one matters little."""
+CAUGHT_UP_UPDATES: Final = 250
+"""Updates of late hypotheses for each new echo: about 20 ms."""
 MIN_CERTAINTY: Final = 0.99
 """Probability from which one hypothesis is the estimate."""
 MIN_LEAD_NATS: Final = 12.0
@@ -460,6 +462,8 @@ class GlobalLocalizer:
         self._pending: PendingSearch | None = None
         self._since: list[EchoRecord] = []
         self._searched: Floats = np.zeros(POSE)
+        # Hypotheses of a late answer, at the encoders `_searched`.
+        self._behind: list[Hypothesis] = []
         self._monitor = monitor or IntegrityMonitor()
         self._encoders, self._correlated = np.zeros(POSE), CorrelatedReadings()
         self._records: deque[EchoRecord] = deque(maxlen=MAX_RECORDS)
@@ -515,7 +519,7 @@ class GlobalLocalizer:
         direction = turret_offset_rad + self._sonar_angles_rad[sonar]
         self._records.append(EchoRecord(self._encoders, direction, sonar, turret_offset_rad, reading_in))
         self._new_records += 1
-        if self._pending:
+        if self._pending or self._behind:
             self._since.append(self._records[-1])
         if not self.hypotheses:
             return self._search()
@@ -612,25 +616,42 @@ class GlobalLocalizer:
         self._reason = reason
         self._monitor.reset()
         self._test = self._pending = None
-        self.hypotheses = []
+        self.hypotheses, self._behind = [], []
         self._new_records = 0
 
     def _search(self) -> UpdateResult:
         """Begin a search when there are enough records, and take its answer."""
-        if self._pending is None and self._new_records >= MAX_RECORDS:
+        if self._pending is None and not self._behind and self._new_records >= MAX_RECORDS:
             self._new_records = MAX_RECORDS // 2
             self._begin()
         found = self._answer()
         if found is not None:
-            places = [
-                (self._caught_up(with_parameters(_widened(place.belief), self._parameter_stds)), place.probability)
+            self._behind = [
+                Hypothesis(with_parameters(_widened(place.belief), self._parameter_stds), place.probability)
                 for place in found.hypotheses
             ]
-            self.hypotheses = merged(
-                [(belief, log(probability) + EVIDENCE_SHARE * nats) for (belief, nats), probability in places]
-            )
-            self._monitor.reset()
+        if self._behind:
+            self._catch_up()
         return UpdateResult(Refusal.LIMIT, 0.0, 0.0, 1.0)
+
+    def _catch_up(self) -> None:
+        """Filter the hypotheses of a late answer along some of the records since; they count once none is left."""
+        # 1. More records than come, and a bounded number of updates: improbable hypotheses are dropped on the way.
+        count = max(2, CAUGHT_UP_UPDATES // len(self._behind))
+        records, self._since = self._since[:count], self._since[count:]
+        if records:
+            advanced = [
+                (continued(each.belief, self._searched, records, self._measurement, self._odometry), each.probability)
+                for each in self._behind
+            ]
+            self._searched = records[-1].encoders
+            self._behind = merged(
+                [(belief, log(probability) + EVIDENCE_SHARE * nats) for (belief, nats), probability in advanced]
+            )
+        # 2. All are up to date.
+        if not self._since:
+            self.hypotheses, self._behind = self._behind, []
+            self._monitor.reset()
 
 
 def _widened(belief: Belief) -> Belief:
