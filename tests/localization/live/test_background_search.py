@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from localization.experiments.live_trial import QUIET
+from localization.filters import global_localization as module
 from localization.filters.base import LocalizationConfig
-from localization.filters.belief import Belief, independent
+from localization.filters.belief import Belief, Floats, independent
 from localization.filters.global_localization import (
     EchoRecord,
     GlobalLocalizer,
@@ -94,6 +96,30 @@ def test_a_late_answer_is_brought_up_to_date(questions: int) -> None:
     estimates, off_in = turn_from_unknown_start(finder(CONFIG, None, poses=Late(table_search(CONFIG), questions)))
     assert estimates[-1].health.status is HealthStatus.OK
     assert off_in < 2.0
+
+
+@pytest.mark.long
+def test_work_of_an_update_is_bounded_after_a_late_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Eighty echoes since the search began: they are spread over the updates that follow."""
+    counts, continued, catch_up = list[int](), module.continued, GlobalLocalizer._catch_up
+
+    def counted(belief: Belief, before: Floats, records: Sequence[EchoRecord], *models: Any) -> tuple[Belief, float]:
+        counts[-1] += len(records)
+        return continued(belief, before, records, *models)
+
+    def counting(filter_: GlobalLocalizer) -> None:
+        # Only what an update filters, not the search itself.
+        counts.append(0)
+        with monkeypatch.context() as patched:
+            patched.setattr(module, "continued", counted)
+            catch_up(filter_)
+
+    monkeypatch.setattr(GlobalLocalizer, "_catch_up", counting)
+    monkeypatch.setattr(module, "CAUGHT_UP_UPDATES", 8)
+    _, off_in = turn_from_unknown_start(finder(CONFIG, None, poses=Late(table_search(CONFIG), 80)), 9.0)
+    assert off_in < 2.0
+    assert sum(counts) >= 80
+    assert max(counts) <= 8
 
 
 @pytest.mark.long
