@@ -17,7 +17,7 @@ Other robots are discs:
 Each path leaves and arrives inside the cones; it has a level, and the points between which it must be free. The first
 free one that is loud enough is the echo. The ping of another sonar of the ring that is still under way is detected like
 one's own, and gives too short a range (cross-talk). Not modelled: side lobes, paths off three walls and more or off two
-robots, later pings, pings of other robots, rough walls.
+robots, later pings, pings of other robots. The surface of a wall may have levels and posts (surfaces.py).
 
 Positions are complex numbers x + iy in here, which halves the number of arrays. With the unit direction u of a wall and
 a point a of it the image of p is a + u^2 conj(p - a).
@@ -42,6 +42,7 @@ import numpy.typing as npt
 
 from nserver_emu.simulation.segments import PS_PER_S, wrap_to_pi
 from nserver_emu.simulation.settings import SONAR_NUMBERS, setting
+from nserver_emu.simulation.surfaces import Surfaces, WallSurface
 from worlds.geometry import NO_DISCS, BoolArray, FloatArray, nearest_points
 from worlds.raycast import cast_discs, cast_rays, near_walls
 from worlds.robots import SONARS, Body
@@ -93,10 +94,11 @@ BISECTIONS: Final = 48
 
 
 class ReflectorMap:
-    """The walls as reflectors: (m, 4), rows x1 y1 x2 y2 in inches."""
+    """The walls as reflectors: (m, 4), rows x1 y1 x2 y2 in inches, and their surfaces; None: as the map has them."""
 
-    def __init__(self, walls: FloatArray) -> None:
+    def __init__(self, walls: FloatArray, surfaces: Surfaces | None = None) -> None:
         self.walls = walls
+        self.surfaces = surfaces
 
     def within(self, points: ComplexArray, reach_in: float) -> ReflectorMap:
         """Return the walls that sound from any of these points reaches."""
@@ -104,7 +106,8 @@ class ReflectorMap:
             return self
         low, high = complex(points.real.min(), points.imag.min()), complex(points.real.max(), points.imag.max())
         middle, half = (low + high) / 2.0, (high - low) / 2.0
-        return ReflectorMap(near_walls(middle.real, middle.imag, reach_in + max(half.real, half.imag), self.walls))
+        near = near_walls(middle.real, middle.imag, reach_in + max(half.real, half.imag), self.walls)
+        return ReflectorMap(near, self.surfaces)
 
     @cached_property
     def mirrors(self) -> ComplexArray:
@@ -135,17 +138,45 @@ class ReflectorMap:
         edges: ComplexArray = ends[is_edge]
         return edges
 
+    @cached_property
+    def posts(self) -> tuple[ComplexArray, ComplexArray]:
+        """The posts: points on the walls (p,), and how the surface displaces them (p,)."""
+        found = [np.empty((2, 0), dtype=np.complex128)]
+        for start, along, _ in self.mirrors if self.surfaces else ():
+            surface, unit = self._surface(start, along), along / abs(along)
+            levels_in = surface.level_in(surface.posts_in)
+            found.append(np.array([start + unit * surface.posts_in, 1j * unit * levels_in]))
+        points, displaced = np.concatenate(found, axis=1)
+        return points, displaced
+
+    def levels_in(self, mirrors: IndexArray, points: ComplexArray, seen_from: ComplexArray) -> FloatArray:
+        """Return how far the surfaces of mirrors stand out, at points on them, to the side of other points (n,)."""
+        levels_in = np.zeros(len(mirrors))
+        if self.surfaces:
+            for mirror in np.unique(mirrors):
+                start, along, _ = self.mirrors[mirror]
+                rows = np.flatnonzero(mirrors == mirror)
+                side = np.sign((np.conj(along) * (seen_from[rows] - start)).imag)
+                levels_in[rows] = side * self._surface(start, along).level_in(np.abs(points[rows] - start))
+        return levels_in
+
+    def _surface(self, start: complex, along: complex) -> WallSurface:
+        assert self.surfaces is not None
+        end = start + along
+        return self.surfaces.of(np.array([start.real, start.imag, end.real, end.imag]))
+
 
 class Attenuation(NamedTuple):
     """Losses on a path.
 
-    In dB per inch of range, and in dB at each wall after the first, at an edge, and by scattering at a robot.
+    In dB per inch of range, and in dB at each wall after the first, at an edge, by scattering at a robot, and at a post.
     """
 
     absorption_db_in: float
     bounce_loss_db: float
     edge_loss_db: float
     skin_loss_db: float
+    post_loss_db: float = inf
 
 
 class Beam(NamedTuple):
@@ -285,7 +316,11 @@ def single_paths(
     """
     mirrors, edges = reflectors.mirrors, reflectors.edges
     found = [_off_edges(pairs, pairs.each.may_meet_points(edges), edges, losses)]
-    found.append(_off_one_wall(pairs, may_meet, mirrors, losses))
+    found.append(_off_one_wall(pairs, may_meet, reflectors, losses))
+    if reflectors.surfaces:
+        posts, displaced = reflectors.posts
+        scattered = losses._replace(edge_loss_db=losses.post_loss_db)
+        found.append(_off_edges(pairs, pairs.each.may_meet_points(posts), posts, scattered, displaced))
     if any(map(len, discs)):
         found += _off_discs(pairs, may_meet, mirrors, discs, losses)
     return found
@@ -321,23 +356,30 @@ def short_double_paths(
     ]
 
 
-def _off_edges(pairs: Pairs, may_meet: BoolArray, edges: ComplexArray, losses: Attenuation) -> Paths:
+def _off_edges(
+    pairs: Pairs, may_meet: BoolArray, edges: ComplexArray, losses: Attenuation, displaced: ComplexArray | None = None
+) -> Paths:
     pair, edge = np.nonzero(may_meet[pairs.source] & may_meet[pairs.receiver])
     out, back, points = *_beams(pairs, pair), edges[edge]
-    lengths = np.abs(points - out.point) + np.abs(points - back.point)
+    # A displaced edge counts as on its wall for what obstructs it, but not for the length.
+    at = points if displaced is None else points + displaced[edge]
+    lengths = np.abs(at - out.point) + np.abs(at - back.point)
     loss_db = out.loss_db(points) + back.loss_db(points) + losses.edge_loss_db + losses.absorption_db_in * lengths / 2.0
     return Paths.between(pairs, pair, lengths, loss_db, points)
 
 
-def _off_one_wall(pairs: Pairs, may_meet: BoolArray, mirrors: ComplexArray, losses: Attenuation) -> Paths:
+def _off_one_wall(pairs: Pairs, may_meet: BoolArray, reflectors: ReflectorMap, losses: Attenuation) -> Paths:
+    mirrors = reflectors.mirrors
     # The point of reflection lies in both cones, so the wall reaches into both.
     pair, wall = np.nonzero(may_meet[pairs.source] & may_meet[pairs.receiver])
     out, back = _beams(pairs, pair)
     images = mirror_points(out.point, mirrors[wall])
     points, is_met = crossings(images, back.point, mirrors[wall])
-    pair, images, points = pair[is_met], images[is_met], points[is_met]
+    pair, wall, images, points = pair[is_met], wall[is_met], images[is_met], points[is_met]
     out, back = _beams(pairs, pair)
     lengths = np.abs(images - back.point)
+    if reflectors.surfaces:
+        lengths = np.maximum(lengths - 2.0 * reflectors.levels_in(wall, points, back.point), 0.0)
     loss_db = out.loss_db(points) + back.loss_db(points) + losses.absorption_db_in * lengths / 2.0
     return Paths.between(pairs, pair, lengths, loss_db, points)
 
@@ -372,10 +414,10 @@ def _over_wall_to_wall(
     for row, one, two in _products(slanted, second):
         out, _ = _beams(pairs, own[row])
         first, start, along = mirrors[one], mirrors[two, 0], mirrors[two, 1]
-        # 1. The foot of the perpendicular from each image onto each other wall.
+        # 1. The foot of the perpendicular from each image onto each other wall; onto the same it is the path off one.
         images = mirror_points(out.point, first)
         fraction = ((images - start) / along).real
-        met = np.flatnonzero((fraction >= 0.0) & (fraction <= 1.0))
+        met = np.flatnonzero((fraction >= 0.0) & (fraction <= 1.0) & (one != two))
         if not len(met):
             continue
         feet = start[met] + fraction[met] * along[met]
@@ -665,6 +707,8 @@ class Polaroid(SonarErrors):
         Range below which the transducer still rings: its own echo reads this, echoes of others are lost.
     recess_in
         Depth of the transducer's face behind the ring.
+    surface_std_in, surface_length_in, post_spacing_in, post_loss_db
+        The surfaces of walls (surfaces.py), and the loss at a post. A standard deviation and a spacing of 0: planes.
     """
 
     range_std_relative: float = relative_std(0.01)
@@ -680,12 +724,23 @@ class Polaroid(SonarErrors):
     skin_loss_db: float = _decibels(15.0, 0, 200, meaning="loss by scattering at a robot that does not face the sonar")
     blanking_in: float = setting(6.0, 0, 24, "in", "echoes of neighbours from nearer are not detected")
     recess_in: float = setting(0.5, 0, 4, "in", "depth of the transducers behind the ring")
+    surface_std_in: float = setting(0.0, 0, 12, "in", "standard deviation of the level of a wall's surface; 0: plane")
+    surface_length_in: float = setting(24.0, 1, 1000, "in", "mean length of a level; correlation length of the surface")
+    post_spacing_in: float = setting(0.0, 0, 1000, "in", "mean distance of posts along a wall, at least 1; 0: none")
+    post_loss_db: float = _decibels(10.0, 0, 200, meaning="loss at a post, relative to a wall")
 
     @property
     def audible_ps(self) -> int:
         """Time after which a ping is inaudible, even with a level of five standard deviations."""
         reach_in = (self.margin_db + 5.0 * self.margin_std_db) / self.absorption_db_in
         return int(2.0 * reach_in / self.sound_in_s * 1e12)
+
+    def surfaces(self, seed: int) -> Surfaces | None:
+        """Return the surfaces of the walls in a run of this seed; None if they are planes without posts."""
+        if not (self.surface_std_in or self.post_spacing_in):
+            return None
+        spacing_in = self.post_spacing_in and max(self.post_spacing_in, 1.0)
+        return Surfaces(seed, self.surface_std_in, self.surface_length_in, spacing_in)
 
     def draw(self, rng: np.random.Generator) -> tuple[float, ...]:
         """Draw the noise of a ping: one number for the range and one for the level."""
@@ -724,7 +779,9 @@ class Polaroid(SonarErrors):
         reach_in = margin_db / self.absorption_db_in if self.absorption_db_in else inf
         near = reflectors.within(pairs.beams.point, reach_in)
         may_meet = pairs.each.may_meet(near.mirrors)
-        losses = Attenuation(self.absorption_db_in, self.bounce_loss_db, self.edge_loss_db, self.skin_loss_db)
+        losses = Attenuation(
+            self.absorption_db_in, self.bounce_loss_db, self.edge_loss_db, self.skin_loss_db, self.post_loss_db
+        )
         discs = [*others, *[NO_DISCS] * (len(pairs.beams.point) - len(pings))]
         ranges_in = np.full(len(pings), inf)
         single = single_paths(pairs, may_meet, near, discs, losses)
