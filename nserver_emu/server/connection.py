@@ -251,6 +251,8 @@ class ConnectionHandler(ABC):
         self.is_connected = True
         # The identity last reported by the session.
         self._identity: ClientIdentity | None = None
+        # True until the first request: until then the connection may turn out to continue a closed one.
+        self._is_pending = True
         # True while the peer does not read its replies.
         self.is_write_paused = False
         # True if the channel was full when last checked, so that reading is suspended.
@@ -367,8 +369,8 @@ class ConnectionHandler(ABC):
             self.send(replies)
         if session.closing:
             self._close_port()
-        if session.identity is not self._identity:
-            self._identity = session.identity
+        if session.identity is not self._identity or (has_request and self._is_pending):
+            self._identity, self._is_pending = session.identity, False
             if self.is_registered:
                 self._server.client_registry.register(self, self.host, self._identity)
 
