@@ -1,8 +1,8 @@
 """Statistics of the residuals of sonar echoes at walls, the same for real and for simulated runs.
 
-    residual      reading less the perpendicular distance of the wall, of an echo that the wall explains
-    explained     the wall is met at a right angle within the cone, and the residual is at most MAX_RESIDUAL_IN
-    correlation   of each residual with that of the next echo of the same wall (lag 1)
+Residual: reading less the perpendicular distance of the wall, of an echo that the wall explains.
+Explained: the wall is met at a right angle within the cone, and the residual is at most MAX_RESIDUAL_IN.
+Correlation: of each residual with that of the next echo of the same wall (lag 1).
 """
 
 from __future__ import annotations

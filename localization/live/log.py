@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from math import inf, radians
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -88,7 +89,7 @@ def read_log(file: Path) -> list[LogRow]:
             rows = [_row(fields, columns, file, number) for number, fields in enumerate(reader, 2)]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise LogFileError(f"{file}: cannot be read: {error}") from error
-    for number, (before, after) in enumerate(zip(rows, rows[1:], strict=False), 3):
+    for number, (before, after) in enumerate(pairwise(rows), 3):
         if after.clock_s <= before.clock_s:
             raise LogFileError(f"{file}: row {number}: time {after.clock_s:g} s does not increase")
     if len(rows) < 2:
@@ -145,8 +146,8 @@ def _row(fields: Sequence[str], columns: dict[str, _Column], file: Path, number:
 def new_echoes(readings: Sequence[Sequence[float]], clocks_s: Sequence[float], period_s: float) -> list[list[int]]:
     """Return for each row of a log the sonars whose reading is new: none of the first.
 
-    A reading that differs from the last one is new. One that stays is new once `period_s`, in which a sonar fires again,
-    has passed since it was last new; without that the same echo would count several times, or those of a smooth wall not.
+    A reading that differs from the last one is new. One that stays is new once `period_s`, in which a sonar fires
+    again, has passed since it was last new: each echo counts once, also at a smooth wall.
     """
     new: list[list[int]] = [[] for _ in readings]
     since = [clocks_s[0]] * len(readings[0])
