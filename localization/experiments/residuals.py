@@ -49,7 +49,7 @@ class Echoes(NamedTuple):
 class WallStatistics(NamedTuple):
     """Residuals of one wall: their number, mean and standard deviation in inches, and correlation at lag 1."""
 
-    count: int
+    echoes: int
     mean_in: float
     std_in: float
     correlation: float

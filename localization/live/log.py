@@ -68,7 +68,7 @@ class LogRow(NamedTuple):
 
 
 class _Column(NamedTuple):
-    index: int
+    place: int
     factor: float
 
 
@@ -126,7 +126,7 @@ def _columns(names: Sequence[str], file: Path) -> dict[str, _Column]:
 def _row(fields: Sequence[str], columns: dict[str, _Column], file: Path, number: int) -> LogRow:
     def value(name: str) -> float:
         column = columns[name]
-        text = fields[column.index].strip() if column.index < len(fields) else ""
+        text = fields[column.place].strip() if column.place < len(fields) else ""
         if not text and name.startswith(SONAR):
             return inf
         try:

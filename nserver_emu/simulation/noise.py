@@ -4,8 +4,8 @@
     noisy     axes ramp, motion errors are a random walk, sonars with 1 % noise: the settings of the experiments
     measured  as noisy, but the sonars are a Polaroid ring (cone, reflections, second echoes, cross-talk), and infrared
               sensors, compass and clock have errors as well
-    building  as measured, in a real building: walls with doors and posts, whose errors last over metres, and cones with a
-              soft edge; fitted to a real corridor (docs/real-data.md)
+    building  as measured, in a real building: walls with doors and posts, whose errors last over metres, cones with
+              a soft edge; fitted to a real corridor (docs/real-data.md)
     worn      as noisy, with systematic odometry errors: after UMBmark's square of 4 m a robot with a synchro drive is
               126 mm off, a Scout 338 mm, like robots without calibration
 
