@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from nclient.protocol.types import DEFAULT_SONAR_ORDER as DEFAULT_ORDER
 from nserver_emu.simulation import acoustics, infrared
 from nserver_emu.simulation.acoustics import Ping, ReflectorMap
 from nserver_emu.simulation.infrared import InfraredRing
 from nserver_emu.simulation.models import N200
 from nserver_emu.simulation.noise import MEASURED
 from nserver_emu.simulation.simulation import Simulation
-from nserver_emu.simulation.sonar import DEFAULT_ORDER, SonarNoise, SonarRing
+from nserver_emu.simulation.sonar import SonarNoise, SonarRing
 from worlds import raycast
 from worlds.geometry import NO_DISCS
 from worlds.io import load_world
