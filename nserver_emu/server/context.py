@@ -23,6 +23,7 @@ that connection; on a robot's own line it is not sent. Excluded sensors are not 
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -84,6 +85,8 @@ MIN_TIME_FACTOR: Final = 0.1
 MAX_TIME_FACTOR: Final = 999.0
 # Simulated seconds per request in lockstep.
 MAX_LOCKSTEP_S: Final = 10.0
+# Processor time of a turn that prepares a reply; the last step may take some tenths of a millisecond longer.
+PREPARING_S: Final = 0.0003
 # State[0] at unlimited speed.
 UNLIMITED_SPEED: Final = 9999
 
@@ -648,12 +651,20 @@ class ServerState:
     def prepare_reply(self, context: ConnectionContext) -> bool:
         """Do part of what the next reply to a connection may need; return False if more of it is left.
 
-        It changes no reply, whenever it is done: sonars that nothing read for some time take several milliseconds.
+        It changes no reply, whenever it is done. A ping of the measured sonars takes a millisecond, and all sixteen
+        several.
         """
         robot_id, mask = context.robot_id, context.wire_state.mask
         if robot_id is None or not (mask.whole or any(map(mask.has, SONAR.slots))):
             return True
-        return self.simulation.robots[robot_id].sonar.compute_some()
+        sonar = self.simulation.robots[robot_id].sonar
+        if sonar.compute_some():
+            return True
+        end_s = time.thread_time() + PREPARING_S
+        while not sonar.compute_some():
+            if time.thread_time() >= end_s:
+                return False
+        return True
 
     def feed_watchdog(self, context: ConnectionContext) -> None:
         """Restart the command timeout (conf_tm) of a connection's robot, unless only other connections move it."""

@@ -31,11 +31,11 @@ mirrors, edges as scatterers, the beam's directivity.
 from __future__ import annotations
 
 from cmath import phase, rect
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from math import asin, cos, inf, log10, nan, pi, radians, sin, tan
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -74,8 +74,8 @@ MIN_FACTOR: Final = 1e-3
 MAX_POINTS: Final = 4
 """Points on a path: transducer, two walls, transducer."""
 
-MAX_COMBINATIONS: Final = 20_000
-"""Combinations of two walls that are computed at once; more would leave the processor's cache."""
+MAX_COMBINATIONS: Final = 3000
+"""Combinations of two walls that are computed at once: some 0.3 ms."""
 
 FEW_COMBINATIONS: Final = 3000
 """Combinations of two walls that are all computed: fewer take less time than to find out which are needed."""
@@ -88,6 +88,29 @@ MAX_UNSELECTED_WALLS: Final = 100
 
 BISECTIONS: Final = 48
 """Of the arc between the points that face two transducers: the rest is far below SMALL_IN."""
+
+Result = TypeVar("Result")
+Steps = Generator[None, None, Result]
+"""A computation in steps of a few array operations: `next` does one. Between two steps anything else may run."""
+
+
+def completed(steps: Steps[Result]) -> Result:
+    """Return the result of a computation, all steps of it at once."""
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            result: Result = end.value
+            return result
+
+
+def collected(paths: Iterable[Paths]) -> Steps[Paths]:
+    """Join paths, one part in each step."""
+    parts = list[Paths]()
+    for part in paths:
+        parts.append(part)
+        yield
+    return Paths.joined(parts)
 
 
 class ReflectorMap:
@@ -271,8 +294,8 @@ class Paths(NamedTuple):
 
 def single_paths(
     pairs: Pairs, may_meet: BoolArray, reflectors: ReflectorMap, discs: Sequence[FloatArray], losses: Attenuation
-) -> list[Paths]:
-    """Return all paths off one edge, one wall or one robot, and over a wall to a robot, regardless of obstructions.
+) -> Iterator[Paths]:
+    """Yield all paths off one edge, one wall or one robot, and over a wall to a robot, regardless of obstructions.
 
     Parameters
     ----------
@@ -282,27 +305,24 @@ def single_paths(
         For each beam, the other robots (k, 3), rows x y radius in inches.
     """
     mirrors, edges = reflectors.mirrors, reflectors.edges
-    found = [_off_edges(pairs, pairs.each.may_meet_points(edges), edges, losses)]
-    found.append(_off_one_wall(pairs, may_meet, mirrors, losses))
+    yield _off_edges(pairs, pairs.each.may_meet_points(edges), edges, losses)
+    yield _off_one_wall(pairs, may_meet, mirrors, losses)
     if any(map(len, discs)):
-        found += _off_discs(pairs, may_meet, mirrors, discs, losses)
-    return found
+        yield from _off_discs(pairs, may_meet, mirrors, discs, losses)
 
 
-def double_paths(pairs: Pairs, may_meet: BoolArray, mirrors: ComplexArray, losses: Attenuation) -> list[Paths]:
-    """Return the paths off two walls, and over a slanted wall to another and back, regardless of obstructions."""
+def double_paths(pairs: Pairs, may_meet: BoolArray, mirrors: ComplexArray, losses: Attenuation) -> Iterator[Paths]:
+    """Yield the paths off two walls, and over a slanted wall to another and back, regardless of obstructions."""
     own = np.flatnonzero(pairs.is_own)
     first, every = may_meet[pairs.source], np.ones((len(own), len(mirrors)), dtype=np.bool_)
-    return [
-        *_off_two_walls(pairs, first, may_meet[pairs.receiver], mirrors, losses),
-        *_over_wall_to_wall(pairs, own, first[own], every, mirrors, losses),
-    ]
+    yield from _off_two_walls(pairs, first, may_meet[pairs.receiver], mirrors, losses)
+    yield from _over_wall_to_wall(pairs, own, first[own], every, mirrors, losses)
 
 
 def short_double_paths(
     pairs: Pairs, may_meet: BoolArray, mirrors: ComplexArray, max_range_in: FloatArray, losses: Attenuation
-) -> list[Paths]:
-    """Return those of `double_paths` that are no longer than a range (k,) of each pair, and some more."""
+) -> Iterator[Paths]:
+    """Yield those of `double_paths` that are no longer than a range (k,) of each pair, and some more."""
     beams = pairs.beams
     # A path over a wall is at least as long as twice the distance of that wall less that between the transducers.
     apart_in = np.abs(beams.point[pairs.source] - beams.point[pairs.receiver])
@@ -313,10 +333,8 @@ def short_double_paths(
     first = may_meet[pairs.source] & is_near_source
     last = may_meet[pairs.receiver] & (distances[pairs.receiver] <= far_in)
     own = np.flatnonzero(pairs.is_own)
-    return [
-        *_off_two_walls(pairs, first, last, mirrors, losses),
-        *_over_wall_to_wall(pairs, own, first[own], is_near_source[own], mirrors, losses),
-    ]
+    yield from _off_two_walls(pairs, first, last, mirrors, losses)
+    yield from _over_wall_to_wall(pairs, own, first[own], is_near_source[own], mirrors, losses)
 
 
 def _off_edges(pairs: Pairs, may_meet: BoolArray, edges: ComplexArray, losses: Attenuation) -> Paths:
@@ -693,11 +711,13 @@ class Polaroid(SonarErrors):
         range_noise, level_noise = rng.standard_normal(2).tolist()
         return range_noise, level_noise
 
-    def measured_ranges(
+    def range_steps(
         self, pings: Sequence[Ping], earlier: Sequence[Sequence[Ping]], reflectors: ReflectorMap, body: Body,
         others: Sequence[FloatArray], max_range_in: float = inf,
-    ) -> list[float]:  # fmt: skip
-        """Return the measured ranges of pings, inches from the ring; inf for no echo.
+    ) -> Steps[list[float]]:  # fmt: skip
+        """Compute the measured ranges of pings, inches from the ring; inf for no echo.
+
+        The number of pings in a call changes no bit of the result.
 
         Parameters
         ----------
@@ -708,18 +728,19 @@ class Polaroid(SonarErrors):
         max_range_in
             An echo from farther away may count as none.
         """
-        ranges_in = self.first_echoes_in(pings, earlier, reflectors, body, others, max_range_in)
+        ranges_in = yield from self.first_echo_steps(pings, earlier, reflectors, body, others, max_range_in)
         return [
             range_in if range_in == inf else range_in + ping.noise[0] * self.std_in(range_in)
             for ping, range_in in zip(pings, ranges_in, strict=True)
         ]
 
-    def first_echoes_in(
+    def first_echo_steps(
         self, pings: Sequence[Ping], earlier: Sequence[Sequence[Ping]], reflectors: ReflectorMap, body: Body,
         others: Sequence[FloatArray], max_range_in: float = inf,
-    ) -> list[float]:  # fmt: skip
-        """Return the ranges of the first echoes above the threshold, without noise; inf for none."""
+    ) -> Steps[list[float]]:  # fmt: skip
+        """Compute the ranges of the first echoes above the threshold, without noise; inf for none."""
         pairs = self._pairs(pings, earlier, body)
+        yield
         # 1. Reflectors that sound can reach and return from before it is too weak.
         margin_db = float(pairs.margin_db.max(initial=0.0))
         reach_in = margin_db / self.absorption_db_in if self.absorption_db_in else inf
@@ -728,24 +749,25 @@ class Polaroid(SonarErrors):
         losses = Attenuation(self.absorption_db_in, self.bounce_loss_db, self.edge_loss_db, self.skin_loss_db)
         discs = [*others, *[NO_DISCS] * (len(pairs.beams.point) - len(pings))]
         ranges_in = np.full(len(pings), inf)
-        single = single_paths(pairs, may_meet, near, discs, losses)
+        yield
+        paths = yield from collected(single_paths(pairs, may_meet, near, discs, losses))
         counts = may_meet.sum(axis=1)
         if int((counts[pairs.source] * counts[pairs.receiver]).sum()) <= FEW_COMBINATIONS:
             # 2. The first free path of all ...
-            double = double_paths(pairs, may_meet, near.mirrors, losses)
-            self._find_free(pairs, Paths.joined([*single, *double]), near.walls, discs, ranges_in)
+            double = yield from collected(double_paths(pairs, may_meet, near.mirrors, losses))
+            yield from self._find_free(pairs, Paths.joined([paths, double]), near.walls, discs, ranges_in)
         else:
             # ... or, among many walls, off one reflector, then of those off two that are shorter.
-            self._find_free(pairs, Paths.joined(single), near.walls, discs, ranges_in)
+            yield from self._find_free(pairs, paths, near.walls, discs, ranges_in)
             nearest_in = np.minimum(ranges_in, min(reach_in, max_range_in))[pairs.receiver] + self.recess_in + SMALL_IN
-            double = short_double_paths(pairs, may_meet, near.mirrors, nearest_in, losses)
-            self._find_free(pairs, Paths.joined(double), near.walls, discs, ranges_in)
+            double = yield from collected(short_double_paths(pairs, may_meet, near.mirrors, nearest_in, losses))
+            yield from self._find_free(pairs, double, near.walls, discs, ranges_in)
         found: list[float] = ranges_in.tolist()
         return found
 
     def _find_free(
         self, pairs: Pairs, paths: Paths, walls: FloatArray, discs: Sequence[FloatArray], ranges_in: FloatArray
-    ) -> None:
+    ) -> Steps[None]:
         """Replace the range of each ping by that of the shortest path that is audible and free, if it is shorter."""
         if not len(paths.pair):
             return
@@ -761,6 +783,7 @@ class Polaroid(SonarErrors):
             number = np.arange(len(order)) - np.searchsorted(ping[order], ping[order])
             tested, order = order[number < PATHS_PER_TEST], order[number >= PATHS_PER_TEST]
             for group in _by_discs(ping[tested], discs):
+                yield
                 rows = tested[group]
                 free = rows[is_free(paths.take(rows), walls, discs[ping[rows[0]]])]
                 np.minimum.at(ranges_in, ping[free], range_in[free])

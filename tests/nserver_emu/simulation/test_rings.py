@@ -130,9 +130,11 @@ def test_a_client_reads_a_small_ring() -> None:
         assert state.sonars_in[0] == round(57.0 - 23.0 / 2.54)
 
 
-@pytest.mark.parametrize("text", ["", "[[model", "model = 3", '[[model]]\nname = "n150"\n', '[[model]]\nlike = "n200"\n'])
+@pytest.mark.parametrize(
+    "text", ["", "[[model", "model = 3", '[[model]]\nname = "n150"\n', '[[model]]\nlike = "n200"\n']
+)
 def test_an_unknown_robot_of_a_model_file_is_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / "mine.toml"
     path.write_text(text, encoding="utf-8")
-    with pytest.raises((WorldFileError, AddressError), match="mine.toml|no robot model 'mine'"):
+    with pytest.raises((WorldFileError, AddressError), match=r"mine\.toml|no robot model 'mine'"):
         connect(f"sim:thesis_room?robot=mine&model_file={path}")
