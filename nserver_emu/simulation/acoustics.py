@@ -45,6 +45,7 @@ from nserver_emu.simulation.settings import SONAR_NUMBERS, setting
 from nserver_emu.simulation.surfaces import Surfaces, WallSurface
 from worlds.geometry import NO_DISCS, BoolArray, FloatArray, nearest_points
 from worlds.raycast import cast_discs, cast_rays, near_walls
+from worlds.rings import MAX_SONARS
 from worlds.robots import SONARS, Body
 
 ComplexArray = npt.NDArray[np.complex128]
@@ -64,9 +65,6 @@ STRAIGHT_RAD: Final = 1e-3
 SCATTERERS: Final = 33
 """Scattering points of a robot, evenly over its visible part: at most 0.8 degrees apart, a third of an inch of range at
 60 in, where a hundredth of the range is noise."""
-
-NO_ECHO_IN: Final = 255
-"""The reading without an echo, or with one from farther away."""
 
 NOISE_SIGMAS: Final = 6.0
 """Standard deviations of noise that are allowed for where distant walls are left out: one draw in 1e9 goes beyond."""
@@ -686,23 +684,26 @@ class SonarErrors:
     dead
         Sonars that read 0.
     offsets_in
-        Constant error of each of the 16 sonars, reading less range.
+        Constant error of each sonar, reading less range; 0 of sonars beyond the list.
     turned_rad
         Angle of the ring against the turret.
     """
 
     range_std_relative: float = relative_std(0.0)
     range_std_floor_in: float = _std_floor(0.0)
-    dead: tuple[int, ...] = setting((), 0, 15, SONAR_NUMBERS, "sonars that always read 0")
+    dead: tuple[int, ...] = setting((), 0, MAX_SONARS - 1, SONAR_NUMBERS, "sonars that always read 0")
     offsets_in: tuple[float, ...] = setting(
-        (0.0,) * SONARS, -24, 24, "in", "constant error of each of the 16 sonars: reading less range"
+        (0.0,) * SONARS, -24, 24, "in", "constant error of each sonar: reading less range", max_length=MAX_SONARS
     )
     turned_rad: float = setting(0.0, -45, 45, "deg", "angle of the ring against the turret")
 
-    @property
-    def max_range_in(self) -> float:
-        """Range beyond which no reading but "no echo" comes, except for one draw of noise in a billion."""
-        farthest_in = NO_ECHO_IN + max(map(abs, self.offsets_in)) + NOISE_SIGMAS * self.range_std_floor_in
+    def offset_in(self, sonar: int) -> float:
+        """Return the constant error of a sonar."""
+        return self.offsets_in[sonar] if sonar < len(self.offsets_in) else 0.0
+
+    def reach_in(self, max_range_in: float) -> float:
+        """Return the range beyond which a ring of this maximum range has no echo, but for one draw in a billion."""
+        farthest_in = max_range_in + max(map(abs, self.offsets_in)) + NOISE_SIGMAS * self.range_std_floor_in
         return farthest_in / max(1.0 - NOISE_SIGMAS * self.range_std_relative, MIN_FACTOR)
 
     def std_in(self, range_in: float) -> float:

@@ -342,8 +342,8 @@ def _read_fields(row: Any, table: str, file: str) -> dict[str, Any]:
     return found
 
 
-def apply_calibration(model: RobotModel, setup: RobotSetup) -> RobotSetup:
-    """Return the setup with the calibration of a model in place of the setup's systematic errors.
+def apply_model(model: RobotModel, setup: RobotSetup) -> RobotSetup:
+    """Return the setup with the calibration of a model in place of the setup's systematic errors, and with its cone.
 
     Slip and the turret's gears remain those of the setup. A calibration gives distance, turn and drift; in terms of the
     axes of a drive, b its track:
@@ -353,7 +353,9 @@ def apply_calibration(model: RobotModel, setup: RobotSetup) -> RobotSetup:
 
                         drift_1 = drift / 2 + (turn - distance) / b     drift_2 = drift / 2 - (turn - distance) / b
     """
-    calibration = model.calibration
+    half_cone_rad, calibration = model.body.ring.half_cone_rad, model.calibration
+    if half_cone_rad is not None and isinstance(setup.sonar, Polaroid):
+        setup = replace(setup, sonar=replace(setup.sonar, cone_rad=2.0 * half_cone_rad))
     if calibration is None:
         return setup
     sonar = replace(setup.sonar, offsets_in=calibration.offsets_in, turned_rad=calibration.turned_rad)
@@ -379,11 +381,11 @@ PARTS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType({
 def part_choices(part: str, model: RobotModel, initial: RobotSetup) -> dict[str, RobotSetup]:
     """Return the choices for a part by name: the predefined setups that differ in it, and the initial one.
 
-    All have the calibration of the model.
+    All have the calibration and the cone of the model.
     """
     # Setups that equal an earlier one in this part are not separate choices.
     choices: dict[str, RobotSetup] = {}
-    for setup in (*(apply_calibration(model, named) for named in SETUPS.values()), initial):
+    for setup in (*(apply_model(model, named) for named in SETUPS.values()), initial):
         if all(_fields(part, setup) != _fields(part, other) for other in choices.values()):
             choices[setup.name if setup.name not in choices else f"{setup.name} as begun"] = setup
     return choices

@@ -13,6 +13,7 @@ from nserver_emu.server.inprocess import OPTIONS, InProcess, open_address
 from nserver_emu.simulation import sonar
 from nserver_emu.simulation.segments import PS_PER_S
 from tests.nserver_emu.server.wire_client import WireClient
+from worlds.robots import BODIES
 
 
 def connected(address: str) -> tuple[WireClient, InProcess]:
@@ -162,7 +163,9 @@ def test_models_and_models_of_a_file_for_each(tmp_path: Path) -> None:
 
 
 def test_the_ring_starts_in_the_order_that_clients_count_on() -> None:
-    assert (sonar.DEFAULT_ORDER, sonar.DEFAULT_RATE) == (types.DEFAULT_SONAR_ORDER, types.DEFAULT_SONAR_RATE)
+    for body in BODIES.values():
+        assert body.ring.firing == tuple((number,) for number in types.DEFAULT_SONAR_ORDER)
+        assert body.ring.interval_s == types.DEFAULT_SONAR_RATE * types.SONAR_RATE_STEP_S
     assert pytest.approx(types.SONAR_RATE_STEP_S) == sonar.TICK_PS / PS_PER_S
 
 

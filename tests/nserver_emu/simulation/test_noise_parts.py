@@ -15,7 +15,7 @@ from nserver_emu.simulation.noise import (
     SETUPS,
     WORN,
     RobotSetup,
-    apply_calibration,
+    apply_model,
     part_choices,
     part_name,
     with_part,
@@ -133,10 +133,10 @@ def test_calibrations_stay_when_parts_are_switched() -> None:
     calibration = Calibration(distance_scale=1.02, turn_scale=0.97, offsets_in=offsets_in)
     twin = replace(N150, calibration=calibration)
     # Each choice of noise has the offsets of this robot.
-    choices = part_choices("sensors", twin, apply_calibration(twin, IDEAL))
+    choices = part_choices("sensors", twin, apply_model(twin, IDEAL))
     assert {setup.sonar.offsets_in for setup in choices.values()} == {calibration.offsets_in}
     odometries = [
-        setup.odometry.scales[:2] for setup in part_choices("motion", twin, apply_calibration(twin, IDEAL)).values()
+        setup.odometry.scales[:2] for setup in part_choices("motion", twin, apply_model(twin, IDEAL)).values()
     ]
     assert set(odometries) == {(1.02, 0.97)}
-    assert part_name("sensors", apply_calibration(twin, NOISY), twin, apply_calibration(twin, IDEAL)) == "noisy"
+    assert part_name("sensors", apply_model(twin, NOISY), twin, apply_model(twin, IDEAL)) == "noisy"
