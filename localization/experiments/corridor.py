@@ -1,8 +1,8 @@
 """`python -m localization.experiments corridor`: the filter on a real corridor, with odometry made of its poses.
 
 The data (docs/real-data.md) has the readings of eight sonars and poses, no odometry. Odometry is the poses with the
-random walk of the motion noise, and with systematic errors on request; the map is two walls fitted to the echoes. So the
-readings are real, and odometry and reference are as good as the poses.
+random walk of the motion noise, and with systematic errors; the map is two walls fitted to the echoes. So the readings
+are real, and odometry and reference are as good as the poses.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from localization.live.run import Run
 from nclient.errors import LogFileError
 from worlds.robots import N150, Body, read_model_file
 
-MODEL: Final = """# The robot of the corridor: eight sonars, steps of 10 mm, 5110 mm means no echo; each fires every 0.4 s.
+MODEL: Final = """# The robot of the corridor: eight sonars, steps of 10 mm, 5110 mm: no echo; each fires every 0.4 s.
 [[model]]
 name = "corridor8"
 like = "n150"

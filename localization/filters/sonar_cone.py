@@ -85,6 +85,8 @@ class ConeSonar(RangeNoise):
         Loss at the second wall of a square corner; at any other vertex.
     outlier_probability
         Fraction of readings that no reflector of the map explains: spread evenly over all ranges.
+    surface_std_in, surface_length_in
+        Standard deviation and correlation length of the surface of walls (surface.py); 0: walls are where the map says.
     """
 
     rounding_var_in2: float = 1.0 / 12.0
@@ -98,11 +100,25 @@ class ConeSonar(RangeNoise):
     bounce_loss_db: float = 3.0
     edge_loss_db: float = 15.0
     outlier_probability: float = 0.1
+    surface_std_in: float = 0.0
+    surface_length_in: float = 24.0
 
     @property
     def outlier_density(self) -> float:
         """Probability density of an outlier, per inch."""
         return 1.0 / (self.highest_in - self.lowest_in)
+
+
+BUILDING_SONAR: Final = ConeSonar(
+    range_std_relative=0.003,
+    cone_rad=radians(50.0),
+    cone_loss_db=24.0,
+    outlier_probability=0.67,
+    surface_std_in=1.75,
+    surface_length_in=24.0,
+)
+"""A real ring in a real building, fitted to a corridor (docs/real-data.md): cones with a soft edge, walls with surfaces,
+two of three echoes from things that are not on the map."""
 
 
 class SonarMount(NamedTuple):
@@ -307,6 +323,15 @@ class ConeModel:
         numbers, mount = np.array([one.reflector for one in candidates]), SonarMount(angle_rad, self.ring_radius_in)
         expect = partial(ranges_to, mount=mount, around=self._around, numbers=numbers)
         return hypotheses(x, candidates, self)._replace(range_function=expect)
+
+
+    def toward(self, x: float, y: float, reflector: int) -> tuple[float, float, float]:
+        """Return range and unit vector (two numbers) from a sonar's face to a reflector: walls first, then vertices."""
+        if reflector < len(self.faces):
+            corner_x, corner_y, normal_x, normal_y, _ = self.faces[reflector]
+            return to_wall(x, y, corner_x, corner_y, normal_x, normal_y)[:3]
+        vertex_x, vertex_y, _ = self.vertices[reflector - len(self.faces)]
+        return to_vertex(x, y, vertex_x, vertex_y)
 
 
 # Many poses, in arrays.

@@ -1,22 +1,22 @@
 """Walls of real buildings: errors of a map that stay the same over some distance along a wall.
 
 A door stands back over its whole width, and a pillar stands out. A filter that takes successive echoes of a wall for
-independent then becomes sure of a wrong position. Here the surface of a wall is at a level that stays for an exponentially
-distributed length and is then drawn anew: two echoes of one wall, d inches of driving apart, are on the same level with
-probability exp(-d / length), which is also the correlation of their errors. An echo has two hypotheses for a wall,
+independent then becomes sure of a wrong position. Here the surface of a wall is at a level that stays for an
+exponentially distributed length and is then drawn anew: two echoes of one wall, d inches of driving apart, are on the
+same level with probability exp(-d / length), the correlation of their errors. An echo has two hypotheses for a wall:
 
     same level    z = h(x) + (z' - h(x'))        R = r + r'         probability exp(-d / length)
     new level     z = h(x)                       R = r + std^2      the rest
 
-with z' the last echo of that wall, x' the pose then, by odometry from the pose x now, and r, r' the variances of the two
-readings. The first is the measurement difference by which correlated noise is made white; its derivative is H - H' dx'/dx.
-`update.pda_update` weighs both. A robot that stands learns nothing from more echoes: H = H' dx'/dx.
+with z' the last echo of that wall, x' the pose then, by odometry from the pose x now, and r, r' the variances of the
+two readings. The first is the measurement difference by which correlated noise is made white; its derivative is
+H - H' dx'/dx. `update.pda_update` weighs both. A robot that stands learns nothing from more echoes: H = H' dx'/dx.
 
 References
 ----------
-Bryson and Henrikson, Estimation using sampled data containing sequentially correlated noise (1968): measurement
-differencing. Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation (2001), sections 8.2.3
-(autocorrelated measurement noise) and 11.6 (jumps as hypotheses).
+Bryson, Henrikson, Estimation using sampled data containing sequentially correlated noise (1968): measurement
+differencing. Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation (2001), chapter 8
+(autocorrelated measurement noise) and chapter 11 (jumps as hypotheses).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from math import exp, hypot
 from typing import Final, NamedTuple
 
 from localization.filters.belief import HEADING, unit_vector, wrap_angle
-from localization.filters.sonar_cone import ConeModel, ConeSonar, detectable, range_jacobian, to_vertex, to_wall
+from localization.filters.sonar_cone import ConeModel, ConeSonar, detectable, range_jacobian
 from localization.filters.sonar_ray import range_variance
 from localization.filters.update import (
     NONE,
@@ -44,7 +44,7 @@ MAX_NIS: Final = 16.0
 
 
 class LastEcho(NamedTuple):
-    """The last echo of a reflector: the pose by odometry, the direction of the sonar from the heading, and the reading."""
+    """The last echo of a reflector: pose by odometry, direction of the sonar from the heading, and reading."""
 
     x_in: float
     y_in: float

@@ -23,7 +23,7 @@ from typing import Final, NamedTuple
 
 from localization.filters.base import EncoderRow, Filter, NewEcho, RingFilter, Searching, process_each
 from localization.filters.odometry import relative_step
-from localization.filters.sonar_cone import ConeSonar
+from localization.filters.sonar_cone import BUILDING_SONAR, ConeSonar
 from localization.filters.update import REFUSALS
 from localization.live.localizer import Echo, Estimate
 from localization.live.run import Pose, Run, RunMoment
@@ -198,9 +198,12 @@ def _encoders(row: LogRow) -> EncoderRow:
 
 
 def sonar_of_ring(ring: Ring) -> ConeSonar:
-    """Return the cone model of a real ring: its limits, its cone and the step of its readings."""
-    model = ConeSonar(
-        rounding_var_in2=ring.resolution_in**2 / 12.0, lowest_in=ring.min_range_in, highest_in=ring.max_range_in
+    """Return the cone model of a real ring in a building: its limits, its cone and the step of its readings."""
+    model = replace(
+        BUILDING_SONAR,
+        rounding_var_in2=ring.resolution_in**2 / 12.0,
+        lowest_in=ring.min_range_in,
+        highest_in=ring.max_range_in,
     )
     return model if ring.half_cone_rad is None else replace(model, cone_rad=2.0 * ring.half_cone_rad)
 
