@@ -125,7 +125,8 @@ class MapEstimate:
         sensors = sensors_at(self.state.poses, self.state.parameters, self.problem.trajectory, echoes)
         ranges, _, feet = _wall_geometry(sensors, self.state.walls[wall : wall + 1], self.problem.rays)
         fits = np.abs(sensors.range_in - ranges[:, 0]) < ROBUST_LIMIT * self.problem.trajectory.std_in[echoes]
-        return feet[fits, 0]
+        good: Floats = feet[fits, 0]
+        return good
 
     def measure_extents(self) -> None:
         """Set the extents to the feet of the echoes; the outermost foot at either end may be a mistake."""
@@ -180,9 +181,9 @@ def crossings(starts: Floats, ends: Floats, segments: Floats) -> Mask:
         )
         return cross
 
-    apart: Mask = side(begin, end, one) * side(begin, end, other) < 0.0
-    between: Mask = side(one, other, begin) * side(one, other, end) < 0.0
-    return apart & between
+    apart = side(begin, end, one) * side(begin, end, other) < 0.0
+    between = side(one, other, begin) * side(one, other, end) < 0.0
+    return np.asarray(apart & between, dtype=np.bool_)
 
 
 def is_blocked(starts: Floats, ends: Floats, segments: Floats) -> Mask:
@@ -190,8 +191,7 @@ def is_blocked(starts: Floats, ends: Floats, segments: Floats) -> Mask:
     span = ends - starts
     length = np.maximum(np.hypot(span[:, 0], span[:, 1]), 1e-9)
     before = starts + span * (np.maximum(length - BLOCKED_IN, 0.0) / length)[:, None]
-    blocked: Mask = crossings(starts, before, segments).any(axis=1)
-    return blocked
+    return np.asarray(crossings(starts, before, segments).any(axis=1), dtype=np.bool_)
 
 
 def _wall_geometry(sensors: Sensors, walls: Floats, rays: bool) -> tuple[Floats, Floats, Floats]:
@@ -305,6 +305,8 @@ def align_heading(estimate: MapEstimate, first_node: int, noise: OdometryNoise) 
 def _turned(poses: Floats, node: int, angle_rad: float) -> Floats:
     """Return the trajectory with all poses from a node on rotated about it."""
     turned = poses.copy()
-    turned[node:, :2] = poses[node, :2] + rotate(poses[node:, :2] - poses[node, :2], np.full(len(poses) - node, angle_rad))
+    turned[node:, :2] = poses[node, :2] + rotate(
+        poses[node:, :2] - poses[node, :2], np.full(len(poses) - node, angle_rad)
+    )
     turned[node:, HEADING] += angle_rad
     return turned

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -190,7 +190,7 @@ def model_angles(name: str) -> Sequence[float]:
     return angles
 
 
-def _frames(recording: Recording, connection: str) -> Iterator[tuple[str, dict[str, object]]]:
+def _frames(recording: Recording, connection: str) -> Iterator[tuple[str, dict[str, Any]]]:
     """Yield the decoded frames of one connection, each with its direction."""
     for entry in recording.entries:
         if entry.connection == connection and entry.kind in (IN, OUT):

@@ -27,7 +27,6 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from localization.filters.belief import HEADING, POSE, Floats, wrap_angle
 from localization.filters.sonar_cone import range_jacobian, to_vertex, to_wall
@@ -40,8 +39,9 @@ NO_FEATURE: Final = -1
 WALL, POINT = 2, 2
 COMMON_OFFSET: Final = 3
 """Index of the range offset of all sonars among the parameters; own offsets follow."""
-PARAMETER_STDS: Final = (0.03, 0.03, 0.002, 1.0)
-"""Prior standard deviations: wheels 3 % off, 2 mrad an inch, all sonars 1 in."""
+PARAMETER_STDS: Final = (0.03, 0.03, 0.002, 0.3)
+"""Prior standard deviations: wheels 3 % off, 2 mrad an inch, all sonars 0.3 in: walls on all sides grow
+and shrink with the offset of all sonars, which corners alone tell apart."""
 OWN_OFFSET_STD_IN: Final = 0.7
 ROBUST_LIMIT: Final = 2.5
 """c, in standard deviations: beyond it the influence of a residual decreases."""
@@ -50,7 +50,8 @@ BEARING_STD_RAD: Final = 0.2
 TIE_STD_IN: Final = 0.1
 _FRAME_INFORMATION: Final = 1e8
 """Weight of the first pose: fixed."""
-_MIN_COSINE: Final = 0.2
+MIN_GAIN: Final = 0.05
+"""A step that lowers the cost by less changes no decision: a likelihood ratio of 1.03."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -363,8 +364,12 @@ class MapProblem:
         np.add.at(N.border, (at[:, :, None], at[:, None, :]), border_t @ by_border)
         np.add.at(N.border_gradient, at, -(border_t @ residuals[..., None])[..., 0])
 
-    def optimize(self, state: MapState, assignment: Assignment, iterations: int = 4) -> MapState:
+    def optimize(
+        self, state: MapState, assignment: Assignment, iterations: int = 4, min_gain: float = MIN_GAIN
+    ) -> MapState:
         """Return the state after at most so many steps of Levenberg-Marquardt with reweighting.
+
+        A step that lowers the cost by less than `min_gain` is the last.
 
         References
         ----------
@@ -383,7 +388,7 @@ class MapProblem:
             else:
                 return state
             gain, state, cost, damping = cost - new_cost, found, new_cost, 0.1 * damping if damping > 1e-6 else 0.0
-            if gain < 1e-4 * (1.0 + cost) and gain < 0.05:
+            if gain < min_gain:
                 break
         return normalized(state)
 
@@ -393,6 +398,3 @@ def normalized(state: MapState) -> MapState:
     poses, walls = state.poses.copy(), state.walls.copy()
     poses[:, HEADING], walls[:, 0] = wrap_angle(poses[:, HEADING]), wrap_angle(walls[:, 0])
     return replace(state, poses=poses, walls=walls)
-
-
-IndexPairs = npt.NDArray[np.intp]

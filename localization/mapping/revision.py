@@ -1,7 +1,9 @@
 """Revision of a map: features that are not worth their unknowns are removed, two that are one are merged.
 
     prune    a feature without which the echoes cost less than PENALTY more is removed
-    merge    two nearly equal walls, or a point on a wall, become one where the total cost falls
+    merge    two nearly equal walls become one where the total cost falls
+    swallow  a short wall becomes a point where the total cost falls
+    absorb   a point on a wall becomes part of it where the total cost falls
     tie      points near a wall's line are corners or ends of it
 
 Each change is tried, optimized and reverted unless the total cost falls: a choice between models by penalized
@@ -23,7 +25,6 @@ import numpy as np
 
 from localization.filters.belief import Floats, wrap_angle
 from localization.mapping.association import PENALTY, MapEstimate, assign, segments_of
-from localization.mapping.problem import NO_FEATURE
 from worlds.geometry import nearest_points_of_pairs
 
 MERGE_RAD: Final = radians(12.0)
@@ -31,6 +32,8 @@ MERGE_IN: Final = 8.0
 """Walls that differ by less may be the same wall."""
 MERGE_GAP_IN: Final = 40.0
 """Of walls on one line, the widest gap between them: more than a door."""
+SWALLOW_IN: Final = 24.0
+"""Walls seen over a shorter length may be a corner."""
 TIE_IN: Final = 1.0
 TIE_BEYOND_IN: Final = 6.0
 """A point within TIE_IN of a wall's line, and not farther beyond its end, lies on the wall."""
@@ -77,6 +80,70 @@ def merge(estimate: MapEstimate) -> int:
     return merged
 
 
+def swallow(estimate: MapEstimate) -> int:
+    """Replace short walls by points where the total cost falls, and return their number.
+
+    A line past a corner picks those of the corner's echoes whose noise suits it.
+    """
+    swallowed = 0
+    for wall in reversed(range(len(estimate.state.walls))):
+        low, high = estimate.extents[wall]
+        if high - low > SWALLOW_IN:
+            continue
+        trial = estimate.copy()
+        segment = segments_of(trial.state.walls, trial.extents)[wall]
+        trial.remove(wall)
+        trial.associate()
+        without = trial.copy()
+        # With a point in its place, and without.
+        trial.add_point(segment.reshape(2, 2).mean(axis=0))
+        for candidate in (trial, without):
+            candidate.associate()
+            candidate.optimize(3)
+            candidate.associate()
+            candidate.optimize(3)
+        best = min((estimate, trial, without), key=lambda candidate: candidate.cost)
+        if best is not estimate:
+            _replace(estimate, best)
+            swallowed += 1
+    return swallowed
+
+
+def absorb_points(estimate: MapEstimate) -> int:
+    """Remove points on a wall's line that the wall explains as well, if it is seen as far; return their number."""
+    absorbed = 0
+    for number in reversed(range(len(estimate.state.points))):
+        state = estimate.state
+        walls, point = len(state.walls), state.points[number]
+        c, s = np.cos(state.walls[:, 0]), np.sin(state.walls[:, 0])
+        across = np.abs(point[0] * c + point[1] * s - state.walls[:, 1])
+        along = point[1] * c - point[0] * s
+        for wall in np.flatnonzero(across < TIE_IN + 2.0):
+            low, high = estimate.extents[wall]
+            if not low - MERGE_GAP_IN < along[wall] < high + MERGE_GAP_IN:
+                continue
+            # Its echoes are the wall's, which then reaches as far as the point.
+            trial = estimate.copy()
+            feature = np.where(trial.assignment.feature == walls + number, wall, trial.assignment.feature)
+            extents = trial.extents.copy()
+            extents[wall] = min(low, along[wall]), max(high, along[wall])
+            trial.assignment, trial.extents = replace(trial.assignment, feature=feature), extents
+            trial.remove(walls + number)
+            trial.optimize(3)
+            trial.associate()
+            trial.optimize(3)
+            if trial.cost < estimate.cost:
+                _replace(estimate, trial)
+                absorbed += 1
+                break
+    return absorbed
+
+
+def _replace(estimate: MapEstimate, by: MapEstimate) -> None:
+    """Take over another estimate."""
+    estimate.state, estimate.assignment, estimate.extents = by.state, by.assignment, by.extents
+
+
 def _merge_pairs(estimate: MapEstimate) -> list[tuple[int, int]]:
     """Return pairs of walls, and of a wall and a point on it, that may be one feature: (remaining, removed)."""
     state, count = estimate.state, len(estimate.state.walls)
@@ -121,7 +188,7 @@ def _try_merge(estimate: MapEstimate, remaining: int, removed: int) -> bool:
     trial.optimize(3)
     if trial.cost >= estimate.cost:
         return False
-    estimate.state, estimate.assignment, estimate.extents = trial.state, trial.assignment, trial.extents
+    _replace(estimate, trial)
     return True
 
 
@@ -135,11 +202,4 @@ def tie_points(estimate: MapEstimate) -> None:
             low, high = estimate.extents[wall]
             if across < TIE_IN and low - TIE_BEYOND_IN - across < along < high + 48.0:
                 ties.append((number, wall))
-    estimate.assignment = replace(
-        estimate.assignment, ties=np.array(ties, dtype=np.intp).reshape(-1, 2)
-    )
-
-
-def unexplained(estimate: MapEstimate) -> int:
-    """Return the number of echoes that nothing explains."""
-    return int((estimate.assignment.feature[estimate.echoes()] == NO_FEATURE).sum())
+    estimate.assignment = replace(estimate.assignment, ties=np.array(ties, dtype=np.intp).reshape(-1, 2))

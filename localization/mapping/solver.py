@@ -56,13 +56,13 @@ class NormalEquations:
             Fraction by which the diagonal is increased: Levenberg-Marquardt; 0 is Gauss-Newton.
         """
         poses, reduced, right = self._eliminate(damping)
-        border = np.linalg.solve(reduced, right)
+        border: Floats = np.asarray(np.linalg.solve(reduced, right), dtype=np.float64)
         return poses[..., -1] - poses[..., :-1] @ border, border
 
     def border_covariance(self) -> Floats:
         """Return S^-1 (m, m), the covariance of walls, points and parameters with all poses marginalized."""
-        covariance: Floats = np.linalg.inv(self._eliminate(0.0)[1])
-        return 0.5 * (covariance + covariance.T)
+        covariance = np.linalg.inv(self._eliminate(0.0)[1])
+        return np.asarray(0.5 * (covariance + covariance.T), dtype=np.float64)
 
     def _eliminate(self, damping: float) -> tuple[Floats, Floats, Floats]:
         """Return T^-1 [C g], S and the right-hand side of the border."""
@@ -73,8 +73,8 @@ class NormalEquations:
             border = border + damping * np.diag(np.diag(border) + 1.0)
         columns = np.concatenate((self.coupling, self.pose_gradient[..., None]), axis=-1)
         poses = solve_block_tridiagonal(diagonal, self.upper, columns)
-        size = self.coupling.shape[-1]
-        reduced = self.coupling.reshape(-1, size).T @ poses.reshape(-1, size + 1)
+        # No BLAS: its threads cost more than they save here, and their number would change the rounding.
+        reduced = np.einsum("npi,npj->ij", self.coupling, poses)
         return poses, border - reduced[:, :-1], self.border_gradient - reduced[:, -1]
 
 
@@ -96,7 +96,7 @@ def solve_block_tridiagonal(diagonal: Floats, upper: Floats, right: Floats) -> F
     """
     count = len(diagonal)
     if count == 1:
-        return np.linalg.solve(diagonal, right)
+        return np.asarray(np.linalg.solve(diagonal, right), dtype=np.float64)
     # 1. The odd unknowns by their neighbours: x_o = inverse (right_o - upper_(o-1)' x_(o-1) - upper_o x_(o+1)).
     odds = count // 2
     inverse = np.linalg.inv(diagonal[1::2])
