@@ -635,11 +635,11 @@ class ServerState:
         sonar = self.simulation.robots[robot_id].sonar
         if sonar.compute_some():
             return True
+        # The reply itself follows in the next turn.
         end_s = time.thread_time() + PREPARING_S
-        while not sonar.compute_some():
-            if time.thread_time() >= end_s:
-                return False
-        return True
+        while not sonar.compute_some() and time.thread_time() < end_s:
+            pass
+        return False
 
     def feed_watchdog(self, context: ConnectionContext) -> None:
         """Restart the command timeout (conf_tm) of a connection's robot, unless only other connections move it."""
