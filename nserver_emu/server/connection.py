@@ -348,10 +348,14 @@ class ConnectionHandler(ABC):
             now_ps = server.emulator.simulation.time_ps
             self._preparing += now_ps != self._prepared_ps
             self._prepared_ps = now_ps
-            if self._preparing <= MAX_PREPARING_STEPS and not server.emulator.prepare_reply(self.session.context):
+            if self._preparing <= MAX_PREPARING_STEPS and not self._prepare():
                 return False
         self._preparing, self._prepared_ps = 0, -1
         return True
+
+    def _prepare(self) -> bool:
+        session = self.session
+        return self._server.emulator.prepare_reply(session.context, session.call_to_prepare())
 
     def _run_session(self, by_time: bool = False) -> None:
         """Answer requests, or a deferred one `by_time`; an exception closes this connection only."""
