@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 import pytest
 
 from nclient.protocol.commands import Call
+from nclient.protocol.types import DEFAULT_SONAR_ORDER as DEFAULT_ORDER
 from nserver_emu.server.connection import MAX_PREPARING_STEPS, TURN_BUDGET_S, FairScheduler
 from nserver_emu.server.context import ServerState
 from nserver_emu.server.handlers.table import Emulator
@@ -18,7 +19,7 @@ from nserver_emu.server.session import ConnectionContext
 from nserver_emu.simulation.acoustics import Steps
 from nserver_emu.simulation.noise import MEASURED
 from nserver_emu.simulation.simulation import Simulation
-from nserver_emu.simulation.sonar import DEFAULT_ORDER, MAX_PAIRS_AT_ONCE, Firing, SonarRing
+from nserver_emu.simulation.sonar import MAX_PAIRS_AT_ONCE, Firing, SonarRing
 from tests.nserver_emu.server.running_server import running_server
 from worlds.io import load_world
 

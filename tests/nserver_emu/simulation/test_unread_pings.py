@@ -7,13 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
+from nclient.protocol.types import DEFAULT_SONAR_ORDER as DEFAULT_ORDER
 from nserver_emu.simulation import acoustics, infrared
 from nserver_emu.simulation.acoustics import Ping, ReflectorMap, Steps, completed
 from nserver_emu.simulation.infrared import InfraredRing
 from nserver_emu.simulation.models import N200
 from nserver_emu.simulation.noise import IDEAL, MEASURED
 from nserver_emu.simulation.simulation import Simulation
-from nserver_emu.simulation.sonar import DEFAULT_ORDER, MAX_PAIRS_AT_ONCE, Firing, SonarNoise, SonarRing
+from nserver_emu.simulation.sonar import MAX_PAIRS_AT_ONCE, Firing, SonarNoise, SonarRing
 from worlds import raycast
 from worlds.geometry import NO_DISCS
 from worlds.io import load_world
