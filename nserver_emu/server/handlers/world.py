@@ -23,12 +23,14 @@ from nclient.protocol.types import heading_tenths, rad_from_tenths, tenths
 from nserver_emu.server.context import STATE_SENSORS, ServerState, add_laser, state_slots
 from nserver_emu.server.deferred import ClickedPose
 from nserver_emu.server.session import BAD_VALUES, REFUSED, ConnectionContext, DeferredReply, done, error_reply
+from nserver_emu.simulation.laser import MAX_RANGE_IN as LASER_RANGE_IN
 from nserver_emu.simulation.multi_robot import discs_of
 from nserver_emu.simulation.noise import IDEAL, Purpose, RngFactory
 from nserver_emu.simulation.robot import SimulatedRobot
 from nserver_emu.simulation.visibility import RobotPositions
 from worlds.geometry import FloatArray, area, crossing, inside, lengths, nearest_points
 from worlds.raycast import cast_rays, near_walls
+from worlds.robots import Body
 from worlds.world import Polygon, StartPose, World
 
 # A path that misses a wall by at most this meets it: coordinates up to 1e5 in have rounding errors of 1e-11.
@@ -279,13 +281,21 @@ def _predict(server: ServerState, context: ConnectionContext, args: tuple[int, .
         and before.robot.model is robot.model and np.array_equal(before.others, others)
     ):  # fmt: skip
         return before
-    # Of the walls those that any sensor reaches: the sonars reach farthest.
-    start, reach_in = _start(args), IDEAL.sonar.max_range_in + robot.model.body.radius_in
+    start = _start(args)
+    near = near_walls(start.x_in, start.y_in, _sensor_reach_in(robot.model.body), walls)
     there = SimulatedRobot(
-        _NoDraws(*robot.rng_factory), start, near_walls(start.x_in, start.y_in, reach_in, walls), robot.model, IDEAL,
+        _NoDraws(*robot.rng_factory), start, near, robot.model, IDEAL,
         positions=RobotPositions(np.vstack((others, (0.0, 0.0, 0.0)))), self_index=len(others),
     )
     return Prediction(args, walls, others, there, _sensor_steps(there))
+
+
+def _sensor_reach_in(body: Body) -> float:
+    """Return the distance from a robot's axis beyond which no wall changes the reading of a sensor without noise."""
+    ring = body.ring
+    farthest_mount_in = max(hypot(*ring.mount_in(sonar)) for sonar in range(ring.count))
+    sonars_in = ring.radius_in + farthest_mount_in + IDEAL.sonar.reach_in(ring.max_range_in)
+    return max(sonars_in, body.radius_in + LASER_RANGE_IN, body.radius_in + IDEAL.infrared.reach_in)
 
 
 def _sensor_steps(robot: SimulatedRobot) -> Iterator[None]:
