@@ -27,17 +27,7 @@ from localization.calibration.procedure import (
 )
 from localization.calibration.procedure import run as run_calibration
 from localization.calibration.result import calibration_in, missing, noise_in, table
-from localization.cli.options import (
-    add_map_option,
-    add_robot_model_options,
-    check_writable,
-    open_robot,
-    parse_numbers,
-    parse_pose,
-    parse_pose_std,
-    parse_positive,
-    resolve_world,
-)
+from localization.cli import arguments
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import independent
 from localization.filters.calibration import CalibratingFilter
@@ -47,8 +37,9 @@ from localization.live.assumptions import resolve_robot_model, resolve_sonar_mod
 from localization.live.localizer import Consistency
 from localization.navigation.recovery import StallDetector
 from nclient import Robot
+from nclient.common.arguments import add_address, add_value
 from nclient.common.exit_codes import ExitCode
-from nclient.common.files import describe_write_error
+from nclient.common.files import write_errors_as
 from nclient.errors import OutputFileError
 from worlds.robots import BODIES, Calibration, calibration_as_json, format_calibration
 from worlds.world import World
@@ -70,67 +61,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "turning in place at its corners, while a filter estimates them from the walls; then write a model file."
     )
     parser.epilog = "example: nomad calibrate nserver://localhost:7019/1 --map thesis_room --out mine.toml"
-    parser.add_argument(
-        "address", nargs="?", metavar="ADDRESS", help="address of the robot (default: NOMAD_ROBOT, or a local nserver)"
-    )
-    add_map_option(parser)
-    parser.add_argument(
-        "--out",
-        type=Path,
-        metavar="FILE",
-        help="write a model file (model_file= of nserver and sim:, --calibration of nomad localize)",
-    )
-    parser.add_argument(
-        "--start",
-        type=parse_pose,
-        metavar="X,Y,HEADING",
-        help="initial pose, inches and degrees (default: that of the encoders)",
-    )
-    parser.add_argument(
-        "--start-std",
-        type=parse_pose_std,
-        default=START_STD,
-        metavar="X,Y,HEADING",
-        help="standard deviation of the initial pose, inches and degrees (default: 0.5,0.5,1.15)",
-    )
-    add_robot_model_options(parser)
-    parser.add_argument(
-        "--square",
-        type=_square,
-        metavar="X,Y,SIDE",
-        help="drive this square: lower left corner and side in inches (default: the largest that fits)",
-    )
-    parser.add_argument(
-        "--laps",
-        type=partial(_count, minimum=1),
-        metavar="N",
-        help="laps in each direction (default: until every number is known to a thirtieth of itself or of its "
-        f"typical value, at most {MAX_LAPS})",
-    )
-    parser.add_argument(
-        "--spins",
-        type=_count,
-        default=1,
-        metavar="N",
-        help="full turns in place at each corner, for the turn scale (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--speed", type=parse_positive, default=SPEED_IN_S, metavar="IN_S", help="speed in in/s (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--turn-speed",
-        type=parse_positive,
-        default=TURN_DEG_S,
-        metavar="DEG_S",
-        help="speed of turns in deg/s (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--time-limit",
-        type=parse_positive,
-        default=3600.0,
-        metavar="S",
-        help="give up after this time in s of the robot's clock (default: %(default)s)",
-    )
+    add_address(parser)
+    arguments.add_map_option(parser)
+    add_value(parser, "--out", "FILE", Path,
+              "write a model file (model_file= of nserver and sim:, --calibration of nomad localize)")
+    add_value(parser, "--start", "X,Y,HEADING", arguments.parse_pose,
+              "initial pose, inches and degrees (default: that of the encoders)")
+    add_value(parser, "--start-std", "X,Y,HEADING", arguments.parse_pose_std,
+              "standard deviation of the initial pose, inches and degrees (default: 0.5,0.5,1.15)", START_STD)
+    arguments.add_robot_model_options(parser)
+    add_value(parser, "--square", "X,Y,SIDE", _square,
+              "drive this square: lower left corner and side in inches (default: the largest that fits)")
+    add_value(parser, "--laps", "N", partial(_count, minimum=1),
+              "laps in each direction (default: until every number is known to a thirtieth of itself or of its "
+              f"typical value, at most {MAX_LAPS})")
+    add_value(parser, "--spins", "N", _count, "full turns in place at each corner, for the turn scale", 1)
+    add_value(parser, "--speed", "IN_S", arguments.parse_positive, "speed in in/s", SPEED_IN_S)
+    add_value(parser, "--turn-speed", "DEG_S", arguments.parse_positive, "speed of turns in deg/s", TURN_DEG_S)
+    add_value(parser, "--time-limit", "S", arguments.parse_positive,
+              "give up after this time in s of the robot's clock", 3600.0)
     parser.add_argument("--json", action="store_true", help="print only the result, as JSON, on stdout")  # fmt: skip
 
 
@@ -140,9 +89,9 @@ def run(options: argparse.Namespace) -> int:
     0: done; 3: given up; 4: the readings do not fit the sonar model, and nothing is written.
     """
     # 1. Everything that can fail without a robot.
-    world = resolve_world(options)
-    check_writable(options.out)
-    robot, simulated = open_robot(options.address)
+    world = arguments.resolve_world(options)
+    arguments.check_writable(options.out)
+    robot, simulated = arguments.open_robot(options.address)
     sonars = resolve_sonar_model(options.sonars, simulated, options.address)
     fit = Consistency(sonars.rays)
     if sonars.line():
@@ -168,15 +117,9 @@ def run(options: argparse.Namespace) -> int:
         print(json.dumps({**calibration_as_json(found), **quality, **judgement}), flush=True)
     if options.out:
         comment = f"nomad calibrate, in {world.name}: {laps} laps in each direction, {options.spins} turns per corner"
-        _write(options.out, format_calibration(options.body, found, comment))
+        with write_errors_as(OutputFileError, options.out):
+            options.out.write_text(format_calibration(options.body, found, comment), encoding="utf-8")
     return 0
-
-
-def _write(path: Path, text: str) -> None:
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise OutputFileError(describe_write_error(path, error)) from error
 
 
 def _drive(robot: Robot, world: World, options: argparse.Namespace, fit: Consistency) -> tuple[Calibration, int] | str:
@@ -260,7 +203,7 @@ def _line(passed_s: float, driver: Driver, found: Calibration) -> str:
 
 
 def _square(text: str) -> Square:
-    x, y, side = parse_numbers(text, 3)
+    x, y, side = arguments.parse_numbers(text, 3)
     if side <= 0:
         raise argparse.ArgumentTypeError("expected a side longer than 0")
     return Square(x, y, side)

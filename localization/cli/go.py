@@ -13,11 +13,12 @@ import argparse
 from collections.abc import Callable
 from math import degrees, inf
 
+from localization.cli.arguments import parse_numbers
 from localization.cli.mission import add_mission_options, execute_mission, open_mission
-from localization.cli.options import parse_numbers
 from localization.missions.controller import Observation
 from localization.missions.settings import MAX_TIME_S, MAX_WITHIN_IN, MIN_TIME_S, MIN_WITHIN_IN, OnLost, Settings
 from localization.navigation.waypoints import STOP_RADIUS_IN
+from nclient.common.arguments import add_address, add_value
 
 # Seconds of the robot's clock between two printed estimates.
 PRINT_INTERVAL_S = 1.0
@@ -25,9 +26,7 @@ PRINT_INTERVAL_S = 1.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `nomad go`."""
-    parser.add_argument(
-        "address", nargs="?", metavar="ADDRESS", help="address of the robot (default: NOMAD_ROBOT, or a local nserver)"
-    )
+    add_address(parser)
     parser.add_argument(
         "--to",
         type=_parse_goal,
@@ -35,20 +34,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="X,Y[,HEADING]",
         help="drive to this position, inches and degrees",
     )
-    parser.add_argument(
-        "--within",
-        type=_number_between(MIN_WITHIN_IN, MAX_WITHIN_IN),
-        default=STOP_RADIUS_IN,
-        metavar="IN",
-        help="accept positions within this distance in in (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--time-limit",
-        type=_number_between(MIN_TIME_S, MAX_TIME_S),
-        default=300.0,
-        metavar="S",
-        help="give up after this time in s of the robot's clock (default: %(default)s)",
-    )
+    add_value(parser, "--within", "IN", _number_between(MIN_WITHIN_IN, MAX_WITHIN_IN),
+              "accept positions within this distance in in", STOP_RADIUS_IN)
+    add_value(parser, "--time-limit", "S", _number_between(MIN_TIME_S, MAX_TIME_S),
+              "give up after this time in s of the robot's clock", 300.0)
     parser.add_argument("--on-lost", choices=[policy.value for policy in OnLost], default=OnLost.STOP.value,
                         help="select the behaviour when the robot is lost (default: %(default)s)")  # fmt: skip
     parser.set_defaults(report=None)

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from localization.cli.options import make_folder
+from localization.cli.arguments import make_folder
 from localization.experiments import live, output
 from localization.experiments import lost as lost_command
 from localization.experiments import plan as plan_command

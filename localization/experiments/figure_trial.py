@@ -21,26 +21,10 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from localization.filters import odometry, sonar_ray
 from localization.filters.base import THESIS_ODOMETRY
 from localization.filters.belief import Belief, Floats, add, chi_square_quantile, independent
 from localization.filters.ekf import update_ring
-from localization.filters.odometry import (
-    OdometryNoise,
-    move,
-    predict,
-    process_covariance,
-    step_jacobians,
-    step_variance,
-)
-from localization.filters.sonar_ray import (
-    IDEAL_SONAR,
-    RaySonar,
-    SonarRing,
-    WallMap,
-    observe_ring,
-    ranges_from,
-    wall_map,
-)
 from localization.navigation.control_law import ControlGains, is_reached, next_step
 from worlds.io import load_world
 from worlds.raycast import NO_WALL
@@ -99,13 +83,13 @@ class FigureSetup:
 
     start: Floats
     goals_in: Floats
-    walls: WallMap
-    body: SonarRing
+    walls: sonar_ray.WallMap
+    body: sonar_ray.SonarRing
     gains: ControlGains
     filtered: bool = True
     start_std: tuple[float, float, float] = START_STD
-    noise: OdometryNoise = NOISE
-    sonar: RaySonar = IDEAL_SONAR
+    noise: odometry.OdometryNoise = NOISE
+    sonar: sonar_ray.RaySonar = sonar_ray.IDEAL_SONAR
     waypoint_radius_in: float = WAYPOINT_RADIUS_IN
 
     @property
@@ -137,7 +121,7 @@ def figure_setup(figure: Figure) -> FigureSetup:
     return FigureSetup(
         start=np.array([path.start.x_in, path.start.y_in, path.start.steering_rad]),
         goals_in=np.array(path.goals_in, dtype=np.float64),
-        walls=wall_map(world.walls),
+        walls=sonar_ray.wall_map(world.walls),
         body=N150,
         gains=figure.gains,
         filtered=figure.filtered,
@@ -314,15 +298,15 @@ def _advance(setup: FigureSetup, batch: Batch, motion_error: Floats, sonar_error
     goals = setup.goals_in[np.minimum(batch.leg, len(setup.goals_in) - 1)]
     step = next_step(batch.belief.mean, goals, setup.gains) * driving[:, None]
     # 2. Move and predict.
-    truth = move(batch.truth, step + np.sqrt(step_variance(step, setup.noise)) * motion_error)
-    belief = predict(batch.belief, step, setup.noise)
+    truth = odometry.move(batch.truth, step + np.sqrt(odometry.step_variance(step, setup.noise)) * motion_error)
+    belief = odometry.predict(batch.belief, step, setup.noise)
     # 3. Measure and update.
     bound, nis, used = batch.bound, batch.nis, batch.used
     if setup.filtered:
         readings, gain = _measure(setup, truth, sonar_error)
         belief, nis, used = _update(setup, belief, readings)
-        F, G = step_jacobians(batch.truth, step)
-        bound = bound_step(bound, F, process_covariance(G, step, setup.noise), gain)
+        F, G = odometry.step_jacobians(batch.truth, step)
+        bound = bound_step(bound, F, odometry.process_covariance(G, step, setup.noise), gain)
     # 4. Goals reached.
     arrived = driving & is_reached(belief.mean, goals, setup.waypoint_radius_in)
     return Batch(truth, belief, bound, batch.leg + arrived, nis, used)
@@ -330,7 +314,7 @@ def _advance(setup: FigureSetup, batch: Batch, motion_error: Floats, sonar_error
 
 def _measure(setup: FigureSetup, truth: Floats, sonar_error: Floats) -> tuple[Floats, Floats]:
     """Return readings (n, 16) at the true poses (n, 3), and the information (n, 3, 3) of all beams that meet a wall."""
-    expected = ranges_from(truth, setup.angles_rad, setup.body, setup.walls)
+    expected = sonar_ray.ranges_from(truth, setup.angles_rad, setup.body, setup.walls)
     seen = expected.row != NO_WALL
     variance = setup.sonar.variance(expected.range_in)
     H = np.where(seen[..., None], np.stack(expected.H, axis=-1), 0.0)
@@ -340,6 +324,6 @@ def _measure(setup: FigureSetup, truth: Floats, sonar_error: Floats) -> tuple[Fl
 
 def _update(setup: FigureSetup, belief: Belief, readings_in: Floats) -> tuple[Belief, Floats, Indices]:
     """Return the beliefs updated by readings (n, 16), the NIS (n,) and the number of beams used (n,)."""
-    observation = observe_ring(belief, setup.angles_rad, readings_in, setup.body, setup.walls, setup.sonar)
+    observation = sonar_ray.observe_ring(belief, setup.angles_rad, readings_in, setup.body, setup.walls, setup.sonar)
     corrected, nis = update_ring(belief, observation)
     return corrected, nis, observation.used.sum(axis=-1)

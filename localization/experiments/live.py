@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from localization.cli.options import make_folder
+from localization.cli.arguments import make_folder
 from localization.experiments import live_trial as matrix
 from localization.experiments.execution import ResultCache, Tally, code_hash, progress, run_cached
 from localization.experiments.live_trial import (
@@ -39,6 +39,7 @@ from localization.experiments.output import add_choice, add_shared, executor_for
 from localization.filters.belief import Floats
 from localization.filters.registry import METHODS
 from localization.live.plot import blank, require_matplotlib, save
+from nclient.common.arguments import add_value
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -248,15 +249,7 @@ def _parser() -> argparse.ArgumentParser:
     add_choice(parser, "--scenario", SCENARIOS, list(SCENARIOS), "error scenarios")
     add_choice(parser, "--figures", COURSES, list(COURSES), "paths of these figures")
     add_choice(parser, "--methods", METHODS, list(COMPARED), "filters")
-    parser.add_argument(
-        "--periods",
-        type=positive,
-        default=MAX_PERIODS,
-        metavar="N",
-        help="end a trial after this number of periods of 0.1 s (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--tum", type=Path, metavar="DIR", help="write the paths of all trials to this folder, in TUM format"
-    )
+    add_value(parser, "--periods", "N", positive, "end a trial after this number of periods of 0.1 s", MAX_PERIODS)
+    add_value(parser, "--tum", "DIR", Path, "write the paths of all trials to this folder, in TUM format")
     add_shared(parser, Path("out/experiments"), "row of the table")
     return parser

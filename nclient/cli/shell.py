@@ -27,7 +27,7 @@ from nclient.cli import state_text
 from nclient.cli.serving import print_message
 from nclient.cli.shell_help import candidates, parse
 from nclient.cli.shell_session import Session
-from nclient.common.arguments import add_address
+from nclient.common.arguments import add_address, add_value
 from nclient.common.exit_codes import ExitCode
 from nclient.common.files import read_text
 from nclient.connector import Connector, address_or_default
@@ -203,8 +203,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     source = parser.add_mutually_exclusive_group()
     source.add_argument("--script", metavar="FILE", help="execute the lines of FILE and exit; - reads stdin")
     source.add_argument("--command", "-c", metavar="LINE", help="execute LINE and exit")
-    parser.add_argument("--history", type=Path, metavar="FILE",
-                        help="save typed lines to FILE (default: ~/.local/state/nomad/history)")
+    add_value(parser, "--history", "FILE", Path, "save typed lines to FILE (default: ~/.local/state/nomad/history)")
 
 
 def run(options: argparse.Namespace) -> int:

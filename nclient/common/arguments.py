@@ -95,6 +95,15 @@ def whole_number(what: str, low: int, high: int = sys.maxsize) -> Callable[[str]
     return parse
 
 
+def add_value(
+    parser: argparse._ActionsContainer, name: str, metavar: str, parse: Callable[[str], object], about: str,
+    default: object = None,
+) -> None:  # fmt: skip
+    """Add an option with a value. Its help ends with the default, unless there is none or `about` names it."""
+    shown = "" if default is None or "(default" in about else " (default: %(default)s)"
+    parser.add_argument(name, metavar=metavar, type=parse, default=default, help=about + shown)
+
+
 def add_address(parser: argparse.ArgumentParser) -> None:
     """Add the address of a robot, which may be left out."""
     parser.add_argument("address", nargs="?", metavar="ADDRESS",

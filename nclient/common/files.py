@@ -101,6 +101,15 @@ def write_error_hint(error: OSError) -> str:
     return _HINTS.get(error.errno or 0, _NO_ACCESS)
 
 
+@contextlib.contextmanager
+def write_errors_as(error: ErrorFactory, path: Path, what: str = "") -> Iterator[None]:
+    """Turn an OSError of the block into an error that names the path, the reason and a remedy."""
+    try:
+        yield
+    except OSError as failure:
+        raise error(describe_write_error(path, failure, what)) from failure
+
+
 def write_atomic(path: Path, text: str, error: ErrorFactory, ending: str = "") -> None:
     """Replace the content of a file, in UTF-8.
 

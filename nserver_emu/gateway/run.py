@@ -21,6 +21,7 @@ from typing import Final
 
 from nclient.backends.base import Backend
 from nclient.backends.wrappers import POLL_S, SpeedLimiter
+from nclient.common.arguments import add_value
 from nclient.connector import Connector
 from nclient.url import parse_address
 from nserver_emu.gateway.gateway import TIMEOUT_S, Gateway, RealRobotProxy
@@ -53,33 +54,17 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="refuse (ERROR 5) all that would move or change the real robot; st works",
     )
-    group.add_argument(
-        "--max-speed", type=_speed, metavar="IN_S", help="limit the speed of the real robot to IN_S inches a second"
-    )
-    group.add_argument(
-        "--max-turn",
-        type=_speed,
-        metavar="DEG_S",
-        help="limit the speed of steering and turret to DEG_S degrees a second",
-    )
+    add_value(group, "--max-speed", "IN_S", _speed, "limit the speed of the real robot to IN_S inches a second")
+    add_value(group, "--max-turn", "DEG_S", _speed, "limit the speed of steering and turret to DEG_S degrees a second")
     group.add_argument(
         "--shadow",
         action="store_true",
         help="let the simulation repeat what the real robot does, and log the differences",
     )
-    group.add_argument(
-        "--shadow-report",
-        type=Path,
-        metavar="FILE",
-        help="write the differences to FILE at the end: CSV where it ends in .csv, else JSON",
-    )
-    group.add_argument(
-        "--shadow-every",
-        type=_speed,
-        default=SUMMARY_S,
-        metavar="S",
-        help=f"log a summary of the differences every S seconds (default {SUMMARY_S:g})",
-    )
+    add_value(group, "--shadow-report", "FILE", Path,
+              "write the differences to FILE at the end: CSV where it ends in .csv, else JSON")
+    add_value(group, "--shadow-every", "S", _speed,
+              f"log a summary of the differences every S seconds (default {SUMMARY_S:g})", SUMMARY_S)
 
 
 def refuse(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from localization.cli import go, mission
-from localization.cli.options import (
+from localization.cli.arguments import (
     MAX_NOISE,
     parse_numbers,
     parse_odometry_noise,
