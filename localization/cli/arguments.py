@@ -28,7 +28,7 @@ from localization.live.saved_estimate import DisplacementStd, SavedEstimate, map
 from localization.live.sensor_input import EncoderPose, with_wheels
 from localization.navigation.waypoints import Speeds
 from nclient import ReplyTimeout, Robot, RobotState, connect
-from nclient.common.arguments import add_value
+from nclient.common.arguments import ABOVE_ZERO, add_value, number
 from nclient.common.files import write_errors_as
 from nclient.connector import address_or_default
 from nclient.errors import EstimateFileError, OutputFileError
@@ -101,20 +101,8 @@ def parse_scale_std(text: str) -> tuple[float, ...]:
     return stds
 
 
-def parse_seconds(text: str) -> float:
-    """Return a time of 0 s or more."""
-    (number,) = parse_numbers(text, 1)
-    if number < 0:
-        raise argparse.ArgumentTypeError("expected 0 s or more")
-    return number
-
-
-def parse_positive(text: str) -> float:
-    """Return a number above 0."""
-    (number,) = parse_numbers(text, 1)
-    if number <= 0:
-        raise argparse.ArgumentTypeError("expected a number above 0")
-    return number
+parse_seconds: Final = number("expected 0 s or more", 0.0)
+parse_positive: Final = number("expected a number above 0", ABOVE_ZERO)
 
 
 def parse_displacement_std(text: str) -> DisplacementStd:

@@ -7,7 +7,6 @@ import json
 import math
 import sys
 import time
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -37,7 +36,7 @@ from localization.live.assumptions import resolve_robot_model, resolve_sonar_mod
 from localization.live.localizer import Consistency
 from localization.navigation.recovery import StallDetector
 from nclient import Robot
-from nclient.common.arguments import add_address, add_value
+from nclient.common.arguments import add_address, add_value, whole_number
 from nclient.common.exit_codes import ExitCode
 from nclient.common.files import write_errors_as
 from nclient.errors import OutputFileError
@@ -72,10 +71,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     arguments.add_robot_model_options(parser)
     add_value(parser, "--square", "X,Y,SIDE", _square,
               "drive this square: lower left corner and side in inches (default: the largest that fits)")
-    add_value(parser, "--laps", "N", partial(_count, minimum=1),
+    add_value(parser, "--laps", "N", whole_number("the number of laps", 1, MAX_COUNT),
               "laps in each direction (default: until every number is known to a thirtieth of itself or of its "
               f"typical value, at most {MAX_LAPS})")
-    add_value(parser, "--spins", "N", _count, "full turns in place at each corner, for the turn scale", 1)
+    add_value(parser, "--spins", "N", whole_number("the number of turns", 0, MAX_COUNT),
+              "full turns in place at each corner, for the turn scale", 1)
     add_value(parser, "--speed", "IN_S", arguments.parse_positive, "speed in in/s", SPEED_IN_S)
     add_value(parser, "--turn-speed", "DEG_S", arguments.parse_positive, "speed of turns in deg/s", TURN_DEG_S)
     add_value(parser, "--time-limit", "S", arguments.parse_positive,
@@ -207,9 +207,3 @@ def _square(text: str) -> Square:
     if side <= 0:
         raise argparse.ArgumentTypeError("expected a side longer than 0")
     return Square(x, y, side)
-
-
-def _count(text: str, minimum: int = 0) -> int:
-    if not text.isdecimal() or not minimum <= int(text) <= MAX_COUNT:
-        raise argparse.ArgumentTypeError(f"expected a whole number from {minimum} to {MAX_COUNT}, not {text!r}")
-    return int(text)

@@ -18,7 +18,7 @@ from localization.cli.mission import add_mission_options, execute_mission, open_
 from localization.missions.controller import Observation
 from localization.missions.settings import MAX_TIME_S, MAX_WITHIN_IN, MIN_TIME_S, MIN_WITHIN_IN, OnLost, Settings
 from localization.navigation.waypoints import STOP_RADIUS_IN
-from nclient.common.arguments import add_address, add_value
+from nclient.common.arguments import add_address, add_value, number
 
 # Seconds of the robot's clock between two printed estimates.
 PRINT_INTERVAL_S = 1.0
@@ -77,15 +77,7 @@ class _ProgressPrinter:
 
 
 def _number_between(low: float, high: float) -> Callable[[str], float]:
-    """Return a reader of numbers from `low` to `high`."""
-
-    def parse(text: str) -> float:
-        (number,) = parse_numbers(text, 1)
-        if not low <= number <= high:
-            raise argparse.ArgumentTypeError(f"expected a number from {low:g} to {high:g}, not {text}")
-        return number
-
-    return parse
+    return number(f"expected a number from {low:g} to {high:g}", low, high)
 
 
 def _parse_goal(text: str) -> tuple[float, ...]:

@@ -18,7 +18,7 @@ from localization.experiments.figure_trial import Figure, FigureSetup
 from localization.experiments.results import Summary, Track, typical
 from localization.filters.belief import Floats, difference
 from localization.live import plot
-from nclient.common.arguments import add_value
+from nclient.common.arguments import add_value, whole_number
 from worlds.robots import N150
 
 if TYPE_CHECKING:
@@ -208,11 +208,7 @@ def executor_for(
     return partial(execution.run_locally, work, jobs=options.jobs)
 
 
-def positive(text: str) -> int:
-    """Return a whole number of 1 or more."""
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"expected a whole number of 1 or more, not {text!r}")
-    return int(text)
+positive: Final = whole_number("the number", 1)
 
 
 def cores() -> int:

@@ -13,7 +13,7 @@ import argparse
 import math
 import sys
 from collections.abc import Callable, Sequence
-from typing import Any, NoReturn
+from typing import Any, Final, NoReturn
 
 from nclient.common.hints import closest_match, suggest
 
@@ -71,15 +71,24 @@ class Parser(argparse.ArgumentParser):
             raise argparse.ArgumentError(action, message)
 
 
-def seconds(text: str) -> float:
-    """Parse a time in seconds, 0 or more. Raises ArgumentTypeError for anything else, inf and nan included."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not (math.isfinite(value) and value >= 0):
-        raise argparse.ArgumentTypeError(f"a number of seconds, 0 or more, not {text}")
-    return value
+def number(expected: str, low: float, high: float = math.inf) -> Callable[[str], float]:
+    """Return a parser of finite numbers from low to high; its ArgumentTypeError says what is expected."""
+
+    def parse(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not (math.isfinite(value) and low <= value <= high):
+            raise argparse.ArgumentTypeError(f"{expected}, not {text}")
+        return value
+
+    return parse
+
+
+ABOVE_ZERO: Final = math.ulp(0.0)
+"""The smallest number above 0, as a lower bound."""
+seconds: Final = number("a number of seconds, 0 or more", 0.0)
 
 
 def whole_number(what: str, low: int, high: int = sys.maxsize) -> Callable[[str], int]:

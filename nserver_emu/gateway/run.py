@@ -21,7 +21,7 @@ from typing import Final
 
 from nclient.backends.base import Backend
 from nclient.backends.wrappers import POLL_S, SpeedLimiter
-from nclient.common.arguments import add_value
+from nclient.common.arguments import ABOVE_ZERO, add_value, number
 from nclient.connector import Connector
 from nclient.url import parse_address
 from nserver_emu.gateway.gateway import TIMEOUT_S, Gateway, RealRobotProxy
@@ -54,8 +54,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="refuse (ERROR 5) all that would move or change the real robot; st works",
     )
-    add_value(group, "--max-speed", "IN_S", _speed, "limit the speed of the real robot to IN_S inches a second")
-    add_value(group, "--max-turn", "DEG_S", _speed, "limit the speed of steering and turret to DEG_S degrees a second")
+    speed = number("a number above 0", ABOVE_ZERO)
+    add_value(group, "--max-speed", "IN_S", speed, "limit the speed of the real robot to IN_S inches a second")
+    add_value(group, "--max-turn", "DEG_S", speed, "limit the speed of steering and turret to DEG_S degrees a second")
     group.add_argument(
         "--shadow",
         action="store_true",
@@ -63,7 +64,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     add_value(group, "--shadow-report", "FILE", Path,
               "write the differences to FILE at the end: CSV where it ends in .csv, else JSON")
-    add_value(group, "--shadow-every", "S", _speed,
+    add_value(group, "--shadow-every", "S", speed,
               f"log a summary of the differences every S seconds (default {SUMMARY_S:g})", SUMMARY_S)
 
 
@@ -205,13 +206,3 @@ def _connect(options: argparse.Namespace, faults: FaultController | None) -> Rea
     return RealRobotProxy(
         lambda: wrap(connector.open()), time.monotonic, read_only=options.real_read_only, feed_s=feed_s
     )
-
-
-def _speed(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0.0 < value < math.inf:
-        raise argparse.ArgumentTypeError(f"a number above 0, not {text!r}")
-    return value

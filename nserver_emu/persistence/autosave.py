@@ -18,6 +18,7 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Final
 
+from nclient.common.arguments import number
 from nclient.errors import SnapshotError
 from nserver_emu.persistence import snapshot
 from nserver_emu.server.handlers.table import Emulator
@@ -33,7 +34,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Add --save and --autosave."""
     parser.add_argument("--save", type=Path, metavar="FILE",
                         help="save the simulation to FILE at the end and at SIGUSR1")
-    parser.add_argument("--autosave", type=_seconds, metavar="SECONDS",
+    interval = number(f"seconds from {MIN_INTERVAL_S:g} to {MAX_INTERVAL_S:g}", MIN_INTERVAL_S, MAX_INTERVAL_S)
+    parser.add_argument("--autosave", type=interval, metavar="SECONDS",
                         help="also save at this interval of real time, so that --restore can continue a killed run")
 
 
@@ -98,13 +100,3 @@ async def _save_repeatedly(file: SaveFile, interval_s: float) -> None:
     while True:
         await asyncio.sleep(interval_s)
         await file.save_in_thread()
-
-
-def _seconds(text: str) -> float:
-    try:
-        seconds = float(text)
-    except ValueError:
-        seconds = 0.0
-    if not MIN_INTERVAL_S <= seconds <= MAX_INTERVAL_S:
-        raise argparse.ArgumentTypeError(f"seconds from {MIN_INTERVAL_S:g} to {MAX_INTERVAL_S:g}, not {text!r}")
-    return seconds
