@@ -8,8 +8,6 @@
 `nclient.connect` turns an `Address` into a connection.
 """
 
-from __future__ import annotations
-
 import math
 import sys
 from collections import Counter

@@ -8,8 +8,6 @@ Programs read `listening KIND ADDRESS` lines from stdout; everything else goes t
 nclient.common.exit_codes.
 """
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import contextlib

@@ -5,8 +5,6 @@
 Files are only checked for existence here. Options of a package are defined in the package (`add_options`).
 """
 
-from __future__ import annotations
-
 import argparse
 import re
 from collections.abc import Sequence

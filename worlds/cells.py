@@ -12,8 +12,6 @@ Straight pieces: Douglas, Peucker: Algorithms for the reduction of the number of
 digitized line (1973). Lines: total least squares, the principal axis of the edges' middles.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntEnum

@@ -6,8 +6,6 @@ Lengths in inches. Rays are cast in raycast.py.
     corners (n, 2)      a closed polygon; the edge from the last corner to the first is implied
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import count
 from math import ceil, inf, sqrt

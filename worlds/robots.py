@@ -17,8 +17,6 @@ A calibration is a part of model files:
     [model.spread]      all of these keys                      standard deviations
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import degrees, radians

@@ -13,8 +13,6 @@ References
 Borenstein, Feng: Measurement and correction of systematic odometry errors in mobile robots (1996).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Generator, Sequence
 from contextlib import suppress
 from math import cos, hypot, pi, tau

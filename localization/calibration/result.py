@@ -1,7 +1,5 @@
 """The result of a calibration: from the belief of the calibrating filter to numbers with accuracies and a table."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from math import degrees, radians
 from typing import Final, NamedTuple

@@ -1,7 +1,5 @@
 """Options shared by the commands of localization, and what they configure: robot, map, initial belief."""
 
-from __future__ import annotations
-
 import argparse
 import math
 import os

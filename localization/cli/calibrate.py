@@ -1,7 +1,5 @@
 """Drive a square, estimate the systematic errors of wheels and sonars, write a model file."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

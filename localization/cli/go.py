@@ -7,8 +7,6 @@ Prints the estimate every second, and a report at the end. Exit code 0: reached;
 step; the robot is stopped at the end, after errors and on Ctrl-C.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Callable
 from math import degrees, inf

@@ -3,8 +3,6 @@
 For a simulated robot the true error is printed beside the estimate; the filter never uses the ground truth.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import json

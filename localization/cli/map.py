@@ -1,7 +1,5 @@
 """Check a map, simplify it, show where localization is inaccurate, or exchange maps with other tools."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

@@ -7,8 +7,6 @@ Exit code 0: completed; 3: a step failed. The robot is stopped at the end, after
 written in all cases.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import json

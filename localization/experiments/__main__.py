@@ -3,8 +3,6 @@
 With --json only the numbers are printed on stdout; the progress bar (extra `plot`: tqdm) and file names go to stderr.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

@@ -9,8 +9,6 @@ of processes, and two figures with the same seed have the same noise (common ran
 does not state (noise, start, waypoint radius) are fixed once for all figures; no noise is tuned to a result.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """`python -m localization.experiments lost`: how reliably the filter `finder` detects that it is lost, and recovers."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

@@ -8,8 +8,6 @@ While localized the robot drives shortest paths with the control law of the thes
 where there is free space. Recovery means localized without LOST for CERTAIN_S. The truth never reaches the filter.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import Enum
 from math import atan2, hypot, tau

@@ -4,8 +4,6 @@ Contacts are judged by the ground truth: a bumper that touched, or a true positi
 The shortest path is that of the bare body, without any margin.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

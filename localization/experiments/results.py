@@ -4,8 +4,6 @@ The result of a seed depends on that seed only (sums by math.fsum, exact in any 
 their order: the numbers are the same to the bit however the work is divided.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ All functions accept arrays with leading dimensions. In the batch experiments th
 step; in live runs a step is made every T seconds, so a limit divided by T is a speed.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

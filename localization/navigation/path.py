@@ -7,8 +7,6 @@
 Lengths are in inches, angles in radians.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property

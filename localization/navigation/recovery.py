@@ -5,8 +5,6 @@ one position are distinguished on the path to another. StallDetector reports a r
 or whose wheels stand.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import cos, hypot, tau
 from typing import Final, Protocol

@@ -16,8 +16,6 @@ Lozano-Perez, Wesley: An algorithm for planning collision-free paths among polyh
 Liu, Arimoto: Path planning using a tangent graph for mobile robots among polygonal and curved obstacles (1992).
 """
 
-from __future__ import annotations
-
 import heapq
 from collections import defaultdict
 from collections.abc import Sequence

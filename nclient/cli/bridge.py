@@ -12,8 +12,6 @@ is idle is disconnected when another one sends something: it must not block `nom
 is given: there is no authentication.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import threading

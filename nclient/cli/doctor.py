@@ -6,8 +6,6 @@
 Prints a line for each finding, OK, WARN or FAIL, with a remedy. Exit code 1 if any finding is FAIL.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import time

@@ -9,8 +9,6 @@ disconnected, the place is reported on stderr, and the exit code is 1 in the end
 another one sends something.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import time

@@ -6,8 +6,6 @@ stdout gets one line when the listener is open, `listening NAME HOST:PORT` or `l
 stderr. The default is loopback only, because the robot protocols have no authentication.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import math

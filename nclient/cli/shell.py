@@ -10,8 +10,6 @@ ends at the first line that fails, which is reported as file:line. The robot is 
 Exit code 0: done; 1: a line failed, or the robot was lost; 2: wrong usage; 130: Ctrl-C ended a script.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import importlib.util

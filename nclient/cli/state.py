@@ -10,8 +10,6 @@ Rules: sends gs only. No motion timeout is set and no keep-alive sent, so that a
 continues.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

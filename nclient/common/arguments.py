@@ -7,8 +7,6 @@
 An unknown option is reported before other errors, which it usually causes.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import sys

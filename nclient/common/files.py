@@ -5,8 +5,6 @@ device or a recording given by mistake does not fill the memory. Writing is atom
 new one, even after a power failure.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import os

@@ -20,8 +20,6 @@ Each rule counts the frames that reach it, separately per line, so that `every =
 `frames.py` carries plans out.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math

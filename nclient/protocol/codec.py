@@ -16,8 +16,6 @@ an exception. Both ends call `update_from_request` for each request sent or rece
 on the laser layout.
 """
 
-from __future__ import annotations
-
 import contextlib
 import struct
 from collections.abc import Callable, Iterable, Sequence

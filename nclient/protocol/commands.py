@@ -6,8 +6,6 @@ A new command needs a row, a handler in nserver_emu/server/handlers and a method
 command exists on every model's serial line. Lengths are 1/10 inch and angles 1/10 degree, as on the wire.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, NamedTuple

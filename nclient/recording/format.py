@@ -20,8 +20,6 @@ the robot's run continues.
        0.105  < ! 3 bytes that are no frame
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

@@ -6,8 +6,6 @@ Files are read here, and named by absolute paths, because the server may run in 
 nclient.common.exit_codes. A server of another version costs an error message, never a traceback.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -6,8 +6,6 @@ One JSON object per line, in each direction. Only the owner of the server can op
 permissions. An invalid request is answered with what is valid, and changes nothing.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import json

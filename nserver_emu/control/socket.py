@@ -4,8 +4,6 @@ It has mode 0600 before the first client can connect. A socket left by a server 
 of a running server, and files that are no sockets, are not touched. It is removed when the server ends.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import logging

@@ -13,8 +13,6 @@ Access to one real robot (`Ownership`):
 Nothing here waits, starts a thread or reads a clock: the clock is passed in, and a reply that needs time is deferred.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial

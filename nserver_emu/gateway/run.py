@@ -6,8 +6,6 @@ The address is any that `connect` accepts. Time-out, keep-alive and reconnecting
 provide, are switched off there, since the gateway handles them itself.
 """
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import contextlib

@@ -6,8 +6,6 @@ The differences are real minus simulated, per quantity, in inches, degrees and s
 robots have an echo; cases in which only one has an echo are counted. 255 is no echo, 0 a defective sonar.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import json

@@ -6,8 +6,6 @@ An older state never replaces a newer one. A failing disk does not stop the run:
 later save is attempted, and the first success is logged again.
 """
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import contextlib

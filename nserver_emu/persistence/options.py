@@ -9,8 +9,6 @@ Wrong usage names the options and exits with 2 before anything starts. If any op
 all of the clock is as the options say; otherwise it is as in the snapshot.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import logging

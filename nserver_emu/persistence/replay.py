@@ -6,8 +6,6 @@ Entries are followed in their order, the order in which the server processed the
 replayed as well. No clock, no socket; the first difference ends the replay.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, Final, Protocol
 

@@ -8,8 +8,6 @@ Connections that do nothing cannot lock others out: at a limit the longest idle 
 more are accepted for a short time, so that `nomad stop` gets through (`ConnectionReserve`).
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import errno

@@ -8,8 +8,6 @@ because nothing else could advance it. With `line=1` the robot speaks the protoc
 (serial_session.py). nclient finds this module by entry point and does not import it.
 """
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

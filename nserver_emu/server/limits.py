@@ -4,8 +4,6 @@ A new limit is a new field of `Limits`, with its effect and the module that enfo
 process's limit of open files to what the limits on connections need.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import logging

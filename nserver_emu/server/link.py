@@ -11,8 +11,6 @@ Times are seconds of a monotonic clock, passed in. A fault channel is installed 
 injected hang-up ends the connection after everything sent before it has come through; what follows is lost.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Callable, Iterable

@@ -17,8 +17,6 @@ it starts with CONNECT and, in most cases, the client's word size:
     64-bit client    type, count | 0 word 0 word ...      each word is sent as four zero bytes and its value
 """
 
-from __future__ import annotations
-
 import logging
 from abc import ABC, abstractmethod
 from collections import deque

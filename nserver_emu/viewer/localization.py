@@ -13,8 +13,6 @@
 Units are inches and radians. Anything else raises InvalidMessage.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, Any, Final, Literal, get_args
 
 import msgspec

@@ -28,8 +28,6 @@ A message of any other form raises InvalidMessage, which names the correct form;
 that may only watch may send seen and watch.
 """
 
-from __future__ import annotations
-
 import json
 from functools import partial
 from typing import Annotated, Any, Final, Literal, get_args
