@@ -49,31 +49,24 @@ class ControlledServer(Protocol):
 
     def step(self, dt_s: float) -> None:
         """Advance simulated time."""
-        ...
 
     def record_clock(self) -> None:
         """Record that the clock was changed."""
-        ...
 
     def record_change(self, change: Mapping[str, Any]) -> None:
         """Record a change of the simulation (runtime_settings.py)."""
-        ...
 
     def hold(self, robot_ids: Iterable[int], by: str) -> None:
         """Stop these robots and ignore motion commands until they are released."""
-        ...
 
     def release(self, robot_ids: Iterable[int]) -> None:
         """Release these robots."""
-        ...
 
     def lines(self) -> Mapping[str, str]:
         """Return the address of each line by its name."""
-        ...
 
     def connected_clients(self) -> list[JsonObject]:
         """Return name, robot, waiting and refused of each connection."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

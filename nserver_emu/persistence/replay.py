@@ -50,7 +50,6 @@ class Replayer(Protocol):
 
     def follow(self, entry: Entry) -> bytes:
         """Apply the next entry and return the bytes that the robot sends."""
-        ...
 
 
 def replay(recording: Recording) -> ReplayResult:

@@ -98,11 +98,9 @@ class AdmissionRules(Protocol):
 
     def rejection_reason(self, host: str, present: Collection[str], at: str = "") -> str:
         """Return the reason to reject a new connection, empty to accept it."""
-        ...
 
     def reject(self, host: str, reason: str) -> None:
         """Count and log a rejected connection."""
-        ...
 
 
 class AdmissionProtocol(asyncio.Protocol):
@@ -154,11 +152,9 @@ class ReservableConnection(Protocol):
     @property
     def idle_s(self) -> float:
         """Seconds since the last bytes from the client."""
-        ...
 
     def close_because(self, reason: str) -> None:
         """Close the connection now and log the reason."""
-        ...
 
 
 class ConnectionReserve:
