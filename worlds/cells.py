@@ -257,8 +257,7 @@ def _fit(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
 def _foot(line: tuple[FloatArray, FloatArray], point: FloatArray) -> FloatArray:
     """Return the point of a line nearest to a point."""
     centre, direction = line
-    foot: FloatArray = centre + (point - centre) @ direction * direction
-    return foot
+    return centre + (point - centre) @ direction * direction
 
 
 def _meeting(

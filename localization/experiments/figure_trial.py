@@ -180,8 +180,7 @@ def mean_band(dof: int, runs: int, probability: float = 0.95) -> tuple[float, fl
 
 def information(jacobian: Floats, variance: Floats) -> Floats:
     """Return the Fisher information H' R^-1 H (..., m, m) of n readings, with H (..., n, m) and variances (..., n)."""
-    total: Floats = np.swapaxes(jacobian / variance[..., None], -1, -2) @ jacobian
-    return total
+    return np.swapaxes(jacobian / variance[..., None], -1, -2) @ jacobian
 
 
 def bound_step(cov: Floats, jacobian: Floats, process_cov: Floats, gain: Floats) -> Floats:
@@ -200,8 +199,7 @@ def bound_step(cov: Floats, jacobian: Floats, process_cov: Floats, gain: Floats)
     """
     prior = jacobian @ cov @ np.swapaxes(jacobian, -1, -2) + process_cov
     bound = np.asarray(np.linalg.solve(np.eye(cov.shape[-1]) + prior @ gain, prior), dtype=np.float64)
-    halves: Floats = 0.5 * (bound + np.swapaxes(bound, -1, -2))
-    return halves
+    return 0.5 * (bound + np.swapaxes(bound, -1, -2))
 
 
 Indices = npt.NDArray[np.intp]

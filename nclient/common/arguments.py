@@ -78,7 +78,7 @@ def number(expected: str, low: float, high: float = math.inf) -> Callable[[str],
         except ValueError:
             value = math.nan
         if not (math.isfinite(value) and low <= value <= high):
-            raise argparse.ArgumentTypeError(f"{expected}, not {text}")
+            raise argparse.ArgumentTypeError(f"{expected}, not {text!r}")
         return value
 
     return parse

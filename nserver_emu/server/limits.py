@@ -44,8 +44,7 @@ class Limit(NamedTuple):
 def _limit(
     default: int, bounds: tuple[int, int], unit: str, guards: str, reached: str, where: str, none: bool = False
 ) -> int:
-    found: int = field(default=default, metadata={_LIMIT: (*bounds, unit, guards, reached, where, none)})
-    return found
+    return field(default=default, metadata={_LIMIT: (*bounds, unit, guards, reached, where, none)})
 
 
 @dataclass(frozen=True, slots=True)

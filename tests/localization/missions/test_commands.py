@@ -140,7 +140,7 @@ def test_failed_save_is_reported_after_the_ending(
     folder = tmp_path / "gone"
     folder.mkdir()
     # The folder disappears after the check.
-    monkeypatch.setattr("localization.cli.mission.check_writable", lambda *_: folder.rmdir())
+    monkeypatch.setattr("localization.cli.arguments.check_writable", lambda *_: folder.rmdir())
     assert main(["go", SIM, "--to", "5,0", "--save", str(folder / "saved")]) == 1
     output = capsys.readouterr()
     assert "done at (" in output.out
