@@ -21,6 +21,7 @@ import numpy as np
 from localization.cli.arguments import make_folder
 from localization.experiments import live_trial
 from localization.experiments.execution import ResultCache, Tally, code_hash, progress, run_cached
+from localization.experiments.live_trial import Cell, Trial, TrialResult
 from localization.experiments.output import add_choice, add_shared, executor_for, positive, text_table
 from localization.filters.belief import Floats
 from localization.filters.registry import METHODS
@@ -30,7 +31,7 @@ from nclient.common.arguments import add_value
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Matrix = Mapping[live_trial.Cell, live_trial.LiveSummary]
+Matrix = Mapping[Cell, live_trial.LiveSummary]
 Row = dict[str, float | str | None]
 
 METRES_PER_INCH: Final = 0.0254
@@ -116,7 +117,7 @@ def _draw(matrix: Matrix, path: Path) -> None:
     # 3. One panel per column of the table; missing cells become NaN, which imshow leaves white.
     for number, (axes, column) in enumerate(zip(panels, COLUMNS, strict=True)):
         grid = [
-            [_number(found.get(live_trial.Cell(scenario, figure, method), {}).get(column.key)) for scenario, figure in across]
+            [_number(found.get(Cell(scenario, figure, method), {}).get(column.key)) for scenario, figure in across]
             for method in down
         ]
         _panel(axes, column, np.array(grid))
@@ -155,13 +156,13 @@ def lines(clock_s: Floats, poses: Floats) -> str:
     return "".join(f"{t:.6f} {east:.9f} {north:.9f} 0 0 0 {qz:.12f} {qw:.12f}\n" for t, east, north, qz, qw in rows)
 
 
-def paths(folder: Path, trial: live_trial.Trial) -> dict[str, Path]:
+def paths(folder: Path, trial: Trial) -> dict[str, Path]:
     """Return the files of a trial's paths: truth, odometry, estimate."""
     stem = f"{'_'.join(trial.cell)}_{trial.seed:04d}"
     return {name: folder / f"{stem}_{name}.tum" for name in ("truth", "odometry", "estimate")}
 
 
-def write_tum(folder: Path, trial: live_trial.Trial, record: live_trial.Record) -> None:
+def write_tum(folder: Path, trial: Trial, record: live_trial.Record) -> None:
     """Write the paths of a trial, creating their folder."""
     folder.mkdir(parents=True, exist_ok=True)
     poses = {"truth": record.truth, "odometry": record.encoders, "estimate": record.mean}
@@ -169,14 +170,14 @@ def write_tum(folder: Path, trial: live_trial.Trial, record: live_trial.Record) 
         path.write_text(lines(record.clock_s, poses[name]), encoding="utf-8")
 
 
-def trial_cache(folder: Path, code: str) -> ResultCache[live_trial.Trial, live_trial.TrialResult]:
+def trial_cache(folder: Path, code: str) -> ResultCache[Trial, TrialResult]:
     """Return the cache of trials run by code with this hash."""
 
-    def key(trial: live_trial.Trial) -> tuple[str, object]:
+    def key(trial: Trial) -> tuple[str, object]:
         decided_by = (trial.figure, trial.seed, trial.periods, asdict(trial.scenario))
         return f"{'_'.join(trial.cell)}_{trial.seed:04d}", decided_by
 
-    return ResultCache(folder, code, live_trial.TrialResult, key)
+    return ResultCache(folder, code, TrialResult, key)
 
 
 Executor = Callable[[Sequence[live_trial.TrialJob]], Iterator[live_trial.FinishedTrial]]
@@ -201,14 +202,14 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def collect(
-    requested: Sequence[live_trial.Trial], cache: ResultCache[live_trial.Trial, live_trial.TrialResult], paths: Path | None, work: Executor, tally: Tally
-) -> dict[live_trial.Trial, live_trial.TrialResult]:
+    requested: Sequence[Trial], cache: ResultCache[Trial, TrialResult], paths: Path | None, work: Executor, tally: Tally
+) -> dict[Trial, TrialResult]:
     """Return the results of all trials in order, from the cache or by running them.
 
     With a folder `paths`, trials whose path files are missing or older than the result are run again.
     """
 
-    def run(batch: Sequence[live_trial.Trial]) -> Iterator[tuple[live_trial.Trial, live_trial.TrialResult]]:
+    def run(batch: Sequence[Trial]) -> Iterator[tuple[Trial, TrialResult]]:
         for trial, result, record in work([live_trial.TrialJob(trial, paths is not None) for trial in batch]):
             yield trial, result
             # Written after the result, so that the files are not older.
@@ -218,7 +219,7 @@ def collect(
     return run_cached(requested, cache, run, tally, lambda trial: not paths or _has_paths(paths, trial, cache))
 
 
-def _has_paths(folder: Path, trial: live_trial.Trial, cache: ResultCache[live_trial.Trial, live_trial.TrialResult]) -> bool:
+def _has_paths(folder: Path, trial: Trial, cache: ResultCache[Trial, TrialResult]) -> bool:
     """Return True if the path files of a trial exist and are not older than its result."""
     since = cache.path(trial).stat().st_mtime_ns
     return all(path.exists() and path.stat().st_mtime_ns >= since for path in paths(folder, trial).values())
@@ -235,7 +236,8 @@ def _parser() -> argparse.ArgumentParser:
     add_choice(parser, "--scenario", live_trial.SCENARIOS, list(live_trial.SCENARIOS), "error scenarios")
     add_choice(parser, "--figures", live_trial.COURSES, list(live_trial.COURSES), "paths of these figures")
     add_choice(parser, "--methods", METHODS, list(live_trial.COMPARED), "filters")
-    add_value(parser, "--periods", "N", positive, "end a trial after this number of periods of 0.1 s", live_trial.MAX_PERIODS)
+    add_value(parser, "--periods", "N", positive,
+              "end a trial after this number of periods of 0.1 s", live_trial.MAX_PERIODS)
     add_value(parser, "--tum", "DIR", Path, "write the paths of all trials to this folder, in TUM format")
     add_shared(parser, Path("out/experiments"), "row of the table")
     return parser
