@@ -40,9 +40,9 @@ from nclient.recording.format import Recording, read_recording
 from nclient.recording.recorder import HANDSHAKE_FIRST, TCP, ClientRecording
 from nclient.recording.replayer import STRICT, Player, RecordedConnection, ReplayPeer, load_exchanges
 from nclient.robot import Robot
-from nclient.transports import memory, serial, tcp
-from nclient.transports.memory import MemoryStream
-from nclient.transports.stream import ByteStream
+from nclient.transports import serial, tcp
+from nclient.transports import stream as memory
+from nclient.transports.stream import ByteStream, MemoryStream
 from nclient.url import SCHEMES, Address, available_schemes, parse_address, split_address
 
 DEFAULT_ADDRESS: Final = "nserver://localhost:7019/1"

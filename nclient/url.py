@@ -25,7 +25,7 @@ from nclient.faults.plan import Plan, load_plan
 from nclient.protocol.types import N150, Model, get_model
 from nclient.recording.recorder import HANDSHAKE_FIRST, SERIAL, TCP
 from nclient.recording.replayer import ORDERS
-from nclient.transports import memory
+from nclient.transports import stream as memory
 
 Parser = Callable[[str], Any]
 

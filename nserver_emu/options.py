@@ -14,9 +14,8 @@ from nclient.common import allowlist
 from nclient.common.arguments import ABOVE_ZERO, Parser, number, whole_number
 from nclient.common.hints import suggest, version
 from nserver_emu import logs
-from nserver_emu.control import options as control_options
+from nserver_emu.control import socket as control_options
 from nserver_emu.gateway import run as real_options
-from nserver_emu.persistence import autosave
 from nserver_emu.persistence import options as restore_options
 from nserver_emu.server import limits, serial_lines
 from nserver_emu.server.config import MAX_ROBOTS, MODEL_NAMES
@@ -99,7 +98,7 @@ def _add_persistence(parser: Parser) -> None:
                         help="continue a saved simulation with its world, robots, seed and setup, at its pace unless "
                         "--speed, --paused or --lockstep is given; with --save of the same file start a new one if the "
                         "file does not exist")
-    autosave.add_options(parser)
+    restore_options.add_options(parser)
     parser.add_argument("--record", type=Path, metavar="FILE",
                         help="record all traffic to FILE, with everything --replay needs")
     parser.add_argument("--replay", type=Path, metavar="FILE",
@@ -130,7 +129,6 @@ def read_options(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
     real_options.refuse(parser, options)
     viewer_options.refuse(parser, options)
     restore_options.check_options(parser, options, words)
-    autosave.check_options(parser, options)
     # 4. With --restore the saved pace applies unless an option of time was given.
     options.keeps_pace = restore_options.keeps_pace(parser, words)
     return options

@@ -10,20 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from localization.calibration.procedure import (
-    Driver,
-    DriveTo,
-    LapPolicy,
-    NoSquareError,
-    Square,
-    Task,
-    is_clear,
-    largest_square,
-    path_to,
-    tasks,
-)
-from localization.calibration.procedure import run as run_calibration
-from localization.calibration.result import calibration_in, missing, noise_in, table
+from localization.calibration import procedure
 from localization.cli import arguments
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import independent
@@ -104,14 +91,14 @@ def run(options: argparse.Namespace) -> int:
     # 3. Results.
     found, laps = made
     if not options.json:
-        print(f"{table(found)}\n{_describe_fit(found, fit, laps)}")
+        print(f"{procedure.table(found)}\n{_describe_fit(found, fit, laps)}")
     if not fit.is_good:
         if options.json:
             print(fit.line(), file=sys.stderr)
         return ExitCode.UNFIT
     if options.json:
         quality = {"nis": fit.nis, "refused_share": fit.refused_fraction, "laps": laps}
-        judgement = {"known_too_little": missing(found), "within_noise_of_zero": noise_in(found)}
+        judgement = {"known_too_little": procedure.missing(found), "within_noise_of_zero": procedure.noise_in(found)}
         print(json.dumps({**calibration_as_json(found), **quality, **judgement}), flush=True)
     if options.out:
         comment = f"nomad calibrate, in {world.name}: {laps} laps in each direction, {options.spins} turns per corner"
@@ -131,14 +118,16 @@ def _drive(robot: Robot, world: World, options: argparse.Namespace, fit: Consist
     # 2. Square, path to it and laps; without --laps more are driven until the result is accurate.
     square = _square_of(world, body.radius_in, start, options)
     first = _tasks(world, body.radius_in, start, square, options)
-    extra_lap = tasks(square, (first.corner.x_in, first.corner.y_in), 1, options.spins)[1:]
-    laps = LapPolicy(extra_lap, 1 if options.laps is not None else MAX_LAPS,
-                    lambda: not (fit.is_good and missing(calibration_in(method.belief))))  # fmt: skip
+    extra_lap = procedure.tasks(square, (first.corner.x_in, first.corner.y_in), 1, options.spins)[1:]
+    max_laps = 1 if options.laps is not None else MAX_LAPS
+    laps = procedure.LapPolicy(
+        extra_lap, max_laps, lambda: not (fit.is_good and procedure.missing(procedure.calibration_in(method.belief)))
+    )
     # 3. Drive; give up after the time limit or when the robot does not move.
-    driver = Driver(first.tasks, options.speed, math.radians(options.turn_speed), laps.more)
+    driver = procedure.Driver(first.tasks, options.speed, math.radians(options.turn_speed), laps.more)
     stall_detector, printed_s = StallDetector(options.speed), state.clock_s or 0.0
     began_s = printed_s
-    for progress in run_calibration(robot, config, method, driver, time.sleep):
+    for progress in procedure.run(robot, config, method, driver, time.sleep):
         clock_s = progress.estimate.clock_s
         fit.add(progress.estimate.echoes)
         if clock_s - began_s > options.time_limit:
@@ -148,40 +137,43 @@ def _drive(robot: Robot, world: World, options: argparse.Namespace, fit: Consist
             return f"after {clock_s - began_s:.0f} s: {stalled}; check --start and the map"
         if not options.json and clock_s >= printed_s + PRINT_INTERVAL_S:
             printed_s = clock_s
-            print(_line(clock_s - began_s, driver, calibration_in(method.belief)), flush=True)
-    return calibration_in(method.belief), laps.begun if options.laps is None else options.laps
+            print(_line(clock_s - began_s, driver, procedure.calibration_in(method.belief)), flush=True)
+    return procedure.calibration_in(method.belief), laps.begun if options.laps is None else options.laps
 
 
 class _Route(NamedTuple):
     """The path to the square and the first laps; the corner where the laps begin and end."""
 
-    tasks: list[Task]
-    corner: DriveTo
+    tasks: list[procedure.Task]
+    corner: procedure.DriveTo
 
 
-def _square_of(world: World, radius_in: float, start: tuple[float, ...], options: argparse.Namespace) -> Square:
+def _square_of(
+    world: World, radius_in: float, start: tuple[float, ...], options: argparse.Namespace
+) -> procedure.Square:
     """Return the square of --square, or the largest that fits. Raises NoSquareError."""
-    square: Square = options.square or largest_square(world, radius_in, (start[0], start[1]))
-    if not is_clear(square, world, radius_in):
-        raise NoSquareError(f"the square {tuple(square)} comes too near to walls: choose another, or omit --square")
+    square: procedure.Square = options.square or procedure.largest_square(world, radius_in, (start[0], start[1]))
+    if not procedure.is_clear(square, world, radius_in):
+        reason = f"the square {tuple(square)} comes too near to walls: choose another, or omit --square"
+        raise procedure.NoSquareError(reason)
     return square
 
 
 def _tasks(
-    world: World, radius_in: float, start: tuple[float, ...], square: Square, options: argparse.Namespace
+    world: World, radius_in: float, start: tuple[float, ...], square: procedure.Square, options: argparse.Namespace
 ) -> _Route:
     """Return the route to the square and around it. Raises NoPathError if the square cannot be reached."""
     here = (start[0], start[1])
     # The first task is the drive to the nearest corner; it is replaced by a path around obstacles.
-    corner, *rest = tasks(square, here, 1 if options.laps is None else options.laps, options.spins)
-    assert isinstance(corner, DriveTo)
-    return _Route([*path_to((corner.x_in, corner.y_in), here, world, radius_in), *rest], corner)
+    corner, *rest = procedure.tasks(square, here, 1 if options.laps is None else options.laps, options.spins)
+    assert isinstance(corner, procedure.DriveTo)
+    return _Route([*procedure.path_to((corner.x_in, corner.y_in), here, world, radius_in), *rest], corner)
 
 
 def _describe_fit(found: Calibration, fit: Consistency, laps: int) -> str:
     """Return how well the calibration fits and what is not known well enough, as text."""
     # Parameters that are not known well enough yet.
-    short = missing(found)
+    short = procedure.missing(found)
     if not short or not fit.is_good:
         return fit.line()
     text = f"after {laps} laps in each direction still inaccurate: {', '.join(short)}; "
@@ -189,7 +181,7 @@ def _describe_fit(found: Calibration, fit: Consistency, laps: int) -> str:
     return f"{text}\n{fit.line()}"
 
 
-def _line(passed_s: float, driver: Driver, found: Calibration) -> str:
+def _line(passed_s: float, driver: procedure.Driver, found: Calibration) -> str:
     # Estimates with standard deviations; scales have no unit.
     spread = found.spread
     return (
@@ -200,8 +192,8 @@ def _line(passed_s: float, driver: Driver, found: Calibration) -> str:
     )
 
 
-def _square(text: str) -> Square:
+def _square(text: str) -> procedure.Square:
     x, y, side = arguments.parse_numbers(text, 3)
     if side <= 0:
         raise argparse.ArgumentTypeError("expected a side longer than 0")
-    return Square(x, y, side)
+    return procedure.Square(x, y, side)

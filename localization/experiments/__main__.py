@@ -15,9 +15,8 @@ from localization.experiments import live, output
 from localization.experiments import lost as lost_command
 from localization.experiments import plan as plan_command
 from localization.experiments.execution import drive, drive_on_cluster, progress
-from localization.experiments.figure_trial import FIGURES, Figure, figure_setup
+from localization.experiments.figure_trial import FIGURES, Figure, figure_setup, summarize
 from localization.experiments.output import NO_PICTURES, add_shared, table
-from localization.experiments.results import summarize
 from localization.live.plot import require_matplotlib
 from nclient.errors import NomadError
 

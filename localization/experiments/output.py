@@ -14,8 +14,7 @@ import numpy as np
 
 from localization.experiments import execution
 from localization.experiments.execution import code_hash
-from localization.experiments.figure_trial import Figure, FigureSetup
-from localization.experiments.results import Summary, Track, typical
+from localization.experiments.figure_trial import Figure, FigureSetup, Summary, Track, typical
 from localization.filters.belief import Floats, difference
 from localization.live import plot
 from nclient.common.arguments import add_value, whole_number

@@ -33,7 +33,7 @@ from nserver_emu.server.session import Session
 from nserver_emu.viewer import messages
 from nserver_emu.viewer.broadcaster import Broadcaster, Viewer
 from nserver_emu.viewer.error_boundary import ErrorBoundary
-from nserver_emu.viewer.localization import parse_estimate
+from nserver_emu.viewer.messages import parse_estimate
 from nserver_emu.viewer.traffic import TrafficMonitor
 
 if TYPE_CHECKING:

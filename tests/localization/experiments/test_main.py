@@ -12,8 +12,7 @@ import pytest
 from localization.experiments import __main__, live
 from localization.experiments import lost as lost_command
 from localization.experiments import plan as plan_command
-from localization.experiments.figure_trial import FIGURES
-from localization.experiments.results import Summary
+from localization.experiments.figure_trial import FIGURES, Summary
 
 QUICK = ["--seeds", "2", "--jobs", "1"]
 
