@@ -59,8 +59,8 @@ def test_failed_go_is_explained_and_json_is_alone(capsys: pytest.CaptureFixture[
 
 @pytest.mark.parametrize(
     ("words", "expected"),
-    [(["--within", "0.01"], "a number from 0.1 to 100, not 0.01"),
-     (["--time-limit", "1e6"], "a number from 0.1 to 86400, not 1e6")],
+    [(["--within", "0.01"], "a number from 0.1 to 100, not '0.01'"),
+     (["--time-limit", "1e6"], "a number from 0.1 to 86400, not '1e6'")],
 )  # fmt: skip
 def test_go_refuses_invalid_options_like_a_mission(
     words: list[str], expected: str, capsys: pytest.CaptureFixture[str]
