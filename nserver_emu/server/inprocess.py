@@ -134,7 +134,7 @@ def open_address(address: str) -> InProcess:
     robots      number of robots, 1 to 1000; the client's is number 1, the others stand still, because each address has
                 a world of its own; `robot` and `start` may be repeated for them
     model_file  a TOML file of models that override or extend the built-in ones
-    setup       ideal, noisy, measured, worn or a TOML file; takes precedence over `noisy`
+    setup       ideal, noisy, measured, building, worn or a TOML file; takes precedence over `noisy`
     step_s      simulated seconds per exchange, 0.001 to 10
     line        1: the robot's own serial line instead of the TCP protocol
 
