@@ -7,15 +7,15 @@ import json
 import sys
 from pathlib import Path
 
-from localization.cli.options import check_writable, parse_odometry_noise
-from localization.filters.base import THESIS_ODOMETRY
+from localization.cli import arguments
 from localization.filters.sonar_cone import ConeSonar
 from localization.live.plot import check_picture
 from localization.mapping.learn import MapLearner
 from localization.mapping.measurements import read_drive
 from localization.mapping.output import LearnedMap, describe, draw_learned, summary
+from nclient.common.arguments import add_value
 from nclient.common.exit_codes import ExitCode
-from nclient.common.files import describe_write_error
+from nclient.common.files import write_errors_as
 from nclient.errors import OutputFileError
 from worlds.io import format_world, parse_world
 from worlds.robots import format_calibration
@@ -32,22 +32,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--from", dest="recording", type=Path, required=True, metavar="RECORDING", help="read this recording of a drive"
     )
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="write this world file")
-    parser.add_argument(
-        "--picture", type=Path, metavar="PNG", help="draw walls, echoes and path into this file (extra `plot`)"
-    )
-    parser.add_argument(
-        "--calibration-out",
-        type=Path,
-        metavar="FILE",
-        help="write sonar offsets and wheel scales into this model file, which --calibration reads",
-    )
-    parser.add_argument(
-        "--odometry-noise",
-        type=parse_odometry_noise,
-        default=THESIS_ODOMETRY,
-        metavar="A,B,C",
-        help="standard deviations of the random odometry error: in after 1 in, rad after 1 rad, rad after 1 in",
-    )
+    add_value(parser, "--picture", "PNG", Path, "draw walls, echoes and path into this file (needs the extra `plot`)")
+    add_value(parser, "--calibration-out", "FILE", Path,
+              "write sonar offsets and wheel scales into this model file, which --calibration reads")
+    arguments.add_odometry_noise(parser)
     parser.add_argument(
         "--sonars",
         choices=("rays", "cones"),
@@ -60,8 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit code: 0, or 4 if the map does not hold together and is not written."""
     # 1. Report unwritable files before the work.
-    for path in (options.out, options.calibration_out):
-        check_writable(path)
+    arguments.check_writable(options.out, options.calibration_out)
     if options.picture is not None:
         check_picture(options.picture)
     # 2. The map.
@@ -96,7 +83,5 @@ def _write_files(options: argparse.Namespace, found: LearnedMap, model: str) -> 
 
 
 def _write(path: Path, text: str) -> None:
-    try:
+    with write_errors_as(OutputFileError, path):
         path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise OutputFileError(describe_write_error(path, error)) from error
