@@ -16,7 +16,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from localization.cli.options import make_folder
+from localization.cli.arguments import make_folder
 from localization.experiments.output import text_table
 from localization.experiments.residuals import Echoes, ResidualStatistics, fit_walls, residual_statistics
 from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig

@@ -117,7 +117,7 @@ BUILDING_SONAR: Final = ConeSonar(
     surface_std_in=1.75,
     surface_length_in=24.0,
 )
-"""A real ring in a real building, fitted to a corridor (docs/real-data.md): cones with a soft edge, walls with surfaces,
+"""A real ring in a real building, fitted to a corridor (docs/real-data.md): soft edges of cones, walls with surfaces,
 two of three echoes from things that are not on the map."""
 
 
