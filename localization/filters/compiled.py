@@ -32,7 +32,9 @@ _log = logging.getLogger(__name__)
 
 # Arguments of compiled code: what it reads of the classes of the same name, with arrays for lists.
 NoiseRow = NamedTuple("NoiseRow", [(field.name, float) for field in fields(OdometryNoise)])  # type: ignore[misc]
-RaySonarRow = NamedTuple("RaySonarRow", [(field.name, float) for field in fields(RaySonar)])  # type: ignore[misc]
+RaySonarRow = NamedTuple(
+    "RaySonarRow", [*((field.name, float) for field in fields(RaySonar)), ("range_span_in", float)]  # type: ignore[misc]
+)
 ConeSonarRow = NamedTuple(
     "ConeSonarRow",
     [*((field.name, float) for field in fields(ConeSonar)), ("outlier_density", float)],  # type: ignore[misc]
@@ -55,8 +57,7 @@ class RayArrays(NamedTuple):
     walls: WallArrays
     gate: Any
     threshold: float
-    ring_radius_in: float
-    angles_rad: Floats
+    mounts: Floats
 
 
 class ConeArrays(NamedTuple):
@@ -66,8 +67,7 @@ class ConeArrays(NamedTuple):
     walls: WallArrays
     faces: Floats
     vertices: Floats
-    ring_radius_in: float
-    angles_rad: Floats
+    mounts: Floats
 
 
 def _row(row: Any, record: object) -> Any:
@@ -77,12 +77,12 @@ def _row(row: Any, record: object) -> Any:
 
 def _arrays(model: Any) -> RayArrays | ConeArrays:
     """Return a model, of rays or cones, as compiled code takes it."""
-    walls, angles = WallArrays(model.walls.segments, model.walls.lines, model.walls.middle), np.array(model.angles_rad)
+    walls, mounts = WallArrays(model.walls.segments, model.walls.lines, model.walls.middle), np.array(model.mounts)
     if isinstance(model, RayModel):
         noise, gate = _row(RaySonarRow, model.noise), _row(GateRow, model.gate)
-        return RayArrays(noise, walls, gate, model.threshold, model.ring_radius_in, angles)
+        return RayArrays(noise, walls, gate, model.threshold, mounts)
     faces, vertices = np.array(model.faces).reshape(-1, 5), np.array(model.vertices).reshape(-1, 3)
-    return ConeArrays(_row(ConeSonarRow, model.noise), walls, faces, vertices, model.ring_radius_in, angles)
+    return ConeArrays(_row(ConeSonarRow, model.noise), walls, faces, vertices, mounts)
 
 
 # Compiling.
