@@ -10,8 +10,6 @@
 corners, points, x and y end in their unit: _in, _cm or _m. All errors are WorldFileError.
 """
 
-from __future__ import annotations
-
 import functools
 import json
 from collections.abc import Iterable, Iterator, Mapping

@@ -11,8 +11,6 @@ References
 Douglas, Peucker: Algorithms for the reduction of the number of points required to represent a digitized line (1973).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

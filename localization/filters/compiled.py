@@ -58,6 +58,7 @@ class RayArrays(NamedTuple):
     gate: Any
     threshold: float
     mounts: Floats
+    range_parameters: int
 
 
 class ConeArrays(NamedTuple):
@@ -68,6 +69,7 @@ class ConeArrays(NamedTuple):
     faces: Floats
     vertices: Floats
     mounts: Floats
+    range_parameters: int
 
 
 def _row(row: Any, record: object) -> Any:
@@ -77,12 +79,13 @@ def _row(row: Any, record: object) -> Any:
 
 def _arrays(model: Any) -> RayArrays | ConeArrays:
     """Return a model, of rays or cones, as compiled code takes it."""
-    walls, mounts = WallArrays(model.walls.segments, model.walls.lines, model.walls.middle), np.array(model.mounts)
+    walls = WallArrays(model.walls.segments, model.walls.lines, model.walls.middle)
+    ring = (np.array(model.mounts), model.range_parameters)
     if isinstance(model, RayModel):
         noise, gate = _row(RaySonarRow, model.noise), _row(GateRow, model.gate)
-        return RayArrays(noise, walls, gate, model.threshold, mounts)
+        return RayArrays(noise, walls, gate, model.threshold, *ring)
     faces, vertices = np.array(model.faces).reshape(-1, 5), np.array(model.vertices).reshape(-1, 3)
-    return ConeArrays(_row(ConeSonarRow, model.noise), walls, faces, vertices, mounts)
+    return ConeArrays(_row(ConeSonarRow, model.noise), walls, faces, vertices, *ring)
 
 
 # Compiling.
@@ -202,8 +205,6 @@ class CompiledRing:
         return outcomes
 
 
-def ring(
-    loop: Callable[..., list[Outcome]], model: DirectModel | None, noise: OdometryNoise
-) -> CompiledRing | None:
+def ring(loop: Callable[..., list[Outcome]], model: DirectModel | None, noise: OdometryNoise) -> CompiledRing | None:
     """Return the compiled loop; None for a model without an update of its own, or if `load` was not called."""
     return CompiledRing(loop, model, noise) if model and load.cache_info().currsize and load() else None

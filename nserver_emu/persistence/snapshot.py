@@ -180,43 +180,28 @@ def decoder(kind: Any) -> Decoder:
     return lambda data: kind(*fields(data))
 
 
-def _bool(data: Any) -> bool:
-    if not isinstance(data, bool):
-        raise ValueError("expected true or false")
-    return data
+def _expecting(what: str, is_valid: Callable[[Any], bool], make: Callable[[Any], Any] = lambda data: data) -> Decoder:
+    """Return a decoder that checks a value, and says what it expected."""
+
+    def decode(data: Any) -> Any:
+        if not is_valid(data):
+            raise ValueError(f"expected {what}")
+        return make(data)
+
+    return decode
 
 
-def _int(data: Any) -> int:
-    if not isinstance(data, int) or isinstance(data, bool) or data.bit_length() > MAX_BITS:
-        raise ValueError("expected a whole number")
-    return data
-
-
-def _float(data: Any) -> float:
-    if not isinstance(data, int | float) or isinstance(data, bool) or not isfinite(data) or abs(data) > MAX_NUMBER:
-        raise ValueError("expected a number")
-    return float(data)
-
-
-def _str(data: Any) -> str:
-    if not isinstance(data, str):
-        raise ValueError("expected a text")
-    return data
-
-
-_SCALARS: Final[Mapping[type, Decoder]] = {bool: _bool, int: _int, float: _float, str: _str}
-
-
-def _array(data: Any) -> list[Any]:
-    if not isinstance(data, list):
-        raise ValueError("expected an array")
-    return data
-
-
-def _object(data: Any) -> dict[str, Any]:
-    if not isinstance(data, dict):
-        raise ValueError("expected an object")
-    return data
+# JSON has no other types than these, and type() tells true and false from numbers.
+_SCALARS: Final[Mapping[type, Decoder]] = {
+    bool: _expecting("true or false", lambda data: isinstance(data, bool)),
+    int: _expecting("a whole number", lambda data: type(data) is int and data.bit_length() <= MAX_BITS),
+    float: _expecting(
+        "a number", lambda data: type(data) in (int, float) and isfinite(data) and abs(data) <= MAX_NUMBER, float
+    ),
+    str: _expecting("a text", lambda data: isinstance(data, str)),
+}
+_array: Final = _expecting("an array", lambda data: isinstance(data, list))
+_object: Final = _expecting("an object", lambda data: isinstance(data, dict))
 
 
 def _decode(decode: Decoder, data: Any, key: str | int) -> Any:

@@ -64,7 +64,6 @@ class Job(Protocol):
 
     def run_turn(self) -> None:
         """Do the work of one turn; submit itself again if some is left."""
-        ...
 
 
 class FairScheduler:
@@ -212,7 +211,6 @@ class Server(Protocol):
     @property
     def emulator(self) -> ServerState:
         """The simulation with the server's settings."""
-        ...
 
 
 class ConnectionHandler(ABC):

@@ -17,8 +17,6 @@ it starts with CONNECT and, in most cases, the client's word size:
     64-bit client    type, count | 0 word 0 word ...      each word is sent as four zero bytes and its value
 """
 
-from __future__ import annotations
-
 import logging
 from abc import ABC, abstractmethod
 from collections import deque
@@ -152,15 +150,12 @@ class CommandHandler(Protocol):
 
     def answer(self, call: Call, context: ConnectionContext) -> Reply | DeferredReply:
         """Execute a call and return its reply."""
-        ...
 
     def on_disconnect(self, context: ConnectionContext) -> None:
         """Stop the motions that a closed connection started."""
-        ...
 
     def hold(self, robot_id: int, by: str) -> None:
         """Stop a robot and ignore motion commands until it is released (estop.py)."""
-        ...
 
 
 def error_reply(code: int) -> Reply:

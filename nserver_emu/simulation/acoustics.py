@@ -17,7 +17,7 @@ Other robots are discs:
 Each path leaves and arrives inside the cones; it has a level, and the points between which it must be free. The first
 free one that is loud enough is the echo. The ping of another sonar of the ring that is still under way is detected like
 one's own, and gives too short a range (cross-talk). Not modelled: side lobes, paths off three walls and more or off two
-robots, later pings, pings of other robots, rough walls.
+robots, later pings, pings of other robots. The surface of a wall may have levels and posts (surfaces.py).
 
 Positions are complex numbers x + iy in here, which halves the number of arrays. With the unit direction u of a wall and
 a point a of it the image of p is a + u^2 conj(p - a).
@@ -42,6 +42,7 @@ import numpy.typing as npt
 
 from nserver_emu.simulation.segments import PS_PER_S, wrap_to_pi
 from nserver_emu.simulation.settings import SONAR_NUMBERS, setting
+from nserver_emu.simulation.surfaces import Surfaces, WallSurface
 from worlds.geometry import NO_DISCS, BoolArray, FloatArray, nearest_points
 from worlds.raycast import cast_discs, cast_rays, near_walls
 from worlds.rings import MAX_SONARS
@@ -114,10 +115,11 @@ def collected(paths: Iterable[Paths]) -> Steps[Paths]:
 
 
 class ReflectorMap:
-    """The walls as reflectors: (m, 4), rows x1 y1 x2 y2 in inches."""
+    """The walls as reflectors: (m, 4), rows x1 y1 x2 y2 in inches, and their surfaces; None: as the map has them."""
 
-    def __init__(self, walls: FloatArray) -> None:
+    def __init__(self, walls: FloatArray, surfaces: Surfaces | None = None) -> None:
         self.walls = walls
+        self.surfaces = surfaces
 
     def within(self, points: ComplexArray, reach_in: float) -> ReflectorMap:
         """Return the walls that sound from any of these points reaches."""
@@ -125,7 +127,8 @@ class ReflectorMap:
             return self
         low, high = complex(points.real.min(), points.imag.min()), complex(points.real.max(), points.imag.max())
         middle, half = (low + high) / 2.0, (high - low) / 2.0
-        return ReflectorMap(near_walls(middle.real, middle.imag, reach_in + max(half.real, half.imag), self.walls))
+        near = near_walls(middle.real, middle.imag, reach_in + max(half.real, half.imag), self.walls)
+        return ReflectorMap(near, self.surfaces)
 
     @cached_property
     def mirrors(self) -> ComplexArray:
@@ -156,17 +159,45 @@ class ReflectorMap:
         edges: ComplexArray = ends[is_edge]
         return edges
 
+    @cached_property
+    def posts(self) -> tuple[ComplexArray, ComplexArray]:
+        """The posts: points on the walls (p,), and how the surface displaces them (p,)."""
+        found = [np.empty((2, 0), dtype=np.complex128)]
+        for start, along, _ in self.mirrors if self.surfaces else ():
+            surface, unit = self._surface(start, along), along / abs(along)
+            levels_in = surface.level_in(surface.posts_in)
+            found.append(np.array([start + unit * surface.posts_in, 1j * unit * levels_in]))
+        points, displaced = np.concatenate(found, axis=1)
+        return points, displaced
+
+    def levels_in(self, mirrors: IndexArray, points: ComplexArray, seen_from: ComplexArray) -> FloatArray:
+        """Return how far the surfaces of mirrors stand out, at points on them, to the side of other points (n,)."""
+        levels_in = np.zeros(len(mirrors))
+        if self.surfaces:
+            for mirror in np.unique(mirrors):
+                start, along, _ = self.mirrors[mirror]
+                rows = np.flatnonzero(mirrors == mirror)
+                side = np.sign((np.conj(along) * (seen_from[rows] - start)).imag)
+                levels_in[rows] = side * self._surface(start, along).level_in(np.abs(points[rows] - start))
+        return levels_in
+
+    def _surface(self, start: complex, along: complex) -> WallSurface:
+        assert self.surfaces is not None
+        end = start + along
+        return self.surfaces.of(np.array([start.real, start.imag, end.real, end.imag]))
+
 
 class Attenuation(NamedTuple):
     """Losses on a path.
 
-    In dB per inch of range, and in dB at each wall after the first, at an edge, and by scattering at a robot.
+    In dB per inch of range, and in dB at each wall after the first, at an edge, by scattering at a robot, at a post.
     """
 
     absorption_db_in: float
     bounce_loss_db: float
     edge_loss_db: float
     skin_loss_db: float
+    post_loss_db: float = inf
 
 
 class Beam(NamedTuple):
@@ -306,24 +337,30 @@ def single_paths(
     """
     mirrors, edges = reflectors.mirrors, reflectors.edges
     yield _off_edges(pairs, pairs.each.may_meet_points(edges), edges, losses)
-    yield _off_one_wall(pairs, may_meet, mirrors, losses)
+    yield _off_one_wall(pairs, may_meet, reflectors, losses)
+    if reflectors.surfaces:
+        posts, displaced = reflectors.posts
+        scattered = losses._replace(edge_loss_db=losses.post_loss_db)
+        yield _off_edges(pairs, pairs.each.may_meet_points(posts), posts, scattered, displaced)
     if any(map(len, discs)):
         yield from _off_discs(pairs, may_meet, mirrors, discs, losses)
 
 
-def double_paths(pairs: Pairs, may_meet: BoolArray, mirrors: ComplexArray, losses: Attenuation) -> Iterator[Paths]:
+def double_paths(
+    pairs: Pairs, may_meet: BoolArray, reflectors: ReflectorMap, losses: Attenuation
+) -> Iterator[Paths]:
     """Yield the paths off two walls, and over a slanted wall to another and back, regardless of obstructions."""
-    own = np.flatnonzero(pairs.is_own)
+    own, mirrors = np.flatnonzero(pairs.is_own), reflectors.mirrors
     first, every = may_meet[pairs.source], np.ones((len(own), len(mirrors)), dtype=np.bool_)
     yield from _off_two_walls(pairs, first, may_meet[pairs.receiver], mirrors, losses)
-    yield from _over_wall_to_wall(pairs, own, first[own], every, mirrors, losses)
+    yield from _over_wall_to_wall(pairs, own, first[own], every, reflectors, losses)
 
 
 def short_double_paths(
-    pairs: Pairs, may_meet: BoolArray, mirrors: ComplexArray, max_range_in: FloatArray, losses: Attenuation
+    pairs: Pairs, may_meet: BoolArray, reflectors: ReflectorMap, max_range_in: FloatArray, losses: Attenuation
 ) -> Iterator[Paths]:
     """Yield those of `double_paths` that are no longer than a range (k,) of each pair, and some more."""
-    beams = pairs.beams
+    beams, mirrors = pairs.beams, reflectors.mirrors
     # A path over a wall is at least as long as twice the distance of that wall less that between the transducers.
     apart_in = np.abs(beams.point[pairs.source] - beams.point[pairs.receiver])
     far_in = (max_range_in + (pairs.head_start_in + apart_in) / 2.0)[:, np.newaxis]
@@ -334,26 +371,33 @@ def short_double_paths(
     last = may_meet[pairs.receiver] & (distances[pairs.receiver] <= far_in)
     own = np.flatnonzero(pairs.is_own)
     yield from _off_two_walls(pairs, first, last, mirrors, losses)
-    yield from _over_wall_to_wall(pairs, own, first[own], is_near_source[own], mirrors, losses)
+    yield from _over_wall_to_wall(pairs, own, first[own], is_near_source[own], reflectors, losses)
 
 
-def _off_edges(pairs: Pairs, may_meet: BoolArray, edges: ComplexArray, losses: Attenuation) -> Paths:
+def _off_edges(
+    pairs: Pairs, may_meet: BoolArray, edges: ComplexArray, losses: Attenuation, displaced: ComplexArray | None = None
+) -> Paths:
     pair, edge = np.nonzero(may_meet[pairs.source] & may_meet[pairs.receiver])
     out, back, points = *_beams(pairs, pair), edges[edge]
-    lengths = np.abs(points - out.point) + np.abs(points - back.point)
+    # A displaced edge counts as on its wall for what obstructs it, but not for the length.
+    at = points if displaced is None else points + displaced[edge]
+    lengths = np.abs(at - out.point) + np.abs(at - back.point)
     loss_db = out.loss_db(points) + back.loss_db(points) + losses.edge_loss_db + losses.absorption_db_in * lengths / 2.0
     return Paths.between(pairs, pair, lengths, loss_db, points)
 
 
-def _off_one_wall(pairs: Pairs, may_meet: BoolArray, mirrors: ComplexArray, losses: Attenuation) -> Paths:
+def _off_one_wall(pairs: Pairs, may_meet: BoolArray, reflectors: ReflectorMap, losses: Attenuation) -> Paths:
+    mirrors = reflectors.mirrors
     # The point of reflection lies in both cones, so the wall reaches into both.
     pair, wall = np.nonzero(may_meet[pairs.source] & may_meet[pairs.receiver])
     out, back = _beams(pairs, pair)
     images = mirror_points(out.point, mirrors[wall])
     points, is_met = crossings(images, back.point, mirrors[wall])
-    pair, images, points = pair[is_met], images[is_met], points[is_met]
+    pair, wall, images, points = pair[is_met], wall[is_met], images[is_met], points[is_met]
     out, back = _beams(pairs, pair)
     lengths = np.abs(images - back.point)
+    if reflectors.surfaces:
+        lengths = np.maximum(lengths - 2.0 * reflectors.levels_in(wall, points, back.point), 0.0)
     loss_db = out.loss_db(points) + back.loss_db(points) + losses.absorption_db_in * lengths / 2.0
     return Paths.between(pairs, pair, lengths, loss_db, points)
 
@@ -382,16 +426,21 @@ def _off_two_walls(
 
 
 def _over_wall_to_wall(
-    pairs: Pairs, own: IndexArray, slanted: BoolArray, second: BoolArray, mirrors: ComplexArray, losses: Attenuation
-) -> Iterator[Paths]:
+    pairs: Pairs, own: IndexArray, slanted: BoolArray, second: BoolArray, reflectors: ReflectorMap,
+    losses: Attenuation,
+) -> Iterator[Paths]:  # fmt: skip
     """Yield the paths off a slanted wall, perpendicularly onto another, and back along themselves."""
+    mirrors = reflectors.mirrors
     for row, one, two in _products(slanted, second):
         out, _ = _beams(pairs, own[row])
         first, start, along = mirrors[one], mirrors[two, 0], mirrors[two, 1]
         # 1. The foot of the perpendicular from each image onto each other wall.
         images = mirror_points(out.point, first)
         fraction = ((images - start) / along).real
-        met = np.flatnonzero((fraction >= 0.0) & (fraction <= 1.0))
+        is_foot = (fraction >= 0.0) & (fraction <= 1.0)
+        if reflectors.surfaces:
+            is_foot &= one != two  # the path off one wall, without the level of its surface
+        met = np.flatnonzero(is_foot)
         if not len(met):
             continue
         feet = start[met] + fraction[met] * along[met]
@@ -684,6 +733,8 @@ class Polaroid(SonarErrors):
         Range below which the transducer still rings: its own echo reads this, echoes of others are lost.
     recess_in
         Depth of the transducer's face behind the ring.
+    surface_std_in, surface_length_in, post_spacing_in, post_loss_db
+        The surfaces of walls (surfaces.py), and the loss at a post. A standard deviation and a spacing of 0: planes.
     """
 
     range_std_relative: float = relative_std(0.01)
@@ -699,12 +750,23 @@ class Polaroid(SonarErrors):
     skin_loss_db: float = _decibels(15.0, 0, 200, meaning="loss by scattering at a robot that does not face the sonar")
     blanking_in: float = setting(6.0, 0, 24, "in", "echoes of neighbours from nearer are not detected")
     recess_in: float = setting(0.5, 0, 4, "in", "depth of the transducers behind the ring")
+    surface_std_in: float = setting(0.0, 0, 12, "in", "standard deviation of the level of a wall's surface; 0: plane")
+    surface_length_in: float = setting(24.0, 1, 1000, "in", "mean length of a level; correlation length of the surface")
+    post_spacing_in: float = setting(0.0, 0, 1000, "in", "mean distance of posts along a wall, at least 1; 0: none")
+    post_loss_db: float = _decibels(10.0, 0, 200, meaning="loss at a post, relative to a wall")
 
     @property
     def audible_ps(self) -> int:
         """Time after which a ping is inaudible, even with a level of five standard deviations."""
         reach_in = (self.margin_db + 5.0 * self.margin_std_db) / self.absorption_db_in
         return int(2.0 * reach_in / self.sound_in_s * 1e12)
+
+    def surfaces(self, seed: int) -> Surfaces | None:
+        """Return the surfaces of the walls in a run of this seed; None if they are planes without posts."""
+        if not (self.surface_std_in or self.post_spacing_in):
+            return None
+        spacing_in = self.post_spacing_in and max(self.post_spacing_in, 1.0)
+        return Surfaces(seed, self.surface_std_in, self.surface_length_in, spacing_in)
 
     def draw(self, rng: np.random.Generator) -> tuple[float, ...]:
         """Draw the noise of a ping: one number for the range and one for the level."""
@@ -746,7 +808,9 @@ class Polaroid(SonarErrors):
         reach_in = margin_db / self.absorption_db_in if self.absorption_db_in else inf
         near = reflectors.within(pairs.beams.point, reach_in)
         may_meet = pairs.each.may_meet(near.mirrors)
-        losses = Attenuation(self.absorption_db_in, self.bounce_loss_db, self.edge_loss_db, self.skin_loss_db)
+        losses = Attenuation(
+            self.absorption_db_in, self.bounce_loss_db, self.edge_loss_db, self.skin_loss_db, self.post_loss_db
+        )
         discs = [*others, *[NO_DISCS] * (len(pairs.beams.point) - len(pings))]
         ranges_in = np.full(len(pings), inf)
         yield
@@ -754,13 +818,13 @@ class Polaroid(SonarErrors):
         counts = may_meet.sum(axis=1)
         if int((counts[pairs.source] * counts[pairs.receiver]).sum()) <= FEW_COMBINATIONS:
             # 2. The first free path of all ...
-            double = yield from collected(double_paths(pairs, may_meet, near.mirrors, losses))
+            double = yield from collected(double_paths(pairs, may_meet, near, losses))
             yield from self._find_free(pairs, Paths.joined([paths, double]), near.walls, discs, ranges_in)
         else:
             # ... or, among many walls, off one reflector, then of those off two that are shorter.
             yield from self._find_free(pairs, paths, near.walls, discs, ranges_in)
             nearest_in = np.minimum(ranges_in, min(reach_in, max_range_in))[pairs.receiver] + self.recess_in + SMALL_IN
-            double = yield from collected(short_double_paths(pairs, may_meet, near.mirrors, nearest_in, losses))
+            double = yield from collected(short_double_paths(pairs, may_meet, near, nearest_in, losses))
             yield from self._find_free(pairs, double, near.walls, discs, ranges_in)
         found: list[float] = ranges_in.tolist()
         return found

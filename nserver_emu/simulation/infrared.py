@@ -7,8 +7,6 @@ The whole ring flashes at once, every 60 ms (both this and the arithmetic of the
 gives them). As with the sonars a flash records its pose; rays are cast when a reading is used, which changes no value.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import floor, inf

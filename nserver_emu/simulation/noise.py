@@ -4,6 +4,8 @@
     noisy     axes ramp, motion errors are a random walk, sonars with 1 % noise: the settings of the experiments
     measured  as noisy, but the sonars are a Polaroid ring (cone, reflections, second echoes, cross-talk), and infrared
               sensors, compass and clock have errors as well
+    building  as measured, in a real building: walls with doors and posts, whose errors last over metres, cones with
+              a soft edge; fitted to a real corridor (docs/real-data.md)
     worn      as noisy, with systematic odometry errors: after UMBmark's square of 4 m a robot with a synchro drive is
               126 mm off, a Scout 338 mm, like robots without calibration
 
@@ -190,6 +192,20 @@ MEASURED: Final = RobotSetup(
     compass=CompassNoise(std_rad=radians(0.5), deviation_rad=radians(6.0)),
     clock_step_s=0.0164,
 )
+BUILDING: Final = replace(
+    MEASURED,
+    name="building",
+    # The level of the echo alone ends the cone: a wall is detected to 20 to 25 degrees, as posts are in real data.
+    sonar=Polaroid(
+        range_std_relative=0.005,
+        cone_rad=radians(50.0),
+        cone_loss_db=24.0,
+        surface_std_in=1.6,
+        surface_length_in=24.0,
+        post_spacing_in=40.0,
+        post_loss_db=8.0,
+    ),
+)
 WORN: Final = replace(
     NOISY,
     name="worn",
@@ -197,7 +213,7 @@ WORN: Final = replace(
 )
 
 SETUPS: Final[Mapping[str, RobotSetup]] = MappingProxyType(
-    {setup.name: setup for setup in (IDEAL, NOISY, MEASURED, WORN)}
+    {setup.name: setup for setup in (IDEAL, NOISY, MEASURED, BUILDING, WORN)}
 )
 """The predefined setups by name."""
 

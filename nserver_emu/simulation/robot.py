@@ -160,7 +160,7 @@ class SimulatedRobot:
         self._trajectory: list[PathSegment] | None = None
         # Sensors, each with a random stream of its own.
         self._rngs = tuple(rng_factory.stream(purpose) for purpose in Purpose)
-        self.sonar = SonarRing(model.body, setup.sonar, walls, self._rngs[Purpose.SONAR])
+        self.sonar = SonarRing(model.body, setup.sonar, walls, self._rngs[Purpose.SONAR], rng_factory.seed)
         self.infrared: InfraredRing | None = None
         if model.has_light_sensors:
             self.infrared = InfraredRing(model.body, setup.infrared, walls, now_ps, self._rngs[Purpose.INFRARED])

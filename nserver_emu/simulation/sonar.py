@@ -68,6 +68,10 @@ class SonarNoise(SonarErrors):
         """True if ranges are noisy."""
         return bool(self.range_std_floor_in or self.range_std_relative)
 
+    def surfaces(self, _seed: int) -> None:
+        """Return None: exact rays meet the walls as the map has them."""
+        return
+
     def draw(self, rng: np.random.Generator) -> tuple[float, ...]:
         """Draw the noise of a ping: one number, or 0 without drawing where there is no noise."""
         return (rng.standard_normal(),) if self.has_noise else (0.0,)
@@ -173,10 +177,13 @@ class SonarRing:
         The instant of the next firing; TIME_MAX_PS if the ring is off.
     """
 
-    def __init__(self, body: Body, model: SonarModel, walls: FloatArray, rng: np.random.Generator) -> None:
+    def __init__(
+        self, body: Body, model: SonarModel, walls: FloatArray, rng: np.random.Generator, surface_seed: int = 0
+    ) -> None:
         self.body = body
         self.model = model
-        self._reflectors = ReflectorMap(walls)
+        self._surface_seed = surface_seed
+        self._reflectors = ReflectorMap(walls, model.surfaces(surface_seed))
         self._rng = rng
         self._ring = ring = body.ring
         silent = ring.plain(ring.no_echo_in)
@@ -295,13 +302,14 @@ class SonarRing:
 
     def set_walls(self, walls: FloatArray) -> None:
         """Replace the walls (m, 4); earlier pings still meet the previous ones."""
-        self._reflectors = ReflectorMap(walls)
+        self._reflectors = ReflectorMap(walls, self.model.surfaces(self._surface_seed))
 
     def set_model(self, model: SonarModel) -> None:
         """Replace the sonar model; earlier pings are measured with the previous one, and disturb no later ping."""
         self._compute_pending()
         self._earlier = ()
         self.model = model
+        self._reflectors = ReflectorMap(self._reflectors.walls, model.surfaces(self._surface_seed))
         for sonar in range(self._ring.count):
             if sonar in model.dead:
                 self._readings[sonar] = DEAD_IN

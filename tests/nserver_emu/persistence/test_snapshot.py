@@ -118,7 +118,7 @@ def test_tracks_are_saved_as_little_endian_doubles() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("setup", ["ideal", "noisy", "measured", "worn"])
+@pytest.mark.parametrize("setup", ["ideal", "noisy", "measured", "building", "worn"])
 def test_three_models_with_all_sensors_continue_bit_for_bit(setup: str) -> None:
     others = (("n200", StartPose(70.0, 70.0, 1.0)), ("scout", StartPose(75.0, 25.0, 2.0)))
     config = SimulationConfig(start=StartPose(20.0, 20.0, 0.5), seed=6, setup=setup, others=others)

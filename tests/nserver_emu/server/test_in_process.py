@@ -125,7 +125,7 @@ def test_the_client_controls_the_time() -> None:
 def test_a_setup_can_be_named_and_counts_before_noisy() -> None:
     for options, setup in (("setup=measured", "measured"), ("noisy=1&setup=ideal", "ideal"), ("noisy=1", "noisy")):
         assert open_address(f"sim:?{options}").emulator.simulation.robots[1].setup.name == setup
-    with pytest.raises(AddressError, match=r"'perfect'.* ideal, noisy, measured, worn.* files"):
+    with pytest.raises(AddressError, match=r"'perfect'.* ideal, noisy, measured, building, worn.* files"):
         open_address("sim:?setup=perfect")
 
 

@@ -33,7 +33,7 @@ def test_every_field_that_is_noise_is_in_one_part() -> None:
 
 
 def test_parts_are_named_after_the_first_setup_that_has_them() -> None:
-    assert list(part_choices("sensors", N150, IDEAL)) == ["ideal", "noisy", "measured"]
+    assert list(part_choices("sensors", N150, IDEAL)) == ["ideal", "noisy", "measured", "building"]
     assert list(part_choices("motion", N150, IDEAL)) == ["ideal", "noisy", "worn"]
     assert part_name("motion", MEASURED, N150, IDEAL) == "noisy"
     assert part_name("sensors", WORN, N150, IDEAL) == "noisy"
@@ -44,7 +44,7 @@ def test_parts_are_named_after_the_first_setup_that_has_them() -> None:
 
 def test_the_initial_setup_can_be_chosen_again() -> None:
     twin = replace(NOISY, name="room 12", sonar=SonarNoise(range_std_relative=0.3))
-    assert list(part_choices("sensors", N150, twin)) == ["ideal", "noisy", "measured", "room 12"]
+    assert list(part_choices("sensors", N150, twin)) == ["ideal", "noisy", "measured", "building", "room 12"]
     assert list(part_choices("motion", N150, twin)) == ["ideal", "noisy", "worn"]
     assert part_name("sensors", twin, N150, twin) == "room 12"
     assert part_name("sensors", twin, N150, IDEAL) == "room 12"
