@@ -109,8 +109,7 @@ class FairScheduler:
         job.is_queued = True
         self._submitted.append(job)
         if not self._is_turn_scheduled:
-            self._is_turn_scheduled = True
-            asyncio.get_running_loop().call_soon(self._run_turn)
+            self._schedule_turn()
 
     def _run_turn(self) -> None:
         """Run queued jobs until the time of this turn is used up, each at most once."""
@@ -134,9 +133,19 @@ class FairScheduler:
                         first_again_s = min(first_again_s, job.finish_tag_s)
         finally:
             # 3. The rest follows in the next turn, also after an error, which the event loop logs.
-            self._is_turn_scheduled = bool(self._queue or self._submitted)
-            if self._is_turn_scheduled:
-                loop.call_soon(self._run_turn)
+            self._is_turn_scheduled = False
+            if self._queue or self._submitted:
+                self._schedule_turn()
+
+    def _schedule_turn(self) -> None:
+        """Run a turn in the next iteration of the event loop, after the sockets are read.
+
+        asyncio runs timers that are due after what it read, and callbacks of `call_soon` before: with those a request
+        would wait for one more turn.
+        """
+        loop = asyncio.get_running_loop()
+        self._is_turn_scheduled = True
+        loop.call_at(loop.time(), self._run_turn)
 
     def _run(self, job: Job) -> None:
         """Run a job and charge it for its processor time."""
@@ -346,10 +355,14 @@ class ConnectionHandler(ABC):
             now_ps = server.emulator.simulation.time_ps
             self._preparing += now_ps != self._prepared_ps
             self._prepared_ps = now_ps
-            if self._preparing <= MAX_PREPARING_STEPS and not server.emulator.prepare_reply(self.session.context):
+            if self._preparing <= MAX_PREPARING_STEPS and not self._prepare():
                 return False
         self._preparing, self._prepared_ps = 0, -1
         return True
+
+    def _prepare(self) -> bool:
+        session = self.session
+        return self._server.emulator.prepare_reply(session.context, session.call_to_prepare())
 
     def _run_session(self, by_time: bool = False) -> None:
         """Answer requests, or a deferred one `by_time`; an exception closes this connection only."""
