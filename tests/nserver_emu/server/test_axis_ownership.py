@@ -74,7 +74,8 @@ def is_turning(emulator: Emulator, robot_id: int = 1) -> bool:
 
 SETTINGS = [
     ("sp", 100, 450, 450), ("ac", 300, 500, 500), ("dp", 0, 0), ("da", 0, 0), ("conf_tm", 2), ("conf_cp", 1),
-    ("conf_sn", 15, *range(16)), ("conf_ir", 0, *range(16)), ("mv", 5, 100, 0, 0, 4, 100), ("place_robot", 600, 600, 0, 0),
+    ("conf_sn", 15, *range(16)), ("conf_ir", 0, *range(16)), ("mv", 5, 100, 0, 0, 4, 100),
+    ("place_robot", 600, 600, 0, 0),
 ]  # fmt: skip
 
 
