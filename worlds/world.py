@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 from itertools import compress, count
 from math import inf, isfinite
 from types import MappingProxyType
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -64,6 +64,24 @@ AT_ORIGIN: Final = (StartPose(0.0, 0.0),)
 """Starts of a world that defines none."""
 
 
+class WallAccuracy(NamedTuple):
+    """How well a measured wall is known.
+
+    Attributes
+    ----------
+    offset_std_in
+        Standard deviation of its distance from where it is, at its middle.
+    angle_std_rad
+        Standard deviation of its direction.
+    measured_in
+        Length over which it was measured; the rest joins it to its neighbours.
+    """
+
+    offset_std_in: float
+    angle_std_rad: float
+    measured_in: float
+
+
 @dataclass(frozen=True, slots=True)
 class Path:
     """Waypoints of a figure of the thesis; the first of `points_in` is the start."""
@@ -85,7 +103,10 @@ def _no_walls() -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class World:
-    """A map, immutable. Arrays are read-only; rows are x1 y1 x2 y2 in inches."""
+    """A map, immutable. Arrays are read-only; rows are x1 y1 x2 y2 in inches.
+
+    `accuracies` are of measured inner walls, by their rows in `inner_walls`.
+    """
 
     name: str
     title: str = ""
@@ -94,6 +115,7 @@ class World:
     obstacles: tuple[Polygon, ...] = ()
     starts: tuple[StartPose, ...] = AT_ORIGIN
     paths: Mapping[str, Path] = field(default_factory=dict)
+    accuracies: Mapping[int, WallAccuracy] = field(default_factory=dict)
     fixed_walls: FloatArray = field(init=False, repr=False)
     walls: FloatArray = field(init=False, repr=False)
     _edges: FloatArray = field(init=False, repr=False)
@@ -112,6 +134,7 @@ class World:
             "fixed_walls": fixed,
             "walls": _stacked([fixed, *solids]),
             "paths": MappingProxyType(dict(self.paths)),
+            "accuracies": MappingProxyType(dict(self.accuracies)),
             "_edges": _stacked([*rooms, *solids]),
             "_firsts": _first_rows([*rooms, *solids]),
         }
