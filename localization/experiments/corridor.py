@@ -24,7 +24,8 @@ from localization.filters.belief import HEADING, Floats, add, difference, indepe
 from localization.filters.health import HealthStatus
 from localization.filters.odometry import process_variance, relative_step, with_parameters
 from localization.filters.registry import DEFAULT_METHOD, METHODS, make
-from localization.live.log import LogRow, new_echoes, run_log, sonar_of_ring
+from localization.filters.sonar_cone import building_sonar
+from localization.live.log import LogRow, new_echoes, run_log
 from localization.live.run import Run
 from nclient.errors import LogFileError
 from worlds.robots import N150, Body, read_model_file
@@ -153,7 +154,7 @@ def run_seed(corridor: Corridor, walls: Floats, systematic: Sequence[float], see
     belief = independent(add(corridor.poses[0], rng.standard_normal(3) * START_STD), START_STD)
     if any(systematic):
         belief = with_parameters(belief, tuple(map(abs, systematic)))
-    config = LocalizationConfig(walls, corridor.body, THESIS_ODOMETRY, sonar_of_ring(corridor.body.ring))
+    config = LocalizationConfig(walls, corridor.body, THESIS_ODOMETRY, building_sonar(corridor.body.ring))
     return run_log(rows, corridor.body.ring.round_s, make(method, config, belief, seed))
 
 

@@ -25,7 +25,7 @@ from math import exp, hypot
 from typing import Final, NamedTuple
 
 from localization.filters.belief import HEADING, unit_vector, wrap_angle
-from localization.filters.sonar_cone import ConeModel, ConeSonar, detectable, range_jacobian
+from localization.filters.sonar_cone import ConeModel, ConeSonar, arm_of, detectable, range_jacobian
 from localization.filters.sonar_ray import range_variance
 from localization.filters.update import (
     NONE,
@@ -37,19 +37,21 @@ from localization.filters.update import (
     State,
     expected_reading,
     kalman_gain,
+    mount_at,
 )
+from worlds.rings import SonarMount
 
 MAX_NIS: Final = 16.0
 """An echo within four standard deviations of a wall on a new level is taken for one of it."""
 
 
 class LastEcho(NamedTuple):
-    """The last echo of a reflector: pose by odometry, direction of the sonar from the heading, and reading."""
+    """The last echo of a reflector: pose by odometry, sonar (its direction from the heading), and reading."""
 
     x_in: float
     y_in: float
     heading_rad: float
-    angle_rad: float
+    mount: SonarMount
     reading_in: float
 
 
@@ -87,8 +89,8 @@ class SurfaceModel:
         A reading that fits no reflector is refused with NO_WALL where the map has probably nothing to detect: real
         buildings are full of small things, and echoes of them say nothing of the pose.
         """
-        noise, angle_rad = self.noise, turret_offset_rad + self._cone.angles_rad[sonar]
-        refusal, likelihood, candidates = detectable(x, P, angle_rad, reading_in, self._cone)
+        noise, mount = self.noise, mount_at(self._cone.mounts, sonar, turret_offset_rad)
+        refusal, likelihood, candidates = detectable(x, P, mount, reading_in, self._cone)
         if refusal != NONE:
             return Association(REFUSALS[refusal], likelihood)
         expected, derivatives, variances, probabilities = [], [], [], []
@@ -117,7 +119,7 @@ class SurfaceModel:
             probabilities.append(candidate.probability * (1.0 - same))
         # 3. The reflector of this echo, if any.
         if nearest >= 0:
-            self._last[nearest] = LastEcho(self._x, self._y, self._heading, angle_rad, reading_in)
+            self._last[nearest] = LastEcho(self._x, self._y, self._heading, mount, reading_in)
         elif sum(candidate.probability for candidate in candidates) < OUTLIER_THRESHOLD:
             return Association(Refusal.NO_WALL, noise.outlier_density)
         return Association(
@@ -135,8 +137,7 @@ class SurfaceModel:
         east, north = cosine * ahead - sine * left, sine * ahead + cosine * left
         heading = x[HEADING] + last.heading_rad - self._heading
         # 2. The range then.
-        axis_x, axis_y = unit_vector(heading + last.angle_rad)
-        arm_x, arm_y = self._cone.ring_radius_in * axis_x, self._cone.ring_radius_in * axis_y
+        arm_x, arm_y = arm_of(last.mount, *unit_vector(heading + last.mount.direction_rad))
         range_in, to_x, to_y = self._cone.toward(x[0] + east + arm_x, x[1] + north + arm_y, reflector)
         # 3. H' dx'/dx: turning now swings the pose then about the robot.
         H = range_jacobian(to_x, to_y, east + arm_x, north + arm_y)

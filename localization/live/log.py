@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from itertools import pairwise
 from math import inf, radians
 from pathlib import Path
@@ -23,7 +22,6 @@ from typing import Final, NamedTuple
 
 from localization.filters.base import EncoderRow, Filter, NewEcho, RingFilter, Searching, process_each
 from localization.filters.odometry import relative_step
-from localization.filters.sonar_cone import BUILDING_SONAR, ConeSonar
 from localization.filters.update import REFUSALS
 from localization.live.localizer import Echo, Estimate
 from localization.live.run import Pose, Run, RunMoment
@@ -195,17 +193,6 @@ def localize_log(rows: Sequence[LogRow], echoes: Sequence[Sequence[int]], locali
 
 def _encoders(row: LogRow) -> EncoderRow:
     return (row.clock_s, *row.odometry, row.turret_rad)
-
-
-def sonar_of_ring(ring: Ring) -> ConeSonar:
-    """Return the cone model of a real ring in a building: its limits, its cone and the step of its readings."""
-    model = replace(
-        BUILDING_SONAR,
-        rounding_var_in2=ring.resolution_in**2 / 12.0,
-        lowest_in=ring.min_range_in,
-        highest_in=ring.max_range_in,
-    )
-    return model if ring.half_cone_rad is None else replace(model, cone_rad=2.0 * ring.half_cone_rad)
 
 
 def without_echo(rows: Sequence[LogRow], ring: Ring) -> list[LogRow]:
