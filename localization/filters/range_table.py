@@ -9,7 +9,7 @@ the middle of a cell; the caller widens the variance by the size of a cell. Cell
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -206,10 +206,10 @@ def build_range_table(
     # 1. The grid, and its free cells; coarser if there are too many.
     segments = wall_map(walls).segments
     cell_in = CELL_IN
-    origin, free = _floor(segments, clearance_in, cell_in)
+    origin, free = floor_grid(segments, clearance_in, cell_in)
     if np.count_nonzero(free) > MAX_SMALL_PLACES:
         cell_in = LARGE_CELL_IN
-        origin, free = _floor(segments, clearance_in, cell_in)
+        origin, free = floor_grid(segments, clearance_in, cell_in)
     number = np.full(free.shape, -1, dtype=np.int32)
     count = np.count_nonzero(free)
     number[free] = np.arange(count)
@@ -239,7 +239,7 @@ def _expected(
     return np.where(has_wall, range_in, 0.0), has_wall.astype(np.float64)
 
 
-def _floor(segments: Floats, clearance_in: float, cell_in: float) -> tuple[Floats, npt.NDArray[np.bool_]]:
+def floor_grid(segments: Floats, clearance_in: float, cell_in: float) -> tuple[Floats, npt.NDArray[np.bool_]]:
     """Return the middle of cell [0, 0] of a grid over the map, and (rows, columns) True where the robot fits.
 
     Outside of walls that enclose some floor it does not.
@@ -253,23 +253,30 @@ def _floor(segments: Floats, clearance_in: float, cell_in: float) -> tuple[Float
     free = _fits(segments, clearance_in, cell_in, origin - border * cell_in, (rows + 2 * border, columns + 2 * border))
     # 2. What is connected to the border lies outside.
     inner = slice(border, border + rows), slice(border, border + columns)
-    enclosed = (free & ~_connected_to_border(free))[inner]
+    outside = connected(free, [(row, column) for row, column in np.ndindex(free.shape)
+                               if row in (0, free.shape[0] - 1) or column in (0, free.shape[1] - 1)])  # fmt: skip
+    enclosed = (free & ~outside)[inner]
     free = free[inner]
     return origin, enclosed if enclosed.sum() >= MIN_ENCLOSED * free.sum() else free
 
 
-def _connected_to_border(free: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    """Return True for the free cells (rows, columns) that are connected to the border of the grid."""
-    outside = np.zeros_like(free)
-    outside[[0, -1]], outside[:, [0, -1]] = free[[0, -1]], free[:, [0, -1]]
-    nodes = [*zip(*np.nonzero(outside), strict=True)]
+def connected(free: npt.NDArray[np.bool_], cells: Iterable[tuple[int, int]]) -> npt.NDArray[np.bool_]:
+    """Return True for the free cells (rows, columns) that are connected to some of these cells (row, column)."""
+    reached = np.zeros_like(free)
     rows, columns = free.shape
+    nodes: list[tuple[int, int]] = []
+
+    def visit(i: int, k: int) -> None:
+        if 0 <= i < rows and 0 <= k < columns and free[i, k] and not reached[i, k]:
+            reached[i, k] = True
+            nodes.append((i, k))
+
+    for cell in cells:
+        visit(*cell)
     for i, k in nodes:  # grows meanwhile
         for node in ((i - 1, k), (i + 1, k), (i, k - 1), (i, k + 1)):
-            if 0 <= node[0] < rows and 0 <= node[1] < columns and free[node] and not outside[node]:
-                outside[node] = True
-                nodes.append(node)
-    return outside
+            visit(*node)
+    return reached
 
 
 def _fits(

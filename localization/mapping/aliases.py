@@ -19,14 +19,16 @@ import numpy as np
 import numpy.typing as npt
 
 from localization.filters.belief import HEADING, Floats, add, difference, wrap_angle
+from localization.filters.range_table import connected, floor_grid
 from worlds.geometry import nearest_points
 from worlds.raycast import cast_rays
-from worlds.validate import FreeSpace
 
 RAYS: Final = 72
 """Rays of a scan: 5 degrees apart."""
 STEP_IN: Final = 18.0
 """Grid of the places that are compared; the fit bridges half of its diagonal."""
+FLOOR_CELL_IN: Final = 6.0
+"""Grid on which the floor is found."""
 MAX_GRID: Final = 4000
 """Places that are compared; the grid is coarser on a larger floor."""
 MAX_RANGE_IN: Final = 200.0
@@ -38,8 +40,8 @@ CANDIDATES: Final = 24
 FIT_STEPS: Final = 4
 COARSE_MATCH: Final = 0.6
 """Fraction of the rays that must agree to a grid step before the fit."""
-MIN_MATCH: Final = 0.95
-"""Fraction of the rays that must agree after it, at the place and over its neighbourhood."""
+MIN_MATCH, MIN_NEIGHBORHOOD_MATCH = 0.95, 0.97
+"""Fractions of the rays that must agree after it, at the place and over its neighbourhood."""
 TOLERANCE_IN, TOLERANCE = 4.0, 0.03
 """Agreement of two ranges: inches, and a fraction of them."""
 NEIGHBORHOOD_IN: Final = 200.0
@@ -49,7 +51,7 @@ MAX_SAMPLES: Final = 120
 """Places of a map that are examined."""
 SAME_IN, SAME_RAD = 24.0, 0.5
 """A motion by less is none: the place itself."""
-_ANGLES: Final = np.arange(RAYS) * (2.0 * np.pi / RAYS)
+_ANGLES: Final[Floats] = np.arange(RAYS, dtype=np.float64) * (2.0 * np.pi / RAYS)
 _BLOCK_IN: Final = 120.0
 """Places of a block of this size share their walls."""
 
@@ -63,42 +65,48 @@ class Alias:
 
 
 class AliasFinder:
-    """Find aliases on the floor that a robot reaches.
+    """Find aliases on the floor of a map.
 
     Parameters
     ----------
     walls
         (m, 4) segments.
-    reached
-        The floor; see `find_free_space`.
+    radius_in
+        Of the robot.
+    near
+        Points (n, 2) of the floor that matters: what is connected to them. Default: all of the floor.
     """
 
-    def __init__(self, walls: npt.ArrayLike, reached: FreeSpace) -> None:
+    def __init__(self, walls: npt.ArrayLike, radius_in: float, near: npt.ArrayLike = ()) -> None:
         self._walls = np.asarray(walls, dtype=np.float64).reshape(-1, 4)
-        columns, rows = np.nonzero(reached.reached)
-        floor = np.stack((reached.xs[columns], reached.ys[rows]), axis=-1)
-        self._floor = _thinned(floor, STEP_IN)
-        while len(self._floor) > MAX_GRID:
-            self._floor = _thinned(self._floor, STEP_IN * np.sqrt(len(floor) / MAX_GRID))
-            floor = self._floor
-        self._step_in = float(reached.step_in)
+        origin, free = floor_grid(self._walls, radius_in, FLOOR_CELL_IN)
+        seeds = np.rint((np.asarray(near, dtype=np.float64).reshape(-1, 2) - origin) / FLOOR_CELL_IN).astype(int)
+        if len(seeds):
+            free = connected(free, [(row, column) for column, row in seeds.tolist()])
+        rows, columns = np.nonzero(free)
+        floor = origin + FLOOR_CELL_IN * np.stack((columns, rows), axis=-1)
+        # One place in each square; the squares are larger on a large floor.
+        side_in = max(STEP_IN, FLOOR_CELL_IN * float(np.sqrt(len(floor) / MAX_GRID)))
+        _, chosen = np.unique(np.floor(floor / side_in).astype(int), axis=0, return_index=True)
+        self._floor: Floats = floor[np.sort(chosen)]
 
     def aliases(self, pose: Sequence[float] | Floats) -> list[Floats]:
         """Return the poses (3,) at which a robot sees what it sees at `pose` (3,), there and in its neighbourhood."""
         here = np.array(pose, dtype=np.float64)
         if not len(self._floor):
             return []
-        scan, seen = self._scan(here[None])
+        # In the map's direction: the fitted poses are rotations then.
+        place = np.array([here[0], here[1], 0.0])
+        scan, seen = self._scan(place[None])
         found: list[Floats] = []
         candidates = self._candidates(scan[0], seen[0])
         for fitted in self._fitted(scan[0], seen[0], np.array(candidates)) if candidates else ():
-            if self._is_near(fitted, np.array([*here[:2], 0.0])):
+            if self._is_near(fitted, place):
                 continue
-            # The fitted pose has the map's direction for a heading of 0.
             moved = add(fitted, np.array([0.0, 0.0, here[HEADING]]))
             if any(self._is_near(moved, other) for other in found):
                 continue
-            if self._neighborhood_match(here, fitted) >= MIN_MATCH:
+            if self._neighborhood_match(place, fitted) >= MIN_NEIGHBORHOOD_MATCH:
                 found.append(moved)
         return found
 
@@ -109,7 +117,7 @@ class AliasFinder:
         return places
 
     @cached_property
-    def _signatures(self) -> tuple[Floats, Floats, Floats]:
+    def _signatures(self) -> tuple[Floats, npt.NDArray[np.bool_], Floats]:
         """Scans (n, RAYS) of the floor, which of their rays count, and the magnitudes of their Fourier coefficients."""
         scans, seen = self._scan(np.column_stack((self._floor, np.zeros(len(self._floor)))))
         return scans, seen, _magnitudes(scans)
@@ -214,15 +222,6 @@ def find_aliases(finder: AliasFinder, poses: Floats) -> list[Alias]:
     """Return the aliases of those of the poses (n, 3) that have any."""
     found = [Alias(pose, tuple(finder.aliases(pose))) for pose in poses]
     return [alias for alias in found if alias.alike]
-
-
-def _thinned(points: Floats, step_in: float) -> Floats:
-    """Return one of the points (n, 2) in each cell of a grid."""
-    if not len(points):
-        return points
-    cells = np.floor(points / step_in).astype(int)
-    _, chosen = np.unique(cells, axis=0, return_index=True)
-    return points[np.sort(chosen)]
 
 
 def _magnitudes(scans: Floats) -> Floats:
