@@ -9,8 +9,7 @@ import pytest
 from matplotlib.figure import Figure as Picture
 
 from localization.experiments import output
-from localization.experiments.figure_trial import FIGURES, figure_setup
-from localization.experiments.results import Track
+from localization.experiments.figure_trial import FIGURES, Track, figure_setup
 from localization.filters.belief import Floats
 
 PNG = b"\x89PNG\r\n\x1a\n"
