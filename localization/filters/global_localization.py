@@ -31,6 +31,7 @@ from localization.filters.pose_search import (
     LAST_RECORDS,
     LOWEST_IN,
     NOTHING_IN,
+    RANGE_SPAN_IN,
     EchoRecord,
     EchoReplay,
     Hypothesis,
@@ -42,7 +43,7 @@ from localization.filters.pose_search import (
     moved,
 )
 from localization.filters.range_table import OUTLIER_PROBABILITY
-from localization.filters.update import RANGE_SPAN_IN, CorrelatedReadings, MeasurementUpdate, Refusal, UpdateResult
+from localization.filters.update import CorrelatedReadings, MeasurementUpdate, Refusal, UpdateResult
 
 # 1. The sequential test between an estimate and its alternatives.
 

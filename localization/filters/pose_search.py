@@ -24,9 +24,10 @@ from localization.filters.belief import HEADING, POSE, Belief, Floats, add, diff
 from localization.filters.ekf import filter_ring
 from localization.filters.odometry import OdometryNoise, predict_state, step_between, with_parameters
 from localization.filters.range_table import CODES, DIRECTIONS, OUTLIER_PROBABILITY, RangeTable, decoded
-from localization.filters.update import RANGE_SPAN_IN, CorrelatedReadings, MeasurementUpdate, Outcome
+from localization.filters.sonar_ray import NOMAD
+from localization.filters.update import CorrelatedReadings, MeasurementUpdate, Outcome
 
-LOWEST_IN, NOTHING_IN = 6.0, 255.0
+LOWEST_IN, NOTHING_IN, RANGE_SPAN_IN = NOMAD.min_range_in, NOMAD.max_range_in, NOMAD.range_span_in
 """Limits: "no nearer", which says little, and "nothing", which contradicts an expected echo."""
 CELL_STD: Final = 2.0 / 3.0
 """Standard deviation of a reading against that from the middle of its cell, in cells: half a diagonal, and more."""
