@@ -24,7 +24,7 @@ def test_the_address_comes_first_then_the_option(option: str | None, model: str,
 
 @pytest.mark.parametrize("address", ["sim:thesis_room", "nserver://host/1?model=n150"])
 def test_contradicting_models_are_refused(address: str) -> None:
-    with pytest.raises(AddressError, match=r"scout.* of model n150.*omit --body"):
+    with pytest.raises(AddressError, match=r"scout.* n150.*omit --body"):
         resolve_robot_model("scout", "n150", address)
 
 

@@ -99,7 +99,7 @@ def test_unwritable_report_is_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     options = argparse.Namespace(report=tmp_path / "no" / "r.json", json=False)
-    with pytest.raises(MissionFileError, match="report cannot be written"):
+    with pytest.raises(MissionFileError, match="cannot be written"):
         mission.write_report(Report("T", ending="done"), options)
     assert "done" in capsys.readouterr().out
 
