@@ -311,6 +311,7 @@ def test_help_has_no_rules_and_names_existing_files(
     assert all((ROOT / path).exists() for path in re.findall(r"docs/[\w/.]+\w", output))
 
 
+@pytest.mark.long
 def test_a_guess_of_rays_that_does_not_fit_is_doubted(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
