@@ -7,8 +7,6 @@ A dead sonar always reads 0. A sensor is stuck if it always reads the same while
 by more than rounding does: noise grows with range. Without noise, in an ideal simulation, nothing counts as stuck.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field

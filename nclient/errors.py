@@ -18,6 +18,7 @@
     ├── SnapshotError (ValueError)         a saved simulation that cannot be written or read
     ├── OutputFileError (ValueError)       a result file that cannot be written: file, reason, remedy
     ├── EstimateFileError (ValueError)     a saved estimate that cannot be written, read or continued
+    ├── LogFileError (ValueError)          a recorded drive (CSV) that cannot be read: file, row, column
     ├── ShellError (ValueError)            a line of the shell or of a script that cannot be executed
     ├── RecordingError (ValueError)        a recording that cannot be written, read or replayed: file, line
     └── ExtraMissing (ImportError)         a feature whose extra is not installed: how to install it
@@ -160,6 +161,12 @@ class OutputFileError(NomadError, ValueError):
 
 class EstimateFileError(NomadError, ValueError):
     """A saved estimate cannot be written, read or continued; the message names cause and remedy."""
+
+
+class LogFileError(NomadError, ValueError):
+    """A recorded drive cannot be read: file, row, column, what was expected."""
+
+    usage = True
 
 
 class ShellError(NomadError, ValueError):

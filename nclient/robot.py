@@ -9,8 +9,6 @@ Inches per second are `_in_s`, metres `_m_s`, degrees `_deg_s`, radians `_rad_s`
 A Scout has no turret and two wheels: translation and steering of `drive`, `move` and settings are converted to them.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import os

@@ -21,18 +21,21 @@ from urllib.parse import SplitResult, parse_qsl, unquote, unquote_plus, urlsplit
 
 from nclient.backends.keep_alive import DEFAULT_TIMEOUT_S, MIN_TIMEOUT_S
 from nclient.backends.wrappers import DEFAULT_RETRIES, MAX_PAUSE_S
+from nclient.common.files import parse_toml, read_text
 from nclient.common.hints import suggest
 from nclient.errors import AddressError, NomadError
 from nclient.faults.plan import Plan, load_plan
-from nclient.protocol.types import N150, Model, get_model
+from nclient.protocol.types import MODELS, N150, Model, get_model
 from nclient.recording.recorder import HANDSHAKE_FIRST, SERIAL, TCP
 from nclient.recording.replayer import ORDERS
-from nclient.transports import memory
+from nclient.transports import stream as memory
 
 Parser = Callable[[str], Any]
 
 DEFAULT_PORT: Final = 7019
 DEFAULT_LINE_PORT: Final = 65001
+MAX_MODEL_FILE: Final = 1 << 22
+"""Bytes of a model file that a sim: address names."""
 MAX_ROBOT_ID: Final = 0x7FFFFFFF
 """connect_robot carries the number as a signed 32-bit word."""
 EXAMPLES: Final = "such as nserver://localhost:7019/1 or sim:thesis_room"
@@ -42,7 +45,8 @@ EXAMPLES: Final = "such as nserver://localhost:7019/1 or sim:thesis_room"
 # A parser returns the value of an option's text, or raises ValueError with a description of what it accepts.
 
 
-def _number(description: str, is_valid: Callable[[float], bool]) -> Callable[[str], float]:
+def number(description: str, is_valid: Callable[[float], bool]) -> Callable[[str], float]:
+    """Return a parser of finite numbers; its ValueError has the description of valid ones."""
     def parse(text: str) -> float:
         try:
             value = float(text)
@@ -55,7 +59,8 @@ def _number(description: str, is_valid: Callable[[float], bool]) -> Callable[[st
     return parse
 
 
-def _whole_number(description: str, allowed: Container[int]) -> Callable[[str], int]:
+def whole_number(description: str, allowed: Container[int]) -> Callable[[str], int]:
+    """Return a parser of whole numbers; its ValueError has the description of valid ones."""
     def parse(text: str) -> int:
         # isdecimal() accepts the digits of other scripts, and int() reads them.
         if not (text.isascii() and text.isdecimal()) or int(text) not in allowed:
@@ -65,14 +70,14 @@ def _whole_number(description: str, allowed: Container[int]) -> Callable[[str], 
     return parse
 
 
-seconds = _number("a number of seconds above 0", lambda value: value > 0)
-seconds_or_zero = _number("a number of seconds, 0 for none", lambda value: value >= 0)
+seconds = number("a number of seconds above 0", lambda value: value > 0)
+seconds_or_zero = number("a number of seconds, 0 for none", lambda value: value >= 0)
 """A duration, where 0 switches something off."""
-speed = _number("a number above 0", lambda value: value > 0)
+speed = number("a number above 0", lambda value: value > 0)
 """A speed limit in inches or degrees per second."""
-count = _whole_number("a whole number, 0 or more", range(sys.maxsize))
-baud = _whole_number("a number of bits a second", range(1, sys.maxsize))
-motion_timeout = _whole_number("whole seconds, 2 to 255, or 0 for none", {0, *range(MIN_TIMEOUT_S, 256)})
+count = whole_number("a whole number, 0 or more", range(sys.maxsize))
+baud = whole_number("a number of bits a second", range(1, sys.maxsize))
+motion_timeout = whole_number("whole seconds, 2 to 255, or 0 for none", {0, *range(MIN_TIMEOUT_S, 256)})
 """Whole seconds as conf_tm takes them. The robot counts whole seconds: one could expire between two keep-alives."""
 
 
@@ -317,7 +322,7 @@ def parse_address(text: str) -> Address:
     values = {name: option.default for name, option in options.items() if raw.scheme in option.default_for}
     values |= raw.parse_options({name: options[name].parse for name in options}, ignore_unknown=is_foreign)
     if is_foreign:
-        values["model"] = get_model(raw.options.get("robot", N150.name))
+        values["model"] = _family(raw.options.get("robot", N150.name), raw.options.get("model_file", ""))
 
     # 3. Place: host and port, device, or file.
     place = {} if is_foreign else _parse_place(raw, scheme)
@@ -326,6 +331,24 @@ def parse_address(text: str) -> Address:
         raw.text, raw.scheme, scheme.wire, scheme.in_process, AddressOptions(**values), frozenset(raw.options),
         stripped_text=stripped, **place,
     )  # fmt: skip
+
+
+def _family(robot: str, model_file: str) -> Model:
+    """Return the model whose protocol a simulated robot has: that at the end of `like` in its model file.
+
+    Raises AddressError for an unknown robot without such a file; with one, the simulation reports what is wrong.
+    """
+    if not model_file:
+        return get_model(robot)
+    try:
+        rows = parse_toml(read_text(Path(model_file), MAX_MODEL_FILE, AddressError), model_file, AddressError)["model"]
+        bases = {str(row["name"]).lower(): str(row.get("like", row["name"])).lower() for row in rows}
+    except (AddressError, LookupError, TypeError, AttributeError):
+        return MODELS.get(robot.lower(), N150)
+    name = robot.lower()
+    while name not in MODELS and name in bases:
+        name = bases.pop(name)
+    return MODELS.get(name, N150)
 
 
 def available_schemes() -> tuple[str, ...]:

@@ -8,7 +8,7 @@ model is in nclient.protocol.types; speeds and accelerations are in the simulati
                 range from the axis minus the radius of the ring
     bumpers     fixed to the body, which never turns on the synchro drives
 
-A calibration is a part of model files:
+The sonars are a `worlds.rings.Ring`, the table [model.ring] of model files. A calibration is a part of them as well:
 
     [[model]]
     name = "n150"
@@ -17,23 +17,26 @@ A calibration is a part of model files:
     [model.spread]      all of these keys                      standard deviations
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
-from dataclasses import dataclass
-from math import degrees, radians
+from dataclasses import dataclass, replace
+from math import degrees, radians, tau
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, TypeVar
 
 from msgspec import UNSET, Meta, UnsetType
 
-from nclient.common.validation import Text, convert, reported_as
+from nclient.common.hints import suggest
+from nclient.common.validation import InvalidValue, Text, convert, reported_as
 from nclient.errors import WorldFileError
+from nclient.protocol.types import SONAR_SLOTS
+from worlds.rings import MAX_SONARS, Ring, RingTable, evenly, nomad_ring
 from worlds.schema import Distance, PositiveAngle, Table, parse_toml, read_text, table
 
-SONARS: Final = 16
-"""Sonars of a ring; sonar i looks i x 22.5 degrees counter-clockwise from the front."""
+T = TypeVar("T")
+
+SONARS: Final = SONAR_SLOTS
+"""Sonars of a Nomad; sonar i looks i x 22.5 degrees counter-clockwise from the front."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,34 +46,36 @@ class Body:
     Attributes
     ----------
     name
-        "n150", "n200" or "scout".
+        "n150", "n200", "scout", or that of a model file.
     radius_in
         Radius of the cylinder that touches walls, inches.
-    sonar_ring_radius_in
-        Distance of the sonars from the axis, inches. On the N200 it is 0.06 in more than the body: rays are cast from
-        the axis, so that no beam starts behind a wall.
-    sonar_angles_rad
-        16 angles relative to the front of the turret (Scout: of the body).
+    ring
+        The sonars. On the N200 they are 0.06 in farther out than the body: rays are cast from the axis, so that no beam
+        starts behind a wall.
     bumper_angles_rad
         20 angles (Scout: 6) relative to the body.
     """
 
     name: str
     radius_in: float
-    sonar_ring_radius_in: float
-    sonar_angles_rad: tuple[float, ...]
+    ring: Ring
     bumper_angles_rad: tuple[float, ...]
 
+    @property
+    def sonar_ring_radius_in(self) -> float:
+        """Distance of the sonars from the axis, inches, before the shifts of the ring."""
+        return self.ring.radius_in
 
-def _evenly(count: int) -> tuple[float, ...]:
-    """Return `count` evenly spaced angles in radians, the first at 0, counter-clockwise."""
-    return tuple(radians(360.0 * number / count) for number in range(count))
+    @property
+    def sonar_angles_rad(self) -> tuple[float, ...]:
+        """Directions of the sonars relative to the front of the turret (Scout: of the body)."""
+        return self.ring.angles_rad
 
 
-N150: Final = Body("n150", 9.72, 9.06, _evenly(SONARS), _evenly(20))
-N200: Final = Body("n200", 9.0, 9.06, _evenly(SONARS), _evenly(20))
+N150: Final = Body("n150", 9.72, nomad_ring(9.06), evenly(20))
+N200: Final = Body("n200", 9.0, nomad_ring(9.06), evenly(20))
 # The radii of the Scout and the positions of its six bumpers are assumptions: no source states them.
-SCOUT: Final = Body("scout", 8.0, 8.0, _evenly(SONARS), _evenly(6))
+SCOUT: Final = Body("scout", 8.0, nomad_ring(8.0), evenly(6))
 
 BODIES: Final[Mapping[str, Body]] = MappingProxyType({body.name: body for body in (N150, N200, SCOUT)})
 """All bodies by name."""
@@ -112,7 +117,7 @@ class Calibration:
     drift_rad_in
         Turn per distance, rad/in.
     offsets_in
-        16 numbers: reading minus range of each sonar.
+        Reading minus range of each sonar.
     turned_rad
         Rotation of the sonar ring relative to the turret.
     spread
@@ -142,7 +147,7 @@ IDEAL_CALIBRATION: Final = Calibration()
 
 
 ScaleSpread = Annotated[float, Meta(ge=0.0, le=1.0)]
-Sixteen = Meta(min_length=SONARS, max_length=SONARS, title=f"a list of {SONARS} numbers")
+_PerSonar = Meta(min_length=1, max_length=MAX_SONARS, title="a list of numbers, one for each sonar")
 
 
 @table()
@@ -156,7 +161,9 @@ class _Odometry(Table):
 
 @table()
 class _Sonar(Table):
-    offsets_in: Annotated[tuple[Annotated[float, Meta(ge=-MAX_OFFSET_IN, le=MAX_OFFSET_IN)], ...], Sixteen] = _NONE
+    offsets_in: (
+        Annotated[tuple[Annotated[float, Meta(ge=-MAX_OFFSET_IN, le=MAX_OFFSET_IN)], ...], _PerSonar] | UnsetType
+    ) = UNSET
     turned_deg: Annotated[
         float, Meta(ge=-MAX_RING_TURN_DEG, le=MAX_RING_TURN_DEG, description="rotation of the ring, degrees")
     ] = 0.0
@@ -167,7 +174,9 @@ class _Spread(Table):
     way_scale: ScaleSpread = 0.0
     turn_scale: ScaleSpread = 0.0
     drift_rad_in: ScaleSpread = 0.0
-    offsets_in: Annotated[tuple[Annotated[float, Meta(ge=0.0, le=MAX_OFFSET_IN)], ...], Sixteen] = _NONE
+    offsets_in: (
+        Annotated[tuple[Annotated[float, Meta(ge=0.0, le=MAX_OFFSET_IN)], ...], _PerSonar] | UnsetType
+    ) = UNSET
     turned_deg: Annotated[float, Meta(ge=0.0, le=MAX_RING_TURN_DEG)] = 0.0
 
 
@@ -207,20 +216,63 @@ class ModelTable(Table):
     odometry: _Odometry | UnsetType = UNSET
     sonar: _Sonar | UnsetType = UNSET
     spread: _Spread | UnsetType = UNSET
+    ring: RingTable | UnsetType = UNSET
     radius: Distance | UnsetType = UNSET
     sonar_ring_radius: Distance | UnsetType = UNSET
     track: Distance | UnsetType = UNSET
 
-    def calibration(self) -> Calibration | None:
-        """Return the calibration, with ideal values for missing numbers; None if the table has none."""
+    def calibration(self, sonars: int = SONARS, place: str = "") -> Calibration | None:
+        """Return the calibration, with ideal values for missing numbers; None if the table has none.
+
+        Parameters
+        ----------
+        sonars
+            Number of sonars of the model's ring.
+        place
+            Name of the table in errors.
+
+        Raises
+        ------
+        InvalidValue
+            Another number of offsets than of sonars.
+        """
         if not (self.odometry or self.sonar or self.spread):
             return None
         odometry, sonar, spread = self.odometry or _Odometry(), self.sonar or _Sonar(), self.spread or _Spread()
+        offsets, offset_stds = (
+            _offsets_of(part.offsets_in, sonars, f"{place}.{name}.offsets_in")
+            for part, name in ((sonar, "sonar"), (spread, "spread"))
+        )
         return Calibration(
-            odometry.way_scale, odometry.turn_scale, odometry.drift_rad_in, sonar.offsets_in, radians(sonar.turned_deg),
-            Spread(spread.way_scale, spread.turn_scale, spread.drift_rad_in, spread.offsets_in,
-                   radians(spread.turned_deg)),
+            odometry.way_scale, odometry.turn_scale, odometry.drift_rad_in, offsets, radians(sonar.turned_deg),
+            Spread(spread.way_scale, spread.turn_scale, spread.drift_rad_in, offset_stds, radians(spread.turned_deg)),
         )  # fmt: skip
+
+    def body(self, base: Body, place: str) -> Body:
+        """Return the body that this table makes of another one. Raises InvalidValue."""
+        # 1. The ring; with mounts of its own it has no radius.
+        ring = base.ring
+        if self.sonar_ring_radius is not UNSET:
+            if self.ring and self.ring.mounts is not UNSET:
+                complaint = "expected a radius of the ring or mounts of its sonars, found both"
+                raise InvalidValue(complaint, f"{place}.{self.key_of('sonar_ring_radius')}")
+            ring = replace(ring, radius_in=self.sonar_ring_radius)
+        if self.ring:
+            ring = self.ring.ring(ring, f"{place}.ring")
+        # 2. Bumpers are evenly spaced from the front.
+        angles = base.bumper_angles_rad
+        if self.bumpers is not UNSET:
+            angles = tuple(tau * number / self.bumpers for number in range(self.bumpers))
+        return Body(self.name, base.radius_in if self.radius is UNSET else self.radius, ring, angles)
+
+
+def _offsets_of(offsets_in: tuple[float, ...] | UnsetType, sonars: int, key: str) -> tuple[float, ...]:
+    """Return an offset for each sonar, 0 without any. Raises InvalidValue for another number of them."""
+    if offsets_in is UNSET:
+        return (0.0,) * sonars
+    if len(offsets_in) != sonars:
+        raise InvalidValue(f"expected a list of {sonars} numbers, found {len(offsets_in)}", key)
+    return offsets_in
 
 
 @table(condition={"required": ["model"], "properties": {"model": {"minItems": 1}}})
@@ -236,13 +288,48 @@ def read_model_file(text: str, file: str) -> tuple[ModelTable, ...]:
         return convert(parse_toml(text, file), ModelFile).model
 
 
+def base_of(row: ModelTable, models: Mapping[str, T], place: str) -> T:
+    """Return the model that a table derives from. Raises InvalidValue if there is none of that name."""
+    like = row.like or row.name
+    if like not in models:
+        raise InvalidValue(
+            f"expected a model to be made from, `like` one of {', '.join(models)}, found {like!r}"
+            f"{suggest(like, models)}", f"{place}.{'like' if row.like else 'name'}",
+        )  # fmt: skip
+    return models[like]
+
+
+def load_bodies(path: Path) -> Mapping[str, Body]:
+    """Return the bodies of the Nomads and those of a model file, which may override them. Raises WorldFileError."""
+    bodies = dict(BODIES)
+    with reported_as(WorldFileError, str(path)):
+        for number, row in enumerate(read_model_file(read_text(path), str(path))):
+            place = f"model[{number}]"
+            bodies[row.name] = row.body(base_of(row, bodies, place), place)
+    return MappingProxyType(bodies)
+
+
 def load_calibration(path: Path, name: str) -> Calibration:
     """Return the calibration of the model `name` in a model file. Raises WorldFileError if there is none."""
-    models = {model.name: model for model in reversed(read_model_file(read_text(path), str(path)))}
+    rows = read_model_file(read_text(path), str(path))
+    models = {row.name: (number, row) for number, row in reversed([*enumerate(rows)])}
     if name not in models:
         names = ", ".join(map(repr, reversed(models))) or "none"
         raise WorldFileError(f"{path}: has no model {name!r}; it has {names}")
-    return models[name].calibration() or IDEAL_CALIBRATION
+    number, row = models[name]
+    with reported_as(WorldFileError, str(path)):
+        return row.calibration(_sonars_of(row, rows[:number]), f"model[{number}]") or IDEAL_CALIBRATION
+
+
+def _sonars_of(row: ModelTable, earlier: tuple[ModelTable, ...]) -> int:
+    """Return the number of sonars of a model; what it derives from need not exist."""
+    if row.ring and row.ring.angles_deg is not UNSET:
+        return len(row.ring.angles_deg)
+    like = row.like or row.name
+    for number, other in reversed([*enumerate(earlier)]):
+        if other.name == like:
+            return _sonars_of(other, earlier[:number])
+    return BODIES[like].ring.count if like in BODIES else SONARS
 
 
 def format_calibration(name: str, found: Calibration, comment: str = "") -> str:

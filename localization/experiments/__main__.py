@@ -3,8 +3,6 @@
 With --json only the numbers are printed on stdout; the progress bar (extra `plot`: tqdm) and file names go to stderr.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys
@@ -12,14 +10,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from localization.cli.options import make_folder
+from localization.cli.arguments import make_folder
 from localization.experiments import live, output
 from localization.experiments import lost as lost_command
 from localization.experiments import plan as plan_command
 from localization.experiments.execution import drive, drive_on_cluster, progress
-from localization.experiments.figure_trial import FIGURES, Figure, figure_setup
+from localization.experiments.figure_trial import FIGURES, Figure, figure_setup, summarize
 from localization.experiments.output import NO_PICTURES, add_shared, table
-from localization.experiments.results import summarize
 from localization.live.plot import require_matplotlib
 from nclient.errors import NomadError
 

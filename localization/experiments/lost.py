@@ -1,7 +1,5 @@
 """`python -m localization.experiments lost`: how reliably the filter `finder` detects that it is lost, and recovers."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys
@@ -11,11 +9,12 @@ from math import sqrt
 from pathlib import Path
 from typing import Final, TypedDict
 
-from localization.cli.options import make_folder
+from localization.cli.arguments import make_folder
 from localization.experiments.execution import ResultCache, code_hash, progress, run_cached
 from localization.experiments.live_trial import SCENARIOS
 from localization.experiments.lost_trial import Case, Kind, LostResult, drive
 from localization.experiments.output import add_choice, add_execution_options, add_output, executor_for, positive
+from nclient.common.arguments import add_value
 from worlds.io import world_names
 
 # At the scenarios' 5 in/s the robot has driven at most 25 in by then.
@@ -226,9 +225,7 @@ def _parser() -> argparse.ArgumentParser:
         + ", ".join(f"{runs} {kind.value}" for kind, runs in RUNS.items())
         + ")",
     )
-    parser.add_argument(
-        "--minutes", type=float, default=10.0, metavar="M", help="length of tracking runs in min (default: %(default)s)"
-    )
+    add_value(parser, "--minutes", "M", float, "length of tracking runs in min", 10.0)
     add_execution_options(parser)
     add_output(parser, Path("out/experiments"), "kind")
     return parser

@@ -8,8 +8,6 @@ While localized the robot drives shortest paths with the control law of the thes
 where there is free space. Recovery means localized without LOST for CERTAIN_S. The truth never reaches the filter.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import Enum
 from math import atan2, hypot, tau
@@ -306,8 +304,7 @@ def _positions(world: World) -> Floats:
     # Grid points 2 in apart, over the bounding box of all walls.
     x, y = np.meshgrid(np.arange(low[0], high[0], 2.0), np.arange(low[1], high[1], 2.0))
     points = np.stack((x.ravel(), y.ravel()), axis=-1)
-    free: Floats = points[world.clearances(points) >= N150.radius_in + MARGIN_IN]
-    return free
+    return points[world.clearances(points) >= N150.radius_in + MARGIN_IN]
 
 
 def _drawn(positions: Floats, rng: np.random.Generator) -> Pose:

@@ -91,7 +91,25 @@ class Belief:
     @property
     def pose(self) -> Belief:
         """The marginal belief over the pose, (..., 3)."""
-        return Belief(self.mean[..., :POSE], self.cov[..., :POSE, :POSE])
+        return marginal(self, POSE)
+
+
+def marginal(belief: Belief, size: int) -> Belief:
+    """Return the belief over the first `size` coordinates."""
+    return Belief(belief.mean[..., :size], belief.cov[..., :size, :size])
+
+
+def with_constants(belief: Belief, stds: Sequence[float]) -> Belief:
+    """Return a belief (..., n) extended by coordinates of mean 0 and these standard deviations, independent of it."""
+    size = belief.mean.shape[-1]
+    count = size + len(stds)
+    mean = np.zeros((*belief.mean.shape[:-1], count))
+    mean[..., :size] = belief.mean
+    cov = np.zeros((*mean.shape, count))
+    cov[..., :size, :size] = belief.cov
+    rest = np.arange(size, count)
+    cov[..., rest, rest] = np.square(stds)
+    return Belief(mean, cov)
 
 
 def unpack(belief: Belief) -> tuple[list[Any], list[list[Any]]]:

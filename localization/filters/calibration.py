@@ -197,12 +197,12 @@ class CalibratingFilter:
 
     def predict(self, distance_in: float, turn_rad: float) -> None:
         """Predict the belief after a step that the encoders report."""
-        predict_state(self._x, self._P, distance_in, turn_rad, self._odometry)
+        predict_state(self._x, self._P, distance_in, turn_rad, self._odometry, SIZE - MAX_STATE)
 
     def predicted(self, distance_in: float, turn_rad: float, lag: Lag = NO_LAG) -> Belief:
         """Return the belief after such a step, without taking it, widened by a lag."""
         x, P = self._x.copy(), [row.copy() for row in self._P]
-        predict_state(x, P, distance_in, turn_rad, self._odometry)
+        predict_state(x, P, distance_in, turn_rad, self._odometry, SIZE - MAX_STATE)
         widen(x, P, lag)
         return pack(x, P)
 

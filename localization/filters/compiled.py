@@ -57,6 +57,7 @@ class RayArrays(NamedTuple):
     threshold: float
     ring_radius_in: float
     angles_rad: Floats
+    range_parameters: int
 
 
 class ConeArrays(NamedTuple):
@@ -68,6 +69,7 @@ class ConeArrays(NamedTuple):
     vertices: Floats
     ring_radius_in: float
     angles_rad: Floats
+    range_parameters: int
 
 
 def _row(row: Any, record: object) -> Any:
@@ -77,12 +79,13 @@ def _row(row: Any, record: object) -> Any:
 
 def _arrays(model: Any) -> RayArrays | ConeArrays:
     """Return a model, of rays or cones, as compiled code takes it."""
-    walls, angles = WallArrays(model.walls.segments, model.walls.lines, model.walls.middle), np.array(model.angles_rad)
+    walls = WallArrays(model.walls.segments, model.walls.lines, model.walls.middle)
+    ring = (model.ring_radius_in, np.array(model.angles_rad), model.range_parameters)
     if isinstance(model, RayModel):
         noise, gate = _row(RaySonarRow, model.noise), _row(GateRow, model.gate)
-        return RayArrays(noise, walls, gate, model.threshold, model.ring_radius_in, angles)
+        return RayArrays(noise, walls, gate, model.threshold, *ring)
     faces, vertices = np.array(model.faces).reshape(-1, 5), np.array(model.vertices).reshape(-1, 3)
-    return ConeArrays(_row(ConeSonarRow, model.noise), walls, faces, vertices, model.ring_radius_in, angles)
+    return ConeArrays(_row(ConeSonarRow, model.noise), walls, faces, vertices, *ring)
 
 
 # Compiling.
@@ -202,8 +205,6 @@ class CompiledRing:
         return outcomes
 
 
-def ring(
-    loop: Callable[..., list[Outcome]], model: DirectModel | None, noise: OdometryNoise
-) -> CompiledRing | None:
+def ring(loop: Callable[..., list[Outcome]], model: DirectModel | None, noise: OdometryNoise) -> CompiledRing | None:
     """Return the compiled loop; None for a model without an update of its own, or if `load` was not called."""
     return CompiledRing(loop, model, noise) if model and load.cache_info().currsize and load() else None

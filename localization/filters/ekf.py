@@ -15,7 +15,7 @@ import numpy as np
 
 from localization.filters import compiled
 from localization.filters.base import EncoderRow, NewEcho, process_each
-from localization.filters.belief import HEADING, Belief, Floats, pack, unpack, wrap_angle
+from localization.filters.belief import HEADING, Belief, Floats, marginal, pack, unpack, with_constants, wrap_angle
 from localization.filters.health import FilterHealth, IntegrityMonitor
 from localization.filters.odometry import NO_LAG, Lag, OdometryNoise, pose_at, predict_state, relative_step, widen
 from localization.filters.sonar_ray import Observation
@@ -37,8 +37,8 @@ from localization.filters.update import (
     record_used,
 )
 
-Prediction = Callable[[State, Covariance, float, float, OdometryNoise], None]
-"""Predicts x and P after a step (distance, turn), in place."""
+Prediction = Callable[[State, Covariance, float, float, OdometryNoise, int], None]
+"""Predicts x and P after a step (distance, turn), in place; the last argument is the number of constants."""
 
 
 def filter_ring(
@@ -71,7 +71,7 @@ def filter_ring(
         # 1. Predict to the pose of the encoders at the instant of the echo.
         to_x, to_y, to_heading, turret = pose_at(poses, echo[0])
         distance, turn = relative_step(x_in, y_in, heading, to_x, to_y, to_heading)
-        predict_state(x, P, distance, turn, noise)
+        predict_state(x, P, distance, turn, noise, model.range_parameters)
         move_on(used, distance, turn)
         x_in, y_in, heading = to_x, to_y, to_heading
         # 2. Correct by the reading, the `count`-th one used from here.
@@ -85,18 +85,20 @@ def filter_ring(
 
 
 class KalmanFilter:
-    """Gaussian filter over poses, or states with odometry parameters.
+    """Gaussian filter over poses, or states with odometry parameters, and the errors that all readings have in common.
 
     Parameters
     ----------
     belief
-        Belief before the first step, over states (n,), 3 <= n <= 6.
+        Belief before the first step, over states (n,), 3 <= n <= 6: the pose and odometry parameters.
     measurement
         The measurement model and the rule of correction.
     odometry
         Noise of the encoders.
     prediction
         The prediction step: extended by default.
+    range_stds
+        Prior standard deviations of the range parameters, for a model that has them (`LocalizationConfig`).
     """
 
     def __init__(
@@ -105,8 +107,10 @@ class KalmanFilter:
         measurement: MeasurementUpdate,
         odometry: OdometryNoise,
         prediction: Prediction = predict_state,
+        range_stds: Sequence[float] = (),
     ) -> None:
-        self._x, self._P = unpack(belief)
+        self._x, self._P = unpack(with_constants(belief, range_stds))
+        self._size, self._constants = len(belief.mean), len(range_stds)
         self._measurement = measurement
         self._odometry = odometry
         self._predict = prediction
@@ -119,7 +123,12 @@ class KalmanFilter:
 
     @property
     def belief(self) -> Belief:
-        """The present belief, mean (n,) and covariance (n, n)."""
+        """The present belief over pose and odometry parameters, mean (n,) and covariance (n, n)."""
+        return marginal(self.state, self._size)
+
+    @property
+    def state(self) -> Belief:
+        """The present belief over the whole state, with the range parameters."""
         return pack(self._x, self._P)
 
     @property
@@ -129,13 +138,14 @@ class KalmanFilter:
 
     def predict(self, distance_in: float, turn_rad: float) -> None:
         """Predict the belief after a step that the encoders report."""
-        self._predict(self._x, self._P, distance_in, turn_rad, self._odometry)
+        self._predict(self._x, self._P, distance_in, turn_rad, self._odometry, self._constants)
         self._correlated.move(distance_in, turn_rad)
 
     def predicted(self, distance_in: float, turn_rad: float, lag: Lag = NO_LAG) -> Belief:
         """Return the belief after such a step, without taking it, widened by a lag."""
-        x, P = self._x.copy(), [row.copy() for row in self._P]
-        self._predict(x, P, distance_in, turn_rad, self._odometry)
+        # The pose does not depend on the range parameters.
+        x, P = self._x[: self._size], [row[: self._size] for row in self._P[: self._size]]
+        self._predict(x, P, distance_in, turn_rad, self._odometry, 0)
         widen(x, P, lag)
         return Belief(np.array(x), np.array(P))
 

@@ -11,6 +11,7 @@ A state is a pose and as many odometry parameters as its n has room for, in this
     5  drift             plus drift times the reported distance, rad/in: wheels of a synchro drive that are not parallel
 
 Parameters are constants: the prediction adds no noise to them. One that is known gets a standard deviation of 0.
+A filter may append states that no step changes or depends on, `constants` of them: see `update.RANGE_PARAMETERS`.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ from localization.filters.belief import (
     pack,
     unit_vector,
     unpack,
+    with_constants,
     wrap_angle,
 )
 
@@ -79,9 +81,9 @@ def process_variance(distance: Number, turn: Number, noise: OdometryNoise) -> tu
     )
 
 
-def true_step(x: Sequence[Number], distance: Number, turn: Number) -> tuple[Number, Number]:
+def true_step(x: Sequence[Number], distance: Number, turn: Number, constants: int = 0) -> tuple[Number, Number]:
     """Return the step (distance, turn) that the odometry parameters of state x make of the reported one."""
-    n = len(x)
+    n = len(x) - constants
     true_distance, true_turn = distance, turn
     if n > _SCALE:
         true_distance = distance * (1.0 + x[_SCALE])
@@ -93,7 +95,7 @@ def true_step(x: Sequence[Number], distance: Number, turn: Number) -> tuple[Numb
 
 
 def jacobians(
-    x: Sequence[Number], distance: Number, turn: Number
+    x: Sequence[Number], distance: Number, turn: Number, constants: int = 0
 ) -> tuple[Number, Number, tuple[Number, Number], tuple[Number, Number]]:
     """Return the true step, and G, the derivative of the pose by it, at x.
 
@@ -107,7 +109,7 @@ def jacobians(
     ----------
     Thrun, Burgard, Fox, Probabilistic Robotics (2005), section 7.4: V_t, here for the odometry of section 5.4.
     """
-    d, t = true_step(x, distance, turn)
+    d, t = true_step(x, distance, turn, constants)
     c, s = unit_vector(x[HEADING] + 0.5 * t)
     return d, t, (c, s), (-0.5 * d * s, 0.5 * d * c)
 
@@ -115,7 +117,7 @@ def jacobians(
 def parameter_columns(
     n: int, distance: Number, turn: Number, g: tuple[Number, Number], h: tuple[Number, Number]
 ) -> list[tuple[int, Number, Number, Number]]:
-    """Return the columns of F for the odometry parameters of a state of n coordinates, each with its index.
+    """Return the columns of F for the odometry parameters among n coordinates, each with its index.
 
     A parameter acts through the true step, so its column is one of G times the reported distance or turn.
     """
@@ -127,15 +129,24 @@ def parameter_columns(
     return columns[: n - POSE]
 
 
-def predict_state(x: list[Number], P: list[list[Number]], distance: Number, turn: Number, noise: OdometryNoise) -> None:
+def predict_state(
+    x: list[Number],
+    P: list[list[Number]],
+    distance: Number,
+    turn: Number,
+    noise: OdometryNoise,
+    constants: int = 0,
+) -> None:
     """Predict x and P after a step that the encoders report, in place: the prediction step of the Kalman filter.
 
     Parameters
     ----------
     x, P
-        State of n elements and covariance of n rows, see `belief.unpack`. Coordinates from MAX_STATE on stay.
+        State of n elements and covariance of n rows, see `belief.unpack`.
     distance, turn
         The reported step, inches and radians.
+    constants
+        Number of coordinates at the end of the state that stay and have no part in the step.
 
     References
     ----------
@@ -144,7 +155,7 @@ def predict_state(x: list[Number], P: list[list[Number]], distance: Number, turn
     """
     n = len(x)
     # 1. The motion model and its derivatives.
-    d, t, (g_x, g_y), (h_x, h_y) = jacobians(x, distance, turn)
+    d, t, (g_x, g_y), (h_x, h_y) = jacobians(x, distance, turn, constants)
     q_distance, q_turn = process_variance(distance, turn, noise)
     # 2. x' = f(x, u).
     x[0] = x[0] + d * g_x
@@ -164,7 +175,7 @@ def predict_state(x: list[Number], P: list[list[Number]], distance: Number, turn
             P[j][0] = of_x[j] = of_x[j] + f_x * of_heading[j]
             P[j][1] = of_y[j] = of_y[j] + f_y * of_heading[j]
         of_y[0], of_heading[0], of_heading[1] = of_x[1], of_x[2], of_y[2]
-        for k, a, b, c in parameter_columns(n, distance, turn, (g_x, g_y), (h_x, h_y)):
+        for k, a, b, c in parameter_columns(n - constants, distance, turn, (g_x, g_y), (h_x, h_y)):
             for j in range(n):  # the rows of the pose
                 of_x[j] = of_x[j] + a * P[k][j]
                 of_y[j] = of_y[j] + b * P[k][j]
@@ -203,7 +214,7 @@ def predict(belief: Belief, step: Floats, noise: OdometryNoise) -> Belief:
     return pack(x, P)
 
 
-def move(states: Floats, step: Floats) -> Floats:
+def move(states: Floats, step: Floats, constants: int = 0) -> Floats:
     """Return states (..., n) after steps (..., 2) that the encoders report; parameters stay.
 
     References
@@ -212,7 +223,7 @@ def move(states: Floats, step: Floats) -> Floats:
     turn = T w.
     """
     distance, turn = _components(step)
-    d, t = true_step([component(states, index) for index in range(states.shape[-1])], distance, turn)
+    d, t = true_step([component(states, index) for index in range(states.shape[-1])], distance, turn, constants)
     middle = component(states, HEADING) + 0.5 * t
     after = np.broadcast_to(states, np.broadcast_shapes(states.shape, (*step.shape[:-1], 1))).copy()
     after[..., 0] += d * np.cos(middle)
@@ -221,11 +232,11 @@ def move(states: Floats, step: Floats) -> Floats:
     return after
 
 
-def step_jacobians(states: Floats, step: Floats) -> tuple[Floats, Floats]:
+def step_jacobians(states: Floats, step: Floats, constants: int = 0) -> tuple[Floats, Floats]:
     """Return F (..., n, n) and G (..., 3, 2) at states (..., n) and steps (..., 2) as matrices."""
     n = states.shape[-1]
     distance, turn = _components(step)
-    _, _, g, h = jacobians([component(states, index) for index in range(n)], distance, turn)
+    _, _, g, h = jacobians([component(states, index) for index in range(n)], distance, turn, constants)
     shape = np.broadcast_shapes(states.shape[:-1], step.shape[:-1])
     by_state, by_step = np.zeros((*shape, n, n)), np.zeros((*shape, POSE, 2))
     by_state[...] = np.eye(n)
@@ -233,7 +244,7 @@ def step_jacobians(states: Floats, step: Floats) -> tuple[Floats, Floats]:
     for row in range(HEADING):
         by_state[..., row, HEADING] = 2.0 * h[row]
         by_step[..., row, 0], by_step[..., row, 1] = g[row], h[row]
-    for k, *column in parameter_columns(n, distance, turn, g, h):
+    for k, *column in parameter_columns(n - constants, distance, turn, g, h):
         for row in range(POSE):
             by_state[..., row, k] = column[row]
     return by_state, by_step
@@ -328,17 +339,11 @@ def with_parameters(belief: Belief, stds: tuple[float, ...]) -> Belief:
     ValueError
         More standard deviations than parameters.
     """
-    size = belief.mean.shape[-1]
-    count = size + len(stds)
+    count = belief.mean.shape[-1] + len(stds)
     if count > MAX_STATE:
         raise ValueError(f"there are {MAX_STATE - POSE} odometry parameters, not {count - POSE}")
-    mean = np.zeros((*belief.mean.shape[:-1], count))
-    mean[..., :size] = belief.mean
-    cov = np.zeros((*mean.shape, count))
-    cov[..., :size, :size] = belief.cov
-    rest = np.arange(size, count)
-    cov[..., rest, rest] = np.square(stds)
-    return Belief(add(mean, np.zeros_like(mean)), cov)
+    longer = with_constants(belief, stds)
+    return Belief(add(longer.mean, np.zeros_like(longer.mean)), longer.cov)
 
 
 def with_pose(pose: Belief, parameters: Belief) -> Belief:

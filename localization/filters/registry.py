@@ -14,9 +14,9 @@ from localization.filters import ukf
 from localization.filters.base import Filter, LocalizationConfig, measurement_model
 from localization.filters.belief import POSE, Belief
 from localization.filters.calibration import CalibratingFilter
-from localization.filters.ekf import KalmanFilter
+from localization.filters.ekf import KalmanFilter, Prediction
 from localization.filters.global_localization import GlobalLocalizer, PoseSearch, TableSearch
-from localization.filters.odometry import MAX_STATE, with_parameters
+from localization.filters.odometry import MAX_STATE, predict_state, with_parameters
 from localization.filters.particles import (
     ConeLikelihood,
     Likelihood,
@@ -37,19 +37,20 @@ Factory = Callable[[LocalizationConfig, Belief, int], Filter]
 
 # One factory per method; they differ in the rule of the update, the prediction or the form of the belief.
 def _extended(config: LocalizationConfig, belief: Belief, _seed: int) -> Filter:
-    return KalmanFilter(belief, _measurement(config), config.odometry)
+    return _kalman(config, belief)
 
 
 def _iterated(config: LocalizationConfig, belief: Belief, _seed: int) -> Filter:
-    return KalmanFilter(belief, _measurement(config, iterated), config.odometry)
+    return _kalman(config, belief, iterated)
 
 
 def _unscented(config: LocalizationConfig, belief: Belief, _seed: int) -> Filter:
-    return KalmanFilter(belief, _measurement(config, ukf.unscented), config.odometry, ukf.predict_state)
+    return _kalman(config, belief, ukf.unscented, ukf.predict_state)
 
 
 def _smoother(config: LocalizationConfig, belief: Belief, _seed: int) -> Filter:
-    return FixedLagSmoother(belief, _measurement(config), config.odometry)
+    stds = config.range_stds or ()
+    return FixedLagSmoother(belief, _measurement(config, linear, len(stds)), config.odometry, range_stds=stds)
 
 
 def _particles(config: LocalizationConfig, belief: Belief, seed: int) -> Filter:
@@ -140,8 +141,16 @@ def _table(walls: bytes, body: _Ring, sonar: RaySonar | ConeSonar, clearance_in:
     return build_range_table(np.frombuffer(walls).reshape(-1, 4), body, sonar, clearance_in)
 
 
-def _measurement(config: LocalizationConfig, rule: Rule = linear) -> MeasurementUpdate:
-    return update_for(config.walls, config.body, config.sonar, config.gate, rule)
+def _kalman(
+    config: LocalizationConfig, belief: Belief, rule: Rule = linear, prediction: Prediction = predict_state
+) -> KalmanFilter:
+    """Return a Kalman filter that estimates the range parameters as well, unless the configuration has none."""
+    stds = config.range_stds or ()
+    return KalmanFilter(belief, _measurement(config, rule, len(stds)), config.odometry, prediction, stds)
+
+
+def _measurement(config: LocalizationConfig, rule: Rule = linear, range_parameters: int = 0) -> MeasurementUpdate:
+    return update_for(config.walls, config.body, config.sonar, config.gate, rule, range_parameters)
 
 
 def update_for(
@@ -150,9 +159,10 @@ def update_for(
     sonar: RaySonar | ConeSonar,
     gate: Gate = STRICT,
     rule: Rule = linear,
+    range_parameters: int = 0,
 ) -> MeasurementUpdate:
-    """Return the measurement update for sonars of this type."""
-    return MeasurementUpdate(measurement_model(walls, body, sonar, gate), rule)
+    """Return the measurement update for sonars of this type; `range_parameters` as in `update.expected_reading`."""
+    return MeasurementUpdate(measurement_model(walls, body, sonar, gate, range_parameters), rule)
 
 
 def likelihood_of(config: LocalizationConfig) -> Likelihood:

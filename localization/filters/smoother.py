@@ -6,11 +6,12 @@ For maps, surveys and ground truth; control needs the present pose, of which a s
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from localization.filters.belief import Belief, Floats, add, difference
+from localization.filters.belief import Belief, Floats, add, difference, marginal
 from localization.filters.ekf import KalmanFilter
 from localization.filters.odometry import OdometryNoise, step_jacobians
 from localization.filters.update import MeasurementUpdate
@@ -41,8 +42,15 @@ class FixedLagSmoother(KalmanFilter):
         A lag below 1.
     """
 
-    def __init__(self, belief: Belief, measurement: MeasurementUpdate, odometry: OdometryNoise, lag: int = LAG) -> None:
-        super().__init__(belief, measurement, odometry)
+    def __init__(
+        self,
+        belief: Belief,
+        measurement: MeasurementUpdate,
+        odometry: OdometryNoise,
+        lag: int = LAG,
+        range_stds: Sequence[float] = (),
+    ) -> None:
+        super().__init__(belief, measurement, odometry, range_stds=range_stds)
         self._direct = None  # one prediction at a time, to record it
         if lag < 1:
             raise ValueError(f"the lag of a smoother must be at least 1 step, not {lag}")
@@ -54,19 +62,19 @@ class FixedLagSmoother(KalmanFilter):
 
         C = P_k F' P_k+1|k^-1, with the pseudo-inverse: a coordinate that is certain stays so.
         """
-        filtered = self.belief
+        filtered = self.state
         super().predict(distance_in, turn_rad)
-        predicted = self.belief
-        F, _ = step_jacobians(filtered.mean, np.array((distance_in, turn_rad)))
+        predicted = self.state
+        F, _ = step_jacobians(filtered.mean, np.array((distance_in, turn_rad)), self._constants)
         gain = filtered.cov @ F.T @ np.linalg.pinv(predicted.cov, hermitian=True)
         self._steps.append(Step(filtered, predicted, gain))
 
     def smoothed(self) -> Belief:
         """Return the belief over the state `lag` predictions ago (the first, where there were fewer), smoothed."""
-        belief = self.belief
+        belief = self.state
         for step in reversed(self._steps):
             belief = smooth(step, belief)
-        return belief
+        return marginal(belief, self._size)
 
 
 def smooth(step: Step, later: Belief) -> Belief:

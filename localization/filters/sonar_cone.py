@@ -38,6 +38,7 @@ from localization.filters.update import (
     Outcome,
     Refusal,
     State,
+    expected_reading,
     linear,
     update_by_association,
 )
@@ -253,13 +254,15 @@ def detectable(
     return (NONE, 1.0, candidates) if candidates else (NO_WALL, noise.outlier_density, candidates)
 
 
-def hypotheses(candidates: list[EchoCandidate], noise: ConeSonar) -> Association:
+def hypotheses(x: State, candidates: list[EchoCandidate], model: ConeModel) -> Association:
     """Return the hypotheses for a reading of one of these reflectors."""
+    noise, parameters = model.noise, model.range_parameters
+    expected = [expected_reading(x, candidate.range_in, candidate.H, parameters) for candidate in candidates]
     return Association(
         Refusal.NONE,
         1.0,
-        [candidate.range_in for candidate in candidates],
-        [candidate.H for candidate in candidates],
+        [reading_in for reading_in, _ in expected],
+        [H for _, H in expected],
         [range_variance(noise, candidate.range_in) for candidate in candidates],
         [constant_variance(noise, candidate.range_in) for candidate in candidates],
         [candidate.probability for candidate in candidates],
@@ -267,6 +270,7 @@ def hypotheses(candidates: list[EchoCandidate], noise: ConeSonar) -> Association
         noise.outlier_probability,
         noise.outlier_density,
         0.0,
+        parameters,
     )
 
 
@@ -277,20 +281,20 @@ def update_by_cone(
     refusal, likelihood, candidates = detectable(x, P, angle_rad, reading_in, model)
     if refusal != NONE:
         return refusal, 0.0, 0.0, 1.0, likelihood
-    return update_by_association(x, P, reading_in, hypotheses(candidates, model.noise), linear, count)
+    return update_by_association(x, P, reading_in, hypotheses(x, candidates, model), linear, count)
 
 
 class ConeModel:
     """Measurement model of sonars whose reading is the first echo out of a cone, or an outlier."""
 
-    def __init__(self, walls: npt.ArrayLike, body: SonarRing, sonar: ConeSonar) -> None:
+    def __init__(self, walls: npt.ArrayLike, body: SonarRing, sonar: ConeSonar, range_parameters: int = 0) -> None:
         self.walls, self.noise = wall_map(walls), sonar
         self.angles_rad, self.ring_radius_in = body.sonar_angles_rad, body.sonar_ring_radius_in
         self._around = around = reflectors(self.walls.segments)
         losses = np.where(around.square, sonar.bounce_loss_db, sonar.edge_loss_db)
         self.faces = np.concatenate((around.corners, around.normals, around.lengths[:, None]), axis=1).tolist()
         self.vertices = np.column_stack((around.vertices, losses)).tolist()
-        self.update = update_by_cone
+        self.update, self.range_parameters = update_by_cone, range_parameters
 
     def associate(
         self, x: State, P: Covariance, sonar: int, turret_offset_rad: float, reading_in: float
@@ -302,7 +306,7 @@ class ConeModel:
             return Association(REFUSALS[refusal], likelihood)
         numbers, mount = np.array([one.reflector for one in candidates]), SonarMount(angle_rad, self.ring_radius_in)
         expect = partial(ranges_to, mount=mount, around=self._around, numbers=numbers)
-        return hypotheses(candidates, self.noise)._replace(range_function=expect)
+        return hypotheses(x, candidates, self)._replace(range_function=expect)
 
 
 # Many poses, in arrays.

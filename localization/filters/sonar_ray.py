@@ -53,6 +53,7 @@ from localization.filters.update import (
     Outcome,
     Refusal,
     State,
+    expected_reading,
     inflated_variance,
     kalman_gain,
     shift,
@@ -406,15 +407,17 @@ def update_by_ray(x: State, P: Covariance, angle_rad: float, reading_in: float, 
     if beam.refusal != NONE:
         return beam.refusal, 0.0, 0.0, 1.0, 1.0 / RANGE_SPAN_IN
     # 3. The chi-square gate. For the likelihood some readings are outliers, and these are beyond it.
-    R, innovation = range_variance(noise, beam.range_in), reading_in - beam.range_in
-    K, S = kalman_gain(P, beam.H, R)
+    R = range_variance(noise, beam.range_in)
+    expected_in, H = expected_reading(x, beam.range_in, beam.H, model.range_parameters)
+    innovation = reading_in - expected_in
+    K, S = kalman_gain(P, H, R)
     nis = innovation * innovation / S
     if not nis <= model.threshold:
         return GATE, 0.0, 0.0, 1.0, RAY_OUTLIERS / RANGE_SPAN_IN
     density = exp(-0.5 * nis) / sqrt(2.0 * pi * S)
     # 4. x+ = x + K innovation, P+ = P - K S K^T; of a repeated reading with the R that leaves its new information.
     if count > 1:
-        K, S = kalman_gain(P, beam.H, inflated_variance(R, constant_variance(noise, beam.range_in), count))
+        K, S = kalman_gain(P, H, inflated_variance(R, constant_variance(noise, beam.range_in), count))
     shift(x, K, innovation)
     add_outer(P, -S, K)
     return NONE, innovation, nis, 0.0, (1.0 - RAY_OUTLIERS) * density + RAY_OUTLIERS / RANGE_SPAN_IN
@@ -423,10 +426,12 @@ def update_by_ray(x: State, P: Covariance, angle_rad: float, reading_in: float, 
 class RayModel:
     """Measurement model of sonars whose readings are the range along one ray, or refused by the gate."""
 
-    def __init__(self, walls: npt.ArrayLike, body: SonarRing, sonar: RaySonar, gate: Gate = STRICT) -> None:
+    def __init__(
+        self, walls: npt.ArrayLike, body: SonarRing, sonar: RaySonar, gate: Gate = STRICT, range_parameters: int = 0
+    ) -> None:
         self.walls, self.noise, self.gate, self.threshold = wall_map(walls), sonar, gate, gate.threshold
         self.angles_rad, self.ring_radius_in = body.sonar_angles_rad, body.sonar_ring_radius_in
-        self.update = update_by_ray
+        self.update, self.range_parameters = update_by_ray, range_parameters
 
     def associate(
         self, x: State, P: Covariance, sonar: int, turret_offset_rad: float, reading_in: float
@@ -438,16 +443,18 @@ class RayModel:
         if refusal != NONE:
             return Association(REFUSALS[refusal], likelihood)
         beam = predict_beam(x, P, angle_rad, self.ring_radius_in, self.walls, self.gate)
+        expected_in, H = expected_reading(x, beam.range_in, beam.H, self.range_parameters)
         return Association(
             Refusal.NONE,
             1.0,
-            [beam.range_in],
-            [beam.H],
+            [expected_in],
+            [H],
             [range_variance(self.noise, beam.range_in)],
             [constant_variance(self.noise, beam.range_in)],
             [1.0],
             partial(_ranges_to_line, angle_rad, self.ring_radius_in, line_of(beam.row, self.walls)),
             gate_outliers=RAY_OUTLIERS,
+            range_parameters=self.range_parameters,
         )
 
 

@@ -17,9 +17,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from localization.filters.belief import POSE, Belief, Floats, add, difference
+from localization.filters.belief import Belief, Floats, add, difference
 from localization.filters.odometry import OdometryNoise, move, step_variance
-from localization.filters.update import Association, Correction, Covariance, State
+from localization.filters.update import Association, Correction, Covariance, State, readings_at
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +79,7 @@ def root_of(cov: Floats) -> Floats:
     return root
 
 
-def predict(belief: Belief, step: Floats, noise: OdometryNoise) -> Belief:
+def predict(belief: Belief, step: Floats, noise: OdometryNoise, constants: int = 0) -> Belief:
     """Return the belief after a step (2,): sigma points of state and step, n + 2 coordinates, each moved as it says."""
     n = len(belief.mean)
     # 1. A root of the joint covariance of state and step.
@@ -89,7 +89,7 @@ def predict(belief: Belief, step: Floats, noise: OdometryNoise) -> Belief:
     # 2. The sigma points through the motion model.
     weight = weights(n + 2)
     away = offsets(root, weight.reach)
-    moved = move(add(belief.mean, away[:, :n]), step + away[:, n:])
+    moved = move(add(belief.mean, away[:, :n]), step + away[:, n:], constants)
     # 3. Mean and covariance of the result; headings relative to the first point.
     residual = difference(moved, moved[0])
     mean = weight.mean @ residual
@@ -98,9 +98,11 @@ def predict(belief: Belief, step: Floats, noise: OdometryNoise) -> Belief:
     return Belief(add(moved[0], mean), 0.5 * (cov + cov.T))
 
 
-def predict_state(x: State, P: Covariance, distance: float, turn: float, noise: OdometryNoise) -> None:
+def predict_state(
+    x: State, P: Covariance, distance: float, turn: float, noise: OdometryNoise, constants: int = 0
+) -> None:
     """Apply `predict` to x and P in place."""
-    after = predict(Belief(np.array(x), np.array(P)), np.array((distance, turn)), noise)
+    after = predict(Belief(np.array(x), np.array(P)), np.array((distance, turn)), noise, constants)
     x[:], P[:] = after.mean.tolist(), after.cov.tolist()
 
 
@@ -108,14 +110,13 @@ def unscented(
     x: State, P: Covariance, reading_in: float, association: Association, variances: Sequence[float]
 ) -> list[Correction]:
     """Return the corrections of the unscented filter (see `update.Rule`)."""
-    assert association.range_function is not None
     # 1. The sigma points through the range to each reflector.
     weight = weights(len(x))
     away = offsets(root_of(np.array(P)), weight.reach)
-    ranges = association.range_function((np.array(x) + away)[:, None, :POSE])[0]
+    readings = readings_at(association, (np.array(x) + away)[:, None])[0]
     # 2. Mean z, variance S, and covariance with the state.
-    expected = weight.mean @ ranges
-    residual = ranges - expected
+    expected = weight.mean @ readings
+    residual = readings - expected
     S = weight.cov @ (residual * residual) + np.array(variances)
     # 3. The gain.
     K = (residual * weight.cov[:, None]).T @ away / S[:, None]

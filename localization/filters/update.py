@@ -11,7 +11,10 @@ For each hypothesis j, that reading z is of reflector j, with expected range h_j
     P+ = P - sum_j beta_j K_j S_j K_j^T + the spread of the means
 
 A ring of echoes of a live filter takes these steps in `ekf.filter_ring`, by `sonar_ray.update_by_ray` or
-`sonar_cone.update_by_cone`; other filters by `MeasurementUpdate`. States may be longer than a pose.
+`sonar_cone.update_by_cone`; other filters by `MeasurementUpdate`. States may be longer than a pose. The last two may be
+errors that all readings have in common (RANGE_PARAMETERS): a reading is then expected at
+
+    z = (1 + scale) range + offset        dz/dx = ((1 + scale) H, 1, range)
 """
 
 from __future__ import annotations
@@ -19,7 +22,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from enum import IntEnum
 from math import exp, nan, pi, sqrt
-from typing import Final, NamedTuple, Protocol, runtime_checkable
+from typing import Any, Final, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -37,6 +40,9 @@ MIN_INFORMATION: Final = 1e-12
 """Information, as a fraction of the first reading's, that counts as none."""
 SAME_POSE_IN, SAME_POSE_RAD = 0.25, 0.005
 """A robot that moved or turned by more is elsewhere: a quarter of an inch on, whole-inch readings round differently."""
+RANGE_PARAMETERS: Final = 2
+"""Coordinates at the end of a state, if it has them: the offset of all readings, inches, and their scale, the deviation
+of the speed of sound from the assumed one, as a fraction."""
 MAX_ITERATIONS: Final = 6
 CONVERGED: Final = 1e-6
 """The iteration ends when the state changes by less than this, in standard deviations."""
@@ -124,6 +130,8 @@ class Association(NamedTuple):
         Probability that the echo is of this reflector, if the reading is no outlier.
     range_function
         Range and derivative at other poses.
+    range_parameters
+        RANGE_PARAMETERS if the state ends with them, else 0: `H` then has their derivatives.
     outlier_probability, outlier_density
         Prior probability of an outlier, and its density per inch.
     gate_outliers
@@ -141,6 +149,7 @@ class Association(NamedTuple):
     outlier_probability: float = 0.0
     outlier_density: float = 0.0
     gate_outliers: float = 0.0
+    range_parameters: int = 0
 
 
 class MeasurementModel(Protocol):
@@ -163,12 +172,43 @@ class DirectModel(MeasurementModel, Protocol):
         ...
 
     @property
+    def range_parameters(self) -> int:
+        """Return RANGE_PARAMETERS if states end with them, else 0."""
+        ...
+
+    @property
     def update(self) -> Callable[..., Outcome]:
         """Return a function of x, P, direction from the heading, reading, this model, and count (`update_by_ray`)."""
         ...
 
 
 # 2. Gain and innovation of one hypothesis.
+
+
+def expected_reading(x: Sequence[Any], range_in: Any, H: Sequence[Any], range_parameters: int) -> tuple[Any, list[Any]]:
+    """Return the reading that state x expects of a range, and its derivative by pose and range parameters.
+
+    Parameters
+    ----------
+    range_in, H
+        The range and its derivative by the pose.
+    range_parameters
+        RANGE_PARAMETERS, or 0: then the range is the reading.
+    """
+    a, b, c = H
+    if range_parameters == 0:
+        return range_in, [a, b, c]
+    scale = 1.0 + x[-1]
+    return scale * range_in + x[-2], [scale * a, scale * b, scale * c, 1.0, range_in]
+
+
+def readings_at(association: Association, states: Floats) -> tuple[Floats, Floats]:
+    """Return the expected readings (..., k) of k hypotheses at states (..., 1, n) or (..., k, n), and H (..., k, m)."""
+    assert association.range_function is not None
+    ranges, H = association.range_function(states[..., :POSE])
+    x = list(np.moveaxis(states, -1, 0))
+    readings, columns = expected_reading(x, ranges, list(np.moveaxis(H, -1, 0)), association.range_parameters)
+    return readings, np.stack(np.broadcast_arrays(*columns), axis=-1)
 
 
 def kalman_gain(P: Sequence[Sequence[Number]], H: Sequence[Number], R: Number) -> tuple[list[Number], Number]:
@@ -179,17 +219,18 @@ def kalman_gain(P: Sequence[Sequence[Number]], H: Sequence[Number], R: Number) -
     P
         Covariance, n rows of n.
     H
-        Derivative of the expected reading by the first 3 or more coordinates; 0 by the others.
+        Derivative of the expected reading by the pose, then by the last coordinates; 0 by those between.
     R
         Variance of the reading.
     """
     a, b, c = H[0], H[1], H[2]
     PHt = [row[0] * a + row[1] * b + row[2] * c for row in P]
+    between = len(P) - len(H)
     for j in range(POSE, len(H)):
-        PHt = [value + row[j] * H[j] for value, row in zip(PHt, P)]  # noqa: B905  for numba
+        PHt = [value + cov * H[j] for value, cov in zip(PHt, P[between + j])]  # noqa: B905  for numba
     S = PHt[0] * a + PHt[1] * b + PHt[2] * c + R
     for j in range(POSE, len(H)):
-        S = S + PHt[j] * H[j]
+        S = S + PHt[between + j] * H[j]
     return [value / S for value in PHt], S
 
 
@@ -267,10 +308,9 @@ def iterated(
     ----------
     Bell, Cathey, The iterated Kalman filter update as a Gauss-Newton method (1993).
     """
-    assert association.range_function is not None
     mean, cov = np.array(x), np.array(P)
     ranges, R = np.array(association.ranges_in), np.array(variances)
-    H = _widened(np.array(association.H).reshape(-1, POSE), len(x))
+    H = _widened(np.array(association.H).reshape(len(ranges), -1), len(x))
     dx = np.zeros((len(ranges), len(x)))
     std = np.maximum(np.sqrt(np.diagonal(cov)), np.finfo(float).tiny)
     cost = (reading_in - ranges) ** 2 / R
@@ -280,7 +320,7 @@ def iterated(
         ahead = reading_in - ranges + (H * dx).sum(axis=-1)
         proposed = K * ahead[:, None]
         # 2. Its cost; accept it where it is lower.
-        new_ranges, new_H = association.range_function((mean + proposed)[:, :POSE])
+        new_ranges, new_H = readings_at(association, mean + proposed)
         new_cost = (reading_in - new_ranges) ** 2 / R + (S - R) * (ahead / S) ** 2
         better = new_cost < cost
         has_moved = (better & (np.abs(proposed - dx) > CONVERGED * std).any(axis=-1)).any()
@@ -301,9 +341,10 @@ def _gains(cov: Floats, H: Floats, R: Floats) -> tuple[Floats, Floats]:
 
 
 def _widened(H: Floats, n: int) -> Floats:
-    """Return derivatives (k, 3) by the pose as derivatives (k, n) by a longer state."""
+    """Return derivatives (k, m) by the pose and the last coordinates as derivatives (k, n) by the state."""
     wide = np.zeros((len(H), n))
-    wide[:, :POSE] = H
+    wide[:, :POSE] = H[:, :POSE]
+    wide[:, n - H.shape[1] + POSE :] = H[:, POSE:]
     return wide
 
 

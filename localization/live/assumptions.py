@@ -65,7 +65,7 @@ class SonarAssumption(NamedTuple):
 
 
 ASSUME_CONES: Final = SonarAssumption(rays=False, guessed=False)
-RING_SETUPS: Final = ("measured",)
+RING_SETUPS: Final = ("measured", "building")
 """Named setups that simulate a real ring."""
 RING_MODEL: Final = "polaroid"
 """Sonar model of a real ring in setup files."""

@@ -6,8 +6,6 @@ Waiting is a parameter; the time is the robot's clock. Observers are called in e
 Leaving the controller's `with` block stops the robot.
 """
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable, Sequence
 from types import TracebackType

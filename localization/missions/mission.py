@@ -12,8 +12,6 @@ that ended a mission (MissionOver, Ctrl-C) is stored, and every later step excep
 that caught it drives no farther.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial

@@ -13,8 +13,6 @@ readings, which may miss it. An estimate that is lost adds nothing.
 The estimate's filter must not use these readings: they belong to no wall of the map (`filter_unmapped`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import atan2, cos, exp, hypot, sin

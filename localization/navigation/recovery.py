@@ -5,8 +5,6 @@ one position are distinguished on the path to another. StallDetector reports a r
 or whose wheels stand.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import cos, hypot, tau
 from typing import Final, Protocol
@@ -41,17 +39,14 @@ class SonarState(Protocol):
     @property
     def sonars_in(self) -> tuple[int, ...]:
         """Return the last reading of each sonar in inches."""
-        ...
 
     @property
     def steering_rad(self) -> float:
         """Return the steering angle of the encoders."""
-        ...
 
     @property
     def turret_rad(self) -> float:
         """Return the turret angle of the encoders."""
-        ...
 
 
 class RecoveryBehavior:

@@ -6,8 +6,6 @@ The limits of the control law are per step; with one step every PERIOD_S they ar
 the loop has no clock of its own.
 """
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass

@@ -10,8 +10,6 @@ Bumper bits at rest that belong to another model are the exception: they are nev
 were received.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from typing import Final, NamedTuple
 

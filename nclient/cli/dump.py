@@ -9,8 +9,6 @@ A file of plain bytes needs --line; its bytes are taken as sent to the robot, or
 Exit code 1 if the file is no recording or its last line is incomplete.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 from collections.abc import Iterator

@@ -6,8 +6,6 @@ No keyboard and no screen; `sleep` is passed in. A line is checked completely be
 that an error in a script moves nothing. Errors are NomadError, and the session continues while the robot is connected.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any

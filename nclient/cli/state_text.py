@@ -6,8 +6,6 @@ Values that the robot has not reported are omitted or shown as unknown. PARTS li
 are not stored in the state are formatted by VALUES, or as plain numbers.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 

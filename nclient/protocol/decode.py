@@ -13,8 +13,6 @@ Also here: guessing the robot's model from a state packet that does not fit, for
     N150 or Scout     the four bits of the first bumper byte that always read 1 on a N150
 """
 
-from __future__ import annotations
-
 import struct
 from collections import deque
 from dataclasses import dataclass

@@ -8,8 +8,6 @@ length out of range, a wrong checksum or a wrong end byte the search continues a
 the frames behind it only until more bytes arrive, or until the caller's deadline calls `expire`.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from nclient.errors import WireError

@@ -64,12 +64,18 @@ def get_model(name: str) -> Model:
         raise AddressError(f"no robot model {name!r}; there are {', '.join(MODELS)}") from None
 
 
+SONAR_SLOTS = 16
+"""Sonars that State has slots for."""
+MIN_SONAR_IN, MAX_SONAR_IN = 6, 255
+"""Sonar readings of a Nomad: "no farther than 6 in", and "no echo up to 255 in"."""
 DEFAULT_SONAR_ORDER = (0, 2, 15, 1, 14, 3, 13, 4, 12, 5, 11, 6, 10, 7, 9, 8)
 """Firing order of the sonar ring before any conf_sn (docs/protocol.md, State vector)."""
 DEFAULT_SONAR_RATE = 15
 """Firing rate before any conf_sn: 60 ms between two sonars."""
 SONAR_RATE_STEP_S = 0.004
 """Unit of conf_sn's rate in seconds."""
+MAX_SONAR_RATE = 255
+"""Largest rate that a byte of conf_sn on a serial line holds."""
 
 
 SLOTS = 44
@@ -234,7 +240,7 @@ NO_STAMP = Stamp(0, 0, 0, 0, 0, 0, 0, 0, 0)
 """Stamp of a sensor without a reading yet."""
 
 INFRARED_KEYS = tuple(f"ir_{i}" for i in range(16))
-SONAR_KEYS = tuple(f"sonar_{i}" for i in range(16))
+SONAR_KEYS = tuple(f"sonar_{i}" for i in range(SONAR_SLOTS))
 
 STAMP_KEYS: dict[Position, tuple[str, ...]] = {
     Position.INFRARED: INFRARED_KEYS,

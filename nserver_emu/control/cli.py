@@ -6,8 +6,6 @@ Files are read here, and named by absolute paths, because the server may run in 
 nclient.common.exit_codes. A server of another version costs an error message, never a traceback.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os
@@ -24,8 +22,7 @@ from nclient.common.hints import suggest
 from nclient.errors import ConnectionLost, ControlError, NomadError
 from nclient.faults.plan import read_plan
 from nserver_emu.control.commands import BY_NAME, COMMANDS, MAX_SPEED, ControlCommand
-from nserver_emu.control.options import socket_path
-from nserver_emu.control.socket import MAX_LINE, default_path
+from nserver_emu.control.socket import MAX_LINE, default_path, socket_path
 from nserver_emu.simulation.noise import PARTS, SETUPS
 from worlds.io import read_world_text
 

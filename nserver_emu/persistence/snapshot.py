@@ -1,6 +1,6 @@
 """Snapshots: the whole simulation of a server as JSON, and back, bit for bit (`nserver --save`, `--restore`).
 
-    {"format": "nserver snapshot", "format_version": 2, "version": version of the package, "state": SnapshotState}
+    {"format": "nserver snapshot", "format_version": 3, "version": version of the package, "state": SnapshotState}
 
 Every part of the simulation has a state, a NamedTuple or a dataclass next to its fields, and `to_state` and
 `from_state` (or `set_state`). Its declaration is the schema of the file: NamedTuples are arrays, dataclasses objects.
@@ -37,11 +37,13 @@ from nserver_emu.server.limits import SNAPSHOT_BYTES
 from nserver_emu.simulation.acoustics import Polaroid
 from nserver_emu.simulation.arm import Arm, ArmState
 from nserver_emu.simulation.simulation import Simulation, SimulationState
-from nserver_emu.simulation.sonar import SonarNoise
+from nserver_emu.simulation.sonar import SonarNoise, SonarState
+from worlds.rings import nomad_ring
 
 FORMAT: Final = "nserver snapshot"
-FORMAT_VERSION: Final = 2
-"""Version 1 was a graph of objects with the names of their classes; it can no longer be read."""
+FORMAT_VERSION: Final = 3
+"""Version 1 was a graph of objects with the names of their classes; it can no longer be read. Version 2, in which all
+rings were those of the Nomads and fired one sonar at a time, is read as well."""
 
 SAVED_PARTS: Final = ("simulation", "clock", "graphics", "traces", "transcript", "arms")
 """The attributes of an emulator that a snapshot replaces: all but connections, port and permissions, which belong to
@@ -61,6 +63,8 @@ MAX_BITS: Final = 128
 
 MAX_CONTAINERS, MAX_VALUES = 5_000_000, 16_000_000
 """Size of a snapshot: a million shapes have three million arrays and eleven million values."""
+
+_ORDER_OF_SONARS: Final = SonarState._fields.index("firing")
 
 _HEAD: Final = 100
 """Characters within which a snapshot names its format."""
@@ -176,43 +180,28 @@ def decoder(kind: Any) -> Decoder:
     return lambda data: kind(*fields(data))
 
 
-def _bool(data: Any) -> bool:
-    if not isinstance(data, bool):
-        raise ValueError("expected true or false")
-    return data
+def _expecting(what: str, is_valid: Callable[[Any], bool], make: Callable[[Any], Any] = lambda data: data) -> Decoder:
+    """Return a decoder that checks a value, and says what it expected."""
+
+    def decode(data: Any) -> Any:
+        if not is_valid(data):
+            raise ValueError(f"expected {what}")
+        return make(data)
+
+    return decode
 
 
-def _int(data: Any) -> int:
-    if not isinstance(data, int) or isinstance(data, bool) or data.bit_length() > MAX_BITS:
-        raise ValueError("expected a whole number")
-    return data
-
-
-def _float(data: Any) -> float:
-    if not isinstance(data, int | float) or isinstance(data, bool) or not isfinite(data) or abs(data) > MAX_NUMBER:
-        raise ValueError("expected a number")
-    return float(data)
-
-
-def _str(data: Any) -> str:
-    if not isinstance(data, str):
-        raise ValueError("expected a text")
-    return data
-
-
-_SCALARS: Final[Mapping[type, Decoder]] = {bool: _bool, int: _int, float: _float, str: _str}
-
-
-def _array(data: Any) -> list[Any]:
-    if not isinstance(data, list):
-        raise ValueError("expected an array")
-    return data
-
-
-def _object(data: Any) -> dict[str, Any]:
-    if not isinstance(data, dict):
-        raise ValueError("expected an object")
-    return data
+# JSON has no other types than these, and type() tells true and false from numbers.
+_SCALARS: Final[Mapping[type, Decoder]] = {
+    bool: _expecting("true or false", lambda data: isinstance(data, bool)),
+    int: _expecting("a whole number", lambda data: type(data) is int and data.bit_length() <= MAX_BITS),
+    float: _expecting(
+        "a number", lambda data: type(data) in (int, float) and isfinite(data) and abs(data) <= MAX_NUMBER, float
+    ),
+    str: _expecting("a text", lambda data: isinstance(data, str)),
+}
+_array: Final = _expecting("an array", lambda data: isinstance(data, list))
+_object: Final = _expecting("an object", lambda data: isinstance(data, dict))
 
 
 def _decode(decode: Decoder, data: Any, key: str | int) -> Any:
@@ -354,6 +343,19 @@ def _check_size(text: str) -> None:
             raise SnapshotError(f"is damaged: expected at most {maximum} {what}, found {found}")
 
 
+def _upgrade_rings(state: Any) -> None:
+    """Turn the sonar rings of a state of format version 2 into those of today, in place; _DAMAGED if it is no state."""
+    for robot in state["simulation"]["robots"].values():
+        # 1. The body had a radius and angles.
+        body = robot["model"]["body"]
+        if "sonar_angles_rad" in body:
+            radius_in, angles_rad = body.pop("sonar_ring_radius_in"), body.pop("sonar_angles_rad")
+            nomad = json.loads(_ENCODER.encode(nomad_ring(0.0)))
+            body["ring"] = {**nomad, "radius_in": radius_in, "angles_rad": angles_rad}
+        # 2. The order was one of single sonars.
+        robot["sonar"][_ORDER_OF_SONARS] = [[sonar] for sonar in robot["sonar"][_ORDER_OF_SONARS]]
+
+
 def loads(emulator: Emulator, text: str, name: str = "snapshot") -> None:
     """Replace the state of an emulator by that of a snapshot; `name` is the file's name in errors."""
     try:
@@ -364,7 +366,9 @@ def loads(emulator: Emulator, text: str, name: str = "snapshot") -> None:
         whole = json.loads(text)
         if not isinstance(whole, dict) or whole.get("format") != FORMAT:
             raise SnapshotError("is no snapshot of an nserver")
-        if (found := whole.get("format_version", 1)) != FORMAT_VERSION:
+        if (found := whole.get("format_version", 1)) == 2:
+            _upgrade_rings(whole["state"])
+        elif found != FORMAT_VERSION:
             raise SnapshotError(f"has format version {found!r:.20}, saved by nserver {whole.get('version')!r:.20}; "
                                 f"this nserver reads format version {FORMAT_VERSION} only")
         # 2. The state.

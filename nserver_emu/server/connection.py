@@ -64,7 +64,6 @@ class Job(Protocol):
 
     def run_turn(self) -> None:
         """Do the work of one turn; submit itself again if some is left."""
-        ...
 
 
 class FairScheduler:
@@ -110,8 +109,7 @@ class FairScheduler:
         job.is_queued = True
         self._submitted.append(job)
         if not self._is_turn_scheduled:
-            self._is_turn_scheduled = True
-            asyncio.get_running_loop().call_soon(self._run_turn)
+            self._schedule_turn()
 
     def _run_turn(self) -> None:
         """Run queued jobs until the time of this turn is used up, each at most once."""
@@ -135,9 +133,19 @@ class FairScheduler:
                         first_again_s = min(first_again_s, job.finish_tag_s)
         finally:
             # 3. The rest follows in the next turn, also after an error, which the event loop logs.
-            self._is_turn_scheduled = bool(self._queue or self._submitted)
-            if self._is_turn_scheduled:
-                loop.call_soon(self._run_turn)
+            self._is_turn_scheduled = False
+            if self._queue or self._submitted:
+                self._schedule_turn()
+
+    def _schedule_turn(self) -> None:
+        """Run a turn in the next iteration of the event loop, after the sockets are read.
+
+        asyncio runs timers that are due after what it read, and callbacks of `call_soon` before: with those a request
+        would wait for one more turn.
+        """
+        loop = asyncio.get_running_loop()
+        self._is_turn_scheduled = True
+        loop.call_at(loop.time(), self._run_turn)
 
     def _run(self, job: Job) -> None:
         """Run a job and charge it for its processor time."""
@@ -183,8 +191,9 @@ READ_SIZE: Final = 4096
 # least that a turn can do: requests differ in cost by a factor of a hundred.
 MAX_BYTES_PER_TURN: Final = 512
 MAX_REQUESTS_PER_TURN: Final = 1
-# Turns over which the work for one reply is spread. At unlimited speed new work may come in each of them.
-MAX_PREPARING_TURNS: Final = 4
+# Steps of simulated time within which the work for one reply is spread over turns: each may bring new work, and at
+# unlimited speed there is one in each turn.
+MAX_PREPARING_STEPS: Final = 4
 
 # Seconds to wait for the second half of a 64-bit CONNECT before it is read as a 32-bit CONNECT to robot 0.
 CONNECT_WAIT_S: Final = 1.0
@@ -211,7 +220,6 @@ class Server(Protocol):
     @property
     def emulator(self) -> ServerState:
         """The simulation with the server's settings."""
-        ...
 
 
 class ConnectionHandler(ABC):
@@ -250,6 +258,8 @@ class ConnectionHandler(ABC):
         self.is_connected = True
         # The identity last reported by the session.
         self._identity: ClientIdentity | None = None
+        # True until the first request: until then the connection may turn out to continue a closed one.
+        self._is_pending = True
         # True while the peer does not read its replies.
         self.is_write_paused = False
         # True if the channel was full when last checked, so that reading is suspended.
@@ -260,8 +270,9 @@ class ConnectionHandler(ABC):
         self.is_queued = False
         self.finish_tag_s = 0.0
         self._turn: asyncio.TimerHandle | None = None
-        # Turns spent on the preparation of the next reply.
+        # Steps of simulated time spent on the preparation of the next reply, and the time of the last.
         self._preparing = 0
+        self._prepared_ps = -1
         # Fires when bytes in the channel are due.
         self._delivery_timer: asyncio.TimerHandle | None = None
         # Time at which the bytes being processed left the channel; None without one.
@@ -337,15 +348,21 @@ class ConnectionHandler(ABC):
         self._schedule()
 
     def _is_prepared(self) -> bool:
-        """Do part of the work for the next reply; return False if the rest is for later turns, but not too often."""
+        """Do part of the work for the next reply; return False if the rest is for later turns."""
         server = self._server
         is_simulated = self.is_scheduled and server.handler is server.emulator
-        if is_simulated and self.session.ready and self._preparing < MAX_PREPARING_TURNS:
-            self._preparing += 1
-            if not server.emulator.prepare_reply(self.session.context):
+        if is_simulated and self.session.ready:
+            now_ps = server.emulator.simulation.time_ps
+            self._preparing += now_ps != self._prepared_ps
+            self._prepared_ps = now_ps
+            if self._preparing <= MAX_PREPARING_STEPS and not self._prepare():
                 return False
-        self._preparing = 0
+        self._preparing, self._prepared_ps = 0, -1
         return True
+
+    def _prepare(self) -> bool:
+        session = self.session
+        return self._server.emulator.prepare_reply(session.context, session.call_to_prepare())
 
     def _run_session(self, by_time: bool = False) -> None:
         """Answer requests, or a deferred one `by_time`; an exception closes this connection only."""
@@ -363,8 +380,8 @@ class ConnectionHandler(ABC):
             self.send(replies)
         if session.closing:
             self._close_port()
-        if session.identity is not self._identity:
-            self._identity = session.identity
+        if session.identity is not self._identity or (has_request and self._is_pending):
+            self._identity, self._is_pending = session.identity, False
             if self.is_registered:
                 self._server.client_registry.register(self, self.host, self._identity)
 

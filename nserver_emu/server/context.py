@@ -23,7 +23,8 @@ that connection; on a robot's own line it is not sent. Excluded sensors are not 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Final, NamedTuple
@@ -40,8 +41,12 @@ from nclient.protocol.types import (
     EVERYTHING,
     INFRARED_KEYS,
     LASER_SLOT,
+    MAX_SONAR_IN,
+    MIN_SONAR_IN,
     MOTOR_RANGE_V,
+    NO_STAMP,
     SONAR_KEYS,
+    SONAR_SLOTS,
     Mask,
     Position,
     Stamp,
@@ -72,6 +77,7 @@ from nserver_emu.simulation.laser import LineFit, lines, pixels, points
 from nserver_emu.simulation.robot import SimulatedRobot, battery_v
 from nserver_emu.simulation.segments import PS_PER_S, Pose, to_ps, to_s
 from nserver_emu.simulation.simulation import Simulation
+from worlds.rings import Ring
 from worlds.world import World
 
 # Limits of the ratio of simulated to real time.
@@ -79,6 +85,8 @@ MIN_TIME_FACTOR: Final = 0.1
 MAX_TIME_FACTOR: Final = 999.0
 # Simulated seconds per request in lockstep.
 MAX_LOCKSTEP_S: Final = 10.0
+# Processor time of a turn that prepares a reply; the last step may take some tenths of a millisecond longer.
+PREPARING_S: Final = 0.0003
 # State[0] at unlimited speed.
 UNLIMITED_SPEED: Final = 9999
 
@@ -373,7 +381,11 @@ class StateSensor(NamedTuple):
 
 def _ring_stamps(robot: SimulatedRobot, keys: Sequence[str], ring: Any) -> dict[str, Stamp]:
     """Return pose and time of the last reading of each sensor of a ring; empty if the robot has none."""
-    return {} if ring is None else {key: _stamp(robot, at) for key, at in zip(keys, ring.stamps, strict=True)}
+    if ring is None:
+        return {}
+    # State has slots for 16 sonars, whatever the ring has.
+    stamps = {key: _stamp(robot, at) for key, at in zip(keys, ring.stamps, strict=False)}
+    return {key: stamps.get(key, NO_STAMP) for key in keys}
 
 
 def _compass_stamps(robot: SimulatedRobot, time_s: float) -> dict[str, Stamp]:
@@ -384,13 +396,29 @@ def _compass_stamps(robot: SimulatedRobot, time_s: float) -> dict[str, Stamp]:
     return {"compass": stamp_now(robot, time_s)._replace(sensor_time=taken_ms)}
 
 
+def sonar_words(robot: SimulatedRobot) -> tuple[int, ...]:
+    """Return the sonars as State has them: 16 whole inches from 6 to 255, 255 without an echo, 0 of a dead sonar.
+
+    Of a larger ring these are the first 16; the slots that a smaller one leaves have no echo.
+    """
+    ring, readings = robot.model.body.ring, robot.sonar.readings_in[:SONAR_SLOTS]
+    words = [_sonar_word(reading, ring) for reading in readings]
+    return (*words, *[MAX_SONAR_IN] * (SONAR_SLOTS - len(words)))
+
+
+def _sonar_word(reading_in: float, ring: Ring) -> int:
+    if reading_in == ring.no_echo_in:
+        return MAX_SONAR_IN
+    return min(max(math.floor(reading_in + 0.5), MIN_SONAR_IN), MAX_SONAR_IN) if reading_in else 0
+
+
 INFRARED: Final = StateSensor(
     "infrared", range(1, 17), Position.INFRARED, INFRARED_NOTHING,
     lambda robot: None if robot.infrared is None else robot.infrared.readings,
     lambda robot, _: _ring_stamps(robot, INFRARED_KEYS, robot.infrared),
 )  # fmt: skip
 SONAR: Final = StateSensor(
-    "sonar", range(17, 33), Position.SONAR, 0, lambda robot: robot.sonar.readings_in,
+    "sonar", range(17, 33), Position.SONAR, 0, sonar_words,
     lambda robot, _: _ring_stamps(robot, SONAR_KEYS, robot.sonar),
 )  # fmt: skip
 BUMPER: Final = StateSensor(
@@ -489,6 +517,9 @@ def add_laser(
 # A function(server, context, arguments) with the name of a command. None stands for the state, the usual reply.
 Handler = Callable[["ServerState", ConnectionContext, tuple[Any, ...]], "Reply | DeferredReply | None"]
 
+# Work that may be done before the handler of a command runs, in steps and without effect on any reply.
+Preparation = Callable[["ServerState", ConnectionContext, tuple[Any, ...]], Iterator[None]]
+
 # Commands that do not change the robot.
 QUERIES: Final = frozenset({"gs", "ct", "sim_truth", *(name for name in BY_NAME if name.startswith("get_"))})
 # Queries whose replies contain State slots.
@@ -510,8 +541,9 @@ class ServerState:
         Speed of simulated time, and permissions of clients; None for the defaults.
     """
 
-    # Handlers by name of the command (handlers/table.py).
+    # Handlers, and work before them, by name of the command (handlers/table.py).
     handlers: Mapping[str, Handler] = {}
+    preparations: Mapping[str, Preparation] = {}
 
     def __init__(
         self,
@@ -620,15 +652,34 @@ class ServerState:
         self.axis_ownership.claim(context, context.robot_id, axes)
         return self.robot_of(context)
 
-    def prepare_reply(self, context: ConnectionContext) -> bool:
-        """Do part of what the next reply to a connection may need; return False if more of it is left.
+    def prepare_reply(self, context: ConnectionContext, call: Call | None = None) -> bool:
+        """Do part of what the next reply to a connection may need; return True if nothing was left to do.
 
-        It changes no reply, whenever it is done: sonars that nothing read for some time take several milliseconds.
+        It changes no reply, whenever it is done. A ping of the measured sonars takes a millisecond, and all sixteen
+        several. The reply itself follows in the next turn.
+
+        Parameters
+        ----------
+        call
+            The request, if its command has a preparation of its own.
         """
-        robot_id, mask = context.robot_id, context.wire_state.mask
-        if robot_id is None or not (mask.whole or any(map(mask.has, SONAR.slots))):
+        if context.robot_id is None:
             return True
-        return self.simulation.robots[robot_id].sonar.compute_some()
+        start_s = time.thread_time()
+        is_complete = True
+        for _ in self._preparation_steps(context, call):
+            is_complete = False
+            if time.thread_time() >= start_s + PREPARING_S:
+                break
+        return is_complete
+
+    def _preparation_steps(self, context: ConnectionContext, call: Call | None) -> Iterator[None]:
+        mask, sonar = context.wire_state.mask, self.robot_of(context).sonar
+        if call is not None:
+            return self.preparations[call.name](self, context, call.args)
+        if not (mask.whole or any(map(mask.has, SONAR.slots))):
+            return iter(())
+        return (None for _ in iter(sonar.compute_some, True))
 
     def feed_watchdog(self, context: ConnectionContext) -> None:
         """Restart the command timeout (conf_tm) of a connection's robot, unless only other connections move it."""

@@ -4,8 +4,6 @@ Used by `nserver` (nserver_emu/cli.py), which opens its ports, control socket, v
 are in connection.py, robots' own lines in serial_lines.py.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import errno

@@ -17,7 +17,7 @@ Other robots are discs:
 Each path leaves and arrives inside the cones; it has a level, and the points between which it must be free. The first
 free one that is loud enough is the echo. The ping of another sonar of the ring that is still under way is detected like
 one's own, and gives too short a range (cross-talk). Not modelled: side lobes, paths off three walls and more or off two
-robots, later pings, pings of other robots, rough walls.
+robots, later pings, pings of other robots. The surface of a wall may have levels and posts (surfaces.py).
 
 Positions are complex numbers x + iy in here, which halves the number of arrays. With the unit direction u of a wall and
 a point a of it the image of p is a + u^2 conj(p - a).
@@ -31,19 +31,21 @@ mirrors, edges as scatterers, the beam's directivity.
 from __future__ import annotations
 
 from cmath import phase, rect
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from math import asin, cos, inf, log10, nan, pi, radians, sin, tan
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from nserver_emu.simulation.segments import PS_PER_S, wrap_to_pi
 from nserver_emu.simulation.settings import SONAR_NUMBERS, setting
+from nserver_emu.simulation.surfaces import Surfaces, WallSurface
 from worlds.geometry import NO_DISCS, BoolArray, FloatArray, nearest_points
 from worlds.raycast import cast_discs, cast_rays, near_walls
+from worlds.rings import MAX_SONARS
 from worlds.robots import SONARS, Body
 
 ComplexArray = npt.NDArray[np.complex128]
@@ -64,9 +66,6 @@ SCATTERERS: Final = 33
 """Scattering points of a robot, evenly over its visible part: at most 0.8 degrees apart, a third of an inch of range at
 60 in, where a hundredth of the range is noise."""
 
-NO_ECHO_IN: Final = 255
-"""The reading without an echo, or with one from farther away."""
-
 NOISE_SIGMAS: Final = 6.0
 """Standard deviations of noise that are allowed for where distant walls are left out: one draw in 1e9 goes beyond."""
 
@@ -76,8 +75,8 @@ MIN_FACTOR: Final = 1e-3
 MAX_POINTS: Final = 4
 """Points on a path: transducer, two walls, transducer."""
 
-MAX_COMBINATIONS: Final = 20_000
-"""Combinations of two walls that are computed at once; more would leave the processor's cache."""
+MAX_COMBINATIONS: Final = 3000
+"""Combinations of two walls that are computed at once: some 0.3 ms."""
 
 FEW_COMBINATIONS: Final = 3000
 """Combinations of two walls that are all computed: fewer take less time than to find out which are needed."""
@@ -91,12 +90,36 @@ MAX_UNSELECTED_WALLS: Final = 100
 BISECTIONS: Final = 48
 """Of the arc between the points that face two transducers: the rest is far below SMALL_IN."""
 
+Result = TypeVar("Result")
+Steps = Generator[None, None, Result]
+"""A computation in steps of a few array operations: `next` does one. Between two steps anything else may run."""
+
+
+def completed(steps: Steps[Result]) -> Result:
+    """Return the result of a computation, all steps of it at once."""
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            result: Result = end.value
+            return result
+
+
+def collected(paths: Iterable[Paths]) -> Steps[Paths]:
+    """Join paths, one part in each step."""
+    parts = list[Paths]()
+    for part in paths:
+        parts.append(part)
+        yield
+    return Paths.joined(parts)
+
 
 class ReflectorMap:
-    """The walls as reflectors: (m, 4), rows x1 y1 x2 y2 in inches."""
+    """The walls as reflectors: (m, 4), rows x1 y1 x2 y2 in inches, and their surfaces; None: as the map has them."""
 
-    def __init__(self, walls: FloatArray) -> None:
+    def __init__(self, walls: FloatArray, surfaces: Surfaces | None = None) -> None:
         self.walls = walls
+        self.surfaces = surfaces
 
     def within(self, points: ComplexArray, reach_in: float) -> ReflectorMap:
         """Return the walls that sound from any of these points reaches."""
@@ -104,7 +127,8 @@ class ReflectorMap:
             return self
         low, high = complex(points.real.min(), points.imag.min()), complex(points.real.max(), points.imag.max())
         middle, half = (low + high) / 2.0, (high - low) / 2.0
-        return ReflectorMap(near_walls(middle.real, middle.imag, reach_in + max(half.real, half.imag), self.walls))
+        near = near_walls(middle.real, middle.imag, reach_in + max(half.real, half.imag), self.walls)
+        return ReflectorMap(near, self.surfaces)
 
     @cached_property
     def mirrors(self) -> ComplexArray:
@@ -135,17 +159,45 @@ class ReflectorMap:
         edges: ComplexArray = ends[is_edge]
         return edges
 
+    @cached_property
+    def posts(self) -> tuple[ComplexArray, ComplexArray]:
+        """The posts: points on the walls (p,), and how the surface displaces them (p,)."""
+        found = [np.empty((2, 0), dtype=np.complex128)]
+        for start, along, _ in self.mirrors if self.surfaces else ():
+            surface, unit = self._surface(start, along), along / abs(along)
+            levels_in = surface.level_in(surface.posts_in)
+            found.append(np.array([start + unit * surface.posts_in, 1j * unit * levels_in]))
+        points, displaced = np.concatenate(found, axis=1)
+        return points, displaced
+
+    def levels_in(self, mirrors: IndexArray, points: ComplexArray, seen_from: ComplexArray) -> FloatArray:
+        """Return how far the surfaces of mirrors stand out, at points on them, to the side of other points (n,)."""
+        levels_in = np.zeros(len(mirrors))
+        if self.surfaces:
+            for mirror in np.unique(mirrors):
+                start, along, _ = self.mirrors[mirror]
+                rows = np.flatnonzero(mirrors == mirror)
+                side = np.sign((np.conj(along) * (seen_from[rows] - start)).imag)
+                levels_in[rows] = side * self._surface(start, along).level_in(np.abs(points[rows] - start))
+        return levels_in
+
+    def _surface(self, start: complex, along: complex) -> WallSurface:
+        assert self.surfaces is not None
+        end = start + along
+        return self.surfaces.of(np.array([start.real, start.imag, end.real, end.imag]))
+
 
 class Attenuation(NamedTuple):
     """Losses on a path.
 
-    In dB per inch of range, and in dB at each wall after the first, at an edge, and by scattering at a robot.
+    In dB per inch of range, and in dB at each wall after the first, at an edge, by scattering at a robot, at a post.
     """
 
     absorption_db_in: float
     bounce_loss_db: float
     edge_loss_db: float
     skin_loss_db: float
+    post_loss_db: float = inf
 
 
 class Beam(NamedTuple):
@@ -273,8 +325,8 @@ class Paths(NamedTuple):
 
 def single_paths(
     pairs: Pairs, may_meet: BoolArray, reflectors: ReflectorMap, discs: Sequence[FloatArray], losses: Attenuation
-) -> list[Paths]:
-    """Return all paths off one edge, one wall or one robot, and over a wall to a robot, regardless of obstructions.
+) -> Iterator[Paths]:
+    """Yield all paths off one edge, one wall or one robot, and over a wall to a robot, regardless of obstructions.
 
     Parameters
     ----------
@@ -284,28 +336,31 @@ def single_paths(
         For each beam, the other robots (k, 3), rows x y radius in inches.
     """
     mirrors, edges = reflectors.mirrors, reflectors.edges
-    found = [_off_edges(pairs, pairs.each.may_meet_points(edges), edges, losses)]
-    found.append(_off_one_wall(pairs, may_meet, mirrors, losses))
+    yield _off_edges(pairs, pairs.each.may_meet_points(edges), edges, losses)
+    yield _off_one_wall(pairs, may_meet, reflectors, losses)
+    if reflectors.surfaces:
+        posts, displaced = reflectors.posts
+        scattered = losses._replace(edge_loss_db=losses.post_loss_db)
+        yield _off_edges(pairs, pairs.each.may_meet_points(posts), posts, scattered, displaced)
     if any(map(len, discs)):
-        found += _off_discs(pairs, may_meet, mirrors, discs, losses)
-    return found
+        yield from _off_discs(pairs, may_meet, mirrors, discs, losses)
 
 
-def double_paths(pairs: Pairs, may_meet: BoolArray, mirrors: ComplexArray, losses: Attenuation) -> list[Paths]:
-    """Return the paths off two walls, and over a slanted wall to another and back, regardless of obstructions."""
-    own = np.flatnonzero(pairs.is_own)
+def double_paths(
+    pairs: Pairs, may_meet: BoolArray, reflectors: ReflectorMap, losses: Attenuation
+) -> Iterator[Paths]:
+    """Yield the paths off two walls, and over a slanted wall to another and back, regardless of obstructions."""
+    own, mirrors = np.flatnonzero(pairs.is_own), reflectors.mirrors
     first, every = may_meet[pairs.source], np.ones((len(own), len(mirrors)), dtype=np.bool_)
-    return [
-        *_off_two_walls(pairs, first, may_meet[pairs.receiver], mirrors, losses),
-        *_over_wall_to_wall(pairs, own, first[own], every, mirrors, losses),
-    ]
+    yield from _off_two_walls(pairs, first, may_meet[pairs.receiver], mirrors, losses)
+    yield from _over_wall_to_wall(pairs, own, first[own], every, reflectors, losses)
 
 
 def short_double_paths(
-    pairs: Pairs, may_meet: BoolArray, mirrors: ComplexArray, max_range_in: FloatArray, losses: Attenuation
-) -> list[Paths]:
-    """Return those of `double_paths` that are no longer than a range (k,) of each pair, and some more."""
-    beams = pairs.beams
+    pairs: Pairs, may_meet: BoolArray, reflectors: ReflectorMap, max_range_in: FloatArray, losses: Attenuation
+) -> Iterator[Paths]:
+    """Yield those of `double_paths` that are no longer than a range (k,) of each pair, and some more."""
+    beams, mirrors = pairs.beams, reflectors.mirrors
     # A path over a wall is at least as long as twice the distance of that wall less that between the transducers.
     apart_in = np.abs(beams.point[pairs.source] - beams.point[pairs.receiver])
     far_in = (max_range_in + (pairs.head_start_in + apart_in) / 2.0)[:, np.newaxis]
@@ -315,29 +370,34 @@ def short_double_paths(
     first = may_meet[pairs.source] & is_near_source
     last = may_meet[pairs.receiver] & (distances[pairs.receiver] <= far_in)
     own = np.flatnonzero(pairs.is_own)
-    return [
-        *_off_two_walls(pairs, first, last, mirrors, losses),
-        *_over_wall_to_wall(pairs, own, first[own], is_near_source[own], mirrors, losses),
-    ]
+    yield from _off_two_walls(pairs, first, last, mirrors, losses)
+    yield from _over_wall_to_wall(pairs, own, first[own], is_near_source[own], reflectors, losses)
 
 
-def _off_edges(pairs: Pairs, may_meet: BoolArray, edges: ComplexArray, losses: Attenuation) -> Paths:
+def _off_edges(
+    pairs: Pairs, may_meet: BoolArray, edges: ComplexArray, losses: Attenuation, displaced: ComplexArray | None = None
+) -> Paths:
     pair, edge = np.nonzero(may_meet[pairs.source] & may_meet[pairs.receiver])
     out, back, points = *_beams(pairs, pair), edges[edge]
-    lengths = np.abs(points - out.point) + np.abs(points - back.point)
+    # A displaced edge counts as on its wall for what obstructs it, but not for the length.
+    at = points if displaced is None else points + displaced[edge]
+    lengths = np.abs(at - out.point) + np.abs(at - back.point)
     loss_db = out.loss_db(points) + back.loss_db(points) + losses.edge_loss_db + losses.absorption_db_in * lengths / 2.0
     return Paths.between(pairs, pair, lengths, loss_db, points)
 
 
-def _off_one_wall(pairs: Pairs, may_meet: BoolArray, mirrors: ComplexArray, losses: Attenuation) -> Paths:
+def _off_one_wall(pairs: Pairs, may_meet: BoolArray, reflectors: ReflectorMap, losses: Attenuation) -> Paths:
+    mirrors = reflectors.mirrors
     # The point of reflection lies in both cones, so the wall reaches into both.
     pair, wall = np.nonzero(may_meet[pairs.source] & may_meet[pairs.receiver])
     out, back = _beams(pairs, pair)
     images = mirror_points(out.point, mirrors[wall])
     points, is_met = crossings(images, back.point, mirrors[wall])
-    pair, images, points = pair[is_met], images[is_met], points[is_met]
+    pair, wall, images, points = pair[is_met], wall[is_met], images[is_met], points[is_met]
     out, back = _beams(pairs, pair)
     lengths = np.abs(images - back.point)
+    if reflectors.surfaces:
+        lengths = np.maximum(lengths - 2.0 * reflectors.levels_in(wall, points, back.point), 0.0)
     loss_db = out.loss_db(points) + back.loss_db(points) + losses.absorption_db_in * lengths / 2.0
     return Paths.between(pairs, pair, lengths, loss_db, points)
 
@@ -366,16 +426,21 @@ def _off_two_walls(
 
 
 def _over_wall_to_wall(
-    pairs: Pairs, own: IndexArray, slanted: BoolArray, second: BoolArray, mirrors: ComplexArray, losses: Attenuation
-) -> Iterator[Paths]:
+    pairs: Pairs, own: IndexArray, slanted: BoolArray, second: BoolArray, reflectors: ReflectorMap,
+    losses: Attenuation,
+) -> Iterator[Paths]:  # fmt: skip
     """Yield the paths off a slanted wall, perpendicularly onto another, and back along themselves."""
+    mirrors = reflectors.mirrors
     for row, one, two in _products(slanted, second):
         out, _ = _beams(pairs, own[row])
         first, start, along = mirrors[one], mirrors[two, 0], mirrors[two, 1]
         # 1. The foot of the perpendicular from each image onto each other wall.
         images = mirror_points(out.point, first)
         fraction = ((images - start) / along).real
-        met = np.flatnonzero((fraction >= 0.0) & (fraction <= 1.0))
+        is_foot = (fraction >= 0.0) & (fraction <= 1.0)
+        if reflectors.surfaces:
+            is_foot &= one != two  # the path off one wall, without the level of its surface
+        met = np.flatnonzero(is_foot)
         if not len(met):
             continue
         feet = start[met] + fraction[met] * along[met]
@@ -619,23 +684,26 @@ class SonarErrors:
     dead
         Sonars that read 0.
     offsets_in
-        Constant error of each of the 16 sonars, reading less range.
+        Constant error of each sonar, reading less range; 0 of sonars beyond the list.
     turned_rad
         Angle of the ring against the turret.
     """
 
     range_std_relative: float = relative_std(0.0)
     range_std_floor_in: float = _std_floor(0.0)
-    dead: tuple[int, ...] = setting((), 0, 15, SONAR_NUMBERS, "sonars that always read 0")
+    dead: tuple[int, ...] = setting((), 0, MAX_SONARS - 1, SONAR_NUMBERS, "sonars that always read 0")
     offsets_in: tuple[float, ...] = setting(
-        (0.0,) * SONARS, -24, 24, "in", "constant error of each of the 16 sonars: reading less range"
+        (0.0,) * SONARS, -24, 24, "in", "constant error of each sonar: reading less range", max_length=MAX_SONARS
     )
     turned_rad: float = setting(0.0, -45, 45, "deg", "angle of the ring against the turret")
 
-    @property
-    def max_range_in(self) -> float:
-        """Range beyond which no reading but "no echo" comes, except for one draw of noise in a billion."""
-        farthest_in = NO_ECHO_IN + max(map(abs, self.offsets_in)) + NOISE_SIGMAS * self.range_std_floor_in
+    def offset_in(self, sonar: int) -> float:
+        """Return the constant error of a sonar."""
+        return self.offsets_in[sonar] if sonar < len(self.offsets_in) else 0.0
+
+    def reach_in(self, max_range_in: float) -> float:
+        """Return the range beyond which a ring of this maximum range has no echo, but for one draw in a billion."""
+        farthest_in = max_range_in + max(map(abs, self.offsets_in)) + NOISE_SIGMAS * self.range_std_floor_in
         return farthest_in / max(1.0 - NOISE_SIGMAS * self.range_std_relative, MIN_FACTOR)
 
     def std_in(self, range_in: float) -> float:
@@ -665,6 +733,8 @@ class Polaroid(SonarErrors):
         Range below which the transducer still rings: its own echo reads this, echoes of others are lost.
     recess_in
         Depth of the transducer's face behind the ring.
+    surface_std_in, surface_length_in, post_spacing_in, post_loss_db
+        The surfaces of walls (surfaces.py), and the loss at a post. A standard deviation and a spacing of 0: planes.
     """
 
     range_std_relative: float = relative_std(0.01)
@@ -680,6 +750,10 @@ class Polaroid(SonarErrors):
     skin_loss_db: float = _decibels(15.0, 0, 200, meaning="loss by scattering at a robot that does not face the sonar")
     blanking_in: float = setting(6.0, 0, 24, "in", "echoes of neighbours from nearer are not detected")
     recess_in: float = setting(0.5, 0, 4, "in", "depth of the transducers behind the ring")
+    surface_std_in: float = setting(0.0, 0, 12, "in", "standard deviation of the level of a wall's surface; 0: plane")
+    surface_length_in: float = setting(24.0, 1, 1000, "in", "mean length of a level; correlation length of the surface")
+    post_spacing_in: float = setting(0.0, 0, 1000, "in", "mean distance of posts along a wall, at least 1; 0: none")
+    post_loss_db: float = _decibels(10.0, 0, 200, meaning="loss at a post, relative to a wall")
 
     @property
     def audible_ps(self) -> int:
@@ -687,16 +761,25 @@ class Polaroid(SonarErrors):
         reach_in = (self.margin_db + 5.0 * self.margin_std_db) / self.absorption_db_in
         return int(2.0 * reach_in / self.sound_in_s * 1e12)
 
+    def surfaces(self, seed: int) -> Surfaces | None:
+        """Return the surfaces of the walls in a run of this seed; None if they are planes without posts."""
+        if not (self.surface_std_in or self.post_spacing_in):
+            return None
+        spacing_in = self.post_spacing_in and max(self.post_spacing_in, 1.0)
+        return Surfaces(seed, self.surface_std_in, self.surface_length_in, spacing_in)
+
     def draw(self, rng: np.random.Generator) -> tuple[float, ...]:
         """Draw the noise of a ping: one number for the range and one for the level."""
         range_noise, level_noise = rng.standard_normal(2).tolist()
         return range_noise, level_noise
 
-    def measured_ranges(
+    def range_steps(
         self, pings: Sequence[Ping], earlier: Sequence[Sequence[Ping]], reflectors: ReflectorMap, body: Body,
         others: Sequence[FloatArray], max_range_in: float = inf,
-    ) -> list[float]:  # fmt: skip
-        """Return the measured ranges of pings, inches from the ring; inf for no echo.
+    ) -> Steps[list[float]]:  # fmt: skip
+        """Compute the measured ranges of pings, inches from the ring; inf for no echo.
+
+        The number of pings in a call changes no bit of the result.
 
         Parameters
         ----------
@@ -707,44 +790,48 @@ class Polaroid(SonarErrors):
         max_range_in
             An echo from farther away may count as none.
         """
-        ranges_in = self.first_echoes_in(pings, earlier, reflectors, body, others, max_range_in)
+        ranges_in = yield from self.first_echo_steps(pings, earlier, reflectors, body, others, max_range_in)
         return [
             range_in if range_in == inf else range_in + ping.noise[0] * self.std_in(range_in)
             for ping, range_in in zip(pings, ranges_in, strict=True)
         ]
 
-    def first_echoes_in(
+    def first_echo_steps(
         self, pings: Sequence[Ping], earlier: Sequence[Sequence[Ping]], reflectors: ReflectorMap, body: Body,
         others: Sequence[FloatArray], max_range_in: float = inf,
-    ) -> list[float]:  # fmt: skip
-        """Return the ranges of the first echoes above the threshold, without noise; inf for none."""
+    ) -> Steps[list[float]]:  # fmt: skip
+        """Compute the ranges of the first echoes above the threshold, without noise; inf for none."""
         pairs = self._pairs(pings, earlier, body)
+        yield
         # 1. Reflectors that sound can reach and return from before it is too weak.
         margin_db = float(pairs.margin_db.max(initial=0.0))
         reach_in = margin_db / self.absorption_db_in if self.absorption_db_in else inf
         near = reflectors.within(pairs.beams.point, reach_in)
         may_meet = pairs.each.may_meet(near.mirrors)
-        losses = Attenuation(self.absorption_db_in, self.bounce_loss_db, self.edge_loss_db, self.skin_loss_db)
+        losses = Attenuation(
+            self.absorption_db_in, self.bounce_loss_db, self.edge_loss_db, self.skin_loss_db, self.post_loss_db
+        )
         discs = [*others, *[NO_DISCS] * (len(pairs.beams.point) - len(pings))]
         ranges_in = np.full(len(pings), inf)
-        single = single_paths(pairs, may_meet, near, discs, losses)
+        yield
+        paths = yield from collected(single_paths(pairs, may_meet, near, discs, losses))
         counts = may_meet.sum(axis=1)
         if int((counts[pairs.source] * counts[pairs.receiver]).sum()) <= FEW_COMBINATIONS:
             # 2. The first free path of all ...
-            double = double_paths(pairs, may_meet, near.mirrors, losses)
-            self._find_free(pairs, Paths.joined([*single, *double]), near.walls, discs, ranges_in)
+            double = yield from collected(double_paths(pairs, may_meet, near, losses))
+            yield from self._find_free(pairs, Paths.joined([paths, double]), near.walls, discs, ranges_in)
         else:
             # ... or, among many walls, off one reflector, then of those off two that are shorter.
-            self._find_free(pairs, Paths.joined(single), near.walls, discs, ranges_in)
+            yield from self._find_free(pairs, paths, near.walls, discs, ranges_in)
             nearest_in = np.minimum(ranges_in, min(reach_in, max_range_in))[pairs.receiver] + self.recess_in + SMALL_IN
-            double = short_double_paths(pairs, may_meet, near.mirrors, nearest_in, losses)
-            self._find_free(pairs, Paths.joined(double), near.walls, discs, ranges_in)
+            double = yield from collected(short_double_paths(pairs, may_meet, near, nearest_in, losses))
+            yield from self._find_free(pairs, double, near.walls, discs, ranges_in)
         found: list[float] = ranges_in.tolist()
         return found
 
     def _find_free(
         self, pairs: Pairs, paths: Paths, walls: FloatArray, discs: Sequence[FloatArray], ranges_in: FloatArray
-    ) -> None:
+    ) -> Steps[None]:
         """Replace the range of each ping by that of the shortest path that is audible and free, if it is shorter."""
         if not len(paths.pair):
             return
@@ -760,6 +847,7 @@ class Polaroid(SonarErrors):
             number = np.arange(len(order)) - np.searchsorted(ping[order], ping[order])
             tested, order = order[number < PATHS_PER_TEST], order[number >= PATHS_PER_TEST]
             for group in _by_discs(ping[tested], discs):
+                yield
                 rows = tested[group]
                 free = rows[is_free(paths.take(rows), walls, discs[ping[rows[0]]])]
                 np.minimum.at(ranges_in, ping[free], range_in[free])

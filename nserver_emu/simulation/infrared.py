@@ -7,8 +7,6 @@ The whole ring flashes at once, every 60 ms (both this and the arithmetic of the
 gives them). As with the sonars a flash records its pose; rays are cast when a reading is used, which changes no value.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import floor, inf
@@ -22,9 +20,12 @@ from nserver_emu.simulation.settings import setting
 from nserver_emu.simulation.visibility import SensorPose
 from worlds.geometry import FloatArray, normals
 from worlds.raycast import cast_discs, cast_rays, near_walls
+from worlds.rings import evenly
 from worlds.robots import Body
 
 INFRAREDS: Final = 16
+INFRARED_ANGLES_RAD: Final = evenly(INFRAREDS)
+"""From the front of the turret; they do not depend on the sonars of a model."""
 NOTHING: Final = 15
 """The reading without an obstacle."""
 MAX_RANGE_IN: Final = 24.0
@@ -184,7 +185,7 @@ class InfraredRing:
     def _ranges(self, flash: Flash) -> FloatArray:
         """Return the measured ranges (16,) from the body, inches, inf where nothing is met."""
         # 1. Ranges to walls and robots.
-        angles = flash.sensor_pose.turret_rad + np.array(self.body.sonar_angles_rad)
+        angles = flash.sensor_pose.turret_rad + np.array(INFRARED_ANGLES_RAD)
         directions = np.stack((np.cos(angles), np.sin(angles)), axis=1)
         position, others = (flash.sensor_pose.x_in, flash.sensor_pose.y_in), flash.sensor_pose.others
         walls = near_walls(*position, self.body.radius_in + self.noise.reach_in, flash.walls)

@@ -8,8 +8,6 @@
 The origin of the sheet and the scale of a pixel are assumptions: no source gives them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from math import cos, inf, radians, sin

@@ -11,6 +11,7 @@ A model file (TOML) derives models from existing ones:
     name, like                    its name, and the model it derives from (omitted: the existing one of that name)
     radius, sonar_ring_radius     of the body; track: between the wheels of a differential drive
     bumpers                       number of bumpers around the body
+    [model.ring]                  its sonars (worlds/rings.py)
     compass                       true or false
     [model.odometry], [model.sonar], [model.spread]     its calibration (worlds/robots.py)
     [model.translation]           an axis: top_speed, top_acceleration, speed, acceleration; also steering, turret;
@@ -24,19 +25,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from math import degrees, radians, tau
+from math import degrees, radians
 from pathlib import Path
 from types import MappingProxyType
 from typing import Final, TypeVar
 
 from msgspec import UNSET, UnsetType
 
-from nclient.common.hints import suggest
 from nclient.common.validation import InvalidValue, given, keys_of, reported_as, unknown_key
 from nclient.errors import WorldFileError
 from nserver_emu.simulation.axis import MAX_RESTORED_SPEED, AxisLimits
 from nserver_emu.simulation.drive import NO_AXIS, DifferentialDrive, Drive, SynchroDrive
-from worlds.robots import MAX_BUMPERS, SONARS, AngularAxis, Body, Calibration, LinearAxis, ModelTable, read_model_file
+from worlds.robots import MAX_BUMPERS, AngularAxis, Body, Calibration, LinearAxis, ModelTable, base_of, read_model_file
 from worlds.robots import N150 as N150_BODY
 from worlds.robots import N200 as N200_BODY
 from worlds.robots import SCOUT as SCOUT_BODY
@@ -135,10 +135,11 @@ class RobotModel:
     def check(self) -> None:
         """Raise ValueError if a model from a snapshot cannot be simulated in bounded time."""
         body, track_in = self.body, self.track_in
-        if not (0.0 < body.radius_in <= MAX_RADIUS_IN and 0.0 < body.sonar_ring_radius_in <= MAX_RADIUS_IN):
+        if not (0.0 < body.radius_in <= MAX_RADIUS_IN and 0.0 <= body.ring.radius_in <= MAX_RADIUS_IN):
             raise ValueError("a robot without a radius")
-        if len(body.sonar_angles_rad) != SONARS or not 0 < len(body.bumper_angles_rad) <= MAX_BUMPERS:
-            raise ValueError("a robot without sonars or bumpers")
+        body.ring.check()
+        if not 0 < len(body.bumper_angles_rad) <= MAX_BUMPERS:
+            raise ValueError("a robot without bumpers")
         if track_in is not None and not MIN_TRACK_IN <= track_in <= MAX_RADIUS_IN:
             raise ValueError("a robot without a track")
         for axis in self.axes:
@@ -182,13 +183,7 @@ def parse_models(text: str, file: str) -> Mapping[str, RobotModel]:
 
 def _parse_model(row: ModelTable, models: Mapping[str, RobotModel], place: str) -> RobotModel:
     # 1. The model it derives from.
-    like = row.like or row.name
-    if like not in models:
-        raise InvalidValue(
-            f"expected a model to be made from, `like` one of {', '.join(models)}, found {like!r}"
-            f"{suggest(like, models)}", f"{place}.{'like' if row.like else 'name'}",
-        )  # fmt: skip
-    base = models[like]
+    base = base_of(row, models, place)
     # 2. Keys of the other drive.
     axes = SYNCHRO_AXES if base.track_in is None else WHEELS
     other = {*SYNCHRO_AXES, *WHEELS, *(f"track_{unit}" for unit in INCHES_PER_UNIT if base.track_in is None)} - {*axes}
@@ -199,16 +194,11 @@ def _parse_model(row: ModelTable, models: Mapping[str, RobotModel], place: str) 
     # 3. Values.
     limits = [_parse_axis(getattr(row, axis), base.axes[number]) for number, axis in enumerate(axes)]
     first, second, third = (*limits, *base.axes[len(limits) :])
-    # Bumpers are evenly spaced from the front.
-    count = row.bumpers
-    angles = base.body.bumper_angles_rad if count is UNSET else tuple(tau * k / count for k in range(count))
-    body = replace(
-        base.body,
-        name=row.name,
-        radius_in=_or(row.radius, base.body.radius_in),
-        sonar_ring_radius_in=_or(row.sonar_ring_radius, base.body.sonar_ring_radius_in),
-        bumper_angles_rad=angles,
-    )
+    body = row.body(base.body, place)
+    # Offsets of a base with another number of sonars are not its own.
+    calibration = row.calibration(body.ring.count, place)
+    if calibration is None and body.ring.count == base.body.ring.count:
+        calibration = base.calibration
     return replace(
         base,
         name=row.name,
@@ -216,7 +206,7 @@ def _parse_model(row: ModelTable, models: Mapping[str, RobotModel], place: str) 
         axes=(first, second, third),
         has_compass=_or(row.compass, base.has_compass),
         track_in=_or(row.track, base.track_in),
-        calibration=row.calibration() or base.calibration,
+        calibration=calibration,
     )
 
 

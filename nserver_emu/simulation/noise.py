@@ -4,6 +4,8 @@
     noisy     axes ramp, motion errors are a random walk, sonars with 1 % noise: the settings of the experiments
     measured  as noisy, but the sonars are a Polaroid ring (cone, reflections, second echoes, cross-talk), and infrared
               sensors, compass and clock have errors as well
+    building  as measured, in a real building: walls with doors and posts, whose errors last over metres, cones with
+              a soft edge; fitted to a real corridor (docs/real-data.md)
     worn      as noisy, with systematic odometry errors: after UMBmark's square of 4 m a robot with a synchro drive is
               126 mm off, a Scout 338 mm, like robots without calibration
 
@@ -190,6 +192,20 @@ MEASURED: Final = RobotSetup(
     compass=CompassNoise(std_rad=radians(0.5), deviation_rad=radians(6.0)),
     clock_step_s=0.0164,
 )
+BUILDING: Final = replace(
+    MEASURED,
+    name="building",
+    # The level of the echo alone ends the cone: a wall is detected to 20 to 25 degrees, as posts are in real data.
+    sonar=Polaroid(
+        range_std_relative=0.005,
+        cone_rad=radians(50.0),
+        cone_loss_db=24.0,
+        surface_std_in=1.6,
+        surface_length_in=24.0,
+        post_spacing_in=40.0,
+        post_loss_db=8.0,
+    ),
+)
 WORN: Final = replace(
     NOISY,
     name="worn",
@@ -197,7 +213,7 @@ WORN: Final = replace(
 )
 
 SETUPS: Final[Mapping[str, RobotSetup]] = MappingProxyType(
-    {setup.name: setup for setup in (IDEAL, NOISY, MEASURED, WORN)}
+    {setup.name: setup for setup in (IDEAL, NOISY, MEASURED, BUILDING, WORN)}
 )
 """The predefined setups by name."""
 
@@ -326,8 +342,8 @@ def _read_fields(row: Any, table: str, file: str) -> dict[str, Any]:
     return found
 
 
-def apply_calibration(model: RobotModel, setup: RobotSetup) -> RobotSetup:
-    """Return the setup with the calibration of a model in place of the setup's systematic errors.
+def apply_model(model: RobotModel, setup: RobotSetup) -> RobotSetup:
+    """Return the setup with the calibration of a model in place of the setup's systematic errors, and with its cone.
 
     Slip and the turret's gears remain those of the setup. A calibration gives distance, turn and drift; in terms of the
     axes of a drive, b its track:
@@ -337,7 +353,9 @@ def apply_calibration(model: RobotModel, setup: RobotSetup) -> RobotSetup:
 
                         drift_1 = drift / 2 + (turn - distance) / b     drift_2 = drift / 2 - (turn - distance) / b
     """
-    calibration = model.calibration
+    half_cone_rad, calibration = model.body.ring.half_cone_rad, model.calibration
+    if half_cone_rad is not None and isinstance(setup.sonar, Polaroid):
+        setup = replace(setup, sonar=replace(setup.sonar, cone_rad=2.0 * half_cone_rad))
     if calibration is None:
         return setup
     sonar = replace(setup.sonar, offsets_in=calibration.offsets_in, turned_rad=calibration.turned_rad)
@@ -363,11 +381,11 @@ PARTS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType({
 def part_choices(part: str, model: RobotModel, initial: RobotSetup) -> dict[str, RobotSetup]:
     """Return the choices for a part by name: the predefined setups that differ in it, and the initial one.
 
-    All have the calibration of the model.
+    All have the calibration and the cone of the model.
     """
     # Setups that equal an earlier one in this part are not separate choices.
     choices: dict[str, RobotSetup] = {}
-    for setup in (*(apply_calibration(model, named) for named in SETUPS.values()), initial):
+    for setup in (*(apply_model(model, named) for named in SETUPS.values()), initial):
         if all(_fields(part, setup) != _fields(part, other) for other in choices.values()):
             choices[setup.name if setup.name not in choices else f"{setup.name} as begun"] = setup
     return choices

@@ -23,7 +23,7 @@ from nserver_emu.simulation.drive import Chassis, ChassisState, DriveState
 from nserver_emu.simulation.infrared import InfraredRing, InfraredState
 from nserver_emu.simulation.laser import ranges, select_columns
 from nserver_emu.simulation.models import N150, RobotModel
-from nserver_emu.simulation.noise import IDEAL, Purpose, RngFactory, RobotSetup, apply_calibration
+from nserver_emu.simulation.noise import IDEAL, Purpose, RngFactory, RobotSetup, apply_model
 from nserver_emu.simulation.odometry import Encoders, EncoderState
 from nserver_emu.simulation.segments import (
     AT_REST,
@@ -38,7 +38,7 @@ from nserver_emu.simulation.segments import (
     to_ps,
     to_s,
 )
-from nserver_emu.simulation.sonar import DEFAULT_ORDER, DEFAULT_RATE, SonarRing, SonarState
+from nserver_emu.simulation.sonar import SonarRing, SonarState
 from nserver_emu.simulation.spatial_hash import STATIONARY, Disc, SweptBounds
 from nserver_emu.simulation.visibility import NO_OTHERS, PositionProvider, SensorPose
 from worlds.geometry import FloatArray
@@ -141,7 +141,7 @@ class SimulatedRobot:
     ) -> None:
         self.rng_factory = rng_factory
         self.model = model
-        self.setup = self.initial_setup = setup = apply_calibration(model, setup)
+        self.setup = self.initial_setup = setup = apply_model(model, setup)
         self._walls = walls
         self._positions = positions
         self._self_index = self_index
@@ -160,7 +160,7 @@ class SimulatedRobot:
         self._trajectory: list[PathSegment] | None = None
         # Sensors, each with a random stream of its own.
         self._rngs = tuple(rng_factory.stream(purpose) for purpose in Purpose)
-        self.sonar = SonarRing(model.body, setup.sonar, walls, self._rngs[Purpose.SONAR])
+        self.sonar = SonarRing(model.body, setup.sonar, walls, self._rngs[Purpose.SONAR], rng_factory.seed)
         self.infrared: InfraredRing | None = None
         if model.has_light_sensors:
             self.infrared = InfraredRing(model.body, setup.infrared, walls, now_ps, self._rngs[Purpose.INFRARED])
@@ -177,7 +177,7 @@ class SimulatedRobot:
         self.powered = True
         self.sonar.emit_all(self._sensor_pose(), self._segment_time(self._time_ps))
         self.feed()
-        self.sonar.configure(DEFAULT_RATE, DEFAULT_ORDER, self._time_ps)
+        self.sonar.restart(self._time_ps)
         self._trigger_due()
 
     # State
@@ -630,9 +630,15 @@ class SimulatedRobot:
         self.feed()
 
     def configure_sonars(self, rate: int, order: Sequence[int]) -> None:
-        """Restart the ring at rate x 4 ms per sonar; order ends at 255. Its first sonar fires now. C: conf_sn."""
+        """Restart the ring at rate x 4 ms per sonar, one at a time; the first fires now. C: conf_sn."""
         self.feed()
         self.sonar.configure(rate, order, self._time_ps)
+        self._trigger_due()
+
+    def restart_sonars(self) -> None:
+        """Restart the ring with the order and the interval of its model. Its first sonars fire now."""
+        self.feed()
+        self.sonar.restart(self._time_ps)
         self._trigger_due()
 
     def configure_infrareds(self, history: int, order: Sequence[int]) -> None:

@@ -4,8 +4,6 @@ A field made with `setting` is a key of a setup file, a row of docs/setups.md an
 range, the unit and the meaning stand here once. Angles are radians in the field and degrees in the file.
 """
 
-from __future__ import annotations
-
 from dataclasses import field, fields
 from math import degrees, radians
 from typing import Annotated, Any, Final, NamedTuple
@@ -16,7 +14,7 @@ from nclient.common.validation import InvalidValue, convert
 
 _SETTING: Final = "setting"
 SONAR_NUMBERS: Final = "sonars"
-"""The unit of a list of sonar numbers, 0 to 15."""
+"""The unit of a list of sonar numbers."""
 
 
 class Key(NamedTuple):
@@ -38,6 +36,8 @@ class Key(NamedTuple):
         The only sonar model that has this key; "" for both.
     default
         Default of the dataclass, in the simulation's units.
+    max_length
+        Most numbers of a list whose length is that of the robot's ring; 0: as many as the default has.
     """
 
     table: str
@@ -49,6 +49,7 @@ class Key(NamedTuple):
     former: str = ""
     sonar_model: str = ""
     default: object = 0.0
+    max_length: int = 0
 
     @property
     def name(self) -> str:
@@ -73,8 +74,9 @@ class Key(NamedTuple):
         if not isinstance(self.default, tuple):
             return Annotated[float, Meta(ge=self.low, le=self.high, description=description)]
         count = len(self.default)
-        title = f"a list of {count} numbers"
-        meta = Meta(min_length=count, max_length=count, title=title, description=description)
+        title = "a list of numbers, one for each sonar" if self.max_length else f"a list of {count} numbers"
+        least, most = (1, self.max_length) if self.max_length else (count, count)
+        meta = Meta(min_length=least, max_length=most, title=title, description=description)
         return Annotated[tuple[Annotated[float, Meta(ge=self.low, le=self.high)], ...], meta]
 
     def from_file(self, value: Any) -> Any:
@@ -97,9 +99,12 @@ class Key(NamedTuple):
             convert(degrees(value) if self.in_degrees else value, self.type, f"{self.table}.{self.name}")
 
 
-def setting(default: Any, low: float, high: float, unit: str, meaning: str, former: str = "") -> Any:
+def setting(
+    default: Any, low: float, high: float, unit: str, meaning: str, former: str = "", max_length: int = 0
+) -> Any:
     """Return a dataclass field that is a setting; arguments as in `Key`."""
-    return field(default=default, metadata={_SETTING: Key("", "", low, high, unit, meaning, former)})
+    key = Key("", "", low, high, unit, meaning, former, max_length=max_length)
+    return field(default=default, metadata={_SETTING: key})
 
 
 def keys_of(table: str, kind: type, sonar_model: str = "") -> tuple[Key, ...]:

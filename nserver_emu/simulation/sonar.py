@@ -2,6 +2,8 @@
 
     order 0 2 15 1 ..., rate 15:    0 fires at 0 ms, 2 at 60 ms, 15 at 120 ms, 1 at 180 ms ... and again
 
+Number, directions, firing and limits of the sonars are those of the body's `Ring` (worlds/rings.py).
+
 A firing records its pose and walls and draws its noise; the range is computed when a reading is used. An unused ring
 therefore costs nothing, and reading it earlier or later changes no value. The sonar model
 computes the range: SonarNoise, one exact ray with noise, or Polaroid (acoustics.py), which models a real ring.
@@ -9,39 +11,44 @@ computes the range: SonarNoise, one exact ray with noise, or Polaroid (acoustics
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from math import cos, floor, inf, sin
+from math import cos, inf, sin
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from nserver_emu.simulation.acoustics import MAX_UNSELECTED_WALLS, NO_ECHO_IN, Ping, Polaroid, ReflectorMap, SonarErrors
+from nclient.protocol.types import MAX_SONAR_RATE, SONAR_RATE_STEP_S
+from nserver_emu.simulation.acoustics import (
+    MAX_UNSELECTED_WALLS,
+    Ping,
+    Polaroid,
+    ReflectorMap,
+    SonarErrors,
+    Steps,
+    completed,
+)
 from nserver_emu.simulation.segments import NO_STAMP, PS_PER_S, TIME_MAX_PS, SegmentTime, Stamp
 from nserver_emu.simulation.visibility import MAX_ROBOT_RANGE_IN, NO_NEAR_ROBOTS, SensorPose, robots_on_rays
 from worlds.geometry import FloatArray
 from worlds.raycast import RAYCAST_KERNEL, cast_each, near_walls, ray_to_disc
-from worlds.robots import SONARS, Body
-
-MIN_READING_IN: Final = 6
-"""Nearer walls read this: the transducer still rings from its own ping."""
+from worlds.robots import Body
 
 DEAD_IN: Final = 0
 """The reading of a dead sonar."""
 
-TICK_PS: Final = 4 * PS_PER_S // 1000
+TICK_PS: Final = round(SONAR_RATE_STEP_S * PS_PER_S)
 """The unit of the firing rate, 4 ms."""
 
-MAX_RATE: Final = 255
+MAX_RATE: Final = MAX_SONAR_RATE
 """The largest firing rate that a byte on the robot's serial line can hold; the slowest ring."""
 
 MAX_PAIRS_AT_ONCE: Final = 64
-"""Pairs of a ping and one before it that `compute_some` computes, among no more than FEW_WALLS."""
+"""Pairs of a ping and one before it that are computed together, among no more than FEW_WALLS."""
 FEW_WALLS: Final = 20
 
-DEFAULT_ORDER: Final = (0, 2, 15, 1, 14, 3, 13, 4, 12, 5, 11, 6, 10, 7, 9, 8)
-DEFAULT_RATE: Final = 15
-"""The ring is on at power-on: programs written for Nserver do not configure it."""
+MAX_ORDER: Final = 256
+"""Sonars in the order of a restored ring: conf_sn may name one several times."""
 
 MAX_EARLIER_PINGS: Final = 10_000
 """Pings that a restored ring may still have under way: 30 s of them, the longest that the settings permit."""
@@ -60,6 +67,10 @@ class SonarNoise(SonarErrors):
     def has_noise(self) -> bool:
         """True if ranges are noisy."""
         return bool(self.range_std_floor_in or self.range_std_relative)
+
+    def surfaces(self, _seed: int) -> None:
+        """Return None: exact rays meet the walls as the map has them."""
+        return
 
     def draw(self, rng: np.random.Generator) -> tuple[float, ...]:
         """Draw the noise of a ping: one number, or 0 without drawing where there is no noise."""
@@ -92,7 +103,7 @@ class SonarNoise(SonarErrors):
         """Return the walls that decide the readings of these pings."""
         x, y = [ping.x_in for ping in pings], [ping.y_in for ping in pings]
         apart_in = max(max(x) - min(x), max(y) - min(y))
-        reach_in = self.max_range_in + body.sonar_ring_radius_in + apart_in
+        reach_in = self.reach_in(body.ring.max_range_in) + body.ring.radius_in + apart_in
         return near_walls(x[0], y[0], reach_in, walls)
 
     def _from_ring(self, from_axis: Sequence[float], pings: Sequence[Ping], body: Body) -> list[float]:
@@ -137,21 +148,28 @@ class Firing(NamedTuple):
     reflectors: ReflectorMap
 
 
+class Computation(NamedTuple):
+    """Readings that are being computed: their firings by sonar, and the steps."""
+
+    firings: dict[int, Firing]
+    steps: Steps[None]
+
+
 class SonarState(NamedTuple):
     """The state of a ring in a snapshot; fields as those of `SonarRing`."""
 
-    readings: tuple[int, ...]
+    readings: tuple[float, ...]
     stamps: tuple[Stamp, ...]
     pings: tuple[Ping | None, ...]
     earlier: tuple[Ping, ...]
-    order: tuple[int, ...]
+    firing: tuple[tuple[int, ...], ...]
     interval_ps: int
     fired: int
     due_ps: int
 
 
 class SonarRing:
-    """Sixteen sonars that fire one after another.
+    """The sonars of a body, which fire one after another, or in groups.
 
     Attributes
     ----------
@@ -159,24 +177,31 @@ class SonarRing:
         The instant of the next firing; TIME_MAX_PS if the ring is off.
     """
 
-    def __init__(self, body: Body, model: SonarModel, walls: FloatArray, rng: np.random.Generator) -> None:
+    def __init__(
+        self, body: Body, model: SonarModel, walls: FloatArray, rng: np.random.Generator, surface_seed: int = 0
+    ) -> None:
         self.body = body
         self.model = model
-        self._reflectors = ReflectorMap(walls)
+        self._surface_seed = surface_seed
+        self._reflectors = ReflectorMap(walls, model.surfaces(surface_seed))
         self._rng = rng
-        self._readings = [DEAD_IN if sonar in model.dead else NO_ECHO_IN for sonar in range(SONARS)]
-        self._stamps: list[Stamp | SegmentTime] = [NO_STAMP] * SONARS
-        self._pings: list[Ping | None] = [None] * SONARS
+        self._ring = ring = body.ring
+        silent = ring.plain(ring.no_echo_in)
+        self._readings: list[float] = [DEAD_IN if sonar in model.dead else silent for sonar in range(ring.count)]
+        self._stamps: list[Stamp | SegmentTime] = [NO_STAMP] * ring.count
+        self._pings: list[Ping | None] = [None] * ring.count
         self._pending: dict[int, Firing] = {}
+        # What `compute_some` has begun.
+        self._begun: Computation | None = None
         self._earlier: tuple[Ping, ...] = ()
-        self._order: tuple[int, ...] = ()
+        self._firing: tuple[tuple[int, ...], ...] = ()
         self._interval_ps = self._count = 0
         self.due_ps = TIME_MAX_PS
 
     def to_state(self) -> SonarState:
         """Return all that changes; pending ranges are computed, which changes no reading."""
         return SonarState(
-            self.readings_in, self.stamps, self.pings, self._earlier, self._order, self._interval_ps, self._count,
+            self.readings_in, self.stamps, self.pings, self._earlier, self._firing, self._interval_ps, self._count,
             self.due_ps,
         )  # fmt: skip
 
@@ -184,30 +209,34 @@ class SonarRing:
         """Continue from a state; raise ValueError if it is not one of a ring."""
         # An interval and an order bound the number of firings in a step.
         if state.due_ps != TIME_MAX_PS and not (
-            state.order
+            state.firing
             and TICK_PS <= state.interval_ps <= MAX_RATE * TICK_PS
             and now_ps <= state.due_ps <= now_ps + MAX_RATE * TICK_PS
         ):
             raise ValueError("a sonar ring without an interval or an order")
         # One value per sonar, each in its range.
-        if not all(len(values) == SONARS for values in (state.readings, state.stamps, state.pings)):
-            raise ValueError("a sonar ring without 16 readings")
-        if not all(0 <= sonar < SONARS for sonar in state.order) or state.fired < 0:
+        ring = self._ring
+        if not all(len(values) == ring.count for values in (state.readings, state.stamps, state.pings)):
+            raise ValueError(f"a sonar ring without {ring.count} readings")
+        fired = [sonar for group in state.firing for sonar in group]
+        if len(fired) > MAX_ORDER or not all(state.firing) or not {*fired} <= {*range(ring.count)} or state.fired < 0:
             raise ValueError("a sonar ring with unknown sonars")
-        if not all(DEAD_IN <= reading <= NO_ECHO_IN for reading in state.readings):
+        if not all(map(ring.is_reading, state.readings)):
             raise ValueError("a sonar reading out of range")
         # Pings lie in the past: the age of a ping decides how far its sound has travelled.
         pings = (*state.earlier, *(ping for ping in state.pings if ping is not None))
         if len(state.earlier) > MAX_EARLIER_PINGS or not all(0 <= ping.instant_ps <= now_ps for ping in pings):
             raise ValueError("a ping of another time")
-        self._readings, self._stamps, self._pings = list(state.readings), list(state.stamps), list(state.pings)
-        self._earlier, self._order, self._interval_ps = state.earlier, state.order, state.interval_ps
+        self._readings = list(map(ring.plain, state.readings))
+        self._stamps, self._pings = list(state.stamps), list(state.pings)
+        self._earlier, self._firing, self._interval_ps = state.earlier, state.firing, state.interval_ps
         self._count, self.due_ps = state.fired, state.due_ps
         self._pending.clear()
+        self._begun = None
 
     @property
-    def readings_in(self) -> tuple[int, ...]:
-        """The last reading of each sonar: 16 whole inches from the ring, 6..255, 255 without echo; 0 where dead."""
+    def readings_in(self) -> tuple[float, ...]:
+        """The last reading of each sonar: inches from the ring, as `Ring.reading`; 0 where dead."""
         self._compute_pending()
         return tuple(self._readings)
 
@@ -223,10 +252,10 @@ class SonarRing:
 
     def forget_pings(self) -> None:
         """Forget the poses of the readings, because the robot was moved by hand; the readings remain."""
-        self._pings = [None] * SONARS
+        self._pings = [None] * self._ring.count
 
     def configure(self, rate: int, order: Sequence[int], now_ps: int) -> None:
-        """Restart the ring: entry k of the order is due 4 ms x rate x k from now, and so on.
+        """Restart the ring, one sonar after the other: entry k is due 4 ms x rate x k from now, and so on.
 
         Parameters
         ----------
@@ -237,50 +266,65 @@ class SonarRing:
             readings remain.
         """
         # The order ends at the first number that is not a sonar.
-        end = next((at for at, sonar in enumerate(order) if not 0 <= sonar < SONARS), len(order))
-        self._order = tuple(order[:end])
-        self._interval_ps = min(max(rate, 1), MAX_RATE) * TICK_PS
-        self._count = 0
-        self.due_ps = now_ps if self._order else TIME_MAX_PS
+        end = next((at for at, sonar in enumerate(order) if not 0 <= sonar < self._ring.count), len(order))
+        self._restart(tuple((sonar,) for sonar in order[:end]), min(max(rate, 1), MAX_RATE) * TICK_PS, now_ps)
+
+    def restart(self, now_ps: int) -> None:
+        """Restart the ring with the order and the interval that its model gives."""
+        self._restart(self._ring.firing, round(self._ring.interval_s * PS_PER_S), now_ps)
+
+    def _restart(self, firing: tuple[tuple[int, ...], ...], interval_ps: int, now_ps: int) -> None:
+        self._firing, self._interval_ps, self._count = firing, interval_ps, 0
+        self.due_ps = now_ps if firing else TIME_MAX_PS
 
     def emit_due(self, sensor_pose: SensorPose, stamp: Stamp | SegmentTime) -> None:
-        """Fire the sonar that is due, at this pose."""
-        sonar, instant_ps, audible_ps = self._order[self._count % len(self._order)], self.due_ps, self.model.audible_ps
+        """Fire the sonar that is due, or the group of them, at this pose."""
+        group = self._firing[self._count % len(self._firing)]
+        instant_ps, audible_ps = self.due_ps, self.model.audible_ps
         # 1. Pings that are still audible disturb this one.
         if audible_ps:
             self._earlier = tuple(ping for ping in self._earlier if instant_ps - ping.instant_ps < audible_ps)
-        # 2. The ping.
-        ping = self._emit(sonar, sensor_pose, stamp, instant_ps, self._earlier)
+        # 2. The pings; those of a group disturb one another.
+        pings = [self._emit(sonar, sensor_pose, stamp, instant_ps, self._earlier) for sonar in group]
         if audible_ps:
-            self._earlier = (*self._earlier, ping)
-        # 3. The next sonar of the order.
+            for sonar, ping in zip(group, pings, strict=True) if len(group) > 1 else ():
+                others = tuple(other for other in pings if other is not ping)
+                self._pending[sonar] = self._pending[sonar]._replace(earlier=(*self._earlier, *others))
+            self._earlier = (*self._earlier, *pings)
+        # 3. The next entry of the order.
         self._count += 1
         self.due_ps += self._interval_ps
 
     def emit_all(self, sensor_pose: SensorPose, stamp: Stamp | SegmentTime) -> None:
-        """Fire all sixteen as at power-on, each as if it were alone."""
-        for sonar in range(SONARS):
+        """Fire all as at power-on, each as if it were alone."""
+        for sonar in range(self._ring.count):
             self._emit(sonar, sensor_pose, stamp, 0, ())
 
     def set_walls(self, walls: FloatArray) -> None:
         """Replace the walls (m, 4); earlier pings still meet the previous ones."""
-        self._reflectors = ReflectorMap(walls)
+        self._reflectors = ReflectorMap(walls, self.model.surfaces(self._surface_seed))
 
     def set_model(self, model: SonarModel) -> None:
         """Replace the sonar model; earlier pings are measured with the previous one, and disturb no later ping."""
         self._compute_pending()
         self._earlier = ()
         self.model = model
-        for sonar in model.dead:
-            self._readings[sonar] = DEAD_IN
+        self._reflectors = ReflectorMap(self._reflectors.walls, model.surfaces(self._surface_seed))
+        for sonar in range(self._ring.count):
+            if sonar in model.dead:
+                self._readings[sonar] = DEAD_IN
 
     def _emit(
         self, sonar: int, sensor_pose: SensorPose, stamp: Stamp | SegmentTime, instant_ps: int,
         earlier: tuple[Ping, ...],
     ) -> Ping:  # fmt: skip
         x, y, turret_rad, _, _ = sensor_pose
-        # The beam points away from the axis of the ring.
-        direction_rad = turret_rad + self.model.turned_rad + self.body.sonar_angles_rad[sonar]
+        # The beam points away from the axis of the ring, or from one beside it.
+        direction_rad = turret_rad + self.model.turned_rad + self._ring.angles_rad[sonar]
+        if self._ring.shifts_in:
+            forwards_in, left_in = self._ring.shifts_in[sonar]
+            cosine, sine = cos(direction_rad), sin(direction_rad)
+            x, y = x + forwards_in * cosine - left_in * sine, y + forwards_in * sine + left_in * cosine
         ping = Ping(x, y, direction_rad, instant_ps, self.model.draw(self._rng))
         self._pending[sonar] = Firing(ping, earlier, sensor_pose, self._reflectors)
         self._stamps[sonar] = stamp
@@ -288,56 +332,61 @@ class SonarRing:
         return ping
 
     def compute_some(self) -> bool:
-        """Compute some of the readings that are pending; return True if none are left.
-
-        A part costs a millisecond or two; a whole ring at its fastest rate several times as much.
-        """
+        """Do one step towards the readings that are pending, some 0.1 ms; return True if none are left."""
         if not self._pending or isinstance(self.model, SonarNoise):
             return True
-        # Cost grows with the pairs of a ping and one before it, and with the walls.
-        most_pairs = MAX_PAIRS_AT_ONCE * FEW_WALLS // max(FEW_WALLS, len(self._reflectors.walls))
-        sonars, pairs = list[int](), 0
-        for sonar, firing in self._pending.items():
-            pairs += 1 + len(firing.earlier)
-            if sonars and pairs > most_pairs:
-                break
-            sonars.append(sonar)
-        self._compute(sonars)
+        # 1. Some of the sonars: cost grows with the pairs of a ping and one before it, and with the walls.
+        if self._begun is None:
+            most_pairs = MAX_PAIRS_AT_ONCE * FEW_WALLS // max(FEW_WALLS, len(self._reflectors.walls))
+            sonars, pairs = list[int](), 0
+            for sonar, firing in self._pending.items():
+                pairs += 1 + len(firing.earlier)
+                if sonars and pairs > most_pairs:
+                    break
+                sonars.append(sonar)
+            firings = {sonar: self._pending[sonar] for sonar in sonars}
+            self._begun = Computation(firings, self._compute(firings))
+        # 2. The next step.
+        try:
+            next(self._begun.steps)
+        except StopIteration:
+            self._begun = None
         return not self._pending
 
     def _compute_pending(self) -> None:
         """Compute the readings of all firings since the last call."""
+        if self._begun is not None:
+            steps, self._begun = self._begun.steps, None
+            completed(steps)
         if self._pending:
-            self._compute(list(self._pending))
+            completed(self._compute(dict(self._pending)))
 
-    def _compute(self, sonars: Sequence[int]) -> None:
-        """Compute the pending readings of these sonars."""
-        dead, offsets_in = self.model.dead, self.model.offsets_in
-        # Firings among the same walls are computed together; between two readings walls seldom change.
-        by_walls: dict[int, list[int]] = {}
-        for sonar in sonars:
-            # Dead sonars draw noise as well, but are never computed.
-            if sonar not in dead:
-                by_walls.setdefault(id(self._pending[sonar].reflectors), []).append(sonar)
+    def _compute(self, firings: Mapping[int, Firing]) -> Steps[None]:
+        """Compute the pending readings of these firings, by sonar; sonars that fire meanwhile stay pending."""
+        model = self.model
+        # 1. Firings among the same walls are computed together; between two readings walls seldom change. Dead sonars
+        #    draw noise as well, but are never computed.
+        by_walls: dict[int, dict[int, Firing]] = {}
+        for sonar, firing in firings.items():
+            if sonar not in model.dead:
+                by_walls.setdefault(id(firing.reflectors), {})[sonar] = firing
+        ranges_in: dict[int, float] = {}
         for group in by_walls.values():
-            ranges_in = self._measured_ranges([self._pending[sonar] for sonar in group])
-            for sonar, range_in in zip(group, ranges_in, strict=True):
-                self._readings[sonar] = _reading(range_in + offsets_in[sonar])
-        for sonar in sonars:
-            del self._pending[sonar]
+            found_in = yield from self._range_steps(list(group.values()))
+            ranges_in |= zip(group, found_in, strict=True)
+        # 2. Their readings, where no later ping has taken their place.
+        for sonar, firing in firings.items():
+            if self._pending.get(sonar) is firing:
+                del self._pending[sonar]
+                if sonar in ranges_in:
+                    self._readings[sonar] = self._ring.reading(ranges_in[sonar] + model.offset_in(sonar))
 
-    def _measured_ranges(self, firings: Sequence[Firing]) -> list[float]:
-        """Return ranges of firings among the same walls, inches, inf for no echo."""
+    def _range_steps(self, firings: Sequence[Firing]) -> Steps[list[float]]:
+        """Compute the ranges of firings among the same walls, inches, inf for no echo."""
         model, reflectors, body = self.model, firings[0].reflectors, self.body
         pings, poses = [firing.ping for firing in firings], [firing.sensor_pose for firing in firings]
         if isinstance(model, SonarNoise):
             return model.measured_ranges(pings, poses, reflectors.walls, body)
         earlier, others = [firing.earlier for firing in firings], [pose.others for pose in poses]
-        return model.measured_ranges(pings, earlier, reflectors, body, others, model.max_range_in)
-
-
-def _reading(range_in: float) -> int:
-    """Return the reading of a range from the ring, rounded to the nearest whole inch."""
-    if range_in >= NO_ECHO_IN:
-        return NO_ECHO_IN
-    return floor(range_in + 0.5) if range_in >= MIN_READING_IN else MIN_READING_IN
+        reach_in = model.reach_in(self._ring.max_range_in)
+        return (yield from model.range_steps(pings, earlier, reflectors, body, others, reach_in))

@@ -44,7 +44,6 @@ from nserver_emu.simulation.laser import points
 from nserver_emu.simulation.noise import RobotSetup
 from nserver_emu.simulation.robot import SimulatedRobot
 from nserver_emu.simulation.segments import Pose
-from worlds.robots import SONARS
 from worlds.world import Polygon, World
 
 if TYPE_CHECKING:
@@ -83,9 +82,8 @@ LASER_INTERVAL: Final = 4
 """Pictures between two measurements of the laser, whose 482 rays cost more than everything else."""
 MAX_NEW_POINTS: Final = 25
 """Points that a picture adds to a trace: 12 in of path in a twentieth of a second, faster than any robot."""
-# Counts of both traces, and pings, of a robot that the viewer does not know yet.
+# Counts of both traces of a robot that the viewer does not know yet.
 NO_POINTS: Final = (0, 0)
-NO_PINGS: Final = (None,) * SONARS
 # Decimal places of lengths and times, and of angles: finer than a pixel at any zoom of the page.
 DIGITS: Final = 3
 ANGLE_DIGITS: Final = 5
@@ -270,7 +268,7 @@ def _changed_beams(old: dict[int, tuple[Ping | None, ...]], new: dict[int, tuple
     record_change = {
         str(n): [
             [sonar, *_beam(ping)]
-            for sonar, (before, ping) in enumerate(zip(old.get(n, NO_PINGS), pings, strict=True))
+            for sonar, (before, ping) in enumerate(zip(old.get(n, (None,) * len(pings)), pings, strict=True))
             if ping is not before and _axis(ping) != _axis(before)
         ]
         for n, pings in new.items()

@@ -18,8 +18,8 @@ from nclient import (
 )
 from nclient.connector import ConnectOptions, is_listening, open_machine
 from nclient.protocol.types import EVERYTHING, N150, N200, SCOUT
-from nclient.transports import memory
-from nclient.transports.memory import MemoryStream
+from nclient.transports import stream as memory
+from nclient.transports.stream import MemoryStream
 from nclient.url import available_schemes
 from tests.nclient.scripted_server import ScriptedServer, by_script, on_socket
 

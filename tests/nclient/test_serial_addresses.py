@@ -13,7 +13,7 @@ from nclient.connector import is_listening
 from nclient.protocol.client_state import Handshake, build_handshake
 from nclient.protocol.commands import Call
 from nclient.protocol.types import EVERYTHING, N150, N200, SCOUT
-from nclient.transports.memory import MemoryStream
+from nclient.transports.stream import MemoryStream
 from tests.nclient.scripted_line import ScriptedLine, spoiled
 from tests.nclient.scripted_server import ScriptedServer
 

@@ -96,7 +96,7 @@ def test_a_folder_as_save_file_is_reported_at_once(tmp_path: Path, capsys: pytes
     (["-noisy", "--setup", "mine.toml"], "and --setup says mine.toml"),
     (["--lockstep", "0.1", "--speed", "3"], "argument --speed: in lockstep time passes with each request"),
     (["--lockstep", "abc"], "argument --lockstep: a step is more than 0 and at most 10 s, not 'abc'"),
-    (["--lockstep", "0"], "argument --lockstep: a step is more than 0 and at most 10 s, not 0"),
+    (["--lockstep", "0"], "argument --lockstep: a step is more than 0 and at most 10 s, not '0'"),
 ])  # fmt: skip
 def test_what_would_be_dropped_without_a_word_is_wrong_usage(
     words: list[str], output: str, capsys: pytest.CaptureFixture[str]

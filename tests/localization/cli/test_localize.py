@@ -235,7 +235,7 @@ def test_time_limit_is_reported(capsys: pytest.CaptureFixture[str]) -> None:
 def test_wrong_picture_suffix_is_reported_before_the_drive(
     name: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(localization_cli, "open_robot", lambda _: pytest.fail("it drives"))
+    monkeypatch.setattr("localization.cli.arguments.open_robot", lambda _: pytest.fail("it drives"))
     assert localize(NOISY, *TO_GOAL, "--picture", name) == 1
     assert "pictures are written as PNG: name a file that ends in .png" in capsys.readouterr().err
 
@@ -243,7 +243,7 @@ def test_wrong_picture_suffix_is_reported_before_the_drive(
 @pytest.mark.parametrize(("words", "expected"), [
     (["--start", "unknwon"], "3 numbers separated by commas, inches, inches and degrees, or unknown, not 'unkn"),
     (["--waypoints", "0cm,0"], "2 numbers separated by commas, inches, such as 20,40, not '0cm,0'"),
-    (["--waypoints", "1,1", "--speed", "5in"], "argument --speed: expected a number, not '5in'"),
+    (["--waypoints", "1,1", "--speed", "5in"], "argument --speed: expected a number above 0, not '5in'"),
     (["--waypoints", "1,1", "--scale-std", "5%"], "argument --scale-std: expected a number, not '5%'"),
 ])  # fmt: skip
 def test_invalid_options_name_the_expected_form(
@@ -271,7 +271,7 @@ def test_an_interrupted_run_is_saved_and_reported(
     assert "1 of 2 waypoints reached" in capsys.readouterr().out
     assert saved.exists()
     (tmp_path / "gone").mkdir()
-    monkeypatch.setattr(localization_cli, "check_writable", lambda *_: (tmp_path / "gone").rmdir())
+    monkeypatch.setattr("localization.cli.arguments.check_writable", lambda *_: (tmp_path / "gone").rmdir())
     file = tmp_path / "gone" / "saved"
     assert localize(*words, "--save", str(file)) in (130, 143), "the ending stays what it was"
     assert str(file) in capsys.readouterr().err
@@ -280,7 +280,7 @@ def test_an_interrupted_run_is_saved_and_reported(
 def test_unwritable_file_is_reported_before_the_drive(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(localization_cli, "open_robot", lambda _: pytest.fail("it drives"))
+    monkeypatch.setattr("localization.cli.arguments.open_robot", lambda _: pytest.fail("it drives"))
     (tmp_path / "file").touch()
     blocking_file = tmp_path / "file"
     for file, expected in (

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from localization.experiments import output
-from localization.experiments.figure_trial import FIGURES, figure_setup
-from localization.experiments.results import Track
+from localization.experiments.figure_trial import FIGURES, Track, figure_setup
 from localization.filters.belief import Floats
 
 if TYPE_CHECKING:

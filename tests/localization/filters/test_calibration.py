@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from localization.calibration.result import calibration_in, table
+from localization.calibration.procedure import calibration_in, table
 from localization.experiments.live_trial import EXACT_RAYS
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import independent
@@ -30,8 +30,8 @@ from worlds.robots import N150
 
 WORLD = load_world("several_walls")
 QUIET = OdometryNoise(0.02, 0.02, 0.0005)
-RAYS = LocalizationConfig(WORLD.walls, N150, QUIET, EXACT_RAYS)
-CONES = LocalizationConfig(WORLD.walls, N150, QUIET, ConeSonar())
+RAYS = LocalizationConfig(WORLD.walls, N150, QUIET, EXACT_RAYS, range_stds=None)
+CONES = LocalizationConfig(WORLD.walls, N150, QUIET, ConeSonar(), range_stds=None)
 START = independent([20.0, 50.0, 0.3], [0.2, 0.2, 0.01])
 NOTHING_BESIDES = (*PARAMETER_STDS[:3], *(0.0,) * (SIZE - 6))
 

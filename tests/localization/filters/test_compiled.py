@@ -11,7 +11,7 @@ import pytest
 
 from localization.filters import compiled
 from localization.filters.base import EncoderRow, LocalizationConfig, NewEcho, measurement_model
-from localization.filters.belief import Belief, pack, unpack
+from localization.filters.belief import Belief, pack, unpack, with_constants
 from localization.filters.ekf import KalmanFilter, filter_ring
 from localization.filters.odometry import OdometryNoise
 from localization.filters.registry import make
@@ -45,14 +45,18 @@ def random_ring(rng: np.random.Generator) -> tuple[EncoderRow, list[EncoderRow],
 @pytest.mark.usefixtures("numba")
 @pytest.mark.parametrize("n", [3, 4, 6])
 @pytest.mark.parametrize("sonar", [WIRE_SONAR, ConeSonar()])
-def test_compiled_rings_equal_plain_python(sonar: RaySonar | ConeSonar, n: int) -> None:
-    model = measurement_model(WALLS, N150, sonar)
+@pytest.mark.parametrize("range_stds", [(), (0.5, 0.015)])
+def test_compiled_rings_equal_plain_python(
+    sonar: RaySonar | ConeSonar, n: int, range_stds: tuple[float, ...]
+) -> None:
+    model = measurement_model(WALLS, N150, sonar, range_parameters=len(range_stds))
     assert isinstance(model, RayModel | ConeModel)
     ring = compiled.ring(filter_ring, model, NOISE)
     assert ring is not None
     rng, refusals = np.random.default_rng(n), set()
     mean, std = np.array([20.0, 50.0, 0.3, 0.01, -0.01, 1e-4])[:n], np.array([0.5, 0.5, 0.02, 0.02, 0.02, 1e-3])[:n]
-    (x, P), used = unpack(Belief(mean, np.diag(std**2))), [[0.0] * 4 for _ in range(17)]
+    belief = with_constants(Belief(mean, np.diag(std**2)), range_stds)
+    (x, P), used = unpack(belief), [[0.0] * 4 for _ in range(17)]
     (x_compiled, P_compiled), used_compiled = unpack(pack(x, P)), np.array(used)
     for _ in range(30):
         drive = random_ring(rng)

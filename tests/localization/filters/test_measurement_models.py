@@ -9,7 +9,7 @@ from localization.filters.base import measurement_model
 from localization.filters.belief import Floats, independent, unpack
 from localization.filters.sonar_cone import ConeSonar
 from localization.filters.sonar_ray import WIRE_SONAR, RaySonar, ranges_from, wall_map
-from localization.filters.update import Association, Refusal
+from localization.filters.update import RANGE_PARAMETERS, Association, Refusal, kalman_gain, readings_at
 from worlds.io import load_world
 from worlds.robots import N150
 
@@ -44,6 +44,32 @@ def test_ranges_and_derivatives_elsewhere_match_differences(kind: RaySonar | Con
         moved, _ = here.range_function(poses[:, None, :])
         _, slope = here.range_function(np.broadcast_to(other, (len(here.ranges_in), 3)))
         np.testing.assert_allclose(((moved[:3] - moved[3:]) / 2e-5).T, slope, atol=1e-5)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_readings_with_range_parameters_match_differences(kind: RaySonar | ConeSonar) -> None:
+    model = measurement_model(WALLS, N150, kind, range_parameters=RANGE_PARAMETERS)
+    # Pose, an odometry parameter without effect on readings, offset and scale.
+    mean = np.array([*POSE, 0.03, 0.4, -0.02])
+    x, P = unpack(independent(mean, (*STD, 0.01, 0.5, 0.015)))
+    plain = associations(kind, POSE)
+    for sonar, ranges in plain.items():
+        reading_in = 0.98 * ranges.ranges_in[0] + 0.4
+        found = model.associate(x, P, sonar, 0.3, reading_in)
+        if found.refusal is not Refusal.NONE:
+            continue
+        # The reading is that of the range, 2 % shorter and 0.4 in longer.
+        np.testing.assert_allclose(found.ranges_in, 0.98 * np.array(ranges.ranges_in) + 0.4, atol=1e-12)
+        steps = 1e-5 * np.vstack([np.eye(6), -np.eye(6)])
+        moved = np.stack([readings_at(found, (mean + step)[None, None])[0][0] for step in steps])
+        slope = ((moved[:6] - moved[6:]) / 2e-5).T
+        np.testing.assert_allclose(slope[:, [0, 1, 2, 4, 5]], found.H, atol=1e-5)
+        np.testing.assert_array_equal(slope[:, 3], 0.0)
+        # The gain takes the derivative by the odometry parameter for 0: that of the whole vector.
+        K, S = kalman_gain(P, found.H[0], 0.3)
+        H = slope[0]
+        np.testing.assert_allclose(S, H @ np.array(P) @ H + 0.3, rtol=1e-6)
+        np.testing.assert_allclose(K, np.array(P) @ H / S, rtol=1e-5, atol=1e-9)
 
 
 def test_a_cone_elsewhere_is_associated_as_predicted() -> None:

@@ -16,8 +16,7 @@ from nclient.protocol.replies import Reply
 from nclient.protocol.serial_framing import build_frame
 from nclient.protocol.types import EVERYTHING, N150, N200, SCOUT, Model
 from nclient.protocol.wire_state import serial_wire_state
-from nclient.transports.memory import MemoryStream
-from nclient.transports.stream import Deadline
+from nclient.transports.stream import Deadline, MemoryStream
 from tests.nclient.protocol.recorded import LINE_SESSIONS, model_of
 from tests.nclient.scripted_line import NAK, Late, RecordedRobot, ScriptedLine, direct_on, spoiled
 

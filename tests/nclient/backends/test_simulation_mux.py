@@ -7,7 +7,7 @@ import pytest
 from nclient import AddressError, ConnectionLost, RobotRefused, connect
 from nclient.connector import Connector
 from nclient.protocol.commands import Call
-from nclient.transports import memory
+from nclient.transports import stream as memory
 from nclient.url import parse_address
 
 

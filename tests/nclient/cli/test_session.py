@@ -12,7 +12,7 @@ from nclient.cli.shell_session import Session
 from nclient.connector import open_backend
 from nclient.errors import RobotRefused, ShellError
 from nclient.protocol.types import N200
-from nclient.transports.memory import MemoryStream
+from nclient.transports.stream import MemoryStream
 from tests.nclient.scripted_server import ScriptedServer
 
 

@@ -12,8 +12,7 @@ from nclient.connector import Connector
 from nclient.errors import AddressError, FaultPlanError, ReplyTimeout, RobotRefused
 from nclient.protocol.commands import Call
 from nclient.protocol.serial_framing import build_frame
-from nclient.transports.memory import MemoryStream
-from nclient.transports.stream import Deadline
+from nclient.transports.stream import Deadline, MemoryStream
 from nclient.url import parse_address
 from tests.nclient.scripted_server import ScriptedServer
 

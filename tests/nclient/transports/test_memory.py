@@ -9,9 +9,8 @@ import pytest
 from nclient.errors import AddressError, ConnectionLost, ReplyTimeout
 from nclient.protocol import codec
 from nclient.protocol.commands import Call
-from nclient.transports import memory
-from nclient.transports.memory import MemoryStream, open_in_process, schemes
-from nclient.transports.stream import Deadline
+from nclient.transports import stream as memory
+from nclient.transports.stream import Deadline, MemoryStream, open_in_process, schemes
 from tests.nclient.scripted_server import ScriptedServer
 
 NOW = Deadline.after(0)

@@ -11,9 +11,9 @@ from typing import Any
 
 import pytest
 
-from nclient.common.arguments import Parser
-from nserver_emu.persistence import autosave, snapshot
-from nserver_emu.persistence.autosave import SaveFile, autosaved
+from nserver_emu.options import nserver_parser, read_options
+from nserver_emu.persistence import snapshot
+from nserver_emu.persistence.options import SaveFile, autosaved
 from nserver_emu.server.handlers.table import Emulator
 from tests.nserver_emu.server.wire_client import simulation
 
@@ -89,15 +89,11 @@ async def test_a_failing_save_is_logged_once_and_its_recovery(
     (["--save", "x", "--autosave", "often"], "not 'often'"),
 ])
 def test_wrong_usage(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
-    parser = Parser(prog="nserver")
-    autosave.add_options(parser)
     with pytest.raises(SystemExit, match="2"):
-        autosave.check_options(parser, parser.parse_args(words))
+        read_options(nserver_parser(), words)
     assert message in capsys.readouterr().err
 
 
 def test_right_usage() -> None:
-    parser = Parser()
-    autosave.add_options(parser)
     for words in ([], ["--save", "x"], ["--save", "x", "--autosave", "1"]):
-        autosave.check_options(parser, parser.parse_args(words))
+        assert read_options(nserver_parser(), words).autosave in (None, 1.0)

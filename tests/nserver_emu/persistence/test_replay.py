@@ -18,8 +18,7 @@ from nclient.protocol.commands import Call
 from nclient.protocol.types import N150
 from nclient.recording.format import Entry, Recording, RecordingWriter, read_recording
 from nclient.recording.recorder import Recorder, RecordingStream
-from nclient.transports.memory import MemoryStream
-from nclient.transports.stream import Deadline
+from nclient.transports.stream import Deadline, MemoryStream
 from nserver_emu.control.commands import answer_line
 from nserver_emu.persistence import snapshot
 from nserver_emu.persistence.recording import RunHeader

@@ -31,6 +31,7 @@ from nserver_emu.simulation.sonar import MAX_EARLIER_PINGS
 from tests.nserver_emu.server.wire_client import WireClient, meet, simulation
 from worlds.world import StartPose
 
+VERSION_2_BODY = ("sonar_ring_radius_in", "sonar_angles_rad")
 BOX = (4, 400, -100, 600, -100, 600, 100, 400, 100)
 
 
@@ -117,7 +118,7 @@ def test_tracks_are_saved_as_little_endian_doubles() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("setup", ["ideal", "noisy", "measured", "worn"])
+@pytest.mark.parametrize("setup", ["ideal", "noisy", "measured", "building", "worn"])
 def test_three_models_with_all_sensors_continue_bit_for_bit(setup: str) -> None:
     others = (("n200", StartPose(70.0, 70.0, 1.0)), ("scout", StartPose(75.0, 25.0, 2.0)))
     config = SimulationConfig(start=StartPose(20.0, 20.0, 0.5), seed=6, setup=setup, others=others)
@@ -227,8 +228,8 @@ def check_refused(text: str, match: str) -> None:
         ('name = "a world"\n', "no snapshot"),
         ('{"as": "nserver snapshot"}', "no snapshot"),
         ('{"format": "nserver snapshot", "version": "0.', "damaged"),
-        ('{"format": "nserver snapshot", "version": "0.1", "root": {"ref": 0}, "objects": []}', "version 1.*0.1.*2"),
-        ('{"format": "nserver snapshot", "format_version": 3, "version": "9.0"}', "version 3.*9.0.*2"),
+        ('{"format": "nserver snapshot", "version": "0.1", "root": {"ref": 0}, "objects": []}', "version 1.*0.1.*3"),
+        ('{"format": "nserver snapshot", "format_version": 4, "version": "9.0"}', "version 4.*9.0.*3"),
         ('{"format": "nserver snapshot", "format_version": 2}', "damaged"),
         ('{"format": "nserver snapshot", "root": ' + "[" * 100_000, "damaged"),
         ('{"format": "nserver snapshot", "format_version": 2, "state": ' + "[" * 100_000, "damaged"),
@@ -272,7 +273,7 @@ for _ in range(500):
         ((*SONAR, 5), -1),
         ((*SONAR, 5), 0),
         ((*SONAR, 4), []),
-        ((*SONAR, 4), [16]),
+        ((*SONAR, 4), [[16]]),
         ((*SONAR, 6), -1),
         ((*SONAR, 3), [[0.0, 0.0, 0.0, 0, [0.0, 0.0]]] * (MAX_EARLIER_PINGS + 1)),
         ((*SONAR, 3), [[0.0, 0.0, 0.0, 10**15, [0.0]]]),
@@ -302,7 +303,7 @@ for _ in range(500):
         ((*AXIS, 5), -1.0),
         # Models, setups and worlds that cannot be simulated.
         ((*ROBOT, "model", "body", "radius_in"), 0.0),
-        ((*ROBOT, "model", "body", "sonar_angles_rad"), []),
+        ((*ROBOT, "model", "body", "ring", "angles_rad"), []),
         ((*ROBOT, "model", "axes", 0, "top_speed"), 1e9),
         ((*ROBOT, "model", "track_in"), 1e-9),
         ((*ROBOT, "model", "has_light_sensors"), True),
@@ -442,7 +443,7 @@ def test_a_wrong_type_is_named_by_its_key(path: tuple[str | int, ...], value: ob
 def test_a_huge_text_is_refused_before_it_is_read(filling: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(snapshot, "MAX_CONTAINERS", 500_000)
     monkeypatch.setattr(snapshot, "MAX_VALUES", 500_000)
-    text = '{"format": "nserver snapshot", "format_version": 2, "state": [' + filling * 600_000 + "0]}"
+    text = '{"format": "nserver snapshot", "format_version": 3, "state": [' + filling * 600_000 + "0]}"
     emulator, _ = busy()
     tracemalloc.start()
     try:
@@ -451,3 +452,16 @@ def test_a_huge_text_is_refused_before_it_is_read(filling: str, monkeypatch: pyt
         assert tracemalloc.get_traced_memory()[1] < 1e6
     finally:
         tracemalloc.stop()
+
+
+def test_snapshots_of_version_2_have_the_rings_of_nomads() -> None:
+    emulator, client = busy()
+    whole = json.loads(snapshot.dumps(emulator))
+    for robot in whole["state"]["simulation"]["robots"].values():
+        ring = robot["model"]["body"].pop("ring")
+        robot["model"]["body"].update(zip(VERSION_2_BODY, (ring["radius_in"], ring["angles_rad"]), strict=True))
+        robot["sonar"][4] = [sonar for (sonar,) in robot["sonar"][4]]
+    expected = future(emulator, client)
+    again, other = busy()
+    snapshot.loads(again, json.dumps(whole | {"format_version": 2}))
+    assert future(again, other) == expected

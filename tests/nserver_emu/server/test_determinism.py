@@ -45,7 +45,7 @@ CROWD = ("--robot", "n150", "--robot", "n200", "--robot", "scout", "--start", "2
          "--start", "75,25,120,0")  # fmt: skip
 
 
-@pytest.mark.parametrize("setup", ["noisy", "measured", "worn"])
+@pytest.mark.parametrize("setup", ["noisy", "measured", "building", "worn"])
 def test_lockstep_is_repeatable_with_three_clients(setup: str) -> None:
     words = ["--port", "0", "--lockstep", "0.1", "--seed", "5", "--setup", setup, *CROWD]
     command = [sys.executable, "-m", "nserver_emu", *words]

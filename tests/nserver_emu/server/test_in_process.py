@@ -13,6 +13,7 @@ from nserver_emu.server.inprocess import OPTIONS, InProcess, open_address
 from nserver_emu.simulation import sonar
 from nserver_emu.simulation.segments import PS_PER_S
 from tests.nserver_emu.server.wire_client import WireClient
+from worlds.robots import BODIES
 
 
 def connected(address: str) -> tuple[WireClient, InProcess]:
@@ -124,7 +125,7 @@ def test_the_client_controls_the_time() -> None:
 def test_a_setup_can_be_named_and_counts_before_noisy() -> None:
     for options, setup in (("setup=measured", "measured"), ("noisy=1&setup=ideal", "ideal"), ("noisy=1", "noisy")):
         assert open_address(f"sim:?{options}").emulator.simulation.robots[1].setup.name == setup
-    with pytest.raises(AddressError, match=r"'perfect'.* ideal, noisy, measured, worn"):
+    with pytest.raises(AddressError, match=r"'perfect'.* ideal, noisy, measured, building, worn"):
         open_address("sim:?setup=perfect")
 
 
@@ -162,7 +163,9 @@ def test_models_and_models_of_a_file_for_each(tmp_path: Path) -> None:
 
 
 def test_the_ring_starts_in_the_order_that_clients_count_on() -> None:
-    assert (sonar.DEFAULT_ORDER, sonar.DEFAULT_RATE) == (types.DEFAULT_SONAR_ORDER, types.DEFAULT_SONAR_RATE)
+    for body in BODIES.values():
+        assert body.ring.firing == tuple((number,) for number in types.DEFAULT_SONAR_ORDER)
+        assert body.ring.interval_s == types.DEFAULT_SONAR_RATE * types.SONAR_RATE_STEP_S
     assert pytest.approx(types.SONAR_RATE_STEP_S) == sonar.TICK_PS / PS_PER_S
 
 

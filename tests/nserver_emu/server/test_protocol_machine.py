@@ -6,6 +6,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis.stateful import run_state_machine_as_test
 
+from nclient.protocol.commands import Call
 from tests.nserver_emu.server.protocol_machine import ProtocolMachine
 
 
@@ -20,3 +21,16 @@ def test_the_protocol_holds_its_invariants_for_2000_steps() -> None:
         ),
     )  # fmt: skip
     assert ProtocolMachine.steps >= 2000
+
+
+def test_a_refused_connect_ends_the_wait_for_a_closed_program() -> None:
+    machine = ProtocolMachine()
+    machine.begin(gateway=False, model="n150")
+    machine.leave(number=1, how="close", made=Call("gs"))
+    machine.connect(number=1, robot=3)  # There is no robot 3: the connection stays, without a robot.
+    machine.pass_time(0.3)
+    second = machine.open_peer(1)
+    second.send(Call("gs"))
+    machine.pump()
+    assert second.context.robot_id is None
+    machine.teardown()

@@ -10,13 +10,16 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from nserver_emu.server.connection import MAX_PREPARING_TURNS, TURN_BUDGET_S, FairScheduler
+from nclient.protocol.commands import Call
+from nclient.protocol.types import DEFAULT_SONAR_ORDER as DEFAULT_ORDER
+from nserver_emu.server.connection import MAX_PREPARING_STEPS, TURN_BUDGET_S, FairScheduler
 from nserver_emu.server.context import ServerState
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.session import ConnectionContext
+from nserver_emu.simulation.acoustics import Steps
 from nserver_emu.simulation.noise import MEASURED
 from nserver_emu.simulation.simulation import Simulation
-from nserver_emu.simulation.sonar import DEFAULT_ORDER, MAX_PAIRS_AT_ONCE, Firing, SonarRing
+from nserver_emu.simulation.sonar import MAX_PAIRS_AT_ONCE, Firing, SonarRing
 from tests.nserver_emu.server.running_server import running_server
 from worlds.io import load_world
 
@@ -127,31 +130,30 @@ async def test_a_costly_reply_is_prepared_over_several_turns(monkeypatch: pytest
 
     async with running_server(speed=None, emulator=Emulator(simulation)) as server:
         scheduler, client = server.daemon.scheduler, await server.connect_client()
-        measured_ranges = SonarRing._measured_ranges
+        range_steps = SonarRing._range_steps
 
-        def counted(ring: SonarRing, firings: Sequence[Firing]) -> list[float]:
+        def counted(ring: SonarRing, firings: Sequence[Firing]) -> Steps[list[float]]:
             pairs = sum(1 + len(firing.earlier) for firing in firings)
             pings[scheduler.turns] = pings.get(scheduler.turns, 0) + pairs
-            return measured_ranges(ring, firings)
+            return range_steps(ring, firings)
 
         await client.ask("conf_sn", 1, *DEFAULT_ORDER)
         server.daemon.emulator.clock.paused = True
-        monkeypatch.setattr(SonarRing, "_measured_ranges", counted)
+        monkeypatch.setattr(SonarRing, "_range_steps", counted)
         assert (await client.ask("gs")).kind == "state"
     assert len(pings) >= 3
     assert max(pings.values()) <= MAX_PAIRS_AT_ONCE
 
 
 async def test_preparing_ends_though_new_work_comes(monkeypatch: pytest.MonkeyPatch) -> None:
-    prepared = 0
+    times_ps = set[int]()
 
-    def prepare(_state: ServerState, _context: ConnectionContext) -> bool:
-        nonlocal prepared
-        prepared += 1
+    def prepare(state: ServerState, _context: ConnectionContext, _call: Call | None = None) -> bool:
+        times_ps.add(state.simulation.time_ps)
         return False
 
     async with running_server() as server:
         client = await server.connect_client()
         monkeypatch.setattr(ServerState, "prepare_reply", prepare)
         assert (await client.ask("gs")).kind == "state"
-    assert prepared == MAX_PREPARING_TURNS
+    assert len(times_ps) == MAX_PREPARING_STEPS

@@ -246,7 +246,7 @@ def two_measured(room: World) -> Simulation:
     return simulation
 
 
-def measured(simulation: Simulation) -> list[tuple[int, ...]]:
+def measured(simulation: Simulation) -> list[tuple[float, ...]]:
     return [robot.sonar.readings_in for robot in simulation.robots.values()]
 
 

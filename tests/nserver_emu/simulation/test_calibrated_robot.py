@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from nserver_emu.simulation.models import MODELS, N150, RobotModel, parse_models
-from nserver_emu.simulation.noise import IDEAL, MEASURED, WORN, RngFactory, apply_calibration
+from nserver_emu.simulation.noise import IDEAL, MEASURED, WORN, RngFactory, apply_model
 from nserver_emu.simulation.robot import SimulatedRobot
 from worlds.io import load_world
 from worlds.robots import Calibration
@@ -80,8 +80,8 @@ def test_a_polaroid_ring_has_the_same_calibration() -> None:
 
 
 def test_without_calibration_the_setup_applies() -> None:
-    assert apply_calibration(N150, WORN) is WORN
-    setup = apply_calibration(replace(N150, calibration=ERRS), WORN)
+    assert apply_model(N150, WORN) is WORN
+    setup = apply_model(replace(N150, calibration=ERRS), WORN)
     assert setup.odometry.slip_in == WORN.odometry.slip_in
     assert setup.odometry.scales == (1.04, 0.97, 1.0)
     assert setup.sonar.range_std_relative == WORN.sonar.range_std_relative
@@ -92,4 +92,4 @@ def test_model_files_contain_calibrations() -> None:
     models = parse_models(text, "mine.toml")
     assert models["n150"].calibration == models["twin"].calibration == Calibration(distance_scale=1.04)
     assert models["n200"].calibration is None
-    assert apply_calibration(models["n150"], IDEAL).odometry.scales[0] == 1.04
+    assert apply_model(models["n150"], IDEAL).odometry.scales[0] == 1.04

@@ -371,7 +371,7 @@ def test_a_placed_robot_is_detected_there_at_once(room: World, before_s: float) 
 
 
 def test_robots_powered_on_together_detect_each_other(room: World) -> None:
-    def wakes(order: tuple[int, ...]) -> list[tuple[int, ...]]:
+    def wakes(order: tuple[int, ...]) -> list[tuple[float, ...]]:
         simulation = Simulation(room)
         # Powered off, sensors have no readings.
         for number in order:

@@ -15,7 +15,7 @@ from nserver_emu.simulation.noise import (
     SETUPS,
     WORN,
     RobotSetup,
-    apply_calibration,
+    apply_model,
     part_choices,
     part_name,
     with_part,
@@ -33,7 +33,7 @@ def test_every_field_that_is_noise_is_in_one_part() -> None:
 
 
 def test_parts_are_named_after_the_first_setup_that_has_them() -> None:
-    assert list(part_choices("sensors", N150, IDEAL)) == ["ideal", "noisy", "measured"]
+    assert list(part_choices("sensors", N150, IDEAL)) == ["ideal", "noisy", "measured", "building"]
     assert list(part_choices("motion", N150, IDEAL)) == ["ideal", "noisy", "worn"]
     assert part_name("motion", MEASURED, N150, IDEAL) == "noisy"
     assert part_name("sensors", WORN, N150, IDEAL) == "noisy"
@@ -44,7 +44,7 @@ def test_parts_are_named_after_the_first_setup_that_has_them() -> None:
 
 def test_the_initial_setup_can_be_chosen_again() -> None:
     twin = replace(NOISY, name="room 12", sonar=SonarNoise(range_std_relative=0.3))
-    assert list(part_choices("sensors", N150, twin)) == ["ideal", "noisy", "measured", "room 12"]
+    assert list(part_choices("sensors", N150, twin)) == ["ideal", "noisy", "measured", "building", "room 12"]
     assert list(part_choices("motion", N150, twin)) == ["ideal", "noisy", "worn"]
     assert part_name("sensors", twin, N150, twin) == "room 12"
     assert part_name("sensors", twin, N150, IDEAL) == "room 12"
@@ -133,10 +133,10 @@ def test_calibrations_stay_when_parts_are_switched() -> None:
     calibration = Calibration(distance_scale=1.02, turn_scale=0.97, offsets_in=offsets_in)
     twin = replace(N150, calibration=calibration)
     # Each choice of noise has the offsets of this robot.
-    choices = part_choices("sensors", twin, apply_calibration(twin, IDEAL))
+    choices = part_choices("sensors", twin, apply_model(twin, IDEAL))
     assert {setup.sonar.offsets_in for setup in choices.values()} == {calibration.offsets_in}
     odometries = [
-        setup.odometry.scales[:2] for setup in part_choices("motion", twin, apply_calibration(twin, IDEAL)).values()
+        setup.odometry.scales[:2] for setup in part_choices("motion", twin, apply_model(twin, IDEAL)).values()
     ]
     assert set(odometries) == {(1.02, 0.97)}
-    assert part_name("sensors", apply_calibration(twin, NOISY), twin, apply_calibration(twin, IDEAL)) == "noisy"
+    assert part_name("sensors", apply_model(twin, NOISY), twin, apply_model(twin, IDEAL)) == "noisy"

@@ -8,10 +8,10 @@ from math import cos, pi, radians, remainder, sin, tau
 import numpy as np
 import pytest
 
+from nclient.protocol.types import DEFAULT_SONAR_ORDER as DEFAULT_ORDER
 from nserver_emu.simulation.noise import NOISY, RobotSetup
 from nserver_emu.simulation.robot import SimulatedRobot
 from nserver_emu.simulation.simulation import Simulation
-from nserver_emu.simulation.sonar import DEFAULT_ORDER
 from worlds.world import StartPose
 
 Lone = Callable[..., tuple[Simulation, SimulatedRobot]]

@@ -13,6 +13,7 @@ import pytest
 from nclient.errors import AddressError, WorldFileError
 from nserver_emu.simulation.acoustics import Polaroid
 from nserver_emu.simulation.noise import (
+    BUILDING,
     IDEAL,
     KEYS,
     MEASURED,
@@ -155,9 +156,9 @@ def test_the_page_has_a_row_for_each_key() -> None:
         for title in tables for line in title.splitlines() if line.startswith("| `")
     }  # fmt: skip
     assert set(rows) == {(key.table, key.name) for key in KEYS} | {("sonar", "model")}
-    # 25 degrees is the cone of the data sheet, and three setups have scales of 1.
+    # 25 degrees is the cone of the data sheet, and four setups have scales of 1.
     assert "| 25 |" in rows["sonar", "cone_deg"]
-    assert rows["odometry", "scales"].count("[1, 1, 1]") == 3
+    assert rows["odometry", "scales"].count("[1, 1, 1]") == 4
     for name in SETUPS:
         assert f"**{name}**" in PAGE.read_text(encoding="utf-8")
 
@@ -176,7 +177,7 @@ def test_the_example_of_the_page_is_a_setup() -> None:
     ("text", "words"),
     [
         ("x =", "m: is no TOML"),
-        ('base = "measurd"', "base: expected one of ideal, measured, noisy, worn, found 'measurd'; did you mean meas"),
+        ('base = "measurd"', "base: expected one of building, ideal, measured, noisy, worn, found .*did you mean meas"),
         ("name = 3", "name: expected a text, found 3"),
         ("rampes = true", "rampes: unknown key.*did you mean ramps"),
         ("ramps = 1", "ramps: expected true or false, found 1"),
@@ -188,8 +189,8 @@ def test_the_example_of_the_page_is_a_setup() -> None:
         ("[odometry]\nscales = [1, 1]", "odometry.scales: expected a list of 3 numbers, found the list"),
         ("[odometry]\nscales = [1, 3, 1]", r"odometry.scales\[1\]: expected 0.5 to 2, found 3"),
         ("[odometry]\nscales = 1.0", "odometry.scales: expected a list of 3 numbers, found 1.0"),
-        ("[sonar]\ndead = 3", "sonar.dead: expected a list of whole numbers from 0 to 15, found 3"),
-        ("[sonar]\ndead = [16]", r"sonar.dead\[0\]: expected a whole number from 0 to 15, found 16"),
+        ("[sonar]\ndead = 3", "sonar.dead: expected a list of whole numbers from 0 to 63, found 3"),
+        ("[sonar]\ndead = [64]", r"sonar.dead\[0\]: expected a whole number from 0 to 63, found 64"),
         ("[sonar]\ndead = [1, true]", r"sonar.dead\[1\]: expected a whole number"),
         ("[sonar]\ndead = [1, 1]", "sonar.dead: expected each number once"),
         ("[sonar]\ncone_deg = 20", 'cone_deg: belongs to the model "polaroid"; expected it beside model = "pol'),
@@ -203,7 +204,9 @@ def test_errors_name_the_key(text: str, words: str) -> None:
 
 
 def test_names_and_files(tmp_path: Path) -> None:
-    assert [setup_named(name) for name in ("ideal", "noisy", "measured", "worn")] == [IDEAL, NOISY, MEASURED, WORN]
+    assert [setup_named(name) for name in ("ideal", "noisy", "measured", "building", "worn")] == [
+        IDEAL, NOISY, MEASURED, BUILDING, WORN
+    ]
     with pytest.raises(AddressError, match=r"'worm'.* ideal, .*\.toml.* worn"):
         setup_named("worm")
     path = tmp_path / "mine.toml"

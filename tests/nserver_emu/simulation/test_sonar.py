@@ -7,8 +7,9 @@ from math import cos, inf, radians, sin
 import numpy as np
 import pytest
 
+from nclient.protocol.types import DEFAULT_SONAR_ORDER as DEFAULT_ORDER
 from nserver_emu.simulation.segments import TIME_MAX_PS, Pose, Stamp, to_ps
-from nserver_emu.simulation.sonar import DEFAULT_ORDER, SonarNoise, SonarRing
+from nserver_emu.simulation.sonar import SonarNoise, SonarRing
 from nserver_emu.simulation.visibility import MAX_ROBOT_RANGE_IN, RobotPositions, SensorPose, robots_on_rays
 from worlds.raycast import cast_discs
 from worlds.robots import N150
@@ -64,12 +65,12 @@ def test_an_empty_order_switches_the_ring_off(order: tuple[int, ...]) -> None:
     before = sonars.readings_in
     sonars.configure(15, order, 0)
     assert sonars.due_ps == TIME_MAX_PS
-    assert sonars.readings_in == before != (255,) * 16
+    assert sonars.readings_in == before != (255.0,) * 16
 
 
 def test_readings_are_whole_inches_from_the_ring() -> None:
     sonars = ring()
-    assert sonars.readings_in == (255,) * 16
+    assert sonars.readings_in == (255.0,) * 16
     # Off the centre, the walls of the square are at 100 in.
     turret, x, y = radians(10.0), 20.0, -30.0
     sonars.emit_all(SensorPose(x, y, turret), stamp())

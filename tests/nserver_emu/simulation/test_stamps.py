@@ -7,6 +7,7 @@ from math import remainder, tau
 
 import pytest
 
+from nclient.protocol.types import DEFAULT_SONAR_ORDER as DEFAULT_ORDER
 from nserver_emu.persistence.snapshot import dumps, loads
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.simulation.axis import Axis
@@ -15,7 +16,6 @@ from nserver_emu.simulation.noise import IDEAL, NOISY, RobotSetup
 from nserver_emu.simulation.robot import SimulatedRobot
 from nserver_emu.simulation.segments import Pose
 from nserver_emu.simulation.simulation import Simulation
-from nserver_emu.simulation.sonar import DEFAULT_ORDER
 from worlds.world import StartPose, World
 
 CUT_S = 0.004

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 
+from nclient.protocol.types import DEFAULT_SONAR_ORDER as DEFAULT_ORDER
 from nserver_emu.simulation import acoustics, infrared
-from nserver_emu.simulation.acoustics import Ping, ReflectorMap
+from nserver_emu.simulation.acoustics import Ping, ReflectorMap, Steps, completed
 from nserver_emu.simulation.infrared import InfraredRing
 from nserver_emu.simulation.models import N200
-from nserver_emu.simulation.noise import MEASURED
+from nserver_emu.simulation.noise import IDEAL, MEASURED
 from nserver_emu.simulation.simulation import Simulation
-from nserver_emu.simulation.sonar import DEFAULT_ORDER, SonarNoise, SonarRing
+from nserver_emu.simulation.sonar import MAX_PAIRS_AT_ONCE, Firing, SonarNoise, SonarRing
 from worlds import raycast
 from worlds.geometry import NO_DISCS
 from worlds.io import load_world
@@ -41,9 +44,9 @@ def test_many_pings_equal_each_alone(world: str, robots: int) -> None:
         history = ring_history(seed, 0.7 * seed)
         pings = history[16:]
         earlier = [history[number + 1 : number + 16] for number in range(16)]
-        together = MODEL.measured_ranges(pings, earlier, reflectors, N150, [discs] * 16)
+        together = completed(MODEL.range_steps(pings, earlier, reflectors, N150, [discs] * 16))
         alone = [
-            MODEL.measured_ranges([ping], [before], reflectors, N150, [discs])[0]
+            completed(MODEL.range_steps([ping], [before], reflectors, N150, [discs]))[0]
             for ping, before in zip(pings, earlier, strict=True)
         ]
         np.testing.assert_allclose(together, alone, atol=1e-9)
@@ -79,7 +82,7 @@ def test_new_obstacles_simulate_no_ping(monkeypatch: pytest.MonkeyPatch) -> None
     before = robot.sonar.readings_in
     simulation.step(0.98)
     with monkeypatch.context() as patched:
-        patched.setattr(SonarRing, "_measured_ranges", None)
+        patched.setattr(SonarRing, "_range_steps", None)
         patched.setattr(InfraredRing, "_ranges", None)
         patched.setattr(infrared, "cast_rays", None)
         for _ in range(100):
@@ -91,20 +94,59 @@ def test_new_obstacles_simulate_no_ping(monkeypatch: pytest.MonkeyPatch) -> None
     assert isinstance(robot.sonar.model, SonarNoise)
 
 
-def test_part_of_the_pings_gives_the_same_readings() -> None:
-    def ring() -> SonarRing:
-        simulation = Simulation(load_world("several_walls"))
-        robot = simulation.add_robot(1, setup=MEASURED)
-        robot.configure_sonars(1, DEFAULT_ORDER)
-        simulation.step(1.0)
-        return robot.sonar
+def full_ring() -> tuple[Simulation, SonarRing]:
+    """Return a ring at its fastest rate that nothing has read for a second."""
+    simulation = Simulation(load_world("several_walls"))
+    robot = simulation.add_robot(1, setup=MEASURED)
+    robot.configure_sonars(1, DEFAULT_ORDER)
+    simulation.step(1.0)
+    return simulation, robot.sonar
 
-    at_once, in_parts, parts = ring(), ring(), 1
-    while not in_parts.compute_some():
-        parts += 1
-    assert 2 <= parts <= 4
-    assert in_parts.readings_in == at_once.readings_in
-    assert in_parts.compute_some()
+
+def test_steps_give_the_same_readings_as_all_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    begun: list[int] = []
+    range_steps = SonarRing._range_steps
+
+    def counted(ring: SonarRing, firings: Sequence[Firing]) -> Steps[list[float]]:
+        begun.append(sum(1 + len(firing.earlier) for firing in firings))
+        return range_steps(ring, firings)
+
+    (_, at_once), (_, in_steps) = full_ring(), full_ring()
+    expected = at_once.readings_in
+    monkeypatch.setattr(SonarRing, "_range_steps", counted)
+    steps = 1
+    while not in_steps.compute_some():
+        steps += 1
+    assert 2 <= len(begun) <= 4
+    assert max(begun) <= MAX_PAIRS_AT_ONCE
+    assert steps >= 5 * len(begun)
+    assert in_steps.readings_in == expected
+    assert in_steps.compute_some()
+
+
+@pytest.mark.parametrize("between", [1, 7, 16])
+def test_pings_between_two_steps_change_no_reading(between: int) -> None:
+    """A ping that another takes the place of before its range is known is forgotten, as when nothing was computed."""
+    (one, at_once), (other, in_steps) = full_ring(), full_ring()
+    for _ in range(5):
+        for _ in range(3):
+            in_steps.compute_some()
+        one.step(0.004 * between)
+        other.step(0.004 * between)
+    assert in_steps.readings_in == at_once.readings_in
+    assert in_steps.compute_some()
+
+
+def test_a_begun_step_ends_with_the_old_model() -> None:
+    (one, at_once), (other, in_steps) = full_ring(), full_ring()
+    for _ in range(3):
+        in_steps.compute_some()
+    for simulation in (one, other):
+        simulation.robots[1].set_noise_model(IDEAL)
+    assert in_steps.readings_in == at_once.readings_in
+    state = in_steps.to_state()
+    in_steps.set_state(state, other.time_ps)
+    assert in_steps.readings_in == at_once.readings_in
 
 
 def test_exact_rays_are_not_divided() -> None:

@@ -281,7 +281,7 @@ def test_a_change_of_noise_is_sent() -> None:
     history.take()
     body = history.since(1)["bodies"]["1"]
     assert body["noise"] == {"sensors": "measured", "motion": "ideal"}
-    assert body["noises"]["sensors"] == ["ideal", "noisy", "measured"]
+    assert body["noises"]["sensors"] == ["ideal", "noisy", "measured", "building"]
 
 
 def test_the_laser_is_measured_at_intervals_and_on_demand() -> None:

@@ -108,7 +108,7 @@ def test_a_snapshot_keeps_what_was_switched(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("wanted", "error"),
     [
-        ({"sensors": "loud"}, "sensors is one of ideal, noisy, measured, not loud"),
+        ({"sensors": "loud"}, "sensors is one of ideal, noisy, measured, building, not loud"),
         ({"motion": 3}, "motion is one of ideal, noisy, worn, not 3"),
         ({"motion": "nosy"}, "noisy"),
         ({"sensors": "noisy", "robot": 7}, "no robot 7; there are 1"),

@@ -1,7 +1,5 @@
 """Options shared by the commands of localization, and what they configure: robot, map, initial belief."""
 
-from __future__ import annotations
-
 import argparse
 import math
 import os
@@ -28,7 +26,8 @@ from localization.live.saved_estimate import DisplacementStd, SavedEstimate, map
 from localization.live.sensor_input import EncoderPose, with_wheels
 from localization.navigation.waypoints import Speeds
 from nclient import ReplyTimeout, Robot, RobotState, connect
-from nclient.common.files import describe_write_error
+from nclient.common.arguments import ABOVE_ZERO, add_value, number
+from nclient.common.files import write_errors_as
 from nclient.connector import address_or_default
 from nclient.errors import EstimateFileError, OutputFileError
 from nclient.url import parse_address, split_address
@@ -100,20 +99,8 @@ def parse_scale_std(text: str) -> tuple[float, ...]:
     return stds
 
 
-def parse_seconds(text: str) -> float:
-    """Return a time of 0 s or more."""
-    (number,) = parse_numbers(text, 1)
-    if number < 0:
-        raise argparse.ArgumentTypeError("expected 0 s or more")
-    return number
-
-
-def parse_positive(text: str) -> float:
-    """Return a number above 0."""
-    (number,) = parse_numbers(text, 1)
-    if number <= 0:
-        raise argparse.ArgumentTypeError("expected a number above 0")
-    return number
+parse_seconds: Final = number("expected 0 s or more", 0.0)
+parse_positive: Final = number("expected a number above 0", ABOVE_ZERO)
 
 
 def parse_displacement_std(text: str) -> DisplacementStd:
@@ -143,52 +130,32 @@ def add_robot_model_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--body", choices=sorted(BODIES), help="robot model, if the address does not name it (default: n150)"
     )
-    parser.add_argument(
-        "--odometry-noise",
-        type=parse_odometry_noise,
-        default=THESIS_ODOMETRY,
-        metavar="A,B,C",
-        help="standard deviations of the random odometry error: in after 1 in, rad after 1 rad, rad "
-        f"after 1 in (default: {','.join(str(value) for value in astuple(THESIS_ODOMETRY))})",
-    )
+    add_odometry_noise(parser)
     parser.add_argument("--sonars", choices=("rays", "cones"),
                         help="sonar model: exact rays (setups ideal and noisy) or the cones of a real ring, including "
                              "outliers (default: for sim: addresses that of the setup, rays for other simulations, "
                              "cones for robots)")  # fmt: skip
 
 
+def add_odometry_noise(parser: argparse.ArgumentParser) -> None:
+    """Add the option of the odometry's random errors."""
+    add_value(parser, "--odometry-noise", "A,B,C", parse_odometry_noise,
+              "standard deviations of the random odometry error: in after 1 in, rad after 1 rad, rad after 1 in "
+              f"(default: {','.join(str(value) for value in astuple(THESIS_ODOMETRY))})", THESIS_ODOMETRY)
+
+
 def add_localization_options(parser: argparse.ArgumentParser, method: str, method_help: str, publish_help: str) -> None:
     """Add the options of all commands that localize a robot; `method` is the default filter."""
-    parser.add_argument(
-        "--start-std",
-        type=parse_pose_std,
-        default=START_STD,
-        metavar="X,Y,HEADING",
-        help="standard deviation of the initial pose, inches and degrees (default: 0.1,0.1,0.57)",
-    )
-    parser.add_argument(
-        "--speed",
-        type=parse_positive,
-        default=Speeds().translation_in_s,
-        metavar="IN_S",
-        help="top speed in in/s (default: %(default)s)",
-    )
+    add_value(parser, "--start-std", "X,Y,HEADING", parse_pose_std,
+              "standard deviation of the initial pose, inches and degrees (default: 0.1,0.1,0.57)", START_STD)
+    add_value(parser, "--speed", "IN_S", parse_positive, "top speed in in/s", Speeds().translation_in_s)
     add_robot_model_options(parser)
-    parser.add_argument(
-        "--scale-std",
-        type=parse_scale_std,
-        default=(),
-        metavar="A[,B[,C]]",
-        help="estimate systematic odometry errors with these initial standard deviations: distance "
-        "scale, turn scale, drift in rad/in (default: none; 0.05 for a worn robot)",
-    )
-    parser.add_argument(
-        "--calibration",
-        type=Path,
-        metavar="FILE",
-        help="apply the calibration in this model file, as written by nomad calibrate; takes "
-        "precedence over --scale-std",
-    )
+    add_value(parser, "--scale-std", "A[,B[,C]]", parse_scale_std,
+              "estimate systematic odometry errors with these initial standard deviations: distance "
+              "scale, turn scale, drift in rad/in (default: none; 0.05 for a worn robot)", ())
+    add_value(parser, "--calibration", "FILE", Path,
+              "apply the calibration in this model file, as written by nomad calibrate; takes "
+              "precedence over --scale-std")
     parser.add_argument("--method", choices=METHODS, default=method, help=f"{method_help} (default: {method})")
     parser.add_argument("--publish", metavar="URL",
                         help="show estimate and echoes on the page of `nserver --viewer`, at the address that it "
@@ -208,21 +175,13 @@ class _RenamedOption(argparse.Action):
 
 def add_resume_options(parser: argparse.ArgumentParser) -> None:
     """Add --save, --resume and --displacement-std."""
-    parser.add_argument("--save", type=Path, metavar="FILE", help="save the final estimate to FILE")
-    parser.add_argument(
-        "--resume",
-        type=Path,
-        metavar="FILE",
-        help="continue from an estimate written by --save, of the same robot on the same map; rejected "
-        "if the encoders were set or the robot was switched off meanwhile",
-    )
-    parser.add_argument(
-        "--displacement-std",
-        type=parse_displacement_std,
-        metavar="X,Y,HEADING",
-        help="with --resume: standard deviation of a displacement meanwhile that the encoders did not "
-        "measure, inches and degrees (0,0,0: none)",
-    )
+    add_value(parser, "--save", "FILE", Path, "save the final estimate to FILE")
+    add_value(parser, "--resume", "FILE", Path,
+              "continue from an estimate written by --save, of the same robot on the same map; rejected "
+              "if the encoders were set or the robot was switched off meanwhile")
+    add_value(parser, "--displacement-std", "X,Y,HEADING", parse_displacement_std,
+              "with --resume: standard deviation of a displacement meanwhile that the encoders did not "
+              "measure, inches and degrees (0,0,0: none)")
     parser.add_argument("--moved-std", dest="displacement_std", type=parse_displacement_std, action=_RenamedOption,
                         metavar="X,Y,HEADING", help=argparse.SUPPRESS)  # fmt: skip
 
@@ -253,10 +212,8 @@ def report_wait(words: str) -> None:
 
 def make_folder(folder: Path) -> None:
     """Create a folder for results before anything is run. Raises OutputFileError."""
-    try:
+    with write_errors_as(OutputFileError, folder):
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputFileError(describe_write_error(folder, error)) from error
 
 
 def check_writable(*files: Path | None) -> None:

@@ -1,0 +1,203 @@
+"""Recorded drives of any robot: a log of odometry and sonars as CSV, and the filter run over it.
+
+The first line names the columns, in any order; a column ends in its unit:
+
+    time_s (or _ms)                             the robot's clock
+    x_in, y_in, heading_deg (_mm, _m; _rad)     the pose by odometry; optional: turret_deg
+    sonar_0_in, sonar_1_in ...  (_mm, _m)       the last reading of each sonar, numbered as in the ring
+    truth_x_in, truth_y_in, truth_heading_deg   optional: a reference pose, for the errors only
+
+A log has the last reading of each sonar and seldom the instant at which it fired. A reading is taken for new if it
+differs from the one before, or if the sonar must have fired again since (`new_echoes`).
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+from math import inf, radians
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from localization.filters.base import EncoderRow, Filter, NewEcho, RingFilter, Searching, process_each
+from localization.filters.odometry import relative_step
+from localization.filters.update import REFUSALS
+from localization.live.localizer import Echo, Estimate
+from localization.live.run import Pose, Run, RunMoment
+from nclient.common.hints import suggest
+from nclient.errors import LogFileError
+
+_IN_PER: Final = {"in": 1.0, "mm": 1.0 / 25.4, "cm": 1.0 / 2.54, "m": 1000.0 / 25.4}
+_RAD_PER: Final = {"deg": radians(1.0), "rad": 1.0}
+_S_PER: Final = {"s": 1.0, "ms": 0.001}
+_UNITS: Final = {
+    "time": _S_PER,
+    **dict.fromkeys(("x", "y", "truth_x", "truth_y"), _IN_PER),
+    **dict.fromkeys(("heading", "turret", "truth_heading"), _RAD_PER),
+}
+_REQUIRED: Final = ("time", "x", "y", "heading")
+_TRUTH: Final = ("truth_x", "truth_y", "truth_heading")
+SONAR: Final = "sonar_"
+MAX_BYTES: Final = 64 << 20
+"""Larger logs are refused: an hour of a ring at 10 Hz takes 8 MB."""
+
+
+class LogRow(NamedTuple):
+    """One line of a log: inches, radians, seconds.
+
+    Attributes
+    ----------
+    clock_s
+        The robot's clock.
+    odometry
+        The pose by odometry.
+    turret_rad
+        Direction of the ring; that of the robot where the log has none.
+    sonars_in
+        The last reading of each sonar; inf for an empty field.
+    truth
+        The reference pose, if the log has one.
+    """
+
+    clock_s: float
+    odometry: Pose
+    turret_rad: float
+    sonars_in: tuple[float, ...]
+    truth: Pose | None = None
+
+
+class _Column(NamedTuple):
+    place: int
+    factor: float
+
+
+def read_log(file: Path) -> list[LogRow]:
+    """Return the rows of a log.
+
+    Raises
+    ------
+    LogFileError
+        If it cannot be read, a column is missing or has no unit, a field is no number, or time does not increase.
+    """
+    try:
+        if file.stat().st_size > MAX_BYTES:
+            raise LogFileError(f"{file}: larger than {MAX_BYTES >> 20} MB; split it")
+        with file.open(newline="", encoding="utf-8-sig") as lines:
+            reader = csv.reader(line for line in lines if line.strip() and not line.startswith("#"))
+            columns = _columns(next(reader, []), file)
+            rows = [_row(fields, columns, file, number) for number, fields in enumerate(reader, 2)]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise LogFileError(f"{file}: cannot be read: {error}") from error
+    for number, (before, after) in enumerate(pairwise(rows), 3):
+        if after.clock_s <= before.clock_s:
+            raise LogFileError(f"{file}: row {number}: time {after.clock_s:g} s does not increase")
+    if len(rows) < 2:
+        raise LogFileError(f"{file}: has {len(rows)} rows; expected a line of column names and at least two rows")
+    return rows
+
+
+def _columns(names: Sequence[str], file: Path) -> dict[str, _Column]:
+    """Return the columns by name without the unit."""
+    columns: dict[str, _Column] = {}
+    for index, name in enumerate(name.strip() for name in names):
+        quantity, _, unit = name.rpartition("_")
+        is_sonar = quantity.removeprefix(SONAR).isdecimal() and quantity.startswith(SONAR)
+        units = _IN_PER if is_sonar else _UNITS.get(quantity)
+        if units is None:
+            known = [f"{one}_{next(iter(factors))}" for one, factors in _UNITS.items()]
+            raise LogFileError(f"{file}: unknown column {name!r}; expected {', '.join(known)}, "
+                               f"{SONAR}0_in ...{suggest(name, known)}")  # fmt: skip
+        if unit not in units:
+            raise LogFileError(f"{file}: column {name!r} has no unit; expected {quantity}_{' or _'.join(units)}")
+        if quantity in columns:
+            raise LogFileError(f"{file}: column {quantity} occurs twice")
+        columns[quantity] = _Column(index, units[unit])
+    missing = [name for name in (*_REQUIRED, f"{SONAR}0") if name not in columns]
+    sonars = sum(name.startswith(SONAR) for name in columns)
+    missing += [f"{SONAR}{number}" for number in range(sonars) if f"{SONAR}{number}" not in columns]
+    if any(name in columns for name in _TRUTH):
+        missing += [name for name in _TRUTH if name not in columns]
+    if missing:
+        raise LogFileError(f"{file}: has no column {missing[0]}; expected it in the first line, with its unit")
+    return columns
+
+
+def _row(fields: Sequence[str], columns: dict[str, _Column], file: Path, number: int) -> LogRow:
+    def value(name: str) -> float:
+        column = columns[name]
+        text = fields[column.place].strip() if column.place < len(fields) else ""
+        if not text and name.startswith(SONAR):
+            return inf
+        try:
+            return float(text) * column.factor
+        except ValueError:
+            raise LogFileError(f"{file}: row {number}: {name} is {text!r}; expected a number") from None
+
+    x, y, heading = value("x"), value("y"), value("heading")
+    truth = (value("truth_x"), value("truth_y"), value("truth_heading")) if _TRUTH[0] in columns else None
+    sonars = sum(name.startswith(SONAR) for name in columns)
+    return LogRow(
+        value("time"), (x, y, heading), value("turret") if "turret" in columns else heading,
+        tuple(value(f"{SONAR}{sonar}") for sonar in range(sonars)), truth,
+    )  # fmt: skip
+
+
+def new_echoes(readings: Sequence[Sequence[float]], clocks_s: Sequence[float], period_s: float) -> list[list[int]]:
+    """Return for each row of a log the sonars whose reading is new: none of the first.
+
+    A reading that differs from the last one is new. One that stays is new once `period_s`, in which a sonar fires
+    again, has passed since it was last new: each echo counts once, also at a smooth wall.
+    """
+    new: list[list[int]] = [[] for _ in readings]
+    since = [clocks_s[0]] * len(readings[0])
+    for row in range(1, len(readings)):
+        for sonar, reading in enumerate(readings[row]):
+            if reading != readings[row - 1][sonar] or clocks_s[row] - since[sonar] >= period_s:
+                since[sonar] = clocks_s[row]
+                new[row].append(sonar)
+    return new
+
+
+def localize_log(rows: Sequence[LogRow], echoes: Sequence[Sequence[int]], localizer: Filter) -> Iterator[RunMoment]:
+    """Yield the estimate after each row of a log: predict by its odometry, then update by its new readings.
+
+    Parameters
+    ----------
+    echoes
+        For each row the sonars whose reading is new, see `new_echoes`.
+    localizer
+        The filter; its belief is over the pose at the first row.
+    """
+    before = _encoders(rows[0])
+    for row, sonars in zip(rows, echoes, strict=True):
+        now = _encoders(row)
+        new: list[NewEcho] = [(row.clock_s, sonar, row.sonars_in[sonar]) for sonar in sonars]
+        poses = [before, now]
+        if isinstance(localizer, RingFilter):
+            outcomes = localizer.process(before, poses, new)
+        else:
+            outcomes = process_each(localizer, before, poses, new)
+        if not new:
+            localizer.predict(*relative_step(*before[1:4], *now[1:4]))
+        before = now
+        found = tuple(
+            Echo(sonar, instant_s, reading, REFUSALS[code], innovation_in, nis, outlier)
+            for (instant_s, sonar, reading), (code, innovation_in, nis, outlier, _) in zip(new, outcomes, strict=True)
+        )
+        places = localizer.places if isinstance(localizer, Searching) else ()
+        estimate = Estimate(row.clock_s, localizer.belief, found, localizer.health, places=places)
+        yield RunMoment(estimate, row.odometry, row.truth, 0, row.turret_rad)
+
+
+def _encoders(row: LogRow) -> EncoderRow:
+    return (row.clock_s, *row.odometry, row.turret_rad)
+
+
+def run_log(rows: Sequence[LogRow], period_s: float, localizer: Filter) -> Run:
+    """Return the record of a filter over a whole log, see `localize_log`."""
+    echoes = new_echoes([row.sonars_in for row in rows], [row.clock_s for row in rows], period_s)
+    run = Run([])
+    for moment in localize_log(rows, echoes, localizer):
+        run.add(moment)
+    return run
