@@ -123,7 +123,7 @@ def largest_square(world: World, radius_in: float, near: tuple[float, float]) ->
     space_in = radius_in + MARGIN_IN
     ends = world.walls.reshape(-1, 2)
     low, size = ends.min(axis=0), np.ceil(np.ptp(ends, axis=0) / _GRID_IN).astype(int) + 1
-    grid = low + _GRID_IN * np.stack(np.indices(size), axis=-1)
+    grid = low + _GRID_IN * np.moveaxis(np.indices(size), 0, -1)
     clearances = world.clearances(grid)
     wide = clearances >= space_in - _ROUNDING_IN
     blocked_x = _count_blocked(grid, clearances, world, space_in)
