@@ -32,12 +32,13 @@ from localization.filters.odometry import OdometryNoise, predict, process_covari
 from localization.filters.particles import MonteCarlo
 from localization.filters.reflectors import reflectors
 from localization.filters.registry import make
-from localization.filters.sonar_cone import ConeSonar, SonarMount, expected_echoes
+from localization.filters.sonar_cone import ConeSonar, expected_echoes
 from localization.filters.sonar_ray import IDEAL_SONAR, WIRE_SONAR, RaySonar, observe_ring, ranges_from, wall_map
 from localization.filters.update import Refusal
 from localization.live.localizer import Localizer
 from localization.live.sensor_input import FiringSchedule, SensorData
 from worlds.io import load_world
+from worlds.rings import SonarMount
 from worlds.robots import N150
 
 BOUNDS: Final = {

@@ -26,7 +26,7 @@ import numpy as np
 
 from localization.filters.base import Filter, LocalizationConfig
 from localization.filters.belief import HEADING, Belief, Floats, wrap_angle
-from localization.filters.calibration import OFFSET, OWN, RING_TURN, SIZE
+from localization.filters.calibration import OFFSET, OWN, RING_TURN
 from localization.filters.odometry import OdometryParameter
 from localization.live.localizer import Estimate, Localizer
 from localization.live.sensor_input import FiringSchedule
@@ -396,11 +396,11 @@ def noise_in(found: Calibration) -> list[str]:
 
 
 def calibration_in(belief: Belief) -> Calibration:
-    """Return the calibration in a belief over states (24,), with its standard deviations."""
+    """Return the calibration in a belief over states of the calibrating filter, with its standard deviations."""
     mean, std, cov = belief.mean, belief.std, belief.cov
     # Each sonar has the common offset plus its own; their covariance counts.
-    offsets = mean[OFFSET] + mean[OWN:SIZE]
-    spread = np.sqrt(cov[OFFSET, OFFSET] + np.diagonal(cov)[OWN:SIZE] + 2.0 * cov[OFFSET, OWN:SIZE])
+    offsets = mean[OFFSET] + mean[OWN:]
+    spread = np.sqrt(cov[OFFSET, OFFSET] + np.diagonal(cov)[OWN:] + 2.0 * cov[OFFSET, OWN:])
     return Calibration(
         1.0 + float(mean[OdometryParameter.DISTANCE_SCALE]),
         1.0 + float(mean[OdometryParameter.TURN_SCALE]),

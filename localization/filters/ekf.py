@@ -33,6 +33,7 @@ from localization.filters.update import (
     Used,
     count_used,
     kalman_update,
+    mount_at,
     move_on,
     record_used,
 )
@@ -77,7 +78,7 @@ def filter_ring(
         # 2. Correct by the reading, the `count`-th one used from here.
         sonar, offset = int(echo[1]), turret - to_heading
         count = count_used(used, sonar, offset) + 1
-        outcome = correct(x, P, offset + model.angles_rad[sonar], echo[2], model, count)
+        outcome = correct(x, P, mount_at(model.mounts, sonar, offset), echo[2], model, count)
         if outcome[0] == NONE:
             record_used(used, sonar, offset, count)
         outcomes.append(outcome)

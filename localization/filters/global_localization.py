@@ -39,9 +39,10 @@ from localization.filters.odometry import (
     with_pose,
 )
 from localization.filters.range_table import DIRECTIONS, OUTLIER_PROBABILITY, RangeTable
-from localization.filters.update import RANGE_SPAN_IN, CorrelatedReadings, MeasurementUpdate, Refusal, UpdateResult
+from localization.filters.sonar_ray import NOMAD
+from localization.filters.update import CorrelatedReadings, MeasurementUpdate, Refusal, UpdateResult
 
-LOWEST_IN, NOTHING_IN = 6.0, 255.0
+LOWEST_IN, NOTHING_IN, RANGE_SPAN_IN = NOMAD.min_range_in, NOMAD.max_range_in, NOMAD.range_span_in
 """Limits: "no nearer", which says little, and "nothing", which contradicts an expected echo."""
 
 # 1. The search: all poses that explain the last echoes.

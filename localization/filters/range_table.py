@@ -19,10 +19,11 @@ import numpy.typing as npt
 
 from localization.filters.belief import Floats
 from localization.filters.reflectors import Reflectors, reflectors
-from localization.filters.sonar_cone import CLEARANCE_IN, ConeSonar, SonarMount, echo_probabilities
+from localization.filters.sonar_cone import CLEARANCE_IN, ConeSonar, echo_probabilities
 from localization.filters.sonar_ray import RaySonar, SonarRing, ranges_from, wall_map
 from worlds.geometry import nearest_points
 from worlds.raycast import cast_rays
+from worlds.rings import SonarMount
 
 CELL_IN, LARGE_CELL_IN = 3.0, 6.0
 """Side of a cell of the grid: on a map of up to MAX_SMALL_PLACES, and on larger ones."""

@@ -28,7 +28,7 @@ from localization.filters.particles import (
 from localization.filters.range_table import RangeTable, build_range_table
 from localization.filters.smoother import FixedLagSmoother
 from localization.filters.sonar_cone import ConeSonar
-from localization.filters.sonar_ray import STRICT, Gate, RaySonar, SonarRing
+from localization.filters.sonar_ray import STRICT, Gate, RaySonar, RingBody
 from localization.filters.update import MeasurementUpdate, Rule, iterated, linear
 
 Factory = Callable[[LocalizationConfig, Belief, int], Filter]
@@ -155,7 +155,7 @@ def _measurement(config: LocalizationConfig, rule: Rule = linear, range_paramete
 
 def update_for(
     walls: npt.ArrayLike,
-    body: SonarRing,
+    body: RingBody,
     sonar: RaySonar | ConeSonar,
     gate: Gate = STRICT,
     rule: Rule = linear,

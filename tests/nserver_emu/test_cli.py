@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import re
 import signal
 import socket
@@ -89,6 +90,12 @@ def test_a_foreign_address_is_not_blamed_on_the_port(capsys: pytest.CaptureFixtu
 def test_a_folder_as_save_file_is_reported_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["--port", "0", "--save", str(tmp_path)]) == 1
     assert f"{tmp_path}: is a folder: name a file in it" in capsys.readouterr().err
+
+
+def test_a_pipe_to_save_to_is_refused_at_the_start(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    assert cli.main(["--port", "0", "--save", str(tmp_path / "pipe"), "--autosave", "1"]) == 1
+    assert "regular" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("words", "output"), [

@@ -14,11 +14,12 @@ from localization.filters.global_localization import MIN_LEAD_NATS, EchoRecord, 
 from localization.filters.range_table import RangeTable, build_range_table
 from localization.filters.reflectors import reflectors
 from localization.filters.registry import update_for
-from localization.filters.sonar_cone import ConeSonar, SonarMount, expected_echoes
+from localization.filters.sonar_cone import ConeSonar, expected_echoes
 from localization.filters.sonar_ray import RaySonar
 from nclient import connect
 from nclient.protocol.types import DEFAULT_SONAR_ORDER
 from worlds.io import load_world
+from worlds.rings import SonarMount
 from worlds.robots import N150
 
 pytestmark = pytest.mark.long
