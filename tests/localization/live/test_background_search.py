@@ -189,6 +189,7 @@ def test_cache_is_in_the_users_folder(monkeypatch: pytest.MonkeyPatch, tmp_path:
     assert cache_folder().is_relative_to(Path.home())
 
 
+@pytest.mark.long
 def test_large_maps_have_larger_cells_and_bounded_tables() -> None:
     """Three flats of 114 m^2 in cells of 3 in would have 34,000 places."""
     walls = [(0.0, 0.0, 1400.0, 0.0), (1400.0, 0.0, 1400.0, 350.0), (1400.0, 350.0, 0.0, 350.0), (0.0, 350.0, 0.0, 0.0)]
