@@ -15,7 +15,7 @@ from localization.filters.base import Filter, LocalizationConfig, measurement_mo
 from localization.filters.belief import POSE, Belief
 from localization.filters.calibration import CalibratingFilter
 from localization.filters.ekf import KalmanFilter, Prediction
-from localization.filters.global_localization import GlobalLocalizer, PoseSearch, TableSearch
+from localization.filters.global_localization import GlobalLocalizer
 from localization.filters.odometry import MAX_STATE, predict_state, with_parameters
 from localization.filters.particles import (
     ConeLikelihood,
@@ -25,6 +25,7 @@ from localization.filters.particles import (
     RayLikelihood,
     draw_particles,
 )
+from localization.filters.pose_search import PoseSearch, TableSearch
 from localization.filters.range_table import RangeTable, build_range_table
 from localization.filters.smoother import FixedLagSmoother
 from localization.filters.sonar_cone import ConeModel, ConeSonar
