@@ -553,10 +553,12 @@ class ProtocolMachine(RuleBasedStateMachine):
         for axis in axes:
             watched.owners[axis] = context
         # 2. Time-out and encoders.
-        if axes or made.name in ("sp", "dp", "da", "conf_tm", "place_robot"):
+        if axes or made.name in ("dp", "da", "place_robot") or (made.name == "conf_tm" and not watched.timeout_s):
             watched.fed_s = watched.simulation.time_s
         if made.name == "conf_tm":
+            # A shorter one may be over already: it takes effect from now.
             watched.timeout_s = max(0, made.args[0])
+            watched.fed_s = max(watched.fed_s, watched.simulation.time_s - watched.timeout_s)
         watched.commanded |= bool(axes) or made.name in ("sp", "real_robot", "simulated_robot", *RESETTING)
         watched.reset |= made.name in RESETTING
         watched.has_true_encoders &= made.name not in RESETTING
