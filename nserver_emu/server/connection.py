@@ -51,8 +51,8 @@ from nserver_emu.server.link import Arrival, FaultController, FaultyChannel, Ser
 from nserver_emu.server.session import BaseSession, ClientIdentity, CommandHandler, Session
 
 # Time that all connections together may use in one turn of the event loop. Between two turns the loop polls its
-# sockets, which takes some 15 us: 3 % of this.
-TURN_BUDGET_S: Final = 0.0005
+# sockets, which takes some 15 us: 5 % of this.
+TURN_BUDGET_S: Final = 0.0003
 
 
 class Job(Protocol):
