@@ -21,7 +21,6 @@ from math import nan
 from typing import Final, NamedTuple, TypedDict
 
 import numpy as np
-from ekf_peers import FilterPy, Linear, StoneSoup
 
 from localization.experiments.execution import drive
 from localization.experiments.figure_trial import FIGURES, figure_setup, run
@@ -186,6 +185,18 @@ def live_us(live: Live, count: int) -> list[float]:
 # The peers.
 
 
+class Linear(NamedTuple):
+    """A linear step: the belief before it, the predicted mean, F, Q; n readings z of variance R (n,) by H (n, 3)."""
+
+    before: Belief
+    predicted: Floats
+    F: Floats
+    Q: Floats
+    z: Floats
+    R: Floats
+    H: Floats
+
+
 class Case(NamedTuple):
     """A linear step, and the belief after it."""
 
@@ -270,6 +281,8 @@ def figure_s(seeds: int, jobs: int) -> tuple[float, float]:
 
 def measure(rounds: int, seeds: int, jobs: int, *, plain: bool = False) -> Result:
     """Run all measurements; with `plain` without those of the compiled filter."""
+    from ekf_peers import FilterPy, StoneSoup  # not for --help: they take seconds to import
+
     case = make_case()
     filterpy, stonesoup = FilterPy(case.given), StoneSoup(case.given)
     # Results must agree before times are compared.

@@ -113,6 +113,7 @@ def test_what_would_be_dropped_without_a_word_is_wrong_usage(
     assert output in capsys.readouterr().err
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])
 def test_the_program_prints_its_address_serves_and_stops(ending: signal.Signals) -> None:
     command = [sys.executable, "-m", "nserver_emu", "--port", "0", "--speed", "max", "-v"]
@@ -199,6 +200,7 @@ def test_an_unknown_model_names_the_nearest(capsys: pytest.CaptureFixture[str]) 
             cli.main(["--robots", count])
 
 
+@pytest.mark.long
 def test_a_recorded_daemon_can_be_asked_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "run.log"
     words = ["--noisy", "--lockstep", "0.1", "--port", "0", "--allow-quit", "--record", str(path)]

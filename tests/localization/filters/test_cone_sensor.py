@@ -14,6 +14,7 @@ from worlds.robots import N150
 MODELS = [ConeSonar(), ConeSonar(cone_rad=1.2, margin_db=60.0), ConeSonar(cone_rad=7.0)]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize("world", ["several_walls", "centre_vertex"])
 def test_scalar_candidates_equal_array_candidates(world: str, model: ConeSonar) -> None:
