@@ -9,12 +9,12 @@ import pytest
 
 from localization.filters import compiled
 from localization.filters.base import LocalizationConfig, sonar_of
-from localization.filters.belief import independent, unpack
+from localization.filters.belief import Floats, independent, unpack
 from localization.filters.ekf import KalmanFilter
 from localization.filters.odometry import OdometryNoise
 from localization.filters.particles import ConeLikelihood, RayLikelihood
 from localization.filters.registry import make, update_for
-from localization.filters.sonar_cone import ConeModel, ConeSonar, arm_of, cone_sonar, first_echoes
+from localization.filters.sonar_cone import ConeModel, ConeSonar, EchoCandidate, arm_of, cone_sonar, first_echoes
 from localization.filters.sonar_ray import STRICT, WIRE_SONAR, predict_beam, ranges_along, ray_sonar, wall_map
 from worlds.raycast import cast_ray
 from worlds.rings import Ring, SonarMount
@@ -39,17 +39,17 @@ def ring_of(mounts: list[tuple[float, float, float]]) -> Ring:
 BODY = replace(N150, ring=ring_of(MOUNTS))
 
 
-def face(pose: np.ndarray, x: float, y: float) -> np.ndarray:
+def face(pose: Floats, x: float, y: float) -> Floats:
     """Return where a point of the robot is in the map."""
     cosine, sine = np.cos(pose[2]), np.sin(pose[2])
-    return pose[:2] + np.array([cosine * x - sine * y, sine * x + cosine * y])
+    return np.array([pose[0] + cosine * x - sine * y, pose[1] + sine * x + cosine * y])
 
 
-def range_of(pose: np.ndarray, mount: tuple[float, float, float]) -> float:
+def range_of(pose: Floats, mount: tuple[float, float, float]) -> float:
     """Return the range from a sonar to the room by the ray caster alone."""
     x, y, angle = mount
-    start = face(pose, x, y)
-    return cast_ray(*start.tolist(), np.cos(pose[2] + angle), np.sin(pose[2] + angle), ROOM)[0]
+    from_x, from_y = face(pose, x, y).tolist()
+    return cast_ray(from_x, from_y, np.cos(pose[2] + angle), np.sin(pose[2] + angle), ROOM)[0]
 
 
 @pytest.mark.parametrize("sonar", range(3))
@@ -78,13 +78,14 @@ def test_a_cone_has_its_face_there(sonar: int) -> None:
     across = 30.0 * np.array([-ahead[1], ahead[0]])
     model = ConeModel([[*(middle - across), *(middle + across)]], BODY, ConeSonar())
 
-    def echo(pose: np.ndarray) -> float:
-        return first_echoes(*pose.tolist(), 0.01, BODY.ring.mounts[sonar], model)[0].range_in
+    def echo_at(pose: Floats) -> EchoCandidate:
+        x_in, y_in, heading = pose.tolist()
+        return first_echoes(x_in, y_in, heading, 0.01, BODY.ring.mounts[sonar], model)[0]
 
-    first = first_echoes(*POSE.tolist(), 0.01, BODY.ring.mounts[sonar], model)[0]
+    first = echo_at(POSE)
     assert first.range_in == pytest.approx(40.0)
     step = 1e-6
-    by_hand = [(echo(POSE + step * axis) - echo(POSE - step * axis)) / (2.0 * step) for axis in np.eye(3)]
+    by_hand = [(echo_at(POSE + step * axis).range_in - echo_at(POSE - step * axis).range_in) / (2.0 * step) for axis in np.eye(3)]
     assert pytest.approx(by_hand, abs=1e-6) == first.H
 
 
