@@ -132,7 +132,7 @@ class MemoryStream:
         return self._peer
 
 
-def schemes() -> tuple[str, ...]:
+def in_process_schemes() -> tuple[str, ...]:
     """Return the address schemes that installed packages open in this process, sorted."""
     return tuple(sorted(_openers()))
 

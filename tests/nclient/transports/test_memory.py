@@ -9,7 +9,6 @@ import pytest
 from nclient.errors import AddressError, ConnectionLost, ReplyTimeout
 from nclient.protocol import codec
 from nclient.protocol.commands import Call
-from nclient.transports import stream as memory
 from nclient.transports.stream import Deadline, MemoryStream, open_in_process, schemes
 from tests.nclient.scripted_server import ScriptedServer
 
@@ -56,7 +55,7 @@ def test_an_opener_receives_the_whole_address(monkeypatch: pytest.MonkeyPatch) -
         def load(self) -> object:
             return open_toy
 
-    monkeypatch.setattr(memory, "entry_points", lambda group: [Point()] if group == "nomad.openers" else [])
+    monkeypatch.setattr("nclient.transports.stream.entry_points", lambda group: [Point()] if group == "nomad.openers" else [])
     assert schemes() == ("toy",)
     assert isinstance(open_in_process("toy", "toy:box?lid=1"), MemoryStream)
     assert addresses == ["toy:box?lid=1"]
@@ -70,6 +69,6 @@ def test_a_scheme_without_opener_is_an_address_error() -> None:
 @pytest.mark.parametrize("value", ["no_such_module:open_address", "nclient.errors:no_such_function"])
 def test_an_opener_that_does_not_load_is_an_address_error(monkeypatch: pytest.MonkeyPatch, value: str) -> None:
     broken = EntryPoint("broken", value, "nomad.openers")
-    monkeypatch.setattr(memory, "entry_points", lambda **_: [broken])
+    monkeypatch.setattr("nclient.transports.stream.entry_points", lambda **_: [broken])
     with pytest.raises(AddressError, match=f"broken: .*{value} does not load"):
         open_in_process("broken", "broken:")
