@@ -327,7 +327,8 @@ def _record(seed: int, reached: bool, periods: Sequence[Period]) -> Record:
     distance = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(truth[:, :2], axis=0).T))])
     spent = np.array([period.spent_s for period in periods])
     # 2. A smoother repeats an estimate until a newer one exists: use the last version of each time.
-    estimates = [_evaluated_estimate(period.estimate) for period in periods]
+    # The smoothed estimate where the method has one.
+    estimates = [each.estimate.smoothed or Smoothed(each.estimate.clock_s, each.estimate.belief) for each in periods]
     fresh = [
         k for k in range(len(estimates)) if k == len(estimates) - 1 or estimates[k + 1].clock_s > estimates[k].clock_s
     ]
@@ -347,11 +348,6 @@ def _record(seed: int, reached: bool, periods: Sequence[Period]) -> Record:
         covs,
         spent,
     )
-
-
-def _evaluated_estimate(estimate: Estimate) -> Smoothed:
-    """Return the smoothed estimate if there is one, else the current one."""
-    return estimate.smoothed or Smoothed(estimate.clock_s, estimate.belief)
 
 
 def _interpolate(clock_s: Floats, polled_s: Floats, poses: Floats) -> Floats:

@@ -13,7 +13,7 @@ import time
 from nclient.common.arguments import add_address, add_value, seconds, whole_number
 from nclient.common.exit_codes import ExitCode
 from nclient.connector import Connector, address_or_default
-from nclient.diagnostics import EXCHANGES, INTERVAL_S, Diagnostics, Finding, Grade, report, worst
+from nclient.diagnostics import EXCHANGES, INTERVAL_S, Diagnostics, Grade, report, worst
 from nclient.url import parse_address
 
 
@@ -36,12 +36,8 @@ def run(options: argparse.Namespace) -> int:
     grade = worst(findings)
     if options.json:
         print(json.dumps({"address": address, "model": chart.model, "worst": grade.name,
-                          "findings": [_as_object(finding) for finding in findings]}))
+                          "findings": [finding._asdict() | {"grade": finding.grade.name} for finding in findings]}))
     else:
         for finding in findings:
             print(finding)
     return ExitCode.FAILED if grade is Grade.FAIL else ExitCode.DONE
-
-
-def _as_object(finding: Finding) -> dict[str, str]:
-    return {"grade": finding.grade.name, "what": finding.what, "seen": finding.seen, "remedy": finding.remedy}

@@ -48,7 +48,9 @@ def run(options: argparse.Namespace) -> int:
         raise RecordingError(f"{options.file}: no connection {options.connection!r}; there are {there}")
     for entry in _selected_entries(recording, options):
         if options.json:
-            _print_objects(entry)
+            connection = {"connection": entry.connection} if entry.connection else {}
+            for found in entry.decoded:
+                print(json.dumps({"t": entry.time_s} | connection | dict(found)))
         else:
             for line in format_entry(entry, options.bytes):
                 print(line)
@@ -85,9 +87,3 @@ def _selected_entries(recording: Recording, options: argparse.Namespace) -> Iter
             answering[entry.connection] = any(found.get("call") == options.filter for found in entry.decoded)
         if entry.kind in (OUT, IN) and answering.get(entry.connection):
             yield entry
-
-
-def _print_objects(entry: Entry) -> None:
-    for found in entry.decoded:
-        connection = {"connection": entry.connection} if entry.connection else {}
-        print(json.dumps({"t": entry.time_s} | connection | dict(found)))
