@@ -17,7 +17,7 @@ from localization.experiments.execution import code_hash
 from localization.experiments.figure_trial import Figure, FigureSetup, Summary, Track, typical
 from localization.filters.belief import difference
 from localization.live import plot
-from nclient.common.arguments import add_value, whole_number
+from nclient.common.arguments import add_flag, add_value, whole_number
 from worlds.robots import N150
 
 if TYPE_CHECKING:
@@ -165,7 +165,7 @@ def add_shared(parser: argparse.ArgumentParser, out: Path, unit: str) -> None:
 def add_output(parser: argparse.ArgumentParser, out: Path, unit: str) -> None:
     """Add --out and --json; `unit` names the subject of one JSON object."""
     add_value(parser, "--out", "DIR", Path, "write results to this folder", out)
-    parser.add_argument("--json", action="store_true", help=f"print only JSON on stdout, one object per {unit}")
+    add_flag(parser, "--json", f"print only JSON on stdout, one object per {unit}")
 
 
 def add_choice(parser: argparse.ArgumentParser, option: str, names: Iterable[str], default: object, what: str) -> None:

@@ -111,6 +111,11 @@ def add_value(
     parser.add_argument(name, metavar=metavar, type=parse, default=default, help=about + shown)
 
 
+def add_flag(parser: argparse._ActionsContainer, name: str, about: str) -> None:
+    """Add an option without a value."""
+    parser.add_argument(name, action="store_true", help=about)
+
+
 def add_address(parser: argparse.ArgumentParser) -> None:
     """Add the address of a robot, which may be left out."""
     parser.add_argument("address", nargs="?", metavar="ADDRESS",
