@@ -216,15 +216,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     add_choice(parser, "--world", world_names(), WORLD, "shipped world")
     add_choice(parser, "--scenario", SCENARIOS, "measured", "error scenario")
-    parser.add_argument(
-        "--runs",
-        "--seeds",
-        type=positive,
-        metavar="N",
-        help="number of runs of each kind (default: "
-        + ", ".join(f"{runs} {kind.value}" for kind, runs in RUNS.items())
-        + ")",
-    )
+    numbers = ", ".join(f"{runs} {kind.value}" for kind, runs in RUNS.items())
+    add_value(parser, "--runs --seeds", "N", positive, f"number of runs of each kind (default: {numbers})")
     add_value(parser, "--minutes", "M", float, "length of tracking runs in min", 10.0)
     add_execution_options(parser)
     add_output(parser, Path("out/experiments"), "kind")
