@@ -43,6 +43,8 @@ def simplify_world(world: World, tolerance_in: float) -> World:
         rooms=tuple(_simplify_polygon(room, tolerance_in) for room in world.rooms),
         obstacles=tuple(_simplify_polygon(thing, tolerance_in) for thing in world.obstacles),
         inner_walls=np.concatenate([np.empty((0, 4)), *walls]),
+        # Walls have been moved and joined.
+        accuracies={},
     )
 
 

@@ -64,11 +64,11 @@ class RandomExplorer:
             return VelocityCommand(0.0, float(np.copysign(TURN_RAD_S, error)))
         return command
 
-    def recover(self, state: SonarState) -> VelocityCommand:
+    def recover(self, state: SonarState, turn_rad: float | None = None) -> VelocityCommand:
         """Return the velocities while the estimate is lost."""
         # The path was planned from a pose that was wrong: plan again after recovery.
         self._navigator = None
-        return VelocityCommand(*self._recovery.command(state))
+        return VelocityCommand(*self._recovery.command(state, turn_rad))
 
     def _random_navigator(self, pose: Floats) -> Navigator | None:
         goal = self._positions[self._rng.integers(len(self._positions))]
@@ -287,7 +287,7 @@ class _Run:
 
     def _command(self, state: RobotState, estimate: Estimate) -> VelocityCommand:
         if estimate.health.status is HealthStatus.LOST:
-            return self._explorer.recover(state)
+            return self._explorer.recover(state, estimate.informative_turn_rad)
         return self._explorer.command(estimate.pose)
 
     def _outcome(

@@ -13,7 +13,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -26,13 +26,15 @@ from zipfile import BadZipFile
 
 import numpy as np
 
+from localization.filters import compiled
 from localization.filters.base import Filter, LocalizationConfig
 from localization.filters.belief import Belief
-from localization.filters.global_localization import EchoRecord, PendingSearch, SearchResult, TableSearch
+from localization.filters.pose_search import PendingSearch, SearchRequest, SearchResult, TableSearch
 from localization.filters.range_table import RangeTable, build_range_table, reading_densities, sampled_echoes
 from localization.filters.registry import FINDER, finder, update_for
+from worlds.raycast import is_compiled_for
 
-CACHE_VERSION: Final = 1
+CACHE_VERSION: Final = 2
 """Part of the name of every table; a change of the table's content needs another."""
 MAX_CACHED: Final = 20
 """Tables kept on disk, the most recently used."""
@@ -114,11 +116,11 @@ class BackgroundSearch:
             # Starts the worker; its initializer makes the table.
             self._pool.submit(int)
 
-    def start(self, records: Sequence[EchoRecord], given: Belief | None = None) -> PendingSearch:
-        """Begin a search by echoes, for all poses that explain them or for the alternatives to a given belief."""
+    def start(self, request: SearchRequest) -> PendingSearch:
+        """Begin a search."""
         self.prepare()
         assert self._pool is not None
-        future: Future[SearchResult] = self._pool.submit(_search, list(records), given)
+        future: Future[SearchResult] = self._pool.submit(_search, request)
 
         def pending() -> SearchResult | None:
             while self._waits:
@@ -195,6 +197,8 @@ _WORKER: Final = _Worker()
 def _prepare(config: LocalizationConfig, folder: Path, done: Synchronized[float]) -> None:
     """Make the search of a worker."""
     os.nice(NICENESS)
+    if is_compiled_for(1):
+        compiled.load()
 
     def progress(fraction: float) -> None:
         done.value = min(fraction, 0.999)
@@ -206,8 +210,8 @@ def _prepare(config: LocalizationConfig, folder: Path, done: Synchronized[float]
     done.value = 1.0
 
 
-def _search(records: list[EchoRecord], given: Belief | None) -> SearchResult:
+def _search(request: SearchRequest) -> SearchResult:
     assert _WORKER.search is not None
-    found = _WORKER.search.start(records, given)()
+    found = _WORKER.search.start(request)()
     assert found is not None
     return found

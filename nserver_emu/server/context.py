@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Final, NamedTuple
@@ -517,6 +517,9 @@ def add_laser(
 # A function(server, context, arguments) with the name of a command. None stands for the state, the usual reply.
 Handler = Callable[["ServerState", ConnectionContext, tuple[Any, ...]], "Reply | DeferredReply | None"]
 
+# Work that may be done before the handler of a command runs, in steps and without effect on any reply.
+Preparation = Callable[["ServerState", ConnectionContext, tuple[Any, ...]], Iterator[None]]
+
 # Commands that do not change the robot.
 QUERIES: Final = frozenset({"gs", "ct", "sim_truth", *(name for name in BY_NAME if name.startswith("get_"))})
 # Queries whose replies contain State slots.
@@ -538,8 +541,9 @@ class ServerState:
         Speed of simulated time, and permissions of clients; None for the defaults.
     """
 
-    # Handlers by name of the command (handlers/table.py).
+    # Handlers, and work before them, by name of the command (handlers/table.py).
     handlers: Mapping[str, Handler] = {}
+    preparations: Mapping[str, Preparation] = {}
 
     def __init__(
         self,
@@ -648,23 +652,34 @@ class ServerState:
         self.axis_ownership.claim(context, context.robot_id, axes)
         return self.robot_of(context)
 
-    def prepare_reply(self, context: ConnectionContext) -> bool:
-        """Do part of what the next reply to a connection may need; return False if more of it is left.
+    def prepare_reply(self, context: ConnectionContext, call: Call | None = None) -> bool:
+        """Do part of what the next reply to a connection may need; return True if nothing was left to do.
 
         It changes no reply, whenever it is done. A ping of the measured sonars takes a millisecond, and all sixteen
-        several.
+        several. The reply itself follows in the next turn.
+
+        Parameters
+        ----------
+        call
+            The request, if its command has a preparation of its own.
         """
-        robot_id, mask = context.robot_id, context.wire_state.mask
-        if robot_id is None or not (mask.whole or any(map(mask.has, SONAR.slots))):
+        if context.robot_id is None:
             return True
-        sonar = self.simulation.robots[robot_id].sonar
-        if sonar.compute_some():
-            return True
-        end_s = time.thread_time() + PREPARING_S
-        while not sonar.compute_some():
-            if time.thread_time() >= end_s:
-                return False
-        return True
+        start_s = time.thread_time()
+        is_complete = True
+        for _ in self._preparation_steps(context, call):
+            is_complete = False
+            if time.thread_time() >= start_s + PREPARING_S:
+                break
+        return is_complete
+
+    def _preparation_steps(self, context: ConnectionContext, call: Call | None) -> Iterator[None]:
+        mask, sonar = context.wire_state.mask, self.robot_of(context).sonar
+        if call is not None:
+            return self.preparations[call.name](self, context, call.args)
+        if not (mask.whole or any(map(mask.has, SONAR.slots))):
+            return iter(())
+        return (None for _ in iter(sonar.compute_some, True))
 
     def feed_watchdog(self, context: ConnectionContext) -> None:
         """Restart the command timeout (conf_tm) of a connection's robot, unless only other connections move it."""

@@ -109,7 +109,8 @@ class SimulatedRobot:
 
     The three numbers of a command are for the axes in their order: translation, steering, turret (Scout: right wheel,
     left wheel, none), in inches where `model.in_inches`, otherwise in radians. Values out of range are clamped
-    silently. Every command restarts the time-out; servers call `feed` for queries. A blocked motion has ended: the
+    silently. Motion commands restart the time-out; for settings and queries servers call `feed`, if they come from the
+    client that drives. A blocked motion has ended: the
     wheels wait for the next command.
 
     Attributes
@@ -548,9 +549,8 @@ class SimulatedRobot:
             For other axes.
         """
         self._drive.axes[axis].command(Command(command), value)
-        self.feed()
         if command in (Command.VELOCITY, Command.RELATIVE, Command.LIMP):
-            self.zeroing = False
+            self._begin_command()
 
     def stop(self) -> None:
         """Brake and hold. C: st."""
@@ -582,24 +582,20 @@ class SimulatedRobot:
 
     def set_speeds(self, first: float, second: float, third: float) -> None:
         """Set the speeds of relative motions, from the next one on. C: sp."""
-        self.feed()
         for axis, speed in zip(self._drive.axes, (first, second, third), strict=True):
             axis.set_speed(speed)
 
     def set_accelerations(self, first: float, second: float, third: float) -> None:
         """Set the accelerations, from the next motion on; no effect where axes jump. C: ac."""
-        self.feed()
         for axis, acceleration in zip(self._drive.axes, (first, second, third), strict=True):
             axis.set_acceleration(acceleration)
 
     def define_position(self, x_in: float, y_in: float) -> None:
         """Give the current position these encoder coordinates; the robot does not move. C: dp."""
-        self.feed()
         self._encoders.define_position(x_in, y_in)
 
     def define_angles(self, steering_rad: float, turret_rad: float) -> None:
         """Give the current directions these encoder angles; nothing turns. C: da."""
-        self.feed()
         steering, turret = self._drive.feasible_angles(steering_rad, turret_rad)
         self._encoders.define_angles(steering - self._drive.steering_rad, turret - self._drive.turret_rad)
 
@@ -609,7 +605,6 @@ class SimulatedRobot:
         Motions continue from there; a search for zero ends. Whether the position is free is for the caller to check: a
         robot set into a wall can only leave it.
         """
-        self.feed()
         self.zeroing = False
         # 1. Angles: the compass must not count them as a turn.
         before_rad = self._drive.turret_rad
@@ -622,31 +617,31 @@ class SimulatedRobot:
 
     def set_timeout(self, seconds: float) -> None:
         """Stop the motion after so long without a command; 0 or less: never. C: conf_tm."""
-        self._timeout_ps = to_ps(max(seconds, 0.0))
-        self.feed()
+        before_ps, self._timeout_ps = self._timeout_ps, to_ps(max(seconds, 0.0))
+        if before_ps and self._timeout_ps and self._deadline_ps < TIME_MAX_PS:
+            # It counts from the last command, which need not be this one.
+            self._deadline_ps = max(self._deadline_ps - before_ps + self._timeout_ps, self._time_ps)
+        else:
+            self.feed()
 
     def configure_sonars(self, rate: int, order: Sequence[int]) -> None:
         """Restart the ring at rate x 4 ms per sonar, one at a time; the first fires now. C: conf_sn."""
-        self.feed()
         self.sonar.configure(rate, order, self._time_ps)
         self._trigger_due()
 
     def restart_sonars(self) -> None:
         """Restart the ring with the order and the interval of its model. Its first sonars fire now."""
-        self.feed()
         self.sonar.restart(self._time_ps)
         self._trigger_due()
 
     def configure_infrareds(self, history: int, order: Sequence[int]) -> None:
         """Set history (tenths) and sensors of the infrared ring; it flashes now. C: conf_ir."""
-        self.feed()
         if self.infrared is not None:
             self.infrared.configure(history, order, self._time_ps)
             self._trigger_due()
 
     def configure_compass(self, mode: int) -> None:
         """Set the mode of the compass, if there is one; raise ValueError for an unknown mode. C: conf_cp."""
-        self.feed()
         if self.compass is not None:
             self.compass.configure(mode, self._drive.turret_rad)
 

@@ -87,7 +87,7 @@ class PageMessages:
 
     def __init__(self, scheduler: FairScheduler, handle: Callable[[str], None], rate: int) -> None:
         self.is_queued = False
-        self.finish_tag_s = 0.0
+        self.finish_tag_s = self.cpu_s = 0.0
         self._scheduler = scheduler
         self._handle = handle
         self._limit = TokenBucket(rate, 1, _now()) if rate else None

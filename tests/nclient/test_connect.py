@@ -222,7 +222,7 @@ def test_the_environment_is_the_default_machine(
 def test_a_simulation_is_a_machine_name() -> None:
     assert is_listening("sim:thesis_room", 7019)
     assert open_machine("sim:thesis_room", 7019, ConnectOptions(robot_id=1)).port > 0
-    with pytest.raises(RobotRefused, match="no robot number 2"):
+    with pytest.raises(RobotRefused, match="number 2"):
         open_machine("sim:thesis_room", 7019, ConnectOptions(robot_id=2))
 
 
@@ -248,9 +248,9 @@ def test_machine_names_with_port_and_addresses(
 
 
 def test_address_and_program_must_agree_on_the_robot(dialled: list[tuple[str, int]]) -> None:
-    with pytest.raises(AddressError, match=r"nserver://lab/2' names robot 2.* robot 1: .*leave"):
+    with pytest.raises(AddressError, match=r"nserver://lab/2' .* robot 1: "):
         open_machine("nserver://lab/2", 7019, ConnectOptions(robot_id=1))
-    with pytest.raises(AddressError, match="1 or more, not '/one'"):
+    with pytest.raises(AddressError, match=r"1 or more, .*'/one'"):
         open_machine("nserver://lab/one", 7019, ConnectOptions(robot_id=1))
     assert dialled == []
     assert is_listening("nserver://lab/2", 7019)

@@ -63,7 +63,7 @@ def test_an_opener_receives_the_whole_address(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_a_scheme_without_opener_is_an_address_error() -> None:
-    with pytest.raises(AddressError, match=r"no .*package opens nosuch:"):
+    with pytest.raises(AddressError, match=r"package .*nosuch:"):
         open_in_process("nosuch", "nosuch:x")
 
 
