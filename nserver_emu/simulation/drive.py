@@ -158,16 +158,6 @@ class SynchroDrive:
         """End the search for zero: the rest of both angles is rounding and whole turns."""
         self.set_angles(0.0, 0.0)
 
-    def to_state(self) -> DriveState:
-        """Return all that changes."""
-        return DriveState(self.steering_rad, self.turret_rad, _axis_states(self.axes))
-
-    def set_state(self, state: DriveState) -> None:
-        """Continue from a state; raise ValueError if it is beyond the limits of the axes."""
-        self.set_angles(state.steering_rad, state.turret_rad)
-        for axis, axis_state in zip(self.axes, state.axes, strict=True):
-            axis.set_state(axis_state)
-
 
 class DifferentialDrive:
     """The drive of the Scout: two wheels side by side with speeds v_r and v_l, `track_in` inches apart.
@@ -294,23 +284,21 @@ class DifferentialDrive:
     def finish_zero(self) -> None:
         """Leave the heading unchanged."""
 
-    def to_state(self) -> DriveState:
-        """Return all that changes."""
-        return DriveState(self.heading_rad, self.heading_rad, _axis_states(self.axes))
-
-    def set_state(self, state: DriveState) -> None:
-        """Continue from a state; raise ValueError if it is beyond the limits of the axes."""
-        self.heading_rad = state.steering_rad
-        for axis, axis_state in zip(self.axes, state.axes, strict=True):
-            axis.set_state(axis_state)
-
 
 Drive = SynchroDrive | DifferentialDrive
 
 
-def _axis_states(axes: tuple[Axis, Axis, Axis]) -> tuple[AxisState, AxisState, AxisState]:
-    first, second, third = axes
-    return first.to_state(), second.to_state(), third.to_state()
+def drive_state(drive: Drive) -> DriveState:
+    """Return all of a drive that changes."""
+    first, second, third = drive.axes
+    return DriveState(drive.steering_rad, drive.turret_rad, (first.to_state(), second.to_state(), third.to_state()))
+
+
+def set_drive_state(drive: Drive, state: DriveState) -> None:
+    """Continue from a state; raise ValueError if it is beyond the limits of the axes."""
+    drive.set_angles(state.steering_rad, state.turret_rad)
+    for axis, axis_state in zip(drive.axes, state.axes, strict=True):
+        axis.set_state(axis_state)
 
 
 class ChassisState(NamedTuple):

@@ -19,7 +19,7 @@ import numpy as np
 from nserver_emu.simulation.axis import TIME_TOLERANCE_S, Command
 from nserver_emu.simulation.collision import WallSet
 from nserver_emu.simulation.compass import Compass, CompassState, last_reading_ps
-from nserver_emu.simulation.drive import Chassis, ChassisState, DriveState
+from nserver_emu.simulation.drive import Chassis, ChassisState, DriveState, drive_state, set_drive_state
 from nserver_emu.simulation.infrared import InfraredRing, InfraredState
 from nserver_emu.simulation.laser import ranges, select_columns
 from nserver_emu.simulation.models import N150, RobotModel
@@ -188,7 +188,7 @@ class SimulatedRobot:
         """Return all that changes, and model and setup."""
         return RobotState(
             self.model, self.setup, self.initial_setup, self._timeout_ps, self._deadline_ps, self.timed_out_s,
-            self.zeroing, self.powered, self._drive.to_state(), self._encoders.to_state(), self._chassis.to_state(),
+            self.zeroing, self.powered, drive_state(self._drive), self._encoders.to_state(), self._chassis.to_state(),
             self.sonar.to_state(), self.infrared.to_state() if self.infrared else None,
             self.compass.to_state() if self.compass else None, tuple(map(_rng_state, self._rngs)),
         )  # fmt: skip
@@ -211,7 +211,7 @@ class SimulatedRobot:
         robot._timeout_ps, robot._deadline_ps = state.timeout_ps, state.deadline_ps
         robot.timed_out_s, robot.zeroing, robot.powered = state.timed_out_s, state.zeroing, state.powered
         # 3. Parts.
-        robot._drive.set_state(state.drive)
+        set_drive_state(robot._drive, state.drive)
         robot._encoders.set_state(state.encoders)
         robot._chassis.set_state(state.chassis)
         robot.sonar.set_state(state.sonar, now_ps)
