@@ -28,8 +28,9 @@ from localization.filters.particles import (
 from localization.filters.pose_search import PoseSearch, TableSearch
 from localization.filters.range_table import RangeTable, build_range_table
 from localization.filters.smoother import FixedLagSmoother
-from localization.filters.sonar_cone import ConeSonar
+from localization.filters.sonar_cone import ConeModel, ConeSonar
 from localization.filters.sonar_ray import STRICT, Gate, RaySonar, RingBody
+from localization.filters.surface import SurfaceModel
 from localization.filters.update import MeasurementUpdate, Rule, iterated, linear
 
 Factory = Callable[[LocalizationConfig, Belief, int], Filter]
@@ -148,7 +149,12 @@ def _kalman(
 ) -> KalmanFilter:
     """Return a Kalman filter that estimates the range parameters as well, unless the configuration has none."""
     stds = config.range_stds or ()
-    return KalmanFilter(belief, _measurement(config, rule, len(stds)), config.odometry, prediction, stds)
+    measurement = _measurement(config, rule, len(stds))
+    if isinstance(config.sonar, ConeSonar) and config.sonar.surface_std_in and rule is linear:
+        # It stores echoes: one for each filter.
+        cone = ConeModel(config.walls, config.body, config.sonar, len(stds))
+        measurement = MeasurementUpdate(SurfaceModel(cone))
+    return KalmanFilter(belief, measurement, config.odometry, prediction, stds)
 
 
 def _measurement(config: LocalizationConfig, rule: Rule = linear, range_parameters: int = 0) -> MeasurementUpdate:
