@@ -161,8 +161,9 @@ def _drive(
     navigator = Navigator(done.waypoints, Speeds(translation_in_s=options.speed), options.radius, stays=stays)
     start = None if options.start == arguments.UNKNOWN else belief
     waits = arguments.is_lockstep(options.address)
+    done.alike = [] if start is None else arguments.find_alike(world, config, start)
     with filter_on_robot(
-        options.method, config, start, options.scale_std, waits=waits, report=arguments.report_wait
+        options.method, config, start, options.scale_std, waits=waits, report=arguments.report_wait, alike=done.alike
     ) as method:
         localizer = start_localizer(robot, config, belief, method)
         # 2. Drive until the last waypoint, a stall or the time limit.

@@ -132,7 +132,10 @@ def open_mission(options: argparse.Namespace, map_name: str = "") -> Iterator[Mi
         belief, config, sonars = arguments.prepare_localization(robot, simulated, world, options)
         body, waits = BODIES[options.body], arguments.is_lockstep(options.address)
         with (
-            filter_on_robot(options.method, config, belief, waits=waits, report=arguments.report_wait) as method,
+            filter_on_robot(
+                options.method, config, belief, waits=waits, report=arguments.report_wait,
+                alike=arguments.find_alike(world, config, belief),
+            ) as method,
             RobotController(robot, config, body, belief, time.sleep, method, options.speed) as controller,
         ):
             context = MissionContext(controller, robot, simulated, sonars, [], [], world)

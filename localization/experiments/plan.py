@@ -171,7 +171,7 @@ def drive(pair: DrivePair) -> tuple[DrivePair, DriveResult]:
     heading = radians(ends.heading_deg)
     # The same mission code as `nomad go`, observed in every period.
     with (
-        simulated_robot(world, pair.errors, pair.number, Pose(*ends.start, heading, heading)) as robot,
+        simulated_robot(pair.world, pair.errors, pair.number, Pose(*ends.start, heading, heading)) as robot,
         _controller(robot, world, pair) as controller,
     ):
         recorder = TruthRecorder(robot, world)

@@ -62,6 +62,14 @@ def battery_v(time_s: float) -> float:
     return max(EMPTY_V, FULL_V - (FULL_V - EMPTY_V) * time_s / LIFETIME_S)
 
 
+class LaserScan(NamedTuple):
+    """The last scan of the laser, which a robot that stands sends again and again, and what it depends on."""
+
+    pose: SensorPose
+    walls: FloatArray
+    ranges_in: FloatArray
+
+
 class RngState(NamedTuple):
     """The state of a random stream (numpy's PCG64)."""
 
@@ -170,6 +178,7 @@ class SimulatedRobot:
         if model.has_compass:
             turret_rad = self._chassis.turret_direction(self._drive.turret_rad)
             self.compass = Compass(setup.compass, turret_rad, now_ps, self._rngs[Purpose.COMPASS])
+        self._scan: LaserScan | None = None
         self.powered = False
         if powered:
             self.power_on()
@@ -667,7 +676,14 @@ class SimulatedRobot:
         columns
             Number of columns that measure, 0: all.
         """
-        return select_columns(ranges(self._sensor_pose(), self._walls, self.model.body), columns)
+        pose = self._sensor_pose()
+        if self._scan is None or self._scan.pose != pose or self._scan.walls is not self._walls:
+            self._scan = LaserScan(pose, self._walls, ranges(pose, self._walls, self.model.body))
+        scan = self._scan
+        # Other robots may be set down elsewhere at the same instant.
+        if len(pose.robots.discs) > 1:
+            self._scan = None
+        return select_columns(scan.ranges_in, columns)
 
     # Surroundings
 
