@@ -85,7 +85,10 @@ def test_a_cone_has_its_face_there(sonar: int) -> None:
     first = echo_at(POSE)
     assert first.range_in == pytest.approx(40.0)
     step = 1e-6
-    by_hand = [(echo_at(POSE + step * axis).range_in - echo_at(POSE - step * axis).range_in) / (2.0 * step) for axis in np.eye(3)]
+    by_hand = [
+        (echo_at(POSE + step * axis).range_in - echo_at(POSE - step * axis).range_in) / (2.0 * step)
+        for axis in np.eye(3)
+    ]
     assert pytest.approx(by_hand, abs=1e-6) == first.H
 
 
