@@ -37,6 +37,7 @@ from nserver_emu.gateway import run as real_options
 from nserver_emu.gateway.gateway import Gateway, RealRobotProxy
 from nserver_emu.gateway.run import connected, model_of, run_gateway
 from nserver_emu.options import DEFAULT_PORT, nserver_parser, read_options
+from nserver_emu.persistence import snapshot
 from nserver_emu.persistence.options import SaveFile, autosaved, resolve_restore
 from nserver_emu.persistence.recording import RunHeader
 from nserver_emu.persistence.replay import replay
@@ -234,6 +235,7 @@ def _saved_on_signal(emulator: Emulator, path: Path | None) -> SaveFile | None:
     # Reported at the start rather than when the state is to be saved.
     if path.is_dir():
         raise SnapshotError(f"{path}: is a folder: name a file in it")
+    snapshot.require_regular(path)
     if not path.absolute().parent.is_dir():
         log.warning("%s: there is no folder %s, and nothing can be saved until there is", path, path.parent)
 

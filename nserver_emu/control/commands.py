@@ -66,7 +66,7 @@ class ControlledServer(Protocol):
         """Return the address of each line by its name."""
 
     def connected_clients(self) -> list[JsonObject]:
-        """Return name, robot, waiting and refused of each connection."""
+        """Return name, robot, waiting, refused, number and cpu_s of each connection."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -289,14 +289,18 @@ def _dataclass_decoder(kind: type, hints: Mapping[str, Any]) -> Decoder:
 
 def save(emulator: Emulator, path: Path) -> None:
     """Write a snapshot to a regular file. Raises SnapshotError where it cannot be written."""
-    # A pipe or a device could block the whole server.
-    if path.exists() and not path.is_file():
-        raise SnapshotError(f"{path}: cannot be written: it is no regular file; name another file")
+    require_regular(path)
     write(dumps(emulator), path)
 
 
+def require_regular(path: Path) -> None:
+    """Raise SnapshotError for a pipe or a device, which could block the whole server; a new file is possible."""
+    if path.exists() and not path.is_file():
+        raise SnapshotError(f"{path}: cannot be written: it is no regular file; name another file")
+
+
 def write(text: str, path: Path, ending: str = "") -> None:
-    """Write a snapshot's text to a file.
+    """Write a snapshot's text to a regular file.
 
     Raises SnapshotError, and leaves the previous file, if it cannot be written or would be too long to be read again.
 
@@ -305,6 +309,7 @@ def write(text: str, path: Path, ending: str = "") -> None:
     ending
         Of the temporary file, as for `write_atomic`.
     """
+    require_regular(path)
     if len(text) > SNAPSHOT_BYTES:  # the text is ASCII
         raise SnapshotError(f"{path}: cannot be written: {len(text)} bytes, and no more than {SNAPSHOT_BYTES} are read "
                             "again; lower --limit-graphics or --limit-obstacles")

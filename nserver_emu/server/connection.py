@@ -18,7 +18,7 @@ event-loop turn. Turns are bounded by cost, and shared by the processor time tha
     bytes from a port -> may_run_now()?  yes -> the request is answered at once
                                          no  -> submit() -> a later turn of the event loop, in order of virtual time
 
-While the event loop is idle nothing is queued and nothing is measured. Otherwise start-time fair queueing decides
+While the event loop is idle nothing is queued. Otherwise start-time fair queueing decides
 (`FairScheduler`), so that the delay a client sees does not depend on how many requests others send, nor on what they
 cost; only a single request is indivisible. While requests are left over, or the client does not read its replies, its
 port is not read, so that memory stays bounded. An exception in a session closes that connection only.
@@ -37,6 +37,7 @@ import time
 import weakref
 from abc import ABC, abstractmethod
 from heapq import heappop, heappush
+from itertools import count
 from math import inf
 from typing import Any, Final, Protocol, cast
 
@@ -61,6 +62,8 @@ class Job(Protocol):
     is_queued: bool
     # Processor time that it had used in virtual time when it was last served.
     finish_tag_s: float
+    # Processor time that its work has taken.
+    cpu_s: float
 
     def run_turn(self) -> None:
         """Do the work of one turn; submit itself again if some is left."""
@@ -153,7 +156,9 @@ class FairScheduler:
         job.is_queued = False
         start_s = time.thread_time()
         job.run_turn()
-        job.finish_tag_s = self._virtual_s + time.thread_time() - start_s
+        taken_s = time.thread_time() - start_s
+        job.cpu_s += taken_s
+        job.finish_tag_s = self._virtual_s + taken_s
 
 
 # Seconds of unused rate that an idle client accumulates.
@@ -201,6 +206,9 @@ CONNECT_WAIT_S: Final = 1.0
 _QUICK_ACK: Final[int | None] = getattr(socket, "TCP_QUICKACK", None)
 
 
+_numbers = count(1)
+
+
 class Server(Protocol):
     """The parts of a server that its connections use."""
 
@@ -216,6 +224,7 @@ class Server(Protocol):
     # Totals of connections that are closed.
     closed_answered: int
     closed_refused: int
+    closed_cpu_s: float
 
     @property
     def emulator(self) -> ServerState:
@@ -245,6 +254,8 @@ class ConnectionHandler(ABC):
 
     def __init__(self, server: Server, channel: SerialChannel | None = None) -> None:
         self._server = server
+        # Name of this connection where its address must not be named.
+        self.number = next(_numbers)
         self._loop = asyncio.get_running_loop()
         # Delay and faults between port and session; None passes bytes at once.
         self._channel = channel
@@ -268,7 +279,7 @@ class ConnectionHandler(ABC):
         self._receive_backlog = b""
         # The next turn: in the scheduler's queue, or when the rate limit allows it.
         self.is_queued = False
-        self.finish_tag_s = 0.0
+        self.finish_tag_s = self.cpu_s = 0.0
         self._turn: asyncio.TimerHandle | None = None
         # Steps of simulated time spent on the preparation of the next reply, and the time of the last.
         self._preparing = 0
@@ -297,7 +308,9 @@ class ConnectionHandler(ABC):
             self._receive_backlog += data
             self._schedule()
         else:
+            start_s = time.thread_time()
             self._take_turn(data)
+            self.cpu_s += time.thread_time() - start_s
 
     def run_turn(self) -> None:
         """Do the work of one turn, for the scheduler."""
@@ -567,6 +580,7 @@ class TcpConnection(ConnectionHandler, asyncio.BufferedProtocol):
         self._handler.on_disconnect(session.context)
         self._server.closed_answered += session.answered
         self._server.closed_refused += session.refused
+        self._server.closed_cpu_s += self.cpu_s
         self._recorder.close()
         session.closing = True
         log.info("%s: closed after %d refused requests", session.name, session.refused, extra=session.log_extra)

@@ -11,11 +11,12 @@ a stop must arrive. A viewer that may only watch gets an error for everything el
 
 from __future__ import annotations
 
+import asyncio
 import json
 import logging
 from collections import Counter, deque
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from nclient.errors import REFUSALS, NomadError
 from nclient.faults.frames import Language, TcpLanguage
@@ -26,8 +27,9 @@ from nclient.protocol.replies import Reply
 from nclient.protocol.types import N150
 from nclient.protocol.wire_state import WireState, tcp_wire_state
 from nclient.recording.recorder import TCP
-from nserver_emu.control.commands import answer_line
+from nserver_emu.control.commands import WORLD_SET, answer_line, answer_line_in_thread
 from nserver_emu.server.connection import ConnectionHandler
+from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.estop import MOTIONS
 from nserver_emu.server.session import Session
 from nserver_emu.viewer import messages
@@ -35,9 +37,6 @@ from nserver_emu.viewer.broadcaster import Broadcaster, Viewer
 from nserver_emu.viewer.error_boundary import ErrorBoundary
 from nserver_emu.viewer.messages import parse_estimate
 from nserver_emu.viewer.traffic import TrafficMonitor
-
-if TYPE_CHECKING:
-    from nserver_emu.server.daemon import Daemon
 
 log = logging.getLogger(__name__)
 
@@ -213,6 +212,7 @@ class ViewerController:
         """Where each robot is to go, as set at a page."""
         self._waypoints_set: Counter[int] = Counter()
         self._clients: dict[Viewer, ViewerClients] = {}
+        self._worlds_being_read: dict[Viewer, asyncio.Task[bytes]] = {}
         self._published: dict[int, tuple[float, dict[str, Any]]] = {}
         # The monitor takes the recorder's place and passes everything on to it.
         self.traffic_monitor = TrafficMonitor(
@@ -253,7 +253,9 @@ class ViewerController:
             self._send_traffic()
 
     def close(self) -> None:
-        """Restore the daemon's own recorder."""
+        """Restore the daemon's own recorder, and drop worlds that are still being read."""
+        for reading in self._worlds_being_read.values():
+            reading.cancel()
         self.daemon.recorder = self.traffic_monitor.inner
 
     def handle_message(self, viewer: Viewer, text: str, now: float) -> None:
@@ -303,14 +305,36 @@ class ViewerController:
             case messages.ControlServer():
                 # The same form as on the control socket, so that both have the same checks and replies.
                 request = json.dumps({"command": message.command, "argument": message.argument})
-                answer: dict[str, Any] = json.loads(answer_line(self.daemon, request.encode()))
-                _replier(viewer, message.id)(answer)
+                if message.command == WORLD_SET:
+                    self._set_world(viewer, message.id, request)
+                else:
+                    _replier(viewer, message.id)(json.loads(answer_line(self.daemon, request.encode())))
             case messages.Click():
                 x, y, steer, turret = message.pose
                 if not self.daemon.emulator.pose_requests.answer(message.robot, (x, y, steer, turret)):
                     self._refuse(viewer, None, f"no client asks for a pose of robot {message.robot}")
             case messages.Waypoints():
                 self.set_waypoints(message.robot, message.points)
+
+    def _set_world(self, viewer: Viewer, number: int, request: str) -> None:
+        """Replace the world; its file is read in a thread, one at a time for each page."""
+        if viewer in self._worlds_being_read:
+            raise messages.InvalidMessage(f"{WORLD_SET}: the last world is still being read; repeat it after its reply")
+        reading = asyncio.create_task(answer_line_in_thread(self.daemon, request.encode()))
+        self._worlds_being_read[viewer] = reading
+
+        def finish(reading: asyncio.Task[bytes]) -> None:
+            del self._worlds_being_read[viewer]
+            if reading.cancelled():
+                return
+
+            def failed(error: Exception) -> None:
+                self._refuse(viewer, number, f"internal error, see the daemon's log: {error!r}")
+
+            with self.error_boundary.guard("a world of a page", viewer.name, failed):
+                _replier(viewer, number)(json.loads(reading.result()))
+
+        reading.add_done_callback(finish)
 
     def publish(self, text: str, now: float) -> dict[str, Any]:
         """Show a localizer's estimate on all pages; return the reply with the way-points.

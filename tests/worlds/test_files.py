@@ -378,10 +378,10 @@ def test_a_world_that_is_nowhere_is_reported_which_there_are(name: str, says: st
 
 
 def test_a_directory_and_a_pipe_are_no_world_files(tmp_path: Path) -> None:
-    with pytest.raises(WorldFileError, match="TOML, found a directory"):
+    with pytest.raises(WorldFileError, match="found a directory"):
         load_world(tmp_path)
     os.mkfifo(tmp_path / "pipe.toml")
-    with pytest.raises(WorldFileError, match=r"pipe\.toml: .*no regular file"):
+    with pytest.raises(WorldFileError, match=r"pipe\.toml: .*regular file"):
         load_world(tmp_path / "pipe.toml")
 
 

@@ -175,6 +175,7 @@ def test_sonar_offsets_are_estimated_while_driving(
     assert len(json.loads(saved.read_text())["mean"]) == 6
 
 
+@pytest.mark.long
 def test_unknown_start_is_found_and_goal_reached(capsys: pytest.CaptureFixture[str]) -> None:
     robot = "sim:several_walls?noisy=1&seed=3&start=30,60,20,20"
     assert localize(robot, "--map", "several_walls", "--start", "unknown", "--waypoints", "45,65", "--json") == 0
@@ -184,6 +185,7 @@ def test_unknown_start_is_found_and_goal_reached(capsys: pytest.CaptureFixture[s
     assert result["rmse_position_in"] < 0.5
 
 
+@pytest.mark.long
 def test_ambiguous_places_are_reported_without_driving(capsys: pytest.CaptureFixture[str]) -> None:
     robot = "sim:thesis_room?noisy=1&seed=3&start=20,35,20,20"
     asked = [robot, "--map", "thesis_room", "--start", "unknown", "--waypoints", "60,40", "--time-limit", "8"]
@@ -311,6 +313,7 @@ def test_path_point_behind_wall_ends_run_with_reason(capsys: pytest.CaptureFixtu
     assert result["duration_s"] < 40.0
 
 
+@pytest.mark.long
 def test_assumed_rays_are_reported_and_refused_on_misfit(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -332,6 +335,7 @@ def test_assumed_rays_are_reported_and_refused_on_misfit(
     assert json.loads(capsys.readouterr().out)["hint"] is None, "no hint from few readings"
 
 
+@pytest.mark.long
 def test_a_measured_ring_has_cones_without_being_reported(capsys: pytest.CaptureFixture[str]) -> None:
     results = []
     for words in ([], ["--sonars", "cones"]):

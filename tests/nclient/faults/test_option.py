@@ -61,7 +61,7 @@ def test_the_plan_stands_between_program_and_robot(
 def test_invalid_plan_is_rejected_before_opening(server: ScriptedServer, tmp_path: Path) -> None:
     path = tmp_path / "plan.toml"
     path.write_text("[[rule]]\ndo = 'drp'")
-    with pytest.raises(FaultPlanError, match=r"plan\.toml: .*'rule 1': do: .*'drp'"):
+    with pytest.raises(FaultPlanError, match=r"plan\.toml: .*'rule 1': .*'drp'"):
         connect(f"nserver://lab/1?faults={path}")
     with pytest.raises(FaultPlanError, match="cannot be read"):
         connect(f"nserver://lab/1?faults={tmp_path / 'nowhere.toml'}")
@@ -73,7 +73,7 @@ def test_invalid_plan_is_rejected_before_opening(server: ScriptedServer, tmp_pat
 def test_a_plan_for_other_lines_only_is_a_mistake(server: ScriptedServer, tmp_path: Path) -> None:
     path = tmp_path / "plan.toml"
     path.write_text("[[rule]]\ndo = 'drop'\nline = ['serial:1', 'robotd']")
-    with pytest.raises(FaultPlanError, match=r"nserver, only .*robotd, serial:1.*name nserver"):
+    with pytest.raises(FaultPlanError, match=r"nserver, .*robotd, serial:1"):
         connect(f"nserver://lab/1?faults={path}")
     assert server.closed == 1
     path.write_text("seed = 1")

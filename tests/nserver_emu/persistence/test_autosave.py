@@ -5,12 +5,14 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from nclient.errors import SnapshotError
 from nserver_emu.options import nserver_parser, read_options
 from nserver_emu.persistence import snapshot
 from nserver_emu.persistence.options import SaveFile, autosaved
@@ -80,6 +82,20 @@ async def test_a_failing_save_is_logged_once_and_its_recovery(
         f"{path}: saved again",
     ]
     assert json.loads(path.read_text())["format"] == snapshot.FORMAT
+
+
+@pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/dev/null")])
+async def test_a_pipe_or_a_device_is_not_written(
+    tmp_path: Path, make: Callable[[Path], None], caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "other"
+    make(path)
+    file = SaveFile(Emulator(simulation()), path)
+    with pytest.raises(SnapshotError, match="regular"):
+        file.save()
+    await asyncio.wait_for(file.save_in_thread(), 30)
+    assert "regular" in caplog.text
+    assert list(tmp_path.iterdir()) == [path]
 
 
 @pytest.mark.parametrize(("words", "message"), [

@@ -42,6 +42,7 @@ class Load:
     order: list[str]
     is_queued: bool = False
     finish_tag_s: float = 0.0
+    cpu_s: float = 0.0
     turns: list[int] = field(default_factory=list)
 
     def run_turn(self) -> None:
