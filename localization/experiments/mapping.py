@@ -37,7 +37,7 @@ from localization.mapping.output import LearnedMap, describe
 from localization.navigation.waypoints import COMMAND_TIMEOUT_S, Navigator, stop_on_exit, wait_for_next_state
 from nclient import connect
 from nclient.protocol.types import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
-from nclient.robot import Truth
+from nclient.state import Truth
 from worlds.geometry import lengths, nearest_points
 from worlds.io import load_world
 from worlds.raycast import cast_rays
@@ -287,11 +287,11 @@ def localization_error(driven: Drive, walls: Floats, turn: float, shift: Floats)
     # 2. The states of the recording again. Each shows the last reading of each sonar.
     readings = [255.0] * len(driven.log.angles_rad)
     found, echo = [], 0
-    for row in driven.log.encoders.tolist():
-        while echo < len(driven.log.instants_s) and driven.log.instants_s[echo] <= row[0]:
+    for clock_s, x, y, heading, turret in driven.log.encoders.tolist():
+        while echo < len(driven.log.instants_s) and driven.log.instants_s[echo] <= clock_s:
             readings[int(driven.log.sonars[echo])] = float(driven.log.readings_in[echo])
             echo += 1
-        found.append(localizer.update(SensorData(*row, tuple(readings))).pose[:2])
+        found.append(localizer.update(SensorData(clock_s, x, y, heading, turret, tuple(readings))).pose[:2])
     estimate = rotate(np.array(found), np.full(len(found), turn)) + shift
     return float(np.sqrt(np.square(estimate - true[:, :2]).sum(axis=-1).mean()))
 

@@ -54,8 +54,8 @@ WINDOW_NODES: Final = 60
 """Nodes whose echoes may give birth to features: beyond 30 s the odometry has drifted too far for a Hough cell."""
 LAST_ROUNDS: Final = 3
 LAST_STEPS: Final = 10
-POSITION_STD_IN: Final = 0.15
-"""Random motion within a node, and roughness of walls."""
+ROUGHNESS_IN: Final = 0.15
+"""Deviation of smooth walls from a straight line, and random motion within a node."""
 
 MERGE_RAD: Final = radians(20.0)
 MERGE_IN: Final = 8.0
@@ -87,11 +87,21 @@ class MapLearner:
         Noise and limits of the readings.
     rays
         True if sonars measure along exact rays.
+    roughness_in
+        Standard deviation of the walls' surfaces from straight lines.
     """
 
-    def __init__(self, log: DriveLog, noise: OdometryNoise, sonar: ConeSonar, *, rays: bool = False) -> None:
+    def __init__(
+        self,
+        log: DriveLog,
+        noise: OdometryNoise,
+        sonar: ConeSonar,
+        *,
+        rays: bool = False,
+        roughness_in: float = ROUGHNESS_IN,
+    ) -> None:
         self._noise = noise
-        self.trajectory = build_trajectory(log, noise, sonar, POSITION_STD_IN)
+        self.trajectory = build_trajectory(log, noise, sonar, roughness_in)
         self.estimate = MapEstimate.start(MapProblem(self.trajectory, len(log.angles_rad), rays=rays))
         self.turret_rad = float(log.encoders[-1, 4] - log.encoders[-1, 3])
         """Angle of the turret from the heading at the end."""
@@ -139,9 +149,11 @@ class MapLearner:
         estimate.optimize(LAST_STEPS)
 
 
-def learn_map(log: DriveLog, noise: OdometryNoise, sonar: ConeSonar, *, rays: bool = False) -> MapEstimate:
+def learn_map(
+    log: DriveLog, noise: OdometryNoise, sonar: ConeSonar, *, rays: bool = False, roughness_in: float = ROUGHNESS_IN
+) -> MapEstimate:
     """Return the map of a drive; see `MapLearner` for the parameters."""
-    learner = MapLearner(log, noise, sonar, rays=rays)
+    learner = MapLearner(log, noise, sonar, rays=rays, roughness_in=roughness_in)
     while not learner.is_complete:
         learner.advance()
     learner.finish()
