@@ -15,11 +15,11 @@ from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig
 from localization.filters.belief import POSE, Belief, independent
 from localization.filters.health import HealthStatus
 from localization.filters.odometry import MAX_STATE, OdometryNoise, with_parameters
-from localization.filters.registry import METHODS
-from localization.filters.sonar_cone import ConeSonar
+from localization.filters.registry import DEFAULT_METHOD, METHODS
+from localization.filters.sonar_cone import BUILDING_SONAR, ConeSonar
 from localization.filters.sonar_ray import WIRE_SONAR
 from localization.live import saved_estimate
-from localization.live.assumptions import SIMULATION, SonarAssumption, resolve_sonar_model
+from localization.live.assumptions import BUILDING_SETUP, SIMULATION, SonarAssumption, resolve_sonar_model
 from localization.live.localizer import Estimate
 from localization.live.run import Run
 from localization.live.saved_estimate import DisplacementStd, SavedEstimate, map_signature, resume_belief
@@ -131,10 +131,11 @@ def add_robot_model_options(parser: argparse.ArgumentParser) -> None:
         "--body", choices=sorted(BODIES), help="robot model, if the address does not name it (default: n150)"
     )
     add_odometry_noise(parser)
-    parser.add_argument("--sonars", choices=("rays", "cones"),
-                        help="sonar model: exact rays (setups ideal and noisy) or the cones of a real ring, including "
-                             "outliers (default: for sim: addresses that of the setup, rays for other simulations, "
-                             "cones for robots)")  # fmt: skip
+    parser.add_argument("--sonars", choices=("rays", "cones", BUILDING_SETUP),
+                        help="sonar model: exact rays (setups ideal and noisy), the cones of a real ring, including "
+                             "outliers, or the same in a real building, whose walls have doors and posts (method "
+                             "ekf; others: cones) (default: for sim: addresses that of the setup, rays for other "
+                             "simulations, building for robots)")  # fmt: skip
 
 
 def add_odometry_noise(parser: argparse.ArgumentParser) -> None:
@@ -274,7 +275,9 @@ def prepare_localization(robot: Robot, simulated: bool, world: World, options: a
     if sonars.line():
         print(sonars.line(), file=sys.stderr if options.json else sys.stdout, flush=True)
     # 3. All models.
-    sonar = WIRE_SONAR if sonars.rays else ConeSonar()
+    # Of the methods only this one models the surfaces of walls; for the others a building has cones.
+    building = sonars.building and options.method == DEFAULT_METHOD
+    sonar = WIRE_SONAR if sonars.rays else BUILDING_SONAR if building else ConeSonar()
     body = BODIES[options.body]
     config = LocalizationConfig(world.walls, body, options.odometry_noise, sonar, calibration=calibration)
     return LocalizationSetup(belief, config, sonars)
