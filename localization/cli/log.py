@@ -17,14 +17,13 @@ from localization.filters.odometry import with_parameters
 from localization.filters.registry import make
 from localization.filters.sonar_cone import ConeSonar, building_sonar, cone_sonar
 from localization.filters.sonar_ray import RaySonar, ray_sonar
-from localization.live.assumptions import BUILDING_SETUP
+from localization.live.assumptions import BUILDING_SETUP, resolve_body
 from localization.live.log import read_log, run_log, without_echo
 from localization.live.run import Run
 from nclient.common.exit_codes import ExitCode
-from nclient.errors import WorldFileError
 from worlds.io import load_world
 from worlds.rings import Ring
-from worlds.robots import BODIES, Body, load_bodies
+from worlds.robots import N150, Body, load_bodies
 
 ROBOT_OPTIONS: Final = ("address", "waypoints", "path", "publish", "save", "resume", "calibration", "stay")
 """Options of `nomad localize` that need a robot."""
@@ -37,12 +36,10 @@ SONARS: Final[Mapping[str, Callable[[Ring], RaySonar | ConeSonar]]] = MappingPro
 
 
 def add_log_options(parser: argparse.ArgumentParser) -> None:
-    """Add --from, --ring and --estimates."""
+    """Add --from and --estimates."""
     parser.add_argument("--from", dest="log", type=Path, metavar="LOG.csv",
                         help="localize a recorded drive instead of a robot; columns time_s, x_in, y_in, heading_deg, "
-                             "sonar_0_in ... (docs/real-data.md)")  # fmt: skip
-    parser.add_argument("--ring", type=Path, metavar="MODEL.toml",
-                        help="with --from: model file with the robot of the log, its last model (default: --body)")
+                             "sonar_0_in ... (docs/real-data.md); the robot is --body, or the last of --model-file")  # fmt: skip
     parser.add_argument("--estimates", type=Path, metavar="FILE.csv",
                         help="with --from: write the estimate at each row, inches and degrees")  # fmt: skip
 
@@ -88,14 +85,11 @@ def localize_recorded(options: argparse.Namespace) -> int:
 
 
 def _body(options: argparse.Namespace) -> Body:
-    """Return the robot of the log: the last model of --ring, else --body."""
-    if options.ring is None:
-        return BODIES[options.body or "n150"]
-    bodies = load_bodies(options.ring)
-    name = options.body or [*bodies][-1]
-    if name not in bodies:
-        raise WorldFileError(f"{options.ring}: has no model {name!r}; it has {', '.join(bodies)}")
-    return bodies[name]
+    """Return the robot of the log: --body, or the last model of --model-file, or an N150."""
+    name = options.body
+    if not name:
+        name = [*load_bodies(options.model_file)][-1] if options.model_file else N150.name
+    return resolve_body(name, options.model_file, None)
 
 
 def _table(done: Run) -> str:

@@ -240,7 +240,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--picture", type=Path, metavar="PNG",
                         help="draw echoes, walls, residuals and the first run (needs the extra `plot`)")  # fmt: skip
     parser.add_argument("--export", type=Path, metavar="FOLDER",
-                        help="write log.csv, ring.toml and map.toml for `nomad localize --from`")  # fmt: skip
+                        help="write log.csv, robot.toml and map.toml for `nomad localize --from`")  # fmt: skip
     parser.add_argument("--json", action="store_true", help="print only the numbers, as JSON")
     return parser
 
@@ -311,6 +311,6 @@ def _export(corridor: Corridor, walls: Floats, folder: Path) -> None:
         numbers = (row.clock_s, *row.odometry, *row.sonars_in, *(row.truth or ()))
         lines.append(",".join(f"{number:.6g}" for number in numbers))
     (folder / "log.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    (folder / "ring.toml").write_text(MODEL, encoding="utf-8")
+    (folder / "robot.toml").write_text(MODEL, encoding="utf-8")
     polylines = [f"[[wall]]\npoints_in = [[{x1:.2f}, {y1:.2f}], [{x2:.2f}, {y2:.2f}]]\n" for x1, y1, x2, y2 in walls]
     (folder / "map.toml").write_text("\n".join(['name = "corridor"\n', *polylines]), encoding="utf-8")

@@ -97,7 +97,7 @@ def test_an_exported_log_is_localized(tmp_path: Path, capsys: pytest.CaptureFixt
     arguments = ["corridor", "--data", str(tmp_path), "--rows", "0,59", "--seeds", "1", "--export", str(out)]
     assert experiments.main(arguments) == 0
     capsys.readouterr()
-    arguments = ["localize", "--from", str(out / "log.csv"), "--ring", str(out / "ring.toml"),
+    arguments = ["localize", "--from", str(out / "log.csv"), "--model-file", str(out / "robot.toml"),
                  "--map", str(out / "map.toml"), "--start-std", "1,1,1", "--json"]  # fmt: skip
     assert nomad([*arguments, "--estimates", str(out / "estimates.csv")]) == 0
     assert json.loads(capsys.readouterr().out)["rmse_position_in"] < 2.0
