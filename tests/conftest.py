@@ -8,19 +8,26 @@
 
 from __future__ import annotations
 
+import os
 import signal
+from collections.abc import Generator
+from itertools import chain, islice
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
 
+TESTS = Path(__file__).parent
+
 LONG = ("integration", "benchmarks", "packaging", "clib", "docs")
 """Folders whose tests are all marked `long`."""
 
 SLOWEST = (
-    "packaging", "integration/test_readme.py", "docs/test_pages.py", "docs/test_site.py", "fuzz/test_documentation.py",
+    "packaging/test_wheel.py", "integration/test_readme.py", "docs/test_pages.py", "docs/test_site.py",
+    "fuzz/test_documentation.py", "nserver_emu/server/test_determinism.py", "benchmarks/test_line_localizer.py",
+    "integration/test_cluster.py", "benchmarks/test_ekf.py", "docs/test_missions_page.py",
 )  # fmt: skip
-"""Files and folders that come first, so that no worker begins one of them when the others are done."""
+"""Files that a worker begins with, the slowest first: begun last, they would run when all others are done."""
 
 _UNHURRIED = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 """No deadlines: the speed and the load of a machine decide no test."""
@@ -46,14 +53,31 @@ def pytest_configure(config: pytest.Config) -> None:
         raise pytest.UsageError("--robot: only one program can use a robot at a time; omit -n")
 
 
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Mark the folders of LONG, and put SLOWEST first; with --robot, select only the hardware tests."""
-    folder = Path(__file__).parent
-    items.sort(key=lambda item: not item.path.relative_to(folder).as_posix().startswith(SLOWEST))
+@pytest.hookimpl(wrapper=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> Generator[None]:
+    """Mark the folders of LONG, and distribute SLOWEST; with --robot, select only the hardware tests."""
     for item in items:
-        if item.path.relative_to(folder).parts[0] in LONG:
+        if item.path.relative_to(TESTS).parts[0] in LONG:
             item.add_marker(pytest.mark.long)
     if config.getoption("--robot"):
         others = [item for item in items if "hardware" not in item.path.parts]
         items[:] = [item for item in items if "hardware" in item.path.parts]
         config.hook.pytest_deselected(items=others)
+    # -m and -k deselect others here.
+    yield
+    items[:] = _spread_slowest(items, int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1")))
+
+
+def _spread_slowest(items: list[pytest.Item], workers: int) -> list[pytest.Item]:
+    """Order tests so that the shares of all workers, which xdist cuts in this order, begin with files of SLOWEST."""
+    files: dict[str, list[pytest.Item]] = {name: [] for name in SLOWEST}
+    rest = []
+    for item in items:
+        files.get(item.path.relative_to(TESTS).as_posix(), rest).append(item)
+    slowest, others = list(files.values()), iter(rest)
+    ordered: list[pytest.Item] = []
+    for number in range(workers):
+        begin, share = len(ordered), (len(items) - len(ordered)) // (workers - number)
+        ordered += chain.from_iterable(slowest[number::workers])
+        ordered += islice(others, max(0, share - (len(ordered) - begin)))
+    return [*ordered, *others]
