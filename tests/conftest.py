@@ -2,7 +2,7 @@
 
     pytest --robot ADDRESS     the tests of tests/hardware alone, on a real robot
     pytest --restarts N        number of server kills and line disconnections (tests/integration/test_restarts.py)
-    pytest -m "not long"       without slow tests: programs, browsers, compilers, long calculations
+    pytest -m "not long"       without slow tests: programs, browsers, compilers, calculations of half a second or more
     pytest --hypothesis-profile=roaming    random examples; the default profile always uses the same
 """
 
@@ -70,6 +70,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 def _spread_slowest(items: list[pytest.Item], workers: int) -> list[pytest.Item]:
     """Order tests so that the shares of all workers, which xdist cuts in this order, begin with files of SLOWEST."""
+    assert all((TESTS / name).is_file() for name in SLOWEST)
     files: dict[str, list[pytest.Item]] = {name: [] for name in SLOWEST}
     rest = []
     for item in items:
