@@ -6,13 +6,11 @@
     laps        one in each direction, and more until the result is accurate enough
 
 Long distances and many turns in both directions accumulate errors of scale; errors that cancel in one direction do not
-cancel in the other.
+cancel in the other. The result is made of the belief of the calibrating filter: numbers with accuracies, and a table.
 
 References
 ----------
 Borenstein, Feng: Measurement and correction of systematic odometry errors in mobile robots (1996).
-
-The result of a calibration: from the belief of the calibrating filter to numbers with accuracies and a table.
 """
 
 from __future__ import annotations

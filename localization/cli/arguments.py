@@ -12,7 +12,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig
-from localization.filters.belief import POSE, Belief, independent
+from localization.filters.belief import POSE, Belief, Floats, independent
+from localization.filters.global_localization import is_wide
 from localization.filters.health import HealthStatus
 from localization.filters.odometry import MAX_STATE, OdometryNoise, with_parameters
 from localization.filters.registry import METHODS
@@ -24,6 +25,7 @@ from localization.live.localizer import Estimate
 from localization.live.run import Run
 from localization.live.saved_estimate import DisplacementStd, SavedEstimate, map_signature, resume_belief
 from localization.live.sensor_input import EncoderPose, with_wheels
+from localization.mapping.aliases import AliasFinder
 from localization.navigation.waypoints import Speeds
 from nclient import ReplyTimeout, Robot, RobotState, connect
 from nclient.common.arguments import ABOVE_ZERO, add_value, number
@@ -205,9 +207,21 @@ def is_lockstep(address: str | None) -> bool:
 
 
 def report_wait(words: str) -> None:
-    """Show what is waited for, on a terminal only."""
-    if sys.stderr.isatty():
-        print(f"nomad: {words}", file=sys.stderr, flush=True)
+    """Show what is waited for, on stderr."""
+    print(f"nomad: {words}", file=sys.stderr, flush=True)
+
+
+def find_alike(world: World, config: LocalizationConfig, belief: Belief) -> list[Floats]:
+    """Return the poses (3,) that look like that of an initial belief, and say so on stderr; none for a wide belief."""
+    if is_wide(belief):
+        return []
+    x, y, heading = belief.mean[:POSE].tolist()
+    found = AliasFinder(world.walls, config.clearance_in, [(x, y)]).aliases((x, y, heading))
+    if found:
+        poses = ", ".join(f"({pose[0]:.1f}, {pose[1]:.1f}) in {math.degrees(pose[2]):.0f} deg" for pose in found[:4])
+        more = f" and {len(found) - 4} more" if len(found) > 4 else ""
+        print(f"nomad: note: the start looks like {poses}{more}", file=sys.stderr, flush=True)
+    return found
 
 
 def make_folder(folder: Path) -> None:

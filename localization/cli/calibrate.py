@@ -21,7 +21,7 @@ from localization.live.assumptions import resolve_robot_model, resolve_sonar_mod
 from localization.live.localizer import Consistency
 from localization.navigation.recovery import StallDetector
 from nclient import Robot
-from nclient.common.arguments import add_address, add_value, whole_number
+from nclient.common.arguments import add_address, add_flag, add_value, whole_number
 from nclient.common.exit_codes import ExitCode
 from nclient.common.files import write_errors_as
 from nclient.errors import OutputFileError
@@ -65,7 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_value(parser, "--turn-speed", "DEG_S", arguments.parse_positive, "speed of turns in deg/s", TURN_DEG_S)
     add_value(parser, "--time-limit", "S", arguments.parse_positive,
               "give up after this time in s of the robot's clock", 3600.0)
-    parser.add_argument("--json", action="store_true", help="print only the result, as JSON, on stdout")  # fmt: skip
+    add_flag(parser, "--json", "print only the result, as JSON, on stdout")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -28,7 +28,7 @@ from localization.navigation.waypoints import (
     start_localizer,
 )
 from nclient import NomadError, Robot, WorldFileError
-from nclient.common.arguments import add_value
+from nclient.common.arguments import add_flag, add_value
 from nclient.common.exit_codes import ExitCode
 from nclient.common.process import TerminatedBySignal
 from worlds.robots import BODIES
@@ -73,13 +73,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_value(parser, "--time-limit", "S", arguments.parse_positive,
               "give up after this time in s of the robot's clock", 300.0)
     add_value(parser, "--picture", "PNG", Path, "draw the run into this file (needs the extra `plot`)")
-    parser.add_argument(
-        "--stay",
-        action="store_true",
-        help="with --publish: after the last waypoint, or without any, stand and wait for waypoints "
-        "set on the page, until the time limit or Ctrl-C",
-    )
-    parser.add_argument("--json", action="store_true", help="print only the result, as JSON, on stdout")
+    add_flag(parser, "--stay",
+             "with --publish: after the last waypoint, or without any, stand and wait for waypoints "
+             "set on the page, until the time limit or Ctrl-C")
+    add_flag(parser, "--json", "print only the result, as JSON, on stdout")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -164,8 +161,9 @@ def _drive(
     navigator = Navigator(done.waypoints, Speeds(translation_in_s=options.speed), options.radius, stays=stays)
     start = None if options.start == arguments.UNKNOWN else belief
     waits = arguments.is_lockstep(options.address)
+    done.alike = [] if start is None else arguments.find_alike(world, config, start)
     with filter_on_robot(
-        options.method, config, start, options.scale_std, waits=waits, report=arguments.report_wait
+        options.method, config, start, options.scale_std, waits=waits, report=arguments.report_wait, alike=done.alike
     ) as method:
         localizer = start_localizer(robot, config, belief, method)
         # 2. Drive until the last waypoint, a stall or the time limit.

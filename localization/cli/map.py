@@ -15,8 +15,9 @@ from localization.filters.belief import Floats
 from localization.filters.sonar_cone import ConeSonar
 from localization.filters.sonar_ray import WIRE_SONAR
 from localization.live.plot import ESTIMATE, GOAL, blank, check_picture, draw_walls, save
+from localization.mapping.aliases import Alias, AliasFinder, find_aliases
 from localization.mapping.observability import Observability, compute_observability
-from nclient.common.arguments import add_value
+from nclient.common.arguments import add_flag, add_value
 from nclient.common.exit_codes import ExitCode
 from nclient.common.files import write_errors_as
 from nclient.errors import MapFileError, WorldFileError
@@ -27,11 +28,19 @@ from worlds.simplify import hausdorff_distance_in, simplify_world
 from worlds.validate import Finding, FreeSpace, ValidationLimits, find_free_space, validate_world
 from worlds.world import World
 
+ALIKE = "look alike"
 MAX_SHOWN_IN = 3.0
 """Upper end of the color scale."""
 
 
-def draw_map(path: Path, world: World, found: FreeSpace, worst_in: Floats, findings: Sequence[Finding]) -> None:
+def draw_map(
+    path: Path,
+    world: World,
+    found: FreeSpace,
+    worst_in: Floats,
+    findings: Sequence[Finding],
+    aliases: Sequence[Alias] = (),
+) -> None:
     """Draw a map as PNG, colored by the bound.
 
     Parameters
@@ -42,6 +51,8 @@ def draw_map(path: Path, world: World, found: FreeSpace, worst_in: Floats, findi
     worst_in : (k,) array
         Bound at the reachable positions of `found`, row by row.
     findings : sequence of Finding
+    aliases : sequence of Alias
+        Places that look alike are joined by lines.
     """
     picture = blank(8.0, 7.0)
     axes = picture.subplots()
@@ -59,6 +70,10 @@ def draw_map(path: Path, world: World, found: FreeSpace, worst_in: Floats, findi
     if findings:
         places = np.array([finding.place_in for finding in findings])
         axes.plot(*places.T, marker="x", color=ESTIMATE, markersize=9, linestyle="", label="findings")
+    for alias in aliases:
+        for pose in alias.alike:
+            label = "" if axes.get_legend_handles_labels()[1][-1:] == [ALIKE] else ALIKE
+            axes.plot(*np.array([alias.pose[:2], pose[:2]]).T, color=ESTIMATE, linewidth=0.4, marker=".", label=label)
     axes.set(xlabel="x (in)", ylabel="y (in)", title=world.title or world.name)
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=2, frameon=False)
     save(picture, path)
@@ -68,6 +83,8 @@ def draw_map(path: Path, world: World, found: FreeSpace, worst_in: Floats, findi
 CELL_IN, MAX_PLACES = 3.0, 2500
 # Bound above which a position is called weak, inches.
 WEAK_IN = 1.0
+# Places examined for others that look alike, by `check` and for the picture of `show`; lines and poses printed of them.
+ALIAS_SAMPLES, SHOWN_ALIAS_SAMPLES, MAX_NOTES, MAX_ALIKE = 40, 24, 8, 4
 # Exit code 3, as of other commands that ran and did not succeed.
 PROBLEMS_FOUND = ExitCode.NOT_REACHED
 
@@ -81,10 +98,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = "example: nomad map show several_walls --out out/map.png"
     tools = parser.add_subparsers(dest="tool", required=True, metavar="check|simplify|show|learn|import|export")
     check = tools.add_parser(
-        "check", help="find gaps, doubled walls, very short walls, starts without space, closed-off space"
+        "check",
+        help="find gaps, doubled walls, very short walls, starts without space, closed-off space; name places that "
+        "look alike",
     )
     add_value(check, "--gap", "IN", arguments.parse_positive,
               "report ends of walls within this distance in in of another wall as gaps", ValidationLimits().gap_in)
+    check.add_argument(
+        "--at",
+        type=arguments.parse_point,
+        nargs="+",
+        default=[],
+        metavar="X,Y",
+        help="name the places that look like these positions (default: like the starts and others over the map)",
+    )
     simplify = tools.add_parser("simplify", help="write the map with fewer walls, within a tolerance")
     add_value(simplify, "--tolerance", "IN", arguments.parse_positive, "move walls by at most this distance in in", 0.5)
     simplify.add_argument("--out", type=Path, required=True, metavar="FILE", help="write this world file")
@@ -109,7 +136,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         tool.add_argument("world", metavar="WORLD", help="map: a shipped world or a TOML file")
         if tool is not simplify:
             tool.add_argument("--body", choices=sorted(BODIES), default="n150", help="robot model (default: n150)")
-        tool.add_argument("--json", action="store_true", help="print only the result, as JSON, on stdout")
+        add_flag(tool, "--json", "print only the result, as JSON, on stdout")
 
 
 def _add_import(parser: argparse.ArgumentParser) -> None:
@@ -122,19 +149,19 @@ def _add_import(parser: argparse.ArgumentParser) -> None:
     add_value(scale, "--unit", "IN", arguments.parse_positive,
               "inches of a drawing's unit (default: as the file states)")
     add_value(parser, "--min-cells", "N", int, "ignore smaller spots of a grid", 4)
-    parser.add_argument("--close", action="store_true", help="put walls where known space ends without one")
+    add_flag(parser, "--close", "put walls where known space ends without one")
     parser.add_argument(
         "--layer", action="append", default=[], metavar="NAME", help="read this layer of a DXF; may be repeated"
     )
     add_value(parser, "--picture", "PNG", Path, "draw the walls into this file (extra `plot`)")
-    parser.add_argument("--json", action="store_true", help="print only the result, as JSON, on stdout")
+    add_flag(parser, "--json", "print only the result, as JSON, on stdout")
 
 
 def _add_export(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("world", metavar="WORLD", help="map: a shipped world or a TOML file")
     parser.add_argument("--out", type=Path, required=True, metavar="YAML", help="write this file, and a PGM beside it")
     add_value(parser, "--resolution", "M", arguments.parse_positive, "side of a cell in m", 0.05)
-    parser.add_argument("--json", action="store_true", help="print only the result, as JSON, on stdout")
+    add_flag(parser, "--json", "print only the result, as JSON, on stdout")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -205,12 +232,51 @@ def _draw_walls(path: Path, world: World) -> None:
 
 
 def _check(world: World, options: argparse.Namespace) -> int:
-    found = validate_world(world, BODIES[options.body].radius_in, ValidationLimits(gap_in=options.gap))
+    body = BODIES[options.body]
+    found = validate_world(world, body.radius_in, ValidationLimits(gap_in=options.gap))
+    places, aliases = _find_aliases(world, body.radius_in, options.at)
+    notes = [_note(alias) for alias in aliases]
     if options.json:
-        print(json.dumps([finding._asdict() for finding in found]))
-    else:
-        print("\n".join(_line(finding) for finding in found) or f"{world.name}: {len(world.walls)} walls, no problems")
+        listed = [note._asdict() | {"poses": _poses_deg(alias)} for note, alias in zip(notes, aliases, strict=True)]
+        print(json.dumps([finding._asdict() for finding in found] + listed))
+        return PROBLEMS_FOUND if found else 0
+    # Places that look alike are no problem of the map: they are listed, and change no exit code.
+    lines = [_line(finding) for finding in found] or [f"{world.name}: {len(world.walls)} walls, no problems"]
+    if options.at and not aliases:
+        lines.append("no other place looks like the given ones")
+    elif aliases:
+        lines += [_line(note) for note in notes[: None if options.at else MAX_NOTES]]
+        lines.append(f"note: {len(aliases)} of {places} places examined look like others (--at X,Y for one, "
+                     "map show --out for a picture)")  # fmt: skip
+    print("\n".join(lines))
     return PROBLEMS_FOUND if found else 0
+
+
+def _find_aliases(
+    world: World, radius_in: float, at: Sequence[tuple[float, float]] = (), samples: int = ALIAS_SAMPLES
+) -> tuple[int, list[Alias]]:
+    """Return how many places were examined, the starts and others or those given, and those with aliases."""
+    starts = [(start.x_in, start.y_in, start.steering_rad) for start in world.starts]
+    finder = AliasFinder(world.walls, radius_in, [start[:2] for start in starts])
+    poses = [(x, y, 0.0) for x, y in at] or starts + [(x, y, 0.0) for x, y in finder.samples(samples).tolist()]
+    return len(poses), find_aliases(finder, np.array(poses))
+
+
+def _note(alias: Alias) -> Finding:
+    """Return an alias in words, as a finding."""
+    poses = _poses_deg(alias)
+    others = ", ".join(f"({x:.0f}, {y:.0f}) at {heading:.0f} deg" for x, y, heading in poses[1 : 1 + MAX_ALIKE])
+    more = f" and {len(poses) - 1 - MAX_ALIKE} more" if len(poses) - 1 > MAX_ALIKE else ""
+    x, y, heading = poses[0]
+    return Finding("alike", (x, y), f"at {heading:.0f} deg looks like {others}{more}")
+
+
+def _poses_deg(alias: Alias) -> list[list[float]]:
+    """Return the pose and those that look like it: inches, and degrees from 0 to 360."""
+    return [
+        [round(float(x), 1), round(float(y), 1), round(math.degrees(heading), 1) % 360.0]
+        for x, y, heading in (alias.pose, *alias.alike)
+    ]
 
 
 def _line(finding: Finding) -> str:
@@ -259,7 +325,8 @@ def _show(world: World, options: argparse.Namespace) -> int:
     )
     numbers = _numbers(bound, reached, options.weak)
     if options.out is not None:
-        draw_map(options.out, world, reached, bound.worst_in, validate_world(world, body.radius_in))
+        draw_map(options.out, world, reached, bound.worst_in, validate_world(world, body.radius_in),
+                 _find_aliases(world, body.radius_in, samples=SHOWN_ALIAS_SAMPLES)[1])  # fmt: skip
     print(json.dumps(numbers) if options.json else _words(world, numbers, options))
     return 0
 

@@ -28,7 +28,7 @@ from localization.missions.report import Report
 from localization.missions.settings import Point, Settings
 from localization.missions.steps import load_mission
 from nclient import NomadError, Robot
-from nclient.common.arguments import add_address, add_value
+from nclient.common.arguments import add_address, add_flag, add_value
 from nclient.common.exit_codes import ExitCode
 from nclient.common.files import write_errors_as
 from nclient.errors import MissionFileError
@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `nomad mission`."""
     parser.add_argument("file", metavar="FILE", help="mission file, .toml or .py (docs/missions.md)")
     add_address(parser)
-    parser.add_argument("--check", action="store_true", help="check the file and its map, report errors, move nothing")
+    add_flag(parser, "--check", "check the file and its map, report errors, move nothing")
     add_value(parser, "--report", "JSON", Path, "write the report to this file")
     add_mission_options(parser)
 
@@ -57,7 +57,7 @@ def add_mission_options(parser: argparse.ArgumentParser) -> None:
     add_value(parser, "--start", "X,Y,HEADING", arguments.parse_pose,
               "set the encoders to this initial pose, inches and degrees (default: keep them)")
     arguments.add_localization_options(parser, METHOD, "filter; only finder detects that it is lost", "")
-    parser.add_argument("--json", action="store_true", help="print only the report, as JSON, on stdout")  # fmt: skip
+    add_flag(parser, "--json", "print only the report, as JSON, on stdout")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -132,7 +132,10 @@ def open_mission(options: argparse.Namespace, map_name: str = "") -> Iterator[Mi
         belief, config, sonars = arguments.prepare_localization(robot, simulated, world, options)
         body, waits = BODIES[options.body], arguments.is_lockstep(options.address)
         with (
-            filter_on_robot(options.method, config, belief, waits=waits, report=arguments.report_wait) as method,
+            filter_on_robot(
+                options.method, config, belief, waits=waits, report=arguments.report_wait,
+                alike=arguments.find_alike(world, config, belief),
+            ) as method,
             RobotController(robot, config, body, belief, time.sleep, method, options.speed) as controller,
         ):
             context = MissionContext(controller, robot, simulated, sonars, [], [], world)

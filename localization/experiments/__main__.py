@@ -1,4 +1,4 @@
-"""`python -m localization.experiments`: simulate figures of the thesis, or run `live`, `lost`, `plan` or `all`.
+"""`python -m localization.experiments`: simulate figures of the thesis, or run another experiment, or `all`.
 
 With --json only the numbers are printed on stdout; the progress bar (extra `plot`: tqdm) and file names go to stderr.
 """
@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from localization.cli.arguments import make_folder
-from localization.experiments import live, output
+from localization.experiments import corridor, live, output
 from localization.experiments import lost as lost_command
 from localization.experiments import plan as plan_command
 from localization.experiments.execution import drive, drive_on_cluster, progress
@@ -21,7 +21,7 @@ from localization.live.plot import require_matplotlib
 from nclient.errors import NomadError
 
 OUT: Final = Path("out/experiments")
-ALONE: Final = ("live", "lost", "plan", "all")
+ALONE: Final = ("live", "lost", "plan", "corridor", "all")
 """Commands that replace the names of figures."""
 
 
@@ -37,6 +37,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 lost_command.main(given[1:])
             case ["plan"]:
                 plan_command.main(given[1:])
+            case ["corridor"]:
+                corridor.main(given[1:])
             case ["all"]:
                 _drive_all(given[1:])
             case _:

@@ -254,7 +254,7 @@ def drive(scenario: Scenario, figure: str, seed: int, periods: int = MAX_PERIODS
     world = load_world(COURSES[figure])
     start = world.paths[figure].start
     # The connection is closed before the history is built.
-    with simulated_robot(world, scenario, seed, start, line=scenario.line) as robot:
+    with simulated_robot(world.name, scenario, seed, start, line=scenario.line) as robot:
         localizer, outliers = _start_localizer(robot, scenario, world, figure, seed)
         navigator = Navigator(world.paths[figure].goals_in, Speeds(translation_in_s=scenario.speed_in_s))
         followed = _follow(robot, localizer, outliers, navigator, periods, timer)
@@ -263,16 +263,16 @@ def drive(scenario: Scenario, figure: str, seed: int, periods: int = MAX_PERIODS
 
 @contextmanager
 def simulated_robot(
-    world: World, scenario: Scenario, seed: int, start: Pose | StartPose, *, line: bool = False
+    world: str, scenario: Scenario, seed: int, start: Pose | StartPose, *, line: bool = False
 ) -> Iterator[Robot]:
-    """Provide a robot in its own simulation, whose time advances only with the exchanges."""
+    """Provide a robot in its own simulation of a shipped world or a file; its time advances with the exchanges only."""
     pose = f"{start.x_in},{start.y_in},{np.degrees(start.steering_rad)},{np.degrees(start.turret_rad)}"
     with tempfile.TemporaryDirectory() as folder:
         setup = Path(folder) / "setup.toml"
         setup.write_text(scenario.setup(seed), encoding="utf-8")
         step_s = PERIOD_S / EXCHANGES_PER_PERIOD
         options = f"setup={setup}&seed={seed}&start={pose}&step_s={step_s}&line={int(line)}"
-        with connect(f"sim:{world.name}?{options}") as robot:
+        with connect(f"sim:{world}?{options}") as robot:
             yield robot
 
 
@@ -327,7 +327,8 @@ def _record(seed: int, reached: bool, periods: Sequence[Period]) -> Record:
     distance = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(truth[:, :2], axis=0).T))])
     spent = np.array([period.spent_s for period in periods])
     # 2. A smoother repeats an estimate until a newer one exists: use the last version of each time.
-    estimates = [_evaluated_estimate(period.estimate) for period in periods]
+    # The smoothed estimate where the method has one.
+    estimates = [each.estimate.smoothed or Smoothed(each.estimate.clock_s, each.estimate.belief) for each in periods]
     fresh = [
         k for k in range(len(estimates)) if k == len(estimates) - 1 or estimates[k + 1].clock_s > estimates[k].clock_s
     ]
@@ -347,11 +348,6 @@ def _record(seed: int, reached: bool, periods: Sequence[Period]) -> Record:
         covs,
         spent,
     )
-
-
-def _evaluated_estimate(estimate: Estimate) -> Smoothed:
-    """Return the smoothed estimate if there is one, else the current one."""
-    return estimate.smoothed or Smoothed(estimate.clock_s, estimate.belief)
 
 
 def _interpolate(clock_s: Floats, polled_s: Floats, poses: Floats) -> Floats:

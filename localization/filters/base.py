@@ -112,6 +112,11 @@ class Searching(Protocol):
         """The poses, the most probable first; none while searching."""
         ...
 
+    @property
+    def informative_turn_rad(self) -> float | None:
+        """Turn from the present heading to the direction in which the poses differ soonest; None without any."""
+        ...
+
 
 @runtime_checkable
 class Smoothing(Protocol):

@@ -16,11 +16,21 @@ import numpy as np
 from localization.filters import compiled
 from localization.filters.base import EncoderRow, NewEcho, process_each
 from localization.filters.belief import HEADING, Belief, Floats, marginal, pack, unpack, with_constants, wrap_angle
-from localization.filters.health import FilterHealth, IntegrityMonitor
-from localization.filters.odometry import NO_LAG, Lag, OdometryNoise, pose_at, predict_state, relative_step, widen
+from localization.filters.health import BUILDING, FilterHealth, IntegrityMonitor
+from localization.filters.odometry import (
+    NO_LAG,
+    Lag,
+    OdometryNoise,
+    pose_at,
+    predict_state,
+    relative_step,
+    true_step,
+    widen,
+)
 from localization.filters.sonar_ray import Observation
 from localization.filters.update import (
     INFORMATIVE,
+    INFORMATIVE_IN_CLUTTER,
     NONE,
     CorrelatedReadings,
     Covariance,
@@ -118,6 +128,10 @@ class KalmanFilter:
         self._monitor = IntegrityMonitor()
         self._correlated = CorrelatedReadings()
         self._direct = measurement.direct if prediction is predict_state else None
+        self._odometric = measurement.odometric
+        self._informative: Sequence[int] = INFORMATIVE
+        if self._odometric:
+            self._informative, self._monitor = INFORMATIVE_IN_CLUTTER, IntegrityMonitor(BUILDING)
         self._compiled = compiled.ring(filter_ring, self._direct, odometry)
         if self._compiled:
             self._correlated.used = np.array(self._correlated.used)  # type: ignore[assignment]
@@ -139,6 +153,8 @@ class KalmanFilter:
 
     def predict(self, distance_in: float, turn_rad: float) -> None:
         """Predict the belief after a step that the encoders report."""
+        if self._odometric:
+            self._odometric.move(*true_step(self._x, distance_in, turn_rad, self._constants))
         self._predict(self._x, self._P, distance_in, turn_rad, self._odometry, self._constants)
         self._correlated.move(distance_in, turn_rad)
 
@@ -156,7 +172,7 @@ class KalmanFilter:
         result = self._measurement.apply(self._x, self._P, sonar, turret_offset_rad, reading_in, count)
         if result.refusal is Refusal.NONE:
             self._correlated.record(sonar, turret_offset_rad)
-        if result.refusal in INFORMATIVE:
+        if result.refusal in self._informative:
             self._monitor.add(result)
         return result
 

@@ -72,6 +72,8 @@ class HealthLimits:
     max_std_in: float = 3.0
 
 
+BUILDING: Final = HealthLimits(max_std_in=18.0)
+"""In a building: half the width of a door. Nothing bounds the error along a corridor; it soon exceeds 3 in there."""
 HEALTHY: Final = FilterHealth(HealthStatus.OK, "")
 
 

@@ -17,7 +17,7 @@ The formulas (`to_wall`, `to_vertex`, `detection_probability`, `range_jacobian`)
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from math import atan2, cos, log, pi, radians, sqrt
 from typing import Any, Final, NamedTuple
@@ -99,6 +99,8 @@ class ConeSonar(RangeNoise):
         Loss at the second wall of a square corner; at any other vertex.
     outlier_probability
         Fraction of readings that no reflector of the map explains: spread evenly over all ranges.
+    surface_std_in, surface_length_in
+        Standard deviation and correlation length of the surface of walls (surface.py); 0: walls are where the map says.
     """
 
     rounding_var_in2: float = WIRE_SONAR.rounding_var_in2
@@ -112,6 +114,8 @@ class ConeSonar(RangeNoise):
     bounce_loss_db: float = 3.0
     edge_loss_db: float = 15.0
     outlier_probability: float = 0.1
+    surface_std_in: float = 0.0
+    surface_length_in: float = 24.0
 
     @property
     def outlier_density(self) -> float:
@@ -119,15 +123,36 @@ class ConeSonar(RangeNoise):
         return 1.0 / (self.highest_in - self.lowest_in)
 
 
+BUILDING_SONAR: Final = ConeSonar(
+    range_std_relative=0.003,
+    cone_rad=radians(50.0),
+    cone_loss_db=24.0,
+    outlier_probability=0.67,
+    surface_std_in=1.75,
+    surface_length_in=24.0,
+)
+"""A real ring in a real building, fitted to a corridor (docs/real-data.md): soft edges of cones, walls with surfaces,
+two of three echoes from things that are not on the map."""
+
+
 def cone_sonar(ring: Ring) -> ConeSonar:
     """Return the sonars of a real ring: its limits, resolution and cone, the levels of the data sheet."""
+    return _on_ring(ConeSonar(), ring)
+
+
+def building_sonar(ring: Ring) -> ConeSonar:
+    """Return the sonars of a real ring in a real building."""
+    return _on_ring(BUILDING_SONAR, ring)
+
+
+def _on_ring(sonar: ConeSonar, ring: Ring) -> ConeSonar:
     rays = ray_sonar(ring)
-    cone_rad = CONE_RAD if ring.half_cone_rad is None else 2.0 * ring.half_cone_rad
-    return ConeSonar(
+    return replace(
+        sonar,
         rounding_var_in2=rays.rounding_var_in2,
         lowest_in=rays.lowest_in,
         highest_in=rays.highest_in,
-        cone_rad=cone_rad,
+        cone_rad=sonar.cone_rad if ring.half_cone_rad is None else 2.0 * ring.half_cone_rad,
     )
 
 
@@ -332,6 +357,15 @@ class ConeModel:
         numbers = np.array([one.reflector for one in candidates])
         expect = partial(ranges_to, mount=mount, around=self._around, numbers=numbers)
         return hypotheses(x, candidates, self)._replace(range_function=expect)
+
+
+    def toward(self, x: float, y: float, reflector: int) -> tuple[float, float, float]:
+        """Return range and unit vector (two numbers) from a sonar's face to a reflector: walls first, then vertices."""
+        if reflector < len(self.faces):
+            corner_x, corner_y, normal_x, normal_y, _ = self.faces[reflector]
+            return to_wall(x, y, corner_x, corner_y, normal_x, normal_y)[:3]
+        vertex_x, vertex_y, _ = self.vertices[reflector - len(self.faces)]
+        return to_vertex(x, y, vertex_x, vertex_y)
 
 
 # Many poses, in arrays.

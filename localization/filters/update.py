@@ -71,6 +71,8 @@ NONE, LIMIT, NO_WALL, AMBIGUOUS_WALL, GRAZING, GATE = (refusal.value for refusal
 
 INFORMATIVE: Final = (NONE, NO_WALL, GATE)
 """Outcomes that say whether the belief is right; the others depend on the geometry only."""
+INFORMATIVE_IN_CLUTTER: Final = (NONE, GATE)
+"""The same among things that the map does not have: an echo where the map has nothing is no sign of a wrong belief."""
 
 
 Outcome = tuple[int, float, float, float, float]
@@ -180,6 +182,15 @@ class DirectModel(MeasurementModel, Protocol):
     @property
     def update(self) -> Callable[..., Outcome]:
         """Return a function of x, P, mount from the heading, reading, this model, and count (`update_by_ray`)."""
+        ...
+
+
+@runtime_checkable
+class OdometricModel(MeasurementModel, Protocol):
+    """A model that relates echoes to earlier ones, in buildings full of things that the map does not have."""
+
+    def move(self, distance_in: float, turn_rad: float) -> None:
+        """Take note of a step of the robot."""
         ...
 
 
@@ -518,6 +529,7 @@ class MeasurementUpdate:
         self._model, self._rule = model, rule
         self.direct = model if isinstance(model, DirectModel) and rule is linear else None
         """The model, where it updates by the linear rule itself: in one function, which can be compiled."""
+        self.odometric = model if isinstance(model, OdometricModel) else None
 
     def apply(
         self, x: State, P: Covariance, sonar: int, turret_offset_rad: float, reading_in: float, count: int = 1

@@ -69,7 +69,8 @@ class Smoothed(NamedTuple):
 class Estimate(NamedTuple):
     """The belief at `clock_s` of the robot's clock, and the echoes since the last one.
 
-    `smoothed` is of filters that smooth, `places` of filters that search: all poses at which the robot may be.
+    `smoothed` is of filters that smooth, `places` of filters that search: all poses at which the robot may be. Where
+    these look alike, `informative_turn_rad` is the turn to the direction in which driving distinguishes them soonest.
     """
 
     clock_s: float
@@ -78,6 +79,7 @@ class Estimate(NamedTuple):
     health: FilterHealth = HEALTHY
     smoothed: Smoothed | None = None
     places: tuple[Place, ...] = ()
+    informative_turn_rad: float | None = None
 
     @property
     def pose(self) -> Floats:
@@ -154,8 +156,8 @@ class Localizer:
         # 3. The estimate now: predicted from the last echo, widened by the uncertain instants.
         belief = self._filter.predicted(*_step(self._encoders, latest), clock_lag(*self._history.last_two))
         smoothed = Smoothed(self._instants[0], self._smoothing.smoothed()) if self._smoothing else None
-        places = self._searching.places if self._searching else ()
-        return Estimate(latest.clock_s, belief, echoes, self._filter.health, smoothed, places)
+        places, turn = (self._searching.places, self._searching.informative_turn_rad) if self._searching else ((), None)
+        return Estimate(latest.clock_s, belief, echoes, self._filter.health, smoothed, places, turn)
 
     def _process(self, firings: list[FiringTime], sonars_in: Sequence[float]) -> tuple[Echo, ...]:
         """Predict the filter to the encoders at the instant of each echo, and update it."""

@@ -172,7 +172,7 @@ def follow_waypoints(
             command: VelocityCommand | None
             if estimate.health.status is HealthStatus.LOST:
                 smoother.reset()
-                command = VelocityCommand(*recovery.command(state))
+                command = VelocityCommand(*recovery.command(state, estimate.informative_turn_rad))
             else:
                 recovery.reset()
                 command = navigator.command(smoother.update(estimate.clock_s, estimate.pose, encoders))

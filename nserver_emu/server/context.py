@@ -87,6 +87,7 @@ MAX_TIME_FACTOR: Final = 999.0
 MAX_LOCKSTEP_S: Final = 10.0
 # Processor time of a turn that prepares a reply; the last step may take some tenths of a millisecond longer.
 PREPARING_S: Final = 0.0003
+_COMPLETE: Final = object()
 # State[0] at unlimited speed.
 UNLIMITED_SPEED: Final = 9999
 
@@ -665,21 +666,29 @@ class ServerState:
         """
         if context.robot_id is None:
             return True
-        start_s = time.thread_time()
-        is_complete = True
-        for _ in self._preparation_steps(context, call):
-            is_complete = False
-            if time.thread_time() >= start_s + PREPARING_S:
-                break
-        return is_complete
+        # 1. The usual case: nothing, and no time is measured.
+        steps = self._preparation_steps(context, call)
+        if next(steps, _COMPLETE) is _COMPLETE:
+            return True
+        # 2. More steps in the same turn.
+        end_s = time.thread_time() + PREPARING_S
+        while time.thread_time() < end_s and next(steps, _COMPLETE) is not _COMPLETE:
+            pass
+        return False
 
     def _preparation_steps(self, context: ConnectionContext, call: Call | None) -> Iterator[None]:
-        mask, sonar = context.wire_state.mask, self.robot_of(context).sonar
         if call is not None:
-            return self.preparations[call.name](self, context, call.args)
-        if not (mask.whole or any(map(mask.has, SONAR.slots))):
-            return iter(())
-        return (None for _ in iter(sonar.compute_some, True))
+            # No `yield from`: it would close the steps with this generator, and they go on in the next turn.
+            for _ in self.preparations[call.name](self, context, call.args):
+                yield
+            return
+        mask, robot = context.wire_state.mask, self.robot_of(context)
+        if mask.whole or any(map(mask.has, SONAR.slots)):
+            while not robot.sonar.compute_some():
+                yield
+        if robot.infrared is not None and (mask.whole or any(map(mask.has, INFRARED.slots))):
+            while not robot.infrared.compute_some():
+                yield
 
     def feed_watchdog(self, context: ConnectionContext) -> None:
         """Restart the command timeout (conf_tm) of a connection's robot, unless only other connections move it."""

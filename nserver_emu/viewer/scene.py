@@ -32,10 +32,11 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Collection, Iterable, Mapping
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from nserver_emu.server.connection import ConnectionHandler
 from nserver_emu.server.context import ServerState, StateSnapshot, is_on
 from nserver_emu.server.graphics import Shape, Trace
 from nserver_emu.server.handlers.runtime_settings import noise_choices, noise_of
@@ -45,9 +46,6 @@ from nserver_emu.simulation.noise import RobotSetup
 from nserver_emu.simulation.robot import SimulatedRobot
 from nserver_emu.simulation.segments import Pose
 from worlds.world import Polygon, World
-
-if TYPE_CHECKING:
-    from nserver_emu.server.connection import ConnectionHandler
 
 # Clients per robot that are listed with their laser modes.
 MAX_NAMED: Final = 20
