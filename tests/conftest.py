@@ -22,6 +22,8 @@ TESTS = Path(__file__).parent
 LONG = ("integration", "benchmarks", "packaging", "clib", "docs")
 """Folders whose tests are all marked `long`."""
 
+LONG_HALF = "long or hypothesis"
+"""The `-m` of the second half of scripts/test."""
 SLOWEST = (
     "packaging/test_wheel.py", "integration/test_readme.py", "docs/test_pages.py", "docs/test_site.py",
     "fuzz/test_documentation.py", "nserver_emu/server/test_determinism.py", "benchmarks/test_line_localizer.py",
@@ -53,6 +55,15 @@ def pytest_configure(config: pytest.Config) -> None:
         raise pytest.UsageError("--robot: only one program can use a robot at a time; omit -n")
 
 
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """With `-m LONG_HALF`, do not import files without such tests: it would take each worker several seconds."""
+    if config.option.markexpr != LONG_HALF or not collection_path.name.startswith("test_"):
+        return None
+    text = collection_path.read_text(encoding="utf-8") if collection_path.is_file() else "hypothesis"
+    is_long = collection_path.relative_to(TESTS).parts[0] in LONG
+    return None if is_long or "mark.long" in text or "hypothesis" in text else True
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> Generator[None]:
     """Mark the folders of LONG, and distribute SLOWEST; with --robot, select only the hardware tests."""
@@ -72,7 +83,7 @@ def _spread_slowest(items: list[pytest.Item], workers: int) -> list[pytest.Item]
     """Order tests so that the shares of all workers, which xdist cuts in this order, begin with files of SLOWEST."""
     assert all((TESTS / name).is_file() for name in SLOWEST)
     files: dict[str, list[pytest.Item]] = {name: [] for name in SLOWEST}
-    rest = []
+    rest: list[pytest.Item] = []
     for item in items:
         files.get(item.path.relative_to(TESTS).as_posix(), rest).append(item)
     slowest, others = list(files.values()), iter(rest)
