@@ -11,16 +11,14 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig
+from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig, sonar_of
 from localization.filters.belief import POSE, Belief, Floats, independent
 from localization.filters.global_localization import is_wide
 from localization.filters.health import HealthStatus
 from localization.filters.odometry import MAX_STATE, OdometryNoise, with_parameters
 from localization.filters.registry import METHODS
-from localization.filters.sonar_cone import ConeSonar
-from localization.filters.sonar_ray import WIRE_SONAR
 from localization.live import saved_estimate
-from localization.live.assumptions import SIMULATION, SonarAssumption, resolve_sonar_model
+from localization.live.assumptions import SIMULATION, SonarAssumption, resolve_body, resolve_sonar_model
 from localization.live.localizer import Estimate
 from localization.live.run import Run
 from localization.live.saved_estimate import DisplacementStd, SavedEstimate, map_signature, resume_belief
@@ -128,9 +126,14 @@ def add_map_option(parser: argparse.ArgumentParser, other_source: str = "") -> N
 
 
 def add_robot_model_options(parser: argparse.ArgumentParser) -> None:
-    """Add --body, --odometry-noise and --sonars."""
+    """Add --body, --model-file, --odometry-noise and --sonars."""
     parser.add_argument(
-        "--body", choices=sorted(BODIES), help="robot model, if the address does not name it (default: n150)"
+        "--body", type=str.lower, metavar=f"{{{','.join(sorted(BODIES))}}}",
+        help="robot model, if the address does not name it, or one of --model-file (default: n150)"
+    )
+    parser.add_argument(
+        "--model-file", type=Path, metavar="FILE",
+        help="robot models that override or extend these (default: model_file of a sim: address)"
     )
     add_odometry_noise(parser)
     parser.add_argument("--sonars", choices=("rays", "cones"),
@@ -294,8 +297,8 @@ def prepare_localization(robot: Robot, simulated: bool, world: World, options: a
     if sonars.line():
         print(sonars.line(), file=sys.stderr if options.json else sys.stdout, flush=True)
     # 3. All models.
-    sonar = WIRE_SONAR if sonars.rays else ConeSonar()
-    body = BODIES[options.body]
+    body = resolve_body(options.body, options.model_file, options.address)
+    sonar = sonar_of(body.ring, rays=sonars.rays)
     config = LocalizationConfig(world.walls, body, options.odometry_noise, sonar, calibration=calibration)
     return LocalizationSetup(belief, config, sonars)
 

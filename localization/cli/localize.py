@@ -13,7 +13,7 @@ from pathlib import Path
 
 from localization.cli import arguments
 from localization.filters.registry import DEFAULT_METHOD, FINDER
-from localization.live.assumptions import resolve_robot_model
+from localization.live.assumptions import resolve_body, resolve_robot_model
 from localization.live.background_search import filter_on_robot
 from localization.live.publish import Publisher, build_message
 from localization.live.run import GroundTruth, Run, RunMoment
@@ -31,7 +31,6 @@ from nclient import NomadError, Robot, WorldFileError
 from nclient.common.arguments import add_flag, add_value
 from nclient.common.exit_codes import ExitCode
 from nclient.common.process import TerminatedBySignal
-from worlds.robots import BODIES
 from worlds.world import World
 
 
@@ -148,7 +147,7 @@ def _draw(options: argparse.Namespace, world: World, done: Run) -> None:
     if options.picture is not None:
         from localization.live.plot import draw_run
 
-        draw_run(options.picture, world, done, BODIES[options.body])
+        draw_run(options.picture, world, done, resolve_body(options.body, options.model_file, options.address))
 
 
 def _drive(

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from localization.cli import arguments
-from localization.live.assumptions import SonarAssumption, resolve_robot_model, sonar_mismatch_hint
+from localization.live.assumptions import SonarAssumption, resolve_body, resolve_robot_model, sonar_mismatch_hint
 from localization.live.background_search import filter_on_robot
 from localization.live.localizer import Echo
 from localization.live.publish import Publisher
@@ -33,7 +33,6 @@ from nclient.common.exit_codes import ExitCode
 from nclient.common.files import write_errors_as
 from nclient.errors import MissionFileError
 from worlds.io import load_world
-from worlds.robots import BODIES
 from worlds.world import World
 
 METHOD: Final = "finder"
@@ -130,7 +129,8 @@ def open_mission(options: argparse.Namespace, map_name: str = "") -> Iterator[Mi
     with robot, contextlib.closing(publisher) if publisher else contextlib.nullcontext():
         options.body = resolve_robot_model(options.body, robot.model.name, options.address)
         belief, config, sonars = arguments.prepare_localization(robot, simulated, world, options)
-        body, waits = BODIES[options.body], arguments.is_lockstep(options.address)
+        body = resolve_body(options.body, options.model_file, options.address)
+        waits = arguments.is_lockstep(options.address)
         with (
             filter_on_robot(
                 options.method, config, belief, waits=waits, report=arguments.report_wait,

@@ -35,10 +35,9 @@ from localization.filters.odometry import OdometryNoise, with_parameters
 from localization.filters.sonar_cone import ConeSonar
 from localization.filters.sonar_ray import WIRE_SONAR, RaySonar
 from localization.live.localizer import Estimate, Localizer, Smoothed
-from localization.live.sensor_input import CLOCK_STEP_S, FiringSchedule, SensorInput, with_readings
+from localization.live.sensor_input import CLOCK_STEP_S, FiringSchedule, SensorInput, restart_ring, with_readings
 from localization.navigation.waypoints import PERIOD_S, Navigator, Speeds
 from nclient import connect
-from nclient.protocol.types import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
 from nclient.robot import Robot
 from nclient.state import Pose
 from worlds.io import load_world
@@ -282,9 +281,7 @@ def _start_localizer(
     """Return the localizer, its initial estimate drawn from START_STD, and the source of outliers."""
     start = world.paths[figure].start
     # 1. Firing schedule: the clock of this reply is that of the first sonar.
-    state = robot.configure_sonars(rate=DEFAULT_SONAR_RATE, order=DEFAULT_SONAR_ORDER)
-    assert state.clock_s is not None
-    schedule = FiringSchedule(state.clock_s)
+    schedule, _ = restart_ring(robot, N150.ring)
     # 2. Initial estimate: the true start plus an error with the covariance of the belief.
     off = np.array(START_STD) * np.random.default_rng([seed, START]).standard_normal(3)
     guess = add(np.array([start.x_in, start.y_in, start.steering_rad]), off)

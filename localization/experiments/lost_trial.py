@@ -27,7 +27,7 @@ from localization.filters.range_table import connected, floor_grid
 from localization.filters.registry import finder
 from localization.live.background_search import cached_search
 from localization.live.localizer import Estimate, Localizer
-from localization.live.sensor_input import FiringSchedule
+from localization.live.sensor_input import restart_ring
 from localization.mapping.aliases import AliasFinder
 from localization.navigation.control_law import bearing_error
 from localization.navigation.limits import STAND, VelocityCommand
@@ -35,7 +35,6 @@ from localization.navigation.path import sample_waypoints
 from localization.navigation.recovery import TURN_RAD_S, RecoveryBehavior, SonarState
 from localization.navigation.roadmap import NoPathError, Roadmap
 from localization.navigation.waypoints import PERIOD_S, Navigator, Speeds
-from nclient.protocol.types import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
 from nclient.robot import Robot
 from nclient.state import Pose, RobotState
 from worlds.io import load_world
@@ -202,11 +201,10 @@ class _Run:
         self, robot: Robot, case: Case, world: World, positions: Floats, pose: Pose, alike: Sequence[Floats]
     ) -> None:
         self._robot, self._case, self._positions = robot, case, positions
-        state = robot.configure_sonars(rate=DEFAULT_SONAR_RATE, order=DEFAULT_SONAR_ORDER)
+        schedule, state = restart_ring(robot, N150.ring)
         assert state.clock_s is not None
         # 1. Firing schedule: the clock of this reply is that of the first sonar.
         self._start_s = state.clock_s
-        schedule = FiringSchedule(state.clock_s)
         # 2. Initial estimate, drawn from START_STD; none for an unknown start.
         rng = np.random.default_rng([case.seed, START])
         initial = None

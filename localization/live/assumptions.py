@@ -10,12 +10,16 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from localization.live.localizer import Consistency, Echo
+from nclient.common.hints import suggest
 from nclient.connector import address_or_default
 from nclient.errors import AddressError, WorldFileError
 from nclient.url import split_address
+from worlds.robots import BODIES, Body, load_bodies
 from worlds.schema import parse_toml, read_text
 
 SIMULATION: Final = "sim"
+MODEL_FILE: Final = "model_file"
+"""Option of sim: addresses."""
 
 
 def resolve_robot_model(option: str | None, model: str, address: str | None) -> str:
@@ -37,12 +41,35 @@ def resolve_robot_model(option: str | None, model: str, address: str | None) -> 
         estimate wrong.
     """
     there = split_address(address_or_default(address))
+    # A robot of a model file has a name of its own, while its protocol is that of a Nomad.
+    if there.scheme == SIMULATION and MODEL_FILE in there.options:
+        model = there.options.get("robot", model).lower()
     is_given = there.scheme == SIMULATION or "model" in there.options
     if option is None or (is_given and option == model):
         return model
     if is_given:
         raise AddressError(f"--body {option}: the robot at {there.text} is of model {model}; omit --body")
     return option
+
+
+def resolve_body(name: str, model_file: Path | None, address: str | None) -> Body:
+    """Return the body of a robot model: from a model file, that of a sim: address, or a Nomad's.
+
+    Raises
+    ------
+    AddressError
+        If there is no model of that name.
+    WorldFileError
+        If the file cannot be read.
+    """
+    there = split_address(address_or_default(address))
+    if model_file is None and there.scheme == SIMULATION and MODEL_FILE in there.options:
+        model_file = Path(there.options[MODEL_FILE])
+    bodies = BODIES if model_file is None else load_bodies(model_file)
+    if name not in bodies:
+        hint = suggest(name, bodies)
+        raise AddressError(f"no robot model {name!r}{hint}; there are {', '.join(bodies)} (--model-file for others)")
+    return bodies[name]
 
 
 MIN_READINGS: Final = 30

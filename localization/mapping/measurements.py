@@ -162,7 +162,7 @@ def _drive_of(recording: Recording, connection: str) -> DriveLog | None:
         state = RobotState(model, tuple(frame["State"]), clock_ms=int(frame["clock"]))
         assert state.clock_s is not None
         if restart is not None:
-            schedule, restart = FiringSchedule(state.clock_s, *restart), None
+            schedule, restart = FiringSchedule.of_command(state.clock_s, *restart), None
             states, firings = [state], []
             last_s = state.clock_s
             continue
