@@ -144,6 +144,12 @@ def add_robot_model_options(parser: argparse.ArgumentParser) -> None:
                              "simulations, building for robots)")  # fmt: skip
 
 
+def add_sonar_model(parser: argparse.ArgumentParser) -> None:
+    """Add the option of the sonar model, without a robot that decides it."""
+    parser.add_argument("--sonars", choices=("rays", "cones"), default="cones",
+                        help="sonar model: exact rays, or the cones of a real ring (default: %(default)s)")
+
+
 def add_odometry_noise(parser: argparse.ArgumentParser) -> None:
     """Add the option of the odometry's random errors."""
     add_value(parser, "--odometry-noise", "A,B,C", parse_odometry_noise,

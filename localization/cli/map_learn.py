@@ -36,12 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_value(parser, "--calibration-out", "FILE", Path,
               "write sonar offsets and wheel scales into this model file, which --calibration reads")
     arguments.add_odometry_noise(parser)
-    parser.add_argument(
-        "--sonars",
-        choices=("rays", "cones"),
-        default="cones",
-        help="sonar model: exact rays, or the cones of a real ring (default: %(default)s)",
-    )
+    arguments.add_sonar_model(parser)
     parser.add_argument("--json", action="store_true", help="print only the result, as JSON, on stdout")
 
 
