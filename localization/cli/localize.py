@@ -12,6 +12,7 @@ import time
 from pathlib import Path
 
 from localization.cli import arguments
+from localization.cli.log import add_log_options, localize_recorded
 from localization.filters.registry import DEFAULT_METHOD, FINDER
 from localization.live.assumptions import resolve_body, resolve_robot_model
 from localization.live.background_search import filter_on_robot
@@ -65,6 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "; waypoints set there replace the current ones",
     )
     parser.set_defaults(method=None)
+    add_log_options(parser)
     add_value(parser, "--radius", "IN", arguments.parse_positive,
               "count a waypoint as reached within this distance in in", STOP_RADIUS_IN)
     add_value(parser, "--smooth", "S", arguments.parse_seconds,
@@ -83,9 +85,11 @@ def run(options: argparse.Namespace) -> int:
 
     After Ctrl-C or a signal results are still saved and printed.
     """
+    options.method = _select_method(options)
+    if options.log:
+        return localize_recorded(options)
     # 1. Everything that can fail without a robot.
     world = arguments.resolve_world(options)
-    options.method = _select_method(options)
     arguments.check_writable(options.save)
     points = _goals(options, world)
     if options.picture is not None:

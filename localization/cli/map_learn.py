@@ -38,12 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     arguments.add_odometry_noise(parser)
     add_value(parser, "--roughness", "IN", arguments.parse_positive,
               "standard deviation of walls from straight lines in in: 0.8 for a real building", ROUGHNESS_IN)
-    parser.add_argument(
-        "--sonars",
-        choices=("rays", "cones"),
-        default="cones",
-        help="sonar model: exact rays, or the cones of a real ring (default: %(default)s)",
-    )
+    arguments.add_sonar_model(parser)
     parser.add_argument("--json", action="store_true", help="print only the result, as JSON, on stdout")
 
 
