@@ -72,8 +72,9 @@ class HealthLimits:
     max_std_in: float = 3.0
 
 
-BUILDING: Final = HealthLimits(max_std_in=18.0)
-"""In a building: half the width of a door. Nothing bounds the error along a corridor; it soon exceeds 3 in there."""
+BUILDING: Final = HealthLimits(max_std_in=18.0, nis_probability=1.0 - 1e-6)
+"""In a building: half the width of a door, as nothing bounds the error along a corridor, and 3 in are soon exceeded;
+and a wider limit of the NIS, as the innovations of two hypotheses have heavier tails than a normal distribution."""
 HEALTHY: Final = FilterHealth(HealthStatus.OK, "")
 
 

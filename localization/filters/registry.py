@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from types import MappingProxyType
 from typing import Final, NamedTuple
@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from localization.filters import ukf
 from localization.filters.base import Filter, LocalizationConfig, measurement_model
-from localization.filters.belief import POSE, Belief
+from localization.filters.belief import POSE, Belief, Floats
 from localization.filters.calibration import CalibratingFilter
 from localization.filters.ekf import KalmanFilter, Prediction
 from localization.filters.global_localization import GlobalLocalizer
@@ -106,17 +106,18 @@ def finder(
     belief: Belief | None,
     parameter_stds: tuple[float, ...] = (),
     poses: PoseSearch | None = None,
+    alike: Sequence[Floats] = (),
 ) -> GlobalLocalizer:
     """Return the filter that localizes globally; without a belief it begins with a search.
 
     `parameter_stds` are of the odometry parameters, where there is no belief that has them. `poses` searches the map.
-    Default: in this process, which may take seconds on a large map.
+    Default: in this process, which may take seconds on a large map. `alike` are poses that look like the belief's.
     """
     # With a belief the parameters' uncertainty is in it.
     stds = parameter_stds if belief is None else tuple(belief.std[POSE:].tolist())
     measurement = _measurement(config)
     poses = poses or table_search(config)
-    return GlobalLocalizer(belief, measurement, config.odometry, poses, config.body.sonar_angles_rad, stds)
+    return GlobalLocalizer(belief, measurement, config.odometry, poses, config.body.sonar_angles_rad, stds, alike=alike)
 
 
 def table_search(config: LocalizationConfig) -> TableSearch:

@@ -4,7 +4,7 @@
     state --> new echoes ----+--> for each echo, at the pose of its instant: predict, update --> Estimate
 
 It uses what the robot's interface reports and nothing else: odometry from the encoders, readings from State's sonars,
-time from the robot's clock. Each echo counts once; limits (6, 255) are never ranges.
+time from the robot's clock. Each echo counts once; limits are never ranges.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ class Localizer:
         if is_compiled_for(1):
             compiled.load()
         self._filter = make(method, config, belief, seed) if isinstance(method, str) else method
-        self._schedule, self._calibration = schedule, config.calibration
+        self._schedule, self._calibration, self._ring = schedule, config.calibration, config.body.ring
         self._history = PoseHistory()
         self._encoders: EncoderPose | None = None
         """Encoders at the instant to which the filter has predicted."""
@@ -136,7 +136,7 @@ class Localizer:
             A state without a clock: nothing was received yet.
         """
         # 1. The state without the systematic errors of the sonars, into the history.
-        state = corrected(state, self._calibration)
+        state = corrected(state, self._calibration, self._ring)
         if state.clock_s is None:
             raise ValueError("a state without a clock: poll the robot once (refresh) before localizing")
         now = EncoderPose(

@@ -207,8 +207,9 @@ def without_echo(rows: Sequence[LogRow], ring: Ring) -> list[LogRow]:
     if count != ring.count:
         raise LogFileError(f"the log has {count} sonars, the ring {ring.count}: name the columns {SONAR}0 to "
                            f"{SONAR}{ring.count - 1}, or give the model of this robot")  # fmt: skip
+    near_in = 0.1 * ring.resolution_in  # a log has rounded numbers
     return [
-        row._replace(sonars_in=tuple(inf if abs(each - ring.no_echo_in) < 1e-6 else each for each in row.sonars_in))
+        row._replace(sonars_in=tuple(inf if abs(each - ring.no_echo_in) < near_in else each for each in row.sonars_in))
         for row in rows
     ]
 

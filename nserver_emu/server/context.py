@@ -34,6 +34,7 @@ import numpy as np
 from nclient.protocol.client_state import STATE_SIZE
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
+from nclient.protocol.ring_packet import RING_PACKET
 from nclient.protocol.types import (
     BUMPER_SLOT,
     COMPASS_SLOT,
@@ -524,6 +525,11 @@ Preparation = Callable[["ServerState", ConnectionContext, tuple[Any, ...]], Iter
 # Commands that do not change the robot.
 QUERIES: Final = frozenset({"gs", "ct", "sim_truth", *(name for name in BY_NAME if name.startswith("get_"))})
 # Queries whose replies contain State slots.
+def is_ring_packet(call: Call) -> bool:
+    """Return True for the user packet that reads the sonars of a ring, which takes no simulated time."""
+    return call.name == "special_request" and call.args[:1] == (RING_PACKET,)
+
+
 STATE_QUERIES: Final = frozenset({"get_ir", "get_sn", "get_rc", "get_rv", "get_cp", "get_bp"})
 # Commands that take no time in lockstep and do not restart the command timeout: observers must not keep a robot moving.
 TIMELESS: Final = frozenset({"connect_robot", "create_robot", "disconnect_robot", "sim_truth", "sim_control"})
@@ -562,7 +568,7 @@ class ServerState:
         self.quitting = False
         self.graphics = Graphics()
         self.traces = Traces()
-        self.traces.update(simulation)
+        self.traces.update(simulation.time_s, simulation.robots)
         self.transcript = SpeechLog()
         # Arms that were used, by robot.
         self.arms: dict[int, Arm] = {}
@@ -582,7 +588,7 @@ class ServerState:
     def answer(self, call: Call, context: ConnectionContext) -> Reply | DeferredReply:
         """Execute a call and return its reply, ERROR 4 if there is no handler."""
         name = call.name
-        if name not in TIMELESS:
+        if name not in TIMELESS and not is_ring_packet(call):
             # 1. In lockstep, time advances before the call, so that the reply shows the result.
             if self.clock.lockstep_s is not None:
                 self.pass_time(self.clock.step_per_request_s)
@@ -619,7 +625,7 @@ class ServerState:
         while left_ps:
             step_ps = min(left_ps, POLL_INTERVAL_PS)
             self.simulation.step(to_s(step_ps))
-            self.traces.update(self.simulation)
+            self.traces.update(self.simulation.time_s, self.simulation.robots)
             for robot_id in self.arms:
                 self._advance_arm(robot_id)
             self._deferred.poll()
