@@ -20,8 +20,8 @@ Targets, each the median of the rounds, except for the attempts, which are count
 Daemon, measuring client and hostile client are three processes; rounds without and with the hostile client alternate.
 The daemon's event loop is measured in the daemon (`time.thread_time` around each turn). A round trip counts from its
 due time if the previous one took longer, otherwise from when the client woke up: with two cores it shares one with the
-hostile client, and the system wakes it up to a millisecond late. On a machine that does other work, --ahead runs all three ahead of it (Linux, root, two cores): load.py says
-how. The exit code is 1 if a target is missed.
+hostile client, and the system wakes it up to a millisecond late. On a machine that does other work, --ahead runs all
+three ahead of it (Linux, root, two cores): load.py says how. The exit code is 1 if a target is missed.
 """
 
 from __future__ import annotations
