@@ -1,4 +1,4 @@
-"""`python -m localization.experiments`: simulate figures of the thesis, or run `live`, `lost`, `plan` or `all`.
+"""`python -m localization.experiments`: figures of the thesis, or `live`, `lost`, `plan`, `disturbed`, `all`.
 
 With --json only the numbers are printed on stdout; the progress bar (extra `plot`: tqdm) and file names go to stderr.
 """
@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Final
 
 from localization.cli.options import make_folder
-from localization.experiments import live, output
+from localization.experiments import disturbed, live, output
 from localization.experiments import lost as lost_command
 from localization.experiments import plan as plan_command
 from localization.experiments.execution import drive, drive_on_cluster, progress
@@ -24,7 +24,7 @@ from localization.live.plot import require_matplotlib
 from nclient.errors import NomadError
 
 OUT: Final = Path("out/experiments")
-ALONE: Final = ("live", "lost", "plan", "all")
+ALONE: Final = ("live", "lost", "plan", "disturbed", "all")
 """Commands that replace the names of figures."""
 
 
@@ -40,6 +40,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 lost_command.main(given[1:])
             case ["plan"]:
                 plan_command.main(given[1:])
+            case ["disturbed"]:
+                disturbed.main(given[1:])
             case ["all"]:
                 _drive_all(given[1:])
             case _:
@@ -134,7 +136,8 @@ def _parser() -> argparse.ArgumentParser:
         "extended Kalman filter (except 5.2), the thesis' control law.",
         epilog=f"figures:\n{titles}\n\nexample: python -m localization.experiments 5.4 --seeds 100 --out out\n\n"
         "instead of figures: `live`, filters compared on live robots (`live --help`); `lost`, detection of a lost "
-        "estimate (`lost --help`); `plan`, planned and driven paths (`plan --help`); `all`, everything",
+        "estimate (`lost --help`); `plan`, planned and driven paths (`plan --help`); `disturbed`, errors that the "
+        "filter's models do not have (`disturbed --help`); `all`, everything",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("figures", nargs="+", type=_figure, metavar="FIGURE", help="simulate these figures, see below")

@@ -158,7 +158,7 @@ class LostResult:
 def drive(case: Case) -> LostResult:
     """Make one run in its own simulation."""
     world = load_world(case.world)
-    positions = _positions(world)
+    positions = free_positions(world)
     pose = _drawn(positions, np.random.default_rng([case.seed, POSITIONS]))
     with simulated_robot(world, case.scenario, case.seed, pose) as robot:
         return _Run(robot, case, world, positions, pose).drive()
@@ -300,7 +300,7 @@ class _Run:
         return LostResult(self._now_s, self._alarms, degraded, rmse, lost_after_s, found_after_s, right)
 
 
-def _positions(world: World) -> Floats:
+def free_positions(world: World) -> Floats:
     """Return a grid of positions (n, 2) with enough space for the robot."""
     low, high = world.walls.reshape(-1, 2).min(axis=0), world.walls.reshape(-1, 2).max(axis=0)
     # Grid points 2 in apart, over the bounding box of all walls.

@@ -88,6 +88,7 @@ class ConeSonar(RangeNoise):
     """
 
     rounding_var_in2: float = 1.0 / 12.0
+    place_var_in2: float = 0.04
     lowest_in: float = 6.0
     highest_in: float = 255.0
     cone_rad: float = radians(25.0)

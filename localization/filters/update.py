@@ -511,6 +511,8 @@ class MeasurementUpdate:
         self._model, self._rule = model, rule
         self.direct = model if isinstance(model, DirectModel) and rule is linear else None
         """The model, where it updates by the linear rule itself: in one function, which can be compiled."""
+        self.angles_rad = tuple(model.angles_rad) if isinstance(model, DirectModel) else ()
+        """Direction of each sonar from that of the turret, if the model has sonars."""
 
     def apply(
         self, x: State, P: Covariance, sonar: int, turret_offset_rad: float, reading_in: float, count: int = 1
