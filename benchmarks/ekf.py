@@ -21,7 +21,6 @@ from math import nan
 from typing import Final, NamedTuple, TypedDict
 
 import numpy as np
-from ekf_peers import FilterPy, Linear, StoneSoup
 
 from localization.experiments.execution import drive
 from localization.experiments.figure_trial import FIGURES, figure_setup, run
@@ -33,12 +32,13 @@ from localization.filters.odometry import OdometryNoise, predict, process_covari
 from localization.filters.particles import MonteCarlo
 from localization.filters.reflectors import reflectors
 from localization.filters.registry import make
-from localization.filters.sonar_cone import ConeSonar, SonarMount, expected_echoes
+from localization.filters.sonar_cone import ConeSonar, expected_echoes
 from localization.filters.sonar_ray import IDEAL_SONAR, WIRE_SONAR, RaySonar, observe_ring, ranges_from, wall_map
 from localization.filters.update import Refusal
 from localization.live.localizer import Localizer
 from localization.live.sensor_input import FiringSchedule, SensorData
 from worlds.io import load_world
+from worlds.rings import SonarMount
 from worlds.robots import N150
 
 BOUNDS: Final = {
@@ -185,6 +185,18 @@ def live_us(live: Live, count: int) -> list[float]:
 # The peers.
 
 
+class Linear(NamedTuple):
+    """A linear step: the belief before it, the predicted mean, F, Q; n readings z of variance R (n,) by H (n, 3)."""
+
+    before: Belief
+    predicted: Floats
+    F: Floats
+    Q: Floats
+    z: Floats
+    R: Floats
+    H: Floats
+
+
 class Case(NamedTuple):
     """A linear step, and the belief after it."""
 
@@ -269,6 +281,8 @@ def figure_s(seeds: int, jobs: int) -> tuple[float, float]:
 
 def measure(rounds: int, seeds: int, jobs: int, *, plain: bool = False) -> Result:
     """Run all measurements; with `plain` without those of the compiled filter."""
+    from ekf_peers import FilterPy, StoneSoup  # not for --help: they take seconds to import
+
     case = make_case()
     filterpy, stonesoup = FilterPy(case.given), StoneSoup(case.given)
     # Results must agree before times are compared.

@@ -6,7 +6,7 @@ beforehand is made beforehand.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
@@ -18,17 +18,8 @@ from stonesoup.updater.kalman import KalmanUpdater
 
 from localization.filters.belief import Belief, Floats
 
-
-class Linear(NamedTuple):
-    """A linear step: the belief before it, the predicted mean, F, Q; n readings z of variance R (n,) by H (n, 3)."""
-
-    before: Belief
-    predicted: Floats
-    F: Floats
-    Q: Floats
-    z: Floats
-    R: Floats
-    H: Floats
+if TYPE_CHECKING:
+    from ekf import Linear
 
 
 class FilterPy:

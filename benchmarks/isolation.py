@@ -19,9 +19,8 @@ Targets, each the median of the rounds, except for the attempts, which are count
 
 Daemon, measuring client and hostile client are three processes; rounds without and with the hostile client alternate.
 The daemon's event loop is measured in the daemon (`time.thread_time` around each turn). A round trip counts from its
-due time. On a machine that does other work, --ahead runs all with real-time priority (Linux, root). Linux then stops
-a process that never rests for 50 ms in each second: beside clients that keep the daemon busy, p95, which is printed
-too, says more than p99. The exit code is 1 if a target is missed.
+due time. On a machine that does other work, --ahead runs all three ahead of it (Linux, root, two cores): load.py says
+how. The exit code is 1 if a target is missed.
 """
 
 from __future__ import annotations
@@ -45,7 +44,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import aiohttp
-from load import BEGUN, CLIENTS, CONNECT, DAEMON, GS, HOST, HOSTILE_ONE, bound_ms, p99, scheduled
+from load import AHEAD_DAEMON, AHEAD_HOSTILE, BEGUN, CLIENTS_PRIORITY, CONNECT, GS, HOST, bound_ms, p99
 
 from nclient.protocol import codec
 from nclient.protocol.commands import Call
@@ -60,7 +59,6 @@ OBSTACLES: Final = 1000
 FLOODS: Final = 50
 # A daemon that is idle has some 100 turns per second; more turns per round than this are not stored.
 MAX_TURNS: Final = 2_000_000
-WORLD: Final = "empty_room"
 
 # Arguments of the daemon, by kind.
 ARGUMENTS: Final[dict[str, list[str]]] = {
@@ -133,7 +131,7 @@ class MeasuredDaemon:
 def daemon(kind: str, *, ahead: bool) -> Iterator[MeasuredDaemon]:
     """Run a daemon with what a kind of hostility needs."""
     own = ["--port", "0", "--log-level", "error", *ARGUMENTS[kind]]
-    command = scheduled([sys.executable, __file__, "--serve", *own], DAEMON if ahead else None)
+    command = [*AHEAD_DAEMON * ahead, sys.executable, __file__, "--serve", *own]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:
             yield MeasuredDaemon(process, "--viewer" in own)
@@ -274,8 +272,8 @@ def be_hostile(kind: str, port: int, page: str) -> None:
 @contextlib.contextmanager
 def hostility(kind: str, running: MeasuredDaemon, attempts: list[int], *, ahead: bool) -> Iterator[None]:
     """Run a hostile client in a process of its own and append the number of its attempts."""
-    command = [sys.executable, __file__, "--be", kind, "--at", str(running.port), "--page", running.page]
-    command = scheduled(command, HOSTILE_ONE if ahead else None)
+    own = ["--be", kind, "--at", str(running.port), "--page", running.page]
+    command = [*AHEAD_HOSTILE * ahead, sys.executable, __file__, *own]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None
@@ -369,7 +367,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--seconds", type=float, default=5.0)
     parser.add_argument("--hostile", choices=list(ARGUMENTS), action="append", help="this kind alone (default: each)")
-    parser.add_argument("--ahead", action="store_true", help="in real time, ahead of all else on the machine")
+    parser.add_argument("--ahead", action="store_true", help="ahead of all else on the machine")
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--be", choices=list(ARGUMENTS), help=argparse.SUPPRESS)
     parser.add_argument("--at", type=int, help=argparse.SUPPRESS)
@@ -378,7 +376,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.be:
         be_hostile(options.be, options.at, options.page)
     if options.ahead:
-        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(CLIENTS))
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(CLIENTS_PRIORITY))
     is_within = True
     for kind in options.hostile or ARGUMENTS:
         found = measure(kind, options.rounds, options.seconds, options.ahead)

@@ -21,7 +21,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from localization.cli.options import START_STD
+from localization.cli.arguments import START_STD
 from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig
 from localization.filters.belief import independent
 from localization.live.run import Run, RunMoment, TruthSample

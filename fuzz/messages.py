@@ -21,8 +21,7 @@ from nserver_emu.control.cli import format_result, parse_response
 from nserver_emu.control.commands import COMMANDS, answer_line
 from nserver_emu.server.inprocess import open_address
 from nserver_emu.server.link import FaultController
-from nserver_emu.viewer.localization import parse_estimate
-from nserver_emu.viewer.messages import CALLS, CONTROLS, InvalidMessage, parse_message
+from nserver_emu.viewer.messages import CALLS, CONTROLS, InvalidMessage, parse_estimate, parse_message
 
 _PLAN = 'seed = 1\n[[rule]]\ndo = "drop"\nevery = 10\n'
 _WORLD = "[[wall]]\npoints_in = [[-90, -90], [90, -90]]\n"

@@ -212,6 +212,6 @@ def _cache_entry_points() -> None:
     import functools
     from importlib.metadata import entry_points
 
-    from nclient.transports import memory
+    from nclient.transports import stream as memory
 
     setattr(memory, "entry_points", functools.cache(entry_points))  # noqa: B010 an import of that module

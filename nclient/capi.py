@@ -23,8 +23,6 @@ connect_robot(1, MODEL_N150, "/dev/ttyUSB0", 38400), as in the direct library, o
 as they come (State[33] is 0xF00000 at rest), a NAK is a success, State[0], [42] and [44] are left alone.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, MutableSequence, Sequence
 from typing import Any
 

@@ -26,18 +26,11 @@ from types import TracebackType
 from typing import Any, Final
 
 from nclient.aio import AsyncRobot
+from nclient.backends import wrappers
 from nclient.backends.base import Backend, LinkStatistics
 from nclient.backends.direct import DirectBackend
 from nclient.backends.keep_alive import KeepAlive
 from nclient.backends.nserver import DEFAULT_TIMEOUT_S, NserverBackend
-from nclient.backends.wrappers import (
-    POLL_S,
-    BumperStop,
-    ReconnectingBackend,
-    RetryingBackend,
-    SimulationBackendMux,
-    SpeedLimiter,
-)
 from nclient.errors import AddressError, ConnectionLost
 from nclient.faults.frames import Injector, LineLanguage, TcpLanguage
 from nclient.faults.inject import FaultyLine, FaultyStream
@@ -47,9 +40,8 @@ from nclient.recording.format import Recording, read_recording
 from nclient.recording.recorder import HANDSHAKE_FIRST, TCP, ClientRecording
 from nclient.recording.replayer import STRICT, Player, RecordedConnection, ReplayPeer, load_exchanges
 from nclient.robot import Robot
-from nclient.transports import memory, serial, tcp
-from nclient.transports.memory import MemoryStream
-from nclient.transports.stream import ByteStream
+from nclient.transports import serial, tcp
+from nclient.transports.stream import ByteStream, MemoryStream, open_in_process
 from nclient.url import SCHEMES, Address, available_schemes, parse_address, split_address
 
 DEFAULT_ADDRESS: Final = "nserver://localhost:7019/1"
@@ -142,20 +134,20 @@ class Connector:
         try:
             # 2. Recovery. Reconnecting is the inner one: a retry may find the link open again.
             if options.reconnect:
-                backend = ReconnectingBackend(backend, self.open_session, options.reconnect)
+                backend = wrappers.ReconnectingBackend(backend, self.open_session, options.reconnect)
             if options.retries:
-                backend = RetryingBackend(backend, options.retries)
+                backend = wrappers.RetryingBackend(backend, options.retries)
             # 3. Safety. Keep-alive polls often enough for the bumper stop inside it to see a hit.
             if options.bumper_stop:
-                backend = BumperStop(backend)
+                backend = wrappers.BumperStop(backend)
             if options.tm_s and self._needs_keep_alive(backend):
-                interval_s = POLL_S if options.bumper_stop else float("inf")
+                interval_s = wrappers.POLL_S if options.bumper_stop else float("inf")
                 backend = KeepAlive(backend, options.tm_s, feeds=bool(options.feed), at_least_every_s=interval_s)
             # 4. Speed limits, outermost: no other layer commands a speed.
             if options.max_turn_deg_s:
-                backend = SpeedLimiter(backend, max_turn_deg_s=options.max_turn_deg_s)
+                backend = wrappers.SpeedLimiter(backend, max_turn_deg_s=options.max_turn_deg_s)
             if options.max_speed_in_s:
-                backend = SpeedLimiter(backend, max_speed_in_s=options.max_speed_in_s)
+                backend = wrappers.SpeedLimiter(backend, max_speed_in_s=options.max_speed_in_s)
         except BaseException:
             backend.close()
             raise
@@ -171,7 +163,7 @@ class Connector:
         if self.wire != TCP and isinstance(transport, MemoryStream) and self.address.scheme not in SCHEMES:
             # A simulated robot on its serial line: the simulation itself answers what no robot can.
             simulation = self._start_tcp(transport.beside())
-            return SimulationBackendMux(self.start_session(stream, hello=False), simulation)
+            return wrappers.SimulationBackendMux(self.start_session(stream, hello=False), simulation)
         return self.start_session(stream)
 
     def open_stream(self) -> ByteStream:
@@ -194,7 +186,7 @@ class Connector:
             case "replay":
                 return self._open_replay()
             case scheme:
-                return memory.open_in_process(scheme, address.stripped_text)
+                return open_in_process(scheme, address.stripped_text)
 
     def start_session(self, stream: ByteStream, *, hello: bool = True) -> Backend:
         """Start the protocol on a stream.

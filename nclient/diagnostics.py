@@ -7,8 +7,6 @@ A dead sonar always reads 0. A sensor is stuck if it always reads the same while
 by more than rounding does: noise grows with range. Without noise, in an ideal simulation, nothing counts as stuck.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -19,7 +17,7 @@ from typing import Final, NamedTuple
 from nclient.backends.base import Backend
 from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused, WireError
 from nclient.protocol.commands import COMMANDS, Call, Command, exists_on_serial
-from nclient.protocol.types import CPU_RANGE_V, MOTOR_RANGE_V, get_model, volts
+from nclient.protocol.types import CPU_RANGE_V, MOTOR_RANGE_V, SONAR_SLOTS, get_model, volts
 from nclient.robot import Robot
 from nclient.state import NO_ECHO_IN, RobotState
 
@@ -65,7 +63,7 @@ def worst(findings: list[Finding]) -> Grade:
     return max((finding.grade for finding in findings), default=Grade.OK)
 
 
-RING: Final = 16
+RING: Final = SONAR_SLOTS
 DEAD_IN: Final = 0
 NOTHING_IR: Final = 15
 MIN_CHANGED: Final = 3

@@ -28,7 +28,7 @@ from nclient.faults.plan import Plan, load_plan
 from nclient.protocol.types import MODELS, N150, Model, get_model
 from nclient.recording.recorder import HANDSHAKE_FIRST, SERIAL, TCP
 from nclient.recording.replayer import ORDERS
-from nclient.transports import memory
+from nclient.transports.stream import in_process_schemes
 
 Parser = Callable[[str], Any]
 
@@ -45,7 +45,8 @@ EXAMPLES: Final = "such as nserver://localhost:7019/1 or sim:thesis_room"
 # A parser returns the value of an option's text, or raises ValueError with a description of what it accepts.
 
 
-def _number(description: str, is_valid: Callable[[float], bool]) -> Callable[[str], float]:
+def number(description: str, is_valid: Callable[[float], bool]) -> Callable[[str], float]:
+    """Return a parser of finite numbers; its ValueError has the description of valid ones."""
     def parse(text: str) -> float:
         try:
             value = float(text)
@@ -58,7 +59,8 @@ def _number(description: str, is_valid: Callable[[float], bool]) -> Callable[[st
     return parse
 
 
-def _whole_number(description: str, allowed: Container[int]) -> Callable[[str], int]:
+def whole_number(description: str, allowed: Container[int]) -> Callable[[str], int]:
+    """Return a parser of whole numbers; its ValueError has the description of valid ones."""
     def parse(text: str) -> int:
         # isdecimal() accepts the digits of other scripts, and int() reads them.
         if not (text.isascii() and text.isdecimal()) or int(text) not in allowed:
@@ -68,14 +70,14 @@ def _whole_number(description: str, allowed: Container[int]) -> Callable[[str], 
     return parse
 
 
-seconds = _number("a number of seconds above 0", lambda value: value > 0)
-seconds_or_zero = _number("a number of seconds, 0 for none", lambda value: value >= 0)
+seconds = number("a number of seconds above 0", lambda value: value > 0)
+seconds_or_zero = number("a number of seconds, 0 for none", lambda value: value >= 0)
 """A duration, where 0 switches something off."""
-speed = _number("a number above 0", lambda value: value > 0)
+speed = number("a number above 0", lambda value: value > 0)
 """A speed limit in inches or degrees per second."""
-count = _whole_number("a whole number, 0 or more", range(sys.maxsize))
-baud = _whole_number("a number of bits a second", range(1, sys.maxsize))
-motion_timeout = _whole_number("whole seconds, 2 to 255, or 0 for none", {0, *range(MIN_TIMEOUT_S, 256)})
+count = whole_number("a whole number, 0 or more", range(sys.maxsize))
+baud = whole_number("a number of bits a second", range(1, sys.maxsize))
+motion_timeout = whole_number("whole seconds, 2 to 255, or 0 for none", {0, *range(MIN_TIMEOUT_S, 256)})
 """Whole seconds as conf_tm takes them. The robot counts whole seconds: one could expire between two keep-alives."""
 
 
@@ -309,7 +311,7 @@ def parse_address(text: str) -> Address:
     # 1. Scheme: one of this package, or one that an installed entry point opens in this process.
     scheme = SCHEMES.get(raw.scheme)
     if scheme is None:
-        if raw.scheme not in memory.schemes():
+        if raw.scheme not in in_process_schemes():
             raise _unknown_scheme(raw)
         wire = SERIAL if raw.options.get("line") == "1" else TCP
         scheme = Scheme("scheme:what", wire, in_process=True)
@@ -351,7 +353,7 @@ def _family(robot: str, model_file: str) -> Model:
 
 def available_schemes() -> tuple[str, ...]:
     """Return all address schemes, sorted."""
-    return tuple(sorted({*SCHEMES, *memory.schemes()}))
+    return tuple(sorted({*SCHEMES, *in_process_schemes()}))
 
 
 def _unknown_scheme(raw: RawAddress) -> AddressError:

@@ -1,7 +1,5 @@
 """The script `nserver`, and `python -m nserver_emu`."""
 
-from __future__ import annotations
-
 import signal
 import sys
 from types import FrameType

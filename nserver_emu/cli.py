@@ -8,8 +8,6 @@ Programs read `listening KIND ADDRESS` lines from stdout; everything else goes t
 nclient.common.exit_codes.
 """
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import contextlib
@@ -34,13 +32,13 @@ from nclient.errors import NomadError, SnapshotError
 from nclient.recording.format import read_recording
 from nserver_emu import logs
 from nserver_emu.control import cli
-from nserver_emu.control.options import controlled, may_have_faults
+from nserver_emu.control.socket import controlled, may_have_faults
 from nserver_emu.gateway import run as real_options
 from nserver_emu.gateway.gateway import Gateway, RealRobotProxy
 from nserver_emu.gateway.run import connected, model_of, run_gateway
 from nserver_emu.options import DEFAULT_PORT, nserver_parser, read_options
-from nserver_emu.persistence.autosave import SaveFile, autosaved
-from nserver_emu.persistence.options import resolve_restore
+from nserver_emu.persistence import snapshot
+from nserver_emu.persistence.options import SaveFile, autosaved, resolve_restore
 from nserver_emu.persistence.recording import RunHeader
 from nserver_emu.persistence.replay import replay
 from nserver_emu.server.admission import RESERVED_CONNECTIONS, AdmissionControl
@@ -237,6 +235,7 @@ def _saved_on_signal(emulator: Emulator, path: Path | None) -> SaveFile | None:
     # Reported at the start rather than when the state is to be saved.
     if path.is_dir():
         raise SnapshotError(f"{path}: is a folder: name a file in it")
+    snapshot.require_regular(path)
     if not path.absolute().parent.is_dir():
         log.warning("%s: there is no folder %s, and nothing can be saved until there is", path, path.parent)
 

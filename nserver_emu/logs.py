@@ -14,8 +14,6 @@ written again. Of lines about a client (`extra={"address": ...}`) only a few of 
 address; the rest is counted and reported as one line.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import copy

@@ -5,22 +5,17 @@
 Files are only checked for existence here. Options of a package are defined in the package (`add_options`).
 """
 
-from __future__ import annotations
-
 import argparse
 import re
-import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TypeVar
 
 from nclient.common import allowlist
-from nclient.common.arguments import Parser
+from nclient.common.arguments import ABOVE_ZERO, Parser, add_flag, number, whole_number
 from nclient.common.hints import suggest, version
 from nserver_emu import logs
-from nserver_emu.control import options as control_options
+from nserver_emu.control import socket as control_options
 from nserver_emu.gateway import run as real_options
-from nserver_emu.persistence import autosave
 from nserver_emu.persistence import options as restore_options
 from nserver_emu.server import limits, serial_lines
 from nserver_emu.server.config import MAX_ROBOTS, MODEL_NAMES
@@ -30,7 +25,6 @@ from nserver_emu.simulation.noise import NOISY, SETUPS, SUFFIX
 from nserver_emu.viewer import options as viewer_options
 from worlds.io import DEFAULT_WORLD, world_names
 
-Number = TypeVar("Number", int, float)
 # The port that clients of the original use by default.
 DEFAULT_PORT = 7019
 # Value of --speed for as fast as possible.
@@ -54,7 +48,7 @@ def nserver_parser(*, with_files: bool = True) -> Parser:
         parser.add_argument("files", nargs="*", metavar="WORLD | SETUP",
                             help=f"a shipped world or a TOML file (default: {DEFAULT_WORLD}; see --list-worlds); and "
                             "the original's robot.setup and world.setup, of which the documented keys are read")
-    parser.add_argument("--port", type=_port,
+    parser.add_argument("--port", type=whole_number("a port", 0, 65535),
                         help=f"TCP port to listen on (default {DEFAULT_PORT}; 0 takes a free one)")
     parser.add_argument("--bind", type=_host, default=LOOPBACK, metavar="HOST",
                         help=f"address to listen on (default {LOOPBACK}; the protocol has no authentication)")
@@ -65,7 +59,7 @@ def nserver_parser(*, with_files: bool = True) -> Parser:
     # Packages add their own options, in the order of --help.
     for package in (serial_lines, real_options, control_options, allowlist, limits, viewer_options):
         package.add_options(parser)
-    parser.add_argument("--list-worlds", action="store_true", help="list the shipped worlds and exit")
+    add_flag(parser, "--list-worlds", "list the shipped worlds and exit")
     logs.add_options(parser)
     parser.add_argument("--version", action="version", version=f"nserver {version()}")
     return parser
@@ -75,26 +69,26 @@ def _add_robots(parser: Parser) -> None:
     parser.add_argument("--robot", action="append", metavar="MODEL",
                         help=f"the robot's model: {', '.join(MODEL_NAMES)} or one of --model-file (default "
                         f"{MODEL_NAMES[0]}); once more for robot 2, and so on")
-    parser.add_argument("--robots", type=_robot_count, default=1, metavar="N",
+    parser.add_argument("--robots", type=whole_number("the number of robots", 1, MAX_ROBOTS), default=1, metavar="N",
                         help="number of robots (default 1), numbered 1 to N; clients find the second at nserver://HOST/2")
     parser.add_argument("--model-file", type=Path, metavar="FILE",
                         help="read a TOML file of models that override or extend the built-in ones")
     parser.add_argument("--start", action="append", metavar="X,Y,STEER,TURRET",
                         help="set the start pose in inches and degrees; repeat it for robot 2, and so on")
-    parser.add_argument("--seed", type=_seed, default=0, help="set the seed of all noise (default 0)")
+    parser.add_argument("--seed", type=whole_number("a seed", 0, 2**31 - 1), default=0,
+                        help="set the seed of all noise (default 0)")
 
 
 def _add_time(parser: Parser) -> None:
     parser.add_argument("--speed", type=_speed, default=1.0, metavar="X",
                         help=f"run at X simulated seconds per second: {MIN_TIME_FACTOR} to {MAX_TIME_FACTOR:.0f}, or "
                         f"{MAX_SPEED} (default 1)")
-    parser.add_argument("--paused", action="store_true",
-                        help="start with simulated time paused, until a client resumes it")
-    parser.add_argument("--lockstep", type=_lockstep, metavar="DT",
+    add_flag(parser, "--paused", "start with simulated time paused, until a client resumes it")
+    step = number(f"a step is more than 0 and at most {MAX_LOCKSTEP_S:.0f} s", ABOVE_ZERO, MAX_LOCKSTEP_S)
+    parser.add_argument("--lockstep", type=step, metavar="DT",
                         help="advance simulated time by DT seconds per client request, and only then")
-    parser.add_argument("--allow-control", action="store_true",
-                        help="allow clients to pause, step and speed up simulated time")
-    parser.add_argument("--allow-quit", action="store_true", help="allow clients to end the server")
+    add_flag(parser, "--allow-control", "allow clients to pause, step and speed up simulated time")
+    add_flag(parser, "--allow-quit", "allow clients to end the server")
 
 
 def _add_persistence(parser: Parser) -> None:
@@ -102,7 +96,7 @@ def _add_persistence(parser: Parser) -> None:
                         help="continue a saved simulation with its world, robots, seed and setup, at its pace unless "
                         "--speed, --paused or --lockstep is given; with --save of the same file start a new one if the "
                         "file does not exist")
-    autosave.add_options(parser)
+    restore_options.add_options(parser)
     parser.add_argument("--record", type=Path, metavar="FILE",
                         help="record all traffic to FILE, with everything --replay needs")
     parser.add_argument("--replay", type=Path, metavar="FILE",
@@ -116,7 +110,7 @@ def _add_setup(parser: Parser) -> None:
                         "(acoustics of a Polaroid ring, compass error), worn (systematic wheel errors); or a file "
                         "based on one of them, such as the two lines: base = \"measured\", sonar.dead = [3, 11] (all "
                         "keys are in docs/setups.md)")
-    parser.add_argument("--noisy", action="store_true", help="the same as --setup noisy")
+    add_flag(parser, "--noisy", "the same as --setup noisy")
 
 
 def read_options(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
@@ -133,7 +127,6 @@ def read_options(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
     real_options.refuse(parser, options)
     viewer_options.refuse(parser, options)
     restore_options.check_options(parser, options, words)
-    autosave.check_options(parser, options)
     # 4. With --restore the saved pace applies unless an option of time was given.
     options.keeps_pace = restore_options.keeps_pace(parser, words)
     return options
@@ -187,26 +180,8 @@ def _as_value(word: str) -> str:
 def _speed(text: str) -> float | None:
     if text == MAX_SPEED:
         return None
-    bounds = MIN_TIME_FACTOR, MAX_TIME_FACTOR
-    return _number(text, float, bounds, f"a speed is {MIN_TIME_FACTOR} to {MAX_TIME_FACTOR:.0f}, or {MAX_SPEED}")
-
-
-def _lockstep(text: str) -> float:
-    expected = f"a step is more than 0 and at most {MAX_LOCKSTEP_S:.0f} s"
-    return _number(text, float, (sys.float_info.min, MAX_LOCKSTEP_S), expected)
-
-
-def _robot_count(text: str) -> int:
-    return _number(text, int, (1, MAX_ROBOTS), f"robots are 1 to {MAX_ROBOTS}")
-
-
-def _port(text: str) -> int:
-    return _number(text, int, (0, 65535), "a port is 0 to 65535")
-
-
-def _seed(text: str) -> int:
-    # sim_truth reports the seed as a signed 32-bit word.
-    return _number(text, int, (0, 2**31 - 1), "a seed is 0 to 2147483647")
+    expected = f"a speed is {MIN_TIME_FACTOR} to {MAX_TIME_FACTOR:.0f}, or {MAX_SPEED}"
+    return number(expected, MIN_TIME_FACTOR, MAX_TIME_FACTOR)(text)
 
 
 def _setup(text: str) -> str:
@@ -223,13 +198,3 @@ def _host(text: str) -> str:
     if not text:
         raise argparse.ArgumentTypeError(f"an address or a host name, such as {LOOPBACK}, or 0.0.0.0 for all")
     return text
-
-
-def _number(text: str, kind: Callable[[str], Number], bounds: tuple[float, float], expected: str) -> Number:
-    try:
-        number = kind(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{expected}, not {text!r}") from None
-    if not bounds[0] <= number <= bounds[1]:
-        raise argparse.ArgumentTypeError(f"{expected}, not {text}")
-    return number

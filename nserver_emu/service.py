@@ -8,8 +8,6 @@ never waits and never fails the daemon: what the manager does not accept, becaus
 sent again later. This is logged once, until it accepts messages again.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import logging

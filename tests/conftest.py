@@ -17,6 +17,11 @@ from hypothesis import HealthCheck, settings
 LONG = ("integration", "benchmarks", "packaging", "clib", "docs")
 """Folders whose tests are all marked `long`."""
 
+SLOWEST = (
+    "packaging", "integration/test_readme.py", "docs/test_pages.py", "docs/test_site.py", "fuzz/test_documentation.py",
+)  # fmt: skip
+"""Files and folders that come first, so that no worker begins one of them when the others are done."""
+
 _UNHURRIED = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 """No deadlines: the speed and the load of a machine decide no test."""
 settings.register_profile("steady", _UNHURRIED, derandomize=True)
@@ -42,9 +47,11 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Mark the folders of LONG; with --robot, select only the hardware tests."""
+    """Mark the folders of LONG, and put SLOWEST first; with --robot, select only the hardware tests."""
+    folder = Path(__file__).parent
+    items.sort(key=lambda item: not item.path.relative_to(folder).as_posix().startswith(SLOWEST))
     for item in items:
-        if item.path.relative_to(Path(__file__).parent).parts[0] in LONG:
+        if item.path.relative_to(folder).parts[0] in LONG:
             item.add_marker(pytest.mark.long)
     if config.getoption("--robot"):
         others = [item for item in items if "hardware" not in item.path.parts]

@@ -12,8 +12,6 @@ Straight pieces: Douglas, Peucker: Algorithms for the reduction of the number of
 digitized line (1973). Lines: total least squares, the principal axis of the edges' middles.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
@@ -259,8 +257,7 @@ def _fit(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
 def _foot(line: tuple[FloatArray, FloatArray], point: FloatArray) -> FloatArray:
     """Return the point of a line nearest to a point."""
     centre, direction = line
-    foot: FloatArray = centre + (point - centre) @ direction * direction
-    return foot
+    return centre + (point - centre) @ direction * direction
 
 
 def _meeting(

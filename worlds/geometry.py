@@ -6,8 +6,6 @@ Lengths in inches. Rays are cast in raycast.py.
     corners (n, 2)      a closed polygon; the edge from the last corner to the first is implied
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import count
 from math import ceil, inf, sqrt
@@ -68,8 +66,7 @@ def normals(segments: FloatArray) -> FloatArray:
     Of a polygon with counter-clockwise corners the left is the inside.
     """
     across = np.stack((segments[..., 1] - segments[..., 3], segments[..., 2] - segments[..., 0]), axis=-1)
-    unit: FloatArray = across / lengths(segments)[..., np.newaxis]
-    return unit
+    return across / lengths(segments)[..., np.newaxis]
 
 
 def nearest_points(points: npt.ArrayLike, segments: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -201,8 +198,7 @@ def _side_product(lines: FloatArray, segments: FloatArray) -> FloatArray:
     along_x, along_y = lines[:, 2] - lines[:, 0], lines[:, 3] - lines[:, 1]
     side_1 = along_x * (segments[:, 1] - lines[:, 1]) - along_y * (segments[:, 0] - lines[:, 0])
     side_2 = along_x * (segments[:, 3] - lines[:, 1]) - along_y * (segments[:, 2] - lines[:, 0])
-    product: FloatArray = side_1 * side_2
-    return product
+    return side_1 * side_2
 
 
 def candidate_pairs(segments: FloatArray, reach_in: float = 0.0) -> Iterator[tuple[IndexArray, IndexArray]]:

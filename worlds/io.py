@@ -3,14 +3,13 @@
     name, title                                         optional texts
     [[room]]      corners, name                         a closed outline, free inside
     [[wall]]      points                                an open line of two points or more
+                  offset_std, angle_std_deg, measured   of a measured wall: how well it is known, the length measured
     [[obstacle]]  corners, name                         a closed solid; clients may move and delete it
     [[start]]     x, y, steering_deg, turret_deg        degrees counter-clockwise, default 0
     [[path]]      name, figure, points, start           waypoints from the start on; start: number of a [[start]]
 
 corners, points, x and y end in their unit: _in, _cm or _m. All errors are WorldFileError.
 """
-
-from __future__ import annotations
 
 import functools
 import json
@@ -30,6 +29,7 @@ from worlds.geometry import FloatArray, lengths, polygon_segments, polyline_segm
 from worlds.schema import (
     MIN_WALL_IN,
     Angle,
+    Distance,
     Length,
     Line,
     Outline,
@@ -39,7 +39,18 @@ from worlds.schema import (
     require_outline,
     table,
 )
-from worlds.world import AT_ORIGIN, MAX_CORNERS, MAX_PATH_POINTS, MAX_STARTS, Path, Point, Polygon, StartPose, World
+from worlds.world import (
+    AT_ORIGIN,
+    MAX_CORNERS,
+    MAX_PATH_POINTS,
+    MAX_STARTS,
+    Path,
+    Point,
+    Polygon,
+    StartPose,
+    WallAccuracy,
+    World,
+)
 
 SHIPPED: Final = FilePath(__file__).resolve().parent
 """Folder of the shipped worlds."""
@@ -93,6 +104,9 @@ class _Outline(Table):
 @table()
 class _Wall(Table):
     points: Line
+    offset_std: Distance | UnsetType = UNSET
+    angle_std_deg: Annotated[float, Meta(ge=0.0, le=180.0, description="standard deviation of its direction")] = 0.0
+    measured: Distance | UnsetType = UNSET
 
     def check(self) -> None:
         _reject_repeats(self, "points", polyline_segments(self.points))
@@ -165,6 +179,15 @@ def _build_world(values: WorldFile, name: str) -> World:
         StartPose(start.x, start.y, radians(start.steering_deg), radians(start.turret_deg)) for start in values.start
     )
     walls = [polyline_segments(wall.points) for wall in values.wall]
+    measured = [
+        None
+        if wall.offset_std is UNSET
+        else WallAccuracy(
+            wall.offset_std, radians(wall.angle_std_deg), 0.0 if wall.measured is UNSET else wall.measured
+        )
+        for wall, segments in zip(values.wall, walls, strict=True)
+        for _ in segments
+    ]
     world = World(
         name=values.name or name,
         title=values.title or values.name or name,
@@ -173,6 +196,7 @@ def _build_world(values: WorldFile, name: str) -> World:
         obstacles=tuple(Polygon(obstacle.corners, obstacle.name) for obstacle in values.obstacle),
         starts=starts or AT_ORIGIN,
         paths=_paths(values.path, starts or AT_ORIGIN),
+        accuracies={row: accuracy for row, accuracy in enumerate(measured) if accuracy is not None},
     )
     # 2. Starts and paths must be in free space, where at least the smallest robot touches nothing.
     places = [(f"start[{k}]", (start.x_in, start.y_in)) for k, start in enumerate(starts)]
@@ -291,8 +315,7 @@ def _format_lines(world: World) -> Iterator[str]:
         yield f"title = {_quote(world.title)}"
     for room in world.rooms:
         yield from _format_outline("room", room)
-    for points in polylines(world.inner_walls):
-        yield from ("", "[[wall]]", f"points_in = {_format_points(points)}")
+    yield from _format_walls(world)
     for thing in world.obstacles:
         yield from _format_outline("obstacle", thing)
     # Only starts in free space can be read again.
@@ -310,6 +333,21 @@ def _format_lines(world: World) -> Iterator[str]:
             yield from _format_path(path, starts)
         else:
             yield from ("", f"# omitted because an obstacle stands on it: the path {_quote(path.name)}")
+
+
+def _format_walls(world: World) -> Iterator[str]:
+    # Measured walls have an accuracy each, so they are separate tables.
+    measured = world.accuracies
+    others = np.array([row for row in range(len(world.inner_walls)) if row not in measured], dtype=np.intp)
+    for points in polylines(world.inner_walls[others]):
+        yield from ("", "[[wall]]", f"points_in = {_format_points(points)}")
+    for row, accuracy in sorted(measured.items()):
+        x1, y1, x2, y2 = world.inner_walls[row].tolist()
+        yield from ("", "[[wall]]", f"points_in = {_format_points([(x1, y1), (x2, y2)])}")
+        yield f"offset_std_in = {accuracy.offset_std_in!r}"
+        yield f"angle_std_deg = {degrees(accuracy.angle_std_rad)!r}"
+        if accuracy.measured_in:
+            yield f"measured_in = {accuracy.measured_in!r}"
 
 
 def _format_path(path: Path, starts: list[StartPose]) -> Iterator[str]:

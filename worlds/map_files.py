@@ -173,8 +173,7 @@ def _darkness(image: Image, *, negate: bool = False) -> FloatArray:
     gray, alpha = np.moveaxis(np.asarray(image, dtype=np.float64), -1, 0) / 255.0
     darkness = np.where(alpha == 0.0, np.nan, gray if negate else 1.0 - gray)
     # Rows of an image run from the top downwards.
-    upright: FloatArray = darkness[::-1].T
-    return upright
+    return darkness[::-1].T
 
 
 def _read_ros(path: Path) -> OccupancyGrid:
@@ -345,8 +344,7 @@ def _without_crumbs(line: FloatArray) -> FloatArray:
     """Return a polyline, rounded to 0.0001 in, without points that repeat the one before."""
     line = np.round(line, 4) + 0.0
     long_enough = np.concatenate(([True], lengths(polyline_segments(line)) >= MIN_WALL_IN))
-    kept: FloatArray = line[long_enough]
-    return kept
+    return line[long_enough]
 
 
 def _world(path: Path, lines: Iterable[FloatArray], start: Point, *, is_closed: bool) -> World:

@@ -20,8 +20,6 @@ filter casts one to three rays at a time; in arrays that takes about ten times a
 (docs/decisions/023-numba.md).
 """
 
-from __future__ import annotations
-
 import os
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Sequence

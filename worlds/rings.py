@@ -22,7 +22,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from math import cos, degrees, floor, radians, sin
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, NamedTuple
 
 from msgspec import UNSET, Meta, UnsetType
 
@@ -48,6 +48,24 @@ MAX_MOUNT_IN: Final = 100.0
 MIN_RESOLUTION_IN: Final = 1e-3
 _ROUNDING_IN: Final = 1e-9
 """A shift, or a distance from the maximum range, below this is rounding."""
+
+
+class SonarMount(NamedTuple):
+    """A sonar on a robot: it stands `ring_in` along its beam, which passes the axis `left_in` to the left.
+
+    Attributes
+    ----------
+    direction_rad
+        From the front of the turret, or, where it is used, from the heading.
+    ring_in
+        Distance along that direction: the radius of the ring for a sonar that looks away from the axis.
+    left_in
+        Distance of the beam to the left of the axis.
+    """
+
+    direction_rad: Any
+    ring_in: float
+    left_in: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +120,32 @@ class Ring:
     def range_span_in(self) -> float:
         """Length of the interval in which a reading is a range."""
         return self.max_range_in - self.min_range_in
+
+    @property
+    def fits_state(self) -> bool:
+        """True if State shows the readings of this ring as they are, and conf_sn can set its order and interval."""
+        rate = self.interval_s / SONAR_RATE_STEP_S
+        return (
+            self.count <= SONAR_SLOTS
+            and all(len(group) == 1 for group in self.firing)
+            and abs(rate - round(rate)) < _ROUNDING_IN
+            and self.resolution_in == 1.0
+            and self.min_range_in >= MIN_SONAR_IN
+            and self.max_range_in <= MAX_SONAR_IN == self.no_echo_in
+        )
+
+    @property
+    def rate(self) -> int:
+        """The interval in units of conf_sn."""
+        return round(self.interval_s / SONAR_RATE_STEP_S)
+
+    @property
+    def mounts(self) -> tuple[SonarMount, ...]:
+        """The sonars as filters see them: direction, and distances of the beam from the robot's axis."""
+        return tuple(
+            SonarMount(angle_rad, self.radius_in + self.shift_in(sonar)[0], self.shift_in(sonar)[1])
+            for sonar, angle_rad in enumerate(self.angles_rad)
+        )
 
     def shift_in(self, sonar: int) -> tuple[float, float]:
         """Return a sonar's shift: along its direction, and to the left of it."""

@@ -17,8 +17,6 @@ The sonars are a `worlds.rings.Ring`, the table [model.ring] of model files. A c
     [model.spread]      all of these keys                      standard deviations
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import degrees, radians, tau

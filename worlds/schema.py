@@ -3,8 +3,6 @@
 A key names its unit: x_in, x_cm or x_m, exactly one of them.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass

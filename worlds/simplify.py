@@ -11,8 +11,6 @@ References
 Douglas, Peucker: Algorithms for the reduction of the number of points required to represent a digitized line (1973).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -45,6 +43,8 @@ def simplify_world(world: World, tolerance_in: float) -> World:
         rooms=tuple(_simplify_polygon(room, tolerance_in) for room in world.rooms),
         obstacles=tuple(_simplify_polygon(thing, tolerance_in) for thing in world.obstacles),
         inner_walls=np.concatenate([np.empty((0, 4)), *walls]),
+        # Walls have been moved and joined.
+        accuracies={},
     )
 
 

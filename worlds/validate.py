@@ -9,8 +9,6 @@
 Space is searched on a grid: a passage wider than the robot by less than two grid steps may count as closed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final, NamedTuple

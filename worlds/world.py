@@ -9,18 +9,19 @@ fixed; obstacles may be added, moved and deleted by clients (`with_obstacles`).
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
-from itertools import accumulate
+from itertools import compress, count
 from math import inf, isfinite
 from types import MappingProxyType
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from nclient.errors import StartError
-from worlds.geometry import FloatArray, inside, nearest_distances, nearest_points, normals, polygon_segments
+from worlds.geometry import FloatArray, IndexArray, inside, nearest_distances, nearest_points, normals, polygon_segments
 from worlds.raycast import ON_WALL_IN
 
 Point = tuple[float, float]
@@ -63,6 +64,24 @@ AT_ORIGIN: Final = (StartPose(0.0, 0.0),)
 """Starts of a world that defines none."""
 
 
+class WallAccuracy(NamedTuple):
+    """How well a measured wall is known.
+
+    Attributes
+    ----------
+    offset_std_in
+        Standard deviation of its distance from where it is, at its middle.
+    angle_std_rad
+        Standard deviation of its direction.
+    measured_in
+        Length over which it was measured; the rest joins it to its neighbours.
+    """
+
+    offset_std_in: float
+    angle_std_rad: float
+    measured_in: float
+
+
 @dataclass(frozen=True, slots=True)
 class Path:
     """Waypoints of a figure of the thesis; the first of `points_in` is the start."""
@@ -84,7 +103,10 @@ def _no_walls() -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class World:
-    """A map, immutable. Arrays are read-only; rows are x1 y1 x2 y2 in inches."""
+    """A map, immutable. Arrays are read-only; rows are x1 y1 x2 y2 in inches.
+
+    `accuracies` are of measured inner walls, by their rows in `inner_walls`.
+    """
 
     name: str
     title: str = ""
@@ -93,10 +115,11 @@ class World:
     obstacles: tuple[Polygon, ...] = ()
     starts: tuple[StartPose, ...] = AT_ORIGIN
     paths: Mapping[str, Path] = field(default_factory=dict)
+    accuracies: Mapping[int, WallAccuracy] = field(default_factory=dict)
     fixed_walls: FloatArray = field(init=False, repr=False)
     walls: FloatArray = field(init=False, repr=False)
     _edges: FloatArray = field(init=False, repr=False)
-    _firsts: tuple[int, ...] = field(init=False, repr=False)
+    _firsts: IndexArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         # 1. Segments by origin: outlines, inner walls, obstacles. Fixed walls come first, so that obstacles do not
@@ -111,6 +134,7 @@ class World:
             "fixed_walls": fixed,
             "walls": _stacked([fixed, *solids]),
             "paths": MappingProxyType(dict(self.paths)),
+            "accuracies": MappingProxyType(dict(self.accuracies)),
             "_edges": _stacked([*rooms, *solids]),
             "_firsts": _first_rows([*rooms, *solids]),
         }
@@ -125,25 +149,21 @@ class World:
         """
         # 1. The obstacles that are the same at both ends.
         before, after = self.obstacles, tuple(obstacles)
-        shorter = min(len(before), len(after))
-        same = zip(before, after, strict=False)
-        head = next((number for number, (one, other) in enumerate(same) if one is not other), shorter)
-        same = zip(reversed(before[head:]), reversed(after[head:]), strict=False)
-        tail = next((number for number, (one, other) in enumerate(same) if one is not other), shorter - head)
+        head = _equal_items(before, after)
+        tail = min(_equal_items(before[::-1], after[::-1]), min(len(before), len(after)) - head)
         # 2. Their rows, with the new ones in between.
         new = [polygon.segments() for polygon in after[head : len(after) - tail]]
-        firsts, rooms = (*self._firsts, len(self._edges)), len(self.rooms)
-        begin, end = firsts[rooms + head], firsts[rooms + len(before) - tail]
+        firsts, rooms = np.append(self._firsts, len(self._edges)), len(self.rooms)
+        begin, end = int(firsts[rooms + head]), int(firsts[rooms + len(before) - tail])
         inner = len(self.walls) - len(self._edges)
         added = sum(map(len, new)) - (end - begin)
         derived = {
             "obstacles": after,
             "walls": _stacked([self.walls[: begin + inner], *new, self.walls[end + inner :]]),
             "_edges": _stacked([self._edges[:begin], *new, self._edges[end:]]),
-            "_firsts": (
-                *firsts[: rooms + head], *(begin + row for row in _first_rows(new)),
-                *(row + added for row in firsts[rooms + len(before) - tail : -1]),
-            ),
+            "_firsts": np.concatenate((
+                firsts[: rooms + head], begin + _first_rows(new), firsts[rooms + len(before) - tail : -1] + added
+            )),
         }  # fmt: skip
         # 3. A copy with those values, set as in __post_init__.
         world = copy(self)
@@ -169,7 +189,7 @@ class World:
     def clearances(self, points_in: FloatArray) -> FloatArray:
         """Return the clearance (...) of points (..., 2)."""
         far = nearest_distances(points_in, self.walls)
-        if self._firsts:
+        if len(self._firsts):
             # Negative where a point is in no room (if there are rooms) or inside an obstacle.
             within, rooms = inside(points_in, self._edges, self._firsts), len(self.rooms)
             outside = ~within[..., :rooms].any(axis=-1) if rooms else np.zeros(far.shape, dtype=bool)
@@ -207,7 +227,7 @@ class World:
 
     def _solid_around(self, x_in: float, y_in: float) -> str:
         """Return why a point is not in free space, as the end of a sentence; "" if it is."""
-        if not self._firsts:
+        if not len(self._firsts):
             return ""
         within = inside((x_in, y_in), self._edges, self._firsts).tolist()
         rooms = len(self.rooms)
@@ -268,6 +288,13 @@ def _stacked(parts: Sequence[FloatArray]) -> FloatArray:
     return whole
 
 
-def _first_rows(parts: Sequence[FloatArray]) -> tuple[int, ...]:
-    """Return the row at which each part begins after concatenation."""
-    return tuple(accumulate((len(part) for part in parts[:-1]), initial=0)) if parts else ()
+def _first_rows(parts: Sequence[FloatArray]) -> IndexArray:
+    """Return the row (n,) at which each part begins after concatenation."""
+    lengths = np.array([len(part) for part in parts], dtype=np.intp)
+    return np.cumsum(lengths) - lengths
+
+
+def _equal_items(one: Sequence[object], other: Sequence[object]) -> int:
+    """Return the number of first items that are the same objects."""
+    shorter = min(len(one), len(other))
+    return next(compress(count(), map(operator.is_not, one, other)), shorter)

@@ -13,7 +13,7 @@ MEANINGS = {
     ExitCode.FAILED: ("failure; the reason is on stderr", ALL),
     ExitCode.USAGE: ("wrong usage, or a missing extra; stderr says what is expected", ALL),
     ExitCode.NOT_REACHED: ("the command ran and did not achieve its goal (table below)", (NOMAD,)),
-    ExitCode.UNFIT: ("`nomad calibrate`: readings do not fit the model of the robot; nothing was written", (NOMAD,)),
+    ExitCode.UNFIT: ("`calibrate`, `map learn`: readings do not fit the model; nothing was written", (NOMAD,)),
     ExitCode.HUNG_UP: ("the terminal was closed (SIGHUP); the robot was stopped, the report written", (NOMAD,)),
     ExitCode.INTERRUPTED: (
         "Ctrl-C (SIGINT), of `nserver` only until it serves; the robot was stopped, the report written", ALL),

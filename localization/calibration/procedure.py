@@ -6,7 +6,7 @@
     laps        one in each direction, and more until the result is accurate enough
 
 Long distances and many turns in both directions accumulate errors of scale; errors that cancel in one direction do not
-cancel in the other.
+cancel in the other. The result is made of the belief of the calibrating filter: numbers with accuracies, and a table.
 
 References
 ----------
@@ -15,27 +15,28 @@ Borenstein, Feng: Measurement and correction of systematic odometry errors in mo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import suppress
-from math import cos, hypot, pi, tau
+from math import cos, degrees, hypot, pi, radians, tau
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from localization.filters.base import Filter, LocalizationConfig
-from localization.filters.belief import HEADING, Floats, wrap_angle
+from localization.filters.belief import HEADING, Belief, Floats, wrap_angle
+from localization.filters.calibration import OFFSET, OWN, RING_TURN
+from localization.filters.odometry import OdometryParameter
 from localization.live.localizer import Estimate, Localizer
-from localization.live.sensor_input import FiringSchedule
+from localization.live.sensor_input import restart_ring
 from localization.navigation.control_law import bearing_error, distance_to
 from localization.navigation.limits import VelocityCommand
 from localization.navigation.path import sample_waypoints
 from localization.navigation.roadmap import NoPathError, Roadmap, segment_clearances
 from localization.navigation.waypoints import COMMAND_TIMEOUT_S, stop_on_exit, wait_for_next_state
 from nclient.errors import NomadError
-from nclient.protocol.types import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
 from nclient.robot import Robot
 from nclient.state import RobotState
-from worlds.geometry import nearest_points
+from worlds.robots import Calibration, Spread
 from worlds.world import World
 
 MARGIN_IN: Final = 6.0
@@ -46,6 +47,10 @@ MAX_SIDE_IN: Final = 160.0
 MIN_SIDE_IN: Final = 12.0
 # Grid of the search for a square: corners and sides are multiples of it.
 _GRID_IN: Final = 4.0
+# Less space than needed by this is left to the check of the whole square.
+_ROUNDING_IN: Final = 1e-6
+# Grid lines that are compared with all walls at a time.
+_PART: Final = 4096
 
 AIMED_RAD: Final = 0.03
 """A turn in place ends within this heading error."""
@@ -53,6 +58,9 @@ AIMED_RAD: Final = 0.03
 REACHED_IN: Final = 1.0
 MAX_HEADING_ERROR_RAD: Final = 0.5
 """With a larger heading error the robot stops and turns in place."""
+
+
+Counts = np.typing.NDArray[np.int_]
 
 
 class NoSquareError(NomadError):
@@ -108,16 +116,20 @@ def largest_square(world: World, radius_in: float, near: tuple[float, float]) ->
     ------
     NoSquareError
     """
-    # 1. Grid points with enough space.
+    # 1. Grid points and grid lines between neighbours with enough space.
     space_in = radius_in + MARGIN_IN
     ends = world.walls.reshape(-1, 2)
     low, size = ends.min(axis=0), np.ceil(np.ptp(ends, axis=0) / _GRID_IN).astype(int) + 1
-    along_x, along_y = np.indices(size)
-    grid = low + _GRID_IN * np.stack((along_x, along_y), axis=-1)
-    wide = nearest_points(grid.reshape(-1, 2), world.walls)[1].min(axis=-1).reshape(size) >= space_in
-    # 2. Squares whose corners are all such points, the largest first; then check the sides.
+    grid = low + _GRID_IN * np.moveaxis(np.indices(size), 0, -1)
+    clearances = world.clearances(grid)
+    wide = clearances >= space_in - _ROUNDING_IN
+    blocked_x = _count_blocked(grid, clearances, world, space_in)
+    blocked_y = _count_blocked(grid.swapaxes(0, 1), clearances.T, world, space_in).T
+    # 2. Squares whose corners and sides are free, the largest first; check each before it is returned.
     for steps in range(min(int(MAX_SIDE_IN / _GRID_IN), size.min() - 1), int(MIN_SIDE_IN / _GRID_IN) - 1, -1):
         whole = wide[:-steps, :-steps] & wide[steps:, :-steps] & wide[:-steps, steps:] & wide[steps:, steps:]
+        along_x, along_y = blocked_x[steps:] == blocked_x[:-steps], blocked_y[:, steps:] == blocked_y[:, :-steps]
+        whole &= along_x[:, :-steps] & along_x[:, steps:] & along_y[:-steps] & along_y[steps:]
         squares = [Square(float(x), float(y), steps * _GRID_IN) for x, y in grid[:-steps, :-steps][whole]]
         for square in sorted(squares, key=lambda square: min(_distance(corner, near) for corner in square.corners)):
             if is_clear(square, world, radius_in):
@@ -126,6 +138,36 @@ def largest_square(world: World, radius_in: float, near: tuple[float, float]) ->
         f"{world.name} has no space for a square of {MIN_SIDE_IN:g} in that keeps {MARGIN_IN:g} in from all walls: "
         "calibrate in a larger room"
     )
+
+
+def _count_blocked(grid: Floats, clearances: Floats, world: World, space_in: float) -> Counts:
+    """Count the lines between neighbours along the first axis of a grid that are too near to a wall.
+
+    Parameters
+    ----------
+    grid : (n, m, 2)
+        Points, inches.
+    clearances : (n, m)
+        Their distances to the nearest wall, inches.
+    world : World
+    space_in : float
+        Space that a line needs, inches.
+
+    Returns
+    -------
+    (n, m)
+        Number of such lines between a point and the first one in its column. A side is free if it is equal at its ends.
+    """
+    # 1. No point of a line is farther than half of it from one of its ends, which decides for most lines.
+    nearer = np.minimum(clearances[:-1], clearances[1:])
+    free = nearer >= space_in + _GRID_IN / 2
+    # 2. Measure the others, in parts: the distances of all lines from all walls would take much memory.
+    unsure = ~free & (nearer >= space_in - _ROUNDING_IN)
+    lines = np.concatenate((grid[:-1][unsure], grid[1:][unsure]), axis=1)
+    parts = np.split(lines, range(_PART, len(lines), _PART))
+    distances = np.concatenate([segment_clearances(part, world.walls) for part in parts])
+    free[unsure] = distances >= space_in - _ROUNDING_IN
+    return np.concatenate((np.zeros((1, grid.shape[1]), dtype=int), np.cumsum(~free, axis=0)))
 
 
 def is_clear(square: Square, world: World, radius_in: float) -> bool:
@@ -272,9 +314,8 @@ def run(
     `wait(seconds)` lets real time pass. A turret turns with the steering, so that every sonar measures every wall.
     """
     # 1. Firing schedule: the clock of this reply is that of the first sonar.
-    state = robot.configure_sonars(rate=DEFAULT_SONAR_RATE, order=DEFAULT_SONAR_ORDER)
-    assert state.clock_s is not None
-    localizer = Localizer(config, method.belief, FiringSchedule(state.clock_s), method)
+    schedule, state = restart_ring(robot, config.body.ring)
+    localizer = Localizer(config, method.belief, schedule, method)
     # 2. The robot stops by itself if this program dies.
     robot.set_timeout(COMMAND_TIMEOUT_S)
     with stop_on_exit(robot):
@@ -293,3 +334,100 @@ def _drive(robot: Robot, command: VelocityCommand) -> RobotState:
     if not robot.model.has_turret:
         return robot.drive(translation_in_s=translation_in_s, steering_rad_s=steering_rad_s)
     return robot.drive(translation_in_s=translation_in_s, steering_rad_s=steering_rad_s, turret_rad_s=steering_rad_s)
+
+
+TYPICAL_SCALE, TYPICAL_DRIFT, TYPICAL_RING, TYPICAL_SONAR = 0.03, 0.00075, radians(3.0), 1.0
+"""Typical systematic errors: wheels 3 %, 0.75 mrad/in, ring 3 degrees, sonar 1 in."""
+REQUIRED_PRECISION: Final = 1.0 / 30.0
+"""Required standard deviation relative to the number: 10 % of it are then three standard deviations."""
+NOISE_STDS: Final = 2.0
+"""A number within this many standard deviations of 0 may be 0."""
+
+
+class CalibrationNumber(NamedTuple):
+    """One number of a calibration: its difference from an ideal robot, standard deviation, typical value."""
+
+    name: str
+    off: float
+    std: float
+    typical: float
+
+    @property
+    def is_enough(self) -> bool:
+        """True if the number is accurate enough."""
+        return self.std <= REQUIRED_PRECISION * max(abs(self.off), self.typical)
+
+    @property
+    def is_noise(self) -> bool:
+        """True if the number may be 0."""
+        return abs(self.off) <= NOISE_STDS * self.std
+
+    @property
+    def words(self) -> str:
+        """Accuracy of the number relative to itself, as text."""
+        return "within noise of zero" if self.is_noise else f"accurate to {self.std / abs(self.off):.1%}"
+
+
+def numbers(found: Calibration) -> list[CalibrationNumber]:
+    """Return all numbers of a calibration: distance, turn, drift, ring, and the sonars in order."""
+    spread = found.spread
+    sonars = enumerate(zip(found.offsets_in, spread.offsets_in, strict=True))
+    return [
+        CalibrationNumber("way", found.distance_scale - 1.0, spread.distance_scale, TYPICAL_SCALE),
+        CalibrationNumber("turn", found.turn_scale - 1.0, spread.turn_scale, TYPICAL_SCALE),
+        CalibrationNumber("drift", found.drift_rad_in, spread.drift_rad_in, TYPICAL_DRIFT),
+        CalibrationNumber("ring", found.turned_rad, spread.turned_rad, TYPICAL_RING),
+        *(CalibrationNumber(f"sonar {sonar}", off, std, TYPICAL_SONAR) for sonar, (off, std) in sonars),
+    ]
+
+
+def missing(found: Calibration) -> list[str]:
+    """Return the names of numbers that are not accurate enough."""
+    return [number.name for number in numbers(found) if not number.is_enough]
+
+
+def noise_in(found: Calibration) -> list[str]:
+    """Return the names of numbers that may be 0."""
+    return [number.name for number in numbers(found) if number.is_noise]
+
+
+def calibration_in(belief: Belief) -> Calibration:
+    """Return the calibration in a belief over states of the calibrating filter, with its standard deviations."""
+    mean, std, cov = belief.mean, belief.std, belief.cov
+    # Each sonar has the common offset plus its own; their covariance counts.
+    offsets = mean[OFFSET] + mean[OWN:]
+    spread = np.sqrt(cov[OFFSET, OFFSET] + np.diagonal(cov)[OWN:] + 2.0 * cov[OFFSET, OWN:])
+    return Calibration(
+        1.0 + float(mean[OdometryParameter.DISTANCE_SCALE]),
+        1.0 + float(mean[OdometryParameter.TURN_SCALE]),
+        float(mean[OdometryParameter.DRIFT]),
+        tuple(offsets.tolist()),
+        float(mean[RING_TURN]),
+        Spread(
+            float(std[OdometryParameter.DISTANCE_SCALE]),
+            float(std[OdometryParameter.TURN_SCALE]),
+            float(std[OdometryParameter.DRIFT]),
+            tuple(spread.tolist()),
+            float(std[RING_TURN]),
+        ),
+    )
+
+
+def table(found: Calibration) -> str:
+    """Return a table of all numbers with their standard deviations and accuracies."""
+    return "\n".join(_rows(found))
+
+
+def _rows(found: Calibration) -> Iterator[str]:
+    distance, turn, drift, ring, *sonars = numbers(found)
+    yield f"{'':24}{'found':>12}{'± std':>12}"
+    yield _row("distance, true / counted", 1.0 + distance.off, distance.std, 4, distance.words)
+    yield _row("turn, true / counted", 1.0 + turn.off, turn.std, 4, turn.words)
+    yield _row("drift, rad/in", drift.off, drift.std, 5, drift.words)
+    yield _row("ring turned, deg", degrees(ring.off), degrees(ring.std), 2, ring.words)
+    for sonar in sonars:
+        yield _row(f"sonar {sonar.name.removeprefix('sonar '):>2} reads more, in", sonar.off, sonar.std, 2, sonar.words)
+
+
+def _row(name: str, value: float, std: float, places: int, words: str) -> str:
+    return f"{name:24}{value:12.{places}f}{std:12.{places}f}   {words}"

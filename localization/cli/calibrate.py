@@ -1,56 +1,29 @@
 """Drive a square, estimate the systematic errors of wheels and sonars, write a model file."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import math
 import sys
 import time
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from localization.calibration.procedure import (
-    Driver,
-    DriveTo,
-    LapPolicy,
-    NoSquareError,
-    Square,
-    Task,
-    is_clear,
-    largest_square,
-    path_to,
-    tasks,
-)
-from localization.calibration.procedure import run as run_calibration
-from localization.calibration.result import calibration_in, missing, noise_in, table
-from localization.cli.options import (
-    add_map_option,
-    add_robot_model_options,
-    check_writable,
-    open_robot,
-    parse_numbers,
-    parse_pose,
-    parse_pose_std,
-    parse_positive,
-    resolve_world,
-)
-from localization.filters.base import LocalizationConfig
+from localization.calibration import procedure
+from localization.cli import arguments
+from localization.filters.base import LocalizationConfig, sonar_of
 from localization.filters.belief import independent
 from localization.filters.calibration import CalibratingFilter
-from localization.filters.sonar_cone import ConeSonar
-from localization.filters.sonar_ray import WIRE_SONAR
-from localization.live.assumptions import resolve_robot_model, resolve_sonar_model
+from localization.live.assumptions import resolve_body, resolve_robot_model, resolve_sonar_model
 from localization.live.localizer import Consistency
 from localization.navigation.recovery import StallDetector
 from nclient import Robot
+from nclient.common.arguments import add_address, add_flag, add_value, whole_number
 from nclient.common.exit_codes import ExitCode
-from nclient.common.files import describe_write_error
+from nclient.common.files import write_errors_as
 from nclient.errors import OutputFileError
-from worlds.robots import BODIES, Calibration, calibration_as_json, format_calibration
+from worlds.robots import Calibration, calibration_as_json, format_calibration
 from worlds.world import World
 
 START_STD = (0.5, 0.5, 0.02)
@@ -70,68 +43,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "turning in place at its corners, while a filter estimates them from the walls; then write a model file."
     )
     parser.epilog = "example: nomad calibrate nserver://localhost:7019/1 --map thesis_room --out mine.toml"
-    parser.add_argument(
-        "address", nargs="?", metavar="ADDRESS", help="address of the robot (default: NOMAD_ROBOT, or a local nserver)"
-    )
-    add_map_option(parser)
-    parser.add_argument(
-        "--out",
-        type=Path,
-        metavar="FILE",
-        help="write a model file (model_file= of nserver and sim:, --calibration of nomad localize)",
-    )
-    parser.add_argument(
-        "--start",
-        type=parse_pose,
-        metavar="X,Y,HEADING",
-        help="initial pose, inches and degrees (default: that of the encoders)",
-    )
-    parser.add_argument(
-        "--start-std",
-        type=parse_pose_std,
-        default=START_STD,
-        metavar="X,Y,HEADING",
-        help="standard deviation of the initial pose, inches and degrees (default: 0.5,0.5,1.15)",
-    )
-    add_robot_model_options(parser)
-    parser.add_argument(
-        "--square",
-        type=_square,
-        metavar="X,Y,SIDE",
-        help="drive this square: lower left corner and side in inches (default: the largest that fits)",
-    )
-    parser.add_argument(
-        "--laps",
-        type=partial(_count, minimum=1),
-        metavar="N",
-        help="laps in each direction (default: until every number is known to a thirtieth of itself or of its "
-        f"typical value, at most {MAX_LAPS})",
-    )
-    parser.add_argument(
-        "--spins",
-        type=_count,
-        default=1,
-        metavar="N",
-        help="full turns in place at each corner, for the turn scale (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--speed", type=parse_positive, default=SPEED_IN_S, metavar="IN_S", help="speed in in/s (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--turn-speed",
-        type=parse_positive,
-        default=TURN_DEG_S,
-        metavar="DEG_S",
-        help="speed of turns in deg/s (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--time-limit",
-        type=parse_positive,
-        default=3600.0,
-        metavar="S",
-        help="give up after this time in s of the robot's clock (default: %(default)s)",
-    )
-    parser.add_argument("--json", action="store_true", help="print only the result, as JSON, on stdout")  # fmt: skip
+    add_address(parser)
+    arguments.add_map_option(parser)
+    add_value(parser, "--out", "FILE", Path,
+              "write a model file (model_file= of nserver and sim:, --calibration of nomad localize)")
+    add_value(parser, "--start", "X,Y,HEADING", arguments.parse_pose,
+              "initial pose, inches and degrees (default: that of the encoders)")
+    add_value(parser, "--start-std", "X,Y,HEADING", arguments.parse_pose_std,
+              "standard deviation of the initial pose, inches and degrees (default: 0.5,0.5,1.15)", START_STD)
+    arguments.add_robot_model_options(parser)
+    add_value(parser, "--square", "X,Y,SIDE", _square,
+              "drive this square: lower left corner and side in inches (default: the largest that fits)")
+    add_value(parser, "--laps", "N", whole_number("the number of laps", 1, MAX_COUNT),
+              "laps in each direction (default: until every number is known to a thirtieth of itself or of its "
+              f"typical value, at most {MAX_LAPS})")
+    add_value(parser, "--spins", "N", whole_number("the number of turns", 0, MAX_COUNT),
+              "full turns in place at each corner, for the turn scale", 1)
+    add_value(parser, "--speed", "IN_S", arguments.parse_positive, "speed in in/s", SPEED_IN_S)
+    add_value(parser, "--turn-speed", "DEG_S", arguments.parse_positive, "speed of turns in deg/s", TURN_DEG_S)
+    add_value(parser, "--time-limit", "S", arguments.parse_positive,
+              "give up after this time in s of the robot's clock", 3600.0)
+    add_flag(parser, "--json", "print only the result, as JSON, on stdout")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -140,9 +72,9 @@ def run(options: argparse.Namespace) -> int:
     0: done; 3: given up; 4: the readings do not fit the sonar model, and nothing is written.
     """
     # 1. Everything that can fail without a robot.
-    world = resolve_world(options)
-    check_writable(options.out)
-    robot, simulated = open_robot(options.address)
+    world = arguments.resolve_world(options)
+    arguments.check_writable(options.out)
+    robot, simulated = arguments.open_robot(options.address)
     sonars = resolve_sonar_model(options.sonars, simulated, options.address)
     fit = Consistency(sonars.rays)
     if sonars.line():
@@ -157,26 +89,20 @@ def run(options: argparse.Namespace) -> int:
     # 3. Results.
     found, laps = made
     if not options.json:
-        print(f"{table(found)}\n{_describe_fit(found, fit, laps)}")
+        print(f"{procedure.table(found)}\n{_describe_fit(found, fit, laps)}")
     if not fit.is_good:
         if options.json:
             print(fit.line(), file=sys.stderr)
         return ExitCode.UNFIT
     if options.json:
         quality = {"nis": fit.nis, "refused_share": fit.refused_fraction, "laps": laps}
-        judgement = {"known_too_little": missing(found), "within_noise_of_zero": noise_in(found)}
+        judgement = {"known_too_little": procedure.missing(found), "within_noise_of_zero": procedure.noise_in(found)}
         print(json.dumps({**calibration_as_json(found), **quality, **judgement}), flush=True)
     if options.out:
         comment = f"nomad calibrate, in {world.name}: {laps} laps in each direction, {options.spins} turns per corner"
-        _write(options.out, format_calibration(options.body, found, comment))
+        with write_errors_as(OutputFileError, options.out):
+            options.out.write_text(format_calibration(options.body, found, comment), encoding="utf-8")
     return 0
-
-
-def _write(path: Path, text: str) -> None:
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise OutputFileError(describe_write_error(path, error)) from error
 
 
 def _drive(robot: Robot, world: World, options: argparse.Namespace, fit: Consistency) -> tuple[Calibration, int] | str:
@@ -184,20 +110,22 @@ def _drive(robot: Robot, world: World, options: argparse.Namespace, fit: Consist
     # 1. Initial pose, models and filter.
     state = robot.refresh()
     start = options.start or (state.x_in, state.y_in, state.steering_rad)
-    body = BODIES[options.body]
-    config = LocalizationConfig(world.walls, body, options.odometry_noise, WIRE_SONAR if fit.rays else ConeSonar())
+    body = resolve_body(options.body, options.model_file, options.address)
+    config = LocalizationConfig(world.walls, body, options.odometry_noise, sonar_of(body.ring, rays=fit.rays))
     method = CalibratingFilter(config, independent(np.array(start), options.start_std))
     # 2. Square, path to it and laps; without --laps more are driven until the result is accurate.
     square = _square_of(world, body.radius_in, start, options)
     first = _tasks(world, body.radius_in, start, square, options)
-    extra_lap = tasks(square, (first.corner.x_in, first.corner.y_in), 1, options.spins)[1:]
-    laps = LapPolicy(extra_lap, 1 if options.laps is not None else MAX_LAPS,
-                    lambda: not (fit.is_good and missing(calibration_in(method.belief))))  # fmt: skip
+    extra_lap = procedure.tasks(square, (first.corner.x_in, first.corner.y_in), 1, options.spins)[1:]
+    max_laps = 1 if options.laps is not None else MAX_LAPS
+    laps = procedure.LapPolicy(
+        extra_lap, max_laps, lambda: not (fit.is_good and procedure.missing(procedure.calibration_in(method.belief)))
+    )
     # 3. Drive; give up after the time limit or when the robot does not move.
-    driver = Driver(first.tasks, options.speed, math.radians(options.turn_speed), laps.more)
+    driver = procedure.Driver(first.tasks, options.speed, math.radians(options.turn_speed), laps.more)
     stall_detector, printed_s = StallDetector(options.speed), state.clock_s or 0.0
     began_s = printed_s
-    for progress in run_calibration(robot, config, method, driver, time.sleep):
+    for progress in procedure.run(robot, config, method, driver, time.sleep):
         clock_s = progress.estimate.clock_s
         fit.add(progress.estimate.echoes)
         if clock_s - began_s > options.time_limit:
@@ -207,40 +135,43 @@ def _drive(robot: Robot, world: World, options: argparse.Namespace, fit: Consist
             return f"after {clock_s - began_s:.0f} s: {stalled}; check --start and the map"
         if not options.json and clock_s >= printed_s + PRINT_INTERVAL_S:
             printed_s = clock_s
-            print(_line(clock_s - began_s, driver, calibration_in(method.belief)), flush=True)
-    return calibration_in(method.belief), laps.begun if options.laps is None else options.laps
+            print(_line(clock_s - began_s, driver, procedure.calibration_in(method.belief)), flush=True)
+    return procedure.calibration_in(method.belief), laps.begun if options.laps is None else options.laps
 
 
 class _Route(NamedTuple):
     """The path to the square and the first laps; the corner where the laps begin and end."""
 
-    tasks: list[Task]
-    corner: DriveTo
+    tasks: list[procedure.Task]
+    corner: procedure.DriveTo
 
 
-def _square_of(world: World, radius_in: float, start: tuple[float, ...], options: argparse.Namespace) -> Square:
+def _square_of(
+    world: World, radius_in: float, start: tuple[float, ...], options: argparse.Namespace
+) -> procedure.Square:
     """Return the square of --square, or the largest that fits. Raises NoSquareError."""
-    square: Square = options.square or largest_square(world, radius_in, (start[0], start[1]))
-    if not is_clear(square, world, radius_in):
-        raise NoSquareError(f"the square {tuple(square)} comes too near to walls: choose another, or omit --square")
+    square: procedure.Square = options.square or procedure.largest_square(world, radius_in, (start[0], start[1]))
+    if not procedure.is_clear(square, world, radius_in):
+        reason = f"the square {tuple(square)} comes too near to walls: choose another, or omit --square"
+        raise procedure.NoSquareError(reason)
     return square
 
 
 def _tasks(
-    world: World, radius_in: float, start: tuple[float, ...], square: Square, options: argparse.Namespace
+    world: World, radius_in: float, start: tuple[float, ...], square: procedure.Square, options: argparse.Namespace
 ) -> _Route:
     """Return the route to the square and around it. Raises NoPathError if the square cannot be reached."""
     here = (start[0], start[1])
     # The first task is the drive to the nearest corner; it is replaced by a path around obstacles.
-    corner, *rest = tasks(square, here, 1 if options.laps is None else options.laps, options.spins)
-    assert isinstance(corner, DriveTo)
-    return _Route([*path_to((corner.x_in, corner.y_in), here, world, radius_in), *rest], corner)
+    corner, *rest = procedure.tasks(square, here, 1 if options.laps is None else options.laps, options.spins)
+    assert isinstance(corner, procedure.DriveTo)
+    return _Route([*procedure.path_to((corner.x_in, corner.y_in), here, world, radius_in), *rest], corner)
 
 
 def _describe_fit(found: Calibration, fit: Consistency, laps: int) -> str:
     """Return how well the calibration fits and what is not known well enough, as text."""
     # Parameters that are not known well enough yet.
-    short = missing(found)
+    short = procedure.missing(found)
     if not short or not fit.is_good:
         return fit.line()
     text = f"after {laps} laps in each direction still inaccurate: {', '.join(short)}; "
@@ -248,7 +179,7 @@ def _describe_fit(found: Calibration, fit: Consistency, laps: int) -> str:
     return f"{text}\n{fit.line()}"
 
 
-def _line(passed_s: float, driver: Driver, found: Calibration) -> str:
+def _line(passed_s: float, driver: procedure.Driver, found: Calibration) -> str:
     # Estimates with standard deviations; scales have no unit.
     spread = found.spread
     return (
@@ -259,14 +190,8 @@ def _line(passed_s: float, driver: Driver, found: Calibration) -> str:
     )
 
 
-def _square(text: str) -> Square:
-    x, y, side = parse_numbers(text, 3)
+def _square(text: str) -> procedure.Square:
+    x, y, side = arguments.parse_numbers(text, 3)
     if side <= 0:
         raise argparse.ArgumentTypeError("expected a side longer than 0")
-    return Square(x, y, side)
-
-
-def _count(text: str, minimum: int = 0) -> int:
-    if not text.isdecimal() or not minimum <= int(text) <= MAX_COUNT:
-        raise argparse.ArgumentTypeError(f"expected a whole number from {minimum} to {MAX_COUNT}, not {text!r}")
-    return int(text)
+    return procedure.Square(x, y, side)

@@ -7,17 +7,16 @@ Prints the estimate every second, and a report at the end. Exit code 0: reached;
 step; the robot is stopped at the end, after errors and on Ctrl-C.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Callable
 from math import degrees, inf
 
+from localization.cli.arguments import parse_numbers
 from localization.cli.mission import add_mission_options, execute_mission, open_mission
-from localization.cli.options import parse_numbers
 from localization.missions.controller import Observation
 from localization.missions.settings import MAX_TIME_S, MAX_WITHIN_IN, MIN_TIME_S, MIN_WITHIN_IN, OnLost, Settings
 from localization.navigation.waypoints import STOP_RADIUS_IN
+from nclient.common.arguments import add_address, add_value, number
 
 # Seconds of the robot's clock between two printed estimates.
 PRINT_INTERVAL_S = 1.0
@@ -25,9 +24,7 @@ PRINT_INTERVAL_S = 1.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `nomad go`."""
-    parser.add_argument(
-        "address", nargs="?", metavar="ADDRESS", help="address of the robot (default: NOMAD_ROBOT, or a local nserver)"
-    )
+    add_address(parser)
     parser.add_argument(
         "--to",
         type=_parse_goal,
@@ -35,20 +32,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="X,Y[,HEADING]",
         help="drive to this position, inches and degrees",
     )
-    parser.add_argument(
-        "--within",
-        type=_number_between(MIN_WITHIN_IN, MAX_WITHIN_IN),
-        default=STOP_RADIUS_IN,
-        metavar="IN",
-        help="accept positions within this distance in in (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--time-limit",
-        type=_number_between(MIN_TIME_S, MAX_TIME_S),
-        default=300.0,
-        metavar="S",
-        help="give up after this time in s of the robot's clock (default: %(default)s)",
-    )
+    add_value(parser, "--within", "IN", _number_between(MIN_WITHIN_IN, MAX_WITHIN_IN),
+              "accept positions within this distance in in", STOP_RADIUS_IN)
+    add_value(parser, "--time-limit", "S", _number_between(MIN_TIME_S, MAX_TIME_S),
+              "give up after this time in s of the robot's clock", 300.0)
     parser.add_argument("--on-lost", choices=[policy.value for policy in OnLost], default=OnLost.STOP.value,
                         help="select the behaviour when the robot is lost (default: %(default)s)")  # fmt: skip
     parser.set_defaults(report=None)
@@ -88,15 +75,7 @@ class _ProgressPrinter:
 
 
 def _number_between(low: float, high: float) -> Callable[[str], float]:
-    """Return a reader of numbers from `low` to `high`."""
-
-    def parse(text: str) -> float:
-        (number,) = parse_numbers(text, 1)
-        if not low <= number <= high:
-            raise argparse.ArgumentTypeError(f"expected a number from {low:g} to {high:g}, not {text}")
-        return number
-
-    return parse
+    return number(f"expected a number from {low:g} to {high:g}", low, high)
 
 
 def _parse_goal(text: str) -> tuple[float, ...]:

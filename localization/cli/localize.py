@@ -3,8 +3,6 @@
 For a simulated robot the true error is printed beside the estimate; the filter never uses the ground truth.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import json
@@ -13,24 +11,10 @@ import sys
 import time
 from pathlib import Path
 
-from localization.cli.options import (
-    UNKNOWN,
-    add_localization_options,
-    add_map_option,
-    check_writable,
-    is_lockstep,
-    open_robot,
-    parse_point,
-    parse_positive,
-    parse_seconds,
-    parse_start,
-    prepare_localization,
-    report_wait,
-    resolve_world,
-    save_run,
-)
+from localization.cli import arguments
+from localization.cli.log import add_log_options, localize_recorded
 from localization.filters.registry import DEFAULT_METHOD, FINDER
-from localization.live.assumptions import resolve_robot_model
+from localization.live.assumptions import resolve_body, resolve_robot_model
 from localization.live.background_search import filter_on_robot
 from localization.live.publish import Publisher, build_message
 from localization.live.run import GroundTruth, Run, RunMoment
@@ -45,9 +29,9 @@ from localization.navigation.waypoints import (
     start_localizer,
 )
 from nclient import NomadError, Robot, WorldFileError
+from nclient.common.arguments import add_flag, add_value
 from nclient.common.exit_codes import ExitCode
 from nclient.common.process import TerminatedBySignal
-from worlds.robots import BODIES
 from worlds.world import World
 
 
@@ -62,22 +46,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="address of the robot: nserver://host[:port]/id, serial:///dev/ttyUSB0?model=n150, robotd://host or "
         "sim:WORLD?noisy=1 (default: NOMAD_ROBOT, or a local nserver)",
     )
-    add_map_option(parser)
+    arguments.add_map_option(parser)
     goals = parser.add_mutually_exclusive_group()
     goals.add_argument(
-        "--waypoints", nargs="+", type=parse_point, metavar="X,Y", help="drive to these positions in order, inches"
+        "--waypoints", nargs="+", type=arguments.parse_point, metavar="X,Y",
+        help="drive to these positions in order, inches",
     )
     goals.add_argument(
         "--path", metavar="NAME", help="drive a path of the map, given by the number of its figure, such as 5.8"
     )
-    parser.add_argument(
-        "--start",
-        type=parse_start,
-        metavar="X,Y,HEADING",
-        help="set the encoders to this initial pose, inches and degrees (default: keep them); "
-        f"{UNKNOWN}: find the pose first (method finder)",
-    )
-    add_localization_options(
+    add_value(parser, "--start", "X,Y,HEADING", arguments.parse_start,
+              "set the encoders to this initial pose, inches and degrees (default: keep them); "
+              f"{arguments.UNKNOWN}: find the pose first (method finder)")
+    arguments.add_localization_options(
         parser,
         DEFAULT_METHOD,
         "filter: extended, iterated or unscented Kalman filter, particles, or one that recovers when lost; smoother "
@@ -85,37 +66,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "; waypoints set there replace the current ones",
     )
     parser.set_defaults(method=None)
-    parser.add_argument(
-        "--radius",
-        type=parse_positive,
-        default=STOP_RADIUS_IN,
-        metavar="IN",
-        help="count a waypoint as reached within this distance in in (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--smooth",
-        type=parse_seconds,
-        default=0.0,
-        metavar="S",
-        help="smooth the pose used for steering over S seconds; the estimate is unaffected (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--time-limit",
-        type=parse_positive,
-        default=300.0,
-        metavar="S",
-        help="give up after this time in s of the robot's clock (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--picture", type=Path, metavar="PNG", help="draw the run into this file (needs the extra `plot`)"
-    )
-    parser.add_argument(
-        "--stay",
-        action="store_true",
-        help="with --publish: after the last waypoint, or without any, stand and wait for waypoints "
-        "set on the page, until the time limit or Ctrl-C",
-    )
-    parser.add_argument("--json", action="store_true", help="print only the result, as JSON, on stdout")
+    add_log_options(parser)
+    add_value(parser, "--radius", "IN", arguments.parse_positive,
+              "count a waypoint as reached within this distance in in", STOP_RADIUS_IN)
+    add_value(parser, "--smooth", "S", arguments.parse_seconds,
+              "smooth the pose used for steering over S seconds; the estimate is unaffected", 0.0)
+    add_value(parser, "--time-limit", "S", arguments.parse_positive,
+              "give up after this time in s of the robot's clock", 300.0)
+    add_value(parser, "--picture", "PNG", Path, "draw the run into this file (needs the extra `plot`)")
+    add_flag(parser, "--stay",
+             "with --publish: after the last waypoint, or without any, stand and wait for waypoints "
+             "set on the page, until the time limit or Ctrl-C")
+    add_flag(parser, "--json", "print only the result, as JSON, on stdout")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -123,10 +85,12 @@ def run(options: argparse.Namespace) -> int:
 
     After Ctrl-C or a signal results are still saved and printed.
     """
-    # 1. Everything that can fail without a robot.
-    world = resolve_world(options)
     options.method = _select_method(options)
-    check_writable(options.save)
+    if options.log:
+        return localize_recorded(options)
+    # 1. Everything that can fail without a robot.
+    world = arguments.resolve_world(options)
+    arguments.check_writable(options.save)
     points = _goals(options, world)
     if options.picture is not None:
         from localization.live.plot import check_picture
@@ -134,7 +98,7 @@ def run(options: argparse.Namespace) -> int:
         check_picture(options.picture)
     publisher = Publisher(options.publish) if options.publish else None
     # 2. Drive.
-    robot, simulated = open_robot(options.address)
+    robot, simulated = arguments.open_robot(options.address)
     done = Run(points)
     with robot:
         options.body = resolve_robot_model(options.body, robot.model.name, options.address)
@@ -159,23 +123,21 @@ def run(options: argparse.Namespace) -> int:
 def _select_method(options: argparse.Namespace) -> str:
     """Return the method of --method, its default, or the one that finds an unknown start."""
     # Only this filter needs no initial pose.
-    if options.start == UNKNOWN:
+    if options.start == arguments.UNKNOWN:
         if options.resume:
-            options.refuse(f"--start {UNKNOWN} and --resume exclude each other: give one of them")
+            options.refuse("--start unknown and --resume exclude each other: give one of them")
         if options.method not in (None, FINDER):
-            options.refuse(
-                f"--start {UNKNOWN} is found out by --method {FINDER} alone: leave --method {options.method} out"
-            )
+            method = options.method
+            options.refuse(f"--start unknown is found out by --method {FINDER} alone: leave --method {method} out")
         return FINDER
-    method: str = options.method or DEFAULT_METHOD
-    return method
+    return str(options.method or DEFAULT_METHOD)
 
 
 def _write_results(options: argparse.Namespace, world: World, done: Run) -> bool:
     """Write --save and --picture and print the result; return False if a file could not be written (see stderr)."""
     written = True
     # One file that cannot be written must not prevent the other, nor the printed result.
-    for write in (save_run, _draw):
+    for write in (arguments.save_run, _draw):
         try:
             write(options, world, done)
         except NomadError as error:
@@ -189,7 +151,7 @@ def _draw(options: argparse.Namespace, world: World, done: Run) -> None:
     if options.picture is not None:
         from localization.live.plot import draw_run
 
-        draw_run(options.picture, world, done, BODIES[options.body])
+        draw_run(options.picture, world, done, resolve_body(options.body, options.model_file, options.address))
 
 
 def _drive(
@@ -197,12 +159,14 @@ def _drive(
     publisher: Publisher | None = None,
 ) -> None:  # fmt: skip
     # 1. Initial belief, models, controller and filter.
-    belief, config, done.sonars = prepare_localization(robot, simulated, world, options)
+    belief, config, done.sonars = arguments.prepare_localization(robot, simulated, world, options)
     stays = options.stay and publisher is not None
     navigator = Navigator(done.waypoints, Speeds(translation_in_s=options.speed), options.radius, stays=stays)
-    start = None if options.start == UNKNOWN else belief
+    start = None if options.start == arguments.UNKNOWN else belief
+    waits = arguments.is_lockstep(options.address)
+    done.alike = [] if start is None else arguments.find_alike(world, config, start)
     with filter_on_robot(
-        options.method, config, start, options.scale_std, waits=is_lockstep(options.address), report=report_wait
+        options.method, config, start, options.scale_std, waits=waits, report=arguments.report_wait, alike=done.alike
     ) as method:
         localizer = start_localizer(robot, config, belief, method)
         # 2. Drive until the last waypoint, a stall or the time limit.

@@ -1,6 +1,4 @@
-"""Check a map, simplify it, show where localization is inaccurate, or exchange maps with other tools."""
-
-from __future__ import annotations
+"""Check a map, simplify it, show where localization is inaccurate, learn one, or exchange maps with other tools."""
 
 import argparse
 import json
@@ -11,15 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from localization.cli.options import check_writable, parse_odometry_noise, parse_positive
-from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig
+from localization.cli import arguments, map_learn
+from localization.filters.base import LocalizationConfig
 from localization.filters.belief import Floats
 from localization.filters.sonar_cone import ConeSonar
 from localization.filters.sonar_ray import WIRE_SONAR
 from localization.live.plot import ESTIMATE, GOAL, blank, check_picture, draw_walls, save
+from localization.mapping.aliases import Alias, AliasFinder, find_aliases
 from localization.mapping.observability import Observability, compute_observability
+from nclient.common.arguments import add_flag, add_value
 from nclient.common.exit_codes import ExitCode
-from nclient.common.files import describe_write_error
+from nclient.common.files import write_errors_as
 from nclient.errors import MapFileError, WorldFileError
 from worlds.io import format_world, load_world, parse_world
 from worlds.map_files import IN_PER_M, ImportSettings, read_map_file, write_ros_map
@@ -28,11 +28,19 @@ from worlds.simplify import hausdorff_distance_in, simplify_world
 from worlds.validate import Finding, FreeSpace, ValidationLimits, find_free_space, validate_world
 from worlds.world import World
 
+ALIKE = "look alike"
 MAX_SHOWN_IN = 3.0
 """Upper end of the color scale."""
 
 
-def draw_map(path: Path, world: World, found: FreeSpace, worst_in: Floats, findings: Sequence[Finding]) -> None:
+def draw_map(
+    path: Path,
+    world: World,
+    found: FreeSpace,
+    worst_in: Floats,
+    findings: Sequence[Finding],
+    aliases: Sequence[Alias] = (),
+) -> None:
     """Draw a map as PNG, colored by the bound.
 
     Parameters
@@ -43,6 +51,8 @@ def draw_map(path: Path, world: World, found: FreeSpace, worst_in: Floats, findi
     worst_in : (k,) array
         Bound at the reachable positions of `found`, row by row.
     findings : sequence of Finding
+    aliases : sequence of Alias
+        Places that look alike are joined by lines.
     """
     picture = blank(8.0, 7.0)
     axes = picture.subplots()
@@ -60,6 +70,10 @@ def draw_map(path: Path, world: World, found: FreeSpace, worst_in: Floats, findi
     if findings:
         places = np.array([finding.place_in for finding in findings])
         axes.plot(*places.T, marker="x", color=ESTIMATE, markersize=9, linestyle="", label="findings")
+    for alias in aliases:
+        for pose in alias.alike:
+            label = "" if axes.get_legend_handles_labels()[1][-1:] == [ALIKE] else ALIKE
+            axes.plot(*np.array([alias.pose[:2], pose[:2]]).T, color=ESTIMATE, linewidth=0.4, marker=".", label=label)
     axes.set(xlabel="x (in)", ylabel="y (in)", title=world.title or world.name)
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=2, frameon=False)
     save(picture, path)
@@ -69,6 +83,8 @@ def draw_map(path: Path, world: World, found: FreeSpace, worst_in: Floats, findi
 CELL_IN, MAX_PLACES = 3.0, 2500
 # Bound above which a position is called weak, inches.
 WEAK_IN = 1.0
+# Places examined for others that look alike, by `check` and for the picture of `show`; lines and poses printed of them.
+ALIAS_SAMPLES, SHOWN_ALIAS_SAMPLES, MAX_NOTES, MAX_ALIKE = 40, 24, 8, 4
 # Exit code 3, as of other commands that ran and did not succeed.
 PROBLEMS_FOUND = ExitCode.NOT_REACHED
 
@@ -76,115 +92,79 @@ PROBLEMS_FOUND = ExitCode.NOT_REACHED
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `nomad map`."""
     parser.description = (
-        "Check a map, simplify it, show where localization is inaccurate, or exchange maps with other tools."
+        "Check a map, simplify it, show where localization is inaccurate, learn one by driving, or exchange maps with "
+        "other tools."
     )
     parser.epilog = "example: nomad map show several_walls --out out/map.png"
-    tools = parser.add_subparsers(dest="tool", required=True, metavar="check|simplify|show|import|export")
+    tools = parser.add_subparsers(dest="tool", required=True, metavar="check|simplify|show|learn|import|export")
     check = tools.add_parser(
-        "check", help="find gaps, doubled walls, very short walls, starts without space, closed-off space"
+        "check",
+        help="find gaps, doubled walls, very short walls, starts without space, closed-off space; name places that "
+        "look alike",
     )
+    add_value(check, "--gap", "IN", arguments.parse_positive,
+              "report ends of walls within this distance in in of another wall as gaps", ValidationLimits().gap_in)
     check.add_argument(
-        "--gap",
-        type=parse_positive,
-        default=ValidationLimits().gap_in,
-        metavar="IN",
-        help="report ends of walls within this distance in in of another wall as gaps (default: %(default)s)",
+        "--at",
+        type=arguments.parse_point,
+        nargs="+",
+        default=[],
+        metavar="X,Y",
+        help="name the places that look like these positions (default: like the starts and others over the map)",
     )
     simplify = tools.add_parser("simplify", help="write the map with fewer walls, within a tolerance")
-    simplify.add_argument(
-        "--tolerance",
-        type=parse_positive,
-        default=0.5,
-        metavar="IN",
-        help="move walls by at most this distance in in (default: %(default)s)",
-    )
+    add_value(simplify, "--tolerance", "IN", arguments.parse_positive, "move walls by at most this distance in in", 0.5)
     simplify.add_argument("--out", type=Path, required=True, metavar="FILE", help="write this world file")
     show = tools.add_parser("show", help="show the accuracy of localization: the Cramer-Rao bound over free space")
-    show.add_argument("--out", type=Path, metavar="PNG", help="draw it into this file (needs the extra `plot`)")
-    show.add_argument(
-        "--sonars",
-        choices=("rays", "cones"),
-        default="cones",
-        help="sonar model: exact rays, or the cones of a real ring (default: %(default)s)",
-    )
-    show.add_argument(
-        "--cell",
-        type=parse_positive,
-        metavar="IN",
-        help=f"grid step in in (default: {CELL_IN:g}, or larger for at most {MAX_PLACES} positions)",
-    )
-    show.add_argument(
-        "--speed",
-        type=parse_positive,
-        default=5.0,
-        metavar="IN_S",
-        help="speed of the robot in in/s (default: %(default)s)",
-    )
-    show.add_argument(
-        "--odometry-noise",
-        type=parse_odometry_noise,
-        default=THESIS_ODOMETRY,
-        metavar="A,B,C",
-        help="standard deviations of the random odometry error: in after 1 in, rad after 1 rad, rad after 1 in",
-    )
-    show.add_argument(
-        "--weak",
-        type=parse_positive,
-        default=WEAK_IN,
-        metavar="IN",
-        help="call positions with a bound above this distance in in weak (default: %(default)s)",
-    )
+    add_value(show, "--out", "PNG", Path, "draw it into this file (needs the extra `plot`)")
+    arguments.add_sonar_model(show)
+    add_value(show, "--cell", "IN", arguments.parse_positive,
+              f"grid step in in (default: {CELL_IN:g}, or larger for at most {MAX_PLACES} positions)")
+    add_value(show, "--speed", "IN_S", arguments.parse_positive, "speed of the robot in in/s", 5.0)
+    arguments.add_odometry_noise(show)
+    add_value(show, "--weak", "IN", arguments.parse_positive,
+              "call positions with a bound above this distance in in weak", WEAK_IN)
+    map_learn.add_arguments(tools.add_parser("learn", help="make a map of the room from a recorded drive"))
     _add_import(tools.add_parser("import", help="make a world file of a ROS, CARMEN, SVG or DXF map, or of a bitmap"))
     _add_export(tools.add_parser("export", help="write a world as map of ROS: map.yaml and PGM"))
     for tool in (check, simplify, show):
         tool.add_argument("world", metavar="WORLD", help="map: a shipped world or a TOML file")
         if tool is not simplify:
             tool.add_argument("--body", choices=sorted(BODIES), default="n150", help="robot model (default: n150)")
-        tool.add_argument("--json", action="store_true", help="print only the result, as JSON, on stdout")
+        add_flag(tool, "--json", "print only the result, as JSON, on stdout")
 
 
 def _add_import(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", type=Path, metavar="FILE", help=".yaml (ROS), .map (CARMEN), .svg, .dxf or a bitmap")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="write this world file")
-    parser.add_argument(
-        "--tolerance",
-        type=parse_positive,
-        metavar="IN",
-        help="straighten walls within this distance in in (default: 0.9 cells; 0.25 in of a drawing's curves)",
-    )
+    add_value(parser, "--tolerance", "IN", arguments.parse_positive,
+              "straighten walls within this distance in in (default: 0.9 cells; 0.25 in of a drawing's curves)")
     scale = parser.add_mutually_exclusive_group()
-    scale.add_argument("--cell", type=parse_positive, metavar="IN", help="side of a bitmap's pixel in in")
-    scale.add_argument(
-        "--unit", type=parse_positive, metavar="IN", help="inches of a drawing's unit (default: as the file states)"
-    )
-    parser.add_argument(
-        "--min-cells", type=int, default=4, metavar="N", help="ignore smaller spots of a grid (default: %(default)s)"
-    )
-    parser.add_argument("--close", action="store_true", help="put walls where known space ends without one")
+    add_value(scale, "--cell", "IN", arguments.parse_positive, "side of a bitmap's pixel in in")
+    add_value(scale, "--unit", "IN", arguments.parse_positive,
+              "inches of a drawing's unit (default: as the file states)")
+    add_value(parser, "--min-cells", "N", int, "ignore smaller spots of a grid", 4)
+    add_flag(parser, "--close", "put walls where known space ends without one")
     parser.add_argument(
         "--layer", action="append", default=[], metavar="NAME", help="read this layer of a DXF; may be repeated"
     )
-    parser.add_argument("--picture", type=Path, metavar="PNG", help="draw the walls into this file (extra `plot`)")
-    parser.add_argument("--json", action="store_true", help="print only the result, as JSON, on stdout")
+    add_value(parser, "--picture", "PNG", Path, "draw the walls into this file (extra `plot`)")
+    add_flag(parser, "--json", "print only the result, as JSON, on stdout")
 
 
 def _add_export(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("world", metavar="WORLD", help="map: a shipped world or a TOML file")
     parser.add_argument("--out", type=Path, required=True, metavar="YAML", help="write this file, and a PGM beside it")
-    parser.add_argument(
-        "--resolution",
-        type=parse_positive,
-        default=0.05,
-        metavar="M",
-        help="side of a cell in m (default: %(default)s)",
-    )
-    parser.add_argument("--json", action="store_true", help="print only the result, as JSON, on stdout")
+    add_value(parser, "--resolution", "M", arguments.parse_positive, "side of a cell in m", 0.05)
+    add_flag(parser, "--json", "print only the result, as JSON, on stdout")
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit code; `check` returns 3 if it found problems."""
     if options.tool == "import":
         return _import(options)
+    if options.tool == "learn":
+        return map_learn.run(options)
     world = load_world(options.world)
     match options.tool:
         case "simplify":
@@ -199,7 +179,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _import(options: argparse.Namespace) -> int:
     # 1. Report unwritable files before the work.
-    check_writable(options.out)
+    arguments.check_writable(options.out)
     if options.picture is not None:
         check_picture(options.picture)
     settings = ImportSettings(
@@ -222,11 +202,9 @@ def _import(options: argparse.Namespace) -> int:
 
 
 def _export(world: World, options: argparse.Namespace) -> int:
-    check_writable(options.out)
-    try:
+    arguments.check_writable(options.out)
+    with write_errors_as(MapFileError, options.out):
         image, grid = write_ros_map(world, options.out, options.resolution * IN_PER_M)
-    except OSError as error:
-        raise MapFileError(describe_write_error(options.out, error)) from error
     width, height = grid.cells.shape
     result = {"image": str(image), "width": width, "height": height, "resolution_m": options.resolution}
     print(json.dumps(result) if options.json else f"{width} x {height} cells: {options.out}, {image}")
@@ -234,10 +212,8 @@ def _export(world: World, options: argparse.Namespace) -> int:
 
 
 def _write(path: Path, text: str) -> None:
-    try:
+    with write_errors_as(WorldFileError, path):
         path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise WorldFileError(describe_write_error(path, error)) from error
 
 
 def _draw_walls(path: Path, world: World) -> None:
@@ -251,12 +227,51 @@ def _draw_walls(path: Path, world: World) -> None:
 
 
 def _check(world: World, options: argparse.Namespace) -> int:
-    found = validate_world(world, BODIES[options.body].radius_in, ValidationLimits(gap_in=options.gap))
+    body = BODIES[options.body]
+    found = validate_world(world, body.radius_in, ValidationLimits(gap_in=options.gap))
+    places, aliases = _find_aliases(world, body.radius_in, options.at)
+    notes = [_note(alias) for alias in aliases]
     if options.json:
-        print(json.dumps([finding._asdict() for finding in found]))
-    else:
-        print("\n".join(_line(finding) for finding in found) or f"{world.name}: {len(world.walls)} walls, no problems")
+        listed = [note._asdict() | {"poses": _poses_deg(alias)} for note, alias in zip(notes, aliases, strict=True)]
+        print(json.dumps([finding._asdict() for finding in found] + listed))
+        return PROBLEMS_FOUND if found else 0
+    # Places that look alike are no problem of the map: they are listed, and change no exit code.
+    lines = [_line(finding) for finding in found] or [f"{world.name}: {len(world.walls)} walls, no problems"]
+    if options.at and not aliases:
+        lines.append("no other place looks like the given ones")
+    elif aliases:
+        lines += [_line(note) for note in notes[: None if options.at else MAX_NOTES]]
+        lines.append(f"note: {len(aliases)} of {places} places examined look like others (--at X,Y for one, "
+                     "map show --out for a picture)")  # fmt: skip
+    print("\n".join(lines))
     return PROBLEMS_FOUND if found else 0
+
+
+def _find_aliases(
+    world: World, radius_in: float, at: Sequence[tuple[float, float]] = (), samples: int = ALIAS_SAMPLES
+) -> tuple[int, list[Alias]]:
+    """Return how many places were examined, the starts and others or those given, and those with aliases."""
+    starts = [(start.x_in, start.y_in, start.steering_rad) for start in world.starts]
+    finder = AliasFinder(world.walls, radius_in, [start[:2] for start in starts])
+    poses = [(x, y, 0.0) for x, y in at] or starts + [(x, y, 0.0) for x, y in finder.samples(samples).tolist()]
+    return len(poses), find_aliases(finder, np.array(poses))
+
+
+def _note(alias: Alias) -> Finding:
+    """Return an alias in words, as a finding."""
+    poses = _poses_deg(alias)
+    others = ", ".join(f"({x:.0f}, {y:.0f}) at {heading:.0f} deg" for x, y, heading in poses[1 : 1 + MAX_ALIKE])
+    more = f" and {len(poses) - 1 - MAX_ALIKE} more" if len(poses) - 1 > MAX_ALIKE else ""
+    x, y, heading = poses[0]
+    return Finding("alike", (x, y), f"at {heading:.0f} deg looks like {others}{more}")
+
+
+def _poses_deg(alias: Alias) -> list[list[float]]:
+    """Return the pose and those that look like it: inches, and degrees from 0 to 360."""
+    return [
+        [round(float(x), 1), round(float(y), 1), round(math.degrees(heading), 1) % 360.0]
+        for x, y, heading in (alias.pose, *alias.alike)
+    ]
 
 
 def _line(finding: Finding) -> str:
@@ -266,7 +281,7 @@ def _line(finding: Finding) -> str:
 
 def _simplify(world: World, options: argparse.Namespace) -> int:
     # 1. Report an unwritable file before the work.
-    check_writable(options.out)
+    arguments.check_writable(options.out)
     simpler = simplify_world(world, options.tolerance)
     far_in = hausdorff_distance_in(world.walls, simpler.walls)
     # 2. The new file states how it was made, and by how much walls have moved.
@@ -305,7 +320,8 @@ def _show(world: World, options: argparse.Namespace) -> int:
     )
     numbers = _numbers(bound, reached, options.weak)
     if options.out is not None:
-        draw_map(options.out, world, reached, bound.worst_in, validate_world(world, body.radius_in))
+        draw_map(options.out, world, reached, bound.worst_in, validate_world(world, body.radius_in),
+                 _find_aliases(world, body.radius_in, samples=SHOWN_ALIAS_SAMPLES)[1])  # fmt: skip
     print(json.dumps(numbers) if options.json else _words(world, numbers, options))
     return 0
 

@@ -7,8 +7,6 @@ Exit code 0: completed; 3: a step failed. The robot is stopped at the end, after
 written in all cases.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import json
@@ -18,19 +16,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from localization.cli.options import (
-    add_localization_options,
-    add_map_option,
-    check_writable,
-    is_lockstep,
-    open_robot,
-    parse_pose,
-    prepare_localization,
-    report_wait,
-    resolve_world,
-    save_estimate,
-)
-from localization.live.assumptions import SonarAssumption, resolve_robot_model, sonar_mismatch_hint
+from localization.cli import arguments
+from localization.live.assumptions import SonarAssumption, resolve_body, resolve_robot_model, sonar_mismatch_hint
 from localization.live.background_search import filter_on_robot
 from localization.live.localizer import Echo
 from localization.live.publish import Publisher
@@ -41,11 +28,11 @@ from localization.missions.report import Report
 from localization.missions.settings import Point, Settings
 from localization.missions.steps import load_mission
 from nclient import NomadError, Robot
+from nclient.common.arguments import add_address, add_flag, add_value
 from nclient.common.exit_codes import ExitCode
-from nclient.common.files import describe_write_error
+from nclient.common.files import write_errors_as
 from nclient.errors import MissionFileError
 from worlds.io import load_world
-from worlds.robots import BODIES
 from worlds.world import World
 
 METHOD: Final = "finder"
@@ -57,25 +44,19 @@ FAILED: Final = ExitCode.NOT_REACHED
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `nomad mission`."""
     parser.add_argument("file", metavar="FILE", help="mission file, .toml or .py (docs/missions.md)")
-    parser.add_argument(
-        "address", nargs="?", metavar="ADDRESS", help="address of the robot (default: NOMAD_ROBOT, or a local nserver)"
-    )
-    parser.add_argument("--check", action="store_true", help="check the file and its map, report errors, move nothing")
-    parser.add_argument("--report", type=Path, metavar="JSON", help="write the report to this file")  # fmt: skip
+    add_address(parser)
+    add_flag(parser, "--check", "check the file and its map, report errors, move nothing")
+    add_value(parser, "--report", "JSON", Path, "write the report to this file")
     add_mission_options(parser)
 
 
 def add_mission_options(parser: argparse.ArgumentParser) -> None:
     """Add the options shared by `nomad mission` and `nomad go`."""
-    add_map_option(parser, "that of the mission, or ")
-    parser.add_argument(
-        "--start",
-        type=parse_pose,
-        metavar="X,Y,HEADING",
-        help="set the encoders to this initial pose, inches and degrees (default: keep them)",
-    )
-    add_localization_options(parser, METHOD, "filter; only finder detects that it is lost", "")
-    parser.add_argument("--json", action="store_true", help="print only the report, as JSON, on stdout")  # fmt: skip
+    arguments.add_map_option(parser, "that of the mission, or ")
+    add_value(parser, "--start", "X,Y,HEADING", arguments.parse_pose,
+              "set the encoders to this initial pose, inches and degrees (default: keep them)")
+    arguments.add_localization_options(parser, METHOD, "filter; only finder detects that it is lost", "")
+    add_flag(parser, "--json", "print only the report, as JSON, on stdout")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -129,7 +110,7 @@ class MissionContext(NamedTuple):
         estimate, state = self.controller.last
         encoders = (state.x_in, state.y_in, state.steering_rad)
         try:
-            save_estimate(options, self.world, estimate, encoders, state.turret_rad)
+            arguments.save_estimate(options, self.world, estimate, encoders, state.turret_rad)
         except NomadError as error:
             print(f"nomad: {error}", file=sys.stderr)
             return False
@@ -140,18 +121,20 @@ class MissionContext(NamedTuple):
 def open_mission(options: argparse.Namespace, map_name: str = "") -> Iterator[MissionContext]:
     """Connect to the robot and start localizing it; stop it at the end in any case."""
     # 1. Everything that can fail without a robot.
-    world = resolve_world(options, map_name)
-    check_writable(options.save, options.report)
+    world = arguments.resolve_world(options, map_name)
+    arguments.check_writable(options.save, options.report)
     publisher = Publisher(options.publish) if options.publish else None
     # 2. Robot and filter.
-    robot, simulated = open_robot(options.address)
+    robot, simulated = arguments.open_robot(options.address)
     with robot, contextlib.closing(publisher) if publisher else contextlib.nullcontext():
         options.body = resolve_robot_model(options.body, robot.model.name, options.address)
-        belief, config, sonars = prepare_localization(robot, simulated, world, options)
-        body = BODIES[options.body]
+        belief, config, sonars = arguments.prepare_localization(robot, simulated, world, options)
+        body = resolve_body(options.body, options.model_file, options.address)
+        waits = arguments.is_lockstep(options.address)
         with (
             filter_on_robot(
-                options.method, config, belief, waits=is_lockstep(options.address), report=report_wait
+                options.method, config, belief, waits=waits, report=arguments.report_wait,
+                alike=arguments.find_alike(world, config, belief),
             ) as method,
             RobotController(robot, config, body, belief, time.sleep, method, options.speed) as controller,
         ):
@@ -184,9 +167,7 @@ def write_report(report: Report, options: argparse.Namespace) -> None:
     """Print a report, and write it to --report. Raises MissionFileError if that fails."""
     try:
         if options.report:
-            try:
+            with write_errors_as(MissionFileError, options.report, "the report"):
                 options.report.write_text(json.dumps(report.as_json(), indent=1) + "\n", encoding="utf-8")
-            except OSError as error:
-                raise MissionFileError(describe_write_error(options.report, error, "the report")) from error
     finally:
         print(json.dumps(report.as_json()) if options.json else report.text(), flush=True)

@@ -1,9 +1,7 @@
-"""`python -m localization.experiments`: figures of the thesis, or `live`, `lost`, `plan`, `disturbed`, `all`.
+"""`python -m localization.experiments`: simulate figures of the thesis, or run another experiment, or `all`.
 
 With --json only the numbers are printed on stdout; the progress bar (extra `plot`: tqdm) and file names go to stderr.
 """
-
-from __future__ import annotations
 
 import argparse
 import json
@@ -12,19 +10,18 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from localization.cli.options import make_folder
-from localization.experiments import disturbed, live, output
+from localization.cli.arguments import make_folder
+from localization.experiments import corridor, disturbed, live, output
 from localization.experiments import lost as lost_command
 from localization.experiments import plan as plan_command
 from localization.experiments.execution import drive, drive_on_cluster, progress
-from localization.experiments.figure_trial import FIGURES, Figure, figure_setup
+from localization.experiments.figure_trial import FIGURES, Figure, figure_setup, summarize
 from localization.experiments.output import NO_PICTURES, add_shared, table
-from localization.experiments.results import summarize
 from localization.live.plot import require_matplotlib
 from nclient.errors import NomadError
 
 OUT: Final = Path("out/experiments")
-ALONE: Final = ("live", "lost", "plan", "disturbed", "all")
+ALONE: Final = ("live", "lost", "plan", "corridor", "disturbed", "all")
 """Commands that replace the names of figures."""
 
 
@@ -42,6 +39,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 plan_command.main(given[1:])
             case ["disturbed"]:
                 disturbed.main(given[1:])
+            case ["corridor"]:
+                corridor.main(given[1:])
             case ["all"]:
                 _drive_all(given[1:])
             case _:

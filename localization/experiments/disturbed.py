@@ -23,7 +23,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from localization.cli.options import START_STD, make_folder
+from localization.cli.arguments import START_STD, make_folder
 from localization.experiments.execution import ResultCache, code_hash, progress, run_cached
 from localization.experiments.figure_trial import nees
 from localization.experiments.live_trial import LOST_IN, Scenario, simulated_robot
@@ -43,7 +43,7 @@ from localization.filters.registry import DEFAULT_METHOD, METHODS
 from localization.filters.sonar_cone import ConeSonar
 from localization.filters.sonar_ray import WIRE_SONAR, RaySonar
 from localization.live.localizer import Estimate, Localizer
-from localization.live.sensor_input import HIGHEST_IN, LOWEST_IN, FiringSchedule, SensorData
+from localization.live.sensor_input import FiringSchedule, SensorData
 from localization.navigation.limits import VelocityCommand
 from localization.navigation.roadmap import Roadmap
 from localization.navigation.waypoints import PERIOD_S, Speeds
@@ -214,10 +214,11 @@ class Disturber:
         )
 
     def _biased(self, reading_in: float) -> float:
-        if not LOWEST_IN < reading_in < HIGHEST_IN:
+        low, high = N150.ring.min_range_in, N150.ring.max_range_in
+        if not low < reading_in < high:
             return reading_in
         biased = self._disturbance.scale * reading_in + self._disturbance.offset_in
-        return min(max(biased, LOWEST_IN), HIGHEST_IN)
+        return min(max(biased, low), high)
 
     def _slip(self, time_s: float, is_driving: bool, heading_rad: float) -> None:
         """Let the wheels turn on the spot, a part of the slip in each period of driving."""
@@ -244,7 +245,7 @@ class Disturber:
         for angle_rad, reading_in in zip(N150.sonar_angles_rad, sonars, strict=True):
             off_rad = math.remainder(math.atan2(dy, dx) - truth[2] - turret_rad - angle_rad, math.tau)
             is_before = abs(off_rad) < half_rad and range_in < reading_in
-            hidden.append(max(float(LOWEST_IN), float(round(range_in))) if is_before else reading_in)
+            hidden.append(max(N150.ring.min_range_in, float(round(range_in))) if is_before else reading_in)
         return tuple(hidden)
 
 
@@ -295,7 +296,7 @@ def run(case: Case) -> tuple[Case, Tally]:
         x, y = disturbance.target[0] + 0.3 * (case.seed % 5 - 2), 55.0
         heading = 0.5 * math.pi
     scenario = scenario_of(case.setup, disturbance)
-    with simulated_robot(world, scenario, case.seed, Pose(float(x), float(y), heading, heading)) as robot:
+    with simulated_robot(WORLD, scenario, case.seed, Pose(float(x), float(y), heading, heading)) as robot:
         state = robot.configure_sonars(rate=DEFAULT_SONAR_RATE, order=DEFAULT_SONAR_ORDER)
         assert state.clock_s is not None
         noise = np.array(START_STD) * np.random.default_rng([case.seed, START, 1]).standard_normal(3)

@@ -21,8 +21,7 @@ from typing import TYPE_CHECKING, ClassVar, Final, Generic, TypeVar
 
 import numpy as np
 
-from localization.experiments.figure_trial import Figure, figure_setup, run
-from localization.experiments.results import FigureResult, figure_result, join_results
+from localization.experiments.figure_trial import Figure, FigureResult, figure_result, figure_setup, join_results, run
 from nclient.common.files import write_atomic
 from nclient.errors import ExtraMissing, NomadError, OutputFileError
 

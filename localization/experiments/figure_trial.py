@@ -7,6 +7,11 @@ Without a filter the robot is steered by its odometry, from the true start.
 Each seed has an independent random stream per purpose, so results depend neither on the batch size nor on the number
 of processes, and two figures with the same seed have the same noise (common random numbers). Settings that the thesis
 does not state (noise, start, waypoint radius) are fixed once for all figures; no noise is tuned to a result.
+
+Results of the figures of the thesis: what is stored of each seed, and the summary over seeds.
+
+The result of a seed depends on that seed only (sums by math.fsum, exact in any order), and the summary on the seeds in
+their order: the numbers are the same to the bit however the work is divided.
 """
 
 from __future__ import annotations
@@ -15,32 +20,17 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
+from statistics import median
 from types import MappingProxyType
-from typing import Final
+from typing import Final, TypedDict
 
 import numpy as np
 import numpy.typing as npt
 
+from localization.filters import odometry, sonar_ray
 from localization.filters.base import THESIS_ODOMETRY
-from localization.filters.belief import Belief, Floats, add, chi_square_quantile, independent
+from localization.filters.belief import Belief, Floats, add, chi_square_quantile, difference, independent
 from localization.filters.ekf import update_ring
-from localization.filters.odometry import (
-    OdometryNoise,
-    move,
-    predict,
-    process_covariance,
-    step_jacobians,
-    step_variance,
-)
-from localization.filters.sonar_ray import (
-    IDEAL_SONAR,
-    RaySonar,
-    SonarRing,
-    WallMap,
-    observe_ring,
-    ranges_from,
-    wall_map,
-)
 from localization.navigation.control_law import ControlGains, is_reached, next_step
 from worlds.io import load_world
 from worlds.raycast import NO_WALL
@@ -99,13 +89,13 @@ class FigureSetup:
 
     start: Floats
     goals_in: Floats
-    walls: WallMap
-    body: SonarRing
+    walls: sonar_ray.WallMap
+    body: sonar_ray.SonarRing
     gains: ControlGains
     filtered: bool = True
     start_std: tuple[float, float, float] = START_STD
-    noise: OdometryNoise = NOISE
-    sonar: RaySonar = IDEAL_SONAR
+    noise: odometry.OdometryNoise = NOISE
+    sonar: sonar_ray.RaySonar = sonar_ray.IDEAL_SONAR
     waypoint_radius_in: float = WAYPOINT_RADIUS_IN
 
     @property
@@ -137,7 +127,7 @@ def figure_setup(figure: Figure) -> FigureSetup:
     return FigureSetup(
         start=np.array([path.start.x_in, path.start.y_in, path.start.steering_rad]),
         goals_in=np.array(path.goals_in, dtype=np.float64),
-        walls=wall_map(world.walls),
+        walls=sonar_ray.wall_map(world.walls),
         body=N150,
         gains=figure.gains,
         filtered=figure.filtered,
@@ -198,8 +188,7 @@ def mean_band(dof: int, runs: int, probability: float = 0.95) -> tuple[float, fl
 
 def information(jacobian: Floats, variance: Floats) -> Floats:
     """Return the Fisher information H' R^-1 H (..., m, m) of n readings, with H (..., n, m) and variances (..., n)."""
-    total: Floats = np.swapaxes(jacobian / variance[..., None], -1, -2) @ jacobian
-    return total
+    return np.swapaxes(jacobian / variance[..., None], -1, -2) @ jacobian
 
 
 def bound_step(cov: Floats, jacobian: Floats, process_cov: Floats, gain: Floats) -> Floats:
@@ -218,8 +207,7 @@ def bound_step(cov: Floats, jacobian: Floats, process_cov: Floats, gain: Floats)
     """
     prior = jacobian @ cov @ np.swapaxes(jacobian, -1, -2) + process_cov
     bound = np.asarray(np.linalg.solve(np.eye(cov.shape[-1]) + prior @ gain, prior), dtype=np.float64)
-    halves: Floats = 0.5 * (bound + np.swapaxes(bound, -1, -2))
-    return halves
+    return 0.5 * (bound + np.swapaxes(bound, -1, -2))
 
 
 Indices = npt.NDArray[np.intp]
@@ -314,15 +302,15 @@ def _advance(setup: FigureSetup, batch: Batch, motion_error: Floats, sonar_error
     goals = setup.goals_in[np.minimum(batch.leg, len(setup.goals_in) - 1)]
     step = next_step(batch.belief.mean, goals, setup.gains) * driving[:, None]
     # 2. Move and predict.
-    truth = move(batch.truth, step + np.sqrt(step_variance(step, setup.noise)) * motion_error)
-    belief = predict(batch.belief, step, setup.noise)
+    truth = odometry.move(batch.truth, step + np.sqrt(odometry.step_variance(step, setup.noise)) * motion_error)
+    belief = odometry.predict(batch.belief, step, setup.noise)
     # 3. Measure and update.
     bound, nis, used = batch.bound, batch.nis, batch.used
     if setup.filtered:
         readings, gain = _measure(setup, truth, sonar_error)
         belief, nis, used = _update(setup, belief, readings)
-        F, G = step_jacobians(batch.truth, step)
-        bound = bound_step(bound, F, process_covariance(G, step, setup.noise), gain)
+        F, G = odometry.step_jacobians(batch.truth, step)
+        bound = bound_step(bound, F, odometry.process_covariance(G, step, setup.noise), gain)
     # 4. Goals reached.
     arrived = driving & is_reached(belief.mean, goals, setup.waypoint_radius_in)
     return Batch(truth, belief, bound, batch.leg + arrived, nis, used)
@@ -330,7 +318,7 @@ def _advance(setup: FigureSetup, batch: Batch, motion_error: Floats, sonar_error
 
 def _measure(setup: FigureSetup, truth: Floats, sonar_error: Floats) -> tuple[Floats, Floats]:
     """Return readings (n, 16) at the true poses (n, 3), and the information (n, 3, 3) of all beams that meet a wall."""
-    expected = ranges_from(truth, setup.angles_rad, setup.body, setup.walls)
+    expected = sonar_ray.ranges_from(truth, setup.angles_rad, setup.body, setup.walls)
     seen = expected.row != NO_WALL
     variance = setup.sonar.variance(expected.range_in)
     H = np.where(seen[..., None], np.stack(expected.H, axis=-1), 0.0)
@@ -340,6 +328,162 @@ def _measure(setup: FigureSetup, truth: Floats, sonar_error: Floats) -> tuple[Fl
 
 def _update(setup: FigureSetup, belief: Belief, readings_in: Floats) -> tuple[Belief, Floats, Indices]:
     """Return the beliefs updated by readings (n, 16), the NIS (n,) and the number of beams used (n,)."""
-    observation = observe_ring(belief, setup.angles_rad, readings_in, setup.body, setup.walls, setup.sonar)
+    observation = sonar_ray.observe_ring(belief, setup.angles_rad, readings_in, setup.body, setup.walls, setup.sonar)
     corrected, nis = update_ring(belief, observation)
     return corrected, nis, observation.used.sum(axis=-1)
+
+
+TRACKED_SEEDS: Final = 20
+"""Complete runs are stored for seeds below this number, for the pictures."""
+
+
+@dataclass(frozen=True, slots=True)
+class SeedResult:
+    """Result of one run.
+
+    Attributes
+    ----------
+    steps
+        Number of steps T.
+    reached
+        True if all goals were reached, by the estimate.
+    end_error_in
+        Position error after the last step, in inches.
+    position_in2, heading_rad2, nees, nis
+        Sums over the steps of the squared position error (in^2), the squared heading error (rad^2), NEES and NIS.
+    used
+        Number of beams used in all steps.
+    bound_in2
+        Sum over the steps of the bound on the squared position error (in^2).
+    """
+
+    seed: int
+    steps: int
+    reached: bool
+    end_error_in: float
+    position_in2: float
+    heading_rad2: float
+    nees: float
+    nis: float
+    used: float
+    bound_in2: float
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """A complete run of T steps: `truth` and `mean` (T, 3), `cov` (T, 3, 3)."""
+
+    seed: int
+    truth: Floats
+    mean: Floats
+    cov: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class FigureResult:
+    """Results of a figure for all or some of its seeds."""
+
+    results: tuple[SeedResult, ...]
+    tracks: tuple[Track, ...]
+
+
+class Summary(TypedDict):
+    """Results of a figure over all seeds; None where a number does not apply.
+
+    Root mean squares and means are over all steps of all seeds. `nees_band95` is the 95 % interval of the mean NEES of
+    that many independent runs. `nis_mean` is per beam: the sum of NIS over the number of beams used, ideally 1.
+    `pcrb_position_in` is the posterior Cramer-Rao bound on the RMSE, with all beams that meet a wall.
+    """
+
+    figure: str
+    seeds: int
+    steps_median: float
+    steps_thesis: int | None
+    end_error_median_in: float
+    reached: int
+    rmse_position_in: float
+    rmse_heading_deg: float
+    nees_mean: float | None
+    nees_band95: list[float] | None
+    nis_mean: float | None
+    pcrb_position_in: float | None
+
+
+def figure_result(runs: Runs, filtered: bool) -> FigureResult:
+    """Return the results of runs; NEES, NIS and the bound only with a filter."""
+    results = []
+    tracks = []
+    # One row of the arrays per seed; after its last step a row has no meaning.
+    for row, seed in enumerate(runs.seeds):
+        span = slice(int(runs.steps[row]))
+        track = Track(seed, runs.truth[span, row], runs.mean[span, row], runs.cov[span, row])
+        # Bound on the squared position error: the trace of the position block of the covariance bound.
+        bound = runs.bound[span, row, 0, 0] + runs.bound[span, row, 1, 1]
+        extra = (runs.nis[span, row], runs.used[span, row], bound)
+        sums = [math.fsum(values) for values in extra] if filtered else [0.0, 0.0, 0.0]
+        results.append(_result(track, bool(runs.reached[row]), filtered, sums))
+        if seed < TRACKED_SEEDS:
+            tracks.append(track)
+    return FigureResult(tuple(results), tuple(tracks))
+
+
+def _result(track: Track, reached: bool, filtered: bool, sums: list[float]) -> SeedResult:
+    # Estimate minus truth (T, 3), headings wrapped.
+    error = difference(track.mean, track.truth)
+    square = error[:, 0] ** 2 + error[:, 1] ** 2
+    nis, used, bound = sums
+    return SeedResult(
+        seed=track.seed,
+        steps=len(error),
+        reached=reached,
+        end_error_in=math.sqrt(square[-1]),
+        position_in2=math.fsum(square),
+        heading_rad2=math.fsum(error[:, 2] ** 2),
+        nees=math.fsum(nees(error, track.cov)) if filtered else 0.0,
+        nis=nis,
+        used=used,
+        bound_in2=bound,
+    )
+
+
+def join_results(parts: Sequence[FigureResult]) -> FigureResult:
+    """Return the results of several batches as one, in the given order."""
+    return FigureResult(
+        tuple(result for part in parts for result in part.results),
+        tuple(track for part in parts for track in part.tracks),
+    )
+
+
+def summarize(figure: Figure, results: Sequence[SeedResult]) -> Summary:
+    """Return the summary of a figure over all seeds."""
+    # Means over all steps of all seeds; math.fsum makes them independent of the batches.
+    count = len(results)
+    steps = sum(result.steps for result in results)
+    nees_mean = nees_band = nis_mean = bound_in = None
+    if figure.filtered:
+        nees_mean = math.fsum(result.nees for result in results) / steps
+        nees_band = list(mean_band(3, count))
+        used = math.fsum(result.used for result in results)
+        nis_mean = math.fsum(result.nis for result in results) / used if used else None
+        bound_in = math.sqrt(math.fsum(result.bound_in2 for result in results) / steps)
+    return Summary(
+        figure=figure.name,
+        seeds=count,
+        steps_median=float(median(result.steps for result in results)),
+        steps_thesis=figure.steps_thesis,
+        end_error_median_in=median(result.end_error_in for result in results),
+        reached=sum(result.reached for result in results),
+        rmse_position_in=math.sqrt(math.fsum(result.position_in2 for result in results) / steps),
+        rmse_heading_deg=math.degrees(math.sqrt(math.fsum(r.heading_rad2 for r in results) / steps)),
+        nees_mean=nees_mean,
+        nees_band95=nees_band,
+        nis_mean=nis_mean,
+        pcrb_position_in=bound_in,
+    )
+
+
+def typical(tracks: Sequence[Track]) -> Track:
+    """Return the track with the (upper) median final error, for drawing."""
+    # By the position error of the last step, inches.
+    ranked = sorted(tracks, key=lambda track: float(np.hypot(*(track.mean - track.truth)[-1, :2])))
+    return ranked[len(ranked) // 2]

@@ -18,32 +18,20 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from localization.cli.options import make_folder
-from localization.experiments import live_trial as matrix
+from localization.cli.arguments import make_folder
+from localization.experiments import live_trial
 from localization.experiments.execution import ResultCache, Tally, code_hash, progress, run_cached
-from localization.experiments.live_trial import (
-    COMPARED,
-    COURSES,
-    MAX_PERIODS,
-    SCENARIOS,
-    Cell,
-    FinishedTrial,
-    LiveSummary,
-    Record,
-    Trial,
-    TrialJob,
-    TrialResult,
-    trials,
-)
+from localization.experiments.live_trial import Cell, Trial, TrialResult
 from localization.experiments.output import add_choice, add_shared, executor_for, positive, text_table
 from localization.filters.belief import Floats
 from localization.filters.registry import METHODS
 from localization.live.plot import blank, require_matplotlib, save
+from nclient.common.arguments import add_value
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Matrix = Mapping[Cell, LiveSummary]
+Matrix = Mapping[Cell, live_trial.LiveSummary]
 Row = dict[str, float | str | None]
 
 METRES_PER_INCH: Final = 0.0254
@@ -174,7 +162,7 @@ def paths(folder: Path, trial: Trial) -> dict[str, Path]:
     return {name: folder / f"{stem}_{name}.tum" for name in ("truth", "odometry", "estimate")}
 
 
-def write_tum(folder: Path, trial: Trial, record: Record) -> None:
+def write_tum(folder: Path, trial: Trial, record: live_trial.Record) -> None:
     """Write the paths of a trial, creating their folder."""
     folder.mkdir(parents=True, exist_ok=True)
     poses = {"truth": record.truth, "odometry": record.encoders, "estimate": record.mean}
@@ -192,7 +180,7 @@ def trial_cache(folder: Path, code: str) -> ResultCache[Trial, TrialResult]:
     return ResultCache(folder, code, TrialResult, key)
 
 
-Executor = Callable[[Sequence[TrialJob]], Iterator[FinishedTrial]]
+Executor = Callable[[Sequence[live_trial.TrialJob]], Iterator[live_trial.FinishedTrial]]
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -202,12 +190,12 @@ def main(arguments: Sequence[str]) -> None:
         require_matplotlib()
     make_folder(options.out)
     # 1. Trials, from the cache or by running them.
-    requested = trials(options.scenario, options.figures, options.methods, options.seeds, options.periods)
+    requested = live_trial.trials(options.scenario, options.figures, options.methods, options.seeds, options.periods)
     cache = trial_cache(options.out / "trials", code_hash())
     with progress(len(requested), "live", "trials") as tally:
-        results = collect(requested, cache, options.tum, executor_for(matrix.run, options), tally)
+        results = collect(requested, cache, options.tum, executor_for(live_trial.run, options), tally)
     # 2. Summaries as files and as table.
-    found = matrix.summaries(results)
+    found = live_trial.summaries(results)
     written = write(found, options.out, picture=options.pictures)
     print(json.dumps(rows(found)) if options.json else table(found), flush=True)
     print(f"written: {', '.join(map(str, written))}", file=sys.stderr if options.json else sys.stdout, flush=True)
@@ -221,8 +209,8 @@ def collect(
     With a folder `paths`, trials whose path files are missing or older than the result are run again.
     """
 
-    def run(trials: Sequence[Trial]) -> Iterator[tuple[Trial, TrialResult]]:
-        for trial, result, record in work([TrialJob(trial, paths is not None) for trial in trials]):
+    def run(batch: Sequence[Trial]) -> Iterator[tuple[Trial, TrialResult]]:
+        for trial, result, record in work([live_trial.TrialJob(trial, paths is not None) for trial in batch]):
             yield trial, result
             # Written after the result, so that the files are not older.
             if paths and record:
@@ -245,18 +233,11 @@ def _parser() -> argparse.ArgumentParser:
         "about 2 s ago.",
         epilog="example: python -m localization.experiments live --scenario exact --methods ekf ukf --seeds 10",
     )
-    add_choice(parser, "--scenario", SCENARIOS, list(SCENARIOS), "error scenarios")
-    add_choice(parser, "--figures", COURSES, list(COURSES), "paths of these figures")
-    add_choice(parser, "--methods", METHODS, list(COMPARED), "filters")
-    parser.add_argument(
-        "--periods",
-        type=positive,
-        default=MAX_PERIODS,
-        metavar="N",
-        help="end a trial after this number of periods of 0.1 s (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--tum", type=Path, metavar="DIR", help="write the paths of all trials to this folder, in TUM format"
-    )
+    add_choice(parser, "--scenario", live_trial.SCENARIOS, list(live_trial.SCENARIOS), "error scenarios")
+    add_choice(parser, "--figures", live_trial.COURSES, list(live_trial.COURSES), "paths of these figures")
+    add_choice(parser, "--methods", METHODS, list(live_trial.COMPARED), "filters")
+    add_value(parser, "--periods", "N", positive,
+              "end a trial after this number of periods of 0.1 s", live_trial.MAX_PERIODS)
+    add_value(parser, "--tum", "DIR", Path, "write the paths of all trials to this folder, in TUM format")
     add_shared(parser, Path("out/experiments"), "row of the table")
     return parser

@@ -14,20 +14,10 @@ import numpy as np
 
 from localization.experiments import execution
 from localization.experiments.execution import code_hash
-from localization.experiments.figure_trial import Figure, FigureSetup
-from localization.experiments.results import Summary, Track, typical
-from localization.filters.belief import Floats, difference
-from localization.live.plot import (
-    ESTIMATE,
-    FAINT,
-    TRUTH,
-    blank,
-    draw_body,
-    draw_ellipses,
-    draw_points,
-    draw_walls,
-    save,
-)
+from localization.experiments.figure_trial import Figure, FigureSetup, Summary, Track, typical
+from localization.filters.belief import difference
+from localization.live import plot
+from nclient.common.arguments import add_flag, add_value, whole_number
 from worlds.robots import N150
 
 if TYPE_CHECKING:
@@ -44,24 +34,25 @@ def draw(figure: Figure, setup: FigureSetup, tracks: Sequence[Track], folder: Pa
         folder / f"figure_{errors_name}.png": errors(figure, tracks, track),
     }
     for path, picture in pictures.items():
-        save(picture, path)
+        plot.save(picture, path)
     return list(pictures)
 
 
 def trajectory(figure: Figure, setup: FigureSetup, track: Track) -> Picture:
     """Return a picture of map, waypoints, true and estimated path; without a filter also 3-sigma ellipses."""
-    picture = blank(7.2, 7.0)
+    picture = plot.blank(7.2, 7.0)
     # 1. Map, waypoints, and the body at start and end.
     axes = picture.add_subplot(aspect="equal")
-    draw_walls(axes, setup.walls.segments)
-    draw_points(axes, setup.start, setup.goals_in)
-    draw_body(axes, setup.start, N150, FAINT)
-    draw_body(axes, track.truth[-1], N150, TRUTH)
+    plot.draw_walls(axes, setup.walls.segments)
+    plot.draw_points(axes, setup.start, setup.goals_in)
+    plot.draw_body(axes, setup.start, N150, plot.FAINT)
+    plot.draw_body(axes, track.truth[-1], N150, plot.TRUTH)
     # 2. True and estimated path; ellipses only without a filter, where they grow.
-    axes.plot(*_from(setup.start, track.truth).T, color=TRUTH, linewidth=1.8, label="truth")
-    axes.plot(*track.mean[:, :2].T, color=ESTIMATE, linewidth=1.4, linestyle=(0, (4, 2)), label=_estimate_name(figure))
+    axes.plot(*np.vstack([setup.start[:2], track.truth[:, :2]]).T, color=plot.TRUTH, linewidth=1.8, label="truth")
+    label = _estimate_name(figure)
+    axes.plot(*track.mean[:, :2].T, color=plot.ESTIMATE, linewidth=1.4, linestyle=(0, (4, 2)), label=label)
     if not figure.filtered:
-        draw_ellipses(axes, track.mean, track.cov)
+        plot.draw_ellipses(axes, track.mean, track.cov)
     # 3. Title with the final position error, inches.
     end = np.hypot(*(track.mean[-1] - track.truth[-1])[:2])
     axes.set_title(
@@ -74,33 +65,30 @@ def trajectory(figure: Figure, setup: FigureSetup, track: Track) -> Picture:
 
 def errors(figure: Figure, tracks: Sequence[Track], drawn: Track) -> Picture:
     """Return a picture of the errors in x, y and heading over the steps: one run with its 3-sigma band."""
-    picture = blank(8.0, 7.0)
+    picture = plot.blank(8.0, 7.0)
     rows = picture.subplots(3, 1, sharex=True)
     # Errors are in inches and radians; the heading is drawn in degrees.
     scales = (1.0, 1.0, np.degrees(1.0))
     for axes, row, scale, name in zip(rows, range(3), scales, ("x (in)", "y (in)", "heading (deg)"), strict=True):
         # 1. All stored runs, faint.
         for track in tracks:
-            axes.plot(scale * difference(track.mean, track.truth)[:, row], color=FAINT, linewidth=0.5, alpha=0.4)
+            axes.plot(scale * difference(track.mean, track.truth)[:, row], color=plot.FAINT, linewidth=0.5, alpha=0.4)
         # 2. The drawn run with the 3-sigma band of its own covariance.
         band = 3.0 * scale * np.sqrt(drawn.cov[:, row, row])
         steps = np.arange(len(band))
-        axes.fill_between(steps, -band, band, color=ESTIMATE, alpha=0.15, linewidth=0, label="3 sigma")
-        axes.plot(scale * difference(drawn.mean, drawn.truth)[:, row], color=ESTIMATE, linewidth=1.2, label="this run")
-        axes.axhline(0.0, color=TRUTH, linewidth=0.6)
+        axes.fill_between(steps, -band, band, color=plot.ESTIMATE, alpha=0.15, linewidth=0, label="3 sigma")
+        error = scale * difference(drawn.mean, drawn.truth)[:, row]
+        axes.plot(error, color=plot.ESTIMATE, linewidth=1.2, label="this run")
+        axes.axhline(0.0, color=plot.TRUTH, linewidth=0.6)
         axes.set_ylabel(name)
         axes.margins(x=0.0)
     # 3. An empty line for the legend, since each of the faint ones would have an entry.
-    rows[0].plot([], [], color=FAINT, label=f"{len(tracks)} seeds")
+    rows[0].plot([], [], color=plot.FAINT, label=f"{len(tracks)} seeds")
     rows[0].legend(loc="upper left", ncols=3, framealpha=0.95)
     number = figure.errors_figure or figure.name
     rows[0].set_title(f"Figure {number}: {figure.title}, errors of the {_estimate_name(figure)}")
     rows[-1].set_xlabel("step")
     return picture
-
-
-def _from(start: Floats, states: Floats) -> Floats:
-    return np.vstack([start[:2], states[:, :2]])
 
 
 def _estimate_name(figure: Figure) -> str:
@@ -166,9 +154,7 @@ NO_PICTURES: Final = "--no-pictures"
 
 def add_shared(parser: argparse.ArgumentParser, out: Path, unit: str) -> None:
     """Add --seeds, --jobs, --cluster, --out, --json, --no-pictures; `unit` names the subject of one JSON object."""
-    parser.add_argument(
-        "--seeds", type=positive, default=100, metavar="N", help=f"number of runs per {unit} (default: 100)"
-    )
+    add_value(parser, "--seeds", "N", positive, f"number of runs per {unit} (default: 100)", 100)
     add_execution_options(parser)
     add_output(parser, out, unit)
     parser.add_argument(
@@ -178,10 +164,8 @@ def add_shared(parser: argparse.ArgumentParser, out: Path, unit: str) -> None:
 
 def add_output(parser: argparse.ArgumentParser, out: Path, unit: str) -> None:
     """Add --out and --json; `unit` names the subject of one JSON object."""
-    parser.add_argument(
-        "--out", type=Path, default=out, metavar="DIR", help="write results to this folder (default: %(default)s)"
-    )
-    parser.add_argument("--json", action="store_true", help=f"print only JSON on stdout, one object per {unit}")
+    add_value(parser, "--out", "DIR", Path, "write results to this folder", out)
+    add_flag(parser, "--json", f"print only JSON on stdout, one object per {unit}")
 
 
 def add_choice(parser: argparse.ArgumentParser, option: str, names: Iterable[str], default: object, what: str) -> None:
@@ -201,13 +185,8 @@ def add_choice(parser: argparse.ArgumentParser, option: str, names: Iterable[str
 def add_execution_options(parser: argparse.ArgumentParser) -> None:
     """Add --jobs and --cluster."""
     group = parser.add_mutually_exclusive_group()
-    group.add_argument(
-        "--jobs",
-        type=positive,
-        default=cores(),
-        metavar="N",
-        help="run this number of processes; the results do not depend on it (default: all cores)",
-    )
+    add_value(group, "--jobs", "N", positive,
+              "run this number of processes; the results do not depend on it (default: all cores)", cores())
     group.add_argument(
         "--cluster",
         metavar="ADDRESS",
@@ -224,11 +203,7 @@ def executor_for(
     return partial(execution.run_locally, work, jobs=options.jobs)
 
 
-def positive(text: str) -> int:
-    """Return a whole number of 1 or more."""
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"expected a whole number of 1 or more, not {text!r}")
-    return int(text)
+positive: Final = whole_number("the number", 1)
 
 
 def cores() -> int:

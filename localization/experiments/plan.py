@@ -4,8 +4,6 @@ Contacts are judged by the ground truth: a bumper that touched, or a true positi
 The shortest path is that of the bare body, without any margin.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys
@@ -18,17 +16,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from localization.cli.options import make_folder
+from localization.cli.arguments import make_folder
+from localization.experiments import output
 from localization.experiments.execution import ResultCache, code_hash, progress, run_cached
 from localization.experiments.live_trial import SCENARIOS, START_STD, Scenario, simulated_robot
-from localization.experiments.output import (
-    add_choice,
-    add_execution_options,
-    add_output,
-    executor_for,
-    positive,
-    text_table,
-)
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import add, independent
 from localization.filters.odometry import with_parameters
@@ -37,6 +28,7 @@ from localization.missions.mission import Mission, run_mission
 from localization.missions.settings import Settings
 from localization.navigation.path import total_length_in, wall_distances
 from localization.navigation.roadmap import Roadmap
+from nclient.common.arguments import add_value
 from nclient.robot import Robot
 from nclient.state import Pose, Truth
 from worlds.geometry import inside, polygon_segments
@@ -179,7 +171,7 @@ def drive(pair: DrivePair) -> tuple[DrivePair, DriveResult]:
     heading = radians(ends.heading_deg)
     # The same mission code as `nomad go`, observed in every period.
     with (
-        simulated_robot(world, pair.errors, pair.number, Pose(*ends.start, heading, heading)) as robot,
+        simulated_robot(pair.world, pair.errors, pair.number, Pose(*ends.start, heading, heading)) as robot,
         _controller(robot, world, pair) as controller,
     ):
         recorder = TruthRecorder(robot, world)
@@ -236,7 +228,7 @@ def main(arguments: Sequence[str]) -> None:
     # 2. Simulate what the cache does not have.
     cache = drive_cache(options.out / "drives", code_hash())
     with progress(len(requested), "plan", "drives") as tally:
-        results = run_cached(requested, cache, executor_for(drive, options), tally)
+        results = run_cached(requested, cache, output.executor_for(drive, options), tally)
     # 3. Summary per world, as JSON file and as table.
     rows = [row(world, [results[pair] for pair in requested if pair.world == world]) for world in options.worlds]
     written = options.out / f"plan_{options.scenario}.json"
@@ -287,7 +279,7 @@ def table(rows: Sequence[dict[str, Any]], drives: Sequence[DriveResult]) -> str:
     """Return a text table, followed by the drives that failed or touched something."""
     lines = [["world", *(title for title, _, _ in _COLUMNS)]]
     lines += [[row["world"], *(format(row[key], form) for _, key, form in _COLUMNS)] for row in rows]
-    text = [text_table(lines)]
+    text = [output.text_table(lines)]
     text += [
         f"{drive.world} {drive.number}: {drive.ending}{', CONTACT' if drive.contact else ''}: {drive.reason}"
         for drive in drives
@@ -304,16 +296,9 @@ def _parser() -> argparse.ArgumentParser:
         "are cached.",
         epilog="example: python -m localization.experiments plan --pairs 10 --worlds several_walls",
     )
-    parser.add_argument(
-        "--pairs",
-        "--seeds",
-        type=positive,
-        default=100,
-        metavar="N",
-        help="number of drives in each world (default: 100)",
-    )
-    add_choice(parser, "--worlds", WORLDS, list(WORLDS), "worlds")
-    add_choice(parser, "--scenario", SCENARIOS, "noisy", "error scenario, without its outliers")
-    add_execution_options(parser)
-    add_output(parser, Path("out/experiments"), "world")
+    add_value(parser, "--pairs --seeds", "N", output.positive, "number of drives in each world", 100)
+    output.add_choice(parser, "--worlds", WORLDS, list(WORLDS), "worlds")
+    output.add_choice(parser, "--scenario", SCENARIOS, "noisy", "error scenario, without its outliers")
+    output.add_execution_options(parser)
+    output.add_output(parser, Path("out/experiments"), "world")
     return parser

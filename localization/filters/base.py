@@ -17,9 +17,10 @@ import numpy.typing as npt
 from localization.filters.belief import Belief
 from localization.filters.health import FilterHealth
 from localization.filters.odometry import NO_LAG, Lag, OdometryNoise, pose_at, relative_step
-from localization.filters.sonar_cone import ConeModel, ConeSonar
-from localization.filters.sonar_ray import STRICT, WIRE_SONAR, Gate, RayModel, RaySonar, SonarRing
+from localization.filters.sonar_cone import ConeModel, ConeSonar, cone_sonar
+from localization.filters.sonar_ray import STRICT, WIRE_SONAR, Gate, RayModel, RaySonar, RingBody, ray_sonar
 from localization.filters.update import MeasurementModel, Outcome, UpdateResult
+from worlds.rings import Ring
 from worlds.robots import IDEAL_CALIBRATION, Calibration
 
 THESIS_ODOMETRY: Final = OdometryNoise()
@@ -111,6 +112,11 @@ class Searching(Protocol):
         """The poses, the most probable first; none while searching."""
         ...
 
+    @property
+    def informative_turn_rad(self) -> float | None:
+        """Turn from the present heading to the direction in which the poses differ soonest; None without any."""
+        ...
+
 
 @runtime_checkable
 class Smoothing(Protocol):
@@ -152,7 +158,7 @@ class LocalizationConfig:
     """
 
     walls: npt.ArrayLike
-    body: SonarRing
+    body: RingBody
     odometry: OdometryNoise = THESIS_ODOMETRY
     sonar: RaySonar | ConeSonar = WIRE_SONAR
     gate: Gate = STRICT
@@ -161,9 +167,14 @@ class LocalizationConfig:
     range_stds: tuple[float, float] | None = RANGE_STDS
 
 
+def sonar_of(ring: Ring, *, rays: bool) -> RaySonar | ConeSonar:
+    """Return the noise model of a ring, for exact rays or for the cones of a real one."""
+    return ray_sonar(ring) if rays else cone_sonar(ring)
+
+
 def measurement_model(
     walls: npt.ArrayLike,
-    body: SonarRing,
+    body: RingBody,
     sonar: RaySonar | ConeSonar,
     gate: Gate = STRICT,
     range_parameters: int = 0,

@@ -3,7 +3,7 @@
     0..5     pose, distance_scale, turn_scale, drift                 (odometry)
     6        range offset of all sonars: readings less ranges, inches
     7        ring turn: angle of the ring against the turret, radians
-    8..23    own offset of each sonar, inches
+    8...     own offset of each sonar of the ring, inches
 
 A range grows by the offsets one for one, and by the turn of the ring as by the heading: only the direction of the ring
 changes, not that in which the robot then drives. So driving separates the ring's turn from the heading, turning the
@@ -36,13 +36,14 @@ from localization.filters.belief import (
 from localization.filters.health import FilterHealth, IntegrityMonitor
 from localization.filters.odometry import MAX_STATE, NO_LAG, Lag, predict_state, widen
 from localization.filters.sonar_cone import ConeModel, ConeSonar, EchoCandidate, first_echoes
-from localization.filters.sonar_ray import RaySonar, SonarRing, range_variance
+from localization.filters.sonar_ray import RaySonar, RingBody, range_variance
 from localization.filters.update import (
     INFORMATIVE,
     MeasurementModel,
     Refusal,
     UpdateResult,
     linear,
+    mount_at,
     result_of,
     update_by_association,
 )
@@ -52,9 +53,16 @@ OFFSET: Final = MAX_STATE
 RING_TURN: Final = OFFSET + 1
 OWN: Final = RING_TURN + 1
 SIZE: Final = OWN + SONARS
+"""Length of the state of a Nomad."""
 
-PARAMETER_STDS: Final = (0.05, 0.05, 0.003, 2.0, radians(5.0), *(0.5,) * SONARS)
-"""Prior standard deviations: wheels 5 % off, 3 mrad an inch, sonars 2 in, the ring 5 degrees."""
+
+def parameter_stds(sonars: int) -> tuple[float, ...]:
+    """Return prior standard deviations for a ring: wheels 5 % off, 3 mrad an inch, sonars 2 in, the ring 5 degrees."""
+    return (0.05, 0.05, 0.003, 2.0, radians(5.0), *(0.5,) * sonars)
+
+
+PARAMETER_STDS: Final = parameter_stds(SONARS)
+"""Those of a Nomad."""
 GATE_PROBABILITY: Final = 0.999
 _LOOSE_IN2: Final = 16.0
 """Added to the variance of rays for the model's own gate, which knows the pose only."""
@@ -112,18 +120,19 @@ class ConeAim:
     is evaluated at NODES and replaced by its mean and variance (assumed density filtering).
     """
 
-    def __init__(self, walls: npt.ArrayLike, body: SonarRing, sonar: ConeSonar) -> None:
+    def __init__(self, walls: npt.ArrayLike, body: RingBody, sonar: ConeSonar) -> None:
         self._model = ConeModel(walls, body, sonar)
 
     def posterior(self, reading: AimReading) -> tuple[float, float]:
         """Return the mean offset of the axis, radians, and its variance as a fraction of the prior one."""
         blur_rad = max(EDGE_STD_RAD, _SPACING * reading.std_rad)
-        direction_rad = reading.offset_rad + self._model.angles_rad[reading.sonar]
+        mount = mount_at(self._model.mounts, reading.sonar, reading.offset_rad)
         likelihood = np.empty(len(NODES))
         densities: dict[int, float] = {}
         for count, at in enumerate(_ENDS_FIRST):
             offset_rad = float(NODES[at]) * reading.std_rad
-            candidates = first_echoes(*reading.pose, blur_rad, direction_rad + offset_rad, self._model)
+            aimed = mount._replace(direction_rad=mount.direction_rad + offset_rad)
+            candidates = first_echoes(*reading.pose, blur_rad, aimed, self._model)
             likelihood[at] = _likelihood(candidates, densities, self._model.noise, reading)
             if count == 2 and reading.std_rad < NARROW_RAD and _is_flat(likelihood[_ENDS_FIRST[:3]]):
                 return 0.0, 1.0
@@ -168,12 +177,13 @@ class CalibratingFilter:
     start
         Belief over states (n,), 3 <= n <= 6: the pose, and odometry parameters with standard deviations of their own.
     stds
-        Prior standard deviations of all parameters, as in PARAMETER_STDS.
+        Prior standard deviations of all parameters. Default: `parameter_stds` of the ring.
     """
 
-    def __init__(self, config: LocalizationConfig, start: Belief, stds: tuple[float, ...] = PARAMETER_STDS) -> None:
+    def __init__(self, config: LocalizationConfig, start: Belief, stds: tuple[float, ...] = ()) -> None:
         size = len(start.mean)
-        prior = Belief(np.zeros(SIZE), np.diag(np.append(np.zeros(POSE), stds) ** 2))
+        stds = stds or parameter_stds(config.body.ring.count)
+        prior = Belief(np.zeros(POSE + len(stds)), np.diag(np.append(np.zeros(POSE), stds) ** 2))
         prior.mean[:size] = start.mean
         prior.cov[:size, :size] = start.cov
         self._x, self._P = unpack(prior)
@@ -187,7 +197,7 @@ class CalibratingFilter:
 
     @property
     def belief(self) -> Belief:
-        """Belief over the long state (SIZE,)."""
+        """Belief over the long state, as long as the ring requires."""
         return pack(self._x, self._P)
 
     @property
@@ -229,7 +239,7 @@ class CalibratingFilter:
             return UpdateResult(found.refusal, 0.0, 0.0, 1.0)
         # 3. Their derivatives by the long state.
         association = found._replace(
-            H=[_long_derivative(H, sonar) for H in found.H],
+            H=[_long_derivative(H, sonar, len(x)) for H in found.H],
             R=[range_variance(self._sonar, expected_in) for expected_in in found.ranges_in],
         )
         # 4. The gate of rays, which have no outliers, and the update.
@@ -271,10 +281,10 @@ class CalibratingFilter:
         return cov
 
 
-def _long_derivative(H: Sequence[float], sonar: int) -> list[float]:
-    """Return a derivative by the pose as one by the long state."""
+def _long_derivative(H: Sequence[float], sonar: int, size: int) -> list[float]:
+    """Return a derivative by the pose as one by the long state of this size."""
     by_x, by_y, by_heading = H
-    derivative = [0.0] * SIZE
+    derivative = [0.0] * size
     derivative[:POSE] = by_x, by_y, by_heading
     derivative[RING_TURN] = by_heading
     derivative[OFFSET] = derivative[OWN + sonar] = 1.0

@@ -32,7 +32,9 @@ _log = logging.getLogger(__name__)
 
 # Arguments of compiled code: what it reads of the classes of the same name, with arrays for lists.
 NoiseRow = NamedTuple("NoiseRow", [(field.name, float) for field in fields(OdometryNoise)])  # type: ignore[misc]
-RaySonarRow = NamedTuple("RaySonarRow", [(field.name, float) for field in fields(RaySonar)])  # type: ignore[misc]
+RaySonarRow = NamedTuple(
+    "RaySonarRow", [*((field.name, float) for field in fields(RaySonar)), ("range_span_in", float)]  # type: ignore[misc]
+)
 ConeSonarRow = NamedTuple(
     "ConeSonarRow",
     [*((field.name, float) for field in fields(ConeSonar)), ("outlier_density", float)],  # type: ignore[misc]
@@ -55,8 +57,7 @@ class RayArrays(NamedTuple):
     walls: WallArrays
     gate: Any
     threshold: float
-    ring_radius_in: float
-    angles_rad: Floats
+    mounts: Floats
     range_parameters: int
 
 
@@ -67,8 +68,7 @@ class ConeArrays(NamedTuple):
     walls: WallArrays
     faces: Floats
     vertices: Floats
-    ring_radius_in: float
-    angles_rad: Floats
+    mounts: Floats
     range_parameters: int
 
 
@@ -80,7 +80,7 @@ def _row(row: Any, record: object) -> Any:
 def _arrays(model: Any) -> RayArrays | ConeArrays:
     """Return a model, of rays or cones, as compiled code takes it."""
     walls = WallArrays(model.walls.segments, model.walls.lines, model.walls.middle)
-    ring = (model.ring_radius_in, np.array(model.angles_rad), model.range_parameters)
+    ring = (np.array(model.mounts), model.range_parameters)
     if isinstance(model, RayModel):
         noise, gate = _row(RaySonarRow, model.noise), _row(GateRow, model.gate)
         return RayArrays(noise, walls, gate, model.threshold, *ring)

@@ -28,11 +28,21 @@ from localization.filters.belief import (
     with_constants,
     wrap_angle,
 )
-from localization.filters.health import FilterHealth, HealthLimits, IntegrityMonitor
-from localization.filters.odometry import NO_LAG, Lag, OdometryNoise, pose_at, predict_state, relative_step, widen
+from localization.filters.health import BUILDING, FilterHealth, HealthLimits, IntegrityMonitor
+from localization.filters.odometry import (
+    NO_LAG,
+    Lag,
+    OdometryNoise,
+    pose_at,
+    predict_state,
+    relative_step,
+    true_step,
+    widen,
+)
 from localization.filters.sonar_ray import Observation
 from localization.filters.update import (
     INFORMATIVE,
+    INFORMATIVE_IN_CLUTTER,
     NONE,
     CorrelatedReadings,
     Covariance,
@@ -45,6 +55,7 @@ from localization.filters.update import (
     Used,
     count_used,
     kalman_update,
+    mount_at,
     move_on,
     record_used,
 )
@@ -92,7 +103,7 @@ def filter_ring(
         # 2. Correct by the reading, the `count`-th one used from here.
         sonar, offset = int(echo[1]), turret - to_heading
         count = count_used(used, sonar, offset) + 1
-        outcome = correct(x, P, offset + model.angles_rad[sonar], echo[2], model, count)
+        outcome = correct(x, P, mount_at(model.mounts, sonar, offset), echo[2], model, count)
         if outcome[0] == NONE:
             record_used(used, sonar, offset, count)
         outcomes.append(outcome)
@@ -139,6 +150,10 @@ class KalmanFilter:
         self._correlated = CorrelatedReadings()
         self._angles_rad = measurement.angles_rad
         self._direct = measurement.direct if prediction is predict_state else None
+        self._odometric = measurement.odometric
+        self._informative: Sequence[int] = INFORMATIVE
+        if self._odometric:
+            self._informative, self._monitor = INFORMATIVE_IN_CLUTTER, IntegrityMonitor(BUILDING)
         self._compiled = compiled.ring(filter_ring, self._direct, odometry)
         if self._compiled:
             self._correlated.used = np.array(self._correlated.used)  # type: ignore[assignment]
@@ -160,6 +175,8 @@ class KalmanFilter:
 
     def predict(self, distance_in: float, turn_rad: float) -> None:
         """Predict the belief after a step that the encoders report."""
+        if self._odometric:
+            self._odometric.move(*true_step(self._x, distance_in, turn_rad, self._constants))
         self._predict(self._x, self._P, distance_in, turn_rad, self._odometry, self._constants)
         self._correlated.move(distance_in, turn_rad)
 
@@ -187,7 +204,7 @@ class KalmanFilter:
         result = self._measurement.apply(self._x, self._P, sonar, turret_offset_rad, reading_in, count)
         if result.refusal is Refusal.NONE:
             self._correlated.record(sonar, turret_offset_rad)
-        if result.refusal in INFORMATIVE:
+        if result.refusal in self._informative:
             self._monitor.add(result)
             self._add_drift(result, sonar, turret_offset_rad)
             self._check_slip()

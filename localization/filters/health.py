@@ -68,6 +68,8 @@ class HealthLimits:
         Largest standard deviation of the position, along its worst direction.
     recent, max_unexplained
         Number of the very last readings, and the number of outliers among them that means a slip.
+    min_rise
+        Least rise of the fraction of outliers against the readings before.
     drift, max_drift
         Part of a signed innovation, in standard deviations, that counts for nothing, and the sum of the rest that means
         a slip.
@@ -87,12 +89,16 @@ class HealthLimits:
     max_std_in: float = 3.0
     recent: int = 12
     max_unexplained: float = inf
+    min_rise: float = 0.3
     drift: float = 0.5
     max_drift: float = inf
     max_side: float = 3.0
     max_innovation: float = 2.5
 
 
+BUILDING: Final = HealthLimits(max_std_in=18.0, nis_probability=1.0 - 1e-6)
+"""In a building: half the width of a door, as nothing bounds the error along a corridor, and 3 in are soon exceeded;
+and a wider limit of the NIS, as the innovations of two hypotheses have heavier tails than a normal distribution."""
 HEALTHY: Final = FilterHealth(HealthStatus.OK, "")
 
 
@@ -153,6 +159,14 @@ class IntegrityMonitor:
             return 0.0
         return recent - sum([self._matched[-k] for k in range(1, recent + 1)])
 
+    def _looks_slipped(self, unexplained: float) -> bool:
+        """Return True for more outliers among the very last readings than the model has, and more than before them."""
+        limits, before = self.limits, len(self._matched) - self.limits.recent
+        if unexplained < limits.max_unexplained:
+            return False
+        share = (len(self._matched) - sum(self._matched) - unexplained) / before if before >= limits.recent else 0.0
+        return unexplained >= limits.recent * (share + limits.min_rise)
+
     def add_drift(self, sigmas: float, cosine: float) -> None:
         """Take note of an innovation in standard deviations, of a sonar of this cosine to the heading."""
         limits, drifts = self.limits, self._drifts
@@ -172,7 +186,7 @@ class IntegrityMonitor:
         """Return True if the wheels may have slipped; then False until as many readings again are known."""
         if self._since_slip < self.limits.recent:
             return False
-        if self._drift < self.limits.max_drift and self._unexplained() < self.limits.max_unexplained:
+        if self._drift < self.limits.max_drift and not self._looks_slipped(self._unexplained()):
             return False
         self._since_slip = 0
         self._drifts = [0.0] * 4
@@ -212,7 +226,7 @@ class IntegrityMonitor:
             reason = f"only {matched:.0%} of the last {limits.window} echoes are explained"
             return FilterHealth(HealthStatus.DEGRADED, reason)
         unexplained = self._unexplained()
-        if self._since_slip < limits.recent or unexplained >= limits.max_unexplained:
+        if self._since_slip < limits.recent or self._looks_slipped(unexplained):
             count = limits.recent - unexplained
             reason = f"{count:.0f} of the last {limits.recent} echoes are explained: the wheels may have slipped"
             return FilterHealth(HealthStatus.DEGRADED, reason)

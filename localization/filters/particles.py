@@ -20,23 +20,23 @@ from localization.filters.belief import HEADING, POSE, Belief, Floats, differenc
 from localization.filters.health import FilterHealth, IntegrityMonitor
 from localization.filters.odometry import NO_LAG, Lag, OdometryNoise, add_lag, move, step_variance
 from localization.filters.reflectors import reflectors
-from localization.filters.sonar_cone import ConeSonar, SonarMount, echo_probabilities
+from localization.filters.sonar_cone import ConeSonar, echo_probabilities
 from localization.filters.sonar_ray import (
     RangeNoise,
     RaySonar,
-    SonarRing,
+    RingBody,
     constant_variance,
     range_variance,
-    ranges_from,
+    ranges_along,
     wall_map,
 )
 from localization.filters.update import (
-    RANGE_SPAN_IN,
     CorrelatedReadings,
     Refusal,
     UpdateResult,
     gate_code,
     information_fraction,
+    mount_at,
     result_of,
 )
 
@@ -97,13 +97,13 @@ class RayLikelihood:
     def __init__(
         self,
         walls: npt.ArrayLike,
-        body: SonarRing,
+        body: RingBody,
         sonar: RaySonar,
         *,
         outlier_probability: float = 0.05,
         widen_std_in: float = 0.5,
     ) -> None:
-        self._walls, self._body, self._sonar = wall_map(walls), body, sonar
+        self._walls, self._mounts, self._sonar = wall_map(walls), body.ring.mounts, sonar
         self._outlier_probability, self._widen_in2 = outlier_probability, widen_std_in**2
 
     def is_range(self, reading_in: float) -> bool:
@@ -116,12 +116,13 @@ class RayLikelihood:
 
     def at(self, poses: Floats, sonar: int, turret_offset_rad: float, reading_in: float) -> Likelihoods:
         """Return the likelihoods of a reading at poses (n, 3); never 0."""
-        angle_rad = np.array([turret_offset_rad + self._body.sonar_angles_rad[sonar]])
-        range_in = ranges_from(poses, angle_rad, self._body, self._walls).range_in[:, 0]
+        mount = mount_at(self._mounts, sonar, turret_offset_rad)
+        aimed = mount._replace(direction_rad=np.array([mount.direction_rad]))
+        range_in = ranges_along(poses, aimed, self._walls).range_in[:, 0]
         has_wall = np.isfinite(range_in)
         expected = np.where(has_wall, range_in, 0.0)
         hit = _density(reading_in - expected, self._sonar.variance(expected) + self._widen_in2)
-        outlier = np.full(len(poses), self._outlier_probability / RANGE_SPAN_IN)
+        outlier = np.full(len(poses), self._outlier_probability / self._sonar.range_span_in)
         return Likelihoods((1.0 - self._outlier_probability) * np.where(has_wall, hit, 0.0) + outlier, outlier)
 
 
@@ -139,13 +140,13 @@ class ConeLikelihood:
     def __init__(
         self,
         walls: npt.ArrayLike,
-        body: SonarRing,
+        body: RingBody,
         sonar: ConeSonar,
         *,
         heading_std_rad: float = 0.03,
         widen_std_in: float = 0.5,
     ) -> None:
-        self._around, self._body, self._sonar = reflectors(wall_map(walls).segments), body, sonar
+        self._around, self._mounts, self._sonar = reflectors(wall_map(walls).segments), body.ring.mounts, sonar
         self._heading_std, self._widen_in2 = np.array(heading_std_rad), widen_std_in**2
 
     def is_range(self, reading_in: float) -> bool:
@@ -159,7 +160,7 @@ class ConeLikelihood:
     def at(self, poses: Floats, sonar: int, turret_offset_rad: float, reading_in: float) -> Likelihoods:
         """Return the likelihoods of a reading at poses (n, 3); never 0."""
         noise = self._sonar
-        mount = SonarMount(turret_offset_rad + self._body.sonar_angles_rad[sonar], self._body.sonar_ring_radius_in)
+        mount = mount_at(self._mounts, sonar, turret_offset_rad)
         ranges, probability = echo_probabilities(poses, self._heading_std, mount, self._around, noise)
         hits = _density(reading_in - ranges, noise.variance(ranges) + self._widen_in2)
         inlier = 1.0 - noise.outlier_probability

@@ -9,7 +9,7 @@ the middle of a cell; the caller widens the variance by the size of a cell. Cell
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -19,10 +19,11 @@ import numpy.typing as npt
 
 from localization.filters.belief import Floats
 from localization.filters.reflectors import Reflectors, reflectors
-from localization.filters.sonar_cone import CLEARANCE_IN, ConeSonar, SonarMount, echo_probabilities
+from localization.filters.sonar_cone import CLEARANCE_IN, ConeSonar, echo_probabilities
 from localization.filters.sonar_ray import RaySonar, SonarRing, ranges_from, wall_map
 from worlds.geometry import nearest_points
 from worlds.raycast import cast_rays
+from worlds.rings import SonarMount
 
 CELL_IN, LARGE_CELL_IN = 3.0, 6.0
 """Side of a cell of the grid: on a map of up to MAX_SMALL_PLACES, and on larger ones."""
@@ -35,6 +36,8 @@ OUTLIER_PROBABILITY: Final = 0.3
 MAX_READING_IN: Final = 255
 HEADING_STD_RAD: Final = 2.0 * np.pi / DIRECTIONS / np.sqrt(12.0)
 """Standard deviation of a direction within its cell."""
+MIN_ENCLOSED: Final = 0.1
+"""Fraction of all floor that must be enclosed by walls for the rest to be outside: less may be a hollow pillar."""
 _BLOCK_CELLS: Final = 8
 """Cells along a side of the blocks that are built together."""
 _FAR_IN: Final = MAX_READING_IN + 45.0
@@ -75,6 +78,43 @@ class RangeTable:
         """Return the probability of a whole-inch reading from an unknown pose: per inch, or of "nothing" (255)."""
         return float(self._densities[min(max(round(reading_in), 0), MAX_READING_IN)])
 
+    def places_at(self, x_in: Floats, y_in: Floats) -> npt.NDArray[np.int32]:
+        """Return the number of the place at each point (n,); -1 where the robot does not fit."""
+        column = np.rint((x_in - self.origin_in[0]) / self.cell_in).astype(np.intp)
+        row = np.rint((y_in - self.origin_in[1]) / self.cell_in).astype(np.intp)
+        rows, columns = self.number.shape
+        inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+        found: npt.NDArray[np.int32] = self.number[np.where(inside, row, 0), np.where(inside, column, 0)]
+        return np.where(inside, found, np.int32(-1))
+
+    def is_floor(self, x_in: Floats, y_in: Floats) -> npt.NDArray[np.bool_]:
+        """Return True for each point (n,) where the robot fits."""
+        return self.places_at(x_in, y_in) >= 0
+
+    def codes_beside(self, x_in: float, y_in: float, direction: int) -> npt.NDArray[np.uint16]:
+        """Return the codes (places,) of the echoes in a direction, of a robot so far beside each place."""
+        columns, rows = round(x_in / self.cell_in), round(y_in / self.cell_in)
+        if max(abs(columns), abs(rows)) > MARGIN_CELLS:
+            return np.zeros(len(self.ranges_in), dtype=np.uint16)
+        padded, at = self._padded
+        beside: npt.NDArray[np.uint16] = self._codes[direction][padded.ravel()[at + (rows * padded.shape[1] + columns)]]
+        return beside
+
+    @cached_property
+    def _padded(self) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.intp]]:
+        """`number` with a margin, the number after the last for no place; and the index there of each place."""
+        padded = np.pad(self.number, MARGIN_CELLS, constant_values=-1)
+        at = np.flatnonzero(padded >= 0)
+        padded[padded < 0] = len(self.ranges_in)
+        return padded, at
+
+    @cached_property
+    def _codes(self) -> npt.NDArray[np.uint16]:
+        """Codes (DIRECTIONS, places + 1); the last is of no place."""
+        codes = np.zeros((DIRECTIONS, len(self.ranges_in) + 1), dtype=np.uint16)
+        codes[:, :-1] = encoded(self.ranges_in, self.probabilities).T
+        return codes
+
     @cached_property
     def _densities(self) -> Floats:
         return reading_densities(self.ranges_in, self.probabilities)
@@ -84,17 +124,37 @@ class RangeTable:
 
         `directions` are numbers of steps of 360 degrees / DIRECTIONS.
         """
-        column = np.rint((x_in - self.origin_in[0]) / self.cell_in).astype(np.intp)
-        row = np.rint((y_in - self.origin_in[1]) / self.cell_in).astype(np.intp)
-        rows, columns = self.number.shape
-        inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
-        place = self.number[np.where(inside, row, 0), np.where(inside, column, 0)]
-        on_floor = inside & (place >= 0)
+        place = self.places_at(x_in, y_in)
+        on_floor = place >= 0
         at = np.where(on_floor, place, 0), directions
         if not len(self.ranges_in):
             return np.zeros(x_in.shape), np.zeros(x_in.shape)
         ranges: Floats = np.where(on_floor, self.ranges_in[at], 0.0)
         return ranges, np.where(on_floor, self.probabilities[at], 0.0)
+
+
+# A range and its probability as one small number, so that a likelihood is one look-up: ranges in inches, probabilities
+# in 63 steps.
+
+PROBABILITY_STEPS: Final = 63
+CODES: Final = (MAX_READING_IN + 1) * (PROBABILITY_STEPS + 1)
+"""Number of codes; code 0 is of no echo."""
+MARGIN_CELLS: Final = 80
+"""Largest displacement between two echoes of a search, in cells: 20 ft of small cells."""
+
+
+def encoded(ranges_in: npt.ArrayLike, probabilities: npt.ArrayLike) -> npt.NDArray[np.uint16]:
+    """Return the codes of ranges and probabilities of any shape."""
+    inches = np.clip(np.rint(ranges_in), 0, MAX_READING_IN)
+    code: npt.NDArray[np.uint16] = (np.rint(np.multiply(probabilities, PROBABILITY_STEPS)) * (MAX_READING_IN + 1)
+                                    + inches).astype(np.uint16)  # fmt: skip
+    return code
+
+
+def decoded(codes: npt.NDArray[np.int_]) -> tuple[Floats, Floats]:
+    """Return ranges and probabilities of codes."""
+    steps, inches = np.divmod(codes, MAX_READING_IN + 1)
+    return inches.astype(np.float64), steps.astype(np.float64) / PROBABILITY_STEPS
 
 
 def reading_densities(ranges_in: npt.ArrayLike, probabilities: npt.ArrayLike) -> Floats:
@@ -147,10 +207,10 @@ def build_range_table(
     # 1. The grid, and its free cells; coarser if there are too many.
     segments = wall_map(walls).segments
     cell_in = CELL_IN
-    origin, free = _floor(segments, clearance_in, cell_in)
+    origin, free = floor_grid(segments, clearance_in, cell_in)
     if np.count_nonzero(free) > MAX_SMALL_PLACES:
         cell_in = LARGE_CELL_IN
-        origin, free = _floor(segments, clearance_in, cell_in)
+        origin, free = floor_grid(segments, clearance_in, cell_in)
     number = np.full(free.shape, -1, dtype=np.int32)
     count = np.count_nonzero(free)
     number[free] = np.arange(count)
@@ -180,18 +240,59 @@ def _expected(
     return np.where(has_wall, range_in, 0.0), has_wall.astype(np.float64)
 
 
-def _floor(segments: Floats, clearance_in: float, cell_in: float) -> tuple[Floats, npt.NDArray[np.bool_]]:
-    """Return the middle of cell [0, 0] of a grid over the map, and (rows, columns) True where the robot fits."""
+def floor_grid(segments: Floats, clearance_in: float, cell_in: float) -> tuple[Floats, npt.NDArray[np.bool_]]:
+    """Return the middle of cell [0, 0] of a grid over the map, and (rows, columns) True where the robot fits.
+
+    Outside of walls that enclose some floor it does not.
+    """
+    # 1. The grid, with a border that lies outside of all walls.
     low = segments.reshape(-1, 2).min(axis=0) + clearance_in
     high = segments.reshape(-1, 2).max(axis=0) - clearance_in
     columns, rows = np.maximum(np.floor((high - low) / cell_in).astype(int) + 1, 1)
     origin = low + 0.5 * (high - low - cell_in * np.array([columns - 1, rows - 1]))
+    border = int(np.ceil(2.0 * clearance_in / cell_in)) + 1
+    free = _fits(segments, clearance_in, cell_in, origin - border * cell_in, (rows + 2 * border, columns + 2 * border))
+    # 2. What is connected to the border lies outside.
+    inner = slice(border, border + rows), slice(border, border + columns)
+    outside = connected(free, [(row, column) for row, column in np.ndindex(free.shape)
+                               if row in (0, free.shape[0] - 1) or column in (0, free.shape[1] - 1)])  # fmt: skip
+    enclosed = (free & ~outside)[inner]
+    free = free[inner]
+    return origin, enclosed if enclosed.sum() >= MIN_ENCLOSED * free.sum() else free
+
+
+def connected(free: npt.NDArray[np.bool_], cells: Iterable[tuple[int, int]]) -> npt.NDArray[np.bool_]:
+    """Return True for the free cells (rows, columns) that are connected to some of these cells (row, column)."""
+    reached = np.zeros_like(free)
+    rows, columns = free.shape
+    nodes: list[tuple[int, int]] = []
+
+    def visit(i: int, k: int) -> None:
+        if 0 <= i < rows and 0 <= k < columns and free[i, k] and not reached[i, k]:
+            reached[i, k] = True
+            nodes.append((i, k))
+
+    for cell in cells:
+        visit(*cell)
+    for i, k in nodes:  # grows meanwhile
+        for node in ((i - 1, k), (i + 1, k), (i, k - 1), (i, k + 1)):
+            visit(*node)
+    return reached
+
+
+def _fits(
+    segments: Floats, clearance_in: float, cell_in: float, origin: Floats, shape: tuple[int, int]
+) -> npt.NDArray[np.bool_]:
+    """Return (rows, columns) True for the cells of a grid where the robot fits."""
+    rows, columns = shape
     free = np.empty((rows, columns), dtype=np.bool_)
     # Row by row: an array of all cells and all walls would be large on a large map.
     for row in range(rows):
         points = origin + cell_in * np.stack((np.arange(columns), np.full(columns, row)), axis=-1)
-        free[row] = nearest_points(points, segments)[1].min(axis=-1) >= clearance_in
-    return origin, free
+        near = np.abs(0.5 * (segments[:, 1] + segments[:, 3]) - points[0, 1]) <= (
+            0.5 * np.abs(segments[:, 3] - segments[:, 1]) + clearance_in)  # fmt: skip
+        free[row] = nearest_points(points, segments[near])[1].min(axis=-1, initial=np.inf) >= clearance_in
+    return free
 
 
 def _blocks(number: npt.NDArray[np.int32]) -> Iterator[tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]]:
@@ -236,10 +337,10 @@ def around_block(places: Floats, around: Reflectors, ring_in: float) -> tuple[Re
     around = around.some(
         nearest_points(middle, around.walls)[1] <= _FAR_IN, np.hypot(*(around.vertices - middle).T) <= _FAR_IN
     )
-    # 1. The places at the block's border, moved outwards by the ring: faces of sonars are there.
+    # 1. The places at the block's border, moved outwards by the ring: faces of sonars are there. Of the others a third.
     low, high = places.min(axis=0), places.max(axis=0)
     outer = places[((places == low) | (places == high)).any(axis=1)]
-    points = np.concatenate((places, outer + ring_in * np.sign(outer - 0.5 * (low + high))))
+    points = np.concatenate((places[::3], outer + ring_in * np.sign(outer - 0.5 * (low + high))))
     # 2. Perpendiculars to walls, and lines to vertices.
     nearest, _ = nearest_points(points, around.walls)
     targets = np.concatenate((nearest, np.broadcast_to(around.vertices, (len(points), *around.vertices.shape))), axis=1)

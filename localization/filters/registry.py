@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from types import MappingProxyType
 from typing import Final, NamedTuple
@@ -12,10 +12,10 @@ import numpy.typing as npt
 
 from localization.filters import ukf
 from localization.filters.base import Filter, LocalizationConfig, measurement_model
-from localization.filters.belief import POSE, Belief
+from localization.filters.belief import POSE, Belief, Floats
 from localization.filters.calibration import CalibratingFilter
 from localization.filters.ekf import KalmanFilter, Prediction
-from localization.filters.global_localization import GlobalLocalizer, PoseSearch, TableSearch
+from localization.filters.global_localization import GlobalLocalizer
 from localization.filters.health import HealthLimits
 from localization.filters.odometry import MAX_STATE, predict_state, with_parameters
 from localization.filters.particles import (
@@ -26,10 +26,12 @@ from localization.filters.particles import (
     RayLikelihood,
     draw_particles,
 )
+from localization.filters.pose_search import PoseSearch, TableSearch
 from localization.filters.range_table import RangeTable, build_range_table
 from localization.filters.smoother import FixedLagSmoother
-from localization.filters.sonar_cone import ConeSonar
-from localization.filters.sonar_ray import STRICT, Gate, RaySonar, SonarRing, wall_map
+from localization.filters.sonar_cone import ConeModel, ConeSonar
+from localization.filters.sonar_ray import STRICT, Gate, RaySonar, RingBody, wall_map
+from localization.filters.surface import SurfaceModel
 from localization.filters.update import MeasurementUpdate, Rule, iterated, linear
 
 Factory = Callable[[LocalizationConfig, Belief, int], Filter]
@@ -114,17 +116,18 @@ def finder(
     belief: Belief | None,
     parameter_stds: tuple[float, ...] = (),
     poses: PoseSearch | None = None,
+    alike: Sequence[Floats] = (),
 ) -> GlobalLocalizer:
     """Return the filter that localizes globally; without a belief it begins with a search.
 
     `parameter_stds` are of the odometry parameters, where there is no belief that has them. `poses` searches the map.
-    Default: in this process, which may take seconds on a large map.
+    Default: in this process, which may take seconds on a large map. `alike` are poses that look like the belief's.
     """
     # With a belief the parameters' uncertainty is in it.
     stds = parameter_stds if belief is None else tuple(belief.std[POSE:].tolist())
     measurement = _measurement(config)
     poses = poses or table_search(config)
-    return GlobalLocalizer(belief, measurement, config.odometry, poses, config.body.sonar_angles_rad, stds)
+    return GlobalLocalizer(belief, measurement, config.odometry, poses, config.body.sonar_angles_rad, stds, alike=alike)
 
 
 def table_search(config: LocalizationConfig) -> TableSearch:
@@ -157,6 +160,10 @@ def _kalman(
     """Return a Kalman filter that estimates the range parameters as well, unless the configuration has none."""
     stds = config.range_stds or ()
     measurement = _measurement(config, rule, len(stds))
+    if isinstance(config.sonar, ConeSonar) and config.sonar.surface_std_in and rule is linear:
+        # It stores echoes: one for each filter.
+        cone = ConeModel(config.walls, config.body, config.sonar, len(stds))
+        measurement = MeasurementUpdate(SurfaceModel(cone))
     return KalmanFilter(belief, measurement, config.odometry, prediction, stds, _middle(config), _limits(config))
 
 
@@ -181,7 +188,7 @@ def _measurement(config: LocalizationConfig, rule: Rule = linear, range_paramete
 
 def update_for(
     walls: npt.ArrayLike,
-    body: SonarRing,
+    body: RingBody,
     sonar: RaySonar | ConeSonar,
     gate: Gate = STRICT,
     rule: Rule = linear,

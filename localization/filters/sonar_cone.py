@@ -17,7 +17,7 @@ The formulas (`to_wall`, `to_vertex`, `detection_probability`, `range_jacobian`)
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from math import atan2, cos, log, pi, radians, sqrt
 from typing import Any, Final, NamedTuple
@@ -27,7 +27,17 @@ import numpy.typing as npt
 
 from localization.filters.belief import HEADING, Floats, Number, choose, clip, exp, hypot, unit_vector, wrap_angle
 from localization.filters.reflectors import Reflectors, reflectors
-from localization.filters.sonar_ray import RangeNoise, SonarRing, constant_variance, nearest, range_variance, wall_map
+from localization.filters.sonar_ray import (
+    NOMAD,
+    WIRE_SONAR,
+    RangeNoise,
+    RingBody,
+    constant_variance,
+    nearest,
+    range_variance,
+    ray_sonar,
+    wall_map,
+)
 from localization.filters.update import (
     LIMIT,
     NO_WALL,
@@ -40,9 +50,11 @@ from localization.filters.update import (
     State,
     expected_reading,
     linear,
+    mount_at,
     update_by_association,
 )
 from worlds.raycast import cast_rays
+from worlds.rings import Ring, SonarMount
 
 Indices = npt.NDArray[np.intp]
 Mask = npt.NDArray[np.bool_]
@@ -63,6 +75,8 @@ REACH_IN: Final = MAX_SIGMAS * FOOT_STD_IN
 """A foot farther than this beyond an end is not detected."""
 _ROUNDING: Final = 1e-6
 """Margin for rounding, inches or radians."""
+CONE_RAD: Final = radians(25.0)
+"""Cone of a Polaroid transducer, for rings that state none."""
 _MIN_RANGE_IN: Final = 1e-9
 """Stands for a range of 0 where it is divided by."""
 
@@ -85,13 +99,15 @@ class ConeSonar(RangeNoise):
         Loss at the second wall of a square corner; at any other vertex.
     outlier_probability
         Fraction of readings that no reflector of the map explains: spread evenly over all ranges.
+    surface_std_in, surface_length_in
+        Standard deviation and correlation length of the surface of walls (surface.py); 0: walls are where the map says.
     """
 
-    rounding_var_in2: float = 1.0 / 12.0
+    rounding_var_in2: float = WIRE_SONAR.rounding_var_in2
     place_var_in2: float = 0.04
-    lowest_in: float = 6.0
-    highest_in: float = 255.0
-    cone_rad: float = radians(25.0)
+    lowest_in: float = NOMAD.min_range_in
+    highest_in: float = NOMAD.max_range_in
+    cone_rad: float = CONE_RAD
     margin_db: float = 30.0
     margin_std_db: float = 2.0
     cone_loss_db: float = 12.0
@@ -99,6 +115,8 @@ class ConeSonar(RangeNoise):
     bounce_loss_db: float = 3.0
     edge_loss_db: float = 15.0
     outlier_probability: float = 0.1
+    surface_std_in: float = 0.0
+    surface_length_in: float = 24.0
 
     @property
     def outlier_density(self) -> float:
@@ -106,11 +124,42 @@ class ConeSonar(RangeNoise):
         return 1.0 / (self.highest_in - self.lowest_in)
 
 
-class SonarMount(NamedTuple):
-    """A sonar on the robot: the direction of its axis from the heading, and the radius of its ring."""
+BUILDING_SONAR: Final = ConeSonar(
+    range_std_relative=0.003,
+    cone_rad=radians(50.0),
+    cone_loss_db=24.0,
+    outlier_probability=0.67,
+    surface_std_in=1.75,
+    surface_length_in=24.0,
+)
+"""A real ring in a real building, fitted to a corridor (docs/real-data.md): soft edges of cones, walls with surfaces,
+two of three echoes from things that are not on the map."""
 
-    direction_rad: float
-    ring_in: float
+
+def cone_sonar(ring: Ring) -> ConeSonar:
+    """Return the sonars of a real ring: its limits, resolution and cone, the levels of the data sheet."""
+    return _on_ring(ConeSonar(), ring)
+
+
+def building_sonar(ring: Ring) -> ConeSonar:
+    """Return the sonars of a real ring in a real building."""
+    return _on_ring(BUILDING_SONAR, ring)
+
+
+def _on_ring(sonar: ConeSonar, ring: Ring) -> ConeSonar:
+    rays = ray_sonar(ring)
+    return replace(
+        sonar,
+        rounding_var_in2=rays.rounding_var_in2,
+        lowest_in=rays.lowest_in,
+        highest_in=rays.highest_in,
+        cone_rad=sonar.cone_rad if ring.half_cone_rad is None else 2.0 * ring.half_cone_rad,
+    )
+
+
+def arm_of(mount: SonarMount, axis_x: Number, axis_y: Number) -> tuple[Number, Number]:
+    """Return the vector from the robot's axis to the face of a sonar whose beam has this unit vector."""
+    return mount.ring_in * axis_x - mount.left_in * axis_y, mount.ring_in * axis_y + mount.left_in * axis_x
 
 
 # The formulas, for one number or an array.
@@ -201,13 +250,13 @@ class EchoCandidate(NamedTuple):
 
 
 def first_echoes(
-    x: float, y: float, heading: float, heading_std_rad: float, angle_rad: float, model: ConeModel
+    x: float, y: float, heading: float, heading_std_rad: float, mount: SonarMount, model: ConeModel
 ) -> list[EchoCandidate]:
     """Return what a sonar in a direction from the heading may detect from a pose, the nearest first."""
     # 1. The face of the sonar, its axis, and the widest angle at which anything is detected.
-    sonar, axis = model.noise, heading + angle_rad
+    sonar, axis = model.noise, heading + mount.direction_rad
     axis_x, axis_y = unit_vector(axis)
-    arm_x, arm_y = model.ring_radius_in * axis_x, model.ring_radius_in * axis_y
+    arm_x, arm_y = arm_of(mount, axis_x, axis_y)
     face_x, face_y = x + arm_x, y + arm_y
     blur = max(heading_std_rad, MIN_ANGLE_STD_RAD)
     widest = 0.5 * sonar.cone_rad + MAX_SIGMAS * blur
@@ -242,11 +291,11 @@ def first_echoes(
 
 
 def detectable(
-    x: State, P: Covariance, angle_rad: float, reading_in: float, model: ConeModel
+    x: State, P: Covariance, mount: SonarMount, reading_in: float, model: ConeModel
 ) -> tuple[int, float, list[EchoCandidate]]:
     """Return NONE or why a reading is no echo, its likelihood then, and the reflectors that may have returned it."""
     noise = model.noise
-    candidates = first_echoes(x[0], x[1], x[HEADING], sqrt(P[HEADING][HEADING]), angle_rad, model)
+    candidates = first_echoes(x[0], x[1], x[HEADING], sqrt(P[HEADING][HEADING]), mount, model)
     if reading_in <= noise.lowest_in:
         return LIMIT, 1.0, candidates
     if reading_in >= noise.highest_in:  # "nothing": the probability that nothing was detected
@@ -272,14 +321,15 @@ def hypotheses(x: State, candidates: list[EchoCandidate], model: ConeModel) -> A
         noise.outlier_density,
         0.0,
         parameters,
+        1.0,
     )
 
 
 def update_by_cone(
-    x: State, P: Covariance, angle_rad: float, reading_in: float, model: ConeModel, count: int
+    x: State, P: Covariance, mount: SonarMount, reading_in: float, model: ConeModel, count: int
 ) -> Outcome:
-    """Correct x and P by the reading of a sonar that looks `angle_rad` from the heading, in place (`pda_update`)."""
-    refusal, likelihood, candidates = detectable(x, P, angle_rad, reading_in, model)
+    """Correct x and P by the reading of a sonar, its direction from the heading, in place (`pda_update`)."""
+    refusal, likelihood, candidates = detectable(x, P, mount, reading_in, model)
     if refusal != NONE:
         return refusal, 0.0, 0.0, 1.0, likelihood
     return update_by_association(x, P, reading_in, hypotheses(x, candidates, model), linear, count)
@@ -288,9 +338,9 @@ def update_by_cone(
 class ConeModel:
     """Measurement model of sonars whose reading is the first echo out of a cone, or an outlier."""
 
-    def __init__(self, walls: npt.ArrayLike, body: SonarRing, sonar: ConeSonar, range_parameters: int = 0) -> None:
+    def __init__(self, walls: npt.ArrayLike, body: RingBody, sonar: ConeSonar, range_parameters: int = 0) -> None:
         self.walls, self.noise = wall_map(walls), sonar
-        self.angles_rad, self.ring_radius_in = body.sonar_angles_rad, body.sonar_ring_radius_in
+        self.mounts = body.ring.mounts
         self._around = around = reflectors(self.walls.segments)
         losses = np.where(around.square, sonar.bounce_loss_db, sonar.edge_loss_db)
         self.faces = np.concatenate((around.corners, around.normals, around.lengths[:, None]), axis=1).tolist()
@@ -301,13 +351,22 @@ class ConeModel:
         self, x: State, P: Covariance, sonar: int, turret_offset_rad: float, reading_in: float
     ) -> Association:
         """Return a hypothesis for each reflector that may return the first echo."""
-        angle_rad = turret_offset_rad + self.angles_rad[sonar]
-        refusal, likelihood, candidates = detectable(x, P, angle_rad, reading_in, self)
+        mount = mount_at(self.mounts, sonar, turret_offset_rad)
+        refusal, likelihood, candidates = detectable(x, P, mount, reading_in, self)
         if refusal != NONE:
             return Association(REFUSALS[refusal], likelihood)
-        numbers, mount = np.array([one.reflector for one in candidates]), SonarMount(angle_rad, self.ring_radius_in)
+        numbers = np.array([one.reflector for one in candidates])
         expect = partial(ranges_to, mount=mount, around=self._around, numbers=numbers)
         return hypotheses(x, candidates, self)._replace(range_function=expect)
+
+
+    def toward(self, x: float, y: float, reflector: int) -> tuple[float, float, float]:
+        """Return range and unit vector (two numbers) from a sonar's face to a reflector: walls first, then vertices."""
+        if reflector < len(self.faces):
+            corner_x, corner_y, normal_x, normal_y, _ = self.faces[reflector]
+            return to_wall(x, y, corner_x, corner_y, normal_x, normal_y)[:3]
+        vertex_x, vertex_y, _ = self.vertices[reflector - len(self.faces)]
+        return to_vertex(x, y, vertex_x, vertex_y)
 
 
 # Many poses, in arrays.
@@ -394,8 +453,9 @@ def ranges_to(poses: Floats, mount: SonarMount, around: Reflectors, numbers: Ind
     """
     # 1. The face of the sonar at each pose, and its arm.
     axis = poses[..., HEADING] + mount.direction_rad
-    arm_x, arm_y = (np.broadcast_to(mount.ring_in * part, (*axis.shape[:-1], len(numbers)))
-                    for part in (np.cos(axis), np.sin(axis)))  # fmt: skip
+    arm_x, arm_y = (
+        np.broadcast_to(part, (*axis.shape[:-1], len(numbers))) for part in arm_of(mount, np.cos(axis), np.sin(axis))
+    )
     x, y = poses[..., 0] + arm_x, poses[..., 1] + arm_y
     # 2. Walls and vertices, each into its columns.
     ranges, to_x, to_y = np.empty(x.shape), np.empty(x.shape), np.empty(x.shape)
@@ -416,7 +476,7 @@ def _stacked(to_x: Floats, to_y: Floats, arm_x: Floats, arm_y: Floats) -> Floats
 def _geometry(poses: Floats, mount: SonarMount, around: Reflectors) -> _Geometry:
     """Return the perpendiculars to all walls and the lines to all vertices from the faces at poses (..., 3)."""
     axis = poses[..., HEADING, None] + mount.direction_rad
-    arm_x, arm_y = mount.ring_in * np.cos(axis), mount.ring_in * np.sin(axis)
+    arm_x, arm_y = arm_of(mount, np.cos(axis), np.sin(axis))
     x, y = poses[..., 0, None] + arm_x, poses[..., 1, None] + arm_y
     *walls, feet = to_wall(x, y, *around.corners.T, *around.normals.T)
     vertices = to_vertex(x, y, *around.vertices.T)
@@ -435,7 +495,8 @@ def _within_reach(
     # 1. The middle pose, how far the faces are from its own, and the widest angle from its axis.
     middle = np.append(poses[:, :2].mean(axis=0), poses[0, HEADING])
     headings = np.abs(wrap_angle(poses[:, HEADING] - middle[HEADING])).max()
-    about = np.hypot(*(poses[:, :2] - middle[:2]).T).max() + 2.0 * mount.ring_in * np.sin(0.5 * headings)
+    arm = np.hypot(mount.ring_in, mount.left_in)
+    about = np.hypot(*(poses[:, :2] - middle[:2]).T).max() + 2.0 * arm * np.sin(0.5 * headings)
     widest = 0.5 * sonar.cone_rad + MAX_SIGMAS * max(float(np.max(heading_std_rad)), MIN_ANGLE_STD_RAD) + headings
     seen = _geometry(middle, mount, around)
     off_axis = np.abs(wrap_angle(np.arctan2(seen.to_y, seen.to_x) - seen.axis))

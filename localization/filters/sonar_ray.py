@@ -46,7 +46,6 @@ from localization.filters.update import (
     LIMIT,
     NO_WALL,
     NONE,
-    RANGE_SPAN_IN,
     REFUSALS,
     Association,
     Covariance,
@@ -56,10 +55,13 @@ from localization.filters.update import (
     expected_reading,
     inflated_variance,
     kalman_gain,
+    mount_at,
     shift,
 )
 from worlds import raycast
 from worlds.raycast import MAX_LOOP_WALLS, cast_ray, cast_rays, nearest_wall, sole_wall
+from worlds.rings import Ring, SonarMount
+from worlds.robots import N150
 
 Codes = npt.NDArray[np.int8]
 
@@ -97,6 +99,12 @@ class RangeNoise:
     place_var_in2: float = 0.0
     lowest_in: float = -np.inf
     highest_in: float = np.inf
+
+    @property
+    def range_span_in(self) -> float:
+        """Length of the interval in which a reading is a range; without limits that of a Nomad."""
+        span_in = self.highest_in - self.lowest_in
+        return span_in if span_in < np.inf else NOMAD.range_span_in
 
     def variance(self, ranges_in: Floats) -> Floats:
         """Return the variance R in in^2 of readings of `ranges_in`, any shape."""
@@ -137,8 +145,23 @@ class RaySonar(RangeNoise):
 IDEAL_SONAR = RaySonar()
 """The thesis' sonars: exact but for Gaussian noise, real-valued, without limits."""
 
-WIRE_SONAR = RaySonar(rounding_var_in2=1.0 / 12.0, place_var_in2=0.02, lowest_in=6.0, highest_in=255.0)
-"""Readings of the real interface: whole inches (a uniform error, variance 1/12) from 6 to 255."""
+NOMAD: Final = N150.ring
+PLACE_VAR_IN2: Final = 0.02
+"""Variance of the errors that all rays from one pose repeat (`RangeNoise`)."""
+
+
+def ray_sonar(ring: Ring) -> RaySonar:
+    """Return exact rays of a ring: a uniform error of its resolution q, variance q^2/12, and its limits."""
+    return RaySonar(
+        rounding_var_in2=ring.resolution_in**2 / 12.0,
+        place_var_in2=PLACE_VAR_IN2,
+        lowest_in=ring.min_range_in,
+        highest_in=ring.max_range_in,
+    )
+
+
+WIRE_SONAR = ray_sonar(NOMAD)
+"""Readings of the Nomads' interface: whole inches from 6 to 255."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,6 +203,15 @@ class SonarRing(Protocol):
     @property
     def sonar_angles_rad(self) -> tuple[float, ...]:
         """Return the direction of each sonar from that of the turret, counter-clockwise."""
+        ...
+
+
+class RingBody(SonarRing, Protocol):
+    """A body with a whole ring; `worlds.robots.Body` has it."""
+
+    @property
+    def ring(self) -> Ring:
+        """Return the sonars."""
         ...
 
 
@@ -226,8 +258,20 @@ def nearest(x: Number, y: Number, dx: Number, dy: Number, walls: WallMap) -> tup
     return cast_rays(starts, directions, walls.segments)
 
 
+def row_from(x: Number, y: Number, direction: Number, left_in: float, walls: WallMap) -> Any:
+    """Return the row of the first wall along a beam in a direction, so far to the left of the axis at (x, y)."""
+    dx, dy = unit_vector(direction)
+    return nearest(x - left_in * dy, y + left_in * dx, dx, dy, walls)[1]
+
+
 def only_wall(
-    x: Sequence[float], P: Sequence[Sequence[float]], dx: float, dy: float, walls: WallMap, gate: Gate
+    x: Sequence[float],
+    P: Sequence[Sequence[float]],
+    dx: float,
+    dy: float,
+    walls: WallMap,
+    gate: Gate,
+    left_in: float = 0.0,
 ) -> int:
     """Return the only wall that a beam can meet from any pose of the ellipsoid of `gate.sigmas`.
 
@@ -236,7 +280,7 @@ def only_wall(
     """
     to_end_in = hypot(x[0] - walls.middle[0], x[1] - walls.middle[1]) + walls.middle[2]
     margin_in = gate.sigmas * (sqrt(P[0][0] + P[1][1]) + to_end_in * sqrt(P[HEADING][HEADING]))
-    return sole_wall(x[0], x[1], dx, dy, wall_rows(walls), margin_in)
+    return sole_wall(x[0] - left_in * dy, x[1] + left_in * dx, dx, dy, wall_rows(walls), margin_in)
 
 
 def wall_rows(walls: WallMap) -> Sequence[Sequence[float]]:
@@ -294,7 +338,7 @@ class BeamPrediction(NamedTuple):
 
 
 def intersect_line(
-    x: Number, y: Number, dx: Number, dy: Number, line: Sequence[Number]
+    x: Number, y: Number, dx: Number, dy: Number, line: Sequence[Number], left_in: float = 0.0
 ) -> tuple[Number, tuple[Number, Number, Number], Number]:
     """Return distance, derivative and cosine of incidence of a ray from (x, y) along (dx, dy) to a line.
 
@@ -302,23 +346,25 @@ def intersect_line(
     ----------
     line
         Unit normal and offset.
+    left_in
+        The ray turns with the robot about an axis so far to its right.
 
     Returns
     -------
     tuple
-        The distance along the ray; its derivatives by x, y and heading, the ray turning with the robot about (x, y);
-        the cosine between ray and normal, of either sign. NaN for a ray parallel to the line.
+        The distance along the ray; its derivatives by x, y and heading; the cosine between ray and normal, of either
+        sign. NaN for a ray parallel to the line.
 
     Notes
     -----
-    Differentiating normal . ((x, y) + distance d) = offset with d' = left of d gives
-    d distance = -(normal . (dx, dy) + distance (normal . left of d) dheading) / (normal . d).
+    With d' = left of d and (left of d)' = -d, differentiating normal . ((x, y) + distance d) = offset gives
+    d distance = -(normal . (dx, dy) + distance (normal . left of d) dheading) / (normal . d) + left_in dheading.
     """
     normal_x, normal_y, offset = line
     cosine = normal_x * dx + normal_y * dy
     cosine = choose(cosine == 0.0, np.nan, cosine)
     distance = (offset - normal_x * x - normal_y * y) / cosine
-    H = (-normal_x / cosine, -normal_y / cosine, distance * (normal_x * dy - normal_y * dx) / cosine)
+    H = (-normal_x / cosine, -normal_y / cosine, distance * (normal_x * dy - normal_y * dx) / cosine + left_in)
     return distance, H, cosine
 
 
@@ -340,7 +386,13 @@ def sideways_shift(
 
 
 def predict_beam(
-    x: Sequence[Any], P: Sequence[Sequence[Any]], angle_rad: Any, ring_radius_in: float, walls: WallMap, gate: Gate
+    x: Sequence[Any],
+    P: Sequence[Sequence[Any]],
+    angle_rad: Any,
+    ring_radius_in: Any,
+    walls: WallMap,
+    gate: Gate,
+    left_in: float = 0.0,
 ) -> BeamPrediction:
     """Return the expected reading of beams at `angle_rad` from the heading.
 
@@ -348,8 +400,10 @@ def predict_beam(
     ----------
     x, P
         State and covariance, pose first (`belief.unpack`): floats, or arrays that broadcast with the angles.
-    angle_rad
+    angle_rad, ring_radius_in
         A float for one beam, or an array.
+    left_in
+        Distance of the beam to the left of the robot's axis.
 
     References
     ----------
@@ -357,23 +411,23 @@ def predict_beam(
     are the gate's to refuse.
     """
     x_in, y_in, heading = x[0], x[1], x[HEADING]
-    # 1. The wall that the beam meets, from the axis: a wall within the ring is still the first.
+    # 1. The wall that the beam meets, from beside the axis: a wall within the ring is still the first.
     direction = heading + angle_rad
     dx, dy = unit_vector(direction)
+    from_x, from_y = x_in - left_in * dy, y_in + left_in * dx
     few = isinstance(x_in, float) and len(walls.segments) <= MAX_LOOP_WALLS
-    sole = only_wall(x, P, dx, dy, walls, gate) if few else raycast.NO_WALL
-    row = nearest(x_in, y_in, dx, dy, walls)[1] if sole == raycast.NO_WALL else sole
+    sole = only_wall(x, P, dx, dy, walls, gate, left_in) if few else raycast.NO_WALL
+    row = nearest(from_x, from_y, dx, dy, walls)[1] if sole == raycast.NO_WALL else sole
     # 2. The expected range and its derivative.
-    distance, H, cosine = intersect_line(x_in, y_in, dx, dy, line_of(row, walls))
+    distance, H, cosine = intersect_line(from_x, from_y, dx, dy, line_of(row, walls), left_in)
     # 3. The wall from the two poses that move the end of the beam farthest sideways.
     ambiguous = row != row
     if sole == raycast.NO_WALL:
         reach = choose(cosine == cosine, distance, 0.0)  # NaN where there is no wall: the ray caster wants finite rays
         shift_x, shift_y, shift_heading = sideways_shift(P, dx, dy, reach, gate.sigmas)
-        left_x, left_y = unit_vector(direction + shift_heading)
-        right_x, right_y = unit_vector(direction - shift_heading)
-        ambiguous = (nearest(x_in + shift_x, y_in + shift_y, left_x, left_y, walls)[1] != row) | (
-            nearest(x_in - shift_x, y_in - shift_y, right_x, right_y, walls)[1] != row
+        ambiguous = row_from(x_in + shift_x, y_in + shift_y, direction + shift_heading, left_in, walls) != row
+        ambiguous = ambiguous | (
+            row_from(x_in - shift_x, y_in - shift_y, direction - shift_heading, left_in, walls) != row
         )
     # 4. The first reason, in the order of Refusal, that excludes the beam. A wall seen end-on is ambiguous.
     refusal = choose(abs(cosine) >= gate.min_cos_incidence, NONE, GRAZING)
@@ -393,13 +447,15 @@ def predicted_variance(P: Sequence[Sequence[Number]], H: Sequence[Number]) -> Nu
 # One reading of a live robot.
 
 
-def update_by_ray(x: State, P: Covariance, angle_rad: float, reading_in: float, model: RayModel, count: int) -> Outcome:
+def update_by_ray(
+    x: State, P: Covariance, mount: SonarMount, reading_in: float, model: RayModel, count: int
+) -> Outcome:
     """Correct x and P by the reading of a beam, in place, if it passes the gate: the Kalman update.
 
     Parameters
     ----------
-    angle_rad
-        Direction of the beam from the heading.
+    mount
+        The sonar, its direction from the heading.
     count
         Number of this reading among those from the same pose (`CorrelatedReadings`).
     """
@@ -408,9 +464,9 @@ def update_by_ray(x: State, P: Covariance, angle_rad: float, reading_in: float, 
     if not noise.lowest_in < reading_in < noise.highest_in:
         return LIMIT, 0.0, 0.0, 1.0, 1.0
     # 2. The expected reading, and whether the beam can be used.
-    beam = predict_beam(x, P, angle_rad, model.ring_radius_in, model.walls, model.gate)
+    beam = predict_beam(x, P, mount.direction_rad, mount.ring_in, model.walls, model.gate, mount.left_in)
     if beam.refusal != NONE:
-        return beam.refusal, 0.0, 0.0, 1.0, 1.0 / RANGE_SPAN_IN
+        return beam.refusal, 0.0, 0.0, 1.0, 1.0 / noise.range_span_in
     # 3. The chi-square gate. For the likelihood some readings are outliers, and these are beyond it.
     R = range_variance(noise, beam.range_in)
     expected_in, H = expected_reading(x, beam.range_in, beam.H, model.range_parameters)
@@ -418,36 +474,36 @@ def update_by_ray(x: State, P: Covariance, angle_rad: float, reading_in: float, 
     K, S = kalman_gain(P, H, R)
     nis = innovation * innovation / S
     if not nis <= model.threshold:
-        return GATE, innovation, nis, 1.0, RAY_OUTLIERS / RANGE_SPAN_IN
+        return GATE, innovation, nis, 1.0, RAY_OUTLIERS / noise.range_span_in
     density = exp(-0.5 * nis) / sqrt(2.0 * pi * S)
     # 4. x+ = x + K innovation, P+ = P - K S K^T; of a repeated reading with the R that leaves its new information.
     if count > 1:
         K, S = kalman_gain(P, H, inflated_variance(R, constant_variance(noise, beam.range_in), count))
     shift(x, K, innovation)
     add_outer(P, -S, K)
-    return NONE, innovation, nis, 0.0, (1.0 - RAY_OUTLIERS) * density + RAY_OUTLIERS / RANGE_SPAN_IN
+    return NONE, innovation, nis, 0.0, (1.0 - RAY_OUTLIERS) * density + RAY_OUTLIERS / noise.range_span_in
 
 
 class RayModel:
     """Measurement model of sonars whose readings are the range along one ray, or refused by the gate."""
 
     def __init__(
-        self, walls: npt.ArrayLike, body: SonarRing, sonar: RaySonar, gate: Gate = STRICT, range_parameters: int = 0
+        self, walls: npt.ArrayLike, body: RingBody, sonar: RaySonar, gate: Gate = STRICT, range_parameters: int = 0
     ) -> None:
         self.walls, self.noise, self.gate, self.threshold = wall_map(walls), sonar, gate, gate.threshold
-        self.angles_rad, self.ring_radius_in = body.sonar_angles_rad, body.sonar_ring_radius_in
+        self.mounts = body.ring.mounts
         self.update, self.range_parameters = update_by_ray, range_parameters
 
     def associate(
         self, x: State, P: Covariance, sonar: int, turret_offset_rad: float, reading_in: float
     ) -> Association:
         """Return the one hypothesis for a reading: the wall that its beam meets, or the reason why it is refused."""
-        angle_rad = turret_offset_rad + self.angles_rad[sonar]
+        mount = mount_at(self.mounts, sonar, turret_offset_rad)
         # A trial update of a copy, so that all rules refuse the same readings.
-        refusal, *_, likelihood = update_by_ray(x.copy(), [row.copy() for row in P], angle_rad, reading_in, self, 1)
+        refusal, *_, likelihood = update_by_ray(x.copy(), [row.copy() for row in P], mount, reading_in, self, 1)
         if refusal != NONE:
             return Association(REFUSALS[refusal], likelihood)
-        beam = predict_beam(x, P, angle_rad, self.ring_radius_in, self.walls, self.gate)
+        beam = predict_beam(x, P, mount.direction_rad, mount.ring_in, self.walls, self.gate, mount.left_in)
         expected_in, H = expected_reading(x, beam.range_in, beam.H, self.range_parameters)
         return Association(
             Refusal.NONE,
@@ -457,19 +513,19 @@ class RayModel:
             [range_variance(self.noise, beam.range_in)],
             [constant_variance(self.noise, beam.range_in)],
             [1.0],
-            partial(_ranges_to_line, angle_rad, self.ring_radius_in, line_of(beam.row, self.walls)),
+            partial(_ranges_to_line, mount, line_of(beam.row, self.walls)),
             gate_outliers=RAY_OUTLIERS,
             range_parameters=self.range_parameters,
+            range_span_in=self.noise.range_span_in,
         )
 
 
-def _ranges_to_line(
-    angle_rad: float, ring_radius_in: float, line: Sequence[float], poses: Floats
-) -> tuple[Floats, Floats]:
+def _ranges_to_line(mount: SonarMount, line: Sequence[float], poses: Floats) -> tuple[Floats, Floats]:
     """Return ranges (..., 1) of a beam to a line, and their derivatives (..., 1, 3), from poses (..., 1, 3)."""
-    along_x, along_y = unit_vector(poses[..., HEADING] + angle_rad)
-    distance, H, _ = intersect_line(poses[..., 0], poses[..., 1], along_x, along_y, [np.full((), v) for v in line])
-    return distance - ring_radius_in, np.stack(np.broadcast_arrays(*H), axis=-1)
+    along_x, along_y = unit_vector(poses[..., HEADING] + mount.direction_rad)
+    x, y = poses[..., 0] - mount.left_in * along_y, poses[..., 1] + mount.left_in * along_x
+    distance, H, _ = intersect_line(x, y, along_x, along_y, [np.full((), v) for v in line], mount.left_in)
+    return distance - mount.ring_in, np.stack(np.broadcast_arrays(*H), axis=-1)
 
 
 # A whole ring of many robots.
@@ -510,17 +566,23 @@ class Observation:
 
 
 def ranges_from(poses: Floats, angles_rad: Floats, body: SonarRing, walls: WallMap) -> BeamPrediction:
-    """Return the expected readings of beams at angles (n,) from known poses (..., 3): arrays (..., n).
+    """Return the expected readings of a ring without shifts: `ranges_along` of beams at angles (n,)."""
+    return ranges_along(poses, SonarMount(angles_rad, body.sonar_ring_radius_in), walls)
+
+
+def ranges_along(poses: Floats, mount: SonarMount, walls: WallMap) -> BeamPrediction:
+    """Return the expected readings of beams from known poses (..., 3), in directions (n,): arrays (..., n).
 
     Beams without a wall, or parallel to it, are NaN.
     """
     x, y, heading = (poses[..., index, None] for index in range(3))
-    dx, dy = unit_vector(heading + angles_rad)
+    dx, dy = unit_vector(heading + mount.direction_rad)
+    x, y = x - mount.left_in * dy, y + mount.left_in * dx
     _, row = nearest(x, y, dx, dy, walls)
-    distance, H, cosine = intersect_line(x, y, dx, dy, line_of(row, walls))
+    distance, H, cosine = intersect_line(x, y, dx, dy, line_of(row, walls), mount.left_in)
     flat = np.where(np.abs(cosine) >= STRICT.min_cos_incidence, NONE, GRAZING)
     refusal = np.where(row == raycast.NO_WALL, NO_WALL, flat)
-    return BeamPrediction(row, distance - body.sonar_ring_radius_in, H, refusal)
+    return BeamPrediction(row, distance - mount.ring_in, H, refusal)
 
 
 def observe_ring(

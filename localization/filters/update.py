@@ -27,13 +27,11 @@ from typing import Any, Final, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 
 from localization.filters.belief import HEADING, POSE, Belief, Floats, Number, add_outer, pack, unpack, wrap_angle
-from worlds.robots import SONARS
+from worlds.rings import MAX_SONARS, SonarMount
 
 State = list[float]
 Covariance = list[list[float]]
 
-RANGE_SPAN_IN: Final = 249.0
-"""Outliers lie anywhere from 6 to 255 inches."""
 OUTLIER_THRESHOLD: Final = 0.5
 """A reading that is an outlier with more than this probability is reported as refused by the gate."""
 MIN_INFORMATION: Final = 1e-12
@@ -73,6 +71,8 @@ NONE, LIMIT, NO_WALL, AMBIGUOUS_WALL, GRAZING, GATE = (refusal.value for refusal
 
 INFORMATIVE: Final = (NONE, NO_WALL, GATE)
 """Outcomes that say whether the belief is right; the others depend on the geometry only."""
+INFORMATIVE_IN_CLUTTER: Final = (NONE, GATE)
+"""The same among things that the map does not have: an echo where the map has nothing is no sign of a wrong belief."""
 
 
 Outcome = tuple[int, float, float, float, float]
@@ -136,6 +136,8 @@ class Association(NamedTuple):
         Prior probability of an outlier, and its density per inch.
     gate_outliers
         Probability of outliers that the gate of the model decides about: only for the likelihood.
+    range_span_in
+        Such outliers lie anywhere in an interval of this length.
     """
 
     refusal: Refusal
@@ -150,6 +152,7 @@ class Association(NamedTuple):
     outlier_density: float = 0.0
     gate_outliers: float = 0.0
     range_parameters: int = 0
+    range_span_in: float = 1.0
 
 
 class MeasurementModel(Protocol):
@@ -167,8 +170,8 @@ class DirectModel(MeasurementModel, Protocol):
     """A model with an update of its own by the linear rule."""
 
     @property
-    def angles_rad(self) -> Sequence[float]:
-        """Return the direction of each sonar from that of the turret."""
+    def mounts(self) -> Sequence[SonarMount]:
+        """Return the sonars of the ring."""
         ...
 
     @property
@@ -178,8 +181,23 @@ class DirectModel(MeasurementModel, Protocol):
 
     @property
     def update(self) -> Callable[..., Outcome]:
-        """Return a function of x, P, direction from the heading, reading, this model, and count (`update_by_ray`)."""
+        """Return a function of x, P, mount from the heading, reading, this model, and count (`update_by_ray`)."""
         ...
+
+
+@runtime_checkable
+class OdometricModel(MeasurementModel, Protocol):
+    """A model that relates echoes to earlier ones, in buildings full of things that the map does not have."""
+
+    def move(self, distance_in: float, turn_rad: float) -> None:
+        """Take note of a step of the robot."""
+        ...
+
+
+def mount_at(mounts: Sequence[Sequence[float]], sonar: int, turret_offset_rad: float) -> SonarMount:
+    """Return the mount of a sonar of the ring, its direction from the heading."""
+    mount = mounts[sonar]
+    return SonarMount(turret_offset_rad + mount[0], mount[1], mount[2])
 
 
 # 2. Gain and innovation of one hypothesis.
@@ -485,7 +503,7 @@ def record_used(used: Used, sonar: int, turret_offset_rad: float, count: int) ->
 class CorrelatedReadings:
     """Count the used readings of each sonar from the pose where the robot stands, by odometry alone."""
 
-    def __init__(self, sonars: int = SONARS) -> None:
+    def __init__(self, sonars: int = MAX_SONARS) -> None:
         self.used: Used = [[0.0] * 4 for _ in range(sonars + 1)]
 
     def move(self, distance_in: float, turn_rad: float) -> None:
@@ -511,8 +529,9 @@ class MeasurementUpdate:
         self._model, self._rule = model, rule
         self.direct = model if isinstance(model, DirectModel) and rule is linear else None
         """The model, where it updates by the linear rule itself: in one function, which can be compiled."""
-        self.angles_rad = tuple(model.angles_rad) if isinstance(model, DirectModel) else ()
+        self.angles_rad = tuple(mount.direction_rad for mount in model.mounts) if isinstance(model, DirectModel) else ()
         """Direction of each sonar from that of the turret, if the model has sonars."""
+        self.odometric = model if isinstance(model, OdometricModel) else None
 
     def apply(
         self, x: State, P: Covariance, sonar: int, turret_offset_rad: float, reading_in: float, count: int = 1
@@ -530,8 +549,8 @@ class MeasurementUpdate:
         """
         direct = self.direct
         if direct:
-            angle_rad = turret_offset_rad + direct.angles_rad[sonar]
-            return result_of(direct.update(x, P, angle_rad, reading_in, direct, count))
+            mount = mount_at(direct.mounts, sonar, turret_offset_rad)
+            return result_of(direct.update(x, P, mount, reading_in, direct, count))
         association = self._model.associate(x, P, sonar, turret_offset_rad, reading_in)
         if association.refusal is not Refusal.NONE:
             return UpdateResult(association.refusal, 0.0, 0.0, 1.0, association.likelihood)
@@ -552,7 +571,8 @@ def update_by_association(
     """Correct x and P by a reading and its hypotheses, in place."""
     beta, likelihood, innovation_in, nis = pda_update(x, P, reading_in, association, rule, count)
     outlier, share = beta[-1], association.gate_outliers
-    return gate_code(outlier), innovation_in, nis, outlier, (1.0 - share) * likelihood + share / RANGE_SPAN_IN
+    likelihood = (1.0 - share) * likelihood + share / association.range_span_in
+    return gate_code(outlier), innovation_in, nis, outlier, likelihood
 
 
 def result_of(outcome: Outcome) -> UpdateResult:

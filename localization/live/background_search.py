@@ -26,13 +26,16 @@ from zipfile import BadZipFile
 
 import numpy as np
 
+from localization.filters import compiled
 from localization.filters.base import Filter, LocalizationConfig
-from localization.filters.belief import Belief
-from localization.filters.global_localization import EchoRecord, PendingSearch, SearchResult, TableSearch
+from localization.filters.belief import Belief, Floats
+from localization.filters.global_localization import is_wide
+from localization.filters.pose_search import PendingSearch, SearchRequest, SearchResult, TableSearch
 from localization.filters.range_table import RangeTable, build_range_table, reading_densities, sampled_echoes
 from localization.filters.registry import FINDER, finder, update_for
+from worlds.raycast import is_compiled_for
 
-CACHE_VERSION: Final = 1
+CACHE_VERSION: Final = 2
 """Part of the name of every table; a change of the table's content needs another."""
 MAX_CACHED: Final = 20
 """Tables kept on disk, the most recently used."""
@@ -114,11 +117,11 @@ class BackgroundSearch:
             # Starts the worker; its initializer makes the table.
             self._pool.submit(int)
 
-    def start(self, records: Sequence[EchoRecord], given: Belief | None = None) -> PendingSearch:
-        """Begin a search by echoes, for all poses that explain them or for the alternatives to a given belief."""
+    def start(self, request: SearchRequest) -> PendingSearch:
+        """Begin a search."""
         self.prepare()
         assert self._pool is not None
-        future: Future[SearchResult] = self._pool.submit(_search, list(records), given)
+        future: Future[SearchResult] = self._pool.submit(_search, request)
 
         def pending() -> SearchResult | None:
             while self._waits:
@@ -151,6 +154,16 @@ def load_or_build(config: LocalizationConfig, folder: Path, progress: Callable[[
     return table
 
 
+def cached_search(config: LocalizationConfig, folder: Path | None = None) -> TableSearch:
+    """Return a search in this process whose table comes from the cache on disk."""
+
+    def table() -> RangeTable:
+        return load_or_build(config, folder or cache_folder(), lambda _: None)
+
+    measurement = update_for(config.walls, config.body, config.sonar, config.gate)
+    return TableSearch(table, measurement, config.odometry)
+
+
 _STORED: Final = ("origin_in", "number", "ranges_in", "probabilities")
 """Arrays of a table."""
 
@@ -164,22 +177,24 @@ def filter_on_robot(
     *,
     waits: bool,
     report: Callable[[str], None] = lambda _: None,
+    alike: Sequence[Floats] = (),
 ) -> Iterator[str | Filter]:
     """Provide a method for a Localizer: of `finder` the filter with a background search, of others the name.
 
-    Without a belief the search begins at once. See BackgroundSearch for `waits` and `report`.
+    Without a belief the search begins at once. See BackgroundSearch for `waits` and `report`,
+    and GlobalLocalizer for `alike`.
     """
     if method != FINDER:
         yield method
         return
     # A daemonic process of multiprocessing may have no children: it searches by itself.
     if multiprocessing.current_process().daemon:
-        yield finder(config, belief, parameter_stds)
+        yield finder(config, belief, parameter_stds, alike=alike)
         return
     with BackgroundSearch(config, waits=waits, report=report) as poses:
-        if belief is None:
+        if belief is None or is_wide(belief):
             poses.prepare()
-        yield finder(config, belief, parameter_stds, poses)
+        yield finder(config, belief, parameter_stds, poses, alike)
 
 
 @dataclass
@@ -195,6 +210,8 @@ _WORKER: Final = _Worker()
 def _prepare(config: LocalizationConfig, folder: Path, done: Synchronized[float]) -> None:
     """Make the search of a worker."""
     os.nice(NICENESS)
+    if is_compiled_for(1):
+        compiled.load()
 
     def progress(fraction: float) -> None:
         done.value = min(fraction, 0.999)
@@ -206,8 +223,8 @@ def _prepare(config: LocalizationConfig, folder: Path, done: Synchronized[float]
     done.value = 1.0
 
 
-def _search(records: list[EchoRecord], given: Belief | None) -> SearchResult:
+def _search(request: SearchRequest) -> SearchResult:
     assert _WORKER.search is not None
-    found = _WORKER.search.start(records, given)()
+    found = _WORKER.search.start(request)()
     assert found is not None
     return found

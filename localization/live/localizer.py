@@ -4,7 +4,7 @@
     state --> new echoes ----+--> for each echo, at the pose of its instant: predict, update --> Estimate
 
 It uses what the robot's interface reports and nothing else: odometry from the encoders, readings from State's sonars,
-time from the robot's clock. Each echo counts once; limits (6, 255) are never ranges.
+time from the robot's clock. Each echo counts once; limits are never ranges.
 """
 
 from __future__ import annotations
@@ -70,7 +70,8 @@ class Smoothed(NamedTuple):
 class Estimate(NamedTuple):
     """The belief at `clock_s` of the robot's clock, and the echoes since the last one.
 
-    `smoothed` is of filters that smooth, `places` of filters that search: all poses at which the robot may be.
+    `smoothed` is of filters that smooth, `places` of filters that search: all poses at which the robot may be. Where
+    these look alike, `informative_turn_rad` is the turn to the direction in which driving distinguishes them soonest.
     """
 
     clock_s: float
@@ -79,6 +80,7 @@ class Estimate(NamedTuple):
     health: FilterHealth = HEALTHY
     smoothed: Smoothed | None = None
     places: tuple[Place, ...] = ()
+    informative_turn_rad: float | None = None
 
     @property
     def pose(self) -> Floats:
@@ -114,7 +116,7 @@ class Localizer:
         if is_compiled_for(1):
             compiled.load()
         self._filter = make(method, config, belief, seed) if isinstance(method, str) else method
-        self._schedule, self._calibration = schedule, config.calibration
+        self._schedule, self._calibration, self._ring = schedule, config.calibration, config.body.ring
         self._history, self._slip = PoseHistory(), SlipCorrection()
         self._encoders: EncoderPose | None = None
         """Encoders at the instant to which the filter has predicted."""
@@ -135,7 +137,7 @@ class Localizer:
             A state without a clock: nothing was received yet.
         """
         # 1. The state without the systematic errors of the sonars, into the history.
-        state = corrected(state, self._calibration)
+        state = corrected(state, self._calibration, self._ring)
         if state.clock_s is None:
             raise ValueError("a state without a clock: poll the robot once (refresh) before localizing")
         x_in, y_in = self._slip.position_of(state)
@@ -154,8 +156,8 @@ class Localizer:
         # 3. The estimate now: predicted from the last echo, widened by the uncertain instants.
         belief = self._filter.predicted(*_step(self._encoders, latest), clock_lag(*self._history.last_two))
         smoothed = Smoothed(self._instants[0], self._smoothing.smoothed()) if self._smoothing else None
-        places = self._searching.places if self._searching else ()
-        return Estimate(latest.clock_s, belief, echoes, self._filter.health, smoothed, places)
+        places, turn = (self._searching.places, self._searching.informative_turn_rad) if self._searching else ((), None)
+        return Estimate(latest.clock_s, belief, echoes, self._filter.health, smoothed, places, turn)
 
     def _process(self, firings: list[FiringTime], sonars_in: Sequence[float]) -> tuple[Echo, ...]:
         """Predict the filter to the encoders at the instant of each echo, and update it."""

@@ -27,6 +27,7 @@ from localization.live.localizer import Echo, Estimate
 from localization.live.run import Pose, Run, RunMoment
 from nclient.common.hints import suggest
 from nclient.errors import LogFileError
+from worlds.rings import Ring
 
 _IN_PER: Final = {"in": 1.0, "mm": 1.0 / 25.4, "cm": 1.0 / 2.54, "m": 1000.0 / 25.4}
 _RAD_PER: Final = {"deg": radians(1.0), "rad": 1.0}
@@ -192,6 +193,25 @@ def localize_log(rows: Sequence[LogRow], echoes: Sequence[Sequence[int]], locali
 
 def _encoders(row: LogRow) -> EncoderRow:
     return (row.clock_s, *row.odometry, row.turret_rad)
+
+
+def without_echo(rows: Sequence[LogRow], ring: Ring) -> list[LogRow]:
+    """Return a log in which the reading of a ring that means "no echo" is inf.
+
+    Raises
+    ------
+    LogFileError
+        If the log has not as many sonars as the ring.
+    """
+    count = len(rows[0].sonars_in)
+    if count != ring.count:
+        raise LogFileError(f"the log has {count} sonars, the ring {ring.count}: name the columns {SONAR}0 to "
+                           f"{SONAR}{ring.count - 1}, or give the model of this robot")  # fmt: skip
+    near_in = 0.1 * ring.resolution_in  # a log has rounded numbers
+    return [
+        row._replace(sonars_in=tuple(inf if abs(each - ring.no_echo_in) < near_in else each for each in row.sonars_in))
+        for row in rows
+    ]
 
 
 def run_log(rows: Sequence[LogRow], period_s: float, localizer: Filter) -> Run:

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from localization.filters.belief import Floats
 from localization.live.run import Run
-from nclient.common.files import describe_write_error
+from nclient.common.files import write_errors_as
 from nclient.errors import ExtraMissing, OutputFileError
 from worlds.robots import Body
 from worlds.world import World
@@ -67,11 +67,9 @@ def blank(width_in: float, height_in: float) -> Picture:
 
 def save(picture: Picture, path: Path) -> None:
     """Write a PNG file, creating its folders. Raises OutputFileError."""
-    try:
+    with write_errors_as(OutputFileError, path):
         path.parent.mkdir(parents=True, exist_ok=True)
         picture.savefig(path, dpi=DPI)
-    except OSError as error:
-        raise OutputFileError(describe_write_error(path, error)) from error
 
 
 def draw_walls(axes: Axes, walls: npt.ArrayLike) -> None:

@@ -32,9 +32,10 @@ from localization.filters.belief import HEADING, Floats
 from localization.filters.odometry import OdometryNoise, process_covariance, step_jacobians
 from localization.filters.range_table import around_block
 from localization.filters.reflectors import Reflectors, reflectors
-from localization.filters.sonar_cone import ConeSonar, SonarMount, expected_echoes
+from localization.filters.sonar_cone import ConeSonar, expected_echoes
 from localization.filters.sonar_ray import RaySonar, SonarRing, WallMap, ranges_from, wall_map
 from localization.filters.update import Refusal
+from worlds.rings import SonarMount
 from worlds.robots import SONARS
 
 HEADINGS: Final = 4

@@ -12,8 +12,6 @@ that ended a mission (MissionOver, Ctrl-C) is stored, and every later step excep
 that caught it drives no farther.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -31,7 +29,7 @@ from localization.navigation.obstacles import position_std_in
 from localization.navigation.path import PathSection, angle_difference, line_between
 from localization.navigation.path_follower import TURNED_RAD, PathFollower, turn_command
 from localization.navigation.pilot import Ending, Pilot, RetryPolicy
-from localization.navigation.recovery import DRIVE_IN_S, RecoveryBehavior
+from localization.navigation.recovery import RecoveryBehavior
 from localization.navigation.waypoints import PERIOD_S
 from nclient.errors import MissionFileError
 from worlds.geometry import inside, polygon_segments
@@ -414,10 +412,8 @@ def _search_commands(controller: RobotController) -> Iterator[VelocityCommand]:
     """Yield commands of the recovery behaviour without end, backing off after contacts."""
     recovery = RecoveryBehavior(PERIOD_S)
     while True:
-        if controller.last.state.touching:
-            yield from [VelocityCommand(-DRIVE_IN_S, 0.0)] * round(BACK_OFF_S / PERIOD_S)
-            recovery.reset()
-        yield VelocityCommand(*recovery.command(controller.last.state))
+        turn_rad = controller.last.estimate.informative_turn_rad
+        yield VelocityCommand(*recovery.command(controller.last.state, turn_rad))
 
 
 def run_mission(mission: Mission, act: Callable[[Mission], object]) -> None:

@@ -8,8 +8,6 @@ a program that catches it anyway gets it again from the next step. Times are of 
 the mission.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from math import degrees
 from typing import Any, Final

@@ -5,8 +5,6 @@ messages, for example "go_to: x_in: expected a length, a number, found the text 
 which step or settings, which argument, what was expected and what was found.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from enum import Enum

@@ -24,8 +24,6 @@ An error of a program, including sys.exit (whose exit code 0 would look like suc
 the robot, the end of the mission, Ctrl-C and signals pass unchanged.
 """
 
-from __future__ import annotations
-
 import inspect
 import re
 import traceback

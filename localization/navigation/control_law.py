@@ -4,8 +4,6 @@ All functions accept arrays with leading dimensions. In the batch experiments th
 step; in live runs a step is made every T seconds, so a limit divided by T is a speed.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,14 +32,12 @@ class ControlGains:
 
 def distance_to(pose: Floats, goal: Floats) -> Floats:
     """Return the distance (...) in inches from poses (..., 3) to goals (..., 2)."""
-    distance: Floats = np.hypot(goal[..., 0] - pose[..., 0], goal[..., 1] - pose[..., 1])
-    return distance
+    return np.hypot(goal[..., 0] - pose[..., 0], goal[..., 1] - pose[..., 1])
 
 
 def is_reached(pose: Floats, goal: Floats, radius_in: float) -> npt.NDArray[np.bool_]:
     """Return True (...) where poses (..., 3) are within `radius_in` of their goals (..., 2)."""
-    within: npt.NDArray[np.bool_] = distance_to(pose, goal) <= radius_in
-    return within
+    return distance_to(pose, goal) <= radius_in
 
 
 def bearing_error(pose: Floats, goal: Floats) -> Floats:

@@ -7,8 +7,6 @@
 Lengths are in inches, angles in radians.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -237,8 +235,7 @@ class SpeedProfile:
         for element, start in zip(section.elements, section.starts_in, strict=False):
             inside = (self._along >= start - STEP_IN) & (self._along <= start + element.length_in + STEP_IN)
             highest[inside] = np.minimum(highest[inside], max_arc_speed_in_s(element.curvature, limits))
-        speeds: list[float] = highest.tolist()
-        return speeds
+        return highest.tolist()
 
     def speed_in_s(self, along_in: float) -> float:
         """Return the speed to command at an arc length, CREEP_IN_S at least.

@@ -8,8 +8,6 @@ which is critically damped over the distance L at any speed; c is the curvature 
 needs time to accelerate.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from math import copysign, cos, hypot, inf, sin, sqrt
 from typing import Final

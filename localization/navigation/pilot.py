@@ -9,8 +9,6 @@ the heading. A pilot has no clock but that of the estimates, and all its waits a
 ends it; recovery is the caller's task.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum

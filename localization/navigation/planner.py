@@ -6,8 +6,6 @@ the bare body fits through; if all are longer, the narrowest. Around obstacles t
 the widest path there is: their extent is unknown, and sonars do not measure at short distances.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from contextlib import suppress
 from functools import cache

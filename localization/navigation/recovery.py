@@ -1,11 +1,10 @@
 """Driving without an estimate, and detection of a robot that does not move.
 
 RecoveryBehavior turns in place and then drives where the sonars ahead measure free space: poses that look alike from
-one position are distinguished on the path to another. StallDetector reports a robot that presses against something
+one position are distinguished on the path to another. Where the filter states a direction in which they differ, it
+drives there. After a contact it backs off and turns away. StallDetector reports a robot that presses against something
 or whose wheels stand.
 """
-
-from __future__ import annotations
 
 from dataclasses import dataclass
 from math import cos, hypot, tau
@@ -20,9 +19,20 @@ from nclient.state import RobotState
 TURN_RAD_S: Final = 0.4
 SCAN_RAD: Final = 4.0
 """Turn before driving on: two thirds of a revolution, in which each sonar measures a wall or two."""
-DRIVE_IN_S: Final = 3.0
+DRIVE_IN_S, MAX_DRIVE_IN_S = 3.0, 8.0
+"""Speeds beside walls, and far from any."""
+FREE_S: Final = 5.0
+"""The free way ahead lasts this long at least: five rings."""
 FREE_AHEAD_IN: Final = 18.0
 """Shortest reading of the sonars ahead at which the robot drives on."""
+ALIGNED_RAD: Final = 0.3
+"""The robot drives where the direction worth driving in is this near to its heading."""
+BACK_OFF_S, BACK_OFF_IN_S = 2.0, 3.0
+"""Time and speed of backing off after a contact."""
+TURN_AWAY_RAD: Final = 0.8
+"""Turn after a contact before driving on."""
+AVOID_RAD: Final = TURN_AWAY_RAD + 1.2
+"""While something was in the way the robot does not turn back to it: for this turn, or three seconds of driving."""
 AHEAD: Final = cos(tau / 8)
 """Sonars within an eighth of a turn of the heading look ahead."""
 
@@ -41,43 +51,72 @@ class SonarState(Protocol):
     @property
     def sonars_in(self) -> tuple[int, ...]:
         """Return the last reading of each sonar in inches."""
-        ...
 
     @property
     def steering_rad(self) -> float:
         """Return the steering angle of the encoders."""
-        ...
 
     @property
     def turret_rad(self) -> float:
         """Return the turret angle of the encoders."""
+
+    @property
+    def touching(self) -> bool:
+        """Return True if a bumper is pressed."""
         ...
 
 
 class RecoveryBehavior:
-    """Controller for a lost robot; `command` is called every `period_s` seconds."""
+    """Controller for a lost robot; `command` is called every `period_s` seconds, `max_speed_in_s` is the top speed."""
 
-    def __init__(self, period_s: float) -> None:
-        self._period_s = period_s
-        self._scanned_rad = 0.0
+    def __init__(self, period_s: float, max_speed_in_s: float = MAX_DRIVE_IN_S) -> None:
+        self._period_s, self._max_speed_in_s = period_s, max_speed_in_s
+        self._scanned_rad = self._back_off_s = self._avoiding_rad = 0.0
 
     def reset(self) -> None:
         """Start with a new scan the next time, because the robot is localized again or has moved."""
-        self._scanned_rad = 0.0
+        self._scanned_rad = self._back_off_s = self._avoiding_rad = 0.0
 
-    def command(self, state: SonarState) -> tuple[float, float]:
-        """Return translation in in/s and steering in rad/s."""
-        if self._scanned_rad < SCAN_RAD or not _is_free_ahead(state):
-            self._scanned_rad += TURN_RAD_S * self._period_s
-            return 0.0, TURN_RAD_S
-        return DRIVE_IN_S, 0.0
+    def command(self, state: SonarState, turn_rad: float | None = None) -> tuple[float, float]:
+        """Return translation in in/s and steering in rad/s.
+
+        Parameters
+        ----------
+        state
+        turn_rad
+            Turn from the heading to a direction that is worth driving in; None without any.
+        """
+        # 1. After a contact: back off, then turn away.
+        if state.touching and self._back_off_s <= 0.0:
+            self._back_off_s, self._avoiding_rad = BACK_OFF_S, AVOID_RAD
+        if self._back_off_s > 0.0:
+            self._back_off_s -= self._period_s
+            return -BACK_OFF_IN_S, 0.0
+        # 2. Nothing in the way: turn to the direction that is worth it, or drive on.
+        turn = TURN_RAD_S * self._period_s
+        ahead_in = _free_ahead_in(state)
+        is_free = ahead_in > FREE_AHEAD_IN
+        if turn_rad is not None and self._avoiding_rad <= 0.0:
+            if abs(turn_rad) > ALIGNED_RAD:
+                return 0.0, TURN_RAD_S if turn_rad > 0.0 else -TURN_RAD_S
+            self._scanned_rad = SCAN_RAD
+        if self._scanned_rad >= SCAN_RAD and is_free and self._avoiding_rad <= AVOID_RAD - TURN_AWAY_RAD:
+            self._avoiding_rad -= turn
+            return min(max(ahead_in / FREE_S, DRIVE_IN_S), self._max_speed_in_s), 0.0
+        # 3. Something is: turn until it is not, and drive on before turning back to it.
+        if not is_free:
+            self._avoiding_rad = AVOID_RAD - TURN_AWAY_RAD
+        else:
+            self._avoiding_rad -= turn
+        self._scanned_rad += turn
+        return 0.0, TURN_RAD_S
 
 
-def _is_free_ahead(state: SonarState) -> bool:
-    """Return True if no sonar that looks ahead measures anything near."""
+def _free_ahead_in(state: SonarState) -> float:
+    """Return the shortest reading of the sonars that look ahead."""
     directions = np.arange(len(state.sonars_in)) * (tau / len(state.sonars_in)) + state.turret_rad - state.steering_rad
     beams = zip(state.sonars_in, directions, strict=True)
-    return all(reading > FREE_AHEAD_IN for reading, direction in beams if cos(direction) >= AHEAD)
+    return min((reading for reading, direction in beams if cos(direction) >= AHEAD), default=0)
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,8 +16,6 @@ Lozano-Perez, Wesley: An algorithm for planning collision-free paths among polyh
 Liu, Arimoto: Path planning using a tangent graph for mobile robots among polygonal and curved obstacles (1992).
 """
 
-from __future__ import annotations
-
 import heapq
 from collections import defaultdict
 from collections.abc import Sequence
@@ -67,16 +65,14 @@ def _crossings(segments: Floats, walls: Floats) -> Mask:
     one, other = segments[:, None, :], walls[None, :, :]
     sides = _side(one, other[..., :2]) * _side(one, other[..., 2:])
     other_sides = _side(other, one[..., :2]) * _side(other, one[..., 2:])
-    crossings: Mask = (sides < 0.0) & (other_sides < 0.0)
-    return crossings
+    return (sides < 0.0) & (other_sides < 0.0)
 
 
 def _side(segments: Floats, points: Floats) -> Floats:
     """Return the cross product that is positive for points to the left of a segment."""
     along = segments[..., 2:] - segments[..., :2]
     offset = points - segments[..., :2]
-    side: Floats = along[..., 0] * offset[..., 1] - along[..., 1] * offset[..., 0]
-    return side
+    return along[..., 0] * offset[..., 1] - along[..., 1] * offset[..., 0]
 
 
 class CornerCircle:
@@ -177,8 +173,7 @@ def tangents_from(point: Floats, centres: Floats, radius_in: float) -> tuple[Flo
 
 def points_on_circles(centres: Floats, circles: Indices, angles: Floats, radius_in: float) -> Floats:
     """Return the points (k, 2) at angles (k,) on circles (k,)."""
-    points: Floats = centres[circles] + radius_in * np.stack((np.cos(angles), np.sin(angles)), axis=-1)
-    return points
+    return centres[circles] + radius_in * np.stack((np.cos(angles), np.sin(angles)), axis=-1)
 
 
 class _Arc(NamedTuple):
@@ -304,8 +299,7 @@ class Roadmap:
 
     def _is_free(self, segments: Floats, distance_in: float) -> Mask:
         """Return True (n,) for segments (n, 4) that keep the distance to all walls."""
-        free: Mask = segment_clearances(segments, self.walls) >= distance_in - SLACK_IN
-        return free
+        return segment_clearances(segments, self.walls) >= distance_in - SLACK_IN
 
     def _free_point_near(self, point: Floats, distance_in: float) -> Floats:
         """Return the nearest point with enough distance that is reached straight, coming no nearer to a wall.

@@ -6,8 +6,6 @@ The limits of the control law are per step; with one step every PERIOD_S they ar
 the loop has no clock of its own.
 """
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass
@@ -20,12 +18,11 @@ from localization.filters.belief import Belief, Floats
 from localization.filters.health import HealthStatus
 from localization.filters.registry import DEFAULT_METHOD
 from localization.live.localizer import Estimate, Localizer
-from localization.live.sensor_input import FiringSchedule
+from localization.live.sensor_input import restart_ring
 from localization.navigation.control_law import ControlGains, distance_to, next_step
 from localization.navigation.limits import STAND, PoseSmoother, StateGapLimiter, VelocityCommand
 from localization.navigation.recovery import RecoveryBehavior
 from nclient.errors import NomadError
-from nclient.protocol.types import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
 from nclient.robot import Robot
 from nclient.state import RobotState
 
@@ -133,9 +130,8 @@ def start_localizer(
     method : str or Filter
         Name of a filter (see localization.filters.registry), or a filter.
     """
-    state = robot.configure_sonars(rate=DEFAULT_SONAR_RATE, order=DEFAULT_SONAR_ORDER)
-    assert state.clock_s is not None
-    localizer = Localizer(config, belief, FiringSchedule(state.clock_s), method)
+    schedule, state = restart_ring(robot, config.body.ring)
+    localizer = Localizer(config, belief, schedule, method)
     localizer.update(state)
     return localizer
 
@@ -174,7 +170,7 @@ def follow_waypoints(
             command: VelocityCommand | None
             if estimate.health.status is HealthStatus.LOST:
                 smoother.reset()
-                command = VelocityCommand(*recovery.command(state))
+                command = VelocityCommand(*recovery.command(state, estimate.informative_turn_rad))
             else:
                 recovery.reset()
                 command = navigator.command(smoother.update(estimate.clock_s, estimate.pose, encoders))

@@ -4,8 +4,6 @@ A backend is one session with one robot: `execute(call)` returns the reply. What
 limit) is a `Backend` again. Backends are not thread-safe: `Robot` holds a lock.
 """
 
-from __future__ import annotations
-
 from bisect import bisect_left
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields

@@ -11,8 +11,6 @@ a reply of a command's type is outstanding, a request of another type is sent fi
 older can arrive.
 """
 
-from __future__ import annotations
-
 import contextlib
 import time
 from collections.abc import Callable

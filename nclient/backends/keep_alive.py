@@ -12,8 +12,6 @@ during which no request is possible, is split into pieces shorter than the timeo
 timeout again. The thread has only a weak reference, so that a robot that the program no longer references is dropped.
 """
 
-from __future__ import annotations
-
 import contextlib
 import queue
 import threading

@@ -8,8 +8,6 @@ call the session is closed, and later calls report why; after a refusal it conti
 robot.
 """
 
-from __future__ import annotations
-
 import os
 import time
 from functools import lru_cache

@@ -3,8 +3,6 @@
 `nclient.connector.Connector.open` shows the order in which they are put around a protocol backend.
 """
 
-from __future__ import annotations
-
 import contextlib
 import threading
 import time

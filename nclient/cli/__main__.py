@@ -1,7 +1,5 @@
 """The script `nomad`, and `python -m nclient.cli`."""
 
-from __future__ import annotations
-
 import sys
 
 from nclient.common.exit_codes import ExitCode

@@ -12,8 +12,6 @@ is idle is disconnected when another one sends something: it must not block `nom
 is given: there is no authentication.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import threading
@@ -21,16 +19,8 @@ import time
 from collections.abc import Callable
 from urllib.parse import quote
 
-from nclient.cli.serving import (
-    POLL_INTERVAL_S,
-    SIGNALS,
-    ClientSession,
-    IdleMonitor,
-    add_listener_options,
-    open_listener,
-    print_message,
-    serve_clients,
-)
+from nclient.cli import serving
+from nclient.common.arguments import add_flag
 from nclient.common.exit_codes import ExitCode
 from nclient.connector import Connector
 from nclient.errors import AddressError, ConnectionLost, ReplyTimeout
@@ -44,9 +34,9 @@ from nclient.url import parse_address
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.add_argument("address", help="far end, such as serial:///dev/ttyUSB0 or nserver://lab:7019")
-    add_listener_options(parser)
+    serving.add_listener_options(parser)
     parser.add_argument("--record", metavar="FILE", help="record all traffic to FILE")
-    parser.add_argument("--dump", action="store_true", help="print the traffic to stdout, as `nomad dump` does")
+    add_flag(parser, "--dump", "print the traffic to stdout, as `nomad dump` does")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -55,27 +45,27 @@ def run(options: argparse.Namespace) -> int:
     # The far end for the first client; empty afterwards.
     opened = [_open_far_end(connector, options.dump)]
 
-    def serve(near: ByteStream, session: ClientSession) -> None:
+    def serve(near: ByteStream, session: serving.ClientSession) -> None:
         try:
             far = opened.pop() if opened else _open_far_end(connector, options.dump)
         except ConnectionLost as error:
-            print_message(str(error))
+            serving.print_message(str(error))
             return
         try:
-            forward(near, far, session, IdleMonitor(session.idle_timer, connector.wire, connector.model))
+            forward(near, far, session, serving.IdleMonitor(session.idle_timer, connector.wire, connector.model))
         finally:
             far.close()
 
     try:
-        with contextlib.suppress(*SIGNALS), open_listener(options, "bridge") as listener:
-            serve_clients(listener, options, serve)
+        with contextlib.suppress(*serving.SIGNALS), serving.open_listener(options, "bridge") as listener:
+            serving.serve_clients(listener, options, serve)
     finally:
         for far in opened:
             far.close()
     return ExitCode.DONE
 
 
-def forward(near: ByteStream, far: ByteStream, session: ClientSession, monitor: IdleMonitor) -> None:
+def forward(near: ByteStream, far: ByteStream, session: serving.ClientSession, monitor: serving.IdleMonitor) -> None:
     """Forward bytes in both directions until one end is closed or the client's session ends."""
     # One thread per direction; either of them ends both.
     finished = threading.Event()
@@ -103,7 +93,7 @@ def _forward_direction(
             data = b""
             # A timeout only means that there was nothing to forward in this interval.
             with contextlib.suppress(ReplyTimeout):
-                data = source.receive(Deadline.after(POLL_INTERVAL_S))
+                data = source.receive(Deadline.after(serving.POLL_INTERVAL_S))
                 observe(data)
                 target.send(data)
             if should_end(not data):
@@ -111,7 +101,7 @@ def _forward_direction(
     except ConnectionLost as error:
         if not finished.is_set():
             finished.set()
-            print_message(str(error))
+            serving.print_message(str(error))
     finally:
         finished.set()
 

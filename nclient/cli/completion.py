@@ -8,8 +8,6 @@ metavar of an argument selects its completions. A script contains what is instal
 generate it again after an update.
 """
 
-from __future__ import annotations
-
 import argparse
 import re
 import shlex

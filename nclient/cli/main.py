@@ -9,8 +9,6 @@ on stderr; exit codes are those of nclient.common.exit_codes. SIGTERM and SIGHUP
 blocks, which stop the robot (nclient/common/process.py).
 """
 
-from __future__ import annotations
-
 import argparse
 import ast
 import importlib.util

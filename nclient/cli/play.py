@@ -9,23 +9,13 @@ disconnected, the place is reported on stderr, and the exit code is 1 in the end
 another one sends something.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from nclient.cli.serving import (
-    POLL_INTERVAL_S,
-    SIGNALS,
-    ClientSession,
-    add_listener_options,
-    open_listener,
-    print_message,
-    serve_clients,
-)
+from nclient.cli import serving
 from nclient.common.exit_codes import ExitCode
 from nclient.errors import ConnectionLost, RecordingError, ReplyTimeout
 from nclient.recording.format import read_recording
@@ -39,7 +29,7 @@ _MAY = "may have the recording answer"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.add_argument("file", type=Path, help="recording, as made by record=FILE in an address or nserver --record")
-    add_listener_options(parser)
+    serving.add_listener_options(parser)
     parser.add_argument("--pace", choices=(AT_ONCE, RECORDED), default=AT_ONCE,
                         help="reply at once (default), or after the recorded delay")
     parser.add_argument("--order", choices=ORDERS, default=STRICT,
@@ -53,25 +43,27 @@ def run(options: argparse.Namespace) -> int:
     """Play until stopped, and return the exit code."""
     recording = read_recording(options.file)
     if recording.cut:
-        print_message(recording.cut)
+        serving.print_message(recording.cut)
     connection = load_exchanges(recording, options.connection)
     # With the recorded pace the delays between request and reply are repeated, not those between requests.
     sleep = time.sleep if options.pace == RECORDED else None
     mismatches: list[RecordingError] = []
 
-    def serve(stream: ByteStream, session: ClientSession) -> None:
+    def serve(stream: ByteStream, session: serving.ClientSession) -> None:
         try:
             play(Player(connection, options.order), stream, sleep, session)
         except RecordingError as error:
             mismatches.append(error)
-            print_message(str(error))
+            serving.print_message(str(error))
 
-    with contextlib.suppress(*SIGNALS), open_listener(options, "play", _MAY) as listener:
-        serve_clients(listener, options, serve)
+    with contextlib.suppress(*serving.SIGNALS), serving.open_listener(options, "play", _MAY) as listener:
+        serving.serve_clients(listener, options, serve)
     return ExitCode.FAILED if mismatches else ExitCode.DONE
 
 
-def play(player: Player, stream: ByteStream, sleep: Callable[[float], None] | None, session: ClientSession) -> None:
+def play(
+    player: Player, stream: ByteStream, sleep: Callable[[float], None] | None, session: serving.ClientSession
+) -> None:
     """Serve one client until it disconnects or its session ends.
 
     Raises
@@ -85,7 +77,7 @@ def play(player: Player, stream: ByteStream, sleep: Callable[[float], None] | No
         while True:
             data = b""
             with contextlib.suppress(ReplyTimeout):
-                data = stream.receive(Deadline.after(POLL_INTERVAL_S))
+                data = stream.receive(Deadline.after(serving.POLL_INTERVAL_S))
                 _send(player.answers(data), stream, sleep)
                 session.idle_timer.request_received()
             if session.should_end(at_rest=not data):

@@ -7,8 +7,6 @@ schema cannot express what needs geometry or other files; then the reader refuse
 "$schema" it uses keywords that draft 7 has, too, since editors know no later one.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 from collections.abc import Iterator

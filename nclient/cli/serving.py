@@ -6,8 +6,6 @@ stdout gets one line when the listener is open, `listening NAME HOST:PORT` or `l
 stderr. The default is loopback only, because the robot protocols have no authentication.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import math
@@ -20,7 +18,7 @@ from typing import Final
 
 from nclient.backends.nserver import CLICK_S, ORDINARY_S
 from nclient.common import allowlist
-from nclient.common.arguments import seconds, whole_number
+from nclient.common.arguments import add_flag, add_value, seconds, whole_number
 from nclient.common.process import TerminatedBySignal
 from nclient.protocol.commands import BY_NAME
 from nclient.protocol.types import Model
@@ -44,14 +42,14 @@ def add_listener_options(parser: argparse.ArgumentParser) -> None:
     """Add --listen, --link, --bind, --allow, --limit-silent and --once."""
     place = parser.add_mutually_exclusive_group(required=True)
     port = whole_number("a port", 0, 65535)
-    place.add_argument("--listen", type=port, metavar="PORT", help="listen on this TCP port; 0 takes a free one")
-    place.add_argument("--link", type=Path, metavar="PATH", help="create a pseudo-terminal, with PATH as a link to it")
+    add_value(place, "--listen", "PORT", port, "listen on this TCP port; 0 takes a free one")
+    add_value(place, "--link", "PATH", Path, "create a pseudo-terminal, with PATH as a link to it")
     parser.add_argument("--bind", default=LOOPBACK, metavar="HOST", help=f"listen on this address (default {LOOPBACK})")
     allowlist.add_options(parser)
-    parser.add_argument("--limit-silent", type=seconds, default=DEFAULT_IDLE_LIMIT_S, metavar="S",
-                        help="disconnect a client that is idle for S seconds when another client waits with a request "
-                        f"(default {DEFAULT_IDLE_LIMIT_S:g}; {NO_LIMIT:g}: no limit)")
-    parser.add_argument("--once", action="store_true", help="exit when the first client disconnects")
+    add_value(parser, "--limit-silent", "S", seconds,
+              "disconnect a client that is idle for S seconds when another client waits with a request "
+              f"(default {DEFAULT_IDLE_LIMIT_S:g}; {NO_LIMIT:g}: no limit)", DEFAULT_IDLE_LIMIT_S)
+    add_flag(parser, "--once", "exit when the first client disconnects")
 
 
 SIGNALS: Final = (KeyboardInterrupt, TerminatedBySignal)

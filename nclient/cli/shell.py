@@ -10,8 +10,6 @@ ends at the first line that fails, which is reported as file:line. The robot is 
 Exit code 0: done; 1: a line failed, or the robot was lost; 2: wrong usage; 130: Ctrl-C ended a script.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import importlib.util
@@ -27,7 +25,7 @@ from nclient.cli import state_text
 from nclient.cli.serving import print_message
 from nclient.cli.shell_help import candidates, parse
 from nclient.cli.shell_session import Session
-from nclient.common.arguments import add_address
+from nclient.common.arguments import add_address, add_value
 from nclient.common.exit_codes import ExitCode
 from nclient.common.files import read_text
 from nclient.connector import Connector, address_or_default
@@ -203,8 +201,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     source = parser.add_mutually_exclusive_group()
     source.add_argument("--script", metavar="FILE", help="execute the lines of FILE and exit; - reads stdin")
     source.add_argument("--command", "-c", metavar="LINE", help="execute LINE and exit")
-    parser.add_argument("--history", type=Path, metavar="FILE",
-                        help="save typed lines to FILE (default: ~/.local/state/nomad/history)")
+    add_value(parser, "--history", "FILE", Path, "save typed lines to FILE (default: ~/.local/state/nomad/history)")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -11,8 +11,6 @@ that the C call does not have (pid, and Smask, which ct takes from the array) ar
 commands that exist for the connected robot. `parse` does not know commands or robots; errors are ShellError.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from typing import Final, NamedTuple

@@ -3,8 +3,6 @@
 A module of its own because prompt_toolkit is optional; without it the shell uses input() and readline.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from pathlib import Path
 

@@ -23,7 +23,7 @@ from functools import partial
 from nclient.backends.base import Backend
 from nclient.backends.direct import QUICK_S, send_emergency_stop
 from nclient.cli.serving import print_message
-from nclient.common.arguments import add_address, seconds
+from nclient.common.arguments import add_address, add_value, seconds
 from nclient.common.exit_codes import ExitCode
 from nclient.connector import Connector, address_or_default
 from nclient.errors import ConnectionLost, NomadError, ReplyTimeout, RobotRefused, WireError
@@ -46,8 +46,8 @@ _QUERIES = 20
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     add_address(parser)
-    parser.add_argument("--patience", type=seconds, default=DEFAULT_PATIENCE_S, metavar="S",
-                        help=f"try for S seconds (default {DEFAULT_PATIENCE_S:g})")
+    add_value(parser, "--patience", "S", seconds,
+              f"try for S seconds (default {DEFAULT_PATIENCE_S:g})", DEFAULT_PATIENCE_S)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -8,8 +8,6 @@
 Results go to stdout. The reason why a frame is invalid goes to stderr, except in a dump, which has an object per line.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

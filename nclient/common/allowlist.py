@@ -5,8 +5,6 @@ addresses. A peer name that is no IP address (a Unix socket) is on this machine.
 as the IPv4 address.
 """
 
-from __future__ import annotations
-
 import argparse
 import ipaddress
 from dataclasses import dataclass

@@ -7,13 +7,11 @@
 An unknown option is reported before other errors, which it usually causes.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import sys
 from collections.abc import Callable, Sequence
-from typing import Any, NoReturn
+from typing import Any, Final, NoReturn
 
 from nclient.common.hints import closest_match, suggest
 
@@ -71,15 +69,24 @@ class Parser(argparse.ArgumentParser):
             raise argparse.ArgumentError(action, message)
 
 
-def seconds(text: str) -> float:
-    """Parse a time in seconds, 0 or more. Raises ArgumentTypeError for anything else, inf and nan included."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not (math.isfinite(value) and value >= 0):
-        raise argparse.ArgumentTypeError(f"a number of seconds, 0 or more, not {text}")
-    return value
+def number(expected: str, low: float, high: float = math.inf) -> Callable[[str], float]:
+    """Return a parser of finite numbers from low to high; its ArgumentTypeError says what is expected."""
+
+    def parse(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not (math.isfinite(value) and low <= value <= high):
+            raise argparse.ArgumentTypeError(f"{expected}, not {text!r}")
+        return value
+
+    return parse
+
+
+ABOVE_ZERO: Final = math.ulp(0.0)
+"""The smallest number above 0, as a lower bound."""
+seconds: Final = number("a number of seconds, 0 or more", 0.0)
 
 
 def whole_number(what: str, low: int, high: int = sys.maxsize) -> Callable[[str], int]:
@@ -93,6 +100,23 @@ def whole_number(what: str, low: int, high: int = sys.maxsize) -> Callable[[str]
         return int(text)
 
     return parse
+
+
+def add_value(
+    parser: argparse._ActionsContainer, names: str, metavar: str, parse: Callable[[str], object], about: str,
+    default: object = None,
+) -> None:  # fmt: skip
+    """Add an option with a value; other names of it follow after blanks.
+
+    Its help ends with the default, unless there is none or `about` names it.
+    """
+    shown = "" if default is None or "(default" in about else " (default: %(default)s)"
+    parser.add_argument(*names.split(), metavar=metavar, type=parse, default=default, help=about + shown)
+
+
+def add_flag(parser: argparse._ActionsContainer, name: str, about: str) -> None:
+    """Add an option without a value."""
+    parser.add_argument(name, action="store_true", help=about)
 
 
 def add_address(parser: argparse.ArgumentParser) -> None:

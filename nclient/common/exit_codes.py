@@ -4,8 +4,6 @@ Codes above 128 are 128 plus the number of the signal that ended the command, as
 values.
 """
 
-from __future__ import annotations
-
 from enum import IntEnum
 
 

@@ -5,8 +5,6 @@ device or a recording given by mistake does not fill the memory. Writing is atom
 new one, even after a power failure.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import os
@@ -99,6 +97,15 @@ def describe_write_error(path: Path, error: OSError, what: str = "") -> str:
 def write_error_hint(error: OSError) -> str:
     """Return a remedy for a write error."""
     return _HINTS.get(error.errno or 0, _NO_ACCESS)
+
+
+@contextlib.contextmanager
+def write_errors_as(error: ErrorFactory, path: Path, what: str = "") -> Iterator[None]:
+    """Turn an OSError of the block into an error that names the path, the reason and a remedy."""
+    try:
+        yield
+    except OSError as failure:
+        raise error(describe_write_error(path, failure, what)) from failure
 
 
 def write_atomic(path: Path, text: str, error: ErrorFactory, ending: str = "") -> None:

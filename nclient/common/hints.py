@@ -1,7 +1,5 @@
 """Hints in error messages: the most similar word, the extra that installs a missing module; the package's version."""
 
-from __future__ import annotations
-
 import functools
 import re
 from collections.abc import Iterable

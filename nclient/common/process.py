@@ -5,8 +5,6 @@ its robot and writes its report as after Ctrl-C. The first signal counts, later 
 Signals that were ignored at the start, as SIGHUP under nohup, stay ignored.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal

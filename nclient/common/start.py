@@ -3,8 +3,6 @@
 Imported before everything else by the `__main__` modules of the commands; imports nothing slow itself.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal

@@ -5,8 +5,6 @@ error; `description`, shown by editors and for missing keys. Errors are explaine
 that programs and editors expect the same.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import json

@@ -9,8 +9,6 @@ it waits with the `sleep` and clock that it is given, which may be simulated tim
 its injector with the counts may be used for the next stream.
 """
 
-from __future__ import annotations
-
 import logging
 from collections import deque
 from collections.abc import Callable, Iterable

@@ -20,8 +20,6 @@ Each rule counts the frames that reach it, separately per line, so that `every =
 `frames.py` carries plans out.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math
@@ -34,21 +32,9 @@ from typing import Annotated, Any, ClassVar, Final, Literal
 import msgspec
 from msgspec import UNSET, Meta, UnsetType
 
+from nclient.common import validation
 from nclient.common.files import parse_toml, read_text
 from nclient.common.hints import suggest
-from nclient.common.validation import (
-    InvalidValue,
-    Text,
-    at_most_one,
-    check_fields,
-    convert,
-    dataclass_keys,
-    field_types,
-    given,
-    one_of,
-    reported_as,
-    unknown_key,
-)
 from nclient.errors import FaultPlanError
 from nclient.protocol.codec import describe_unknown_command
 from nclient.protocol.commands import BY_NAME
@@ -76,7 +62,7 @@ class _Checked:
     __slots__ = ()
 
     def __post_init__(self) -> None:
-        check_fields(self, FaultPlanError)
+        validation.check_fields(self, FaultPlanError)
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +81,7 @@ class Delay(_Checked):
     kind: ClassVar[str] = "delay"
 
     def __post_init__(self) -> None:
-        check_fields(self, FaultPlanError)
+        validation.check_fields(self, FaultPlanError)
         # A jitter larger than the delay would need negative delays.
         if self.jitter_s > self.delay_s:
             raise FaultPlanError(f"jitter_s: expected at most delay_s, {self.delay_s:g}, because nothing arrives "
@@ -173,7 +159,7 @@ class Noise(_Checked):
     kind: ClassVar[str] = "noise"
 
     def __post_init__(self) -> None:
-        check_fields(self, FaultPlanError)
+        validation.check_fields(self, FaultPlanError)
         # The three rates share one draw per byte, so their sum is a probability.
         rate = self.corrupt_percent + self.drop_percent + self.add_percent
         if not 0.0 < rate <= 100.0:
@@ -244,7 +230,7 @@ class When:
         if len(methods) > 1:
             raise FaultPlanError(f"{methods[1]}: {' and '.join(methods)} exclude each other; use one of them")
         # 2. Values.
-        check_fields(self, FaultPlanError)
+        validation.check_fields(self, FaultPlanError)
         # 3. A time window of positive length.
         if self.until_s <= self.from_s:
             raise FaultPlanError(f"until_s: expected later than from_s, {self.from_s:g}, found {self.until_s:g}")
@@ -329,9 +315,10 @@ class Plan:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        with reported_as(FaultPlanError):
-            if convert(self.seed, Seed, "seed") > MAX_SEED:
-                raise InvalidValue(f"expected a whole number from 0 to {MAX_SEED}, found {self.seed}", "seed")
+        with validation.reported_as(FaultPlanError):
+            if validation.convert(self.seed, Seed, "seed") > MAX_SEED:
+                complaint = f"expected a whole number from 0 to {MAX_SEED}, found {self.seed}"
+                raise validation.InvalidValue(complaint, "seed")
         names: set[str] = set()
         for rule in self.rules:
             if rule.name in names:
@@ -390,20 +377,21 @@ _DIRECTIONS = {"both": BOTH} | {direction.value: frozenset({direction}) for dire
 _COMMANDS = [name for name, row in BY_NAME.items() if row.packet_type is None]
 _LINE = Annotated[str, Meta(extra_json_schema={"pattern": f"^({'|'.join(LINE_KINDS)})(:[0-9]+)?$|^{_ANY}$"})]
 _COMMAND = Annotated[str, Meta(title="a text", extra_json_schema={"enum": [*_COMMANDS, GREETING, _ANY]})]
-_KIND: Any = one_of(KINDS)
+_KIND: Any = validation.one_of(KINDS)
 _KINDS = Annotated[tuple[_KIND, ...], Meta(min_length=1, extra_json_schema={"uniqueItems": True, "x-items": "kinds"})]
 _RULE_FIELDS: list[Any] = [
-    ("name", Annotated[Text, Meta(description="name in errors and counts; default: rule 1, rule 2 ...")], "rule"),
+    ("name", Annotated[validation.Text, Meta(description="name in errors and counts; default: rule 1, rule 2 ...")],
+     "rule"),
     ("do", Annotated[_KIND | _KINDS, Meta(description="a kind of fault, or several, drawn each time")]),
     ("command", _COMMAND | tuple[_COMMAND, ...], _ANY),
     ("line", _LINE | tuple[_LINE, ...], _ANY),
-    ("direction", one_of(_DIRECTIONS), Direction.REPLY.value),
-    *(row for row in dataclass_keys(When) if row[0] != "at"),
+    ("direction", validation.one_of(_DIRECTIONS), Direction.REPLY.value),
+    *(row for row in validation.dataclass_keys(When) if row[0] != "at"),
     # `at = 3` is short for `at = [3]`.
     ("at", Number | Numbers | UnsetType, UNSET),
 ]
 _RULE_KEYS: list[str] = [row[0] for row in _RULE_FIELDS]
-_SETTINGS: dict[str, Any] = {row[0]: row for kind in KINDS.values() for row in dataclass_keys(kind)}
+_SETTINGS: dict[str, Any] = {row[0]: row for kind in KINDS.values() for row in validation.dataclass_keys(kind)}
 
 
 def _does(*kinds: str) -> dict[str, Any]:
@@ -414,9 +402,9 @@ def _does(*kinds: str) -> dict[str, Any]:
 
 def _conditions() -> Iterator[dict[str, Any]]:
     """Yield the conditions on several keys of a rule, as JSON Schema."""
-    yield at_most_one(METHODS)
+    yield validation.at_most_one(METHODS)
     for key in _SETTINGS:
-        kinds = (name for name, kind in KINDS.items() if key in field_types(kind))
+        kinds = (name for name, kind in KINDS.items() if key in validation.field_types(kind))
         yield {"if": {"required": [key]}, "then": _does(*kinds)}
     for name, kind in KINDS.items():
         required = [entry.name for entry in fields(kind) if entry.default is dataclasses.MISSING]
@@ -457,8 +445,8 @@ def read_plan(path: Path) -> str:
 def parse_plan(text: str, file: str = "plan") -> Plan:
     """Parse a plan; `file` is the name in error messages. Raises FaultPlanError."""
     top = parse_toml(text, file, FaultPlanError)
-    with reported_as(FaultPlanError, file):
-        values = convert(top, _PlanTables)
+    with validation.reported_as(FaultPlanError, file):
+        values = validation.convert(top, _PlanTables)
     try:
         return Plan(tuple(_rule(table, number) for number, table in enumerate(values.rule, start=1)), values.seed)
     except FaultPlanError as error:
@@ -475,21 +463,21 @@ def plan_text(plan: Plan) -> str:
 
 def _rule(table: dict[str, Any], number: int) -> Rule:
     name = table.get("name", f"rule {number}")
-    with reported_as(FaultPlanError, f"rule {number}"):
-        convert(name, Text, "name")
-    with reported_as(FaultPlanError, f"rule {name!r}"):
-        row = convert(table, RuleTable)
+    with validation.reported_as(FaultPlanError, f"rule {number}"):
+        validation.convert(name, validation.Text, "name")
+    with validation.reported_as(FaultPlanError, f"rule {name!r}"):
+        row = validation.convert(table, RuleTable)
         # 1. Settings of other kinds are unknown keys.
         kinds = [KINDS[word] for word in _words(row.do)]
-        settings = sorted(key for kind in kinds for key in field_types(kind))
+        settings = sorted(key for kind in kinds for key in validation.field_types(kind))
         for key in table:
             if key not in _RULE_KEYS and key not in settings:
-                raise unknown_key(key, (*_RULE_KEYS, *settings))
+                raise validation.unknown_key(key, (*_RULE_KEYS, *settings))
     try:
         # 2. Faults, selection and direction; each checks how its own values fit together.
-        values = given(row)
+        values = validation.given(row)
         faults = tuple(_fault(kind, values) for kind in kinds)
-        times = {key: values[key] for key in field_types(When) if key in values}
+        times = {key: values[key] for key in validation.field_types(When) if key in values}
         if isinstance(row.at, int):
             times["at"] = (row.at,)
         when = When(**times)
@@ -502,7 +490,7 @@ def _fault(kind: type[Fault], values: Mapping[str, Any]) -> Fault:
     for entry in fields(kind):
         if entry.name not in values and entry.default is dataclasses.MISSING:
             raise FaultPlanError(f"{entry.name}: required by do = {kind.kind!r}")
-    return kind(**{key: values[key] for key in field_types(kind) if key in values})
+    return kind(**{key: values[key] for key in validation.field_types(kind) if key in values})
 
 
 def _words(value: str | tuple[str, ...]) -> tuple[str, ...]:

@@ -13,8 +13,6 @@ Also here: the handshake, eleven bytes without a frame that a N200 sends first w
 It reports the mask and laser mode in force. As on the serial line, Smask[41] is not sent and reads 1.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from construct import Bytes, ConstructError, Int8ub, Padding, Struct, Terminated

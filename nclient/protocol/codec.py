@@ -16,8 +16,6 @@ an exception. Both ends call `update_from_request` for each request sent or rece
 on the laser layout.
 """
 
-from __future__ import annotations
-
 import contextlib
 import struct
 from collections.abc import Callable, Iterable, Sequence
@@ -28,21 +26,8 @@ from construct import ConstructError
 
 from nclient.common.hints import suggest
 from nclient.errors import WireError
+from nclient.protocol import commands, requests, serial_framing
 from nclient.protocol import replies as shape
-from nclient.protocol import requests, serial_framing
-from nclient.protocol.commands import (
-    BY_LINE_TYPE,
-    BY_NAME,
-    BY_PACKET_TYPE,
-    BY_TCP_TYPE,
-    ERROR_TYPE,
-    MAX_REPLY_WORDS,
-    NAK_TYPE,
-    REPLY_TYPES,
-    Call,
-    Command,
-    exists_on_serial,
-)
 from nclient.protocol.fields import LINE_BYTE, LINE_SIGNED, LINE_UNSIGNED, check_laser, checked_readings
 from nclient.protocol.replies import Reply, TcpLayout, summarize_error
 from nclient.protocol.requests import HISTORY_BYTE, LASER_MODE_BYTE, Fields
@@ -82,9 +67,9 @@ class InvalidFrame(NamedTuple):
 
 
 # By type of the message; None for an unknown type.
-_REQUEST_BOUNDS: Final = {number: row.tcp_words for number, row in BY_TCP_TYPE.items()}
+_REQUEST_BOUNDS: Final = {number: row.tcp_words for number, row in commands.BY_TCP_TYPE.items()}
 request_bounds: Final[Bounds] = _REQUEST_BOUNDS.get
-reply_bounds: Final[Bounds] = {number: (1, most) for number, most in MAX_REPLY_WORDS.items()}.get
+reply_bounds: Final[Bounds] = {number: (1, most) for number, most in commands.MAX_REPLY_WORDS.items()}.get
 
 
 @lru_cache
@@ -154,7 +139,8 @@ class TcpFramer:
         self._replies = bounds is reply_bounds
         self._bounds = bounds
         self._buffer = b""
-        self._to_skip = 0
+        # Bytes still to arrive of a rejected message.
+        self.bytes_to_skip = 0
         self._lost = False
         self._drop_after_loss = drop_after_loss
 
@@ -162,11 +148,6 @@ class TcpFramer:
     def pending(self) -> int:
         """Return the number of buffered bytes of an incomplete frame."""
         return len(self._buffer)
-
-    @property
-    def bytes_to_skip(self) -> int:
-        """Return the number of bytes still to arrive of a rejected message that is being skipped."""
-        return self._to_skip
 
     @property
     def may_be_narrow(self) -> bool:
@@ -191,10 +172,10 @@ class TcpFramer:
         at, end = 0, len(data)
         while True:
             # 1. The rest of a rejected message.
-            if self._to_skip:
-                gone = min(self._to_skip, end - at)
+            if self.bytes_to_skip:
+                gone = min(self.bytes_to_skip, end - at)
                 at += gone
-                self._to_skip -= gone
+                self.bytes_to_skip -= gone
                 self.skipped_bytes += gone
             if end - at < _HEADER.size:
                 break
@@ -204,7 +185,7 @@ class TcpFramer:
             if bounds is None or not bounds[0] <= count <= bounds[1]:
                 found += self._reject(message_type, count, bounds)
                 if self._lost and self._drop_after_loss:
-                    self._to_skip = end - at
+                    self.bytes_to_skip = end - at
                 continue
             # 3. The first CONNECT shows the word size by its first word.
             start = at + _HEADER.size
@@ -229,7 +210,7 @@ class TcpFramer:
         was_lost = self._lost
         fatal = self._lost = was_lost or count > MAX_UNKNOWN_WORDS
         # Without synchronisation only one byte is skipped: a message may begin at the next one.
-        self._to_skip = 1 if fatal else _HEADER.size + (2 * _WORD_SIZE if self.wide else _WORD_SIZE) * count
+        self.bytes_to_skip = 1 if fatal else _HEADER.size + (2 * _WORD_SIZE if self.wide else _WORD_SIZE) * count
         if was_lost:
             return []
         if bounds is None:
@@ -267,7 +248,7 @@ def serial_argument_bounds(name: str) -> tuple[tuple[str, int, int], ...]:
 
     Empty for unknown commands, packets and commands of variable length.
     """
-    row = BY_NAME.get(name)
+    row = commands.BY_NAME.get(name)
     if row is None or row.packet_type is not None or row.any_length or not isinstance(row.line_request, Fields):
         return ()
     bounds = []
@@ -279,7 +260,7 @@ def serial_argument_bounds(name: str) -> tuple[tuple[str, int, int], ...]:
     return tuple(bounds)
 
 
-def clamp_to_serial(call: Call) -> Call:
+def clamp_to_serial(call: commands.Call) -> commands.Call:
     """Return the call with each argument clamped to its range on the serial line.
 
     For the C interface and the gateway, which clamp without an error (docs/protocol.md, State vector).
@@ -287,12 +268,12 @@ def clamp_to_serial(call: Call) -> Call:
     bounds = serial_argument_bounds(call.name)
     if len(bounds) != len(call.args) or not bounds:
         return call
-    return Call(call.name, tuple(
+    return commands.Call(call.name, tuple(
         min(max(value, least), most) for value, (_, least, most) in zip(call.args, bounds, strict=True)
     ))
 
 
-def describe_serial_overflow(call: Call) -> str:
+def describe_serial_overflow(call: commands.Call) -> str:
     """Return an error text for the first argument out of its serial range; "" if all are in range."""
     for value, (name, least, most) in zip(call.args, serial_argument_bounds(call.name), strict=False):
         if isinstance(value, int) and not least <= value <= most:
@@ -307,20 +288,20 @@ def describe_serial_overflow(call: Call) -> str:
 _SPECIAL_TYPE_WORD, _SPECIAL_TYPE_BYTE = 15, 3
 
 
-def find_command(name: str) -> Command:
+def find_command(name: str) -> commands.Command:
     """Return the command of a C name. Raises WireError, with a suggestion, if there is none."""
     try:
-        return BY_NAME[name]
+        return commands.BY_NAME[name]
     except KeyError:
         raise WireError(describe_unknown_command(name)) from None
 
 
 def describe_unknown_command(name: str, alternatives: Iterable[str] = ()) -> str:
     """Return an error text for an unknown command, with a suggestion out of all commands and `alternatives`."""
-    return f"no command {name!r}{suggest(name, (*BY_NAME, *alternatives))}"
+    return f"no command {name!r}{suggest(name, (*commands.BY_NAME, *alternatives))}"
 
 
-def update_from_request(call: Call, wire_state: WireState) -> None:
+def update_from_request(call: commands.Call, wire_state: WireState) -> None:
     """Update the connection's state for a request that was sent or received, before its reply is read or written."""
     match call.name:
         case "ct":
@@ -335,7 +316,7 @@ def update_from_request(call: Call, wire_state: WireState) -> None:
             pass
 
 
-def encode_tcp_request(call: Call, *, wide: bool = False) -> bytes:
+def encode_tcp_request(call: commands.Call, *, wide: bool = False) -> bytes:
     """Return the bytes of a call over TCP.
 
     Raises
@@ -355,26 +336,26 @@ def encode_tcp_request(call: Call, *, wide: bool = False) -> bytes:
     return build_frame(row.tcp_type, payload, wide=wide)
 
 
-def decode_tcp_request(frame: TcpFrame) -> Call:
+def decode_tcp_request(frame: TcpFrame) -> commands.Call:
     """Return the call of a request frame. Raises WireError if its type is unknown or its values are not valid."""
-    row, payload = BY_TCP_TYPE.get(frame.type), frame.payload
+    row, payload = commands.BY_TCP_TYPE.get(frame.type), frame.payload
     if row is None:
         raise WireError(f"unknown message type {frame.type}")
     # Most queries have neither words nor arguments.
     if not payload and not row.arguments:
-        return Call(row.name)
+        return commands.Call(row.name)
     # 1. Packets of the arm are special requests whose type is in their bytes.
     if row.name == "special_request" and len(payload) > _SPECIAL_TYPE_WORD:
-        packet = BY_PACKET_TYPE.get(payload[_SPECIAL_TYPE_WORD])
+        packet = commands.BY_PACKET_TYPE.get(payload[_SPECIAL_TYPE_WORD])
         if packet is not None:
             # A user packet may have the same number as one of the arm.
             with contextlib.suppress(WireError):
-                return Call(packet.name, _parse_words(packet, payload))
+                return commands.Call(packet.name, _parse_words(packet, payload))
     # 2. Any other command.
-    return Call(row.name, _parse_words(row, payload))
+    return commands.Call(row.name, _parse_words(row, payload))
 
 
-def _parse_words(row: Command, payload: bytes) -> tuple[Any, ...]:
+def _parse_words(row: commands.Command, payload: bytes) -> tuple[Any, ...]:
     """Return the arguments in the words of a request."""
     least, most = row.tcp_words
     count = len(payload) // _WORD_SIZE
@@ -389,16 +370,16 @@ def _parse_words(row: Command, payload: bytes) -> tuple[Any, ...]:
         raise WireError(f"{row.name}: {summarize_error(error)}") from None
 
 
-def encode_tcp_reply(row: Command, reply: Reply, wire_state: WireState) -> bytes:
+def encode_tcp_reply(row: commands.Command, reply: Reply, wire_state: WireState) -> bytes:
     """Return the bytes of a reply over TCP; an error reply has its own layout and type."""
     layout = shape.ERROR if reply.kind == "error" else row.tcp_reply
     payload = build_tcp_payload(layout, reply, wire_state)
-    return build_frame(REPLY_TYPES[layout], payload, wide=wire_state.wide, reply=True)
+    return build_frame(commands.REPLY_TYPES[layout], payload, wide=wire_state.wide, reply=True)
 
 
-def decode_tcp_reply(row: Command, frame: TcpFrame, wire_state: WireState) -> Reply:
+def decode_tcp_reply(row: commands.Command, frame: TcpFrame, wire_state: WireState) -> Reply:
     """Parse the reply to a command. Like old clients it looks at the frame's type only for an error."""
-    layout = shape.ERROR if frame.type == ERROR_TYPE else row.tcp_reply
+    layout = shape.ERROR if frame.type == commands.ERROR_TYPE else row.tcp_reply
     return parse_tcp_payload(layout, frame.payload, wire_state)
 
 
@@ -488,7 +469,7 @@ def _pack_words(code: str, words: Sequence[int]) -> bytes:
         raise WireError(f"a word is a whole number, -2^31 to 2^31 - 1, not {(wrong or [min(words)])[0]!r}") from None
 
 
-def encode_serial_request(call: Call, wire_state: WireState) -> bytes:
+def encode_serial_request(call: commands.Call, wire_state: WireState) -> bytes:
     """Return the bytes of a call on the serial line.
 
     Raises
@@ -497,7 +478,7 @@ def encode_serial_request(call: Call, wire_state: WireState) -> bytes:
         If this model does not have the command, an argument is out of range or the frame is too long.
     """
     row = find_command(call.name)
-    if row.line_type is None or not exists_on_serial(row, wire_state.model):
+    if row.line_type is None or not commands.exists_on_serial(row, wire_state.model):
         raise WireError(f"{call.name} does not exist on the line of a {wire_state.model.name}")
     if overflow := describe_serial_overflow(call):
         raise WireError(overflow)
@@ -512,34 +493,34 @@ def encode_serial_request(call: Call, wire_state: WireState) -> bytes:
     return frame
 
 
-def decode_serial_request(frame: SerialFrame, wire_state: WireState) -> Call:
+def decode_serial_request(frame: SerialFrame, wire_state: WireState) -> commands.Call:
     """Return the call of a host's frame. Raises WireError if this model does not have the command or the data."""
-    row = BY_LINE_TYPE.get(frame.type)
-    if row is None or not exists_on_serial(row, wire_state.model):
+    row = commands.BY_LINE_TYPE.get(frame.type)
+    if row is None or not commands.exists_on_serial(row, wire_state.model):
         raise WireError(f"type {frame.type} does not exist on the line of a {wire_state.model.name}")
     # Packets of the arm as over TCP.
     if row.name == "special_request" and len(frame.data) > _SPECIAL_TYPE_BYTE:
-        packet = BY_PACKET_TYPE.get(frame.data[_SPECIAL_TYPE_BYTE])
+        packet = commands.BY_PACKET_TYPE.get(frame.data[_SPECIAL_TYPE_BYTE])
         if packet is not None:
             with contextlib.suppress(WireError):
                 return _parse_line_data(packet, frame.data)
     return _parse_line_data(row, frame.data)
 
 
-def _parse_line_data(row: Command, data: bytes) -> Call:
+def _parse_line_data(row: commands.Command, data: bytes) -> commands.Call:
     # Most queries have neither data nor arguments.
     if not data and not row.arguments:
-        return Call(row.name)
+        return commands.Call(row.name)
     try:
-        return Call(row.name, tuple(requests.parse(row.line_request, data)))
+        return commands.Call(row.name, tuple(requests.parse(row.line_request, data)))
     except (ConstructError, WireError) as error:
         raise WireError(f"{row.name}: {summarize_error(error)}") from None
 
 
-def encode_serial_reply(row: Command, reply: Reply, wire_state: WireState) -> bytes:
+def encode_serial_reply(row: commands.Command, reply: Reply, wire_state: WireState) -> bytes:
     """Return the bytes of a robot's reply on the serial line; a NAK has its own type."""
     if reply.kind == "nak":
-        return serial_framing.build_frame(NAK_TYPE)
+        return serial_framing.build_frame(commands.NAK_TYPE)
     if row.line_type is None:
         raise WireError(f"{row.name} does not exist on a robot's own line")
     return serial_framing.build_frame(row.line_type, row.line_reply.build(reply, wire_state))
@@ -547,15 +528,15 @@ def encode_serial_reply(row: Command, reply: Reply, wire_state: WireState) -> by
 
 def decode_serial_reply(frame: SerialFrame, wire_state: WireState) -> Reply:
     """Parse a robot's reply; the frame's type is that of the command. Raises WireError if it fits no layout."""
-    if frame.type == NAK_TYPE:
+    if frame.type == commands.NAK_TYPE:
         return shape.LINE_NAK.parse(frame.data, wire_state)
-    row = BY_LINE_TYPE.get(frame.type)
-    if row is None or not exists_on_serial(row, wire_state.model):
+    row = commands.BY_LINE_TYPE.get(frame.type)
+    if row is None or not commands.exists_on_serial(row, wire_state.model):
         raise WireError(f"no answer of type {frame.type} comes from a {wire_state.model.name}")
     return row.line_reply.parse(frame.data, wire_state)
 
 
-def _check_argument_count(row: Command, args: tuple[Any, ...]) -> None:
+def _check_argument_count(row: commands.Command, args: tuple[Any, ...]) -> None:
     # Checked here, for an error that names them; values by the layout.
     if not row.any_length and len(row.arguments) != len(args):
         names = ", ".join(argument.name for argument in row.arguments) or "nothing"

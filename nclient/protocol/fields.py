@@ -10,8 +10,6 @@ Numbers are packed as runs (class Run): one call of struct per run instead of on
 times as fast.
 """
 
-from __future__ import annotations
-
 import struct
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence

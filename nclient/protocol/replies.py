@@ -21,19 +21,7 @@ from typing import Any, Final, NamedTuple
 from construct import Construct, ConstructError, GreedyRange, Int8ub
 
 from nclient.errors import WireError
-from nclient.protocol.fields import (
-    BYTES,
-    LINE_CLOCK,
-    SHORTS,
-    SIGNED_SHORTS,
-    BumperBytes,
-    LineLaser,
-    LineNibbles,
-    LineRun,
-    LineSlots,
-    LineStamps,
-    Masked,
-)
+from nclient.protocol import fields
 from nclient.protocol.types import BUMPER_SLOT, COMPASS_SLOT, LASER_SLOT, Mask, Position, Stamp
 from nclient.protocol.wire_state import LINES, PIXELS, WireState, line_laser_width
 
@@ -126,7 +114,7 @@ class _Member(NamedTuple):
 
 
 def _member(name: str, subcon: Construct) -> _Member:
-    is_absent = subcon.is_absent if isinstance(subcon, Masked) else None
+    is_absent = subcon.is_absent if isinstance(subcon, fields.Masked) else None
     return _Member(name, name.partition("_")[0], subcon._parse, subcon._build, is_absent)
 
 
@@ -244,55 +232,39 @@ ERROR = TcpLayout("error", values=1)
 # clock and voltages are always there.
 LINE_STATE = LineLayout(
     "state",
-    slots_infrared=LineNibbles(1, 16),
-    stamps_infrared=LineStamps(Position.INFRARED, range(1, 17)),
-    slots_sonar=LineSlots(17, 32, BYTES),
-    stamps_sonar=LineStamps(Position.SONAR, range(17, 33)),
-    slots_bumper=BumperBytes(BUMPER_SLOT),
-    stamps_bumper=LineStamps(Position.BUMPER, (BUMPER_SLOT,)),
-    slots_pose=LineSlots(34, 40, SIGNED_SHORTS),
-    slots_compass=LineSlots(COMPASS_SLOT, COMPASS_SLOT, SIGNED_SHORTS),
-    stamps_compass=LineStamps(Position.COMPASS, (COMPASS_SLOT,)),
-    laser=LineLaser(lambda wire_state: line_laser_width(wire_state.laser_mode), masked_by=LASER_SLOT),
-    stamps_laser=LineStamps(Position.LASER, (LASER_SLOT,)),
-    slots_motors=LineSlots(MOTOR_SLOT, MOTOR_SLOT, BYTES, masked=False),
-    clock=LINE_CLOCK,
-    volts=LineRun(2, BYTES),
+    slots_infrared=fields.LineNibbles(1, 16),
+    stamps_infrared=fields.LineStamps(Position.INFRARED, range(1, 17)),
+    slots_sonar=fields.LineSlots(17, 32, fields.BYTES),
+    stamps_sonar=fields.LineStamps(Position.SONAR, range(17, 33)),
+    slots_bumper=fields.BumperBytes(BUMPER_SLOT),
+    stamps_bumper=fields.LineStamps(Position.BUMPER, (BUMPER_SLOT,)),
+    slots_pose=fields.LineSlots(34, 40, fields.SIGNED_SHORTS),
+    slots_compass=fields.LineSlots(COMPASS_SLOT, COMPASS_SLOT, fields.SIGNED_SHORTS),
+    stamps_compass=fields.LineStamps(Position.COMPASS, (COMPASS_SLOT,)),
+    laser=fields.LineLaser(lambda wire_state: line_laser_width(wire_state.laser_mode), masked_by=LASER_SLOT),
+    stamps_laser=fields.LineStamps(Position.LASER, (LASER_SLOT,)),
+    slots_motors=fields.LineSlots(MOTOR_SLOT, MOTOR_SLOT, fields.BYTES, masked=False),
+    clock=fields.LINE_CLOCK,
+    volts=fields.LineRun(2, fields.BYTES),
 )
-# Replies to get_* commands carry all their values, whatever the mask.
-LINE_INFRARED = LineLayout(
-    "infrared",
-    slots=LineNibbles(1, 16, masked=False),
-    stamps=LineStamps(Position.INFRARED),
-    clock=LINE_CLOCK,
+
+
+def _line_query(kind: str, position: Position, **readings: Construct) -> LineLayout:
+    """Return the layout of the reply to a get_* command: all its readings, whatever the mask, stamps and clock."""
+    return LineLayout(kind, **readings, stamps=fields.LineStamps(position), clock=fields.LINE_CLOCK)
+
+
+LINE_INFRARED = _line_query("infrared", Position.INFRARED, slots=fields.LineNibbles(1, 16, masked=False))
+LINE_SONAR = _line_query("sonar", Position.SONAR, slots=fields.LineSlots(17, 32, fields.BYTES, masked=False))
+LINE_BUMPER = _line_query("bumper", Position.BUMPER, slots=fields.BumperBytes(BUMPER_SLOT, masked=False))
+LINE_COMPASS = _line_query(
+    "compass", Position.COMPASS, slots=fields.LineSlots(COMPASS_SLOT, COMPASS_SLOT, fields.SHORTS, masked=False)
 )
-LINE_SONAR = LineLayout(
-    "sonar",
-    slots=LineSlots(17, 32, BYTES, masked=False),
-    stamps=LineStamps(Position.SONAR),
-    clock=LINE_CLOCK,
-)
-LINE_BUMPER = LineLayout(
-    "bumper",
-    slots=BumperBytes(BUMPER_SLOT, masked=False),
-    stamps=LineStamps(Position.BUMPER),
-    clock=LINE_CLOCK,
-)
-LINE_COMPASS = LineLayout(
-    "compass",
-    slots=LineSlots(COMPASS_SLOT, COMPASS_SLOT, SHORTS, masked=False),
-    stamps=LineStamps(Position.COMPASS),
-    clock=LINE_CLOCK,
-)
-LINE_LASER = LineLayout(
-    "laser", laser=LineLaser(lambda _: PIXELS), stamps=LineStamps(Position.LASER), clock=LINE_CLOCK
-)
-LINE_SEGMENTS = LineLayout(
-    "laser", laser=LineLaser(lambda _: LINES), stamps=LineStamps(Position.LASER), clock=LINE_CLOCK
-)
-LINE_CONFIGURATION = LineLayout("configuration", slots=LineSlots(34, 37, SIGNED_SHORTS, masked=False))
-LINE_VELOCITY = LineLayout("velocity", slots=LineSlots(38, 40, SIGNED_SHORTS, masked=False))
+LINE_LASER = _line_query("laser", Position.LASER, laser=fields.LineLaser(lambda _: PIXELS))
+LINE_SEGMENTS = _line_query("laser", Position.LASER, laser=fields.LineLaser(lambda _: LINES))
+LINE_CONFIGURATION = LineLayout("configuration", slots=fields.LineSlots(34, 37, fields.SIGNED_SHORTS, masked=False))
+LINE_VELOCITY = LineLayout("velocity", slots=fields.LineSlots(38, 40, fields.SIGNED_SHORTS, masked=False))
 LINE_NOTHING = LineLayout("velocity")
-LINE_CALIBRATION = LineLayout("compass", values=LineRun(3, BYTES))
+LINE_CALIBRATION = LineLayout("compass", values=fields.LineRun(3, fields.BYTES))
 LINE_SPECIAL = LineLayout("special", values=GreedyRange(Int8ub))
 LINE_NAK = LineLayout("nak")

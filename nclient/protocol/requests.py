@@ -114,11 +114,9 @@ class TcpArguments(Protocol):
 
     def decode(self, words: Arguments[int]) -> tuple[Any, ...]:
         """Return the arguments in these words."""
-        ...
 
     def encode(self, args: Arguments[Any]) -> Arguments[int]:
         """Return the words of these arguments."""
-        ...
 
 
 class FlagWords:

@@ -20,8 +20,6 @@ the robot's run continues.
        0.105  < ! 3 bytes that are no frame
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json
@@ -33,7 +31,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, TextIO
 
-from nclient.common.files import describe_write_error, write_error_hint
+from nclient.common.files import write_error_hint, write_errors_as
 from nclient.errors import RecordingError
 
 log = logging.getLogger(__name__)
@@ -118,10 +116,8 @@ class RecordingWriter:
         self.failed = False
         self._closed = False
         self._lock = threading.Lock()
-        try:
+        with write_errors_as(RecordingError, path):
             self._file = path.open("w", encoding="utf-8")
-        except OSError as error:
-            raise RecordingError(describe_write_error(path, error)) from error
         self._line({"format": FORMAT, "version": VERSION} | dict(header))
 
     def write(self, entry: Entry) -> None:

@@ -13,8 +13,6 @@ The clock is passed in; without one, times are the robot's clock in its replies,
 the same file every time.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from datetime import datetime
 from pathlib import Path

@@ -12,8 +12,6 @@ bytes, incomplete frames and missing replies. Process ids differ in every run an
 No I/O and no clock: each chunk has its delay after the request, and the caller waits for it or does not.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple

@@ -7,8 +7,6 @@ TCP connections wait in an `AcceptQueue`. Those that have sent something are ser
 however many, do not block a client with a request. A pseudo-terminal stands behind a symbolic link; POSIX only.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import select

@@ -5,8 +5,6 @@ pyserial opens and configures the port; bytes are then read and written through 
 the time and needs a system whose poll() supports terminals. This is the only module that imports serial.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import os

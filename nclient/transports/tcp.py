@@ -1,7 +1,5 @@
 """A TCP connection as a byte stream. Every OSError becomes a ConnectionLost that names host and port."""
 
-from __future__ import annotations
-
 import contextlib
 import socket
 from typing import Final

@@ -6,8 +6,6 @@ Files are read here, and named by absolute paths, because the server may run in 
 nclient.common.exit_codes. A server of another version costs an error message, never a traceback.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os
@@ -18,14 +16,13 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
-from nclient.common.arguments import Parser
+from nclient.common.arguments import Parser, add_flag
 from nclient.common.exit_codes import ExitCode
 from nclient.common.hints import suggest
 from nclient.errors import ConnectionLost, ControlError, NomadError
 from nclient.faults.plan import read_plan
 from nserver_emu.control.commands import BY_NAME, COMMANDS, MAX_SPEED, ControlCommand
-from nserver_emu.control.options import socket_path
-from nserver_emu.control.socket import MAX_LINE, default_path
+from nserver_emu.control.socket import MAX_LINE, default_path, socket_path
 from nserver_emu.simulation.noise import PARTS, SETUPS
 from worlds.io import read_world_text
 
@@ -245,7 +242,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options, which may stand before, between and after the words."""
     parser.add_argument("--control", type=socket_path, metavar="PATH",
                         help="control socket of the server (default: the user's own)")
-    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    add_flag(parser, "--json", "print the result as JSON")
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -6,8 +6,6 @@ One JSON object per line, in each direction. Only the owner of the server can op
 permissions. An invalid request is answered with what is valid, and changes nothing.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import json
@@ -26,16 +24,7 @@ from nclient.faults.frames import total
 from nclient.faults.plan import parse_plan, plan_text
 from nserver_emu.persistence import snapshot
 from nserver_emu.server.context import MAX_TIME_FACTOR, MIN_TIME_FACTOR
-from nserver_emu.server.handlers.runtime_settings import (
-    OBSTACLE_USAGE,
-    change_obstacle,
-    noise_of,
-    noise_words,
-    put_world,
-    read_world_file,
-    show_world,
-    switch_noise,
-)
+from nserver_emu.server.handlers import runtime_settings
 from nserver_emu.server.handlers.server import MAX_STEP_MS
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.link import FaultController
@@ -60,31 +49,24 @@ class ControlledServer(Protocol):
 
     def step(self, dt_s: float) -> None:
         """Advance simulated time."""
-        ...
 
     def record_clock(self) -> None:
         """Record that the clock was changed."""
-        ...
 
     def record_change(self, change: Mapping[str, Any]) -> None:
         """Record a change of the simulation (runtime_settings.py)."""
-        ...
 
     def hold(self, robot_ids: Iterable[int], by: str) -> None:
         """Stop these robots and ignore motion commands until they are released."""
-        ...
 
     def release(self, robot_ids: Iterable[int]) -> None:
         """Release these robots."""
-        ...
 
     def lines(self) -> Mapping[str, str]:
         """Return the address of each line by its name."""
-        ...
 
     def connected_clients(self) -> list[JsonObject]:
-        """Return name, robot, waiting and refused of each connection."""
-        ...
+        """Return name, robot, waiting, refused, number and cpu_s of each connection."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +104,7 @@ async def answer_line_in_thread(server: ControlledServer, line: bytes) -> bytes:
         world = None
         if text not in server.emulator.exported_worlds:
             with _short_switch_interval():
-                world = await asyncio.to_thread(read_world_file, text, file)
+                world = await asyncio.to_thread(runtime_settings.read_world_file, text, file)
         answer = {"ok": True, "said": _put_world(server, argument, world)}
     except NomadError as error:
         answer = {"ok": False, "error": str(error)}
@@ -174,7 +156,8 @@ def status(server: ControlledServer, _: object = None) -> JsonObject:
                 "number": number, "model": robot.model.name, "moving": any(robot.moving), "bumpers": robot.bumpers,
                 "x_in": round(robot.actual.x_in, 3), "y_in": round(robot.actual.y_in, 3),
                 "steering_deg": round(math.degrees(robot.actual.steering_rad), 2),
-                "turret_deg": round(math.degrees(robot.actual.turret_rad), 2), "noise": noise_of(robot),
+                "turret_deg": round(math.degrees(robot.actual.turret_rad), 2),
+                "noise": runtime_settings.noise_of(robot),
                 "held": None if (hold := emulator.estop.get(number)) is None else hold.as_dict(),
             }
             for number, robot in simulation.robots.items()
@@ -301,16 +284,16 @@ def _help(_served: ControlledServer, _: object) -> JsonObject:
 
 
 def _noise(server: ControlledServer, argument: object) -> JsonObject:
-    change = noise_words(argument) if isinstance(argument, str) else argument
+    change = runtime_settings.noise_words(argument) if isinstance(argument, str) else argument
     if not isinstance(change, dict):
         raise ControlError(f"noise: a text or an object, not {argument!r}")
-    result = {"noise": switch_noise(server.emulator, change)}
+    result = {"noise": runtime_settings.switch_noise(server.emulator, change)}
     server.record_change({"noise": change})
     return result
 
 
 def _show_world(server: ControlledServer, _: object) -> JsonObject:
-    text = show_world(server.emulator)
+    text = runtime_settings.show_world(server.emulator)
     server.record_change({"shown": True})
     return {"text": text}
 
@@ -318,7 +301,7 @@ def _show_world(server: ControlledServer, _: object) -> JsonObject:
 def _put_world(server: ControlledServer, argument: object, world: World | None = None) -> JsonObject:
     """Replace the world by that of a text; `world` is what was read from it already."""
     text, file = _world_text(argument)
-    world = put_world(server.emulator, text, file, world)
+    world = runtime_settings.put_world(server.emulator, text, file, world)
     server.record_change({"world": {"text": text, "file": file}})
     return {"world": world.name}
 
@@ -337,8 +320,8 @@ def _obstacle(server: ControlledServer, argument: object) -> JsonObject:
     except (ValueError, RecursionError):
         change = None
     if not isinstance(change, dict):
-        raise ControlError(f"{OBSTACLE_USAGE}, not {argument!r:.200}")
-    result = change_obstacle(server.emulator, change)
+        raise ControlError(f"{runtime_settings.OBSTACLE_USAGE}, not {argument!r:.200}")
+    result = runtime_settings.change_obstacle(server.emulator, change)
     server.record_change({"obstacle": change})
     return result
 

@@ -13,8 +13,6 @@ Access to one real robot (`Ownership`):
 Nothing here waits, starts a thread or reads a clock: the clock is passed in, and a reply that needs time is deferred.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
@@ -25,20 +23,9 @@ from nclient.errors import AddressError
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import EVERYTHING
+from nserver_emu.gateway import translate
 from nserver_emu.gateway.robot_worker import SLOW, STOP, Job, JobResult, RobotWorker
 from nserver_emu.gateway.shadow import ShadowSimulation, SimulatedBackend
-from nserver_emu.gateway.translate import (
-    MAX_TIMEOUT_S,
-    REAL_TIME,
-    REFRESH,
-    Link,
-    ReplyBuilder,
-    TranslatedCall,
-    moving_axes,
-    plan,
-    state_for,
-    stays_here,
-)
 from nserver_emu.server.estop import MOTIONS, moves
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.session import REFUSED, ConnectionContext, DeferredReply, done, error_reply
@@ -148,7 +135,7 @@ class RealRobotProxy:
         """Return the reply to a connection's call, or a deferred reply."""
         self._note_owner_alive(context)
         # 1. Translate: the calls for the robot, and the reply that is made from its last answer.
-        translated = plan(call, context, self.robot.link)
+        translated = translate.plan(call, context, self.robot.link)
         if isinstance(translated, int):
             return error_reply(translated)
         # 2. Check that this connection may do that.
@@ -159,14 +146,14 @@ class RealRobotProxy:
             case "ws":
                 return self._wait(call.args, context)
             case "ct":
-                translated = TranslatedCall(self._set_stamp_mask(context) or translated.calls, translated.build_reply)
+                translated = translated._replace(calls=self._set_stamp_mask(context) or translated.calls)
             case "conf_tm":
                 self._timeout = (context, translated.calls[0].args[0]) if call.args[0] > 0 else None
-                translated = TranslatedCall((self._timeout_call(),), translated.build_reply)
+                translated = translate.TranslatedCall((self._timeout_call(),), translated.build_reply)
             case _:
                 pass
         # 4. Queue the calls. A request for the state shares the reply that others wait for.
-        if translated.calls != (REFRESH,):
+        if translated.calls != (translate.REFRESH,):
             return self._defer(self._submit(translated.calls, call), translated.build_reply, context)
         if self.robot.current_command in SLOW and self.last is not None:  # the latest state; its clock shows its age
             return translated.build_reply(context, self.last, self.robot.link)
@@ -221,7 +208,7 @@ class RealRobotProxy:
             is_slow = job.calls[0].name in SLOW  # the shadow began it when it was submitted
             self._update_shadow(() if is_slow else job.simulated_calls, states[-1] if states else None)
 
-    def opening_calls(self, link: Link, reconnected: bool) -> Iterable[Call]:
+    def opening_calls(self, link: translate.Link, reconnected: bool) -> Iterable[Call]:
         """Yield the first calls after a (re)connection: stop where the robot was lost, watchdog, mask."""
         if not self.ownership.read_only:
             # While the robot was lost its clients may have wanted it to stop.
@@ -249,8 +236,8 @@ class RealRobotProxy:
     def _elapsed_s(self, since_s: float) -> float:
         """Return the seconds since then at the robot's pace: a simulation behind another Nserver may run faster."""
         # State[0] is ten times the pace.
-        pace = REAL_TIME if self.last is None else self.last.slots.get(_SPEED_SLOT, REAL_TIME)
-        return (self._clock() - since_s) * pace / REAL_TIME
+        pace = translate.REAL_TIME if self.last is None else self.last.slots.get(_SPEED_SLOT, translate.REAL_TIME)
+        return (self._clock() - since_s) * pace / translate.REAL_TIME
 
     def _submit(self, calls: tuple[Call, ...], request: Call | None = None) -> Job:
         self._last_sent_s = self._clock()
@@ -263,7 +250,7 @@ class RealRobotProxy:
         if self.shadow is not None and self.active:
             self.shadow.update(calls, state)
 
-    def _defer(self, job: Job, build_reply: ReplyBuilder, context: ConnectionContext) -> DeferredReply:
+    def _defer(self, job: Job, build_reply: translate.ReplyBuilder, context: ConnectionContext) -> DeferredReply:
         def poll() -> Reply | None:
             self._note_owner_alive(context)
             self.process_results()
@@ -271,7 +258,7 @@ class RealRobotProxy:
 
         return poll
 
-    def _reply(self, result: JobResult, build_reply: ReplyBuilder, context: ConnectionContext) -> Reply:
+    def _reply(self, result: JobResult, build_reply: translate.ReplyBuilder, context: ConnectionContext) -> Reply:
         if result.code is not None:
             return error_reply(result.code)
         return build_reply(context, result.replies[-1], self.robot.link)
@@ -305,9 +292,9 @@ class RealRobotProxy:
                 state = result.replies[-1]
                 now_ms = state.clock or 0
                 start_ms = now_ms if start_ms is None else start_ms
-                if moving_axes(state) & axes and (now_ms - start_ms) % _CLOCK_MODULUS_MS < timeout_ms:
+                if translate.moving_axes(state) & axes and (now_ms - start_ms) % _CLOCK_MODULUS_MS < timeout_ms:
                     return None
-            return self._reply(result, state_for, context)
+            return self._reply(result, translate.state_for, context)
 
         return poll
 
@@ -327,7 +314,7 @@ class RealRobotProxy:
 
     def _timeout_call(self) -> Call:
         timeout_s = TIMEOUT_S if self._timeout is None else self._timeout[1]
-        return Call("conf_tm", (min(timeout_s, MAX_TIMEOUT_S),))
+        return Call("conf_tm", (min(timeout_s, translate.MAX_TIMEOUT_S),))
 
 
 class Gateway:
@@ -376,7 +363,7 @@ class Gateway:
             return self._emulator.answer(call, context)
         if call.name in (REAL, SIMULATED):
             return self._switch(proxy, context, to_real=call.name == REAL)
-        if not proxy.active or stays_here(call.name):
+        if not proxy.active or translate.stays_here(call.name):
             return self._emulator.answer(call, context)
         effective = self._emulator.estop.effective_call(call, context.robot_id)
         return error_reply(REFUSED) if effective is None else proxy.answer(effective, context)

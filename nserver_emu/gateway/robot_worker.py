@@ -9,8 +9,6 @@ again. Requests for the state that wait at the same time share one reply.
 `run_next` can be called without a thread; it reads no clock, and returns the pause that it wants.
 """
 
-from __future__ import annotations
-
 import logging
 import threading
 from collections import deque

@@ -6,8 +6,6 @@ The address is any that `connect` accepts. Time-out, keep-alive and reconnecting
 provide, are switched off there, since the gateway handles them itself.
 """
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import contextlib
@@ -21,6 +19,7 @@ from typing import Final
 
 from nclient.backends.base import Backend
 from nclient.backends.wrappers import POLL_S, SpeedLimiter
+from nclient.common.arguments import ABOVE_ZERO, add_flag, add_value, number
 from nclient.connector import Connector
 from nclient.url import parse_address
 from nserver_emu.gateway.gateway import TIMEOUT_S, Gateway, RealRobotProxy
@@ -48,38 +47,15 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="drive this robot as robot 1: any address, such as serial:///dev/ttyUSB0?model=n150; "
         "clients switch with real_robot and simulated_robot; default at the start: real",
     )
-    group.add_argument(
-        "--real-read-only",
-        action="store_true",
-        help="refuse (ERROR 5) all that would move or change the real robot; st works",
-    )
-    group.add_argument(
-        "--max-speed", type=_speed, metavar="IN_S", help="limit the speed of the real robot to IN_S inches a second"
-    )
-    group.add_argument(
-        "--max-turn",
-        type=_speed,
-        metavar="DEG_S",
-        help="limit the speed of steering and turret to DEG_S degrees a second",
-    )
-    group.add_argument(
-        "--shadow",
-        action="store_true",
-        help="let the simulation repeat what the real robot does, and log the differences",
-    )
-    group.add_argument(
-        "--shadow-report",
-        type=Path,
-        metavar="FILE",
-        help="write the differences to FILE at the end: CSV where it ends in .csv, else JSON",
-    )
-    group.add_argument(
-        "--shadow-every",
-        type=_speed,
-        default=SUMMARY_S,
-        metavar="S",
-        help=f"log a summary of the differences every S seconds (default {SUMMARY_S:g})",
-    )
+    add_flag(group, "--real-read-only", "refuse (ERROR 5) all that would move or change the real robot; st works")
+    speed = number("a number above 0", ABOVE_ZERO)
+    add_value(group, "--max-speed", "IN_S", speed, "limit the speed of the real robot to IN_S inches a second")
+    add_value(group, "--max-turn", "DEG_S", speed, "limit the speed of steering and turret to DEG_S degrees a second")
+    add_flag(group, "--shadow", "let the simulation repeat what the real robot does, and log the differences")
+    add_value(group, "--shadow-report", "FILE", Path,
+              "write the differences to FILE at the end: CSV where it ends in .csv, else JSON")
+    add_value(group, "--shadow-every", "S", speed,
+              f"log a summary of the differences every S seconds (default {SUMMARY_S:g})", SUMMARY_S)
 
 
 def refuse(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
@@ -220,13 +196,3 @@ def _connect(options: argparse.Namespace, faults: FaultController | None) -> Rea
     return RealRobotProxy(
         lambda: wrap(connector.open()), time.monotonic, read_only=options.real_read_only, feed_s=feed_s
     )
-
-
-def _speed(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0.0 < value < math.inf:
-        raise argparse.ArgumentTypeError(f"a number above 0, not {text!r}")
-    return value

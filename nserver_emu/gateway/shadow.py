@@ -6,8 +6,6 @@ The differences are real minus simulated, per quantity, in inches, degrees and s
 robots have an echo; cases in which only one has an echo are counted. 255 is no echo, 0 a defective sonar.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import json
@@ -19,7 +17,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from nclient.backends.base import Backend
-from nclient.common.files import describe_write_error
+from nclient.common.files import write_errors_as
 from nclient.errors import RecordingError, RobotRefused
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
@@ -146,10 +144,8 @@ class ShadowReport:
             If the file cannot be written.
         """
         text = self.as_csv() if path.suffix.lower() == ".csv" else self.as_json(address)
-        try:
+        with write_errors_as(RecordingError, path, "the report of the shadow"):
             path.write_text(text, encoding="utf-8")
-        except OSError as error:
-            raise RecordingError(describe_write_error(path, error, "the report of the shadow")) from error
 
     def as_json(self, address: str) -> str:
         """Return address, model, number of compared states, and the quantities by name."""

@@ -13,8 +13,6 @@ A command without a row here is answered by the simulation. What the robot lacks
 without stamps included. Numbers beyond the range of the robot's line are clamped to it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Final, NamedTuple

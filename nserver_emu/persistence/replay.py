@@ -6,8 +6,6 @@ Entries are followed in their order, the order in which the server processed the
 replayed as well. No clock, no socket; the first difference ends the replay.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, Final, Protocol
 
@@ -52,7 +50,6 @@ class Replayer(Protocol):
 
     def follow(self, entry: Entry) -> bytes:
         """Apply the next entry and return the bytes that the robot sends."""
-        ...
 
 
 def replay(recording: Recording) -> ReplayResult:

@@ -180,43 +180,28 @@ def decoder(kind: Any) -> Decoder:
     return lambda data: kind(*fields(data))
 
 
-def _bool(data: Any) -> bool:
-    if not isinstance(data, bool):
-        raise ValueError("expected true or false")
-    return data
+def _expecting(what: str, is_valid: Callable[[Any], bool], make: Callable[[Any], Any] = lambda data: data) -> Decoder:
+    """Return a decoder that checks a value, and says what it expected."""
+
+    def decode(data: Any) -> Any:
+        if not is_valid(data):
+            raise ValueError(f"expected {what}")
+        return make(data)
+
+    return decode
 
 
-def _int(data: Any) -> int:
-    if not isinstance(data, int) or isinstance(data, bool) or data.bit_length() > MAX_BITS:
-        raise ValueError("expected a whole number")
-    return data
-
-
-def _float(data: Any) -> float:
-    if not isinstance(data, int | float) or isinstance(data, bool) or not isfinite(data) or abs(data) > MAX_NUMBER:
-        raise ValueError("expected a number")
-    return float(data)
-
-
-def _str(data: Any) -> str:
-    if not isinstance(data, str):
-        raise ValueError("expected a text")
-    return data
-
-
-_SCALARS: Final[Mapping[type, Decoder]] = {bool: _bool, int: _int, float: _float, str: _str}
-
-
-def _array(data: Any) -> list[Any]:
-    if not isinstance(data, list):
-        raise ValueError("expected an array")
-    return data
-
-
-def _object(data: Any) -> dict[str, Any]:
-    if not isinstance(data, dict):
-        raise ValueError("expected an object")
-    return data
+# JSON has no other types than these, and type() tells true and false from numbers.
+_SCALARS: Final[Mapping[type, Decoder]] = {
+    bool: _expecting("true or false", lambda data: isinstance(data, bool)),
+    int: _expecting("a whole number", lambda data: type(data) is int and data.bit_length() <= MAX_BITS),
+    float: _expecting(
+        "a number", lambda data: type(data) in (int, float) and isfinite(data) and abs(data) <= MAX_NUMBER, float
+    ),
+    str: _expecting("a text", lambda data: isinstance(data, str)),
+}
+_array: Final = _expecting("an array", lambda data: isinstance(data, list))
+_object: Final = _expecting("an object", lambda data: isinstance(data, dict))
 
 
 def _decode(decode: Decoder, data: Any, key: str | int) -> Any:
@@ -304,14 +289,18 @@ def _dataclass_decoder(kind: type, hints: Mapping[str, Any]) -> Decoder:
 
 def save(emulator: Emulator, path: Path) -> None:
     """Write a snapshot to a regular file. Raises SnapshotError where it cannot be written."""
-    # A pipe or a device could block the whole server.
-    if path.exists() and not path.is_file():
-        raise SnapshotError(f"{path}: cannot be written: it is no regular file; name another file")
+    require_regular(path)
     write(dumps(emulator), path)
 
 
+def require_regular(path: Path) -> None:
+    """Raise SnapshotError for a pipe or a device, which could block the whole server; a new file is possible."""
+    if path.exists() and not path.is_file():
+        raise SnapshotError(f"{path}: cannot be written: it is no regular file; name another file")
+
+
 def write(text: str, path: Path, ending: str = "") -> None:
-    """Write a snapshot's text to a file.
+    """Write a snapshot's text to a regular file.
 
     Raises SnapshotError, and leaves the previous file, if it cannot be written or would be too long to be read again.
 
@@ -320,6 +309,7 @@ def write(text: str, path: Path, ending: str = "") -> None:
     ending
         Of the temporary file, as for `write_atomic`.
     """
+    require_regular(path)
     if len(text) > SNAPSHOT_BYTES:  # the text is ASCII
         raise SnapshotError(f"{path}: cannot be written: {len(text)} bytes, and no more than {SNAPSHOT_BYTES} are read "
                             "again; lower --limit-graphics or --limit-obstacles")

@@ -8,8 +8,6 @@ Connections that do nothing cannot lock others out: at a limit the longest idle 
 more are accepted for a short time, so that `nomad stop` gets through (`ConnectionReserve`).
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import errno
@@ -100,11 +98,9 @@ class AdmissionRules(Protocol):
 
     def rejection_reason(self, host: str, present: Collection[str], at: str = "") -> str:
         """Return the reason to reject a new connection, empty to accept it."""
-        ...
 
     def reject(self, host: str, reason: str) -> None:
         """Count and log a rejected connection."""
-        ...
 
 
 class AdmissionProtocol(asyncio.Protocol):
@@ -156,11 +152,9 @@ class ReservableConnection(Protocol):
     @property
     def idle_s(self) -> float:
         """Seconds since the last bytes from the client."""
-        ...
 
     def close_because(self, reason: str) -> None:
         """Close the connection now and log the reason."""
-        ...
 
 
 class ConnectionReserve:

@@ -13,8 +13,6 @@ over the second connection removes the entry of the first too.
 No sockets: a connection is represented by any hashable key.
 """
 
-from __future__ import annotations
-
 from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import Final

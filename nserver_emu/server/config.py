@@ -1,7 +1,5 @@
 """The configuration of a simulation from a command line or an address, and free start poses for its robots."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence

@@ -18,7 +18,7 @@ event-loop turn. Turns are bounded by cost, and shared by the processor time tha
     bytes from a port -> may_run_now()?  yes -> the request is answered at once
                                          no  -> submit() -> a later turn of the event loop, in order of virtual time
 
-While the event loop is idle nothing is queued and nothing is measured. Otherwise start-time fair queueing decides
+While the event loop is idle nothing is queued. Otherwise start-time fair queueing decides
 (`FairScheduler`), so that the delay a client sees does not depend on how many requests others send, nor on what they
 cost; only a single request is indivisible. While requests are left over, or the client does not read its replies, its
 port is not read, so that memory stays bounded. An exception in a session closes that connection only.
@@ -37,6 +37,7 @@ import time
 import weakref
 from abc import ABC, abstractmethod
 from heapq import heappop, heappush
+from itertools import count
 from math import inf
 from typing import Any, Final, Protocol, cast
 
@@ -61,10 +62,11 @@ class Job(Protocol):
     is_queued: bool
     # Processor time that it had used in virtual time when it was last served.
     finish_tag_s: float
+    # Processor time that its work has taken.
+    cpu_s: float
 
     def run_turn(self) -> None:
         """Do the work of one turn; submit itself again if some is left."""
-        ...
 
 
 class FairScheduler:
@@ -110,8 +112,7 @@ class FairScheduler:
         job.is_queued = True
         self._submitted.append(job)
         if not self._is_turn_scheduled:
-            self._is_turn_scheduled = True
-            asyncio.get_running_loop().call_soon(self._run_turn)
+            self._schedule_turn()
 
     def _run_turn(self) -> None:
         """Run queued jobs until the time of this turn is used up, each at most once."""
@@ -135,9 +136,19 @@ class FairScheduler:
                         first_again_s = min(first_again_s, job.finish_tag_s)
         finally:
             # 3. The rest follows in the next turn, also after an error, which the event loop logs.
-            self._is_turn_scheduled = bool(self._queue or self._submitted)
-            if self._is_turn_scheduled:
-                loop.call_soon(self._run_turn)
+            self._is_turn_scheduled = False
+            if self._queue or self._submitted:
+                self._schedule_turn()
+
+    def _schedule_turn(self) -> None:
+        """Run a turn in the next iteration of the event loop, after the sockets are read.
+
+        asyncio runs timers that are due after what it read, and callbacks of `call_soon` before: with those a request
+        would wait for one more turn.
+        """
+        loop = asyncio.get_running_loop()
+        self._is_turn_scheduled = True
+        loop.call_at(loop.time(), self._run_turn)
 
     def _run(self, job: Job) -> None:
         """Run a job and charge it for its processor time."""
@@ -145,7 +156,9 @@ class FairScheduler:
         job.is_queued = False
         start_s = time.thread_time()
         job.run_turn()
-        job.finish_tag_s = self._virtual_s + time.thread_time() - start_s
+        taken_s = time.thread_time() - start_s
+        job.cpu_s += taken_s
+        job.finish_tag_s = self._virtual_s + taken_s
 
 
 # Seconds of unused rate that an idle client accumulates.
@@ -193,6 +206,9 @@ CONNECT_WAIT_S: Final = 1.0
 _QUICK_ACK: Final[int | None] = getattr(socket, "TCP_QUICKACK", None)
 
 
+_numbers = count(1)
+
+
 class Server(Protocol):
     """The parts of a server that its connections use."""
 
@@ -208,11 +224,11 @@ class Server(Protocol):
     # Totals of connections that are closed.
     closed_answered: int
     closed_refused: int
+    closed_cpu_s: float
 
     @property
     def emulator(self) -> ServerState:
         """The simulation with the server's settings."""
-        ...
 
 
 class ConnectionHandler(ABC):
@@ -238,6 +254,8 @@ class ConnectionHandler(ABC):
 
     def __init__(self, server: Server, channel: SerialChannel | None = None) -> None:
         self._server = server
+        # Name of this connection where its address must not be named.
+        self.number = next(_numbers)
         self._loop = asyncio.get_running_loop()
         # Delay and faults between port and session; None passes bytes at once.
         self._channel = channel
@@ -261,7 +279,7 @@ class ConnectionHandler(ABC):
         self._receive_backlog = b""
         # The next turn: in the scheduler's queue, or when the rate limit allows it.
         self.is_queued = False
-        self.finish_tag_s = 0.0
+        self.finish_tag_s = self.cpu_s = 0.0
         self._turn: asyncio.TimerHandle | None = None
         # Steps of simulated time spent on the preparation of the next reply, and the time of the last.
         self._preparing = 0
@@ -290,7 +308,9 @@ class ConnectionHandler(ABC):
             self._receive_backlog += data
             self._schedule()
         else:
+            start_s = time.thread_time()
             self._take_turn(data)
+            self.cpu_s += time.thread_time() - start_s
 
     def run_turn(self) -> None:
         """Do the work of one turn, for the scheduler."""
@@ -348,10 +368,14 @@ class ConnectionHandler(ABC):
             now_ps = server.emulator.simulation.time_ps
             self._preparing += now_ps != self._prepared_ps
             self._prepared_ps = now_ps
-            if self._preparing <= MAX_PREPARING_STEPS and not server.emulator.prepare_reply(self.session.context):
+            if self._preparing <= MAX_PREPARING_STEPS and not self._prepare():
                 return False
         self._preparing, self._prepared_ps = 0, -1
         return True
+
+    def _prepare(self) -> bool:
+        session = self.session
+        return self._server.emulator.prepare_reply(session.context, session.call_to_prepare())
 
     def _run_session(self, by_time: bool = False) -> None:
         """Answer requests, or a deferred one `by_time`; an exception closes this connection only."""
@@ -556,6 +580,7 @@ class TcpConnection(ConnectionHandler, asyncio.BufferedProtocol):
         self._handler.on_disconnect(session.context)
         self._server.closed_answered += session.answered
         self._server.closed_refused += session.refused
+        self._server.closed_cpu_s += self.cpu_s
         self._recorder.close()
         session.closing = True
         log.info("%s: closed after %d refused requests", session.name, session.refused, extra=session.log_extra)

@@ -4,8 +4,6 @@ Used by `nserver` (nserver_emu/cli.py), which opens its ports, control socket, v
 are in connection.py, robots' own lines in serial_lines.py.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import errno
@@ -89,6 +87,7 @@ class Daemon:
         self.ticked_s = 0.0
         self.steps = 0
         self.closed_answered = self.closed_refused = 0
+        self.closed_cpu_s = 0.0
         self._servers: list[asyncio.Server] = []
         emulator.clock.factor = speed
 
@@ -163,12 +162,12 @@ class Daemon:
         return self.places
 
     def connected_clients(self) -> list[dict[str, Any]]:
-        """Return name, robot, refused requests and whether a reply is deferred, for each connection."""
-        sessions = (connection.session for connection in self.connections if connection.is_connected)
+        """Return number, name, robot, refused requests, processor time and whether a reply is deferred, for each."""
         return [
             {"name": session.name, "robot": session.context.robot_id, "waiting": session.waiting,
-             "refused": session.refused}
-            for session in sessions
+             "refused": session.refused, "number": connection.number, "cpu_s": round(connection.cpu_s, 6)}
+            for connection in self.connections if connection.is_connected
+            for session in (connection.session,)
         ]  # fmt: skip
 
     # Changes by the operator (control socket, viewer), which a recording must contain.

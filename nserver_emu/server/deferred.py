@@ -1,7 +1,5 @@
 """Deferred replies: they need simulated time (ws, zr, arm_ws), or a click in the viewer (get_robot_conf)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -10,8 +10,6 @@ It applies to all clients, like the emergency button on a robot. It is no part o
 because it changes replies. Clients get no notification, so the log reports the first ignored motion command.
 """
 
-from __future__ import annotations
-
 import logging
 from dataclasses import dataclass
 from typing import Any, Final

@@ -8,8 +8,6 @@ With Python's default threshold of 700 new objects, collections cost a fifth of 
 and aiohttp leave some thirty objects in reference cycles per connection, so a long-running daemon must collect.
 """
 
-from __future__ import annotations
-
 import gc
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

@@ -8,9 +8,7 @@ because nothing else could advance it. With `line=1` the robot speaks the protoc
 (serial_session.py). nclient finds this module by entry point and does not import it.
 """
 
-from __future__ import annotations
-
-import math
+import sys
 from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs
@@ -18,6 +16,7 @@ from urllib.parse import parse_qs
 from nclient.common.hints import suggest
 from nclient.errors import AddressError
 from nclient.protocol.types import get_model
+from nclient.url import Parser, RawAddress, flag, number, whole_number
 from nserver_emu.server.config import FIRST_ROBOT, MAX_ROBOTS, SimulationConfig, robot_placements
 from nserver_emu.server.context import Allowed
 from nserver_emu.server.handlers.table import Emulator
@@ -33,6 +32,25 @@ OPTIONS = ("robot", "robots", "model_file", "start", "seed", "noisy", "setup", "
 # Options that may be repeated for robot 2 and so on.
 _REPEATABLE = ("robot", "start")
 _FLAGS = {"1": True, "true": True, "yes": True, "0": False, "false": False, "no": False}
+
+
+def _noisy(text: str) -> bool:
+    if text.lower() not in _FLAGS:
+        raise ValueError("1 or 0")
+    return _FLAGS[text.lower()]
+
+
+_PARSERS: dict[str, Parser] = {
+    "robots": whole_number(f"a whole number from 1 to {MAX_ROBOTS}", range(1, MAX_ROBOTS + 1)),
+    "seed": whole_number("a whole number of 0 or more", range(sys.maxsize)),
+    "noisy": _noisy,
+    "setup": str,
+    "model_file": Path,
+    "step_s": number("0.001 to 10 simulated seconds an exchange", lambda value: 0.001 <= value <= 10),
+    # Strictly, since the client reads it as well and speaks accordingly.
+    "line": flag,
+}
+_DEFAULTS: dict[str, Any] = {"robots": 1, "step_s": DEFAULT_STEP_S, "line": False}
 
 
 class InProcess:
@@ -130,55 +148,12 @@ def open_address(address: str) -> InProcess:
             raise AddressError(f"{address}: no option {name!r}{hint} There are {', '.join(OPTIONS)}.")
         if len(values) > 1 and name not in _REPEATABLE:
             raise AddressError(f"{address}: {name} is given {len(values)} times; expected once")
-    options = {name: values[-1] for name, values in given.items()}
-    count = _count(address, options.get("robots", "1"))
-    (robot, start), *others = robot_placements(given.get("robot", ["n150"]), given.get("start", []), count)
+    once = {name: values[-1] for name, values in given.items() if name not in _REPEATABLE}
+    parsed: dict[str, Any] = _DEFAULTS | RawAddress(address, SCHEME, once).parse_options(_PARSERS)
+    step_s, line, robots = parsed.pop("step_s"), parsed.pop("line"), parsed.pop("robots")
+    (robot, start), *others = robot_placements(given.get("robot", ["n150"]), given.get("start", []), robots)
     setting = SimulationConfig(
-        world=path or DEFAULT_WORLD,
-        robot=robot,
-        start=start,
-        seed=_seed(address, options.get("seed", "0")),
-        noisy=_flag(address, options.get("noisy", "0")),
-        setup=options.get("setup", ""),
-        others=tuple(others),
-        model_file=Path(options["model_file"]) if "model_file" in options else None,
+        world=path or DEFAULT_WORLD, robot=robot, start=start, others=tuple(others), **parsed
     )
     emulator = Emulator(setting.simulation(), allowed=Allowed(control=True))
-    connection_type = InProcessLine if _line(address, options.get("line", "0")) else InProcess
-    return connection_type(emulator, _step(address, options.get("step_s", str(DEFAULT_STEP_S))))
-
-
-def _count(address: str, text: str) -> int:
-    if not text.isdecimal() or not 1 <= int(text) <= MAX_ROBOTS:
-        raise AddressError(f"{address}: robots is a whole number from 1 to {MAX_ROBOTS}, not {text!r}")
-    return int(text)
-
-
-def _seed(address: str, text: str) -> int:
-    if not text.isdecimal():
-        raise AddressError(f"{address}: seed is a whole number of 0 or more, not {text!r}")
-    return int(text)
-
-
-def _flag(address: str, text: str) -> bool:
-    try:
-        return _FLAGS[text.lower()]
-    except KeyError:
-        raise AddressError(f"{address}: noisy is 1 or 0, not {text!r}") from None
-
-
-def _line(address: str, text: str) -> bool:
-    """Strictly, since the client reads it as well and speaks accordingly."""
-    if text not in ("1", "0"):
-        raise AddressError(f"{address}: line is 1 or 0, not {text!r}")
-    return text == "1"
-
-
-def _step(address: str, text: str) -> float:
-    try:
-        step_s = float(text)
-    except ValueError:
-        step_s = math.nan
-    if not 0.001 <= step_s <= 10:
-        raise AddressError(f"{address}: step_s is 0.001 to 10 simulated seconds an exchange, not {text!r}")
-    return step_s
+    return (InProcessLine if line else InProcess)(emulator, step_s)

@@ -9,8 +9,6 @@ documented are [server] port, [robot] type, [laser] calibration (8 numbers) and 
 ten numbers is not documented: they are checked and have no effect, which `unused` reports. New files use TOML.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace

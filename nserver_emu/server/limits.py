@@ -4,8 +4,6 @@ A new limit is a new field of `Limits`, with its effect and the module that enfo
 process's limit of open files to what the limits on connections need.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import logging
@@ -46,8 +44,7 @@ class Limit(NamedTuple):
 def _limit(
     default: int, bounds: tuple[int, int], unit: str, guards: str, reached: str, where: str, none: bool = False
 ) -> int:
-    found: int = field(default=default, metadata={_LIMIT: (*bounds, unit, guards, reached, where, none)})
-    return found
+    return field(default=default, metadata={_LIMIT: (*bounds, unit, guards, reached, where, none)})
 
 
 @dataclass(frozen=True, slots=True)

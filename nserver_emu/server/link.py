@@ -11,8 +11,6 @@ Times are seconds of a monotonic clock, passed in. A fault channel is installed 
 injected hang-up ends the connection after everything sent before it has come through; what follows is lost.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Callable, Iterable
@@ -50,24 +48,19 @@ class SerialChannel(Protocol):
     @property
     def due_s(self) -> float | None:
         """Time of the next arrival, None if nothing is in transit."""
-        ...
 
     @property
     def full(self) -> bool:
         """True if no more should be read from the host."""
-        ...
 
     def to_robot(self, data: bytes, now_s: float) -> None:
         """Send bytes from the host."""
-        ...
 
     def to_host(self, data: bytes, now_s: float) -> None:
         """Send bytes from the robot."""
-        ...
 
     def arrived(self, now_s: float) -> Arrival | None:
         """Return the next arrival by now, None if there is none."""
-        ...
 
 
 class WiredChannel:

@@ -8,8 +8,6 @@ last host closes its end. A host that opens the link immediately after another c
 hang-up, is not recognised as a new host.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import hashlib

@@ -11,8 +11,6 @@ A host sends one request at a time. A new request during a deferred reply means 
 it is cancelled; `st` therefore works during `ws` (project decision: no source says what the original does).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Final
 

@@ -17,8 +17,6 @@ it starts with CONNECT and, in most cases, the client's word size:
     64-bit client    type, count | 0 word 0 word ...      each word is sent as four zero bytes and its value
 """
 
-from __future__ import annotations
-
 import logging
 from abc import ABC, abstractmethod
 from collections import deque
@@ -54,6 +52,8 @@ _MAX_SNIFFED_WORDS: Final = 8
 _CONNECT_NAMES: Final = frozenset({"connect_robot", "create_robot", "disconnect_robot"})
 _CONNECT_TYPES: Final = frozenset(BY_NAME[name].tcp_type for name in _CONNECT_NAMES)
 _MASK_TYPE: Final = BY_NAME["ct"].tcp_type
+# The request whose reply is prepared; others need nothing but the state.
+_PREPARED_TYPE: Final = BY_NAME["predict_sensors"].tcp_type
 
 
 # The first bytes of a connection.
@@ -120,6 +120,8 @@ class ConnectionContext:
     last_sent: list[int] = field(default_factory=lambda: [0] * STATE_SIZE)
     # The last state reply. A client that polls gets it again while nothing changes.
     cached_state: CachedStateReply | None = None
+    # What was prepared for the next request (handlers/world.py).
+    prediction: object = None
     # Number of laser columns in use; 0 is all.
     laser_columns: int = 0
     # Line extraction of the laser as in conf_sg: threshold and gap (tenths of an inch), minimum number of points in
@@ -152,15 +154,12 @@ class CommandHandler(Protocol):
 
     def answer(self, call: Call, context: ConnectionContext) -> Reply | DeferredReply:
         """Execute a call and return its reply."""
-        ...
 
     def on_disconnect(self, context: ConnectionContext) -> None:
         """Stop the motions that a closed connection started."""
-        ...
 
     def hold(self, robot_id: int, by: str) -> None:
         """Stop a robot and ignore motion commands until it is released (estop.py)."""
-        ...
 
 
 def error_reply(code: int) -> Reply:
@@ -204,6 +203,10 @@ class BaseSession(ABC, Generic[Request]):
     def ready(self) -> bool:
         """True if a request can be answered now."""
         return bool(self._queue) and self._deferred is None and not self.closing
+
+    def call_to_prepare(self) -> Call | None:
+        """Return the request that is answered next if its command has a preparation of its own."""
+        return None
 
     @property
     def is_queue_full(self) -> bool:
@@ -330,6 +333,16 @@ class Session(BaseSession[TcpFrame | InvalidFrame]):
             self._head = None
             self._identify(data)
         self._queue.extend(self._framer.receive(data))
+
+    def call_to_prepare(self) -> Call | None:
+        """Return the request that is answered next if its command has a preparation of its own."""
+        request = self._queue[0] if self._queue else None
+        if not isinstance(request, TcpFrame) or request.type != _PREPARED_TYPE:
+            return None
+        try:
+            return codec.decode_tcp_request(request)
+        except WireError:
+            return None
 
     @property
     def may_have_32_bit_words(self) -> bool:

@@ -6,8 +6,6 @@ simulation > multi_robot > robot              which robots may meet
                    > sonar, infrared, laser, compass               > noise, odometry: errors; models: which robot
 """
 
-from __future__ import annotations
-
 import logging
 
 # As a library the emulator logs nothing, unless the program that uses it sets up logging. Here, in the package that all

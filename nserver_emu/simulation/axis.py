@@ -7,8 +7,6 @@ the size of the time steps changes nothing. A unit is an inch or a radian; the a
     trapezoid     / cruise \              never beyond speed or acceleration, never past a relative target
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import IntEnum
 from math import copysign, inf, sqrt

@@ -21,6 +21,7 @@ from typing import Final, NamedTuple
 
 from nserver_emu.simulation.segments import ConstantAccelerationSegment, wrap_to_pi
 from worlds.geometry import FloatArray, nearest_points
+from worlds.raycast import near_walls
 
 CHORD_ERROR_IN: Final = 1e-4
 """Largest distance of a chord from its arc: a tenth of TOUCH_IN, so that no touch is missed by more than bumpers
@@ -37,6 +38,9 @@ GAP_SOLVED_IN: Final = 1e-10
 
 MAX_STEPS: Final = 60
 """Newton doubles the digits of 1e-4 in three steps; bisecting a window of seconds to GAP_SOLVED_IN takes forty."""
+
+AROUND_IN: Final = 240.0
+"""Of many walls, those so much farther away than searched are examined first."""
 
 MIDWAY_RAD: Final = 1e-6
 """A touch this near to midway between two bumpers sets both: 1e-5 in on the rim; contacts are located to 1e-4 in."""
@@ -120,10 +124,20 @@ class WallSet:
 
     def within(self, x_in: float, y_in: float, distance_in: float) -> tuple[tuple[Capsule, ...], float]:
         """Return the walls within a distance of a point, in their order, and the distance of the nearest other one."""
-        _, distances = nearest_points((x_in, y_in), self.walls)
-        near = distances <= distance_in
-        capsules = tuple(Capsule(*wall) for wall in self.walls[near].tolist())
-        return capsules, float(distances[~near].min(initial=inf))
+        # Among many walls only those around, unless the nearest other one is farther away.
+        reach_in = distance_in + AROUND_IN
+        around = near_walls(x_in, y_in, reach_in, self.walls)
+        found, nearest_other_in = _within(x_in, y_in, distance_in, around)
+        if nearest_other_in > reach_in and len(around) < len(self.walls):
+            found, nearest_other_in = _within(x_in, y_in, distance_in, self.walls)
+        return tuple(Capsule(*wall) for wall in found.tolist()), nearest_other_in
+
+
+def _within(x_in: float, y_in: float, distance_in: float, walls: FloatArray) -> tuple[FloatArray, float]:
+    """Return the walls (k, 4) within a distance of a point, and the distance of the nearest other one."""
+    _, distances = nearest_points((x_in, y_in), walls)
+    near = distances <= distance_in
+    return walls[near], float(distances[~near].min(initial=inf))
 
 
 class PlacedSegment(NamedTuple):

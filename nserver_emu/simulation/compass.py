@@ -8,8 +8,6 @@ no north). Time and directions are passed in.
 A full turn is one by the motor from the angle where calibration began, in either direction; turning to and fro is none.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import IntEnum
 from math import radians, sin, tau

@@ -8,8 +8,6 @@
 The origin of the sheet and the scale of a pixel are assumptions: no source gives them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from math import cos, inf, radians, sin
@@ -63,7 +61,9 @@ def ranges(sensor_pose: SensorPose, walls: FloatArray, body: Body) -> FloatArray
     if len(others):
         directions = np.stack((np.cos(angles), np.sin(angles)), axis=1)
         met = np.minimum(met, cast_discs(start, directions, others))
-    return np.where((met >= MIN_RANGE_IN) & (met <= MAX_RANGE_IN), met, inf)
+    measured = np.where((met >= MIN_RANGE_IN) & (met <= MAX_RANGE_IN), met, inf)
+    measured.setflags(write=False)
+    return measured
 
 
 def points(ranges_in: FloatArray, body: Body) -> FloatArray:

@@ -12,8 +12,6 @@ Ticks are multiples of simulated time itself, so neither the positions nor the o
 first robot changes from tick to tick, so that none always has priority.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from math import hypot
 from typing import Final

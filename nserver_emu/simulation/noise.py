@@ -197,7 +197,7 @@ BUILDING: Final = replace(
     name="building",
     # The level of the echo alone ends the cone: a wall is detected to 20 to 25 degrees, as posts are in real data.
     sonar=Polaroid(
-        range_std_relative=0.005,
+        range_std_relative=0.003,
         cone_rad=radians(50.0),
         cone_loss_db=24.0,
         surface_std_in=1.6,

@@ -8,8 +8,6 @@ count the commanded one. Slip is the opposite: the encoders count it, and the ro
     + drift_1 first + drift_2 second               an additional turn of the whole body
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import cos, sin
 from typing import Final, NamedTuple

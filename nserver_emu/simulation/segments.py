@@ -10,8 +10,6 @@ Simulated time is a whole number of picoseconds (`_ps`): sums of steps are exact
 not. Seconds (`_s`) are for formulas and users. No clock is read here.
 """
 
-from __future__ import annotations
-
 from math import ceil, cos, isfinite, pi, remainder, sin, tau
 from typing import Final, NamedTuple
 

@@ -4,8 +4,6 @@ A field made with `setting` is a key of a setup file, a row of docs/setups.md an
 range, the unit and the meaning stand here once. Angles are radians in the field and degrees in the file.
 """
 
-from __future__ import annotations
-
 from dataclasses import field, fields
 from math import degrees, radians
 from typing import Annotated, Any, Final, NamedTuple

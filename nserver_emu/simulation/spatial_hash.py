@@ -1,7 +1,5 @@
 """Bounds of the motion of a robot by direction, and a grid of the positions of all robots."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from math import floor, hypot
 from typing import Final, NamedTuple

@@ -80,7 +80,6 @@ class PositionProvider(Protocol):
 
     def at(self, instant_ps: int) -> RobotPositions:
         """Return the positions at an instant in picoseconds."""
-        ...
 
 
 NO_OTHERS: Final = RobotPositions()

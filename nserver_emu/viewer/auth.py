@@ -10,8 +10,6 @@ A Host header must be a number, localhost, or the name given to --viewer, so tha
 page here (DNS rebinding). Connections to the page use the same descriptors as clients', hence the limit.
 """
 
-from __future__ import annotations
-
 import asyncio
 import hmac
 import ipaddress

@@ -9,8 +9,6 @@ the same picture share the encoded difference. A new viewer starts with the next
 pictures are taken only while a page is open.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from typing import Final

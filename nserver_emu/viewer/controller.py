@@ -11,11 +11,12 @@ a stop must arrive. A viewer that may only watch gets an error for everything el
 
 from __future__ import annotations
 
+import asyncio
 import json
 import logging
 from collections import Counter, deque
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from nclient.errors import REFUSALS, NomadError
 from nclient.faults.frames import Language, TcpLanguage
@@ -26,34 +27,16 @@ from nclient.protocol.replies import Reply
 from nclient.protocol.types import N150
 from nclient.protocol.wire_state import WireState, tcp_wire_state
 from nclient.recording.recorder import TCP
-from nserver_emu.control.commands import answer_line
+from nserver_emu.control.commands import WORLD_SET, answer_line, answer_line_in_thread
 from nserver_emu.server.connection import ConnectionHandler
+from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.estop import MOTIONS
 from nserver_emu.server.session import Session
+from nserver_emu.viewer import messages
 from nserver_emu.viewer.broadcaster import Broadcaster, Viewer
 from nserver_emu.viewer.error_boundary import ErrorBoundary
-from nserver_emu.viewer.localization import parse_estimate
-from nserver_emu.viewer.messages import (
-    DRIVE_TIMEOUT_S,
-    VERSION,
-    CallRobot,
-    Click,
-    ControlServer,
-    Drive,
-    InvalidMessage,
-    Message,
-    Release,
-    Seen,
-    Stop,
-    Watch,
-    Waypoints,
-    encode_message,
-    parse_message,
-)
+from nserver_emu.viewer.messages import parse_estimate
 from nserver_emu.viewer.traffic import TrafficMonitor
-
-if TYPE_CHECKING:
-    from nserver_emu.server.daemon import Daemon
 
 log = logging.getLogger(__name__)
 
@@ -182,7 +165,7 @@ class ViewerClients:
         self.call(robot_id, "vm", args, on_answer)
         # Velocities of 0 need no repetition.
         if any(args) and self._daemon.emulator.estop.get(robot_id) is None:
-            self._driven[robot_id] = now + DRIVE_TIMEOUT_S
+            self._driven[robot_id] = now + messages.DRIVE_TIMEOUT_S
 
     def is_driving(self, robot_id: int) -> bool:
         """Return True while this viewer drives the robot."""
@@ -229,6 +212,7 @@ class ViewerController:
         """Where each robot is to go, as set at a page."""
         self._waypoints_set: Counter[int] = Counter()
         self._clients: dict[Viewer, ViewerClients] = {}
+        self._worlds_being_read: dict[Viewer, asyncio.Task[bytes]] = {}
         self._published: dict[int, tuple[float, dict[str, Any]]] = {}
         # The monitor takes the recorder's place and passes everything on to it.
         self.traffic_monitor = TrafficMonitor(
@@ -240,14 +224,14 @@ class ViewerController:
         """Add a page: send it the present state, and return its viewer."""
         # 1. What a new page must know before its first picture.
         viewer = self.broadcaster.join(may_act=may_act)
-        viewer.notify(encode_message("hello", version=VERSION, name=viewer.name, may_act=may_act,
+        viewer.notify(messages.encode_message("hello", version=messages.VERSION, name=viewer.name, may_act=may_act,
                             watch_token=watch_token if may_act else None, waypoints=self.waypoints,
                             lines=dict(self.daemon.lines()) if may_act else {}))
-        viewer.notify(encode_message("asked", robots=self._pose_requests))
+        viewer.notify(messages.encode_message("asked", robots=self._pose_requests))
         # 2. Estimates that are not outdated.
         for published_at, estimate in self._published.values():
             if now - published_at < STALE_S:
-                viewer.notify(encode_message("localization", **estimate, age_s=round(now - published_at, 1)))
+                viewer.notify(messages.encode_message("localization", **estimate, age_s=round(now - published_at, 1)))
         self._clients[viewer] = ViewerClients(self.daemon, viewer.name, self.error_boundary)
         self._accept_pose_clicks()
         return viewer
@@ -269,20 +253,22 @@ class ViewerController:
             self._send_traffic()
 
     def close(self) -> None:
-        """Restore the daemon's own recorder."""
+        """Restore the daemon's own recorder, and drop worlds that are still being read."""
+        for reading in self._worlds_being_read.values():
+            reading.cancel()
         self.daemon.recorder = self.traffic_monitor.inner
 
     def handle_message(self, viewer: Viewer, text: str, now: float) -> None:
         """Carry out a message from a page; every error becomes a reply."""
         try:
             # 1. Form of the message.
-            message = parse_message(text)
-        except InvalidMessage as error:
+            message = messages.parse_message(text)
+        except messages.InvalidMessage as error:
             self._refuse(viewer, error.number, str(error))
             return
         # 2. Permission.
         number = getattr(message, "id", None)
-        if not isinstance(message, Seen | Watch) and not viewer.may_act:
+        if not isinstance(message, messages.Seen | messages.Watch) and not viewer.may_act:
             self._refuse(viewer, number, "this link only looks")
             return
 
@@ -292,41 +278,63 @@ class ViewerController:
         with self.error_boundary.guard("a message of a page", viewer.name, failed):
             try:
                 self._carry_out(message, viewer, now)
-            except InvalidMessage as error:
+            except messages.InvalidMessage as error:
                 self._refuse(viewer, number, str(error))
 
-    def _carry_out(self, message: Message, viewer: Viewer, now: float) -> None:
+    def _carry_out(self, message: messages.Message, viewer: Viewer, now: float) -> None:
         match message:
-            case Seen():
+            case messages.Seen():
                 viewer.mark_drawn(message.frame)
-            case Watch():
+            case messages.Watch():
                 viewer.traffic, viewer.laser, viewer.laser_robot = message.traffic, message.laser, message.robot
                 self.traffic_monitor.watched = self.broadcaster.watch_traffic
-            case CallRobot():
+            case messages.CallRobot():
                 self.clients(viewer).call(message.robot, message.call, message.args, _replier(viewer, message.id))
-            case Drive():
+            case messages.Drive():
                 reply, others = _replier(viewer, message.id), self.others(viewer, message.robot)
                 self.clients(viewer).drive(
                     message.robot, message.args, now, lambda answer: reply(answer | {"others": others})
                 )
-            case Stop() | Release():
+            case messages.Stop() | messages.Release():
                 robots = self.robots(message.robot)
-                if isinstance(message, Stop):
+                if isinstance(message, messages.Stop):
                     self.daemon.hold(robots, viewer.name)
                 else:
                     self.daemon.release(robots)
                 _replier(viewer, message.id)({"ok": True, "held": self.daemon.emulator.estop.as_dict()})
-            case ControlServer():
+            case messages.ControlServer():
                 # The same form as on the control socket, so that both have the same checks and replies.
                 request = json.dumps({"command": message.command, "argument": message.argument})
-                answer: dict[str, Any] = json.loads(answer_line(self.daemon, request.encode()))
-                _replier(viewer, message.id)(answer)
-            case Click():
+                if message.command == WORLD_SET:
+                    self._set_world(viewer, message.id, request)
+                else:
+                    _replier(viewer, message.id)(json.loads(answer_line(self.daemon, request.encode())))
+            case messages.Click():
                 x, y, steer, turret = message.pose
                 if not self.daemon.emulator.pose_requests.answer(message.robot, (x, y, steer, turret)):
                     self._refuse(viewer, None, f"no client asks for a pose of robot {message.robot}")
-            case Waypoints():
+            case messages.Waypoints():
                 self.set_waypoints(message.robot, message.points)
+
+    def _set_world(self, viewer: Viewer, number: int, request: str) -> None:
+        """Replace the world; its file is read in a thread, one at a time for each page."""
+        if viewer in self._worlds_being_read:
+            raise messages.InvalidMessage(f"{WORLD_SET}: the last world is still being read; repeat it after its reply")
+        reading = asyncio.create_task(answer_line_in_thread(self.daemon, request.encode()))
+        self._worlds_being_read[viewer] = reading
+
+        def finish(reading: asyncio.Task[bytes]) -> None:
+            del self._worlds_being_read[viewer]
+            if reading.cancelled():
+                return
+
+            def failed(error: Exception) -> None:
+                self._refuse(viewer, number, f"internal error, see the daemon's log: {error!r}")
+
+            with self.error_boundary.guard("a world of a page", viewer.name, failed):
+                _replier(viewer, number)(json.loads(reading.result()))
+
+        reading.add_done_callback(finish)
 
     def publish(self, text: str, now: float) -> dict[str, Any]:
         """Show a localizer's estimate on all pages; return the reply with the way-points.
@@ -339,18 +347,18 @@ class ViewerController:
         estimate = parse_estimate(text)
         robot = estimate["robot"]
         if robot not in self.daemon.emulator.simulation.robots:
-            raise InvalidMessage(f"there is no robot {robot}")
+            raise messages.InvalidMessage(f"there is no robot {robot}")
         if estimate.pop("began") and self.waypoints.get(robot):
             self.set_waypoints(robot, [])
         self._published[robot] = now, estimate
-        self.broadcaster.notify(encode_message("localization", **estimate, age_s=0.0))
+        self.broadcaster.notify(messages.encode_message("localization", **estimate, age_s=0.0))
         return {"waypoints": self.waypoints.get(robot), "set": self._waypoints_set[robot]}
 
     def set_waypoints(self, robot: int, points: list[list[float]]) -> None:
         """Set a robot's way-points, in inches."""
         self.waypoints[robot] = points
         self._waypoints_set[robot] += 1
-        self.broadcaster.notify(encode_message("waypoints", robot=robot, points=points))
+        self.broadcaster.notify(messages.encode_message("waypoints", robot=robot, points=points))
 
     def others(self, viewer: Viewer, robot: int) -> list[str]:
         """Return the names of the other viewers that drive this robot now."""
@@ -364,7 +372,7 @@ class ViewerController:
         """Return the robots that a message is about: the one it names, or all. Raises InvalidMessage."""
         robots = list(self.daemon.emulator.simulation.robots)
         if named is not None and named not in robots:
-            raise InvalidMessage(f"there is no robot {named}; there are {', '.join(map(str, robots))}")
+            raise messages.InvalidMessage(f"there is no robot {named}; there are {', '.join(map(str, robots))}")
         return robots if named is None else [named]
 
     def clients(self, viewer: Viewer) -> ViewerClients:
@@ -372,19 +380,19 @@ class ViewerController:
         return self._clients[viewer]
 
     def _refuse(self, viewer: Viewer, number: int | None, error: str) -> None:
-        viewer.notify(encode_message("answer", id=number, ok=False, error=error))
+        viewer.notify(messages.encode_message("answer", id=number, ok=False, error=error))
 
     def _send_pose_requests(self) -> None:
         requests = self.daemon.emulator.pose_requests.counts()
         if requests != self._pose_requests:
             self._pose_requests = requests
-            self.broadcaster.notify(encode_message("asked", robots=requests))
+            self.broadcaster.notify(messages.encode_message("asked", robots=requests))
 
     def _send_traffic(self) -> None:
         recorder = self.traffic_monitor
         rows, missed, recorder.missed = recorder.rows(), recorder.missed, 0
         if rows:
-            self.broadcaster.notify(encode_message("traffic", rows=rows, missed=missed), traffic=True)
+            self.broadcaster.notify(messages.encode_message("traffic", rows=rows, missed=missed), traffic=True)
 
     def _wire_state_of(self, name: str) -> WireState | None:
         """Return a connection's wire state between two of its requests, else None."""
@@ -400,4 +408,4 @@ class ViewerController:
 
 def _replier(viewer: Viewer, number: int) -> Callable[[Answer], None]:
     """Return a function that sends a viewer the reply to its message of this number."""
-    return lambda answer: viewer.notify(encode_message("answer", id=number, **answer))
+    return lambda answer: viewer.notify(messages.encode_message("answer", id=number, **answer))

@@ -2,16 +2,16 @@
 
     GET /metrics    nserver_connections 3 ...        GET /health    {"status": "ok", ...}, 200 or 503
 
-Names are nserver_WHAT in seconds and bytes; counters end in _total. No label contains an address.
+Names are nserver_WHAT in seconds and bytes; counters end in _total. No label contains an address: connections are
+numbered, and the control command `status` has their names.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
-if TYPE_CHECKING:
-    from nserver_emu.server.daemon import Daemon
+from nserver_emu.server.daemon import Daemon
 
 CONTENT_TYPE: Final = "text/plain; version=0.0.4; charset=utf-8"
 STUCK_S: Final = 5.0
@@ -37,6 +37,8 @@ def all_metrics(daemon: Daemon, viewers: int, tasks: int) -> Iterator[Metric]:
     yield Metric("turned_away_total", COUNTER, "Connections that were rejected.", daemon.admission.rejected)
     yield Metric("answers_total", COUNTER, "Requests that were answered.", answered)
     yield Metric("refusals_total", COUNTER, "Requests that were answered with an error.", refused)
+    cpu_s = daemon.closed_cpu_s + sum(connection.cpu_s for connection in connected)
+    yield Metric("cpu_seconds_total", COUNTER, "Processor time that requests have taken.", cpu_s)
     yield Metric("viewers", GAUGE, "Pages that are open.", viewers)
     yield Metric("robots", GAUGE, "Robots in the world.", len(emulator.simulation.robots))
     yield Metric("obstacles", GAUGE, "Obstacles in the world.", len(emulator.simulation.world.obstacles))
@@ -54,7 +56,15 @@ def metrics(daemon: Daemon, viewers: int, tasks: int) -> str:
         f"# HELP nserver_{one.name} {one.help}\n# TYPE nserver_{one.name} {one.kind}\n"
         f"nserver_{one.name} {one.value!r}\n"
         for one in all_metrics(daemon, viewers, tasks)
-    )
+    ) + _connection_times(daemon)
+
+
+def _connection_times(daemon: Daemon) -> str:
+    """Return the processor time of each connection."""
+    name = "nserver_connection_cpu_seconds_total"
+    samples = sorted((one.number, one.cpu_s) for one in daemon.connections if one.is_connected)
+    head = f"# HELP {name} Processor time that the requests of a connection have taken.\n# TYPE {name} counter\n"
+    return head + "".join(f'{name}{{connection="{number}"}} {cpu_s!r}\n' for number, cpu_s in samples)
 
 
 def health(daemon: Daemon, now_s: float) -> tuple[bool, dict[str, Any]]:

@@ -20,7 +20,7 @@ import logging
 from collections.abc import AsyncIterator, Awaitable, Callable
 from http import HTTPStatus
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from aiohttp import WSCloseCode, WSMsgType, web
 
@@ -28,16 +28,8 @@ from nclient.common.allowlist import LOOPBACK_NAME, NOT_ALLOWED, is_loopback, is
 from nclient.errors import ConnectionLost
 from nserver_emu.server.admission import listen
 from nserver_emu.server.connection import FairScheduler, TokenBucket
-from nserver_emu.viewer.auth import (
-    HTTP_LOG,
-    REFUSED,
-    HttpAdmission,
-    Tokens,
-    address,
-    is_known_host,
-    is_same_origin,
-    new_tokens,
-)
+from nserver_emu.server.daemon import Daemon
+from nserver_emu.viewer import auth
 from nserver_emu.viewer.broadcaster import Broadcaster, Viewer
 from nserver_emu.viewer.controller import ViewerController
 from nserver_emu.viewer.messages import MAX_TEXT, InvalidMessage, encode_message
@@ -95,7 +87,7 @@ class PageMessages:
 
     def __init__(self, scheduler: FairScheduler, handle: Callable[[str], None], rate: int) -> None:
         self.is_queued = False
-        self.finish_tag_s = 0.0
+        self.finish_tag_s = self.cpu_s = 0.0
         self._scheduler = scheduler
         self._handle = handle
         self._limit = TokenBucket(rate, 1, _now()) if rate else None
@@ -131,9 +123,6 @@ async def wait_for_rate(limit: TokenBucket | None) -> None:
 
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
-if TYPE_CHECKING:
-    from nserver_emu.server.daemon import Daemon
-
 log = logging.getLogger(__name__)
 
 PAGE: Final = Path(__file__).with_name("page")
@@ -160,8 +149,8 @@ _HEADERS: Final = {
 class ViewerServer:
     """The page of one daemon. `token` allows everything, `watch_token` only watching."""
 
-    def __init__(self, daemon: Daemon, tokens: Tokens | None = None) -> None:
-        self._tokens = tokens or new_tokens()
+    def __init__(self, daemon: Daemon, tokens: auth.Tokens | None = None) -> None:
+        self._tokens = tokens or auth.new_tokens()
         self.token, self.watch_token = self._tokens
         self.broadcaster = Broadcaster(SceneHistory(daemon.emulator))
         self.controller = ViewerController(daemon, self.broadcaster)
@@ -173,7 +162,7 @@ class ViewerServer:
         self._daemon = daemon
         self._runner: web.AppRunner | None = None
         self._server: asyncio.Server | None = None
-        self._admission: HttpAdmission | None = None
+        self._admission: auth.HttpAdmission | None = None
         self._clock: asyncio.Task[None] | None = None
 
     async def open(self, host: str, port: int) -> int:
@@ -196,11 +185,11 @@ class ViewerServer:
         app.router.add_get("/metrics", self._metrics)
         app.router.add_static("/page/", PAGE)
         # 2. Runner and socket; an own protocol factory limits connections before HTTP is parsed.
-        self._runner = web.AppRunner(app, access_log=None, logger=HTTP_LOG, shutdown_timeout=1.0)
+        self._runner = web.AppRunner(app, access_log=None, logger=auth.HTTP_LOG, shutdown_timeout=1.0)
         await self._runner.setup()
         try:
             assert self._runner.server is not None
-            self._admission = HttpAdmission(self._door, self._runner.server)
+            self._admission = auth.HttpAdmission(self._door, self._runner.server)
             self._server = await listen(self._admission.protocol_factory, host, port)
         except OSError as error:
             await self._runner.cleanup()
@@ -208,7 +197,7 @@ class ViewerServer:
             raise ConnectionLost(
                 f"cannot serve the page on {host}:{port}: {error.strerror or error}; {remedy}"
             ) from error
-        HTTP_LOG.addFilter(self._admission.keep_record)  # only if the page is served: close() removes it
+        auth.HTTP_LOG.addFilter(self._admission.keep_record)  # only if the page is served: close() removes it
         # 3. The clock that takes pictures.
         self._clock = asyncio.create_task(self._run_clock())
         return int(self._server.sockets[0].getsockname()[1])
@@ -227,7 +216,7 @@ class ViewerServer:
             self._server.close()
             self._server = None
         if self._admission is not None:
-            HTTP_LOG.removeFilter(self._admission.keep_record)
+            auth.HTTP_LOG.removeFilter(self._admission.keep_record)
             self._admission = None
         if self._runner is not None:
             await self._runner.cleanup()
@@ -282,20 +271,20 @@ class ViewerServer:
         return may_act
 
     def _check_host(self, request: web.Request) -> None:
-        if not is_known_host(request.host, self._host_name):
+        if not auth.is_known_host(request.host, self._host_name):
             raise web.HTTPForbidden(text=f"this page is not served as {request.host!a}: use its numeric address\n")
 
     async def _page(self, request: web.Request) -> web.StreamResponse:
         self._check_host(request)
         if "token" in request.query and self._tokens.may_act(request.query["token"]) is None:
-            raise web.HTTPForbidden(text=REFUSED, content_type="text/html")
+            raise web.HTTPForbidden(text=auth.REFUSED, content_type="text/html")
         return web.FileResponse(PAGE / "index.html")
 
     def _require_local_or_token(self, request: web.Request) -> None:
         """Raise HTTPForbidden unless the request comes from this machine or has a token."""
         # Monitoring on this machine needs no token; the Host check still excludes pages of other sites.
         is_local = is_same_machine(request.remote or "", _local_address(request))
-        if not is_local or not is_known_host(request.host, self._host_name):
+        if not is_local or not auth.is_known_host(request.host, self._host_name):
             self._may_act(request)
 
     async def _health(self, request: web.Request) -> web.StreamResponse:
@@ -320,7 +309,7 @@ class ViewerServer:
         # 1. Token, origin and number of pages, before the websocket is accepted.
         may_act = self._may_act(request)
         origin = request.headers.get("Origin", "")
-        if not is_same_origin(origin, request.scheme, request.host):
+        if not auth.is_same_origin(origin, request.scheme, request.host):
             raise web.HTTPForbidden(text=f"Origin {ascii(origin) if origin else '(none)'} is not this page's\n")
         if len(self._sockets) >= self._door.limits.viewers:
             self._door.reject(request.remote or "", "too many pages are open (--limit-viewers)")
@@ -421,7 +410,9 @@ async def _add_headers(_request: web.Request, response: web.StreamResponse) -> N
 
 
 @contextlib.asynccontextmanager
-async def serve_viewer(daemon: Daemon, host: str, port: int, tokens: Tokens | None = None) -> AsyncIterator[list[str]]:
+async def serve_viewer(
+    daemon: Daemon, host: str, port: int, tokens: auth.Tokens | None = None
+) -> AsyncIterator[list[str]]:
     """Serve the page; yield the line to print."""
     viewer_server = ViewerServer(daemon, tokens)
     port = await viewer_server.open(host, port)
@@ -429,6 +420,6 @@ async def serve_viewer(daemon: Daemon, host: str, port: int, tokens: Tokens | No
         log.warning("the page is open to the network, unencrypted: all who read its address can drive the robots; "
                     "ssh -L %d:127.0.0.1:%d forwards a page on loopback to another machine", port, port)
     try:
-        yield [f"listening viewer {address(host, port)}/?token={viewer_server.token}"]
+        yield [f"listening viewer {auth.address(host, port)}/?token={viewer_server.token}"]
     finally:
         await viewer_server.close()

@@ -9,8 +9,6 @@ its session. At most MAX_ROWS rows are sent with a picture: further ones are cou
 starts again with the next picture.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any, Final

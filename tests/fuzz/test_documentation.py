@@ -47,6 +47,7 @@ def test_defaults_are_those_documented() -> None:
     assert (options.runs, options.jobs) == (10_000_000, os.cpu_count())
 
 
+@pytest.mark.long
 def test_list_names_all_readers() -> None:
     assert [line.split()[0] for line in run_fuzz("--list").splitlines()] == list(READERS)
 

@@ -181,7 +181,7 @@ def test_port_in_use_error_names_process(pty: Pty) -> None:
 
 def test_missing_port_error_lists_ports(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(serial_port, "ports", lambda: ["/dev/ttyUSB7"])
-    with pytest.raises(ConnectionLost, match=r"no port .*plugged in.*/dev/ttyUSB7"):
+    with pytest.raises(ConnectionLost, match=r"plugged in.*/dev/ttyUSB7"):
         SerialStream(str(tmp_path / "ttyUSB0"))
     monkeypatch.setattr(serial_port, "ports", list)
     with pytest.raises(ConnectionLost, match="none at all"):
@@ -190,7 +190,7 @@ def test_missing_port_error_lists_ports(tmp_path: Path, monkeypatch: pytest.Monk
 
 def test_invalid_port_and_baud_rate(tmp_path: Path, pty: Pty) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(ConnectionLost, match="file cannot be opened"):
+    with pytest.raises(ConnectionLost, match="cannot be opened"):
         SerialStream(str(tmp_path / "file"))
     with pytest.raises(ConnectionLost, match=f"{pty.name} .* at -1 baud"):
         SerialStream(pty.name, -1)

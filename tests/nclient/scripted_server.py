@@ -22,7 +22,7 @@ from nclient.protocol.replies import Reply
 from nclient.protocol.types import N150, Model
 from nclient.protocol.wire_state import tcp_wire_state
 from nclient.robot import Robot
-from nclient.transports.memory import MemoryStream
+from nclient.transports.stream import MemoryStream
 
 _SLOTTED = (shape.INFRARED, shape.SONAR, shape.BUMPER, shape.COMPASS, shape.CONFIGURATION, shape.VELOCITY)
 Answer = Reply | bytes | None

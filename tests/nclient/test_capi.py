@@ -48,7 +48,7 @@ def server(monkeypatch: pytest.MonkeyPatch) -> ScriptedServer:
         def load(self) -> Callable[[str], ScriptedServer]:
             return lambda _: script
 
-    monkeypatch.setattr("nclient.transports.memory.entry_points", lambda **_: [Point()])
+    monkeypatch.setattr("nclient.transports.stream.entry_points", lambda **_: [Point()])
     monkeypatch.setattr(capi, "SERVER_MACHINE_NAME", "toy:")
     return script
 

@@ -11,7 +11,7 @@ from nclient import capi
 from nclient.errors import AddressError, RobotRefused
 from nclient.protocol.commands import Call
 from nclient.protocol.types import EVERYTHING, N200, SCOUT
-from nclient.transports.memory import MemoryStream
+from nclient.transports.stream import MemoryStream
 from tests.nclient.protocol.recorded import LINE_SESSIONS, SERIAL, model_of
 from tests.nclient.scripted_line import NAK, RecordedRobot, ScriptedLine
 

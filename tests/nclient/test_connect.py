@@ -18,8 +18,7 @@ from nclient import (
 )
 from nclient.connector import ConnectOptions, is_listening, open_machine
 from nclient.protocol.types import EVERYTHING, N150, N200, SCOUT
-from nclient.transports import memory
-from nclient.transports.memory import MemoryStream
+from nclient.transports.stream import MemoryStream
 from nclient.url import available_schemes
 from tests.nclient.scripted_server import ScriptedServer, by_script, on_socket
 
@@ -151,13 +150,13 @@ def test_errors_of_the_opener_pass_through(address: str, kind: type[Exception]) 
 
 
 def test_the_address_names_the_model_of_a_simulation(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(memory, "open_in_process", lambda *_: MemoryStream(ScriptedServer()))
+    monkeypatch.setattr("nclient.connector.open_in_process", lambda *_: MemoryStream(ScriptedServer()))
     assert connect("sim:thesis_room?robot=n200").model is N200
 
 
 def test_available_schemes(monkeypatch: pytest.MonkeyPatch) -> None:
     assert {"nserver", "replay", "sim"} <= set(available_schemes())
-    monkeypatch.setattr(memory, "entry_points", lambda **_: [])
+    monkeypatch.setattr("nclient.transports.stream.entry_points", lambda **_: [])
     assert "sim" not in available_schemes()
 
 
@@ -223,7 +222,7 @@ def test_the_environment_is_the_default_machine(
 def test_a_simulation_is_a_machine_name() -> None:
     assert is_listening("sim:thesis_room", 7019)
     assert open_machine("sim:thesis_room", 7019, ConnectOptions(robot_id=1)).port > 0
-    with pytest.raises(RobotRefused, match="no robot number 2"):
+    with pytest.raises(RobotRefused, match="number 2"):
         open_machine("sim:thesis_room", 7019, ConnectOptions(robot_id=2))
 
 
@@ -249,9 +248,9 @@ def test_machine_names_with_port_and_addresses(
 
 
 def test_address_and_program_must_agree_on_the_robot(dialled: list[tuple[str, int]]) -> None:
-    with pytest.raises(AddressError, match=r"nserver://lab/2' names robot 2.* robot 1: .*leave"):
+    with pytest.raises(AddressError, match=r"nserver://lab/2' .* robot 1: "):
         open_machine("nserver://lab/2", 7019, ConnectOptions(robot_id=1))
-    with pytest.raises(AddressError, match="1 or more, not '/one'"):
+    with pytest.raises(AddressError, match=r"1 or more, .*'/one'"):
         open_machine("nserver://lab/one", 7019, ConnectOptions(robot_id=1))
     assert dialled == []
     assert is_listening("nserver://lab/2", 7019)

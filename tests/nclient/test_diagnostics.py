@@ -14,7 +14,7 @@ from nclient.protocol import codec
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import N150, N200, SCOUT, Model
-from nclient.transports.memory import MemoryStream
+from nclient.transports.stream import MemoryStream
 from nclient.url import parse_address
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.inprocess import InProcess

@@ -158,7 +158,7 @@ def test_the_arm() -> None:
 
 def test_a_short_reply_is_a_wire_error() -> None:
     robot = robot_on(ScriptedServer({"arm_zr": Reply("special", values=(4, 0, 0, 40))}))
-    with pytest.raises(WireError, match=r"arm_zr: .* 4 numbers, expected 8"):
+    with pytest.raises(WireError, match=r"arm_zr: .* 4 .*expected 8"):
         robot.arm_zero()
 
 
@@ -217,14 +217,14 @@ def test_motions_of_a_scout_become_wheel_speeds(verb: Verb, name: str, args: tup
 )
 def test_a_scout_has_no_turret(verb: Verb) -> None:
     server = ScriptedServer(model=SCOUT)
-    with pytest.raises(RobotRefused, match=r"scout .*no such axis"):
+    with pytest.raises(RobotRefused, match=r"scout .*such axis"):
         verb(robot_on(server))
     assert server.names() == []
 
 
 @pytest.mark.parametrize("verb", [lambda r: r.drive_wheels(right_in_s=1), lambda r: r.move_wheels(left_in=1)])
 def test_only_a_scout_has_wheel_commands(verb: Verb) -> None:
-    with pytest.raises(RobotRefused, match="n150 does not drive"):
+    with pytest.raises(RobotRefused, match=r"n150 .*not drive"):
         verb(robot_on(ScriptedServer()))
 
 

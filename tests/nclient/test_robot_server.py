@@ -137,7 +137,7 @@ def test_connect_robot_refuses_unknown_numbers() -> None:
     server = ScriptedServer()
     robot = robot_on(server)
     server.answers["connect_robot"] = simple(0)
-    with pytest.raises(RobotRefused, match="no robot number 9"):
+    with pytest.raises(RobotRefused, match="number 9"):
         robot.connect_robot(9)
     assert not robot.closed
 
@@ -176,7 +176,7 @@ def test_simulated_time_is_controlled(verb: Any, value: float, sent: tuple[int, 
 
 
 def test_unknown_time_verbs_are_rejected() -> None:
-    with pytest.raises(ValueError, match="pause, resume, speed, step, not 'stop'"):
+    with pytest.raises(ValueError, match=r"pause, resume, .*'stop'"):
         robot_on(ScriptedServer()).control_time("stop")  # type: ignore[arg-type]
 
 

@@ -13,7 +13,7 @@ from nclient.connector import is_listening
 from nclient.protocol.client_state import Handshake, build_handshake
 from nclient.protocol.commands import Call
 from nclient.protocol.types import EVERYTHING, N150, N200, SCOUT
-from nclient.transports.memory import MemoryStream
+from nclient.transports.stream import MemoryStream
 from tests.nclient.scripted_line import ScriptedLine, spoiled
 from tests.nclient.scripted_server import ScriptedServer
 
@@ -76,7 +76,7 @@ def test_a_program_runs_unchanged_on_a_line(bench: Bench) -> None:
         robot.configure_sonars()
         robot.drive(translation_in_s=5)
         assert robot.wait_until_still(1).sonars_in[0] == 57
-        with pytest.raises(RobotRefused, match="only on an Nserver"):
+        with pytest.raises(RobotRefused, match=r"only .*Nserver"):
             robot.truth()
         with pytest.raises(RobotRefused, match="not have it"):
             robot.position_data(sonars=True)

@@ -47,7 +47,7 @@ def test_without_removes_options_and_changes_nothing_else(text: str, left: str) 
 def test_unknown_options_are_ignored_only_on_request() -> None:
     raw = split_address("sim:w?seed=4&feed=1")
     assert raw.parse_options({"feed": url.flag}, ignore_unknown=True) == {"feed": True}
-    with pytest.raises(AddressError, match=r"'seed'.*mean feed.*There are feed"):
+    with pytest.raises(AddressError, match=r"'seed'.*mean feed"):
         raw.parse_options({"feed": url.flag})
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import re
 import signal
 import socket
@@ -91,12 +92,18 @@ def test_a_folder_as_save_file_is_reported_at_once(tmp_path: Path, capsys: pytes
     assert f"{tmp_path}: is a folder: name a file in it" in capsys.readouterr().err
 
 
+def test_a_pipe_to_save_to_is_refused_at_the_start(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    assert cli.main(["--port", "0", "--save", str(tmp_path / "pipe"), "--autosave", "1"]) == 1
+    assert "regular" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(("words", "output"), [
     (["--setup", "ideal", "--noisy"], "argument --noisy: it is --setup noisy, and --setup says ideal: leave one out"),
     (["-noisy", "--setup", "mine.toml"], "and --setup says mine.toml"),
     (["--lockstep", "0.1", "--speed", "3"], "argument --speed: in lockstep time passes with each request"),
     (["--lockstep", "abc"], "argument --lockstep: a step is more than 0 and at most 10 s, not 'abc'"),
-    (["--lockstep", "0"], "argument --lockstep: a step is more than 0 and at most 10 s, not 0"),
+    (["--lockstep", "0"], "argument --lockstep: a step is more than 0 and at most 10 s, not '0'"),
 ])  # fmt: skip
 def test_what_would_be_dropped_without_a_word_is_wrong_usage(
     words: list[str], output: str, capsys: pytest.CaptureFixture[str]
@@ -106,6 +113,7 @@ def test_what_would_be_dropped_without_a_word_is_wrong_usage(
     assert output in capsys.readouterr().err
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])
 def test_the_program_prints_its_address_serves_and_stops(ending: signal.Signals) -> None:
     command = [sys.executable, "-m", "nserver_emu", "--port", "0", "--speed", "max", "-v"]
@@ -192,6 +200,7 @@ def test_an_unknown_model_names_the_nearest(capsys: pytest.CaptureFixture[str]) 
             cli.main(["--robots", count])
 
 
+@pytest.mark.long
 def test_a_recorded_daemon_can_be_asked_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "run.log"
     words = ["--noisy", "--lockstep", "0.1", "--port", "0", "--allow-quit", "--record", str(path)]

@@ -11,6 +11,7 @@ import pytest
 from nclient.connector import connect
 
 
+@pytest.mark.long
 def test_the_laser_shows_the_arc_of_the_other_robot_over_tcp() -> None:
     command = [sys.executable, "-m", "nserver_emu", "--port", "0"]
     command += ["--robot", "n200", "--robot", "n150", "--start", "20,45", "--start", "70,45"]
@@ -32,6 +33,7 @@ def test_the_laser_shows_the_arc_of_the_other_robot_over_tcp() -> None:
     assert len(arc) + len(behind) == len(points) == 482
 
 
+@pytest.mark.long
 def test_each_robot_is_found_by_its_number() -> None:
     command = [sys.executable, "-m", "nserver_emu", "--port", "0", "--robots", "3"]
     command += ["--robot", "n150", "--robot", "scout", "--start", "0,0", "--start", "60,50,90"]

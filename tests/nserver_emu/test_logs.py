@@ -121,6 +121,7 @@ def test_an_embedding_programs_logging_is_left_alone(capsys: pytest.CaptureFixtu
     assert capsys.readouterr().err == ""
 
 
+@pytest.mark.long
 def test_every_line_of_a_daemon_is_an_object() -> None:
     command = [sys.executable, "-m", "nserver_emu", "--port", "0", "--paused", "--log-format", "json", "-v"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as daemon:
@@ -228,6 +229,7 @@ def test_many_addresses_share_one_count() -> None:
     assert sum(map(limiter, records)) == logs.MAX_KINDS + logs.MAX_REPEATS
 
 
+@pytest.mark.long
 def test_a_daemon_with_unread_stderr_serves_and_ends() -> None:
     """Its log is longer than a pipe holds."""
     command = [sys.executable, "-m", "nserver_emu", "--port", "0", "-vv"]

@@ -37,6 +37,7 @@ def manager(place: str) -> Iterator[socket.socket]:
         yield listener
 
 
+@pytest.mark.long
 def test_a_daemon_is_ready_alive_and_stopping(manager: socket.socket, place: str) -> None:
     environment = {**os.environ, "NOTIFY_SOCKET": place, "WATCHDOG_USEC": "200000"}
     environment.pop("WATCHDOG_PID", None)

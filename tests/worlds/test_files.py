@@ -171,7 +171,7 @@ def test_a_length_is_the_same_in_every_unit(inches: float, unit: tuple[str, floa
         ("size = 3\n" + ROOM, ["size: unknown key; expected one of"]),
         (
             ROOM + "[[wall]]\npionts_in = [[0, 0], [1, 1]]",
-            ["wall[0].pionts_in: unknown key; expected one of points_in, points_cm, points_m; did you mean points_in?"],
+            ["wall[0].pionts_in: unknown key; expected one of points_in, points_cm, points_m,", "mean points_in?"],
         ),
         (ROOM + "[[wall]]\npoints_mm = [[0, 0], [1, 1]]", ["wall[0].points_mm: unknown key", "did you mean points_m?"]),
         (ROOM + "[[start]]\nx_in = 1\ny_in = 1\nsteering = 3", ["start[0].steering: unknown", "mean steering_deg?"]),
@@ -378,10 +378,10 @@ def test_a_world_that_is_nowhere_is_reported_which_there_are(name: str, says: st
 
 
 def test_a_directory_and_a_pipe_are_no_world_files(tmp_path: Path) -> None:
-    with pytest.raises(WorldFileError, match="TOML, found a directory"):
+    with pytest.raises(WorldFileError, match="found a directory"):
         load_world(tmp_path)
     os.mkfifo(tmp_path / "pipe.toml")
-    with pytest.raises(WorldFileError, match=r"pipe\.toml: .*no regular file"):
+    with pytest.raises(WorldFileError, match=r"pipe\.toml: .*regular file"):
         load_world(tmp_path / "pipe.toml")
 
 

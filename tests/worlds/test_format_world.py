@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from worlds.io import format_world, load_world, parse_world, world_names
-from worlds.world import Path, Polygon, StartPose, World
+from worlds.world import Path, Polygon, StartPose, WallAccuracy, World
 
 
 def same(one: World, other: World) -> None:
@@ -72,3 +72,17 @@ def test_joined_walls_are_one_line_below_comment() -> None:
     assert "points_in = [[1.0, 50.0], [5.0, 50.0], [5.0, 60.0]]" in text
     assert "points_in = [[7.0, 70.0], [9.0, 70.0]]" in text
     same(parse_world(text, "again.toml", "again"), parse_world(format_world(world), "", ""))
+
+
+def test_measured_walls_keep_their_accuracy() -> None:
+    walls = np.array([[0, 0, 50, 0], [50, 0, 50, 60], [5, 90, 9, 90]], dtype=np.float64)
+    accuracies = {0: WallAccuracy(0.25, 0.01, 40.0), 1: WallAccuracy(0.5, 0.02, 0.0)}
+    world = World("w", "", inner_walls=walls, starts=(StartPose(20.0, 30.0),), accuracies=accuracies)
+    again = parse_world(format_world(world), "again.toml", "again")
+    # Walls without one come first.
+    np.testing.assert_allclose(again.inner_walls, walls[[2, 0, 1]])
+    assert sorted(again.accuracies) == [1, 2]
+    assert again.accuracies[1] == pytest.approx(accuracies[0])
+    assert again.accuracies[2] == pytest.approx(accuracies[1])
+    in_cm = "[[wall]]\npoints_in = [[0, 0], [9, 0], [9, 9]]\noffset_std_cm = 2.54\n[[start]]\nx_in = 5\ny_in = 5\n"
+    assert parse_world(in_cm, "", "w").accuracies == {row: pytest.approx((1.0, 0.0, 0.0)) for row in (0, 1)}

@@ -50,6 +50,7 @@ def walls(rng: np.random.Generator, count: int) -> FloatArray:
     return found
 
 
+@pytest.mark.long
 def test_memory_of_a_large_world_is_not_quadratic() -> None:
     text = text_of(star(8000))
     tracemalloc.start()

@@ -264,6 +264,7 @@ def test_exported_map_is_read_by_other_libraries(tmp_path: Path) -> None:
     assert pixels[pixels.shape[0] - 1 - int(y), int(x)] == 254
 
 
+@pytest.mark.long
 def test_export_and_import_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["map", "export", "flat", "--out", str(tmp_path / "flat.yaml"), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["resolution_m"] == 0.05

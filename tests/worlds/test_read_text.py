@@ -58,5 +58,5 @@ def test_unreadable_file_is_named(name: str, expected: str, tmp_path: Path) -> N
 def test_every_reader_reports_invalid_toml(kind: str, text: str, expected: str, tmp_path: Path) -> None:
     file = tmp_path / "bad.toml"
     file.write_text(text)
-    with pytest.raises(WorldFileError, match=rf"bad\.toml: is no TOML: {expected}"):
+    with pytest.raises(WorldFileError, match=rf"bad\.toml: .*TOML: {expected}"):
         READERS[kind](file)

@@ -61,6 +61,7 @@ def test_outline_that_would_vanish_stays() -> None:
     assert saved is sliver
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", world_names())
 def test_minimal_map_is_unchanged(name: str) -> None:
     world = load_world(name)

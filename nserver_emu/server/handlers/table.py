@@ -25,3 +25,4 @@ class Emulator(ServerState):
     """A simulation behind the protocol."""
 
     handlers = HANDLERS
+    preparations = {"predict_sensors": world.prepare_prediction}  # noqa: RUF012

@@ -10,7 +10,7 @@ arc |p + t (q - p) - c| = r gives a quadratic equation in t.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from math import atan2, copysign, cos, hypot, pi, remainder, sin, tau
 from typing import Final, NamedTuple
 
@@ -20,15 +20,17 @@ from nclient.errors import StartError
 from nclient.protocol.replies import Reply
 from nclient.protocol.requests import MOTION_LINE
 from nclient.protocol.types import heading_tenths, rad_from_tenths, tenths
-from nserver_emu.server.context import ServerState, add_laser, state_slots
+from nserver_emu.server.context import STATE_SENSORS, ServerState, add_laser, is_on, state_slots
 from nserver_emu.server.deferred import ClickedPose
 from nserver_emu.server.session import BAD_VALUES, REFUSED, ConnectionContext, DeferredReply, done, error_reply
+from nserver_emu.simulation.laser import MAX_RANGE_IN as LASER_RANGE_IN
 from nserver_emu.simulation.multi_robot import discs_of
 from nserver_emu.simulation.noise import IDEAL, Purpose, RngFactory
 from nserver_emu.simulation.robot import SimulatedRobot
 from nserver_emu.simulation.visibility import RobotPositions
 from worlds.geometry import FloatArray, area, crossing, inside, lengths, nearest_points
-from worlds.raycast import cast_rays
+from worlds.raycast import cast_rays, near_walls
+from worlds.robots import Body
 from worlds.world import Polygon, StartPose, World
 
 # A path that misses a wall by at most this meets it: coordinates up to 1e5 in have rounding errors of 1e-11.
@@ -244,17 +246,67 @@ class _NoDraws(RngFactory):
 _UNUSED_RNG: Final = np.random.default_rng(0)
 
 
+class Prediction(NamedTuple):
+    """A robot without noise at another pose, what it was made from, and its sensors, one in each step."""
+
+    args: tuple[int, ...]
+    walls: FloatArray
+    others: FloatArray
+    robot: SimulatedRobot
+    steps: Iterator[None]
+
+
 def predict_sensors(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Reply:
     """Return the noise-free readings of the sensors at another pose; the robot does not move."""
-    simulation, robot = server.simulation, server.robot_of(context)
-    others = {number: other for number, other in simulation.robots.items() if other is not robot}
-    others_there = RobotPositions(np.vstack((discs_of(others.values()), (0.0, 0.0, 0.0))))
-    there = SimulatedRobot(
-        _NoDraws(*robot.rng_factory), _start(args), simulation.world.walls, robot.model, IDEAL, positions=others_there,
-        self_index=len(others),
-    )
+    there = _predict(server, context, args).robot
+    context.prediction = None
     slots, laser = add_laser(there, context, state_slots(there, server.clock.speed_tenths))
     return Reply("prediction", values=tuple(slots[:_PREDICTED_SLOTS]), laser=laser)
+
+
+def prepare_prediction(
+    server: ServerState, context: ConnectionContext, args: tuple[int, ...]
+) -> Iterator[None]:
+    """Read the sensors of a prediction, one in each step; what changes before the reply makes it begin anew."""
+    context.prediction = prediction = _predict(server, context, args)
+    return prediction.steps
+
+
+def _predict(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Prediction:
+    """Return the prediction that was prepared, or a new one if anything differs."""
+    simulation, robot, before = server.simulation, server.robot_of(context), context.prediction
+    walls, others = simulation.world.walls, discs_of(each for each in simulation.robots.values() if each is not robot)
+    if (
+        isinstance(before, Prediction) and before.args == args and before.walls is walls
+        and before.robot.model is robot.model and np.array_equal(before.others, others)
+    ):  # fmt: skip
+        return before
+    start = _start(args)
+    near = near_walls(start.x_in, start.y_in, _sensor_reach_in(robot.model.body), walls)
+    there = SimulatedRobot(
+        _NoDraws(*robot.rng_factory), start, near, robot.model, IDEAL,
+        positions=RobotPositions(np.vstack((others, (0.0, 0.0, 0.0)))), self_index=len(others),
+    )
+    has_laser = there.model.has_light_sensors and is_on(context.wire_state.laser_mode)
+    return Prediction(args, walls, others, there, _sensor_steps(there, has_laser))
+
+
+def _sensor_reach_in(body: Body) -> float:
+    """Return the distance from a robot's axis beyond which no wall changes the reading of a sensor without noise."""
+    ring = body.ring
+    farthest_mount_in = max(hypot(*ring.mount_in(sonar)) for sonar in range(ring.count))
+    sonars_in = ring.radius_in + farthest_mount_in + IDEAL.sonar.reach_in(ring.max_range_in)
+    return max(sonars_in, body.radius_in + LASER_RANGE_IN, body.radius_in + IDEAL.infrared.reach_in)
+
+
+def _sensor_steps(robot: SimulatedRobot, has_laser: bool) -> Iterator[None]:
+    """Compute the readings of a robot that stands, which keeps them."""
+    for sensor in STATE_SENSORS:
+        yield
+        sensor.values(robot)
+    yield
+    if has_laser:
+        robot.scan_laser()
 
 
 def motion_check(server: ServerState, _context: ConnectionContext, args: tuple[float, ...]) -> Reply:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+from itertools import pairwise, product
 from math import hypot, pi, tau
 
 import numpy as np
@@ -45,6 +45,25 @@ def test_square_is_largest_and_nearest() -> None:
     assert square.side_in == 68.0
     assert square.x_in + square.side_in == 124.0
     assert largest_square(room, 9.0, (0.0, 0.0)).x_in == 16.0
+
+
+@pytest.mark.parametrize(("name", "near"), [
+    ("centre_vertex", (0.0, 0.0)), ("several_walls", (60.0, 20.0)), ("thesis_room", (30.0, 90.0)),
+])  # fmt: skip
+def test_square_equals_that_of_trying_all(name: str, near: tuple[float, float]) -> None:
+    world = load_world(name)
+    low, high = world.walls.reshape(-1, 2).min(axis=0), world.walls.reshape(-1, 2).max(axis=0)
+    found = largest_square(world, RADIUS_IN, near)
+    # The next larger size, and of this size all that are nearer: none of them may be clear.
+    for side in (found.side_in, found.side_in + 4.0):
+        for x, y in product(np.arange(low[0], high[0] - side, 4.0), np.arange(low[1], high[1] - side, 4.0)):
+            square = Square(float(x), float(y), side)
+            if side > found.side_in or distance(square, near) < distance(found, near) - 1e-9:
+                assert not is_clear(square, world, RADIUS_IN)
+
+
+def distance(square: Square, near: tuple[float, float]) -> float:
+    return min(hypot(x - near[0], y - near[1]) for x, y in square.corners)
 
 
 def test_small_room_has_no_square() -> None:

@@ -175,6 +175,7 @@ def test_sonar_offsets_are_estimated_while_driving(
     assert len(json.loads(saved.read_text())["mean"]) == 6
 
 
+@pytest.mark.long
 def test_unknown_start_is_found_and_goal_reached(capsys: pytest.CaptureFixture[str]) -> None:
     robot = "sim:several_walls?noisy=1&seed=3&start=30,60,20,20"
     assert localize(robot, "--map", "several_walls", "--start", "unknown", "--waypoints", "45,65", "--json") == 0
@@ -184,6 +185,7 @@ def test_unknown_start_is_found_and_goal_reached(capsys: pytest.CaptureFixture[s
     assert result["rmse_position_in"] < 0.5
 
 
+@pytest.mark.long
 def test_ambiguous_places_are_reported_without_driving(capsys: pytest.CaptureFixture[str]) -> None:
     robot = "sim:thesis_room?noisy=1&seed=3&start=20,35,20,20"
     asked = [robot, "--map", "thesis_room", "--start", "unknown", "--waypoints", "60,40", "--time-limit", "8"]
@@ -233,7 +235,7 @@ def test_time_limit_is_reported(capsys: pytest.CaptureFixture[str]) -> None:
 def test_wrong_picture_suffix_is_reported_before_the_drive(
     name: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(localization_cli, "open_robot", lambda _: pytest.fail("it drives"))
+    monkeypatch.setattr("localization.cli.arguments.open_robot", lambda _: pytest.fail("it drives"))
     assert localize(NOISY, *TO_GOAL, "--picture", name) == 1
     assert "pictures are written as PNG: name a file that ends in .png" in capsys.readouterr().err
 
@@ -241,7 +243,7 @@ def test_wrong_picture_suffix_is_reported_before_the_drive(
 @pytest.mark.parametrize(("words", "expected"), [
     (["--start", "unknwon"], "3 numbers separated by commas, inches, inches and degrees, or unknown, not 'unkn"),
     (["--waypoints", "0cm,0"], "2 numbers separated by commas, inches, such as 20,40, not '0cm,0'"),
-    (["--waypoints", "1,1", "--speed", "5in"], "argument --speed: expected a number, not '5in'"),
+    (["--waypoints", "1,1", "--speed", "5in"], "argument --speed: expected a number above 0, not '5in'"),
     (["--waypoints", "1,1", "--scale-std", "5%"], "argument --scale-std: expected a number, not '5%'"),
 ])  # fmt: skip
 def test_invalid_options_name_the_expected_form(
@@ -269,7 +271,7 @@ def test_an_interrupted_run_is_saved_and_reported(
     assert "1 of 2 waypoints reached" in capsys.readouterr().out
     assert saved.exists()
     (tmp_path / "gone").mkdir()
-    monkeypatch.setattr(localization_cli, "check_writable", lambda *_: (tmp_path / "gone").rmdir())
+    monkeypatch.setattr("localization.cli.arguments.check_writable", lambda *_: (tmp_path / "gone").rmdir())
     file = tmp_path / "gone" / "saved"
     assert localize(*words, "--save", str(file)) in (130, 143), "the ending stays what it was"
     assert str(file) in capsys.readouterr().err
@@ -278,7 +280,7 @@ def test_an_interrupted_run_is_saved_and_reported(
 def test_unwritable_file_is_reported_before_the_drive(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(localization_cli, "open_robot", lambda _: pytest.fail("it drives"))
+    monkeypatch.setattr("localization.cli.arguments.open_robot", lambda _: pytest.fail("it drives"))
     (tmp_path / "file").touch()
     blocking_file = tmp_path / "file"
     for file, expected in (
@@ -311,6 +313,7 @@ def test_path_point_behind_wall_ends_run_with_reason(capsys: pytest.CaptureFixtu
     assert result["duration_s"] < 40.0
 
 
+@pytest.mark.long
 def test_assumed_rays_are_reported_and_refused_on_misfit(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -332,6 +335,7 @@ def test_assumed_rays_are_reported_and_refused_on_misfit(
     assert json.loads(capsys.readouterr().out)["hint"] is None, "no hint from few readings"
 
 
+@pytest.mark.long
 def test_a_measured_ring_has_cones_without_being_reported(capsys: pytest.CaptureFixture[str]) -> None:
     results = []
     for words in ([], ["--sonars", "cones"]):

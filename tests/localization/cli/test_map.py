@@ -33,9 +33,10 @@ def room(tmp_path: Path) -> str:
 def test_check_reports_problems_and_places(room: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main.main(["map", "check", room]) == 3
     lines = capsys.readouterr().out.splitlines()
-    assert [line.split("(")[0].strip() for line in lines] == ["gap", "doubled", "closed off"]
+    problems = [line for line in lines if not line.startswith(("alike", "note"))]
+    assert [line.split("(")[0].strip() for line in problems] == ["gap", "doubled", "closed off"]
     assert main.main(["map", "check", room, "--gap", "1", "--json"]) == 3
-    found = json.loads(capsys.readouterr().out)
+    found = [finding for finding in json.loads(capsys.readouterr().out) if finding["kind"] != "alike"]
     assert [finding["kind"] for finding in found] == ["doubled", "closed off"]
     assert found[0]["place_in"] == [100.0, 57.5]
 
@@ -43,6 +44,23 @@ def test_check_reports_problems_and_places(room: str, capsys: pytest.CaptureFixt
 def test_check_of_valid_map_reports_no_problems(capsys: pytest.CaptureFixture[str]) -> None:
     assert main.main(["map", "check", "several_walls"]) == 0
     assert capsys.readouterr().out == "several_walls: 8 walls, no problems\n"
+
+
+def test_check_notes_places_that_look_alike(capsys: pytest.CaptureFixture[str]) -> None:
+    """A square room looks the same from four places; that is no problem of the map."""
+    assert main.main(["map", "check", "thesis_room", "--at", "20,35", "--json"]) == 0
+    (found,) = json.loads(capsys.readouterr().out)
+    assert found["kind"] == "alike"
+    # The corners of the room are at -15 and 105.17: quarter turns about its middle.
+    middle = 45.085
+    assert {tuple(round(value) for value in pose) for pose in found["poses"]} == {
+        (round(middle + x), round(middle + y), heading)
+        for x, y, heading in [(-25.1, -10.1, 0), (10.1, -25.1, 90), (25.1, 10.1, 180), (-10.1, 25.1, 270)]
+    }
+    assert main.main(["map", "check", "thesis_room"]) == 0
+    assert "note: " in capsys.readouterr().out.splitlines()[-1]
+    assert main.main(["map", "check", "several_walls", "--at", "30,60"]) == 0
+    assert "no other place" in capsys.readouterr().out
 
 
 def test_simplify_writes_a_world_with_fewer_walls(

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from localization.cli.options import add_map_option, resolve_world
+from localization.cli.arguments import add_map_option, resolve_world
 from nclient.cli.main import main
 from nclient.errors import AddressError
 from worlds.io import DEFAULT_WORLD

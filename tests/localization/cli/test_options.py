@@ -7,7 +7,7 @@ import math
 
 import pytest
 
-from localization.cli.options import add_resume_options
+from localization.cli.arguments import add_resume_options
 
 
 def test_old_name_of_displacement_std_works_with_a_warning(capsys: pytest.CaptureFixture[str]) -> None:

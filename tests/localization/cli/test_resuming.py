@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from localization.cli import options
+from localization.cli import arguments as options
 from localization.filters.belief import independent
 from localization.filters.health import FilterHealth, HealthStatus
 from localization.live import saved_estimate
@@ -44,7 +44,7 @@ class Lasting:
 @pytest.fixture
 def lasting(monkeypatch: pytest.MonkeyPatch) -> Lasting:
     made = Lasting()
-    monkeypatch.setattr("localization.cli.options.connect", lambda _: made)
+    monkeypatch.setattr("localization.cli.arguments.connect", lambda _: made)
     return made
 
 

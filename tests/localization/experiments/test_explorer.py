@@ -22,6 +22,7 @@ class Ring(NamedTuple):
     sonars_in: tuple[int, ...]
     steering_rad: float = 1.0
     turret_rad: float = 1.0
+    touching: bool = False
 
 
 def explorer(places: np.typing.NDArray[np.float64] = GOAL) -> RandomExplorer:

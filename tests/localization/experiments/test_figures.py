@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure as Picture
 
 from localization.experiments import output
-from localization.experiments.figure_trial import FIGURES, figure_setup
-from localization.experiments.results import Track
+from localization.experiments.figure_trial import FIGURES, Track, figure_setup
 from localization.filters.belief import Floats
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as Picture
 
 PNG = b"\x89PNG\r\n\x1a\n"
 

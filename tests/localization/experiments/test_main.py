@@ -12,8 +12,7 @@ import pytest
 from localization.experiments import __main__, live
 from localization.experiments import lost as lost_command
 from localization.experiments import plan as plan_command
-from localization.experiments.figure_trial import FIGURES
-from localization.experiments.results import Summary
+from localization.experiments.figure_trial import FIGURES, Summary
 
 QUICK = ["--seeds", "2", "--jobs", "1"]
 
@@ -57,7 +56,7 @@ def test_all_is_every_figure_and_then_the_live_matrix(monkeypatch: pytest.Monkey
     (["5.5"], "figure 5.5 shows the errors of 5.4 and is drawn with it: use 5.4"),
     (["5.1"], "unknown figure '5.1'; expected one of 5.2, 5.4"),
     (["5.4", "live"], "live is a command, not a figure"),
-    (["5.4", "--seeds", "few"], "argument --seeds: expected a whole number of 1 or more, not 'few'"),
+    (["5.4", "--seeds", "few"], "argument --seeds: the number is 1 or more, not few"),
     (["all", "--scenario", "exact"], "unrecognized arguments: --scenario exact"),
 ])  # fmt: skip
 def test_unknown_word_is_reported_with_choices(

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from localization.experiments.figure_trial import FIGURES, figure_setup
+from localization.experiments.figure_trial import FIGURES, Summary, figure_setup
 from localization.experiments.output import table
-from localization.experiments.results import Summary
 
 
 def some_summary(name: str, *, filtered: bool = True) -> Summary:

@@ -7,10 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from localization.experiments.figure_trial import FIGURES, Runs
-from localization.experiments.results import (
+from localization.experiments.figure_trial import (
+    FIGURES,
     TRACKED_SEEDS,
     FigureResult,
+    Runs,
     SeedResult,
     Summary,
     figure_result,

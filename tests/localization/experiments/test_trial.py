@@ -12,12 +12,14 @@ from localization.experiments.figure_trial import (
     FIGURES,
     FigureSetup,
     Runs,
+    Summary,
     draw_start_errors,
+    figure_result,
     figure_setup,
     mean_band,
     run,
+    summarize,
 )
-from localization.experiments.results import Summary, figure_result, summarize
 from localization.filters.belief import difference
 from localization.filters.odometry import process_covariance, step_jacobians
 from localization.filters.sonar_ray import ranges_from, wall_map

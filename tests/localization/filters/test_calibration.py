@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from localization.calibration.result import calibration_in, table
+from localization.calibration.procedure import calibration_in, table
 from localization.experiments.live_trial import EXACT_RAYS
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import independent

@@ -9,8 +9,9 @@ import pytest
 
 from localization.filters.calibration import EDGE_STD_RAD, AimReading, ConeAim
 from localization.filters.reflectors import reflectors
-from localization.filters.sonar_cone import ConeSonar, SonarMount, expected_echoes
+from localization.filters.sonar_cone import ConeSonar, expected_echoes
 from localization.filters.sonar_ray import wall_map
+from worlds.rings import SonarMount
 from worlds.robots import N150
 
 WALL = [[100.0, -1000.0, 100.0, 1000.0]]

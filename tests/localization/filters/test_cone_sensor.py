@@ -6,13 +6,15 @@ import numpy as np
 import pytest
 
 from localization.filters.reflectors import reflectors
-from localization.filters.sonar_cone import ConeModel, ConeSonar, SonarMount, expected_echoes, first_echoes
+from localization.filters.sonar_cone import ConeModel, ConeSonar, expected_echoes, first_echoes
 from worlds.io import load_world
+from worlds.rings import SonarMount
 from worlds.robots import N150
 
 MODELS = [ConeSonar(), ConeSonar(cone_rad=1.2, margin_db=60.0), ConeSonar(cone_rad=7.0)]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize("world", ["several_walls", "centre_vertex"])
 def test_scalar_candidates_equal_array_candidates(world: str, model: ConeSonar) -> None:
@@ -25,7 +27,7 @@ def test_scalar_candidates_equal_array_candidates(world: str, model: ConeSonar) 
         mount, std = SonarMount(rng.uniform(-np.pi, np.pi), N150.sonar_ring_radius_in), rng.choice([0.0, 0.01, 0.2])
         plain = expected_echoes(pose, np.array(std), mount, around, model)
         x, y, heading = pose.tolist()
-        mine = sorted(first_echoes(x, y, heading, std, mount.direction_rad, sensor))
+        mine = sorted(first_echoes(x, y, heading, std, mount, sensor))
         # The same reflectors, in the same order.
         assert [found.reflector for found in mine] == np.flatnonzero(plain.probability).tolist()
         several += len(mine) > 1

@@ -10,8 +10,9 @@ import pytest
 from localization.experiments.live_trial import QUIET
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import independent
-from localization.filters.global_localization import Alternatives, GlobalLocalizer
+from localization.filters.global_localization import GlobalLocalizer
 from localization.filters.health import HealthStatus
+from localization.filters.pose_search import Alternatives
 from localization.filters.registry import finder
 from localization.filters.sonar_cone import ConeSonar
 from localization.live.localizer import Estimate, Localizer
@@ -117,7 +118,7 @@ def test_a_found_pose_has_odometry_parameters() -> None:
 
 def test_falling_evidence_alone_means_lost(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        "localization.filters.global_localization.alternatives", lambda *_: Alternatives(None, None, -math.inf)
+        "localization.filters.pose_search.alternatives", lambda *_: Alternatives(None, None, -math.inf)
     )
     with open_at("several_walls", START) as robot:
         localizer = localizer_of(robot, finder(ROOM, independent((80.0, 75.0, 2.0), (0.2, 0.2, 0.01))))

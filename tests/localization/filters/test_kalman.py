@@ -8,9 +8,10 @@ import pytest
 from localization.filters.base import measurement_model
 from localization.filters.belief import Belief, independent, unpack
 from localization.filters.ekf import KalmanFilter
-from localization.filters.global_localization import GlobalLocalizer, TableSearch
+from localization.filters.global_localization import GlobalLocalizer
 from localization.filters.health import HEALTHY, HealthLimits, HealthStatus
 from localization.filters.odometry import OdometryNoise
+from localization.filters.pose_search import TableSearch
 from localization.filters.range_table import build_range_table
 from localization.filters.registry import update_for
 from localization.filters.sonar_cone import ConeSonar

@@ -10,10 +10,10 @@ import pytest
 from localization.filters.particles import ConeLikelihood, Likelihood, RayLikelihood
 from localization.filters.sonar_cone import ConeSonar
 from localization.filters.sonar_ray import WIRE_SONAR
-from localization.filters.update import RANGE_SPAN_IN
 from worlds.io import load_world
 from worlds.robots import N150
 
+SPAN_IN = 255.0 - 6.0
 pytestmark = pytest.mark.long
 
 ROOM = load_world("several_walls").walls
@@ -29,14 +29,14 @@ def test_likelihood_integrates_to_one(kind: Likelihood, sonar: int) -> None:
     sums = 0.25 * np.sum([kind.at(POSES, sonar, 0.4, float(reading)).total for reading in readings], axis=0)
     assert (sums >= 0.99).all()
     # Bad readings are spread over less than is summed here.
-    assert (sums <= 320.0 / RANGE_SPAN_IN + 0.01).all()
+    assert (sums <= 320.0 / SPAN_IN + 0.01).all()
 
 
 def test_a_ray_by_hand() -> None:
     pose = np.array([[40.0, 60.0, 0.0]])
     expected = 102.17 - 40.0 - N150.sonar_ring_radius_in
     variance = (0.01 * expected) ** 2 + 1 / 12 + 0.25
-    by_hand = 0.95 * exp(-0.5 * (55.0 - expected) ** 2 / variance) / sqrt(2 * pi * variance) + 0.05 / RANGE_SPAN_IN
+    by_hand = 0.95 * exp(-0.5 * (55.0 - expected) ** 2 / variance) / sqrt(2 * pi * variance) + 0.05 / SPAN_IN
     assert RAYS.at(pose, 0, 0.0, 55.0).total[0] == pytest.approx(by_hand)
 
 
@@ -63,7 +63,7 @@ def test_the_widening_counts_as_a_constant_error(kind: Likelihood) -> None:
 
 def test_a_ray_into_nothing_leaves_only_bad_readings() -> None:
     alone = RayLikelihood([[50, -10, 50, 10]], N150, WIRE_SONAR)
-    assert alone.at(np.array([[0.0, 0.0, pi]]), 0, 0.0, 41.0) == pytest.approx(np.full((2, 1), 0.05 / RANGE_SPAN_IN))
+    assert alone.at(np.array([[0.0, 0.0, pi]]), 0, 0.0, 41.0) == pytest.approx(np.full((2, 1), 0.05 / SPAN_IN))
 
 
 @pytest.mark.parametrize("kind", [RAYS, CONES])

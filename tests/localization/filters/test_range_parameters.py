@@ -14,9 +14,10 @@ from localization.filters.odometry import OdometryNoise, move, predict, with_par
 from localization.filters.reflectors import reflectors
 from localization.filters.registry import make
 from localization.filters.smoother import FixedLagSmoother
-from localization.filters.sonar_cone import ConeSonar, SonarMount, expected_echoes
+from localization.filters.sonar_cone import ConeSonar, expected_echoes
 from localization.filters.sonar_ray import RaySonar, ranges_from, wall_map
 from worlds.io import load_world
+from worlds.rings import SonarMount
 from worlds.robots import N150
 
 WORLD = load_world("several_walls")

@@ -10,15 +10,17 @@ import pytest
 
 from localization.experiments.live_trial import EXACT_RAYS, QUIET
 from localization.filters.belief import Floats, difference, independent
-from localization.filters.global_localization import MIN_LEAD_NATS, EchoRecord, Hypothesis, alternatives, merged, search
+from localization.filters.global_localization import MIN_LEAD_NATS
+from localization.filters.pose_search import EchoRecord, EchoReplay, Hypothesis, alternatives, merged, search
 from localization.filters.range_table import RangeTable, build_range_table
 from localization.filters.reflectors import reflectors
 from localization.filters.registry import update_for
-from localization.filters.sonar_cone import ConeSonar, SonarMount, expected_echoes
+from localization.filters.sonar_cone import ConeSonar, expected_echoes
 from localization.filters.sonar_ray import RaySonar
 from nclient import connect
 from nclient.protocol.types import DEFAULT_SONAR_ORDER
 from worlds.io import load_world
+from worlds.rings import SonarMount
 from worlds.robots import N150
 
 pytestmark = pytest.mark.long
@@ -55,8 +57,11 @@ def records_at(world: str, setup: str, pose: Place, distance_in: float = 0.0) ->
 
 
 def found_at(world: str, setup: str, records: list[EchoRecord]) -> list[Hypothesis]:
-    measurement = update_for(load_world(world).walls, N150, KINDS[setup])
-    return search(records, table_of(world, setup), measurement, QUIET)
+    return search(records, table_of(world, setup), replay_of(world, setup))
+
+
+def replay_of(world: str, setup: str) -> EchoReplay:
+    return EchoReplay(update_for(load_world(world).walls, N150, KINDS[setup]), QUIET)
 
 
 @pytest.mark.parametrize("setup", KINDS)
@@ -89,12 +94,12 @@ def test_a_square_room_has_four_places_that_look_alike(setup: str) -> None:
 
 
 def test_no_echoes_or_no_free_space_give_no_pose() -> None:
-    measurement = update_for(load_world("thesis_room").walls, N150, EXACT_RAYS)
+    replay = replay_of("thesis_room", "ideal")
     records, _ = records_at("thesis_room", "ideal", (20.0, 35.0, 10.0))
-    assert search([], table_of("thesis_room", "ideal"), measurement, QUIET) == []
+    assert search([], table_of("thesis_room", "ideal"), replay) == []
     narrow = build_range_table([[0, 0, 10, 0], [10, 0, 10, 10], [10, 10, 0, 10], [0, 10, 0, 0]], N150, EXACT_RAYS, 9.0)
     assert not len(narrow.places_in)
-    assert search(records, narrow, measurement, QUIET) == []
+    assert search(records, narrow, replay) == []
 
 
 def test_equal_hypotheses_merge_and_improbable_ones_drop() -> None:
@@ -139,11 +144,11 @@ def test_readings_taken_anywhere_have_a_density(setup: str) -> None:
 def test_only_wrong_pose_has_alternative(setup: str) -> None:
     records, truth = records_at("several_walls", setup, (30.0, 60.0, 20.0))
     table = table_of("several_walls", setup)
-    measurement = update_for(load_world("several_walls").walls, N150, KINDS[setup])
+    replay = replay_of("several_walls", setup)
     right, wrong = (independent(place, (0.2, 0.2, 0.01)) for place in (truth, truth + np.array([25.0, 5.0, 1.0])))
     # At the true pose nothing explains the echoes clearly better.
-    assert alternatives(right, records, table, measurement, QUIET).lead_nats < 0.5 * MIN_LEAD_NATS
-    found = alternatives(wrong, records, table, measurement, QUIET)
+    assert alternatives(right, records, table, replay).lead_nats < 0.5 * MIN_LEAD_NATS
+    found = alternatives(wrong, records, table, replay)
     assert found.lead_nats > MIN_LEAD_NATS
     assert found.elsewhere is not None
     off = difference(found.elsewhere.mean, truth)
@@ -155,8 +160,8 @@ def test_no_alternative_without_free_space() -> None:
     walls = load_world("several_walls").walls
     # Clearance 500 in: the room has no free place for such a robot.
     nowhere = build_range_table(walls, N150, KINDS["ideal"], 500.0)
-    measurement = update_for(walls, N150, KINDS["ideal"])
-    assert alternatives(independent(truth, (0.2, 0.2, 0.01)), records, nowhere, measurement, QUIET) == (
+    replay = replay_of("several_walls", "ideal")
+    assert alternatives(independent(truth, (0.2, 0.2, 0.01)), records, nowhere, replay) == (
         None,
         None,
         -math.inf,
@@ -167,11 +172,10 @@ def test_no_alternative_without_free_space() -> None:
 def test_a_slipped_heading_has_its_alternative_nearby(heading_std: float) -> None:
     """A robot that turned on the spot with poor encoders, whether it knows how far its heading may be off or not."""
     records, truth = records_at("several_walls", "measured", (30.0, 60.0, 20.0))
-    walls = load_world("several_walls").walls
-    measurement = update_for(walls, N150, KINDS["measured"])
+    replay = replay_of("several_walls", "measured")
     # Turned by 0.3 rad on the spot.
     turned = independent(truth + np.array([0.0, 0.0, 0.3]), (0.2, 0.2, heading_std))
-    found = alternatives(turned, records, table_of("several_walls", "measured"), measurement, QUIET)
+    found = alternatives(turned, records, table_of("several_walls", "measured"), replay)
     assert found.near is not None
     off = difference(found.near.mean, truth)
     assert np.hypot(off[0], off[1]) < 2.0

@@ -9,8 +9,9 @@ import pytest
 
 from localization.filters import global_localization as module
 from localization.filters.belief import Belief, independent
-from localization.filters.global_localization import DECISION_NATS, EchoRecord, SequentialTest, Side
+from localization.filters.global_localization import DECISION_NATS, SequentialTest, Side
 from localization.filters.odometry import OdometryNoise, predict
+from localization.filters.pose_search import EchoRecord
 from localization.filters.update import Association, Covariance, MeasurementUpdate, Refusal, State
 
 STD_IN, SPAN_IN = 1.5, 249.0

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from localization.filters.reflectors import reflectors
-from localization.filters.sonar_cone import ConeSonar, SonarMount, echo_probabilities, expected_echoes
+from localization.filters.sonar_cone import ConeSonar, echo_probabilities, expected_echoes
 from worlds.io import load_world
+from worlds.rings import SonarMount
 
 SURE = np.array(1e-9)
 SQUARE_ROOM = [[-50, -50, 50, -50], [50, -50, 50, 50], [50, 50, -50, 50], [-50, 50, -50, -50]]

@@ -235,6 +235,7 @@ def refusals_of(belief: Belief, walls: WallMap) -> Floats:
     return np.asarray(predict_beam(x, P, ANGLES, N150.sonar_ring_radius_in, walls, STRICT).refusal)
 
 
+@pytest.mark.long
 def test_no_pose_of_the_ellipsoid_meets_another_wall() -> None:
     """The two poses of `sideways_shift` represent the ellipsoid: checked with four thousand.
 

@@ -5,25 +5,25 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from localization.experiments.live_trial import QUIET
-from localization.filters import global_localization as module
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import Belief, Floats, independent
-from localization.filters.global_localization import (
+from localization.filters.global_localization import MAX_BEHIND, GlobalLocalizer
+from localization.filters.health import HealthStatus
+from localization.filters.pose_search import (
     EchoRecord,
-    GlobalLocalizer,
+    EchoReplay,
     PendingSearch,
+    SearchRequest,
     SearchResult,
     TableSearch,
 )
-from localization.filters.health import HealthStatus
 from localization.filters.range_table import DIRECTIONS, build_range_table
-from localization.filters.registry import DEFAULT_METHOD, FINDER, finder, table_search
+from localization.filters.registry import DEFAULT_METHOD, FINDER, finder, table_search, update_for
 from localization.filters.sonar_cone import ConeSonar
 from localization.live.background_search import (
     MAX_CACHED,
@@ -73,14 +73,14 @@ def test_answers_are_those_of_a_search_in_this_process(tmp_path: Path) -> None:
 
 
 class Late(TableSearch):
-    """Search whose answers are late by a number of questions."""
+    """Search of the map whose answers are late by a number of questions."""
 
     def __init__(self, search: TableSearch, questions: int) -> None:
-        super().__init__(lambda: search.table, search._measurement, search._odometry)
+        super().__init__(lambda: search.table, update_for(CONFIG.walls, N150, CONFIG.sonar), QUIET)
         self.questions = questions
 
-    def start(self, records: Sequence[EchoRecord], given: Belief | None = None) -> PendingSearch:
-        answer, left = super().start(records, given), [self.questions]
+    def start(self, request: SearchRequest) -> PendingSearch:
+        answer, left = super().start(request), [self.questions if request.searches else 0]
 
         def pending() -> SearchResult | None:
             left[0] -= 1
@@ -98,28 +98,46 @@ def test_a_late_answer_is_brought_up_to_date(questions: int) -> None:
     assert off_in < 2.0
 
 
+class Counting(EchoReplay):
+    """Replay that counts its updates."""
+
+    def __init__(self) -> None:
+        super().__init__(update_for(CONFIG.walls, N150, CONFIG.sonar), QUIET)
+        self.updates: list[int] = []
+
+    def run(self, belief: Belief, before: Floats, records: Sequence[EchoRecord]) -> tuple[Belief, float]:
+        self.updates.append(len(records))
+        return super().run(belief, before, records)
+
+
 @pytest.mark.long
-def test_work_of_an_update_is_bounded_after_a_late_answer(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Eighty echoes since the search began: they are spread over the updates that follow."""
-    counts, continued, catch_up = list[int](), module.continued, GlobalLocalizer._catch_up
-
-    def counted(belief: Belief, before: Floats, records: Sequence[EchoRecord], *models: Any) -> tuple[Belief, float]:
-        counts[-1] += len(records)
-        return continued(belief, before, records, *models)
-
-    def counting(filter_: GlobalLocalizer) -> None:
-        # Only what an update filters, not the search itself.
-        counts.append(0)
-        with monkeypatch.context() as patched:
-            patched.setattr(module, "continued", counted)
-            catch_up(filter_)
-
-    monkeypatch.setattr(GlobalLocalizer, "_catch_up", counting)
-    monkeypatch.setattr(module, "CAUGHT_UP_UPDATES", 8)
-    _, off_in = turn_from_unknown_start(finder(CONFIG, None, poses=Late(table_search(CONFIG), 80)), 9.0)
+def test_work_of_an_update_is_bounded_after_a_late_answer() -> None:
+    """Eighty echoes since the search began: the search filters its hypotheses along them, not the robot's filter."""
+    late = finder(CONFIG, None, poses=Late(table_search(CONFIG), 80))
+    late._replay = replay = Counting()
+    estimates, off_in = turn_from_unknown_start(late, 9.0)
     assert off_in < 2.0
-    assert sum(counts) >= 80
-    assert max(counts) <= 8
+    assert estimates[-1].health.status is HealthStatus.OK
+    # One hypothesis, filtered once.
+    assert len(replay.updates) == 1
+    assert replay.updates[0] <= MAX_BEHIND
+
+
+@pytest.mark.long
+def test_after_an_answer_later_than_the_history_the_search_begins_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("localization.filters.global_localization.MAX_HISTORY", 48)
+    searches: list[int] = []
+
+    class Slow(Late):
+        def start(self, request: SearchRequest) -> PendingSearch:
+            searches.extend([len(request.records)] * request.searches)
+            self.questions = 60 if len(searches) == 1 else 0
+            return super().start(request)
+
+    estimates, off_in = turn_from_unknown_start(finder(CONFIG, None, poses=Slow(table_search(CONFIG), 60)), 9.0)
+    assert len(searches) >= 2
+    assert estimates[-1].health.status is HealthStatus.OK
+    assert off_in < 2.0
 
 
 @pytest.mark.long
@@ -171,6 +189,7 @@ def test_cache_is_in_the_users_folder(monkeypatch: pytest.MonkeyPatch, tmp_path:
     assert cache_folder().is_relative_to(Path.home())
 
 
+@pytest.mark.long
 def test_large_maps_have_larger_cells_and_bounded_tables() -> None:
     """Three flats of 114 m^2 in cells of 3 in would have 34,000 places."""
     walls = [(0.0, 0.0, 1400.0, 0.0), (1400.0, 0.0, 1400.0, 350.0), (1400.0, 350.0, 0.0, 350.0), (0.0, 350.0, 0.0, 0.0)]
@@ -197,7 +216,7 @@ def test_worker_ends_with_its_user_in_the_middle_of_its_work(tmp_path: Path) -> 
     poses.prepare()
     assert poses._pool is not None
     processes = list(poses._pool._processes.values())
-    pending = poses.start([EchoRecord(np.zeros(3), 0.0, 0, 0.0, 30.0)])
+    pending = poses.start(SearchRequest([EchoRecord(np.zeros(3), 0.0, 0, 0.0, 30.0)]))
     assert pending() is None
     poses.close()
     assert not any(process.is_alive() for process in processes)

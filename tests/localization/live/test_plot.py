@@ -31,7 +31,7 @@ def test_without_matplotlib_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")
 def test_a_picture_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
     (tmp_path / "full.png").symlink_to("/dev/full")
-    with pytest.raises(OutputFileError, match=r"full\.png: .*No space.*make room"):
+    with pytest.raises(OutputFileError, match=r"full\.png: .*No space"):
         plot.save(plot.blank(1.0, 1.0), tmp_path / "full.png")
     (tmp_path / "file").touch()
     with pytest.raises(OutputFileError, match=r"run\.png: .*written"):

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from localization.cli import go, mission
-from localization.cli.options import (
+from localization.cli.arguments import (
     MAX_NOISE,
     parse_numbers,
     parse_odometry_noise,
@@ -59,8 +59,8 @@ def test_failed_go_is_explained_and_json_is_alone(capsys: pytest.CaptureFixture[
 
 @pytest.mark.parametrize(
     ("words", "expected"),
-    [(["--within", "0.01"], "a number from 0.1 to 100, not 0.01"),
-     (["--time-limit", "1e6"], "a number from 0.1 to 86400, not 1e6")],
+    [(["--within", "0.01"], "a number from 0.1 to 100, not '0.01'"),
+     (["--time-limit", "1e6"], "a number from 0.1 to 86400, not '1e6'")],
 )  # fmt: skip
 def test_go_refuses_invalid_options_like_a_mission(
     words: list[str], expected: str, capsys: pytest.CaptureFixture[str]
@@ -99,7 +99,7 @@ def test_unwritable_report_is_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     options = argparse.Namespace(report=tmp_path / "no" / "r.json", json=False)
-    with pytest.raises(MissionFileError, match="report cannot be written"):
+    with pytest.raises(MissionFileError, match="cannot be written"):
         mission.write_report(Report("T", ending="done"), options)
     assert "done" in capsys.readouterr().out
 
@@ -140,7 +140,7 @@ def test_failed_save_is_reported_after_the_ending(
     folder = tmp_path / "gone"
     folder.mkdir()
     # The folder disappears after the check.
-    monkeypatch.setattr("localization.cli.mission.check_writable", lambda *_: folder.rmdir())
+    monkeypatch.setattr("localization.cli.arguments.check_writable", lambda *_: folder.rmdir())
     assert main(["go", SIM, "--to", "5,0", "--save", str(folder / "saved")]) == 1
     output = capsys.readouterr()
     assert "done at (" in output.out
@@ -311,6 +311,7 @@ def test_help_has_no_rules_and_names_existing_files(
     assert all((ROOT / path).exists() for path in re.findall(r"docs/[\w/.]+\w", output))
 
 
+@pytest.mark.long
 def test_a_guess_of_rays_that_does_not_fit_is_doubted(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -99,7 +99,7 @@ def test_waiting_ends_by_the_condition_or_by_its_limit(controller_at: MakeContro
     mission = Mission(controller_at("thesis_room"))
     seen = mission.wait_for(lambda seen: seen.clock_s > 0.5, 5.0)
     assert 0.5 < seen.clock_s < 0.7
-    with pytest.raises(StepFailed, match=r"obstacle: not fulfilled.* 1 s") as failed:
+    with pytest.raises(StepFailed, match=r"not fulfilled.* 1 s") as failed:
         mission.wait_for(lambda seen: seen.touching, 1.0, "obstacle")
     assert failed.value.ending == "condition"
     assert endings(mission) == [("wait_for", "done"), ("wait_for", "condition")]
@@ -133,11 +133,11 @@ def test_failed_step_is_retried(controller_at: MakeController) -> None:
 
 def test_time_limits_of_step_and_mission(controller_at: MakeController) -> None:
     mission = Mission(controller_at("thesis_room"), Settings(time_limit_s=6.0))
-    with pytest.raises(StepFailed, match="limit of the step") as failed:
+    with pytest.raises(StepFailed, match="of the step") as failed:
         mission.go_to(60, 0, limit_s=2.0)
     assert failed.value.ending == "timeout"
     assert not isinstance(failed.value, MissionOver)
-    with pytest.raises(MissionOver, match=r"limit of the mission.* 6 s"):
+    with pytest.raises(MissionOver, match=r"mission.* 6 s"):
         mission.look(60.0)
     assert mission.seen.clock_s == pytest.approx(6.1, abs=0.15)
 
@@ -163,9 +163,9 @@ def test_held_robot_is_reported_and_goes_on_once_released(
     assert output[0].startswith("the robot has not moved for 5 s although commanded to: ")
     # Held for good: the limits of step and mission end it, and say why.
     until_s = inf
-    with pytest.raises(StepFailed, match=r"step exceeded.*not moved for 1[01] s.*held"):
+    with pytest.raises(StepFailed, match=r"step exceeded.* 1[01] s.*held"):
         mission.go_to(40, 0, limit_s=11.0)
-    with pytest.raises(MissionOver, match=r"mission exceeded: 40 s.*not moved.*held"):
+    with pytest.raises(MissionOver, match=r"mission exceeded: 40 s.*held"):
         mission.go_to(40, 0)
 
 
@@ -190,7 +190,7 @@ def test_a_fence_is_planned_within_and_left_by_nothing(controller_at: MakeContro
     # A robot that is outside ends the mission.
     jumped = controller_at("thesis_room", start="60,60,0,0")
     outside = Mission(jumped, Settings(fence_in=fence))
-    with pytest.raises(MissionOver, match="outside of the fence") as over:
+    with pytest.raises(MissionOver, match=r"outside.* fence") as over:
         outside.look(1.0)
     assert over.value.ending == "fence"
 
@@ -225,7 +225,7 @@ def test_after_the_fence_every_verb_refuses(controller_at: MakeController) -> No
         lambda: robot.wait_for(bool, 1.0), lambda: robot.patrol([(60, 50)]), lambda: robot.dock(60, 50, 0),
     ]  # fmt: skip
     for verb in verbs:
-        with pytest.raises(MissionOver, match="outside of the fence"):
+        with pytest.raises(MissionOver, match=r"outside.* fence"):
             verb()
     robot.note("left the fence")
     assert [step.name for step in robot.report.steps] == ["look", "note"]
@@ -253,7 +253,7 @@ def test_nested_steps_are_refused(controller_at: MakeController) -> None:
         mission.look()
         return True
 
-    with pytest.raises(StepFailed, match=r"inside of wait_for.*one step"):
+    with pytest.raises(StepFailed, match=r"wait_for.*one step"):
         mission.wait_for(meddle, 3.0)
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from nclient.cli.main import main
-from nserver_emu.viewer.localization import parse_estimate
+from nserver_emu.viewer.messages import parse_estimate
 from tests.localization.viewer_stub import page_that
 
 SIM = "sim:thesis_room?noisy=1&seed=1"

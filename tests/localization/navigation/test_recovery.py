@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import pytest
 
-from localization.navigation.recovery import DRIVE_IN_S, SCAN_RAD, TURN_RAD_S, RecoveryBehavior
+from localization.navigation.recovery import MAX_DRIVE_IN_S, SCAN_RAD, TURN_RAD_S, RecoveryBehavior
 
 PERIOD_S = 0.1
 
@@ -15,6 +15,7 @@ class Ring(NamedTuple):
     sonars_in: tuple[int, ...]
     steering_rad: float = 1.0
     turret_rad: float = 1.0
+    touching: bool = False
 
 
 def near(*sonars: int) -> tuple[int, ...]:
@@ -22,7 +23,7 @@ def near(*sonars: int) -> tuple[int, ...]:
 
 
 @pytest.mark.parametrize(("readings", "speed_in_s"), [
-    (near(), DRIVE_IN_S), (near(0), 0.0), (near(15), 0.0), (near(8), DRIVE_IN_S),
+    (near(), MAX_DRIVE_IN_S), (near(0), 0.0), (near(15), 0.0), (near(8), MAX_DRIVE_IN_S),
 ])  # fmt: skip
 def test_recovery_scans_then_drives_if_space_ahead_is_free(
     readings: tuple[int, ...], speed_in_s: float
@@ -43,4 +44,4 @@ def test_space_ahead_follows_steering_not_turret() -> None:
     one = RecoveryBehavior(100.0)
     one.command(Ring(near()))
     assert one.command(Ring(near(8), steering_rad=1.0, turret_rad=1.0 + 3.14159))[0] == 0.0
-    assert one.command(Ring(near(0), steering_rad=1.0, turret_rad=1.0 + 3.14159))[0] == DRIVE_IN_S
+    assert one.command(Ring(near(0), steering_rad=1.0, turret_rad=1.0 + 3.14159))[0] == MAX_DRIVE_IN_S

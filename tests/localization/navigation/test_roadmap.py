@@ -126,6 +126,7 @@ def grid_length(walls: np.ndarray, start: tuple[float, float], goal: tuple[float
     return float(dijkstra(graph.tocsr(), directed=False, indices=ends[0])[ends[1]])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("world", WORLDS)
 def test_random_paths_are_free_and_shortest(world: str) -> None:
     walls = np.array(load_world(world).walls)

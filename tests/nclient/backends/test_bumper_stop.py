@@ -25,7 +25,7 @@ def test_a_hit_while_moving_sends_st_and_raises(model: Model) -> None:
     robot.slots[41] = 1
     backend.execute(VM)
     robot.slots[33] |= 0b101
-    with pytest.raises(BumperHit, match="gs: bumper 0, 2 closed") as hit:
+    with pytest.raises(BumperHit, match="bumper 0, 2 closed") as hit:
         backend.execute(GS)
     assert (hit.value.command, hit.value.bumpers) == ("gs", (0, 2))
     assert robot.names() == ["vm", "gs", "st"]

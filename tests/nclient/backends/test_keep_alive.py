@@ -13,7 +13,7 @@ from nclient.backends.wrappers import BumperStop, RetryingBackend
 from nclient.errors import BumperHit, ConnectionLost, ReplyTimeout
 from nclient.protocol.commands import Call
 from nclient.protocol.types import N200
-from nclient.transports.memory import MemoryStream
+from nclient.transports.stream import MemoryStream
 from tests.nclient.scripted_line import ScriptedLine, direct_on, spoiled
 from tests.nclient.scripted_server import ScriptedServer, error
 

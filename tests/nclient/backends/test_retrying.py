@@ -10,7 +10,7 @@ from nclient.backends.wrappers import RetryingBackend, may_be_repeated
 from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.types import N200
-from nclient.transports.memory import MemoryStream
+from nclient.transports.stream import MemoryStream
 from tests.nclient.scripted_line import NAK, ScriptedLine, direct_on, spoiled
 from tests.nclient.scripted_server import ScriptedServer
 

@@ -10,7 +10,7 @@ from nclient.backends.wrappers import SpeedLimiter
 from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused
 from nclient.protocol.commands import Call
 from nclient.protocol.types import N150, N200, SCOUT, SCOUT_WHEEL_IN_PER_DEG
-from nclient.transports.memory import MemoryStream
+from nclient.transports.stream import MemoryStream
 from tests.nclient.scripted_line import Answer, ScriptedLine, direct_on
 
 BOTH: dict[str, Any] = {"max_speed_in_s": 8, "max_turn_deg_s": 30}

@@ -16,7 +16,7 @@ from nclient.errors import ConnectionLost
 from nclient.protocol import codec
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
-from nclient.transports.memory import MemoryStream
+from nclient.transports.stream import MemoryStream
 from tests.nclient.scripted_server import Answer, ScriptedServer
 
 ST, GS = (codec.encode_tcp_request(Call(name)) for name in ("st", "gs"))

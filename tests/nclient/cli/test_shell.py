@@ -13,7 +13,7 @@ from nclient.backends.nserver import NserverBackend
 from nclient.cli import main, shell
 from nclient.cli.shell import MAX_BYTES, StatusPoller
 from nclient.cli.shell_session import Session
-from nclient.transports.memory import MemoryStream
+from nclient.transports.stream import MemoryStream
 from tests.nclient.scripted_server import ScriptedServer
 
 SIM = "sim:thesis_room"

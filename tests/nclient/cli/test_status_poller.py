@@ -8,7 +8,7 @@ from collections.abc import Callable
 from nclient.backends.nserver import NserverBackend
 from nclient.cli.shell import StatusPoller
 from nclient.cli.shell_session import Session
-from nclient.transports.memory import MemoryStream
+from nclient.transports.stream import MemoryStream
 from tests.nclient.scripted_server import ScriptedServer
 
 

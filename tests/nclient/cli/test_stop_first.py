@@ -11,8 +11,7 @@ from nclient.cli.stop import RobotStopper, StopFirstConnector
 from nclient.errors import ReplyTimeout
 from nclient.protocol.client_state import Handshake, build_handshake
 from nclient.protocol.types import EVERYTHING, MODELS, N150, N200, SCOUT, Model
-from nclient.transports.memory import MemoryStream
-from nclient.transports.stream import ByteStream
+from nclient.transports.stream import ByteStream, MemoryStream
 from tests.nclient.scripted_line import Answer, ScriptedLine
 
 UNSEEN = "NOT SEEN TO STOP: st was answered, and nothing showed that it stands still"

@@ -199,7 +199,7 @@ class Settings:
 
 def test_fields_of_a_dataclass_are_checked() -> None:
     check_fields(Settings(), ValueError)
-    with pytest.raises(LookupError, match=r"size: expected 0\.5 to 2, found 3"):
+    with pytest.raises(LookupError, match=r"size: .*0\.5 to 2, .*3"):
         check_fields(Settings(size=3), LookupError)
 
 

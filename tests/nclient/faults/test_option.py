@@ -12,8 +12,7 @@ from nclient.connector import Connector
 from nclient.errors import AddressError, FaultPlanError, ReplyTimeout, RobotRefused
 from nclient.protocol.commands import Call
 from nclient.protocol.serial_framing import build_frame
-from nclient.transports.memory import MemoryStream
-from nclient.transports.stream import Deadline
+from nclient.transports.stream import Deadline, MemoryStream
 from nclient.url import parse_address
 from tests.nclient.scripted_server import ScriptedServer
 
@@ -62,7 +61,7 @@ def test_the_plan_stands_between_program_and_robot(
 def test_invalid_plan_is_rejected_before_opening(server: ScriptedServer, tmp_path: Path) -> None:
     path = tmp_path / "plan.toml"
     path.write_text("[[rule]]\ndo = 'drp'")
-    with pytest.raises(FaultPlanError, match=r"plan\.toml: .*'rule 1': do: .*'drp'"):
+    with pytest.raises(FaultPlanError, match=r"plan\.toml: .*'rule 1': .*'drp'"):
         connect(f"nserver://lab/1?faults={path}")
     with pytest.raises(FaultPlanError, match="cannot be read"):
         connect(f"nserver://lab/1?faults={tmp_path / 'nowhere.toml'}")
@@ -74,7 +73,7 @@ def test_invalid_plan_is_rejected_before_opening(server: ScriptedServer, tmp_pat
 def test_a_plan_for_other_lines_only_is_a_mistake(server: ScriptedServer, tmp_path: Path) -> None:
     path = tmp_path / "plan.toml"
     path.write_text("[[rule]]\ndo = 'drop'\nline = ['serial:1', 'robotd']")
-    with pytest.raises(FaultPlanError, match=r"nserver, only .*robotd, serial:1.*name nserver"):
+    with pytest.raises(FaultPlanError, match=r"nserver, .*robotd, serial:1"):
         connect(f"nserver://lab/1?faults={path}")
     assert server.closed == 1
     path.write_text("seed = 1")

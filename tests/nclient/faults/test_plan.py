@@ -182,12 +182,12 @@ def test_what_is_wrong_is_named(text: str, words: str) -> None:
 def test_a_rule_that_cannot_be_written_cannot_be_made() -> None:
     with pytest.raises(FaultPlanError, match=r"place: .*all kinds"):
         Rule("x", (Corrupt(place=1), InsertBytes(place=2)))
-    with pytest.raises(FaultPlanError, match=r"direction: .*request, reply or both"):
+    with pytest.raises(FaultPlanError, match=r"direction: .*request, reply"):
         Rule("x", (Drop(),), directions=frozenset())
 
 
 def test_files_that_are_no_plans(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(FaultPlanError, match=r"nowhere\.toml: .*No such file"):
+    with pytest.raises(FaultPlanError, match=r"nowhere\.toml: .*No such"):
         load_plan(tmp_path / "nowhere.toml")
     with pytest.raises(FaultPlanError, match="embedded null byte"):
         load_plan(tmp_path / "plan\0.toml")

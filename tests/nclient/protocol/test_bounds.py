@@ -50,7 +50,7 @@ def test_brought_within(asked: Call, sent: Call) -> None:
 
 
 def test_out_of_range_arguments_are_named_with_their_bounds() -> None:
-    with pytest.raises(WireError, match=r"pr: steering is -32768.* -32767 to 32767"):
+    with pytest.raises(WireError, match=r"pr: steering .*-32768.* -32767 to 32767"):
         codec.encode_serial_request(Call("pr", (32767, -32768, 0)), serial_wire_state(N150))
-    with pytest.raises(WireError, match=r"conf_tm: timeout_s is 300.* 0 to 255 .*several steps"):
+    with pytest.raises(WireError, match=r"conf_tm: .*300.* 0 to 255"):
         codec.encode_serial_request(Call("conf_tm", (300,)), serial_wire_state(N200))

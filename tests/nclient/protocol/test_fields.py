@@ -76,7 +76,7 @@ def test_words_are_counted() -> None:
     for layout, size in ((layout_of(values=None), 6), (layout_of(values=2), 4), (layout_of(values=2), 12)):
         with pytest.raises(WireError, match=f"{size} bytes"):
             codec.parse_tcp_payload(layout, bytes(size), TCP)
-    with pytest.raises(WireError, match="2 words wanted, 1"):
+    with pytest.raises(WireError, match=r"2 words.*, 1"):
         codec.build_tcp_payload(layout_of(values=2), Reply("part", values=(1,)), TCP)
     with pytest.raises(WireError, match="not 2147483648"):
         codec.build_tcp_payload(layout_of(values=1), Reply("part", values=(2**31,)), TCP)
@@ -126,7 +126,7 @@ def test_a_laser_vector_has_as_many_numbers_as_it_says() -> None:
     assert codec.build_tcp_payload(layout, Reply("part"), TCP) == bytes(4)
     data = codec.build_tcp_payload(layout, Reply("part", laser=(2, 1, -2, 3, -4)), TCP)
     assert codec.parse_tcp_payload(layout, data, TCP).laser == (2, 1, -2, 3, -4)
-    with pytest.raises(WireError, match=r"vector of 2 readings .* 4 numbers .*not 3"):
+    with pytest.raises(WireError, match=r" 4 numbers .*not 3"):
         codec.build_tcp_payload(layout, Reply("part", laser=(2, 1, 2, 3)), TCP)
     with pytest.raises(WireError, match="16 bytes"):
         codec.parse_tcp_payload(layout, struct.pack(">4i", 2, 1, 2, 3), TCP)

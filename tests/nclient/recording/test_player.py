@@ -91,7 +91,7 @@ def test_keep_alive_requests_may_be_omitted() -> None:
         asked(player, "st")
     assert asked(player, "gs") == answer("gs", 5).data
     with pytest.raises(
-        RecordingError, match=r"run\.log: .*ends here.*`gs`.*longer run"
+        RecordingError, match=r"run\.log: .*ends .*`gs`"
     ):
         asked(player, "gs")
     assert asked(player, "disconnect_robot", 1, 77) == b"", "leaving is always allowed"
@@ -108,7 +108,7 @@ def test_loose_answers_as_the_next_like_it() -> None:
     player = Player(load_exchanges(FED), LOOSE)
     assert asked(player, "gs") == answer("gs", 2).data
     assert asked(player, "st") == answer("st", 4).data
-    with pytest.raises(RecordingError, match=r"run\.log: `vm 1 2 3` .*not come again.*line 2"):
+    with pytest.raises(RecordingError, match=r"run\.log: `vm 1 2 3` .*line 2"):
         asked(player, "vm", 1, 2, 3)
 
 
@@ -141,7 +141,7 @@ def test_what_was_refused_is_refused_again() -> None:
     ))
     player = Player(script)
     assert player.answers(unknown) == [ReplyChunk(0, refusal)]
-    with pytest.raises(RecordingError, match=r"line 4: .*`ws 0 0 0 0`.*bytes that are no"):
+    with pytest.raises(RecordingError, match=r"line 4: .*`ws 0 0 0 0`.*bytes"):
         player.answers(unknown)
     assert str(RequestKey("ct", tuple(EVERYTHING.smask))) == "`ct`"
 

@@ -17,8 +17,7 @@ from nclient.protocol.types import EVERYTHING, N150, N200
 from nclient.protocol.wire_state import serial_wire_state, tcp_wire_state
 from nclient.recording.format import Recording, RecordingWriter, read_recording
 from nclient.recording.recorder import NULL_RECORDER, FrameDecoder, Recorder, RecordingStream
-from nclient.transports.memory import MemoryStream
-from nclient.transports.stream import Deadline
+from nclient.transports.stream import Deadline, MemoryStream
 from tests.nclient.protocol.recorded import LINE_SESSIONS, LP64, SERIAL, TCP, TCP_SESSIONS, exchanges, model_of
 
 GS = codec.encode_tcp_request(Call("gs"))

@@ -11,8 +11,7 @@ from nclient.connector import Connector
 from nclient.protocol.types import N150
 from nclient.recording.format import read_recording
 from nclient.recording.recorder import ClientRecording
-from nclient.transports.memory import MemoryStream
-from nclient.transports.stream import Deadline
+from nclient.transports.stream import Deadline, MemoryStream
 from nclient.url import parse_address
 from tests.nclient.scripted_server import ScriptedServer, by_script, on_socket
 

@@ -153,7 +153,7 @@ def test_an_unknown_host_name_is_reported(monkeypatch: pytest.MonkeyPatch) -> No
         raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
 
     monkeypatch.setattr(socket, "create_connection", unknown)
-    with pytest.raises(ConnectionLost, match=r"no host 'lab'.*name right"):
+    with pytest.raises(ConnectionLost, match=r"host 'lab'"):
         TcpStream("lab", 7019)
 
 
@@ -173,6 +173,6 @@ def test_a_connection_closed_at_once_hints_at_admission() -> None:
 
     with socket.create_server(("127.0.0.1", 0)) as listener, ThreadPoolExecutor(1) as thread:
         closing = thread.submit(reject)
-        with pytest.raises(ConnectionLost, match=r"connect_robot: .*accept this machine .*--allow"):
+        with pytest.raises(ConnectionLost, match=r"connect_robot: .*--allow"):
             connect(f"nserver://127.0.0.1:{listener.getsockname()[1]}")
         closing.result(10)

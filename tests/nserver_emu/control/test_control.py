@@ -246,7 +246,7 @@ async def test_a_world_is_read_while_the_event_loop_runs(monkeypatch: pytest.Mon
         assert may_go_on.wait(20.0)
         return read_world_file(text, file)
 
-    monkeypatch.setattr("nserver_emu.control.commands.read_world_file", read_slowly)
+    monkeypatch.setattr("nserver_emu.server.handlers.runtime_settings.read_world_file", read_slowly)
     server, interval = RecordingServer(), sys.getswitchinterval()
     argument = {"text": "[[room]]\ncorners_in = [[-50, -50], [90, -50], [90, 90], [-50, 90]]", "file": "new.toml"}
     request = json.dumps({"command": "world set", "argument": argument}).encode()

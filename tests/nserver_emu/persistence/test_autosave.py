@@ -5,15 +5,17 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from nclient.common.arguments import Parser
-from nserver_emu.persistence import autosave, snapshot
-from nserver_emu.persistence.autosave import SaveFile, autosaved
+from nclient.errors import SnapshotError
+from nserver_emu.options import nserver_parser, read_options
+from nserver_emu.persistence import snapshot
+from nserver_emu.persistence.options import SaveFile, autosaved
 from nserver_emu.server.handlers.table import Emulator
 from tests.nserver_emu.server.wire_client import simulation
 
@@ -82,6 +84,20 @@ async def test_a_failing_save_is_logged_once_and_its_recovery(
     assert json.loads(path.read_text())["format"] == snapshot.FORMAT
 
 
+@pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/dev/null")])
+async def test_a_pipe_or_a_device_is_not_written(
+    tmp_path: Path, make: Callable[[Path], None], caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "other"
+    make(path)
+    file = SaveFile(Emulator(simulation()), path)
+    with pytest.raises(SnapshotError, match="regular"):
+        file.save()
+    await asyncio.wait_for(file.save_in_thread(), 30)
+    assert "regular" in caplog.text
+    assert list(tmp_path.iterdir()) == [path]
+
+
 @pytest.mark.parametrize(("words", "message"), [
     (["--autosave", "60"], "--autosave needs a file: add --save FILE"),
     (["--save", "x", "--autosave", "0.5"], "seconds from 1 to 86400, not '0.5'"),
@@ -89,15 +105,11 @@ async def test_a_failing_save_is_logged_once_and_its_recovery(
     (["--save", "x", "--autosave", "often"], "not 'often'"),
 ])
 def test_wrong_usage(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
-    parser = Parser(prog="nserver")
-    autosave.add_options(parser)
     with pytest.raises(SystemExit, match="2"):
-        autosave.check_options(parser, parser.parse_args(words))
+        read_options(nserver_parser(), words)
     assert message in capsys.readouterr().err
 
 
 def test_right_usage() -> None:
-    parser = Parser()
-    autosave.add_options(parser)
     for words in ([], ["--save", "x"], ["--save", "x", "--autosave", "1"]):
-        autosave.check_options(parser, parser.parse_args(words))
+        assert read_options(nserver_parser(), words).autosave in (None, 1.0)

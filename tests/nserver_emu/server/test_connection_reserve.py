@@ -149,6 +149,7 @@ def test_without_descriptors_waiting_connections_are_closed(caplog: pytest.LogCa
     loop.close()
 
 
+@pytest.mark.long
 def test_64_descriptors_are_no_tracebacks() -> None:
     command = ["sh", "-c", 'ulimit -n 64; exec "$0" -m nserver_emu --port 0', sys.executable]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:

@@ -125,7 +125,7 @@ def test_the_client_controls_the_time() -> None:
 def test_a_setup_can_be_named_and_counts_before_noisy() -> None:
     for options, setup in (("setup=measured", "measured"), ("noisy=1&setup=ideal", "ideal"), ("noisy=1", "noisy")):
         assert open_address(f"sim:?{options}").emulator.simulation.robots[1].setup.name == setup
-    with pytest.raises(AddressError, match=r"'perfect'.* ideal, noisy, measured, building, worn.* files"):
+    with pytest.raises(AddressError, match=r"'perfect'.* ideal, noisy, measured, building, worn"):
         open_address("sim:?setup=perfect")
 
 
@@ -136,7 +136,7 @@ def test_a_setup_of_ones_own(tmp_path: Path) -> None:
     slots = client.ask("gs").slots
     assert (slots[17], slots[25]) == (0, 0)
     assert slots[18] > 0
-    with pytest.raises(WorldFileError, match=r"nowhere.toml: cannot be read"):
+    with pytest.raises(WorldFileError, match=r"nowhere\.toml: .*be read"):
         open_address("sim:?setup=nowhere.toml")
 
 

@@ -98,6 +98,6 @@ def test_leaving_the_line_stops_the_robot() -> None:
 
 @pytest.mark.parametrize("text", ["2", "yes", ""])
 def test_the_option_is_one_or_nought(text: str) -> None:
-    with pytest.raises(AddressError, match="line is 1 or 0"):
+    with pytest.raises(AddressError, match="1 or 0"):
         open_address(f"sim:?line={text}")
     assert not isinstance(open_address("sim:?line=0"), InProcessLine)

@@ -19,6 +19,8 @@ from collections.abc import Iterator
 
 import pytest
 
+pytestmark = pytest.mark.long
+
 AC, SP, PR, VM, GS, CT, ST, MV, GET_RC, GET_RV, GET_SN, GET_BP = 10, 11, 13, 12, 15, 16, 17, 43, 29, 30, 28, 35
 PLACE, CONF_SN, CONF_TM, CONNECT, DISCONNECT, WS, QUIT = 41, 23, 26, 102, 103, 39, 70
 STATE, ERROR = 80, 91
@@ -244,15 +246,22 @@ def test_a_client_on_64_bits_drives_and_reads(port: int) -> None:
     client.close()
 
 
-def test_the_port_that_many_programs_use() -> None:
-    with socket.socket() as probe:
+def test_the_port_option_of_the_original(free_port: int) -> None:
+    with nserver("-port", str(free_port)) as number:
+        assert number == free_port
+        client = OldClient("127.0.0.1", free_port)
+        assert client.connect_robot() == free_port
+        client.close()
+
+
+@pytest.fixture
+def free_port() -> int:
+    """Return the port 7654, which many programs use, or another one if it is in use."""
+    with contextlib.closing(socket.socket()) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind(("127.0.0.1", 7654))
         except OSError:
-            pytest.skip("port is in use: 7654")
-    with nserver("-port", "7654") as number:
-        assert number == 7654
-        client = OldClient("127.0.0.1", 7654)
-        assert client.connect_robot() == 7654
-        client.close()
+            probe.bind(("127.0.0.1", 0))
+        number: int = probe.getsockname()[1]
+        return number

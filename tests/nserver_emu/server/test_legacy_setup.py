@@ -73,7 +73,7 @@ def test_a_fault_is_named_by_file_and_line(tmp_path: Path, text: str, match: str
 
 
 def test_an_unreadable_file_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(SetupFileError, match=r"nothing.setup: cannot be read"):
+    with pytest.raises(SetupFileError, match=r"nothing\.setup: .*be read"):
         read_setups([tmp_path / "nothing.setup"])
     monkeypatch.setattr(legacy_setup, "MAX_BYTES", 10)
     with pytest.raises(SetupFileError, match="is longer than"):

@@ -196,6 +196,7 @@ async def test_a_stalled_skipped_request_is_closed_and_logged_once(
     assert "connection lost" not in caplog.text
 
 
+@pytest.mark.long
 async def test_a_client_that_does_not_read_is_closed(caplog: pytest.LogCaptureFixture) -> None:
     async with limited_server(Limits(stall=1, write_queue=2048)) as server:
         other, deaf = await server.connect_client(), socket.socket()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis.stateful import run_state_machine_as_test
 
@@ -9,6 +10,7 @@ from nclient.protocol.commands import Call
 from tests.nserver_emu.server.protocol_machine import ProtocolMachine
 
 
+@pytest.mark.long
 def test_the_protocol_holds_its_invariants_for_2000_steps() -> None:
     ProtocolMachine.steps = 0
     run_state_machine_as_test(

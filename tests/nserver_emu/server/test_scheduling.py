@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 
 import pytest
 
+from nclient.protocol.commands import Call
 from nclient.protocol.types import DEFAULT_SONAR_ORDER as DEFAULT_ORDER
 from nserver_emu.server.connection import MAX_PREPARING_STEPS, TURN_BUDGET_S, FairScheduler
 from nserver_emu.server.context import ServerState
@@ -41,6 +42,7 @@ class Load:
     order: list[str]
     is_queued: bool = False
     finish_tag_s: float = 0.0
+    cpu_s: float = 0.0
     turns: list[int] = field(default_factory=list)
 
     def run_turn(self) -> None:
@@ -147,7 +149,7 @@ async def test_a_costly_reply_is_prepared_over_several_turns(monkeypatch: pytest
 async def test_preparing_ends_though_new_work_comes(monkeypatch: pytest.MonkeyPatch) -> None:
     times_ps = set[int]()
 
-    def prepare(state: ServerState, _context: ConnectionContext) -> bool:
+    def prepare(state: ServerState, _context: ConnectionContext, _call: Call | None = None) -> bool:
         times_ps.add(state.simulation.time_ps)
         return False
 

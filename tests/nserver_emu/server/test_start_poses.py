@@ -22,6 +22,7 @@ HALL = World(
 )
 
 
+@pytest.mark.long
 def test_the_most_robots_find_room_and_touch_nothing() -> None:
     simulation = Simulation(HALL)
     places = StartPoseAllocator(simulation)

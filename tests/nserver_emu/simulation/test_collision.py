@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from nserver_emu.simulation.collision import TOUCH_IN, Capsule, Contact, PlacedSegment, WallSet, first_contact
 from nserver_emu.simulation.segments import ConstantAccelerationSegment
+from worlds.geometry import nearest_points
 
 RADIUS = 9.72
 WALL = np.array([[50.0, -40.0, 50.0, 40.0]])
@@ -182,6 +183,18 @@ def test_near_walls_and_the_distance_of_the_others() -> None:
     assert WallSet(WALL).within(0.0, 0.0, 50.0) == (all_of(WALL), inf)
     assert WallSet(WALL).within(0.0, 0.0, 49.9) == ((), 50.0)
     assert WallSet(np.empty((0, 4))).within(0.0, 0.0, 1e4) == ((), inf)
+
+
+@pytest.mark.parametrize("distance_in", [0.0, 20.0, 300.0])
+def test_many_walls_are_searched_as_few(distance_in: float) -> None:
+    rng = np.random.default_rng(1)
+    ends = rng.uniform(-2000.0, 2000.0, (500, 2))
+    walls = np.column_stack((ends, ends + rng.uniform(-40.0, 40.0, (500, 2))))
+    for x, y in (*rng.uniform(-2500.0, 2500.0, (50, 2)).tolist(), (9000.0, 0.0)):
+        distances = nearest_points((x, y), walls)[1]
+        is_near = distances <= distance_in
+        expected = tuple(Capsule(*wall) for wall in walls[is_near].tolist())
+        assert WallSet(walls).within(x, y, distance_in) == (expected, distances[~is_near].min())
 
 
 def test_pressing_depends_on_the_direction_of_motion() -> None:

@@ -11,6 +11,7 @@ from worlds.raycast import CompiledKernel
 from worlds.world import Polygon, StartPose, World
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("setup", [IDEAL, NOISY], ids=lambda setup: setup.name)
 def test_compiled_code_changes_no_bit_of_a_simulation(setup: RobotSetup, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("numba")

@@ -50,7 +50,7 @@ def test_a_model_may_lack_a_compass_or_have_one() -> None:
     assert {name: model.has_compass for name, model in models.items()} == {
         "n150": False, "n200": True, "scout": False, "needle": True
     }  # fmt: skip
-    with pytest.raises(WorldFileError, match=r"compass: .*true or false, found 1"):
+    with pytest.raises(WorldFileError, match=r"compass: .*true.*false, .*1"):
         parse_models('[[model]]\nname = "n150"\ncompass = 1\n', "mine.toml")
 
 
@@ -112,7 +112,7 @@ def test_errors_name_the_key(text: str, words: str) -> None:
 
 def test_files(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
-    with pytest.raises(WorldFileError, match="cannot be read: No such"):
+    with pytest.raises(WorldFileError, match="be read: No such"):
         load_models(path)
     with pytest.raises(WorldFileError, match="embedded null byte"):
         load_models(tmp_path / "mine\0.toml")

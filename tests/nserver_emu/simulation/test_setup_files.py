@@ -207,10 +207,10 @@ def test_names_and_files(tmp_path: Path) -> None:
     assert [setup_named(name) for name in ("ideal", "noisy", "measured", "building", "worn")] == [
         IDEAL, NOISY, MEASURED, BUILDING, WORN
     ]
-    with pytest.raises(AddressError, match=r"'worm'.* ideal, .*\.toml.*mean worn"):
+    with pytest.raises(AddressError, match=r"'worm'.* ideal, .*\.toml.* worn"):
         setup_named("worm")
     path = tmp_path / "mine.toml"
-    with pytest.raises(WorldFileError, match="cannot be read: No such"):
+    with pytest.raises(WorldFileError, match="be read: No such"):
         setup_named(str(path))
     with pytest.raises(WorldFileError, match="embedded null byte"):
         setup_named(str(tmp_path / "mine\0.toml"))

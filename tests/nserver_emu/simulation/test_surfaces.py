@@ -13,6 +13,7 @@ from nserver_emu.simulation.surfaces import Surfaces
 from worlds.geometry import NO_DISCS
 from worlds.io import load_world
 from worlds.robots import N150
+from worlds.world import StartPose
 
 LONG_IN = 200_000.0
 WALL = np.array([0.0, 0.0, LONG_IN, 0.0])
@@ -91,7 +92,8 @@ def test_a_post_is_detected_where_a_wall_alone_is_not() -> None:
 def test_robots_of_a_run_meet_the_same_surface() -> None:
     def readings(seed: int) -> list[tuple[float, ...]]:
         simulation = Simulation(load_world("thesis_room"), seed=seed)
-        robots = [simulation.add_robot(number, setup=BUILDING) for number in (1, 2)]
+        starts = [StartPose(20.0, 20.0, 0.0, 0.0), StartPose(70.0, 70.0, 0.0, 0.0)]
+        robots = [simulation.add_robot(number, start, setup=BUILDING) for number, start in enumerate(starts, 1)]
         surfaces = [robot.sonar.model.surfaces(robot.rng_factory.seed) for robot in robots]
         assert surfaces[0] == surfaces[1]
         return [robot.sonar.readings_in for robot in robots]

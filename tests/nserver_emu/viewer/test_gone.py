@@ -168,6 +168,7 @@ async def torn_off(here: Served) -> None:
     await asyncio.sleep(0.05)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("act", [refusals, torn_off])
 async def test_errors_hold_no_frames_until_garbage_collection(act: Callable[[Served], Awaitable[None]]) -> None:
     async with serve_viewer(Emulator(simulation())) as here:

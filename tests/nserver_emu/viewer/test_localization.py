@@ -13,8 +13,7 @@ from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.viewer.broadcaster import Broadcaster
 from nserver_emu.viewer.controller import STALE_S, ViewerController
-from nserver_emu.viewer.localization import MAX_PLACES, MAX_REASON, REFUSALS, TRUSTS, parse_estimate
-from nserver_emu.viewer.messages import InvalidMessage
+from nserver_emu.viewer.messages import MAX_PLACES, MAX_REASON, REFUSALS, TRUSTS, InvalidMessage, parse_estimate
 from nserver_emu.viewer.scene import SceneHistory
 from tests.nserver_emu.server.wire_client import simulation
 from tests.nserver_emu.viewer.page_client import serve_viewer
@@ -43,7 +42,7 @@ def test_what_is_right_comes_through() -> None:
     [{"pose": [1, 2]}, {"pose": None}, {"clock_s": "x"}, {"clock_s": float("nan")}, {"cov": [1, 2, 3]}, {"robot": None},
      {"echoes": [{"sonar": 1}]}, {"echoes": [GOOD["echoes"][0] | {"refusal": "whim"}]}, {"waypoints": [[1, 2, 3]]},
      {"pose": [1e308, 0, 0]}, {"cov": [[-1, 0, 0], [0, 1, 0], [0, 0, 1]]}, {"cov": [[1, 2, 0], [2, 1, 0], [0, 0, 1]]},
-     {"echoes": [GOOD["echoes"][0] | {"sonar": 16}]}, {"echoes": [GOOD["echoes"][0] | {"sonar": -1e23}]},
+     {"echoes": [GOOD["echoes"][0] | {"sonar": 64}]}, {"echoes": [GOOD["echoes"][0] | {"sonar": -1e23}]},
      {"robot": 1e30}, {"passed": -1}, {"passed": True}, {"clock_s": "1"}, {"turret": True}, {"clock_s": 10**400},
      {"cov": [[1, 0.5, 0], [0, 1, 0], [0, 0, 1]]}, {"cov": [[1, 0, 2], [0, 1, 0], [2, 0, 1]]},
      {"echoes": [GOOD["echoes"][0] | {"reading_in": -1}]}, {"echoes": [GOOD["echoes"][0] | {"reading_in": 1e6}]},

@@ -26,7 +26,8 @@ def test_the_text_is_prometheus() -> None:
     assert "nserver_robots 1" in lines
     assert "nserver_tasks 7" in lines
     found = list(all_metrics(daemon, 3, 7))
-    assert len({one.name for one in found}) == len(found) == len(lines) / 3
+    # Beside them the head of the metric that has a value for each connection.
+    assert len({one.name for one in found}) == len(found) == (len(lines) - 2) / 3
     assert all(one.name.endswith("_total") is (one.kind == "counter") for one in found)
 
 
@@ -62,6 +63,15 @@ async def test_what_clients_did_is_counted_after_they_are_gone() -> None:
             assert f"nserver_connections {connections}\n" in text
             assert "nserver_answers_total 3\n" in text
             assert "nserver_refusals_total 1\n" in text
+            times = re.findall(r'nserver_connection_cpu_seconds_total\{connection="(\d+)"\} (\S+)\n', text)
+            clients = here.daemon.connected_clients()
+            assert [(int(number), round(float(cpu_s), 6)) for number, cpu_s in times] == [
+                (client["number"], client["cpu_s"]) for client in clients
+            ]
+            assert len(times) == connections
+            assert all(float(cpu_s) > 0.0 for _, cpu_s in times)
+            (total,) = re.findall(r"\nnserver_cpu_seconds_total (\S+)\n", text)
+            assert float(total) > 0.0
             writer.close()
             await writer.wait_closed()
             while here.daemon.connections:

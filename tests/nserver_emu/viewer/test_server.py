@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import ipaddress
 import socket
+import threading
 
 import aiohttp
 import pytest
@@ -12,6 +13,7 @@ import pytest
 from nclient.common.allowlist import Allowlist
 from nclient.errors import ConnectionLost
 from nserver_emu.server.daemon import Daemon
+from nserver_emu.server.handlers.runtime_settings import read_world_file
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.limits import Limits
 from nserver_emu.viewer.auth import HTTP_LOG, is_known_host, is_same_origin
@@ -19,6 +21,7 @@ from nserver_emu.viewer.messages import DRIVE_TIMEOUT_S
 from nserver_emu.viewer.server import PERIOD_S, ViewerServer, next_due
 from tests.nserver_emu.server.wire_client import simulation
 from tests.nserver_emu.viewer.page_client import HOST, elsewhere, serve_viewer
+from worlds.world import World
 
 
 def an_emulator() -> Emulator:
@@ -257,6 +260,47 @@ async def test_noise_is_switched_and_a_world_put_by_a_page_that_may() -> None:
         async with here.page(here.viewer_server.watch_token) as looking:
             await looking.send_message(do="control", id=4, command="noise", argument=wanted)
             assert (await looking.answer(4))["error"] == "this link only looks"
+
+
+async def test_a_world_of_a_page_is_read_in_a_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    may_go_on = threading.Event()
+
+    def read_slowly(text: str, file: str) -> World:
+        assert may_go_on.wait(30.0)
+        return read_world_file(text, file)
+
+    monkeypatch.setattr("nserver_emu.server.handlers.runtime_settings.read_world_file", read_slowly)
+    text = "[[room]]\ncorners_in = [[-50, -50], [90, -50], [90, 90], [-50, 90]]"
+    message = {"do": "control", "command": "world set", "argument": {"text": text, "file": "new.toml"}}
+    async with serve_viewer(an_emulator()) as here, here.page() as page:
+        # The event loop runs meanwhile; a second world waits for the first.
+        await page.send_message(id=1, **message)
+        await page.send_message(id=2, **message)
+        assert "still being read" in (await page.answer(2))["error"]
+        await page.send_message(do="control", id=3, command="status")
+        assert (await page.answer(3))["said"]["world"] == "thesis_room"
+        may_go_on.set()
+        assert (await page.answer(1))["said"] == {"world": "new"}
+        await page.send_message(id=4, **message | {"argument": {"text": "[[room", "file": "bad.toml"}})
+        assert "bad.toml" in (await page.answer(4))["error"]
+
+
+async def test_a_world_that_is_read_at_the_end_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
+    may_go_on, emulator = threading.Event(), an_emulator()
+
+    def read_slowly(text: str, file: str) -> World:
+        assert may_go_on.wait(30.0)
+        return read_world_file(text, file)
+
+    monkeypatch.setattr("nserver_emu.server.handlers.runtime_settings.read_world_file", read_slowly)
+    async with serve_viewer(emulator) as here, here.page() as page:
+        argument = {"text": "[[room]]\ncorners_in = [[-50, -50], [90, -50], [90, 90], [-50, 90]]", "file": "new.toml"}
+        await page.send_message(do="control", id=1, command="world set", argument=argument)
+        await page.send_message(do="control", id=2, command="status")
+        assert (await page.answer(2))["ok"]
+    may_go_on.set()
+    await asyncio.sleep(0.1)
+    assert emulator.simulation.world.name == "thesis_room"
 
 
 async def test_a_click_is_taken_where_a_client_waits_for_it() -> None:

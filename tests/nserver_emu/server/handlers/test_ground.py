@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 
+from nclient.protocol.commands import Call
+from nclient.protocol.replies import Reply
 from nserver_emu.server.context import Allowed
 from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.server.session import ConnectionContext
+from nserver_emu.simulation.models import N200
 from tests.nserver_emu.server.wire_client import WireClient, meet, simulation
+from worlds.world import StartPose
 
 BOX = (400, -100, 600, -100, 600, 100, 400, 100)
 """A box ahead of the robot at the origin, in tenths: its near face is 40 in away."""
@@ -147,6 +153,52 @@ def test_a_prediction_equals_the_readings_at_that_pose(emulator: Emulator, clien
     slots = client.ask("gs").slots
     assert predicted.values[17:33] == tuple(slots[k] for k in range(17, 33))
     assert predicted.values[34:38] == tuple(slots[k] for k in range(34, 38))
+
+
+@pytest.mark.parametrize("change", ["none", "pose", "obstacle", "other robot", "model"])
+def test_a_prepared_prediction_equals_one_at_once(emulator: Emulator, change: str) -> None:
+    simulation = emulator.simulation
+    for number, place in ((2, (60.0, 60.0)), (3, (85.0, 10.0))):
+        simulation.add_robot(number, StartPose(*place), N200)
+    client, context = meet(emulator)[0], ConnectionContext(robot_id=1)
+    call = Call("predict_sensors", (200, 600, 900, 3150))
+    # 1. Some of it, or all.
+    for _ in range(30):
+        if emulator.prepare_reply(context, call):
+            break
+    prepared = context.prediction
+    assert prepared is not None
+    # 2. What it depends on.
+    match change:
+        case "pose":
+            call = Call("predict_sensors", (200, 610, 900, 3150))
+        case "obstacle":
+            client.ask("add_obstacle", 4, *(number + 300 for number in BOX))
+        case "other robot":
+            simulation.place(2, 60.0, 50.0, 0.0, 0.0)
+        case "model":
+            context.robot_id = 3
+    # 3. The reply is that of a connection that prepared nothing.
+    steps = emulator.preparations[call.name](emulator, context, call.args)
+    assert (context.prediction is prepared) == (change == "none")
+    assert (next(steps, "all done") == "all done") == (change == "none")
+    reply = emulator.answer(call, context)
+    assert reply == emulator.answer(call, ConnectionContext(robot_id=context.robot_id))
+    assert context.prediction is None
+
+
+def test_a_prepared_prediction_reads_no_sensor_again(emulator: Emulator, monkeypatch: pytest.MonkeyPatch) -> None:
+    emulator.simulation.add_robot(2, StartPose(60.0, 60.0), N200)
+    context, call = ConnectionContext(robot_id=2), Call("predict_sensors", (200, 600, 900, 3150))
+    context.wire_state.laser_mode = 51
+    expected = emulator.answer(call, replace(context))
+    while not emulator.prepare_reply(context, call):
+        pass
+    for name in ("sonar.SonarNoise.measured_ranges", "infrared.InfraredRing._ranges", "robot.SimulatedRobot.__init__"):
+        monkeypatch.setattr(f"nserver_emu.simulation.{name}", None)
+    assert isinstance(expected, Reply)
+    assert expected.laser
+    assert emulator.answer(call, context) == expected
 
 
 def test_motion_check_returns_position_and_normal(client: WireClient) -> None:

@@ -42,6 +42,7 @@ def test_what_is_no_robot_id_is_not_made(robot_id: int, caplog: pytest.LogCaptur
     assert caplog.messages == [f"robot {robot_id} not created: a robot's number is 1 to 32767"]
 
 
+@pytest.mark.long
 def test_robots_are_created_while_space_and_limit_allow(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -147,7 +147,7 @@ def test_an_invalid_world_changes_nothing() -> None:
     world = emulator.simulation.world
     with pytest.raises(ControlError, match=r"far\.toml: .*robot 1"):
         put_world(emulator, "[[room]]\ncorners_in = [[500, 0], [600, 0], [600, 100]]\n", "far.toml")
-    with pytest.raises(WorldFileError, match=r"bad\.toml: is no TOML"):
+    with pytest.raises(WorldFileError, match=r"bad\.toml: .*no TOML"):
         put_world(emulator, "[[room", "bad.toml")
     assert emulator.simulation.world is world
 

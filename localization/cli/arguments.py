@@ -1,7 +1,5 @@
 """Options shared by the commands of localization, and what they configure: robot, map, initial belief."""
 
-from __future__ import annotations
-
 import argparse
 import math
 import os
@@ -13,22 +11,24 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig
-from localization.filters.belief import POSE, Belief, independent
+from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig, sonar_of
+from localization.filters.belief import POSE, Belief, Floats, independent
+from localization.filters.global_localization import is_wide
 from localization.filters.health import HealthStatus
 from localization.filters.odometry import MAX_STATE, OdometryNoise, with_parameters
-from localization.filters.registry import METHODS
-from localization.filters.sonar_cone import ConeSonar
-from localization.filters.sonar_ray import WIRE_SONAR
+from localization.filters.registry import DEFAULT_METHOD, METHODS
+from localization.filters.sonar_cone import building_sonar
 from localization.live import saved_estimate
-from localization.live.assumptions import SIMULATION, SonarAssumption, resolve_sonar_model
+from localization.live.assumptions import BUILDING_SETUP, SIMULATION, SonarAssumption, resolve_body, resolve_sonar_model
 from localization.live.localizer import Estimate
 from localization.live.run import Run
 from localization.live.saved_estimate import DisplacementStd, SavedEstimate, map_signature, resume_belief
 from localization.live.sensor_input import EncoderPose, with_wheels
+from localization.mapping.aliases import AliasFinder
 from localization.navigation.waypoints import Speeds
 from nclient import ReplyTimeout, Robot, RobotState, connect
-from nclient.common.files import describe_write_error
+from nclient.common.arguments import ABOVE_ZERO, add_value, number
+from nclient.common.files import write_errors_as
 from nclient.connector import address_or_default
 from nclient.errors import EstimateFileError, OutputFileError
 from nclient.url import parse_address, split_address
@@ -100,20 +100,8 @@ def parse_scale_std(text: str) -> tuple[float, ...]:
     return stds
 
 
-def parse_seconds(text: str) -> float:
-    """Return a time of 0 s or more."""
-    (number,) = parse_numbers(text, 1)
-    if number < 0:
-        raise argparse.ArgumentTypeError("expected 0 s or more")
-    return number
-
-
-def parse_positive(text: str) -> float:
-    """Return a number above 0."""
-    (number,) = parse_numbers(text, 1)
-    if number <= 0:
-        raise argparse.ArgumentTypeError("expected a number above 0")
-    return number
+parse_seconds: Final = number("expected 0 s or more", 0.0)
+parse_positive: Final = number("expected a number above 0", ABOVE_ZERO)
 
 
 def parse_displacement_std(text: str) -> DisplacementStd:
@@ -139,56 +127,48 @@ def add_map_option(parser: argparse.ArgumentParser, other_source: str = "") -> N
 
 
 def add_robot_model_options(parser: argparse.ArgumentParser) -> None:
-    """Add --body, --odometry-noise and --sonars."""
+    """Add --body, --model-file, --odometry-noise and --sonars."""
     parser.add_argument(
-        "--body", choices=sorted(BODIES), help="robot model, if the address does not name it (default: n150)"
+        "--body", type=str.lower, metavar=f"{{{','.join(sorted(BODIES))}}}",
+        help="robot model, if the address does not name it, or one of --model-file (default: n150)"
     )
     parser.add_argument(
-        "--odometry-noise",
-        type=parse_odometry_noise,
-        default=THESIS_ODOMETRY,
-        metavar="A,B,C",
-        help="standard deviations of the random odometry error: in after 1 in, rad after 1 rad, rad "
-        f"after 1 in (default: {','.join(str(value) for value in astuple(THESIS_ODOMETRY))})",
+        "--model-file", type=Path, metavar="FILE",
+        help="robot models that override or extend these (default: model_file of a sim: address)"
     )
-    parser.add_argument("--sonars", choices=("rays", "cones"),
-                        help="sonar model: exact rays (setups ideal and noisy) or the cones of a real ring, including "
-                             "outliers (default: for sim: addresses that of the setup, rays for other simulations, "
-                             "cones for robots)")  # fmt: skip
+    add_odometry_noise(parser)
+    parser.add_argument("--sonars", choices=("rays", "cones", BUILDING_SETUP),
+                        help="sonar model: exact rays (setups ideal and noisy), the cones of a real ring, including "
+                             "outliers, or the same in a real building, whose walls have doors and posts (method "
+                             "ekf; others: cones) (default: for sim: addresses that of the setup, rays for other "
+                             "simulations, building for robots)")  # fmt: skip
+
+
+def add_sonar_model(parser: argparse.ArgumentParser) -> None:
+    """Add the option of the sonar model, without a robot that decides it."""
+    parser.add_argument("--sonars", choices=("rays", "cones"), default="cones",
+                        help="sonar model: exact rays, or the cones of a real ring (default: %(default)s)")
+
+
+def add_odometry_noise(parser: argparse.ArgumentParser) -> None:
+    """Add the option of the odometry's random errors."""
+    add_value(parser, "--odometry-noise", "A,B,C", parse_odometry_noise,
+              "standard deviations of the random odometry error: in after 1 in, rad after 1 rad, rad after 1 in "
+              f"(default: {','.join(str(value) for value in astuple(THESIS_ODOMETRY))})", THESIS_ODOMETRY)
 
 
 def add_localization_options(parser: argparse.ArgumentParser, method: str, method_help: str, publish_help: str) -> None:
     """Add the options of all commands that localize a robot; `method` is the default filter."""
-    parser.add_argument(
-        "--start-std",
-        type=parse_pose_std,
-        default=START_STD,
-        metavar="X,Y,HEADING",
-        help="standard deviation of the initial pose, inches and degrees (default: 0.1,0.1,0.57)",
-    )
-    parser.add_argument(
-        "--speed",
-        type=parse_positive,
-        default=Speeds().translation_in_s,
-        metavar="IN_S",
-        help="top speed in in/s (default: %(default)s)",
-    )
+    add_value(parser, "--start-std", "X,Y,HEADING", parse_pose_std,
+              "standard deviation of the initial pose, inches and degrees (default: 0.1,0.1,0.57)", START_STD)
+    add_value(parser, "--speed", "IN_S", parse_positive, "top speed in in/s", Speeds().translation_in_s)
     add_robot_model_options(parser)
-    parser.add_argument(
-        "--scale-std",
-        type=parse_scale_std,
-        default=(),
-        metavar="A[,B[,C]]",
-        help="estimate systematic odometry errors with these initial standard deviations: distance "
-        "scale, turn scale, drift in rad/in (default: none; 0.05 for a worn robot)",
-    )
-    parser.add_argument(
-        "--calibration",
-        type=Path,
-        metavar="FILE",
-        help="apply the calibration in this model file, as written by nomad calibrate; takes "
-        "precedence over --scale-std",
-    )
+    add_value(parser, "--scale-std", "A[,B[,C]]", parse_scale_std,
+              "estimate systematic odometry errors with these initial standard deviations: distance "
+              "scale, turn scale, drift in rad/in (default: none; 0.05 for a worn robot)", ())
+    add_value(parser, "--calibration", "FILE", Path,
+              "apply the calibration in this model file, as written by nomad calibrate; takes "
+              "precedence over --scale-std")
     parser.add_argument("--method", choices=METHODS, default=method, help=f"{method_help} (default: {method})")
     parser.add_argument("--publish", metavar="URL",
                         help="show estimate and echoes on the page of `nserver --viewer`, at the address that it "
@@ -208,21 +188,13 @@ class _RenamedOption(argparse.Action):
 
 def add_resume_options(parser: argparse.ArgumentParser) -> None:
     """Add --save, --resume and --displacement-std."""
-    parser.add_argument("--save", type=Path, metavar="FILE", help="save the final estimate to FILE")
-    parser.add_argument(
-        "--resume",
-        type=Path,
-        metavar="FILE",
-        help="continue from an estimate written by --save, of the same robot on the same map; rejected "
-        "if the encoders were set or the robot was switched off meanwhile",
-    )
-    parser.add_argument(
-        "--displacement-std",
-        type=parse_displacement_std,
-        metavar="X,Y,HEADING",
-        help="with --resume: standard deviation of a displacement meanwhile that the encoders did not "
-        "measure, inches and degrees (0,0,0: none)",
-    )
+    add_value(parser, "--save", "FILE", Path, "save the final estimate to FILE")
+    add_value(parser, "--resume", "FILE", Path,
+              "continue from an estimate written by --save, of the same robot on the same map; rejected "
+              "if the encoders were set or the robot was switched off meanwhile")
+    add_value(parser, "--displacement-std", "X,Y,HEADING", parse_displacement_std,
+              "with --resume: standard deviation of a displacement meanwhile that the encoders did not "
+              "measure, inches and degrees (0,0,0: none)")
     parser.add_argument("--moved-std", dest="displacement_std", type=parse_displacement_std, action=_RenamedOption,
                         metavar="X,Y,HEADING", help=argparse.SUPPRESS)  # fmt: skip
 
@@ -246,17 +218,27 @@ def is_lockstep(address: str | None) -> bool:
 
 
 def report_wait(words: str) -> None:
-    """Show what is waited for, on a terminal only."""
-    if sys.stderr.isatty():
-        print(f"nomad: {words}", file=sys.stderr, flush=True)
+    """Show what is waited for, on stderr."""
+    print(f"nomad: {words}", file=sys.stderr, flush=True)
+
+
+def find_alike(world: World, config: LocalizationConfig, belief: Belief) -> list[Floats]:
+    """Return the poses (3,) that look like that of an initial belief, and say so on stderr; none for a wide belief."""
+    if is_wide(belief):
+        return []
+    x, y, heading = belief.mean[:POSE].tolist()
+    found = AliasFinder(world.walls, config.clearance_in, [(x, y)]).aliases((x, y, heading))
+    if found:
+        poses = ", ".join(f"({pose[0]:.1f}, {pose[1]:.1f}) in {math.degrees(pose[2]):.0f} deg" for pose in found[:4])
+        more = f" and {len(found) - 4} more" if len(found) > 4 else ""
+        print(f"nomad: note: the start looks like {poses}{more}", file=sys.stderr, flush=True)
+    return found
 
 
 def make_folder(folder: Path) -> None:
     """Create a folder for results before anything is run. Raises OutputFileError."""
-    try:
+    with write_errors_as(OutputFileError, folder):
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputFileError(describe_write_error(folder, error)) from error
 
 
 def check_writable(*files: Path | None) -> None:
@@ -317,8 +299,10 @@ def prepare_localization(robot: Robot, simulated: bool, world: World, options: a
     if sonars.line():
         print(sonars.line(), file=sys.stderr if options.json else sys.stdout, flush=True)
     # 3. All models.
-    sonar = WIRE_SONAR if sonars.rays else ConeSonar()
-    body = BODIES[options.body]
+    body = resolve_body(options.body, options.model_file, options.address)
+    # Of the methods only this one models the surfaces of walls; for the others a building has cones.
+    building = sonars.building and options.method == DEFAULT_METHOD
+    sonar = building_sonar(body.ring) if building else sonar_of(body.ring, rays=sonars.rays)
     config = LocalizationConfig(world.walls, body, options.odometry_noise, sonar, calibration=calibration)
     return LocalizationSetup(belief, config, sonars)
 

@@ -1,0 +1,567 @@
+"""Search of a map for all poses that explain a history of echoes, and for what else explains the last ones.
+
+    search          table --> likelihood of every cell and heading --> peaks --> each filtered along the history
+    advanced        hypotheses filtered along the echoes since, and weighed by them
+    alternatives    the best pose near a given belief, and the best elsewhere
+
+None of it is part of an update of the robot's filter: a `PoseSearch` does it, in a worker process where there is one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from math import inf, log
+from typing import Final, NamedTuple, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from localization.filters import compiled
+from localization.filters.belief import HEADING, POSE, Belief, Floats, add, difference, independent, pack, unpack
+from localization.filters.ekf import filter_ring
+from localization.filters.odometry import OdometryNoise, predict_state, step_between, with_parameters
+from localization.filters.range_table import CODES, DIRECTIONS, OUTLIER_PROBABILITY, RangeTable, decoded
+from localization.filters.sonar_ray import NOMAD
+from localization.filters.update import CorrelatedReadings, MeasurementUpdate, Outcome
+
+LOWEST_IN, NOTHING_IN, RANGE_SPAN_IN = NOMAD.min_range_in, NOMAD.max_range_in, NOMAD.range_span_in
+"""Limits: "no nearer", which says little, and "nothing", which contradicts an expected echo."""
+CELL_STD: Final = 2.0 / 3.0
+"""Standard deviation of a reading against that from the middle of its cell, in cells: half a diagonal, and more."""
+ODOMETRY_STD: Final = 0.05
+"""Error of the encoders along a history, as a fraction of the distance: wheels of other diameters, and slips."""
+PEAK_CELLS, PEAK_RAD = 2.5, 0.35
+"""A pose nearer than this to a better one belongs to the same peak."""
+SLIP_IN, SLIP_RAD = 7.5, 0.5
+"""An estimate may have slipped by this: a heading by the width of the cone, 25 degrees, over which an echo stays."""
+MAX_PEAKS: Final = 100
+MAX_CANDIDATES: Final = 20_000
+"""Poses among which peaks are looked for."""
+EVIDENCE_SHARE: Final = 0.3
+"""Of the evidence of an echo in the probability of a hypothesis: neighbouring sonars and following rounds meet the same
+walls, so their errors are not independent. With 1 wrong poses in a hall or a maze had 99 %."""
+MAX_PEAK_NATS: Final = 40.0
+"""A peak this much less likely than the best is no candidate."""
+PEAK_STD, PEAK_HEADING_STD_RAD = 0.6, 0.06
+"""Standard deviations of a peak before it is refined: of a cell, in cells and radians."""
+COARSE_RECORDS: Final = 72
+"""Records that decide the peaks: the last ring and a half, and an even choice of the older ones."""
+LAST_RECORDS: Final = 24
+"""A ring and a half of echoes, so that a missing or bad one matters little."""
+REFINED_RECORDS: Final = 48
+"""Records along which all peaks are filtered first."""
+MAX_REFINED: Final = 60
+"""Hypotheses that are filtered along the whole history."""
+SAME_SQUARED: Final = 16.27
+"""A pose within this squared distance of a belief is the same: chi-square of 3 degrees of freedom, 99.9 %."""
+SAME_IN, SAME_RAD = 3.0, 0.15
+"""Refined hypotheses nearer than this are one."""
+MIN_WEIGHT: Final = 1e-4
+"""Hypotheses with less weight than this, against the best, are dropped."""
+
+
+class EchoRecord(NamedTuple):
+    """An echo, and the pose of the encoders (3,) at its instant, in any frame that is common to all records."""
+
+    encoders: Floats
+    sonar_rad: float
+    sonar: int
+    turret_offset_rad: float
+    reading_in: float
+
+
+@dataclass(frozen=True, slots=True)
+class Hypothesis:
+    """A pose at which the robot may be, as a belief at the last record, and its probability."""
+
+    belief: Belief
+    probability: float
+
+
+class Prior(NamedTuple):
+    """A belief over the pose (3,) when the encoders stood at `encoders` (3,)."""
+
+    belief: Belief
+    encoders: Floats
+
+
+class Alternatives(NamedTuple):
+    """Beliefs over the pose at the last record that explain the echoes, against a given one.
+
+    Attributes
+    ----------
+    near, elsewhere
+        The best one near the given belief, and the best elsewhere; None where none was found.
+    lead_nats
+        Log likelihood of the better of the two less that of the given belief; -inf without any.
+    """
+
+    near: Belief | None
+    elsewhere: Belief | None
+    lead_nats: float
+
+
+class EchoReplay:
+    """Filter beliefs along records, by the loop of the extended Kalman filter where the sonar model has one."""
+
+    def __init__(self, measurement: MeasurementUpdate, odometry: OdometryNoise) -> None:
+        self._measurement, self.odometry = measurement, odometry
+
+    @cached_property
+    def _ring(self) -> compiled.CompiledRing | None:
+        """The compiled loop, where numba was loaded before the first use."""
+        return compiled.ring(filter_ring, self._measurement.direct, self.odometry)
+
+    def run(self, belief: Belief, before: Floats, records: Sequence[EchoRecord]) -> tuple[Belief, float]:
+        """Return a belief at the encoders `before` (3,), filtered along records since, and their log likelihood."""
+        x, P = unpack(belief)
+        nats = sum(log(outcome[-1]) for outcome in self._outcomes(x, P, before, records))
+        return pack(x, P), nats
+
+    def _outcomes(
+        self, x: list[float], P: list[list[float]], before: Floats, records: Sequence[EchoRecord]
+    ) -> list[Outcome]:
+        """Filter x, P along records in place, and return the outcome of each."""
+        if not self._measurement.direct:
+            return self._one_by_one(x, P, before, records)
+        # 1. The number of a record is its instant, so a ring's poses are looked up and not interpolated.
+        used, outcomes = CorrelatedReadings().used, list[Outcome]()
+        at = (-1.0, *before.tolist(), 0.0)
+        for first in range(0, len(records), LAST_RECORDS):
+            part = records[first : first + LAST_RECORDS]
+            poses = [at] + [
+                (float(first + k), *each.encoders.tolist(), each.encoders.item(HEADING) + each.turret_offset_rad)
+                for k, each in enumerate(part)
+            ]
+            echoes = [(float(first + k), each.sonar, each.reading_in) for k, each in enumerate(part)]
+            if self._ring:
+                rows = np.array(used)
+                outcomes += self._ring.filter(x, P, rows, at, poses, echoes)
+                used = rows.tolist()
+            else:
+                direct = self._measurement.direct
+                outcomes += filter_ring(x, P, used, at, poses, echoes, self.odometry, direct, direct.update)
+            at = poses[-1]
+        return outcomes
+
+    def _one_by_one(
+        self, x: list[float], P: list[list[float]], before: Floats, records: Sequence[EchoRecord]
+    ) -> list[Outcome]:
+        correlated, outcomes = CorrelatedReadings(), list[Outcome]()
+        for record in records:
+            distance_in, turn_rad = step_between(before, record.encoders).tolist()
+            predict_state(x, P, distance_in, turn_rad, self.odometry)
+            correlated.move(distance_in, turn_rad)
+            count = correlated.count(record.sonar, record.turret_offset_rad) + 1
+            outcome = self._measurement.apply(
+                x, P, record.sonar, record.turret_offset_rad, record.reading_in, count
+            )
+            correlated.record(record.sonar, record.turret_offset_rad)
+            outcomes.append((outcome.refusal, outcome.innovation_in, outcome.nis, outcome.outlier_probability,
+                             outcome.likelihood))  # fmt: skip
+            before = record.encoders
+        return outcomes
+
+
+# 1. All poses.
+
+
+def search(
+    records: Sequence[EchoRecord],
+    table: RangeTable,
+    replay: EchoReplay,
+    parameter_stds: tuple[float, ...] = (),
+    others: Sequence[Hypothesis] = (),
+    prior: Prior | None = None,
+) -> list[Hypothesis]:
+    """Return all poses that explain the records, the most probable first; none without records or floor.
+
+    A symmetric map gives as many hypotheses as it has places that look alike.
+
+    Parameters
+    ----------
+    records
+        The history, its last records first of all.
+    parameter_stds
+        Standard deviations of the odometry parameters of the beliefs.
+    others
+        Hypotheses so far, at the last record. They keep the weights that echoes before the records gave them; new ones
+        are weighed against them by the records.
+    prior
+        What is known of the pose without the records. Default: nothing.
+    """
+    if not records:
+        return []
+    # 1. The last records decide among all peaks.
+    last = records[-REFINED_RECORDS:]
+    refined = [_replayed(belief, last, replay) for belief in _peaks(records, table, prior)]
+    refined.sort(key=lambda pair: -pair[1])
+    best = [with_parameters(belief, parameter_stds) for belief, _ in refined[:MAX_REFINED]]
+    # 2. The whole history, and what was known before it, decide among the best of them.
+    weighted = []
+    for belief in best:
+        explained, nats = _replayed(belief, records, replay)
+        weighted.append((explained, EVIDENCE_SHARE * nats + _log_prior(explained, records[-1].encoders, prior)))
+    if not others or not weighted:
+        return merged(weighted)
+    # 3. The hypotheses so far stay; what the records explain elsewhere is added, its weight by that of those found
+    #    again and never above the best: echoes that select a pose are no evidence for it.
+    best_nats = log(others[0].probability)
+    pairs = [(each, next((k for k in others if _is_same(each[0], k.belief)), None)) for each in weighted]
+    again = [score - log(same.probability) for (_, score), same in pairs if same]
+    offset = float(np.median(again)) if again else max(score for _, score in weighted) - best_nats
+    new = [(belief, min(score - offset, best_nats)) for (belief, score), same in pairs if not same]
+    return merged([*((other.belief, log(other.probability)) for other in others), *new])
+
+
+def advanced(
+    hypotheses: Sequence[Hypothesis], before: Floats, records: Sequence[EchoRecord], replay: EchoReplay
+) -> list[Hypothesis]:
+    """Return hypotheses at the encoders `before` (3,), filtered along records since and weighed by them."""
+    replayed = [replay.run(hypothesis.belief, before, records) for hypothesis in hypotheses]
+    return merged(
+        [
+            (belief, log(hypothesis.probability) + EVIDENCE_SHARE * nats)
+            for hypothesis, (belief, nats) in zip(hypotheses, replayed, strict=True)
+        ]
+    )
+
+
+def merged(weighted: Sequence[tuple[Belief, float]]) -> list[Hypothesis]:
+    """Return hypotheses from beliefs with their log likelihoods: one for each pose, without the improbable."""
+    # Greedy: a hypothesis absorbs all that are the same pose and less probable.
+    ranked = sorted(weighted, key=lambda pair: -pair[1])
+    best = ranked[0][1] if ranked else -inf
+    chosen: list[tuple[Belief, float]] = []
+    for belief, score in ranked:
+        weight = float(np.exp(score - best))
+        if weight < MIN_WEIGHT:
+            break
+        if not any(_is_same(belief, other) for other, _ in chosen):
+            chosen.append((belief, weight))
+    total = sum(weight for _, weight in chosen)
+    return [Hypothesis(belief, weight / total) for belief, weight in chosen]
+
+
+def moved(belief: Belief, last: Floats, then: Floats) -> Belief:
+    """Return a belief at the encoders `last` (3,) as of the encoders `then`; its covariance stays."""
+    mean = belief.mean.copy()
+    mean[:POSE] = _displaced(mean[None, :POSE], last, then)[0]
+    return Belief(add(mean, np.zeros_like(mean)), belief.cov)
+
+
+def _replayed(last: Belief, records: Sequence[EchoRecord], replay: EchoReplay) -> tuple[Belief, float]:
+    """Return a belief, moved back to the first record and filtered along all of them, and its log likelihood."""
+    # What the encoders may have missed on the way back is added to its variance.
+    distance_in, turn_rad = _travelled(records)
+    start = moved(last, records[-1].encoders, records[0].encoders)
+    cov = start.cov.copy()
+    drift_rad = replay.odometry.drift_std * distance_in**0.5 + replay.odometry.rotation_std * turn_rad**0.5
+    across_in = ODOMETRY_STD * distance_in + 0.5 * drift_rad * distance_in
+    cov[range(POSE), range(POSE)] += np.square((across_in, across_in, drift_rad))
+    return replay.run(Belief(start.mean, cov), records[0].encoders, records)
+
+
+def _travelled(records: Sequence[EchoRecord]) -> tuple[float, float]:
+    """Return the length of the path of records, and the sum of their turns."""
+    steps = step_between(*(np.array([record.encoders for record in part]) for part in (records[:-1], records[1:])))
+    distance_in, turn_rad = np.abs(steps.reshape(-1, 2)).sum(axis=0).tolist()
+    return distance_in, turn_rad
+
+
+def _log_prior(belief: Belief, last: Floats, prior: Prior | None) -> float:
+    """Return the log density of a belief at the encoders `last`, by what was known before."""
+    if prior is None:
+        return 0.0
+    then = moved(belief, last, prior.encoders)
+    offset = difference(then.mean[:POSE], prior.belief.mean[:POSE])
+    S = prior.belief.cov[:POSE, :POSE] + then.cov[:POSE, :POSE]
+    return float(-0.5 * offset @ np.linalg.solve(S, offset))
+
+
+def _is_same(one: Belief, other: Belief) -> bool:
+    offset = difference(one.mean, other.mean)
+    return bool(np.hypot(offset[0], offset[1]) < SAME_IN and abs(offset[HEADING]) < SAME_RAD)
+
+
+# 2. The likelihood of every cell and heading, and its peaks.
+
+
+def _peaks(records: Sequence[EchoRecord], table: RangeTable, prior: Prior | None = None) -> list[Belief]:
+    """Return beliefs over the pose (3,) at the last record, one for each peak of the likelihood, the best first."""
+    places = table.places_in
+    if not records or not len(places):
+        return []
+    poses, score = _coarse(records, table, places)
+    if prior is not None:
+        then = _displaced(poses, records[-1].encoders, prior.encoders)
+        offset = difference(then, prior.belief.mean[:POSE])
+        information = np.linalg.inv(prior.belief.cov[:POSE, :POSE] + np.diag(np.square(_peak_std(table))))
+        score = score - 0.5 * np.einsum("ni,ij,nj->n", offset, information, offset)
+    std = _peak_std(table)
+    return [independent(peak, std) for peak in _maxima(poses, score, PEAK_CELLS * table.cell_in)]
+
+
+def _peak_std(table: RangeTable) -> tuple[float, float, float]:
+    return PEAK_STD * table.cell_in, PEAK_STD * table.cell_in, PEAK_HEADING_STD_RAD
+
+
+def _coarse(records: Sequence[EchoRecord], table: RangeTable, places: Floats) -> tuple[Floats, Floats]:
+    """Return all poses (n, 3) of the grid at the last record, and their log likelihoods (n,)."""
+    # 1. The records that count, and the distance driven since each.
+    chosen = [*_spread(records[:-LAST_RECORDS], COARSE_RECORDS - LAST_RECORDS), *records[-LAST_RECORDS:]]
+    steps = [0.0] + [float(np.hypot(*(b.encoders - a.encoders)[:2])) for a, b in pairwise(chosen)]
+    since_in = sum(steps) - np.cumsum(steps)
+    headings = np.arange(DIRECTIONS) * (2.0 * np.pi / DIRECTIONS)
+    score = np.zeros((DIRECTIONS, len(places)), dtype=np.float32)
+    # 2. Sum of log likelihoods; readings are independent given the pose.
+    for record, driven_in in zip(chosen, since_in.tolist(), strict=True):
+        if record.reading_in <= LOWEST_IN:
+            continue
+        nats = _log_likelihoods(record.reading_in, table.cell_in, driven_in)
+        # Where the robot was then depends on the heading alone: the same step from all places.
+        dx, dy, heading = _displaced(np.stack((0.0 * headings, 0.0 * headings, headings), axis=-1),
+                                     records[-1].encoders, record.encoders).T  # fmt: skip
+        directions = np.rint((heading + record.sonar_rad) * (DIRECTIONS / (2.0 * np.pi))).astype(np.intp) % DIRECTIONS
+        for row, (x_in, y_in, direction) in enumerate(zip(dx.tolist(), dy.tolist(), directions.tolist(), strict=True)):
+            score[row] += nats[table.codes_beside(x_in, y_in, direction)]
+    # 3. As a list of poses.
+    poses = np.empty((*score.shape, 3))
+    poses[..., :2], poses[..., HEADING] = places, headings[:, None]
+    return poses.reshape(-1, 3), score.ravel().astype(np.float64)
+
+
+def _spread(records: Sequence[EchoRecord], count: int) -> Sequence[EchoRecord]:
+    """Return at most `count` of the records, evenly chosen."""
+    if len(records) <= count:
+        return records
+    return [records[k] for k in np.linspace(0, len(records) - 1, count).astype(int).tolist()]
+
+
+def _log_likelihoods(reading_in: float, cell_in: float, driven_in: float) -> npt.NDArray[np.float32]:
+    """Return the log likelihood of a reading for each code of a table, the robot then `driven_in` away."""
+    ranges, probability = decoded(np.arange(CODES))
+    inlier = 1.0 - OUTLIER_PROBABILITY
+    if reading_in >= NOTHING_IN:
+        return np.log(1.0 - inlier * probability).astype(np.float32)
+    variance = (CELL_STD * cell_in) ** 2 + (0.01 * ranges) ** 2 + (ODOMETRY_STD * driven_in) ** 2
+    hit = probability * np.exp(-0.5 * (reading_in - ranges) ** 2 / variance)
+    nats = np.log(inlier * hit / np.sqrt(2.0 * np.pi * variance) + OUTLIER_PROBABILITY / RANGE_SPAN_IN)
+    return nats.astype(np.float32)
+
+
+def _displaced(poses: Floats, last: Floats, then: Floats) -> Floats:
+    """Return where poses (n, 3) were when the encoders stood at `then`, being at `last` now."""
+    # Displacement of the encoders, rotated from their frame into that of each pose.
+    back = difference(then, last)
+    turn = poses[:, HEADING] - last[HEADING]
+    cos, sin = np.cos(turn), np.sin(turn)
+    there = np.empty_like(poses)
+    there[:, 0] = poses[:, 0] + cos * back[0] - sin * back[1]
+    there[:, 1] = poses[:, 1] + sin * back[0] + cos * back[1]
+    there[:, HEADING] = poses[:, HEADING] + back[HEADING]
+    return there
+
+
+def _maxima(poses: Floats, score: Floats, distance_in: float) -> list[Floats]:
+    """Return the best poses (3,), one for each peak: no two within this distance with nearly the same heading."""
+    # Non-maximum suppression: take the best pose, drop its neighbours, repeat.
+    count = min(MAX_CANDIDATES, len(score))
+    order = np.argpartition(score, len(score) - count)[len(score) - count :]
+    order = order[np.argsort(-score[order], kind="stable")]
+    order = order[score[order] > score[order[0]] - MAX_PEAK_NATS]
+    rest = poses[order]
+    found: list[Floats] = []
+    while len(rest) and len(found) < MAX_PEAKS:
+        peak = rest[0]
+        found.append(peak)
+        offset = difference(rest, np.broadcast_to(peak, rest.shape))
+        distance = np.hypot(offset[:, 0], offset[:, 1])
+        rest = rest[~((distance < distance_in) & (np.abs(offset[:, HEADING]) < PEAK_RAD))]
+    return found
+
+
+# 3. Alternatives to a belief.
+
+
+def alternatives(given: Belief, records: Sequence[EchoRecord], table: RangeTable, replay: EchoReplay) -> Alternatives:
+    """Return what else explains the records. Near is within the standard deviation of the belief, or a slip from it."""
+    # 1. The given belief, widened by a cell of the grid: nearer poses cannot be distinguished from it.
+    wide = Belief(given.mean[:POSE], given.cov[:POSE, :POSE] + np.diag(np.square(_peak_std(table))))
+    information = np.linalg.inv(wide.cov)
+    # 2. The best explanation near it (True) and elsewhere (False).
+    best: dict[bool, tuple[Belief, float]] = {}
+    for peak in _peaks(records, table):
+        belief, score = _replayed(peak, records, replay)
+        offset = difference(belief.mean, wide.mean)
+        near = bool(offset @ information @ offset <= SAME_SQUARED) or _may_have_slipped(offset)
+        if near not in best or score > best[near][1]:
+            best[near] = belief, score
+    # 3. Both sides are compared by the same echoes, replayed.
+    lead = max((score for _, score in best.values()), default=-inf) - _replayed(wide, records, replay)[1]
+    near_by, elsewhere = (best[near][0] if near in best else None for near in (True, False))
+    return Alternatives(near_by, elsewhere, lead)
+
+
+def _may_have_slipped(offset: Floats) -> bool:
+    return bool(np.hypot(offset[0], offset[1]) < SLIP_IN and abs(offset[HEADING]) < SLIP_RAD)
+
+
+# 4. Searches as the filter starts them.
+
+
+class SearchRequest(NamedTuple):
+    """What to search for.
+
+    Attributes
+    ----------
+    records
+        Echoes in order of time: the history of a search, or those since the hypotheses.
+    hypotheses, before
+        Hypotheses so far, and the encoders (3,) that they belong to.
+    since
+        For a search, the last of the records, which come after these hypotheses.
+    searches
+        True to search the map, False to advance the hypotheses only.
+    given
+        Belief to find alternatives to; then the rest but the records has no meaning.
+    """
+
+    records: list[EchoRecord]
+    hypotheses: list[Hypothesis] = []  # noqa: RUF012
+    before: Floats | None = None
+    since: list[EchoRecord] = []  # noqa: RUF012
+    searches: bool = True
+    given: Belief | None = None
+    prior: Prior | None = None
+    parameter_stds: tuple[float, ...] = ()
+
+
+class SearchResult(NamedTuple):
+    """Answer of a search: hypotheses at the last record, or the alternatives to a given belief.
+
+    `turn_rad` is the turn from the heading of the robot towards where the hypotheses differ soonest.
+    """
+
+    hypotheses: list[Hypothesis]
+    alternatives: Alternatives | None = None
+    turn_rad: float | None = None
+
+
+PendingSearch = Callable[[], SearchResult | None]
+"""Returns the answer of a search, None while it runs."""
+
+
+class PoseSearch(Protocol):
+    """Searches for poses on a map; an implementation may run beside the filter."""
+
+    @property
+    def progress(self) -> str:
+        """Reason why a search still waits, in words; "" if it does not."""
+        ...
+
+    def density(self, reading_in: float) -> float:
+        """Return the probability density of a reading from an unknown pose."""
+        ...
+
+    def start(self, request: SearchRequest) -> PendingSearch:
+        """Begin a search."""
+        ...
+
+
+class TableSearch:
+    """Search in this process, which answers at once; the table is built at its first use."""
+
+    progress = ""
+
+    def __init__(
+        self, table: Callable[[], RangeTable], measurement: MeasurementUpdate, odometry: OdometryNoise
+    ) -> None:
+        self._build, self._replay = table, EchoReplay(measurement, odometry)
+
+    @cached_property
+    def table(self) -> RangeTable:
+        """The range table of the map."""
+        return self._build()
+
+    def density(self, reading_in: float) -> float:
+        """Return the probability density of a reading from an unknown pose."""
+        return self.table.density(reading_in)
+
+    def start(self, request: SearchRequest) -> PendingSearch:
+        """Return the answer of a search."""
+        result = self._answer(request)
+        return lambda: result
+
+    def _answer(self, request: SearchRequest) -> SearchResult:
+        records, before = request.records, request.before
+        if request.given is not None:
+            return SearchResult([], alternatives(request.given, records, self.table, self._replay))
+        if not request.searches:
+            assert before is not None
+            found = advanced(request.hypotheses, before, records, self._replay)
+        else:
+            others = [] if before is None else advanced(request.hypotheses, before, request.since, self._replay)
+            found = search(records, self.table, self._replay, request.parameter_stds, others, request.prior)
+        return SearchResult(found, turn_rad=informative_turn(found, self.table))
+
+
+# 5. Where the hypotheses differ.
+
+TURNS: Final = 12
+"""Directions of driving that are compared."""
+DRIVE_STEP_IN, DRIVE_STEPS = 12.0, 20
+"""Straight drives are judged at these points."""
+COMPARED: Final = 8
+"""So many of the most probable hypotheses are compared."""
+START_IN, TURN_IN = 36.0, 20.0
+"""What any drive, and a radian of turning before it, cost in inches of driving."""
+FREE_VALUE: Final = 2e-5
+"""Value of an inch of free way, where no drive separates the hypotheses: much less than that of any difference."""
+
+
+def informative_turn(hypotheses: Sequence[Hypothesis], table: RangeTable) -> float | None:
+    """Return the turn (rad) to the straight drive on which expected readings separate the hypotheses soonest.
+
+    The value of a drive is the separation of the hypotheses, from 0 to 1, that it leads to, over its length. Without
+    any the longest free way is chosen.
+
+    Returns
+    -------
+    float or None
+        None for fewer than two hypotheses, or no free way.
+    """
+    best = hypotheses[:COMPARED]
+    if len(best) < 2:
+        return None
+    weights = np.array([each.probability for each in best])
+    poses = np.array([each.belief.mean[:POSE] for each in best])
+    pairs = np.triu(np.outer(weights, weights), 1)
+    sonars = np.arange(0, DIRECTIONS, DIRECTIONS // 24)
+    chosen, highest = None, 0.0
+    for turn in (np.arange(TURNS) - TURNS // 2 + 1) * (2.0 * np.pi / TURNS):
+        free = np.ones(len(best), dtype=bool)
+        for step in range(1, DRIVE_STEPS + 1):
+            # 1. The drive ends where most of the robot's possible poses meet a wall.
+            along = DRIVE_STEP_IN * step
+            heading = poses[:, HEADING] + turn
+            x, y = poses[:, 0] + along * np.cos(heading), poses[:, 1] + along * np.sin(heading)
+            free &= table.is_floor(x, y)
+            if not free[0] or weights[free].sum() < 0.5:
+                break
+            # 2. How far the expected readings differ, in cells at most; "nothing" differs from any echo.
+            rows = np.rint(heading * (DIRECTIONS / (2.0 * np.pi))).astype(np.intp)[:, None] + sonars
+            number = table.places_at(x, y)
+            ranges, probability = (part[number[:, None], rows % DIRECTIONS] for part in (
+                table.ranges_in, table.probabilities))  # fmt: skip
+            expected = np.where(probability > 0.5, ranges, NOTHING_IN)
+            apart = np.minimum(np.abs(expected[:, None] - expected[None]) / (4.0 * table.cell_in), 1.0).mean(axis=-1)
+            apart[~free] = apart[:, ~free] = 0.0
+            value = float((pairs * apart).sum() / pairs.sum()) / (START_IN + along + TURN_IN * abs(turn))
+            value += FREE_VALUE * along / (1.0 + abs(turn))
+            if value > highest:
+                chosen, highest = float(turn), value
+    return chosen

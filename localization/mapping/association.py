@@ -1,0 +1,312 @@
+"""Data association: the reflector that explains each echo, and headings after turns.
+
+An echo belongs to the reflector whose expected range is nearest, if that is within the gate, the reflector is in the
+cone, the reflecting spot lies on or near the part of the wall seen so far, and no other wall is in between.
+
+After a turn the heading is uncertain by several degrees, more than the nearest reflector allows. So several headings
+are compared before the echoes that follow are assigned (`align_heading`).
+
+References
+----------
+Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation (2001), section 1.5 (nearest
+neighbour, gating). Neira, Tardos, Data Association in Stochastic Mapping (2001).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from math import radians
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from localization.filters.belief import HEADING, Floats, unit_vector, wrap_angle
+from localization.filters.odometry import OdometryNoise, process_variance
+from localization.filters.sonar_cone import to_vertex, to_wall
+from localization.filters.sonar_ray import intersect_line
+from localization.mapping.measurements import Indices, compose, rotate
+from localization.mapping.problem import (
+    COMMON_OFFSET,
+    NO_FEATURE,
+    ROBUST_LIMIT,
+    Assignment,
+    MapProblem,
+    MapState,
+    Sensors,
+    robust_cost,
+    sensors_at,
+)
+
+Mask = npt.NDArray[np.bool_]
+
+GATE_SIGMAS: Final = 3.0
+GATE_IN: Final = 0.4
+"""Added to the gate: poses and features are uncertain as well."""
+HALF_CONE_RAD: Final = radians(12.5 + 4.0)
+"""Half angle of a cone, and the uncertainty of the heading."""
+GROWTH_IN: Final = 20.0
+"""A wall may be measured this far beyond the part seen so far: a gap this wide is one that a robot passes."""
+BLOCKED_IN: Final = 2.0
+"""A path is blocked by a wall at least this far before its end, and this far within the wall."""
+PENALTY: Final = {"wall": 40.0, "point": 25.0}
+"""Cost that a feature must save to be worth its unknowns: 4 or 6 echoes that nothing else explains."""
+
+# Headings.
+
+TURN_STEP_RAD: Final = 0.05
+"""A robot that turns less between two nodes drives straight."""
+MIN_TURN_RAD: Final = 0.2
+HEADINGS: Final = np.linspace(-3.0, 3.0, 25)
+"""Compared headings, in standard deviations of the turn."""
+
+
+@dataclass
+class MapEstimate:
+    """A map in the making: the problem, its state and assignment, and the part of each wall seen so far.
+
+    `extents` (w, 2) are the coordinates along the wall, whose direction is the normal turned left.
+    """
+
+    problem: MapProblem
+    state: MapState
+    assignment: Assignment
+    extents: Floats = field(default_factory=lambda: np.empty((0, 2)))
+
+    @classmethod
+    def start(cls, problem: MapProblem) -> MapEstimate:
+        """Return an estimate of the first pose alone."""
+        nothing = np.full(len(problem.trajectory.node), NO_FEATURE, dtype=np.intp)
+        return cls(problem, problem.initial(), Assignment(nothing))
+
+    def copy(self) -> MapEstimate:
+        """Return an estimate that changes independently; arrays are replaced, never changed in place."""
+        return replace(self)
+
+    @property
+    def cost(self) -> float:
+        """Cost of all residuals, and of all features by PENALTY."""
+        state = self.state
+        penalty = PENALTY["wall"] * len(state.walls) + PENALTY["point"] * len(state.points)
+        return self.problem.cost(state, self.assignment) + penalty
+
+    def extend(self, count: int) -> None:
+        """Add nodes up to a number of them, by the odometry."""
+        trajectory, poses = self.problem.trajectory, [*self.state.poses]
+        steps = trajectory.steps + trajectory.step_by_parameters @ self.state.parameters[:COMMON_OFFSET]
+        for step in steps[len(poses) - 1 : count - 1]:
+            poses.append(compose(poses[-1], step))
+        self.state = replace(self.state, poses=np.array(poses))
+
+    def optimize(self, iterations: int = 4) -> None:
+        """Optimize everything for the present assignment."""
+        self.state = self.problem.optimize(self.state, self.assignment, iterations)
+
+    def associate(self, first_node: int = 0) -> None:
+        """Assign all echoes from a node on."""
+        echoes = self.echoes(first_node)
+        feature = self.assignment.feature.copy()
+        feature[echoes], _ = assign(self.problem, self.state, self.extents, echoes)
+        self.assignment = replace(self.assignment, feature=feature)
+        self.measure_extents()
+
+    def echoes(self, first_node: int = 0) -> Indices:
+        """Return the echoes of the nodes from one on."""
+        node = self.problem.trajectory.node
+        return np.flatnonzero((node >= first_node) & (node < len(self.state.poses)))
+
+    def echoes_of(self, feature: int) -> Indices:
+        """Return the echoes that a feature explains."""
+        return np.flatnonzero(self.assignment.feature == feature)
+
+    def feet_of(self, wall: int) -> Floats:
+        """Return the coordinates along a wall at which echoes within ROBUST_LIMIT were reflected."""
+        echoes = self.echoes_of(wall)
+        sensors = sensors_at(self.state.poses, self.state.parameters, self.problem.trajectory, echoes)
+        ranges, _, feet = _wall_geometry(sensors, self.state.walls[wall : wall + 1], self.problem.rays)
+        fits = np.abs(sensors.range_in - ranges[:, 0]) < ROBUST_LIMIT * self.problem.trajectory.std_in[echoes]
+        good: Floats = feet[fits, 0]
+        return good
+
+    def measure_extents(self) -> None:
+        """Set the extents to the feet of the echoes; the outermost foot at either end may be a mistake."""
+        extents = np.empty((len(self.state.walls), 2))
+        for wall in range(len(extents)):
+            feet = np.sort(self.feet_of(wall))
+            extents[wall] = (feet[1], feet[-2]) if len(feet) > 3 else self.extents[wall]
+        self.extents = extents
+
+    def add_wall(self, line: Floats, extent: Floats) -> None:
+        """Add a wall (2,) with its extent (2,)."""
+        walls = len(self.state.walls)
+        feature = self.assignment.feature
+        self.state = replace(self.state, walls=np.concatenate((self.state.walls, line[None])))
+        self.assignment = replace(self.assignment, feature=feature + (feature >= walls))
+        self.extents = np.concatenate((self.extents, extent[None]))
+
+    def add_point(self, point: Floats) -> None:
+        """Add a point (2,)."""
+        self.state = replace(self.state, points=np.concatenate((self.state.points, point[None])))
+
+    def remove(self, removed: int) -> None:
+        """Remove a feature; its echoes are unexplained until the next association."""
+        state, walls, feature = self.state, len(self.state.walls), self.assignment.feature
+        feature = np.where(feature == removed, NO_FEATURE, feature - (feature > removed))
+        if removed < walls:
+            self.state = replace(state, walls=np.delete(state.walls, removed, axis=0))
+            self.extents = np.delete(self.extents, removed, axis=0)
+        else:
+            self.state = replace(state, points=np.delete(state.points, removed - walls, axis=0))
+        # Ties are found again when they are needed.
+        self.assignment = Assignment(feature)
+
+
+def segments_of(walls: Floats, extents: Floats, shorter_in: float = 0.0) -> Floats:
+    """Return walls (w, 2) of extents (w, 2) as segments (w, 4), shortened at both ends."""
+    c, s = np.cos(walls[:, 0]), np.sin(walls[:, 0])
+    along, base = np.stack((-s, c), -1), np.stack((c, s), -1) * walls[:, 1:]
+    first, last = extents[:, :1] + shorter_in, extents[:, 1:] - shorter_in
+    return np.concatenate((base + first * along, base + last * along), axis=-1)
+
+
+def crossings(starts: Floats, ends: Floats, segments: Floats) -> Mask:
+    """Return True (p, s) where the path (p, 2) to (p, 2) crosses the segment (s, 4)."""
+    one, other = segments[None, :, :2], segments[None, :, 2:]
+    begin, end = starts[:, None], ends[:, None]
+
+    def side(a: Floats, b: Floats, p: Floats) -> Floats:
+        """Return the cross product of b - a and p - a."""
+        cross: Floats = (b[..., 0] - a[..., 0]) * (p[..., 1] - a[..., 1]) - (b[..., 1] - a[..., 1]) * (
+            p[..., 0] - a[..., 0]
+        )
+        return cross
+
+    apart = side(begin, end, one) * side(begin, end, other) < 0.0
+    between = side(one, other, begin) * side(one, other, end) < 0.0
+    return np.asarray(apart & between, dtype=np.bool_)
+
+
+def is_blocked(starts: Floats, ends: Floats, segments: Floats) -> Mask:
+    """Return True (p,) for paths that cross a segment well before their end."""
+    span = ends - starts
+    length = np.maximum(np.hypot(span[:, 0], span[:, 1]), 1e-9)
+    before = starts + span * (np.maximum(length - BLOCKED_IN, 0.0) / length)[:, None]
+    return np.asarray(crossings(starts, before, segments).any(axis=1), dtype=np.bool_)
+
+
+def _wall_geometry(sensors: Sensors, walls: Floats, rays: bool) -> tuple[Floats, Floats, Floats]:
+    """Return range, angle off the axis and foot (e, w) of each wall from each sonar."""
+    c, s = np.cos(walls[None, :, 0]), np.sin(walls[None, :, 0])
+    offset = walls[None, :, 1]
+    x, y, axis = sensors.face[:, :1], sensors.face[:, 1:], sensors.axis[:, None]
+    if rays:
+        dx, dy = unit_vector(axis)
+        ranges, _, cosine = intersect_line(x, y, dx, dy, (c, s, offset))
+        away = (ranges > 0.0) & (np.abs(cosine) > 0.5)
+        return ranges, np.where(away, 0.0, np.pi), c * (y + ranges * dy) - s * (x + ranges * dx)
+    ranges, toward_x, toward_y, foot = to_wall(x, y, offset * c, offset * s, c, s)
+    return ranges, wrap_angle(np.arctan2(toward_y, toward_x) - axis), -foot
+
+
+def residual_matrix(
+    problem: MapProblem, state: MapState, extents: Floats, echoes: Indices
+) -> tuple[Floats, Sensors, Floats]:
+    """Return the residuals (e, f) of echoes by all features in standard deviations, inf where one cannot explain it.
+
+    Returns
+    -------
+    tuple
+        The residuals; the sonars (e,); the reflecting spots (e, f, 2).
+    """
+    sensors = sensors_at(state.poses, state.parameters, problem.trajectory, echoes)
+    # 1. Walls: in the cone, and near the part seen so far.
+    ranges, off_axis, feet = _wall_geometry(sensors, state.walls, problem.rays)
+    on_wall = (feet > extents[:, 0] - GROWTH_IN) & (feet < extents[:, 1] + GROWTH_IN)
+    c, s = np.cos(state.walls[:, 0]), np.sin(state.walls[:, 0])
+    spots = np.stack((c * state.walls[:, 1] - s * feet, s * state.walls[:, 1] + c * feet), axis=-1)
+    # 2. Points.
+    x, y = sensors.face[:, :1], sensors.face[:, 1:]
+    far, toward_x, toward_y = to_vertex(x, y, state.points[None, :, 0], state.points[None, :, 1])
+    off_point = wrap_angle(np.arctan2(toward_y, toward_x) - sensors.axis[:, None])
+    ranges, off_axis = np.concatenate((ranges, far), 1), np.concatenate((off_axis, off_point), 1)
+    everywhere = np.ones(far.shape, dtype=np.bool_)
+    spots = np.concatenate((spots, np.broadcast_to(state.points, (*far.shape, 2))), 1)
+    # 3. The gate.
+    std = problem.trajectory.std_in[echoes][:, None]
+    residual = sensors.range_in[:, None] - ranges
+    fits = np.abs(residual) < GATE_SIGMAS * std + GATE_IN
+    fits &= (np.abs(off_axis) < HALF_CONE_RAD) & np.concatenate((on_wall, everywhere), 1)
+    return np.where(fits, residual / std, np.inf), sensors, spots
+
+
+def assign(problem: MapProblem, state: MapState, extents: Floats, echoes: Indices) -> tuple[Indices, Floats]:
+    """Return the feature of each echo (e,), and the robust cost (e,) by it."""
+    if not state.features:
+        return np.full(len(echoes), NO_FEATURE), np.full(len(echoes), ROBUST_LIMIT**2)
+    # 1. What is behind a wall explains nothing.
+    residual, sensors, spots = residual_matrix(problem, state, extents, echoes)
+    echo, feature = np.nonzero(np.isfinite(residual))
+    blocked = is_blocked(sensors.face[echo], spots[echo, feature], segments_of(state.walls, extents, BLOCKED_IN))
+    residual[echo[blocked], feature[blocked]] = np.inf
+    # 2. The nearest.
+    best = np.abs(residual).argmin(axis=1)
+    left = residual[np.arange(len(echoes)), best]
+    is_explained = np.isfinite(left)
+    cost = np.where(is_explained, robust_cost(np.where(is_explained, left, 0.0)), ROBUST_LIMIT**2)
+    return np.where(is_explained, best, NO_FEATURE), cost
+
+
+def find_turns(steps: Floats, first: int) -> list[tuple[int, float]]:
+    """Return the turns from a step on: the node at which each ends, and by how much the robot turned, radians."""
+    turns, total = [], 0.0
+    for number in range(max(first, 0), len(steps)):
+        turn = float(steps[number, HEADING])
+        if abs(turn) > TURN_STEP_RAD:
+            total += abs(turn)
+        elif total:
+            turns.append((number, total))
+            total = 0.0
+    return [(node, total) for node, total in turns if total > MIN_TURN_RAD]
+
+
+def align_heading(estimate: MapEstimate, first_node: int, noise: OdometryNoise) -> None:
+    """Rotate what follows each turn since a node to the heading that explains its echoes best.
+
+    Each heading is rated by the cost of the echoes since the turn and by the odometry; the best one and the present
+    one are both optimized, and the cheaper is the result.
+    """
+    problem, state = estimate.problem, estimate.state
+    if not state.features:
+        return
+    count = len(state.poses)
+    for node, turn in find_turns(problem.trajectory.steps[: count - 1], first_node):
+        std = process_variance(0.0, turn, noise)[1] ** 0.5
+        echoes = estimate.echoes(node)
+        if len(echoes) < 8:
+            continue
+        costs = []
+        for sigmas in HEADINGS:
+            turned = replace(estimate.state, poses=_turned(estimate.state.poses, node, sigmas * std))
+            costs.append(assign(problem, turned, estimate.extents, echoes)[1].sum() + sigmas**2)
+        best = int(np.argmin(costs))
+        present = len(HEADINGS) // 2
+        if costs[best] > costs[present] - 2.0:
+            continue
+        # Both, optimized: the one that is cheaper then.
+        other = estimate.copy()
+        other.state = replace(other.state, poses=_turned(other.state.poses, node, HEADINGS[best] * std))
+        for candidate in (other, estimate):
+            candidate.associate(max(first_node, node - 1))
+            candidate.optimize()
+        if other.cost < estimate.cost:
+            estimate.state, estimate.assignment, estimate.extents = other.state, other.assignment, other.extents
+
+
+def _turned(poses: Floats, node: int, angle_rad: float) -> Floats:
+    """Return the trajectory with all poses from a node on rotated about it."""
+    turned = poses.copy()
+    turned[node:, :2] = poses[node, :2] + rotate(
+        poses[node:, :2] - poses[node, :2], np.full(len(poses) - node, angle_rad)
+    )
+    turned[node:, HEADING] += angle_rad
+    return turned

@@ -1,0 +1,300 @@
+"""Measurements of a drive: encoder poses and sonar readings, grouped into the nodes of a trajectory.
+
+    recording --> DriveLog --> Trajectory
+                  states       nodes, odometry between them, echoes relative to their node
+
+A node stands for the readings of half a second. Between two nodes the odometry is integrated once, with its covariance
+and its derivative by the calibration parameters, so that the estimator needs no encoder reading again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from localization.filters.belief import HEADING, POSE, Floats
+from localization.filters.odometry import (
+    MAX_STATE,
+    OdometryNoise,
+    move,
+    process_covariance,
+    step_between,
+    step_jacobians,
+)
+from localization.filters.sonar_cone import ConeSonar
+from localization.live.sensor_input import FiringSchedule
+from nclient.errors import RecordingError
+from nclient.protocol.types import get_model
+from nclient.recording.format import IN, OUT, Recording, read_recording
+from nclient.state import RobotState
+from worlds.robots import BODIES
+
+Indices = npt.NDArray[np.intp]
+
+READINGS_PER_NODE: Final = 8
+"""Readings of one node: half a turn of the ring, 0.5 s, in which a robot rolls 2.5 in."""
+STANDING_IN, STANDING_RAD = 0.05, 0.005
+"""A robot that moves less than this between two nodes stands: its readings repeat themselves and are left out."""
+QUANTIZATION_STD: Final = (0.04, 0.04, 0.001)
+"""Standard deviation of an odometry step by the encoders' resolution, 0.1 in and 0.1 deg: in, in, rad."""
+
+
+@dataclass(frozen=True, slots=True)
+class DriveLog:
+    """Encoder poses and sonar readings of a drive.
+
+    Attributes
+    ----------
+    encoders
+        (t, 5) rows of clock, x, y, heading, turret; seconds, inches, radians; increasing clock.
+    instants_s, sonars, readings_in
+        (e,) each: when which sonar fired, and its reading, in order of time.
+    angles_rad
+        (s,) direction of each sonar from the turret's.
+    ring_radius_in
+        Distance of the sonars from the robot's axis.
+    model
+        Name of the robot model.
+    """
+
+    encoders: Floats
+    instants_s: Floats
+    sonars: Indices
+    readings_in: Floats
+    angles_rad: Floats
+    ring_radius_in: float
+    model: str = "n150"
+
+    def poses_at(self, instants_s: Floats) -> Floats:
+        """Return encoder poses and turret angles (e, 4) at instants (e,), by linear interpolation."""
+        clock = self.encoders[:, 0]
+        angles = np.unwrap(self.encoders[:, 3:], axis=0)
+        columns = [self.encoders[:, 1], self.encoders[:, 2], angles[:, 0], angles[:, 1]]
+        return np.stack([np.interp(instants_s, clock, column) for column in columns], axis=-1)
+
+
+@dataclass(frozen=True, slots=True)
+class Trajectory:
+    """Nodes of a drive, odometry between them, and echoes.
+
+    Attributes
+    ----------
+    instants_s
+        (n,) instant of each node.
+    odometry
+        (n, 3) encoder poses of the nodes.
+    steps
+        (n - 1, 3) pose of each next node in the frame of the node before, by the encoders.
+    step_info
+        (n - 1, 3, 3) upper triangular root W of the information of a step: W' W is the inverse covariance.
+    step_by_parameters
+        (n - 1, 3, 3) derivative of a step by distance scale, turn scale and drift.
+    node, sonar
+        (e,) node and sonar of each echo.
+    mounts
+        (e, 2) position of the sonar in the frame of its node, inches.
+    axes_rad
+        (e,) direction of the sonar from the node's heading.
+    readings_in
+        (e,) readings.
+    std_in
+        (e,) standard deviation of a reading.
+    readings
+        Number of all readings, with those without an echo.
+    """
+
+    instants_s: Floats
+    odometry: Floats
+    steps: Floats
+    step_info: Floats
+    step_by_parameters: Floats
+    node: Indices
+    sonar: Indices
+    mounts: Floats
+    axes_rad: Floats
+    readings_in: Floats
+    std_in: Floats
+    readings: int
+
+    def __len__(self) -> int:
+        """Return the number of nodes."""
+        return len(self.instants_s)
+
+
+def read_drive(path: Path) -> DriveLog:
+    """Return the drive of a recording of the client or of the emulator (`record=FILE`, `nserver --record`).
+
+    Raises
+    ------
+    RecordingError
+        A file that is no recording, or one from which it does not follow when the sonars fired.
+    """
+    recording = read_recording(path)
+    for connection in recording.connections():
+        log = _drive_of(recording, connection)
+        if log is not None:
+            return log
+    raise RecordingError(
+        f"{path}: no connection restarts the sonars (conf_sn) and reads states after it, so it is unknown when they "
+        "fired; record a drive of `nomad localize`, `nomad shell` after `conf_sn`, or any program that configures them"
+    )
+
+
+def _drive_of(recording: Recording, connection: str) -> DriveLog | None:
+    """Return the drive on one connection; None without a restart of the ring and states after it."""
+    # 1. States and restarts of the ring, in order. The reply to conf_sn has the clock of the restart.
+    model = get_model(next((e.more["model"] for e in recording.entries if "model" in e.more), "n150"))
+    schedule: FiringSchedule | None = None
+    restart: tuple[int, tuple[int, ...]] | None = None
+    states: list[RobotState] = []
+    firings: list[tuple[float, int, float]] = []
+    for kind, frame in _frames(recording, connection):
+        if kind == OUT and frame.get("call") == "conf_sn":
+            rate, *order = frame["args"]
+            restart = int(rate), tuple(int(sonar) for sonar in order if int(sonar) < len(model_angles(model.name)))
+        if kind != IN or frame.get("reply") != "state" or frame.get("clock") is None:
+            continue
+        state = RobotState(model, tuple(frame["State"]), clock_ms=int(frame["clock"]))
+        assert state.clock_s is not None
+        if restart is not None:
+            schedule, restart = FiringSchedule.of_command(state.clock_s, *restart), None
+            states, firings = [state], []
+            last_s = state.clock_s
+            continue
+        if schedule is None or state.clock_s <= (states[-1].clock_s or 0.0):
+            continue
+        # 2. The echoes that this state shows for the first time.
+        states.append(state)
+        for sonar, instant_s in schedule.readable(last_s, state.clock_s):
+            firings.append((instant_s, sonar, float(state.sonars_in[sonar])))
+            last_s = instant_s
+    if len(states) < 2 or not firings:
+        return None
+    encoders = np.array([(s.clock_s, s.x_in, s.y_in, s.steering_rad, s.turret_rad) for s in states], dtype=np.float64)
+    instants, sonars, readings = zip(*firings, strict=True)
+    body = BODIES[model.name]
+    return DriveLog(
+        encoders, np.array(instants), np.array(sonars, dtype=np.intp), np.array(readings),
+        np.asarray(body.sonar_angles_rad), body.sonar_ring_radius_in, model.name,
+    )  # fmt: skip
+
+
+def model_angles(name: str) -> Sequence[float]:
+    """Return the directions of the sonars of a robot model."""
+    angles: Sequence[float] = BODIES[name].sonar_angles_rad
+    return angles
+
+
+def _frames(recording: Recording, connection: str) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield the decoded frames of one connection, each with its direction."""
+    for entry in recording.entries:
+        if entry.connection == connection and entry.kind in (IN, OUT):
+            for frame in entry.decoded:
+                yield entry.kind, dict(frame)
+
+
+def build_trajectory(log: DriveLog, noise: OdometryNoise, sonar: ConeSonar, position_std_in: float) -> Trajectory:
+    """Return the nodes of a drive with all that the estimator needs.
+
+    Parameters
+    ----------
+    log
+        The drive.
+    noise
+        Random errors of the odometry.
+    sonar
+        Noise and limits of the readings.
+    position_std_in
+        Standard deviation of the sonar's position relative to its node, and of a wall's flatness, inches.
+    """
+    # 1. Groups of readings; those in which the robot does not move are left out.
+    count = len(log.readings_in) // READINGS_PER_NODE
+    groups = np.arange(count * READINGS_PER_NODE).reshape(count, READINGS_PER_NODE)
+    instants = log.instants_s[groups].mean(axis=1)
+    moving = _moving(log.poses_at(instants))
+    groups, instants = groups[moving], instants[moving]
+    nodes = log.poses_at(instants)
+    # 2. Odometry between the nodes.
+    steps, covariance, by_parameters = integrate_odometry(log, instants, noise)
+    root = np.linalg.cholesky(np.linalg.inv(covariance)).swapaxes(-1, -2)
+    # 3. Sonars relative to their nodes: mount and axis in the node's frame.
+    firing = groups.reshape(-1)
+    node = np.repeat(np.arange(len(groups)), READINGS_PER_NODE)
+    poses = log.poses_at(log.instants_s[firing])
+    sonars = log.sonars[firing]
+    heading = nodes[node, HEADING]
+    axes = poses[:, 3] - heading + log.angles_rad[sonars]
+    offset = rotate(poses[:, :2] - nodes[node, :2], -heading)
+    mounts = offset + log.ring_radius_in * np.stack((np.cos(axes), np.sin(axes)), axis=-1)
+    # 4. Readings at a limit are no ranges.
+    readings = log.readings_in[firing]
+    is_range = (readings > sonar.lowest_in) & (readings < sonar.highest_in)
+    std = np.sqrt(sonar.variance(readings) + position_std_in**2)
+    return Trajectory(
+        instants, nodes[:, :POSE], steps, root, by_parameters, node[is_range], sonars[is_range], mounts[is_range],
+        axes[is_range], readings[is_range], std[is_range], len(readings),
+    )  # fmt: skip
+
+
+def _moving(poses: Floats) -> npt.NDArray[np.bool_]:
+    """Return True (n,) for nodes at which the robot or its turret has moved since the last such node, and the first."""
+    moving = np.zeros(len(poses), dtype=np.bool_)
+    last = None
+    for number, pose in enumerate(poses):
+        if last is None or number == len(poses) - 1:
+            moving[number], last = True, pose
+            continue
+        change = np.abs(pose - last)
+        moving[number] = np.hypot(change[0], change[1]) > STANDING_IN or change[2:].max() > STANDING_RAD
+        last = pose if moving[number] else last
+    return moving
+
+
+def integrate_odometry(log: DriveLog, instants_s: Floats, noise: OdometryNoise) -> tuple[Floats, Floats, Floats]:
+    """Return the odometry between instants (n,): steps (n-1, 3), covariances and derivatives by the parameters.
+
+    References
+    ----------
+    Forster, Carlone, Dellaert, Scaramuzza, On-Manifold Preintegration for Real-Time Visual-Inertial Odometry (2017),
+    here with the odometry of Thrun, Burgard, Fox, Probabilistic Robotics (2005), section 5.4, in place of an IMU.
+    """
+    # 1. The encoder poses between each two instants, with both: rows padded with the last one, a step of nothing.
+    clock = log.encoders[:, 0]
+    first, stop = np.searchsorted(clock, instants_s[:-1], "right"), np.searchsorted(clock, instants_s[1:], "left")
+    longest = int((stop - first).max(initial=0))
+    inner = first[:, None] + np.arange(longest)
+    times = np.where(inner < stop[:, None], clock[np.minimum(inner, len(clock) - 1)], instants_s[1:, None])
+    times = np.concatenate((instants_s[:-1, None], times, instants_s[1:, None]), axis=1)
+    poses = log.poses_at(times.reshape(-1))[:, :POSE].reshape(*times.shape, POSE)
+    # 2. All intervals at once, one part after the other: mean, covariance and derivative by the parameters.
+    states = np.zeros((len(times), MAX_STATE))
+    covariance = np.zeros((len(times), POSE, POSE))
+    by_parameters = np.zeros((len(times), POSE, MAX_STATE - POSE))
+    for part in range(times.shape[1] - 1):
+        step = step_between(poses[:, part], poses[:, part + 1])
+        F, G = step_jacobians(states, step)
+        pose_F = F[:, :POSE, :POSE]
+        covariance = pose_F @ covariance @ pose_F.swapaxes(-1, -2) + process_covariance(G, step, noise)
+        by_parameters = pose_F @ by_parameters + F[:, :POSE, POSE:]
+        states = move(states, step)
+    covariance[:, range(POSE), range(POSE)] += np.square(QUANTIZATION_STD)
+    return states[:, :POSE], covariance, by_parameters
+
+
+def rotate(vectors: Floats, angles_rad: Floats) -> Floats:
+    """Return vectors (..., 2) turned counter-clockwise by angles (...)."""
+    c, s = np.cos(angles_rad), np.sin(angles_rad)
+    x, y = vectors[..., 0], vectors[..., 1]
+    return np.stack((c * x - s * y, s * x + c * y), axis=-1)
+
+
+def compose(poses: Floats, steps: Floats) -> Floats:
+    """Return poses (..., 3) followed by steps (..., 3) in their frames."""
+    return np.concatenate(
+        (poses[..., :2] + rotate(steps[..., :2], poses[..., 2]), poses[..., 2:] + steps[..., 2:]), axis=-1
+    )

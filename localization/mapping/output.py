@@ -1,0 +1,238 @@
+"""The result of mapping: a world file, a picture, a calibration, and why a map is refused.
+
+The frame has its origin at the start of the drive and its axes along the longest walls. The start of the world is where
+the robot stands at the end, so that `nomad localize --map room.toml` continues from there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import degrees
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from localization.filters.belief import HEADING, Floats, wrap_angle
+from localization.filters.odometry import OdometryParameter
+from localization.mapping.association import MapEstimate
+from localization.mapping.measurements import rotate
+from localization.mapping.problem import COMMON_OFFSET, NO_FEATURE, POINT, WALL, sensors_at
+from localization.mapping.walls import Piece, axes_rad, extract_walls, final_pose, parameter_covariance
+from worlds.robots import Calibration, Spread
+from worlds.world import StartPose, WallAccuracy, World
+
+DECIMALS: Final = 7
+"""Of coordinates in the file: far below the 1e-6 in within which ends touch."""
+MIN_EXPLAINED: Final = 0.7
+"""Least fraction of the ranges that the map must explain."""
+MAX_CHI_SQUARE: Final = 1.5
+"""Highest sum of squared residuals per degree of freedom, 1 for a model that fits."""
+MIN_WALLS: Final = 2
+MARGIN_IN: Final = 15.0
+"""Around the walls in the picture."""
+
+
+@dataclass(frozen=True, slots=True)
+class Quality:
+    """How well a map explains its readings.
+
+    Attributes
+    ----------
+    explained
+        Fraction of the ranges that a wall or a point explains.
+    chi_square
+        Sum of the squared residuals of odometry and explained ranges per degree of freedom, 1 for a model that fits.
+    """
+
+    explained: float
+    chi_square: float
+
+
+@dataclass(frozen=True, slots=True)
+class LearnedMap:
+    """A map in its own frame: walls, points, path (n, 3) and where the robot stands now."""
+
+    walls: tuple[Piece, ...]
+    points: Floats
+    path: Floats
+    calibration: Calibration
+    quality: Quality
+    turret_rad: float
+
+    @property
+    def open_ends(self) -> list[tuple[float, float]]:
+        """Ends of walls without a corner, inches."""
+        return [
+            (float(x), float(y))
+            for wall in self.walls
+            for (x, y), is_closed in zip(wall.ends, wall.closed, strict=True)
+            if not is_closed
+        ]
+
+    def reason_to_refuse(self) -> str:
+        """Return why this map must not be used; "" if it is sound."""
+        quality = self.quality
+        if len(self.walls) < MIN_WALLS:
+            return (
+                f"{len(self.walls)} walls found: drive along the walls, at 12 to 60 in from them, and turn at corners"
+            )
+        if quality.explained < MIN_EXPLAINED:
+            return (
+                f"its walls explain {quality.explained:.0%} of the ranges, at least {MIN_EXPLAINED:.0%} are needed: "
+                "--sonars is wrong, things moved, or the odometry is worse than --odometry-noise"
+            )
+        if quality.chi_square > MAX_CHI_SQUARE:
+            return (
+                f"ranges and encoders contradict each other: chi-square is {quality.chi_square:.2f} per degree of "
+                f"freedom, at most {MAX_CHI_SQUARE} is sound; --odometry-noise is too low, or --sonars is wrong"
+            )
+        return ""
+
+    def world(self, name: str) -> World:
+        """Return the map as a world."""
+        walls = np.array([wall.ends.reshape(4) for wall in self.walls]).reshape(-1, 4)
+        x, y, heading = self.path[-1].tolist()
+        start = StartPose(round(x, 3), round(y, 3), round(heading, 4), round(wrap_angle(heading + self.turret_rad), 4))
+        accuracies = {
+            row: WallAccuracy(round(wall.std_in, 4), round(wall.std_rad, 5), round(wall.measured_in, 2))
+            for row, wall in enumerate(self.walls)
+        }
+        return World(name, inner_walls=np.round(walls, DECIMALS) + 0.0, starts=(start,), accuracies=accuracies)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the result as plain data: inches and degrees."""
+        return {
+            "walls": [
+                {
+                    "ends_in": wall.ends.tolist(),
+                    "closed": [bool(closed) for closed in wall.closed],
+                    "measured_in": wall.measured_in,
+                    "echoes": wall.echoes,
+                    "offset_std_in": wall.std_in,
+                    "angle_std_deg": degrees(wall.std_rad),
+                }
+                for wall in self.walls
+            ],
+            "points_in": self.points.tolist(),
+            "open_ends_in": self.open_ends,
+            "pose": self.path[-1].tolist(),
+            "explained": self.quality.explained,
+            "chi_square": self.quality.chi_square,
+            "distance_scale": self.calibration.distance_scale,
+            "turn_scale": self.calibration.turn_scale,
+            "drift_rad_in": self.calibration.drift_rad_in,
+            "offsets_in": list(self.calibration.offsets_in),
+            "refused": self.reason_to_refuse() or None,
+        }
+
+
+def describe(estimate: MapEstimate, turret_rad: float = 0.0) -> LearnedMap:
+    """Return the map of an estimate in its own frame.
+
+    Parameters
+    ----------
+    estimate
+        A finished estimate.
+    turret_rad
+        Angle of the turret from the heading at the end.
+    """
+    walls = extract_walls(estimate)
+    # 1. The frame: the origin stays, the axes turn to the longest walls.
+    turn = axes_rad(walls, estimate.state.walls)
+    pose = final_pose(estimate)
+    path = np.concatenate((estimate.state.poses[:-1], pose[None]))
+    path[:, :2] = rotate(path[:, :2], np.full(len(path), -turn))
+    path[:, HEADING] -= turn
+    points = rotate(estimate.state.points, np.full(len(estimate.state.points), -turn))
+    turned = [replace(wall, ends=rotate(wall.ends, np.full(2, -turn))) for wall in walls]
+    return LearnedMap(tuple(turned), points, path, calibration_of(estimate), quality_of(estimate), turret_rad)
+
+
+def quality_of(estimate: MapEstimate) -> Quality:
+    """Return how well a map explains its readings."""
+    problem, state = estimate.problem, estimate.state
+    _, residuals, _ = problem.range_residuals(state, estimate.assignment)
+    odometry = problem.odometry(state)[0]
+    count = len(problem.trajectory.node)
+    # Each step of the odometry has as many unknowns as residuals, so the ranges alone are degrees of freedom.
+    freedom = len(residuals) - WALL * len(state.walls) - POINT * len(state.points)
+    total = float(np.square(odometry).sum() + np.square(residuals[:, 0]).sum())
+    return Quality(len(residuals) / count if count else 0.0, total / max(freedom, 1))
+
+
+def calibration_of(estimate: MapEstimate) -> Calibration:
+    """Return the systematic errors of wheels and sonars that the map was estimated with."""
+    parameters, covariance = estimate.state.parameters, parameter_covariance(estimate)
+    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    first = int(OdometryParameter.DISTANCE_SCALE)
+    scale, turn, drift = (int(p) - first for p in OdometryParameter)
+    # An offset is that of all sonars and the sonar's own.
+    own = slice(COMMON_OFFSET + 1, None)
+    offsets = parameters[COMMON_OFFSET] + parameters[own]
+    sums = covariance[COMMON_OFFSET, COMMON_OFFSET] + 2.0 * covariance[COMMON_OFFSET, own] + np.diag(covariance)[own]
+    spread = Spread(
+        float(std[scale]), float(std[turn]), float(std[drift]), tuple(np.sqrt(np.maximum(sums, 0.0)).tolist()), 0.0
+    )
+    return Calibration(
+        1.0 + float(parameters[scale]), 1.0 + float(parameters[turn]), float(parameters[drift]),
+        tuple(offsets.tolist()), 0.0, spread,
+    )  # fmt: skip
+
+
+def draw_learned(path: Path, found: LearnedMap, estimate: MapEstimate) -> None:
+    """Draw walls, points, echoes and path as PNG.
+
+    Raises
+    ------
+    OutputFileError
+        If the file cannot be written.
+    """
+    from localization.live.plot import ESTIMATE, FAINT, GOAL, ODOMETRY, blank, draw_walls, save
+
+    # 1. Echoes along their axes, in the frame of the map.
+    state, trajectory = estimate.state, estimate.problem.trajectory
+    sensors = sensors_at(state.poses, state.parameters, trajectory, slice(None))
+    along = np.stack((np.cos(sensors.axis), np.sin(sensors.axis)), axis=-1)
+    spots = sensors.face + sensors.range_in[:, None] * along
+    turn = found.path[0, HEADING] - state.poses[0, HEADING]
+    spots = rotate(spots, np.full(len(spots), turn))
+    is_explained = estimate.assignment.feature != NO_FEATURE
+    picture = blank(9.0, 8.0)
+    axes = picture.subplots()
+    axes.set_aspect("equal")
+    for shown, color, label in (
+        (spots[is_explained], FAINT, "echoes"), (spots[~is_explained], ESTIMATE, "unexplained")
+    ):  # fmt: skip
+        axes.plot(*shown.T, marker=".", markersize=3, color=color, linestyle="", label=label)
+    # 2. The map and the path.
+    axes.plot(*found.path[:, :2].T, color=ODOMETRY, linewidth=1.0, label="path")
+    draw_walls(axes, [wall.ends.reshape(4) for wall in found.walls])
+    axes.plot(*found.points.T, marker="s", markersize=4, color=GOAL, linestyle="", label="points")
+    if found.open_ends:
+        axes.plot(*np.array(found.open_ends).T, marker="x", color=ESTIMATE, linestyle="", label="open ends")
+    ends = np.array([wall.ends for wall in found.walls]).reshape(-1, 2)
+    low, high = (
+        np.concatenate((ends, found.path[:, :2])).min(0) - 15.0,
+        np.concatenate((ends, found.path[:, :2])).max(0) + 15.0,
+    )
+    axes.set(xlabel="x (in)", ylabel="y (in)", xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=5, frameon=False)
+    save(picture, path)
+
+
+def summary(found: LearnedMap) -> str:
+    """Return the result as a few lines of text."""
+    lines = [
+        f"({a[0]:7.1f}, {a[1]:7.1f})-({b[0]:7.1f}, {b[1]:7.1f})  {wall.length_in:6.1f} in, measured "
+        f"{wall.measured_in:5.1f} in by {wall.echoes} echoes, ± {wall.std_in:.2f} in {degrees(wall.std_rad):.2f} deg"
+        for wall in found.walls
+        for a, b in [wall.ends]
+    ]
+    length = float(np.hypot(*np.diff(found.path[:, :2], axis=0).T).sum())
+    lines.append(
+        f"{len(found.walls)} walls from {length:.0f} in of driving; {found.quality.explained:.0%} of the ranges "
+        f"explained, chi-square {found.quality.chi_square:.2f} (1 is right)"
+    )
+    lines += [f"open end at ({x:.1f}, {y:.1f}): drive there to find its corner" for x, y in found.open_ends]
+    return "\n".join(lines)

@@ -1,0 +1,400 @@
+"""The least-squares problem of a map: unknowns, residuals and their derivatives.
+
+    poses        x_k, y_k, heading_k     node k of the trajectory
+    walls        angle, offset           normal n = (cos, sin)(angle), the points p with n . p = offset
+    points       x, y                    corners, posts, ends of walls
+    parameters   distance scale, turn scale, drift; range offset of all sonars; own offset of each sonar
+
+    odometry     (pose_k+1 relative to pose_k) - step - d step / d parameters . parameters      3 per step
+    range        reading - offsets - |n . s - offset|  or  - |point - s|                        1 per echo
+    bearing      direction of the reflector - axis of the cone, a weak bound of the heading     1 per echo
+    tie          n . point - offset, of a corner on a wall                                      1 per tie
+    prior        parameters, and the first pose, which fixes the frame
+
+Ranges have outliers: their squares are replaced by the Geman-McClure function c^2 r^2 / (c^2 + r^2), solved by
+iteratively reweighted least squares. An echo that no reflector explains costs c^2.
+
+References
+----------
+Leonard, Durrant-Whyte, Directed Sonar Sensing for Mobile Robot Navigation (1992): walls and corners as a cone measures
+them. Dellaert, Kaess, Square Root SAM (2006): mapping as least squares over the trajectory. Barron, A General and
+Adaptive Robust Loss Function (2019): Geman-McClure, alpha = -2.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+
+from localization.filters.belief import HEADING, POSE, Floats, wrap_angle
+from localization.filters.sonar_cone import range_jacobian, to_vertex, to_wall
+from localization.filters.sonar_ray import intersect_line
+from localization.mapping.measurements import Indices, Trajectory, rotate
+from localization.mapping.solver import NormalEquations
+
+NO_FEATURE: Final = -1
+"""Feature of an echo that nothing explains."""
+WALL, POINT = 2, 2
+COMMON_OFFSET: Final = 3
+"""Index of the range offset of all sonars among the parameters; own offsets follow."""
+PARAMETER_STDS: Final = (0.03, 0.03, 0.002, 0.3)
+"""Prior standard deviations: wheels 3 % off, 2 mrad an inch, all sonars 0.3 in: walls on all sides grow
+and shrink with the offset of all sonars, which corners alone tell apart."""
+OWN_OFFSET_STD_IN: Final = 0.7
+ROBUST_LIMIT: Final = 2.5
+"""c, in standard deviations: beyond it the influence of a residual decreases."""
+BEARING_STD_RAD: Final = 0.2
+"""A reflector is anywhere in a cone of 25 degrees; wider, since this is a bound and no measurement."""
+TIE_STD_IN: Final = 0.1
+_FRAME_INFORMATION: Final = 1e8
+"""Weight of the first pose: fixed."""
+MIN_GAIN: Final = 0.05
+"""A step that lowers the cost by less changes no decision: a likelihood ratio of 1.03."""
+
+
+@dataclass(frozen=True, slots=True)
+class MapState:
+    """All unknowns: poses (n, 3), walls (w, 2), points (v, 2), parameters (4 + sonars,)."""
+
+    poses: Floats
+    walls: Floats
+    points: Floats
+    parameters: Floats
+
+    @property
+    def features(self) -> int:
+        """Number of walls and points; in arrays of both the walls come first."""
+        return len(self.walls) + len(self.points)
+
+    def moved(self, poses: Floats, border: Floats) -> MapState:
+        """Return the state after a step of the poses (n, 3) and of everything else (m,)."""
+        walls, points = self.walls.size, self.points.size
+        return MapState(
+            self.poses + poses,
+            self.walls + border[:walls].reshape(-1, WALL),
+            self.points + border[walls : walls + points].reshape(-1, POINT),
+            self.parameters + border[walls + points :],
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Assignment:
+    """Which feature explains which echo.
+
+    Attributes
+    ----------
+    feature
+        (e,) number of the feature, NO_FEATURE for none.
+    ties
+        (k, 2) pairs of a point and a wall that it lies on.
+    """
+
+    feature: Indices
+    ties: Indices = field(default_factory=lambda: np.empty((0, 2), dtype=np.intp))
+
+
+@dataclass(frozen=True, slots=True)
+class Sensors:
+    """World poses of the sonars at their echoes: face (e, 2), lever arm from the node (e, 2), axis (e,), range (e,)."""
+
+    face: Floats
+    arm: Floats
+    axis: Floats
+    range_in: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class RangePrediction:
+    """Expected ranges (e,) of echoes from a feature each, with derivatives and the direction of the reflector.
+
+    `by_pose` is (e, 3), `by_feature` (e, 2); the direction is `bearing` (e,) with derivatives of the same shapes.
+    `foot` (e,) is the coordinate of the reflecting spot along a wall, whose direction is the normal turned left.
+    """
+
+    range_in: Floats
+    by_pose: Floats
+    by_feature: Floats
+    bearing: Floats
+    bearing_by_pose: Floats
+    bearing_by_feature: Floats
+    foot: Floats
+
+
+def sensors_at(poses: Floats, parameters: Floats, trajectory: Trajectory, echoes: Indices | slice) -> Sensors:
+    """Return the sonars at some echoes, by the poses of their nodes and the calibration."""
+    pose = poses[trajectory.node[echoes]]
+    arm = rotate(trajectory.mounts[echoes], pose[:, HEADING])
+    offsets = parameters[COMMON_OFFSET] + parameters[COMMON_OFFSET + 1 + trajectory.sonar[echoes]]
+    return Sensors(
+        pose[:, :2] + arm, arm, pose[:, HEADING] + trajectory.axes_rad[echoes], trajectory.readings_in[echoes] - offsets
+    )
+
+
+def predict_wall(sensors: Sensors, walls: Floats, rays: bool = False) -> RangePrediction:
+    """Return the expected ranges to walls (e, 2), one for each echo.
+
+    A cone measures the perpendicular distance, a ray the distance along its axis.
+    """
+    angle, offset = walls[..., 0], walls[..., 1]
+    c, s = np.cos(angle), np.sin(angle)
+    x, y = sensors.face[..., 0], sensors.face[..., 1]
+    arm_x, arm_y = sensors.arm[..., 0], sensors.arm[..., 1]
+    zero, one = np.zeros_like(x + angle), np.ones_like(x + angle)
+    if rays:
+        # 1. Along the axis, which turns with the pose: about the node, and with it the face moves.
+        dx, dy = np.cos(sensors.axis), np.sin(sensors.axis)
+        distance, (by_x, by_y, by_turn), cosine = intersect_line(x, y, dx, dy, (c, s, offset))
+        by_pose = (by_x, by_y, by_turn - by_x * arm_y + by_y * arm_x)
+        by_feature = (((s * x - c * y) - distance * (c * dy - s * dx)) / cosine, 1.0 / cosine)
+        foot = c * (y + distance * dy) - s * (x + distance * dx)
+        return RangePrediction(
+            distance, np.stack(np.broadcast_arrays(*by_pose), -1), np.stack(np.broadcast_arrays(*by_feature), -1),
+            sensors.axis + zero, np.stack((zero, zero, one), -1), np.stack((zero, zero), -1), foot,
+        )  # fmt: skip
+    # 2. Perpendicular: the side of the wall decides the sign.
+    distance, toward_x, toward_y, foot = to_wall(x, y, offset * c, offset * s, c, s)
+    side = np.where(toward_x * c + toward_y * s > 0.0, 1.0, -1.0)
+    by_pose = range_jacobian(toward_x, toward_y, arm_x, arm_y)
+    by_feature = (side * (s * x - c * y), side)
+    return RangePrediction(
+        distance, np.stack(np.broadcast_arrays(*by_pose), -1), np.stack(np.broadcast_arrays(*by_feature), -1),
+        angle + np.where(side > 0.0, 0.0, np.pi), np.stack((zero, zero, zero), -1), np.stack((one, zero), -1), -foot,
+    )  # fmt: skip
+
+
+def predict_point(sensors: Sensors, points: Floats) -> RangePrediction:
+    """Return the expected ranges to points (e, 2), one for each echo."""
+    x, y = sensors.face[..., 0], sensors.face[..., 1]
+    distance, toward_x, toward_y = to_vertex(x, y, points[..., 0], points[..., 1])
+    arm_x, arm_y = sensors.arm[..., 0], sensors.arm[..., 1]
+    divisor = np.maximum(distance, 1.0)
+    by_point = np.stack((-toward_y / divisor, toward_x / divisor), axis=-1)
+    turn = -(by_point[..., 1] * arm_x - by_point[..., 0] * arm_y)
+    return RangePrediction(
+        distance, np.stack(range_jacobian(toward_x, toward_y, arm_x, arm_y), -1), np.stack((toward_x, toward_y), -1),
+        np.arctan2(toward_y, toward_x), np.concatenate((-by_point, turn[..., None]), -1), by_point,
+        np.zeros_like(distance),
+    )  # fmt: skip
+
+
+def robust_cost(residual: Floats, limit: float = ROBUST_LIMIT) -> Floats:
+    """Return the Geman-McClure cost c^2 r^2 / (c^2 + r^2) of residuals in standard deviations."""
+    square = residual * residual
+    cost: Floats = limit * limit * square / (limit * limit + square)
+    return cost
+
+
+def robust_weight(residual: Floats, limit: float = ROBUST_LIMIT) -> Floats:
+    """Return the weight of a residual's square in reweighted least squares: half the cost's derivative over r."""
+    weight: Floats = np.square(limit * limit / (limit * limit + residual * residual))
+    return weight
+
+
+class MapProblem:
+    """Residuals and normal equations of a drive.
+
+    Parameters
+    ----------
+    trajectory
+        The measurements.
+    sonars
+        Number of sonars.
+    rays
+        True if readings are ranges along the axis of a sonar, not of a cone.
+    robust
+        False for plain least squares.
+    """
+
+    def __init__(self, trajectory: Trajectory, sonars: int, *, rays: bool = False, robust: bool = True) -> None:
+        self.trajectory, self.rays, self.robust = trajectory, rays, robust
+        self.parameter_stds = np.array((*PARAMETER_STDS, *(OWN_OFFSET_STD_IN,) * sonars))
+
+    def initial(self) -> MapState:
+        """Return the first pose at the origin, nothing else, and an ideal robot."""
+        return MapState(np.zeros((1, POSE)), np.empty((0, WALL)), np.empty((0, POINT)), 0.0 * self.parameter_stds)
+
+    # Residuals, in standard deviations, with their derivatives.
+
+    def odometry(self, state: MapState) -> tuple[Floats, Floats, Floats, Floats]:
+        """Return the residuals (n-1, 3) and their derivatives by both poses and the odometry parameters."""
+        count = len(state.poses) - 1
+        before, after = state.poses[:-1], state.poses[1:]
+        by_parameters = self.trajectory.step_by_parameters[:count]
+        W = self.trajectory.step_info[:count]
+        # 1. The relative pose, in the frame of the first.
+        change = after[:, :2] - before[:, :2]
+        local = rotate(change, -before[:, HEADING])
+        step = self.trajectory.steps[:count] + by_parameters @ state.parameters[:COMMON_OFFSET]
+        turn = wrap_angle(after[:, HEADING] - before[:, HEADING] - step[:, HEADING])
+        residual = np.concatenate((local - step[:, :2], turn[:, None]), axis=-1)
+        # 2. Derivatives.
+        c, s = np.cos(before[:, HEADING]), np.sin(before[:, HEADING])
+        by_after = np.zeros((count, POSE, POSE))
+        by_after[:, 0, 0], by_after[:, 0, 1], by_after[:, 1, 0], by_after[:, 1, 1] = c, s, -s, c
+        by_after[:, HEADING, HEADING] = 1.0
+        by_before = -by_after
+        by_before[:, 0, HEADING], by_before[:, 1, HEADING] = local[:, 1], -local[:, 0]
+        return (W @ residual[..., None])[..., 0], W @ by_before, W @ by_after, -(W @ by_parameters)
+
+    def predict(self, state: MapState, assignment: Assignment, echoes: Indices) -> tuple[Sensors, RangePrediction]:
+        """Return the sonars at some explained echoes, and the predictions by their features."""
+        sensors = sensors_at(state.poses, state.parameters, self.trajectory, echoes)
+        number, walls = assignment.feature[echoes], len(state.walls)
+        both = np.concatenate((state.walls, state.points))[number]
+        wall, point = predict_wall(sensors, both, self.rays), predict_point(sensors, both)
+        is_wall = number < walls
+        chosen = [
+            np.where(is_wall if w.ndim == 1 else is_wall[:, None], w, p)
+            for w, p in ((getattr(wall, name), getattr(point, name)) for name in RangePrediction.__slots__)
+        ]
+        return sensors, RangePrediction(*chosen)
+
+    def range_residuals(self, state: MapState, assignment: Assignment) -> tuple[Indices, Floats, RangePrediction]:
+        """Return the explained echoes, residuals (e, 2) of range and bearing, and the predictions."""
+        inside = self.trajectory.node < len(state.poses)
+        echoes = np.flatnonzero((assignment.feature != NO_FEATURE) & inside)
+        sensors, prediction = self.predict(state, assignment, echoes)
+        ranges = (sensors.range_in - prediction.range_in) / self.trajectory.std_in[echoes]
+        bearings = wrap_angle(prediction.bearing - sensors.axis) / BEARING_STD_RAD
+        return echoes, np.stack((ranges, bearings), axis=-1), prediction
+
+    def tie_residuals(self, state: MapState, assignment: Assignment) -> Floats:
+        """Return the residuals (k,) of points that lie on walls."""
+        points, walls = state.points[assignment.ties[:, 0]], state.walls[assignment.ties[:, 1]]
+        residual: Floats = (
+            points[:, 0] * np.cos(walls[:, 0]) + points[:, 1] * np.sin(walls[:, 0]) - walls[:, 1]
+        ) / TIE_STD_IN
+        return residual
+
+    def cost(self, state: MapState, assignment: Assignment) -> float:
+        """Return twice the negative log-likelihood of all, up to a constant."""
+        _, residuals, _ = self.range_residuals(state, assignment)
+        ranges = robust_cost(residuals[:, 0]) if self.robust else np.square(residuals[:, 0])
+        unexplained = int((self.trajectory.node < len(state.poses)).sum()) - len(residuals)
+        return float(
+            np.square(self.odometry(state)[0]).sum()
+            + ranges.sum()
+            + np.square(residuals[:, 1]).sum()
+            + ROBUST_LIMIT**2 * unexplained
+            + np.square(self.tie_residuals(state, assignment)).sum()
+            + np.square(state.parameters / self.parameter_stds).sum()
+        )
+
+    def residual_vector(self, state: MapState, assignment: Assignment) -> Floats:
+        """Return all residuals in one vector (r,), without the robust weights and the first pose's prior."""
+        parts = (
+            self.odometry(state)[0],
+            self.range_residuals(state, assignment)[1],
+            self.tie_residuals(state, assignment),
+            state.parameters / self.parameter_stds,
+        )
+        return np.concatenate([part.reshape(-1) for part in parts])
+
+    # The normal equations.
+
+    def normal_equations(self, state: MapState, assignment: Assignment) -> NormalEquations:
+        """Return J' W J and -J' W r at a state."""
+        count, walls, points = len(state.poses), state.walls.size, state.points.size
+        first = walls + points
+        size = first + len(state.parameters)
+        T, U = np.zeros((count, POSE, POSE)), np.zeros((count - 1, POSE, POSE))
+        C, D = np.zeros((count, POSE, size)), np.zeros((size, size))
+        g, h = np.zeros((count, POSE)), np.zeros(size)
+        # 1. Odometry: neighbours, and its parameters.
+        r, before, after, by_parameters = self.odometry(state)
+        before_t, after_t, by_parameters_t = (J.swapaxes(-1, -2) for J in (before, after, by_parameters))
+        odometry = slice(first, first + COMMON_OFFSET)
+        T[:-1] += before_t @ before
+        T[1:] += after_t @ after
+        U += before_t @ after
+        C[:-1, :, odometry] += before_t @ by_parameters
+        C[1:, :, odometry] += after_t @ by_parameters
+        D[odometry, odometry] += (by_parameters_t @ by_parameters).sum(axis=0)
+        g[:-1] -= (before_t @ r[..., None])[..., 0]
+        g[1:] -= (after_t @ r[..., None])[..., 0]
+        h[odometry] -= (by_parameters_t @ r[..., None])[..., 0].sum(axis=0)
+        # 2. Echoes: a pose, a feature, the offset of all sonars and that of one.
+        self._add_echoes(state, assignment, NormalEquations(T, U, C, D, g, h))
+        # 3. Ties, of a point and a wall.
+        for (point, wall), residual in zip(assignment.ties, self.tie_residuals(state, assignment), strict=True):
+            (x, y), (angle, _) = state.points[point], state.walls[wall]
+            c, s = np.cos(angle), np.sin(angle)
+            at = [WALL * wall, WALL * wall + 1, walls + POINT * point, walls + POINT * point + 1]
+            J = np.array((y * c - x * s, -1.0, c, s)) / TIE_STD_IN
+            D[np.ix_(at, at)] += np.outer(J, J)
+            h[at] -= J * residual
+        # 4. Priors. Features without echoes would make the border singular.
+        D[range(first, size), range(first, size)] += self.parameter_stds**-2
+        h[first:] -= state.parameters / self.parameter_stds**2
+        D[range(first), range(first)] += 1e-9
+        T[0] += _FRAME_INFORMATION * np.eye(POSE)
+        return NormalEquations(T, U, C, D, g, h)
+
+    def _add_echoes(self, state: MapState, assignment: Assignment, N: NormalEquations) -> None:
+        """Add range and bearing of all explained echoes, in place."""
+        echoes, residuals, prediction = self.range_residuals(state, assignment)
+        if not len(echoes):
+            return
+        # 1. Jacobians in standard deviations, times the root of the robust weight.
+        std = self.trajectory.std_in[echoes]
+        scale = np.sqrt(robust_weight(residuals[:, 0])) if self.robust else np.ones(len(echoes))
+        residuals = residuals * np.stack((scale, np.ones_like(scale)), axis=-1)
+        scale = scale / std
+        by_pose = np.stack((-prediction.by_pose * scale[:, None], prediction.bearing_by_pose / BEARING_STD_RAD), 1)
+        by_pose[:, 1, HEADING] -= 1.0 / BEARING_STD_RAD
+        by_feature = np.stack(
+            (-prediction.by_feature * scale[:, None], prediction.bearing_by_feature / BEARING_STD_RAD), axis=1
+        )
+        # 2. The derivative by everything in the border: the feature, and both offsets; rows of (e, 2, 4).
+        offsets = np.zeros((len(echoes), 2, 2))
+        offsets[:, 0] = -scale[:, None]
+        by_border = np.concatenate((by_feature, offsets), axis=-1)
+        first = state.walls.size + state.points.size + COMMON_OFFSET
+        column = WALL * assignment.feature[echoes]
+        own = first + 1 + self.trajectory.sonar[echoes]
+        at = np.stack((column, column + 1, np.full(len(echoes), first), own), axis=-1)
+        # 3. Sums over the echoes of each block.
+        node, pose_t, border_t = self.trajectory.node[echoes], by_pose.swapaxes(-1, -2), by_border.swapaxes(-1, -2)
+        np.add.at(N.diagonal, node, pose_t @ by_pose)
+        np.add.at(N.pose_gradient, node, -(pose_t @ residuals[..., None])[..., 0])
+        rows = np.arange(POSE)[None, :, None]
+        np.add.at(N.coupling, (node[:, None, None], rows, at[:, None, :]), pose_t @ by_border)
+        np.add.at(N.border, (at[:, :, None], at[:, None, :]), border_t @ by_border)
+        np.add.at(N.border_gradient, at, -(border_t @ residuals[..., None])[..., 0])
+
+    def optimize(
+        self, state: MapState, assignment: Assignment, iterations: int = 4, min_gain: float = MIN_GAIN
+    ) -> MapState:
+        """Return the state after at most so many steps of Levenberg-Marquardt with reweighting.
+
+        A step that lowers the cost by less than `min_gain` is the last.
+
+        References
+        ----------
+        Nocedal, Wright, Numerical Optimization (2006), section 10.3.
+        """
+        cost, damping = self.cost(state, assignment), 0.0
+        for _ in range(iterations):
+            equations = self.normal_equations(state, assignment)
+            for _ in range(6):
+                step = equations.solve(damping)
+                found = state.moved(*step)
+                new_cost = self.cost(found, assignment)
+                if new_cost <= cost + 1e-9:
+                    break
+                damping = max(10.0 * damping, 1e-3)
+            else:
+                return state
+            gain, state, cost, damping = cost - new_cost, found, new_cost, 0.1 * damping if damping > 1e-6 else 0.0
+            if gain < min_gain:
+                break
+        return normalized(state)
+
+
+def normalized(state: MapState) -> MapState:
+    """Return the state with headings and angles of walls within half a turn."""
+    poses, walls = state.poses.copy(), state.walls.copy()
+    poses[:, HEADING], walls[:, 0] = wrap_angle(poses[:, HEADING]), wrap_angle(walls[:, 0])
+    return replace(state, poses=poses, walls=walls)

@@ -1,0 +1,355 @@
+"""Walls with ends from the lines of a map: pieces, corners, open ends, and how well each is known.
+
+    1. pieces     runs of reflecting spots along a line, cut at wide gaps and where sound or the robot has crossed it
+    2. corners    two pieces end where their lines meet, unless sound has crossed the part to be added
+    3. ends       other ends move to a point on the line that the map has there, or stay open where the spots end
+    4. accuracy   covariance of the walls after the best rigid fit, since the frame of a map is free
+
+References
+----------
+Baarda, S-Transformations and Criterion Matrices (1973): covariance without the choice of a frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import radians
+from typing import Final
+
+import numpy as np
+
+from localization.filters.belief import HEADING, POSE, Floats, wrap_angle
+from localization.mapping.association import BLOCKED_IN, MapEstimate, residual_matrix
+from localization.mapping.problem import NO_FEATURE, POINT, ROBUST_LIMIT, WALL
+
+MAX_GAP_IN: Final = 20.0
+"""Widest part of a wall without a reflecting spot: a gap that a robot of 19 in passes is wider."""
+MIN_CROSSED_GAP_IN: Final = 3.0
+MIN_CROSSINGS: Final = 2
+"""A single path across a wall may be a mistaken echo."""
+MIN_DEPTH_IN: Final = 1.5
+"""A path that ends less far behind a line has not crossed it."""
+MIN_PIECE_IN: Final = 4.0
+MIN_SPOTS: Final = 5
+REACH_IN: Final = 48.0
+"""Farthest that an end is moved to a corner: a robot comes no nearer to one than its radius, and turns before."""
+OVERSHOOT_IN: Final = 6.0
+"""A mistaken spot may lie this far beyond the true end."""
+POINT_ON_LINE_IN: Final = 2.5
+MIN_CORNER_RAD: Final = radians(20.0)
+"""Lines that cross at a smaller angle make no corner: its position would be uncertain."""
+
+
+@dataclass(slots=True)
+class Piece:
+    """A straight wall.
+
+    Attributes
+    ----------
+    line
+        Number of its line in the map.
+    low, high
+        Coordinates along the line of the outermost reflecting spots.
+    ends
+        (2, 2) ends, inches.
+    closed
+        Whether each end is at a corner or a point; an open end is where nothing was measured any more.
+    echoes
+        Number of its echoes.
+    std_in, std_rad
+        Standard deviations of its offset, at the middle, and of its angle.
+    """
+
+    line: int
+    low: float
+    high: float
+    ends: Floats
+    closed: list[bool]
+    echoes: int
+    std_in: float = 0.0
+    std_rad: float = 0.0
+
+    @property
+    def measured_in(self) -> float:
+        """Length from the first to the last reflecting spot, inches."""
+        return self.high - self.low
+
+    @property
+    def length_in(self) -> float:
+        """Length between the ends, inches."""
+        return float(np.hypot(*(self.ends[1] - self.ends[0])))
+
+
+@dataclass(frozen=True, slots=True)
+class _Line:
+    """A line of the map: unit normal, direction, offset, and where paths have crossed it."""
+
+    normal: Floats
+    along: Floats
+    offset: float
+    crossed: Floats
+
+    def at(self, coordinate: float) -> Floats:
+        """Return the point (2,) at a coordinate along the line."""
+        point: Floats = self.normal * self.offset + self.along * coordinate
+        return point
+
+    def is_crossed(self, low: float, high: float) -> bool:
+        """Return True if paths have crossed the line between two coordinates."""
+        within = (self.crossed > low + BLOCKED_IN) & (self.crossed < high - BLOCKED_IN)
+        return int(within.sum()) >= MIN_CROSSINGS
+
+
+def extract_walls(estimate: MapEstimate) -> list[Piece]:
+    """Return the walls of a map, in the frame of its first pose, the longest first."""
+    # 1. Lines, and the paths that have crossed them.
+    starts, ends = _paths(estimate)
+    lines = []
+    for angle, offset in estimate.state.walls:
+        normal, along = np.array((np.cos(angle), np.sin(angle))), np.array((-np.sin(angle), np.cos(angle)))
+        lines.append(_Line(normal, along, float(offset), _crossed(starts, ends, normal, along, float(offset))))
+    # 2. Pieces.
+    pieces = [
+        Piece(number, low, high, np.array((line.at(low), line.at(high))), [False, False], count)
+        for number, line in enumerate(lines)
+        for low, high, count in _pieces(line, np.sort(_clear_feet(estimate, number)))
+    ]
+    # 3. Ends.
+    points = estimate.state.points
+    _join_corners(pieces, lines, points)
+    _move_ends_to_points(pieces, lines, points)
+    _close_small_gaps(pieces, lines)
+    _add_accuracy(estimate, pieces, lines)
+    return sorted(pieces, key=lambda piece: -piece.length_in)
+
+
+def _paths(estimate: MapEstimate) -> tuple[Floats, Floats]:
+    """Return starts and ends (p, 2) of free paths: of sound to the spots that reflected it, and of the robot."""
+    state, echoes = estimate.state, np.flatnonzero(estimate.assignment.feature != NO_FEATURE)
+    residual, sensors, spots = residual_matrix(estimate.problem, state, estimate.extents, echoes)
+    feature = estimate.assignment.feature[echoes]
+    rows = np.arange(len(echoes))
+    fits = np.abs(residual[rows, feature]) < ROBUST_LIMIT
+    spot, face = spots[rows, feature][fits], sensors.face[fits]
+    # The last inches before a reflecting spot may belong to another wall of the same corner.
+    span = spot - face
+    length = np.maximum(np.hypot(span[:, 0], span[:, 1]), 1e-9)[:, None]
+    spot = face + span * np.maximum(length - BLOCKED_IN, 0.0) / length
+    poses = state.poses[:, :2]
+    return np.concatenate((face, poses[:-1])), np.concatenate((spot, poses[1:]))
+
+
+def _crossed(starts: Floats, ends: Floats, normal: Floats, along: Floats, offset: float) -> Floats:
+    """Return the coordinates along a line at which paths cross it."""
+    before, after = starts @ normal - offset, ends @ normal - offset
+    # A spot just behind the line belongs to a corner of it.
+    through = (before * after < 0.0) & (np.abs(after) > MIN_DEPTH_IN)
+    fraction = before[through] / (before - after)[through]
+    crossed: Floats = (starts[through] + fraction[:, None] * (ends - starts)[through]) @ along
+    return crossed
+
+
+def _clear_feet(estimate: MapEstimate, wall: int) -> Floats:
+    """Return the coordinates of the spots on a wall, without those that a point explains as well."""
+    state, echoes = estimate.state, estimate.echoes_of(wall)
+    residual, _, spots = residual_matrix(estimate.problem, state, estimate.extents, echoes)
+    walls = len(state.walls)
+    own = np.abs(residual[:, wall])
+    by_point = np.abs(residual[:, walls:]).min(axis=1, initial=np.inf)
+    clear = (own < ROBUST_LIMIT) & ~(by_point < 1.5)
+    angle = state.walls[wall, 0]
+    return np.asarray(spots[clear, wall] @ np.array((-np.sin(angle), np.cos(angle))), dtype=np.float64)
+
+
+def _pieces(line: _Line, feet: Floats) -> list[tuple[float, float, int]]:
+    """Return runs of feet (sorted): low, high, number."""
+    if len(feet) < MIN_SPOTS:
+        return []
+    gaps = np.diff(feet)
+    is_cut = [
+        gap > MAX_GAP_IN or (gap > MIN_CROSSED_GAP_IN and line.is_crossed(low - BLOCKED_IN, high + BLOCKED_IN))
+        for low, high, gap in zip(feet[:-1], feet[1:], gaps, strict=True)
+    ]
+    runs = np.split(feet, np.flatnonzero(is_cut) + 1)
+    return [
+        (float(run[0]), float(run[-1]), len(run))
+        for run in runs
+        if len(run) >= MIN_SPOTS and run[-1] - run[0] >= MIN_PIECE_IN
+    ]
+
+
+@dataclass(frozen=True, slots=True)
+class _Corner:
+    """Two pieces whose lines meet: by how much each must grow, and which end of each moves, None for its middle."""
+
+    growth_in: float
+    one: int
+    other: int
+    place: Floats
+    one_end: int | None
+    other_end: int | None
+
+
+def _join_corners(pieces: list[Piece], lines: list[_Line], points: Floats) -> None:
+    """Move ends to the corners of two walls, the nearest corners first."""
+    corners = []
+    for one in range(len(pieces)):
+        for other in range(one + 1, len(pieces)):
+            corner = _corner(pieces, lines, one, other)
+            if corner is not None:
+                corners.append(corner)
+    for corner in sorted(corners, key=lambda corner: (corner.growth_in, corner.one, corner.other)):
+        moves = [(corner.one, corner.one_end), (corner.other, corner.other_end)]
+        if all(_may_move(pieces[number], lines, points, end, corner.place) for number, end in moves):
+            for number, end in moves:
+                if end is not None:
+                    pieces[number].ends[end], pieces[number].closed[end] = corner.place, True
+
+
+def _corner(pieces: list[Piece], lines: list[_Line], one: int, other: int) -> _Corner | None:
+    """Return the corner of two pieces; None if their lines do not meet near an end."""
+    first, second = lines[pieces[one].line], lines[pieces[other].line]
+    cross = first.normal[0] * second.normal[1] - first.normal[1] * second.normal[0]
+    if abs(cross) < np.sin(MIN_CORNER_RAD):
+        return None
+    place = np.linalg.solve(np.stack((first.normal, second.normal)), np.array((first.offset, second.offset)))
+    growths, ends = [], []
+    for piece, line in ((pieces[one], first), (pieces[other], second)):
+        coordinate = float(place @ line.along)
+        beyond = (piece.low - coordinate, coordinate - piece.high)
+        end = int(beyond[1] > beyond[0])
+        growth = beyond[end]
+        if growth > REACH_IN:
+            return None
+        # Well inside: the other wall ends here, this one goes on.
+        ends.append(end if growth > -OVERSHOOT_IN else None)
+        growths.append(max(growth, 0.0))
+    if ends == [None, None]:
+        return None
+    return _Corner(sum(growths), one, other, place, *ends)
+
+
+def _may_move(piece: Piece, lines: list[_Line], points: Floats, end: int | None, place: Floats) -> bool:
+    """Return True if an end of a piece may move to a place: it is open, and nothing speaks against it."""
+    if end is None:
+        return True
+    if piece.closed[end]:
+        return False
+    line = lines[piece.line]
+    coordinate, present = float(place @ line.along), (piece.low, piece.high)[end]
+    if line.is_crossed(min(coordinate, present), max(coordinate, present)):
+        return False
+    # A point on the line before the corner is where the wall ends.
+    sign = 1.0 if end else -1.0
+    ahead = sign * (points @ line.along - present)
+    on_line = np.abs(points @ line.normal - line.offset) < POINT_ON_LINE_IN
+    nearer = on_line & (ahead > -OVERSHOOT_IN) & (ahead < sign * (coordinate - present) - OVERSHOOT_IN)
+    return not nearer.any()
+
+
+def _move_ends_to_points(pieces: list[Piece], lines: list[_Line], points: Floats) -> None:
+    """Move open ends to the nearest point on their line."""
+    for piece in pieces:
+        line = lines[piece.line]
+        on_line = points[np.abs(points @ line.normal - line.offset) < POINT_ON_LINE_IN]
+        for end, (present, sign) in enumerate(((piece.low, -1.0), (piece.high, 1.0))):
+            if piece.closed[end] or not len(on_line):
+                continue
+            ahead = sign * (on_line @ line.along - present)
+            ahead = np.where(ahead > -OVERSHOOT_IN, np.abs(ahead), np.inf)
+            nearest = int(ahead.argmin())
+            coordinate = float(on_line[nearest] @ line.along)
+            if ahead[nearest] < REACH_IN and not line.is_crossed(min(coordinate, present), max(coordinate, present)):
+                piece.ends[end], piece.closed[end] = line.at(coordinate), True
+
+
+SMALL_GAP_IN: Final = 4.0
+"""A gap that `nomad map check` reports, and that no robot passes."""
+
+
+def _close_small_gaps(pieces: list[Piece], lines: list[_Line]) -> None:
+    """Move ends that stop just before another wall onto it."""
+    for piece in pieces:
+        for end in range(2):
+            for other in pieces:
+                if other is piece:
+                    continue
+                line = lines[other.line]
+                own = lines[piece.line]
+                slope = float(own.along @ line.normal)
+                distance = float(piece.ends[end] @ line.normal) - line.offset
+                coordinates = sorted((other.ends @ line.along).tolist())
+                if abs(slope) < np.sin(MIN_CORNER_RAD) or not 1e-9 < abs(distance) < SMALL_GAP_IN:
+                    continue
+                place = piece.ends[end] - own.along * (distance / slope)
+                coordinate = float(place @ line.along)
+                if coordinates[0] - SMALL_GAP_IN < coordinate < coordinates[1] + SMALL_GAP_IN:
+                    piece.ends[end], piece.closed[end] = place, True
+                    # Beyond the end of the other wall, that one reaches the same place.
+                    nearest = int(np.abs(other.ends @ line.along - coordinate).argmin())
+                    if not coordinates[0] <= coordinate <= coordinates[1]:
+                        other.ends[nearest], other.closed[nearest] = place, True
+
+
+# Accuracy.
+
+
+def _add_accuracy(estimate: MapEstimate, pieces: list[Piece], lines: list[_Line]) -> None:
+    """Set the standard deviations of the pieces, of what remains after the best rigid fit of all.
+
+    The displacements of both ends of each piece across it are linear in the unknowns: d = A u. A rigid motion moves
+    them by N (x, y, turn). What remains after the best fit is (I - N N^+) d.
+    """
+    if not pieces:
+        return
+    covariance = covariance_of(estimate)
+    A, N = np.zeros((2 * len(pieces), len(covariance))), np.zeros((2 * len(pieces), POSE))
+    for number, piece in enumerate(pieces):
+        line = lines[piece.line]
+        for end, coordinate in enumerate((piece.low, piece.high)):
+            row, place = 2 * number + end, line.at(coordinate)
+            # The end moves across the wall by d offset - coordinate * d angle.
+            A[row, WALL * piece.line : WALL * piece.line + 2] = -coordinate, 1.0
+            N[row] = *line.normal, line.normal[1] * place[0] - line.normal[0] * place[1]
+    rest = (np.eye(len(A)) - N @ np.linalg.pinv(N)) @ A
+    spread = rest @ covariance @ rest.T
+    for number, piece in enumerate(pieces):
+        low, high = 2 * number, 2 * number + 1
+        middle = 0.25 * (spread[low, low] + spread[high, high] + 2.0 * spread[low, high])
+        turn = (spread[low, low] + spread[high, high] - 2.0 * spread[low, high]) / piece.measured_in**2
+        piece.std_in, piece.std_rad = float(np.sqrt(max(middle, 0.0))), float(np.sqrt(max(turn, 0.0)))
+
+
+def covariance_of(estimate: MapEstimate) -> Floats:
+    """Return the covariance (m, m) of walls, points and parameters."""
+    return estimate.problem.normal_equations(estimate.state, estimate.assignment).border_covariance()
+
+
+def parameter_covariance(estimate: MapEstimate) -> Floats:
+    """Return the covariance of the calibration parameters."""
+    first = WALL * len(estimate.state.walls) + POINT * len(estimate.state.points)
+    covariance: Floats = covariance_of(estimate)[first:, first:]
+    return covariance
+
+
+def axes_rad(pieces: list[Piece], lines: Floats) -> float:
+    """Return the angle of the axis that lies along most of the length of the walls, from -45 to 45 degrees.
+
+    Walls within 2 degrees of the longest one's direction, or of its perpendicular, are averaged by their length.
+    """
+    if not pieces:
+        return 0.0
+    quarter = np.pi / 2.0
+    angles = np.array([lines[piece.line, 0] for piece in pieces])
+    sizes = np.array([piece.measured_in for piece in pieces])
+    off = (angles - angles[0] + quarter / 2.0) % quarter - quarter / 2.0
+    parallel = np.abs(off) < radians(2.0)
+    mean = angles[0] + float((sizes * off)[parallel].sum() / sizes[parallel].sum())
+    return float((mean + quarter / 2.0) % quarter - quarter / 2.0)
+
+
+def final_pose(estimate: MapEstimate) -> Floats:
+    """Return the last pose (3,), heading within half a turn."""
+    pose: Floats = estimate.state.poses[-1].copy()
+    pose[HEADING] = wrap_angle(pose[HEADING])
+    return pose

@@ -1,0 +1,162 @@
+"""Walls with a surface: derivatives, information of repeated echoes, and consistency against simulated surfaces."""
+
+from dataclasses import replace
+from math import pi, radians
+
+import numpy as np
+import pytest
+
+from localization.filters.base import LocalizationConfig
+from localization.filters.belief import independent
+from localization.filters.ekf import KalmanFilter
+from localization.filters.health import HealthStatus
+from localization.filters.odometry import OdometryNoise
+from localization.filters.registry import make
+from localization.filters.sonar_cone import BUILDING_SONAR, ConeModel, ConeSonar
+from localization.filters.surface import SurfaceModel
+from localization.filters.update import Refusal
+from worlds.rings import Ring
+from worlds.robots import N150, Body
+
+WALL = np.array([[-500.0, 40.0, 2000.0, 40.0]])
+CORRIDOR = np.array([[-500.0, 40.0, 2000.0, 40.0], [-500.0, -40.0, 2000.0, -40.0]])
+SONAR = replace(BUILDING_SONAR, rounding_var_in2=0.0)
+LEFT, RIGHT = 4, 12
+EXACT = OdometryNoise(0.0, 0.0, 0.0)
+P = [[4.0, 0.1, 0.02], [0.1, 3.0, 0.01], [0.02, 0.01, 0.001]]
+
+
+def surface_filter(
+    start: list[float], std: list[float], walls: np.ndarray = CORRIDOR, **changes: float
+) -> KalmanFilter:
+    config = LocalizationConfig(walls, N150, EXACT, replace(SONAR, **changes), range_stds=None)
+    made = make("ekf", config, independent(start, std))
+    assert isinstance(made, KalmanFilter)
+    return made
+
+
+@pytest.mark.parametrize("range_parameters", [0, 2])
+def test_derivatives_are_finite_differences(range_parameters: int) -> None:
+    x = [3.0, 2.0, 0.2, *[0.3, 0.01][:range_parameters]]
+    model = SurfaceModel(ConeModel(WALL, N150, SONAR, range_parameters))
+    model.associate(x, P, LEFT, 0.0, 29.0)
+    model.move(4.0, 0.1)
+
+    def expected(state: list[float]) -> list[float]:
+        again = SurfaceModel(ConeModel(WALL, N150, SONAR, range_parameters))
+        again.associate(x, P, LEFT, 0.0, 29.0)
+        again.move(4.0, 0.1)
+        return list(again.associate(state, P, LEFT, -0.05, 28.5).ranges_in)
+
+    found = model.associate(x, P, LEFT, -0.05, 28.5)
+    assert len(found.H) == 2
+    for column in range(len(x)):
+        step = 1e-5
+        ahead, behind = ([*x[:column], x[column] + sign * step, *x[column + 1 :]] for sign in (1, -1))
+        slope = [(one - other) / (2 * step) for one, other in zip(expected(ahead), expected(behind), strict=True)]
+        assert [row[column] for row in found.H] == pytest.approx(slope, abs=1e-6)
+
+
+def test_probabilities_follow_the_distance() -> None:
+    """Oracle: exp(-distance / length) on the same level, the rest on a new one."""
+    model = SurfaceModel(ConeModel(WALL, N150, replace(SONAR, surface_length_in=20.0)))
+    x = [0.0, 0.0, 0.0]
+    alone = model.associate(x, P, LEFT, 0.0, 30.9).probability[0]
+    model.move(5.0, 0.0)
+    same, new = model.associate([5.0, 0.0, 0.0], P, LEFT, 0.0, 30.9).probability
+    assert same / alone == pytest.approx(np.exp(-0.25))
+    assert same + new == pytest.approx(alone)
+
+
+def test_a_standing_robot_learns_from_one_echo_only() -> None:
+    localizer = surface_filter([0.0, 0.0, 0.0], [2.0, 2.0, 0.01])
+    localizer.update(LEFT, 0.0, 30.9)
+    once = localizer.belief.cov[1, 1]
+    for _ in range(200):
+        localizer.update(LEFT, 0.0, 30.9)
+    assert localizer.belief.cov[1, 1] == pytest.approx(once, rel=1e-6)
+
+
+def test_echoes_of_one_level_are_one_measurement_of_the_wall() -> None:
+    """Oracle: n readings with the common error c of the level and own errors r have the variance c^2 + r^2 / n."""
+    localizer = surface_filter([0.0, 0.0, 0.0], [0.0, 50.0, 0.0], WALL, surface_length_in=1e9, outlier_probability=0.0)
+    c = SONAR.surface_std_in
+    for _ in range(30):
+        localizer.predict(5.0, 0.0)
+        localizer.update(LEFT, 0.0, 30.9)
+    assert localizer.belief.cov[1, 1] == pytest.approx(c * c, rel=0.02)
+    assert localizer.belief.cov[1, 1] >= c * c * (1 - 1 / 400)
+
+
+def levels(rng: np.random.Generator, steps: int, step_in: float, std_in: float, length_in: float) -> np.ndarray:
+    """Return the level of a surface at each step of a drive: redrawn with the probability of a Poisson event."""
+    found, level = [], std_in * rng.standard_normal()
+    for _ in range(steps):
+        if rng.random() > np.exp(-step_in / length_in):
+            level = std_in * rng.standard_normal()
+        found.append(level)
+    return np.array(found)
+
+
+def drive(seed: int, sonar: ConeSonar) -> tuple[float, float, list[HealthStatus]]:
+    """Return NEES of y, error of y and health at the end of a drive along a corridor whose walls have levels."""
+    rng = np.random.default_rng(seed)
+    noise, steps, step_in = OdometryNoise(0.0, 0.0, 0.005), 40, 5.0
+    left, right = (levels(rng, steps, step_in, 1.5, 24.0) for _ in range(2))
+    start = rng.standard_normal(3) * (0.5, 1.0, 0.02)
+    config = LocalizationConfig(CORRIDOR, N150, noise, sonar, range_stds=None)
+    localizer = make("ekf", config, independent(start, [0.5, 1.0, 0.02]))
+    x = y = heading = 0.0
+    health = []
+    for k in range(steps):
+        turn = 0.005 * np.sqrt(step_in) * rng.standard_normal()
+        x, y = x + step_in * np.cos(heading + turn / 2), y + step_in * np.sin(heading + turn / 2)
+        heading += turn
+        localizer.predict(step_in, 0.0)
+        ring_in = N150.sonar_ring_radius_in
+        for sonar_number, level, side in ((LEFT, left[k], 1.0), (RIGHT, right[k], -1.0)):
+            face_y = y + ring_in * np.sin(heading + side * pi / 2)
+            reading = 40.0 - side * face_y + level + 0.003 * 30 * rng.standard_normal()
+            localizer.update(sonar_number, 0.0, float(reading))
+        health.append(localizer.health.status)
+    error = localizer.belief.mean[1] - y
+    return error**2 / localizer.belief.cov[1, 1], error, health
+
+
+def test_the_filter_is_consistent_on_simulated_surfaces() -> None:
+    """Oracle: the true position of a Monte Carlo simulation; a filter for plane walls is overconfident there."""
+    sonar = replace(SONAR, surface_std_in=1.5)
+    results = [drive(seed, sonar) for seed in range(40)]
+    plane = [drive(seed, replace(sonar, surface_std_in=0.0)) for seed in range(40)]
+    assert 0.3 < np.mean([nees for nees, _, _ in results]) < 2.0
+    assert np.mean([nees for nees, _, _ in plane]) > 4.0
+    rms, plane_rms = (np.sqrt(np.mean([error**2 for _, error, _ in each])) for each in (results, plane))
+    assert rms < 1.1 * plane_rms
+    assert {status for _, _, health in results for status in health} == {HealthStatus.OK}
+
+
+def test_echoes_of_things_off_the_map_are_no_reason_for_doubt() -> None:
+    ring = Ring(9.06, (0.0, radians(90.0)), ((0,), (1,)), 0.06, 6.0, 255.0, 1.0, 255.0)
+    config = LocalizationConfig(CORRIDOR, Body("two", 9.0, ring, ()), EXACT, SONAR, range_stds=None)
+    localizer = make("ekf", config, independent([0.0, 0.0, 0.0], [0.5, 0.5, 0.01]))
+    for k in range(100):
+        localizer.predict(2.0, 0.0)
+        assert localizer.update(0, 0.0, 50.0 + k).refusal is Refusal.NO_WALL
+        assert localizer.update(1, 0.0, 30.9).refusal is Refusal.NONE
+    assert localizer.health.status is HealthStatus.OK
+
+
+def test_echoes_that_contradict_the_map_are_a_reason_for_doubt() -> None:
+    localizer = surface_filter([0.0, 0.0, 0.0], [0.5, 0.5, 0.01])
+    for _ in range(100):
+        localizer.predict(2.0, 0.0)
+        localizer.update(LEFT, 0.0, 70.0)
+        localizer.update(RIGHT, 0.0, 12.0)
+    assert localizer.health.status is HealthStatus.DEGRADED
+
+
+def test_other_sonars_have_no_surface() -> None:
+    config = LocalizationConfig(CORRIDOR, N150, EXACT, ConeSonar())
+    localizer = make("ekf", config, independent([0.0, 0.0, 0.0], [0.5, 0.5, 0.01]))
+    assert isinstance(localizer, KalmanFilter)
+    assert localizer._odometric is None

@@ -1,0 +1,141 @@
+"""Maps from drives: of a room by the tests' own simulation, and of the emulator's recordings end to end."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from localization.filters.belief import Floats
+from localization.filters.odometry import OdometryNoise
+from localization.filters.sonar_cone import ConeSonar
+from localization.mapping.learn import learn_map
+from localization.mapping.measurements import DriveLog
+from localization.mapping.output import LearnedMap, describe
+from nclient.cli import main
+from tests.localization.mapping.drives import drive
+from worlds.io import format_world, load_world
+from worlds.robots import load_calibration
+
+NOISE = OdometryNoise(0.05, 0.05, 0.002)
+
+
+def learn(log: DriveLog) -> LearnedMap:
+    return describe(learn_map(log, NOISE, ConeSonar()))
+
+
+def distances(found: LearnedMap) -> tuple[float, float]:
+    """Return the distances between opposite walls of a rectangular room, along the drive's first leg and across."""
+    ends = np.array([wall.ends for wall in found.walls]).mean(axis=1)
+    return float(np.ptp(ends[:, 0])), float(np.ptp(ends[:, 1]))
+
+
+@pytest.fixture(scope="module")
+def room() -> LearnedMap:
+    return learn(drive(1))
+
+
+def test_room_has_its_four_walls_and_size(room: LearnedMap) -> None:
+    assert len(room.walls) == 4
+    np.testing.assert_allclose(distances(room), (120.0, 100.0), atol=0.8)
+    assert room.reason_to_refuse() == ""
+    assert room.quality.explained > 0.95
+
+
+def test_corners_of_a_closed_room_are_closed(room: LearnedMap) -> None:
+    assert room.open_ends == []
+    corners = {tuple(np.round(end, 6)) for wall in room.walls for end in wall.ends}
+    assert len(corners) == 4
+
+
+def test_stated_accuracy_covers_the_error(room: LearnedMap) -> None:
+    width = sum(wall.std_in**2 for wall in room.walls[:2]) ** 0.5
+    assert abs(distances(room)[1] - 100.0) < 4.0 * width
+    assert all(0.01 < wall.std_in < 0.5 for wall in room.walls)
+
+
+def test_same_drive_gives_the_same_file_to_the_bit(room: LearnedMap) -> None:
+    again = learn(drive(1))
+    assert format_world(again.world("room")) == format_world(room.world("room"))
+    assert again.as_json() == room.as_json()
+
+
+def test_map_does_not_depend_on_the_encoders_frame(room: LearnedMap) -> None:
+    log = drive(1)
+    c, s = np.cos(1.1), np.sin(1.1)
+    rows = log.encoders.copy()
+    rows[:, 1], rows[:, 2] = (
+        c * log.encoders[:, 1] - s * log.encoders[:, 2] + 400.0,
+        (s * log.encoders[:, 1] + c * log.encoders[:, 2] - 90.0),
+    )
+    rows[:, 3:] += 1.1
+    moved = learn(replace(log, encoders=rows))
+    for wall, other in zip(room.walls, moved.walls, strict=True):
+        np.testing.assert_allclose(wall.ends, other.ends, atol=0.02)
+
+
+def test_offsets_of_the_sonars_are_found(room: LearnedMap) -> None:
+    offsets: Floats = np.random.default_rng(7).normal(0.0, 1.0, 16)
+    offsets = (offsets - offsets.mean()) / offsets.std()
+    found = learn(drive(1, offsets_in=offsets))
+    assert len(found.walls) == 4
+    np.testing.assert_allclose(distances(found), (120.0, 100.0), atol=1.5)
+    # Only differences between sonars: all walls may grow with the mean.
+    error = np.array(found.calibration.offsets_in) - offsets
+    assert np.std(error - error.mean()) < 0.4
+    assert np.std(room.calibration.offsets_in) < 0.35
+
+
+def test_random_readings_make_no_map() -> None:
+    log = drive(1)
+    rng = np.random.default_rng(3)
+    found = learn(replace(log, readings_in=rng.uniform(8.0, 120.0, len(log.readings_in))))
+    assert found.reason_to_refuse() != ""
+
+
+# Recordings of the emulator.
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("drive") / "drive.log"
+    address = f"sim:thesis_room?setup=measured&seed=104&record={path}"
+    waypoints = ["60,40", "80,80", "10,80", "10,10", "80,10", "80,40"]
+    assert main.main(["localize", address, "--map", "thesis_room", "--waypoints", *waypoints, "--json"]) == 0
+    return path
+
+
+def test_recorded_drive_becomes_a_map_that_localizes(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, calibration, picture = tmp_path / "room.toml", tmp_path / "calibration.toml", tmp_path / "room.png"
+    capsys.readouterr()
+    arguments = ["map", "learn", "--from", str(recording), "--out", str(out), "--json"]
+    assert main.main([*arguments, "--calibration-out", str(calibration), "--picture", str(picture)]) == 0
+    result = json.loads(capsys.readouterr().out)
+    # 1. The room of 114.17 in, its start where the robot is now.
+    assert [wall["closed"] for wall in result["walls"]] == [[True, True]] * 4
+    world = load_world(out)
+    np.testing.assert_allclose(np.ptp(world.walls.reshape(-1, 2), axis=0), 114.17, atol=1.5)
+    assert world.starts[0].x_in == pytest.approx(result["pose"][0], abs=0.01)
+    assert world.accuracies[0].measured_in > 60.0
+    assert main.main(["map", "check", str(out)]) == 0
+    # 2. The calibration is one that --calibration reads.
+    assert load_calibration(calibration, "n150").distance_scale == pytest.approx(1.0, abs=0.03)
+    assert picture.stat().st_size > 10_000
+    # 3. The same again, to the bit.
+    first = out.read_text()
+    assert main.main(arguments) == 0
+    assert out.read_text() == first
+
+
+def test_refused_map_is_not_written(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    # Readings of a cone taken for rays and odometry that is said to be perfect: nothing holds together.
+    out = tmp_path / "room.toml"
+    arguments = ["--sonars", "rays", "--odometry-noise", "0.0001,0.0001,0.00001"]
+    assert main.main(["map", "learn", "--from", str(recording), "--out", str(out), *arguments]) == 4
+    assert "no map written" in capsys.readouterr().err
+    assert not out.exists()

@@ -1,0 +1,89 @@
+"""Nodes, odometry between them, and echoes of a drive."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from localization.filters.belief import Belief, wrap_angle
+from localization.filters.odometry import OdometryNoise, predict, step_between
+from localization.filters.sonar_cone import ConeSonar
+from localization.mapping.measurements import build_trajectory, compose, integrate_odometry, read_drive, rotate
+from localization.mapping.problem import sensors_at
+from nclient.cli import main
+from nclient.errors import RecordingError
+from tests.localization.mapping.drives import drive, echo
+
+NOISE = OdometryNoise(0.05, 0.05, 0.002)
+
+
+def test_steps_lead_along_the_encoders() -> None:
+    log = drive(1)
+    instants = np.array([0.33, 1.0, 1.77, 9.4, 9.5, 30.0])
+    steps, _, _ = integrate_odometry(log, instants, NOISE)
+    poses = log.poses_at(instants)[:, :3]
+    for before, step, after in zip(poses[:-1], steps, poses[1:], strict=True):
+        found = compose(before, step)
+        # What lies across each part's middle heading is left out.
+        np.testing.assert_allclose(found[:2], after[:2], atol=0.02)
+        assert wrap_angle(found[2] - after[2]) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_covariance_and_derivative_are_the_filter_s_prediction() -> None:
+    log = drive(2)
+    instants = np.array([3.0, 9.7])
+    _, covariance, by_parameters = integrate_odometry(log, instants, NOISE)
+    # The extended Kalman filter over the same encoder poses; the parameters' covariance gives the derivative.
+    times = np.concatenate((instants[:1], log.encoders[(log.encoders[:, 0] > 3.0) & (log.encoders[:, 0] < 9.7), 0],
+                            instants[1:]))  # fmt: skip
+    poses = log.poses_at(times)[:, :3]
+    stds = np.array([0.0, 0.0, 0.0, 1e-2, 1e-2, 1e-3])
+    belief = Belief(np.zeros(6), np.diag(stds**2))
+    for before, after in pairwise(poses):
+        belief = predict(belief, step_between(before, after), NOISE)
+    J = belief.cov[:3, 3:] / stds[3:] ** 2
+    np.testing.assert_allclose(by_parameters[0], J, rtol=1e-6, atol=1e-9)
+    quantization = np.diag(np.square([0.04, 0.04, 0.001]))
+    own = belief.cov[:3, :3] - J @ np.diag(stds[3:] ** 2) @ J.T
+    np.testing.assert_allclose(covariance[0], own + quantization, rtol=1e-6, atol=1e-9)
+
+
+def test_echoes_are_measured_where_their_sonars_are() -> None:
+    log = drive(quiet=True)
+    trajectory = build_trajectory(log, NOISE, ConeSonar(), 0.15)
+    # The true frame: the encoders began at (-3, 7, 0.4) where the robot was at (25, 25, 0).
+    poses = trajectory.odometry - np.array((-3.0, 7.0, 0.4))
+    places = rotate(poses[:, :2], np.full(len(poses), -0.4)) + 25.0
+    true = np.concatenate((places, poses[:, 2:]), axis=-1)
+    sensors = sensors_at(true, np.zeros(20), trajectory, slice(None))
+    expected = [echo(x, y, axis) for (x, y), axis in zip(sensors.face.tolist(), sensors.axis.tolist(), strict=True)]
+    off = np.abs(np.array(expected) - trajectory.readings_in)
+    # An echo at the very edge of a cone may differ.
+    assert np.mean(off < 0.02) > 0.99
+
+
+def test_nodes_at_which_the_robot_stands_are_left_out() -> None:
+    log = drive(quiet=True)
+    moving = build_trajectory(log, NOISE, ConeSonar(), 0.15)
+    # The last row again for 30 s more, with readings of the same pose.
+    last, clock = log.encoders[-1], log.encoders[-1, 0]
+    rows = np.repeat(last[None], 300, axis=0)
+    rows[:, 0] += np.arange(1, 301) * 0.1
+    log.encoders.flags.writeable = False
+    standing = type(log)(
+        np.concatenate((log.encoders, rows)), np.concatenate((log.instants_s, clock + np.arange(1, 400) * 0.07)),
+        np.concatenate((log.sonars, np.arange(399) % 16)), np.concatenate((log.readings_in, np.full(399, 40.0))),
+        log.angles_rad, log.ring_radius_in,
+    )  # fmt: skip
+    assert len(build_trajectory(standing, NOISE, ConeSonar(), 0.15)) <= len(moving) + 2
+
+
+def test_recording_without_a_restart_of_the_ring_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "state.log"
+    assert main.main(["state", f"sim:thesis_room?record={path}"]) == 0
+    capsys.readouterr()
+    with pytest.raises(RecordingError, match="conf_sn"):
+        read_drive(path)

@@ -1,0 +1,160 @@
+"""Residuals and normal equations of a map: finite differences, another solver, the free frame."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import least_squares
+
+from localization.filters.belief import Floats, wrap_angle
+from localization.filters.odometry import OdometryNoise
+from localization.filters.sonar_cone import ConeSonar
+from localization.mapping.measurements import Trajectory, build_trajectory, rotate
+from localization.mapping.problem import (
+    NO_FEATURE,
+    Assignment,
+    MapProblem,
+    MapState,
+    predict_point,
+    predict_wall,
+    robust_cost,
+    robust_weight,
+    sensors_at,
+)
+from localization.mapping.solver import NormalEquations
+from tests.localization.mapping.drives import drive
+
+NOISE = OdometryNoise(0.05, 0.05, 0.002)
+NODES = 12
+# Walls and corners of the room in the frame of the first pose, (25, 25) and heading 0.
+WALLS = np.array([[-np.pi / 2, 25.0], [0.0, 95.0], [np.pi / 2, 75.0], [np.pi, 25.0]])
+POINTS = np.array([[-25.0, -25.0], [95.0, -25.0]])
+
+
+@pytest.fixture(scope="module")
+def trajectory() -> Trajectory:
+    return build_trajectory(drive(), NOISE, ConeSonar(), 0.15)
+
+
+def perturbed(trajectory: Trajectory, seed: int, nodes: int = NODES) -> tuple[MapState, Assignment]:
+    """Return a state of the first nodes off its optimum, and each echo at the feature that is nearest."""
+    rng = np.random.default_rng(seed)
+    poses = trajectory.odometry[:nodes] - trajectory.odometry[0]
+    poses[:, :2] = rotate(poses[:, :2], np.full(nodes, -trajectory.odometry[0, 2]))
+    parameters = 0.02 * rng.normal(size=20)
+    state = MapState(poses, WALLS.copy(), POINTS.copy(), 0.0 * parameters)
+    sensors = sensors_at(poses, state.parameters, trajectory, np.flatnonzero(trajectory.node < nodes))
+    ranges = [predict_wall(sensors, np.broadcast_to(wall, (len(sensors.axis), 2))) for wall in WALLS]
+    points = [predict_point(sensors, np.broadcast_to(point, (len(sensors.axis), 2))) for point in POINTS]
+    far = [abs(p.range_in - sensors.range_in) + 99 * (abs(wrap_angle(p.bearing - sensors.axis)) > 0.3)
+           for p in (*ranges, *points)]  # fmt: skip
+    feature = np.full(len(trajectory.node), NO_FEATURE)
+    feature[: len(sensors.axis)] = np.argmin(far, axis=0)
+    ties = np.array([[0, 0], [0, 3], [1, 1]])
+    state = MapState(
+        poses + np.array((0.2, 0.2, 0.01)) * rng.normal(size=poses.shape) * (np.arange(nodes) > 0)[:, None],
+        WALLS + np.array((0.01, 0.3)) * rng.normal(size=WALLS.shape),
+        POINTS + 0.3 * rng.normal(size=POINTS.shape),
+        parameters,
+    )
+    return state, Assignment(feature, ties)
+
+
+def stepped(state: MapState, step: Floats) -> MapState:
+    split = 3 * len(state.poses)
+    return state.moved(step[:split].reshape(-1, 3), step[split:])
+
+
+def dense(equations: NormalEquations) -> tuple[Floats, Floats]:
+    """Return the matrix and the right-hand side, without the prior of the first pose."""
+    count, size = len(equations.diagonal), equations.coupling.shape[-1]
+    H = np.zeros((3 * count + size, 3 * count + size))
+    for k in range(count):
+        H[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = equations.diagonal[k]
+    for k in range(count - 1):
+        H[3 * k : 3 * k + 3, 3 * k + 3 : 3 * k + 6] = equations.upper[k]
+        H[3 * k + 3 : 3 * k + 6, 3 * k : 3 * k + 3] = equations.upper[k].T
+    H[: 3 * count, 3 * count :] = equations.coupling.reshape(3 * count, size)
+    H[3 * count :, : 3 * count] = H[: 3 * count, 3 * count :].T
+    H[3 * count :, 3 * count :] = equations.border
+    H[:3, :3] -= 1e8 * np.eye(3)
+    return H, np.concatenate((equations.pose_gradient.reshape(-1), equations.border_gradient))
+
+
+def difference_jacobian(problem: MapProblem, state: MapState, assignment: Assignment) -> Floats:
+    """Return the derivative of all residuals by central differences."""
+    size, h = 3 * len(state.poses) + state.walls.size + state.points.size + len(state.parameters), 1e-5
+    columns = []
+    for k in range(size):
+        step = np.zeros(size)
+        step[k] = h
+        ahead, behind = (problem.residual_vector(stepped(state, sign * step), assignment) for sign in (1.0, -1.0))
+        columns.append((ahead - behind) / (2.0 * h))
+    return np.stack(columns, axis=-1)
+
+
+@pytest.mark.parametrize("rays", [False, True])
+def test_normal_equations_are_those_of_difference_quotients(trajectory: Trajectory, rays: bool) -> None:
+    problem = MapProblem(trajectory, 16, rays=rays, robust=False)
+    state, assignment = perturbed(trajectory, 1)
+    J, r = difference_jacobian(problem, state, assignment), problem.residual_vector(state, assignment)
+    H, g = dense(problem.normal_equations(state, assignment))
+    scale = np.sqrt(np.outer(np.diag(H), np.diag(H))) + 1.0
+    np.testing.assert_allclose(H / scale, J.T @ J / scale, atol=1e-6)
+    np.testing.assert_allclose(g / np.sqrt(np.diag(scale)), -J.T @ r / np.sqrt(np.diag(scale)), atol=1e-5)
+
+
+def test_robust_equations_are_half_the_cost_s_gradient(trajectory: Trajectory) -> None:
+    problem = MapProblem(trajectory, 16)
+    state, assignment = perturbed(trajectory, 2)
+    _, g = dense(problem.normal_equations(state, assignment))
+    h = 1e-5
+    for k in (4, 7, 11, 36, 37, 44, 49, 50, 55):
+        step = np.zeros(len(g))
+        step[k] = h
+        ahead, behind = (problem.cost(stepped(state, sign * step), assignment) for sign in (1.0, -1.0))
+        assert g[k] == pytest.approx(-(ahead - behind) / (4.0 * h), rel=1e-4, abs=1e-3)
+
+
+@given(st.floats(-6.0, 6.0))
+def test_robust_weight_is_the_cost_s_slope(residual: float) -> None:
+    r, h = np.array([residual]), 1e-6
+    slope = (robust_cost(r + h) - robust_cost(r - h)) / (2.0 * h)
+    np.testing.assert_allclose(slope, 2.0 * robust_weight(r) * r, atol=1e-6)
+
+
+def test_optimum_is_that_of_scipy(trajectory: Trajectory) -> None:
+    problem = MapProblem(trajectory, 16, robust=False)
+    state, assignment = perturbed(trajectory, 3)
+    found = problem.optimize(state, assignment, 30, 1e-10)
+    size = 3 * len(state.poses) + state.walls.size + state.points.size + len(state.parameters)
+
+    def residuals(free: Floats) -> Floats:
+        return problem.residual_vector(stepped(state, np.concatenate((np.zeros(3), free))), assignment)
+
+    reference = least_squares(residuals, np.zeros(size - 3), method="trf", xtol=1e-12, ftol=1e-12, gtol=1e-12)
+    best = stepped(state, np.concatenate((np.zeros(3), reference.x)))
+    np.testing.assert_allclose(found.poses[:, :2], best.poses[:, :2], atol=2e-3)
+    np.testing.assert_allclose(found.poses[:, 2], best.poses[:, 2], atol=2e-4)
+    np.testing.assert_allclose(found.walls[:, 1], best.walls[:, 1], atol=2e-3)
+    np.testing.assert_allclose(wrap_angle(found.walls[:, 0] - best.walls[:, 0]), 0.0, atol=2e-4)
+    np.testing.assert_allclose(found.points, best.points, atol=2e-3)
+    np.testing.assert_allclose(found.parameters, best.parameters, atol=2e-3)
+
+
+@given(st.floats(-200.0, 200.0), st.floats(-200.0, 200.0), st.floats(-3.1, 3.1), st.integers(0, 1000))
+@settings(max_examples=40, deadline=None)
+def test_cost_is_the_same_in_every_frame(x: float, y: float, turn: float, seed: int) -> None:
+    trajectory = build_trajectory(drive(), NOISE, ConeSonar(), 0.15)
+    problem = MapProblem(trajectory, 16)
+    state, assignment = perturbed(trajectory, seed)
+    shift = np.array((x, y))
+    poses = np.concatenate(
+        (rotate(state.poses[:, :2], np.full(NODES, turn)) + shift, state.poses[:, 2:] + turn), axis=-1
+    )
+    angle = state.walls[:, 0] + turn
+    walls = np.stack((angle, state.walls[:, 1] + x * np.cos(angle) + y * np.sin(angle)), axis=-1)
+    moved = MapState(poses, walls, rotate(state.points, np.full(len(POINTS), turn)) + shift, state.parameters)
+    assert problem.cost(moved, assignment) == pytest.approx(problem.cost(state, assignment), rel=1e-7)
