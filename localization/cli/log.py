@@ -39,7 +39,7 @@ def add_log_options(parser: argparse.ArgumentParser) -> None:
     """Add --from and --estimates."""
     parser.add_argument("--from", dest="log", type=Path, metavar="LOG.csv",
                         help="localize a recorded drive instead of a robot; columns time_s, x_in, y_in, heading_deg, "
-                             "sonar_0_in ... (docs/real-data.md)")  # fmt: skip
+                             "sonar_0_in ... (page Real data of the manual)")  # fmt: skip
     parser.add_argument("--estimates", type=Path, metavar="FILE.csv",
                         help="with --from: write the estimate at each row, inches and degrees")  # fmt: skip
 

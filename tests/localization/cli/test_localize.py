@@ -165,7 +165,8 @@ def test_sonar_offsets_are_estimated_while_driving(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     mine, saved = tmp_path / "mine.toml", tmp_path / "saved.json"
-    mine.write_text(format_calibration("n150", Calibration(offsets_in=(2.0,) * 16)))
+    # Not the same for all sonars: a common offset is estimated by every method.
+    mine.write_text(format_calibration("n150", Calibration(offsets_in=(2.0, -2.0) * 8)))
     ends = []
     for method in ("ekf", "offsets"):
         words = [*TO_GOAL, "--method", method, "--save", str(saved), "--json"]
@@ -175,7 +176,6 @@ def test_sonar_offsets_are_estimated_while_driving(
     assert len(json.loads(saved.read_text())["mean"]) == 6
 
 
-@pytest.mark.long
 def test_unknown_start_is_found_and_goal_reached(capsys: pytest.CaptureFixture[str]) -> None:
     robot = "sim:several_walls?noisy=1&seed=3&start=30,60,20,20"
     assert localize(robot, "--map", "several_walls", "--start", "unknown", "--waypoints", "45,65", "--json") == 0
@@ -185,7 +185,6 @@ def test_unknown_start_is_found_and_goal_reached(capsys: pytest.CaptureFixture[s
     assert result["rmse_position_in"] < 0.5
 
 
-@pytest.mark.long
 def test_ambiguous_places_are_reported_without_driving(capsys: pytest.CaptureFixture[str]) -> None:
     robot = "sim:thesis_room?noisy=1&seed=3&start=20,35,20,20"
     asked = [robot, "--map", "thesis_room", "--start", "unknown", "--waypoints", "60,40", "--time-limit", "8"]
