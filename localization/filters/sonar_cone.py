@@ -104,6 +104,7 @@ class ConeSonar(RangeNoise):
     """
 
     rounding_var_in2: float = WIRE_SONAR.rounding_var_in2
+    place_var_in2: float = 0.04
     lowest_in: float = NOMAD.min_range_in
     highest_in: float = NOMAD.max_range_in
     cone_rad: float = CONE_RAD

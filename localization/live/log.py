@@ -106,9 +106,9 @@ def _columns(names: Sequence[str], file: Path) -> dict[str, _Column]:
         is_sonar = quantity.removeprefix(SONAR).isdecimal() and quantity.startswith(SONAR)
         units = _IN_PER if is_sonar else _UNITS.get(quantity)
         if units is None:
-            known = [f"{one}_{next(iter(factors))}" for one, factors in _UNITS.items()]
-            raise LogFileError(f"{file}: unknown column {name!r}; expected {', '.join(known)}, "
-                               f"{SONAR}0_in ...{suggest(name, known)}")  # fmt: skip
+            choices = [f"{one}_{next(iter(factors))}" for one, factors in _UNITS.items()]
+            raise LogFileError(f"{file}: unknown column {name!r}; expected {', '.join(choices)}, "
+                               f"{SONAR}0_in ...{suggest(name, choices)}")  # fmt: skip
         if unit not in units:
             raise LogFileError(f"{file}: column {name!r} has no unit; expected {quantity}_{' or _'.join(units)}")
         if quantity in columns:

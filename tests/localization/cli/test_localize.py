@@ -165,7 +165,8 @@ def test_sonar_offsets_are_estimated_while_driving(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     mine, saved = tmp_path / "mine.toml", tmp_path / "saved.json"
-    mine.write_text(format_calibration("n150", Calibration(offsets_in=(2.0,) * 16)))
+    # Not the same for all sonars: a common offset is estimated by every method.
+    mine.write_text(format_calibration("n150", Calibration(offsets_in=(2.0, -2.0) * 8)))
     ends = []
     for method in ("ekf", "offsets"):
         words = [*TO_GOAL, "--method", method, "--save", str(saved), "--json"]

@@ -129,6 +129,21 @@ def test_wrong_data_is_refused(tmp_path: Path) -> None:
     assert experiments.main(["corridor", "--data", str(tmp_path / "none")]) == 2
 
 
+def test_pictures_are_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("matplotlib")
+    made_data(tmp_path)
+    arguments = ["corridor", "--data", str(tmp_path), "--rows", "0,59", "--seeds", "1", "--export", str(tmp_path)]
+    assert experiments.main([*arguments, "--picture", str(tmp_path / "echoes.png")]) == 0
+    files = ["--from", str(tmp_path / "log.csv"), "--map", str(tmp_path / "map.toml")]
+    robot = ["--model-file", str(tmp_path / "robot.toml"), "--body", "corridor8", "--sonars", "cones"]
+    assert nomad(["localize", *files, *robot, "--picture", str(tmp_path / "run.png")]) == 0
+    assert "odometry alone" in capsys.readouterr().out
+    for name in ("echoes.png", "run.png"):
+        assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
+    assert nomad(["localize", *files]) == 2, "an N150 has 16 sonars"
+    assert "16" in capsys.readouterr().err
+
+
 # The real corridor.
 
 
@@ -163,9 +178,9 @@ def simulated(part: corridor.Corridor, walls: np.ndarray, model: Polaroid, seed:
     reflectors = ReflectorMap(walls, model.surfaces(seed))
     steps = model.range_steps(pings, [()] * len(pings), reflectors, body, [NO_DISCS] * len(pings))
     readings = np.array([body.ring.reading(range_in) for range_in in completed(steps)])
-    heard = readings < body.ring.max_range_in
+    is_echo = readings < body.ring.max_range_in
     rows, sonars = np.array(fired).T
-    return Echoes(part.poses[rows[heard]], sonars[heard], readings[heard])
+    return Echoes(part.poses[rows[is_echo]], sonars[is_echo], readings[is_echo])
 
 
 @real_data
