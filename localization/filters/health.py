@@ -112,6 +112,7 @@ class IntegrityMonitor:
         self._nis: deque[float] = deque(maxlen=self.limits.window)
         self._since_slip = self.limits.recent
         self._drifts = [0.0] * 4
+        self._ratio: float | None = 1.0
 
     @property
     def is_lost(self) -> bool:
@@ -128,6 +129,7 @@ class IntegrityMonitor:
         self._fall = 0.0
         self._matched.clear()
         self._nis.clear()
+        self._ratio = 1.0
 
     def add_evidence(self, likelihood: float, anywhere: float, result: Outcome | None) -> None:
         """Take note of a reading.
@@ -149,6 +151,7 @@ class IntegrityMonitor:
         _, _, nis, outlier_probability, _ = result
         self._matched.append(1.0 - outlier_probability)
         self._since_slip += 1
+        self._ratio = None
         if outlier_probability < OUTLIER_THRESHOLD:
             self._nis.append(nis)
 
@@ -195,10 +198,14 @@ class IntegrityMonitor:
     @property
     def nis_ratio(self) -> float:
         """Mean NIS of the window, if it is beyond its limit; else 1."""
-        count, total = len(self._nis), sum(self._nis)
-        if len(self._matched) < self.limits.window or not count:
-            return 1.0
-        return total / count if total > chi_square_quantile(self.limits.nis_probability, count) else 1.0
+        if self._ratio is None:
+            self._ratio = 1.0
+            count = len(self._nis)
+            if len(self._matched) == self.limits.window and count:
+                total = sum(self._nis)
+                if total > chi_square_quantile(self.limits.nis_probability, count):
+                    self._ratio = total / count
+        return self._ratio
 
     @property
     def is_suspicious(self) -> bool:
