@@ -9,7 +9,11 @@ import json
 import math
 import sys
 import time
+from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
+
+import numpy as np
 
 from localization.cli import arguments
 from localization.cli.log import add_log_options, localize_recorded
@@ -20,6 +24,7 @@ from localization.live.publish import Publisher, build_message
 from localization.live.run import GroundTruth, Run, RunMoment
 from localization.navigation.limits import PoseSmoother
 from localization.navigation.recovery import StallDetector
+from localization.navigation.roadmap import crossings
 from localization.navigation.waypoints import (
     STOP_RADIUS_IN,
     NavigationStep,
@@ -92,6 +97,7 @@ def run(options: argparse.Namespace) -> int:
     world = arguments.resolve_world(options)
     arguments.check_writable(options.save)
     points = _goals(options, world)
+    _require_reachable(world, points, options.start)
     if options.picture is not None:
         from localization.live.plot import check_picture
 
@@ -215,6 +221,22 @@ def _goals(options: argparse.Namespace, world: World) -> list[tuple[float, float
     if not (options.stay and options.publish):
         options.refuse("a goal is required: --waypoints X,Y or --path NAME, or --stay with --publish")
     return []
+
+
+def _require_reachable(world: World, points: list[tuple[float, float]], start: Sequence[float] | str | None) -> None:
+    """Raise WorldFileError for a waypoint outside of the free space of a map, or a leg through a wall."""
+    # 1. Waypoints.
+    for x, y in points:
+        if world.clearance(x, y) <= 0.0:
+            raise WorldFileError(f"waypoint {x:g},{y:g} is not in the free space of the map {world.name}")
+    # 2. Legs between them, the first from a given start.
+    known = [(start[0], start[1])] if start and not isinstance(start, str) else []
+    for (x, y), (to_x, to_y) in pairwise([*known, *points]):
+        if crossings(np.array([[x, y, to_x, to_y]]), world.walls).any():
+            raise WorldFileError(
+                f"the leg from {x:g},{y:g} to {to_x:g},{to_y:g} leads through a wall of the map {world.name}: "
+                "give waypoints around it, or use nomad go, which plans the way"
+            )
 
 
 def _points_of(world: World, name: str) -> list[tuple[float, float]]:
