@@ -16,9 +16,10 @@ from localization.filters.belief import POSE, Belief, Floats, independent
 from localization.filters.global_localization import is_wide
 from localization.filters.health import HealthStatus
 from localization.filters.odometry import MAX_STATE, OdometryNoise, with_parameters
-from localization.filters.registry import METHODS
+from localization.filters.registry import DEFAULT_METHOD, METHODS
+from localization.filters.sonar_cone import building_sonar
 from localization.live import saved_estimate
-from localization.live.assumptions import SIMULATION, SonarAssumption, resolve_body, resolve_sonar_model
+from localization.live.assumptions import BUILDING_SETUP, SIMULATION, SonarAssumption, resolve_body, resolve_sonar_model
 from localization.live.localizer import Estimate
 from localization.live.run import Run
 from localization.live.saved_estimate import DisplacementStd, SavedEstimate, map_signature, resume_belief
@@ -136,10 +137,17 @@ def add_robot_model_options(parser: argparse.ArgumentParser) -> None:
         help="robot models that override or extend these (default: model_file of a sim: address)"
     )
     add_odometry_noise(parser)
-    parser.add_argument("--sonars", choices=("rays", "cones"),
-                        help="sonar model: exact rays (setups ideal and noisy) or the cones of a real ring, including "
-                             "outliers (default: for sim: addresses that of the setup, rays for other simulations, "
-                             "cones for robots)")  # fmt: skip
+    parser.add_argument("--sonars", choices=("rays", "cones", BUILDING_SETUP),
+                        help="sonar model: exact rays (setups ideal and noisy), the cones of a real ring, including "
+                             "outliers, or the same in a real building, whose walls have doors and posts (method "
+                             "ekf; others: cones) (default: for sim: addresses that of the setup, rays for other "
+                             "simulations, building for robots)")  # fmt: skip
+
+
+def add_sonar_model(parser: argparse.ArgumentParser) -> None:
+    """Add the option of the sonar model, without a robot that decides it."""
+    parser.add_argument("--sonars", choices=("rays", "cones"), default="cones",
+                        help="sonar model: exact rays, or the cones of a real ring (default: %(default)s)")
 
 
 def add_odometry_noise(parser: argparse.ArgumentParser) -> None:
@@ -292,7 +300,9 @@ def prepare_localization(robot: Robot, simulated: bool, world: World, options: a
         print(sonars.line(), file=sys.stderr if options.json else sys.stdout, flush=True)
     # 3. All models.
     body = resolve_body(options.body, options.model_file, options.address)
-    sonar = sonar_of(body.ring, rays=sonars.rays)
+    # Of the methods only this one models the surfaces of walls; for the others a building has cones.
+    building = sonars.building and options.method == DEFAULT_METHOD
+    sonar = building_sonar(body.ring) if building else sonar_of(body.ring, rays=sonars.rays)
     config = LocalizationConfig(world.walls, body, options.odometry_noise, sonar, calibration=calibration)
     return LocalizationSetup(belief, config, sonars)
 

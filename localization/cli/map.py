@@ -117,12 +117,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     simplify.add_argument("--out", type=Path, required=True, metavar="FILE", help="write this world file")
     show = tools.add_parser("show", help="show the accuracy of localization: the Cramer-Rao bound over free space")
     add_value(show, "--out", "PNG", Path, "draw it into this file (needs the extra `plot`)")
-    show.add_argument(
-        "--sonars",
-        choices=("rays", "cones"),
-        default="cones",
-        help="sonar model: exact rays, or the cones of a real ring (default: %(default)s)",
-    )
+    arguments.add_sonar_model(show)
     add_value(show, "--cell", "IN", arguments.parse_positive,
               f"grid step in in (default: {CELL_IN:g}, or larger for at most {MAX_PLACES} positions)")
     add_value(show, "--speed", "IN_S", arguments.parse_positive, "speed of the robot in in/s", 5.0)

@@ -178,7 +178,7 @@ class LostResult:
 def drive(case: Case) -> LostResult:
     """Make one run in its own simulation."""
     world = load_world(case.world)
-    positions, rng = _positions(world), np.random.default_rng([case.seed, POSITIONS])
+    positions, rng = free_positions(world), np.random.default_rng([case.seed, POSITIONS])
     pose, alike = _drawn(positions, rng), list[Floats]()
     if case.kind in STARTS:
         # What `nomad map check` says of this start; a wrong door needs another place that looks like it.
@@ -344,7 +344,7 @@ class _Run:
         return LostResult(self._now_s, self._alarms, degraded, rmse, lost_after_s, found_after_s, right)
 
 
-def _positions(world: World) -> Floats:
+def free_positions(world: World) -> Floats:
     """Return a grid of positions (n, 2) with enough space for the robot, connected to the starts."""
     low, high = world.walls.reshape(-1, 2).min(axis=0), world.walls.reshape(-1, 2).max(axis=0)
     if np.prod(high - low) > LARGE_IN2:

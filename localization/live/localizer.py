@@ -32,6 +32,7 @@ from localization.live.sensor_input import (
     FiringTime,
     PoseHistory,
     SensorInput,
+    SlipCorrection,
     corrected,
 )
 from worlds.raycast import is_compiled_for
@@ -117,7 +118,7 @@ class Localizer:
             compiled.load()
         self._filter = make(method, config, belief, seed) if isinstance(method, str) else method
         self._schedule, self._calibration, self._ring = schedule, config.calibration, config.body.ring
-        self._history = PoseHistory()
+        self._history, self._slip = PoseHistory(), SlipCorrection()
         self._encoders: EncoderPose | None = None
         """Encoders at the instant to which the filter has predicted."""
         self._last_echo_s = -np.inf
@@ -145,9 +146,8 @@ class Localizer:
         state = corrected(state, self._calibration, self._ring)
         if state.clock_s is None:
             raise ValueError("a state without a clock: poll the robot once (refresh) before localizing")
-        now = EncoderPose(
-            state.clock_s, float(state.x_in), float(state.y_in), float(state.steering_rad), float(state.turret_rad)
-        )
+        x_in, y_in = self._slip.position_of(state)
+        now = EncoderPose(state.clock_s, x_in, y_in, float(state.steering_rad), float(state.turret_rad))
         if self._encoders is None:
             self._encoders = now
             self._last_echo_s = now.clock_s

@@ -58,6 +58,11 @@ class SensorInput(Protocol):
         """Return the last reading of each sonar."""
         ...
 
+    @property
+    def touching(self) -> bool:
+        """Return True if a bumper is closed."""
+        ...
+
 
 @dataclass(frozen=True, slots=True)
 class SensorData:
@@ -69,12 +74,13 @@ class SensorData:
     steering_rad: float
     turret_rad: float
     sonars_in: tuple[float, ...]
+    touching: bool = False
 
 
 def with_readings(state: SensorInput, sonars_in: tuple[float, ...], turret_rad: float | None = None) -> SensorData:
     """Return a state with other sonar readings and, if given, another turret angle."""
     turret = state.turret_rad if turret_rad is None else turret_rad
-    return SensorData(state.clock_s, state.x_in, state.y_in, state.steering_rad, turret, sonars_in)
+    return SensorData(state.clock_s, state.x_in, state.y_in, state.steering_rad, turret, sonars_in, state.touching)
 
 
 def sonar_readings(state: SensorInput) -> tuple[float, ...]:
@@ -254,6 +260,29 @@ class EncoderPose(NamedTuple):
     def pose(self) -> Floats:
         """x_in, y_in and heading in radians, (3,)."""
         return np.array(self[1 : 2 + HEADING])
+
+
+PRESSED_IN_S: Final = 2.0
+"""Wheels that roll slower than this with a closed bumper roll on the spot: a robot that drives away is faster."""
+
+
+class SlipCorrection:
+    """Leaves out what the wheels of a robot roll on the spot that presses against an obstacle."""
+
+    def __init__(self) -> None:
+        self._last: SensorInput | None = None
+        self._x_in = self._y_in = 0.0
+
+    def position_of(self, state: SensorInput) -> tuple[float, float]:
+        """Return x and y of the encoders without the distance that was rolled on the spot, inches."""
+        last, self._last = self._last, state
+        if last is not None and state.touching and last.touching:
+            dx, dy = state.x_in - last.x_in, state.y_in - last.y_in
+            passed_s = (state.clock_s or 0.0) - (last.clock_s or 0.0)
+            if math.hypot(dx, dy) <= PRESSED_IN_S * passed_s:
+                self._x_in += dx
+                self._y_in += dy
+        return float(state.x_in) - self._x_in, float(state.y_in) - self._y_in
 
 
 class PoseHistory:

@@ -20,7 +20,6 @@ from typing import Final
 from nclient.backends.base import Backend
 from nclient.backends.wrappers import POLL_S, SpeedLimiter
 from nclient.common.arguments import ABOVE_ZERO, add_flag, add_value, number
-from nclient.connector import Connector
 from nclient.url import parse_address
 from nserver_emu.gateway.gateway import TIMEOUT_S, Gateway, RealRobotProxy
 from nserver_emu.server.daemon import Daemon
@@ -185,6 +184,8 @@ def _connect(options: argparse.Namespace, faults: FaultController | None) -> Rea
     Speed limits of its address apply as well, the lower of two. Faults are those of the address or, where it names
     none, those that the daemon has for this line.
     """
+    from nclient.connector import Connector  # most daemons have no real robot and start faster without it
+
     address = parse_address(options.real)
     # The gateway sets the motion timeout, keeps it alive and reconnects by itself.
     address = replace(address, options=replace(address.options, tm_s=None, feed=None, reconnect=None))

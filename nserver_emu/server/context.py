@@ -568,7 +568,7 @@ class ServerState:
         self.quitting = False
         self.graphics = Graphics()
         self.traces = Traces()
-        self.traces.update(simulation)
+        self.traces.update(simulation.time_s, simulation.robots)
         self.transcript = SpeechLog()
         # Arms that were used, by robot.
         self.arms: dict[int, Arm] = {}
@@ -625,7 +625,7 @@ class ServerState:
         while left_ps:
             step_ps = min(left_ps, POLL_INTERVAL_PS)
             self.simulation.step(to_s(step_ps))
-            self.traces.update(self.simulation)
+            self.traces.update(self.simulation.time_s, self.simulation.robots)
             for robot_id in self.arms:
                 self._advance_arm(robot_id)
             self._deferred.poll()
