@@ -41,8 +41,7 @@ from nclient.recording.recorder import HANDSHAKE_FIRST, TCP, ClientRecording
 from nclient.recording.replayer import STRICT, Player, RecordedConnection, ReplayPeer, load_exchanges
 from nclient.robot import Robot
 from nclient.transports import serial, tcp
-from nclient.transports import stream as memory
-from nclient.transports.stream import ByteStream, MemoryStream
+from nclient.transports.stream import ByteStream, MemoryStream, open_in_process
 from nclient.url import SCHEMES, Address, available_schemes, parse_address, split_address
 
 DEFAULT_ADDRESS: Final = "nserver://localhost:7019/1"
@@ -187,7 +186,7 @@ class Connector:
             case "replay":
                 return self._open_replay()
             case scheme:
-                return memory.open_in_process(scheme, address.stripped_text)
+                return open_in_process(scheme, address.stripped_text)
 
     def start_session(self, stream: ByteStream, *, hello: bool = True) -> Backend:
         """Start the protocol on a stream.

@@ -17,7 +17,7 @@ from typing import Final, NamedTuple
 from nclient.backends.base import Backend
 from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused, WireError
 from nclient.protocol.commands import COMMANDS, Call, Command, exists_on_serial
-from nclient.protocol.types import CPU_RANGE_V, MOTOR_RANGE_V, get_model, volts
+from nclient.protocol.types import CPU_RANGE_V, MOTOR_RANGE_V, SONAR_SLOTS, get_model, volts
 from nclient.robot import Robot
 from nclient.state import NO_ECHO_IN, RobotState
 
@@ -63,7 +63,7 @@ def worst(findings: list[Finding]) -> Grade:
     return max((finding.grade for finding in findings), default=Grade.OK)
 
 
-RING: Final = 16
+RING: Final = SONAR_SLOTS
 DEAD_IN: Final = 0
 NOTHING_IR: Final = 15
 MIN_CHANGED: Final = 3

@@ -14,6 +14,7 @@ import math
 import os
 import threading
 from collections.abc import Iterable
+from dataclasses import replace
 from types import TracebackType
 from typing import Any, Final, Literal, NamedTuple, Self
 
@@ -23,10 +24,12 @@ from nclient.protocol.client_state import ClientState
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.requests import MOTION_ARC, MOTION_LINE
+from nclient.protocol.ring_packet import READ, RESTART, RING_PACKET, RingReadings, parse_ring
 from nclient.protocol.types import (
     DEFAULT_SONAR_ORDER,
     DEFAULT_SONAR_RATE,
     SONAR_RATE_STEP_S,
+    SONAR_SLOTS,
     Mask,
     Model,
     Position,
@@ -37,7 +40,7 @@ from nclient.protocol.types import (
 from nclient.state import WHEEL_IN_PER_DEG, Pose, RobotState, Truth, snapshot
 from nclient.units import AxisCommand, Points, firing_order, points_tenths, tenths_of
 
-RING: Final = range(16)
+RING: Final = range(SONAR_SLOTS)
 _PACKET_HEAD: Final = 4
 """Bytes of a special packet before its data: length (two bytes), serial number, type."""
 _LEAVE: Final = AxisCommand()
@@ -119,6 +122,8 @@ class Robot:
         self._applied: Reply | None = None
         self._lock = threading.RLock()
         self._pid = os.getpid()
+        # Readings of a ring that State has no room for; None: those of State.
+        self._ring_in: tuple[float, ...] | None = None
         # Replies update the client state, of which every exchange takes an immutable snapshot.
         if backend.greeting is not None:
             self._client_state.apply_reply(backend.greeting)
@@ -581,6 +586,30 @@ class Robot:
         values = self._query("special_request", packet_type, *data, at_least=_PACKET_HEAD)
         return bytes(value & 255 for value in values[_PACKET_HEAD:])
 
+    def read_ring(self, *, restart: bool = False) -> RingReadings:
+        """Query all sonars of a simulated ring with their own resolution. User packet of this project's servers.
+
+        Parameters
+        ----------
+        restart
+            Restart the ring with order and interval of its model; its first sonars then fire at the reply's clock.
+
+        Raises
+        ------
+        RobotRefused
+            If the other end is no simulation of this project.
+        """
+        return parse_ring(self.send_packet(RING_PACKET, bytes((RESTART if restart else READ,))))
+
+    def watch_ring(self) -> RingReadings:
+        """Restart the ring of a model file, and have all its sonars in `RobotState.ring_in` from now on.
+
+        Each command then also sends `read_ring`. Raises as that.
+        """
+        readings = self.read_ring(restart=True)
+        self._ring_in = readings.readings_in
+        return readings
+
     def arm_zero(self, override: bool = False) -> int:
         """Zero the arm and return its result. C: arm_zr."""
         return self._query_arm("arm_zr", int(override)).result
@@ -848,11 +877,18 @@ class Robot:
         self._applied = reply
         self._client_state.apply_reply(reply)
         self._state = snapshot(self._client_state, self._backend.wire_state.model)
+        if self._ring_in is not None:
+            self._state = replace(self._state, ring_in=self._ring_in)
 
     def _command(self, name: str, *args: Any) -> RobotState:
         """Execute a command by its C name and return the state after it."""
         with self._lock:
             self.execute(Call(name, args))
+            if self._ring_in is not None:
+                # Refused during an emergency stop: then the last readings remain.
+                with contextlib.suppress(RobotRefused):
+                    self._ring_in = self.read_ring().readings_in
+                self._state = replace(self._state, ring_in=self._ring_in)
             return self._state
 
     def _query(self, name: str, *args: Any, at_least: int = 0) -> tuple[int, ...]:

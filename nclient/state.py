@@ -17,6 +17,7 @@ from nclient.protocol.client_state import ClientState
 from nclient.protocol.types import (
     CPU_RANGE_V,
     M_PER_IN,
+    MAX_SONAR_IN,
     MOTOR_RANGE_V,
     SCOUT_WHEEL_IN_PER_DEG,
     Model,
@@ -25,7 +26,7 @@ from nclient.protocol.types import (
     volts,
 )
 
-NO_ECHO_IN: Final = 255
+NO_ECHO_IN: Final = MAX_SONAR_IN
 """The reading of a sonar without echo."""
 WHEEL_IN_PER_DEG = SCOUT_WHEEL_IN_PER_DEG
 
@@ -110,6 +111,8 @@ class RobotState:
     """Position stamps by sensor (ir_0, sonar_15, bumper, laser, compass), in wire units."""
     clock_ms: int | None = None
     raw_volts: tuple[int, int] | None = None
+    ring_in: tuple[float, ...] | None = None
+    """All readings of the ring of a model file, inches, after `Robot.watch_ring`; `sonars_in` has 16 at most."""
 
     @property
     def speed_factor(self) -> float:

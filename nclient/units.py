@@ -13,7 +13,7 @@ from collections.abc import Iterable, Sequence
 from enum import IntEnum
 from typing import NamedTuple
 
-from nclient.protocol.types import M_PER_IN, tenths
+from nclient.protocol.types import M_PER_IN, SONAR_SLOTS, tenths
 
 _UNIT_OF = {
     "in": 1.0, "in_s": 1.0, "in_s2": 1.0,
@@ -86,7 +86,7 @@ def firing_order(order: Iterable[int]) -> tuple[int, ...]:
 
 
 # Number of sensors of a ring, and the end mark of a firing order.
-_RING, _END = 16, 255
+_RING, _END = SONAR_SLOTS, 255
 
 
 class AxisMode(IntEnum):

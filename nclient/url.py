@@ -28,7 +28,7 @@ from nclient.faults.plan import Plan, load_plan
 from nclient.protocol.types import MODELS, N150, Model, get_model
 from nclient.recording.recorder import HANDSHAKE_FIRST, SERIAL, TCP
 from nclient.recording.replayer import ORDERS
-from nclient.transports import stream as memory
+from nclient.transports.stream import in_process_schemes
 
 Parser = Callable[[str], Any]
 
@@ -311,7 +311,7 @@ def parse_address(text: str) -> Address:
     # 1. Scheme: one of this package, or one that an installed entry point opens in this process.
     scheme = SCHEMES.get(raw.scheme)
     if scheme is None:
-        if raw.scheme not in memory.schemes():
+        if raw.scheme not in in_process_schemes():
             raise _unknown_scheme(raw)
         wire = SERIAL if raw.options.get("line") == "1" else TCP
         scheme = Scheme("scheme:what", wire, in_process=True)
@@ -353,7 +353,7 @@ def _family(robot: str, model_file: str) -> Model:
 
 def available_schemes() -> tuple[str, ...]:
     """Return all address schemes, sorted."""
-    return tuple(sorted({*SCHEMES, *memory.schemes()}))
+    return tuple(sorted({*SCHEMES, *in_process_schemes()}))
 
 
 def _unknown_scheme(raw: RawAddress) -> AddressError:

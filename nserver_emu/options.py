@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from nclient.common import allowlist
-from nclient.common.arguments import ABOVE_ZERO, Parser, number, whole_number
+from nclient.common.arguments import ABOVE_ZERO, Parser, add_flag, number, whole_number
 from nclient.common.hints import suggest, version
 from nserver_emu import logs
 from nserver_emu.control import socket as control_options
@@ -59,7 +59,7 @@ def nserver_parser(*, with_files: bool = True) -> Parser:
     # Packages add their own options, in the order of --help.
     for package in (serial_lines, real_options, control_options, allowlist, limits, viewer_options):
         package.add_options(parser)
-    parser.add_argument("--list-worlds", action="store_true", help="list the shipped worlds and exit")
+    add_flag(parser, "--list-worlds", "list the shipped worlds and exit")
     logs.add_options(parser)
     parser.add_argument("--version", action="version", version=f"nserver {version()}")
     return parser
@@ -83,14 +83,12 @@ def _add_time(parser: Parser) -> None:
     parser.add_argument("--speed", type=_speed, default=1.0, metavar="X",
                         help=f"run at X simulated seconds per second: {MIN_TIME_FACTOR} to {MAX_TIME_FACTOR:.0f}, or "
                         f"{MAX_SPEED} (default 1)")
-    parser.add_argument("--paused", action="store_true",
-                        help="start with simulated time paused, until a client resumes it")
+    add_flag(parser, "--paused", "start with simulated time paused, until a client resumes it")
     step = number(f"a step is more than 0 and at most {MAX_LOCKSTEP_S:.0f} s", ABOVE_ZERO, MAX_LOCKSTEP_S)
     parser.add_argument("--lockstep", type=step, metavar="DT",
                         help="advance simulated time by DT seconds per client request, and only then")
-    parser.add_argument("--allow-control", action="store_true",
-                        help="allow clients to pause, step and speed up simulated time")
-    parser.add_argument("--allow-quit", action="store_true", help="allow clients to end the server")
+    add_flag(parser, "--allow-control", "allow clients to pause, step and speed up simulated time")
+    add_flag(parser, "--allow-quit", "allow clients to end the server")
 
 
 def _add_persistence(parser: Parser) -> None:
@@ -112,7 +110,7 @@ def _add_setup(parser: Parser) -> None:
                         "(acoustics of a Polaroid ring, compass error), worn (systematic wheel errors); or a file "
                         "based on one of them, such as the two lines: base = \"measured\", sonar.dead = [3, 11] (all "
                         "keys are in docs/setups.md)")
-    parser.add_argument("--noisy", action="store_true", help="the same as --setup noisy")
+    add_flag(parser, "--noisy", "the same as --setup noisy")
 
 
 def read_options(parser: Parser, words: Sequence[str]) -> argparse.Namespace:

@@ -2,25 +2,34 @@
 
     pytest --robot ADDRESS     the tests of tests/hardware alone, on a real robot
     pytest --restarts N        number of server kills and line disconnections (tests/integration/test_restarts.py)
-    pytest -m "not long"       without slow tests: programs, browsers, compilers, long calculations
+    pytest -m "not long"       without slow tests: programs, browsers, compilers, calculations of half a second or more
     pytest --hypothesis-profile=roaming    random examples; the default profile always uses the same
 """
 
 from __future__ import annotations
 
+import os
 import signal
+from collections.abc import Generator
+from itertools import chain, islice
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
 
+TESTS = Path(__file__).parent
+
 LONG = ("integration", "benchmarks", "packaging", "clib", "docs")
 """Folders whose tests are all marked `long`."""
 
+LONG_HALF = "long or hypothesis"
+"""The `-m` of the second half of scripts/test."""
 SLOWEST = (
-    "packaging", "integration/test_readme.py", "docs/test_pages.py", "docs/test_site.py", "fuzz/test_documentation.py",
+    "packaging/test_wheel.py", "integration/test_readme.py", "docs/test_pages.py", "docs/test_site.py",
+    "fuzz/test_documentation.py", "nserver_emu/server/test_determinism.py", "benchmarks/test_line_localizer.py",
+    "integration/test_cluster.py", "benchmarks/test_ekf.py", "docs/test_missions_page.py",
 )  # fmt: skip
-"""Files and folders that come first, so that no worker begins one of them when the others are done."""
+"""Files that a worker begins with, the slowest first: begun last, they would run when all others are done."""
 
 _UNHURRIED = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 """No deadlines: the speed and the load of a machine decide no test."""
@@ -46,14 +55,41 @@ def pytest_configure(config: pytest.Config) -> None:
         raise pytest.UsageError("--robot: only one program can use a robot at a time; omit -n")
 
 
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Mark the folders of LONG, and put SLOWEST first; with --robot, select only the hardware tests."""
-    folder = Path(__file__).parent
-    items.sort(key=lambda item: not item.path.relative_to(folder).as_posix().startswith(SLOWEST))
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """With `-m LONG_HALF`, do not import files without such tests: it would take each worker several seconds."""
+    if config.option.markexpr != LONG_HALF or not collection_path.name.startswith("test_"):
+        return None
+    text = collection_path.read_text(encoding="utf-8") if collection_path.is_file() else "hypothesis"
+    is_long = collection_path.relative_to(TESTS).parts[0] in LONG
+    return None if is_long or "mark.long" in text or "hypothesis" in text else True
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> Generator[None]:
+    """Mark the folders of LONG, and distribute SLOWEST; with --robot, select only the hardware tests."""
     for item in items:
-        if item.path.relative_to(folder).parts[0] in LONG:
+        if item.path.relative_to(TESTS).parts[0] in LONG:
             item.add_marker(pytest.mark.long)
     if config.getoption("--robot"):
         others = [item for item in items if "hardware" not in item.path.parts]
         items[:] = [item for item in items if "hardware" in item.path.parts]
         config.hook.pytest_deselected(items=others)
+    # -m and -k deselect others here.
+    yield
+    items[:] = _spread_slowest(items, int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1")))
+
+
+def _spread_slowest(items: list[pytest.Item], workers: int) -> list[pytest.Item]:
+    """Order tests so that the shares of all workers, which xdist cuts in this order, begin with files of SLOWEST."""
+    assert all((TESTS / name).is_file() for name in SLOWEST)
+    files: dict[str, list[pytest.Item]] = {name: [] for name in SLOWEST}
+    rest: list[pytest.Item] = []
+    for item in items:
+        files.get(item.path.relative_to(TESTS).as_posix(), rest).append(item)
+    slowest, others = list(files.values()), iter(rest)
+    ordered: list[pytest.Item] = []
+    for number in range(workers):
+        begin, share = len(ordered), (len(items) - len(ordered)) // (workers - number)
+        ordered += chain.from_iterable(slowest[number::workers])
+        ordered += islice(others, max(0, share - (len(ordered) - begin)))
+    return [*ordered, *others]

@@ -122,6 +122,24 @@ class Ring:
         return self.max_range_in - self.min_range_in
 
     @property
+    def fits_state(self) -> bool:
+        """True if State shows the readings of this ring as they are, and conf_sn can set its order and interval."""
+        rate = self.interval_s / SONAR_RATE_STEP_S
+        return (
+            self.count <= SONAR_SLOTS
+            and all(len(group) == 1 for group in self.firing)
+            and abs(rate - round(rate)) < _ROUNDING_IN
+            and self.resolution_in == 1.0
+            and self.min_range_in >= MIN_SONAR_IN
+            and self.max_range_in <= MAX_SONAR_IN == self.no_echo_in
+        )
+
+    @property
+    def rate(self) -> int:
+        """The interval in units of conf_sn."""
+        return round(self.interval_s / SONAR_RATE_STEP_S)
+
+    @property
     def mounts(self) -> tuple[SonarMount, ...]:
         """The sonars as filters see them: direction, and distances of the beam from the robot's axis."""
         return tuple(

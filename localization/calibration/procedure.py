@@ -6,13 +6,11 @@
     laps        one in each direction, and more until the result is accurate enough
 
 Long distances and many turns in both directions accumulate errors of scale; errors that cancel in one direction do not
-cancel in the other.
+cancel in the other. The result is made of the belief of the calibrating filter: numbers with accuracies, and a table.
 
 References
 ----------
 Borenstein, Feng: Measurement and correction of systematic odometry errors in mobile robots (1996).
-
-The result of a calibration: from the belief of the calibrating filter to numbers with accuracies and a table.
 """
 
 from __future__ import annotations
@@ -29,14 +27,13 @@ from localization.filters.belief import HEADING, Belief, Floats, wrap_angle
 from localization.filters.calibration import OFFSET, OWN, RING_TURN
 from localization.filters.odometry import OdometryParameter
 from localization.live.localizer import Estimate, Localizer
-from localization.live.sensor_input import FiringSchedule
+from localization.live.sensor_input import restart_ring
 from localization.navigation.control_law import bearing_error, distance_to
 from localization.navigation.limits import VelocityCommand
 from localization.navigation.path import sample_waypoints
 from localization.navigation.roadmap import NoPathError, Roadmap, segment_clearances
 from localization.navigation.waypoints import COMMAND_TIMEOUT_S, stop_on_exit, wait_for_next_state
 from nclient.errors import NomadError
-from nclient.protocol.types import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
 from nclient.robot import Robot
 from nclient.state import RobotState
 from worlds.robots import Calibration, Spread
@@ -317,9 +314,8 @@ def run(
     `wait(seconds)` lets real time pass. A turret turns with the steering, so that every sonar measures every wall.
     """
     # 1. Firing schedule: the clock of this reply is that of the first sonar.
-    state = robot.configure_sonars(rate=DEFAULT_SONAR_RATE, order=DEFAULT_SONAR_ORDER)
-    assert state.clock_s is not None
-    localizer = Localizer(config, method.belief, FiringSchedule(state.clock_s), method)
+    schedule, state = restart_ring(robot, config.body.ring)
+    localizer = Localizer(config, method.belief, schedule, method)
     # 2. The robot stops by itself if this program dies.
     robot.set_timeout(COMMAND_TIMEOUT_S)
     with stop_on_exit(robot):

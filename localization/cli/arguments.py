@@ -11,19 +11,20 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig
-from localization.filters.belief import POSE, Belief, independent
+from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig, sonar_of
+from localization.filters.belief import POSE, Belief, Floats, independent
+from localization.filters.global_localization import is_wide
 from localization.filters.health import HealthStatus
 from localization.filters.odometry import MAX_STATE, OdometryNoise, with_parameters
-from localization.filters.registry import METHODS
-from localization.filters.sonar_cone import ConeSonar
-from localization.filters.sonar_ray import WIRE_SONAR
+from localization.filters.registry import DEFAULT_METHOD, METHODS
+from localization.filters.sonar_cone import building_sonar
 from localization.live import saved_estimate
-from localization.live.assumptions import SIMULATION, SonarAssumption, resolve_sonar_model
+from localization.live.assumptions import BUILDING_SETUP, SIMULATION, SonarAssumption, resolve_body, resolve_sonar_model
 from localization.live.localizer import Estimate
 from localization.live.run import Run
 from localization.live.saved_estimate import DisplacementStd, SavedEstimate, map_signature, resume_belief
 from localization.live.sensor_input import EncoderPose, with_wheels
+from localization.mapping.aliases import AliasFinder
 from localization.navigation.waypoints import Speeds
 from nclient import ReplyTimeout, Robot, RobotState, connect
 from nclient.common.arguments import ABOVE_ZERO, add_value, number
@@ -126,15 +127,27 @@ def add_map_option(parser: argparse.ArgumentParser, other_source: str = "") -> N
 
 
 def add_robot_model_options(parser: argparse.ArgumentParser) -> None:
-    """Add --body, --odometry-noise and --sonars."""
+    """Add --body, --model-file, --odometry-noise and --sonars."""
     parser.add_argument(
-        "--body", choices=sorted(BODIES), help="robot model, if the address does not name it (default: n150)"
+        "--body", type=str.lower, metavar=f"{{{','.join(sorted(BODIES))}}}",
+        help="robot model, if the address does not name it, or one of --model-file (default: n150)"
+    )
+    parser.add_argument(
+        "--model-file", type=Path, metavar="FILE",
+        help="robot models that override or extend these (default: model_file of a sim: address)"
     )
     add_odometry_noise(parser)
-    parser.add_argument("--sonars", choices=("rays", "cones"),
-                        help="sonar model: exact rays (setups ideal and noisy) or the cones of a real ring, including "
-                             "outliers (default: for sim: addresses that of the setup, rays for other simulations, "
-                             "cones for robots)")  # fmt: skip
+    parser.add_argument("--sonars", choices=("rays", "cones", BUILDING_SETUP),
+                        help="sonar model: exact rays (setups ideal and noisy), the cones of a real ring, including "
+                             "outliers, or the same in a real building, whose walls have doors and posts (method "
+                             "ekf; others: cones) (default: for sim: addresses that of the setup, rays for other "
+                             "simulations, building for robots)")  # fmt: skip
+
+
+def add_sonar_model(parser: argparse.ArgumentParser) -> None:
+    """Add the option of the sonar model, without a robot that decides it."""
+    parser.add_argument("--sonars", choices=("rays", "cones"), default="cones",
+                        help="sonar model: exact rays, or the cones of a real ring (default: %(default)s)")
 
 
 def add_odometry_noise(parser: argparse.ArgumentParser) -> None:
@@ -205,9 +218,21 @@ def is_lockstep(address: str | None) -> bool:
 
 
 def report_wait(words: str) -> None:
-    """Show what is waited for, on a terminal only."""
-    if sys.stderr.isatty():
-        print(f"nomad: {words}", file=sys.stderr, flush=True)
+    """Show what is waited for, on stderr."""
+    print(f"nomad: {words}", file=sys.stderr, flush=True)
+
+
+def find_alike(world: World, config: LocalizationConfig, belief: Belief) -> list[Floats]:
+    """Return the poses (3,) that look like that of an initial belief, and say so on stderr; none for a wide belief."""
+    if is_wide(belief):
+        return []
+    x, y, heading = belief.mean[:POSE].tolist()
+    found = AliasFinder(world.walls, config.clearance_in, [(x, y)]).aliases((x, y, heading))
+    if found:
+        poses = ", ".join(f"({pose[0]:.1f}, {pose[1]:.1f}) in {math.degrees(pose[2]):.0f} deg" for pose in found[:4])
+        more = f" and {len(found) - 4} more" if len(found) > 4 else ""
+        print(f"nomad: note: the start looks like {poses}{more}", file=sys.stderr, flush=True)
+    return found
 
 
 def make_folder(folder: Path) -> None:
@@ -274,8 +299,10 @@ def prepare_localization(robot: Robot, simulated: bool, world: World, options: a
     if sonars.line():
         print(sonars.line(), file=sys.stderr if options.json else sys.stdout, flush=True)
     # 3. All models.
-    sonar = WIRE_SONAR if sonars.rays else ConeSonar()
-    body = BODIES[options.body]
+    body = resolve_body(options.body, options.model_file, options.address)
+    # Of the methods only this one models the surfaces of walls; for the others a building has cones.
+    building = sonars.building and options.method == DEFAULT_METHOD
+    sonar = building_sonar(body.ring) if building else sonar_of(body.ring, rays=sonars.rays)
     config = LocalizationConfig(world.walls, body, options.odometry_noise, sonar, calibration=calibration)
     return LocalizationSetup(belief, config, sonars)
 

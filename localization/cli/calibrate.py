@@ -12,20 +12,18 @@ import numpy as np
 
 from localization.calibration import procedure
 from localization.cli import arguments
-from localization.filters.base import LocalizationConfig
+from localization.filters.base import LocalizationConfig, sonar_of
 from localization.filters.belief import independent
 from localization.filters.calibration import CalibratingFilter
-from localization.filters.sonar_cone import ConeSonar
-from localization.filters.sonar_ray import WIRE_SONAR
-from localization.live.assumptions import resolve_robot_model, resolve_sonar_model
+from localization.live.assumptions import resolve_body, resolve_robot_model, resolve_sonar_model
 from localization.live.localizer import Consistency
 from localization.navigation.recovery import StallDetector
 from nclient import Robot
-from nclient.common.arguments import add_address, add_value, whole_number
+from nclient.common.arguments import add_address, add_flag, add_value, whole_number
 from nclient.common.exit_codes import ExitCode
 from nclient.common.files import write_errors_as
 from nclient.errors import OutputFileError
-from worlds.robots import BODIES, Calibration, calibration_as_json, format_calibration
+from worlds.robots import Calibration, calibration_as_json, format_calibration
 from worlds.world import World
 
 START_STD = (0.5, 0.5, 0.02)
@@ -65,7 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_value(parser, "--turn-speed", "DEG_S", arguments.parse_positive, "speed of turns in deg/s", TURN_DEG_S)
     add_value(parser, "--time-limit", "S", arguments.parse_positive,
               "give up after this time in s of the robot's clock", 3600.0)
-    parser.add_argument("--json", action="store_true", help="print only the result, as JSON, on stdout")  # fmt: skip
+    add_flag(parser, "--json", "print only the result, as JSON, on stdout")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -112,8 +110,8 @@ def _drive(robot: Robot, world: World, options: argparse.Namespace, fit: Consist
     # 1. Initial pose, models and filter.
     state = robot.refresh()
     start = options.start or (state.x_in, state.y_in, state.steering_rad)
-    body = BODIES[options.body]
-    config = LocalizationConfig(world.walls, body, options.odometry_noise, WIRE_SONAR if fit.rays else ConeSonar())
+    body = resolve_body(options.body, options.model_file, options.address)
+    config = LocalizationConfig(world.walls, body, options.odometry_noise, sonar_of(body.ring, rays=fit.rays))
     method = CalibratingFilter(config, independent(np.array(start), options.start_std))
     # 2. Square, path to it and laps; without --laps more are driven until the result is accurate.
     square = _square_of(world, body.radius_in, start, options)

@@ -9,16 +9,22 @@ import json
 import math
 import sys
 import time
+from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
+
 from localization.cli import arguments
+from localization.cli.log import add_log_options, localize_recorded
 from localization.filters.registry import DEFAULT_METHOD, FINDER
-from localization.live.assumptions import resolve_robot_model
+from localization.live.assumptions import resolve_body, resolve_robot_model
 from localization.live.background_search import filter_on_robot
 from localization.live.publish import Publisher, build_message
 from localization.live.run import GroundTruth, Run, RunMoment
 from localization.navigation.limits import PoseSmoother
 from localization.navigation.recovery import StallDetector
+from localization.navigation.roadmap import crossings
 from localization.navigation.waypoints import (
     STOP_RADIUS_IN,
     NavigationStep,
@@ -28,10 +34,9 @@ from localization.navigation.waypoints import (
     start_localizer,
 )
 from nclient import NomadError, Robot, WorldFileError
-from nclient.common.arguments import add_value
+from nclient.common.arguments import add_flag, add_value
 from nclient.common.exit_codes import ExitCode
 from nclient.common.process import TerminatedBySignal
-from worlds.robots import BODIES
 from worlds.world import World
 
 
@@ -66,6 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "; waypoints set there replace the current ones",
     )
     parser.set_defaults(method=None)
+    add_log_options(parser)
     add_value(parser, "--radius", "IN", arguments.parse_positive,
               "count a waypoint as reached within this distance in in", STOP_RADIUS_IN)
     add_value(parser, "--smooth", "S", arguments.parse_seconds,
@@ -73,13 +79,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_value(parser, "--time-limit", "S", arguments.parse_positive,
               "give up after this time in s of the robot's clock", 300.0)
     add_value(parser, "--picture", "PNG", Path, "draw the run into this file (needs the extra `plot`)")
-    parser.add_argument(
-        "--stay",
-        action="store_true",
-        help="with --publish: after the last waypoint, or without any, stand and wait for waypoints "
-        "set on the page, until the time limit or Ctrl-C",
-    )
-    parser.add_argument("--json", action="store_true", help="print only the result, as JSON, on stdout")
+    add_flag(parser, "--stay",
+             "with --publish: after the last waypoint, or without any, stand and wait for waypoints "
+             "set on the page, until the time limit or Ctrl-C")
+    add_flag(parser, "--json", "print only the result, as JSON, on stdout")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -87,11 +90,14 @@ def run(options: argparse.Namespace) -> int:
 
     After Ctrl-C or a signal results are still saved and printed.
     """
+    options.method = _select_method(options)
+    if options.log:
+        return localize_recorded(options)
     # 1. Everything that can fail without a robot.
     world = arguments.resolve_world(options)
-    options.method = _select_method(options)
     arguments.check_writable(options.save)
     points = _goals(options, world)
+    _require_reachable(world, points, options.start)
     if options.picture is not None:
         from localization.live.plot import check_picture
 
@@ -151,7 +157,7 @@ def _draw(options: argparse.Namespace, world: World, done: Run) -> None:
     if options.picture is not None:
         from localization.live.plot import draw_run
 
-        draw_run(options.picture, world, done, BODIES[options.body])
+        draw_run(options.picture, world, done, resolve_body(options.body, options.model_file, options.address))
 
 
 def _drive(
@@ -164,8 +170,9 @@ def _drive(
     navigator = Navigator(done.waypoints, Speeds(translation_in_s=options.speed), options.radius, stays=stays)
     start = None if options.start == arguments.UNKNOWN else belief
     waits = arguments.is_lockstep(options.address)
+    done.alike = [] if start is None else arguments.find_alike(world, config, start)
     with filter_on_robot(
-        options.method, config, start, options.scale_std, waits=waits, report=arguments.report_wait
+        options.method, config, start, options.scale_std, waits=waits, report=arguments.report_wait, alike=done.alike
     ) as method:
         localizer = start_localizer(robot, config, belief, method)
         # 2. Drive until the last waypoint, a stall or the time limit.
@@ -214,6 +221,22 @@ def _goals(options: argparse.Namespace, world: World) -> list[tuple[float, float
     if not (options.stay and options.publish):
         options.refuse("a goal is required: --waypoints X,Y or --path NAME, or --stay with --publish")
     return []
+
+
+def _require_reachable(world: World, points: list[tuple[float, float]], start: Sequence[float] | str | None) -> None:
+    """Raise WorldFileError for a waypoint outside of the free space of a map, or a leg through a wall."""
+    # 1. Waypoints.
+    for x, y in points:
+        if world.clearance(x, y) <= 0.0:
+            raise WorldFileError(f"waypoint {x:g},{y:g} is not in the free space of the map {world.name}")
+    # 2. Legs between them, the first from a given start.
+    known = [(start[0], start[1])] if start and not isinstance(start, str) else []
+    for (x, y), (to_x, to_y) in pairwise([*known, *points]):
+        if crossings(np.array([[x, y, to_x, to_y]]), world.walls).any():
+            raise WorldFileError(
+                f"the leg from {x:g},{y:g} to {to_x:g},{to_y:g} leads through a wall of the map {world.name}: "
+                "give waypoints around it, or use nomad go, which plans the way"
+            )
 
 
 def _points_of(world: World, name: str) -> list[tuple[float, float]]:

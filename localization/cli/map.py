@@ -17,7 +17,7 @@ from localization.filters.sonar_ray import WIRE_SONAR
 from localization.live.plot import ESTIMATE, GOAL, blank, check_picture, draw_walls, save
 from localization.mapping.aliases import Alias, AliasFinder, find_aliases
 from localization.mapping.observability import Observability, compute_observability
-from nclient.common.arguments import add_value
+from nclient.common.arguments import add_flag, add_value
 from nclient.common.exit_codes import ExitCode
 from nclient.common.files import write_errors_as
 from nclient.errors import MapFileError, WorldFileError
@@ -117,12 +117,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     simplify.add_argument("--out", type=Path, required=True, metavar="FILE", help="write this world file")
     show = tools.add_parser("show", help="show the accuracy of localization: the Cramer-Rao bound over free space")
     add_value(show, "--out", "PNG", Path, "draw it into this file (needs the extra `plot`)")
-    show.add_argument(
-        "--sonars",
-        choices=("rays", "cones"),
-        default="cones",
-        help="sonar model: exact rays, or the cones of a real ring (default: %(default)s)",
-    )
+    arguments.add_sonar_model(show)
     add_value(show, "--cell", "IN", arguments.parse_positive,
               f"grid step in in (default: {CELL_IN:g}, or larger for at most {MAX_PLACES} positions)")
     add_value(show, "--speed", "IN_S", arguments.parse_positive, "speed of the robot in in/s", 5.0)
@@ -136,7 +131,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         tool.add_argument("world", metavar="WORLD", help="map: a shipped world or a TOML file")
         if tool is not simplify:
             tool.add_argument("--body", choices=sorted(BODIES), default="n150", help="robot model (default: n150)")
-        tool.add_argument("--json", action="store_true", help="print only the result, as JSON, on stdout")
+        add_flag(tool, "--json", "print only the result, as JSON, on stdout")
 
 
 def _add_import(parser: argparse.ArgumentParser) -> None:
@@ -149,19 +144,19 @@ def _add_import(parser: argparse.ArgumentParser) -> None:
     add_value(scale, "--unit", "IN", arguments.parse_positive,
               "inches of a drawing's unit (default: as the file states)")
     add_value(parser, "--min-cells", "N", int, "ignore smaller spots of a grid", 4)
-    parser.add_argument("--close", action="store_true", help="put walls where known space ends without one")
+    add_flag(parser, "--close", "put walls where known space ends without one")
     parser.add_argument(
         "--layer", action="append", default=[], metavar="NAME", help="read this layer of a DXF; may be repeated"
     )
     add_value(parser, "--picture", "PNG", Path, "draw the walls into this file (extra `plot`)")
-    parser.add_argument("--json", action="store_true", help="print only the result, as JSON, on stdout")
+    add_flag(parser, "--json", "print only the result, as JSON, on stdout")
 
 
 def _add_export(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("world", metavar="WORLD", help="map: a shipped world or a TOML file")
     parser.add_argument("--out", type=Path, required=True, metavar="YAML", help="write this file, and a PGM beside it")
     add_value(parser, "--resolution", "M", arguments.parse_positive, "side of a cell in m", 0.05)
-    parser.add_argument("--json", action="store_true", help="print only the result, as JSON, on stdout")
+    add_flag(parser, "--json", "print only the result, as JSON, on stdout")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -10,7 +10,7 @@ from pathlib import Path
 from localization.cli import arguments
 from localization.filters.sonar_cone import ConeSonar
 from localization.live.plot import check_picture
-from localization.mapping.learn import MapLearner
+from localization.mapping.learn import ROUGHNESS_IN, MapLearner
 from localization.mapping.measurements import read_drive
 from localization.mapping.output import LearnedMap, describe, draw_learned, summary
 from nclient.common.arguments import add_value
@@ -36,12 +36,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_value(parser, "--calibration-out", "FILE", Path,
               "write sonar offsets and wheel scales into this model file, which --calibration reads")
     arguments.add_odometry_noise(parser)
-    parser.add_argument(
-        "--sonars",
-        choices=("rays", "cones"),
-        default="cones",
-        help="sonar model: exact rays, or the cones of a real ring (default: %(default)s)",
-    )
+    add_value(parser, "--roughness", "IN", arguments.parse_positive,
+              "standard deviation of walls from straight lines in in: 0.8 for a real building", ROUGHNESS_IN)
+    arguments.add_sonar_model(parser)
     parser.add_argument("--json", action="store_true", help="print only the result, as JSON, on stdout")
 
 
@@ -53,7 +50,9 @@ def run(options: argparse.Namespace) -> int:
         check_picture(options.picture)
     # 2. The map.
     log = read_drive(options.recording)
-    learner = MapLearner(log, options.odometry_noise, ConeSonar(), rays=options.sonars == "rays")
+    learner = MapLearner(
+        log, options.odometry_noise, ConeSonar(), rays=options.sonars == "rays", roughness_in=options.roughness
+    )
     while not learner.is_complete:
         learner.advance()
     learner.finish()

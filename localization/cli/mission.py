@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from localization.cli import arguments
-from localization.live.assumptions import SonarAssumption, resolve_robot_model, sonar_mismatch_hint
+from localization.live.assumptions import SonarAssumption, resolve_body, resolve_robot_model, sonar_mismatch_hint
 from localization.live.background_search import filter_on_robot
 from localization.live.localizer import Echo
 from localization.live.publish import Publisher
@@ -28,12 +28,11 @@ from localization.missions.report import Report
 from localization.missions.settings import Point, Settings
 from localization.missions.steps import load_mission
 from nclient import NomadError, Robot
-from nclient.common.arguments import add_address, add_value
+from nclient.common.arguments import add_address, add_flag, add_value
 from nclient.common.exit_codes import ExitCode
 from nclient.common.files import write_errors_as
 from nclient.errors import MissionFileError
 from worlds.io import load_world
-from worlds.robots import BODIES
 from worlds.world import World
 
 METHOD: Final = "finder"
@@ -46,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `nomad mission`."""
     parser.add_argument("file", metavar="FILE", help="mission file, .toml or .py (docs/missions.md)")
     add_address(parser)
-    parser.add_argument("--check", action="store_true", help="check the file and its map, report errors, move nothing")
+    add_flag(parser, "--check", "check the file and its map, report errors, move nothing")
     add_value(parser, "--report", "JSON", Path, "write the report to this file")
     add_mission_options(parser)
 
@@ -57,7 +56,7 @@ def add_mission_options(parser: argparse.ArgumentParser) -> None:
     add_value(parser, "--start", "X,Y,HEADING", arguments.parse_pose,
               "set the encoders to this initial pose, inches and degrees (default: keep them)")
     arguments.add_localization_options(parser, METHOD, "filter; only finder detects that it is lost", "")
-    parser.add_argument("--json", action="store_true", help="print only the report, as JSON, on stdout")  # fmt: skip
+    add_flag(parser, "--json", "print only the report, as JSON, on stdout")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -130,9 +129,13 @@ def open_mission(options: argparse.Namespace, map_name: str = "") -> Iterator[Mi
     with robot, contextlib.closing(publisher) if publisher else contextlib.nullcontext():
         options.body = resolve_robot_model(options.body, robot.model.name, options.address)
         belief, config, sonars = arguments.prepare_localization(robot, simulated, world, options)
-        body, waits = BODIES[options.body], arguments.is_lockstep(options.address)
+        body = resolve_body(options.body, options.model_file, options.address)
+        waits = arguments.is_lockstep(options.address)
         with (
-            filter_on_robot(options.method, config, belief, waits=waits, report=arguments.report_wait) as method,
+            filter_on_robot(
+                options.method, config, belief, waits=waits, report=arguments.report_wait,
+                alike=arguments.find_alike(world, config, belief),
+            ) as method,
             RobotController(robot, config, body, belief, time.sleep, method, options.speed) as controller,
         ):
             context = MissionContext(controller, robot, simulated, sonars, [], [], world)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from localization.cli.arguments import make_folder
-from localization.experiments import corridor, live, output
+from localization.experiments import corridor, disturbed, live, mapping, output
 from localization.experiments import lost as lost_command
 from localization.experiments import plan as plan_command
 from localization.experiments.execution import drive, drive_on_cluster, progress
@@ -21,7 +21,7 @@ from localization.live.plot import require_matplotlib
 from nclient.errors import NomadError
 
 OUT: Final = Path("out/experiments")
-ALONE: Final = ("live", "lost", "plan", "corridor", "all")
+ALONE: Final = ("live", "lost", "plan", "corridor", "mapping", "disturbed", "all")
 """Commands that replace the names of figures."""
 
 
@@ -37,6 +37,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 lost_command.main(given[1:])
             case ["plan"]:
                 plan_command.main(given[1:])
+            case ["disturbed"]:
+                disturbed.main(given[1:])
+            case ["mapping"]:
+                mapping.main(given[1:])
             case ["corridor"]:
                 corridor.main(given[1:])
             case ["all"]:
@@ -133,7 +137,9 @@ def _parser() -> argparse.ArgumentParser:
         "extended Kalman filter (except 5.2), the thesis' control law.",
         epilog=f"figures:\n{titles}\n\nexample: python -m localization.experiments 5.4 --seeds 100 --out out\n\n"
         "instead of figures: `live`, filters compared on live robots (`live --help`); `lost`, detection of a lost "
-        "estimate (`lost --help`); `plan`, planned and driven paths (`plan --help`); `all`, everything",
+        "estimate (`lost --help`); `plan`, planned and driven paths (`plan --help`); `mapping`, learned maps "
+        "(`mapping --help`); `disturbed`, errors that the filter's models do not have (`disturbed --help`); "
+        "`all`, everything else",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("figures", nargs="+", type=_figure, metavar="FIGURE", help="simulate these figures, see below")

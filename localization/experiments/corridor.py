@@ -12,13 +12,13 @@ import json
 from collections.abc import Sequence
 from math import cos, degrees, pi, radians, sin, sqrt
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
 from localization.cli.arguments import make_folder
 from localization.experiments.output import text_table
-from localization.experiments.residuals import Echoes, ResidualStatistics, fit_walls, residual_statistics
+from localization.experiments.residuals import Echoes, ResidualStatistics, fit_walls, residual_statistics, residuals_at
 from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig
 from localization.filters.belief import HEADING, Floats, add, difference, independent
 from localization.filters.health import HealthStatus
@@ -26,9 +26,13 @@ from localization.filters.odometry import process_variance, relative_step, with_
 from localization.filters.registry import DEFAULT_METHOD, METHODS, make
 from localization.filters.sonar_cone import building_sonar
 from localization.live.log import LogRow, new_echoes, run_log
+from localization.live.plot import ESTIMATE, FAINT, TRUTH, blank, check_picture, save
 from localization.live.run import Run
 from nclient.errors import LogFileError
 from worlds.robots import N150, Body, read_model_file
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 MODEL: Final = """# The robot of the corridor: eight sonars, steps of 10 mm, 5110 mm: no echo; each fires every 0.4 s.
 [[model]]
@@ -194,6 +198,8 @@ CASES: Final = {"random walk": (0.0, 0.0, 0.0), "with scale, turn and drift": SY
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     options = _parser().parse_args(arguments)
+    if options.picture:
+        check_picture(options.picture)
     corridor = read_corridor(options.data, *options.rows)
     echoes = corridor.echoes()
     walls = fit_walls(echoes, SIDES, corridor.body, WALL_RANGE_IN)
@@ -202,6 +208,8 @@ def main(arguments: Sequence[str]) -> None:
     for name, systematic in CASES.items():
         runs = [run_seed(corridor, walls, systematic, seed, options.method) for seed in range(options.seeds)]
         scores[name] = score(runs, walls)
+        if options.picture and not any(systematic):
+            save(_picture(corridor, echoes, walls, runs[0]), options.picture)
     if options.export:
         _export(corridor, walls, options.export)
     summary = {"rows": options.rows, "seeds": options.seeds, "walls_in": walls.tolist(),
@@ -229,8 +237,10 @@ def _parser() -> argparse.ArgumentParser:
                         help=f"part of the data (default: {FIRST_ROW},{LAST_ROW})")  # fmt: skip
     parser.add_argument("--seeds", type=int, default=20, metavar="N", help="runs per kind of odometry (default: 20)")
     parser.add_argument("--method", choices=METHODS, default=DEFAULT_METHOD, help="filter (default: %(default)s)")
+    parser.add_argument("--picture", type=Path, metavar="PNG",
+                        help="draw echoes, walls, residuals and the first run (needs the extra `plot`)")  # fmt: skip
     parser.add_argument("--export", type=Path, metavar="FOLDER",
-                        help="write log.csv, ring.toml and map.toml for `nomad localize --from`")  # fmt: skip
+                        help="write log.csv, robot.toml and map.toml for `nomad localize --from`")  # fmt: skip
     parser.add_argument("--json", action="store_true", help="print only the numbers, as JSON")
     return parser
 
@@ -261,6 +271,35 @@ def _text(statistics: ResidualStatistics, scores: dict[str, CorridorScore]) -> s
     )
 
 
+def _picture(corridor: Corridor, echoes: Echoes, walls: Floats, run: Run) -> Figure:
+    """Return the map with all echoes and one run, above the residuals of each wall."""
+    picture = blank(11.0, 7.5)
+    top, bottom = picture.subplots(2, 1, height_ratios=[3, 2], sharex=True)
+    # 1. Echoes on the axes of their sonars, walls and paths; metres.
+    axes = echoes.poses[:, HEADING] + np.array(corridor.body.ring.angles_rad)[echoes.sonars]
+    reach = corridor.body.ring.radius_in + echoes.ranges_in
+    points = echoes.poses[:, :2] + reach[:, None] * np.column_stack((np.cos(axes), np.sin(axes)))
+    top.plot(*(points.T * MM / 1000.0), ".", markersize=3, color=FAINT, label="echoes")
+    for x1, y1, x2, y2 in walls * MM / 1000.0:
+        top.plot([x1, x2], [y1, y2], color="black", linewidth=1.2)
+    estimates = np.array([moment.estimate.pose for moment in run.moments])
+    odometry = np.array([moment.odometry for moment in run.moments])
+    for path, style in ((corridor.poses, {"color": TRUTH, "label": "reference"}),
+                        (odometry, {"color": "grey", "linestyle": "--", "label": "odometry, made of it"}),
+                        (estimates, {"color": ESTIMATE, "label": "estimate"})):  # fmt: skip
+        top.plot(path[:, 0] * MM / 1000.0, path[:, 1] * MM / 1000.0, **style)
+    top.set(ylabel="y (m)", ylim=(-2.0, 2.5), title="Sonar echoes of a real corridor")
+    top.legend(loc="upper right", ncols=4, frameon=False)
+    # 2. Residuals where the robot was.
+    for wall, name in zip(walls, ("right wall", "left wall"), strict=True):
+        of_wall, residuals = residuals_at(echoes, wall, corridor.body)
+        bottom.plot(echoes.poses[of_wall, 0] * MM / 1000.0, MM * residuals, ".-", linewidth=0.8, label=name)
+    bottom.axhline(0.0, color="black", linewidth=0.5)
+    bottom.set(xlabel="x (m)", ylabel="residual (mm)")
+    bottom.legend(loc="upper right", ncols=2, frameon=False)
+    return picture
+
+
 def _export(corridor: Corridor, walls: Floats, folder: Path) -> None:
     make_folder(folder)
     rows = degraded(corridor, CASES["random walk"], np.random.default_rng(0))
@@ -272,6 +311,6 @@ def _export(corridor: Corridor, walls: Floats, folder: Path) -> None:
         numbers = (row.clock_s, *row.odometry, *row.sonars_in, *(row.truth or ()))
         lines.append(",".join(f"{number:.6g}" for number in numbers))
     (folder / "log.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    (folder / "ring.toml").write_text(MODEL, encoding="utf-8")
+    (folder / "robot.toml").write_text(MODEL, encoding="utf-8")
     polylines = [f"[[wall]]\npoints_in = [[{x1:.2f}, {y1:.2f}], [{x2:.2f}, {y2:.2f}]]\n" for x1, y1, x2, y2 in walls]
     (folder / "map.toml").write_text("\n".join(['name = "corridor"\n', *polylines]), encoding="utf-8")

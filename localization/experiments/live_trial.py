@@ -35,10 +35,9 @@ from localization.filters.odometry import OdometryNoise, with_parameters
 from localization.filters.sonar_cone import ConeSonar
 from localization.filters.sonar_ray import WIRE_SONAR, RaySonar
 from localization.live.localizer import Estimate, Localizer, Smoothed
-from localization.live.sensor_input import CLOCK_STEP_S, FiringSchedule, SensorInput, with_readings
+from localization.live.sensor_input import CLOCK_STEP_S, FiringSchedule, SensorInput, restart_ring, with_readings
 from localization.navigation.waypoints import PERIOD_S, Navigator, Speeds
 from nclient import connect
-from nclient.protocol.types import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
 from nclient.robot import Robot
 from nclient.state import Pose
 from worlds.io import load_world
@@ -254,7 +253,7 @@ def drive(scenario: Scenario, figure: str, seed: int, periods: int = MAX_PERIODS
     world = load_world(COURSES[figure])
     start = world.paths[figure].start
     # The connection is closed before the history is built.
-    with simulated_robot(world, scenario, seed, start, line=scenario.line) as robot:
+    with simulated_robot(world.name, scenario, seed, start, line=scenario.line) as robot:
         localizer, outliers = _start_localizer(robot, scenario, world, figure, seed)
         navigator = Navigator(world.paths[figure].goals_in, Speeds(translation_in_s=scenario.speed_in_s))
         followed = _follow(robot, localizer, outliers, navigator, periods, timer)
@@ -263,16 +262,16 @@ def drive(scenario: Scenario, figure: str, seed: int, periods: int = MAX_PERIODS
 
 @contextmanager
 def simulated_robot(
-    world: World, scenario: Scenario, seed: int, start: Pose | StartPose, *, line: bool = False
+    world: str, scenario: Scenario, seed: int, start: Pose | StartPose, *, line: bool = False
 ) -> Iterator[Robot]:
-    """Provide a robot in its own simulation, whose time advances only with the exchanges."""
+    """Provide a robot in its own simulation of a shipped world or a file; its time advances with the exchanges only."""
     pose = f"{start.x_in},{start.y_in},{np.degrees(start.steering_rad)},{np.degrees(start.turret_rad)}"
     with tempfile.TemporaryDirectory() as folder:
         setup = Path(folder) / "setup.toml"
         setup.write_text(scenario.setup(seed), encoding="utf-8")
         step_s = PERIOD_S / EXCHANGES_PER_PERIOD
         options = f"setup={setup}&seed={seed}&start={pose}&step_s={step_s}&line={int(line)}"
-        with connect(f"sim:{world.name}?{options}") as robot:
+        with connect(f"sim:{world}?{options}") as robot:
             yield robot
 
 
@@ -282,9 +281,7 @@ def _start_localizer(
     """Return the localizer, its initial estimate drawn from START_STD, and the source of outliers."""
     start = world.paths[figure].start
     # 1. Firing schedule: the clock of this reply is that of the first sonar.
-    state = robot.configure_sonars(rate=DEFAULT_SONAR_RATE, order=DEFAULT_SONAR_ORDER)
-    assert state.clock_s is not None
-    schedule = FiringSchedule(state.clock_s)
+    schedule, _ = restart_ring(robot, N150.ring)
     # 2. Initial estimate: the true start plus an error with the covariance of the belief.
     off = np.array(START_STD) * np.random.default_rng([seed, START]).standard_normal(3)
     guess = add(np.array([start.x_in, start.y_in, start.steering_rad]), off)
@@ -327,7 +324,8 @@ def _record(seed: int, reached: bool, periods: Sequence[Period]) -> Record:
     distance = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(truth[:, :2], axis=0).T))])
     spent = np.array([period.spent_s for period in periods])
     # 2. A smoother repeats an estimate until a newer one exists: use the last version of each time.
-    estimates = [_evaluated_estimate(period.estimate) for period in periods]
+    # The smoothed estimate where the method has one.
+    estimates = [each.estimate.smoothed or Smoothed(each.estimate.clock_s, each.estimate.belief) for each in periods]
     fresh = [
         k for k in range(len(estimates)) if k == len(estimates) - 1 or estimates[k + 1].clock_s > estimates[k].clock_s
     ]
@@ -347,11 +345,6 @@ def _record(seed: int, reached: bool, periods: Sequence[Period]) -> Record:
         covs,
         spent,
     )
-
-
-def _evaluated_estimate(estimate: Estimate) -> Smoothed:
-    """Return the smoothed estimate if there is one, else the current one."""
-    return estimate.smoothed or Smoothed(estimate.clock_s, estimate.belief)
 
 
 def _interpolate(clock_s: Floats, polled_s: Floats, poses: Floats) -> Floats:

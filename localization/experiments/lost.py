@@ -4,7 +4,7 @@ import argparse
 import json
 import sys
 from collections.abc import Mapping, Sequence
-from itertools import groupby
+from itertools import groupby, pairwise
 from math import sqrt
 from pathlib import Path
 from typing import Final, TypedDict
@@ -12,10 +12,10 @@ from typing import Final, TypedDict
 from localization.cli.arguments import make_folder
 from localization.experiments.execution import ResultCache, code_hash, progress, run_cached
 from localization.experiments.live_trial import SCENARIOS
-from localization.experiments.lost_trial import Case, Kind, LostResult, drive
+from localization.experiments.lost_trial import START_LIMIT_S, STARTS, Case, Kind, LostResult, drive
 from localization.experiments.output import add_choice, add_execution_options, add_output, executor_for, positive
 from nclient.common.arguments import add_value
-from worlds.io import world_names
+from worlds.io import load_world, world_names
 
 # At the scenarios' 5 in/s the robot has driven at most 25 in by then.
 SOON_S: Final = 5.0
@@ -41,6 +41,12 @@ class LostSummary(TypedDict):
         Median and maximum of the times until detection and until recovery, in seconds.
     found, mistaken
         Number of runs with a correct and with a wrong recovery.
+    alike, unique_found
+        Number of unknown starts that look like other places of the map, and correct recoveries from the others.
+    brier
+        Mean Brier score of the probabilities that are stated meanwhile, 0 (certain and right) to 2.
+    reliability
+        For bins of stated probabilities: their mean, the fraction that was right, and their number.
     """
 
     kind: str
@@ -58,6 +64,10 @@ class LostSummary(TypedDict):
     found: int | None
     mistaken: int | None
     found_s: tuple[float, float] | None
+    alike: int | None
+    unique_found: int | None
+    brier: float | None
+    reliability: list[tuple[float, float, int]]
 
 
 def summaries(results: Mapping[Case, LostResult]) -> list[LostSummary]:
@@ -90,13 +100,58 @@ def summarize(kind: Kind, world: str, scenario: str, results: Sequence[LostResul
         found=None,
         mistaken=None,
         found_s=None,
+        alike=None,
+        unique_found=None,
+        brier=None,
+        reliability=[],
     )
     # 2. Numbers of detection and recovery, where they apply.
     if kind is Kind.KIDNAPPED:
         _add_detections(summary, results)
     if kind is not Kind.TRACKING:
         _add_recoveries(summary, results)
+    if kind in STARTS:
+        unique = [result for result in results if not result.alike]
+        summary["alike"] = len(results) - len(unique)
+        summary["unique_found"] = sum(result.found_after_s is not None and result.right for result in unique)
+        stated = [instant for result in results for instant in result.stated]
+        summary["brier"], summary["reliability"] = brier_score(stated), reliability(stated)
     return summary
+
+
+Stated = Sequence[Sequence[tuple[float, bool]]]
+"""For each instant the probabilities of the hypotheses, and which was right."""
+BINS: Final = (0.0, 0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 0.99, 1.0)
+
+
+def brier_score(stated: Stated) -> float | None:
+    """Return the mean of sum_i (p_i - [i is right])^2 over instants; where none is right, elsewhere was.
+
+    References
+    ----------
+    Brier, Verification of forecasts expressed in terms of probability (1950).
+    """
+    if not stated:
+        return None
+    total = 0.0
+    for instant in stated:
+        total += sum((probability - right) ** 2 for probability, right in instant)
+        if not any(right for _, right in instant):
+            rest = 1.0 - sum(probability for probability, _ in instant)
+            total += (rest - 1.0) ** 2
+    return total / len(stated)
+
+
+def reliability(stated: Stated) -> list[tuple[float, float, int]]:
+    """Return mean probability, fraction right and number of the stated probabilities in each bin that has any."""
+    pairs = [pair for instant in stated for pair in instant]
+    rows = []
+    for low, high in pairwise(BINS):
+        among = [pair for pair in pairs if low < pair[0] <= high]
+        if among:
+            mean = sum(probability for probability, _ in among) / len(among)
+            rows.append((mean, sum(right for _, right in among) / len(among), len(among)))
+    return rows
 
 
 def _rmse_in(results: Sequence[LostResult]) -> float | None:
@@ -142,6 +197,14 @@ def words(summary: LostSummary) -> str:
             f"  correct recoveries: {summary['found']}{_times(summary['found_s'])}; wrong recoveries: "
             f"{summary['mistaken']}"
         )
+    if summary["alike"] is not None:
+        lines.append(
+            f"  starts that look like other places: {summary['alike']}; localized correctly within {START_LIMIT_S:g} s "
+            f"of the other {summary['runs'] - summary['alike']}: {summary['unique_found']}"
+        )
+    if summary["brier"] is not None:
+        rows = ", ".join(f"{stated:.0%}: {right:.0%} of {count}" for stated, right, count in summary["reliability"])
+        lines.append(f"  stated probabilities: Brier score {summary['brier']:.3f}; right of those stated: {rows}")
     return "\n".join(lines)
 
 
@@ -156,17 +219,20 @@ def _times(spread: tuple[float, float] | None) -> str:
 
 WORLD: Final = "several_walls"
 # False alarms are rare, so tracking needs the most runs; 300 of 10 min are 50 simulated hours.
-RUNS: Final = {Kind.TRACKING: 300, Kind.KIDNAPPED: 100, Kind.UNKNOWN_START: 100}
+RUNS: Final = {Kind.TRACKING: 300, Kind.KIDNAPPED: 100, Kind.UNKNOWN_START: 100, Kind.WRONG_DOOR: 20}
 
 
 def main(arguments: Sequence[str]) -> None:
     """Run the command; errors of execution and files are propagated."""
     options = _parser().parse_args(arguments)
     make_folder(options.out)
+    for world in options.worlds:
+        load_world(world)
     # 1. All runs, by kind.
     cases = [
-        Case(kind, options.world, SCENARIOS[options.scenario], seed, 60.0 * options.minutes)
+        Case(kind, world, SCENARIOS[options.scenario], seed, 60.0 * options.minutes)
         for kind in options.kinds
+        for world in options.worlds
         for seed in range(options.runs or RUNS[kind])
     ]
     # 2. Results, from the cache or by running them.
@@ -203,28 +269,30 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m localization.experiments lost",
         description="Long runs of the method `finder`: tracking (calm), in which every LOST is a false alarm; robots "
-        "moved elsewhere (kidnapped); robots with an unknown start (nowhere). Results are cached.",
+        "moved elsewhere (kidnapped); robots with an unknown start (nowhere), or a start that looks like the "
+        "true one (door). Results are cached.",
         epilog="example: python -m localization.experiments lost kidnapped --runs 20",
     )
     parser.add_argument(
         "kinds",
         nargs="*",
         type=_kind,
-        default=list(Kind),
+        default=[kind for kind in Kind if kind is not Kind.WRONG_DOOR],
         metavar="KIND",
-        help=f"kinds of runs: {', '.join(kind.value for kind in Kind)} (default: all)",
+        help=f"kinds of runs: {', '.join(kind.value for kind in Kind)} (default: all but door)",
     )
-    add_choice(parser, "--world", world_names(), WORLD, "shipped world")
-    add_choice(parser, "--scenario", SCENARIOS, "measured", "error scenario")
     parser.add_argument(
-        "--runs",
-        "--seeds",
-        type=positive,
-        metavar="N",
-        help="number of runs of each kind (default: "
-        + ", ".join(f"{runs} {kind.value}" for kind, runs in RUNS.items())
-        + ")",
+        "--world",
+        "--worlds",
+        dest="worlds",
+        nargs="+",
+        default=[WORLD],
+        metavar="WORLD",
+        help=f"shipped worlds or world files: {', '.join(world_names())} (default: {WORLD})",
     )
+    add_choice(parser, "--scenario", SCENARIOS, "measured", "error scenario")
+    numbers = ", ".join(f"{runs} {kind.value}" for kind, runs in RUNS.items())
+    add_value(parser, "--runs --seeds", "N", positive, f"number of runs of each kind (default: {numbers})")
     add_value(parser, "--minutes", "M", float, "length of tracking runs in min", 10.0)
     add_execution_options(parser)
     add_output(parser, Path("out/experiments"), "kind")

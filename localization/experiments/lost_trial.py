@@ -3,33 +3,38 @@
     tracking        the robot starts at a given pose and drives to random positions; every LOST is a false alarm
     kidnapped       the same, then it is moved elsewhere without its encoders: time until LOST and until recovery
     unknown start   no initial pose: time until recovery
+    wrong door      the initial pose is one that looks like the true one, with a standard deviation that covers both
 
 While localized the robot drives shortest paths with the control law of the thesis; while lost it turns and drives
 where there is free space. Recovery means localized without LOST for CERTAIN_S. The truth never reaches the filter.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from enum import Enum
 from math import atan2, hypot, tau
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from localization.experiments.live_trial import BAD, START_STD, BadReadings, Scenario, simulated_robot
 from localization.filters.base import LocalizationConfig
-from localization.filters.belief import HEADING, Floats, difference, independent
+from localization.filters.belief import HEADING, POSE, Belief, Floats, difference, independent
 from localization.filters.health import HealthStatus
 from localization.filters.odometry import with_parameters
+from localization.filters.range_table import connected, floor_grid
 from localization.filters.registry import finder
+from localization.live.background_search import cached_search
 from localization.live.localizer import Estimate, Localizer
-from localization.live.sensor_input import FiringSchedule
+from localization.live.sensor_input import restart_ring
+from localization.mapping.aliases import AliasFinder
 from localization.navigation.control_law import bearing_error
 from localization.navigation.limits import STAND, VelocityCommand
 from localization.navigation.path import sample_waypoints
 from localization.navigation.recovery import TURN_RAD_S, RecoveryBehavior, SonarState
 from localization.navigation.roadmap import NoPathError, Roadmap
 from localization.navigation.waypoints import PERIOD_S, Navigator, Speeds
-from nclient.protocol.types import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
 from nclient.robot import Robot
 from nclient.state import Pose, RobotState
 from worlds.io import load_world
@@ -92,8 +97,12 @@ STILL_S: Final = 10
 CERTAIN_S: Final = 3.0
 SEARCH_LIMIT_S: Final = 90.0
 """Time limit for detecting a kidnapping and for recovering."""
+START_LIMIT_S: Final = 60.0
+"""Time limit for an unknown start: a minute of driving."""
 RIGHT_IN, RIGHT_RAD = 6.0, 0.25
 """Error tolerance of a correct recovery."""
+LARGE_IN2, LARGE_STEP_IN = 4e4, 6.0
+"""In a larger world than one room of 5 m the positions are farther apart."""
 GOALS, POSITIONS, START = 11, 12, 13
 """Random streams of a seed."""
 
@@ -104,6 +113,13 @@ class Kind(Enum):
     TRACKING = "calm"
     KIDNAPPED = "kidnapped"
     UNKNOWN_START = "nowhere"
+    WRONG_DOOR = "door"
+
+
+STARTS: Final = (Kind.UNKNOWN_START, Kind.WRONG_DOOR)
+"""Kinds whose runs begin without an estimate."""
+MAX_DRAWS: Final = 50
+"""Starts that are drawn until one looks like another place."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +135,7 @@ class Case:
     @property
     def name(self) -> str:
         """Name of the run in files and tables."""
-        return f"{self.kind.value}_{self.world}_{self.scenario.name}_{self.seed:04d}"
+        return f"{self.kind.value}_{Path(self.world).stem}_{self.scenario.name}_{self.seed:04d}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,6 +158,10 @@ class LostResult:
         Time from LOST, or from an unknown start, to recovery.
     right
         True if the recovered pose was correct.
+    alike
+        Number of places that look like an unknown start.
+    stated
+        Each second of an unknown start: the probabilities of the hypotheses, and which was right.
     """
 
     seconds: float
@@ -151,31 +171,46 @@ class LostResult:
     lost_after_s: float | None = None
     found_after_s: float | None = None
     right: bool = False
+    alike: int = 0
+    stated: Sequence[Sequence[tuple[float, bool]]] = ()
 
 
 def drive(case: Case) -> LostResult:
     """Make one run in its own simulation."""
     world = load_world(case.world)
-    positions = _positions(world)
-    pose = _drawn(positions, np.random.default_rng([case.seed, POSITIONS]))
-    with simulated_robot(world, case.scenario, case.seed, pose) as robot:
-        return _Run(robot, case, world, positions, pose).drive()
+    positions, rng = free_positions(world), np.random.default_rng([case.seed, POSITIONS])
+    pose, alike = _drawn(positions, rng), list[Floats]()
+    if case.kind in STARTS:
+        # What `nomad map check` says of this start; a wrong door needs another place that looks like it.
+        aliases = AliasFinder(world.walls, N150.radius_in, [(start.x_in, start.y_in) for start in world.starts])
+        alike = aliases.aliases(_pose(pose))
+        for _ in range(MAX_DRAWS if case.kind is Kind.WRONG_DOOR and not alike else 0):
+            pose = _drawn(positions, rng)
+            if alike := aliases.aliases(_pose(pose)):
+                break
+    with simulated_robot(case.world, case.scenario, case.seed, pose) as robot:
+        run = _Run(robot, case, world, positions, pose, alike)
+        result = run.drive()
+    return replace(result, alike=len(alike), stated=run.stated)
 
 
 class _Run:
     """A run in progress."""
 
-    def __init__(self, robot: Robot, case: Case, world: World, positions: Floats, pose: Pose) -> None:
+    def __init__(
+        self, robot: Robot, case: Case, world: World, positions: Floats, pose: Pose, alike: Sequence[Floats]
+    ) -> None:
         self._robot, self._case, self._positions = robot, case, positions
-        state = robot.configure_sonars(rate=DEFAULT_SONAR_RATE, order=DEFAULT_SONAR_ORDER)
+        schedule, state = restart_ring(robot, N150.ring)
         assert state.clock_s is not None
         # 1. Firing schedule: the clock of this reply is that of the first sonar.
         self._start_s = state.clock_s
-        schedule = FiringSchedule(state.clock_s)
         # 2. Initial estimate, drawn from START_STD; none for an unknown start.
         rng = np.random.default_rng([case.seed, START])
         initial = None
-        if case.kind is not Kind.UNKNOWN_START:
+        if case.kind is Kind.WRONG_DOOR:
+            initial = with_parameters(_covering(_pose(pose), alike), case.scenario.constants)
+        elif case.kind is not Kind.UNKNOWN_START:
             guess = _pose(pose) + np.array(START_STD) * rng.standard_normal(3)
             initial = with_parameters(independent(guess, START_STD), case.scenario.constants)
         # 3. Filter, outliers and controller, each with its own random stream of the seed.
@@ -183,7 +218,7 @@ class _Run:
         config = LocalizationConfig(
             world.walls, N150, case.scenario.odometry, case.scenario.sonar, clearance_in=clearance
         )
-        self._filter = finder(config, initial, case.scenario.constants)
+        self._filter = finder(config, initial, case.scenario.constants, cached_search(config))
         self._localizer = Localizer(config, self._filter.belief, schedule, self._filter)
         self._outliers = BadReadings(case.scenario.outlier_fraction, schedule, np.random.default_rng([case.seed, BAD]))
         speeds = Speeds(translation_in_s=case.scenario.speed_in_s)
@@ -193,6 +228,8 @@ class _Run:
         # 4. Counters of `_until`, and the last true pose and time.
         self._alarms = self._polls = self._degraded = 0
         self._squares: list[float] = []
+        self.stated: list[list[tuple[float, bool]]] = []
+        self._periods = 0
         self._truth = _pose(pose)
         self._now_s = 0.0
 
@@ -206,7 +243,7 @@ class _Run:
                 self._until(float(self._rng.uniform(*KIDNAPPED_S)))
                 self._kidnap()
                 return self._find(*self._until_lost())
-            case Kind.UNKNOWN_START:
+            case Kind.UNKNOWN_START | Kind.WRONG_DOOR:
                 return self._find(None, 0.0)
 
     def _until(self, end_s: float) -> None:
@@ -258,18 +295,27 @@ class _Run:
         """Drive until the robot is localized for CERTAIN_S or the time limit, and return the result."""
         # Start of the current time without LOST; None while lost.
         sure_s: float | None = None
-        while self._now_s < since_s + SEARCH_LIMIT_S:
+        limit_s = START_LIMIT_S + CERTAIN_S if self._case.kind in STARTS else SEARCH_LIMIT_S
+        while self._now_s < since_s + limit_s:
             estimate = self._period()
+            if self._case.kind in STARTS:
+                self._note(estimate)
             if estimate.health.status is HealthStatus.LOST:
                 sure_s = None
                 continue
             sure_s = self._now_s if sure_s is None else sure_s
             # Recovered: the time counts from the beginning of these CERTAIN_S.
             if self._now_s - sure_s >= CERTAIN_S:
-                off = difference(estimate.pose, self._truth)
-                right = hypot(off[0], off[1]) <= RIGHT_IN and bool(abs(off[HEADING]) <= RIGHT_RAD)
-                return self._outcome(lost_after_s, sure_s - since_s, right)
+                return self._outcome(lost_after_s, sure_s - since_s, _is_right(estimate.pose, self._truth))
         return self._outcome(lost_after_s)
+
+    def _note(self, estimate: Estimate) -> None:
+        """Record the probabilities that are stated, once a second."""
+        self._periods += 1
+        if self._periods % round(1.0 / PERIOD_S) == 0 and estimate.places:
+            self.stated.append([
+                (round(place.probability, 4), _is_right(place.belief.mean, self._truth)) for place in estimate.places
+            ])  # fmt: skip
 
     def _period(self) -> Estimate:
         """Run one period: state, estimate, command."""
@@ -298,13 +344,21 @@ class _Run:
         return LostResult(self._now_s, self._alarms, degraded, rmse, lost_after_s, found_after_s, right)
 
 
-def _positions(world: World) -> Floats:
-    """Return a grid of positions (n, 2) with enough space for the robot."""
+def free_positions(world: World) -> Floats:
+    """Return a grid of positions (n, 2) with enough space for the robot, connected to the starts."""
     low, high = world.walls.reshape(-1, 2).min(axis=0), world.walls.reshape(-1, 2).max(axis=0)
+    if np.prod(high - low) > LARGE_IN2:
+        origin, free = floor_grid(world.walls, N150.radius_in + MARGIN_IN, LARGE_STEP_IN)
+        starts = np.array([(start.y_in, start.x_in) for start in world.starts])
+        reached = connected(free, [(row, column) for row, column in np.rint((starts - origin[::-1]) / LARGE_STEP_IN)
+                                   .astype(int).tolist()])  # fmt: skip
+        rows, columns = np.nonzero(reached)
+        return np.asarray(origin + LARGE_STEP_IN * np.stack((columns, rows), axis=-1), dtype=np.float64)
     # Grid points 2 in apart, over the bounding box of all walls.
     x, y = np.meshgrid(np.arange(low[0], high[0], 2.0), np.arange(low[1], high[1], 2.0))
     points = np.stack((x.ravel(), y.ravel()), axis=-1)
-    return points[world.clearances(points) >= N150.radius_in + MARGIN_IN]
+    small: Floats = points[world.clearances(points) >= N150.radius_in + MARGIN_IN]
+    return small
 
 
 def _drawn(positions: Floats, rng: np.random.Generator) -> Pose:
@@ -312,6 +366,21 @@ def _drawn(positions: Floats, rng: np.random.Generator) -> Pose:
     # Turret and steering have the same direction.
     turn = float(rng.uniform(0.0, tau))
     return Pose(float(x), float(y), turn, turn)
+
+
+def _covering(pose: Floats, alike: Sequence[Floats]) -> Belief:
+    """Return a belief at the nearest of the poses that look like a pose, which covers both; at the pose without any."""
+    if not alike:
+        return independent(pose, (2.0 * FAR_IN, 2.0 * FAR_IN, FAR_RAD))
+    other = min(alike, key=lambda one: float(np.abs(difference(one, pose)[:POSE] / (1.0, 1.0, 0.01)).sum()))
+    dx, dy, turn = np.abs(difference(other, pose)).tolist()
+    std_in = max(dx, dy)
+    return independent(other, (std_in, std_in, max(turn, 0.1)))
+
+
+def _is_right(estimate: Floats, truth: Floats) -> bool:
+    off = difference(estimate[:POSE], truth)
+    return bool(hypot(off[0], off[1]) <= RIGHT_IN and abs(off[HEADING]) <= RIGHT_RAD)
 
 
 def _pose(pose: Pose) -> Floats:

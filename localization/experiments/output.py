@@ -15,9 +15,9 @@ import numpy as np
 from localization.experiments import execution
 from localization.experiments.execution import code_hash
 from localization.experiments.figure_trial import Figure, FigureSetup, Summary, Track, typical
-from localization.filters.belief import Floats, difference
+from localization.filters.belief import difference
 from localization.live import plot
-from nclient.common.arguments import add_value, whole_number
+from nclient.common.arguments import add_flag, add_value, whole_number
 from worlds.robots import N150
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def trajectory(figure: Figure, setup: FigureSetup, track: Track) -> Picture:
     plot.draw_body(axes, setup.start, N150, plot.FAINT)
     plot.draw_body(axes, track.truth[-1], N150, plot.TRUTH)
     # 2. True and estimated path; ellipses only without a filter, where they grow.
-    axes.plot(*_from(setup.start, track.truth).T, color=plot.TRUTH, linewidth=1.8, label="truth")
+    axes.plot(*np.vstack([setup.start[:2], track.truth[:, :2]]).T, color=plot.TRUTH, linewidth=1.8, label="truth")
     label = _estimate_name(figure)
     axes.plot(*track.mean[:, :2].T, color=plot.ESTIMATE, linewidth=1.4, linestyle=(0, (4, 2)), label=label)
     if not figure.filtered:
@@ -89,10 +89,6 @@ def errors(figure: Figure, tracks: Sequence[Track], drawn: Track) -> Picture:
     rows[0].set_title(f"Figure {number}: {figure.title}, errors of the {_estimate_name(figure)}")
     rows[-1].set_xlabel("step")
     return picture
-
-
-def _from(start: Floats, states: Floats) -> Floats:
-    return np.vstack([start[:2], states[:, :2]])
 
 
 def _estimate_name(figure: Figure) -> str:
@@ -169,7 +165,7 @@ def add_shared(parser: argparse.ArgumentParser, out: Path, unit: str) -> None:
 def add_output(parser: argparse.ArgumentParser, out: Path, unit: str) -> None:
     """Add --out and --json; `unit` names the subject of one JSON object."""
     add_value(parser, "--out", "DIR", Path, "write results to this folder", out)
-    parser.add_argument("--json", action="store_true", help=f"print only JSON on stdout, one object per {unit}")
+    add_flag(parser, "--json", f"print only JSON on stdout, one object per {unit}")
 
 
 def add_choice(parser: argparse.ArgumentParser, option: str, names: Iterable[str], default: object, what: str) -> None:

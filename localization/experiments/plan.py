@@ -28,6 +28,7 @@ from localization.missions.mission import Mission, run_mission
 from localization.missions.settings import Settings
 from localization.navigation.path import total_length_in, wall_distances
 from localization.navigation.roadmap import Roadmap
+from nclient.common.arguments import add_value
 from nclient.robot import Robot
 from nclient.state import Pose, Truth
 from worlds.geometry import inside, polygon_segments
@@ -170,7 +171,7 @@ def drive(pair: DrivePair) -> tuple[DrivePair, DriveResult]:
     heading = radians(ends.heading_deg)
     # The same mission code as `nomad go`, observed in every period.
     with (
-        simulated_robot(world, pair.errors, pair.number, Pose(*ends.start, heading, heading)) as robot,
+        simulated_robot(pair.world, pair.errors, pair.number, Pose(*ends.start, heading, heading)) as robot,
         _controller(robot, world, pair) as controller,
     ):
         recorder = TruthRecorder(robot, world)
@@ -295,14 +296,7 @@ def _parser() -> argparse.ArgumentParser:
         "are cached.",
         epilog="example: python -m localization.experiments plan --pairs 10 --worlds several_walls",
     )
-    parser.add_argument(
-        "--pairs",
-        "--seeds",
-        type=output.positive,
-        default=100,
-        metavar="N",
-        help="number of drives in each world (default: 100)",
-    )
+    add_value(parser, "--pairs --seeds", "N", output.positive, "number of drives in each world", 100)
     output.add_choice(parser, "--worlds", WORLDS, list(WORLDS), "worlds")
     output.add_choice(parser, "--scenario", SCENARIOS, "noisy", "error scenario, without its outliers")
     output.add_execution_options(parser)

@@ -14,7 +14,7 @@ import numpy as np
 
 from localization.filters.belief import HEADING, Floats
 from localization.filters.sonar_cone import ConeSonar
-from localization.filters.sonar_ray import SonarRing
+from localization.filters.sonar_ray import RingBody
 
 MAX_RESIDUAL_IN: Final = 4.0
 """An echo farther from a wall than this is not of it: doors stand back by up to three and a half inches."""
@@ -68,27 +68,32 @@ class ResidualStatistics(NamedTuple):
         return self.explained / self.echoes if self.echoes else 0.0
 
 
-def residual_statistics(echoes: Echoes, walls: Floats, ring: SonarRing) -> ResidualStatistics:
+def residual_statistics(echoes: Echoes, walls: Floats, ring: RingBody) -> ResidualStatistics:
     """Return the statistics of the echoes of a run at walls (m, 4), rows x1 y1 x2 y2 in inches."""
-    # 1. Faces and axes of the sonars, and for each wall the foot of the perpendicular.
+    explained, found = np.zeros(len(echoes.sonars), dtype=bool), []
+    for wall in walls:
+        of_wall, residuals = residuals_at(echoes, wall, ring)
+        explained |= of_wall
+        found.append(_statistics(residuals))
+    return ResidualStatistics(tuple(found), len(explained), int(explained.sum()))
+
+
+def residuals_at(echoes: Echoes, wall: Floats, ring: RingBody) -> tuple[Any, Floats]:
+    """Return True for the echoes that a wall (4,) explains (k,), and their residuals in inches."""
+    # 1. Faces and axes of the sonars, and the foot of the perpendicular from each.
     axes = echoes.poses[:, HEADING] + np.array(ring.sonar_angles_rad)[echoes.sonars]
     faces = echoes.poses[:, :2] + ring.sonar_ring_radius_in * np.column_stack((np.cos(axes), np.sin(axes)))
-    explained, found = np.zeros(len(axes), dtype=bool), []
-    for x1, y1, x2, y2 in walls.tolist():
-        length = float(np.hypot(x2 - x1, y2 - y1))
-        along = np.array([x2 - x1, y2 - y1]) / length
-        from_end = faces - (x1, y1)
-        foot = from_end @ along
-        to_wall = foot[:, None] * along - from_end
-        distance = np.hypot(to_wall[:, 0], to_wall[:, 1])
-        # 2. The echoes that it explains.
-        off_axis = np.arctan2(to_wall[:, 1], to_wall[:, 0]) - axes
-        in_cone = np.abs(np.arctan2(np.sin(off_axis), np.cos(off_axis))) <= HALF_CONE_RAD
-        residuals = echoes.ranges_in - distance
-        of_wall = in_cone & (foot >= 0.0) & (foot <= length) & (np.abs(residuals) <= MAX_RESIDUAL_IN)
-        explained |= of_wall
-        found.append(_statistics(residuals[of_wall]))
-    return ResidualStatistics(tuple(found), len(axes), int(explained.sum()))
+    first, span = wall[:2], wall[2:] - wall[:2]
+    length = float(np.hypot(*span))
+    from_end = faces - first
+    foot = from_end @ (span / length)
+    to_wall = foot[:, None] * (span / length) - from_end
+    # 2. On the wall, in the cone, near enough.
+    off_axis = np.arctan2(to_wall[:, 1], to_wall[:, 0]) - axes
+    in_cone = np.abs(np.arctan2(np.sin(off_axis), np.cos(off_axis))) <= HALF_CONE_RAD
+    residuals = echoes.ranges_in - np.hypot(to_wall[:, 0], to_wall[:, 1])
+    of_wall = in_cone & (foot >= 0.0) & (foot <= length) & (np.abs(residuals) <= MAX_RESIDUAL_IN)
+    return of_wall, residuals[of_wall]
 
 
 def _statistics(residuals: Floats) -> WallStatistics:
@@ -100,7 +105,7 @@ def _statistics(residuals: Floats) -> WallStatistics:
     return WallStatistics(len(residuals), float(residuals.mean()), variance**0.5, correlation)
 
 
-def fit_walls(echoes: Echoes, sonars: Sequence[int], ring: SonarRing, max_range_in: float) -> Floats:
+def fit_walls(echoes: Echoes, sonars: Sequence[int], ring: RingBody, max_range_in: float) -> Floats:
     """Return a straight wall (k, 4) for each of these sonars, fitted to where its echoes lie on its axis.
 
     Least squares with Huber's weights, across the direction of the drive; echoes beyond `max_range_in` are left out.

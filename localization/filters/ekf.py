@@ -10,13 +10,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from math import copysign, cos, sqrt
 
 import numpy as np
 
 from localization.filters import compiled
 from localization.filters.base import EncoderRow, NewEcho, process_each
-from localization.filters.belief import HEADING, Belief, Floats, marginal, pack, unpack, with_constants, wrap_angle
-from localization.filters.health import BUILDING, FilterHealth, IntegrityMonitor
+from localization.filters.belief import (
+    HEADING,
+    Belief,
+    Floats,
+    add_outer,
+    marginal,
+    pack,
+    unit_vector,
+    unpack,
+    with_constants,
+    wrap_angle,
+)
+from localization.filters.health import BUILDING, FilterHealth, HealthLimits, IntegrityMonitor
 from localization.filters.odometry import (
     NO_LAG,
     Lag,
@@ -47,6 +59,9 @@ from localization.filters.update import (
     move_on,
     record_used,
 )
+
+SLIP_IN, SIDE_SLIP_IN, SLIP_RAD = 2.0, 0.5, 0.03
+"""Standard deviations that are added when the wheels may have slipped: along the heading, across it, and of it."""
 
 Prediction = Callable[[State, Covariance, float, float, OdometryNoise, int], None]
 """Predicts x and P after a step (distance, turn), in place; the last argument is the number of constants."""
@@ -110,6 +125,10 @@ class KalmanFilter:
         The prediction step: extended by default.
     range_stds
         Prior standard deviations of the range parameters, for a model that has them (`LocalizationConfig`).
+    middle_in
+        Middle of the map, about which its scale may be wrong.
+    limits
+        Limits of the monitor.
     """
 
     def __init__(
@@ -119,14 +138,17 @@ class KalmanFilter:
         odometry: OdometryNoise,
         prediction: Prediction = predict_state,
         range_stds: Sequence[float] = (),
+        middle_in: tuple[float, float] = (0.0, 0.0),
+        limits: HealthLimits | None = None,
     ) -> None:
         self._x, self._P = unpack(with_constants(belief, range_stds))
-        self._size, self._constants = len(belief.mean), len(range_stds)
+        self._size, self._constants, self._middle_in = len(belief.mean), len(range_stds), middle_in
         self._measurement = measurement
         self._odometry = odometry
         self._predict = prediction
-        self._monitor = IntegrityMonitor()
+        self._monitor = IntegrityMonitor(limits)
         self._correlated = CorrelatedReadings()
+        self._angles_rad = measurement.angles_rad
         self._direct = measurement.direct if prediction is predict_state else None
         self._odometric = measurement.odometric
         self._informative: Sequence[int] = INFORMATIVE
@@ -159,11 +181,21 @@ class KalmanFilter:
         self._correlated.move(distance_in, turn_rad)
 
     def predicted(self, distance_in: float, turn_rad: float, lag: Lag = NO_LAG) -> Belief:
-        """Return the belief after such a step, without taking it, widened by a lag."""
+        """Return the belief after such a step, without taking it, widened by what the model leaves out.
+
+        That is a lag, innovations that are larger than they should be, and the scale of the map.
+
+        Readings that are all too long by a fraction s are of colder air, or of a map that is too small by s: then the
+        robot is s times its distance from the middle off. No reading tells one from the other.
+        """
         # The pose does not depend on the range parameters.
-        x, P = self._x[: self._size], [row[: self._size] for row in self._P[: self._size]]
+        x, ratio = self._x[: self._size], self._monitor.nis_ratio
+        P = [[ratio * cov for cov in row[: self._size]] for row in self._P[: self._size]]
         self._predict(x, P, distance_in, turn_rad, self._odometry, 0)
         widen(x, P, lag)
+        if self._constants:
+            scale, (middle_x, middle_y) = self._x[-1], self._middle_in
+            add_outer(P, 1.0, (scale * (x[0] - middle_x), scale * (x[1] - middle_y), 0.0))
         return Belief(np.array(x), np.array(P))
 
     def update(self, sonar: int, turret_offset_rad: float, reading_in: float) -> UpdateResult:
@@ -174,7 +206,24 @@ class KalmanFilter:
             self._correlated.record(sonar, turret_offset_rad)
         if result.refusal in self._informative:
             self._monitor.add(result)
+            self._add_drift(result, sonar, turret_offset_rad)
+            self._check_slip()
         return result
+
+    def _add_drift(self, outcome: Outcome, sonar: int, turret_offset_rad: float) -> None:
+        """Let the monitor know in which direction a reading displaces the robot, along its heading."""
+        if self._angles_rad:
+            innovation, nis = outcome[1:3]
+            cosine = cos(turret_offset_rad + self._angles_rad[sonar])
+            self._monitor.add_drift(copysign(sqrt(nis), innovation), cosine)
+
+    def _check_slip(self) -> None:
+        """Widen the covariance by a slip of the wheels, along the heading above all, if the last readings look so."""
+        if self._monitor.take_slip():
+            c, s = unit_vector(self._x[HEADING])
+            add_outer(self._P, 1.0, (SLIP_IN * c, SLIP_IN * s, 0.0))
+            add_outer(self._P, 1.0, (-SIDE_SLIP_IN * s, SIDE_SLIP_IN * c, 0.0))
+            add_outer(self._P, 1.0, (0.0, 0.0, SLIP_RAD))
 
     def process(
         self, encoders: EncoderRow, poses: Sequence[EncoderRow], echoes: Sequence[NewEcho]
@@ -187,9 +236,12 @@ class KalmanFilter:
             outcomes = self._compiled.filter(x, P, used, encoders, poses, echoes)
         else:
             outcomes = filter_ring(x, P, used, encoders, poses, echoes, noise, model, model.update)
-        for outcome in outcomes:
+        turret_offset_rad = poses[-1][4] - poses[-1][3]
+        for outcome, (_, sonar, _) in zip(outcomes, echoes, strict=True):
             if outcome[0] in INFORMATIVE:
                 self._monitor.add(outcome)
+                self._add_drift(outcome, sonar, turret_offset_rad)
+        self._check_slip()
         return outcomes
 
 

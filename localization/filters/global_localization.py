@@ -28,8 +28,10 @@ from localization.filters.belief import POSE, Belief, Floats, wrap_angle
 from localization.filters.health import FilterHealth, HealthStatus, IntegrityMonitor
 from localization.filters.odometry import NO_LAG, Lag, OdometryNoise, add_lag, move, predict, with_parameters, with_pose
 from localization.filters.pose_search import (
+    EVIDENCE_SHARE,
     LAST_RECORDS,
     LOWEST_IN,
+    MIN_WEIGHT,
     NOTHING_IN,
     RANGE_SPAN_IN,
     EchoRecord,
@@ -153,6 +155,8 @@ MIN_CERTAINTY: Final = 0.995
 """Probability from which one hypothesis is the estimate."""
 MAX_PLACES: Final = 10
 """Hypotheses that are reported."""
+ALIKE_WEIGHT: Final = 0.01
+"""Of a pose that looks like a given start, against the start: that who gave it took the wrong door."""
 MIN_LEAD_NATS: Final = 12.0
 """By so much another pose must explain the last echoes better to be tested against the estimate."""
 FOUND_STD: Final = (0.5, 0.5, 0.03)
@@ -161,6 +165,11 @@ UNKNOWN_STD: Final = (1000.0, 1000.0, 3.0)
 """Standard deviations of a belief that knows nothing: inches and radians."""
 WIDE_IN, WIDE_RAD = 12.0, 0.5
 """Standard deviations of a belief that may cover several poses: more than a filter of one hypothesis converges from."""
+
+
+def is_wide(belief: Belief) -> bool:
+    """Return True if a belief may cover several poses."""
+    return bool((belief.std[:POSE] > (WIDE_IN, WIDE_IN, WIDE_RAD)).any())
 
 
 class GlobalLocalizer:
@@ -176,6 +185,8 @@ class GlobalLocalizer:
         Direction of each sonar on the turret.
     parameter_stds
         Standard deviations of the odometry parameters of a pose that was found.
+    alike
+        Poses (3,) that look like that of the belief; they stay beside the estimate until readings exclude them.
     """
 
     def __init__(
@@ -187,6 +198,7 @@ class GlobalLocalizer:
         sonar_angles_rad: Sequence[float],
         parameter_stds: tuple[float, ...] = (),
         monitor: IntegrityMonitor | None = None,
+        alike: Sequence[Floats] = (),
     ) -> None:
         self._measurement, self._odometry = measurement, odometry
         self._replay = EchoReplay(measurement, odometry)
@@ -209,17 +221,26 @@ class GlobalLocalizer:
         self._is_search, self._is_confirmed = True, False
         self._until_search = 0
         # 3. The estimate, None while lost; a wide one is where the search begins.
-        wide = belief is not None and bool((belief.std[:POSE] > (WIDE_IN, WIDE_IN, WIDE_RAD)).any())
+        wide = belief is not None and is_wide(belief)
         self._estimate = None if wide else belief
         self._prior = Prior(belief.pose, self._encoders) if wide and belief is not None else None
         if wide:
             self._reason = "the start is too uncertain"
+        self._alike: list[Hypothesis] = []
+        if self._estimate is not None:
+            cov = self._estimate.cov[:POSE, :POSE]
+            self._alike = [
+                Hypothesis(with_pose(Belief(np.array(pose), cov), self._estimate), ALIKE_WEIGHT)
+                for pose in alike[:MAX_PLACES]
+            ]
 
     @property
     def hypotheses(self) -> list[Hypothesis]:
-        """Where the robot may be, the most probable first; none while searching."""
+        """Where the robot may be, the most probable first, or the estimate; none while searching."""
         if self._estimate is not None:
-            return [Hypothesis(self._estimate, 1.0)]
+            total = 1.0 + sum(each.probability for each in self._alike)
+            beside = [Hypothesis(each.belief, each.probability / total) for each in self._alike]
+            return [Hypothesis(self._estimate, 1.0 / total), *beside]
         # Moved on by the encoders: filtered along the echoes since they are a little later.
         return [
             Hypothesis(moved(each.belief, self._requested, self._encoders), each.probability)
@@ -271,6 +292,9 @@ class GlobalLocalizer:
         self._correlated.move(distance_in, turn_rad)
         if self._estimate is not None:
             self._estimate = predict(self._estimate, step, self._odometry)
+            self._alike = [
+                Hypothesis(predict(each.belief, step, self._odometry), each.probability) for each in self._alike
+            ]
         if self._test:
             self._test.predict(distance_in, turn_rad)
 
@@ -297,10 +321,26 @@ class GlobalLocalizer:
         )
         if result.refusal is Refusal.NONE:
             self._correlated.record(sonar, turret_offset_rad)
-        self._watch(record, result)
+        self._compare(record, count, result.likelihood)
+        if self._estimate is not None:
+            self._watch(record, result)
         return result
 
     # tracking
+
+    def _compare(self, record: EchoRecord, count: int, likelihood: float) -> None:
+        """Weigh the poses that look like the estimate by an echo, against the estimate."""
+        beside = []
+        for each in self._alike:
+            belief, result = self._measurement.updated(
+                each.belief, record.sonar, record.turret_offset_rad, record.reading_in, count
+            )
+            weight = each.probability * (result.likelihood / likelihood) ** EVIDENCE_SHARE
+            if weight >= ALIKE_WEIGHT * MIN_WEIGHT:
+                beside.append(Hypothesis(belief, weight))
+        self._alike = sorted(beside, key=lambda each: -each.probability)
+        if self._alike and self._alike[0].probability > 1.0:
+            self._give_up("a place that looks like the start explains the readings better")
 
     def _watch(self, record: EchoRecord, result: UpdateResult) -> None:
         """Monitor the estimate; give it up once it is lost."""
@@ -341,7 +381,7 @@ class GlobalLocalizer:
         if winner is Side.ELSEWHERE:
             self._give_up(f"another place explains the readings better, by e^{test.lead_nats:.0f}")
         elif winner is Side.NEAR:
-            self._estimate = test.belief(Side.NEAR)
+            self._estimate, self._alike = test.belief(Side.NEAR), []
             self._monitor.reset()
         if winner is not None or test.echoes >= LAST_RECORDS // 2:
             self._test = None
@@ -351,7 +391,7 @@ class GlobalLocalizer:
         self._reason = reason
         self._monitor.reset()
         self._test = self._pending = self._estimate = self._prior = self._turn = None
-        self._hypotheses = []
+        self._hypotheses, self._alike = [], []
         self._history.clear()
         self._since = []
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from types import MappingProxyType
 from typing import Final, NamedTuple
@@ -12,10 +12,11 @@ import numpy.typing as npt
 
 from localization.filters import ukf
 from localization.filters.base import Filter, LocalizationConfig, measurement_model
-from localization.filters.belief import POSE, Belief
+from localization.filters.belief import POSE, Belief, Floats
 from localization.filters.calibration import CalibratingFilter
 from localization.filters.ekf import KalmanFilter, Prediction
 from localization.filters.global_localization import GlobalLocalizer
+from localization.filters.health import HealthLimits
 from localization.filters.odometry import MAX_STATE, predict_state, with_parameters
 from localization.filters.particles import (
     ConeLikelihood,
@@ -29,7 +30,7 @@ from localization.filters.pose_search import PoseSearch, TableSearch
 from localization.filters.range_table import RangeTable, build_range_table
 from localization.filters.smoother import FixedLagSmoother
 from localization.filters.sonar_cone import ConeModel, ConeSonar
-from localization.filters.sonar_ray import STRICT, Gate, RaySonar, RingBody
+from localization.filters.sonar_ray import STRICT, Gate, RaySonar, RingBody, wall_map
 from localization.filters.surface import SurfaceModel
 from localization.filters.update import MeasurementUpdate, Rule, iterated, linear
 
@@ -52,7 +53,10 @@ def _unscented(config: LocalizationConfig, belief: Belief, _seed: int) -> Filter
 
 def _smoother(config: LocalizationConfig, belief: Belief, _seed: int) -> Filter:
     stds = config.range_stds or ()
-    return FixedLagSmoother(belief, _measurement(config, linear, len(stds)), config.odometry, range_stds=stds)
+    measurement = _measurement(config, linear, len(stds))
+    return FixedLagSmoother(
+        belief, measurement, config.odometry, range_stds=stds, middle_in=_middle(config), limits=_limits(config)
+    )
 
 
 def _particles(config: LocalizationConfig, belief: Belief, seed: int) -> Filter:
@@ -86,6 +90,12 @@ METHODS: Final[Mapping[str, Factory]] = MappingProxyType(
 )
 """Every method by its name."""
 DEFAULT_METHOD: Final = "ekf"
+MAX_UNEXPLAINED: Final = 0.3
+"""Fraction of the very last readings, besides 2.5 times the outliers of the model, that means a slip."""
+MAX_DRIFT: Final = 5.0
+"""Sum of signed innovations that means a slip: of a consistent filter once in some 3000 readings."""
+MAX_NIS_RATIO: Final = 2.5
+"""The covariance is widened for a mean NIS up to this."""
 
 
 def make(method: str, config: LocalizationConfig, belief: Belief, seed: int = 0) -> Filter:
@@ -106,17 +116,18 @@ def finder(
     belief: Belief | None,
     parameter_stds: tuple[float, ...] = (),
     poses: PoseSearch | None = None,
+    alike: Sequence[Floats] = (),
 ) -> GlobalLocalizer:
     """Return the filter that localizes globally; without a belief it begins with a search.
 
     `parameter_stds` are of the odometry parameters, where there is no belief that has them. `poses` searches the map.
-    Default: in this process, which may take seconds on a large map.
+    Default: in this process, which may take seconds on a large map. `alike` are poses that look like the belief's.
     """
     # With a belief the parameters' uncertainty is in it.
     stds = parameter_stds if belief is None else tuple(belief.std[POSE:].tolist())
     measurement = _measurement(config)
     poses = poses or table_search(config)
-    return GlobalLocalizer(belief, measurement, config.odometry, poses, config.body.sonar_angles_rad, stds)
+    return GlobalLocalizer(belief, measurement, config.odometry, poses, config.body.sonar_angles_rad, stds, alike=alike)
 
 
 def table_search(config: LocalizationConfig) -> TableSearch:
@@ -153,7 +164,22 @@ def _kalman(
         # It stores echoes: one for each filter.
         cone = ConeModel(config.walls, config.body, config.sonar, len(stds))
         measurement = MeasurementUpdate(SurfaceModel(cone))
-    return KalmanFilter(belief, measurement, config.odometry, prediction, stds)
+    return KalmanFilter(belief, measurement, config.odometry, prediction, stds, _middle(config), _limits(config))
+
+
+def _limits(config: LocalizationConfig) -> HealthLimits:
+    """Return the limits of the monitor: readings of cones are outliers more often than of rays."""
+    outliers = config.sonar.outlier_probability if isinstance(config.sonar, ConeSonar) else 0.0
+    recent = HealthLimits().recent
+    return HealthLimits(
+        max_nis_ratio=MAX_NIS_RATIO, max_unexplained=recent * (MAX_UNEXPLAINED + 2.5 * outliers), max_drift=MAX_DRIFT
+    )
+
+
+def _middle(config: LocalizationConfig) -> tuple[float, float]:
+    """Return the middle of the map's bounding box."""
+    x_in, y_in, _ = wall_map(config.walls).middle
+    return x_in, y_in
 
 
 def _measurement(config: LocalizationConfig, rule: Rule = linear, range_parameters: int = 0) -> MeasurementUpdate:

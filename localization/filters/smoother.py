@@ -13,6 +13,7 @@ import numpy as np
 
 from localization.filters.belief import Belief, Floats, add, difference, marginal
 from localization.filters.ekf import KalmanFilter
+from localization.filters.health import HealthLimits
 from localization.filters.odometry import OdometryNoise, step_jacobians
 from localization.filters.update import MeasurementUpdate
 
@@ -49,8 +50,10 @@ class FixedLagSmoother(KalmanFilter):
         odometry: OdometryNoise,
         lag: int = LAG,
         range_stds: Sequence[float] = (),
+        middle_in: tuple[float, float] = (0.0, 0.0),
+        limits: HealthLimits | None = None,
     ) -> None:
-        super().__init__(belief, measurement, odometry, range_stds=range_stds)
+        super().__init__(belief, measurement, odometry, range_stds=range_stds, middle_in=middle_in, limits=limits)
         self._direct = None  # one prediction at a time, to record it
         if lag < 1:
             raise ValueError(f"the lag of a smoother must be at least 1 step, not {lag}")

@@ -104,6 +104,7 @@ class ConeSonar(RangeNoise):
     """
 
     rounding_var_in2: float = WIRE_SONAR.rounding_var_in2
+    place_var_in2: float = 0.04
     lowest_in: float = NOMAD.min_range_in
     highest_in: float = NOMAD.max_range_in
     cone_rad: float = CONE_RAD
@@ -128,6 +129,7 @@ BUILDING_SONAR: Final = ConeSonar(
     cone_rad=radians(50.0),
     cone_loss_db=24.0,
     outlier_probability=0.67,
+    place_var_in2=0.0,  # the surface stands for it
     surface_std_in=1.75,
     surface_length_in=24.0,
 )

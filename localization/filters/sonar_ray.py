@@ -78,7 +78,8 @@ _MIN_VARIANCE_IN2: Final = 1e-200
 class RangeNoise:
     """Noise of a sonar's ranges, and its limits.
 
-        std = max(range_std_relative * range, range_std_floor_in)        variance = std^2 + rounding_var_in2
+        std = max(range_std_relative * range, range_std_floor_in)
+        variance = std^2 + rounding_var_in2 + place_var_in2
 
     Attributes
     ----------
@@ -86,6 +87,8 @@ class RangeNoise:
         Standard deviation as a fraction of the range, and at least.
     rounding_var_in2
         Variance of rounding to the step of the readings.
+    place_var_in2
+        Variance of what is the same for all readings from one pose: errors of the map, and of the shape of an echo.
     lowest_in, highest_in
         Readings at or beyond these mean "no nearer" and "nothing".
     """
@@ -93,6 +96,7 @@ class RangeNoise:
     range_std_relative: float = 0.01
     range_std_floor_in: float = 0.05
     rounding_var_in2: float = 0.0
+    place_var_in2: float = 0.0
     lowest_in: float = -np.inf
     highest_in: float = np.inf
 
@@ -105,20 +109,21 @@ class RangeNoise:
     def variance(self, ranges_in: Floats) -> Floats:
         """Return the variance R in in^2 of readings of `ranges_in`, any shape."""
         std = np.maximum(self.range_std_relative * ranges_in, self.range_std_floor_in)
-        variance: Floats = std * std + self.rounding_var_in2
+        variance: Floats = std * std + (self.rounding_var_in2 + self.place_var_in2)
         return variance
 
 
 def range_variance(noise: RangeNoise, range_in: float) -> float:
     """Return `RangeNoise.variance` of a single range."""
     std = max(noise.range_std_relative * range_in, noise.range_std_floor_in)
-    return std * std + noise.rounding_var_in2
+    return std * std + (noise.rounding_var_in2 + noise.place_var_in2)
 
 
 def constant_variance(noise: RangeNoise, range_in: float) -> float:
     """Return the part of the variance that is one error for all readings of a range that stays the same.
 
-    Rounding repeats its error unless noise moves the reading from one step to the next. The errors of two readings
+    That is `place_var_in2`, and a part of the rounding, which repeats its error unless noise moves the reading from one
+    step to the next. The errors of two readings
     of one range, with noise of `std` each, in steps of q, have the covariance
     q^2 sum_k exp(-4 pi^2 k^2 std^2 / q^2) / (2 pi^2 k^2) <= q^2 / 12 exp(-4 pi^2 std^2 / q^2).
 
@@ -127,9 +132,9 @@ def constant_variance(noise: RangeNoise, range_in: float) -> float:
     Widrow, Kollar, Quantization Noise (2008), appendix on dither; the bound is met without noise.
     """
     if not noise.rounding_var_in2:
-        return 0.0
+        return noise.place_var_in2
     std = max(noise.range_std_relative * range_in, noise.range_std_floor_in)
-    return noise.rounding_var_in2 * exp(-((pi * std) ** 2) / (3.0 * noise.rounding_var_in2))
+    return noise.place_var_in2 + noise.rounding_var_in2 * exp(-((pi * std) ** 2) / (3.0 * noise.rounding_var_in2))
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,12 +146,17 @@ IDEAL_SONAR = RaySonar()
 """The thesis' sonars: exact but for Gaussian noise, real-valued, without limits."""
 
 NOMAD: Final = N150.ring
+PLACE_VAR_IN2: Final = 0.02
+"""Variance of the errors that all rays from one pose repeat (`RangeNoise`)."""
 
 
 def ray_sonar(ring: Ring) -> RaySonar:
     """Return exact rays of a ring: a uniform error of its resolution q, variance q^2/12, and its limits."""
     return RaySonar(
-        rounding_var_in2=ring.resolution_in**2 / 12.0, lowest_in=ring.min_range_in, highest_in=ring.max_range_in
+        rounding_var_in2=ring.resolution_in**2 / 12.0,
+        place_var_in2=PLACE_VAR_IN2,
+        lowest_in=ring.min_range_in,
+        highest_in=ring.max_range_in,
     )
 
 
@@ -464,7 +474,7 @@ def update_by_ray(
     K, S = kalman_gain(P, H, R)
     nis = innovation * innovation / S
     if not nis <= model.threshold:
-        return GATE, 0.0, 0.0, 1.0, RAY_OUTLIERS / noise.range_span_in
+        return GATE, innovation, nis, 1.0, RAY_OUTLIERS / noise.range_span_in
     density = exp(-0.5 * nis) / sqrt(2.0 * pi * S)
     # 4. x+ = x + K innovation, P+ = P - K S K^T; of a repeated reading with the R that leaves its new information.
     if count > 1:

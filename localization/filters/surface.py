@@ -65,7 +65,7 @@ class SurfaceModel:
     """
 
     def __init__(self, cone: ConeModel) -> None:
-        self._cone = cone
+        self._cone, self._walls = cone, len(cone.faces)
         self._last: dict[int, LastEcho] = {}
         self._x = self._y = self._heading = 0.0
         """Pose by odometry, from where the filter began."""
@@ -86,8 +86,9 @@ class SurfaceModel:
     ) -> Association:
         """Return two hypotheses for each reflector that may return the first echo: on the same level, on a new one.
 
-        A reading that fits no reflector is refused with NO_WALL where the map has probably nothing to detect: real
-        buildings are full of small things, and echoes of them say nothing of the pose.
+        A reading that fits no reflector is refused with NO_WALL where probably no wall is detected: real buildings are
+        full of small things, and echoes of them say nothing of the pose. Nor does a missing edge: the end of a wall on
+        the map is often only the end of what was mapped.
         """
         noise, mount = self.noise, mount_at(self._cone.mounts, sonar, turret_offset_rad)
         refusal, likelihood, candidates = detectable(x, P, mount, reading_in, self._cone)
@@ -120,7 +121,7 @@ class SurfaceModel:
         # 3. The reflector of this echo, if any.
         if nearest >= 0:
             self._last[nearest] = LastEcho(self._x, self._y, self._heading, mount, reading_in)
-        elif sum(candidate.probability for candidate in candidates) < OUTLIER_THRESHOLD:
+        elif sum(one.probability for one in candidates if one.reflector < self._walls) < OUTLIER_THRESHOLD:
             return Association(Refusal.NO_WALL, noise.outlier_density)
         return Association(
             Refusal.NONE, 1.0, expected, derivatives, variances, [0.0] * len(expected), probabilities, None,

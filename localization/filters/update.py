@@ -529,6 +529,8 @@ class MeasurementUpdate:
         self._model, self._rule = model, rule
         self.direct = model if isinstance(model, DirectModel) and rule is linear else None
         """The model, where it updates by the linear rule itself: in one function, which can be compiled."""
+        self.angles_rad = tuple(mount.direction_rad for mount in model.mounts) if isinstance(model, DirectModel) else ()
+        """Direction of each sonar from that of the turret, if the model has sonars."""
         self.odometric = model if isinstance(model, OdometricModel) else None
 
     def apply(

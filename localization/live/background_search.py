@@ -13,7 +13,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -28,7 +28,8 @@ import numpy as np
 
 from localization.filters import compiled
 from localization.filters.base import Filter, LocalizationConfig
-from localization.filters.belief import Belief
+from localization.filters.belief import Belief, Floats
+from localization.filters.global_localization import is_wide
 from localization.filters.pose_search import PendingSearch, SearchRequest, SearchResult, TableSearch
 from localization.filters.range_table import RangeTable, build_range_table, reading_densities, sampled_echoes
 from localization.filters.registry import FINDER, finder, update_for
@@ -153,6 +154,16 @@ def load_or_build(config: LocalizationConfig, folder: Path, progress: Callable[[
     return table
 
 
+def cached_search(config: LocalizationConfig, folder: Path | None = None) -> TableSearch:
+    """Return a search in this process whose table comes from the cache on disk."""
+
+    def table() -> RangeTable:
+        return load_or_build(config, folder or cache_folder(), lambda _: None)
+
+    measurement = update_for(config.walls, config.body, config.sonar, config.gate)
+    return TableSearch(table, measurement, config.odometry)
+
+
 _STORED: Final = ("origin_in", "number", "ranges_in", "probabilities")
 """Arrays of a table."""
 
@@ -166,22 +177,24 @@ def filter_on_robot(
     *,
     waits: bool,
     report: Callable[[str], None] = lambda _: None,
+    alike: Sequence[Floats] = (),
 ) -> Iterator[str | Filter]:
     """Provide a method for a Localizer: of `finder` the filter with a background search, of others the name.
 
-    Without a belief the search begins at once. See BackgroundSearch for `waits` and `report`.
+    Without a belief the search begins at once. See BackgroundSearch for `waits` and `report`,
+    and GlobalLocalizer for `alike`.
     """
     if method != FINDER:
         yield method
         return
     # A daemonic process of multiprocessing may have no children: it searches by itself.
     if multiprocessing.current_process().daemon:
-        yield finder(config, belief, parameter_stds)
+        yield finder(config, belief, parameter_stds, alike=alike)
         return
     with BackgroundSearch(config, waits=waits, report=report) as poses:
-        if belief is None:
+        if belief is None or is_wide(belief):
             poses.prepare()
-        yield finder(config, belief, parameter_stds, poses)
+        yield finder(config, belief, parameter_stds, poses, alike)
 
 
 @dataclass

@@ -4,7 +4,7 @@
     state --> new echoes ----+--> for each echo, at the pose of its instant: predict, update --> Estimate
 
 It uses what the robot's interface reports and nothing else: odometry from the encoders, readings from State's sonars,
-time from the robot's clock. Each echo counts once; limits (6, 255) are never ranges.
+time from the robot's clock. Each echo counts once; limits are never ranges.
 """
 
 from __future__ import annotations
@@ -32,9 +32,11 @@ from localization.live.sensor_input import (
     FiringTime,
     PoseHistory,
     SensorInput,
+    SlipCorrection,
     corrected,
 )
 from worlds.raycast import is_compiled_for
+from worlds.rings import Ring
 
 
 class Echo(NamedTuple):
@@ -115,8 +117,8 @@ class Localizer:
         if is_compiled_for(1):
             compiled.load()
         self._filter = make(method, config, belief, seed) if isinstance(method, str) else method
-        self._schedule, self._calibration = schedule, config.calibration
-        self._history = PoseHistory()
+        self._schedule, self._calibration, self._ring = schedule, config.calibration, config.body.ring
+        self._history, self._slip = PoseHistory(), SlipCorrection()
         self._encoders: EncoderPose | None = None
         """Encoders at the instant to which the filter has predicted."""
         self._last_echo_s = -np.inf
@@ -127,6 +129,11 @@ class Localizer:
         self._smoothing = self._filter if isinstance(self._filter, Smoothing) else None
         self._instants: deque[float] = deque(maxlen=1 + (self._smoothing.lag if self._smoothing else 0))
 
+    @property
+    def ring(self) -> Ring:
+        """The sonars of the robot."""
+        return self._ring
+
     def update(self, state: SensorInput) -> Estimate:
         """Take one state into account and return the estimate. A state no later than the one before changes nothing.
 
@@ -136,12 +143,11 @@ class Localizer:
             A state without a clock: nothing was received yet.
         """
         # 1. The state without the systematic errors of the sonars, into the history.
-        state = corrected(state, self._calibration)
+        state = corrected(state, self._calibration, self._ring)
         if state.clock_s is None:
             raise ValueError("a state without a clock: poll the robot once (refresh) before localizing")
-        now = EncoderPose(
-            state.clock_s, float(state.x_in), float(state.y_in), float(state.steering_rad), float(state.turret_rad)
-        )
+        x_in, y_in = self._slip.position_of(state)
+        now = EncoderPose(state.clock_s, x_in, y_in, float(state.steering_rad), float(state.turret_rad))
         if self._encoders is None:
             self._encoders = now
             self._last_echo_s = now.clock_s

@@ -106,9 +106,9 @@ def _columns(names: Sequence[str], file: Path) -> dict[str, _Column]:
         is_sonar = quantity.removeprefix(SONAR).isdecimal() and quantity.startswith(SONAR)
         units = _IN_PER if is_sonar else _UNITS.get(quantity)
         if units is None:
-            known = [f"{one}_{next(iter(factors))}" for one, factors in _UNITS.items()]
-            raise LogFileError(f"{file}: unknown column {name!r}; expected {', '.join(known)}, "
-                               f"{SONAR}0_in ...{suggest(name, known)}")  # fmt: skip
+            choices = [f"{one}_{next(iter(factors))}" for one, factors in _UNITS.items()]
+            raise LogFileError(f"{file}: unknown column {name!r}; expected {', '.join(choices)}, "
+                               f"{SONAR}0_in ...{suggest(name, choices)}")  # fmt: skip
         if unit not in units:
             raise LogFileError(f"{file}: column {name!r} has no unit; expected {quantity}_{' or _'.join(units)}")
         if quantity in columns:
@@ -207,8 +207,9 @@ def without_echo(rows: Sequence[LogRow], ring: Ring) -> list[LogRow]:
     if count != ring.count:
         raise LogFileError(f"the log has {count} sonars, the ring {ring.count}: name the columns {SONAR}0 to "
                            f"{SONAR}{ring.count - 1}, or give the model of this robot")  # fmt: skip
+    near_in = 0.1 * ring.resolution_in  # a log has rounded numbers
     return [
-        row._replace(sonars_in=tuple(inf if abs(each - ring.no_echo_in) < 1e-6 else each for each in row.sonars_in))
+        row._replace(sonars_in=tuple(inf if abs(each - ring.no_echo_in) < near_in else each for each in row.sonars_in))
         for row in rows
     ]
 

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from localization.filters.base import Place
 from localization.filters.belief import Floats, add, difference
 from localization.filters.health import HealthStatus
 from localization.filters.update import Refusal
@@ -78,12 +79,15 @@ class Run:
         Why the run was given up; "" if it was not.
     sonars
         Assumed sonar model.
+    alike
+        Poses (3,) that look like the start.
     """
 
     waypoints: list[tuple[float, float]]
     moments: list[RunMoment] = field(default_factory=list)
     stopped: str = ""
     sonars: SonarAssumption = ASSUME_CONES
+    alike: Sequence[Floats] = ()
 
     def add(self, moment: RunMoment) -> None:
         """Append a period."""
@@ -130,6 +134,8 @@ class Run:
         )
         if moment.estimate.health.reason:
             text += f"  {_format_health(moment.estimate)}"
+        elif len(moment.estimate.places) > 1:
+            text += f"  looks like {_format_places(moment.estimate.places[1:])}"
         # 3. Its error, for a simulated robot.
         error = moment.error
         if error is None or moment.truth is None:
@@ -159,6 +165,7 @@ class Run:
             "places": [
                 {"pose": place.belief.mean[:3].tolist(), "share": place.probability} for place in last.estimate.places
             ],
+            "alike": [pose.tolist() for pose in self.alike],
             "estimate": [float(value) for value in last.estimate.pose],
             "truth": list(last.truth) if last.truth else None,
             **self._errors(),
@@ -220,10 +227,13 @@ def _format_health(estimate: Estimate) -> str:
     # Several hypotheses: the most probable ones with their probabilities.
     if len(estimate.places) < 2:
         return text
-    places = [(*place.belief.mean[:3].tolist(), place.probability) for place in estimate.places[:MAX_HYPOTHESES]]
-    return f"{text}: " + ", ".join(
-        f"({x:.1f}, {y:.1f}) in {math.degrees(heading):.0f} deg {share:.0%}" for x, y, heading, share in places
-    )
+    return f"{text}: {_format_places(estimate.places)}"
+
+
+def _format_places(places: Sequence[Place]) -> str:
+    """Return the first of some hypotheses as text."""
+    poses = [(*place.belief.mean[:3].tolist(), place.probability) for place in places[:MAX_HYPOTHESES]]
+    return ", ".join(f"({x:.1f}, {y:.1f}) in {math.degrees(turn):.0f} deg {share:.0%}" for x, y, turn, share in poses)
 
 
 class GroundTruth:

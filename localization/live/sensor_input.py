@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final, NamedTuple, Protocol
 
@@ -16,8 +17,12 @@ import numpy as np
 
 from localization.filters.belief import HEADING, POSE, Belief, Floats
 from localization.filters.odometry import with_parameters
-from nclient.protocol.types import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE, SONAR_RATE_STEP_S
-from worlds.robots import IDEAL_CALIBRATION, Calibration
+from nclient.errors import AddressError, RobotRefused
+from nclient.protocol.types import MAX_SONAR_IN, MIN_SONAR_IN, SONAR_RATE_STEP_S, SONAR_SLOTS
+from nclient.robot import Robot
+from nclient.state import RobotState
+from worlds.rings import Ring
+from worlds.robots import IDEAL_CALIBRATION, N150, Calibration
 
 
 class SensorInput(Protocol):
@@ -53,6 +58,11 @@ class SensorInput(Protocol):
         """Return the last reading of each sonar."""
         ...
 
+    @property
+    def touching(self) -> bool:
+        """Return True if a bumper is closed."""
+        ...
+
 
 @dataclass(frozen=True, slots=True)
 class SensorData:
@@ -64,29 +74,53 @@ class SensorData:
     steering_rad: float
     turret_rad: float
     sonars_in: tuple[float, ...]
+    touching: bool = False
 
 
 def with_readings(state: SensorInput, sonars_in: tuple[float, ...], turret_rad: float | None = None) -> SensorData:
     """Return a state with other sonar readings and, if given, another turret angle."""
     turret = state.turret_rad if turret_rad is None else turret_rad
-    return SensorData(state.clock_s, state.x_in, state.y_in, state.steering_rad, turret, sonars_in)
+    return SensorData(state.clock_s, state.x_in, state.y_in, state.steering_rad, turret, sonars_in, state.touching)
+
+
+def sonar_readings(state: SensorInput) -> tuple[float, ...]:
+    """Return the readings of all sonars: of the ring of a model file, where the robot reports them, or State's."""
+    ring_in = state.ring_in if isinstance(state, RobotState) else None
+    return state.sonars_in if ring_in is None else ring_in
 
 
 # Calibration.
 
-LOWEST_IN: Final = 6
-HIGHEST_IN: Final = 255
 _INSIDE_IN: Final = 1e-3
 """A corrected reading stays this much within the limits."""
 
 
-def corrected(state: SensorInput, calibration: Calibration) -> SensorInput:
-    """Return a state without the systematic errors of its sonars and of the mounting of their ring."""
+def corrected(state: SensorInput, calibration: Calibration, ring: Ring = N150.ring) -> SensorInput:
+    """Return a state without the systematic errors of its sonars and of the mounting of their ring.
+
+    Limits of a ring other than a Nomad's become those of a Nomad, or remain if they are beyond: they are limits then
+    for every part of a filter.
+    """
+    readings = sonar_readings(state)
+    if _limits(ring) != _limits(N150.ring):
+        readings = tuple([_limited(reading, ring) for reading in readings])
+    if not ring.fits_state or _limits(ring) != _limits(N150.ring):
+        state = with_readings(state, readings)
     if calibration is IDEAL_CALIBRATION:
         return state
-    pairs = zip(state.sonars_in, calibration.offsets_in, strict=True)
-    sonars = tuple(_corrected_reading(reading_in, offset_in) for reading_in, offset_in in pairs)
+    pairs = zip(readings, calibration.offsets_in, strict=False)
+    sonars = tuple(_corrected_reading(reading_in, offset_in, ring) for reading_in, offset_in in pairs)
     return with_readings(state, sonars, state.turret_rad + calibration.turned_rad)
+
+
+def _limits(ring: Ring) -> tuple[float, float, float]:
+    return ring.min_range_in, ring.max_range_in, ring.no_echo_in
+
+
+def _limited(reading_in: float, ring: Ring) -> float:
+    if reading_in == ring.no_echo_in or reading_in >= ring.max_range_in:
+        return max(ring.max_range_in, MAX_SONAR_IN)
+    return min(reading_in, MIN_SONAR_IN) if reading_in <= ring.min_range_in else reading_in
 
 
 def with_wheels(pose: Belief, calibration: Calibration) -> Belief:
@@ -99,11 +133,11 @@ def with_wheels(pose: Belief, calibration: Calibration) -> Belief:
     return belief
 
 
-def _corrected_reading(reading_in: float, offset_in: float) -> float:
+def _corrected_reading(reading_in: float, offset_in: float, ring: Ring) -> float:
     """Return a reading less its offset; a limit is no range and stays as it is."""
-    if not LOWEST_IN < reading_in < HIGHEST_IN:
+    if not ring.min_range_in < reading_in < ring.max_range_in:
         return reading_in
-    return min(max(reading_in - offset_in, LOWEST_IN + _INSIDE_IN), HIGHEST_IN - _INSIDE_IN)
+    return min(max(reading_in - offset_in, ring.min_range_in + _INSIDE_IN), ring.max_range_in - _INSIDE_IN)
 
 
 # New echoes.
@@ -125,48 +159,78 @@ class FiringTime(NamedTuple):
 class FiringSchedule:
     """Instants at which the sonars of a ring fire.
 
-    conf_sn restarts the ring at the clock of its answer; entry k of the order fires k intervals later, and so on in
+    A restart of the ring begins at the clock of its answer; entry k of the order fires k intervals later, and so on in
     turn. A state shows the last reading of each sonar without its instant; order and clock tell which are new.
 
     Attributes
     ----------
     start_s
         Clock of the restart.
-    rate
-        Interval between two sonars, in units of the command.
-    order
-        Sonar numbers, each at most once.
+    interval_s
+        Seconds from one entry to the next.
+    firing
+        Sonars that fire at once, entry by entry, each at most once. Defaults: those of a Nomad.
     """
 
     start_s: float
-    rate: int = DEFAULT_SONAR_RATE
-    order: tuple[int, ...] = DEFAULT_SONAR_ORDER
+    interval_s: float = N150.ring.interval_s
+    firing: tuple[tuple[int, ...], ...] = N150.ring.firing
+
+    @classmethod
+    def of_command(cls, start_s: float, rate: int, order: Iterable[int]) -> FiringSchedule:
+        """Return the schedule that conf_sn sets."""
+        return cls(start_s, rate * SONAR_RATE_STEP_S, tuple((sonar,) for sonar in order))
 
     @property
-    def interval_s(self) -> float:
-        """Seconds from one sonar to the next."""
-        return self.rate * SONAR_RATE_STEP_S
+    def order(self) -> tuple[int, ...]:
+        """Sonar numbers in the order of firing."""
+        return tuple(sonar for group in self.firing for sonar in group)
 
     @property
     def round_s(self) -> float:
         """Seconds until the same sonar fires again."""
-        return self.interval_s * len(self.order)
+        return self.interval_s * len(self.firing)
 
     def readable(self, after_s: float, now_s: float) -> list[FiringTime]:
         """Return the firings later than `after_s` whose echoes a state of clock `now_s` certainly shows, in order.
 
         An echo is readable until its sonar may have fired again.
         """
-        start_s, order = self.start_s, self.order
-        interval_s = self.rate * SONAR_RATE_STEP_S
+        start_s, interval_s, firing = self.start_s, self.interval_s, self.firing
         # 1. The first that is later than `after_s`, and not yet overwritten.
         since_start = (after_s - start_s) / interval_s
         first = max(0, math.floor(since_start + _TINY) + 1) if after_s >= start_s else 0
-        overwritten_s = now_s + CLOCK_STEP_S - interval_s * len(order)
+        overwritten_s = now_s + CLOCK_STEP_S - interval_s * len(firing)
         first = max(first, math.floor((overwritten_s - start_s) / interval_s + _TINY) + 1)
         # 2. The last that is certainly past.
         last = math.floor((now_s - CLOCK_STEP_S - start_s) / interval_s + _TINY)
-        return [FiringTime(order[k % len(order)], start_s + k * interval_s) for k in range(first, last + 1)]
+        entries = [(firing[k % len(firing)], start_s + k * interval_s) for k in range(first, last + 1)]
+        return [FiringTime(sonar, instant_s) for group, instant_s in entries for sonar in group]
+
+
+def restart_ring(robot: Robot, ring: Ring) -> tuple[FiringSchedule, RobotState]:
+    """Restart the sonars of a robot, so that their firing times are known; return these and a state.
+
+    A ring that State and conf_sn have room for is restarted by conf_sn; any other by the ring packet of a simulation,
+    and from then on the robot's states have all its sonars.
+
+    Raises
+    ------
+    AddressError
+        If the robot has no such packet.
+    """
+    if ring.fits_state:
+        state = robot.configure_sonars(rate=ring.rate, order=[sonar for (sonar,) in ring.firing])
+        assert state.clock_s is not None
+        return FiringSchedule(state.clock_s, ring.interval_s, ring.firing), state
+    try:
+        readings = robot.watch_ring()
+    except RobotRefused:
+        raise AddressError(
+            f"State has {SONAR_SLOTS} sonars that fire one at a time, in whole inches from {MIN_SONAR_IN} to "
+            f"{MAX_SONAR_IN}, and this robot cannot report others: describe its ring so in the model file"
+        ) from None
+    return FiringSchedule(readings.clock_s, ring.interval_s, ring.firing), robot.refresh()
 
 
 # Past encoder poses.
@@ -196,6 +260,29 @@ class EncoderPose(NamedTuple):
     def pose(self) -> Floats:
         """x_in, y_in and heading in radians, (3,)."""
         return np.array(self[1 : 2 + HEADING])
+
+
+PRESSED_IN_S: Final = 2.0
+"""Wheels that roll slower than this with a closed bumper roll on the spot: a robot that drives away is faster."""
+
+
+class SlipCorrection:
+    """Leaves out what the wheels of a robot roll on the spot that presses against an obstacle."""
+
+    def __init__(self) -> None:
+        self._last: SensorInput | None = None
+        self._x_in = self._y_in = 0.0
+
+    def position_of(self, state: SensorInput) -> tuple[float, float]:
+        """Return x and y of the encoders without the distance that was rolled on the spot, inches."""
+        last, self._last = self._last, state
+        if last is not None and state.touching and last.touching:
+            dx, dy = state.x_in - last.x_in, state.y_in - last.y_in
+            passed_s = (state.clock_s or 0.0) - (last.clock_s or 0.0)
+            if math.hypot(dx, dy) <= PRESSED_IN_S * passed_s:
+                self._x_in += dx
+                self._y_in += dy
+        return float(state.x_in) - self._x_in, float(state.y_in) - self._y_in
 
 
 class PoseHistory:

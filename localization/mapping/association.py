@@ -56,7 +56,7 @@ PENALTY: Final = {"wall": 40.0, "point": 25.0}
 
 TURN_STEP_RAD: Final = 0.05
 """A robot that turns less between two nodes drives straight."""
-MIN_TURN_RAD: Final = 0.2
+MIN_TURN_RAD, MAX_TURN_RAD = 0.2, 1.0
 HEADINGS: Final = np.linspace(-3.0, 3.0, 25)
 """Compared headings, in standard deviations of the turn."""
 
@@ -261,10 +261,11 @@ def find_turns(steps: Floats, first: int) -> list[tuple[int, float]]:
     turns, total = [], 0.0
     for number in range(max(first, 0), len(steps)):
         turn = float(steps[number, HEADING])
-        if abs(turn) > TURN_STEP_RAD:
-            total += abs(turn)
-        elif total:
-            turns.append((number, total))
+        is_turning = abs(turn) > TURN_STEP_RAD
+        total += abs(turn) if is_turning else 0.0
+        # A robot that circles never ends its turn.
+        if total > MAX_TURN_RAD or (total and (not is_turning or number == len(steps) - 1)):
+            turns.append((number + int(is_turning), total))
             total = 0.0
     return [(node, total) for node, total in turns if total > MIN_TURN_RAD]
 

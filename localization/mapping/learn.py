@@ -1,31 +1,77 @@
 """Learn a map of walls from a drive without a map: the procedure.
 
-for every 16 nodes (8 s of driving)
-extend by odometry --> headings after turns --> associate --> optimize
---> births from the unexplained echoes of the last 30 s --> associate --> optimize --> merge, prune
-at the end
-births from all echoes; merge, swallow, absorb, prune; tie points to walls; optimize
+    for every 16 nodes (8 s of driving)
+        extend by odometry --> headings after turns --> associate --> optimize
+        --> births from the unexplained echoes of the last 30 s --> associate --> optimize --> merge, prune
+    at the end
+        births from all echoes; join, merge, swallow, absorb, prune; tie points to walls; optimize
+
+Revision makes the map as simple as its echoes allow. Each change is tried, optimized and reverted unless the total
+cost, with a penalty for each feature, falls:
+
+    prune    a feature without which the echoes cost less than PENALTY more is removed
+    merge    two nearly equal walls become one where the total cost falls
+    swallow  a short wall becomes a point where the total cost falls
+    join     two points become the ends of a wall where the total cost falls
+    absorb   a point on a wall becomes part of it where the total cost falls
+    tie      points near a wall's line are corners or ends of it
+
+References
+----------
+Schwarz, Estimating the Dimension of a Model (1978): penalty of (unknowns) ln(echoes), here two unknowns more for the
+choice of the echoes.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
+from math import radians
 from typing import Final
 
+import numpy as np
+
+from localization.filters.belief import Floats, wrap_angle
 from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
-from localization.mapping.association import MapEstimate, align_heading
+from localization.mapping.association import (
+    PENALTY,
+    MapEstimate,
+    Mask,
+    align_heading,
+    assign,
+    crossings,
+    residual_matrix,
+    segments_of,
+)
 from localization.mapping.births import find_births
 from localization.mapping.measurements import DriveLog, build_trajectory
-from localization.mapping.problem import MapProblem
-from localization.mapping.revision import absorb_points, merge, prune, swallow, tie_points
+from localization.mapping.problem import NO_FEATURE, ROBUST_LIMIT, MapProblem
+from localization.mapping.walls import MIN_CROSSINGS, free_paths
+from worlds.geometry import nearest_points_of_pairs
 
 NODES_PER_ROUND: Final = 16
 WINDOW_NODES: Final = 60
 """Nodes whose echoes may give birth to features: beyond 30 s the odometry has drifted too far for a Hough cell."""
 LAST_ROUNDS: Final = 3
 LAST_STEPS: Final = 10
-POSITION_STD_IN: Final = 0.15
-"""Random motion within a node, and roughness of walls."""
+ROUGHNESS_IN: Final = 0.15
+"""Deviation of smooth walls from a straight line, and random motion within a node."""
+
+MERGE_RAD: Final = radians(20.0)
+MERGE_IN: Final = 8.0
+"""Walls that differ by less may be the same wall."""
+MERGE_GAP_IN: Final = 40.0
+"""Of walls on one line, the widest gap between them: more than a door."""
+SWALLOW_IN: Final = 24.0
+"""Walls seen over a shorter length may be a corner."""
+MIN_JOIN_IN, MAX_JOIN_IN, MIN_JOIN_ECHOES = 8.0, 60.0, 4
+"""Lengths of walls that are looked for between two points, and echoes that must support one."""
+JOINED_PENALTY: Final = 15.0
+"""Of a wall between two points, which has no unknowns of its own."""
+POINT_ON_WALL_IN: Final = 2.5
+TIE_IN: Final = 1.0
+TIE_BEYOND_IN: Final = 6.0
+"""A point within TIE_IN of a wall's line, and not farther beyond its end, lies on the wall."""
 
 
 class MapLearner:
@@ -41,11 +87,21 @@ class MapLearner:
         Noise and limits of the readings.
     rays
         True if sonars measure along exact rays.
+    roughness_in
+        Standard deviation of the walls' surfaces from straight lines.
     """
 
-    def __init__(self, log: DriveLog, noise: OdometryNoise, sonar: ConeSonar, *, rays: bool = False) -> None:
+    def __init__(
+        self,
+        log: DriveLog,
+        noise: OdometryNoise,
+        sonar: ConeSonar,
+        *,
+        rays: bool = False,
+        roughness_in: float = ROUGHNESS_IN,
+    ) -> None:
         self._noise = noise
-        self.trajectory = build_trajectory(log, noise, sonar, POSITION_STD_IN)
+        self.trajectory = build_trajectory(log, noise, sonar, roughness_in)
         self.estimate = MapEstimate.start(MapProblem(self.trajectory, len(log.angles_rad), rays=rays))
         self.turret_rad = float(log.encoders[-1, 4] - log.encoders[-1, 3])
         """Angle of the turret from the heading at the end."""
@@ -82,7 +138,7 @@ class MapLearner:
             changed = find_births(estimate, 0)
             estimate.associate()
             estimate.optimize()
-            for revise in (merge, swallow, absorb_points, prune):
+            for revise in (join_points, merge, swallow, absorb_points, prune):
                 changed += revise(estimate)
             tie_points(estimate)
             estimate.optimize()
@@ -93,10 +149,255 @@ class MapLearner:
         estimate.optimize(LAST_STEPS)
 
 
-def learn_map(log: DriveLog, noise: OdometryNoise, sonar: ConeSonar, *, rays: bool = False) -> MapEstimate:
+def learn_map(
+    log: DriveLog, noise: OdometryNoise, sonar: ConeSonar, *, rays: bool = False, roughness_in: float = ROUGHNESS_IN
+) -> MapEstimate:
     """Return the map of a drive; see `MapLearner` for the parameters."""
-    learner = MapLearner(log, noise, sonar, rays=rays)
+    learner = MapLearner(log, noise, sonar, rays=rays, roughness_in=roughness_in)
     while not learner.is_complete:
         learner.advance()
     learner.finish()
     return learner.estimate
+
+
+# Revision.
+
+
+def prune(estimate: MapEstimate) -> int:
+    """Remove features that save less than their penalty, the least useful first, and return their number."""
+    removed = 0
+    while estimate.state.features:
+        losses = _losses(estimate)
+        walls = len(estimate.state.walls)
+        penalties = np.where(np.arange(len(losses)) < walls, PENALTY["wall"], PENALTY["point"])
+        penalties[:walls][_have_ends(estimate)] = JOINED_PENALTY
+        worst = int((losses - penalties).argmin())
+        if losses[worst] >= penalties[worst]:
+            break
+        estimate.remove(worst)
+        estimate.associate()
+        removed += 1
+    return removed
+
+
+def _losses(estimate: MapEstimate) -> Floats:
+    """Return by how much the cost of the echoes rises without each feature (f,)."""
+    problem, state = estimate.problem, estimate.state
+    losses = np.empty(state.features)
+    for feature in range(state.features):
+        echoes = estimate.echoes_of(feature)
+        without = estimate.copy()
+        without.remove(feature)
+        _, now = assign(problem, state, estimate.extents, echoes)
+        _, then = assign(problem, without.state, without.extents, echoes)
+        losses[feature] = then.sum() - now.sum()
+    return losses
+
+
+def merge(estimate: MapEstimate) -> int:
+    """Merge pairs of features where the total cost falls, and return their number."""
+    merged = 0
+    tried: set[tuple[int, int]] = set()
+    while (pair := next((pair for pair in _merge_pairs(estimate) if pair not in tried), None)) is not None:
+        tried.add(pair)
+        if _try_merge(estimate, *pair):
+            merged, tried = merged + 1, set()
+    return merged
+
+
+def swallow(estimate: MapEstimate) -> int:
+    """Replace short walls by points where the total cost falls, and return their number.
+
+    A line past a corner picks those of the corner's echoes whose noise suits it.
+    """
+    swallowed = 0
+    for wall in reversed(range(len(estimate.state.walls))):
+        low, high = estimate.extents[wall]
+        if high - low > SWALLOW_IN or _have_ends(estimate)[wall]:
+            continue
+        trial = estimate.copy()
+        segment = segments_of(trial.state.walls, trial.extents)[wall]
+        trial.remove(wall)
+        trial.associate()
+        without = trial.copy()
+        # With a point in its place, and without.
+        trial.add_point(segment.reshape(2, 2).mean(axis=0))
+        for candidate in (trial, without):
+            candidate.associate()
+            candidate.optimize(3)
+            candidate.associate()
+            candidate.optimize(3)
+        best = min((estimate, trial, without), key=lambda candidate: candidate.cost)
+        if best is not estimate:
+            _replace(estimate, best)
+            swallowed += 1
+    return swallowed
+
+
+def absorb_points(estimate: MapEstimate) -> int:
+    """Remove points on a wall's line that the wall explains as well, if it is seen as far; return their number."""
+    absorbed = 0
+    for number in reversed(range(len(estimate.state.points))):
+        state = estimate.state
+        walls, point = len(state.walls), state.points[number]
+        c, s = np.cos(state.walls[:, 0]), np.sin(state.walls[:, 0])
+        across = np.abs(point[0] * c + point[1] * s - state.walls[:, 1])
+        along = point[1] * c - point[0] * s
+        for wall in np.flatnonzero(across < TIE_IN + 2.0):
+            low, high = estimate.extents[wall]
+            if not low - MERGE_GAP_IN < along[wall] < high + MERGE_GAP_IN:
+                continue
+            # Its echoes are the wall's, which then reaches as far as the point.
+            trial = estimate.copy()
+            feature = np.where(trial.assignment.feature == walls + number, wall, trial.assignment.feature)
+            extents = trial.extents.copy()
+            extents[wall] = min(low, along[wall]), max(high, along[wall])
+            trial.assignment, trial.extents = replace(trial.assignment, feature=feature), extents
+            trial.remove(walls + number)
+            trial.optimize(3)
+            trial.associate()
+            trial.optimize(3)
+            if trial.cost < estimate.cost:
+                _replace(estimate, trial)
+                absorbed += 1
+                break
+    return absorbed
+
+
+def join_points(estimate: MapEstimate) -> int:
+    """Add walls between two points where the total cost falls, and return their number.
+
+    A short wall is seen over too little of its length to be told from a point; its ends are seen from farther off.
+    """
+    joined = 0
+    for one in range(len(estimate.state.points)):
+        for other in range(one):
+            # Points may have been removed meanwhile.
+            if one < len(estimate.state.points) and _try_join(estimate, one, other):
+                joined += 1
+    return joined
+
+
+def _have_ends(estimate: MapEstimate) -> Mask:
+    """Return True (w,) for walls with a point on their line beyond either end, which determine it."""
+    walls, points = estimate.state.walls, estimate.state.points
+    c, s = np.cos(walls[:, :1]), np.sin(walls[:, :1])
+    on_line = np.abs(c * points[:, 0] + s * points[:, 1] - walls[:, 1:]) < TIE_IN
+    along = c * points[:, 1] - s * points[:, 0]
+    low, high = estimate.extents[:, :1], estimate.extents[:, 1:]
+    before = on_line & (along < low + POINT_ON_WALL_IN) & (along > low - MAX_JOIN_IN)
+    after = on_line & (along > high - POINT_ON_WALL_IN) & (along < high + MAX_JOIN_IN)
+    return np.asarray(before.any(axis=1) & after.any(axis=1), dtype=np.bool_)
+
+
+def _try_join(estimate: MapEstimate, one: int, other: int) -> bool:
+    """Add a wall between two points if the total cost falls; return True if it did."""
+    state, problem = estimate.state, estimate.problem
+    first, second = state.points[one], state.points[other]
+    length = float(np.hypot(*(second - first)))
+    if not MIN_JOIN_IN < length < MAX_JOIN_IN:
+        return False
+    # 1. The line through both.
+    along = (second - first) / length
+    angle = float(np.arctan2(-along[0], along[1]))
+    normal = np.array((np.cos(angle), np.sin(angle)))
+    forward = np.array((-normal[1], normal[0]))
+    low, high = sorted((float(first @ forward), float(second @ forward)))
+    line, extent = np.array((angle, float(first @ normal))), np.array((low, high))
+    # 2. It must explain echoes of its inner part that no wall explains.
+    echoes = estimate.echoes()
+    feature, ends = estimate.assignment.feature[echoes], (len(state.walls) + one, len(state.walls) + other)
+    short = np.flatnonzero(estimate.extents[:, 1] - estimate.extents[:, 0] < SWALLOW_IN)
+    is_open = (feature == NO_FEATURE) | np.isin(feature, short) | (feature >= len(state.walls))
+    echoes = echoes[is_open & ~np.isin(feature, ends)]
+    alone = replace(state, walls=line[None], points=state.points[:0])
+    residual, _, spots = residual_matrix(problem, alone, extent[None], echoes)
+    feet = spots[:, 0] @ forward
+    supports = (np.abs(residual[:, 0]) < ROBUST_LIMIT) & (feet > low) & (feet < high)
+    if supports.sum() < MIN_JOIN_ECHOES:
+        return False
+    starts, spots = free_paths(estimate)
+    if crossings(starts, spots, segments_of(line[None], extent[None], POINT_ON_WALL_IN)).sum() >= MIN_CROSSINGS:
+        return False
+    # 3. Points in its middle are part of it.
+    trial = estimate.copy()
+    coordinates = state.points @ forward
+    between = (coordinates > low + POINT_ON_WALL_IN) & (coordinates < high - POINT_ON_WALL_IN)
+    between &= np.abs(state.points @ normal - line[1]) < POINT_ON_WALL_IN
+    for number in reversed(np.flatnonzero(between)):
+        trial.remove(len(state.walls) + int(number))
+    trial.add_wall(line, extent)
+    for _ in range(2):
+        trial.associate()
+        tie_points(trial)
+        trial.optimize(3)
+    if trial.cost - PENALTY["wall"] + JOINED_PENALTY >= estimate.cost:
+        return False
+    _replace(estimate, trial)
+    return True
+
+
+def _replace(estimate: MapEstimate, by: MapEstimate) -> None:
+    """Take over another estimate."""
+    estimate.state, estimate.assignment, estimate.extents = by.state, by.assignment, by.extents
+
+
+def _merge_pairs(estimate: MapEstimate) -> list[tuple[int, int]]:
+    """Return pairs of walls, and of a wall and a point on it, that may be one feature: (remaining, removed)."""
+    state, count = estimate.state, len(estimate.state.walls)
+    sizes = [len(estimate.echoes_of(number)) for number in range(state.features)]
+    segments = segments_of(state.walls, estimate.extents)
+    pairs = []
+    for one in range(count):
+        for other in range(one + 1, count):
+            turn = abs(float(wrap_angle(2.0 * (state.walls[one, 0] - state.walls[other, 0])))) / 2.0
+            if turn < MERGE_RAD and _is_near(segments[one], segments[other]):
+                pairs.append((one, other) if sizes[one] >= sizes[other] else (other, one))
+    return pairs
+
+
+def _is_near(one: Floats, other: Floats) -> bool:
+    """Return True if a segment (4,) lies within MERGE_IN of the line of another, and not beyond MERGE_GAP_IN."""
+    along = (one[2:] - one[:2]) / max(float(np.hypot(*(one[2:] - one[:2]))), 1e-9)
+    off = other.reshape(2, 2) - one[:2]
+    across = np.abs(off @ np.array((-along[1], along[0])))
+    ends = np.concatenate((other.reshape(2, 2), one.reshape(2, 2)))
+    walls = np.stack((one, one, other, other))
+    gap = nearest_points_of_pairs(ends, walls)[1].min()
+    return bool(across.min() < MERGE_IN and across.mean() < 1.5 * MERGE_IN and gap < MERGE_GAP_IN)
+
+
+def _try_merge(estimate: MapEstimate, remaining: int, removed: int) -> bool:
+    """Merge two walls if the total cost falls; return True if it did."""
+    trial = estimate.copy()
+    feature = trial.assignment.feature.copy()
+    feature[feature == removed] = remaining
+    # 1. The extent covers both.
+    ends = segments_of(trial.state.walls, trial.extents)[[remaining, removed]].reshape(-1, 2)
+    angle = trial.state.walls[remaining, 0]
+    coordinates = ends @ np.array((-np.sin(angle), np.cos(angle)))
+    extents = trial.extents.copy()
+    extents[remaining] = coordinates.min(), coordinates.max()
+    trial.extents, trial.assignment = extents, replace(trial.assignment, feature=feature)
+    trial.remove(removed)
+    # 2. Optimized with the echoes of both, then with those that it explains.
+    trial.optimize(3)
+    trial.associate()
+    trial.optimize(3)
+    if trial.cost >= estimate.cost:
+        return False
+    _replace(estimate, trial)
+    return True
+
+
+def tie_points(estimate: MapEstimate) -> None:
+    """Tie each point to the walls on whose lines it lies."""
+    state, ties = estimate.state, []
+    for number, point in enumerate(state.points):
+        for wall, (angle, offset) in enumerate(state.walls):
+            c, s = np.cos(angle), np.sin(angle)
+            across, along = abs(c * point[0] + s * point[1] - offset), c * point[1] - s * point[0]
+            low, high = estimate.extents[wall]
+            if across < TIE_IN and low - TIE_BEYOND_IN - across < along < high + 48.0:
+                ties.append((number, wall))
+    estimate.assignment = replace(estimate.assignment, ties=np.array(ties, dtype=np.intp).reshape(-1, 2))

@@ -162,7 +162,7 @@ def _drive_of(recording: Recording, connection: str) -> DriveLog | None:
         state = RobotState(model, tuple(frame["State"]), clock_ms=int(frame["clock"]))
         assert state.clock_s is not None
         if restart is not None:
-            schedule, restart = FiringSchedule(state.clock_s, *restart), None
+            schedule, restart = FiringSchedule.of_command(state.clock_s, *restart), None
             states, firings = [state], []
             last_s = state.clock_s
             continue
@@ -198,7 +198,7 @@ def _frames(recording: Recording, connection: str) -> Iterator[tuple[str, dict[s
                 yield entry.kind, dict(frame)
 
 
-def build_trajectory(log: DriveLog, noise: OdometryNoise, sonar: ConeSonar, position_std_in: float) -> Trajectory:
+def build_trajectory(log: DriveLog, noise: OdometryNoise, sonar: ConeSonar, roughness_in: float) -> Trajectory:
     """Return the nodes of a drive with all that the estimator needs.
 
     Parameters
@@ -209,8 +209,8 @@ def build_trajectory(log: DriveLog, noise: OdometryNoise, sonar: ConeSonar, posi
         Random errors of the odometry.
     sonar
         Noise and limits of the readings.
-    position_std_in
-        Standard deviation of the sonar's position relative to its node, and of a wall's flatness, inches.
+    roughness_in
+        Standard deviation of the walls' surfaces from straight lines, inches.
     """
     # 1. Groups of readings; those in which the robot does not move are left out.
     count = len(log.readings_in) // READINGS_PER_NODE
@@ -234,7 +234,7 @@ def build_trajectory(log: DriveLog, noise: OdometryNoise, sonar: ConeSonar, posi
     # 4. Readings at a limit are no ranges.
     readings = log.readings_in[firing]
     is_range = (readings > sonar.lowest_in) & (readings < sonar.highest_in)
-    std = np.sqrt(sonar.variance(readings) + position_std_in**2)
+    std = np.sqrt(sonar.variance(readings) + roughness_in**2)
     return Trajectory(
         instants, nodes[:, :POSE], steps, root, by_parameters, node[is_range], sonars[is_range], mounts[is_range],
         axes[is_range], readings[is_range], std[is_range], len(readings),

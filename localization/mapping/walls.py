@@ -31,6 +31,8 @@ MIN_DEPTH_IN: Final = 1.5
 """A path that ends less far behind a line has not crossed it."""
 MIN_PIECE_IN: Final = 4.0
 MIN_SPOTS: Final = 5
+MAX_STRAY_SPOTS, MAX_ALONE, STRAY_GAP_IN = 4, 2, 8.0
+"""So few spots beyond a point at the end of a wall, or so far from all others, are mistakes."""
 REACH_IN: Final = 48.0
 """Farthest that an end is moved to a corner: a robot comes no nearer to one than its radius, and turns before."""
 OVERSHOOT_IN: Final = 6.0
@@ -103,19 +105,19 @@ class _Line:
 def extract_walls(estimate: MapEstimate) -> list[Piece]:
     """Return the walls of a map, in the frame of its first pose, the longest first."""
     # 1. Lines, and the paths that have crossed them.
-    starts, ends = _paths(estimate)
+    starts, ends = free_paths(estimate)
     lines = []
     for angle, offset in estimate.state.walls:
         normal, along = np.array((np.cos(angle), np.sin(angle))), np.array((-np.sin(angle), np.cos(angle)))
         lines.append(_Line(normal, along, float(offset), _crossed(starts, ends, normal, along, float(offset))))
     # 2. Pieces.
+    points = estimate.state.points
     pieces = [
         Piece(number, low, high, np.array((line.at(low), line.at(high))), [False, False], count)
         for number, line in enumerate(lines)
-        for low, high, count in _pieces(line, np.sort(_clear_feet(estimate, number)))
+        for low, high, count in _pieces(line, np.sort(_clear_feet(estimate, number)), points)
     ]
     # 3. Ends.
-    points = estimate.state.points
     _join_corners(pieces, lines, points)
     _move_ends_to_points(pieces, lines, points)
     _close_small_gaps(pieces, lines)
@@ -123,7 +125,7 @@ def extract_walls(estimate: MapEstimate) -> list[Piece]:
     return sorted(pieces, key=lambda piece: -piece.length_in)
 
 
-def _paths(estimate: MapEstimate) -> tuple[Floats, Floats]:
+def free_paths(estimate: MapEstimate) -> tuple[Floats, Floats]:
     """Return starts and ends (p, 2) of free paths: of sound to the spots that reflected it, and of the robot."""
     state, echoes = estimate.state, np.flatnonzero(estimate.assignment.feature != NO_FEATURE)
     residual, sensors, spots = residual_matrix(estimate.problem, state, estimate.extents, echoes)
@@ -161,7 +163,7 @@ def _clear_feet(estimate: MapEstimate, wall: int) -> Floats:
     return np.asarray(spots[clear, wall] @ np.array((-np.sin(angle), np.cos(angle))), dtype=np.float64)
 
 
-def _pieces(line: _Line, feet: Floats) -> list[tuple[float, float, int]]:
+def _pieces(line: _Line, feet: Floats, points: Floats) -> list[tuple[float, float, int]]:
     """Return runs of feet (sorted): low, high, number."""
     if len(feet) < MIN_SPOTS:
         return []
@@ -171,11 +173,25 @@ def _pieces(line: _Line, feet: Floats) -> list[tuple[float, float, int]]:
         for low, high, gap in zip(feet[:-1], feet[1:], gaps, strict=True)
     ]
     runs = np.split(feet, np.flatnonzero(is_cut) + 1)
+    at = points[np.abs(points @ line.normal - line.offset) < POINT_ON_LINE_IN] @ line.along
+    runs = [_trimmed(_trimmed(run, at)[::-1], at)[::-1] for run in runs]
     return [
         (float(run[0]), float(run[-1]), len(run))
         for run in runs
         if len(run) >= MIN_SPOTS and run[-1] - run[0] >= MIN_PIECE_IN
     ]
+
+
+def _trimmed(run: Floats, ends: Floats) -> Floats:
+    """Return a run of feet without the few last ones that are farther out than a point near its end, or all others."""
+    sign = 1.0 if run[-1] >= run[0] else -1.0
+    for beyond in range(1, min(MAX_STRAY_SPOTS, len(run) - 1) + 1):
+        outer, inner = run[-beyond], run[-beyond - 1]
+        is_past_end = ((sign * (outer - ends) > 1.0) & (sign * (ends - inner) > -1.0)).any()
+        is_alone = beyond <= MAX_ALONE and sign * (outer - inner) > STRAY_GAP_IN
+        if is_past_end or is_alone:
+            return run[:-beyond]
+    return run
 
 
 @dataclass(frozen=True, slots=True)

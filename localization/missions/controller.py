@@ -130,8 +130,10 @@ class RobotController:
         return self.last
 
     def _observe(self, state: RobotState) -> Observation:
-        angles = self.body.sonar_angles_rad
-        estimate = self._localizer.update(filter_unmapped(self.obstacles, self.last.estimate, state, angles))
+        ring = self.body.ring
+        angles, shortest_in = ring.angles_rad, ring.plain(ring.min_range_in)
+        seen = filter_unmapped(self.obstacles, self.last.estimate, state, angles, shortest_in)
+        estimate = self._localizer.update(seen)
         update_obstacles(self.obstacles, estimate, state, angles)
         return Observation(estimate, state)
 

@@ -23,7 +23,7 @@ import numpy as np
 from localization.filters.belief import Floats
 from localization.filters.health import HealthStatus
 from localization.live.localizer import Estimate
-from localization.live.sensor_input import SensorInput, with_readings
+from localization.live.sensor_input import SensorInput, sonar_readings, with_readings
 from localization.navigation.path import angle_difference
 from nclient.state import RobotState
 from worlds.raycast import cast_rays
@@ -204,8 +204,9 @@ class ObstacleTracker:
 
 
 def filter_unmapped(
-    obstacles: ObstacleTracker, estimate: Estimate, state: RobotState, angles_rad: Sequence[float]
-) -> SensorInput:
+    obstacles: ObstacleTracker, estimate: Estimate, state: RobotState, angles_rad: Sequence[float],
+    shortest_in: float = int(MIN_RANGE_IN),
+) -> SensorInput:  # fmt: skip
     """Return the state for the filter, with readings from unmapped obstacles replaced by the shortest range.
 
     The filter ignores readings at the shortest range. If more than MAX_FILTERED readings are too short the estimate
@@ -220,13 +221,15 @@ def filter_unmapped(
         The new state.
     angles_rad : sequence of float
         Angles of the sonars on the turret.
+    shortest_in : float
+        The shortest range of the ring.
 
     References
     ----------
     The novelty filter of Fox, Burgard, Thrun, Cremers: Position estimation for mobile robots in dynamic
     environments (1998).
     """
-    readings = state.sonars_in
+    readings = sonar_readings(state)[: len(angles_rad)]
     if estimate.health.status is not HealthStatus.LOST:
         x, y, heading = (float(value) for value in estimate.pose)
         directions = heading + state.turret_rad - state.steering_rad + np.asarray(angles_rad)
@@ -235,7 +238,7 @@ def filter_unmapped(
         )
         if sum(near) <= MAX_FILTERED:
             readings = tuple(
-                int(MIN_RANGE_IN) if is_unmapped else reading
+                shortest_in if is_unmapped else reading
                 for is_unmapped, reading in zip(near, readings, strict=True)
             )
     return with_readings(state, readings)
@@ -253,7 +256,7 @@ def update_obstacles(
         obstacles.clear()
         return
     x, y, heading = (float(value) for value in estimate.pose)
-    offset, std = state.turret_rad - state.steering_rad, position_std_in(estimate)
+    offset, std, readings = state.turret_rad - state.steering_rad, position_std_in(estimate), sonar_readings(state)
     for echo in estimate.echoes:
         # 1. Pose at the time of the echo, on the chord of the arc driven since.
         age_s = estimate.clock_s - echo.instant_s
@@ -261,7 +264,7 @@ def update_obstacles(
         middle, distance = 0.5 * (heading + then), age_s * state.translation_in_s
         position = (x - distance * cos(middle), y - distance * sin(middle))
         # 2. The reading from there.
-        reading = float(state.sonars_in[echo.sonar])
+        reading = float(readings[echo.sonar])
         obstacles.add_reading(echo.instant_s, position, then + offset + angles_rad[echo.sonar], reading, std)
 
 

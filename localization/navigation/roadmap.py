@@ -56,11 +56,11 @@ def segment_clearances(segments: Floats, walls: Floats) -> Floats:
         _, from_segment = nearest_points(segments[:, end], walls)
         _, from_wall = nearest_points(walls[:, end], segments)
         nearest = np.minimum(nearest, np.minimum(from_segment.min(axis=1), from_wall.min(axis=0)))
-    nearest[_crossings(segments, walls).any(axis=1)] = 0.0
+    nearest[crossings(segments, walls).any(axis=1)] = 0.0
     return nearest
 
 
-def _crossings(segments: Floats, walls: Floats) -> Mask:
+def crossings(segments: Floats, walls: Floats) -> Mask:
     """Return a matrix (n, m): True where a segment crosses a wall."""
     one, other = segments[:, None, :], walls[None, :, :]
     sides = _side(one, other[..., :2]) * _side(one, other[..., 2:])

@@ -18,12 +18,11 @@ from localization.filters.belief import Belief, Floats
 from localization.filters.health import HealthStatus
 from localization.filters.registry import DEFAULT_METHOD
 from localization.live.localizer import Estimate, Localizer
-from localization.live.sensor_input import FiringSchedule
+from localization.live.sensor_input import restart_ring
 from localization.navigation.control_law import ControlGains, distance_to, next_step
 from localization.navigation.limits import STAND, PoseSmoother, StateGapLimiter, VelocityCommand
 from localization.navigation.recovery import RecoveryBehavior
 from nclient.errors import NomadError
-from nclient.protocol.types import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
 from nclient.robot import Robot
 from nclient.state import RobotState
 
@@ -131,9 +130,8 @@ def start_localizer(
     method : str or Filter
         Name of a filter (see localization.filters.registry), or a filter.
     """
-    state = robot.configure_sonars(rate=DEFAULT_SONAR_RATE, order=DEFAULT_SONAR_ORDER)
-    assert state.clock_s is not None
-    localizer = Localizer(config, belief, FiringSchedule(state.clock_s), method)
+    schedule, state = restart_ring(robot, config.body.ring)
+    localizer = Localizer(config, belief, schedule, method)
     localizer.update(state)
     return localizer
 
@@ -160,7 +158,8 @@ def follow_waypoints(
     smoother : PoseSmoother, optional
         Smooths the pose to steer by. Default: steer by the estimates.
     """
-    smoother, recovery, gap_limiter = smoother or PoseSmoother(0.0), RecoveryBehavior(PERIOD_S), StateGapLimiter()
+    smoother, gap_limiter = smoother or PoseSmoother(0.0), StateGapLimiter()
+    recovery = RecoveryBehavior(PERIOD_S, ring=localizer.ring)
     robot.set_timeout(COMMAND_TIMEOUT_S)
     state = robot.refresh()
     with stop_on_exit(robot):

@@ -16,7 +16,15 @@ from typing import Final, NamedTuple
 from nclient.protocol.commands import Call
 from nclient.protocol.decode import model_mismatch_hint
 from nclient.protocol.replies import MOTOR_SLOT, Reply
-from nclient.protocol.types import BUMPER_SLOT, COMPASS_SLOT, FULL_TURN_TENTHS, SONAR_RATE_STEP_S, Model
+from nclient.protocol.types import (
+    BUMPER_SLOT,
+    COMPASS_SLOT,
+    FULL_TURN_TENTHS,
+    MAX_SONAR_IN,
+    MIN_SONAR_IN,
+    SONAR_RATE_STEP_S,
+    Model,
+)
 
 ACCEPTED_AFTER: Final = 3
 """Inconsistent replies of one kind in a row, of which the last is accepted."""
@@ -31,7 +39,7 @@ _SET_BY: Final = {"dp": _POSE, "da": _POSE, "zr": _POSE, "conf_sn": _SONARS}
 """State slots that a command sets, so that their next change is no jump."""
 
 # ranges
-_MIN_SONAR_IN, _NO_ECHO_IN, _DEAD = 6, 255, 0
+_DEAD: Final = 0
 _MAX_RATE: Final = 2000
 """1/10 in/s and 1/10 deg/s: four times the maximum of any model."""
 _TURRET_MOTORS, _SCOUT_MOTORS = 0x07, 0x7F
@@ -68,7 +76,7 @@ class ReplyValidator:
         self._model = model
         self._max_turn = _MAX_TURN if model.has_turret else _MAX_SCOUT_TURN
         self._ranges = [
-            *[(slot, (_MIN_SONAR_IN, _NO_ECHO_IN)) for slot in _SONARS],
+            *[(slot, (MIN_SONAR_IN, MAX_SONAR_IN)) for slot in _SONARS],
             *[(slot, (0, FULL_TURN_TENTHS - 1)) for slot in _ANGLES],
             *[(slot, (-_MAX_RATE, _MAX_RATE)) for slot in _VELOCITIES],
             (MOTOR_SLOT, (0, _TURRET_MOTORS if model.has_turret else _SCOUT_MOTORS)),

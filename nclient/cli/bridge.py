@@ -20,6 +20,7 @@ from collections.abc import Callable
 from urllib.parse import quote
 
 from nclient.cli import serving
+from nclient.common.arguments import add_flag
 from nclient.common.exit_codes import ExitCode
 from nclient.connector import Connector
 from nclient.errors import AddressError, ConnectionLost, ReplyTimeout
@@ -35,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("address", help="far end, such as serial:///dev/ttyUSB0 or nserver://lab:7019")
     serving.add_listener_options(parser)
     parser.add_argument("--record", metavar="FILE", help="record all traffic to FILE")
-    parser.add_argument("--dump", action="store_true", help="print the traffic to stdout, as `nomad dump` does")
+    add_flag(parser, "--dump", "print the traffic to stdout, as `nomad dump` does")
 
 
 def run(options: argparse.Namespace) -> int:

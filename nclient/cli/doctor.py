@@ -10,10 +10,10 @@ import argparse
 import json
 import time
 
-from nclient.common.arguments import add_address, add_value, seconds, whole_number
+from nclient.common.arguments import add_address, add_flag, add_value, seconds, whole_number
 from nclient.common.exit_codes import ExitCode
 from nclient.connector import Connector, address_or_default
-from nclient.diagnostics import EXCHANGES, INTERVAL_S, Diagnostics, Finding, Grade, report, worst
+from nclient.diagnostics import EXCHANGES, INTERVAL_S, Diagnostics, Grade, report, worst
 from nclient.url import parse_address
 
 
@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_value(parser, "--exchanges", "N", count, f"send gs N times (default {EXCHANGES})", EXCHANGES)
     add_value(parser, "--interval", "S", seconds,
               f"send gs at intervals of S seconds (default {INTERVAL_S:g})", INTERVAL_S)
-    parser.add_argument("--json", action="store_true", help="print one JSON object instead of lines")
+    add_flag(parser, "--json", "print one JSON object instead of lines")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -36,12 +36,8 @@ def run(options: argparse.Namespace) -> int:
     grade = worst(findings)
     if options.json:
         print(json.dumps({"address": address, "model": chart.model, "worst": grade.name,
-                          "findings": [_as_object(finding) for finding in findings]}))
+                          "findings": [finding._asdict() | {"grade": finding.grade.name} for finding in findings]}))
     else:
         for finding in findings:
             print(finding)
     return ExitCode.FAILED if grade is Grade.FAIL else ExitCode.DONE
-
-
-def _as_object(finding: Finding) -> dict[str, str]:
-    return {"grade": finding.grade.name, "what": finding.what, "seen": finding.seen, "remedy": finding.remedy}

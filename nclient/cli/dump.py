@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from nclient.cli.serving import print_message
+from nclient.common.arguments import add_flag
 from nclient.common.exit_codes import ExitCode
 from nclient.errors import RecordingError
 from nclient.protocol.codec import find_command
@@ -31,11 +32,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", type=Path, help="recording, or with --line a file of plain bytes")
     parser.add_argument("--filter", default="", metavar="COMMAND", help="show only this C command and its replies")
     parser.add_argument("--connection", default="", metavar="NAME", help="show only this connection")
-    parser.add_argument("--bytes", action="store_true", help="show the bytes as well")
-    parser.add_argument("--json", action="store_true", help="print one JSON object per frame, with its time")
+    add_flag(parser, "--bytes", "show the bytes as well")
+    add_flag(parser, "--json", "print one JSON object per frame, with its time")
     parser.add_argument("--line", choices=LINES, help="read plain bytes of this protocol")
     parser.add_argument("--model", choices=tuple(MODELS), default=N150.name, help="model of the robot (default: n150)")
-    parser.add_argument("--from-robot", action="store_true", help="plain bytes are from the robot")
+    add_flag(parser, "--from-robot", "plain bytes are from the robot")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -48,7 +49,9 @@ def run(options: argparse.Namespace) -> int:
         raise RecordingError(f"{options.file}: no connection {options.connection!r}; there are {there}")
     for entry in _selected_entries(recording, options):
         if options.json:
-            _print_objects(entry)
+            connection = {"connection": entry.connection} if entry.connection else {}
+            for found in entry.decoded:
+                print(json.dumps({"t": entry.time_s} | connection | dict(found)))
         else:
             for line in format_entry(entry, options.bytes):
                 print(line)
@@ -85,9 +88,3 @@ def _selected_entries(recording: Recording, options: argparse.Namespace) -> Iter
             answering[entry.connection] = any(found.get("call") == options.filter for found in entry.decoded)
         if entry.kind in (OUT, IN) and answering.get(entry.connection):
             yield entry
-
-
-def _print_objects(entry: Entry) -> None:
-    for found in entry.decoded:
-        connection = {"connection": entry.connection} if entry.connection else {}
-        print(json.dumps({"t": entry.time_s} | connection | dict(found)))

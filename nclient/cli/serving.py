@@ -18,7 +18,7 @@ from typing import Final
 
 from nclient.backends.nserver import CLICK_S, ORDINARY_S
 from nclient.common import allowlist
-from nclient.common.arguments import add_value, seconds, whole_number
+from nclient.common.arguments import add_flag, add_value, seconds, whole_number
 from nclient.common.process import TerminatedBySignal
 from nclient.protocol.commands import BY_NAME
 from nclient.protocol.types import Model
@@ -49,7 +49,7 @@ def add_listener_options(parser: argparse.ArgumentParser) -> None:
     add_value(parser, "--limit-silent", "S", seconds,
               "disconnect a client that is idle for S seconds when another client waits with a request "
               f"(default {DEFAULT_IDLE_LIMIT_S:g}; {NO_LIMIT:g}: no limit)", DEFAULT_IDLE_LIMIT_S)
-    parser.add_argument("--once", action="store_true", help="exit when the first client disconnects")
+    add_flag(parser, "--once", "exit when the first client disconnects")
 
 
 SIGNALS: Final = (KeyboardInterrupt, TerminatedBySignal)

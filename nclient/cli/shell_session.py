@@ -11,23 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 from nclient.backends.base import Backend
-from nclient.cli import state_text
-from nclient.cli.shell_help import (
-    ARRAYS,
-    ARRAYS_HELP,
-    BUILTINS,
-    Element,
-    Parameter,
-    ParsedCommand,
-    Value,
-    available,
-    help_lines,
-    model_note,
-    parameters,
-    parse,
-    summaries,
-    usage,
-)
+from nclient.cli import shell_help, state_text
 from nclient.cli.state_text import format_reply
 from nclient.errors import ShellError, WireError
 from nclient.protocol import codec
@@ -46,7 +30,7 @@ _MAX_NUMBER = 2**63
 """Limit of numbers: more than any command takes, and within the range of floats."""
 
 
-def build_call(command: ParsedCommand, wire_state: WireState, smask: Sequence[int], pid: int) -> Call:
+def build_call(command: shell_help.ParsedCommand, wire_state: WireState, smask: Sequence[int], pid: int) -> Call:
     """Return the call of a parsed command.
 
     Parameters
@@ -79,20 +63,20 @@ def build_call(command: ParsedCommand, wire_state: WireState, smask: Sequence[in
 
 def describe_unknown_command(name: str, alternatives: Iterable[str] = ()) -> str:
     """Return an error text for an unknown command, with a suggestion out of commands and `alternatives`."""
-    return f"{codec.describe_unknown_command(name, (*BUILTINS, *alternatives))}; help lists them all"
+    return f"{codec.describe_unknown_command(name, (*shell_help.BUILTINS, *alternatives))}; help lists them all"
 
 
 def _row(name: str, wire_state: WireState) -> Command:
     row = BY_NAME.get(name)
     if row is None:
-        raise ShellError(describe_unknown_command(name, ARRAYS))
-    if not available(row, wire_state):
+        raise ShellError(describe_unknown_command(name, shell_help.ARRAYS))
+    if not shell_help.available(row, wire_state):
         there = f"on the serial line of a {wire_state.model.name}" if wire_state.line else "over TCP"
         raise ShellError(f"there is no {name} {there}; help {name} shows where it exists")
     return row
 
 
-def _arguments(row: Command, values: tuple[Value, ...], smask: Sequence[int], pid: int) -> tuple[Any, ...]:
+def _arguments(row: Command, values: tuple[shell_help.Value, ...], smask: Sequence[int], pid: int) -> tuple[Any, ...]:
     # 1. A text: words are joined again by single blanks.
     if row.name == "tk":
         return (" ".join(str(value) for value in values),)
@@ -109,17 +93,17 @@ def _arguments(row: Command, values: tuple[Value, ...], smask: Sequence[int], pi
     return (*whole, pid) if row.extra_arguments is not None and row.extra_arguments[0] == "pid" else whole
 
 
-def _mask(values: tuple[Value, ...], smask: Sequence[int]) -> tuple[int, ...]:
+def _mask(values: tuple[shell_help.Value, ...], smask: Sequence[int]) -> tuple[int, ...]:
     given = _flatten("ct", values)
     if given and len(given) != SLOTS:
         raise ShellError(f"ct: a mask has {SLOTS} numbers, not {len(given)}; ct alone sends Smask")
     return Mask(tuple(map(int, given)) if given else tuple(smask)).smask
 
 
-def _numbers(row: Command, values: tuple[Value, ...]) -> tuple[int | float, ...]:
+def _numbers(row: Command, values: tuple[shell_help.Value, ...]) -> tuple[int | float, ...]:
     """Return the arguments as flat numbers, as many as the C call takes; a short firing order is padded."""
     # 1. Commands of variable length take the list as it is.
-    wanted = parameters(row)
+    wanted = shell_help.parameters(row)
     numbers = _flatten(row.name, values)
     if row.any_length:
         return numbers
@@ -127,17 +111,18 @@ def _numbers(row: Command, values: tuple[Value, ...]) -> tuple[int | float, ...]
     least, most = _counts(wanted)
     if not least <= len(numbers) <= most or not _lists_fit(wanted, values):
         count = f"{most} numbers" if least == most else f"{least} to {most} numbers"
-        raise ShellError(f"{row.name} takes {count if most else 'no numbers'}, not {len(numbers)}: {usage(row)}")
+        expected = f"{row.name} takes {count if most else 'no numbers'}"
+        raise ShellError(f"{expected}, not {len(numbers)}: {shell_help.usage(row)}")
     return (*numbers, *[_END] * (most - len(numbers)))
 
 
-def _counts(wanted: tuple[Parameter, ...]) -> tuple[int, int]:
+def _counts(wanted: tuple[shell_help.Parameter, ...]) -> tuple[int, int]:
     # All single numbers are required; of an array at least one number is.
     single = sum(parameter.length == 1 for parameter in wanted)
     return single + (single < len(wanted)), sum(parameter.length for parameter in wanted)
 
 
-def _lists_fit(wanted: tuple[Parameter, ...], values: tuple[Value, ...]) -> bool:
+def _lists_fit(wanted: tuple[shell_help.Parameter, ...], values: tuple[shell_help.Value, ...]) -> bool:
     """Return True if lists are given only for arrays of the C call."""
     return all(
         not isinstance(value, tuple) or (place < len(wanted) and wanted[place].length > 1)
@@ -145,7 +130,7 @@ def _lists_fit(wanted: tuple[Parameter, ...], values: tuple[Value, ...]) -> bool
     )
 
 
-def _flatten(name: str, values: tuple[Value, ...]) -> tuple[int | float, ...]:
+def _flatten(name: str, values: tuple[shell_help.Value, ...]) -> tuple[int | float, ...]:
     numbers: list[int | float] = []
     for value in values:
         if isinstance(value, str):
@@ -156,7 +141,7 @@ def _flatten(name: str, values: tuple[Value, ...]) -> tuple[int | float, ...]:
     return tuple(numbers)
 
 
-def _shown(values: tuple[Value, ...]) -> str:
+def _shown(values: tuple[shell_help.Value, ...]) -> str:
     return " ".join(map(str, values))
 
 
@@ -206,10 +191,10 @@ class Session:
 
     def check(self, text: str) -> None:
         """Check a line without executing it. Raises ShellError or WireError."""
-        for command in parse(text):
-            if isinstance(command, Element):
+        for command in shell_help.parse(text):
+            if isinstance(command, shell_help.Element):
                 _check_element(command)
-            elif command.name in BUILTINS:
+            elif command.name in shell_help.BUILTINS:
                 _check_builtin(command)
             else:
                 build_call(command, self.wire_state, self._smask, self._pid)
@@ -224,12 +209,12 @@ class Session:
         """
         # The whole line first: an error at its end must not leave the robot moving.
         self.check(text)
-        for command in parse(text):
+        for command in shell_help.parse(text):
             if self.finished:
                 return
-            if isinstance(command, Element):
+            if isinstance(command, shell_help.Element):
                 yield from self._element(command)
-            elif command.name in BUILTINS:
+            elif command.name in shell_help.BUILTINS:
                 yield from self._execute_builtin(command)
             else:
                 yield from self._execute(build_call(command, self.wire_state, self._smask, self._pid))
@@ -252,7 +237,7 @@ class Session:
         else:
             yield from format_reply(call, reply, self.robot.state)
 
-    def _execute_builtin(self, command: ParsedCommand) -> Iterator[str]:
+    def _execute_builtin(self, command: shell_help.ParsedCommand) -> Iterator[str]:
         match command.name:
             case "help":
                 yield from self._help(command.values)
@@ -265,26 +250,27 @@ class Session:
             case _:
                 self.finished = True
 
-    def _help(self, values: tuple[Value, ...]) -> Iterator[str]:
+    def _help(self, values: tuple[shell_help.Value, ...]) -> Iterator[str]:
         if not values:
             yield from self._overview()
             return
         for name in map(str, values):
-            if name in BUILTINS:
-                yield from (BUILTINS[name].usage, f"  {BUILTINS[name].summary}")
+            if name in shell_help.BUILTINS:
+                yield from (shell_help.BUILTINS[name].usage, f"  {shell_help.BUILTINS[name].summary}")
             else:
-                yield from help_lines(name, self.wire_state)
+                yield from shell_help.help_lines(name, self.wire_state)
 
     def _overview(self) -> Iterator[str]:
         # Long usages get a line of their own, so that summaries stay aligned.
-        rows = {word.usage: word.summary for word in BUILTINS.values()} | ARRAYS_HELP | summaries(self.wire_state)
+        rows = {word.usage: word.summary for word in shell_help.BUILTINS.values()}
+        rows |= shell_help.ARRAYS_HELP | shell_help.summaries(self.wire_state)
         for left, right in rows.items():
             yield (
                 f"{left:{_USAGE_WIDTH}}  {right}"
                 if len(left) <= _USAGE_WIDTH
                 else f"{left}\n{'':{_USAGE_WIDTH}}  {right}"
             )
-        yield f"{model_note(self.wire_state.model)}; help NAME says more"
+        yield f"{shell_help.model_note(self.wire_state.model)}; help NAME says more"
 
     def _wait(self, seconds: float) -> str:
         state = self.robot.wait_until_still(seconds)
@@ -316,7 +302,7 @@ class Session:
         if self.wire_state.line or self.robot.state.speed_factor:
             self._sleep(min(left_s, POLL_INTERVAL_S))
 
-    def _element(self, element: Element) -> Iterator[str]:
+    def _element(self, element: shell_help.Element) -> Iterator[str]:
         array, place, value = element
         if place is not None and value is not None:
             self._smask[place] = value
@@ -328,7 +314,7 @@ class Session:
         yield " ".join(map(str, numbers)) if place is None else f"{array}[{place}] = {numbers[place]}"
 
 
-def _check_element(element: Element) -> None:
+def _check_element(element: shell_help.Element) -> None:
     array, place, value = element
     # Indices are checked in advance where the size is fixed.
     size = _SIZES.get(array)
@@ -339,23 +325,23 @@ def _check_element(element: Element) -> None:
         raise ShellError("Smask[0] is a sum of 1 infrared, 2 sonar, 4 bumper, 8 laser, 16 compass; the others 0 or 1")
 
 
-def _check_builtin(command: ParsedCommand) -> None:
+def _check_builtin(command: shell_help.ParsedCommand) -> None:
     """Raise ShellError if a built-in command does not take these arguments."""
     name, values = command
     match name:
         case "help":
             for word in map(str, values):
-                if word not in BY_NAME and word not in BUILTINS:
+                if word not in BY_NAME and word not in shell_help.BUILTINS:
                     raise ShellError(f"help: {describe_unknown_command(word)}")
         case "state":
             state_text.check_parts(map(str, values))
         case "wait" | "sleep" if values or name == "sleep":
-            _seconds(values, BUILTINS[name].usage)
+            _seconds(values, shell_help.BUILTINS[name].usage)
         case _ if values:
             raise ShellError(f"{name} takes no arguments")
 
 
-def _seconds(values: tuple[Value, ...], usage: str = "") -> float:
+def _seconds(values: tuple[shell_help.Value, ...], form: str = "") -> float:
     if len(values) != 1 or isinstance(values[0], str | tuple) or not 0 <= values[0] <= _MAX_SECONDS:
-        raise ShellError(f"{usage}: expected a number of seconds, 0 to {_MAX_SECONDS}")
+        raise ShellError(f"{form}: expected a number of seconds, 0 to {_MAX_SECONDS}")
     return float(values[0])

@@ -17,7 +17,7 @@ import time
 from collections.abc import Callable
 
 from nclient.cli import state_text
-from nclient.common.arguments import add_value, seconds, whole_number
+from nclient.common.arguments import add_flag, add_value, seconds, whole_number
 from nclient.common.exit_codes import ExitCode
 from nclient.connector import Connector, address_or_default
 from nclient.errors import AddressError, ShellError
@@ -37,11 +37,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"address of the robot (default: $NOMAD_ROBOT, or a local Nserver), and parts of the state: "
         f"{', '.join(state_text.PARTS)} (default: all)",
     )
-    parser.add_argument("--watch", action="store_true",
-                        help="repeat until Ctrl-C; implied by --every and --count")
+    add_flag(parser, "--watch", "repeat until Ctrl-C; implied by --every and --count")
     add_value(parser, "--every", "S", seconds, f"repeat at intervals of S seconds (default {EVERY_S:g})")
     add_value(parser, "--count", "N", whole_number("the number of times", 1), "repeat N times")
-    parser.add_argument("--json", action="store_true", help="print one JSON object per line, with all parts")
+    add_flag(parser, "--json", "print one JSON object per line, with all parts")
 
 
 def run(options: argparse.Namespace) -> int:

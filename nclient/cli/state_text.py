@@ -109,10 +109,6 @@ def _infrared(state: RobotState) -> str:
     return f"{' '.join(f'{reading:3}' for reading in state.infrareds)}  0 near, 15 nothing"
 
 
-def _bumpers(state: RobotState) -> str:
-    return f"TOUCHING: {' '.join(map(str, state.bumpers))}" if state.touching else "free"
-
-
 def _laser(state: RobotState) -> str:
     # Without points the vector may still have pixel rows of the camera: shown raw, the first eight.
     points, rows = state.laser_points_in, state.laser[1:]
@@ -129,21 +125,17 @@ def _battery(state: RobotState) -> str:
     return "unknown" if battery is None else f"computer {battery.cpu_v:.1f} V  motors {battery.motor_v:.1f} V"
 
 
-def _clock(state: RobotState) -> str:
-    return "unknown" if state.clock_s is None else f"{state.clock_s:.3f} s"
-
-
 PARTS: dict[str, Callable[[RobotState], str]] = {
     "pose": _pose,
     "velocity": _velocity,
     "motors": _motors,
     "sonar": _sonar,
     "infrared": _infrared,
-    "bumpers": _bumpers,
+    "bumpers": lambda state: f"TOUCHING: {' '.join(map(str, state.bumpers))}" if state.touching else "free",
     "compass": lambda state: f"{state.compass_deg:.1f} deg",
     "laser": _laser,
     "battery": _battery,
-    "clock": _clock,
+    "clock": lambda state: "unknown" if state.clock_s is None else f"{state.clock_s:.3f} s",
     "error": lambda state: str(state.error) if state.error else "none",
 }
 """Parts of the state, and the function that formats each."""

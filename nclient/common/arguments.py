@@ -103,12 +103,20 @@ def whole_number(what: str, low: int, high: int = sys.maxsize) -> Callable[[str]
 
 
 def add_value(
-    parser: argparse._ActionsContainer, name: str, metavar: str, parse: Callable[[str], object], about: str,
+    parser: argparse._ActionsContainer, names: str, metavar: str, parse: Callable[[str], object], about: str,
     default: object = None,
 ) -> None:  # fmt: skip
-    """Add an option with a value. Its help ends with the default, unless there is none or `about` names it."""
+    """Add an option with a value; other names of it follow after blanks.
+
+    Its help ends with the default, unless there is none or `about` names it.
+    """
     shown = "" if default is None or "(default" in about else " (default: %(default)s)"
-    parser.add_argument(name, metavar=metavar, type=parse, default=default, help=about + shown)
+    parser.add_argument(*names.split(), metavar=metavar, type=parse, default=default, help=about + shown)
+
+
+def add_flag(parser: argparse._ActionsContainer, name: str, about: str) -> None:
+    """Add an option without a value."""
+    parser.add_argument(name, action="store_true", help=about)
 
 
 def add_address(parser: argparse.ArgumentParser) -> None:

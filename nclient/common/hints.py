@@ -4,8 +4,6 @@ import functools
 import re
 from collections.abc import Iterable
 from difflib import get_close_matches
-from importlib import metadata
-from importlib.metadata import PackageNotFoundError, requires
 from typing import Final
 
 SIMILARITY = 0.6
@@ -38,6 +36,8 @@ DISTRIBUTION: Final = "nomad-nserver"
 @functools.cache
 def version() -> str:
     """Return the installed version. Cached, because reading the metadata reads the whole README."""
+    from importlib import metadata  # here: its import is a twentieth of the start of nserver
+
     return metadata.version(DISTRIBUTION)
 
 
@@ -56,10 +56,12 @@ def find_extra(module: str) -> str:
 
     Extras are read from the installed metadata, so that pyproject.toml is the only list of them.
     """
+    from importlib import metadata
+
     wanted = _normalize(module.partition(".")[0])
     try:
-        requirements = requires(DISTRIBUTION) or []
-    except PackageNotFoundError:
+        requirements = metadata.requires(DISTRIBUTION) or []
+    except metadata.PackageNotFoundError:
         return ""
     matches = filter(None, map(_REQUIREMENT.match, requirements))
     return next(

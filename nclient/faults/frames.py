@@ -16,7 +16,7 @@ substitute for a NAK over TCP is an ERROR reply with code 5, refused.
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from random import Random
 from typing import NamedTuple
 
@@ -41,9 +41,8 @@ from nclient.faults.plan import (
 from nclient.protocol.client_state import HANDSHAKE_SIZE
 from nclient.protocol.codec import build_frame as build_tcp_frame
 from nclient.protocol.commands import BY_LINE_TYPE, BY_NAME, BY_TCP_TYPE, ERROR_TYPE, MAX_REPLY_WORDS, NAK_TYPE
-from nclient.protocol.serial_framing import END, HOST_LIMIT, ROBOT_LIMIT, START, build_frame
+from nclient.protocol.serial_framing import HOST_LIMIT, ROBOT_LIMIT, SerialFrame, SerialFramer, build_frame
 
-_LINE_OVERHEAD, _LINE_MIN = 4, 2
 _TCP_HEADER, _TYPE_SIZE, _WORD = 4, 2, 4
 _CONNECT_TYPES = frozenset(BY_NAME[name].tcp_type for name in ("create_robot", "connect_robot", "disconnect_robot"))
 _MAX_WORDS = max(MAX_REPLY_WORDS.values())
@@ -68,71 +67,44 @@ class LineFrames:
     """
 
     def __init__(self, limit: int = ROBOT_LIMIT, bare: int = 0) -> None:
-        self._limit = limit
+        self._framer = SerialFramer(limit)
         self._bare = bare
-        self._buffer = bytearray()
+        self._head = b""
 
     @property
     def pending_bytes(self) -> int:
         """Return the number of buffered bytes."""
-        return len(self._buffer)
+        return len(self._head) + self._framer.pending
 
     def receive(self, data: bytes) -> list[StreamPiece]:
         """Add bytes, and return the pieces that they complete, in order; the bare bytes at the start are one piece."""
-        self._buffer += data
-        if len(self._buffer) < self._bare:
+        if not self._bare:
+            return _pieces(self._framer.split(data))
+        self._head += data
+        if len(self._head) < self._bare:
             return []
-        bare = [StreamPiece(self._take(self._bare), None)] if self._bare else []
-        self._bare = 0
-        return bare + list(self._pieces())
+        bare, rest = self._head[: self._bare], self._head[self._bare :]
+        self._bare, self._head = 0, b""
+        return [StreamPiece(bare, None), *_pieces(self._framer.split(rest))]
 
     def flush(self) -> list[StreamPiece]:
         """Return the buffered bytes, with frames found behind a wrong start byte."""
-        found: list[StreamPiece] = []
-        while self._buffer:
-            found.append(StreamPiece(self._take(1), None))
-            found += self._pieces()
-        return _merge(found)
+        head, self._head = self._head, b""
+        found = [head[:1], *self._framer.split(head[1:])] if head else []
+        return _pieces([*found, *self._framer.split_rest()])
 
-    def _pieces(self) -> Iterator[StreamPiece]:
-        # Bytes outside frames are joined, so that one piece of noise is one piece to the rules.
-        stray = bytearray()
-        while self._buffer:
-            size = self._size()
-            if size is None or len(self._buffer) < size:
-                break
-            if size == 0:
-                stray += self._take(1)
-                continue
-            if stray:
-                yield StreamPiece(bytes(stray), None)
-                stray.clear()
-            frame = self._take(size)
-            yield StreamPiece(frame, frame[3])
-        if stray:
-            yield StreamPiece(bytes(stray), None)
 
-    def _size(self) -> int | None:
-        """Return the size of the frame at the front of the buffer, 0 if there is none, None if it is not known yet."""
-        buffer = self._buffer
-        if buffer[0] != START:
-            return 0
-        if len(buffer) < 3:
-            return None
-        # Low byte first; it counts type and data.
-        length = buffer[1] | buffer[2] << 8
-        size = length + _LINE_OVERHEAD
-        # Length, end byte and checksum must all be right; otherwise 0x01 is an ordinary byte.
-        if not _LINE_MIN <= length <= self._limit - _LINE_OVERHEAD:
-            return 0
-        if len(buffer) >= size and (buffer[size - 1] != END or sum(buffer[: size - 2]) & 255 != buffer[size - 2]):
-            return 0
-        return size
-
-    def _take(self, count: int) -> bytes:
-        taken = bytes(self._buffer[:count])
-        del self._buffer[:count]
-        return taken
+def _pieces(found: Iterable[SerialFrame | bytes]) -> list[StreamPiece]:
+    """Return frames, and the bytes between two of them joined: one piece of noise is one piece to the rules."""
+    pieces: list[StreamPiece] = []
+    for each in found:
+        if isinstance(each, SerialFrame):
+            pieces.append(StreamPiece(build_frame(each.type, each.data), each.type))
+        elif pieces and pieces[-1].type is None:
+            pieces[-1] = StreamPiece(pieces[-1].data + each, None)
+        else:
+            pieces.append(StreamPiece(each, None))
+    return pieces
 
 
 class TcpFrames:
@@ -194,17 +166,6 @@ class TcpFrames:
 
 Frames = LineFrames | TcpFrames
 """Framer of one direction of a connection. `receive` returns the pieces that are complete, `flush` the rest."""
-
-
-def _merge(pieces: list[StreamPiece]) -> list[StreamPiece]:
-    """Merge adjacent pieces that are no frames."""
-    joined: list[StreamPiece] = []
-    for piece in pieces:
-        if joined and piece.type is None and joined[-1].type is None:
-            joined[-1] = StreamPiece(joined[-1].data + piece.data, None)
-        else:
-            joined.append(piece)
-    return joined
 
 
 CORRUPTED, DROPPED, ADDED = "corrupted_bytes", "dropped_bytes", "added_bytes"

@@ -139,7 +139,8 @@ class TcpFramer:
         self._replies = bounds is reply_bounds
         self._bounds = bounds
         self._buffer = b""
-        self._to_skip = 0
+        # Bytes still to arrive of a rejected message.
+        self.bytes_to_skip = 0
         self._lost = False
         self._drop_after_loss = drop_after_loss
 
@@ -147,11 +148,6 @@ class TcpFramer:
     def pending(self) -> int:
         """Return the number of buffered bytes of an incomplete frame."""
         return len(self._buffer)
-
-    @property
-    def bytes_to_skip(self) -> int:
-        """Return the number of bytes still to arrive of a rejected message that is being skipped."""
-        return self._to_skip
 
     @property
     def may_be_narrow(self) -> bool:
@@ -176,10 +172,10 @@ class TcpFramer:
         at, end = 0, len(data)
         while True:
             # 1. The rest of a rejected message.
-            if self._to_skip:
-                gone = min(self._to_skip, end - at)
+            if self.bytes_to_skip:
+                gone = min(self.bytes_to_skip, end - at)
                 at += gone
-                self._to_skip -= gone
+                self.bytes_to_skip -= gone
                 self.skipped_bytes += gone
             if end - at < _HEADER.size:
                 break
@@ -189,7 +185,7 @@ class TcpFramer:
             if bounds is None or not bounds[0] <= count <= bounds[1]:
                 found += self._reject(message_type, count, bounds)
                 if self._lost and self._drop_after_loss:
-                    self._to_skip = end - at
+                    self.bytes_to_skip = end - at
                 continue
             # 3. The first CONNECT shows the word size by its first word.
             start = at + _HEADER.size
@@ -214,7 +210,7 @@ class TcpFramer:
         was_lost = self._lost
         fatal = self._lost = was_lost or count > MAX_UNKNOWN_WORDS
         # Without synchronisation only one byte is skipped: a message may begin at the next one.
-        self._to_skip = 1 if fatal else _HEADER.size + (2 * _WORD_SIZE if self.wide else _WORD_SIZE) * count
+        self.bytes_to_skip = 1 if fatal else _HEADER.size + (2 * _WORD_SIZE if self.wide else _WORD_SIZE) * count
         if was_lost:
             return []
         if bounds is None:

@@ -16,7 +16,7 @@ Also here: guessing the robot's model from a state packet that does not fit, for
 import struct
 from collections import deque
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 from nclient.errors import WireError
 from nclient.protocol import client_state, codec, serial_framing
@@ -204,16 +204,6 @@ class _Answer:
     name: str | None
 
 
-class _Ends(Protocol):
-    """Protocol-specific part of WireDecoder. `call` and `answer` raise WireError for bytes that are not one frame."""
-
-    wire_state: WireState
-
-    def call(self, data: bytes) -> Call: ...
-    def expect(self, row: Command) -> None: ...
-    def answer(self, data: bytes) -> _Answer | client_state.Handshake: ...
-
-
 class _TcpEnds:
     """Nserver over TCP: replies do not name their request, so the outstanding requests are queued."""
 
@@ -297,6 +287,9 @@ class _LineEnds:
         if self._request and self._request.line_type == frame.type:
             row = self._request
         return _Answer(reply, row.name if row else None)
+
+
+_Ends = _TcpEnds | _LineEnds
 
 
 # A laser mode whose readings are lines: an N200's state is longer with it.

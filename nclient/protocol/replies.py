@@ -247,37 +247,21 @@ LINE_STATE = LineLayout(
     clock=fields.LINE_CLOCK,
     volts=fields.LineRun(2, fields.BYTES),
 )
-# Replies to get_* commands carry all their values, whatever the mask.
-LINE_INFRARED = LineLayout(
-    "infrared",
-    slots=fields.LineNibbles(1, 16, masked=False),
-    stamps=fields.LineStamps(Position.INFRARED),
-    clock=fields.LINE_CLOCK,
+
+
+def _line_query(kind: str, position: Position, **readings: Construct) -> LineLayout:
+    """Return the layout of the reply to a get_* command: all its readings, whatever the mask, stamps and clock."""
+    return LineLayout(kind, **readings, stamps=fields.LineStamps(position), clock=fields.LINE_CLOCK)
+
+
+LINE_INFRARED = _line_query("infrared", Position.INFRARED, slots=fields.LineNibbles(1, 16, masked=False))
+LINE_SONAR = _line_query("sonar", Position.SONAR, slots=fields.LineSlots(17, 32, fields.BYTES, masked=False))
+LINE_BUMPER = _line_query("bumper", Position.BUMPER, slots=fields.BumperBytes(BUMPER_SLOT, masked=False))
+LINE_COMPASS = _line_query(
+    "compass", Position.COMPASS, slots=fields.LineSlots(COMPASS_SLOT, COMPASS_SLOT, fields.SHORTS, masked=False)
 )
-LINE_SONAR = LineLayout(
-    "sonar",
-    slots=fields.LineSlots(17, 32, fields.BYTES, masked=False),
-    stamps=fields.LineStamps(Position.SONAR),
-    clock=fields.LINE_CLOCK,
-)
-LINE_BUMPER = LineLayout(
-    "bumper",
-    slots=fields.BumperBytes(BUMPER_SLOT, masked=False),
-    stamps=fields.LineStamps(Position.BUMPER),
-    clock=fields.LINE_CLOCK,
-)
-LINE_COMPASS = LineLayout(
-    "compass",
-    slots=fields.LineSlots(COMPASS_SLOT, COMPASS_SLOT, fields.SHORTS, masked=False),
-    stamps=fields.LineStamps(Position.COMPASS),
-    clock=fields.LINE_CLOCK,
-)
-LINE_LASER = LineLayout(
-    "laser", laser=fields.LineLaser(lambda _: PIXELS), stamps=fields.LineStamps(Position.LASER), clock=fields.LINE_CLOCK
-)
-LINE_SEGMENTS = LineLayout(
-    "laser", laser=fields.LineLaser(lambda _: LINES), stamps=fields.LineStamps(Position.LASER), clock=fields.LINE_CLOCK
-)
+LINE_LASER = _line_query("laser", Position.LASER, laser=fields.LineLaser(lambda _: PIXELS))
+LINE_SEGMENTS = _line_query("laser", Position.LASER, laser=fields.LineLaser(lambda _: LINES))
 LINE_CONFIGURATION = LineLayout("configuration", slots=fields.LineSlots(34, 37, fields.SIGNED_SHORTS, masked=False))
 LINE_VELOCITY = LineLayout("velocity", slots=fields.LineSlots(38, 40, fields.SIGNED_SHORTS, masked=False))
 LINE_NOTHING = LineLayout("velocity")

@@ -8,6 +8,7 @@ length out of range, a wrong checksum or a wrong end byte the search continues a
 the frames behind it only until more bytes arrive, or until the caller's deadline calls `expire`.
 """
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 from nclient.errors import WireError
@@ -99,49 +100,51 @@ class SerialFramer:
         if not self._buffer and _is_frame(data, self.limit):
             self.frames += 1
             return [SerialFrame(data[3], bytes(data[4:-2]))]
-        self._buffer += data
-        found: list[SerialFrame] = []
-        while (size := self._candidate()) and len(self._buffer) >= size:
-            frame = self._take(size)
-            if frame:
-                found.append(frame)
-        return found
+        return [found for found in self.split(data) if isinstance(found, SerialFrame)]
 
     def expire(self) -> list[SerialFrame]:
         """Discard the incomplete frame, and return frames found in the bytes after its first one."""
-        found: list[SerialFrame] = []
-        while self._buffer:
-            self._discard(1)
-            found += self.receive(b"")
-        return found
+        return [found for found in self.split_rest() if isinstance(found, SerialFrame)]
 
     def clear(self) -> None:
         """Discard the buffered bytes, as a host does before each request."""
-        self._discard(len(self._buffer))
+        self._skip(len(self._buffer))
 
-    def _candidate(self) -> int:
-        """Discard bytes up to a possible start; return the frame's size in bytes, 0 if it is not known yet."""
-        while True:
+    def split(self, data: bytes) -> Iterator[SerialFrame | bytes]:
+        """Add bytes, and yield in order the frames that they complete and the bytes that belong to no frame."""
+        self._buffer += data
+        while self._buffer:
+            # 1. A frame starts with 0x01.
             start = self._buffer.find(START)
-            self._discard(len(self._buffer) if start < 0 else start)
+            if start:
+                yield self._skip(len(self._buffer) if start < 0 else start)
+                continue
+            # 2. A valid length, low byte first, and as many bytes.
             if len(self._buffer) < 3:
-                return 0
-            length = self._buffer[1] | self._buffer[2] << 8
-            if _MIN_LENGTH <= length <= self.limit - _OVERHEAD:
-                return length + _OVERHEAD
-            self._discard(1)
+                return
+            size = _OVERHEAD + (self._buffer[1] | self._buffer[2] << 8)
+            if MIN_FRAME <= size <= self.limit:
+                if len(self._buffer) < size:
+                    return
+                # 3. The right checksum and end; otherwise 0x01 is an ordinary byte.
+                candidate = bytes(self._buffer[:size])
+                if _is_frame(candidate, self.limit):
+                    del self._buffer[:size]
+                    self.frames += 1
+                    yield SerialFrame(candidate[3], candidate[4:-2])
+                    continue
+                # Only a frame that ends correctly counts as a checksum error; others are lost synchronisation.
+                self.bad_checksums += candidate[-1] == END
+            yield self._skip(1)
 
-    def _take(self, size: int) -> SerialFrame | None:
-        candidate = bytes(self._buffer[:size])
-        if not _is_frame(candidate, self.limit):
-            # Only a frame that ends correctly counts as a checksum error; others are lost synchronisation.
-            self.bad_checksums += candidate[-1] == END
-            self._discard(1)
-            return None
-        del self._buffer[:size]
-        self.frames += 1
-        return SerialFrame(candidate[3], candidate[4:-2])
+    def split_rest(self) -> Iterator[SerialFrame | bytes]:
+        """Yield the buffered bytes, of which the first starts no frame, with the frames found behind it."""
+        while self._buffer:
+            yield self._skip(1)
+            yield from self.split(b"")
 
-    def _discard(self, count: int) -> None:
+    def _skip(self, count: int) -> bytes:
+        skipped = bytes(self._buffer[:count])
         del self._buffer[:count]
         self.skipped_bytes += count
+        return skipped

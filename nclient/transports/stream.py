@@ -1,9 +1,9 @@
-"""The interface of byte streams, and the deadline of every wait.
+"""The interface of byte streams, the deadline of every wait, and streams within this process.
 
 A stream knows nothing of messages. Two errors leave it: ReplyTimeout if nothing came in time, ConnectionLost if nothing
 will ever come. What wraps a stream (a recorder, a fault injector) is a `ByteStream` again.
 
-A byte stream to a peer in this process, such as the emulator: no socket and no waiting.
+MemoryStream is a byte stream to a peer in this process, such as the emulator: no socket and no waiting.
 
     address -> entry point of the group `nomad.openers`, by its scheme -> Peer -> MemoryStream
 
@@ -132,7 +132,7 @@ class MemoryStream:
         return self._peer
 
 
-def schemes() -> tuple[str, ...]:
+def in_process_schemes() -> tuple[str, ...]:
     """Return the address schemes that installed packages open in this process, sorted."""
     return tuple(sorted(_openers()))
 

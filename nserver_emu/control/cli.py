@@ -16,7 +16,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
-from nclient.common.arguments import Parser
+from nclient.common.arguments import Parser, add_flag
 from nclient.common.exit_codes import ExitCode
 from nclient.common.hints import suggest
 from nclient.errors import ConnectionLost, ControlError, NomadError
@@ -242,7 +242,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options, which may stand before, between and after the words."""
     parser.add_argument("--control", type=socket_path, metavar="PATH",
                         help="control socket of the server (default: the user's own)")
-    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    add_flag(parser, "--json", "print the result as JSON")
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -19,11 +19,12 @@ import tempfile
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from nclient.errors import ConnectionLost, NomadError
 from nclient.faults.plan import MAX_BYTES, load_plan
 from nserver_emu.control.commands import answer_line_in_thread
+from nserver_emu.server.daemon import Daemon
 
 log = logging.getLogger(__name__)
 
@@ -150,9 +151,6 @@ def _identity(path: Path) -> tuple[int, int] | None:
         return None
     return status.st_dev, status.st_ino
 
-
-if TYPE_CHECKING:
-    from nserver_emu.server.daemon import Daemon
 
 _SUFFIX: Final = ".sock"
 # The value of --control without a path: the default path.

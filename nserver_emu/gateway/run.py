@@ -19,8 +19,7 @@ from typing import Final
 
 from nclient.backends.base import Backend
 from nclient.backends.wrappers import POLL_S, SpeedLimiter
-from nclient.common.arguments import ABOVE_ZERO, add_value, number
-from nclient.connector import Connector
+from nclient.common.arguments import ABOVE_ZERO, add_flag, add_value, number
 from nclient.url import parse_address
 from nserver_emu.gateway.gateway import TIMEOUT_S, Gateway, RealRobotProxy
 from nserver_emu.server.daemon import Daemon
@@ -47,19 +46,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="drive this robot as robot 1: any address, such as serial:///dev/ttyUSB0?model=n150; "
         "clients switch with real_robot and simulated_robot; default at the start: real",
     )
-    group.add_argument(
-        "--real-read-only",
-        action="store_true",
-        help="refuse (ERROR 5) all that would move or change the real robot; st works",
-    )
+    add_flag(group, "--real-read-only", "refuse (ERROR 5) all that would move or change the real robot; st works")
     speed = number("a number above 0", ABOVE_ZERO)
     add_value(group, "--max-speed", "IN_S", speed, "limit the speed of the real robot to IN_S inches a second")
     add_value(group, "--max-turn", "DEG_S", speed, "limit the speed of steering and turret to DEG_S degrees a second")
-    group.add_argument(
-        "--shadow",
-        action="store_true",
-        help="let the simulation repeat what the real robot does, and log the differences",
-    )
+    add_flag(group, "--shadow", "let the simulation repeat what the real robot does, and log the differences")
     add_value(group, "--shadow-report", "FILE", Path,
               "write the differences to FILE at the end: CSV where it ends in .csv, else JSON")
     add_value(group, "--shadow-every", "S", speed,
@@ -193,6 +184,8 @@ def _connect(options: argparse.Namespace, faults: FaultController | None) -> Rea
     Speed limits of its address apply as well, the lower of two. Faults are those of the address or, where it names
     none, those that the daemon has for this line.
     """
+    from nclient.connector import Connector  # most daemons have no real robot and start faster without it
+
     address = parse_address(options.real)
     # The gateway sets the motion timeout, keeps it alive and reconnects by itself.
     address = replace(address, options=replace(address.options, tm_s=None, feed=None, reconnect=None))

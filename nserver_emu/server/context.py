@@ -34,6 +34,7 @@ import numpy as np
 from nclient.protocol.client_state import STATE_SIZE
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
+from nclient.protocol.ring_packet import RING_PACKET
 from nclient.protocol.types import (
     BUMPER_SLOT,
     COMPASS_SLOT,
@@ -87,6 +88,7 @@ MAX_TIME_FACTOR: Final = 999.0
 MAX_LOCKSTEP_S: Final = 10.0
 # Processor time of a turn that prepares a reply; the last step may take some tenths of a millisecond longer.
 PREPARING_S: Final = 0.0003
+_COMPLETE: Final = object()
 # State[0] at unlimited speed.
 UNLIMITED_SPEED: Final = 9999
 
@@ -523,6 +525,11 @@ Preparation = Callable[["ServerState", ConnectionContext, tuple[Any, ...]], Iter
 # Commands that do not change the robot.
 QUERIES: Final = frozenset({"gs", "ct", "sim_truth", *(name for name in BY_NAME if name.startswith("get_"))})
 # Queries whose replies contain State slots.
+def is_ring_packet(call: Call) -> bool:
+    """Return True for the user packet that reads the sonars of a ring, which takes no simulated time."""
+    return call.name == "special_request" and call.args[:1] == (RING_PACKET,)
+
+
 STATE_QUERIES: Final = frozenset({"get_ir", "get_sn", "get_rc", "get_rv", "get_cp", "get_bp"})
 # Commands that take no time in lockstep and do not restart the command timeout: observers must not keep a robot moving.
 TIMELESS: Final = frozenset({"connect_robot", "create_robot", "disconnect_robot", "sim_truth", "sim_control"})
@@ -561,7 +568,7 @@ class ServerState:
         self.quitting = False
         self.graphics = Graphics()
         self.traces = Traces()
-        self.traces.update(simulation)
+        self.traces.update(simulation.time_s, simulation.robots)
         self.transcript = SpeechLog()
         # Arms that were used, by robot.
         self.arms: dict[int, Arm] = {}
@@ -581,7 +588,7 @@ class ServerState:
     def answer(self, call: Call, context: ConnectionContext) -> Reply | DeferredReply:
         """Execute a call and return its reply, ERROR 4 if there is no handler."""
         name = call.name
-        if name not in TIMELESS:
+        if name not in TIMELESS and not is_ring_packet(call):
             # 1. In lockstep, time advances before the call, so that the reply shows the result.
             if self.clock.lockstep_s is not None:
                 self.pass_time(self.clock.step_per_request_s)
@@ -618,7 +625,7 @@ class ServerState:
         while left_ps:
             step_ps = min(left_ps, POLL_INTERVAL_PS)
             self.simulation.step(to_s(step_ps))
-            self.traces.update(self.simulation)
+            self.traces.update(self.simulation.time_s, self.simulation.robots)
             for robot_id in self.arms:
                 self._advance_arm(robot_id)
             self._deferred.poll()
@@ -665,21 +672,29 @@ class ServerState:
         """
         if context.robot_id is None:
             return True
-        start_s = time.thread_time()
-        is_complete = True
-        for _ in self._preparation_steps(context, call):
-            is_complete = False
-            if time.thread_time() >= start_s + PREPARING_S:
-                break
-        return is_complete
+        # 1. The usual case: nothing, and no time is measured.
+        steps = self._preparation_steps(context, call)
+        if next(steps, _COMPLETE) is _COMPLETE:
+            return True
+        # 2. More steps in the same turn.
+        end_s = time.thread_time() + PREPARING_S
+        while time.thread_time() < end_s and next(steps, _COMPLETE) is not _COMPLETE:
+            pass
+        return False
 
     def _preparation_steps(self, context: ConnectionContext, call: Call | None) -> Iterator[None]:
-        mask, sonar = context.wire_state.mask, self.robot_of(context).sonar
         if call is not None:
-            return self.preparations[call.name](self, context, call.args)
-        if not (mask.whole or any(map(mask.has, SONAR.slots))):
-            return iter(())
-        return (None for _ in iter(sonar.compute_some, True))
+            # No `yield from`: it would close the steps with this generator, and they go on in the next turn.
+            for _ in self.preparations[call.name](self, context, call.args):
+                yield
+            return
+        mask, robot = context.wire_state.mask, self.robot_of(context)
+        if mask.whole or any(map(mask.has, SONAR.slots)):
+            while not robot.sonar.compute_some():
+                yield
+        if robot.infrared is not None and (mask.whole or any(map(mask.has, INFRARED.slots))):
+            while not robot.infrared.compute_some():
+                yield
 
     def feed_watchdog(self, context: ConnectionContext) -> None:
         """Restart the command timeout (conf_tm) of a connection's robot, unless only other connections move it."""

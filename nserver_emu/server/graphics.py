@@ -23,7 +23,7 @@ from array import array
 from base64 import b64decode, b64encode
 from bisect import bisect_left
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from enum import StrEnum
 from itertools import takewhile
 from math import floor, hypot
@@ -34,7 +34,6 @@ import numpy as np
 from nserver_emu.server.limits import Limits
 from nserver_emu.simulation.laser import points
 from nserver_emu.simulation.robot import SimulatedRobot
-from nserver_emu.simulation.simulation import Simulation
 
 BLACK: Final = "Black"
 # Colours by number, starting with 1.
@@ -296,13 +295,13 @@ class Traces:
         self.encoder: dict[int, Trace] = {}
         self._interval = -1
 
-    def update(self, simulation: Simulation) -> None:
+    def update(self, time_s: float, robots: Mapping[int, SimulatedRobot]) -> None:
         """Add the positions of all robots, at most once per INTERVAL_S."""
-        interval = floor(simulation.time_s / INTERVAL_S)
+        interval = floor(time_s / INTERVAL_S)
         if interval == self._interval:
             return
         self._interval = interval
-        for robot_id, robot in simulation.robots.items():
+        for robot_id, robot in robots.items():
             x, y, _ = robot.disc
             self.actual.setdefault(robot_id, Trace()).add(x, y)
             self.encoder.setdefault(robot_id, Trace()).add(robot.encoder.x_in, robot.encoder.y_in)

@@ -89,11 +89,11 @@ class Arm:
     def __init__(self) -> None:
         self.lift = Slide(LIFT, LIFT_TRAVEL_IN)
         self.grip = Slide(GRIP, GRIP_TRAVEL_IN)
-        self._time_s = 0.0
+        self.time_s = 0.0
 
     def to_state(self) -> ArmState:
         """Return all that changes."""
-        return ArmState(self.lift.to_state(), self.grip.to_state(), self._time_s)
+        return ArmState(self.lift.to_state(), self.grip.to_state(), self.time_s)
 
     @classmethod
     def from_state(cls, state: ArmState) -> Arm:
@@ -101,19 +101,14 @@ class Arm:
         arm = cls()
         arm.lift.set_state(state.lift)
         arm.grip.set_state(state.grip)
-        arm._time_s = state.time_s
+        arm.time_s = state.time_s
         return arm
 
     def advance_to(self, time_s: float) -> None:
         """Advance to an instant that is not before the current one."""
         for slide in (self.lift, self.grip):
-            slide.advance(time_s - self._time_s)
-        self._time_s = time_s
-
-    @property
-    def time_s(self) -> float:
-        """The current instant, simulated seconds."""
-        return self._time_s
+            slide.advance(time_s - self.time_s)
+        self.time_s = time_s
 
     def stop(self) -> None:
         """Brake and hold both axes."""

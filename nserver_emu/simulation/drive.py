@@ -15,16 +15,8 @@ from collections.abc import Iterable
 from math import atan2
 from typing import Final, NamedTuple
 
+from nserver_emu.simulation import collision
 from nserver_emu.simulation.axis import TIME_TOLERANCE_S, Axis, AxisLimits, AxisState
-from nserver_emu.simulation.collision import (
-    TOUCH_IN,
-    Capsule,
-    Contact,
-    PlacedSegment,
-    WallSet,
-    first_contact,
-    pressed_bumpers,
-)
 from nserver_emu.simulation.segments import ConstantAccelerationSegment, Pose, wrap_to_2pi, wrap_to_pi
 from worlds.robots import Body
 
@@ -158,16 +150,6 @@ class SynchroDrive:
         """End the search for zero: the rest of both angles is rounding and whole turns."""
         self.set_angles(0.0, 0.0)
 
-    def to_state(self) -> DriveState:
-        """Return all that changes."""
-        return DriveState(self.steering_rad, self.turret_rad, _axis_states(self.axes))
-
-    def set_state(self, state: DriveState) -> None:
-        """Continue from a state; raise ValueError if it is beyond the limits of the axes."""
-        self.set_angles(state.steering_rad, state.turret_rad)
-        for axis, axis_state in zip(self.axes, state.axes, strict=True):
-            axis.set_state(axis_state)
-
 
 class DifferentialDrive:
     """The drive of the Scout: two wheels side by side with speeds v_r and v_l, `track_in` inches apart.
@@ -294,23 +276,21 @@ class DifferentialDrive:
     def finish_zero(self) -> None:
         """Leave the heading unchanged."""
 
-    def to_state(self) -> DriveState:
-        """Return all that changes."""
-        return DriveState(self.heading_rad, self.heading_rad, _axis_states(self.axes))
-
-    def set_state(self, state: DriveState) -> None:
-        """Continue from a state; raise ValueError if it is beyond the limits of the axes."""
-        self.heading_rad = state.steering_rad
-        for axis, axis_state in zip(self.axes, state.axes, strict=True):
-            axis.set_state(axis_state)
-
 
 Drive = SynchroDrive | DifferentialDrive
 
 
-def _axis_states(axes: tuple[Axis, Axis, Axis]) -> tuple[AxisState, AxisState, AxisState]:
-    first, second, third = axes
-    return first.to_state(), second.to_state(), third.to_state()
+def drive_state(drive: Drive) -> DriveState:
+    """Return all of a drive that changes."""
+    first, second, third = drive.axes
+    return DriveState(drive.steering_rad, drive.turret_rad, (first.to_state(), second.to_state(), third.to_state()))
+
+
+def set_drive_state(drive: Drive, state: DriveState) -> None:
+    """Continue from a state; raise ValueError if it is beyond the limits of the axes."""
+    drive.set_angles(state.steering_rad, state.turret_rad)
+    for axis, axis_state in zip(drive.axes, state.axes, strict=True):
+        axis.set_state(axis_state)
 
 
 class ChassisState(NamedTuple):
@@ -333,10 +313,10 @@ class Chassis:
                   inches; then all walls are searched again
     """
 
-    def __init__(self, body: Body, walls: WallSet, x_in: float, y_in: float) -> None:
+    def __init__(self, body: Body, walls: collision.WallSet, x_in: float, y_in: float) -> None:
         self.body = body
         self._walls = walls
-        self._others: tuple[Capsule, ...] = ()
+        self._others: tuple[collision.Capsule, ...] = ()
         self.place(x_in, y_in)
 
     def place(self, x_in: float, y_in: float) -> None:
@@ -347,14 +327,14 @@ class Chassis:
         self._lag_rad = 0.0
         self._forget_survey()
 
-    def set_walls(self, walls: WallSet) -> None:
+    def set_walls(self, walls: collision.WallSet) -> None:
         """Replace the walls."""
         self._walls = walls
         self._forget_survey()
 
     def set_obstacles(self, discs: Iterable[tuple[float, float, float]]) -> None:
         """Replace the other robots that can be touched: rows x y radius in inches."""
-        self._others = tuple(Capsule.disc(*disc) for disc in discs)
+        self._others = tuple(collision.Capsule.disc(*disc) for disc in discs)
         self._clearance_in = 0.0
 
     @property
@@ -363,7 +343,7 @@ class Chassis:
         return bool(self._others)
 
     def _forget_survey(self) -> None:
-        self._near: tuple[Capsule, ...] = ()
+        self._near: tuple[collision.Capsule, ...] = ()
         self._surveyed_in = 0.0
         self._clearance_in = 0.0
 
@@ -398,7 +378,7 @@ class Chassis:
         """Return the true heading at this mechanical steering angle, unwrapped."""
         return steering_rad + self._yaw_rad
 
-    def first_contact(self, segment: ConstantAccelerationSegment, steering_rad: float) -> Contact | None:
+    def first_contact(self, segment: ConstantAccelerationSegment, steering_rad: float) -> collision.Contact | None:
         """Return the first contact on a segment that starts here at this mechanical steering angle, or None."""
         # Most segments are shorter than the clearance: nothing needs to be examined.
         distance = segment.length_bound(segment.duration_s)
@@ -407,8 +387,8 @@ class Chassis:
         capsules = self._within(distance)
         if not capsules:
             return None
-        placed = PlacedSegment(self._x_in, self._y_in, self.heading(steering_rad), segment)
-        return first_contact(placed, self.body.radius_in, capsules)
+        placed = collision.PlacedSegment(self._x_in, self._y_in, self.heading(steering_rad), segment)
+        return collision.first_contact(placed, self.body.radius_in, capsules)
 
     def follow(
         self, segment: ConstantAccelerationSegment, time_s: float, steering_rad: float
@@ -442,13 +422,13 @@ class Chassis:
     def bumpers(self, frame_rad: float) -> int:
         """Return the pressed bumpers as bits; frame_rad is the angle of the bumpers against the yaw."""
         # Nothing can be that near.
-        if self._clearance_in > TOUCH_IN:
+        if self._clearance_in > collision.TOUCH_IN:
             return 0
         front = frame_rad + self._yaw_rad
-        vectors = (capsule.gap_to(0.0, self._x_in, self._y_in)[1:] for capsule in self._within(TOUCH_IN))
-        return pressed_bumpers((atan2(-y, -x) - front for x, y in vectors), self.body.bumper_angles_rad)
+        vectors = (capsule.gap_to(0.0, self._x_in, self._y_in)[1:] for capsule in self._within(collision.TOUCH_IN))
+        return collision.pressed_bumpers((atan2(-y, -x) - front for x, y in vectors), self.body.bumper_angles_rad)
 
-    def _within(self, distance_in: float) -> list[Capsule]:
+    def _within(self, distance_in: float) -> list[collision.Capsule]:
         """Return the obstacles within a distance, and update the clearance."""
         x, y, radius = self._x_in, self._y_in, self.body.radius_in
         # 1. Search all walls again when an unsurveyed one might be that near.

@@ -7,6 +7,7 @@ The whole ring flashes at once, every 60 ms (both this and the arithmetic of the
 gives them). As with the sonars a flash records its pose; rays are cast when a reading is used, which changes no value.
 """
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import floor, inf
@@ -34,8 +35,10 @@ TENTHS: Final = 10
 MAX_HISTORY: Final = 9
 """With ten tenths of the previous reading, nothing new would ever be detected."""
 INTERVAL_PS: Final = 60 * PS_PER_S // 1000
-MAX_PENDING: Final = 64
-"""Flashes stored while no reading is used, where the history needs all of them."""
+MAX_PENDING: Final = 4
+"""Flashes stored while no reading is used, where the history needs all of them; then the oldest is computed."""
+MANY_WALLS: Final = 100
+"""With more walls a flash takes so long that it is computed in a turn of the event loop before the reply."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +104,7 @@ class InfraredRing:
         self._rng = rng
         self._levels = [float(NOTHING)] * INFRAREDS
         self._stamps = [NO_STAMP] * INFRAREDS
-        self._pending: list[Flash] = []
+        self._pending: deque[Flash] = deque()
         self._history = 0
         self._order: tuple[int, ...] = tuple(range(INFRAREDS))
         self.due_ps = now_ps
@@ -156,7 +159,7 @@ class InfraredRing:
         if not self._history:
             self._pending.clear()
         elif len(self._pending) >= MAX_PENDING:
-            self._compute_pending()
+            self._compute_oldest()
         noise = self._rng.standard_normal(INFRAREDS) if self.noise.range_std_relative else None
         self._pending.append(Flash(sensor_pose, noise, self._walls))
         for number in self._order:
@@ -171,16 +174,24 @@ class InfraredRing:
         self._compute_pending()
         self.noise = noise
 
+    def compute_some(self) -> bool:
+        """Compute one flash of several, or among many walls; return True if what is left takes little time."""
+        if len(self._pending) > 1 or (self._pending and len(self._pending[0].walls) > MANY_WALLS):
+            self._compute_oldest()
+            return False
+        return True
+
     def _compute_pending(self) -> None:
-        # Flashes in their order, because each reading depends on the previous one.
-        previous = self._history / TENTHS
-        for flash in self._pending:
-            ranges = self._ranges(flash)
-            for number in self._order:
-                level = min(float(ranges[number]), NOTHING) if ranges[number] <= MAX_RANGE_IN else float(NOTHING)
-                level = float(floor(max(level, 0.0) + 0.5))
-                self._levels[number] = previous * self._levels[number] + (1.0 - previous) * level
-        self._pending.clear()
+        while self._pending:
+            self._compute_oldest()
+
+    def _compute_oldest(self) -> None:
+        """Compute the readings of the oldest flash: each depends on the previous one."""
+        ranges, previous = self._ranges(self._pending.popleft()), self._history / TENTHS
+        for number in self._order:
+            level = min(float(ranges[number]), NOTHING) if ranges[number] <= MAX_RANGE_IN else float(NOTHING)
+            level = float(floor(max(level, 0.0) + 0.5))
+            self._levels[number] = previous * self._levels[number] + (1.0 - previous) * level
 
     def _ranges(self, flash: Flash) -> FloatArray:
         """Return the measured ranges (16,) from the body, inches, inf where nothing is met."""

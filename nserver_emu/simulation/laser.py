@@ -61,7 +61,9 @@ def ranges(sensor_pose: SensorPose, walls: FloatArray, body: Body) -> FloatArray
     if len(others):
         directions = np.stack((np.cos(angles), np.sin(angles)), axis=1)
         met = np.minimum(met, cast_discs(start, directions, others))
-    return np.where((met >= MIN_RANGE_IN) & (met <= MAX_RANGE_IN), met, inf)
+    measured = np.where((met >= MIN_RANGE_IN) & (met <= MAX_RANGE_IN), met, inf)
+    measured.setflags(write=False)
+    return measured
 
 
 def points(ranges_in: FloatArray, body: Body) -> FloatArray:

@@ -19,7 +19,7 @@ import numpy as np
 from nserver_emu.simulation.axis import TIME_TOLERANCE_S, Command
 from nserver_emu.simulation.collision import WallSet
 from nserver_emu.simulation.compass import Compass, CompassState, last_reading_ps
-from nserver_emu.simulation.drive import Chassis, ChassisState, DriveState
+from nserver_emu.simulation.drive import Chassis, ChassisState, DriveState, drive_state, set_drive_state
 from nserver_emu.simulation.infrared import InfraredRing, InfraredState
 from nserver_emu.simulation.laser import ranges, select_columns
 from nserver_emu.simulation.models import N150, RobotModel
@@ -60,6 +60,14 @@ NOISE_SIGMAS: Final = 6.0
 def battery_v(time_s: float) -> float:
     """Return the voltage of the batteries, so many seconds after they were full; driving costs nothing extra."""
     return max(EMPTY_V, FULL_V - (FULL_V - EMPTY_V) * time_s / LIFETIME_S)
+
+
+class LaserScan(NamedTuple):
+    """The last scan of the laser, which a robot that stands sends again and again, and what it depends on."""
+
+    pose: SensorPose
+    walls: FloatArray
+    ranges_in: FloatArray
 
 
 class RngState(NamedTuple):
@@ -151,7 +159,8 @@ class SimulatedRobot:
         self._timeout_ps = 0
         self._deadline_ps = TIME_MAX_PS
         self.timed_out_s: float | None = None
-        self._zeroing = False
+        # True from `zero` until it is done, or until another motion command replaces it.
+        self.zeroing = False
         # Motion.
         self._drive = model.drive(setup.ramps)
         self._drive.set_angles(start.steering_rad, start.turret_rad)
@@ -169,6 +178,7 @@ class SimulatedRobot:
         if model.has_compass:
             turret_rad = self._chassis.turret_direction(self._drive.turret_rad)
             self.compass = Compass(setup.compass, turret_rad, now_ps, self._rngs[Purpose.COMPASS])
+        self._scan: LaserScan | None = None
         self.powered = False
         if powered:
             self.power_on()
@@ -187,7 +197,7 @@ class SimulatedRobot:
         """Return all that changes, and model and setup."""
         return RobotState(
             self.model, self.setup, self.initial_setup, self._timeout_ps, self._deadline_ps, self.timed_out_s,
-            self._zeroing, self.powered, self._drive.to_state(), self._encoders.to_state(), self._chassis.to_state(),
+            self.zeroing, self.powered, drive_state(self._drive), self._encoders.to_state(), self._chassis.to_state(),
             self.sonar.to_state(), self.infrared.to_state() if self.infrared else None,
             self.compass.to_state() if self.compass else None, tuple(map(_rng_state, self._rngs)),
         )  # fmt: skip
@@ -208,9 +218,9 @@ class SimulatedRobot:
         robot.set_noise_model(state.setup)
         robot.setup, robot.initial_setup = state.setup, state.initial_setup
         robot._timeout_ps, robot._deadline_ps = state.timeout_ps, state.deadline_ps
-        robot.timed_out_s, robot._zeroing, robot.powered = state.timed_out_s, state.zeroing, state.powered
+        robot.timed_out_s, robot.zeroing, robot.powered = state.timed_out_s, state.zeroing, state.powered
         # 3. Parts.
-        robot._drive.set_state(state.drive)
+        set_drive_state(robot._drive, state.drive)
         robot._encoders.set_state(state.encoders)
         robot._chassis.set_state(state.chassis)
         robot.sonar.set_state(state.sonar, now_ps)
@@ -241,7 +251,7 @@ class SimulatedRobot:
         while self._time_ps < end_ps:
             # 1. The next instant at which something other than motion happens.
             until = min(end_ps, self._deadline_ps)
-            if self._zeroing or not self._has_exact_motion:
+            if self.zeroing or not self._has_exact_motion:
                 until = min(until, self.sonar.due_ps)
             if self.infrared is not None:
                 until = min(until, self.infrared.due_ps)
@@ -251,7 +261,7 @@ class SimulatedRobot:
             self._move((until - self._time_ps) / PS_PER_S)
             self._time_ps = until
             # 3. The events at that instant.
-            if self._zeroing:
+            if self.zeroing:
                 self._finish_zero()
             if until == self._deadline_ps:
                 self._time_out()
@@ -263,7 +273,7 @@ class SimulatedRobot:
 
     def _time_out(self) -> None:
         """Stop the motion, except for a search for zero."""
-        if self._zeroing:
+        if self.zeroing:
             self.feed()
             return
         self._deadline_ps = TIME_MAX_PS
@@ -272,7 +282,7 @@ class SimulatedRobot:
 
     def _finish_zero(self) -> None:
         if not any(self.moving):
-            self._zeroing = False
+            self.zeroing = False
             before_rad = self._drive.turret_rad
             self._drive.finish_zero()
             self._on_turret_moved(before_rad)
@@ -516,11 +526,6 @@ class SimulatedRobot:
         """True direction of bumper 0 in the map: the body of a Scout turns with its wheels, and any body with noise."""
         return self._chassis.front(self._drive.bumper_frame_rad)
 
-    @property
-    def zeroing(self) -> bool:
-        """True from `zero` until it is done, or until another motion command replaces it."""
-        return self._zeroing
-
     # Motion commands
 
     def set_velocities(self, first: float, second: float, third: float) -> None:
@@ -574,13 +579,13 @@ class SimulatedRobot:
         """
         self._begin_command()
         self._drive.seek_zero()
-        self._zeroing = True
+        self.zeroing = True
         self._finish_zero()
 
     def _begin_command(self) -> None:
         """Restart the time-out and end a search for zero."""
         self.feed()
-        self._zeroing = False
+        self.zeroing = False
 
     # Settings
 
@@ -609,7 +614,7 @@ class SimulatedRobot:
         Motions continue from there; a search for zero ends. Whether the position is free is for the caller to check: a
         robot set into a wall can only leave it.
         """
-        self._zeroing = False
+        self.zeroing = False
         # 1. Angles: the compass must not count them as a turn.
         before_rad = self._drive.turret_rad
         self._drive.set_angles(steering_rad, turret_rad)
@@ -671,7 +676,14 @@ class SimulatedRobot:
         columns
             Number of columns that measure, 0: all.
         """
-        return select_columns(ranges(self._sensor_pose(), self._walls, self.model.body), columns)
+        pose = self._sensor_pose()
+        if self._scan is None or self._scan.pose != pose or self._scan.walls is not self._walls:
+            self._scan = LaserScan(pose, self._walls, ranges(pose, self._walls, self.model.body))
+        scan = self._scan
+        # Other robots may be set down elsewhere at the same instant.
+        if len(pose.robots.discs) > 1:
+            self._scan = None
+        return select_columns(scan.ranges_in, columns)
 
     # Surroundings
 

@@ -16,7 +16,7 @@ import json
 import logging
 from collections import Counter, deque
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from nclient.errors import REFUSALS, NomadError
 from nclient.faults.frames import Language, TcpLanguage
@@ -29,6 +29,7 @@ from nclient.protocol.wire_state import WireState, tcp_wire_state
 from nclient.recording.recorder import TCP
 from nserver_emu.control.commands import WORLD_SET, answer_line, answer_line_in_thread
 from nserver_emu.server.connection import ConnectionHandler
+from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.estop import MOTIONS
 from nserver_emu.server.session import Session
 from nserver_emu.viewer import messages
@@ -36,9 +37,6 @@ from nserver_emu.viewer.broadcaster import Broadcaster, Viewer
 from nserver_emu.viewer.error_boundary import ErrorBoundary
 from nserver_emu.viewer.messages import parse_estimate
 from nserver_emu.viewer.traffic import TrafficMonitor
-
-if TYPE_CHECKING:
-    from nserver_emu.server.daemon import Daemon
 
 log = logging.getLogger(__name__)
 

@@ -53,7 +53,7 @@ import numpy as np
 from msgspec import Meta, Struct
 
 from nclient.common.validation import InvalidValue, convert, decode_json, describe_value, reported_as
-from worlds.robots import SONARS
+from worlds.rings import MAX_SONARS
 
 VERSION: Final = 4
 MAX_TEXT: Final = 2_000_000
@@ -228,7 +228,7 @@ Pose = Annotated[list[Number], Meta(min_length=3, max_length=3, title="three num
 class Echo(Struct):
     """An echo since the previous update."""
 
-    sonar: Annotated[int, Meta(ge=0, le=SONARS - 1)]
+    sonar: Annotated[int, Meta(ge=0, lt=MAX_SONARS)]
     reading_in: Annotated[float, Meta(ge=0.0, le=MAX_READING_IN)]
     refusal: Refusal
     innovation_in: Number

@@ -9,10 +9,9 @@ numbered, and the control command `status` has their names.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
-if TYPE_CHECKING:
-    from nserver_emu.server.daemon import Daemon
+from nserver_emu.server.daemon import Daemon
 
 CONTENT_TYPE: Final = "text/plain; version=0.0.4; charset=utf-8"
 STUCK_S: Final = 5.0

@@ -12,12 +12,10 @@ import importlib.util
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from nclient.errors import ExtraMissing, NomadError
-
-if TYPE_CHECKING:
-    from nserver_emu.server.daemon import Daemon
+from nserver_emu.server.daemon import Daemon
 
 DEFAULT_PORT: Final = 7080
 LOOPBACK: Final = "127.0.0.1"

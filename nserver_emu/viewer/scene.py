@@ -2,9 +2,11 @@
 
     always      frame, since, time_s, speed (null: as fast as possible), paused, lockstep_s
                 robots    {id: {"state": State[0..44], "actual": [x, y, steer, turret], "encoder": the same, "front":
-                          the direction of bumper 0,
+                          the direction of bumper 0, "sonars": readings in inches of a ring that State has no room for,
                           "held": {"by": viewer that stopped it, "ignored": number of motions refused since} or null}}
     if changed  bodies    {id: {"model", "radius_in", "ring_in", "bumpers": count, "differential", "sees",
+                          "sonars": {"angles", "shifts": [[forwards, left] ...] or [], "half_cone", "max_in",
+                          "no_echo_in"}: the ring (worlds/rings.py),
                           "noise": {"sensors": name in force, "motion": the same}, "noises": the available names}}
                 world     {"name", "title", "walls": [[x1, y1, x2, y2] ...], the outlines of rooms first,
                           "rooms", "obstacles": [{"name", "corners"} ...], "starts": [[x, y, steer, turret in
@@ -32,22 +34,20 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Collection, Iterable, Mapping
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from nserver_emu.server.connection import ConnectionHandler
 from nserver_emu.server.context import ServerState, StateSnapshot, is_on
 from nserver_emu.server.graphics import Shape, Trace
 from nserver_emu.server.handlers.runtime_settings import noise_choices, noise_of
-from nserver_emu.simulation.acoustics import Ping
+from nserver_emu.simulation.acoustics import Ping, Polaroid
 from nserver_emu.simulation.laser import points
 from nserver_emu.simulation.noise import RobotSetup
 from nserver_emu.simulation.robot import SimulatedRobot
 from nserver_emu.simulation.segments import Pose
 from worlds.world import Polygon, World
-
-if TYPE_CHECKING:
-    from nserver_emu.server.connection import ConnectionHandler
 
 # Clients per robot that are listed with their laser modes.
 MAX_NAMED: Final = 20
@@ -215,8 +215,28 @@ def body_data(robot: SimulatedRobot) -> Plain:
         "model": robot.model.name, "family": robot.model.family, "radius_in": shape.radius_in,
         "ring_in": shape.sonar_ring_radius_in, "bumpers": len(shape.bumper_angles_rad),
         "differential": robot.model.track_in is not None, "sees": robot.model.has_light_sensors,
+        "sonars": ring_data(robot),
         "noise": noise_of(robot), "noises": noise_choices(robot),
     }  # fmt: skip
+
+
+def ring_data(robot: SimulatedRobot) -> Plain:
+    """Return the ring of a robot, with the cone that is in force; of exact rays that of a Polaroid transducer."""
+    ring, sonar = robot.model.body.ring, robot.setup.sonar
+    half_cone_rad = ring.half_cone_rad or Polaroid().cone_rad / 2.0
+    return {
+        "angles": [round(angle, ANGLE_DIGITS) for angle in ring.angles_rad],
+        "shifts": [[round(number, DIGITS) for number in shift] for shift in ring.shifts_in],
+        "half_cone": round(sonar.cone_rad / 2.0 if isinstance(sonar, Polaroid) else half_cone_rad, ANGLE_DIGITS),
+        "max_in": ring.max_range_in, "no_echo_in": ring.no_echo_in,
+    }  # fmt: skip
+
+
+def _sonars(robot: SimulatedRobot) -> Plain:
+    """Return the readings that State has no room for."""
+    if robot.model.body.ring.fits_state:
+        return {}
+    return {"sonars": [round(reading, DIGITS) for reading in robot.sonar.readings_in]}
 
 
 def world_data(world: World) -> Plain:
@@ -250,6 +270,7 @@ def _now(server_state: ServerState) -> Plain:
                 "state": list(StateSnapshot(robot, pace.speed_tenths).slots()), "actual": _pose(robot.actual),
                 "encoder": _pose(robot.encoder), "front": round(robot.front_rad, ANGLE_DIGITS),
                 "held": None if (hold := server_state.estop.get(number)) is None else hold.as_dict(),
+                **_sonars(robot),
             }
             for number, robot in server_state.simulation.robots.items()
         },

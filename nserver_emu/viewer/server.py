@@ -20,7 +20,7 @@ import logging
 from collections.abc import AsyncIterator, Awaitable, Callable
 from http import HTTPStatus
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from aiohttp import WSCloseCode, WSMsgType, web
 
@@ -28,6 +28,7 @@ from nclient.common.allowlist import LOOPBACK_NAME, NOT_ALLOWED, is_loopback, is
 from nclient.errors import ConnectionLost
 from nserver_emu.server.admission import listen
 from nserver_emu.server.connection import FairScheduler, TokenBucket
+from nserver_emu.server.daemon import Daemon
 from nserver_emu.viewer import auth
 from nserver_emu.viewer.broadcaster import Broadcaster, Viewer
 from nserver_emu.viewer.controller import ViewerController
@@ -121,9 +122,6 @@ async def wait_for_rate(limit: TokenBucket | None) -> None:
 
 
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
-
-if TYPE_CHECKING:
-    from nserver_emu.server.daemon import Daemon
 
 log = logging.getLogger(__name__)
 

@@ -28,6 +28,7 @@ TESTS_OF_PAGES = {
     "maps.md": "docs/test_calibration_and_maps_pages.py",
     "missions.md": "docs/test_missions_page.py",
     "protocol.md": "docs/test_protocol_page.py",
+    "real-data.md": "localization/experiments/test_corridor.py",
     "real-robot.md": "docs/test_pages.py",
     "security.md": "docs/test_tunnels.py",
     "sensors.md": "docs/test_pages.py",

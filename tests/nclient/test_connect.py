@@ -18,7 +18,6 @@ from nclient import (
 )
 from nclient.connector import ConnectOptions, is_listening, open_machine
 from nclient.protocol.types import EVERYTHING, N150, N200, SCOUT
-from nclient.transports import stream as memory
 from nclient.transports.stream import MemoryStream
 from nclient.url import available_schemes
 from tests.nclient.scripted_server import ScriptedServer, by_script, on_socket
@@ -151,13 +150,13 @@ def test_errors_of_the_opener_pass_through(address: str, kind: type[Exception]) 
 
 
 def test_the_address_names_the_model_of_a_simulation(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(memory, "open_in_process", lambda *_: MemoryStream(ScriptedServer()))
+    monkeypatch.setattr("nclient.connector.open_in_process", lambda *_: MemoryStream(ScriptedServer()))
     assert connect("sim:thesis_room?robot=n200").model is N200
 
 
 def test_available_schemes(monkeypatch: pytest.MonkeyPatch) -> None:
     assert {"nserver", "replay", "sim"} <= set(available_schemes())
-    monkeypatch.setattr(memory, "entry_points", lambda **_: [])
+    monkeypatch.setattr("nclient.transports.stream.entry_points", lambda **_: [])
     assert "sim" not in available_schemes()
 
 

@@ -15,7 +15,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from nclient.protocol.replies import Reply
-from nserver_emu.server.context import ServerState
+from nclient.protocol.ring_packet import READ, RESTART, RING_PACKET, pack_ring
+from nserver_emu.server.context import ServerState, robot_clock_ms
 from nserver_emu.server.graphics import Figure, Layer, Utterance
 from nserver_emu.server.session import BAD_VALUES, NOT_AVAILABLE, ConnectionContext, DeferredReply, done, error_reply
 from nserver_emu.simulation.arm import Arm
@@ -88,9 +89,18 @@ def tk(server: ServerState, context: ConnectionContext, args: tuple[str, ...]) -
     return server.state_reply(context) if context.wire_state.line else done()
 
 
-def special_request(_stage: ServerState, _context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
-    """Refuse a user packet other than the arm's."""
-    return error_reply(NOT_AVAILABLE)
+def special_request(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Reply:
+    """Answer the ring packet; refuse user packets other than that and the arm's."""
+    packet_type, *data = args
+    if packet_type != RING_PACKET:
+        return error_reply(NOT_AVAILABLE)
+    if data not in ([READ], [RESTART]):
+        return error_reply(BAD_VALUES)
+    robot = server.robot_of(context)
+    if data == [RESTART]:
+        robot.restart_sonars()
+    clock_ms = robot_clock_ms(robot, server.simulation.time_s)
+    return _bytes_packet(RING_PACKET, pack_ring(clock_ms, robot.sonar.readings_in))
 
 
 def arm_mv(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Reply:
@@ -147,6 +157,9 @@ def _awaited_arm(server: ServerState, context: ConnectionContext) -> Arm:
 
 def _packet(packet_type: int, *numbers: int) -> Reply:
     # A packet is its length and type, then int32 numbers, one byte per word.
-    data = b"".join(number.to_bytes(4, "little", signed=False) for number in numbers)
+    return _bytes_packet(packet_type, b"".join(number.to_bytes(4, "little", signed=False) for number in numbers))
+
+
+def _bytes_packet(packet_type: int, data: bytes) -> Reply:
     length = len(data) + 4
     return Reply("special", values=(length & 255, length >> 8, 0, packet_type, *data))

@@ -20,7 +20,7 @@ from nclient.errors import StartError
 from nclient.protocol.replies import Reply
 from nclient.protocol.requests import MOTION_LINE
 from nclient.protocol.types import heading_tenths, rad_from_tenths, tenths
-from nserver_emu.server.context import STATE_SENSORS, ServerState, add_laser, state_slots
+from nserver_emu.server.context import STATE_SENSORS, ServerState, add_laser, is_on, state_slots
 from nserver_emu.server.deferred import ClickedPose
 from nserver_emu.server.session import BAD_VALUES, REFUSED, ConnectionContext, DeferredReply, done, error_reply
 from nserver_emu.simulation.laser import MAX_RANGE_IN as LASER_RANGE_IN
@@ -287,7 +287,8 @@ def _predict(server: ServerState, context: ConnectionContext, args: tuple[int, .
         _NoDraws(*robot.rng_factory), start, near, robot.model, IDEAL,
         positions=RobotPositions(np.vstack((others, (0.0, 0.0, 0.0)))), self_index=len(others),
     )
-    return Prediction(args, walls, others, there, _sensor_steps(there))
+    has_laser = there.model.has_light_sensors and is_on(context.wire_state.laser_mode)
+    return Prediction(args, walls, others, there, _sensor_steps(there, has_laser))
 
 
 def _sensor_reach_in(body: Body) -> float:
@@ -298,11 +299,14 @@ def _sensor_reach_in(body: Body) -> float:
     return max(sonars_in, body.radius_in + LASER_RANGE_IN, body.radius_in + IDEAL.infrared.reach_in)
 
 
-def _sensor_steps(robot: SimulatedRobot) -> Iterator[None]:
+def _sensor_steps(robot: SimulatedRobot, has_laser: bool) -> Iterator[None]:
     """Compute the readings of a robot that stands, which keeps them."""
     for sensor in STATE_SENSORS:
         yield
         sensor.values(robot)
+    yield
+    if has_laser:
+        robot.scan_laser()
 
 
 def motion_check(server: ServerState, _context: ConnectionContext, args: tuple[float, ...]) -> Reply:

@@ -2,7 +2,7 @@
 // Nothing here changes scene, view or options.
 
 import { toScreen, toWorld, roundLength } from './geometry.js';
-import { sonarDirection } from './scene.js';
+import { infraredAngle, isEcho, sonarReadings } from './scene.js';
 import { clientColour } from './colours.js';
 import { unitIn, lengthText } from './units.js';
 
@@ -10,8 +10,7 @@ export const LAYERS = {
   grid: 'Grid', traces: 'Traces', encoder: 'Encoder robot', sonar: 'Sonar', infrared: 'Infrared', bumper: 'Bumpers',
   laser: 'Laser', graphics: 'Client graphics', estimate: 'Estimate',
 };
-const CONE = 12.5 * Math.PI / 180;  // half opening angle of a sonar
-const NO_ECHO_IN = 255, NO_INFRARED = 15;  // readings without an echo
+const NO_INFRARED = 15;  // the reading without an obstacle
 
 export function drawScene(pen, scene, view, options) {
   const { theme, shown } = options;
@@ -111,10 +110,11 @@ function drawSensors(pen, scene, id, view, { theme, shown }) {
   const robot = scene.robots[id], body = scene.bodies[id], laser = scene.lasers[id];
   const [x, y] = robot.actual;
   if (shown.sonar) {
-    for (const [k, ...from] of scene.beams[id] ?? []) drawBeam(pen, view, from, body.ring_in, robot.state[17 + k], theme.sonar);
+    const readings = sonarReadings(robot, body);
+    for (const [k, ...from] of scene.beams[id] ?? []) drawBeam(pen, view, from, body, readings[k], theme.sonar);
   }
   for (let k = 0; k < 16; k += 1) {
-    const direction = sonarDirection(robot, k);
+    const direction = robot.actual[3] + infraredAngle(k);
     const near = robot.state[1 + k];
     if (shown.infrared && body.sees && near < NO_INFRARED) {
       pen.strokeStyle = theme.infrared; pen.lineWidth = 4;
@@ -129,14 +129,15 @@ function drawSensors(pen, scene, id, view, { theme, shown }) {
   }
 }
 
-function drawBeam(pen, view, [x, y, direction], ring, reading, colour) {
-  const far = ring + reading, nothing = reading >= NO_ECHO_IN;
+// Without an echo a beam is drawn as far as the sonar measures.
+function drawBeam(pen, view, [x, y, direction], { ring_in: ring, sonars }, reading, colour) {
+  const nothing = !isEcho(reading, sonars), far = ring + (nothing ? sonars.max_in : reading), cone = sonars.half_cone;
   const [px, py] = toScreen(view, x, y);
   pen.globalAlpha = nothing ? 0.03 : 0.09;
   pen.fillStyle = colour;
   pen.beginPath();
   pen.moveTo(px, py);
-  pen.arc(px, py, far * view.scale, -direction - CONE, -direction + CONE);
+  pen.arc(px, py, far * view.scale, -direction - cone, -direction + cone);
   pen.closePath();
   pen.fill();
   pen.globalAlpha = nothing ? 0.25 : 0.9;

@@ -145,7 +145,8 @@ export const localizationWindow = {
     if (!own || ageOf(own) > MAX_AGE_S) return;
     const now = own.latest, ring = scene.bodies[String(now.robot)]?.ring_in ?? 9, old = ageOf(own) > STALE_S;
     pen.globalAlpha = old ? 0.35 : 1;
-    if (!old) for (const beam of own.beams.values()) drawBeam(pen, view, beam, ring, theme);
+    const sonars = scene.bodies[String(now.robot)]?.sonars;
+    if (!old) for (const beam of own.beams.values()) drawBeam(pen, view, beam, ring, theme, sonars);
     if (!isLost(now)) drawEllipse(pen, view, now, theme);
     for (const place of alternatives(now)) drawAlternative(pen, view, place, scene.bodies[String(now.robot)]?.radius_in ?? ring, theme);
     pen.setLineDash([2, 3]);
@@ -229,9 +230,11 @@ function drawAlternative(pen, view, { pose, share }, radius, theme) {
   pen.fillText(percent(share), ...toScreen(view, x + radius * 0.75, y - radius * 1.1));
 }
 
-function drawBeam(pen, view, beam, ring, theme) {
-  const angle = beam.turret + beam.sonar * Math.PI / 8, used = beam.refusal === 'none';
-  const [x, y] = beam.pose, far = ring + beam.reading_in, c = Math.cos(angle), s = Math.sin(angle);
+function drawBeam(pen, view, beam, ring, theme, sonars) {
+  const angle = beam.turret + (sonars?.angles[beam.sonar] ?? beam.sonar * Math.PI / 8), used = beam.refusal === 'none';
+  const far = ring + beam.reading_in, c = Math.cos(angle), s = Math.sin(angle);
+  const [forwards, left] = sonars?.shifts[beam.sonar] ?? [0, 0];
+  const x = beam.pose[0] + forwards * c - left * s, y = beam.pose[1] + forwards * s + left * c;
   pen.strokeStyle = pen.fillStyle = used ? theme.good : theme.hit;
   pen.lineWidth = used ? 2 : 1;
   pen.setLineDash(used ? [] : [3, 4]);

@@ -1,7 +1,7 @@
 // The windows Robot, Short sensors and Long sensors: State as text and numbers, the sensor rings from above, and the
 // sonars over time.
 
-import { HISTORY_S } from './scene.js';
+import { HISTORY_S, infraredAngle, isEcho, sonarReadings } from './scene.js';
 import { lengthText, degreesText, unitIn, unitName } from './units.js';
 import { cell, table, sizedPen } from './widgets.js';
 import { timeAxis } from './charts.js';
@@ -75,19 +75,20 @@ export const longWindow = {
     this.canvas = polarCanvas(box, 'Sonar ring from above');
     this.strips = document.createElement('canvas');
     this.strips.setAttribute('role', 'img');
-    this.strips.setAttribute('aria-label', `The sixteen sonars over the last ${HISTORY_S} seconds`);
+    this.strips.setAttribute('aria-label', `The sonars over the last ${HISTORY_S} seconds`);
     box.append(this.strips);
     this.rows = table(box, 'Sonars');
   },
   update(app) {
-    const { robot, scene, id } = app.selected();
-    if (!robot) return;
-    const readings = robot.state.slice(17, 33);
-    polar(this.canvas, app.theme, { values: readings, max: polarRange(readings), colour: app.theme.sonar,
-      turn: robot.actual[3], steer: robot.actual[2], numbered: true, metric: app.metric });
-    drawStrips(this.strips, app.theme, scene.history[id] ?? [], scene.time_s, app.metric);
-    cell(this.rows, 'sonars 0 to 15', readings.map((reading) => Math.round(reading / unitIn(app.metric))).join(' '));
-    cell(this.rows, 'unit', app.metric ? 'centimetres, 648 without an echo' : 'inches, 255 without an echo');
+    const { robot, body, scene, id } = app.selected();
+    if (!robot || !body) return;
+    const readings = sonarReadings(robot, body), ring = body.sonars;
+    polar(this.canvas, app.theme, { values: readings, max: polarRange(readings, ring), colour: app.theme.sonar,
+      turn: robot.actual[3], steer: robot.actual[2], numbered: true, metric: app.metric, angles: ring.angles });
+    drawStrips(this.strips, app.theme, scene.history[id] ?? [], scene.time_s, app.metric, ring);
+    const shown = (reading) => Math.round(reading / unitIn(app.metric));
+    cell(this.rows, `sonars 0 to ${readings.length - 1}`, readings.map(shown).join(' '));
+    cell(this.rows, 'unit', `${app.metric ? 'centimetres' : 'inches'}, ${shown(ring.no_echo_in)} without an echo`);
   },
 };
 
@@ -99,18 +100,19 @@ function polarCanvas(box, label) {
   return canvas;
 }
 
-// Return the range shown in a ring plot: 30, 60, 120 or 255 inches, so that small rooms fill it.
-export function polarRange(readings) {
-  const maximum = Math.max(0, ...readings.filter((reading) => reading < 255));
-  return [30, 60, 120].find((range) => maximum <= range) ?? 255;
+// Return the range shown in a ring plot: 30, 60, 120 inches or the maximum, so that small rooms fill it.
+export function polarRange(readings, ring) {
+  const maximum = Math.max(0, ...readings.filter((reading) => isEcho(reading, ring)));
+  return [30, 60, 120].find((range) => maximum <= range && range < ring.max_in) ?? ring.max_in;
 }
 
-// Plot a ring of sixteen sensors from above, turned as the robot in the world, with circles at thirds of the range.
-function polar(canvas, theme, { values, max, colour, off, turn, steer, bumpers = 0, touched = 0, frame = 0, numbered, metric }) {
+// Plot a ring of sensors from above, turned as the robot in the world, with circles at thirds of the range.
+function polar(canvas, theme, { values, max, colour, off, turn, steer, bumpers = 0, touched = 0, frame = 0, numbered, metric, angles }) {
   const pen = sizedPen(canvas, 0.62);
   if (!pen) return;
   const cx = pen.width / 2, cy = pen.height / 2, inner = 16, outer = Math.min(cx, cy) - 18;
   const at = (angle, r) => [cx + r * Math.cos(angle), cy - r * Math.sin(angle)];
+  const looks = (k) => (angles ? angles[k] : infraredAngle(k));
   pen.strokeStyle = theme.edge;
   pen.fillStyle = theme.quiet;
   pen.font = '11px system-ui, sans-serif';
@@ -123,7 +125,7 @@ function polar(canvas, theme, { values, max, colour, off, turn, steer, bumpers =
   }
   if (numbered) {
     pen.textAlign = 'center';
-    for (let k = 0; k < 16; k += 1) { const [x, y] = at(turn + k * Math.PI / 8, outer + 10); pen.fillText(String(k), x, y + 4); }
+    values.forEach((_, k) => { const [x, y] = at(turn + looks(k), outer + 10); pen.fillText(String(k), x, y + 4); });
     pen.textAlign = 'left';
   }
   // 1. The readings, as a polygon with its corners marked.
@@ -131,11 +133,13 @@ function polar(canvas, theme, { values, max, colour, off, turn, steer, bumpers =
     const reach = values.map((value) => inner + Math.min(value, max) / max * (outer - inner));
     pen.fillStyle = pen.strokeStyle = colour;
     pen.beginPath();
-    reach.forEach((r, k) => (k ? pen.lineTo : pen.moveTo).call(pen, ...at(turn + k * Math.PI / 8, r)));
+    // Around the robot, whatever the order of the numbers.
+    const around = reach.map((_, k) => k).sort((a, b) => wrapped(looks(a)) - wrapped(looks(b)));
+    around.forEach((k, n) => (n ? pen.lineTo : pen.moveTo).call(pen, ...at(turn + looks(k), reach[k])));
     pen.closePath();
     pen.globalAlpha = 0.2; pen.fill(); pen.globalAlpha = 1;
     pen.stroke();
-    reach.forEach((r, k) => { const [x, y] = at(turn + k * Math.PI / 8, r); pen.fillRect(x - 2, y - 2, 4, 4); });
+    reach.forEach((r, k) => { const [x, y] = at(turn + looks(k), r); pen.fillRect(x - 2, y - 2, 4, 4); });
   }
   // 2. The robot with its steering direction.
   pen.strokeStyle = theme.actual;
@@ -157,17 +161,20 @@ function polar(canvas, theme, { values, max, colour, off, turn, steer, bumpers =
   }
 }
 
-// Plot sixteen strips, one per sonar, the latest reading at the right, scaled to the largest recent reading.
-function drawStrips(canvas, theme, samples, now_s, metric) {
+function wrapped(angle) { const turn = 2 * Math.PI; return ((angle % turn) + turn) % turn; }
+
+// Plot strips, one per sonar, the latest reading at the right, scaled to the largest recent reading.
+function drawStrips(canvas, theme, samples, now_s, metric, ring) {
   const pen = sizedPen(canvas, 1);
   if (!pen) return;
-  const reach = polarRange(samples.flatMap((sample) => sample.sonars)), left = 22, high = (pen.height - 30) / 16, wide = pen.width - left - 4;
+  const reach = polarRange(samples.flatMap((sample) => sample.sonars), ring), count = ring.angles.length;
+  const left = 22, high = (pen.height - 30) / count, wide = pen.width - left - 4;
   pen.font = '11px system-ui, sans-serif';
   pen.fillStyle = theme.quiet;
   pen.fillText(`a strip is ${Math.round(reach / unitIn(metric))} ${unitName(metric)} high`, left, 10);
   timeAxis(pen, theme, { left, right: pen.width - 4, y: pen.height - 3, span_s: HISTORY_S });
   pen.translate(0, 14);
-  for (let k = 0; k < 16; k += 1) {
+  for (let k = 0; k < count; k += 1) {
     const bottom = (k + 1) * high - 2;
     pen.fillStyle = theme.quiet;
     pen.fillText(String(k), 2, bottom - high / 2 + 4);

@@ -59,11 +59,18 @@ function addSample(scene, id, robot) {
   const samples = scene.history[id] ??= [];
   const last = samples[samples.length - 1];
   if (last && scene.time_s <= last.time_s) return;
-  samples.push({ time_s: scene.time_s, sonars: robot.state.slice(17, 33) });
+  samples.push({ time_s: scene.time_s, sonars: sonarReadings(robot, scene.bodies[id]) });
   while (samples.length > MAX_SAMPLES || samples[0].time_s < scene.time_s - HISTORY_S) samples.shift();
 }
 
-export function sonarDirection(robot, number) { return robot.actual[3] + number * Math.PI / 8; }
+// Return the readings of all sonars of a robot: its own, where State has no room for them.
+export function sonarReadings(robot, body) {
+  return robot.sonars ?? robot.state.slice(17, 17 + Math.min(body?.sonars.angles.length ?? 16, 16));
+}
+
+export function isEcho(reading, { max_in, no_echo_in }) { return reading < max_in && reading !== no_echo_in; }
+
+export function infraredAngle(number) { return number * Math.PI / 8; }
 
 // Return the bounding box of walls, obstacles and robots.
 export function worldBounds(scene) {

@@ -31,7 +31,8 @@ def test_sonar_model_of_simulation_address(query: str) -> None:
     address = f"sim:thesis_room{query}"
     rays = simulated_rays(address)
     assert sonar_model_of_address(address) is rays
-    assert resolve_sonar_model(None, True, address) == SonarAssumption(rays, guessed=False)
+    building = query.endswith("building")
+    assert resolve_sonar_model(None, True, address) == SonarAssumption(rays, guessed=False, building=building)
     assert resolve_sonar_model(None, True, address).line() == ""
 
 
@@ -56,10 +57,22 @@ def test_invalid_setup_file_gives_no_model_or_default(text: str, tmp_path: Path)
 def test_a_server_does_not_report_and_a_robot_has_cones(monkeypatch: pytest.MonkeyPatch) -> None:
     assert resolve_sonar_model(None, True, "nserver://localhost/1") == SonarAssumption(rays=True, guessed=True)
     assert "exact rays" in resolve_sonar_model(None, True, "nserver://localhost/1").line()
-    assert resolve_sonar_model(None, False, "serial:///dev/ttyUSB0") == SonarAssumption(rays=False, guessed=True)
+    real = resolve_sonar_model(None, False, "serial:///dev/ttyUSB0")
+    assert real == SonarAssumption(rays=False, guessed=True, building=True)
     assert resolve_sonar_model(None, False, "serial:///dev/ttyUSB0").line() == ""
     monkeypatch.setenv("NOMAD_ROBOT", "sim:thesis_room?setup=measured")
     assert resolve_sonar_model(None, True, None) == SonarAssumption(rays=False, guessed=False)
+
+
+def test_the_setup_building_has_the_walls_of_a_building(tmp_path: Path) -> None:
+    building = SonarAssumption(rays=False, guessed=False, building=True)
+    assert resolve_sonar_model(None, True, "sim:thesis_room?setup=building") == building
+    assert resolve_sonar_model("building", False, "serial:///dev/ttyUSB0") == building
+    file = tmp_path / "mine.toml"
+    file.write_text('base = "building"\n', encoding="utf-8")
+    assert resolve_sonar_model(None, True, f"sim:?setup={file}") == building
+    file.write_text('base = "building"\nsonar.model = "ray"\n', encoding="utf-8")
+    assert resolve_sonar_model(None, True, f"sim:?setup={file}") == SonarAssumption(rays=True, guessed=False)
 
 
 def test_the_option_decides() -> None:

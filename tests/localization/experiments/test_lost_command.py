@@ -51,4 +51,4 @@ def test_default_number_of_runs_is_that_of_the_kind(made: list[Case], tmp_path: 
 def test_a_kind_that_there_is_not_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main(["lost", "angry"])
-    assert "unknown kind 'angry'; expected one of calm, kidnapped, nowhere" in capsys.readouterr().err
+    assert "unknown kind 'angry'; expected one of calm, kidnapped, nowhere, door" in capsys.readouterr().err

@@ -103,3 +103,57 @@ def test_falling_evidence_or_few_matches_are_suspicious() -> None:
         assert not monitor.is_suspicious
         monitor.add_evidence(1.0, 1.0, outcome(outlier_probability=outlier_probability))
     assert monitor.is_suspicious
+
+
+# A slip of the wheels.
+
+SLIPPING = HealthLimits(max_unexplained=4.0, max_drift=5.0)
+
+
+def test_unexplained_echoes_mean_a_slip_once() -> None:
+    monitor = IntegrityMonitor(SLIPPING)
+    slips, reasons = [], []
+    for number in range(40):
+        monitor.add(outcome(1.0 if number % 3 == 0 else 0.0))
+        slips.append(monitor.take_slip())
+        reasons.append(monitor.health(np.eye(3)).reason)
+    # Four of the first twelve; from then on as many are usual.
+    assert [number for number, slip in enumerate(slips) if slip] == [11]
+    assert ["slipped" in reason for reason in reasons] == [11 <= number < 23 for number in range(40)]
+    # A slip makes nearly all of them outliers.
+    for _ in range(12):
+        monitor.add(outcome(1.0))
+    assert monitor.take_slip()
+    assert monitor.health(np.eye(3)).status is HealthStatus.DEGRADED
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_both_sides_of_the_robot_agree_on_a_slip(sign: float) -> None:
+    monitor = IntegrityMonitor(SLIPPING)
+    for _ in range(12):
+        monitor.add(outcome())
+    # Readings before the robot are too long and those behind it too short, or the other way round.
+    count = 0
+    while not monitor.take_slip():
+        monitor.add_drift(2.0 * sign, 1.0)
+        monitor.add_drift(-2.0 * sign, -1.0)
+        count += 1
+    assert count == 2
+
+
+def test_something_unmapped_on_one_side_is_no_slip() -> None:
+    monitor = IntegrityMonitor(SLIPPING)
+    for _ in range(100):
+        monitor.add(outcome())
+        monitor.add_drift(-5.0, 1.0)
+        assert not monitor.take_slip()
+
+
+def test_consistent_innovations_seldom_mean_a_slip() -> None:
+    rng, monitor = np.random.default_rng(3), IntegrityMonitor(SLIPPING)
+    slips = 0
+    for sigmas, angle in zip(rng.standard_normal(20_000), rng.uniform(0.0, 2.0 * np.pi, 20_000), strict=True):
+        monitor.add(outcome(nis=sigmas * sigmas))
+        monitor.add_drift(float(sigmas), float(np.cos(angle)))
+        slips += monitor.take_slip()
+    assert slips <= 20

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -36,7 +37,9 @@ def test_without_noise_all_of_the_rounding_is_constant() -> None:
 
 
 @pytest.mark.parametrize("noise", [WIRE_SONAR, ConeSonar()])
-def test_constant_variance_vanishes_at_long_range(noise: RangeNoise) -> None:
-    assert constant_variance(noise, 10.0) > 0.5 * noise.rounding_var_in2
-    assert constant_variance(noise, 100.0) < 1e-9
+def test_constant_rounding_vanishes_at_long_range(noise: RangeNoise) -> None:
+    assert constant_variance(noise, 10.0) > 0.5 * noise.rounding_var_in2 + noise.place_var_in2
+    # What remains is of the place itself.
+    assert constant_variance(noise, 100.0) - noise.place_var_in2 < 1e-9
+    assert constant_variance(replace(noise, rounding_var_in2=0.0), 100.0) == noise.place_var_in2
     assert range_variance(noise, 100.0) == pytest.approx(float(noise.variance(np.array(100.0))))

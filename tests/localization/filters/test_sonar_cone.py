@@ -106,8 +106,9 @@ def test_many_poses_at_once_are_each_their_own() -> None:
         np.testing.assert_allclose(together.probability[at], alone.probability, atol=1e-12)
 
 
-def test_variance_has_relative_floor_and_rounding_parts() -> None:
-    np.testing.assert_allclose(MODEL.variance(np.array([1.0, 100.0])), [0.05**2 + 1 / 12, 1.0 + 1 / 12])
+def test_variance_has_relative_floor_rounding_and_place_parts() -> None:
+    constant = 1 / 12 + MODEL.place_var_in2
+    np.testing.assert_allclose(MODEL.variance(np.array([1.0, 100.0])), [0.05**2 + constant, 1.0 + constant])
 
 
 def test_sonar_position_depends_on_heading() -> None:

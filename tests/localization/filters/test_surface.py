@@ -160,3 +160,12 @@ def test_other_sonars_have_no_surface() -> None:
     localizer = make("ekf", config, independent([0.0, 0.0, 0.0], [0.5, 0.5, 0.01]))
     assert isinstance(localizer, KalmanFilter)
     assert localizer._odometric is None
+
+
+def test_the_end_of_a_wall_on_the_map_need_not_be_detected() -> None:
+    """An echo beyond the only edge in the cone says nothing of the pose, though the map expects the edge."""
+    walls = np.array([[-50.0, 40.0, 30.0, 12.0]])
+    config = LocalizationConfig(walls, N150, EXACT, SONAR, range_stds=None)
+    localizer = make("ekf", config, independent([0.0, 0.0, 0.0], [0.1, 0.1, 0.01]))
+    assert localizer.update(1, 0.0, 150.0).refusal is Refusal.NO_WALL
+    assert localizer.update(0, 0.0, 150.0).refusal is Refusal.NO_WALL

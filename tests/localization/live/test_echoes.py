@@ -13,7 +13,7 @@ from nclient.protocol.types import DEFAULT_SONAR_ORDER
 def written_out(schedule: FiringSchedule, until_s: float) -> list[FiringTime]:
     """Every firing of the ring up to an instant, one after another."""
     count = int((until_s - schedule.start_s) / schedule.interval_s) + 2
-    order = schedule.order
+    order = [sonar for (sonar,) in schedule.firing]
     instants = [schedule.start_s + k * schedule.interval_s for k in range(count)]
     firings = (FiringTime(order[k % len(order)], instant) for k, instant in enumerate(instants))
     return [firing for firing in firings if firing.instant_s <= until_s + 1e-9]
@@ -51,7 +51,7 @@ def test_an_echo_that_was_overwritten_is_not_handed_out() -> None:
 def test_polled_anyhow_each_readable_echo_comes_once(
     start_s: float, rate: int, order: tuple[int, ...], gaps_s: list[float]
 ) -> None:
-    schedule = FiringSchedule(start_s, rate, order)
+    schedule = FiringSchedule.of_command(start_s, rate, order)
     echo: list[FiringTime] = []
     last_s, now_s = start_s - 1.0, start_s
     # Polled at random gaps, by a clock with steps of 16.4 ms.

@@ -7,7 +7,7 @@ import pytest
 from nclient import AddressError, ConnectionLost, RobotRefused, connect
 from nclient.connector import Connector
 from nclient.protocol.commands import Call
-from nclient.transports import stream as memory
+from nclient.transports.stream import open_in_process
 from nclient.url import parse_address
 
 
@@ -54,6 +54,6 @@ def test_the_wire_of_a_simulated_line_is_serial() -> None:
 
 
 def test_a_tcp_peer_has_no_simulation_stream() -> None:
-    stream = memory.open_in_process("sim", "sim:thesis_room")
+    stream = open_in_process("sim", "sim:thesis_room")
     with pytest.raises(AddressError, match="leave line=1 out"):
         stream.beside()

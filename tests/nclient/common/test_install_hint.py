@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from importlib.metadata import PackageNotFoundError
+from importlib import metadata
 
 import pytest
 
@@ -24,9 +24,9 @@ def test_a_remedy_is_what_one_types() -> None:
 
 def test_files_that_were_never_installed_have_no_extras(monkeypatch: pytest.MonkeyPatch) -> None:
     def missing(_: str) -> list[str]:
-        raise PackageNotFoundError
+        raise metadata.PackageNotFoundError
 
-    monkeypatch.setattr(hints, "requires", missing)
+    monkeypatch.setattr(metadata, "requires", missing)
     assert hints.find_extra("shtab") == ""
-    monkeypatch.setattr(hints, "requires", lambda _: None)
+    monkeypatch.setattr(metadata, "requires", lambda _: None)
     assert hints.find_extra("shtab") == ""

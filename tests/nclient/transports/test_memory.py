@@ -9,8 +9,7 @@ import pytest
 from nclient.errors import AddressError, ConnectionLost, ReplyTimeout
 from nclient.protocol import codec
 from nclient.protocol.commands import Call
-from nclient.transports import stream as memory
-from nclient.transports.stream import Deadline, MemoryStream, open_in_process, schemes
+from nclient.transports.stream import Deadline, MemoryStream, in_process_schemes, open_in_process
 from tests.nclient.scripted_server import ScriptedServer
 
 NOW = Deadline.after(0)
@@ -40,7 +39,7 @@ def test_close_closes_the_peer_once_and_ends_the_stream() -> None:
 
 
 def test_the_emulator_is_an_installed_scheme() -> None:
-    assert "sim" in schemes()
+    assert "sim" in in_process_schemes()
 
 
 def test_an_opener_receives_the_whole_address(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -56,8 +55,9 @@ def test_an_opener_receives_the_whole_address(monkeypatch: pytest.MonkeyPatch) -
         def load(self) -> object:
             return open_toy
 
-    monkeypatch.setattr(memory, "entry_points", lambda group: [Point()] if group == "nomad.openers" else [])
-    assert schemes() == ("toy",)
+    points = {"nomad.openers": [Point()]}
+    monkeypatch.setattr("nclient.transports.stream.entry_points", lambda group: points.get(group, []))
+    assert in_process_schemes() == ("toy",)
     assert isinstance(open_in_process("toy", "toy:box?lid=1"), MemoryStream)
     assert addresses == ["toy:box?lid=1"]
 
@@ -70,6 +70,6 @@ def test_a_scheme_without_opener_is_an_address_error() -> None:
 @pytest.mark.parametrize("value", ["no_such_module:open_address", "nclient.errors:no_such_function"])
 def test_an_opener_that_does_not_load_is_an_address_error(monkeypatch: pytest.MonkeyPatch, value: str) -> None:
     broken = EntryPoint("broken", value, "nomad.openers")
-    monkeypatch.setattr(memory, "entry_points", lambda **_: [broken])
+    monkeypatch.setattr("nclient.transports.stream.entry_points", lambda **_: [broken])
     with pytest.raises(AddressError, match=f"broken: .*{value} does not load"):
         open_in_process("broken", "broken:")

@@ -7,9 +7,18 @@ from math import cos, radians, sqrt
 import numpy as np
 import pytest
 
-from nserver_emu.simulation.infrared import INTERVAL_PS, NO_INFRARED_NOISE, InfraredNoise, InfraredRing
+from nserver_emu.simulation.infrared import (
+    INTERVAL_PS,
+    MANY_WALLS,
+    MAX_PENDING,
+    NO_INFRARED_NOISE,
+    Flash,
+    InfraredNoise,
+    InfraredRing,
+)
 from nserver_emu.simulation.segments import TIME_MAX_PS, Pose, Stamp
 from nserver_emu.simulation.visibility import RobotPositions, SensorPose
+from worlds.geometry import FloatArray
 from worlds.robots import N200
 
 pytestmark = pytest.mark.long
@@ -85,6 +94,38 @@ def test_reading_often_or_late_gives_the_same_values() -> None:
             sensors.flash_due(SensorPose(0.01 * number, 0.0, 0.1 * number), stamp())
         seen = often.readings
     assert late.readings == seen
+
+
+@pytest.mark.parametrize("history", [0, 3])
+@pytest.mark.parametrize("walls", [1, MANY_WALLS + 1])
+def test_flashes_are_computed_one_at_a_time(history: int, walls: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    computed = 0
+    honest = InfraredRing._ranges
+
+    def counted(ring: InfraredRing, flash: Flash) -> FloatArray:
+        nonlocal computed
+        computed += 1
+        return honest(ring, flash)
+
+    monkeypatch.setattr(InfraredRing, "_ranges", counted)
+    each, unread = (ring(np.repeat(wall(5.0), walls, axis=0), InfraredNoise(0.1)) for _ in range(2))
+    for sensors in (each, unread):
+        sensors.configure(history, ALL, 0)
+    for number in range(40):
+        pose, computed = SensorPose(0.1 * number, 0.0, 0.0), 0
+        unread.flash_due(pose, stamp())
+        assert computed <= 1, "an unread ring causes no long step"
+        each.flash_due(pose, stamp())
+        assert len(each.readings) == 16
+        # The other ring in parts, now and then.
+        before = computed
+        if number % 7 == 0:
+            parts = 0
+            while not unread.compute_some():
+                parts += 1
+            assert computed == before + parts <= before + MAX_PENDING
+            assert unread.readings == each.readings
+    assert unread.readings == each.readings
 
 
 def test_a_flash_meets_the_walls_of_its_instant_and_other_robots() -> None:

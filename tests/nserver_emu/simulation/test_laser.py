@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 from math import asin, atan2, cos, hypot, inf, pi, radians, sin
+from typing import Any
 
 import numpy as np
 import pytest
 
 from nserver_emu.simulation.laser import ANGLES_RAD, COLUMNS, LineFit, lines, pixels, points, ranges, select_columns
+from nserver_emu.simulation.models import N200 as SIMULATED_N200
+from nserver_emu.simulation.simulation import Simulation
 from nserver_emu.simulation.visibility import RobotPositions, SensorPose
+from worlds.geometry import FloatArray
+from worlds.io import load_world
 from worlds.robots import N200
+from worlds.world import Polygon, StartPose
 
 RADIUS = N200.radius_in
 HERE = SensorPose(0.0, 0.0, 0.0)
@@ -115,3 +121,49 @@ def test_a_line_is_the_one_of_least_squared_distances(turn: float) -> None:
     assert values[1] > values[0]
     assert fitted @ direction > 0.0
     assert abs((line[:2] - found.mean(axis=0)) @ vectors[:, 0]) < 1e-9
+
+
+def test_a_robot_that_stands_is_scanned_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    scans = 0
+
+    def counted(*args: Any) -> FloatArray:
+        nonlocal scans
+        scans += 1
+        return ranges(*args)
+
+    monkeypatch.setattr("nserver_emu.simulation.robot.ranges", counted)
+    simulation = Simulation(load_world("several_walls"))
+    robot = simulation.add_robot(1, model=SIMULATED_N200)
+
+    def scanned() -> int:
+        before = scans
+        pose = SensorPose(robot.actual.x_in, robot.actual.y_in, robot.actual.turret_rad)
+        expected = ranges(pose, simulation.world.walls, N200)
+        np.testing.assert_array_equal(robot.scan_laser(), select_columns(expected, 0))
+        np.testing.assert_array_equal(robot.scan_laser(51), select_columns(expected, 51))
+        return scans - before
+
+    assert scanned() == 1
+    simulation.step(1.0)
+    assert scanned() == 0
+    # A turn of the turret, a place elsewhere, an obstacle.
+    robot.move_relative(0.0, 0.0, 0.1)
+    simulation.step(1.0)
+    assert scanned() == 1
+    simulation.place(1, 40.0, 50.0, 0.0, 0.0)
+    assert scanned() == 1
+    box = Polygon(((70.0, 40.0), (75.0, 40.0), (75.0, 60.0), (70.0, 60.0)))
+    simulation.change_world(simulation.world.with_obstacles((box,)))
+    assert scanned() == 1
+    assert scanned() == 0
+
+
+def test_others_are_looked_for_in_each_scan() -> None:
+    simulation = Simulation(load_world("arena"))
+    robot = simulation.add_robot(1, model=SIMULATED_N200)
+    at = robot.actual
+    ahead = [(at.x_in + far * cos(at.turret_rad), at.y_in + far * sin(at.turret_rad)) for far in (40.0, 30.0)]
+    simulation.add_robot(2, StartPose(*ahead[0]))
+    far_in = robot.scan_laser()[COLUMNS // 2]
+    simulation.place(2, *ahead[1], 0.0, 0.0)
+    assert robot.scan_laser()[COLUMNS // 2] == pytest.approx(far_in - 10.0, abs=0.01)

@@ -42,7 +42,7 @@ def test_what_is_right_comes_through() -> None:
     [{"pose": [1, 2]}, {"pose": None}, {"clock_s": "x"}, {"clock_s": float("nan")}, {"cov": [1, 2, 3]}, {"robot": None},
      {"echoes": [{"sonar": 1}]}, {"echoes": [GOOD["echoes"][0] | {"refusal": "whim"}]}, {"waypoints": [[1, 2, 3]]},
      {"pose": [1e308, 0, 0]}, {"cov": [[-1, 0, 0], [0, 1, 0], [0, 0, 1]]}, {"cov": [[1, 2, 0], [2, 1, 0], [0, 0, 1]]},
-     {"echoes": [GOOD["echoes"][0] | {"sonar": 16}]}, {"echoes": [GOOD["echoes"][0] | {"sonar": -1e23}]},
+     {"echoes": [GOOD["echoes"][0] | {"sonar": 64}]}, {"echoes": [GOOD["echoes"][0] | {"sonar": -1e23}]},
      {"robot": 1e30}, {"passed": -1}, {"passed": True}, {"clock_s": "1"}, {"turret": True}, {"clock_s": 10**400},
      {"cov": [[1, 0.5, 0], [0, 1, 0], [0, 0, 1]]}, {"cov": [[1, 0, 2], [0, 1, 0], [2, 0, 1]]},
      {"echoes": [GOOD["echoes"][0] | {"reading_in": -1}]}, {"echoes": [GOOD["echoes"][0] | {"reading_in": 1e6}]},

@@ -14,6 +14,7 @@ from nclient.protocol.commands import Call
 from nserver_emu.server.graphics import MAX_REMOVALS, Figure
 from nserver_emu.server.handlers.runtime_settings import switch_noise
 from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.server.inprocess import open_address
 from nserver_emu.simulation.models import N200, SCOUT, RobotModel
 from nserver_emu.simulation.noise import NOISY
 from nserver_emu.simulation.simulation import Simulation
@@ -334,3 +335,24 @@ def test_looking_changes_nothing_that_comes_later() -> None:
     first, second = (client.ask("gs") for client in clients)
     assert first == second
     assert looked.layers(1) == alone.layers(1)
+
+
+@pytest.mark.parametrize(("name", "half_cone_deg", "count"), [("corridor8", 15.0, 8), ("ring24", 12.5, 24)])
+def test_rings_of_model_files_are_shown(name: str, half_cone_deg: float, count: int) -> None:
+    models = Path(__file__).parents[2] / "worlds" / "models"
+    emulator = open_address(f"sim:thesis_room?robot={name}&model_file={models / name}.toml").emulator
+    history = SceneHistory(emulator)
+    history.take()
+    picture = json.loads(json.dumps(history.since(0)))
+    ring, sonar = picture["bodies"]["1"]["sonars"], emulator.simulation.robots[1].sonar
+    assert ring["half_cone"] == pytest.approx(radians(half_cone_deg), abs=1e-5)
+    assert len(ring["angles"]) == len(picture["beams"]["1"]) == count
+    assert picture["robots"]["1"]["sonars"] == pytest.approx(sonar.readings_in, abs=1e-3)
+
+
+def test_the_cone_is_that_of_the_setup_in_force() -> None:
+    emulator = open_address("sim:thesis_room?setup=measured").emulator
+    history = SceneHistory(emulator)
+    history.take()
+    assert history.since(0)["bodies"]["1"]["sonars"]["half_cone"] == pytest.approx(radians(12.5), abs=1e-5)
+    assert "sonars" not in history.since(0)["robots"]["1"]

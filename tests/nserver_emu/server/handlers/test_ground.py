@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 
 from nclient.protocol.commands import Call
+from nclient.protocol.replies import Reply
 from nserver_emu.server.context import Allowed
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.session import ConnectionContext
@@ -183,6 +185,20 @@ def test_a_prepared_prediction_equals_one_at_once(emulator: Emulator, change: st
     reply = emulator.answer(call, context)
     assert reply == emulator.answer(call, ConnectionContext(robot_id=context.robot_id))
     assert context.prediction is None
+
+
+def test_a_prepared_prediction_reads_no_sensor_again(emulator: Emulator, monkeypatch: pytest.MonkeyPatch) -> None:
+    emulator.simulation.add_robot(2, StartPose(60.0, 60.0), N200)
+    context, call = ConnectionContext(robot_id=2), Call("predict_sensors", (200, 600, 900, 3150))
+    context.wire_state.laser_mode = 51
+    expected = emulator.answer(call, replace(context))
+    while not emulator.prepare_reply(context, call):
+        pass
+    for name in ("sonar.SonarNoise.measured_ranges", "infrared.InfraredRing._ranges", "robot.SimulatedRobot.__init__"):
+        monkeypatch.setattr(f"nserver_emu.simulation.{name}", None)
+    assert isinstance(expected, Reply)
+    assert expected.laser
+    assert emulator.answer(call, context) == expected
 
 
 def test_motion_check_returns_position_and_normal(client: WireClient) -> None:

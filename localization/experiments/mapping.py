@@ -1,0 +1,401 @@
+"""`python -m localization.experiments mapping`: maps learned from drives in simulated rooms, against the true ones.
+
+A trial drives a robot along way-points of a world, as a person would who sees the room, and records the connection as
+`record=` does. The map is learned from the recording alone; the ground truth is used to drive and to compare.
+
+    found     a wall of the world, of which half of the visible length has a learned wall within 1 in and 2 degrees
+    false     a learned wall, of which less than half is within 1 in of a wall of the world
+    offset    distance between both at the middle of the learned one, after the best rigid fit of the path (no scale)
+    path      root mean square distance of the path from the true one, after the same fit
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from math import hypot, radians
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from localization.experiments.execution import progress
+from localization.experiments.output import add_choice, add_shared, executor_for, text_table
+from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig
+from localization.filters.belief import Floats, independent, wrap_angle
+from localization.filters.sonar_cone import ConeSonar
+from localization.live.localizer import Localizer
+from localization.live.sensor_input import FiringSchedule, SensorData
+from localization.mapping.learn import learn_map
+from localization.mapping.measurements import DriveLog, read_drive, rotate
+from localization.mapping.output import LearnedMap, describe
+from localization.navigation.waypoints import COMMAND_TIMEOUT_S, Navigator, stop_on_exit, wait_for_next_state
+from nclient import connect
+from nclient.protocol.types import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
+from nclient.state import Truth
+from worlds.geometry import lengths, nearest_points
+from worlds.io import load_world
+from worlds.raycast import cast_rays
+from worlds.robots import N150
+
+Point = tuple[float, float]
+
+TOURS: Final[dict[str, tuple[Point, ...]]] = {
+    "thesis_room": (
+        (60, 40), (84, 84), (6, 84), (6, 6), (84, 6), (84, 84), (45, 45), (6, 45), (60, 10), (84, 45), (20, 84), (0, 0),
+        (45, 20), (84, 20), (84, 70), (30, 70),
+    ),
+    "several_walls": (
+        (30, 20), (35, 6), (32, 22), (-1, 24), (32, 24), (35, 56), (-1, 56), (4, 84), (44, 86), (44, 60), (76, 58),
+        (76, 86), (86, 42), (64, 42), (63, 6), (86, 6), (63, 8), (63, 42), (40, 55), (0, 57), (20, 70),
+    ),
+    "centre_vertex": (
+        (10, 60), (84, 60), (80, 6), (70, 20), (84, 84), (45, 45), (6, 84), (24, 30), (14, 4), (6, 45), (60, 60),
+        (84, 70), (84, 20), (50, 45), (30, 50), (20, 20),
+    ),
+}  # fmt: skip
+"""Way-points along all walls and past all vertices; at most 300 s of driving."""
+FRESH_TOURS: Final[dict[str, tuple[Point, ...]]] = {
+    "thesis_room": ((60, 40), (80, 80), (0, 60), (0, 0)),
+    "several_walls": ((35, 20), (35, 55), (75, 55), (35, 60), (20, 20)),
+    "centre_vertex": ((10, 60), (60, 60), (80, 20), (60, 70)),
+}
+"""Way-points of the drive that compares localization on the learned and on the true map."""
+TIME_LIMIT_S: Final = 300.0
+RADIUS_IN: Final = 2.0
+MAX_BEARING_RAD: Final = 0.5
+FOUND_IN, FOUND_RAD, FOUND_FRACTION = 1.0, radians(2.0), 0.5
+SAMPLE_IN: Final = 1.0
+OTHER_SEED: Final = 10_000
+"""Added to the seed of the drive that compares localization."""
+
+
+class Trial(NamedTuple):
+    """A world, a setup of the simulation, and a seed."""
+
+    world: str
+    setup: str
+    seed: int
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """A learned map against the true one, inches and degrees.
+
+    Attributes
+    ----------
+    walls, found, false
+        Number of walls of the world that were visible, of those found, and of learned walls that are none.
+    missing
+        Middles of the walls not found.
+    precision
+        Fraction of the learned length within 1 in of a wall of the world.
+    offsets_in, angles_deg, ends_in, z
+        Errors of the learned walls, of their closed ends, and of the offsets over the stated standard deviations.
+    path_in, odometry_in
+        RMSE of the learned path and of the encoders, after the best rigid fit each.
+    true_map_in, own_map_in
+        RMSE of a localization on another drive with the true map and with the learned one.
+    """
+
+    trial: Trial
+    duration_s: float
+    walls: int
+    found: int
+    false: int
+    missing: list[list[float]]
+    precision: float
+    offsets_in: list[float]
+    angles_deg: list[float]
+    ends_in: list[float]
+    z: list[float]
+    path_in: float
+    odometry_in: float
+    refused: str
+    seconds: float
+    true_map_in: float
+    own_map_in: float
+
+
+# A drive.
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """A recorded drive, and the true poses (t, 4): time, x, y, heading."""
+
+    log: DriveLog
+    truth: Floats
+
+    def truth_at(self, instants_s: Floats) -> Floats:
+        """Return the true poses (k, 3) at instants."""
+        columns = [self.truth[:, 1], self.truth[:, 2], np.unwrap(self.truth[:, 3])]
+        return np.stack([np.interp(instants_s, self.truth[:, 0], column) for column in columns], axis=-1)
+
+
+def drive(trial: Trial, points: Sequence[Point], folder: Path) -> Drive:
+    """Return a drive along way-points, steered by the true pose."""
+    path = folder / f"{trial.world}_{trial.setup}_{trial.seed}.log"
+    start = load_world(trial.world).starts[0]
+    navigator = Navigator(points, radius_in=RADIUS_IN)
+    truth = []
+    address = f"sim:{trial.world}?setup={trial.setup}&seed={trial.seed}&start={start.x_in:g},{start.y_in:g}"
+    with connect(f"{address}&record={path}") as robot, stop_on_exit(robot):
+        state = robot.configure_sonars(rate=DEFAULT_SONAR_RATE, order=DEFAULT_SONAR_ORDER)
+        robot.set_timeout(COMMAND_TIMEOUT_S)
+        while (state.clock_s or 0.0) < TIME_LIMIT_S:
+            seen = robot.truth()
+            truth.append((seen.time_s, seen.x_in, seen.y_in, seen.steering_rad))
+            command = navigator.command(np.array(truth[-1][1:]))
+            if command is None:
+                break
+            after = robot.drive(translation_in_s=_slowed(command[0], navigator, seen), steering_rad_s=command[1])
+            state = wait_for_next_state(robot, state, after, lambda _: None)
+    return Drive(read_drive(path), np.array(truth))
+
+
+def _slowed(speed_in_s: float, navigator: Navigator, seen: Truth) -> float:
+    """Return 0 while the way-point lies to the side: a robot that rolls meanwhile may circle around it."""
+    goal = navigator.goal
+    if goal is None:
+        return 0.0
+    bearing = float(np.arctan2(goal[1] - seen.y_in, goal[0] - seen.x_in))
+    return 0.0 if abs(wrap_angle(bearing - seen.steering_rad)) > MAX_BEARING_RAD else speed_in_s
+
+
+# Comparison.
+
+
+def rigid_fit(points: Floats, targets: Floats) -> tuple[float, Floats]:
+    """Return the turn and the shift (2,) that bring points (n, 2) nearest to targets (n, 2).
+
+    References
+    ----------
+    Umeyama, Least-Squares Estimation of Transformation Parameters Between Two Point Patterns (1991), without scale.
+    """
+    a, b = points - points.mean(axis=0), targets - targets.mean(axis=0)
+    turn = float(np.arctan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum()))
+    return turn, targets.mean(axis=0) - rotate(points.mean(axis=0), np.array(turn))
+
+
+def fit_error(points: Floats, targets: Floats) -> float:
+    """Return the root mean square distance (in) of points from targets after the best rigid fit."""
+    turn, shift = rigid_fit(points, targets)
+    return float(np.sqrt(np.square(rotate(points, np.full(len(points), turn)) + shift - targets).sum(axis=-1).mean()))
+
+
+def visible_samples(walls: Floats, path: Floats) -> list[Floats]:
+    """Return points (k, 2) on each wall, SAMPLE_IN apart, that are in sight from some position of a path (n, 2)."""
+    found = []
+    for x1, y1, x2, y2 in walls:
+        count = max(int(np.hypot(x2 - x1, y2 - y1) / SAMPLE_IN), 2)
+        samples = np.linspace((x1, y1), (x2, y2), count + 1)
+        samples = 0.5 * (samples[1:] + samples[:-1])
+        seen = np.zeros(len(samples), dtype=np.bool_)
+        for position in path:
+            span = samples - position
+            away = np.hypot(span[:, 0], span[:, 1])
+            distance, _ = cast_rays(np.broadcast_to(position, samples.shape), span / away[:, None], walls)
+            seen |= distance > away - 0.01
+        found.append(samples[seen])
+    return found
+
+
+def score(trial: Trial, driven: Drive, found: LearnedMap, instants_s: Floats, odometry: Floats) -> dict[str, Any]:
+    """Return the numbers of a learned map against the world's walls."""
+    walls = load_world(trial.world).walls
+    true_path = driven.truth_at(instants_s)[:, :2]
+    # 1. The learned walls in the frame of the world.
+    turn, shift = rigid_fit(found.path[:, :2], true_path)
+    ends = [rotate(wall.ends, np.full(2, turn)) + shift for wall in found.walls]
+    # 2. Walls of the world: the fraction of the visible samples near a learned wall of the same direction.
+    covered, missing = 0, []
+    samples = visible_samples(walls, true_path[:: max(len(true_path) // 60, 1)])
+    visible = [k for k, points in enumerate(samples) if len(points) >= 4]
+    for k in visible:
+        near = np.zeros(len(samples[k]), dtype=np.bool_)
+        for learned in ends:
+            if _turn_between(walls[k], learned) <= FOUND_RAD:
+                near |= nearest_points(samples[k], learned.reshape(1, 4))[1][:, 0] <= FOUND_IN
+        if near.mean() >= FOUND_FRACTION:
+            covered += 1
+        else:
+            missing.append(samples[k].mean(axis=0).round(1).tolist())
+    # 3. Learned walls: how much of each is at a wall of the world, and how far off.
+    near_length, false = 0.0, 0
+    offsets, angles, corners, z = [], [], [], []
+    for piece, learned in zip(found.walls, ends, strict=True):
+        count = max(int(piece.length_in / SAMPLE_IN), 2)
+        points = np.linspace(learned[0], learned[1], count)
+        is_near = nearest_points(points, walls)[1].min(axis=1) <= FOUND_IN
+        near_length += float(is_near.mean()) * piece.length_in
+        if is_near.mean() < FOUND_FRACTION:
+            false += 1
+            continue
+        offset, angle = _error(learned, walls)
+        offsets.append(abs(offset))
+        angles.append(abs(angle))
+        z.append(offset / max(piece.std_in, 1e-6))
+        true_ends = walls.reshape(-1, 2)
+        corners += [
+            float(np.hypot(*(true_ends - end).T).min())
+            for end, is_closed in zip(learned, piece.closed, strict=True)
+            if is_closed
+        ]
+    total = sum(piece.length_in for piece in found.walls)
+    return {
+        "walls": len(visible), "found": covered, "false": false, "missing": missing,
+        "precision": near_length / total if total else 0.0, "offsets_in": offsets, "angles_deg": angles,
+        "ends_in": corners, "z": z, "path_in": fit_error(found.path[:, :2], true_path),
+        "odometry_in": fit_error(odometry, true_path),
+    }  # fmt: skip
+
+
+def _turn_between(wall: Floats, learned: Floats) -> float:
+    """Return the angle between the directions of two walls, at most a quarter turn."""
+    along, other = wall[2:] - wall[:2], learned[1] - learned[0]
+    turn = float(np.arctan2(along[1], along[0]) - np.arctan2(other[1], other[0]))
+    return abs(wrap_angle(2.0 * turn)) / 2.0
+
+
+def _error(learned: Floats, walls: Floats) -> tuple[float, float]:
+    """Return offset (in) and angle (deg) of a learned wall (2, 2) from the nearest wall of about its direction."""
+    parallel = np.array([_turn_between(wall, learned) < radians(20.0) for wall in walls])
+    candidates = walls[parallel] if parallel.any() else walls
+    # The middle of the part that was measured.
+    middle = learned.mean(axis=0)
+    near = candidates[nearest_points(middle[None], candidates)[1][0].argmin()]
+    along = (near[2:] - near[:2]) / lengths(near)
+    off = middle - near[:2]
+    return float(off[1] * along[0] - off[0] * along[1]), float(np.degrees(_turn_between(near, learned)))
+
+
+def localization_error(driven: Drive, walls: Floats, turn: float, shift: Floats) -> float:
+    """Return the RMSE of a localization on a drive, in a map that a turn and a shift bring into the world's frame."""
+    clock = driven.log.encoders[:, 0]
+    true = driven.truth_at(clock)
+    # 1. The true start in the frame of the map.
+    begin = rotate(true[0, :2] - shift, np.array(-turn))
+    start = independent(np.array((*begin, true[0, 2] - turn)), np.array((0.5, 0.5, radians(2.0))))
+    config = LocalizationConfig(walls, N150, THESIS_ODOMETRY, ConeSonar())
+    localizer = Localizer(config, start, FiringSchedule(float(clock[0])))
+    # 2. The states of the recording again. Each shows the last reading of each sonar.
+    readings = [255.0] * len(driven.log.angles_rad)
+    found, echo = [], 0
+    for clock_s, x, y, heading, turret in driven.log.encoders.tolist():
+        while echo < len(driven.log.instants_s) and driven.log.instants_s[echo] <= clock_s:
+            readings[int(driven.log.sonars[echo])] = float(driven.log.readings_in[echo])
+            echo += 1
+        found.append(localizer.update(SensorData(clock_s, x, y, heading, turret, tuple(readings))).pose[:2])
+    estimate = rotate(np.array(found), np.full(len(found), turn)) + shift
+    return float(np.sqrt(np.square(estimate - true[:, :2]).sum(axis=-1).mean()))
+
+
+def run(trial: Trial) -> tuple[Trial, Score]:
+    """Run a trial."""
+    with tempfile.TemporaryDirectory() as folder:
+        driven = drive(trial, TOURS[trial.world], Path(folder))
+        fresh = drive(trial._replace(seed=trial.seed + OTHER_SEED), FRESH_TOURS[trial.world], Path(folder))
+    # 1. The map, from the recording alone.
+    began = time.process_time()
+    estimate = learn_map(driven.log, THESIS_ODOMETRY, ConeSonar())
+    found = describe(estimate)
+    seconds = time.process_time() - began
+    # 2. Against the truth.
+    trajectory = estimate.problem.trajectory
+    numbers = score(trial, driven, found, trajectory.instants_s, trajectory.odometry[:, :2])
+    true_walls = load_world(trial.world).walls
+    turn, shift = rigid_fit(found.path[:, :2], driven.truth_at(trajectory.instants_s)[:, :2])
+    own = localization_error(fresh, found.world("own").walls, turn, shift) if found.walls else float("nan")
+    true = localization_error(fresh, true_walls, 0.0, np.zeros(2))
+    duration = float(driven.log.encoders[-1, 0] - driven.log.encoders[0, 0])
+    return trial, Score(trial, duration, **numbers, refused=found.reason_to_refuse(), seconds=seconds,
+                        true_map_in=true, own_map_in=own)  # fmt: skip
+
+
+# The table.
+
+
+def summarize(scores: Sequence[Score]) -> list[list[str]]:
+    """Return rows of requirement, required, measured."""
+    small = [score for score in scores if score.trial.world != "several_walls"]
+    several = [score for score in scores if score.trial.world == "several_walls"]
+    rows = [["requirement", "required", "measured"]]
+
+    def add(what: str, required: str, measured: str) -> None:
+        rows.append([what, required, measured])
+
+    if small:
+        complete = sum(score.found == score.walls for score in small)
+        add("thesis_room, centre_vertex: runs with all walls", "99 %", f"{complete} of {len(small)}")
+    if several:
+        found, walls = sum(score.found for score in several), sum(score.walls for score in several)
+        inner = sum(all(hypot(x + 1.0, y - 40.0) > 8.0 for x, y in score.missing) for score in several)
+        add("several_walls: walls found", "95 %", f"{found} of {walls}")
+        add("several_walls: the wall at y = 40", "90 % of the runs", f"{inner} of {len(several)}")
+    offsets = np.concatenate([score.offsets_in for score in scores])
+    angles = np.concatenate([score.angles_deg for score in scores])
+    ends = np.concatenate([score.ends_in for score in scores])
+    z = np.concatenate([score.z for score in scores])
+    path = np.array([score.path_in for score in scores])
+    worse = np.array([score.own_map_in - score.true_map_in for score in scores])
+    precision = np.array([score.precision for score in scores])
+    add("false walls", "1 in 50 runs", f"{sum(score.false for score in scores)} in {len(scores)} runs")
+    add("precision: mean, worst", "99 %, 90 %", f"{precision.mean():.1%}, {precision.min():.1%}")
+    add("offset: median, worst (in)", "0.1, 0.5", f"{np.median(offsets):.3f}, {offsets.max():.2f}")
+    add("angle: median, worst (deg)", "0.2, 2", f"{np.median(angles):.3f}, {angles.max():.2f}")
+    add("ends: median (in)", "0.15", f"{np.median(ends):.3f}")
+    add("path RMSE: median, worst (in)", "0.3, 0.5", f"{np.median(path):.3f}, {path.max():.2f}")
+    add("odometry RMSE: median, worst (in)", "", _range([score.odometry_in for score in scores]))
+    add("localization, own less true map (in)", "0.05, 0.15", f"{np.median(worse):.3f}, {worse.max():.2f}")
+    add("stated standard deviations: rms z", "0.8 to 1.5", f"{np.sqrt(np.square(z).mean()):.2f}")
+    add("maps refused", "", str(sum(bool(score.refused) for score in scores)))
+    add("duration: median, worst (s)", "300", _range([score.duration_s for score in scores]))
+    add("processor: median, worst (s)", "10 % of the drive", _range([score.seconds for score in scores]))
+    return rows
+
+
+def _range(values: Sequence[float]) -> str:
+    return f"{np.median(values):.1f}, {max(values):.1f}"
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Run the command; errors of files are propagated."""
+    options = _parser().parse_args(arguments)
+    trials = [
+        Trial(world, setup, seed)
+        for world in options.worlds
+        for setup in options.setups
+        for seed in range(options.first, options.first + options.seeds)
+    ]
+    scores = []
+    with progress(len(trials), "mapping", "trials") as tally:
+        for _, result in executor_for(run, options)(trials):
+            scores.append(result)
+            tally(1)
+    options.out.mkdir(parents=True, exist_ok=True)
+    file = options.out / "mapping.json"
+    file.write_text(json.dumps([asdict(found) for found in scores], indent=1) + "\n", encoding="utf-8")
+    found = [asdict(score) for score in scores]
+    print(json.dumps(found) if options.json else text_table(summarize(scores)), flush=True)
+    print(f"written: {file}", file=sys.stderr if options.json else sys.stdout, flush=True)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m localization.experiments mapping",
+        description="Learn maps from drives along way-points in simulated rooms and compare them with the true ones.",
+        epilog="example: python -m localization.experiments mapping --seeds 10 --worlds thesis_room",
+    )
+    add_choice(parser, "--worlds", TOURS, list(TOURS), "worlds")
+    add_choice(parser, "--setups", ("measured",), ["measured"], "setups of the simulation")
+    parser.add_argument("--first", type=int, default=100, metavar="N", help="first seed (default: %(default)s)")
+    add_shared(parser, Path("out/experiments"), "trial")
+    return parser
+
+

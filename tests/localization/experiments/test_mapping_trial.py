@@ -1,0 +1,73 @@
+"""The comparison of learned maps with true ones, on maps whose errors are known, and one trial end to end."""
+
+import numpy as np
+import pytest
+
+from localization.experiments import mapping
+from localization.experiments.mapping import Drive, Trial, fit_error, rigid_fit, score, visible_samples
+from localization.filters.belief import Floats
+from localization.mapping.measurements import rotate
+from localization.mapping.output import LearnedMap, Quality
+from localization.mapping.walls import Piece
+from tests.localization.mapping.drives import drive
+from worlds.io import load_world
+from worlds.robots import IDEAL_CALIBRATION
+
+TRIAL = Trial("thesis_room", "measured", 1)
+PATH = np.stack((np.linspace(0.0, 80.0, 50), np.linspace(10.0, 60.0, 50) + 5.0 * np.sin(np.linspace(0.0, 6.0, 50))), -1)
+
+
+def learned(walls: Floats, turn: float, shift: Floats) -> LearnedMap:
+    """Return a map of walls (m, 4) in a frame of its own."""
+    back = rotate(walls.reshape(-1, 2) - shift, np.full(2 * len(walls), -turn)).reshape(-1, 2, 2)
+    pieces = [Piece(0, 0.0, 10.0, ends, [True, True], 9, 0.1, 0.01) for ends in back]
+    path = np.column_stack((rotate(PATH - shift, np.full(len(PATH), -turn)), np.zeros(len(PATH))))
+    return LearnedMap(tuple(pieces), np.empty((0, 2)), path, IDEAL_CALIBRATION, Quality(1.0, 1.0), 0.0)
+
+
+def scored(walls: Floats) -> dict[str, object]:
+    times = np.arange(len(PATH), dtype=np.float64)
+    driven = Drive(drive(), np.column_stack((times, PATH, np.zeros(len(PATH)))))
+    return score(TRIAL, driven, learned(walls, 0.7, np.array((30.0, -20.0))), times, PATH + 0.5)
+
+
+def test_rigid_fit_finds_turn_and_shift() -> None:
+    turn, shift = rigid_fit(PATH, rotate(PATH, np.full(len(PATH), 0.4)) + np.array((3.0, 4.0)))
+    assert turn == pytest.approx(0.4)
+    np.testing.assert_allclose(shift, (3.0, 4.0))
+    assert fit_error(PATH, rotate(PATH, np.full(len(PATH), -2.0)) + 9.0) == pytest.approx(0.0, abs=1e-9)
+    assert fit_error(PATH, 2.0 * PATH) > 1.0
+
+
+def test_true_map_has_no_errors() -> None:
+    found = scored(load_world("thesis_room").walls)
+    assert (found["walls"], found["found"], found["false"], found["missing"]) == (4, 4, 0, [])
+    assert found["precision"] == pytest.approx(1.0)
+    np.testing.assert_allclose(np.array(found["offsets_in"]), 0.0, atol=1e-9)
+    assert found["path_in"] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_missing_false_and_shifted_walls_are_counted() -> None:
+    walls = load_world("thesis_room").walls.copy()
+    walls[0, 1::2] += 0.4
+    walls[1] = (40.0, 20.0, 40.0, 80.0)
+    found = scored(walls)
+    assert (found["found"], found["false"], len(np.array(found["missing"]))) == (3, 1, 1)
+    np.testing.assert_allclose(sorted(np.array(found["offsets_in"])), (0.0, 0.0, 0.4), atol=1e-9)
+
+
+def test_walls_behind_others_are_not_visible() -> None:
+    walls = np.array([[0.0, 0.0, 40.0, 0.0], [0.0, 20.0, 40.0, 20.0], [0.0, 30.0, 40.0, 30.0]])
+    samples = visible_samples(walls, np.array([[20.0, 10.0]]))
+    assert len(samples[0]) == len(samples[1]) == 40
+    assert len(samples[2]) < 20
+
+
+@pytest.mark.long
+def test_trial_finds_the_room() -> None:
+    _, found = mapping.run(Trial("thesis_room", "measured", 100))
+    assert (found.found, found.walls, found.false) == (4, 4, 0)
+    assert found.path_in < 0.5
+    assert found.own_map_in - found.true_map_in < 0.3
+    rows = mapping.summarize([found])
+    assert ["thesis_room, centre_vertex: runs with all walls", "99 %", "1 of 1"] in rows

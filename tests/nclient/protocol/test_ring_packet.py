@@ -1,0 +1,31 @@
+"""The ring packet: readings to bytes and back."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from nclient.errors import WireError
+from nclient.protocol.requests import MAX_PACKET_DATA
+from nclient.protocol.ring_packet import pack_ring, parse_ring
+from worlds.rings import MAX_SONARS
+
+
+@given(st.integers(0, 2**32 - 1), st.lists(st.integers(0, 480_000), max_size=MAX_SONARS))
+def test_readings_survive_the_packet(clock_ms: int, thousandths: list[int]) -> None:
+    data = pack_ring(clock_ms, [number / 1000 for number in thousandths])
+    assert len(data) <= MAX_PACKET_DATA
+    readings = parse_ring(data)
+    assert readings.clock_s == clock_ms / 1000
+    assert readings.readings_in == tuple(number / 1000 for number in thousandths)
+
+
+def test_low_bytes_come_first() -> None:
+    assert pack_ring(0x01020304, [1.5, 255]) == bytes.fromhex("04030201 02 dc0500 18e403")
+
+
+@pytest.mark.parametrize("data", ["", "0403", "04030201 02 dc0500", "04030201 00 00"])
+def test_other_data_are_refused(data: str) -> None:
+    with pytest.raises(WireError, match="bytes"):
+        parse_ring(bytes.fromhex(data))
