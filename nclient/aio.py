@@ -142,6 +142,8 @@ class AsyncRobot:
     read_segments = _awaitable(Robot.read_segments)
     say = _awaitable(Robot.say)
     send_packet = _awaitable(Robot.send_packet)
+    read_ring = _awaitable(Robot.read_ring)
+    watch_ring = _awaitable(Robot.watch_ring)
     arm_zero = _awaitable(Robot.arm_zero)
     arm_wait = _awaitable(Robot.arm_wait)
     arm_move = _awaitable(Robot.arm_move)

@@ -36,6 +36,7 @@ from localization.live.sensor_input import (
     corrected,
 )
 from worlds.raycast import is_compiled_for
+from worlds.rings import Ring
 
 
 class Echo(NamedTuple):
@@ -127,6 +128,11 @@ class Localizer:
         self._searching = self._filter if isinstance(self._filter, Searching) else None
         self._smoothing = self._filter if isinstance(self._filter, Smoothing) else None
         self._instants: deque[float] = deque(maxlen=1 + (self._smoothing.lag if self._smoothing else 0))
+
+    @property
+    def ring(self) -> Ring:
+        """The sonars of the robot."""
+        return self._ring
 
     def update(self, state: SensorInput) -> Estimate:
         """Take one state into account and return the estimate. A state no later than the one before changes nothing.

@@ -98,18 +98,29 @@ _INSIDE_IN: Final = 1e-3
 def corrected(state: SensorInput, calibration: Calibration, ring: Ring = N150.ring) -> SensorInput:
     """Return a state without the systematic errors of its sonars and of the mounting of their ring.
 
-    A ring whose reading without an echo is below its ranges then reads its maximum range instead.
+    Limits of a ring other than a Nomad's become those of a Nomad, or remain if they are beyond: they are limits then
+    for every part of a filter.
     """
     readings = sonar_readings(state)
-    if ring.no_echo_in < ring.max_range_in:
-        readings = tuple([ring.max_range_in if reading == ring.no_echo_in else reading for reading in readings])
-    if ring.no_echo_in < ring.max_range_in or not ring.fits_state:
+    if _limits(ring) != _limits(N150.ring):
+        readings = tuple([_limited(reading, ring) for reading in readings])
+    if not ring.fits_state or _limits(ring) != _limits(N150.ring):
         state = with_readings(state, readings)
     if calibration is IDEAL_CALIBRATION:
         return state
     pairs = zip(readings, calibration.offsets_in, strict=False)
     sonars = tuple(_corrected_reading(reading_in, offset_in, ring) for reading_in, offset_in in pairs)
     return with_readings(state, sonars, state.turret_rad + calibration.turned_rad)
+
+
+def _limits(ring: Ring) -> tuple[float, float, float]:
+    return ring.min_range_in, ring.max_range_in, ring.no_echo_in
+
+
+def _limited(reading_in: float, ring: Ring) -> float:
+    if reading_in == ring.no_echo_in or reading_in >= ring.max_range_in:
+        return max(ring.max_range_in, MAX_SONAR_IN)
+    return min(reading_in, MIN_SONAR_IN) if reading_in <= ring.min_range_in else reading_in
 
 
 def with_wheels(pose: Belief, calibration: Calibration) -> Belief:

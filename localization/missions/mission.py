@@ -410,7 +410,7 @@ def recover_from_lost(controller: RobotController, settings: Settings, reason: s
 
 def _search_commands(controller: RobotController) -> Iterator[VelocityCommand]:
     """Yield commands of the recovery behaviour without end, backing off after contacts."""
-    recovery = RecoveryBehavior(PERIOD_S)
+    recovery = RecoveryBehavior(PERIOD_S, ring=controller.body.ring)
     while True:
         turn_rad = controller.last.estimate.informative_turn_rad
         yield VelocityCommand(*recovery.command(controller.last.state, turn_rad))

@@ -15,6 +15,8 @@ import numpy as np
 from localization.filters.belief import Floats, difference
 from localization.navigation.control_law import distance_to
 from nclient.state import RobotState
+from worlds.rings import Ring
+from worlds.robots import N150
 
 TURN_RAD_S: Final = 0.4
 SCAN_RAD: Final = 4.0
@@ -69,8 +71,8 @@ class SonarState(Protocol):
 class RecoveryBehavior:
     """Controller for a lost robot; `command` is called every `period_s` seconds, `max_speed_in_s` is the top speed."""
 
-    def __init__(self, period_s: float, max_speed_in_s: float = MAX_DRIVE_IN_S) -> None:
-        self._period_s, self._max_speed_in_s = period_s, max_speed_in_s
+    def __init__(self, period_s: float, max_speed_in_s: float = MAX_DRIVE_IN_S, ring: Ring = N150.ring) -> None:
+        self._period_s, self._max_speed_in_s, self._ring = period_s, max_speed_in_s, ring
         self._scanned_rad = self._back_off_s = self._avoiding_rad = 0.0
 
     def reset(self) -> None:
@@ -94,7 +96,7 @@ class RecoveryBehavior:
             return -BACK_OFF_IN_S, 0.0
         # 2. Nothing in the way: turn to the direction that is worth it, or drive on.
         turn = TURN_RAD_S * self._period_s
-        ahead_in = _free_ahead_in(state)
+        ahead_in = _free_ahead_in(state, self._ring)
         is_free = ahead_in > FREE_AHEAD_IN
         if turn_rad is not None and self._avoiding_rad <= 0.0:
             if abs(turn_rad) > ALIGNED_RAD:
@@ -112,10 +114,11 @@ class RecoveryBehavior:
         return 0.0, TURN_RAD_S
 
 
-def _free_ahead_in(state: SonarState) -> float:
+def _free_ahead_in(state: SonarState, ring: Ring) -> float:
     """Return the shortest reading of the sonars that look ahead."""
-    directions = np.arange(len(state.sonars_in)) * (tau / len(state.sonars_in)) + state.turret_rad - state.steering_rad
-    beams = zip(state.sonars_in, directions, strict=True)
+    readings = (getattr(state, "ring_in", None) or state.sonars_in)[: ring.count]
+    directions = np.array(ring.angles_rad[: len(readings)]) + state.turret_rad - state.steering_rad
+    beams = zip(readings, directions, strict=True)
     return min((reading for reading, direction in beams if cos(direction) >= AHEAD), default=0)
 
 

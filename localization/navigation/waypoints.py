@@ -158,7 +158,8 @@ def follow_waypoints(
     smoother : PoseSmoother, optional
         Smooths the pose to steer by. Default: steer by the estimates.
     """
-    smoother, recovery, gap_limiter = smoother or PoseSmoother(0.0), RecoveryBehavior(PERIOD_S), StateGapLimiter()
+    smoother, gap_limiter = smoother or PoseSmoother(0.0), StateGapLimiter()
+    recovery = RecoveryBehavior(PERIOD_S, ring=localizer.ring)
     robot.set_timeout(COMMAND_TIMEOUT_S)
     state = robot.refresh()
     with stop_on_exit(robot):

@@ -55,11 +55,12 @@ def state_of(readings: tuple[float, ...]) -> SensorData:
     return SensorData(1.0, 0.0, 0.0, 0.0, 0.0, readings)
 
 
-def test_no_echo_below_the_ranges_becomes_the_maximum() -> None:
+def test_limits_are_limits_of_every_part_of_a_filter() -> None:
     ring = replace(EIGHT.ring, no_echo_in=0.0)
-    assert corrected(state_of((0.0, 50.0, ring.max_range_in)), Calibration(), ring).sonars_in == (
-        ring.max_range_in, 50.0, ring.max_range_in
-    )  # fmt: skip
+    seen = corrected(state_of((0.0, 50.0, ring.max_range_in, ring.min_range_in)), Calibration(), ring).sonars_in
+    assert seen == (255.0, 50.0, 255.0, ring.min_range_in)
+    far = replace(EIGHT.ring, min_range_in=10.0, max_range_in=400.0, no_echo_in=400.0)
+    assert corrected(state_of((9.0, 10.0, 300.0, 400.0)), Calibration(), far).sonars_in == (6.0, 6.0, 300.0, 400.0)
     # With offsets, ranges stay within the limits of the ring.
     offsets = Calibration(offsets_in=(1.0, 60.0, -9.0))
     assert corrected(state_of((50.0, 50.0, 196.0)), offsets, EIGHT.ring).sonars_in == pytest.approx(
