@@ -38,6 +38,7 @@ from localization.live.localizer import Estimate, Localizer, Smoothed
 from localization.live.sensor_input import CLOCK_STEP_S, FiringSchedule, SensorInput, restart_ring, with_readings
 from localization.navigation.waypoints import PERIOD_S, Navigator, Speeds
 from nclient import connect
+from nclient.protocol.types import MAX_SONAR_IN, MIN_SONAR_IN
 from nclient.robot import Robot
 from nclient.state import Pose
 from worlds.io import load_world
@@ -54,7 +55,8 @@ START_STD: Final = (0.2, 0.2, 0.01)
 QUIET: Final = OdometryNoise(translation_std=0.05, rotation_std=0.05, drift_std=0.002)
 """Odometry noise of scenarios without noise in the simulation."""
 EXACT_RAYS: Final = RaySonar(
-    range_std_relative=0.0, range_std_floor_in=0.02, rounding_var_in2=1.0 / 12.0, lowest_in=6.0, highest_in=255.0
+    range_std_relative=0.0, range_std_floor_in=0.02, rounding_var_in2=WIRE_SONAR.rounding_var_in2,
+    lowest_in=WIRE_SONAR.lowest_in, highest_in=WIRE_SONAR.highest_in,
 )
 """Rays without noise, in whole inches."""
 SCALE, BAD = 1, 2
@@ -144,7 +146,7 @@ a fifth of the readings outliers, and an unknown scale. `_line`: the same over t
 
 
 # The range of an N150's sonars: 6 in is the shortest reading, 255 means no echo.
-MIN_OUTLIER_IN, MAX_OUTLIER_IN = 6, 255
+MIN_OUTLIER_IN, MAX_OUTLIER_IN = MIN_SONAR_IN, MAX_SONAR_IN
 
 
 class BadReadings:

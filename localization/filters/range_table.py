@@ -21,6 +21,7 @@ from localization.filters.belief import Floats
 from localization.filters.reflectors import Reflectors, reflectors
 from localization.filters.sonar_cone import CLEARANCE_IN, ConeSonar, echo_probabilities
 from localization.filters.sonar_ray import RaySonar, SonarRing, ranges_from, wall_map
+from nclient.protocol.types import MAX_SONAR_IN
 from worlds.geometry import nearest_points
 from worlds.raycast import cast_rays
 from worlds.rings import SonarMount
@@ -33,7 +34,7 @@ DIRECTIONS: Final = 120
 """Directions of 3 degrees: the 22.5 degrees between two sonars are 7.5, so a heading falls anywhere in a cell."""
 OUTLIER_PROBABILITY: Final = 0.3
 """Of readings anywhere: more than for a filter that knows its pose, as people may stand around."""
-MAX_READING_IN: Final = 255
+MAX_READING_IN: Final = MAX_SONAR_IN
 HEADING_STD_RAD: Final = 2.0 * np.pi / DIRECTIONS / np.sqrt(12.0)
 """Standard deviation of a direction within its cell."""
 MIN_ENCLOSED: Final = 0.1
