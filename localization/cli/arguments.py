@@ -222,16 +222,16 @@ def report_wait(words: str) -> None:
     print(f"nomad: {words}", file=sys.stderr, flush=True)
 
 
-def find_alike(world: World, config: LocalizationConfig, belief: Belief) -> list[Floats]:
-    """Return the poses (3,) that look like that of an initial belief, and say so on stderr; none for a wide belief."""
+def find_alike(world: World, config: LocalizationConfig, belief: Belief, *, prints: bool = False) -> list[Floats]:
+    """Return the poses (3,) that look like that of an initial belief, and print them; none for a wide belief."""
     if is_wide(belief):
         return []
     x, y, heading = belief.mean[:POSE].tolist()
     found = AliasFinder(world.walls, config.clearance_in, [(x, y)]).aliases((x, y, heading))
-    if found:
+    if found and prints:
         poses = ", ".join(f"({pose[0]:.1f}, {pose[1]:.1f}) in {math.degrees(pose[2]):.0f} deg" for pose in found[:4])
         more = f" and {len(found) - 4} more" if len(found) > 4 else ""
-        print(f"nomad: note: the start looks like {poses}{more}", file=sys.stderr, flush=True)
+        print(f"the start looks like {poses}{more}", flush=True)
     return found
 
 

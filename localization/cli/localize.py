@@ -170,7 +170,7 @@ def _drive(
     navigator = Navigator(done.waypoints, Speeds(translation_in_s=options.speed), options.radius, stays=stays)
     start = None if options.start == arguments.UNKNOWN else belief
     waits = arguments.is_lockstep(options.address)
-    done.alike = [] if start is None else arguments.find_alike(world, config, start)
+    done.alike = [] if start is None else arguments.find_alike(world, config, start, prints=not options.json)
     with filter_on_robot(
         options.method, config, start, options.scale_std, waits=waits, report=arguments.report_wait, alike=done.alike
     ) as method:

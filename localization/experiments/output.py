@@ -172,13 +172,14 @@ def add_choice(parser: argparse.ArgumentParser, option: str, names: Iterable[str
     """Add an option that takes one of `names`, or several if its default is a list."""
     names = list(names)
     shown = "all" if default == names else " ".join(default) if isinstance(default, list) else default
+    choices = ", ".join(names).replace("%", "%%")
     parser.add_argument(
         option,
         nargs="+" if isinstance(default, list) else None,
         choices=names,
         default=default,
         metavar="NAME",
-        help=f"{what}: {', '.join(names)} (default: {shown})",
+        help=f"{what}: {choices} (default: {shown})",
     )
 
 

@@ -60,7 +60,7 @@ from localization.filters.update import (
     record_used,
 )
 
-SLIP_IN, SIDE_SLIP_IN, SLIP_RAD = 2.0, 0.5, 0.03
+SLIP_IN, SIDE_SLIP_IN, SLIP_RAD = 1.2, 0.3, 0.02
 """Standard deviations that are added when the wheels may have slipped: along the heading, across it, and of it."""
 
 Prediction = Callable[[State, Covariance, float, float, OdometryNoise, int], None]

@@ -88,9 +88,11 @@ def test_priorities_of_clients_server_and_hostile_client(
     monkeypatch.setattr(load, "measure", lambda *given: {"is_met": given[-1]})
     assert load.main(["--hostile", "deaf", "--ahead", "--json"]) == 0
     assert scheduled == [(0, os.SCHED_RR, 3)]
-    assert load.scheduled(["it"], load.DAEMON) == ["chrt", "--rr", "2", "it"]
-    assert load.scheduled(["it"], load.HOSTILE_ONE) == ["chrt", "--rr", "1", "it"]
-    assert load.scheduled(["it"], None) == ["it"]
+    assert [load.AHEAD_DAEMON[0], *load.AHEAD_HOSTILE] == ["chrt", "nice", "-n", "-20"]
+    # The daemon gets 99 % of a core.
+    given = dict(zip(load.AHEAD_DAEMON[2:-1], load.AHEAD_DAEMON[3:], strict=False))
+    assert int(given["--sched-runtime"]) == 0.99 * int(given["--sched-period"])
+    assert given["--sched-deadline"] == given["--sched-period"]
 
 
 def test_stalled_client_stops_and_reconnects() -> None:

@@ -24,8 +24,8 @@ def code_blocks(page: str, language: str) -> list[str]:
 
 
 def command_lines(page: str) -> list[str]:
-    """Return the lines of the `sh` blocks of a page."""
-    return [line for block in code_blocks(page, "sh") for line in block.splitlines() if line]
+    """Return the lines of the `sh` blocks of a page, continued ones joined."""
+    return [line for block in code_blocks(page, "sh") for line in block.replace("\\\n", "").splitlines() if line]
 
 
 def environment_with_venv() -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""Run every `nomad` command of docs/calibration.md and docs/maps.md in this process, and read the model file."""
+"""Run every `nomad` command of the pages on calibration, maps and mapping in this process, and read the model file."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ from worlds.robots import load_calibration
 pytestmark = pytest.mark.long
 
 
-@pytest.mark.parametrize("page", ["calibration.md", "maps.md"])
+@pytest.mark.parametrize("page", ["calibration.md", "maps.md", "mapping.md"])
 def test_every_command_succeeds(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
+    Path("out").mkdir()
     commands = [shlex.split(line)[1:] for line in command_lines(page) if line.startswith("nomad ")]
     assert len(commands) >= 2
     for words in commands:

@@ -26,10 +26,12 @@ TESTS_OF_PAGES = {
     "fuzzing.md": "fuzz/test_documentation.py",
     "localization.md": "docs/test_pages.py",
     "maps.md": "docs/test_calibration_and_maps_pages.py",
+    "mapping.md": "docs/test_calibration_and_maps_pages.py",
     "missions.md": "docs/test_missions_page.py",
     "protocol.md": "docs/test_protocol_page.py",
     "real-data.md": "localization/experiments/test_corridor.py",
     "real-robot.md": "docs/test_pages.py",
+    "rings.md": "docs/test_rings_page.py",
     "security.md": "docs/test_tunnels.py",
     "sensors.md": "docs/test_pages.py",
     "service.md": "docs/test_service_page.py",
@@ -86,7 +88,7 @@ def test_long_commands_have_valid_arguments(command: str) -> None:
         return
     assert command.startswith(EXPERIMENTS)
     kind, *words = shlex.split(command.removeprefix(EXPERIMENTS))
-    if kind in ("live", "lost", "plan"):
+    if kind in ("disturbed", "live", "lost", "plan"):
         experiment = importlib.import_module(f"localization.experiments.{kind}")
         assert experiment._parser().parse_args(words)
     else:

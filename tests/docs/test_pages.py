@@ -118,7 +118,7 @@ def test_localization(tmp_path: Path) -> None:
     for output in (rays, cones, overconfident, worn):
         assert re.search(r"2 of 2 waypoints reached", output)
     assert re.search(r"1 of 1 waypoints reached", found)
-    assert re.search(r"DEGRADED: .*innovations", overconfident)
+    assert re.search(r"DEGRADED: .*slipped", overconfident)
     assert "DEGRADED" not in rays
     assert [float(nees) < 5.5 for nees in re.findall(r"NEES, mean +([\d.]+)", figures)] == [True, True]
 

@@ -9,7 +9,7 @@ import pytest
 
 from localization.filters.particles import ConeLikelihood, Likelihood, RayLikelihood
 from localization.filters.sonar_cone import ConeSonar
-from localization.filters.sonar_ray import WIRE_SONAR
+from localization.filters.sonar_ray import WIRE_SONAR, RangeNoise
 from worlds.io import load_world
 from worlds.robots import N150
 
@@ -35,7 +35,7 @@ def test_likelihood_integrates_to_one(kind: Likelihood, sonar: int) -> None:
 def test_a_ray_by_hand() -> None:
     pose = np.array([[40.0, 60.0, 0.0]])
     expected = 102.17 - 40.0 - N150.sonar_ring_radius_in
-    variance = (0.01 * expected) ** 2 + 1 / 12 + 0.25
+    variance = (0.01 * expected) ** 2 + 1 / 12 + WIRE_SONAR.place_var_in2 + 0.25
     by_hand = 0.95 * exp(-0.5 * (55.0 - expected) ** 2 / variance) / sqrt(2 * pi * variance) + 0.05 / SPAN_IN
     assert RAYS.at(pose, 0, 0.0, 55.0).total[0] == pytest.approx(by_hand)
 
@@ -51,10 +51,12 @@ def test_limits_are_no_ranges(kind: Likelihood) -> None:
     assert [kind.is_range(reading) for reading in (6.0, 7.0, 254.0, 255.0)] == [False, True, True, False]
 
 
-@pytest.mark.parametrize("kind", [RAYS, CONES])
-def test_the_widening_counts_as_a_constant_error(kind: Likelihood) -> None:
-    """At 100 in the sonars' noise is 1 in: of the rounding next to nothing stays, of the widening, 0.25 in2, all."""
-    variance, constant = 1.0 + 1 / 12 + 0.25, 0.25 + exp(-4.0 * pi**2) / 12
+@pytest.mark.parametrize(("kind", "noise"), [(RAYS, WIRE_SONAR), (CONES, ConeSonar())])
+def test_the_widening_counts_as_a_constant_error(kind: Likelihood, noise: RangeNoise) -> None:
+    """At 100 in the noise is 1 in: of the rounding next to nothing stays, of place and widening, 0.25 in2, all."""
+    assert noise.place_var_in2 > 0.0
+    constant = 0.25 + noise.place_var_in2 + exp(-4.0 * pi**2) / 12
+    variance = 1.0 + 1 / 12 + 0.25 + noise.place_var_in2
     assert [kind.information(100.0, times) for times in (1, 2, 5)] == pytest.approx(
         [1.0, (variance - 2.0 * constant) / variance, (1.0 - 2.0 * constant / variance) ** 4]
     )

@@ -14,7 +14,7 @@ from localization.missions.mission import Mission, _search_commands
 from localization.missions.report import MissionOver
 from localization.missions.settings import OnLost, Settings
 from localization.navigation.limits import VelocityCommand
-from localization.navigation.recovery import DRIVE_IN_S, SCAN_RAD, TURN_RAD_S, RecoveryBehavior
+from localization.navigation.recovery import BACK_OFF_IN_S, MAX_DRIVE_IN_S, SCAN_RAD, TURN_RAD_S, RecoveryBehavior
 from localization.navigation.waypoints import PERIOD_S
 from nclient.state import Pose
 
@@ -102,16 +102,17 @@ def test_a_search_gropes_and_is_set_back_by_a_touch(controller_at: MakeControlle
         command = next(commands)
         assert tuple(command) == groping.command(controller.last.state)
         controller.period(command)
-    assert command.translation_in_s == DRIVE_IN_S
+    # The space ahead is free.
+    assert command.translation_in_s == MAX_DRIVE_IN_S
     free = controller.last
     # The bumper bit of the state is set by hand.
     controller.last = free._replace(state=replace(free.state, raw=(*free.state.raw[:33], 1, *free.state.raw[34:])))
     assert controller.last.state.touching
     back = [next(commands)]
     controller.last = free
-    # 1.5 s backwards, then a new scan.
-    back += [next(commands) for _ in range(14)]
-    assert back == [VelocityCommand(-DRIVE_IN_S, 0.0)] * 15
+    # 2 s backwards, then a turn.
+    back += [next(commands) for _ in range(19)]
+    assert back == [VelocityCommand(-BACK_OFF_IN_S, 0.0)] * 20
     assert next(commands) == VelocityCommand(0.0, TURN_RAD_S)
 
 
