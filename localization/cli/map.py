@@ -260,7 +260,7 @@ def _find_aliases(
 def _note(alias: Alias) -> Finding:
     """Return an alias in words, as a finding."""
     poses = _poses_deg(alias)
-    others = ", ".join(f"({x:.0f}, {y:.0f}) at {heading:.0f} deg" for x, y, heading in poses[1 : 1 + MAX_ALIKE])
+    others = ", ".join(f"({x:z.0f}, {y:z.0f}) at {heading:z.0f} deg" for x, y, heading in poses[1 : 1 + MAX_ALIKE])
     more = f" and {len(poses) - 1 - MAX_ALIKE} more" if len(poses) - 1 > MAX_ALIKE else ""
     x, y, heading = poses[0]
     return Finding("alike", (x, y), f"at {heading:.0f} deg looks like {others}{more}")
