@@ -229,7 +229,7 @@ def _parser() -> argparse.ArgumentParser:
         prog="python -m localization.experiments corridor",
         description="Run a filter on the sonar readings of a real corridor. Odometry is made of the poses of the data, "
         "with the noise of the experiments; the map is two walls fitted to the echoes.",
-        epilog="example: python -m localization.experiments corridor --data ../shared/data/udacity_corridor",
+        epilog="example: python -m localization.experiments corridor --data udacity_corridor",
     )
     parser.add_argument("--data", type=Path, required=True, metavar="FOLDER",
                         help="folder with measurement.txt and poses.txt (docs/real-data.md)")  # fmt: skip

@@ -236,7 +236,7 @@ class GlobalLocalizer:
 
     @property
     def hypotheses(self) -> list[Hypothesis]:
-        """Where the robot may be, the most probable first, or the estimate; none while searching."""
+        """Poses that are possible, the most probable first, or the estimate; none while searching."""
         if self._estimate is not None:
             total = 1.0 + sum(each.probability for each in self._alike)
             beside = [Hypothesis(each.belief, each.probability / total) for each in self._alike]

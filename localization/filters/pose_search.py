@@ -414,7 +414,7 @@ def _may_have_slipped(offset: Floats) -> bool:
 
 
 class SearchRequest(NamedTuple):
-    """What to search for.
+    """Order for a search.
 
     Attributes
     ----------
@@ -518,7 +518,7 @@ DRIVE_STEP_IN, DRIVE_STEPS = 12.0, 20
 COMPARED: Final = 8
 """So many of the most probable hypotheses are compared."""
 START_IN, TURN_IN = 36.0, 20.0
-"""What any drive, and a radian of turning before it, cost in inches of driving."""
+"""Costs of any drive, and of a radian of turning before it, in inches of driving."""
 FREE_VALUE: Final = 2e-5
 """Value of an inch of free way, where no drive separates the hypotheses: much less than that of any difference."""
 

@@ -70,7 +70,7 @@ MIN_PROBABILITY: Final = 1e-3
 LOGISTIC_SLOPE: Final = 1.702
 """A logistic curve of this slope is nowhere off the normal distribution by more than 0.0095 (Camilli 1994)."""
 MAX_SIGMAS: Final = log(1.0 / MIN_PROBABILITY - 1.0) / LOGISTIC_SLOPE
-"""What is so many standard deviations out of reach has MIN_PROBABILITY at most."""
+"""A reflector so many standard deviations out of reach has MIN_PROBABILITY at most."""
 REACH_IN: Final = MAX_SIGMAS * FOOT_STD_IN
 """A foot farther than this beyond an end is not detected."""
 _ROUNDING: Final = 1e-6

@@ -209,7 +209,7 @@ class ViewerController:
         self.error_boundary = ErrorBoundary()
         self._pose_requests: dict[int, int] = {}
         self.waypoints: dict[int, list[list[float]]] = {}
-        """Where each robot is to go, as set at a page."""
+        """Goal of each robot, as set at a page."""
         self._waypoints_set: Counter[int] = Counter()
         self._clients: dict[Viewer, ViewerClients] = {}
         self._worlds_being_read: dict[Viewer, asyncio.Task[bytes]] = {}
