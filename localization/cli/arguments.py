@@ -141,7 +141,7 @@ def add_robot_model_options(parser: argparse.ArgumentParser) -> None:
                         help="sonar model: exact rays (setups ideal and noisy), the cones of a real ring, including "
                              "outliers, or the same in a real building, whose walls have doors and posts (method "
                              "ekf; others: cones) (default: for sim: addresses that of the setup, rays for other "
-                             "simulations, building for robots)")  # fmt: skip
+                             "simulations, cones for robots)")  # fmt: skip
 
 
 def add_sonar_model(parser: argparse.ArgumentParser) -> None:

@@ -106,7 +106,7 @@ def resolve_sonar_model(option: str | None, simulated: bool, address: str | None
 
     Without the option: for a sim: address that of its setup (exact rays for ideal, noisy and worn, cones for
     measured, those in a building for building), for other simulations rays, as a server does not report its setup, and
-    for robots cones in a building.
+    for robots cones.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def resolve_sonar_model(option: str | None, simulated: bool, address: str | None
     address = address_or_default(address)
     has_rays = sonar_model_of_address(address)
     if has_rays is None:
-        return SonarAssumption(simulated, guessed=True, building=not simulated)
+        return SonarAssumption(simulated, guessed=True)
     return SonarAssumption(has_rays, guessed=False, building=not has_rays and setup_of(address) == BUILDING_SETUP)
 
 

@@ -57,8 +57,7 @@ def test_invalid_setup_file_gives_no_model_or_default(text: str, tmp_path: Path)
 def test_a_server_does_not_report_and_a_robot_has_cones(monkeypatch: pytest.MonkeyPatch) -> None:
     assert resolve_sonar_model(None, True, "nserver://localhost/1") == SonarAssumption(rays=True, guessed=True)
     assert "exact rays" in resolve_sonar_model(None, True, "nserver://localhost/1").line()
-    real = resolve_sonar_model(None, False, "serial:///dev/ttyUSB0")
-    assert real == SonarAssumption(rays=False, guessed=True, building=True)
+    assert resolve_sonar_model(None, False, "serial:///dev/ttyUSB0") == SonarAssumption(rays=False, guessed=True)
     assert resolve_sonar_model(None, False, "serial:///dev/ttyUSB0").line() == ""
     monkeypatch.setenv("NOMAD_ROBOT", "sim:thesis_room?setup=measured")
     assert resolve_sonar_model(None, True, None) == SonarAssumption(rays=False, guessed=False)
