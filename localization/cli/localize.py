@@ -17,6 +17,8 @@ import numpy as np
 
 from localization.cli import arguments
 from localization.cli.log import add_log_options, localize_recorded
+from localization.filters.belief import independent
+from localization.filters.global_localization import WIDE_IN, WIDE_RAD, is_wide
 from localization.filters.registry import DEFAULT_METHOD, FINDER
 from localization.live.assumptions import resolve_body, resolve_robot_model
 from localization.live.background_search import filter_on_robot
@@ -67,7 +69,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser,
         DEFAULT_METHOD,
         "filter: extended, iterated or unscented Kalman filter, particles, or one that recovers when lost; smoother "
-        "drives like ekf",
+        f"drives like ekf; finder is the default with --start {arguments.UNKNOWN} or a --start-std above {WIDE_IN:g} in "
+        f"or {math.degrees(WIDE_RAD):.1f} deg",
         "; waypoints set there replace the current ones",
     )
     parser.set_defaults(method=None)
@@ -128,7 +131,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _select_method(options: argparse.Namespace) -> str:
     """Return the method of --method, its default, or the one that finds an unknown start."""
-    # Only this filter needs no initial pose.
+    # Only this filter needs no initial pose, or searches where a wide one covers several.
     if options.start == arguments.UNKNOWN:
         if options.resume:
             options.refuse("--start unknown and --resume exclude each other: give one of them")
@@ -136,7 +139,9 @@ def _select_method(options: argparse.Namespace) -> str:
             method = options.method
             options.refuse(f"--start unknown is found out by --method {FINDER} alone: leave --method {method} out")
         return FINDER
-    return str(options.method or DEFAULT_METHOD)
+    # A resumed belief has deviations of its own; a log has no robot that could drive to where poses differ.
+    searches = not options.resume and not options.log and is_wide(independent((0.0, 0.0, 0.0), options.start_std))
+    return str(options.method or (FINDER if searches else DEFAULT_METHOD))
 
 
 def _write_results(options: argparse.Namespace, world: World, done: Run) -> bool:

@@ -201,6 +201,24 @@ def test_ambiguous_places_are_reported_without_driving(capsys: pytest.CaptureFix
     assert result["rmse_position_in"] is None
 
 
+@pytest.mark.parametrize(("words", "method"), [
+    (["--start-std", "13,1,1"], "finder"),
+    (["--start-std", "1,1,29"], "finder"),
+    (["--start-std", "11,11,28"], "ekf"),
+    (["--start-std", "13,1,1", "--method", "ekf"], "ekf"),
+    (["--start-std", "13,1,1", "--resume", "there.json"], "ekf"),
+    (["--start", "unknown"], "finder"),
+])  # fmt: skip
+def test_a_wide_start_selects_the_finder(
+    words: list[str], method: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    chosen: list[str] = []
+    monkeypatch.setattr(localization_cli, "_drive", lambda *run: chosen.append(run[3].method))
+    monkeypatch.setattr(localization_cli, "_write_results", lambda *_: True)
+    localize(NOISY, *TO_GOAL, *words)
+    assert chosen == [method]
+
+
 @pytest.mark.parametrize(("words", "remedy"), [
     (["--method", "mcl"], "by --method finder alone: leave --method mcl out"),
     (["--method", "ekf"], "by --method finder alone: leave --method ekf out"),
