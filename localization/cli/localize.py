@@ -69,8 +69,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser,
         DEFAULT_METHOD,
         "filter: extended, iterated or unscented Kalman filter, particles, or one that recovers when lost; smoother "
-        f"drives like ekf; finder is the default with --start {arguments.UNKNOWN} or a --start-std above {WIDE_IN:g} in "
-        f"or {math.degrees(WIDE_RAD):.1f} deg",
+        f"drives like ekf; finder is the default with --start {arguments.UNKNOWN} or a --start-std above "
+        f"{WIDE_IN:g} in or {math.degrees(WIDE_RAD):.1f} deg",
         "; waypoints set there replace the current ones",
     )
     parser.set_defaults(method=None)
