@@ -307,6 +307,32 @@ def prepare_localization(robot: Robot, simulated: bool, world: World, options: a
     return LocalizationSetup(belief, config, sonars)
 
 
+def start_source(options: argparse.Namespace) -> str:
+    """Return where the start pose of a run comes from: resume, start, encoders or unknown."""
+    if options.resume:
+        return "resume"
+    if options.start:
+        return UNKNOWN if options.start == UNKNOWN else "start"
+    return "encoders"
+
+
+def describe_start(options: argparse.Namespace, belief: Belief) -> str:
+    """Return the start pose, its deviation, and where it comes from, as a line of text."""
+    source = start_source(options)
+    if source == UNKNOWN:
+        return "start unknown: the robot searches its pose first"
+    (x, y, heading), std = belief.mean[:POSE].tolist(), belief.std[:POSE]
+    origin = {"start": "given by --start", "resume": f"resumed from {options.resume}", "encoders": "from the encoders"}
+    text = (
+        f"start ({x:z.1f}, {y:z.1f}) in {math.degrees(heading):z.1f} deg ± {max(std[0], std[1]):.2g} in "
+        f"{math.degrees(std[2]):.2g} deg, {origin[source]}"
+    )
+    # A simulation in this process has not driven yet.
+    if source == "encoders" and not is_lockstep(options.address):
+        text += "; encoders drift while a robot drives: give --start or --resume, or a --start-std for it"
+    return text
+
+
 def _set_start(robot: Robot, state: RobotState, start: Sequence[float] | str) -> RobotState:
     """Set the encoders to the start pose, with the same angle between turret and body, and return the new state."""
     if start == UNKNOWN:

@@ -25,7 +25,7 @@ from localization.live.background_search import filter_on_robot
 from localization.live.publish import Publisher, build_message
 from localization.live.run import GroundTruth, Run, RunMoment
 from localization.navigation.limits import PoseSmoother
-from localization.navigation.recovery import StallDetector
+from localization.navigation.recovery import ContactDetector, StallDetector
 from localization.navigation.roadmap import crossings
 from localization.navigation.waypoints import (
     STOP_RADIUS_IN,
@@ -173,15 +173,19 @@ def _drive(
     belief, config, done.sonars = arguments.prepare_localization(robot, simulated, world, options)
     stays = options.stay and publisher is not None
     navigator = Navigator(done.waypoints, Speeds(translation_in_s=options.speed), options.radius, stays=stays)
-    start = None if options.start == arguments.UNKNOWN else belief
+    done.start = arguments.start_source(options)
+    if not options.json:
+        print(arguments.describe_start(options, belief), flush=True)
+    start = None if done.start == arguments.UNKNOWN else belief
     waits = arguments.is_lockstep(options.address)
     done.alike = [] if start is None else arguments.find_alike(world, config, start, prints=not options.json)
     with filter_on_robot(
         options.method, config, start, options.scale_std, waits=waits, report=arguments.report_wait, alike=done.alike
     ) as method:
         localizer = start_localizer(robot, config, belief, method)
-        # 2. Drive until the last waypoint, a stall or the time limit.
-        ground_truth, stall_detector, printed_s = GroundTruth(robot, simulated), StallDetector(options.speed), -math.inf
+        # 2. Drive until the last waypoint, a contact, a stall or the time limit.
+        ground_truth, printed_s = GroundTruth(robot, simulated), -math.inf
+        stall_detector, contact_detector = StallDetector(options.speed), ContactDetector()
         for progress in follow_waypoints(robot, localizer, navigator, time.sleep, PoseSmoother(options.smooth)):
             clock_s, state = progress.estimate.clock_s, progress.state
             # Record, publish, print.
@@ -191,9 +195,11 @@ def _drive(
             if not options.json and clock_s >= printed_s + 1.0:
                 printed_s = clock_s
                 print(done.line(), flush=True)
-            # End on a stall or at the time limit.
-            aim = None if done.moments[-1].lost else navigator.goal
-            done.stopped = stall_detector.reason(clock_s, state, progress.estimate.pose, aim)
+            # End on a contact, a stall or at the time limit. A lost robot searches, and backs off by itself.
+            is_lost = done.moments[-1].lost
+            aim = None if is_lost else navigator.goal
+            done.stopped = contact_detector.reason(state, progress.estimate.pose, backs_off=is_lost)
+            done.stopped = done.stopped or stall_detector.reason(clock_s, state, progress.estimate.pose, aim)
             if not done.stopped and done.duration_s > options.time_limit:
                 done.stopped = f"time limit exceeded: {options.time_limit:g} s (--time-limit)"
             if done.stopped:
