@@ -228,7 +228,8 @@ def ring_data(robot: SimulatedRobot) -> Plain:
         "angles": [round(angle, ANGLE_DIGITS) for angle in ring.angles_rad],
         "shifts": [[round(number, DIGITS) for number in shift] for shift in ring.shifts_in],
         "half_cone": round(sonar.cone_rad / 2.0 if isinstance(sonar, Polaroid) else half_cone_rad, ANGLE_DIGITS),
-        "max_in": ring.max_range_in, "no_echo_in": ring.no_echo_in,
+        # Rounded as the readings are: the page compares them.
+        "max_in": round(ring.max_range_in, DIGITS), "no_echo_in": round(ring.no_echo_in, DIGITS),
     }  # fmt: skip
 
 
