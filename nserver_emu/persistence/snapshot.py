@@ -191,7 +191,7 @@ def _expecting(what: str, is_valid: Callable[[Any], bool], make: Callable[[Any],
     return decode
 
 
-# JSON has no other types than these, and type() tells true and false from numbers.
+# JSON has no other types than these, and type() distinguishes true and false from numbers.
 _SCALARS: Final[Mapping[type, Decoder]] = {
     bool: _expecting("true or false", lambda data: isinstance(data, bool)),
     int: _expecting("a whole number", lambda data: type(data) is int and data.bit_length() <= MAX_BITS),

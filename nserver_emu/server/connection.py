@@ -9,7 +9,7 @@ The path of a TCP request, file by file (the gateway only with `--real`):
 5. `handlers/motion.py`             (or `sensors`, `world`, `server`, `graphics`): the command itself
 6. `nserver_emu/simulation/robot.py`    the simulated robot
 
-The reply returns the same way: `ServerState.state_reply` reads the robot, `Session` encodes it with `codec.py`,
+The reply takes the reverse path: `ServerState.state_reply` reads the robot, `Session` encodes it with `codec.py`,
 `ConnectionHandler.send` passes it to the socket.
 
 Fair scheduling: a connection processes at most `MAX_BYTES_PER_TURN` bytes and `MAX_REQUESTS_PER_TURN` requests per
@@ -447,7 +447,7 @@ class ConnectionHandler(ABC):
     # The channel: baud rate and faults.
 
     def _deliver(self) -> None:
-        """Pass on the bytes that have come through the channel, and set a timer for those still on their way.
+        """Pass on the bytes that have come through the channel, and set a timer for those still in it.
 
         Replies produced meanwhile are delivered by the same loop instead of by recursion.
         """
@@ -604,7 +604,7 @@ class TcpConnection(ConnectionHandler, asyncio.BufferedProtocol):
         """Prepare for the rest of an incomplete request.
 
         A client that writes it in pieces does not send the next piece before the first is acknowledged. The system
-        delays that by 40 ms unless it is told otherwise, after each read again.
+        delays that by 40 ms unless a socket option forbids it, which lasts for one read.
         """
         if _QUICK_ACK is not None and not self._transport.is_closing():
             self._socket.setsockopt(socket.IPPROTO_TCP, _QUICK_ACK, 1)
