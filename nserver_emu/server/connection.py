@@ -50,6 +50,8 @@ from nserver_emu.server.context import ServerState
 from nserver_emu.server.link import Arrival, FaultController, FaultyChannel, SerialChannel
 from nserver_emu.server.session import BaseSession, ClientIdentity, CommandHandler, Session
 
+log = logging.getLogger(__name__)
+
 # Time that all connections together may use in one turn of the event loop. Between two turns the loop polls its
 # sockets, which takes some 15 us: 5 % of this.
 TURN_BUDGET_S: Final = 0.0003
@@ -188,8 +190,6 @@ class TokenBucket:
         return max(0.0, -self._tokens / self._rate - (now_s - self._updated_s))
 
 
-log = logging.getLogger(__name__)
-
 # Bytes read from a port at once.
 READ_SIZE: Final = 4096
 # Per event-loop turn and connection. A request has at least 4 bytes and takes 2 us to be framed. One request is the
@@ -204,8 +204,6 @@ MAX_PREPARING_STEPS: Final = 4
 CONNECT_WAIT_S: Final = 1.0
 # Socket option that acknowledges received bytes at once; only Linux has it.
 _QUICK_ACK: Final[int | None] = getattr(socket, "TCP_QUICKACK", None)
-
-
 _numbers = count(1)
 
 
@@ -304,13 +302,13 @@ class ConnectionHandler(ABC):
     def process(self, data: bytes) -> None:
         """Give bytes to the session and send the replies, now or in a later turn."""
         is_turn_pending = self.is_queued or self._turn is not None
-        if is_turn_pending or not (self._server.scheduler.may_run_now(self._loop.time()) or not self.is_scheduled):
-            self._receive_backlog += data
-            self._schedule()
-        else:
+        if not is_turn_pending and (not self.is_scheduled or self._server.scheduler.may_run_now(self._loop.time())):
             start_s = time.thread_time()
             self._take_turn(data)
             self.cpu_s += time.thread_time() - start_s
+        else:
+            self._receive_backlog += data
+            self._schedule()
 
     def run_turn(self) -> None:
         """Do the work of one turn, for the scheduler."""
