@@ -13,9 +13,9 @@ from nclient.protocol.commands import ALL, COMMANDS, Call, Command
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import EVERYTHING, get_model
 from nclient.protocol.wire_state import tcp_wire_state
-from nserver_emu.server.context import Allowed
 from nserver_emu.server.handlers.graphics import REFRESHERS
 from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.server.server_state import Allowed
 from nserver_emu.server.session import NOT_AVAILABLE, REFUSED, ConnectionContext
 from nserver_emu.simulation.models import MODELS
 from nserver_emu.simulation.noise import IDEAL

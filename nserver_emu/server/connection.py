@@ -5,7 +5,7 @@ The path of a TCP request, file by file (the gateway only with `--real`):
 1. `connection.py`                  `TcpConnection.buffer_updated`: bytes from the socket
 2. `session.py`                     `Session.receive`, `process_requests`: one reply per request, in order
 3. `nclient/protocol/codec.py`      `TcpFramer`, `decode_tcp_request`: frames and calls, shared with the client
-4. `context.py`                     `ServerState.answer`: time in lockstep, emergency stop, then the command's handler
+4. `server_state.py`                `ServerState.answer`: time in lockstep, emergency stop, then the command's handler
 5. `handlers/motion.py`             (or `sensors`, `world`, `server`, `graphics`): the command itself
 6. `nserver_emu/simulation/robot.py`    the simulated robot
 
@@ -46,8 +46,8 @@ from nclient.protocol.types import N150
 from nclient.recording.recorder import NULL_RECORDER, TCP, ConnectionRecorder, TrafficRecorder
 from nserver_emu.server.admission import AdmissionControl, ConnectionTimeouts
 from nserver_emu.server.client_registry import CLOSED_RETENTION_S, ClientRegistry
-from nserver_emu.server.context import ServerState
 from nserver_emu.server.link import Arrival, FaultController, FaultyChannel, SerialChannel
+from nserver_emu.server.server_state import ServerState
 from nserver_emu.server.session import BaseSession, ClientIdentity, CommandHandler, Session
 
 log = logging.getLogger(__name__)

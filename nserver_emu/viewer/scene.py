@@ -39,9 +39,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from nserver_emu.server.connection import ConnectionHandler
-from nserver_emu.server.context import ServerState, StateSnapshot, is_on
 from nserver_emu.server.graphics import Shape, Trace
 from nserver_emu.server.handlers.runtime_settings import noise_choices, noise_of
+from nserver_emu.server.server_state import ServerState, StateSnapshot, is_on
 from nserver_emu.simulation.acoustics import Ping, Polaroid
 from nserver_emu.simulation.laser import points
 from nserver_emu.simulation.noise import RobotSetup
