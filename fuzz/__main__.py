@@ -35,7 +35,7 @@ _OK, _FOUND, _USAGE, _INTERRUPTED = 0, 1, 2, 130
 
 
 class Limits(NamedTuple):
-    """When a reader is done, where its corpus is, and whether coverage guides it."""
+    """Limits of the run of one reader, its corpus, and whether coverage guides it."""
 
     runs: float
     seconds: float

@@ -27,8 +27,8 @@ from nserver_emu.persistence import snapshot
 from nserver_emu.persistence.recording import RunHeader
 from nserver_emu.persistence.replay import replay
 from nserver_emu.server.config import SimulationConfig
-from nserver_emu.server.context import Allowed, SimulationClock
 from nserver_emu.server.inprocess import open_address
+from nserver_emu.server.server_state import Allowed, SimulationClock
 from nserver_emu.server.session import Session
 
 MAX_STEPS: Final = 100

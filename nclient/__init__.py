@@ -7,9 +7,12 @@ imported when the name is first used (PEP 562), so that commands start without t
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
 
+# As in typing, whose import takes longer than all others before a command handles signals (common/start.py).
+TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from typing import Any
+
     from nclient.aio import AsyncRobot
     from nclient.backends.base import LinkStatistics
     from nclient.connector import connect, connect_async

@@ -77,6 +77,7 @@ speed = number("a number above 0", lambda value: value > 0)
 """A speed limit in inches or degrees per second."""
 count = whole_number("a whole number, 0 or more", range(sys.maxsize))
 baud = whole_number("a number of bits a second", range(1, sys.maxsize))
+robot_number = whole_number("a robot's number, 1 or more", range(1, MAX_ROBOT_ID + 1))
 motion_timeout = whole_number("whole seconds, 2 to 255, or 0 for none", {0, *range(MIN_TIMEOUT_S, 256)})
 """Whole seconds as conf_tm takes them. The robot counts whole seconds: one could expire between two keep-alives."""
 
@@ -375,26 +376,32 @@ def _parse_place(raw: RawAddress, scheme: Scheme) -> dict[str, Any]:
         return {"path": path}
 
     parts = raw.url_parts(scheme.form)
+    path = parts.path.strip("/")
     match raw.scheme:
         case "nserver":
-            # The path is the robot's number; without it the caller's, or 1.
-            number = parts.path.strip("/")
-            is_number = number.isascii() and number.isdecimal() and len(number) <= 10  # int() of more may raise
-            is_number = is_number and 1 <= int(number) <= MAX_ROBOT_ID
-            if (number and not is_number) or parts.fragment:
-                raise AddressError(
-                    f"{raw.text!r}: what follows the host is the robot's number, 1 or more, not {parts.path!r}"
-                )
-            return {
-                "host": parts.hostname or "localhost",
-                "port": DEFAULT_PORT if parts.port is None else parts.port,
-                "robot_id": int(number) if number else None,
-            }
-        case "serial":
-            if parts.netloc or not parts.path.strip("/") or parts.fragment:
-                raise AddressError(f"{raw.text!r}: three slashes and a port follow: {scheme.form}")
+            return {"robot_id": _robot_id(raw, parts), **_host_and_port(parts, "localhost", DEFAULT_PORT)}
+        case "serial" if path and not (parts.netloc or parts.fragment):
             return {"path": unquote(parts.path)}
+        case "serial":
+            raise AddressError(f"{raw.text!r}: three slashes and a port follow: {scheme.form}")
+        case _ if parts.hostname and not (path or parts.fragment):
+            return _host_and_port(parts, parts.hostname, DEFAULT_LINE_PORT)
         case _:
-            if parts.path.strip("/") or not parts.hostname or parts.fragment:
-                raise AddressError(f"{raw.text!r}: a host and its port follow: {scheme.form}")
-            return {"host": parts.hostname, "port": DEFAULT_LINE_PORT if parts.port is None else parts.port}
+            raise AddressError(f"{raw.text!r}: a host and its port follow: {scheme.form}")
+
+
+def _robot_id(raw: RawAddress, parts: SplitResult) -> int | None:
+    """Return the number of the robot, which is the path; None without one: then it is the caller's, or 1."""
+    number = parts.path.strip("/")
+    try:
+        if parts.fragment:
+            raise ValueError(parts.fragment)
+        return robot_number(number) if number else None
+    except ValueError as error:
+        raise AddressError(
+            f"{raw.text!r}: what follows the host is the robot's number, 1 or more, not {parts.path!r}"
+        ) from error
+
+
+def _host_and_port(parts: SplitResult, host: str, port: int) -> dict[str, Any]:
+    return {"host": parts.hostname or host, "port": port if parts.port is None else parts.port}

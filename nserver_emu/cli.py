@@ -44,7 +44,6 @@ from nserver_emu.persistence.replay import replay
 from nserver_emu.server.admission import RESERVED_CONNECTIONS, AdmissionControl
 from nserver_emu.server.config import MODEL_NAMES, SimulationConfig, robot_placements
 from nserver_emu.server.connection import MAX_REQUESTS_PER_TURN
-from nserver_emu.server.context import Allowed, SimulationClock
 from nserver_emu.server.daemon import Daemon, ignore_signals, restored_signals, stop_on_signals
 from nserver_emu.server.garbage_collection import rare_collection
 from nserver_emu.server.handlers.table import Emulator
@@ -52,6 +51,7 @@ from nserver_emu.server.legacy_setup import LegacySetup, read_setups
 from nserver_emu.server.limits import limits_of, make_room
 from nserver_emu.server.link import FaultController
 from nserver_emu.server.serial_lines import at_port, open_lines
+from nserver_emu.server.server_state import Allowed, SimulationClock
 from nserver_emu.service import STOPPING, ServiceManager, announced
 from nserver_emu.viewer.options import running_viewer
 from worlds.cells import braille_picture

@@ -19,8 +19,8 @@ from nserver_emu.gateway import run as real_options
 from nserver_emu.persistence import options as restore_options
 from nserver_emu.server import limits, serial_lines
 from nserver_emu.server.config import MAX_ROBOTS, MODEL_NAMES
-from nserver_emu.server.context import MAX_LOCKSTEP_S, MAX_TIME_FACTOR, MIN_TIME_FACTOR
 from nserver_emu.server.daemon import LOOPBACK
+from nserver_emu.server.server_state import MAX_LOCKSTEP_S, MAX_TIME_FACTOR, MIN_TIME_FACTOR
 from nserver_emu.simulation.noise import NOISY, SETUPS, SUFFIX
 from nserver_emu.viewer import options as viewer_options
 from worlds.io import DEFAULT_WORLD, world_names

@@ -27,6 +27,7 @@ from nclient.common.validation import InvalidValue, Text, convert, reported_as
 from nclient.errors import WorldFileError
 from worlds.geometry import FloatArray, lengths, polygon_segments, polyline_segments
 from worlds.schema import (
+    INCHES_PER_UNIT,
     MIN_WALL_IN,
     Angle,
     Distance,
@@ -101,15 +102,33 @@ class _Outline(Table):
         require_outline(self.key_of("corners"), self.corners)
 
 
-@table()
+_HAS_OFFSET: Final = {"anyOf": [{"required": [f"offset_std_{unit}"]} for unit in INCHES_PER_UNIT]}
+
+
+@table(condition={"dependentSchemas": dict.fromkeys(
+    ["angle_std_deg", *(f"measured_{unit}" for unit in INCHES_PER_UNIT)], _HAS_OFFSET
+)})  # fmt: skip
 class _Wall(Table):
     points: Line
     offset_std: Distance | UnsetType = UNSET
-    angle_std_deg: Annotated[float, Meta(ge=0.0, le=180.0, description="standard deviation of its direction")] = 0.0
+    angle_std_deg: (
+        Annotated[float, Meta(ge=0.0, le=180.0, description="standard deviation of its direction")] | UnsetType
+    ) = UNSET
     measured: Distance | UnsetType = UNSET
+
+    def accuracy(self) -> WallAccuracy | None:
+        """Return the accuracy of each of its walls; None if it was not measured."""
+        if self.offset_std is UNSET:
+            return None
+        angle_deg, measured_in = (
+            0.0 if number is UNSET else number for number in (self.angle_std_deg, self.measured)
+        )
+        return WallAccuracy(self.offset_std, radians(angle_deg), measured_in)
 
     def check(self) -> None:
         _reject_repeats(self, "points", polyline_segments(self.points))
+        if self.offset_std is UNSET and not (self.angle_std_deg is self.measured is UNSET):
+            raise InvalidValue("expected it beside the other numbers of a measured wall, found none", "offset_std_in")
 
 
 @table()
@@ -179,15 +198,7 @@ def _build_world(values: WorldFile, name: str) -> World:
         StartPose(start.x, start.y, radians(start.steering_deg), radians(start.turret_deg)) for start in values.start
     )
     walls = [polyline_segments(wall.points) for wall in values.wall]
-    measured = [
-        None
-        if wall.offset_std is UNSET
-        else WallAccuracy(
-            wall.offset_std, radians(wall.angle_std_deg), 0.0 if wall.measured is UNSET else wall.measured
-        )
-        for wall, segments in zip(values.wall, walls, strict=True)
-        for _ in segments
-    ]
+    accuracies = [wall.accuracy() for wall, segments in zip(values.wall, walls, strict=True) for _ in segments]
     world = World(
         name=values.name or name,
         title=values.title or values.name or name,
@@ -196,9 +207,15 @@ def _build_world(values: WorldFile, name: str) -> World:
         obstacles=tuple(Polygon(obstacle.corners, obstacle.name) for obstacle in values.obstacle),
         starts=starts or AT_ORIGIN,
         paths=_paths(values.path, starts or AT_ORIGIN),
-        accuracies={row: accuracy for row, accuracy in enumerate(measured) if accuracy is not None},
+        accuracies={row: accuracy for row, accuracy in enumerate(accuracies) if accuracy},
     )
-    # 2. Starts and paths must be in free space, where at least the smallest robot touches nothing.
+    # 2. The default start need not be free.
+    _require_free_places(world, starts)
+    return world
+
+
+def _require_free_places(world: World, starts: tuple[StartPose, ...]) -> None:
+    """Raise InvalidValue unless starts and paths are in free space, where the smallest robot touches nothing."""
     places = [(f"start[{k}]", (start.x_in, start.y_in)) for k, start in enumerate(starts)]
     places += [(f"path[{k}]", point) for k, path in enumerate(world.paths.values()) for point in path.points_in]
     clearances = world.clearances(np.array([point for _, point in places]).reshape(-1, 2))
@@ -206,7 +223,6 @@ def _build_world(values: WorldFile, name: str) -> World:
         if clearance <= 0:
             found = f"found ({x:g}, {y:g}) in"
             raise InvalidValue(f"expected a place inside the world and clear of its walls, {found}", key)
-    return world
 
 
 def _check_size(values: Mapping[str, Any]) -> None:

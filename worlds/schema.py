@@ -109,7 +109,7 @@ def table(
     condition
         What the class's `check` checks, as JSON Schema.
     tag
-        Key and value that tell the table from others: do="turn".
+        Key and value that distinguish the table from others: do="turn".
     """
 
     def build(cls: type[T]) -> type[T]:

@@ -65,12 +65,12 @@ AT_ORIGIN: Final = (StartPose(0.0, 0.0),)
 
 
 class WallAccuracy(NamedTuple):
-    """How well a measured wall is known.
+    """Accuracy of a measured wall.
 
     Attributes
     ----------
     offset_std_in
-        Standard deviation of its distance from where it is, at its middle.
+        Standard deviation of its position across its direction, at its middle.
     angle_std_rad
         Standard deviation of its direction.
     measured_in

@@ -239,7 +239,7 @@ int nomad_connect(enum command_id how, long robot_id, const struct line_argument
     leave(previous);
     robot = robot_id;
     owner = getpid();
-    /* 3. Set up the new one. create_robot leaves State as it was. */
+    /* 3. Set up the new one. create_robot leaves State unchanged. */
     wire.laser_mode = DEFAULT_LASER_MODE;
     wire.laser_width = POINTS;
     memcpy(wire.mask, nomad_full_mask, sizeof wire.mask);

@@ -13,9 +13,9 @@ from nclient.protocol.commands import ALL, COMMANDS, Call, Command
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import EVERYTHING, get_model
 from nclient.protocol.wire_state import tcp_wire_state
-from nserver_emu.server.context import Allowed
 from nserver_emu.server.handlers.graphics import REFRESHERS
 from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.server.server_state import Allowed
 from nserver_emu.server.session import NOT_AVAILABLE, REFUSED, ConnectionContext
 from nserver_emu.simulation.models import MODELS
 from nserver_emu.simulation.noise import IDEAL
@@ -60,8 +60,8 @@ def support(row: Command, model: str, emulator: Emulator | None = None) -> Suppo
     if row.tcp_type is None:
         return Support.NOT_OVER_TCP
     asked = emulator or _emulator(model, Allowed())
-    visit = ConnectionContext(tcp_wire_state(get_model(model)), robot_id=1)
-    answer = asked.answer(Call(row.name, examples(row)), visit)
+    context = ConnectionContext(tcp_wire_state(get_model(model)), robot_id=1)
+    answer = asked.answer(Call(row.name, examples(row)), context)
     if not isinstance(answer, Reply) or answer.kind != "error":
         idle = row.name in REFRESHERS or (row.name == "ac" and not _ramps(asked))
         return Support.NO_EFFECT if idle else Support.SUPPORTED

@@ -17,7 +17,6 @@ import numpy as np
 
 from localization.cli import arguments
 from localization.cli.log import add_log_options, localize_recorded
-from localization.filters.belief import independent
 from localization.filters.global_localization import WIDE_IN, WIDE_RAD, is_wide
 from localization.filters.registry import DEFAULT_METHOD, FINDER
 from localization.live.assumptions import resolve_body, resolve_robot_model
@@ -100,7 +99,9 @@ def run(options: argparse.Namespace) -> int:
     world = arguments.resolve_world(options)
     arguments.check_writable(options.save)
     points = _goals(options, world)
-    _require_reachable(world, points, options.start)
+    _require_free_space(world, points)
+    given = [options.start[:2]] if options.start and options.start != arguments.UNKNOWN else []
+    _require_free_legs(world, [*given, *points])
     if options.picture is not None:
         from localization.live.plot import check_picture
 
@@ -177,6 +178,10 @@ def _drive(
     if not options.json:
         print(arguments.describe_start(options, belief), flush=True)
     start = None if done.start == arguments.UNKNOWN else belief
+    # The first leg begins where the encoders or --resume say.
+    if start is not None and not is_wide(start):
+        x, y = start.mean[:2].tolist()
+        _require_free_legs(world, [(x, y), *done.waypoints[:1]])
     waits = arguments.is_lockstep(options.address)
     done.alike = [] if start is None else arguments.find_alike(world, config, start, prints=not options.json)
     with filter_on_robot(
@@ -234,18 +239,19 @@ def _goals(options: argparse.Namespace, world: World) -> list[tuple[float, float
     return []
 
 
-def _require_reachable(world: World, points: list[tuple[float, float]], start: Sequence[float] | str | None) -> None:
-    """Raise WorldFileError for a waypoint outside of the free space of a map, or a leg through a wall."""
-    # 1. Waypoints.
+def _require_free_space(world: World, points: Sequence[tuple[float, float]]) -> None:
+    """Raise WorldFileError for a waypoint outside of the free space of a map."""
     for x, y in points:
         if world.clearance(x, y) <= 0.0:
             raise WorldFileError(f"waypoint {x:g},{y:g} is not in the free space of the map {world.name}")
-    # 2. Legs between them, the first from a given start.
-    known = [(start[0], start[1])] if start and not isinstance(start, str) else []
-    for (x, y), (to_x, to_y) in pairwise([*known, *points]):
+
+
+def _require_free_legs(world: World, points: Sequence[tuple[float, float]]) -> None:
+    """Raise WorldFileError for two successive points with a wall of a map between them."""
+    for (x, y), (to_x, to_y) in pairwise(points):
         if crossings(np.array([[x, y, to_x, to_y]]), world.walls).any():
             raise WorldFileError(
-                f"the leg from {x:g},{y:g} to {to_x:g},{to_y:g} leads through a wall of the map {world.name}: "
+                f"the leg from {x:.5g},{y:.5g} to {to_x:g},{to_y:g} leads through a wall of the map {world.name}: "
                 "give waypoints around it, or use nomad go, which plans the way"
             )
 

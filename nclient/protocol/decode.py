@@ -282,7 +282,7 @@ class _LineEnds:
             client_state.apply_handshake(handshake, self.wire_state)
             return handshake
         self._handshake_allowed = False
-        # Packets of the arm share one type, so the request tells them apart.
+        # Packets of the arm share one type, so the request distinguishes them.
         row = BY_LINE_TYPE.get(frame.type)
         if self._request and self._request.line_type == frame.type:
             row = self._request

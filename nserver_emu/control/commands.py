@@ -23,11 +23,11 @@ from nclient.errors import ControlError, NomadError
 from nclient.faults.frames import total
 from nclient.faults.plan import parse_plan, plan_text
 from nserver_emu.persistence import snapshot
-from nserver_emu.server.context import MAX_TIME_FACTOR, MIN_TIME_FACTOR
 from nserver_emu.server.handlers import runtime_settings
 from nserver_emu.server.handlers.server import MAX_STEP_MS
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.link import FaultController
+from nserver_emu.server.server_state import MAX_TIME_FACTOR, MIN_TIME_FACTOR
 from worlds.world import World
 
 log = logging.getLogger(__name__)

@@ -121,7 +121,7 @@ def _prepare(path: Path) -> None:
 
 
 def _check_folder(path: Path) -> None:
-    """Raise ConnectionLost unless the folder of a socket is the user's own; in /tmp nobody else may write to it."""
+    """Raise ConnectionLost unless the folder of a socket is the user's own; in /tmp no other user may write to it."""
     status, is_shared = path.parent.lstat(), path.parent.parent == Path(tempfile.gettempdir())
     if stat.S_ISLNK(status.st_mode) and is_shared:
         raise _cannot(path, "its folder is a symbolic link")

@@ -24,7 +24,7 @@ from nclient.protocol.replies import Reply
 from nclient.protocol.types import BUMPER_SLOT, COMPASS_SLOT, FULL_TURN_TENTHS, Model, rad_from_tenths
 from nclient.protocol.wire_state import tcp_wire_state
 from nserver_emu.gateway.translate import Link, whole_state
-from nserver_emu.server.context import state_slots
+from nserver_emu.server.server_state import state_slots
 from nserver_emu.server.session import Answer, ConnectionContext
 from nserver_emu.simulation.robot import SimulatedRobot
 

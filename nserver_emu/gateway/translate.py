@@ -25,7 +25,7 @@ from nclient.protocol.commands import BY_NAME, Call, exists_on_serial
 from nclient.protocol.replies import MOTOR_SLOT, Reply
 from nclient.protocol.types import BUMPER_SLOT, COMPASS_SLOT, LASER_SLOT, Model, tenths
 from nclient.protocol.wire_state import LINES, PIXELS, POINTS
-from nserver_emu.server.context import INFRARED_NOTHING, apply_mask
+from nserver_emu.server.server_state import INFRARED_NOTHING, apply_mask
 from nserver_emu.server.session import BAD_VALUES, NOT_AVAILABLE, ConnectionContext, done, error_reply
 from nserver_emu.simulation.laser import COLUMNS, PIXEL_IN, LineFit, lines, points
 from worlds.geometry import FloatArray

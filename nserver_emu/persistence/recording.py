@@ -19,8 +19,8 @@ from nclient.common.hints import version
 from nclient.errors import RecordingError
 from nserver_emu.persistence import snapshot
 from nserver_emu.server.config import SimulationConfig
-from nserver_emu.server.context import Allowed, SimulationClock
 from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.server.server_state import Allowed, SimulationClock
 from nserver_emu.simulation.noise import SUFFIX
 from worlds.io import world_names
 from worlds.world import StartPose

@@ -30,10 +30,10 @@ from nclient.common.files import read_text, write_atomic
 from nclient.common.hints import version
 from nclient.errors import SnapshotError
 from nserver_emu.server.config import MAX_ROBOTS
-from nserver_emu.server.context import SimulationClock, state_slots
 from nserver_emu.server.graphics import Graphics, GraphicsState, SpeechLog, Traces, TracesState, Utterance
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.limits import SNAPSHOT_BYTES
+from nserver_emu.server.server_state import SimulationClock, state_slots
 from nserver_emu.simulation.acoustics import Polaroid
 from nserver_emu.simulation.arm import Arm, ArmState
 from nserver_emu.simulation.simulation import Simulation, SimulationState
@@ -191,7 +191,7 @@ def _expecting(what: str, is_valid: Callable[[Any], bool], make: Callable[[Any],
     return decode
 
 
-# JSON has no other types than these, and type() tells true and false from numbers.
+# JSON has no other types than these, and type() distinguishes true and false from numbers.
 _SCALARS: Final[Mapping[type, Decoder]] = {
     bool: _expecting("true or false", lambda data: isinstance(data, bool)),
     int: _expecting("a whole number", lambda data: type(data) is int and data.bit_length() <= MAX_BITS),

@@ -7,7 +7,7 @@ Such a client's second connection continues one of the connections from the same
 
 If the remaining ones differ in their robot or word size, the connection is ambiguous and refused: it could be given the
 robot of another program, or be misread. A word size seen in its first bytes excludes clients of the other size. The
-entry of a closed connection is kept while an unidentified connection from the same address is pending. A DISCONNECT
+entry of a closed connection stays while an unidentified connection from the same address is pending. A DISCONNECT
 over the second connection removes the entry of the first too.
 
 No sockets: a connection is represented by any hashable key.

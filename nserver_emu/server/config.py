@@ -63,20 +63,20 @@ class StartPoseAllocator:
         )
 
     def _has_room_ahead(self, pose: StartPose, radius_in: float) -> bool:
-        """Return True if a robot can drive ROOM_AHEAD_IN straight ahead, and stands in no other robot's way."""
+        """Return True if a robot can drive ROOM_AHEAD_IN straight ahead, and stands in no other robot's path."""
         # 1. Walls: the clearance at points half a radius apart.
         cosine, sine = cos(pose.steering_rad), sin(pose.steering_rad)
         distances = np.arange(0.0, ROOM_AHEAD_IN + radius_in / 2.0, radius_in / 2.0).clip(max=ROOM_AHEAD_IN)
         ahead = np.column_stack((pose.x_in + distances * cosine, pose.y_in + distances * sine))
         if (self._simulation.world.clearances(ahead) <= radius_in).any():
             return False
-        # 2. Robots nearby: neither may be in the other's way.
+        # 2. Robots nearby: neither may stand in the other's path.
         near = self._simulation.spatial_hash.touched(pose.x_in, pose.y_in, radius_in + ROOM_AHEAD_IN)
         for number, (x, y, radius) in near:
             reach_in, dx, dy = radius + radius_in, x - pose.x_in, y - pose.y_in
-            if _is_in_way(dx, dy, pose.steering_rad, reach_in):
+            if _is_in_path(dx, dy, pose.steering_rad, reach_in):
                 return False
-            if _is_in_way(-dx, -dy, self._simulation.robots[number].actual.steering_rad, reach_in):
+            if _is_in_path(-dx, -dy, self._simulation.robots[number].actual.steering_rad, reach_in):
                 return False
         return True
 
@@ -99,7 +99,7 @@ class StartPoseAllocator:
         return max((hypot(x - start.x_in, y - start.y_in) for x, y in corners), default=inf)
 
 
-def _is_in_way(dx_in: float, dy_in: float, heading_rad: float, reach_in: float) -> bool:
+def _is_in_path(dx_in: float, dy_in: float, heading_rad: float, reach_in: float) -> bool:
     """Return True if a robot touches another at (dx, dy) within ROOM_AHEAD_IN; `reach_in` is the sum of their radii."""
     along = dx_in * cos(heading_rad) + dy_in * sin(heading_rad)
     across = dy_in * cos(heading_rad) - dx_in * sin(heading_rad)

@@ -5,11 +5,11 @@ The path of a TCP request, file by file (the gateway only with `--real`):
 1. `connection.py`                  `TcpConnection.buffer_updated`: bytes from the socket
 2. `session.py`                     `Session.receive`, `process_requests`: one reply per request, in order
 3. `nclient/protocol/codec.py`      `TcpFramer`, `decode_tcp_request`: frames and calls, shared with the client
-4. `context.py`                     `ServerState.answer`: time in lockstep, emergency stop, then the command's handler
+4. `server_state.py`                `ServerState.answer`: time in lockstep, emergency stop, then the command's handler
 5. `handlers/motion.py`             (or `sensors`, `world`, `server`, `graphics`): the command itself
 6. `nserver_emu/simulation/robot.py`    the simulated robot
 
-The reply returns the same way: `ServerState.state_reply` reads the robot, `Session` encodes it with `codec.py`,
+The reply takes the reverse path: `ServerState.state_reply` reads the robot, `Session` encodes it with `codec.py`,
 `ConnectionHandler.send` passes it to the socket.
 
 Fair scheduling: a connection processes at most `MAX_BYTES_PER_TURN` bytes and `MAX_REQUESTS_PER_TURN` requests per
@@ -46,9 +46,11 @@ from nclient.protocol.types import N150
 from nclient.recording.recorder import NULL_RECORDER, TCP, ConnectionRecorder, TrafficRecorder
 from nserver_emu.server.admission import AdmissionControl, ConnectionTimeouts
 from nserver_emu.server.client_registry import CLOSED_RETENTION_S, ClientRegistry
-from nserver_emu.server.context import ServerState
 from nserver_emu.server.link import Arrival, FaultController, FaultyChannel, SerialChannel
+from nserver_emu.server.server_state import ServerState
 from nserver_emu.server.session import BaseSession, ClientIdentity, CommandHandler, Session
+
+log = logging.getLogger(__name__)
 
 # Time that all connections together may use in one turn of the event loop. Between two turns the loop polls its
 # sockets, which takes some 15 us: 5 % of this.
@@ -188,8 +190,6 @@ class TokenBucket:
         return max(0.0, -self._tokens / self._rate - (now_s - self._updated_s))
 
 
-log = logging.getLogger(__name__)
-
 # Bytes read from a port at once.
 READ_SIZE: Final = 4096
 # Per event-loop turn and connection. A request has at least 4 bytes and takes 2 us to be framed. One request is the
@@ -204,8 +204,6 @@ MAX_PREPARING_STEPS: Final = 4
 CONNECT_WAIT_S: Final = 1.0
 # Socket option that acknowledges received bytes at once; only Linux has it.
 _QUICK_ACK: Final[int | None] = getattr(socket, "TCP_QUICKACK", None)
-
-
 _numbers = count(1)
 
 
@@ -304,13 +302,13 @@ class ConnectionHandler(ABC):
     def process(self, data: bytes) -> None:
         """Give bytes to the session and send the replies, now or in a later turn."""
         is_turn_pending = self.is_queued or self._turn is not None
-        if is_turn_pending or not (self._server.scheduler.may_run_now(self._loop.time()) or not self.is_scheduled):
-            self._receive_backlog += data
-            self._schedule()
-        else:
+        if not is_turn_pending and (not self.is_scheduled or self._server.scheduler.may_run_now(self._loop.time())):
             start_s = time.thread_time()
             self._take_turn(data)
             self.cpu_s += time.thread_time() - start_s
+        else:
+            self._receive_backlog += data
+            self._schedule()
 
     def run_turn(self) -> None:
         """Do the work of one turn, for the scheduler."""
@@ -447,7 +445,7 @@ class ConnectionHandler(ABC):
     # The channel: baud rate and faults.
 
     def _deliver(self) -> None:
-        """Pass on the bytes that have come through the channel, and set a timer for those still on their way.
+        """Pass on the bytes that have come through the channel, and set a timer for those still in it.
 
         Replies produced meanwhile are delivered by the same loop instead of by recursion.
         """
@@ -604,7 +602,7 @@ class TcpConnection(ConnectionHandler, asyncio.BufferedProtocol):
         """Prepare for the rest of an incomplete request.
 
         A client that writes it in pieces does not send the next piece before the first is acknowledged. The system
-        delays that by 40 ms unless it is told otherwise, after each read again.
+        delays that by 40 ms unless a socket option forbids it, which lasts for one read.
         """
         if _QUICK_ACK is not None and not self._transport.is_closing():
             self._socket.setsockopt(socket.IPPROTO_TCP, _QUICK_ACK, 1)

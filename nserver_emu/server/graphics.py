@@ -200,7 +200,7 @@ def _colour(number: int) -> str:
 
 # Traces.
 
-# Minimum distance of two points: closer ones cannot be told apart in the window.
+# Minimum distance of two points: closer ones cannot be distinguished in the window.
 POINT_SPACING_IN: Final = 0.5
 # Time between samples: a robot at 20 in/s drives less than POINT_SPACING_IN meanwhile.
 INTERVAL_S: Final = 0.025

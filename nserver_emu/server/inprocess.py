@@ -18,9 +18,9 @@ from nclient.errors import AddressError
 from nclient.protocol.types import get_model
 from nclient.url import Parser, RawAddress, flag, number, whole_number
 from nserver_emu.server.config import FIRST_ROBOT, MAX_ROBOTS, SimulationConfig, robot_placements
-from nserver_emu.server.context import Allowed
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.serial_session import SerialSession
+from nserver_emu.server.server_state import Allowed
 from nserver_emu.server.session import REFUSED, BaseSession, Session
 from worlds.io import DEFAULT_WORLD
 

@@ -140,7 +140,7 @@ class PtyConnection(ConnectionHandler):
             self.data_received(data)
 
     def _on_closed(self) -> None:
-        """Disconnect the host: its motions stop, and what was on its way to it is dropped."""
+        """Disconnect the host: its motions stop, and replies in its channel are dropped."""
         self._cancel_timers()
         self._set_reading(False)
         self._loop.remove_writer(self.terminal.fd)

@@ -15,7 +15,7 @@ Other robots are discs:
     off a wall, back off the disc      over a slanted wall
 
 Each path leaves and arrives inside the cones; it has a level, and the points between which it must be free. The first
-free one that is loud enough is the echo. The ping of another sonar of the ring that is still under way is detected like
+free one that is loud enough is the echo. The ping of another sonar of the ring that is still in flight is detected like
 one's own, and gives too short a range (cross-talk). Not modelled: side lobes, paths off three walls and more or off two
 robots, later pings, pings of other robots. The surface of a wall may have levels and posts (surfaces.py).
 
@@ -284,7 +284,7 @@ class Pairs(NamedTuple):
 
 
 class Paths(NamedTuple):
-    """Paths of sound: the row of the pair, length, loss, and the points on the way, nan after the last (n, 4).
+    """Paths of sound: the row of the pair, length, loss, and the points along them, nan after the last (n, 4).
 
     Nothing may stand between one point and the next.
     """

@@ -132,7 +132,7 @@ class SynchroDrive:
         return steering_rad, turret_rad
 
     def set_angles(self, steering_rad: float, turret_rad: float) -> None:
-        """Set the mechanical angles, as by hand; motions under way continue from there."""
+        """Set the mechanical angles, as by hand; current motions continue from there."""
         self.steering_rad = steering_rad
         self.turret_rad = turret_rad
 
@@ -264,7 +264,7 @@ class DifferentialDrive:
         return steering_rad, steering_rad
 
     def set_angles(self, steering_rad: float, turret_rad: float) -> None:
-        """Set the heading, as by hand; motions under way continue from there."""
+        """Set the heading, as by hand; current motions continue from there."""
         del turret_rad
         self.heading_rad = steering_rad
 

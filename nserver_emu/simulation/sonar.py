@@ -51,7 +51,7 @@ MAX_ORDER: Final = 256
 """Sonars in the order of a restored ring: conf_sn may name one several times."""
 
 MAX_EARLIER_PINGS: Final = 10_000
-"""Pings that a restored ring may still have under way: 30 s of them, the longest that the settings permit."""
+"""Pings that a restored ring may still have in flight: 30 s of them, the longest that the settings permit."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,9 +39,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from nserver_emu.server.connection import ConnectionHandler
-from nserver_emu.server.context import ServerState, StateSnapshot, is_on
 from nserver_emu.server.graphics import Shape, Trace
 from nserver_emu.server.handlers.runtime_settings import noise_choices, noise_of
+from nserver_emu.server.server_state import ServerState, StateSnapshot, is_on
 from nserver_emu.simulation.acoustics import Ping, Polaroid
 from nserver_emu.simulation.laser import points
 from nserver_emu.simulation.noise import RobotSetup
@@ -99,7 +99,7 @@ class Revision(NamedTuple):
     graphics: int
     lasers: int
     laser_modes: Modes | None
-    said: object
+    speech: object
     traces: dict[int, tuple[int, int]]
     pings: dict[int, tuple[Ping | None, ...]]
 
@@ -160,7 +160,7 @@ class SceneHistory:
             picture["lasers"] = self._lasers
         if new.laser_modes != old.laser_modes:
             picture["laser_modes"] = {str(n): clients for n, clients in self._modes.items()}
-        if new.said is not old.said:
+        if new.speech is not old.speech:
             picture["said"] = [list(utterance) for utterance in self._server_state.transcript.utterances]
         # 2. Parts that are sent as differences, without empty ones.
         grown = {"traces": self._grown(old.traces, new.traces), "beams": _changed_beams(old.pings, new.pings)}
@@ -184,7 +184,7 @@ class SceneHistory:
 
     def _revision(self) -> Revision:
         server_state = self._server_state
-        said = server_state.transcript.utterances
+        speech = server_state.transcript.utterances
         traces = server_state.traces
         # Counts of all points ever added, which identify the state of a trace.
         counts = {n: (trace.count, traces.encoder[n].count) for n, trace in traces.actual.items()}
@@ -192,7 +192,7 @@ class SceneHistory:
         return Revision(
             self.number + 1, tuple((n, robot.setup) for n, robot in simulation.robots.items()),
             simulation.world, server_state.graphics.drawn, self._lasers_taken, self._modes,
-            said[-1] if said else None, counts,
+            speech[-1] if speech else None, counts,
             {n: robot.sonar.pings for n, robot in simulation.robots.items()},
         )  # fmt: skip
 
@@ -228,7 +228,8 @@ def ring_data(robot: SimulatedRobot) -> Plain:
         "angles": [round(angle, ANGLE_DIGITS) for angle in ring.angles_rad],
         "shifts": [[round(number, DIGITS) for number in shift] for shift in ring.shifts_in],
         "half_cone": round(sonar.cone_rad / 2.0 if isinstance(sonar, Polaroid) else half_cone_rad, ANGLE_DIGITS),
-        "max_in": ring.max_range_in, "no_echo_in": ring.no_echo_in,
+        # Rounded as the readings are: the page compares them.
+        "max_in": round(ring.max_range_in, DIGITS), "no_echo_in": round(ring.no_echo_in, DIGITS),
     }  # fmt: skip
 
 

@@ -371,8 +371,7 @@ class ViewerServer:
 def next_due(due_s: float, now_s: float) -> float:
     """Return the time of the next picture, given the time at which the last one was due.
 
-    One period later however late that one was, so that the average rate is kept; a delay of more than a period is not
-    made up for.
+    One period after that one was due, so that the average rate is right; a longer delay is not made up for.
     """
     return max(due_s + PERIOD_S, now_s)
 

@@ -19,9 +19,9 @@ from nclient.protocol.codec import InvalidFrame, TcpFrame
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nserver_emu.server.connection import MAX_BYTES_PER_TURN, MAX_REQUESTS_PER_TURN, TcpConnection
-from nserver_emu.server.context import Allowed, SimulationClock
 from nserver_emu.server.daemon import Daemon, stop_on_signals
 from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.server.server_state import Allowed, SimulationClock
 from nserver_emu.server.session import Session
 from tests.nserver_emu.server.running_server import RunningServer, running_server
 from tests.nserver_emu.server.wire_client import simulation

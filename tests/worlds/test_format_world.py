@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from nclient.errors import WorldFileError
 from worlds.io import format_world, load_world, parse_world, world_names
 from worlds.world import Path, Polygon, StartPose, WallAccuracy, World
 
@@ -85,4 +86,7 @@ def test_measured_walls_keep_their_accuracy() -> None:
     assert again.accuracies[1] == pytest.approx(accuracies[0])
     assert again.accuracies[2] == pytest.approx(accuracies[1])
     in_cm = "[[wall]]\npoints_in = [[0, 0], [9, 0], [9, 9]]\noffset_std_cm = 2.54\n[[start]]\nx_in = 5\ny_in = 5\n"
+    for without in ("angle_std_deg = 1", "measured_m = 2"):
+        with pytest.raises(WorldFileError, match=r"wall\[0\]\.offset_std_in"):
+            parse_world(in_cm.replace("offset_std_cm = 2.54", without), "", "w")
     assert parse_world(in_cm, "", "w").accuracies == {row: pytest.approx((1.0, 0.0, 0.0)) for row in (0, 1)}

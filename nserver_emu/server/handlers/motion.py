@@ -9,7 +9,7 @@ import math
 
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import rad_from_tenths
-from nserver_emu.server.context import ServerState, axis_values
+from nserver_emu.server.server_state import ServerState, axis_values
 from nserver_emu.server.session import BAD_VALUES, ConnectionContext, DeferredReply, error_reply
 
 # Modes of mv: 0 leaves an axis as it is, 1 to 3 move or release it, 4 and 5 set its limits.

@@ -23,8 +23,8 @@ from typing import Any, Final
 
 from nclient.common.hints import suggest
 from nclient.errors import ControlError, StartError
-from nserver_emu.server.context import ServerState
 from nserver_emu.server.handlers.world import is_valid_polygon, overlaps_robot
+from nserver_emu.server.server_state import ServerState
 from nserver_emu.simulation.noise import PARTS, part_choices, part_name, with_part
 from nserver_emu.simulation.robot import SimulatedRobot
 from worlds.io import format_world, parse_world

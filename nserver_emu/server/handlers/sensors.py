@@ -11,7 +11,7 @@ import math
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import Position, clamp_word, wrap_word
 from nclient.protocol.wire_state import LINES
-from nserver_emu.server.context import (
+from nserver_emu.server.server_state import (
     BUMPER,
     COMPASS,
     INFRARED,

@@ -10,7 +10,7 @@ from typing import Final
 
 from nclient.protocol.replies import Reply
 from nserver_emu.server.config import StartPoseAllocator
-from nserver_emu.server.context import MAX_TIME_FACTOR, MIN_TIME_FACTOR, ServerState
+from nserver_emu.server.server_state import MAX_TIME_FACTOR, MIN_TIME_FACTOR, ServerState
 from nserver_emu.server.session import BAD_VALUES, NOT_AVAILABLE, REFUSED, ConnectionContext, done, error_reply
 from nserver_emu.simulation.simulation import Simulation
 

@@ -10,8 +10,8 @@ handler gets ERROR 4.
 from __future__ import annotations
 
 from nclient.protocol.commands import BY_NAME
-from nserver_emu.server.context import Handler, ServerState
 from nserver_emu.server.handlers import graphics, motion, sensors, server, world
+from nserver_emu.server.server_state import Handler, ServerState
 
 HANDLERS: dict[str, Handler] = {
     name: handler

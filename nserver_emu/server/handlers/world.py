@@ -20,8 +20,8 @@ from nclient.errors import StartError
 from nclient.protocol.replies import Reply
 from nclient.protocol.requests import MOTION_LINE
 from nclient.protocol.types import heading_tenths, rad_from_tenths, tenths
-from nserver_emu.server.context import STATE_SENSORS, ServerState, add_laser, is_on, state_slots
 from nserver_emu.server.deferred import ClickedPose
+from nserver_emu.server.server_state import STATE_SENSORS, ServerState, add_laser, is_on, state_slots
 from nserver_emu.server.session import BAD_VALUES, REFUSED, ConnectionContext, DeferredReply, done, error_reply
 from nserver_emu.simulation.laser import MAX_RANGE_IN as LASER_RANGE_IN
 from nserver_emu.simulation.multi_robot import discs_of

@@ -2,7 +2,7 @@
 // Nothing here changes scene, view or options.
 
 import { toScreen, toWorld, roundLength } from './geometry.js';
-import { infraredAngle, isEcho, sonarReadings } from './scene.js';
+import { infraredAngle, isEcho, shownRange, sonarReadings } from './scene.js';
 import { clientColour } from './colours.js';
 import { unitIn, lengthText } from './units.js';
 
@@ -113,13 +113,12 @@ function drawSensors(pen, scene, id, view, { theme, shown }) {
     const readings = sonarReadings(robot, body);
     for (const [k, ...from] of scene.beams[id] ?? []) drawBeam(pen, view, from, body, readings[k], theme.sonar);
   }
-  for (let k = 0; k < 16; k += 1) {
-    const direction = robot.actual[3] + infraredAngle(k);
-    const near = robot.state[1 + k];
-    if (shown.infrared && body.sees && near < NO_INFRARED) {
-      pen.strokeStyle = theme.infrared; pen.lineWidth = 4;
-      ray(pen, view, x, y, direction, body.radius_in, body.radius_in + near);
-    }
+  if (shown.infrared && body.sees) {
+    pen.strokeStyle = theme.infrared; pen.lineWidth = 4;
+    robot.state.slice(1, 17).forEach((near, k) => {
+      const direction = robot.actual[3] + infraredAngle(k);
+      if (near < NO_INFRARED) ray(pen, view, x, y, direction, body.radius_in, body.radius_in + near);
+    });
   }
   if (!shown.laser || !laser) return;
   pen.fillStyle = theme.laser;
@@ -131,7 +130,7 @@ function drawSensors(pen, scene, id, view, { theme, shown }) {
 
 // Without an echo a beam is drawn as far as the sonar measures.
 function drawBeam(pen, view, [x, y, direction], { ring_in: ring, sonars }, reading, colour) {
-  const nothing = !isEcho(reading, sonars), far = ring + (nothing ? sonars.max_in : reading), cone = sonars.half_cone;
+  const nothing = !isEcho(reading, sonars), far = ring + shownRange(reading, sonars), cone = sonars.half_cone;
   const [px, py] = toScreen(view, x, y);
   pen.globalAlpha = nothing ? 0.03 : 0.09;
   pen.fillStyle = colour;

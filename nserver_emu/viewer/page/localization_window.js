@@ -143,12 +143,12 @@ export const localizationWindow = {
     const points = remainingWaypoints(app);
     if (points.length && !(app.toolName === 'waypoint' && app.map.dragged === 'tool')) drawWaypoints(pen, points, view, theme);
     if (!own || ageOf(own) > MAX_AGE_S) return;
-    const now = own.latest, ring = scene.bodies[String(now.robot)]?.ring_in ?? 9, old = ageOf(own) > STALE_S;
+    const now = own.latest, body = scene.bodies[String(now.robot)], old = ageOf(own) > STALE_S;
+    if (!body) return;
     pen.globalAlpha = old ? 0.35 : 1;
-    const sonars = scene.bodies[String(now.robot)]?.sonars;
-    if (!old) for (const beam of own.beams.values()) drawBeam(pen, view, beam, ring, theme, sonars);
+    if (!old) for (const beam of own.beams.values()) drawBeam(pen, view, beam, body, theme);
     if (!isLost(now)) drawEllipse(pen, view, now, theme);
-    for (const place of alternatives(now)) drawAlternative(pen, view, place, scene.bodies[String(now.robot)]?.radius_in ?? ring, theme);
+    for (const place of alternatives(now)) drawAlternative(pen, view, place, body.radius_in, theme);
     pen.setLineDash([2, 3]);
     pen.strokeStyle = theme.encoder;
     pen.lineWidth = 1.5;
@@ -157,7 +157,7 @@ export const localizationWindow = {
     pen.setLineDash(old ? [4, 4] : []);
     pen.strokeStyle = pen.fillStyle = theme.estimate;
     pen.lineWidth = 2;
-    if (!isLost(now)) arrow(pen, view, ...now.pose, ring);
+    if (!isLost(now)) arrow(pen, view, ...now.pose, body.ring_in);
     pen.setLineDash([]);
     pen.globalAlpha = 1;
   },
@@ -230,10 +230,11 @@ function drawAlternative(pen, view, { pose, share }, radius, theme) {
   pen.fillText(percent(share), ...toScreen(view, x + radius * 0.75, y - radius * 1.1));
 }
 
-function drawBeam(pen, view, beam, ring, theme, sonars) {
-  const angle = beam.turret + (sonars?.angles[beam.sonar] ?? beam.sonar * Math.PI / 8), used = beam.refusal === 'none';
+function drawBeam(pen, view, beam, { ring_in: ring, sonars }, theme) {
+  if (beam.sonar >= sonars.angles.length) return;  // the localizer has a model with more sonars
+  const angle = beam.turret + sonars.angles[beam.sonar], used = beam.refusal === 'none';
   const far = ring + beam.reading_in, c = Math.cos(angle), s = Math.sin(angle);
-  const [forwards, left] = sonars?.shifts[beam.sonar] ?? [0, 0];
+  const [forwards, left] = sonars.shifts[beam.sonar] ?? [0, 0];
   const x = beam.pose[0] + forwards * c - left * s, y = beam.pose[1] + forwards * s + left * c;
   pen.strokeStyle = pen.fillStyle = used ? theme.good : theme.hit;
   pen.lineWidth = used ? 2 : 1;

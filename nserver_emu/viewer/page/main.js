@@ -64,7 +64,7 @@ const app = {
   },
   requestUpdate() { needsUpdate = true; },
   drawEstimate(pen, scene, view, options) { localizationWindow.draw(pen, scene, view, options, app); },
-  // Tell the server which optional data this page shows.
+  // Send the server which optional data this page shows.
   watch() { app.link.send({ do: 'watch', traffic: trafficWindow.open, laser: app.map.shown.laser, robot: Number(app.robot) }); },
   notice(text) {
     const notice = part('notice');

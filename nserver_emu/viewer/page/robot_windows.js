@@ -1,7 +1,7 @@
 // The windows Robot, Short sensors and Long sensors: State as text and numbers, the sensor rings from above, and the
 // sonars over time.
 
-import { HISTORY_S, infraredAngle, isEcho, sonarReadings } from './scene.js';
+import { HISTORY_S, infraredAngle, isEcho, shownRange, sonarReadings } from './scene.js';
 import { lengthText, degreesText, unitIn, unitName } from './units.js';
 import { cell, table, sizedPen } from './widgets.js';
 import { timeAxis } from './charts.js';
@@ -83,11 +83,11 @@ export const longWindow = {
     const { robot, body, scene, id } = app.selected();
     if (!robot || !body) return;
     const readings = sonarReadings(robot, body), ring = body.sonars;
-    polar(this.canvas, app.theme, { values: readings, max: polarRange(readings, ring), colour: app.theme.sonar,
+    polar(this.canvas, app.theme, { values: readings.map((reading) => shownRange(reading, ring)), max: polarRange(readings, ring), colour: app.theme.sonar,
       turn: robot.actual[3], steer: robot.actual[2], numbered: true, metric: app.metric, angles: ring.angles });
     drawStrips(this.strips, app.theme, scene.history[id] ?? [], scene.time_s, app.metric, ring);
     const shown = (reading) => Math.round(reading / unitIn(app.metric));
-    cell(this.rows, `sonars 0 to ${readings.length - 1}`, readings.map(shown).join(' '));
+    cell(this.rows, 'sonars', readings.map(shown).join(' '));
     cell(this.rows, 'unit', `${app.metric ? 'centimetres' : 'inches'}, ${shown(ring.no_echo_in)} without an echo`);
   },
 };
@@ -184,7 +184,7 @@ function drawStrips(canvas, theme, samples, now_s, metric, ring) {
     pen.beginPath();
     samples.forEach((sample, n) => {
       const x = left + wide * (1 - (now_s - sample.time_s) / HISTORY_S);
-      const y = bottom - Math.min(sample.sonars[k] / reach, 1) * (high - 4);
+      const y = bottom - Math.min(shownRange(sample.sonars[k], ring) / reach, 1) * (high - 4);
       (n ? pen.lineTo : pen.moveTo).call(pen, x, y);
     });
     pen.stroke();

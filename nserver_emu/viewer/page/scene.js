@@ -63,12 +63,13 @@ function addSample(scene, id, robot) {
   while (samples.length > MAX_SAMPLES || samples[0].time_s < scene.time_s - HISTORY_S) samples.shift();
 }
 
-// Return the readings of all sonars of a robot: its own, where State has no room for them.
-export function sonarReadings(robot, body) {
-  return robot.sonars ?? robot.state.slice(17, 17 + Math.min(body?.sonars.angles.length ?? 16, 16));
-}
+// Return the readings of all sonars of a robot: those of State, or `sonars` where State has no room for them.
+export function sonarReadings(robot, body) { return robot.sonars ?? robot.state.slice(17, 17 + body.sonars.angles.length); }
 
 export function isEcho(reading, { max_in, no_echo_in }) { return reading < max_in && reading !== no_echo_in; }
+
+// Return the range at which a reading is drawn: without an echo the maximum, whichever number the ring reads then.
+export function shownRange(reading, ring) { return isEcho(reading, ring) ? reading : ring.max_in; }
 
 export function infraredAngle(number) { return number * Math.PI / 8; }
 

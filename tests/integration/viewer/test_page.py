@@ -218,6 +218,7 @@ EXPRESSIONS: list[tuple[str, str, Any]] = [
     ("robot_windows.js", "[[201, 20], [150, 0]].map((each) => m.polarRange(each, {max_in: 196, no_echo_in: 201}))",
      [30, 196]),
     ("scene.js", "[0, 49].map((each) => m.isEcho(each, {max_in: 50, no_echo_in: 0}))", [False, True]),
+    ("scene.js", "[0, 49, 50].map((each) => m.shownRange(each, {max_in: 50, no_echo_in: 0}))", [50, 49, 50]),
     ("scene.js", "m.sonarReadings({sonars: [1.5, 2]}, undefined)", [1.5, 2]),
     ("scene.js", "m.updateShapes([[1, 'a'], [2, 'b']], { gone: [1], come: [[3, 'c']] })", [[2, "b"], [3, "c"]]),
     ("world_window.js", "[m.parseCorners('1,2 3,-4.5'), m.parseCorners('1,2 3'), m.parseCorners('1,2 3,x')]",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 from playwright.sync_api import Browser
 
@@ -41,12 +43,18 @@ def test_state_as_text_and_numbers(browser: Browser) -> None:
 
 
 def test_scout_wheels_and_selecting_second_robot(browser: Browser) -> None:
-    words = ("thesis_room", "--robot", "scout", "--robot", "n150")
+    models = ("--model-file", str(Path(__file__).parents[2] / "worlds" / "models" / "corridor8.toml"))
+    words = ("thesis_room", "--robot", "scout", "--robot", "n150", "--robot", "corridor8", *models)
     with nserver(*words) as program, open_page(browser, program.url) as page:
         page.wait("document.querySelector('#window-robot').innerText.includes('0.0 in/s right, 0.0 in/s left')")
         page.wait("document.querySelector('#window-short').innerText.includes('this robot has none')")
         page.page.select_option("#robot-choice", "2")
         page.wait("document.querySelector('#window-robot').innerText.includes('n150')")
+        # A ring of another size replaces the readings of the ring before.
+        page.page.select_option("#robot-choice", "3")
+        page.wait("document.querySelector('#window-robot').innerText.includes('corridor8')")
+        assert page.value("document.querySelectorAll('#window-long tr').length") == 2
+        assert len(page.value("document.querySelector('#window-long td').innerText").split()) == 8
 
 
 def test_laser_points_follow_clients_modes(browser: Browser) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -333,6 +334,14 @@ def test_unreachable_waypoints_are_refused(
     monkeypatch.setattr("localization.cli.arguments.open_robot", connected)
     assert localize("sim:", "--map", *words) == 1
     assert part in capsys.readouterr().err
+
+
+def test_a_wall_before_the_first_waypoint_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert localize("sim:several_walls?start=5,5", "--waypoints", "70,20") == 1
+    captured = capsys.readouterr()
+    assert "leg from 5,5 to 70,20" in captured.err
+    # No line of a drive was printed.
+    assert not re.search(r"^ +\d", captured.out, re.MULTILINE)
 
 
 def test_a_bumper_that_closes_ends_the_run_at_once(capsys: pytest.CaptureFixture[str]) -> None:

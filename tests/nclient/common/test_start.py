@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -61,6 +62,17 @@ def test_scripts_run_the_command(script: SimpleNamespace, command: str, monkeypa
     assert script.main() == 3
     assert script.main() == ExitCode.INTERRUPTED
     assert handlers == [signal.default_int_handler] * 2
+
+
+def test_scripts_handle_signals_before_slow_imports() -> None:
+    # Without site, whose files may import anything.
+    program = (
+        "import sys; sys.path.insert(0, sys.argv[1]); import nclient.cli.__main__, nserver_emu.__main__\n"
+        "slow = {'typing', 're', 'pathlib', 'argparse', 'logging', 'asyncio', 'numpy'} & set(sys.modules)\n"
+        "assert not slow, slow\n"
+    )
+    root = str(Path(__file__).parents[3])
+    subprocess.run([sys.executable, "-S", "-c", program, root], check=True, timeout=60)
 
 
 def test_the_package_imports_its_names_when_used() -> None:

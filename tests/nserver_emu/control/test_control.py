@@ -18,10 +18,10 @@ from fuzz.messages import FakeServer
 from nclient.faults.plan import Direction, Drop, Plan, Rule, plan_text
 from nserver_emu.control.commands import BY_NAME, answer_line, answer_line_in_thread
 from nserver_emu.persistence import snapshot
-from nserver_emu.server.context import SimulationClock
 from nserver_emu.server.handlers.runtime_settings import read_world_file
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.link import FaultController
+from nserver_emu.server.server_state import SimulationClock
 from tests.nserver_emu.server.wire_client import ORIGIN, simulation
 from worlds.io import parse_world
 from worlds.world import World

@@ -19,9 +19,9 @@ from nclient.protocol.serial_framing import SerialFramer
 from nclient.protocol.types import N150, Model, get_model
 from nclient.protocol.wire_state import WireState, serial_wire_state, tcp_wire_state
 from nserver_emu.gateway.gateway import Gateway, RealRobotProxy
-from nserver_emu.server.context import SimulationClock
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.serial_session import SerialSession
+from nserver_emu.server.server_state import SimulationClock
 from nserver_emu.server.session import Session
 from nserver_emu.simulation.models import MODELS
 from nserver_emu.simulation.noise import IDEAL, RobotSetup

@@ -16,7 +16,7 @@ from nclient.protocol.commands import COMMANDS, Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import EVERYTHING, N200
 from nserver_emu.gateway.gateway import TIMEOUT_S
-from nserver_emu.server.context import SimulationClock
+from nserver_emu.server.server_state import SimulationClock
 from nserver_emu.simulation.noise import NOISY
 from tests.nserver_emu.gateway.harness import LINE_STATE, EmulatedLine, GatewayHarness, ScriptedRobot, emulated, line_of
 from worlds.world import StartPose

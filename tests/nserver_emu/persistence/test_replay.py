@@ -25,10 +25,10 @@ from nserver_emu.persistence.recording import RunHeader
 from nserver_emu.persistence.replay import MAX_STEP_S, replay
 from nserver_emu.server.config import SimulationConfig, pose_from_text
 from nserver_emu.server.connection import MAX_REQUESTS_PER_TURN
-from nserver_emu.server.context import MAX_TIME_FACTOR, Allowed, SimulationClock
 from nserver_emu.server.daemon import MAX_CATCH_UP_S
 from nserver_emu.server.handlers.server import MAX_STEP_MS
 from nserver_emu.server.inprocess import open_address
+from nserver_emu.server.server_state import MAX_TIME_FACTOR, Allowed, SimulationClock
 from tests.nserver_emu.server.lockstep_run import request
 from tests.nserver_emu.server.running_server import Client, RunningServer, running_server
 from worlds.io import SHIPPED, format_world, load_world

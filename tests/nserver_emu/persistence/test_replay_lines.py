@@ -22,10 +22,10 @@ from nserver_emu.persistence.recording import RunHeader
 from nserver_emu.persistence.replay import replay
 from nserver_emu.server.config import SimulationConfig, pose_from_text
 from nserver_emu.server.connection import MAX_REQUESTS_PER_TURN
-from nserver_emu.server.context import Allowed, SimulationClock
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.pty import PseudoTerminal
 from nserver_emu.server.serial_lines import PtyConnection, RobotdConnection, robot_line
+from nserver_emu.server.server_state import Allowed, SimulationClock
 from tests.nserver_emu.server.running_server import serving
 
 TWO = SimulationConfig(

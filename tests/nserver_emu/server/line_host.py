@@ -10,9 +10,9 @@ from nclient.protocol.replies import Reply
 from nclient.protocol.serial_framing import SerialFrame, SerialFramer
 from nclient.protocol.types import Model, get_model
 from nclient.protocol.wire_state import serial_wire_state
-from nserver_emu.server.context import SimulationClock
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.serial_session import SerialSession
+from nserver_emu.server.server_state import SimulationClock
 from nserver_emu.simulation.models import MODELS
 from nserver_emu.simulation.noise import IDEAL, RobotSetup
 from nserver_emu.simulation.simulation import Simulation

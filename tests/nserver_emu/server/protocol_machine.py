@@ -44,11 +44,11 @@ from nclient.protocol.wire_state import tcp_wire_state
 from nserver_emu.control.commands import answer_line
 from nserver_emu.gateway.gateway import Gateway, RealRobotProxy
 from nserver_emu.server.connection import TcpConnection
-from nserver_emu.server.context import TIMELESS, Allowed, state_slots
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.estop import MOTIONS, moves
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.link import FaultController
+from nserver_emu.server.server_state import TIMELESS, Allowed, state_slots
 from nserver_emu.server.session import NOT_CONNECTED, REFUSED, CommandHandler, ConnectionContext, DeferredReply
 from nserver_emu.simulation.models import MODELS
 from nserver_emu.simulation.robot import SimulatedRobot

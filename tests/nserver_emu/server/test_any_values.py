@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from nclient.errors import WireError
 from nclient.protocol import codec
 from nclient.protocol.commands import COMMANDS, Call
-from nserver_emu.server.context import Allowed, clock_ms
 from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.server.server_state import Allowed, clock_ms
 from nserver_emu.simulation.models import MODELS
 from nserver_emu.simulation.noise import NOISY
 from nserver_emu.simulation.simulation import Simulation

@@ -6,8 +6,8 @@ from math import radians
 
 import pytest
 
-from nserver_emu.server.context import axis_tenths, axis_values
 from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.server.server_state import axis_tenths, axis_values
 from nserver_emu.simulation.models import MODELS
 from nserver_emu.simulation.simulation import Simulation
 from tests.nserver_emu.server.wire_client import meet

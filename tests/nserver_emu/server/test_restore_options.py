@@ -10,9 +10,9 @@ from nclient import connect
 from nclient.errors import SnapshotError
 from nserver_emu import cli
 from nserver_emu.persistence import snapshot
-from nserver_emu.server.context import SimulationClock
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.server.server_state import SimulationClock
 from tests.nserver_emu.server.wire_client import meet, simulation
 
 SAVED_PACE = SimulationClock(factor=3.0, lockstep_s=0.25)

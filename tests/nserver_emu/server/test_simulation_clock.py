@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from nserver_emu.server.context import SimulationClock
+from nserver_emu.server.server_state import SimulationClock
 
 
 @pytest.mark.parametrize(

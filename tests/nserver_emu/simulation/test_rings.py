@@ -11,7 +11,7 @@ import pytest
 
 from nclient import connect
 from nclient.errors import AddressError, WorldFileError
-from nserver_emu.server.context import sonar_words
+from nserver_emu.server.server_state import sonar_words
 from nserver_emu.simulation.acoustics import Polaroid
 from nserver_emu.simulation.models import load_models
 from nserver_emu.simulation.noise import IDEAL, MEASURED, RngFactory, apply_model

@@ -350,6 +350,20 @@ def test_rings_of_model_files_are_shown(name: str, half_cone_deg: float, count: 
     assert picture["robots"]["1"]["sonars"] == pytest.approx(sonar.readings_in, abs=1e-3)
 
 
+@pytest.mark.parametrize("name", ["corridor8", "ring24"])
+def test_readings_without_echo_equal_that_of_the_ring(name: str) -> None:
+    models = Path(__file__).parents[2] / "worlds" / "models"
+    emulator = open_address(f"sim:hall?robot={name}&model_file={models / name}.toml").emulator
+    history = SceneHistory(emulator)
+    history.take()
+    picture = json.loads(json.dumps(history.since(0)))
+    readings, ring = emulator.simulation.robots[1].sonar.readings_in, emulator.simulation.robots[1].model.body.ring
+    shown = picture["robots"]["1"]["sonars"]
+    assert ring.no_echo_in in readings
+    no_echo_in = picture["bodies"]["1"]["sonars"]["no_echo_in"]
+    assert [reading == no_echo_in for reading in shown] == [reading == ring.no_echo_in for reading in readings]
+
+
 def test_the_cone_is_that_of_the_setup_in_force() -> None:
     emulator = open_address("sim:thesis_room?setup=measured").emulator
     history = SceneHistory(emulator)

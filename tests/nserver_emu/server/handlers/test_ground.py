@@ -9,8 +9,8 @@ import pytest
 
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
-from nserver_emu.server.context import Allowed
 from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.server.server_state import Allowed
 from nserver_emu.server.session import ConnectionContext
 from nserver_emu.simulation.models import N200
 from tests.nserver_emu.server.wire_client import WireClient, meet, simulation

@@ -7,9 +7,9 @@ import math
 
 import pytest
 
-from nserver_emu.server.context import Allowed, SimulationClock
 from nserver_emu.server.handlers import server
 from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.server.server_state import Allowed, SimulationClock
 from tests.nserver_emu.server.wire_client import WireClient, meet, simulation
 
 PAUSE, RESUME, SPEED, STEP = 1, 2, 3, 4

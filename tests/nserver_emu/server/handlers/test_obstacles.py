@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 
 from nclient.errors import ControlError
-from nserver_emu.server.context import Allowed
 from nserver_emu.server.handlers.runtime_settings import change_obstacle
 from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.server.server_state import Allowed
 from tests.nserver_emu.server.wire_client import meet, simulation
 from worlds.world import Polygon, World
 

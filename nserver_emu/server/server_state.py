@@ -525,14 +525,14 @@ Preparation = Callable[["ServerState", ConnectionContext, tuple[Any, ...]], Iter
 # Commands that do not change the robot.
 QUERIES: Final = frozenset({"gs", "ct", "sim_truth", *(name for name in BY_NAME if name.startswith("get_"))})
 # Queries whose replies contain State slots.
-def is_ring_packet(call: Call) -> bool:
-    """Return True for the user packet that reads the sonars of a ring, which takes no simulated time."""
-    return call.name == "special_request" and call.args[:1] == (RING_PACKET,)
-
-
 STATE_QUERIES: Final = frozenset({"get_ir", "get_sn", "get_rc", "get_rv", "get_cp", "get_bp"})
 # Commands that take no time in lockstep and do not restart the command timeout: observers must not keep a robot moving.
 TIMELESS: Final = frozenset({"connect_robot", "create_robot", "disconnect_robot", "sim_truth", "sim_control"})
+
+
+def is_ring_packet(call: Call) -> bool:
+    """Return True for the user packet that reads the sonars of a ring, which takes no simulated time."""
+    return call.name == "special_request" and call.args[:1] == (RING_PACKET,)
 
 
 class ServerState:
