@@ -17,6 +17,7 @@ import numpy as np
 
 from localization.cli import arguments
 from localization.cli.log import add_log_options, localize_recorded
+from localization.filters.belief import independent
 from localization.filters.global_localization import WIDE_IN, WIDE_RAD, is_wide
 from localization.filters.registry import DEFAULT_METHOD, FINDER
 from localization.live.assumptions import resolve_body, resolve_robot_model
