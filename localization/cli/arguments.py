@@ -231,7 +231,7 @@ def find_alike(world: World, config: LocalizationConfig, belief: Belief, *, prin
     if found and prints:
         poses = ", ".join(f"({pose[0]:z.1f}, {pose[1]:z.1f}) in {math.degrees(pose[2]):z.0f} deg" for pose in found[:4])
         more = f" and {len(found) - 4} more" if len(found) > 4 else ""
-        print(f"the start looks like {poses}{more}", flush=True)
+        print(f"places that look like the start: {poses}{more}", flush=True)
     return found
 
 

@@ -76,8 +76,8 @@ def next_step(pose: Floats, goal: Floats, gains: ControlGains) -> Floats:
 def slow_for_turn(step: Floats, pose: Floats, goal: Floats, gains: ControlGains) -> Floats:
     """Return a step towards a goal that is shortened until the robot's turning circle reaches the goal.
 
-    A goal inside the smallest circle of `next_step` is never reached: the robot drives around it, up to two radii beside
-    the straight line. A goal behind the robot is turned to on the spot.
+    A goal inside the smallest circle of `next_step` is never reached: the robot drives around it, up to two radii
+    beside the straight line. A goal behind the robot is turned to on the spot.
 
     Parameters
     ----------

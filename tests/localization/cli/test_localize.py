@@ -356,7 +356,7 @@ def test_a_bumper_that_closes_ends_the_run_at_once(capsys: pytest.CaptureFixture
 
 @pytest.mark.parametrize(("words", "source", "line"), [
     ([], "encoders", "start (0.0, 0.0) in 0.0 deg ± 0.1 in 0.57 deg, from the encoders"),
-    (["--start", "0.1,0,1", "--start-std", "1,2,3"], "start", "start (0.1, 0.0) in 1.0 deg ± 2 in 3 deg, given by --st"),
+    (["--start", "0.1,0,1", "--start-std", "1,2,3"], "start", "start (0.1, 0.0) in 1.0 deg ± 2 in 3 deg, given by"),
     (["--start", "unknown"], "unknown", "start unknown"),
 ])  # fmt: skip
 def test_the_origin_of_the_start_pose_is_stated(
