@@ -22,6 +22,7 @@ import numpy as np
 
 from localization.experiments.figure_trial import Figure, FigureResult, figure_result, figure_setup, join_results, run
 from nclient.common.files import write_atomic
+from nclient.common.hints import install_command
 from nclient.errors import ExtraMissing, NomadError, OutputFileError
 
 Item = TypeVar("Item")
@@ -78,7 +79,7 @@ def on_cluster(
         # Imported here because Dask is optional.
         from distributed import Client, as_completed
     except ImportError as error:
-        message = "a cluster needs Dask distributed: pip install 'nomad-nserver[cluster]', or use --jobs"
+        message = f"a cluster needs Dask distributed: {install_command('cluster')}; or use --jobs"
         raise ClusterExtraMissing(message) from error
     try:
         client = Client(address, timeout=CONNECT_TIMEOUT_S)
