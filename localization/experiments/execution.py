@@ -110,10 +110,14 @@ Tally = Callable[[int], None]
 
 @contextmanager
 def progress(total: int, title: str, unit: str) -> Iterator[Tally]:
-    """Show a progress bar from 0 to `total` on stderr; without tqdm show nothing."""
+    """Show a progress bar from 0 to `total` on stderr if that is a terminal; without tqdm show nothing."""
     try:
         from tqdm import tqdm
     except ImportError:
+        yield lambda _: None
+        return
+    # A bar in a pipe or a log file is noise: it is redrawn many times.
+    if not sys.stderr.isatty():
         yield lambda _: None
         return
     with tqdm(total=total, desc=title, unit=f" {unit}", unit_scale=True, file=sys.stderr) as bar:
