@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import math
 import multiprocessing
-import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed, wait
 from contextlib import contextmanager
@@ -110,17 +109,13 @@ Tally = Callable[[int], None]
 
 @contextmanager
 def progress(total: int, title: str, unit: str) -> Iterator[Tally]:
-    """Show a progress bar from 0 to `total` on stderr if that is a terminal; without tqdm show nothing."""
+    """Show a progress bar from 0 to `total` on stderr; show nothing there without tqdm or a terminal."""
     try:
         from tqdm import tqdm
     except ImportError:
         yield lambda _: None
         return
-    # A bar in a pipe or a log file is noise: it is redrawn many times.
-    if not sys.stderr.isatty():
-        yield lambda _: None
-        return
-    with tqdm(total=total, desc=title, unit=f" {unit}", unit_scale=True, file=sys.stderr) as bar:
+    with tqdm(total=total, desc=title, unit=f" {unit}", unit_scale=True, disable=None) as bar:
 
         def advance(done: int) -> None:
             # tqdm takes increments, and the amount of work is an estimate that may be exceeded.
