@@ -6,6 +6,8 @@ to the page, by `type`
     picture      the scene or its changes (scene.py)
     traffic      rows of requests and replies (traffic.py), missed: number of frames left out
     localization the latest published estimate (localization.py), and its age: age_s
+    localizers   robots: {robot: {"method", "state", "words"} ...} of localizers that pages started; state: starting,
+                 running, ended, failed; words: what it waits for, why it ended, or the error
     asked        robots: number of clients that wait for a click of a pose (get_robot_conf), by robot
     waypoints    robot, points: new way-points
     missed       count: other messages that were dropped since the viewer was too slow
@@ -22,6 +24,9 @@ from the page, by `do`
     release      id, robot (left out: all): allow motions again
     control      id, command, argument: time, faults, noise, world (control/commands.py)
     click        robot, pose: x, y, steer, turret in tenths
+    localize     id, robot, method, is_lost, resumes: start its localizer, in place of one that runs (localizers.py);
+                 is_lost: it finds the pose itself; resumes: it begins with the estimate of the one before
+    unlocalize   id, robot: end its localizer
     waypoints    robot, points: [[x_in, y_in] ...] for its localizer
 
 A message of any other form raises InvalidMessage, which names the correct form; unknown keys are left out. A viewer
@@ -55,7 +60,7 @@ from msgspec import Meta, Struct
 from nclient.common.validation import InvalidValue, convert, decode_json, describe_value, reported_as
 from worlds.rings import MAX_SONARS
 
-VERSION: Final = 4
+VERSION: Final = 5
 MAX_TEXT: Final = 2_000_000
 """Characters of a message from the page; a plan of faults is the longest."""
 MAX_ARGS: Final = 64
@@ -85,6 +90,8 @@ Control = Literal[
     "world show", "world set", "obstacle",
 ]  # fmt: skip
 """Control commands of the page: all but those that write files."""
+LocalizationMethod = Literal["ekf", "iekf", "ukf", "smoother", "mcl", "finder", "offsets"]
+"""Filters by name: those of `nomad localize --method`."""
 CALLS: Final = get_args(Call)
 CONTROLS: Final = get_args(Control)
 
@@ -161,6 +168,21 @@ class Click(_Message, tag="click"):
     ]
 
 
+class Localize(_Request, tag="localize"):
+    """Start the localizer of a robot."""
+
+    robot: Id
+    method: LocalizationMethod
+    is_lost: bool
+    resumes: bool = False
+
+
+class Unlocalize(_Request, tag="unlocalize"):
+    """End the localizer of a robot."""
+
+    robot: Id
+
+
 class Waypoints(_Message, tag="waypoints"):
     """Waypoints that a robot's localizer is to drive to."""
 
@@ -168,7 +190,9 @@ class Waypoints(_Message, tag="waypoints"):
     points: Points
 
 
-Message = Seen | Watch | CallRobot | Drive | Stop | Release | ControlServer | Click | Waypoints
+Message = (
+    Seen | Watch | CallRobot | Drive | Stop | Release | ControlServer | Click | Waypoints | Localize | Unlocalize
+)
 
 
 class InvalidMessage(ValueError):
