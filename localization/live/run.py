@@ -81,6 +81,8 @@ class Run:
         Why the run was given up; "" if it was not.
     sonars
         Assumed sonar model.
+    start
+        Where the start pose comes from: resume, start, encoders or unknown.
     alike
         Poses (3,) that look like the start.
     """
@@ -89,6 +91,7 @@ class Run:
     moments: list[RunMoment] = field(default_factory=list)
     stopped: str = ""
     sonars: SonarAssumption = ASSUME_CONES
+    start: str = ""
     alike: Sequence[Floats] = ()
 
     def __post_init__(self) -> None:
@@ -177,6 +180,7 @@ class Run:
             "places": [
                 {"pose": place.belief.mean[:3].tolist(), "share": place.probability} for place in last.estimate.places
             ],
+            "start": self.start or None,
             "alike": [pose.tolist() for pose in self.alike],
             "estimate": [float(value) for value in last.estimate.pose],
             "truth": list(last.truth) if last.truth else None,

@@ -19,7 +19,7 @@ from localization.filters.health import HealthStatus
 from localization.filters.registry import DEFAULT_METHOD
 from localization.live.localizer import Estimate, Localizer
 from localization.live.sensor_input import restart_ring
-from localization.navigation.control_law import ControlGains, distance_to, next_step
+from localization.navigation.control_law import ControlGains, distance_to, next_step, slow_for_turn
 from localization.navigation.limits import STAND, PoseSmoother, StateGapLimiter, VelocityCommand
 from localization.navigation.recovery import RecoveryBehavior
 from nclient.errors import NomadError
@@ -103,7 +103,8 @@ class Navigator:
             self.passed += 1
         if self.finished:
             return STAND if self._stays else None
-        step = next_step(pose, self._goals[self.passed], self._gains) / PERIOD_S
+        goal = self._goals[self.passed]
+        step = slow_for_turn(next_step(pose, goal, self._gains), pose, goal, self._gains) / PERIOD_S
         return VelocityCommand(float(step[0]), float(step[1]))
 
 

@@ -24,7 +24,7 @@ from nclient.protocol import codec
 from nclient.protocol.codec import TcpFrame, TcpFramer, reply_bounds
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
-from nclient.protocol.types import N150
+from nclient.protocol.types import N150, heading_tenths, tenths
 from nclient.protocol.wire_state import WireState, tcp_wire_state
 from nclient.recording.recorder import TCP
 from nserver_emu.control.commands import WORLD_SET, answer_line, answer_line_in_thread
@@ -322,9 +322,26 @@ class ViewerController:
                 self.robots(message.robot)
                 self.localizers.start(message.robot, message.method, is_lost=message.is_lost, resumes=message.resumes)
                 _replier(viewer, message.id)({"ok": True})
+            case messages.Kidnap():
+                self.robots(message.robot)
+                self._kidnap(viewer, message)
             case messages.Unlocalize():
                 self.localizers.stop(message.robot)
                 _replier(viewer, message.id)({"ok": True})
+
+    def _kidnap(self, viewer: Viewer, message: messages.Kidnap) -> None:
+        """Place a robot, and set its encoders back to what they were: three calls in one turn of the event loop."""
+        clients, encoder = self.clients(viewer), self.daemon.emulator.simulation.robots[message.robot].encoder
+        positions = [tenths(encoder.x_in), tenths(encoder.y_in)]
+        angles = [heading_tenths(encoder.steering_rad), heading_tenths(encoder.turret_rad)]
+
+        def restore(answer: Answer) -> None:
+            if answer["ok"]:
+                clients.call(message.robot, "dp", positions, lambda _: None)
+                clients.call(message.robot, "da", angles, lambda _: None)
+            _replier(viewer, message.id)(answer)
+
+        clients.call(message.robot, "place_robot", message.pose, restore)
 
     def _set_world(self, viewer: Viewer, number: int, request: str) -> None:
         """Replace the world; its file is read in a thread, one at a time for each page."""

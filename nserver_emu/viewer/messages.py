@@ -27,6 +27,7 @@ from the page, by `do`
     localize     id, robot, method, is_lost, resumes: start its localizer, in place of one that runs (localizers.py);
                  is_lost: it finds the pose itself; resumes: it begins with the estimate of the one before
     unlocalize   id, robot: end its localizer
+    kidnap       id, robot, pose: as for click: place it there; its encoders stay as they are
     waypoints    robot, points: [[x_in, y_in] ...] for its localizer
 
 A message of any other form raises InvalidMessage, which names the correct form; unknown keys are left out. A viewer
@@ -81,6 +82,9 @@ Word = Annotated[int, Meta(ge=-(2**31), le=2**31 - 1)]
 Number = Annotated[float, Meta(ge=-MAX_NUMBER, le=MAX_NUMBER)]
 Point = Annotated[list[Number], Meta(min_length=2, max_length=2, title="a point [x, y]")]
 Points = Annotated[list[Point], Meta(max_length=MAX_POINTS, title="a list of points [[x, y], ...] in inches")]
+PoseTenths = Annotated[
+    list[Word], Meta(min_length=4, max_length=4, title="x, y, steer and turret in whole tenths")
+]  # fmt: skip
 Call = Literal[
     "st", "lp", "zr", "vm", "pr", "dp", "da", "conf_tm", "conf_sn", "place_robot", "add_obstacle", "delete_obstacle",
     "move_obstacle", "new_world", "refresh_all", "create_robot",
@@ -163,9 +167,7 @@ class Click(_Message, tag="click"):
     """A pose for a client that waits for one."""
 
     robot: Id
-    pose: Annotated[
-        list[Word], Meta(min_length=4, max_length=4, title="x, y, steer and turret in whole tenths")
-    ]
+    pose: PoseTenths
 
 
 class Localize(_Request, tag="localize"):
@@ -183,6 +185,13 @@ class Unlocalize(_Request, tag="unlocalize"):
     robot: Id
 
 
+class Kidnap(_Request, tag="kidnap"):
+    """Place a robot without its encoders noticing."""
+
+    robot: Id
+    pose: PoseTenths
+
+
 class Waypoints(_Message, tag="waypoints"):
     """Waypoints that a robot's localizer is to drive to."""
 
@@ -192,6 +201,7 @@ class Waypoints(_Message, tag="waypoints"):
 
 Message = (
     Seen | Watch | CallRobot | Drive | Stop | Release | ControlServer | Click | Waypoints | Localize | Unlocalize
+    | Kidnap
 )
 
 

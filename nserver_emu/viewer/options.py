@@ -14,6 +14,7 @@ from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from nclient.common.hints import install_command
 from nclient.errors import ExtraMissing, NomadError
 from nserver_emu.server.daemon import Daemon
 
@@ -81,7 +82,7 @@ async def running_viewer(daemon: Daemon, options: argparse.Namespace) -> AsyncIt
 def require_aiohttp() -> None:
     """Raise ViewerMissing if aiohttp is not installed."""
     if importlib.util.find_spec("aiohttp") is None:
-        raise ViewerMissing("--viewer needs aiohttp: pip install 'nomad-nserver[viewer]'")
+        raise ViewerMissing(f"--viewer needs aiohttp: {install_command('viewer')}")
 
 
 def _listen_address(text: str) -> ListenAddress:

@@ -2,7 +2,7 @@
 // localizer in a process of its own for each robot, and reports its state with the message `localizers`.
 
 import { element, button, choice } from './widgets.js';
-import { callLocalizer, control, placeRobot } from './commands.js';
+import { callLocalizer, control, poseTenths } from './commands.js';
 import { robotFits } from './geometry.js';
 import { worldBounds } from './scene.js';
 
@@ -52,7 +52,7 @@ function noiseControls(app, onChange) {
 
 function kidnap(app) {
   const pose = randomPose(app.scene, app.robot, Math.random);
-  if (pose) placeRobot(app, app.robot, pose);
+  if (pose) callLocalizer(app, { do: 'kidnap', pose: poseTenths(pose) });
   else app.notice('There is no other place for this robot in this world.');
 }
 

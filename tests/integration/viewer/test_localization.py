@@ -55,7 +55,8 @@ def test_localizer_is_started_and_stopped_on_the_page(browser: Browser) -> None:
         page.page.click("#kidnap")
         # The encoders do not notice.
         page.wait("""(() => { const { actual, encoder } = nserver.scene.robots['1'];
-            return Math.hypot(actual[0] - encoder[0], actual[1] - encoder[1]) > 30 && Math.abs(encoder[0] - 10) < 2; })()""")
+            const far = Math.hypot(actual[0] - encoder[0], actual[1] - encoder[1]) > 30;
+            return far && Math.abs(encoder[0] - 10) < 2; })()""")
         page.page.click("#unlocalize")
         page.wait("document.querySelector('.trust').innerText.includes('– OLD the localizer has ended (stopped)')")
 

@@ -176,3 +176,17 @@ async def test_pages_start_and_stop_localizers() -> None:
         for wrong in ({"robot": 7, "method": "ekf"}, {"robot": 1, "method": "magic"}):
             await page.send_message(do="localize", id=3, is_lost=False, **wrong)
             assert not (await page.answer(3))["ok"]
+
+
+async def test_encoders_do_not_notice_a_kidnapping() -> None:
+    emulator = Emulator(simulation())
+    async with serve_viewer(emulator) as here, here.page() as page:
+        robot = emulator.simulation.robots[1]
+        await page.send_message(do="call", id=1, robot=1, call="place_robot", args=[300, 200, 900, 450])
+        await page.answer(1)
+        before = robot.encoder
+        for number, pose, is_ok in ((2, [500, 600, 0, 0], True), (3, [-100, 0, 0, 0], False)):
+            await page.send_message(do="kidnap", id=number, robot=1, pose=pose)
+            assert (await page.answer(number))["ok"] == is_ok
+        assert robot.actual[:2] == (50.0, 60.0)
+        assert robot.encoder == pytest.approx(before)
