@@ -115,7 +115,7 @@ def test_wrong_usage_exits_2(words: list[str], capsys: pytest.CaptureFixture[str
     with pytest.raises(SystemExit) as stop:
         localize("sim:", *words)
     assert stop.value.code == 2
-    assert "usage: nomad localize" in capsys.readouterr().err
+    assert capsys.readouterr().err.splitlines()[1:] == ["nomad localize --help lists all options"]
 
 
 @pytest.mark.parametrize(
