@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 from random import Random
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 import pytest
@@ -116,7 +117,8 @@ def test_mcap_holds_ros_messages(recorded: Path, tmp_path: Path) -> None:
 
     drive = convert.read_drive(recorded)
     convert.write_drive(drive, tmp_path / "run.mcap")
-    store, found = get_typestore(Stores.ROS2_HUMBLE), {}
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    found: dict[str, list[Any]] = {}
     with (tmp_path / "run.mcap").open("rb") as file:
         for schema, channel, message in make_reader(file).iter_messages():
             assert schema is not None
