@@ -38,6 +38,8 @@ from worlds.world import World
 
 MAX_NOISE: Final = 10
 """Larger odometry noise is a typing error."""
+PUBLISH_VARIABLE: Final = "NOMAD_PUBLISH"
+"""Environment variable with the page's address; a localizer that the page has started gets it from there."""
 UNKNOWN: Final = "unknown"
 """Value of --start for a robot whose pose is not known."""
 START_STD = (0.1, 0.1, 0.01)
@@ -172,9 +174,9 @@ def add_localization_options(parser: argparse.ArgumentParser, method: str, metho
     parser.add_argument("--method", choices=METHOD_CHOICES, default=method,
                         help=f"{method_help}; or a class of your own, module:Class or file.py:Class (default: "
                              f"{method})")  # fmt: skip
-    parser.add_argument("--publish", metavar="URL",
+    parser.add_argument("--publish", metavar="URL", default=os.environ.get(PUBLISH_VARIABLE),
                         help="show estimate and echoes on the page of `nserver --viewer`, at the address that it "
-                             f"printed{publish_help}")  # fmt: skip
+                             f"printed{publish_help} (default: ${PUBLISH_VARIABLE})")  # fmt: skip
     add_resume_options(parser)
 
 
