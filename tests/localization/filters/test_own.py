@@ -71,13 +71,12 @@ def test_estimate_after_the_last_echo_is_predicted_without_the_filter() -> None:
 def test_health_follows_from_what_update_returns() -> None:
     own, to = adapted()
     own.P = np.diag([0.01, 0.01, 0.001])
-    for _ in range(48):
-        assert to.update(0, 0.0, 40.0).refusal is Refusal.NONE
-    assert to.health.status is HealthStatus.OK
-    own.answer = None
-    for _ in range(48):
-        assert to.update(0, 0.0, 40.0).refusal is Refusal.GATE
-    assert to.health.status is HealthStatus.DEGRADED
+    found: list[HealthStatus] = []
+    for answer, refusal in (((0.5, 0.25), Refusal.NONE), (None, Refusal.GATE)):
+        own.answer = answer
+        assert {to.update(0, 0.0, 40.0).refusal for _ in range(48)} == {refusal}
+        found.append(to.health.status)
+    assert found == [HealthStatus.OK, HealthStatus.DEGRADED]
 
 
 def test_longer_states_are_allowed() -> None:
