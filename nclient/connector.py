@@ -16,6 +16,8 @@
 from __future__ import annotations
 
 import contextlib
+import functools
+import logging
 import os
 import time
 from collections.abc import Callable, Generator
@@ -43,6 +45,8 @@ from nclient.robot import Robot
 from nclient.transports import serial, tcp
 from nclient.transports.stream import ByteStream, MemoryStream, open_in_process
 from nclient.url import SCHEMES, Address, available_schemes, parse_address, split_address
+
+log = logging.getLogger(__name__)
 
 DEFAULT_ADDRESS: Final = "nserver://localhost:7019/1"
 VARIABLE: Final = "NOMAD_ROBOT"
@@ -353,8 +357,20 @@ def open_backend(address: str | None, options: ConnectOptions = ConnectOptions()
 
 
 def address_or_default(address: str | None) -> str:
-    """Return the address, else that of NOMAD_ROBOT, else that of a local Nserver's first robot."""
+    """Return the address, else that of NOMAD_ROBOT, else that of a local Nserver's first robot.
+
+    A NOMAD_ROBOT that names another robot than the address is reported once: it has no effect.
+    """
+    if address:
+        _report_ignored_variable(address, os.environ.get(VARIABLE, ""))
     return address or os.environ.get(VARIABLE) or DEFAULT_ADDRESS
+
+
+@functools.cache
+def _report_ignored_variable(used: str, ignored: str) -> None:
+    # A C program names a host alone, which may be that of the variable.
+    if used not in ignored and ignored:
+        log.warning("%s=%s is ignored: the program names %s", VARIABLE, ignored, used)
 
 
 # -- for C programs: nclient.capi -------------------------------------------------------------------------------------
@@ -376,6 +392,8 @@ def open_machine(name: str, port: int, options: ConnectOptions = ConnectOptions(
     AddressError, ConnectionLost, ReplyTimeout, RobotRefused
         As `connect` does.
     """
+    if name:
+        _report_ignored_variable(name, os.environ.get(VARIABLE, ""))
     address = _address_of(name)
     if address is None:
         stream = _open_tcp(name, port, options.timeout_s)
@@ -413,7 +431,7 @@ def open_line(model_number: int, device: str, conn: int, options: ConnectOptions
     if model_number not in models:
         raise AddressError(f"a model's number is one of {', '.join(map(str, sorted(models)))}, not {model_number}")
     place = f"serial://{device}?baud={conn}&" if device.startswith("/") else f"robotd://{device}:{conn}?"
-    as_c_library = "&tm_s=0&retries=0&reconnect=0&checks=0"
+    as_c_library = "&tm_s=0&retries=0&reconnect=0&checks=0&bumper_stop=0"
     return open_backend(f"{place}model={models[model_number]}{as_c_library}", options)
 
 

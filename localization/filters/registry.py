@@ -33,6 +33,7 @@ from localization.filters.sonar_cone import ConeModel, ConeSonar
 from localization.filters.sonar_ray import STRICT, Gate, RaySonar, RingBody, wall_map
 from localization.filters.surface import SurfaceModel
 from localization.filters.update import MeasurementUpdate, Rule, iterated, linear
+from nclient.common.hints import suggest
 
 Factory = Callable[[LocalizationConfig, Belief, int], Filter]
 """Makes a filter from a configuration, the belief at the first state, and a seed for methods that draw samples."""
@@ -107,7 +108,7 @@ def make(method: str, config: LocalizationConfig, belief: Belief, seed: int = 0)
         No such name.
     """
     if method not in METHODS:
-        raise ValueError(f"no method {method!r}; there are {', '.join(METHODS)}")
+        raise ValueError(f"no method {method!r}; there are {', '.join(METHODS)}{suggest(method, METHODS)}")
     return METHODS[method](config, belief, seed)
 
 

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from localization.filters.belief import Floats
 from localization.live.run import Run
 from nclient.common.files import write_errors_as
+from nclient.common.hints import install_command
 from nclient.errors import ExtraMissing, OutputFileError
 from worlds.robots import Body
 from worlds.world import World
@@ -47,7 +48,7 @@ def require_matplotlib() -> None:
     try:
         import matplotlib.figure  # noqa: F401
     except ImportError as error:
-        message = "pictures need matplotlib: pip install 'nomad-nserver[plot]', or run without pictures"
+        message = f"pictures need matplotlib: {install_command('plot')}; or run without pictures"
         raise PlotExtraMissing(message) from error
 
 

@@ -24,6 +24,7 @@ TESTS_OF_PAGES = {
     "files.md": "nclient/cli/test_schema.py",
     "from-c.md": "docs/test_from_c_page.py",
     "fuzzing.md": "fuzz/test_documentation.py",
+    "interop.md": "docs/test_interop_page.py",
     "localization.md": "docs/test_pages.py",
     "maps.md": "docs/test_calibration_and_maps_pages.py",
     "mapping.md": "docs/test_calibration_and_maps_pages.py",
