@@ -174,7 +174,7 @@ class AddressOptions:
     # Layers around the protocol: recovery and safety.
     reconnect: Annotated[float | None, Option(seconds_or_zero, _REMOTE, MAX_PAUSE_S, _SERIAL_PROTOCOL)] = None
     retries: Annotated[int | None, Option(count, _SERIAL_PROTOCOL, DEFAULT_RETRIES, _SERIAL_PROTOCOL)] = None
-    bumper_stop: Annotated[bool | None, Option(flag)] = None
+    bumper_stop: Annotated[bool | None, Option(flag, None, True, _SERIAL_PROTOCOL)] = None
     # Where time runs by itself, a robot has to stop when its program dies; a simulation waits for its client instead.
     feed: Annotated[bool | None, Option(flag, None, True, _REMOTE)] = None
     tm_s: Annotated[int | None, Option(motion_timeout, None, DEFAULT_TIMEOUT_S, _REMOTE)] = None

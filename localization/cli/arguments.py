@@ -16,7 +16,7 @@ from localization.filters.belief import POSE, Belief, Floats, independent
 from localization.filters.global_localization import is_wide
 from localization.filters.health import HealthStatus
 from localization.filters.odometry import MAX_STATE, OdometryNoise, with_parameters
-from localization.filters.registry import DEFAULT_METHOD, METHODS
+from localization.filters.registry import DEFAULT_METHOD, METHOD_CHOICES
 from localization.filters.sonar_cone import building_sonar
 from localization.live import saved_estimate
 from localization.live.assumptions import BUILDING_SETUP, SIMULATION, SonarAssumption, resolve_body, resolve_sonar_model
@@ -38,6 +38,8 @@ from worlds.world import World
 
 MAX_NOISE: Final = 10
 """Larger odometry noise is a typing error."""
+PUBLISH_VARIABLE: Final = "NOMAD_PUBLISH"
+"""Environment variable with the page's address; a localizer that the page has started gets it from there."""
 UNKNOWN: Final = "unknown"
 """Value of --start for a robot whose pose is not known."""
 START_STD = (0.1, 0.1, 0.01)
@@ -169,10 +171,12 @@ def add_localization_options(parser: argparse.ArgumentParser, method: str, metho
     add_value(parser, "--calibration", "FILE", Path,
               "apply the calibration in this model file, as written by nomad calibrate; takes "
               "precedence over --scale-std")
-    parser.add_argument("--method", choices=METHODS, default=method, help=f"{method_help} (default: {method})")
-    parser.add_argument("--publish", metavar="URL",
+    parser.add_argument("--method", choices=METHOD_CHOICES, default=method,
+                        help=f"{method_help}; or a class of your own, module:Class or file.py:Class (default: "
+                             f"{method})")  # fmt: skip
+    parser.add_argument("--publish", metavar="URL", default=os.environ.get(PUBLISH_VARIABLE),
                         help="show estimate and echoes on the page of `nserver --viewer`, at the address that it "
-                             f"printed{publish_help}")  # fmt: skip
+                             f"printed{publish_help} (default: ${PUBLISH_VARIABLE})")  # fmt: skip
     add_resume_options(parser)
 
 
@@ -231,7 +235,7 @@ def find_alike(world: World, config: LocalizationConfig, belief: Belief, *, prin
     if found and prints:
         poses = ", ".join(f"({pose[0]:z.1f}, {pose[1]:z.1f}) in {math.degrees(pose[2]):z.0f} deg" for pose in found[:4])
         more = f" and {len(found) - 4} more" if len(found) > 4 else ""
-        print(f"the start looks like {poses}{more}", flush=True)
+        print(f"places that look like the start: {poses}{more}", flush=True)
     return found
 
 
@@ -305,6 +309,32 @@ def prepare_localization(robot: Robot, simulated: bool, world: World, options: a
     sonar = building_sonar(body.ring) if building else sonar_of(body.ring, rays=sonars.rays)
     config = LocalizationConfig(world.walls, body, options.odometry_noise, sonar, calibration=calibration)
     return LocalizationSetup(belief, config, sonars)
+
+
+def start_source(options: argparse.Namespace) -> str:
+    """Return where the start pose of a run comes from: resume, start, encoders or unknown."""
+    if options.resume:
+        return "resume"
+    if options.start:
+        return UNKNOWN if options.start == UNKNOWN else "start"
+    return "encoders"
+
+
+def describe_start(options: argparse.Namespace, belief: Belief) -> str:
+    """Return the start pose, its deviation, and where it comes from, as a line of text."""
+    source = start_source(options)
+    if source == UNKNOWN:
+        return "start unknown: the robot searches its pose first"
+    (x, y, heading), std = belief.mean[:POSE].tolist(), belief.std[:POSE]
+    origin = {"start": "given by --start", "resume": f"resumed from {options.resume}", "encoders": "from the encoders"}
+    text = (
+        f"start ({x:z.1f}, {y:z.1f}) in {math.degrees(heading):z.1f} deg ± {max(std[0], std[1]):.2g} in "
+        f"{math.degrees(std[2]):.2g} deg, {origin[source]}"
+    )
+    # A simulation in this process has not driven yet.
+    if source == "encoders" and not is_lockstep(options.address):
+        text += "; encoders drift while a robot drives: give --start or --resume, or a --start-std for it"
+    return text
 
 
 def _set_start(robot: Robot, state: RobotState, start: Sequence[float] | str) -> RobotState:

@@ -36,6 +36,7 @@ from localization.mapping.measurements import DriveLog, read_drive, rotate
 from localization.mapping.output import LearnedMap, describe
 from localization.navigation.waypoints import COMMAND_TIMEOUT_S, Navigator, stop_on_exit, wait_for_next_state
 from nclient import connect
+from nclient.common.arguments import Parser
 from nclient.protocol.types import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
 from nclient.state import Truth
 from worlds.geometry import lengths, nearest_points
@@ -387,7 +388,7 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="python -m localization.experiments mapping",
         description="Learn maps from drives along way-points in simulated rooms and compare them with the true ones.",
         epilog="example: python -m localization.experiments mapping --seeds 10 --worlds thesis_room",

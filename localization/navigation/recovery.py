@@ -2,8 +2,8 @@
 
 RecoveryBehavior turns in place and then drives where the sonars ahead measure free space: poses that look alike from
 one position are distinguished on the path to another. Where the filter states a direction in which they differ, it
-drives there. After a contact it backs off and turns away. StallDetector reports a robot that presses against something
-or whose wheels stand.
+drives there. After a contact it backs off and turns away. ContactDetector reports a bumper that closes, StallDetector a
+robot that presses against something or whose wheels stand.
 """
 
 from dataclasses import dataclass
@@ -130,6 +130,36 @@ class ProgressMark:
     encoders: Floats
     goal: Floats
     remaining_in: float
+
+
+class ContactDetector:
+    """Detect a bumper that closes: in the map the path was free, so the map or the estimate is wrong.
+
+    A bumper that is closed at the first state is not reported until it has opened, so that a robot can leave a wall.
+    """
+
+    def __init__(self) -> None:
+        self._closed: frozenset[int] | None = None
+
+    def reason(self, state: RobotState, pose: Floats, *, backs_off: bool = False) -> str:
+        """Return which bumpers have closed since the last state, in words; "" without any.
+
+        Parameters
+        ----------
+        state : RobotState
+        pose : (3,) array
+            Estimated pose.
+        backs_off : bool
+            True while a recovery drives, which leaves obstacles by itself.
+        """
+        before, self._closed = self._closed, frozenset(state.bumpers)
+        if before is None or backs_off or not (closed := self._closed - before):
+            return ""
+        numbers = ", ".join(map(str, sorted(closed)))
+        return (
+            f"contact of bumpers {numbers} at the estimate ({pose[0]:z.1f}, {pose[1]:z.1f}) in: drive the robot free "
+            "(nomad shell), check map and start pose"
+        )
 
 
 class StallDetector:

@@ -24,7 +24,7 @@ from nclient.protocol import codec
 from nclient.protocol.codec import TcpFrame, TcpFramer, reply_bounds
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
-from nclient.protocol.types import N150
+from nclient.protocol.types import N150, heading_tenths, tenths
 from nclient.protocol.wire_state import WireState, tcp_wire_state
 from nclient.recording.recorder import TCP
 from nserver_emu.control.commands import WORLD_SET, answer_line, answer_line_in_thread
@@ -35,6 +35,7 @@ from nserver_emu.server.session import Session
 from nserver_emu.viewer import messages
 from nserver_emu.viewer.broadcaster import Broadcaster, Viewer
 from nserver_emu.viewer.error_boundary import ErrorBoundary
+from nserver_emu.viewer.localizers import Localizers
 from nserver_emu.viewer.messages import parse_estimate
 from nserver_emu.viewer.traffic import TrafficMonitor
 
@@ -214,6 +215,7 @@ class ViewerController:
         self._clients: dict[Viewer, ViewerClients] = {}
         self._worlds_being_read: dict[Viewer, asyncio.Task[bytes]] = {}
         self._published: dict[int, tuple[float, dict[str, Any]]] = {}
+        self.localizers = Localizers(daemon, self._send_localizers)
         # The monitor takes the recorder's place and passes everything on to it.
         self.traffic_monitor = TrafficMonitor(
             daemon.recorder, self._wire_state_of, lambda: daemon.emulator.simulation.time_s
@@ -228,6 +230,7 @@ class ViewerController:
                             watch_token=watch_token if may_act else None, waypoints=self.waypoints,
                             lines=dict(self.daemon.lines()) if may_act else {}))
         viewer.notify(messages.encode_message("asked", robots=self._pose_requests))
+        viewer.notify(messages.encode_message("localizers", robots=self.localizers.as_dict()))
         # 2. Estimates that are not outdated.
         for published_at, estimate in self._published.values():
             if now - published_at < STALE_S:
@@ -315,6 +318,30 @@ class ViewerController:
                     self._refuse(viewer, None, f"no client asks for a pose of robot {message.robot}")
             case messages.Waypoints():
                 self.set_waypoints(message.robot, message.points)
+            case messages.Localize():
+                self.robots(message.robot)
+                self.localizers.start(message.robot, message.method, is_lost=message.is_lost, resumes=message.resumes)
+                _replier(viewer, message.id)({"ok": True})
+            case messages.Kidnap():
+                self.robots(message.robot)
+                self._kidnap(viewer, message)
+            case messages.Unlocalize():
+                self.localizers.stop(message.robot)
+                _replier(viewer, message.id)({"ok": True})
+
+    def _kidnap(self, viewer: Viewer, message: messages.Kidnap) -> None:
+        """Place a robot, and set its encoders back to what they were: three calls in one turn of the event loop."""
+        clients, encoder = self.clients(viewer), self.daemon.emulator.simulation.robots[message.robot].encoder
+        positions = [tenths(encoder.x_in), tenths(encoder.y_in)]
+        angles = [heading_tenths(encoder.steering_rad), heading_tenths(encoder.turret_rad)]
+
+        def restore(answer: Answer) -> None:
+            if answer["ok"]:
+                clients.call(message.robot, "dp", positions, lambda _: None)
+                clients.call(message.robot, "da", angles, lambda _: None)
+            _replier(viewer, message.id)(answer)
+
+        clients.call(message.robot, "place_robot", message.pose, restore)
 
     def _set_world(self, viewer: Viewer, number: int, request: str) -> None:
         """Replace the world; its file is read in a thread, one at a time for each page."""
@@ -351,6 +378,7 @@ class ViewerController:
         if estimate.pop("began") and self.waypoints.get(robot):
             self.set_waypoints(robot, [])
         self._published[robot] = now, estimate
+        self.localizers.mark_published(robot)
         self.broadcaster.notify(messages.encode_message("localization", **estimate, age_s=0.0))
         return {"waypoints": self.waypoints.get(robot), "set": self._waypoints_set[robot]}
 
@@ -387,6 +415,9 @@ class ViewerController:
         if requests != self._pose_requests:
             self._pose_requests = requests
             self.broadcaster.notify(messages.encode_message("asked", robots=requests))
+
+    def _send_localizers(self) -> None:
+        self.broadcaster.notify(messages.encode_message("localizers", robots=self.localizers.as_dict()))
 
     def _send_traffic(self) -> None:
         recorder = self.traffic_monitor

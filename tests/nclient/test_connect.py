@@ -15,6 +15,7 @@ from nclient import (
     WorldFileError,
     connect,
     connect_async,
+    connector,
 )
 from nclient.connector import ConnectOptions, is_listening, open_machine
 from nclient.protocol.types import EVERYTHING, N150, N200, SCOUT
@@ -272,3 +273,17 @@ async def test_connect_async_can_be_awaited_or_entered() -> None:
     async with connect_async("sim:thesis_room") as entered:
         assert isinstance(entered, AsyncRobot)
     assert entered.closed
+
+
+def test_ignored_variable_is_reported_once(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    connector._report_ignored_variable.cache_clear()
+    monkeypatch.setenv("NOMAD_ROBOT", "nserver://lab:1234/2")
+    for _ in range(2):
+        connector.connect("sim:thesis_room").disconnect()
+    assert caplog.messages == ["NOMAD_ROBOT=nserver://lab:1234/2 is ignored: the program names sim:thesis_room"]
+    monkeypatch.setenv("NOMAD_ROBOT", "sim:thesis_room")
+    connector.connect("sim:thesis_room").disconnect()
+    connector.connect().disconnect()
+    assert len(caplog.messages) == 1
