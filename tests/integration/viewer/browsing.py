@@ -93,7 +93,7 @@ def nserver(*words: str) -> Iterator[RunningServer]:
             assert process.wait(timeout=10) == 0
 
 
-OPEN_WINDOWS = "document.querySelectorAll('.window:not(#window-traffic), #raw-state').forEach((one) => (one.open = true))"
+OPEN_WINDOWS = "document.querySelectorAll('.window:not(#window-traffic), #raw-state').forEach((one) => one.open = true)"
 
 
 @contextmanager
