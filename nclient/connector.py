@@ -33,12 +33,13 @@ from nclient.backends.base import Backend, LinkStatistics
 from nclient.backends.direct import DirectBackend
 from nclient.backends.keep_alive import KeepAlive
 from nclient.backends.nserver import DEFAULT_TIMEOUT_S, NserverBackend
-from nclient.errors import AddressError, ConnectionLost
+from nclient.errors import AddressError, ConnectionLost, RecordingError
 from nclient.faults.frames import Injector, LineLanguage, TcpLanguage
 from nclient.faults.inject import FaultyLine, FaultyStream
 from nclient.faults.plan import require_rules_for
 from nclient.protocol.types import MODELS, Model
-from nclient.recording.format import Recording, read_recording
+from nclient.recording.drive import Drive, DrivePeer
+from nclient.recording.format import Recording, parse_recording, read_recording
 from nclient.recording.recorder import HANDSHAKE_FIRST, TCP, ClientRecording
 from nclient.recording.replayer import STRICT, Player, RecordedConnection, ReplayPeer, load_exchanges
 from nclient.robot import Robot
@@ -112,6 +113,7 @@ class Connector:
         self._recorder: ClientRecording | None = None
         self._recording: Recording | None = None
         self._replayed: RecordedConnection | None = None
+        self._drive: Drive | None = None
         self._replays = 0
 
     @property
@@ -264,13 +266,35 @@ class Connector:
 
     def _open_replay(self) -> MemoryStream:
         """Open the connection that the address names, else the first, and the next one at each reopening."""
-        self._recording = self._recording or read_recording(Path(self.address.path))
+        if self._recording is None and self._drive is None:
+            self._read_replayed(Path(self.address.path))
+        if self._drive is not None:
+            self._replayed = RecordedConnection(self.address.path, TCP, self._drive.model)
+            return MemoryStream(DrivePeer(self.address.path, self._drive))
+        assert self._recording is not None
         # Reopening past the last recorded connection repeats that one.
         names = self._recording.connections()
         name = self.address.options.connection or (names[min(self._replays, len(names) - 1)] if names else "")
         self._replayed = load_exchanges(self._recording, name)
         self._replays += 1
         return MemoryStream(ReplayPeer(Player(self._replayed, self.address.options.order or STRICT)))
+
+    def _read_replayed(self, path: Path) -> None:
+        """Read a recording, or a file of another program as a drive."""
+        from nclient.recording import convert  # here: formats of others are seldom read
+
+        try:
+            foreign = convert.format_of_file(path) != convert.RECORDING
+        except RecordingError:
+            foreign = False  # reading it as a recording explains what is wrong
+        if not foreign:
+            self._recording = read_recording(path)
+            return
+        drive = convert.read_drive(path)
+        if drive.traffic:
+            self._recording = parse_recording("\n".join(drive.traffic) + "\n", str(path))
+        else:
+            self._drive = drive
 
     def _needs_keep_alive(self, backend: Backend) -> bool:
         """Return False for a simulation too fast for a keep-alive, unless the address has `tm_s=`."""

@@ -16,7 +16,7 @@ from localization.filters.belief import POSE, Belief, Floats, independent
 from localization.filters.global_localization import is_wide
 from localization.filters.health import HealthStatus
 from localization.filters.odometry import MAX_STATE, OdometryNoise, with_parameters
-from localization.filters.registry import DEFAULT_METHOD, METHODS
+from localization.filters.registry import DEFAULT_METHOD, METHOD_CHOICES
 from localization.filters.sonar_cone import building_sonar
 from localization.live import saved_estimate
 from localization.live.assumptions import BUILDING_SETUP, SIMULATION, SonarAssumption, resolve_body, resolve_sonar_model
@@ -171,7 +171,9 @@ def add_localization_options(parser: argparse.ArgumentParser, method: str, metho
     add_value(parser, "--calibration", "FILE", Path,
               "apply the calibration in this model file, as written by nomad calibrate; takes "
               "precedence over --scale-std")
-    parser.add_argument("--method", choices=METHODS, default=method, help=f"{method_help} (default: {method})")
+    parser.add_argument("--method", choices=METHOD_CHOICES, default=method,
+                        help=f"{method_help}; or a class of your own, module:Class or file.py:Class (default: "
+                             f"{method})")  # fmt: skip
     parser.add_argument("--publish", metavar="URL", default=os.environ.get(PUBLISH_VARIABLE),
                         help="show estimate and echoes on the page of `nserver --viewer`, at the address that it "
                              f"printed{publish_help} (default: ${PUBLISH_VARIABLE})")  # fmt: skip

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from localization.cli import arguments
-from localization.cli.log import add_log_options, localize_recorded
+from localization.cli.log import add_log_options, localize_recorded, take_replayed_drive
 from localization.filters.belief import independent
 from localization.filters.global_localization import WIDE_IN, WIDE_RAD, is_wide
 from localization.filters.registry import DEFAULT_METHOD, FINDER
@@ -94,6 +94,7 @@ def run(options: argparse.Namespace) -> int:
     After Ctrl-C or a signal results are still saved and printed.
     """
     options.method = _select_method(options)
+    take_replayed_drive(options)
     if options.log:
         return localize_recorded(options)
     # 1. Everything that can fail without a robot.

@@ -32,3 +32,12 @@ def test_commands_about_wireshark(tmp_path: Path) -> None:
     assert "> vm 100 -50 0" in shown
     assert run(drives, tmp_path).split() == ["0.001000000", "100"]
     assert run(near, tmp_path).split() == ["12", "-5"]
+
+
+def test_commands_about_recordings(tmp_path: Path) -> None:
+    lines = command_lines(PAGE)
+    first = next(k for k, line in enumerate(lines) if "record=run.log" in line)
+    for line in lines[first : first + 10]:
+        shown = run(line, tmp_path)
+    assert "sonar" in shown
+    assert len(list(tmp_path.glob("run*"))) == 6

@@ -51,6 +51,7 @@ def test_noisy_sonars_and_wheels_still_reach_goal(setup: str, capsys: pytest.Cap
     assert result["end_error_in"] < 2.0 < result["odometry_end_error_in"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", ["iekf", "ukf", "mcl"])
 def test_other_filters_drive_as_well(method: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert localize(NOISY, *TO_GOAL, "--method", method, "--json") == 0
@@ -162,6 +163,7 @@ def test_a_calibrated_robot_errs_no_more(tmp_path: Path, capsys: pytest.CaptureF
     assert ends[1] < 0.15 < 3.0 * ends[1] < ends[0]
 
 
+@pytest.mark.long
 def test_sonar_offsets_are_estimated_while_driving(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -177,6 +179,7 @@ def test_sonar_offsets_are_estimated_while_driving(
     assert len(json.loads(saved.read_text())["mean"]) == 6
 
 
+@pytest.mark.long
 def test_unknown_start_is_found_and_goal_reached(capsys: pytest.CaptureFixture[str]) -> None:
     robot = "sim:several_walls?noisy=1&seed=3&start=30,60,20,20"
     assert localize(robot, "--map", "several_walls", "--start", "unknown", "--waypoints", "45,65", "--json") == 0
