@@ -29,6 +29,7 @@ TESTS_OF_PAGES = {
     "maps.md": "docs/test_calibration_and_maps_pages.py",
     "mapping.md": "docs/test_calibration_and_maps_pages.py",
     "missions.md": "docs/test_missions_page.py",
+    "own-filter.md": "docs/test_own_filter_page.py",
     "protocol.md": "docs/test_protocol_page.py",
     "real-data.md": "localization/experiments/test_corridor.py",
     "real-robot.md": "docs/test_pages.py",
