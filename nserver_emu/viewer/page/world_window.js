@@ -15,7 +15,7 @@ export function parseCorners(text) {
 }
 
 export const worldWindow = {
-  id: 'world', title: 'World', acts: true, moves: Promise.resolve(),
+  id: 'world', title: 'Obstacles and world files', moves: Promise.resolve(),
   build(box, app) {
     this.list = element('div', { id: 'world-list' });
     const corners = element('input', { id: 'corners', placeholder: EXAMPLE, size: 22 }), name = document.createTextNode('');
