@@ -10,7 +10,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
-from localization.cli.arguments import UNKNOWN, check_writable
+from localization.cli.arguments import START_STD, UNKNOWN, check_writable
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import POSE, independent
 from localization.filters.odometry import with_parameters
@@ -83,7 +83,7 @@ def localize_recorded(options: argparse.Namespace) -> int:
         check_picture(options.picture)
     rows = without_echo(read_log(options.log), body.ring)
     # 2. Initial belief and models.
-    belief = independent(options.start or rows[0].odometry, options.start_std)
+    belief = independent(options.start or rows[0].odometry, options.start_std or START_STD)
     belief = with_parameters(belief, options.scale_std)
     sonar = SONARS[options.sonars or BUILDING_SETUP](body.ring)
     config = LocalizationConfig(world.walls, body, options.odometry_noise, sonar)

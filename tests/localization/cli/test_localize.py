@@ -384,8 +384,9 @@ def test_encoders_of_a_robot_that_drove_before_are_called_into_question(
 def test_assumed_rays_are_reported_and_refused_on_misfit(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As of a server, which does not report its setup."""
+    """As of a server, which does not report its setup, where the readings do not decide."""
     monkeypatch.setattr("localization.live.assumptions.sonar_model_of_address", lambda _: None)
+    monkeypatch.setattr("localization.cli.arguments.decide_by_readings", lambda sonars, *_: sonars)
     assert localize(NOISY, *TO_GOAL) == 0
     output = capsys.readouterr().out
     assert output.startswith("assuming that sonars measure exact rays, as this is a simulation")
@@ -400,6 +401,48 @@ def test_assumed_rays_are_reported_and_refused_on_misfit(
     assert "taken for" not in output
     assert localize(measured, *TO_GOAL, "--time-limit", "1", "--json") == 3
     assert json.loads(capsys.readouterr().out)["hint"] is None, "no hint from few readings"
+
+
+@pytest.mark.parametrize(("query", "words", "expected"), [
+    ("noisy=1&seed=1", [], "exact rays: 100% of the first readings"),
+    ("setup=measured&seed=1", [], "have cones: "),
+    ("setup=measured&seed=1", ["--start", "unknown"], "have cones: "),
+])  # fmt: skip
+def test_the_first_readings_decide_the_sonar_model(
+    query: str, words: list[str], expected: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As of a server, which does not report its setup."""
+    monkeypatch.setattr("localization.live.assumptions.sonar_model_of_address", lambda _: None)
+    address = f"sim:several_walls?{query}"
+    localize(address, "--map", "several_walls", "--waypoints", "5,0", "--time-limit", "0.2", *words)
+    assert expected in capsys.readouterr().out.splitlines()[0]
+
+
+def test_encoders_of_a_driven_robot_are_wide_and_searched(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As of a server's robot: it stands 30 in from the start of the map, on encoders that nobody has set."""
+    monkeypatch.setattr("localization.cli.arguments.is_lockstep", lambda _: False)
+    monkeypatch.setattr("localization.cli.arguments.time.sleep", lambda _: None)
+    address = "sim:thesis_room?noisy=1&seed=1&start=30,0,0,0"
+    run = [address, "--map", "thesis_room", "--waypoints", "35,0", "--time-limit", "0.2"]
+    localize(*run)
+    line = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("start ("))
+    assert "30 in or more since" in line
+    assert "method finder" in line
+    std_in = float(line.split("±")[1].split()[0])
+    assert 4.0 < std_in < 40.0
+    # A stated deviation is taken as it is.
+    localize(*run, "--start-std", "0.1,0.1,0.57")
+    assert "± 0.1 in 0.57 deg, from the encoders;" in capsys.readouterr().out
+
+
+def test_a_start_that_nothing_fits_ends_the_run_at_once(capsys: pytest.CaptureFixture[str]) -> None:
+    run = ["sim:several_walls?noisy=1&seed=1", "--map", "several_walls", "--start", "30,60,20", "--waypoints", "45,65"]
+    assert localize(*run, "--json") == 3
+    result = json.loads(capsys.readouterr().out)
+    assert "ranges fit the map at the start; check --map and --start" in result["stopped"]
+    assert result["duration_s"] < 4.0
 
 
 @pytest.mark.long
