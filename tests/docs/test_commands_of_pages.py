@@ -20,6 +20,7 @@ PAGES = sorted(DOCS.rglob("*.md"))
 TESTS_OF_PAGES = {
     "calibration.md": "docs/test_calibration_and_maps_pages.py",
     "c-programs.md": "docs/test_pages.py",
+    "examples.md": "docs/test_examples.py",
     "faults.md": "docs/test_pages.py",
     "files.md": "nclient/cli/test_schema.py",
     "from-c.md": "docs/test_from_c_page.py",
