@@ -197,7 +197,8 @@ async def test_replay_repeats_changes_of_obstacles_and_worlds(tmp_path: Path) ->
         control("wall", {"put": [[30, -20], [30, 20]]})
         server.daemon.step(1.5)
         await client.ask("gs")
-        far = "[[room]]\ncorners_in = [[500, 500], [600, 500], [600, 600], [500, 600]]\n[[start]]\nx_in = 550\ny_in = 550"
+        room = "[[room]]\ncorners_in = [[500, 500], [600, 500], [600, 600], [500, 600]]\n"
+        far = f"{room}[[start]]\nx_in = 550\ny_in = 550"
         control("world set", {"text": far, "file": "far.toml", "places": True})
         server.daemon.step(1.5)
         await client.ask("gs")
