@@ -19,9 +19,12 @@ from pathlib import Path
 from urllib.parse import quote
 
 from localization.cli import arguments
+from localization.filters.belief import Floats
 from localization.filters.sonar_cone import ConeSonar
 from localization.live.assumptions import resolve_body, resolve_robot_model, sonar_model_of_address
 from localization.live.plot import check_picture
+from localization.mapping.association import MapEstimate
+from localization.mapping.explore import Explorer
 from localization.mapping.learn import ROUGHNESS_IN, MapLearner
 from localization.mapping.live import LiveMapper
 from localization.mapping.measurements import DriveCollector, DriveLog, read_drive
@@ -37,7 +40,8 @@ from nclient.connector import address_or_default
 from nclient.errors import OutputFileError
 from nclient.url import split_address
 from worlds.io import format_world, parse_world
-from worlds.robots import format_calibration
+from worlds.map_files import MapsExtraMissing
+from worlds.robots import BODIES, Body, format_calibration
 
 DRIVES = ("auto", "manual")
 PRINT_S = 5.0
@@ -50,12 +54,12 @@ TURN_RAD_S = 0.6
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `nomad map learn`."""
     parser.description = (
-        "Make a map of the room by driving, without any map. The robot drives to way-points on the map as it grows, a "
-        "person drives it (--drive manual), or a recorded drive is read (--from). Keep the emergency button at hand."
+        "Make a map of the room by driving, without any map. The robot explores the room by itself or drives to "
+        "way-points, a person drives it (--drive manual), or a recorded drive is read (--from). Keep the emergency "
+        "button at hand."
     )
     parser.epilog = (
-        "example: nomad map learn 'sim:thesis_room?setup=measured&seed=1' --waypoints 60,40 80,80 5,80 5,5 80,5 "
-        "--out room.toml"
+        "example: nomad map learn 'sim:thesis_room?setup=measured&seed=1' --out room.toml"
     )
     parser.set_defaults(refuse=parser.error)
     parser.add_argument(
@@ -82,7 +86,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     live.add_argument(
         "--waypoints", nargs="+", type=arguments.parse_point, metavar="X,Y",
         help="drive to these positions in order, inches from the start, x ahead and y to the left; what is in the way "
-        "ends a leg, and the next one follows",
+        "ends a leg, and the next one follows (default: explore the room)",
     )  # fmt: skip
     live.add_argument("--drive", choices=DRIVES, default="auto",
                       help="manual: a person drives, from the page or nomad shell, until Ctrl-C or the time limit; "
@@ -132,7 +136,7 @@ def _learn(options: argparse.Namespace, log: DriveLog, recordings: list[Path]) -
     while not learner.is_complete:
         learner.advance()
     learner.finish()
-    found = describe(learner.estimate, learner.turret_rad, learner.rest)
+    found = describe(learner.estimate, learner.turret_rad, learner.rest, _unexplored(learner.estimate, log.model))
     # The picture also shows why a map is refused.
     if options.picture is not None:
         draw_learned(options.picture, found, learner.estimate)
@@ -144,6 +148,13 @@ def _learn(options: argparse.Namespace, log: DriveLog, recordings: list[Path]) -
         print(f"nomad map learn: no map written: {reason}", file=sys.stderr)
         return ExitCode.UNFIT
     return ExitCode.DONE
+
+
+def _unexplored(estimate: MapEstimate, model: str) -> Floats | None:
+    """Return where the room goes on beyond the map; None without the extra that finds it."""
+    with contextlib.suppress(MapsExtraMissing):
+        return Explorer(BODIES[model].radius_in, SPEED_IN_S, math.inf).unexplored(estimate)
+    return None
 
 
 def _has_rays(options: argparse.Namespace) -> bool:
@@ -158,7 +169,7 @@ def _has_rays(options: argparse.Namespace) -> bool:
 
 def _drive(options: argparse.Namespace) -> tuple[list[Path], ExitCode]:
     """Drive the robot and record it; return the recordings, those of --resume first, and the exit code."""
-    driver = _driver(options)
+    _check_way(options)
     address, record = _recorded_address(options)
     before = read_drive(*options.resume) if options.resume else None
     if options.resume and record.resolve() in [path.resolve() for path in options.resume]:
@@ -167,9 +178,11 @@ def _drive(options: argparse.Namespace) -> tuple[list[Path], ExitCode]:
     robot, _ = arguments.open_robot(address)
     with contextlib.ExitStack() as stack:
         # A robot that a person drives is not stopped.
-        stack.callback(robot.disconnect) if driver is None else stack.enter_context(robot)
+        stack.callback(robot.disconnect) if options.drive == "manual" else stack.enter_context(robot)
+        body = resolve_body(resolve_robot_model(None, robot.model.name, options.address), None, options.address)
+        driver = _driver(options, body)
         try:
-            last, log = _follow(robot, driver, before, options)
+            last, log = _follow(robot, body, driver, before, options)
         except (KeyboardInterrupt, TerminatedBySignal):
             again = " ".join(str(path) for path in [*(options.resume or []), record])
             print(f"nomad map learn: stopped; the drive is in {record}: --from {again} makes the map, "
@@ -184,18 +197,23 @@ def _drive(options: argparse.Namespace) -> tuple[list[Path], ExitCode]:
     return [*(options.resume or []), record], result
 
 
-def _driver(options: argparse.Namespace) -> Driver | None:
-    """Return what chooses the way; None if a person drives."""
-    if options.drive == "manual":
-        if options.waypoints:
-            options.refuse("--drive manual: a person drives; omit --waypoints")
-        return None
-    if not options.waypoints:
-        options.refuse("where to drive is required: --waypoints X,Y ..., or --drive manual, or --from RECORDING")
-    outside = [point for point in options.waypoints if options.geofence and not options.geofence.contains(*point)]
+def _check_way(options: argparse.Namespace) -> None:
+    """Refuse options that contradict each other."""
+    if options.drive == "manual" and options.waypoints:
+        options.refuse("--drive manual: a person drives; omit --waypoints")
+    points = options.waypoints or []
+    outside = [point for point in points if options.geofence and not options.geofence.contains(*point)]
     if outside:
         options.refuse(f"way-point {outside[0][0]:g},{outside[0][1]:g} is outside of --geofence")
-    return WaypointDriver(options.waypoints)
+
+
+def _driver(options: argparse.Namespace, body: Body) -> Driver | None:
+    """Return what chooses the way; None if a person drives."""
+    if options.drive == "manual":
+        return None
+    if options.waypoints:
+        return WaypointDriver(options.waypoints)
+    return Explorer(body.radius_in, options.speed, options.time_limit, options.geofence)
 
 
 def _recorded_address(options: argparse.Namespace) -> tuple[str, Path]:
@@ -211,10 +229,9 @@ def _recorded_address(options: argparse.Namespace) -> tuple[str, Path]:
 
 
 def _follow(
-    robot: Robot, driver: Driver | None, before: DriveLog | None, options: argparse.Namespace
+    robot: Robot, body: Body, driver: Driver | None, before: DriveLog | None, options: argparse.Namespace
 ) -> tuple[SurveyStep, SurveyLog]:
     """Drive until the end and print progress; return the last period and the log."""
-    body = resolve_body(resolve_robot_model(None, robot.model.name, options.address), None, options.address)
     rays = _has_rays(options)
 
     def mapper_of(collector: DriveCollector) -> LiveMapper:

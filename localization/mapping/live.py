@@ -128,10 +128,7 @@ class LiveMapper:
         """Walls (w, 4) as far as they were seen, and points as short ones."""
         if self.estimate is None:
             return np.zeros((0, 4))
-        state = self.estimate.state
-        half = np.array((POST_IN, 0.0))
-        posts = np.concatenate((state.points - half, state.points + half), axis=1)
-        return np.concatenate((segments_of(state.walls, self.estimate.extents), posts.reshape(-1, 4)))
+        return walls_and_posts(self.estimate)
 
     @property
     def is_sound(self) -> bool:
@@ -230,6 +227,13 @@ class LiveMapper:
         while not learner.is_complete:
             learner.advance()
         return min(estimate, learner.estimate, key=lambda candidate: candidate.cost)
+
+
+def walls_and_posts(estimate: MapEstimate) -> Floats:
+    """Return the walls (w, 4) of a map as far as they were seen, and its points as short ones."""
+    points, half = estimate.state.points, np.array((POST_IN, 0.0))
+    posts = np.concatenate((points - half, points + half), axis=1).reshape(-1, 4)
+    return np.concatenate((segments_of(estimate.state.walls, estimate.extents), posts))
 
 
 def _common(one: Indices, other: Indices) -> int:

@@ -60,6 +60,8 @@ class LearnedMap:
     quality: Quality
     turret_rad: float
     rest: Floats = field(default_factory=lambda: np.zeros(POSE))
+    unexplored: Floats | None = None
+    """Places (n, 2) beyond which the room goes on; None if they were not looked for."""
 
     @property
     def pose(self) -> Floats:
@@ -124,6 +126,7 @@ class LearnedMap:
             ],
             "points_in": self.points.tolist(),
             "open_ends_in": self.open_ends,
+            "unexplored_in": None if self.unexplored is None else self.unexplored.tolist(),
             "pose": self.pose.tolist(),
             "explained": self.quality.explained,
             "chi_square": self.quality.chi_square,
@@ -135,7 +138,9 @@ class LearnedMap:
         }
 
 
-def describe(estimate: MapEstimate, turret_rad: float = 0.0, rest: Floats | None = None) -> LearnedMap:
+def describe(
+    estimate: MapEstimate, turret_rad: float = 0.0, rest: Floats | None = None, unexplored: Floats | None = None
+) -> LearnedMap:
     """Return the map of an estimate in its own frame.
 
     Parameters
@@ -146,6 +151,8 @@ def describe(estimate: MapEstimate, turret_rad: float = 0.0, rest: Floats | None
         Angle of the turret from the heading at the end.
     rest
         What the robot has moved after the last pose (3,).
+    unexplored
+        Places (n, 2) beyond which the room goes on, in the frame of the estimate.
     """
     walls = extract_walls(estimate)
     # 1. The frame: the origin stays, the axes turn to the longest walls.
@@ -157,7 +164,11 @@ def describe(estimate: MapEstimate, turret_rad: float = 0.0, rest: Floats | None
     points = rotate(estimate.state.points, np.full(len(estimate.state.points), -turn))
     turned = [replace(wall, ends=rotate(wall.ends, np.full(2, -turn))) for wall in walls]
     rest = np.zeros(POSE) if rest is None else rest
-    return LearnedMap(tuple(turned), points, path, calibration_of(estimate), quality_of(estimate), turret_rad, rest)
+    if unexplored is not None:
+        unexplored = rotate(unexplored, np.full(len(unexplored), -turn))
+    return LearnedMap(
+        tuple(turned), points, path, calibration_of(estimate), quality_of(estimate), turret_rad, rest, unexplored
+    )
 
 
 def quality_of(estimate: MapEstimate) -> Quality:
@@ -245,5 +256,7 @@ def summary(found: LearnedMap) -> str:
         f"{len(found.walls)} walls from {length:.0f} in of driving; {found.quality.explained:.0%} of the ranges "
         f"explained, chi-square {found.quality.chi_square:.2f} (1 is right)"
     )
+    if found.unexplored is not None:
+        lines += [f"not explored beyond ({x:.0f}, {y:.0f})" for x, y in found.unexplored]
     lines += [f"open end at ({x:.1f}, {y:.1f}): drive there to find its corner" for x, y in found.open_ends]
     return "\n".join(lines)

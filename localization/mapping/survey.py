@@ -42,6 +42,10 @@ ASIDE_RAD: Final = radians(80.0)
 """What lies farther aside is not approached."""
 DEAD_ZONE_RAD: Final = radians(60.0)
 """A reading at the lower limit of 6 in may be anything from 0 to 6: nearer to the direction than this it blocks."""
+BLIND_IN: Final = 8.0
+"""Beside a wall nearer than sonars measure a leg goes on for this far: at up to 30 degrees off its direction the body
+comes 4 in nearer, of the 5.3 in that it has."""
+BLIND_IN_S: Final = 3.0
 GAP_IN_S: Final = 2.0
 PASSED_IN: Final = (2.0, 4.0, 6.0)
 """Through a gap narrower than sonars measure: speed, and how far ahead the map must show space."""
@@ -81,6 +85,8 @@ class SpeedGuard:
     def __init__(self, body: Body) -> None:
         self._ring_in, self.body_in, self._shortest_in = body.ring.radius_in, body.radius_in, body.ring.min_range_in
         self._walls: deque[tuple[float, float, float, float]] = deque()
+        self.is_blind = False
+        """True if something was nearer aside than sonars measure, at the last question."""
 
     def add(self, clock_s: float, encoders: Floats, axis_rad: float, reading_in: float) -> None:
         """Take a reading into account, of a sonar with this axis at an encoder pose."""
@@ -91,7 +97,7 @@ class SpeedGuard:
 
     def free_in(self, encoders: Floats, direction_rad: float) -> float:
         """Return how far the body may move from an encoder pose in a direction; inf if nothing is ahead."""
-        nearest = inf
+        nearest, self.is_blind = inf, False
         for _, axis, distance, reading in self._walls:
             off = max(abs(angle_difference(direction_rad, axis)) - HALF_CONE_RAD, 0.0)
             if off > ASIDE_RAD:
@@ -99,6 +105,7 @@ class SpeedGuard:
             if reading <= self._shortest_in:
                 if off < DEAD_ZONE_RAD:
                     return 0.0
+                self.is_blind = True
                 continue
             gap = distance - float(encoders[0] * np.cos(axis) + encoders[1] * np.sin(axis)) - self.body_in
             nearest = min(nearest, (gap - GUARD_MARGIN_IN) / cos(off))
@@ -108,8 +115,13 @@ class SpeedGuard:
 class Driver(Protocol):
     """Where to drive next. `leg` returns the points of the next path, None at the end."""
 
-    def leg(self, clock_s: float, pose: Floats, mapper: LiveMapper) -> list[Point] | None:
-        """Return the way-points of the next path from a pose; None if there is nothing left to do."""
+    def leg(
+        self, clock_s: float, pose: Floats, mapper: LiveMapper, free_in: Callable[[float], float]
+    ) -> list[Point] | None:
+        """Return the way-points of the next path from a pose; None if there is nothing left to do.
+
+        `free_in(direction_rad)` is the way that the sonars show to be free in a direction of the map.
+        """
         ...
 
     def end_leg(self, pose: Floats, reason: str) -> None:
@@ -130,7 +142,9 @@ class WaypointDriver:
         """Way-points to come."""
         return self._waypoints
 
-    def leg(self, clock_s: float, pose: Floats, mapper: LiveMapper) -> list[Point] | None:  # noqa: ARG002
+    def leg(
+        self, clock_s: float, pose: Floats, mapper: LiveMapper, free_in: Callable[[float], float]  # noqa: ARG002
+    ) -> list[Point] | None:
         """Return the next way-point."""
         return [self._waypoints[0]] if self._waypoints else None
 
@@ -200,6 +214,7 @@ class _Motion:
         self._blocked_s = inf
         self._speed_in_s = 0.0
         self._back_off: tuple[float, Floats, float] | None = None
+        self._blind_since: Floats | None = None
         self.log = SurveyLog()
 
     def command(
@@ -222,10 +237,11 @@ class _Motion:
             self._back_off = None
         # 2. The next leg.
         if self._leg is None:
-            points = self._driver.leg(elapsed_s, pose, mapper)
+            turned = float(encoders[2] - pose[2])
+            points = self._driver.leg(elapsed_s, pose, mapper, lambda way: self._guard.free_in(encoders, way + turned))
             if points is None:
                 return "done"
-            self._leg, self._blocked_s = _Leg(pose, points, self._limits), inf
+            self._leg, self._blocked_s, self._blind_since = _Leg(pose, points, self._limits), inf, None
         command = self._leg.command(pose)
         if command is None:
             self._leg = None
@@ -257,6 +273,14 @@ class _Motion:
         back = pi if speed < 0.0 else 0.0
         free_in = self._guard.free_in(encoders, float(encoders[2]) + back)
         allowed = free_in / REACTION_S
+        # Beside a wall that is too near to measure, neither far nor fast.
+        if not self._guard.is_blind:
+            self._blind_since = None
+        elif self._blind_since is None:
+            self._blind_since = encoders
+        if self._blind_since is not None:
+            blind_in = hypot(*(encoders - self._blind_since)[:2])
+            allowed = 0.0 if blind_in > BLIND_IN else min(allowed, BLIND_IN_S)
         if allowed < GAP_IN_S and self._fits(pose, float(pose[2]) + back, mapper):
             allowed = GAP_IN_S
         if self._fence is not None:
@@ -326,7 +350,8 @@ def survey(
             pose = mapper.pose(encoders) if mapper.is_ready else None
             # 3. Where to: nowhere before the first pose.
             command: VelocityCommand | str = STAND
-            if motion is not None and pose is not None:
+            # A turn of the ring, so that the guard has seen everything.
+            if motion is not None and pose is not None and len(collector) >= body.ring.count:
                 command = motion.command(elapsed_s, state, encoders[:3], pose, mapper)
             if isinstance(command, str):
                 yield SurveyStep(elapsed_s, state, pose, command), mapper, log
