@@ -18,7 +18,7 @@ def test_controls_have_names_and_tab_order(browser: Browser) -> None:
         page.page.evaluate("for (const one of document.querySelectorAll('details')) one.open = true")
         page.page.wait_for_timeout(200)
         assert page.value(NAMED) == []
-        places = []
+        places: list[str] = []
         # Once around the page.
         while len(places) < 150 and places.count("Stop mine") < 2:
             page.page.keyboard.press("Tab")
