@@ -349,9 +349,8 @@ def _add_accuracy(estimate: MapEstimate, pieces: list[Piece], lines: list[_Line]
                 continue
             along, place = lines[piece.line].along, piece.ends[end]
             rigid = np.array((along[0], along[1], along[1] * place[0] - along[0] * place[1]))
-            end_row = -(rigid @ gauge)
-            end_row[: len(derivative)] += derivative
-            stds[end] = float(np.sqrt(max(end_row @ covariance @ end_row, 0.0)))
+            end_row = np.concatenate((derivative, np.zeros(len(covariance) - len(derivative)))) - rigid @ gauge
+            stds[end] = max(float(end_row @ covariance @ end_row), 0.0) ** 0.5
         piece.end_stds_in = (stds[0], stds[1])
 
 
