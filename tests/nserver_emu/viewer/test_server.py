@@ -16,9 +16,9 @@ from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.runtime_settings import read_world_file
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.limits import Limits
+from nserver_emu.viewer import server
 from nserver_emu.viewer.auth import HTTP_LOG, is_known_host, is_same_origin
 from nserver_emu.viewer.messages import DRIVE_TIMEOUT_S
-from nserver_emu.viewer import server
 from nserver_emu.viewer.server import PERIOD_S, ViewerServer, next_due
 from tests.nserver_emu.server.wire_client import simulation
 from tests.nserver_emu.viewer.page_client import HOST, elsewhere, serve_viewer
