@@ -186,8 +186,8 @@ class Connector:
                 return tcp.TcpStream(address.host, address.port, connect_timeout_s)
             case "robotd":
                 return tcp.TcpStream(address.host, address.port, connect_timeout_s, served_by=tcp.ROBOT_LINE)
-            case "serial":
-                return serial.SerialStream(address.path, address.options.baud or serial.DEFAULT_BAUD)
+            case "serial" | "serial+rfc2217" | "serial+socket":
+                return serial.open_port(address.path, address.options.baud or serial.DEFAULT_BAUD)
             # In this process.
             case "replay":
                 return self._open_replay()
@@ -259,8 +259,10 @@ class Connector:
         if plan is None:
             return self._injector
         if self.plan_injector is None:
-            require_rules_for(self.address.scheme, plan)
-            self.plan_injector = Injector(plan, self.address.scheme, time.monotonic())
+            # A fault plan has one kind of line for all serial ports.
+            kind = self.address.scheme.partition("+")[0]
+            require_rules_for(kind, plan)
+            self.plan_injector = Injector(plan, kind, time.monotonic())
         injector = self.plan_injector
         return lambda: injector
 

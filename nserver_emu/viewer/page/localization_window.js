@@ -52,7 +52,7 @@ export const localizationWindow = {
     return element('div', { className: 'acts', role: 'group', ariaLabel: 'Waypoints' },
       form(() => app.setWaypoints([...remainingWaypoints(app), roundToTenths(this.point.map(({ inches }) => inches))]),
         element('div', { className: 'row' }, ...this.point.map(({ label }) => label), element('button', { id: 'add-waypoint' }, 'Add waypoint'))),
-      element('div', { className: 'row' }, button('By pointer', () => app.chooseTool('waypoint'), { ariaLabel: 'Waypoints by pointer' }),
+      element('div', { className: 'row' }, 
         button('Clear waypoints', () => app.setWaypoints([]), { id: 'clear-waypoints' })),
       this.list);
   },

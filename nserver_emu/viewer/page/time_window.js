@@ -4,7 +4,7 @@ import { element, button, field, form } from './widgets.js';
 import { control } from './commands.js';
 
 export const timeWindow = {
-  id: 'time', title: 'Time and faults', acts: true,
+  id: 'time', title: 'Time and faults', closed: true,
   build(box, app) {
     const send = (command, argument) => control(app, command, argument);
     this.pause = button('Pause', () => send(app.scene.paused ? 'resume' : 'pause'), { id: 'pause' });

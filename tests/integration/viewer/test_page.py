@@ -100,7 +100,7 @@ def test_escape_and_space_stop(browser: Browser) -> None:
         page.page.keyboard.press("a", delay=200)
         page.wait(still)
         failing = """import('/page/estop.js').then((m) =>
-            m.stopAll({ request: async () => ({ ok: false, error: 'not connected' }) }))"""
+            m.stop({ request: async () => ({ ok: false, error: 'not connected' }) }))"""
         assert page.value(failing) == "NOT STOPPED — not connected"
 
 
@@ -209,7 +209,14 @@ EXPRESSIONS: list[tuple[str, str, Any]] = [
       "ignored": "7 motion commands ignored."}),
     ("estop.js", "m.bannerTexts({ 1: {}, 2: { held: { by: 'b', ignored: 0 } } }, 'a')",
      {"state": "Stopped: robot 2 does not move until Release. Stopped by b.", "ignored": ""}),
+    ("estop.js", "[m.robotsToRelease({ 1: { held: { by: 'a' } }, 2: { held: { by: 'b' } }, 3: {} }, 'a'), "
+     "m.robotsToRelease({ 1: { held: { by: 'a' } } }, 'a'), m.robotsToRelease({ 1: { held: { by: 'b' } } }, 'a')]",
+     [[1], [None], [None]]),
     ("geometry.js", "m.cornersError([[0, 0], [9, 0], [9, 9], [0, 9]])", ""),
+    ("geometry.js", "m.wallsWithin({ walls: [[0, 0, 0, 9], [50, 0, 50, 9]], "
+     "obstacles: [{ corners: [[3, 0], [4, 0], [3, 60]] }] }, 0, 0, 20).length", 4),
+    ("geometry.js", "m.wallDistances([[4, -9, 4, 9], [8, -9, 8, 9], [-1, 3, 20, 3]], 1, 0, "
+     "[0, Math.PI / 2, Math.PI, Math.atan2(4, 3)], 30).map((each) => Number(each.toFixed(6)))", [3, 3, 30, 3.75]),
     ("geometry.js", "m.isFree({ rooms: [{ corners: [[0, 0], [9, 0], [9, 9]] }], obstacles: [] }, 8, 2)", True),
     ("geometry.js", "m.isFree({ rooms: [{ corners: [[0, 0], [9, 0], [9, 9]] }], obstacles: [] }, 2, 8)", False),
     ("robot_windows.js",
