@@ -16,7 +16,10 @@ import json
 import logging
 from collections import Counter, deque
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any, Final
+
+import numpy as np
 
 from nclient.errors import REFUSALS, NomadError
 from nclient.faults.frames import Language, TcpLanguage
@@ -38,6 +41,7 @@ from nserver_emu.viewer.error_boundary import ErrorBoundary
 from nserver_emu.viewer.localizers import Localizers
 from nserver_emu.viewer.messages import parse_estimate
 from nserver_emu.viewer.traffic import TrafficMonitor
+from worlds.io import SHIPPED, load_world, world_names
 
 log = logging.getLogger(__name__)
 
@@ -205,6 +209,20 @@ class ViewerClients:
             raise
 
 
+@lru_cache(maxsize=1)
+def shipped_worlds() -> Answer:
+    """Return name, title, file and walls in whole inches of every shipped world."""
+    worlds = [(name, load_world(name)) for name in world_names()]
+    return {
+        "ok": True,
+        "worlds": [
+            {"name": name, "title": world.title, "text": (SHIPPED / f"{name}.toml").read_text(encoding="utf-8"),
+             "walls": np.rint(world.walls.reshape(-1, 4)).astype(int).tolist()}
+            for name, world in worlds
+        ],
+    }  # fmt: skip
+
+
 STALE_S: Final = 60.0
 """Age in real seconds from which an estimate is not shown to new pages."""
 
@@ -222,6 +240,7 @@ class ViewerController:
         self._waypoints_set: Counter[int] = Counter()
         self._clients: dict[Viewer, ViewerClients] = {}
         self._worlds_being_read: dict[Viewer, asyncio.Task[bytes]] = {}
+        self._reading: set[asyncio.Task[Answer]] = set()
         self._published: dict[int, tuple[float, dict[str, Any]]] = {}
         self.localizers = Localizers(daemon, self._send_localizers)
         # The monitor takes the recorder's place and passes everything on to it.
@@ -265,7 +284,7 @@ class ViewerController:
 
     def close(self) -> None:
         """Restore the daemon's own recorder, and drop worlds that are still being read."""
-        for reading in self._worlds_being_read.values():
+        for reading in (*self._worlds_being_read.values(), *self._reading):
             reading.cancel()
         self.daemon.recorder = self.traffic_monitor.inner
 
@@ -330,12 +349,27 @@ class ViewerController:
                 self.robots(message.robot)
                 self.localizers.start(message.robot, message.method, is_lost=message.is_lost, resumes=message.resumes)
                 _replier(viewer, message.id)({"ok": True})
+            case messages.Gallery():
+                self._answer_in_thread(viewer, message.id, shipped_worlds)
             case messages.Kidnap():
                 self.robots(message.robot)
                 self._kidnap(viewer, message)
             case messages.Unlocalize():
                 self.localizers.stop(message.robot)
                 _replier(viewer, message.id)({"ok": True})
+
+    def _answer_in_thread(self, viewer: Viewer, number: int, read: Callable[[], Answer]) -> None:
+        """Send a viewer the answer that a function returns, which reads files in a thread."""
+        reading = asyncio.create_task(asyncio.to_thread(read))
+        self._reading.add(reading)
+
+        def finish(reading: asyncio.Task[Answer]) -> None:
+            self._reading.discard(reading)
+            if not reading.cancelled():
+                with self.error_boundary.guard("files for a page", viewer.name):
+                    _replier(viewer, number)(reading.result())
+
+        reading.add_done_callback(finish)
 
     def _kidnap(self, viewer: Viewer, message: messages.Kidnap) -> None:
         """Place a robot, and set its encoders back to what they were: three calls in one turn of the event loop."""

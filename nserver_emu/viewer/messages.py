@@ -23,6 +23,7 @@ from the page, by `do`
                  viewers and this page (server/estop.py)
     release      id, robot (left out: all): allow motions again
     control      id, command, argument: time, faults, noise, world (control/commands.py)
+    gallery      id: the shipped worlds, worlds: [{name, title, text of the file, walls} ...]
     click        robot, pose: x, y, steer, turret in tenths
     localize     id, robot, method, is_lost, resumes: start its localizer, in place of one that runs (localizers.py);
                  is_lost: it finds the pose itself; resumes: it begins with the estimate of the one before
@@ -91,7 +92,7 @@ Call = Literal[
 ]  # fmt: skip
 Control = Literal[
     "status", "pause", "resume", "speed", "step", "faults show", "faults set", "faults clear", "faults counts", "noise",
-    "world show", "world set", "obstacle",
+    "world show", "world set", "obstacle", "wall",
 ]  # fmt: skip
 """Control commands of the page: all but those that write files."""
 LocalizationMethod = Literal["ekf", "iekf", "ukf", "smoother", "mcl", "finder", "offsets"]
@@ -179,6 +180,10 @@ class Localize(_Request, tag="localize"):
     resumes: bool = False
 
 
+class Gallery(_Request, tag="gallery"):
+    """Send the shipped worlds."""
+
+
 class Unlocalize(_Request, tag="unlocalize"):
     """End the localizer of a robot."""
 
@@ -201,7 +206,7 @@ class Waypoints(_Message, tag="waypoints"):
 
 Message = (
     Seen | Watch | CallRobot | Drive | Stop | Release | ControlServer | Click | Waypoints | Localize | Unlocalize
-    | Kidnap
+    | Kidnap | Gallery
 )
 
 

@@ -15,6 +15,8 @@ const MIN_KIDNAP_RADII = 4, KIDNAP_ATTEMPTS = 2000;
 export function localizerControls(app, stateOf) {
   const method = element('select', { id: 'method' }, ...Object.entries(METHODS).map(([name, title]) => element('option', { value: name }, title)));
   const start = (isLost, resumes = false) => callLocalizer(app, { do: 'localize', method: method.value, is_lost: isLost, resumes });
+  // Start a localizer that runs again, on the present map.
+  app.restartLocalizer = () => { if (isActive(stateOf())) start(false); };
   const buttons = {
     localize: button('Localize', () => start(false), { id: 'localize', title: 'Start the filter at the pose of the encoders' }),
     find: button('Find', () => start(true), { id: 'find', title: 'Start without a pose: the robot drives until it has found itself (method finder)' }),

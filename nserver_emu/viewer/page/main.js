@@ -149,7 +149,10 @@ function onPoseRequests(robots) {
 }
 
 function onPicture(picture) {
+  const before = app.scene.world?.name;
   applyPicture(app.scene, picture);
+  // Another world is shown as a whole.
+  if (before !== undefined && app.scene.world.name !== before) app.map.fitted = false;
   if ('world' in picture) part('world-name').textContent = picture.world.title || picture.world.name;
   if ('bodies' in picture) listRobots();
   updateBanner();

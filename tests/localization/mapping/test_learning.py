@@ -133,7 +133,6 @@ def test_recorded_drive_becomes_a_map_that_localizes(
     assert out.read_text() == first
 
 
-@pytest.mark.long
 def test_refused_map_is_not_written(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     # Readings of a cone taken for rays and odometry that is said to be perfect: nothing holds together.
     out = tmp_path / "room.toml"
