@@ -137,8 +137,10 @@ async def test_vanished_client_stops_its_robot() -> None:
         async with here.client() as client:
             await client.drive(0.127)
             await here.until(lambda: any(here.robot.moving))
-            assert client.socket._response.connection is not None
-            client.socket._response.connection.transport.abort()
+            connection = client.socket._response.connection
+            assert connection is not None
+            assert connection.transport is not None
+            connection.transport.abort()
         await here.until(lambda: not any(here.robot.moving))
 
 
@@ -273,7 +275,8 @@ def test_wheels_of_a_scout() -> None:
     state = [0] * 45
     state[38:40] = args[:2]
     speed, turn = Reading(1, state, True, 0.0).velocity
-    assert (speed, turn) == (pytest.approx(0.127, abs=0.002), pytest.approx(0.5, abs=0.02))
+    assert speed == pytest.approx(0.127, abs=0.002)
+    assert turn == pytest.approx(0.5, abs=0.02)
     assert args[0] > args[1]
     assert topics.velocities({"linear": {"x": 1e9}}, False) == [32767, 0, 0]
 
