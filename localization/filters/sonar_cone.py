@@ -103,6 +103,7 @@ class ConeSonar(RangeNoise):
         Standard deviation and correlation length of the surface of walls (surface.py); 0: walls are where the map says.
     """
 
+    range_std_relative: float = 0.0125
     rounding_var_in2: float = WIRE_SONAR.rounding_var_in2
     place_var_in2: float = 0.04
     lowest_in: float = NOMAD.min_range_in
