@@ -3,7 +3,7 @@
     python benchmarks/modbus.py [--rounds N] [--calls N] [--json]
 
 Target: 2.5 times the round trips of pymodbus. Both servers run in an event loop of their own thread, both clients are
-the blocking ones; the sides take turns. Needs `pip install pymodbus`.
+the blocking ones; the sides take turns. Needs `pip install -e '.[bench]'`.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ from nserver_emu.simulation.models import N150
 from worlds.world import World
 
 M_PER_IN: Final = 0.0254
-INSTALL: Final = "ir-sim is not installed: pip install 'nomad-nserver[bench]'"
+INSTALL: Final = "ir-sim is not installed: pip install -e '.[bench]'"
 SPEED_IN_S, TURN_RAD_S = 10.0, 0.75
 """A circle of 13 in radius around a point with 40 in of free space."""
 

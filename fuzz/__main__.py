@@ -118,7 +118,7 @@ def _load_readers(*, instrumented: bool) -> dict[str, Reader]:
     try:
         import atheris
     except ImportError:
-        raise SystemExit("scripts/fuzz needs atheris (Linux, Python 3.11 to 3.13): pip install 'nomad-nserver[dev]'; "
+        raise SystemExit("scripts/fuzz needs atheris (Linux, Python 3.11 to 3.13): pip install -e '.[dev]'; "
                          "or use --blind") from None  # fmt: skip
     with contextlib.redirect_stderr(io.StringIO()), atheris.instrument_imports(include=list(PACKAGES)):
         from fuzz.readers import READERS

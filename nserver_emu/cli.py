@@ -258,7 +258,8 @@ def _list_worlds() -> None:
         world = load_world(name)
         width_in, height_in = np.ptp(world.walls.reshape(-1, 2), axis=0)
         size = f"{width_in:.0f} x {height_in:.0f} in ({0.0254 * width_in:.3g} x {0.0254 * height_in:.3g} m)"
-        print(f"{name:16} {world.title}\n{'':16} {size}, {len(world.walls)} walls, {len(world.starts)} starts")
+        starts = "1 start" if len(world.starts) == 1 else f"{len(world.starts)} starts"
+        print(f"{name:16} {world.title}\n{'':16} {size}, {len(world.walls)} walls, {starts}")
         if has_dots:
             print(indent(braille_picture(world, *LIST_PICTURE), " " * 17))
 

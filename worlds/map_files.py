@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from nclient.common.hints import install_command
 from nclient.errors import ExtraMissing, MapFileError
 from worlds.cells import MAX_CELLS, Cell, OccupancyGrid, cells_of_world, roomiest_place, walls_of_cells
 from worlds.geometry import FloatArray, area, crossing, lengths, polygon_segments, polyline_segments
@@ -124,7 +125,7 @@ def _extra_needed(path: Path) -> Iterator[None]:
     try:
         yield
     except ModuleNotFoundError as error:
-        raise MapsExtraMissing(f"{path}: this needs {error.name}: pip install 'nomad-nserver[maps]'") from error
+        raise MapsExtraMissing(f"{path}: this needs {error.name}: {install_command('maps')}") from error
 
 
 class MapsExtraMissing(ExtraMissing):

@@ -142,6 +142,11 @@ class World:
         for name, value in derived.items():
             object.__setattr__(self, name, value)
 
+    def _repr_html_(self) -> str:
+        from worlds.picture import world_svg  # only notebooks need it
+
+        return world_svg(self)
+
     def with_obstacles(self, obstacles: Iterable[Polygon]) -> World:
         """Return this world with other obstacles; fixed walls keep their rows.
 

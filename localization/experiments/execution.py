@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import math
 import multiprocessing
-import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed, wait
 from contextlib import contextmanager
@@ -23,6 +22,7 @@ import numpy as np
 
 from localization.experiments.figure_trial import Figure, FigureResult, figure_result, figure_setup, join_results, run
 from nclient.common.files import write_atomic
+from nclient.common.hints import install_command
 from nclient.errors import ExtraMissing, NomadError, OutputFileError
 
 Item = TypeVar("Item")
@@ -79,7 +79,7 @@ def on_cluster(
         # Imported here because Dask is optional.
         from distributed import Client, as_completed
     except ImportError as error:
-        message = "a cluster needs Dask distributed: pip install 'nomad-nserver[cluster]', or use --jobs"
+        message = f"a cluster needs Dask distributed: {install_command('cluster')}; or use --jobs"
         raise ClusterExtraMissing(message) from error
     try:
         client = Client(address, timeout=CONNECT_TIMEOUT_S)
@@ -109,13 +109,13 @@ Tally = Callable[[int], None]
 
 @contextmanager
 def progress(total: int, title: str, unit: str) -> Iterator[Tally]:
-    """Show a progress bar from 0 to `total` on stderr; without tqdm show nothing."""
+    """Show a progress bar from 0 to `total` on stderr; show nothing there without tqdm or a terminal."""
     try:
         from tqdm import tqdm
     except ImportError:
         yield lambda _: None
         return
-    with tqdm(total=total, desc=title, unit=f" {unit}", unit_scale=True, file=sys.stderr) as bar:
+    with tqdm(total=total, desc=title, unit=f" {unit}", unit_scale=True, disable=None) as bar:
 
         def advance(done: int) -> None:
             # tqdm takes increments, and the amount of work is an estimate that may be exceeded.

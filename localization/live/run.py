@@ -20,6 +20,8 @@ from localization.live.localizer import Echo, Estimate
 from localization.live.sensor_input import MAX_GAP_S
 from nclient.robot import Robot
 
+MAX_MOMENTS = 36_000
+"""Periods of a run in memory: an hour. Results of a longer run, which stays on a page, are those of its end."""
 MAX_HYPOTHESES = 4
 """Largest number of hypotheses in a line of output."""
 Pose = tuple[float, float, float]
@@ -79,6 +81,8 @@ class Run:
         Why the run was given up; "" if it was not.
     sonars
         Assumed sonar model.
+    start
+        Where the start pose comes from: resume, start, encoders or unknown.
     alike
         Poses (3,) that look like the start.
     """
@@ -87,11 +91,19 @@ class Run:
     moments: list[RunMoment] = field(default_factory=list)
     stopped: str = ""
     sonars: SonarAssumption = ASSUME_CONES
+    start: str = ""
     alike: Sequence[Floats] = ()
 
+    def __post_init__(self) -> None:
+        self._begin_s: float | None = None
+
     def add(self, moment: RunMoment) -> None:
-        """Append a period."""
+        """Append a period; after MAX_MOMENTS the oldest are forgotten."""
+        if self._begin_s is None:
+            self._begin_s = moment.estimate.clock_s
         self.moments.append(moment)
+        if len(self.moments) > MAX_MOMENTS:
+            del self.moments[: MAX_MOMENTS // 10]
 
     @property
     def reached(self) -> int:
@@ -101,7 +113,10 @@ class Run:
     @property
     def duration_s(self) -> float:
         """Duration in seconds of the robot's clock."""
-        return self.moments[-1].estimate.clock_s - self.moments[0].estimate.clock_s if self.moments else 0.0
+        if not self.moments:
+            return 0.0
+        begin_s = self.moments[0].estimate.clock_s if self._begin_s is None else self._begin_s
+        return self.moments[-1].estimate.clock_s - begin_s
 
     @property
     def longest_gap_s(self) -> float:
@@ -165,6 +180,7 @@ class Run:
             "places": [
                 {"pose": place.belief.mean[:3].tolist(), "share": place.probability} for place in last.estimate.places
             ],
+            "start": self.start or None,
             "alike": [pose.tolist() for pose in self.alike],
             "estimate": [float(value) for value in last.estimate.pose],
             "truth": list(last.truth) if last.truth else None,

@@ -27,13 +27,15 @@ RAYS: Final = 72
 """Rays of a scan: 5 degrees apart."""
 STEP_IN: Final = 18.0
 """Grid of the places that are compared; the fit bridges half of its diagonal."""
+HALF_DIAGONAL: Final = 0.75
+"""Farthest that a place is from the next one of the grid, in steps: half of the diagonal, and a little more."""
 FLOOR_CELL_IN: Final = 6.0
 """Grid on which the floor is found."""
 MAX_GRID: Final = 4000
 """Places that are compared; the grid is coarser on a larger floor."""
 MAX_RANGE_IN: Final = 200.0
 """Farther walls are not compared: a sonar of 255 in sees few of them."""
-MAX_INCIDENCE: Final = 0.5
+MIN_INCIDENCE_COS: Final = 0.5
 """Rays that meet a wall at more than 60 degrees from its normal are not compared: no sonar sees it there."""
 CANDIDATES: Final = 24
 """Places with the most similar magnitudes that are fitted."""
@@ -52,6 +54,8 @@ MAX_SAMPLES: Final = 120
 SAME_IN, SAME_RAD = 24.0, 0.5
 """A motion by less is none: the place itself."""
 _ANGLES: Final[Floats] = np.arange(RAYS, dtype=np.float64) * (2.0 * np.pi / RAYS)
+_ROTATIONS: Final = (np.arange(RAYS)[:, None] + np.arange(RAYS)) % RAYS
+"""Row k has the rays in the order of a scan that is rotated by k rays."""
 _BLOCK_IN: Final = 120.0
 """Places of a block of this size share their walls."""
 
@@ -86,8 +90,8 @@ class AliasFinder:
         rows, columns = np.nonzero(free)
         floor = origin + FLOOR_CELL_IN * np.stack((columns, rows), axis=-1)
         # One place in each square; the squares are larger on a large floor.
-        side_in = max(STEP_IN, FLOOR_CELL_IN * float(np.sqrt(len(floor) / MAX_GRID)))
-        _, chosen = np.unique(np.floor(floor / side_in).astype(int), axis=0, return_index=True)
+        self._side_in = max(STEP_IN, FLOOR_CELL_IN * float(np.sqrt(len(floor) / MAX_GRID)))
+        _, chosen = np.unique(np.floor(floor / self._side_in).astype(int), axis=0, return_index=True)
         self._floor: Floats = floor[np.sort(chosen)]
 
     def aliases(self, pose: Sequence[float] | Floats) -> list[Floats]:
@@ -154,8 +158,8 @@ class AliasFinder:
         found = []
         for number in np.argsort(apart)[: CANDIDATES * 4]:
             # The rotation by which the scan there fits best.
-            shifts = scans[number][(np.arange(RAYS)[:, None] + np.arange(RAYS)) % RAYS]
-            agree = (np.abs(shifts - scan) <= self._coarse_in) & seen
+            shifts = scans[number][_ROTATIONS]
+            agree = (np.abs(shifts - scan) <= HALF_DIAGONAL * self._side_in) & seen
             shift = int(agree.sum(axis=1).argmax())
             if agree[shift].sum() >= COARSE_MATCH * seen.sum():
                 found.append(np.array([*self._floor[number], wrap_angle(float(_ANGLES[shift]))]))
@@ -163,16 +167,12 @@ class AliasFinder:
                 break
         return found
 
-    @property
-    def _coarse_in(self) -> float:
-        return 0.75 * STEP_IN
-
     def _fitted(self, scan: Floats, seen: npt.NDArray[np.bool_], poses: Floats) -> Floats:
         """Return those poses near `poses` (n, 3) that have the scan."""
         for _ in range(FIT_STEPS):
             ranges, walls = self._cast(poses, _ANGLES)
             use = seen & _visible(ranges, walls, _ANGLES) & np.isfinite(walls)
-            use &= np.abs(ranges - scan) <= 1.5 * STEP_IN
+            use &= np.abs(ranges - scan) <= 2.0 * HALF_DIAGONAL * self._side_in
             # 1. Moving by d along the ray's frame changes a range by -d.n / (u.n), turning by r tan(incidence).
             normal = np.where(use, walls, 0.0) + 0.5 * np.pi
             incidence = np.where(use, np.cos(_ANGLES - normal), 1.0)
@@ -185,7 +185,7 @@ class AliasFinder:
             information = np.einsum("nki,nk,nkj->nij", slopes, weight, slopes) + np.diag([0.01, 0.01, 25.0])
             gradient = np.einsum("nki,nk->ni", slopes, weight * innovation)
             change = np.linalg.solve(information, gradient[..., None])[..., 0]
-            dx, dy = np.clip(change[:, :2], -STEP_IN, STEP_IN).T
+            dx, dy = np.clip(change[:, :2], -self._side_in, self._side_in).T
             cos, sin = np.cos(poses[:, HEADING]), np.sin(poses[:, HEADING])
             turn = np.clip(change[:, 2], -SAME_RAD, SAME_RAD)
             poses = add(poses, np.stack((cos * dx - sin * dy, sin * dx + cos * dy, turn), axis=-1))
@@ -195,7 +195,7 @@ class AliasFinder:
 
     def _neighborhood_match(self, here: Floats, there: Floats) -> float:
         """Return the fraction of rays that agree around `here` (3,) and around the pose it is moved to."""
-        # 1. Neighbours that can be seen: the way to them is free.
+        # 1. Neighbours that can be seen: the straight path to them is free.
         offset = self._floor - here[:2]
         distance = np.hypot(offset[:, 0], offset[:, 1])
         ranges, _ = self._scan(here[None])
@@ -232,8 +232,9 @@ def _magnitudes(scans: Floats) -> Floats:
 
 def _visible(ranges: Floats, walls: Floats, angles: Floats) -> npt.NDArray[np.bool_]:
     """Return True for rays that meet a wall at no more than 60 degrees from its normal, or nothing."""
-    incidence = np.abs(np.sin(angles - np.nan_to_num(walls)))
-    visible: npt.NDArray[np.bool_] = np.isnan(walls) | (ranges >= MAX_RANGE_IN) | (incidence >= MAX_INCIDENCE)
+    # The sine of the angle to a wall is the cosine of that to its normal.
+    incidence_cos = np.abs(np.sin(angles - np.nan_to_num(walls)))
+    visible: npt.NDArray[np.bool_] = np.isnan(walls) | (ranges >= MAX_RANGE_IN) | (incidence_cos >= MIN_INCIDENCE_COS)
     return visible
 
 

@@ -71,3 +71,33 @@ def next_step(pose: Floats, goal: Floats, gains: ControlGains) -> Floats:
     step[..., 0] = np.minimum(gains.drho_max_in, gains.alpha_rho * distance_to(pose, goal))
     step[..., 1] = np.clip(gains.alpha_theta * delta, -gains.dtheta_max_rad, gains.dtheta_max_rad)
     return step
+
+
+def slow_for_turn(step: Floats, pose: Floats, goal: Floats, gains: ControlGains) -> Floats:
+    """Return a step towards a goal that is shortened until the robot's turning circle reaches the goal.
+
+    A goal inside the smallest circle of `next_step` is never reached: the robot drives around it, up to two radii
+    beside the straight line. A goal behind the robot is turned to on the spot.
+
+    Parameters
+    ----------
+    step : (..., 2) array
+        drho in inches and dtheta in radians, of `next_step`.
+    pose : (..., 3) array
+        x, y in inches, heading in radians.
+    goal : (..., 2) array
+        x, y in inches.
+    gains : ControlGains
+
+    Returns
+    -------
+    (..., 2) array
+        The arc from the pose through a goal at the distance d and the bearing error delta has the radius
+        d / (2 sin abs(delta)): drho is at most dtheta_max times this, and 0 where abs(delta) is 90 degrees or more.
+    """
+    delta = np.abs(bearing_error(pose, goal))
+    with np.errstate(divide="ignore"):
+        longest = np.where(
+            delta < np.pi / 2, gains.dtheta_max_rad * distance_to(pose, goal) / (2.0 * np.sin(delta)), 0.0
+        )
+    return np.stack((np.minimum(step[..., 0], longest), step[..., 1]), axis=-1)

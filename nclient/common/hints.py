@@ -2,8 +2,12 @@
 
 import functools
 import re
+import shlex
+import shutil
+import sys
 from collections.abc import Iterable
 from difflib import get_close_matches
+from pathlib import Path
 from typing import Final
 
 SIMILARITY = 0.6
@@ -46,9 +50,28 @@ _GROUPS = frozenset({"all", "dev", "bench"})
 _REQUIREMENT = re.compile(r"""(?P<name>[\w.-]+).*extra == ["'](?P<extra>[\w-]+)["']""")
 
 
+_CLONE: Final = Path(__file__).parents[2]
+"""The folder with pyproject.toml, if this is an editable installation of a clone."""
+
+
 def install_hint(module: str) -> str:
-    """Return the command that installs a module: `pip install 'nomad-nserver[EXTRA]'`."""
-    return f"pip install '{DISTRIBUTION}[{find_extra(module) or 'all'}]'"
+    """Return the command that installs the extra with a module, as `install_command` does."""
+    return install_command(find_extra(module) or "all")
+
+
+def install_command(extra: str) -> str:
+    """Return a command that installs an extra from the clone: `pip install -e '.[EXTRA]'`.
+
+    The package is in no registry. Outside of the clone the command has its path, and where another `pip` comes first in
+    PATH it has the path of this Python.
+    """
+    pip = shutil.which("pip")
+    is_ours = pip is not None and Path(pip).parent == Path(sys.executable).parent
+    is_clone = (_CLONE / "pyproject.toml").is_file()
+    folder = str(_CLONE) if is_clone and Path.cwd() != _CLONE else "."
+    program = "pip" if is_ours or not is_clone else f"{shlex.quote(sys.executable)} -m pip"
+    command = f"{program} install -e {shlex.quote(f'{folder}[{extra}]')}"
+    return command if is_clone else f"{command} in the folder of {DISTRIBUTION}"
 
 
 def find_extra(module: str) -> str:

@@ -301,8 +301,9 @@ def _show_world(server: ControlledServer, _: object) -> JsonObject:
 def _put_world(server: ControlledServer, argument: object, world: World | None = None) -> JsonObject:
     """Replace the world by that of a text; `world` is what was read from it already."""
     text, file = _world_text(argument)
-    world = runtime_settings.put_world(server.emulator, text, file, world)
-    server.record_change({"world": {"text": text, "file": file}})
+    places = {"places": True} if isinstance(argument, dict) and argument.get("places") is True else {}
+    world = runtime_settings.put_world(server.emulator, text, file, world, **places)
+    server.record_change({"world": {"text": text, "file": file, **places}})
     return {"world": world.name}
 
 

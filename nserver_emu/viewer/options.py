@@ -14,6 +14,7 @@ from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from nclient.common.hints import install_command
 from nclient.errors import ExtraMissing, NomadError
 from nserver_emu.server.daemon import Daemon
 
@@ -71,7 +72,7 @@ async def running_viewer(daemon: Daemon, options: argparse.Namespace) -> AsyncIt
             token_file = options.viewer_token_file
             tokens = None if token_file is None else load_tokens(token_file)
             host, port = options.viewer
-            lines = await open_page.enter_async_context(serve_viewer(daemon, host, port, tokens))
+            lines = await open_page.enter_async_context(serve_viewer(daemon, host, port, tokens, options.model_file))
         except NomadError:
             await daemon.close()
             raise
@@ -81,7 +82,7 @@ async def running_viewer(daemon: Daemon, options: argparse.Namespace) -> AsyncIt
 def require_aiohttp() -> None:
     """Raise ViewerMissing if aiohttp is not installed."""
     if importlib.util.find_spec("aiohttp") is None:
-        raise ViewerMissing("--viewer needs aiohttp: pip install 'nomad-nserver[viewer]'")
+        raise ViewerMissing(f"--viewer needs aiohttp: {install_command('viewer')}")
 
 
 def _listen_address(text: str) -> ListenAddress:

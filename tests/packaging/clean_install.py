@@ -24,7 +24,7 @@ from typing import NamedTuple
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 VERSION: str = PROJECT["version"]
-EXTRAS = tuple(name for name in PROJECT["optional-dependencies"] if name not in ("dev", "bench", "all"))
+EXTRAS = tuple(name for name in PROJECT["optional-dependencies"] if name not in ("dev", "bench", "all", "notebook"))
 ALL = tuple(re.findall(r"\w+", PROJECT["optional-dependencies"]["all"][0].partition("[")[2]))
 """The extras in the extra `all`: those for users, without those for developers."""
 PYTHONS = ("3.11", "3.12", "3.13")
@@ -160,7 +160,7 @@ def find_failures(environment: Environment, extras: Iterable[str], checks: Itera
 def _check_missing_extra(environment: Environment, check: Check) -> Iterator[str]:
     """Check that the command fails with an error that names the missing extra."""
     done = environment.run(check.words)
-    clear = f"pip install 'nomad-nserver[{check.extra}]'" in done.stderr and "Traceback" not in done.stderr
+    clear = f"install -e '.[{check.extra}]'" in done.stderr and "Traceback" not in done.stderr
     if not clear or done.returncode != 2:
         yield f"{' '.join(check.words)}: the extra {check.extra} is not named: {done.returncode} {done.stderr}"
 
@@ -191,6 +191,7 @@ def find_type_errors(environment: Environment, version: str) -> Iterator[str]:
     script = environment.folder / USER_SCRIPT.name
     script.write_bytes(USER_SCRIPT.read_bytes())
     command = [sys.executable, "-m", "mypy", "--strict", "--config-file=", "--python-version", version,
+               "--cache-dir", str(ROOT / ".mypy_cache" / "installed"),
                "--python-executable", str(environment.python), str(script)]  # fmt: skip
     done = subprocess.run(command, cwd=environment.folder, capture_output=True, text=True, check=False)
     if done.returncode:

@@ -7,6 +7,7 @@
                reply   {"obstacles": count, "was": corners, "name", "at": index, "is": corners}; null if absent
     noise      {"sensors": NAME, "motion": NAME, "robot": number}   omitted parts stay; no robot: all of them
     world      {"text": TOML, "file": name in error messages}       replaces rooms, walls, obstacles, starts and paths
+               "places": true                                       robots without room are placed at its starts
     shown      true                                                 its text was exported and restores exactly it
 
 Inches. An obstacle is identified by its corners as displayed, the last one if several have them. The reply undoes a
@@ -27,8 +28,9 @@ from nserver_emu.server.handlers.world import is_valid_polygon, overlaps_robot
 from nserver_emu.server.server_state import ServerState
 from nserver_emu.simulation.noise import PARTS, part_choices, part_name, with_part
 from nserver_emu.simulation.robot import SimulatedRobot
+from nserver_emu.simulation.spatial_hash import Disc
 from worlds.io import format_world, parse_world
-from worlds.world import Point, Polygon, World
+from worlds.world import Point, Polygon, StartPose, World
 
 # Corners are displayed rounded to a thousandth of an inch.
 CORNER_TOLERANCE_IN: Final = 0.002
@@ -165,21 +167,56 @@ def read_world_file(text: str, file: str) -> World:
     return parse_world(text, file, PurePath(file).stem)
 
 
-def put_world(server: ServerState, text: str, file: str, world: World | None = None) -> World:
+def put_world(
+    server: ServerState, text: str, file: str, world: World | None = None, *, places: bool = False
+) -> World:  # fmt: skip
     """Replace the world; robots keep their poses, where there must be no wall or obstacle.
 
-    `world` is that of the text, if it was read before.
+    `world` is that of the text, if it was read before. `places` puts robots without room at the starts of the world.
     """
     world = server.exported_worlds.get(text) or world or read_world_file(text, file)
-    for number, robot in server.simulation.robots.items():
-        x, y, radius_in = robot.disc
-        try:
-            world.require_free(x, y, radius_in)
-        except StartError as error:
-            raise ControlError(f"{file}: there is no room for robot {number} at its pose: {error}") from None
+    # 1. Robots that fit where they are; the reason for each that does not.
+    robots = server.simulation.robots
+    reasons = {number: reason for number, robot in robots.items() if (reason := _obstruction(world, *robot.disc))}
+    if reasons and not places:
+        number, reason = next(iter(reasons.items()))
+        raise ControlError(f"{file}: there is no room for robot {number} at its pose: {reason}")
+    # 2. Free starts for the others.
+    taken = [robot.disc for number, robot in robots.items() if number not in reasons]
+    starts: dict[int, StartPose] = {}
+    for number in reasons:
+        *_, radius_in = robots[number].disc
+        start = _free_start(world, radius_in, taken)
+        if start is None:
+            raise ControlError(f"{file}: no start of this world is free for robot {number}")
+        starts[number] = start
+        taken.append((start.x_in, start.y_in, radius_in))
+    # 3. Nothing can fail from here on.
     server.simulation.change_world(world)
+    for number, start in starts.items():
+        server.simulation.place(number, start.x_in, start.y_in, start.steering_rad, start.turret_rad)
     server.invalidate_state_cache()
     return world
+
+
+def _obstruction(world: World, x_in: float, y_in: float, radius_in: float) -> str:
+    """Return why a robot does not fit at a position; "" if it does."""
+    try:
+        world.require_free(x_in, y_in, radius_in)
+    except StartError as error:
+        return str(error)
+    return ""
+
+
+def _free_start(world: World, radius_in: float, taken: Sequence[Disc]) -> StartPose | None:
+    """Return the first start of a world where a robot of this radius fits and touches none of the discs."""
+    for start in world.starts:
+        here = start.x_in, start.y_in
+        if not _obstruction(world, *here, radius_in) and all(
+            math.dist(here, (x, y)) > radius_in + radius for x, y, radius in taken
+        ):
+            return start
+    return None
 
 
 def show_world(server: ServerState) -> str:

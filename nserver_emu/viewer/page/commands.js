@@ -23,6 +23,12 @@ export async function control(app, command, argument) {
   return answer;
 }
 
+// Start or end the localizer of the selected robot.
+export async function callLocalizer(app, message) {
+  const answer = await app.link.request({ ...message, robot: Number(app.robot) });
+  app.notice(answer.ok ? '' : answer.error);
+}
+
 // Return the undo history. A step is {title, apply, revert}; both functions send commands and resolve to the answer.
 // Commands run one after another: undo waits for a step that has no answer yet. A step that can no longer be
 // reverted is removed, with a notice.

@@ -15,7 +15,7 @@ export function parseCorners(text) {
 }
 
 export const worldWindow = {
-  id: 'world', title: 'World', acts: true, moves: Promise.resolve(),
+  id: 'world', title: 'Obstacles and world files', moves: Promise.resolve(),
   build(box, app) {
     this.list = element('div', { id: 'world-list' });
     const corners = element('input', { id: 'corners', placeholder: EXAMPLE, size: 22 }), name = document.createTextNode('');
@@ -31,7 +31,7 @@ export const worldWindow = {
       if (chosen) await loadWorld(app, await chosen.text(), chosen.name);
       file.value = '';
     } });
-    box.append(
+    box.append(gallery(app),
       form(() => {
         const typed = parseCorners(corners.value);
         if (!typed) app.notice(`Corners must be pairs x,y, for example ${EXAMPLE}`);
@@ -89,7 +89,7 @@ async function saveWorld(app) {
 
 // Replace the world. Undo restores the whole previous world, unless the new one was changed meanwhile: those changes would
 // be lost.
-function replaceWorld(app, title, apply) {
+function replaceWorld(app, title, apply, options = {}) {
   let before = null, after = null;
   return app.history.run({ title, apply: async () => {
     before = await worldText(app);
@@ -98,12 +98,47 @@ function replaceWorld(app, title, apply) {
     if (answer.ok) after = await worldText(app);
     return answer;
   }, revert: async () => (await worldText(app) === after
-    ? control(app, 'world set', { text: before, file: 'the world before' })
+    ? control(app, 'world set', { text: before, file: 'the world before', ...options })
     : { ok: false, error: 'the world was changed meanwhile' }) });
 }
 
 export function loadWorld(app, text, file) {
   return replaceWorld(app, `load ${file}`, () => control(app, 'world set', { text, file }));
+}
+
+// The shipped worlds with pictures. Robots that have no room in the chosen one are placed at its starts.
+function gallery(app) {
+  const list = element('div', { className: 'gallery' });
+  const fill = async () => {
+    if (list.firstChild) return;
+    const answer = await app.link.request({ do: 'gallery' });
+    if (answer.ok) list.replaceChildren(...answer.worlds.map((world) => galleryButton(app, world)));
+    else app.notice(answer.error);
+  };
+  return element('details', { id: 'gallery', ontoggle: (event) => { if (event.target.open) fill(); } }, element('summary', {}, 'Choose a world'), list);
+}
+
+function galleryButton(app, { name, title, text, walls }) {
+  const places = { places: true }, choose = () => replaceWorld(app, `world ${name}`, async () => {
+    const answer = await control(app, 'world set', { text, file: `${name}.toml`, ...places });
+    if (answer.ok) app.restartLocalizer();
+    return answer;
+  }, places);
+  return element('button', { type: 'button', id: `world-${name}`, title, onclick: choose }, picture(walls), element('span', {}, name.replaceAll('_', ' ')));
+}
+
+// Return a small drawing of walls.
+function picture(walls) {
+  const xs = walls.flatMap(([x1, , x2]) => [x1, x2]), ys = walls.flatMap(([, y1, , y2]) => [y1, y2]);
+  const [left, top] = [Math.min(...xs), Math.min(...ys)], wide = Math.max(...xs) - left, high = Math.max(...ys) - top;
+  const svg = document.createElementNS('http://www.w3.org/2000/svg', 'svg'), lines = document.createElementNS(svg.namespaceURI, 'path');
+  // y points up in the world and down in the drawing.
+  lines.setAttribute('d', walls.map(([x1, y1, x2, y2]) => `M${x1} ${-y1}L${x2} ${-y2}`).join(''));
+  lines.setAttribute('vector-effect', 'non-scaling-stroke');
+  svg.setAttribute('viewBox', `${left - 2} ${-top - high - 2} ${wide + 4} ${high + 4}`);
+  svg.setAttribute('aria-hidden', 'true');
+  svg.append(lines);
+  return svg;
 }
 
 function clearWorld(app) {

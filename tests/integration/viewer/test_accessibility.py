@@ -19,9 +19,10 @@ def test_controls_have_names_and_tab_order(browser: Browser) -> None:
         page.page.wait_for_timeout(200)
         assert page.value(NAMED) == []
         places = []
-        for _ in range(45):
+        for _ in range(60):
             page.page.keyboard.press("Tab")
             places.append(page.value(FOCUSED))
-        wanted = ["Stop", "Zoom in", "Move map", "Pose: x, in", "Pose: Place robot", "Waypoints: x, in"]
+        wanted = ["Stop mine", "Stop all", "Zoom in", "Robot on the map: Move robot", "Pose: x, in",
+                  "Pose: Place robot", "Obstacles on the map: Add obstacle", "Localizer: Localize", "Waypoints: x, in"]
         assert [place for place in places if place in wanted] == wanted
         assert page.value("document.getAnimations().length") == 0

@@ -126,3 +126,16 @@ def test_undo_waits_for_running_step(browser: Browser) -> None:
         page.value("Promise.all([nserver.history.undo(), nserver.history.redo(), nserver.history.undo()])")
         page.wait(f"{OBSTACLES}.map((thing) => thing.corners[0][0]).join() === '40'")
         page.wait("document.querySelector('#undo').innerText === 'Undo: add obstacle'")
+
+
+def test_world_is_chosen_from_gallery(browser: Browser) -> None:
+    words = ("hall", "--robots", "2")
+    with nserver(*words) as program, open_page(browser, program.url) as page:
+        page.page.click("#gallery > summary")
+        page.wait("document.querySelectorAll('.gallery button').length > 5")
+        page.page.click("#world-arena")
+        page.wait("nserver.scene.world.name === 'arena'")
+        # The whole world is shown, and the step can be undone.
+        page.wait("nserver.map.fitted && Math.abs(nserver.map.view.x - 256) < 20")
+        page.page.keyboard.press("Control+z")
+        page.wait("nserver.scene.world.name === 'hall'")

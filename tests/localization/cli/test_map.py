@@ -5,8 +5,11 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from localization.cli.map import _note
+from localization.mapping.aliases import Alias
 from nclient.cli import main
 from worlds.io import load_world
 
@@ -61,6 +64,19 @@ def test_check_notes_places_that_look_alike(capsys: pytest.CaptureFixture[str]) 
     assert "note: " in capsys.readouterr().out.splitlines()[-1]
     assert main.main(["map", "check", "several_walls", "--at", "30,60"]) == 0
     assert "no other place" in capsys.readouterr().out
+
+
+def test_headings_of_alike_places_are_below_360() -> None:
+    alias = Alias(np.array([1.0, 2.0, -0.001]), (np.array([3.0, 4.0, 6.28]), np.array([5.0, 6.0, -1.5])))
+    assert _note(alias).words == "at 0 deg looks like (3, 4) at 0 deg, (5, 6) at 274 deg"
+
+
+def test_show_takes_a_coarser_grid_of_a_large_floor(capsys: pytest.CaptureFixture[str]) -> None:
+    """The number of positions bounds the time: a flat takes 2 s with a thousand."""
+    assert main.main(["map", "show", "flat", "--sonars", "rays", "--json"]) == 0
+    shown = json.loads(capsys.readouterr().out)
+    assert 500 < shown["places"] <= 1000
+    assert 8.0 < shown["cell_in"] < 12.0
 
 
 def test_simplify_writes_a_world_with_fewer_walls(

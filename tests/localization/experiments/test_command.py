@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -29,7 +30,10 @@ class Executor:
             yield live_trial.run(job)
 
 
-def test_people_get_a_table_and_files(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_people_get_a_table_and_files(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
     assert experiments.main(["live", *SHORT, "--jobs", "1", "--out", str(tmp_path)]) == 0
     printed, output = capsys.readouterr()
     assert [line.split()[2] for line in printed.splitlines()[1:3]] == ["ekf", "ukf"]

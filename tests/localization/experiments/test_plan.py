@@ -42,6 +42,7 @@ def test_pairs_have_room_are_apart_and_differ(world: str) -> None:
     assert ends_of(DrivePair(world, 3, "exact")) == drawn[3]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("world", WORLDS)
 def test_drive_arrives_without_contact_on_short_path(world: str) -> None:
     pair, driven = drive(DrivePair(world, 7, "noisy"))

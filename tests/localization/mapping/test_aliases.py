@@ -44,9 +44,10 @@ def test_ends_of_the_corridor_and_rooms_of_the_flat_are_unique() -> None:
     assert not find_aliases(flat, np.column_stack((flat.samples(12), np.zeros(12))))
 
 
-@pytest.mark.parametrize("turn", [0.0, 2.0])
-def test_a_rotated_copy_of_a_room_is_found(turn: float) -> None:
-    """Two rooms that are apart: the same walls, moved and turned."""
+@pytest.mark.parametrize(("turn", "max_grid"), [(0.0, 4000), (2.0, 4000), (2.0, 20)])
+def test_a_rotated_copy_of_a_room_is_found(turn: float, max_grid: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two rooms that are apart: the same walls, moved and turned; also on the coarse grid of a large floor."""
+    monkeypatch.setattr("localization.mapping.aliases.MAX_GRID", max_grid)
     rng = np.random.default_rng(3)
     corners = np.array([(0, 0), (150, 0), (150, 60), (110, 60), (110, 130), (30, 130), (0, 90)], dtype=float)
     walls = np.concatenate((corners, np.roll(corners, -1, axis=0)), axis=1)

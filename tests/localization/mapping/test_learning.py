@@ -108,6 +108,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.long
 def test_recorded_drive_becomes_a_map_that_localizes(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -132,6 +133,7 @@ def test_recorded_drive_becomes_a_map_that_localizes(
     assert out.read_text() == first
 
 
+@pytest.mark.long
 def test_refused_map_is_not_written(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     # Readings of a cone taken for rays and odometry that is said to be perfect: nothing holds together.
     out = tmp_path / "room.toml"

@@ -10,7 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from localization.filters.odometry import move
-from localization.navigation.control_law import ControlGains, bearing_error, distance_to, is_reached, next_step
+from localization.navigation.control_law import (
+    ControlGains,
+    bearing_error,
+    distance_to,
+    is_reached,
+    next_step,
+    slow_for_turn,
+)
 
 GAINS = ControlGains(drho_max_in=0.05, dtheta_max_rad=0.05, alpha_rho=0.1, alpha_theta=0.1)
 
@@ -50,6 +57,36 @@ def test_without_noise_the_law_arrives_from_any_side() -> None:
     for _ in range(700):
         poses = move(poses, next_step(poses, goals, GAINS))
     assert is_reached(poses, goals, 0.25).all()
+
+
+@pytest.mark.parametrize("distance", [1.5, 5.0, 20.0])
+def test_slowed_robot_stays_near_the_straight_leg(distance: float) -> None:
+    """From any direction the robot arrives, and leaves the leg by no more than the circle that touches it."""
+    gains = ControlGains(drho_max_in=0.5, dtheta_max_rad=0.05)
+    angles = np.linspace(-math.pi, math.pi, 25)
+    goals, poses = np.tile([distance, 0.0], (25, 1)), np.zeros((25, 3))
+    poses[:, 2] = angles
+    beside = np.zeros(25)
+    for _ in range(400):
+        poses = move(poses, slow_for_turn(next_step(poses, goals, gains), poses, goals, gains))
+        beside = np.maximum(beside, np.abs(poses[:, 1]))
+    assert is_reached(poses, goals, 0.5).all()
+    # A half circle through the goal, or one of the smallest radius, 10 in.
+    assert beside.max() < min(distance / 2.0, 10.0) + 0.5
+
+
+def test_a_step_is_shortened_only_inside_the_turning_circle() -> None:
+    gains, bearings = ControlGains(drho_max_in=0.5, dtheta_max_rad=0.05), np.array([0.0, 0.3, 1.0, 1.5])
+    # The circles of 10 in to both sides touch the origin: a goal at this distance is on them.
+    on_circle = 20.0 * np.sin(bearings)
+    for factor, expected in ((1.01, 0.5), (0.5, 0.25)):
+        distance = factor * on_circle[1:]
+        goals = np.stack((distance * np.cos(bearings[1:]), distance * np.sin(bearings[1:])), axis=-1)
+        step = slow_for_turn(np.full((3, 2), 0.5), np.zeros((3, 3)), goals, gains)
+        assert step[:, 0] == pytest.approx(np.full(3, expected))
+    ahead, behind = np.array([5.0, 0.0]), np.array([-50.0, 1.0])
+    assert slow_for_turn(np.array([0.5, 0.0]), np.zeros(3), ahead, gains).tolist() == [0.5, 0.0]
+    assert slow_for_turn(np.array([0.5, 0.05]), np.zeros(3), behind, gains).tolist() == [0.0, 0.05]
 
 
 def test_reached_means_within_the_radius() -> None:

@@ -1,4 +1,4 @@
-"""The stall detector: pressing, standing wheels, and motion that is no stall."""
+"""Contacts and stalls: bumpers that close, pressing, standing wheels, and motion that is no stall."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from localization.navigation.recovery import STALL_S, StallDetector
+from localization.navigation.recovery import STALL_S, ContactDetector, StallDetector
 
 GOAL = np.array([20.0, 0.0])
 
@@ -67,3 +67,20 @@ def test_new_path_point_or_none_restarts_detection() -> None:
 @pytest.mark.parametrize(("speed_in_s", "limit_s"), [(5.0, STALL_S), (0.01, 40.0)])
 def test_time_limit_grows_at_low_speed(speed_in_s: float, limit_s: float) -> None:
     assert StallDetector(speed_in_s).limit_s == pytest.approx(limit_s)
+
+
+def test_only_bumpers_that_close_while_driving_are_contacts() -> None:
+    detector, pose = ContactDetector(), np.array([1.0, 2.0, 0.0])
+    # Closed from the beginning: a robot may leave a wall.
+    assert not detector.reason(state(0.0, 3), pose)
+    assert not detector.reason(state(0.0, 3), pose)
+    assert detector.reason(state(0.0, 3, 4), pose).startswith("contact of bumpers 4 at the estimate (1.0, 2.0)")
+    assert not detector.reason(state(0.0), pose)
+    assert detector.reason(state(0.0, 3, 5), pose).startswith("contact of bumpers 3, 5 ")
+
+
+def test_a_recovery_leaves_contacts_by_itself() -> None:
+    detector, pose = ContactDetector(), np.zeros(3)
+    assert not detector.reason(state(0.0), pose)
+    assert not detector.reason(state(0.0, 3), pose, backs_off=True)
+    assert not detector.reason(state(0.0, 3), pose), "closed before the estimate was found"

@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from nclient.cli import main
+from nclient.common.hints import install_command
 from nclient.errors import ExtraMissing, StartError
 
 MODULES = {
@@ -124,7 +125,7 @@ def test_options_alone_are_no_command(argument: str, capsys: pytest.CaptureFixtu
     ("fien", "no command 'fien'; did you mean fine?"),
     ("hlep", "no command 'hlep'; did you mean help?"),
     ("xyzzy", "no command 'xyzzy'; there are: absent, builtin, extra, fine, gone, nameless, odd"),
-    ("extra", "the command 'extra' needs no_such_extra, which is not installed: pip install 'nomad-nserver[all]'"),
+    ("extra", f"the command 'extra' needs no_such_extra, which is not installed: {install_command('all')}"),
     ("odd", "the command 'odd' cannot be loaded: cannot import name 'no_such_name'"),
     ("gone", "the command 'gone' needs no_such_package, which is not installed"),
 ])

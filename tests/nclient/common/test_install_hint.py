@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import shlex
+import sys
 from importlib import metadata
+from pathlib import Path
 
 import pytest
 
 from nclient.common import hints
+
+ROOT = Path(__file__).parents[3]
 
 
 @pytest.mark.parametrize(("module", "extra"), [
@@ -17,9 +22,23 @@ def test_each_extra_is_found_by_what_it_brings(module: str, extra: str) -> None:
     assert hints.find_extra(module) == extra
 
 
-def test_a_remedy_is_what_one_types() -> None:
-    assert hints.install_hint("shtab") == "pip install 'nomad-nserver[shell]'"
-    assert hints.install_hint("no_such_module") == "pip install 'nomad-nserver[all]'"
+def test_hint_installs_the_extra_of_a_module(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)
+    monkeypatch.setenv("PATH", str(Path(sys.executable).parent))
+    assert hints.install_hint("shtab") == "pip install -e '.[shell]'"
+    assert hints.install_hint("no_such_module") == "pip install -e '.[all]'"
+
+
+def test_hint_has_paths_where_short_names_do_not_work(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert shlex.split(hints.install_command("shell")) == [
+        sys.executable, "-m", "pip", "install", "-e", f"{ROOT}[shell]"]
+
+
+def test_hint_of_an_installed_wheel_names_the_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(hints, "_CLONE", tmp_path)
+    assert hints.install_command("shell") == "pip install -e '.[shell]' in the folder of nomad-nserver"
 
 
 def test_files_that_were_never_installed_have_no_extras(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -20,6 +20,7 @@ from nserver_emu.server.handlers.runtime_settings import (
     switch_noise,
 )
 from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.simulation.models import N150
 from nserver_emu.simulation.noise import IDEAL, SETUPS
 from tests.nserver_emu.server.wire_client import WireClient, meet, simulation
 from worlds.io import format_world, load_world
@@ -150,6 +151,20 @@ def test_an_invalid_world_changes_nothing() -> None:
     with pytest.raises(WorldFileError, match=r"bad\.toml: .*no TOML"):
         put_world(emulator, "[[room", "bad.toml")
     assert emulator.simulation.world is world
+
+
+def test_robots_without_room_are_placed_at_starts() -> None:
+    emulator = Emulator(simulation())
+    emulator.simulation.add_robot(2, StartPose(40.0, 0.0), N150, IDEAL)
+    arena = load_world("arena")
+    assert put_world(emulator, format_world(arena), "arena.toml", places=True).starts == arena.starts
+    for number, robot in emulator.simulation.robots.items():
+        emulator.simulation.require_free(*robot.disc, number)
+    # A world with a single start has no room for the second robot, and nothing changes.
+    far = "[[room]]\ncorners_in = [[500, 500], [600, 500], [600, 600], [500, 600]]\n[[start]]\nx_in = 550\ny_in = 550"
+    with pytest.raises(ControlError, match="no start of this world is free for robot 2"):
+        put_world(emulator, far, "far.toml", places=True)
+    assert emulator.simulation.world.name == arena.name
 
 
 TWELVE = tuple(
