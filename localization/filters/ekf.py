@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from math import cos
+from typing import Final
 
 import numpy as np
 
@@ -63,6 +64,10 @@ from localization.filters.update import (
 
 SLIP_GAIN, SIDE_SLIP_IN, SLIP_RAD = 0.5, 0.3, 0.02
 """Standard deviations that are added when the wheels may have slipped: along the heading, across it, and of it."""
+
+PRESSED_NOISE: Final = 5.0
+"""Variance of wheels that roll on the spot, relative to those that roll freely: the robot creeps and turns by the same
+noise, and all readings from there repeat their errors."""
 
 Prediction = Callable[[State, Covariance, float, float, OdometryNoise, int], None]
 """Predicts x and P after a step (distance, turn), in place; the last argument is the number of constants."""
@@ -184,7 +189,7 @@ class KalmanFilter:
 
     def roll_on_spot(self, distance_in: float) -> None:
         """Widen the belief by the noise of wheels that roll so far while something holds the robot."""
-        q_distance, q_turn = process_variance(abs(distance_in), 0.0, self._odometry)
+        q_distance, q_turn = process_variance(PRESSED_NOISE * abs(distance_in), 0.0, self._odometry)
         c, s = unit_vector(self._x[HEADING])
         add_outer(self._P, q_distance, (c, s, 0.0))
         add_outer(self._P, q_turn, (0.0, 0.0, 1.0))

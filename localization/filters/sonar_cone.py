@@ -87,6 +87,8 @@ class ConeSonar(RangeNoise):
 
     Attributes
     ----------
+    range_std_relative
+        A quarter more than the 1 % of the data sheet: echoes of one reflector that follow one another err alike.
     cone_rad
         Whole angle of the cone.
     margin_db, margin_std_db

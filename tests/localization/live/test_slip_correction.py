@@ -7,7 +7,7 @@ import pytest
 
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import independent
-from localization.filters.ekf import KalmanFilter
+from localization.filters.ekf import PRESSED_NOISE, KalmanFilter
 from localization.filters.odometry import process_covariance, step_jacobians
 from localization.filters.registry import make
 from localization.live.sensor_input import SensorData, SlipCorrection
@@ -33,7 +33,7 @@ def test_only_what_is_rolled_on_the_spot_is_left_out() -> None:
     assert slip.position_of(state(0.7, 0.2, False))[1] == 3.0
 
 
-def test_rolling_on_the_spot_widens_the_belief_as_driving_does() -> None:
+def test_rolling_on_the_spot_widens_as_driving_farther_does() -> None:
     config, belief = LocalizationConfig(load_world("thesis_room").walls, N150), independent([40, 45, 0.4], [0.2] * 3)
     held, free = make("ekf", config, belief), make("ekf", config, belief)
     assert isinstance(held, KalmanFilter)
@@ -42,6 +42,7 @@ def test_rolling_on_the_spot_widens_the_belief_as_driving_does() -> None:
     # Q of a step of 2 in, by G at its beginning; a step of no length would add nothing.
     step, noise = np.array([2.0, 0.0]), config.odometry
     _, G = step_jacobians(belief.mean, np.zeros(2))
-    np.testing.assert_allclose(held.belief.cov - belief.cov, process_covariance(G, step, noise), atol=1e-12)
-    free.predict(2.0, 0.0)
+    Q = process_covariance(G, step, noise)
+    np.testing.assert_allclose(held.belief.cov - belief.cov, PRESSED_NOISE * Q, atol=1e-12)
+    free.predict(2.0 * PRESSED_NOISE, 0.0)
     assert held.belief.cov[2, 2] == pytest.approx(free.belief.cov[2, 2])
