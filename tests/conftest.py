@@ -26,8 +26,8 @@ SHORT_HALF, LONG_HALF = "not long and not hypothesis", "long or hypothesis"
 """The `-m` of the two halves of scripts/test."""
 SLOWEST = (
     "packaging/test_wheel.py", "integration/test_readme.py", "docs/test_pages.py", "docs/test_site.py",
-    "fuzz/test_documentation.py", "nserver_emu/server/test_determinism.py", "benchmarks/test_line_localizer.py",
-    "integration/test_cluster.py", "benchmarks/test_ekf.py", "docs/test_missions_page.py",
+    "nserver_emu/server/test_determinism.py", "localization/experiments/test_trial.py", "integration/test_cluster.py",
+    "localization/cli/test_calibrate.py", "benchmarks/test_line_localizer.py", "docs/test_missions_page.py",
 )  # fmt: skip
 """Files that a worker begins with, the slowest first: begun last, they would run when all others are done."""
 

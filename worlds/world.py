@@ -176,6 +176,18 @@ class World:
             object.__setattr__(world, name, value)
         return world
 
+    def with_inner_wall(self, row: int, *walls: Sequence[float]) -> World:
+        """Return this world with walls (x1 y1 x2 y2) in place of one row of `inner_walls`.
+
+        A row past the last adds them. What was measured of the replaced wall is forgotten.
+        """
+        new = np.reshape(np.asarray(walls, dtype=np.float64), (-1, 4))
+        inner = np.concatenate((self.inner_walls[:row], new, self.inner_walls[row + 1 :]))
+        # Rows behind it move by the number of walls that were added.
+        added = len(new) - 1
+        accuracies = {k + added if k > row else k: value for k, value in self.accuracies.items() if k != row}
+        return replace(self, inner_walls=inner, accuracies=accuracies)
+
     def obstacles_with_corner(self, x_in: float, y_in: float, within_in: float) -> list[int]:
         """Return the numbers of obstacles with a corner within a distance in x and y of a point, increasing."""
         first = self._firsts[len(self.rooms)] if self.obstacles else 0

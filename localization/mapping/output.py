@@ -117,6 +117,7 @@ class LearnedMap:
                 {
                     "ends_in": wall.ends.tolist(),
                     "closed": [bool(closed) for closed in wall.closed],
+                    "end_stds_in": list(wall.end_stds_in),
                     "measured_in": wall.measured_in,
                     "echoes": wall.echoes,
                     "offset_std_in": wall.std_in,

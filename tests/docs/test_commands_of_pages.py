@@ -27,10 +27,12 @@ TESTS_OF_PAGES = {
     "fuzzing.md": "fuzz/test_documentation.py",
     "interop.md": "docs/test_interop_page.py",
     "localization.md": "docs/test_pages.py",
+    "map-your-room.md": "docs/test_newcomer_pages.py",
     "maps.md": "docs/test_calibration_and_maps_pages.py",
     "mapping.md": "docs/test_calibration_and_maps_pages.py",
     "missions.md": "docs/test_missions_page.py",
     "own-filter.md": "docs/test_own_filter_page.py",
+    "platforms.md": "docs/test_newcomer_pages.py",
     "protocol.md": "docs/test_protocol_page.py",
     "real-data.md": "localization/experiments/test_corridor.py",
     "real-robot.md": "docs/test_pages.py",
@@ -42,6 +44,7 @@ TESTS_OF_PAGES = {
     "shell.md": "docs/test_shell_page.py",
     "start.md": "docs/test_pages.py",
     "window.md": "docs/test_window_page.py",
+    "worlds.md": "docs/test_newcomer_pages.py",
 }
 """Pages with commands or programs, and the test that runs them."""
 HOURS = ("methods.md", "results.md")

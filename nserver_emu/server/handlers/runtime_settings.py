@@ -5,6 +5,8 @@
                {"corners": [[x, y] ...]}                            remove it
                {"put": [[x, y] ...], "name": text, "at": index}     add it; name and index (default: last) are optional
                reply   {"obstacles": count, "was": corners, "name", "at": index, "is": corners}; null if absent
+    wall       {"wall": [[x, y], [x, y]], "by"/"to": as above, or neither: remove it}, {"put": [[x, y], [x, y]]}
+               reply   {"walls": count, "was": ends, "is": ends}; inner walls only, rooms keep their outlines
     noise      {"sensors": NAME, "motion": NAME, "robot": number}   omitted parts stay; no robot: all of them
     world      {"text": TOML, "file": name in error messages}       replaces rooms, walls, obstacles, starts and paths
                "places": true                                       robots without room are placed at its starts
@@ -22,18 +24,24 @@ from collections.abc import Mapping, Sequence
 from pathlib import PurePath
 from typing import Any, Final
 
+import numpy as np
+
 from nclient.common.hints import suggest
 from nclient.errors import ControlError, StartError
-from nserver_emu.server.handlers.world import is_valid_polygon, overlaps_robot
+from nserver_emu.server.handlers.world import MAX_COORDINATE_IN, is_valid_polygon, overlaps_robot
 from nserver_emu.server.server_state import ServerState
 from nserver_emu.simulation.noise import PARTS, part_choices, part_name, with_part
 from nserver_emu.simulation.robot import SimulatedRobot
 from nserver_emu.simulation.spatial_hash import Disc
+from worlds.geometry import nearest_distances
 from worlds.io import format_world, parse_world
 from worlds.world import Point, Polygon, StartPose, World
 
 # Corners are displayed rounded to a thousandth of an inch.
 CORNER_TOLERANCE_IN: Final = 0.002
+WALL_USAGE: Final = 'wall: such as {"wall": [[0, 0], [9, 0]], "by": [1, 0]}, in inches'
+MIN_WALL_IN: Final = 0.5
+"""Shorter walls are clicks, not drags."""
 OBSTACLE_USAGE: Final = 'obstacle: such as {"corners": [[0, 0], [9, 0], [9, 9]], "by": [1, 0]}, in inches'
 
 
@@ -67,6 +75,60 @@ def change_obstacle(server: ServerState, wanted: Mapping[str, Any]) -> dict[str,
     obstacle = now or was
     assert obstacle is not None
     return {"obstacles": len(obstacles), "was": _corners(was), "name": obstacle.name, "at": number, "is": _corners(now)}
+
+
+def change_wall(server: ServerState, wanted: Mapping[str, Any]) -> dict[str, Any]:
+    """Add, move, change or remove an inner wall; return what undoes it."""
+    world = server.simulation.world
+    row, was, now = len(world.inner_walls), None, None
+    try:
+        # 1. Find the wall and its new ends.
+        if "put" in wanted:
+            now = _points(wanted["put"])
+        else:
+            row = _row_of(world, _points(wanted["wall"]))
+            x1, y1, x2, y2 = world.inner_walls[row].tolist()
+            was = ((x1, y1), (x2, y2))
+            if wanted.get("to") is not None:
+                now = _points(wanted["to"])
+            elif wanted.get("by") is not None:
+                ((dx_in, dy_in),) = _points([wanted["by"]])
+                now = ((x1 + dx_in, y1 + dy_in), (x2 + dx_in, y2 + dy_in))
+    except ControlError:
+        raise
+    except (KeyError, TypeError, ValueError, OverflowError):
+        raise ControlError(f"{WALL_USAGE}, not {wanted!r:.200}") from None
+    # 2. Check that it fits.
+    if now is not None and (len(now) != 2 or math.dist(*now) < MIN_WALL_IN or not _is_on_map(now)):
+        raise ControlError(f"wall: expected two ends on the map, at least {MIN_WALL_IN:g} in apart")
+    if was is None and len(world.inner_walls) >= server.allowed.obstacles:
+        raise ControlError(f"wall: there are {len(world.inner_walls)} already, the maximum (--limit-obstacles)")
+    changed = world.with_inner_wall(row, *([] if now is None else [(*now[0], *now[1])]))
+    if not len(changed.walls):
+        raise ControlError("wall: it is the last wall of this world, which needs at least one")
+    for number, robot in server.simulation.robots.items():
+        x, y, radius_in = robot.disc
+        if now is not None and float(nearest_distances(np.array([x, y]), np.reshape(now, (1, 4)))) <= radius_in:
+            raise ControlError(f"wall: it would touch robot {number}")
+    # 3. Replace, insert or remove it.
+    server.simulation.change_world(changed)
+    server.invalidate_state_cache()
+    ends = [None if one is None else [list(end) for end in one] for one in (was, now)]
+    return {"walls": len(changed.inner_walls), "was": ends[0], "is": ends[1]}
+
+
+def _is_on_map(points: Sequence[Point]) -> bool:
+    return all(max(abs(x), abs(y)) <= MAX_COORDINATE_IN for x, y in points)
+
+
+def _row_of(world: World, ends: Sequence[Point]) -> int:
+    """Return the row of the last inner wall with these ends."""
+    wanted = np.ravel(np.asarray(ends, dtype=np.float64))
+    if wanted.shape == (4,):
+        rows = np.flatnonzero((np.abs(world.inner_walls - wanted) < CORNER_TOLERANCE_IN).all(axis=1))
+        if len(rows):
+            return int(rows[-1])
+    raise ControlError("wall: there is no inner wall with these ends, or it was changed meanwhile")
 
 
 def _moved(was: Polygon, wanted: Mapping[str, Any]) -> Polygon | None:

@@ -63,12 +63,18 @@ export function isFree(world, x, y) {
   return inRoom && !world.obstacles.some((obstacle) => inside(obstacle.corners, x, y));
 }
 
+// Return the point of a segment that is nearest to a point.
+export function nearestOn([[x1, y1], [x2, y2]], [x, y]) {
+  const [dx, dy] = [x2 - x1, y2 - y1], t = Math.max(0, Math.min(1, ((x - x1) * dx + (y - y1) * dy) / (dx * dx + dy * dy)));
+  return [x1 + t * dx, y1 + t * dy];
+}
+
 // Return true if a robot at this position seems to fit; the server checks exactly.
 export function robotFits(scene, id, [x, y]) {
   const radius = scene.bodies[id].radius_in;
-  const distance = ([x1, y1], [x2, y2]) => {
-    const [dx, dy] = [x2 - x1, y2 - y1], t = Math.max(0, Math.min(1, ((x - x1) * dx + (y - y1) * dy) / (dx * dx + dy * dy)));
-    return Math.hypot(x - x1 - t * dx, y - y1 - t * dy);
+  const distance = (...side) => {
+    const [nearX, nearY] = nearestOn(side, [x, y]);
+    return Math.hypot(x - nearX, y - nearY);
   };
   const walls = scene.world.walls.map(([a, b, c, d]) => [[a, b], [c, d]]);
   const sides = scene.world.obstacles.flatMap(({ corners }) => corners.map((corner, k) => [corner, corners[(k + 1) % corners.length]]));

@@ -5,8 +5,8 @@
 
 import { drawRobot, polygonPath, circle, arrow } from './draw.js';
 import { element } from './widgets.js';
-import { inside, isFree, robotFits, toScreen } from './geometry.js';
-import { addObstacle, deleteObstacle, moveObstacle, placeRobot } from './commands.js';
+import { inside, isFree, nearestOn, robotFits, toScreen } from './geometry.js';
+import { addObstacle, addWall, deleteObstacle, deleteWall, innerWalls, moveObstacle, moveWall, placeRobot } from './commands.js';
 
 const MIN_SIDE_IN = 0.5, MIN_DRAG_PX = 4, CLOSE_PX = 12;
 const WRONG_PLACE_MS = 5000;
@@ -21,14 +21,16 @@ const TOOLS = {
     hint: 'Press at the position and drag towards the heading: the answer to a program that asks for a pose.' },
   add: { title: 'Add obstacle', make: addTool, task: 'world', icon: 'M2 4h8v8H2zM13 1v6M10 4h6',
     hint: 'Drag a rectangle, or click corner after corner; Enter closes the outline.' },
-  shift: { title: 'Move obstacle', make: shiftTool, task: 'world', icon: 'M2 5h7v7H2zM10 8h5M13 6l2 2-2 2',
-    hint: 'Drag an obstacle to its new place.', wants: 'There is no obstacle: press on a grey one and drag it. Walls cannot be moved.' },
-  remove: { title: 'Delete obstacle', make: removeTool, task: 'world', icon: 'M2 4h8v8H2zM11 2l4 4M15 2l-4 4',
-    hint: 'Click on an obstacle to delete it.', wants: 'There is no obstacle: click on a grey one. Walls cannot be deleted.' },
+  wall: { title: 'Draw wall', make: wallTool, task: 'world', icon: 'M2 13L11 4M13 1v6M10 4h6',
+    hint: 'Drag from one end of the wall to the other. Ends near those of other walls join them.', wants: 'A wall has a length: press at one end and drag to the other.' },
+  shift: { title: 'Move', make: shiftTool, task: 'world', icon: 'M2 5h7v7H2zM10 8h5M13 6l2 2-2 2',
+    hint: 'Drag an obstacle or an inner wall; near its end a wall turns.', wants: 'There is nothing to move: press on a grey obstacle or an inner wall and drag it. The outlines of rooms stay.' },
+  remove: { title: 'Delete', make: removeTool, task: 'world', icon: 'M2 4h8v8H2zM11 2l4 4M15 2l-4 4',
+    hint: 'Click on an obstacle or an inner wall to delete it.', wants: 'There is nothing to delete: click on a grey obstacle or an inner wall. The outlines of rooms stay.' },
   waypoint: { title: 'Waypoints', make: waypointTool, task: 'localize', icon: 'M3 13l4-5 3 2 4-7M3 13h.1M14 3h.1',
     hint: 'Click to add a waypoint; drag one to move it, click it to delete it.', wants: 'A robot cannot stand there: click on free space.' },
 };
-const TOOL_GROUPS = { drive: 'Robot on the map', world: 'Obstacles on the map', localize: 'Waypoints on the map' };
+const TOOL_GROUPS = { drive: 'Robot on the map', world: 'Walls and obstacles on the map', localize: 'Waypoints on the map' };
 
 export function setUpTools(app) {
   const buttons = {}, bar = document.getElementById('tool-hint'), [words, done] = bar.children;
@@ -95,6 +97,46 @@ function robotAt(app, [x, y]) {
 // The topmost obstacle at a point: the last one drawn.
 function obstacleAt(app, [x, y]) {
   return (app.scene.world?.obstacles ?? []).findLast(({ corners }) => inside(corners, x, y)) ?? null;
+}
+
+// The inner wall at a point, or null; [wall, end] where end is 0 or 1 near an end and null between them.
+function wallAt(app, point) {
+  const world = app.scene.world ? innerWalls(app.scene.world) : [];
+  const wall = world.findLast((ends) => app.map.pixels(point, nearestOn(ends, point)) < CLOSE_PX) ?? null;
+  if (!wall) return null;
+  const end = wall.findIndex((one) => app.map.pixels(one, point) < CLOSE_PX);
+  return [wall, end < 0 ? null : end];
+}
+
+// The end of a wall near a point, or the point itself.
+function snapped(app, point) {
+  const ends = (app.scene.world?.walls ?? []).flatMap(([x1, y1, x2, y2]) => [[x1, y1], [x2, y2]]);
+  return ends.find((end) => app.map.pixels(end, point) < CLOSE_PX) ?? roundToTenths(point);
+}
+
+function drawLine(pen, view, [start, end], theme) {
+  pen.strokeStyle = theme.accent;
+  pen.lineWidth = 3;
+  pen.beginPath();
+  pen.moveTo(...toScreen(view, ...start));
+  pen.lineTo(...toScreen(view, ...end));
+  pen.stroke();
+}
+
+// Drag from one end of a new wall to the other.
+function wallTool(app) {
+  let start = null, here = null;
+  return {
+    down(world) { start = here = snapped(app, world); return true; },
+    move(world) { here = snapped(app, world); },
+    up() {
+      if (app.map.pixels(start, here) > 2 * MIN_DRAG_PX) addWall(app, [start, here]);
+      else app.rejectPlace();
+      start = null;
+    },
+    cancel() { const isDragging = start !== null; start = null; return isDragging; },
+    draw(pen, scene, view, { theme }) { if (start) drawLine(pen, view, [start, here], theme); },
+  };
 }
 
 function outline(pen, view, corners, theme) {
@@ -194,25 +236,48 @@ function addTool(app) {
   };
 }
 
+// Drag an obstacle, an inner wall, or one end of it.
 function shiftTool(app) {
-  let obstacle = null, start = null, here = null;
+  let obstacle = null, wall = null, start = null, here = null;
+  const movedWall = () => wall[0].map((end, k) => {
+    if (wall[1] !== null) return wall[1] === k ? snapped(app, here) : end;
+    return [end[0] + here[0] - start[0], end[1] + here[1] - start[1]];
+  });
   return {
-    down(world) { obstacle = obstacleAt(app, world); start = here = world; return Boolean(obstacle); },
+    down(world) {
+      obstacle = obstacleAt(app, world);
+      wall = obstacle ? null : wallAt(app, world);
+      start = here = world;
+      return Boolean(obstacle || wall);
+    },
     move(world) { here = world; },
-    up() { moveObstacle(app, obstacle.corners, here[0] - start[0], here[1] - start[1]); obstacle = null; },
-    cancel() { const isDragging = obstacle !== null; obstacle = null; return isDragging; },
+    up() {
+      if (obstacle) moveObstacle(app, obstacle.corners, here[0] - start[0], here[1] - start[1]);
+      else if (app.map.pixels(start, here) > MIN_DRAG_PX) moveWall(app, wall[0], movedWall());
+      obstacle = wall = null;
+    },
+    cancel() { const isDragging = Boolean(obstacle || wall); obstacle = wall = null; return isDragging; },
     draw(pen, scene, view, { theme }) {
+      if (wall) drawLine(pen, view, movedWall(), theme);
       if (obstacle) outline(pen, view, obstacle.corners.map(([x, y]) => [x + here[0] - start[0], y + here[1] - start[1]]), theme);
     },
   };
 }
 
 function removeTool(app) {
-  let obstacle = null;
+  let obstacle = null, wall = null;
   return {
-    down(world) { obstacle = obstacleAt(app, world); return Boolean(obstacle); },
-    up(world) { if (obstacleAt(app, world) === obstacle) deleteObstacle(app, obstacle); obstacle = null; },
-    cancel() { const isDragging = obstacle !== null; obstacle = null; return isDragging; },
+    down(world) {
+      obstacle = obstacleAt(app, world);
+      wall = obstacle ? null : wallAt(app, world)?.[0] ?? null;
+      return Boolean(obstacle || wall);
+    },
+    up(world) {
+      if (obstacle && obstacleAt(app, world) === obstacle) deleteObstacle(app, obstacle);
+      else if (wall && wallAt(app, world)) deleteWall(app, wall);
+      obstacle = wall = null;
+    },
+    cancel() { const isDragging = Boolean(obstacle || wall); obstacle = wall = null; return isDragging; },
   };
 }
 

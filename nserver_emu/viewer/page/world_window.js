@@ -1,8 +1,8 @@
-// The window World: obstacles by corners and by keyboard, undo, saving and loading worlds. Hidden on read-only pages. The
+// The window with walls, obstacles and world files: by corners and by keyboard, the gallery, undo, saving and loading. Hidden on read-only pages. The
 // server reads and writes the world format; the page only transfers the text.
 
 import { element, button, download, form, lengthField } from './widgets.js';
-import { addObstacle, callRobot, control, deleteObstacle, moveObstacle } from './commands.js';
+import { addObstacle, callRobot, control, deleteObstacle, deleteWall, innerWalls, moveObstacle, moveWall } from './commands.js';
 import { unitIn, unitName } from './units.js';
 
 const STEP_IN = 1, EXAMPLE = '10,10 20,10 20,20';
@@ -15,7 +15,7 @@ export function parseCorners(text) {
 }
 
 export const worldWindow = {
-  id: 'world', title: 'Obstacles and world files', moves: Promise.resolve(),
+  id: 'world', title: 'Walls, obstacles, world files', moves: Promise.resolve(),
   build(box, app) {
     this.list = element('div', { id: 'world-list' });
     const corners = element('input', { id: 'corners', placeholder: EXAMPLE, size: 22 }), name = document.createTextNode('');
@@ -51,21 +51,31 @@ export const worldWindow = {
     if (this.shown === app.scene.world) return;
     this.shown = app.scene.world;
     const focused = document.activeElement?.dataset?.key;
-    this.list.replaceChildren(...(this.shown?.obstacles ?? []).map((obstacle, k) => this.row(app, obstacle, k)));
+    this.list.replaceChildren(...(this.shown?.obstacles ?? []).map((obstacle, k) => this.row(app, obstacle, k)),
+      ...(this.shown ? innerWalls(this.shown) : []).map((wall, k) => this.wallRow(app, wall, k)));
     if (focused) this.list.querySelector(`[data-key="${focused}"]`)?.focus();
   },
   row(app, obstacle, k) {
-    const name = obstacle.name || `obstacle ${k + 1}`, round = (inches) => String(Math.round(inches / unitIn(app.metric) * 10) / 10);
+    return this.thing(app, obstacle.name || `obstacle ${k + 1}`, k, obstacle.corners,
+      (dx_in, dy_in) => shift(app, k, dx_in, dy_in), () => deleteObstacle(app, obstacle));
+  },
+  wallRow(app, wall, k) {
+    return this.thing(app, `wall ${k + 1}`, `wall ${k}`, wall,
+      (dx_in, dy_in) => moveWall(app, wall, wall.map(([x, y]) => [x + dx_in, y + dy_in])), () => deleteWall(app, wall));
+  },
+  // A row with the corners of a thing and buttons that move it in steps and delete it; `key` identifies its buttons.
+  thing(app, name, key, corners, move, remove) {
+    const round = (inches) => String(Math.round(inches / unitIn(app.metric) * 10) / 10);
     const action = (sign, word, act) => {
       const node = button(sign, act, { title: word, ariaLabel: `${word} ${name}` });
-      node.dataset.key = `${k} ${word}`;
+      node.dataset.key = `${key} ${word}`;
       return node;
     };
-    const by = (dx, dy) => () => { this.moves = this.moves.then(() => shift(app, k, dx * this.step.inches, dy * this.step.inches)); };
+    const by = (dx, dy) => () => { this.moves = this.moves.then(() => move(dx * this.step.inches, dy * this.step.inches)); };
     return element('div', { className: 'row' },
-      element('span', {}, `${name}: ${obstacle.corners.map((corner) => corner.map(round).join(',')).join(' ')}`),
+      element('span', {}, `${name}: ${corners.map((corner) => corner.map(round).join(',')).join(' ')}`),
       action('←', 'move left', by(-1, 0)), action('→', 'move right', by(1, 0)), action('↑', 'move up', by(0, 1)), action('↓', 'move down', by(0, -1)),
-      action('Delete', 'delete', () => deleteObstacle(app, obstacle)));
+      action('Delete', 'delete', remove));
   },
 };
 

@@ -62,7 +62,7 @@ def test_obstacle_by_clicks_and_by_keyboard(browser: Browser) -> None:
         page.value("nserver.history.undo()")
         page.wait("nserver.scene.world.obstacles.length === 1")
         # A tool says what it wants where it can do nothing.
-        for tool, words in (("remove", "no obstacle"), ("place", "no robot"), ("waypoint", "cannot stand")):
+        for tool, words in (("remove", "nothing to delete"), ("place", "no robot"), ("waypoint", "cannot stand")):
             page.page.click(f"#tool-{tool}")
             page.page.mouse.click(*page.at(45, 45) if tool == "waypoint" else page.at(80, 80))
             page.wait(f"{hint}.includes('{words}')")

@@ -46,7 +46,6 @@ def test_every_command_that_drives_refuses_another_body(words: list[str], capsys
     assert "is of model n200; omit --body" in output.err
 
 
-@pytest.mark.long
 def test_calibrate_writes_the_robots_own_name(tmp_path: Path) -> None:
     quick = ["--laps", "1", "--square", "5,5,30", "--spins", "0", "--speed", "15", "--turn-speed", "90"]
     words = ["--world", "thesis_room", *quick, "--out", f"{tmp_path}/found.toml"]

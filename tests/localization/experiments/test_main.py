@@ -17,10 +17,7 @@ from localization.experiments.figure_trial import FIGURES, Summary
 QUICK = ["--seeds", "2", "--jobs", "1"]
 
 
-def test_json_is_alone_on_stdout(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+def test_json_is_alone_on_stdout(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert __main__.main(["5.6", *QUICK, "--json", "--no-pictures", "--out", str(tmp_path)]) == 0
     output, errors = capsys.readouterr()
     summary = json.loads(output)
