@@ -237,19 +237,18 @@ def kalman_gain(P: Sequence[Sequence[Number]], H: Sequence[Number], R: Number) -
     P
         Covariance, n rows of n.
     H
-        Derivative of the expected reading by the pose, and where it has five elements by the last two coordinates; 0 by
-        those between.
+        Derivative of the expected reading by the pose, then by the last coordinates; 0 by those between.
     R
         Variance of the reading.
     """
     a, b, c = H[0], H[1], H[2]
-    if len(H) == POSE:
-        PHt = [row[0] * a + row[1] * b + row[2] * c for row in P]
-        S = PHt[0] * a + PHt[1] * b + PHt[2] * c + R
-    else:
-        d, e = H[3], H[4]
-        PHt = [row[0] * a + row[1] * b + row[2] * c + row[-2] * d + row[-1] * e for row in P]
-        S = PHt[0] * a + PHt[1] * b + PHt[2] * c + R + PHt[-2] * d + PHt[-1] * e
+    PHt = [row[0] * a + row[1] * b + row[2] * c for row in P]
+    between = len(P) - len(H)
+    for j in range(POSE, len(H)):
+        PHt = [value + cov * H[j] for value, cov in zip(PHt, P[between + j])]  # noqa: B905  for numba
+    S = PHt[0] * a + PHt[1] * b + PHt[2] * c + R
+    for j in range(POSE, len(H)):
+        S = S + PHt[between + j] * H[j]
     return [value / S for value in PHt], S
 
 
