@@ -16,6 +16,8 @@
 from __future__ import annotations
 
 import contextlib
+import functools
+import logging
 import os
 import time
 from collections.abc import Callable, Generator
@@ -31,18 +33,21 @@ from nclient.backends.base import Backend, LinkStatistics
 from nclient.backends.direct import DirectBackend
 from nclient.backends.keep_alive import KeepAlive
 from nclient.backends.nserver import DEFAULT_TIMEOUT_S, NserverBackend
-from nclient.errors import AddressError, ConnectionLost
+from nclient.errors import AddressError, ConnectionLost, RecordingError
 from nclient.faults.frames import Injector, LineLanguage, TcpLanguage
 from nclient.faults.inject import FaultyLine, FaultyStream
 from nclient.faults.plan import require_rules_for
 from nclient.protocol.types import MODELS, Model
-from nclient.recording.format import Recording, read_recording
+from nclient.recording.drive import Drive, DrivePeer
+from nclient.recording.format import Recording, parse_recording, read_recording
 from nclient.recording.recorder import HANDSHAKE_FIRST, TCP, ClientRecording
 from nclient.recording.replayer import STRICT, Player, RecordedConnection, ReplayPeer, load_exchanges
 from nclient.robot import Robot
 from nclient.transports import serial, tcp
 from nclient.transports.stream import ByteStream, MemoryStream, open_in_process
 from nclient.url import SCHEMES, Address, available_schemes, parse_address, split_address
+
+log = logging.getLogger(__name__)
 
 DEFAULT_ADDRESS: Final = "nserver://localhost:7019/1"
 VARIABLE: Final = "NOMAD_ROBOT"
@@ -108,6 +113,7 @@ class Connector:
         self._recorder: ClientRecording | None = None
         self._recording: Recording | None = None
         self._replayed: RecordedConnection | None = None
+        self._drive: Drive | None = None
         self._replays = 0
 
     @property
@@ -180,8 +186,8 @@ class Connector:
                 return tcp.TcpStream(address.host, address.port, connect_timeout_s)
             case "robotd":
                 return tcp.TcpStream(address.host, address.port, connect_timeout_s, served_by=tcp.ROBOT_LINE)
-            case "serial":
-                return serial.SerialStream(address.path, address.options.baud or serial.DEFAULT_BAUD)
+            case "serial" | "serial+rfc2217" | "serial+socket":
+                return serial.open_port(address.path, address.options.baud or serial.DEFAULT_BAUD)
             # In this process.
             case "replay":
                 return self._open_replay()
@@ -253,20 +259,44 @@ class Connector:
         if plan is None:
             return self._injector
         if self.plan_injector is None:
-            require_rules_for(self.address.scheme, plan)
-            self.plan_injector = Injector(plan, self.address.scheme, time.monotonic())
+            # A fault plan has one kind of line for all serial ports.
+            kind = self.address.scheme.partition("+")[0]
+            require_rules_for(kind, plan)
+            self.plan_injector = Injector(plan, kind, time.monotonic())
         injector = self.plan_injector
         return lambda: injector
 
     def _open_replay(self) -> MemoryStream:
         """Open the connection that the address names, else the first, and the next one at each reopening."""
-        self._recording = self._recording or read_recording(Path(self.address.path))
+        if self._recording is None and self._drive is None:
+            self._read_replayed(Path(self.address.path))
+        if self._drive is not None:
+            self._replayed = RecordedConnection(self.address.path, TCP, self._drive.model)
+            return MemoryStream(DrivePeer(self.address.path, self._drive))
+        assert self._recording is not None
         # Reopening past the last recorded connection repeats that one.
         names = self._recording.connections()
         name = self.address.options.connection or (names[min(self._replays, len(names) - 1)] if names else "")
         self._replayed = load_exchanges(self._recording, name)
         self._replays += 1
         return MemoryStream(ReplayPeer(Player(self._replayed, self.address.options.order or STRICT)))
+
+    def _read_replayed(self, path: Path) -> None:
+        """Read a recording, or a file of another program as a drive."""
+        from nclient.recording import convert  # here: formats of others are seldom read
+
+        try:
+            foreign = convert.format_of_file(path) != convert.RECORDING
+        except RecordingError:
+            foreign = False  # reading it as a recording explains what is wrong
+        if not foreign:
+            self._recording = read_recording(path)
+            return
+        drive = convert.read_drive(path)
+        if drive.traffic:
+            self._recording = parse_recording("\n".join(drive.traffic) + "\n", str(path))
+        else:
+            self._drive = drive
 
     def _needs_keep_alive(self, backend: Backend) -> bool:
         """Return False for a simulation too fast for a keep-alive, unless the address has `tm_s=`."""
@@ -353,8 +383,20 @@ def open_backend(address: str | None, options: ConnectOptions = ConnectOptions()
 
 
 def address_or_default(address: str | None) -> str:
-    """Return the address, else that of NOMAD_ROBOT, else that of a local Nserver's first robot."""
+    """Return the address, else that of NOMAD_ROBOT, else that of a local Nserver's first robot.
+
+    A NOMAD_ROBOT that names another robot than the address is reported once: it has no effect.
+    """
+    if address:
+        _report_ignored_variable(address, os.environ.get(VARIABLE, ""))
     return address or os.environ.get(VARIABLE) or DEFAULT_ADDRESS
+
+
+@functools.cache
+def _report_ignored_variable(used: str, ignored: str) -> None:
+    # A C program names a host alone, which may be that of the variable.
+    if used not in ignored and ignored:
+        log.warning("%s=%s is ignored: the program names %s", VARIABLE, ignored, used)
 
 
 # -- for C programs: nclient.capi -------------------------------------------------------------------------------------
@@ -376,6 +418,8 @@ def open_machine(name: str, port: int, options: ConnectOptions = ConnectOptions(
     AddressError, ConnectionLost, ReplyTimeout, RobotRefused
         As `connect` does.
     """
+    if name:
+        _report_ignored_variable(name, os.environ.get(VARIABLE, ""))
     address = _address_of(name)
     if address is None:
         stream = _open_tcp(name, port, options.timeout_s)
@@ -413,7 +457,7 @@ def open_line(model_number: int, device: str, conn: int, options: ConnectOptions
     if model_number not in models:
         raise AddressError(f"a model's number is one of {', '.join(map(str, sorted(models)))}, not {model_number}")
     place = f"serial://{device}?baud={conn}&" if device.startswith("/") else f"robotd://{device}:{conn}?"
-    as_c_library = "&tm_s=0&retries=0&reconnect=0&checks=0"
+    as_c_library = "&tm_s=0&retries=0&reconnect=0&checks=0&bumper_stop=0"
     return open_backend(f"{place}model={models[model_number]}{as_c_library}", options)
 
 

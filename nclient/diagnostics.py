@@ -76,6 +76,9 @@ LOW_V, EMPTY_V = 11.1, 10.5
 """A lead battery of six cells: 1.85 V per cell, to be charged, and 1.75 V, the end of discharge."""
 SHORT_S: Final = 0.5
 """Duration below which no rate is computed; simulated time in lockstep takes less."""
+ONE_WALL_RATIO: Final = 1.25
+"""Ratio of the ranges of two sonars 45 degrees apart to one wall that is turned by up to 15 degrees against the sonar
+between them: cos(7.5 deg) / cos(37.5 deg). Turned further, one of the two gets no echo from it."""
 _CLOCK_WORD: Final = 1 << 32
 Readings = Sequence[Sequence[int]]
 
@@ -91,15 +94,16 @@ def sonars(states: Sequence[RobotState]) -> list[Finding]:
             findings.append(fail(name, "reads 0 always: dead", "look after its cable and transducer"))
         elif stuck(readings, number, (DEAD_IN, NO_ECHO_IN)):
             findings.append(_stuck(name, readings[0][number], " in"))
-    # 2. Sonars without any echo: suspicious if both neighbours have some.
+    # 2. Sonars without any echo: suspicious if both neighbours may see the same wall. Beside a corner, or a wall met at
+    # a slant, a healthy one has none.
     silent = [number for number in range(RING) if always(readings, number, NO_ECHO_IN)]
     if len(silent) == RING:
         return [warn("sonars", "none has an echo", "is the ring off (conf_sn turns it on), or the hall empty?")]
-    alone = [number for number in silent if _neighbours_have_echoes(readings, number)]
+    alone = [number for number in silent if _neighbours_see_one_wall(readings, number)]
     if alone:
         findings.append(warn(
             "sonars", f"no echo while both neighbours have some: {', '.join(map(str, alone))}",
-            "a wall met at a slant does that; hold a board 20 in before each: still 255 means it is dead",
+            "they may see one wall, and it should, too; hold a board 20 in before each: still 255 means it is dead",
         ))
     return findings or [ok("sonars", f"{RING - len(silent)} of {RING} have echoes, none dead or stuck")]
 
@@ -177,9 +181,15 @@ def stuck(readings: Readings, number: int, limits: tuple[int, ...]) -> bool:
     return sum(max(column) <= value and max(column) - min(column) >= MIN_CHANGE for column in columns) >= MIN_CHANGED
 
 
-def _neighbours_have_echoes(readings: Readings, number: int) -> bool:
-    sides = ((number - 1) % RING, (number + 1) % RING)
-    return all(any(DEAD_IN < reading[side] < NO_ECHO_IN for reading in readings) for side in sides)
+def _neighbours_see_one_wall(readings: Readings, number: int) -> bool:
+    """Return True if the nearest echoes of both neighbours differ as little as those of one wall."""
+    nearest = []
+    for side in ((number - 1) % RING, (number + 1) % RING):
+        echoes = [reading[side] for reading in readings if DEAD_IN < reading[side] < NO_ECHO_IN]
+        if not echoes:
+            return False
+        nearest.append(min(echoes))
+    return max(nearest) <= ONE_WALL_RATIO * min(nearest)
 
 
 def _stuck(name: str, value: int, unit: str) -> Finding:

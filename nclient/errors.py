@@ -5,7 +5,7 @@
     ├── ConnectionLost (ConnectionError)   the other end has closed the connection, or never accepted it
     ├── ReplyTimeout (TimeoutError)        the other end is there and does not reply
     ├── RobotRefused                       a refusal: ERROR or NAK, with the command
-    ├── BumperHit                          a bumper closed while the robot moved, and it was stopped (bumper_stop=1)
+    ├── BumperHit                          a bumper closed while the robot moved, and it was stopped (bumper_stop)
     ├── WireError (ValueError)             malformed bytes, or values that cannot be encoded
     ├── WorldFileError (ValueError)        a world, model or setup file in TOML that is not valid: file, key
     ├── MapFileError (ValueError)          a map of another tool that cannot be read, or written
@@ -93,7 +93,7 @@ class RobotRefused(NomadError):
 
 
 class BumperHit(NomadError):
-    """A bumper closed while the robot moved, and st was sent at once; only with bumper_stop=1.
+    """A bumper closed while the robot moved, and st was sent at once (option bumper_stop).
 
     Attributes
     ----------

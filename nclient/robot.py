@@ -152,6 +152,11 @@ class Robot:
         """The robot's model, as the address or the recording names it."""
         return self._backend.wire_state.model
 
+    def _repr_html_(self) -> str:
+        from nclient.picture import state_html  # only notebooks need it
+
+        return state_html(self.state, ", disconnected" if self.closed else "")
+
     @property
     def closed(self) -> bool:
         """True if the connection is over; every method then raises ConnectionLost."""

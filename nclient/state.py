@@ -114,6 +114,11 @@ class RobotState:
     ring_in: tuple[float, ...] | None = None
     """All readings of the ring of a model file, inches, after `Robot.watch_ring`; `sonars_in` has 16 at most."""
 
+    def _repr_html_(self) -> str:
+        from nclient.picture import state_html  # only notebooks need it
+
+        return state_html(self)
+
     @property
     def speed_factor(self) -> float:
         """Speed of the other end's time, 1.0 real time; 0 if it is paused or advances only with each exchange."""

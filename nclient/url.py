@@ -1,7 +1,8 @@
 """Addresses such as `nserver://lab:7019/1?timeout_s=2`: parsed and validated, nothing is opened.
 
     nserver://lab:7019/1?timeout_s=2      scheme nserver, host lab, port 7019, robot 1
-    serial:///dev/ttyUSB0?model=n150      scheme serial, path /dev/ttyUSB0
+    serial:///dev/ttyUSB0?model=n150      scheme serial, path /dev/ttyUSB0; /dev/ttyUSB0 and COM3 mean the same
+    serial+rfc2217://lab:4001             a serial port of another machine, as pyserial's rfc2217://lab:4001
     sim:thesis_room?seed=1                scheme sim: the rest is read by the opener of that scheme
 
 `SCHEMES` and `AddressOptions` are the only lists of what an address may contain; docs/addresses.md shows them to users.
@@ -11,6 +12,7 @@
 from __future__ import annotations
 
 import math
+import re
 import sys
 from collections import Counter
 from collections.abc import Callable, Container, Iterable, Mapping
@@ -130,14 +132,16 @@ class Scheme(NamedTuple):
 SCHEMES: Final[dict[str, Scheme]] = {
     "nserver": Scheme(f"nserver://host[:port]/id, {EXAMPLES}", TCP),
     "serial": Scheme("serial:///dev/ttyUSB0?model=n150&baud=38400", SERIAL),
+    "serial+rfc2217": Scheme("serial+rfc2217://host:port?model=n150&baud=38400", SERIAL),
+    "serial+socket": Scheme("serial+socket://host:port?model=n150", SERIAL),
     "robotd": Scheme("robotd://host[:port]?model=n200", HANDSHAKE_FIRST),
     "replay": Scheme("replay:FILE", TCP, in_process=True),
 }
 
 # Groups of schemes in the table of options.
 _REPLAY: Final = frozenset({"replay"})
-_SERIAL_PORT: Final = frozenset({"serial"})
-_SERIAL_PROTOCOL: Final = frozenset({"serial", "robotd"})
+_SERIAL_PORT: Final = frozenset({"serial", "serial+rfc2217"})
+_SERIAL_PROTOCOL: Final = _SERIAL_PORT | {"serial+socket", "robotd"}
 _REMOTE: Final = _SERIAL_PROTOCOL | {"nserver"}
 
 
@@ -174,7 +178,7 @@ class AddressOptions:
     # Layers around the protocol: recovery and safety.
     reconnect: Annotated[float | None, Option(seconds_or_zero, _REMOTE, MAX_PAUSE_S, _SERIAL_PROTOCOL)] = None
     retries: Annotated[int | None, Option(count, _SERIAL_PROTOCOL, DEFAULT_RETRIES, _SERIAL_PROTOCOL)] = None
-    bumper_stop: Annotated[bool | None, Option(flag)] = None
+    bumper_stop: Annotated[bool | None, Option(flag, None, True, _SERIAL_PROTOCOL)] = None
     # Where time runs by itself, a robot has to stop when its program dies; a simulation waits for its client instead.
     feed: Annotated[bool | None, Option(flag, None, True, _REMOTE)] = None
     tm_s: Annotated[int | None, Option(motion_timeout, None, DEFAULT_TIMEOUT_S, _REMOTE)] = None
@@ -283,14 +287,32 @@ def split_address(text: str) -> RawAddress:
     AddressError
         If an option is given twice.
     """
-    scheme, colon, rest = text.strip().partition(":")
+    text = _with_scheme(text.strip())
+    scheme, colon, rest = text.partition(":")
     # urlsplit() knows no query of schemes without slashes, such as sim:WORLD?seed=1.
     query = rest.partition("#")[0].partition("?")[2]
     options = parse_qsl(query, keep_blank_values=True)
     for name, times in Counter(name for name, _ in options).items():
         if times > 1:
-            raise AddressError(f"{text.strip()!r}: {name} is given {times} times; expected once")
-    return RawAddress(text.strip(), scheme.lower() if colon else "", dict(options))
+            raise AddressError(f"{text!r}: {name} is given {times} times; expected once")
+    return RawAddress(text, scheme.lower() if colon else "", dict(options))
+
+
+_PORT_NAME: Final = re.compile(r"(?P<device>/dev/)|COM\d+(?=$|\?)", re.IGNORECASE)
+"""Names of serial ports: /dev/ttyUSB0, /dev/cu.usbserial-1, COM3."""
+
+
+def is_port_name(text: str) -> bool:
+    """Return True for the name of a serial port, with or without options."""
+    return _PORT_NAME.match(text) is not None
+
+
+def _with_scheme(text: str) -> str:
+    """Return the address of a serial port for its name alone, any other text unchanged."""
+    found = _PORT_NAME.match(text)
+    if not found:
+        return text
+    return f"serial://{text}" if found["device"] else f"serial:///{text}"
 
 
 def parse_address(text: str) -> Address:
@@ -357,8 +379,17 @@ def available_schemes() -> tuple[str, ...]:
     return tuple(sorted({*SCHEMES, *in_process_schemes()}))
 
 
+_HOST_AND_PORT: Final = re.compile(r"[\w.-]+:\d+(?:/\d*)?(?:\?|$)")
+
+
 def _unknown_scheme(raw: RawAddress) -> AddressError:
     schemes = available_schemes()
+    # A host and a port: the port shows the likely scheme.
+    if _HOST_AND_PORT.match(raw.text):
+        scheme = "robotd" if f":{DEFAULT_LINE_PORT}" in raw.text else "nserver"
+        hint = f"did you mean {scheme}://{raw.text}? "
+        return AddressError(f"{raw.text!r} is no address: {hint}There are {', '.join(f'{each}:' for each in schemes)} "
+                            f"{EXAMPLES}")
     # Without a colon the first word may be a mistyped scheme.
     name = raw.scheme or raw.text.partition("/")[0].lower()
     hint = suggest(name, schemes, before="", after=":? ")
@@ -381,7 +412,12 @@ def _parse_place(raw: RawAddress, scheme: Scheme) -> dict[str, Any]:
         case "nserver":
             return {"robot_id": _robot_id(raw, parts), **_host_and_port(parts, "localhost", DEFAULT_PORT)}
         case "serial" if path and not (parts.netloc or parts.fragment):
-            return {"path": unquote(parts.path)}
+            is_windows_port = _PORT_NAME.fullmatch(path) is not None
+            return {"path": path if is_windows_port else unquote(parts.path)}
+        case "serial+rfc2217" | "serial+socket":
+            if not (parts.hostname and parts.port) or path or parts.fragment:
+                raise AddressError(f"{raw.text!r}: a host and its port follow: {scheme.form}")
+            return {"path": f"{raw.scheme.partition('+')[2]}://{parts.netloc}"}
         case "serial":
             raise AddressError(f"{raw.text!r}: three slashes and a port follow: {scheme.form}")
         case _ if parts.hostname and not (path or parts.fragment):

@@ -22,12 +22,12 @@ TESTS = Path(__file__).parent
 LONG = ("integration", "benchmarks", "packaging", "clib", "docs")
 """Folders whose tests are all marked `long`."""
 
-LONG_HALF = "long or hypothesis"
-"""The `-m` of the second half of scripts/test."""
+SHORT_HALF, LONG_HALF = "not long and not hypothesis", "long or hypothesis"
+"""The `-m` of the two halves of scripts/test."""
 SLOWEST = (
     "packaging/test_wheel.py", "integration/test_readme.py", "docs/test_pages.py", "docs/test_site.py",
-    "fuzz/test_documentation.py", "nserver_emu/server/test_determinism.py", "benchmarks/test_line_localizer.py",
-    "integration/test_cluster.py", "benchmarks/test_ekf.py", "docs/test_missions_page.py",
+    "nserver_emu/server/test_determinism.py", "localization/experiments/test_trial.py", "integration/test_cluster.py",
+    "localization/cli/test_calibrate.py", "benchmarks/test_line_localizer.py", "docs/test_missions_page.py",
 )  # fmt: skip
 """Files that a worker begins with, the slowest first: begun last, they would run when all others are done."""
 
@@ -56,12 +56,16 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """With `-m LONG_HALF`, do not import files without such tests: it would take each worker several seconds."""
-    if config.option.markexpr != LONG_HALF or not collection_path.name.startswith("test_"):
+    """With the `-m` of a half, do not import files without its tests: it would take each worker several seconds."""
+    half = config.option.markexpr
+    if half not in (SHORT_HALF, LONG_HALF) or not collection_path.name.startswith("test_"):
         return None
-    text = collection_path.read_text(encoding="utf-8") if collection_path.is_file() else "hypothesis"
-    is_long = collection_path.relative_to(TESTS).parts[0] in LONG
-    return None if is_long or "mark.long" in text or "hypothesis" in text else True
+    if collection_path.relative_to(TESTS).parts[0] in LONG:
+        return None if half == LONG_HALF else True
+    if half == SHORT_HALF or collection_path.is_dir():
+        return None
+    text = collection_path.read_text(encoding="utf-8")
+    return None if "mark.long" in text or "hypothesis" in text else True
 
 
 @pytest.hookimpl(wrapper=True)

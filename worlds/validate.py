@@ -67,7 +67,7 @@ def validate_world(world: World, radius_in: float, limits: ValidationLimits | No
     return [
         # Obstacles stand where they stand: a cupboard at a wall is no mistake of the map.
         *_gaps(world.fixed_walls, limits),
-        *_doubled(world.fixed_walls, limits),
+        *_doubled(world, limits),
         *_short_segments(world.walls, limits),
         *_starts(world, radius_in),
         *_closed_off(find_free_space(world, radius_in), limits),
@@ -155,14 +155,35 @@ def _near_pairs(walls: FloatArray, reach_in: float) -> list[tuple[int, int]]:
     return [divmod(pair, len(walls)) for pair in np.unique(np.concatenate(blocks)).tolist()] if blocks else []
 
 
-def _doubled(walls: FloatArray, limits: ValidationLimits) -> Iterator[Finding]:
-    for one, other, (x, y), overlap, apart in _overlaps(walls, limits):
+def _doubled(world: World, limits: ValidationLimits) -> Iterator[Finding]:
+    """Yield walls on top of each other, without the side of a closed outline that stands at a wall, as a cupboard."""
+    # 1. Outlines of inner walls, and those of them that lie on other walls with some of their sides only.
+    walls, first_inner = world.fixed_walls, len(world.fixed_walls) - len(world.inner_walls)
+    pairs = list(_overlaps(walls, limits))
+    doubled = {row for one, other, *_ in pairs for row in (one, other)}
+    at_walls = {row for outline in _closed_outlines(walls, first_inner) if not doubled.issuperset(outline)
+                for row in outline}  # fmt: skip
+    # 2. All other pairs.
+    for one, other, (x, y), overlap, apart in pairs:
+        if one in at_walls or other in at_walls:
+            continue
         yield Finding(
             "doubled",
             (x, y),
             f"{_wall(walls, one)} and {_wall(walls, other)} lie "
             f"over one another for {overlap:.3g} in, {apart:.3g} in apart at most",
         )
+
+
+def _closed_outlines(walls: FloatArray, first: int) -> Iterator[range]:
+    """Yield the rows of each closed outline of three or more walls in sequence, from a row on."""
+    begin = first
+    for row in range(first, len(walls)):
+        if row > begin and np.hypot(*(walls[row, :2] - walls[row - 1, 2:])) > TOUCHING_IN:
+            begin = row
+        if row >= begin + 2 and np.hypot(*(walls[row, 2:] - walls[begin, :2])) <= TOUCHING_IN:
+            yield range(begin, row + 1)
+            begin = row + 1
 
 
 def _overlaps(

@@ -142,6 +142,11 @@ class World:
         for name, value in derived.items():
             object.__setattr__(self, name, value)
 
+    def _repr_html_(self) -> str:
+        from worlds.picture import world_svg  # only notebooks need it
+
+        return world_svg(self)
+
     def with_obstacles(self, obstacles: Iterable[Polygon]) -> World:
         """Return this world with other obstacles; fixed walls keep their rows.
 
@@ -170,6 +175,18 @@ class World:
         for name, value in derived.items():
             object.__setattr__(world, name, value)
         return world
+
+    def with_inner_wall(self, row: int, *walls: Sequence[float]) -> World:
+        """Return this world with walls (x1 y1 x2 y2) in place of one row of `inner_walls`.
+
+        A row past the last adds them. What was measured of the replaced wall is forgotten.
+        """
+        new = np.reshape(np.asarray(walls, dtype=np.float64), (-1, 4))
+        inner = np.concatenate((self.inner_walls[:row], new, self.inner_walls[row + 1 :]))
+        # Rows behind it move by the number of walls that were added.
+        added = len(new) - 1
+        accuracies = {k + added if k > row else k: value for k, value in self.accuracies.items() if k != row}
+        return replace(self, inner_walls=inner, accuracies=accuracies)
 
     def obstacles_with_corner(self, x_in: float, y_in: float, within_in: float) -> list[int]:
         """Return the numbers of obstacles with a corner within a distance in x and y of a point, increasing."""

@@ -104,3 +104,11 @@ int nomad_parse_address(struct address *address)
     memcpy(address->location, text, strlen(text) + 1);
     return options && !parse_options(address, options) ? -1 : 1;
 }
+
+void nomad_report_ignored_address(const char *used)
+{
+    const char *ignored = getenv("NOMAD_ROBOT");
+
+    if (ignored && *ignored && strstr(ignored, used) == NULL)
+        nomad_print("Nclient: NOMAD_ROBOT=%.100s is ignored: the program names %.80s", ignored, used);
+}

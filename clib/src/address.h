@@ -22,4 +22,7 @@ struct address {
 /* Parse NOMAD_ROBOT. Return 1; 0 if it is not set; -1 after reporting an error if it is invalid. */
 int nomad_parse_address(struct address *address);
 
+/* Print a note if NOMAD_ROBOT names another place than `used`, which the program itself names. */
+void nomad_report_ignored_address(const char *used);
+
 #endif

@@ -100,6 +100,7 @@ int nomad_config_from_arguments(struct serial_config *to, const struct line_argu
         nomad_report_error("connect_robot: after the robot's number give model, line and baud rate, or nothing");
         return 0;
     }
+    nomad_report_ignored_address(given->name);
     return set_config(to, given->name, given->name[0] == '/', given->number, given->model);
 }
 

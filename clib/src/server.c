@@ -171,8 +171,10 @@ static int open_server(long robot_id, struct address *address)
     char hostname[256] = "";
 
     /* 1. the program's own choice, 2. NOMAD_ROBOT, 3. localhost, 4. the name of this machine */
-    if (SERVER_MACHINE_NAME[0])
+    if (SERVER_MACHINE_NAME[0]) {
+        nomad_report_ignored_address(SERVER_MACHINE_NAME);
         return nomad_open_tcp(SERVER_MACHINE_NAME, SERV_TCP_PORT, timeout_ms, 1);
+    }
     if (status < 0)
         return -1;
     if (status && strcmp(address->scheme, "nserver") != 0) {

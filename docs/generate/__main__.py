@@ -7,7 +7,9 @@ import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from docs.generate import c_table, commands, exit_codes, from_c, layers, limits, protocol, setups
+from docs.generate import c_table, commands, exit_codes, from_c, gallery, layers, limits, protocol, setups
+from worlds.io import load_world, world_names
+from worlds.picture import world_svg
 
 ROOT = Path(__file__).parents[2]
 PAGES: dict[str, Callable[[], dict[str, Iterator[str]]]] = {
@@ -18,10 +20,12 @@ PAGES: dict[str, Callable[[], dict[str, Iterator[str]]]] = {
     "docs/limits.md": limits.blocks,
     "docs/protocol.md": protocol.blocks,
     "docs/setups.md": setups.blocks,
+    "docs/worlds.md": gallery.blocks,
 }
 """Pages, and the functions that return the lines of their blocks by name."""
 C_TABLE = "clib/src/commands.inc"
-FILES = (*PAGES, C_TABLE)
+PICTURES = tuple(f"{gallery.FOLDER}/{name}.svg" for name in world_names())
+FILES = (*PAGES, C_TABLE, *PICTURES)
 BLOCK = re.compile(r"(<!-- generated: (\w+) -->)\n.*?<!-- end -->\n", re.DOTALL)
 
 
@@ -29,6 +33,8 @@ def text(name: str) -> str:
     """Return the text of a file with its generated blocks replaced."""
     if name == C_TABLE:
         return c_table.table()
+    if name in PICTURES:
+        return world_svg(load_world(Path(name).stem))
     blocks = PAGES[name]()
     page = (ROOT / name).read_text(encoding="utf-8")
     return BLOCK.sub(lambda found: "\n".join((found[1], *blocks[found[2]], "<!-- end -->\n")), page)

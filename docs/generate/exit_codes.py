@@ -6,17 +6,20 @@ from collections.abc import Iterator
 
 from nclient.common.exit_codes import ExitCode
 
-NOMAD, NSERVER, CTL = "nomad", "nserver", "nserver ctl"
+NOMAD, NSERVER, CTL, EXPERIMENTS = "nomad", "nserver", "nserver ctl", "localization.experiments"
 ALL = (NOMAD, NSERVER, CTL)
+ALL_AND_EXPERIMENTS = (*ALL, EXPERIMENTS)
 MEANINGS = {
-    ExitCode.DONE: ("success; a server was stopped as requested (SIGINT, SIGTERM, SIGHUP, quit_server)", ALL),
-    ExitCode.FAILED: ("failure; the reason is on stderr", ALL),
-    ExitCode.USAGE: ("wrong usage, or a missing extra; stderr says what is expected", ALL),
+    ExitCode.DONE: (
+        "success; a server was stopped as requested (SIGINT, SIGTERM, SIGHUP, quit_server)", ALL_AND_EXPERIMENTS),
+    ExitCode.FAILED: ("failure; the reason is on stderr", ALL_AND_EXPERIMENTS),
+    ExitCode.USAGE: ("wrong usage, or a missing extra; stderr says what is expected", ALL_AND_EXPERIMENTS),
     ExitCode.NOT_REACHED: ("the command ran and did not achieve its goal (table below)", (NOMAD,)),
     ExitCode.UNFIT: ("`calibrate`, `map learn`: readings do not fit the model; nothing was written", (NOMAD,)),
     ExitCode.HUNG_UP: ("the terminal was closed (SIGHUP); the robot was stopped, the report written", (NOMAD,)),
     ExitCode.INTERRUPTED: (
-        "Ctrl-C (SIGINT), of `nserver` only until it serves; the robot was stopped, the report written", ALL),
+        "Ctrl-C (SIGINT), of `nserver` only until it serves; the robot was stopped, the report written",
+        ALL_AND_EXPERIMENTS),
     ExitCode.READER_GONE: ("the reader of stdout closed it (SIGPIPE)", ALL),
     ExitCode.TERMINATED: ("SIGTERM; the robot was stopped, the report written", (NOMAD,)),
 }  # fmt: skip
@@ -36,6 +39,7 @@ NOT_REACHED = {
     "nomad go": "the robot is not at the goal: blocked, lost or out of time, as reported",
     "nomad localize": "a waypoint was not reached",
     "nomad map check": "the map has defects",
+    "nomad map learn": "a way-point was left out; the map is written",
     "nomad mission": "a step failed, as reported",
 }
 """Meaning of exit code 3 by command."""

@@ -4,6 +4,7 @@ import argparse
 import math
 import os
 import sys
+import time
 from collections.abc import Sequence
 from dataclasses import astuple
 from pathlib import Path
@@ -16,14 +17,21 @@ from localization.filters.belief import POSE, Belief, Floats, independent
 from localization.filters.global_localization import is_wide
 from localization.filters.health import HealthStatus
 from localization.filters.odometry import MAX_STATE, OdometryNoise, with_parameters
-from localization.filters.registry import DEFAULT_METHOD, METHODS
+from localization.filters.registry import DEFAULT_METHOD, FINDER, METHOD_CHOICES
 from localization.filters.sonar_cone import building_sonar
 from localization.live import saved_estimate
-from localization.live.assumptions import BUILDING_SETUP, SIMULATION, SonarAssumption, resolve_body, resolve_sonar_model
+from localization.live.assumptions import (
+    BUILDING_SETUP,
+    SIMULATION,
+    SonarAssumption,
+    decide_by_readings,
+    resolve_body,
+    resolve_sonar_model,
+)
 from localization.live.localizer import Estimate
 from localization.live.run import Run
-from localization.live.saved_estimate import DisplacementStd, SavedEstimate, map_signature, resume_belief
-from localization.live.sensor_input import EncoderPose, with_wheels
+from localization.live.saved_estimate import DisplacementStd, SavedEstimate, encoder_std, map_signature, resume_belief
+from localization.live.sensor_input import EncoderPose, restart_ring, with_wheels
 from localization.mapping.aliases import AliasFinder
 from localization.navigation.waypoints import Speeds
 from nclient import ReplyTimeout, Robot, RobotState, connect
@@ -33,13 +41,19 @@ from nclient.connector import address_or_default
 from nclient.errors import EstimateFileError, OutputFileError
 from nclient.url import parse_address, split_address
 from worlds.io import DEFAULT_WORLD, load_world
-from worlds.robots import BODIES, IDEAL_CALIBRATION, Calibration, load_calibration
+from worlds.robots import BODIES, IDEAL_CALIBRATION, Body, Calibration, load_calibration
 from worlds.world import World
 
 MAX_NOISE: Final = 10
 """Larger odometry noise is a typing error."""
+PUBLISH_VARIABLE: Final = "NOMAD_PUBLISH"
+"""Environment variable with the page's address; a localizer that the page has started gets it from there."""
 UNKNOWN: Final = "unknown"
 """Value of --start for a robot whose pose is not known."""
+ENCODERS: Final = "encoders"
+"""Source of a start that is neither given nor resumed."""
+ROUND_MARGIN_S: Final = 0.1
+"""Time after a round of the ring in which its last echo is reported."""
 START_STD = (0.1, 0.1, 0.01)
 """Default uncertainty of the initial pose: inches, inches, radians."""
 
@@ -160,7 +174,8 @@ def add_odometry_noise(parser: argparse.ArgumentParser) -> None:
 def add_localization_options(parser: argparse.ArgumentParser, method: str, method_help: str, publish_help: str) -> None:
     """Add the options of all commands that localize a robot; `method` is the default filter."""
     add_value(parser, "--start-std", "X,Y,HEADING", parse_pose_std,
-              "standard deviation of the initial pose, inches and degrees (default: 0.1,0.1,0.57)", START_STD)
+              "standard deviation of the initial pose, inches and degrees (default: 0.1,0.1,0.57; of encoders of a "
+              "robot that has driven: wider)")
     add_value(parser, "--speed", "IN_S", parse_positive, "top speed in in/s", Speeds().translation_in_s)
     add_robot_model_options(parser)
     add_value(parser, "--scale-std", "A[,B[,C]]", parse_scale_std,
@@ -169,10 +184,12 @@ def add_localization_options(parser: argparse.ArgumentParser, method: str, metho
     add_value(parser, "--calibration", "FILE", Path,
               "apply the calibration in this model file, as written by nomad calibrate; takes "
               "precedence over --scale-std")
-    parser.add_argument("--method", choices=METHODS, default=method, help=f"{method_help} (default: {method})")
-    parser.add_argument("--publish", metavar="URL",
+    parser.add_argument("--method", choices=METHOD_CHOICES, default=method,
+                        help=f"{method_help}; or a class of your own, module:Class or file.py:Class (default: "
+                             f"{method})")  # fmt: skip
+    parser.add_argument("--publish", metavar="URL", default=os.environ.get(PUBLISH_VARIABLE),
                         help="show estimate and echoes on the page of `nserver --viewer`, at the address that it "
-                             f"printed{publish_help}")  # fmt: skip
+                             f"printed{publish_help} (default: ${PUBLISH_VARIABLE})")  # fmt: skip
     add_resume_options(parser)
 
 
@@ -294,17 +311,55 @@ def prepare_localization(robot: Robot, simulated: bool, world: World, options: a
     state = _set_start(robot, robot.refresh(), options.start) if options.start else robot.refresh()
     calibration = load_calibration(options.calibration, options.body) if options.calibration else IDEAL_CALIBRATION
     belief = load_resumed_belief(options, world, state) or _initial_belief(options, state, calibration)
+    options.driven_in = 0.0
+    if start_source(options) == ENCODERS and not is_lockstep(options.address):
+        belief = _widen_encoders(options, world, state, belief)
+    options.method = options.method or (FINDER if is_wide(belief) or options.driven_in else DEFAULT_METHOD)
     # 2. Sonar model.
-    sonars = resolve_sonar_model(options.sonars, simulated, options.address)
-    if sonars.line():
-        print(sonars.line(), file=sys.stderr if options.json else sys.stdout, flush=True)
-    # 3. All models.
     body = resolve_body(options.body, options.model_file, options.address)
+    sonars = find_sonar_model(robot, simulated, None if options.start == UNKNOWN else belief, world, body, options)
+    # 3. All models.
     # Of the methods only this one models the surfaces of walls; for the others a building has cones.
     building = sonars.building and options.method == DEFAULT_METHOD
     sonar = building_sonar(body.ring) if building else sonar_of(body.ring, rays=sonars.rays)
     config = LocalizationConfig(world.walls, body, options.odometry_noise, sonar, calibration=calibration)
     return LocalizationSetup(belief, config, sonars)
+
+
+def find_sonar_model(
+    robot: Robot, simulated: bool, belief: Belief | None, world: World, body: Body, options: argparse.Namespace
+) -> SonarAssumption:
+    """Return the assumed sonar model and print it if it is guessed, on stdout (stderr with --json).
+
+    A simulation that does not report its model is decided by a round of readings; the robot stands meanwhile.
+    """
+    sonars = resolve_sonar_model(options.sonars, simulated, options.address)
+    if sonars.rays and sonars.guessed and body.ring.fits_state:
+        _, state = restart_ring(robot, body.ring)
+        end_s = (state.clock_s or 0.0) + body.ring.round_s + ROUND_MARGIN_S
+        # In a simulation of this process each request takes some time of the robot's.
+        while (state.clock_s or 0.0) < end_s:
+            if not is_lockstep(options.address):
+                time.sleep(ROUND_MARGIN_S / (state.speed_factor or 1.0))
+            state = robot.refresh()
+        sonars = decide_by_readings(sonars, belief, state, world.walls, body)
+    if sonars.line():
+        print(sonars.line(), file=sys.stderr if options.json else sys.stdout, flush=True)
+    return sonars
+
+
+def _widen_encoders(options: argparse.Namespace, world: World, state: RobotState, belief: Belief) -> Belief:
+    """Return the belief of encoders, wider by the drive since they were known, unless --start-std states it."""
+    if options.start_std is not None:
+        return belief
+    starts = [(start.x_in, start.y_in, start.steering_rad) for start in world.starts]
+    std, options.driven_in = encoder_std(
+        np.array([state.x_in, state.y_in, state.steering_rad]), np.array([*starts, (0.0, 0.0, 0.0)]),
+        np.array(START_STD), options.odometry_noise,
+    )  # fmt: skip
+    cov = belief.cov.copy()
+    cov[range(POSE), range(POSE)] = np.square(std)
+    return Belief(belief.mean, cov)
 
 
 def start_source(options: argparse.Namespace) -> str:
@@ -313,7 +368,7 @@ def start_source(options: argparse.Namespace) -> str:
         return "resume"
     if options.start:
         return UNKNOWN if options.start == UNKNOWN else "start"
-    return "encoders"
+    return ENCODERS
 
 
 def describe_start(options: argparse.Namespace, belief: Belief) -> str:
@@ -322,13 +377,18 @@ def describe_start(options: argparse.Namespace, belief: Belief) -> str:
     if source == UNKNOWN:
         return "start unknown: the robot searches its pose first"
     (x, y, heading), std = belief.mean[:POSE].tolist(), belief.std[:POSE]
-    origin = {"start": "given by --start", "resume": f"resumed from {options.resume}", "encoders": "from the encoders"}
+    origin = {"start": "given by --start", "resume": f"resumed from {options.resume}", ENCODERS: "from the encoders"}
     text = (
         f"start ({x:z.1f}, {y:z.1f}) in {math.degrees(heading):z.1f} deg ± {max(std[0], std[1]):.2g} in "
         f"{math.degrees(std[2]):.2g} deg, {origin[source]}"
     )
     # A simulation in this process has not driven yet.
-    if source == "encoders" and not is_lockstep(options.address):
+    if options.driven_in:
+        text += (
+            f", {options.driven_in:.0f} in or more since they were known at a start of the map (method "
+            f"{options.method}): give --start, --resume or --start-std if they are better"
+        )
+    elif source == ENCODERS and not is_lockstep(options.address):
         text += "; encoders drift while a robot drives: give --start or --resume, or a --start-std for it"
     return text
 
@@ -343,7 +403,7 @@ def _set_start(robot: Robot, state: RobotState, start: Sequence[float] | str) ->
 
 
 def _initial_belief(options: argparse.Namespace, state: RobotState, calibration: Calibration) -> Belief:
-    pose = independent([state.x_in, state.y_in, state.steering_rad], options.start_std)
+    pose = independent([state.x_in, state.y_in, state.steering_rad], options.start_std or START_STD)
     return with_wheels(pose, calibration) if options.calibration else with_parameters(pose, options.scale_std)
 
 

@@ -15,7 +15,7 @@ from localization.cli import arguments
 from localization.filters.base import LocalizationConfig, sonar_of
 from localization.filters.belief import independent
 from localization.filters.calibration import CalibratingFilter
-from localization.live.assumptions import resolve_body, resolve_robot_model, resolve_sonar_model
+from localization.live.assumptions import resolve_body, resolve_robot_model
 from localization.live.localizer import Consistency
 from localization.navigation.recovery import StallDetector
 from nclient import Robot
@@ -75,13 +75,13 @@ def run(options: argparse.Namespace) -> int:
     world = arguments.resolve_world(options)
     arguments.check_writable(options.out)
     robot, simulated = arguments.open_robot(options.address)
-    sonars = resolve_sonar_model(options.sonars, simulated, options.address)
-    fit = Consistency(sonars.rays)
-    if sonars.line():
-        print(sonars.line(), file=sys.stderr if options.json else sys.stdout, flush=True)
     # 2. Drive.
     with robot:
         options.body = resolve_robot_model(options.body, robot.model.name, options.address)
+        body, state = resolve_body(options.body, options.model_file, options.address), robot.refresh()
+        start = options.start or (state.x_in, state.y_in, state.steering_rad)
+        belief = independent(np.array(start), options.start_std)
+        fit = Consistency(arguments.find_sonar_model(robot, simulated, belief, world, body, options).rays)
         made = _drive(robot, world, options, fit)
     if isinstance(made, str):
         print(f"given up {made}\n{fit.line()}", file=sys.stderr if options.json else sys.stdout)

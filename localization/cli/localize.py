@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from localization.cli import arguments
-from localization.cli.log import add_log_options, localize_recorded
+from localization.cli.log import add_log_options, localize_recorded, take_replayed_drive
 from localization.filters.belief import independent
 from localization.filters.global_localization import WIDE_IN, WIDE_RAD, is_wide
 from localization.filters.registry import DEFAULT_METHOD, FINDER
@@ -25,7 +25,7 @@ from localization.live.background_search import filter_on_robot
 from localization.live.publish import Publisher, build_message
 from localization.live.run import GroundTruth, Run, RunMoment
 from localization.navigation.limits import PoseSmoother
-from localization.navigation.recovery import ContactDetector, StallDetector
+from localization.navigation.recovery import ContactDetector, MisfitDetector, StallDetector
 from localization.navigation.roadmap import crossings
 from localization.navigation.waypoints import (
     STOP_RADIUS_IN,
@@ -94,6 +94,7 @@ def run(options: argparse.Namespace) -> int:
     After Ctrl-C or a signal results are still saved and printed.
     """
     options.method = _select_method(options)
+    take_replayed_drive(options)
     if options.log:
         return localize_recorded(options)
     # 1. Everything that can fail without a robot.
@@ -132,7 +133,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _select_method(options: argparse.Namespace) -> str:
-    """Return the method of --method, its default, or the one that finds an unknown start."""
+    """Return the method of --method, its default, or the one that finds an unknown start; "" if the robot decides."""
     # Only this filter needs no initial pose, or searches where a wide one covers several.
     if options.start == arguments.UNKNOWN:
         if options.resume:
@@ -141,9 +142,15 @@ def _select_method(options: argparse.Namespace) -> str:
             method = options.method
             options.refuse(f"--start unknown is found out by --method {FINDER} alone: leave --method {method} out")
         return FINDER
-    # A resumed belief has deviations of its own; a log has no robot that could drive to where poses differ.
-    searches = not options.resume and not options.log and is_wide(independent((0.0, 0.0, 0.0), options.start_std))
-    return str(options.method or (FINDER if searches else DEFAULT_METHOD))
+    # A log has no robot that could drive to where poses differ.
+    if options.log:
+        return str(options.method or DEFAULT_METHOD)
+    std = options.start_std
+    if std is not None and not options.resume and is_wide(independent((0.0, 0.0, 0.0), std)):
+        return str(options.method or FINDER)
+    # Encoders have the deviations of their drive, which the robot reports.
+    is_open = std is None and arguments.start_source(options) == arguments.ENCODERS
+    return str(options.method or ("" if is_open else DEFAULT_METHOD))
 
 
 def _write_results(options: argparse.Namespace, world: World, done: Run) -> bool:
@@ -192,6 +199,7 @@ def _drive(
         # 2. Drive until the last waypoint, a contact, a stall or the time limit.
         ground_truth, printed_s = GroundTruth(robot, simulated), -math.inf
         stall_detector, contact_detector = StallDetector(options.speed), ContactDetector()
+        misfit_detector = None if options.method == FINDER else MisfitDetector()
         for progress in follow_waypoints(robot, localizer, navigator, time.sleep, PoseSmoother(options.smooth)):
             clock_s, state = progress.estimate.clock_s, progress.state
             # Record, publish, print.
@@ -201,10 +209,12 @@ def _drive(
             if not options.json and clock_s >= printed_s + 1.0:
                 printed_s = clock_s
                 print(done.line(), flush=True)
-            # End on a contact, a stall or at the time limit. A lost robot searches, and backs off by itself.
+            # End on a contact, a misfit, a stall or at the time limit. A lost robot searches, and backs off by itself.
             is_lost = done.moments[-1].lost
             aim = None if is_lost else navigator.goal
             done.stopped = contact_detector.reason(state, progress.estimate.pose, backs_off=is_lost)
+            if misfit_detector and not done.stopped:
+                done.stopped = misfit_detector.reason(progress.estimate)
             done.stopped = done.stopped or stall_detector.reason(clock_s, state, progress.estimate.pose, aim)
             if not done.stopped and done.duration_s > options.time_limit:
                 done.stopped = f"time limit exceeded: {options.time_limit:g} s (--time-limit)"

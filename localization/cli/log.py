@@ -10,7 +10,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
-from localization.cli.arguments import UNKNOWN, check_writable
+from localization.cli.arguments import START_STD, UNKNOWN, check_writable
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import POSE, independent
 from localization.filters.odometry import with_parameters
@@ -21,10 +21,12 @@ from localization.live.assumptions import BUILDING_SETUP, resolve_body
 from localization.live.log import read_log, run_log, without_echo
 from localization.live.run import Run
 from nclient.common.exit_codes import ExitCode
+from nclient.recording import convert
 from worlds.io import load_world
 from worlds.rings import Ring
 from worlds.robots import N150, Body, load_bodies
 
+REPLAY: Final = "replay:"
 ROBOT_OPTIONS: Final = ("address", "waypoints", "path", "publish", "save", "resume", "calibration", "stay")
 """Options of `nomad localize` that need a robot."""
 
@@ -37,11 +39,24 @@ SONARS: Final[Mapping[str, Callable[[Ring], RaySonar | ConeSonar]]] = MappingPro
 
 def add_log_options(parser: argparse.ArgumentParser) -> None:
     """Add --from and --estimates."""
-    parser.add_argument("--from", dest="log", type=Path, metavar="LOG.csv",
-                        help="localize a recorded drive instead of a robot; columns time_s, x_in, y_in, heading_deg, "
+    parser.add_argument("--from", dest="log", type=Path, metavar="LOG",
+                        help="localize a recorded drive instead of a robot: a recording, bag, MCAP or CARMEN log as "
+                             "nomad convert reads them, or CSV with columns time_s, x_in, y_in, heading_deg, "
                              "sonar_0_in ... (page Real data of the manual)")  # fmt: skip
     parser.add_argument("--estimates", type=Path, metavar="FILE.csv",
                         help="with --from: write the estimate at each row, inches and degrees")  # fmt: skip
+
+
+def take_replayed_drive(options: argparse.Namespace) -> None:
+    """Make `--from FILE` of the address `replay:FILE`, if the file has a drive without the bytes of a recording.
+
+    Such a file has readings and no instants of firing, which a filter on a live robot knows.
+    """
+    if not (options.address or "").startswith(REPLAY):
+        return
+    file = Path(options.address.removeprefix(REPLAY).partition("?")[0])
+    if convert.may_be_drive(file, or_csv=True) and not convert.read_drive(file).traffic:
+        options.address, options.log = None, file
 
 
 def localize_recorded(options: argparse.Namespace) -> int:
@@ -68,7 +83,7 @@ def localize_recorded(options: argparse.Namespace) -> int:
         check_picture(options.picture)
     rows = without_echo(read_log(options.log), body.ring)
     # 2. Initial belief and models.
-    belief = independent(options.start or rows[0].odometry, options.start_std)
+    belief = independent(options.start or rows[0].odometry, options.start_std or START_STD)
     belief = with_parameters(belief, options.scale_std)
     sonar = SONARS[options.sonars or BUILDING_SETUP](body.ring)
     config = LocalizationConfig(world.walls, body, options.odometry_noise, sonar)

@@ -1,36 +1,76 @@
-"""`nomad map learn`: make a map of walls from a recorded drive."""
+"""`nomad map learn`: make a map of walls from a drive, recorded or live.
+
+    --from RECORDING   read the drive -------------------------------+
+    ADDRESS            drive and record, on the map as it grows --> read the recording --> learn --> files
+
+A live drive is recorded, and the map that is written is learned from the recording: `--from` it gives the same map.
+"""
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
+import math
 import sys
+import time
+from collections.abc import Generator
 from pathlib import Path
+from urllib.parse import quote
 
 from localization.cli import arguments
+from localization.filters.belief import Floats
 from localization.filters.sonar_cone import ConeSonar
+from localization.live.assumptions import resolve_body, resolve_robot_model, sonar_model_of_address
 from localization.live.plot import check_picture
+from localization.mapping.association import MapEstimate
+from localization.mapping.explore import Explorer
 from localization.mapping.learn import ROUGHNESS_IN, MapLearner
-from localization.mapping.measurements import read_drive
+from localization.mapping.live import LiveMapper
+from localization.mapping.measurements import DriveCollector, DriveLog, read_drive
 from localization.mapping.output import LearnedMap, describe, draw_learned, summary
+from localization.mapping.survey import Driver, Geofence, SurveyLog, SurveyStep, WaypointDriver, survey
+from localization.navigation.limits import MODEL_LIMITS
+from nclient import Robot
 from nclient.common.arguments import add_value
 from nclient.common.exit_codes import ExitCode
 from nclient.common.files import write_errors_as
+from nclient.common.process import TerminatedBySignal
+from nclient.connector import address_or_default
 from nclient.errors import OutputFileError
+from nclient.url import split_address
 from worlds.io import format_world, parse_world
-from worlds.robots import format_calibration
+from worlds.map_files import MapsExtraMissing
+from worlds.robots import BODIES, Body, format_calibration
+
+DRIVES = ("auto", "manual")
+PRINT_S = 5.0
+"""Seconds of the robot's clock between two lines of progress."""
+SPEED_IN_S = 6.0
+TURN_RAD_S = 0.6
+"""Slower than a robot can turn: a node stands for half a second."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `nomad map learn`."""
     parser.description = (
-        "Make a map of the room from a recorded drive: no map is needed. Record one with record=FILE in the address of "
-        "a robot."
+        "Make a map of the room by driving, without any map. The robot explores the room by itself or drives to "
+        "way-points, a person drives it (--drive manual), or a recorded drive is read (--from). Keep the emergency "
+        "button at hand."
     )
-    parser.epilog = "example: nomad map learn --from out/drive.log --out room.toml --picture out/room.png"
+    parser.epilog = (
+        "example: nomad map learn 'sim:thesis_room?setup=measured&seed=1' --out room.toml"
+    )
+    parser.set_defaults(refuse=parser.error)
     parser.add_argument(
-        "--from", dest="recording", type=Path, required=True, metavar="RECORDING", help="read this recording of a drive"
-    )
+        "address", nargs="?", metavar="ADDRESS",
+        help="robot to drive, such as nserver://localhost:7019/1, serial:///dev/ttyUSB0 or sim:thesis_room (default: "
+        "$NOMAD_ROBOT, or robot 1 of a local nserver)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--from", dest="recording", nargs="+", type=Path, metavar="RECORDING",
+        help="read this recording of a drive instead of driving; several are parts of one drive, in order",
+    )  # fmt: skip
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="write this world file")
     add_value(parser, "--picture", "PNG", Path, "draw walls, echoes and path into this file (needs the extra `plot`)")
     add_value(parser, "--calibration-out", "FILE", Path,
@@ -38,31 +78,71 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     arguments.add_odometry_noise(parser)
     add_value(parser, "--roughness", "IN", arguments.parse_positive,
               "standard deviation of walls from straight lines in in: 0.8 for a real building", ROUGHNESS_IN)
-    arguments.add_sonar_model(parser)
+    parser.add_argument("--sonars", choices=("rays", "cones"),
+                        help="sonar model: exact rays, or the cones of a real ring (default: for sim: addresses that "
+                             "of the setup, else cones)")  # fmt: skip
     parser.add_argument("--json", action="store_true", help="print only the result, as JSON, on stdout")
+    live = parser.add_argument_group("driving")
+    live.add_argument(
+        "--waypoints", nargs="+", type=arguments.parse_point, metavar="X,Y",
+        help="drive to these positions in order, inches from the start, x ahead and y to the left; what is in the way "
+        "ends a leg, and the next one follows (default: explore the room)",
+    )  # fmt: skip
+    live.add_argument("--drive", choices=DRIVES, default="auto",
+                      help="manual: a person drives, from the page or nomad shell, until Ctrl-C or the time limit; "
+                           "the robot gets no command (default: %(default)s)")  # fmt: skip
+    add_value(live, "--record", "FILE", Path, "record the drive into this file (default: --out with the suffix .log)")
+    live.add_argument(
+        "--resume", nargs="+", type=Path, metavar="RECORDING",
+        help="go on with the drive of these recordings: the robot stands where it stood at their end",
+    )
+    add_value(live, "--time-limit", "S", arguments.parse_positive,
+              "end the drive after this time in s of the robot's clock", 300.0)
+    add_value(live, "--geofence", "X0,Y0,X1,Y1", parse_geofence,
+              "keep the robot's axis within this rectangle, inches in the frame of --waypoints")
+    add_value(live, "--speed", "IN_S", arguments.parse_positive, "top speed in in/s", SPEED_IN_S)
+
+
+def parse_geofence(text: str) -> Geofence:
+    """Return the rectangle between two corners."""
+    x0, y0, x1, y1 = arguments.parse_numbers(text, 4, ", inches, such as -40,-40,200,120")
+    return Geofence((min(x0, x1), min(y0, y1)), (max(x0, x1), max(y0, y1)))
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit code: 0, or 4 if the map does not hold together and is not written."""
+    """Run the command and return its exit code: 0; 3 if way-points were left out; 4 if no map is written."""
     # 1. Report unwritable files before the work.
     arguments.check_writable(options.out, options.calibration_out)
     if options.picture is not None:
         check_picture(options.picture)
-    # 2. The map.
-    log = read_drive(options.recording)
+    # 2. The drive.
+    result = ExitCode.DONE
+    recordings = options.recording
+    if recordings is None:
+        recordings, result = _drive(options)
+    elif options.address or options.resume or options.waypoints:
+        options.refuse("--from reads a drive: omit the address, --resume and --waypoints")
+    # 3. The map.
+    log = read_drive(*recordings)
+    learned = _learn(options, log, recordings)
+    return result if learned is ExitCode.DONE else learned
+
+
+def _learn(options: argparse.Namespace, log: DriveLog, recordings: list[Path]) -> ExitCode:
+    """Learn the map of a drive, write the files and print the result."""
     learner = MapLearner(
-        log, options.odometry_noise, ConeSonar(), rays=options.sonars == "rays", roughness_in=options.roughness
+        log, options.odometry_noise, ConeSonar(), rays=_has_rays(options), roughness_in=options.roughness
     )
     while not learner.is_complete:
         learner.advance()
     learner.finish()
-    found = describe(learner.estimate, learner.turret_rad)
-    # 3. Results. The picture also shows why a map is refused.
+    found = describe(learner.estimate, learner.turret_rad, learner.rest, _unexplored(learner.estimate, log.model))
+    # The picture also shows why a map is refused.
     if options.picture is not None:
         draw_learned(options.picture, found, learner.estimate)
     reason = found.reason_to_refuse()
     if not reason:
-        _write_files(options, found, log.model)
+        _write_files(options, found, log.model, recordings)
     print(json.dumps(found.as_json()) if options.json else summary(found))
     if reason:
         print(f"nomad map learn: no map written: {reason}", file=sys.stderr)
@@ -70,9 +150,159 @@ def run(options: argparse.Namespace) -> int:
     return ExitCode.DONE
 
 
-def _write_files(options: argparse.Namespace, found: LearnedMap, model: str) -> None:
+def _unexplored(estimate: MapEstimate, model: str) -> Floats | None:
+    """Return where the room goes on beyond the map; None without the extra that finds it."""
+    with contextlib.suppress(MapsExtraMissing):
+        return Explorer(BODIES[model].radius_in, SPEED_IN_S, math.inf).unexplored(estimate)
+    return None
+
+
+def _has_rays(options: argparse.Namespace) -> bool:
+    """Return True if the sonars measure along exact rays."""
+    if options.sonars is None and options.recording is None:
+        return bool(sonar_model_of_address(address_or_default(options.address)))
+    return bool(options.sonars == "rays")
+
+
+# Driving.
+
+
+def _drive(options: argparse.Namespace) -> tuple[list[Path], ExitCode]:
+    """Drive the robot and record it; return the recordings, those of --resume first, and the exit code."""
+    _check_way(options)
+    address, record = _recorded_address(options)
+    before = read_drive(*options.resume) if options.resume else None
+    if options.resume and record.resolve() in [path.resolve() for path in options.resume]:
+        options.refuse(f"{record} is one of --resume: name another file with --record")
+    arguments.check_writable(record)
+    robot, _ = arguments.open_robot(address)
+    with contextlib.ExitStack() as stack:
+        # A robot that a person drives is not stopped.
+        stack.callback(robot.disconnect) if options.drive == "manual" else stack.enter_context(robot)
+        body = resolve_body(resolve_robot_model(None, robot.model.name, options.address), None, options.address)
+        driver = _driver(options, body)
+        try:
+            last, log = _follow(robot, body, driver, before, options)
+        except (KeyboardInterrupt, TerminatedBySignal):
+            again = " ".join(str(path) for path in [*(options.resume or []), record])
+            print(f"nomad map learn: stopped; the drive is in {record}: --from {again} makes the map, "
+                  f"--resume {again} --record FILE goes on", file=sys.stderr, flush=True)  # fmt: skip
+            raise
+        if driver is not None:
+            # The recording ends with the robot at rest.
+            robot.wait_until_still()
+            robot.refresh()
+    result = _report(options, driver, last, log)
+    print(f"the drive is in {record}", file=sys.stderr if options.json else sys.stdout, flush=True)
+    return [*(options.resume or []), record], result
+
+
+def _check_way(options: argparse.Namespace) -> None:
+    """Refuse options that contradict each other."""
+    if options.drive == "manual" and options.waypoints:
+        options.refuse("--drive manual: a person drives; omit --waypoints")
+    points = options.waypoints or []
+    outside = [point for point in points if options.geofence and not options.geofence.contains(*point)]
+    if outside:
+        options.refuse(f"way-point {outside[0][0]:g},{outside[0][1]:g} is outside of --geofence")
+
+
+def _driver(options: argparse.Namespace, body: Body) -> Driver | None:
+    """Return what chooses the way; None if a person drives."""
+    if options.drive == "manual":
+        return None
+    if options.waypoints:
+        return WaypointDriver(options.waypoints)
+    return Explorer(body.radius_in, options.speed, options.time_limit, options.geofence)
+
+
+def _recorded_address(options: argparse.Namespace) -> tuple[str, Path]:
+    """Return the address with a recording, and its file."""
+    text = address_or_default(options.address)
+    there = split_address(text).options.get("record")
+    if there is not None:
+        if options.record is not None:
+            options.refuse("--record and record= in the address exclude each other: give one of them")
+        return text, Path(there)
+    record: Path = options.record or options.out.with_suffix(".log")
+    return f"{text}{'&' if '?' in text else '?'}record={quote(str(record))}", record
+
+
+def _follow(
+    robot: Robot, body: Body, driver: Driver | None, before: DriveLog | None, options: argparse.Namespace
+) -> tuple[SurveyStep, SurveyLog]:
+    """Drive until the end and print progress; return the last period and the log."""
+    rays = _has_rays(options)
+
+    def mapper_of(collector: DriveCollector) -> LiveMapper:
+        return LiveMapper(
+            collector, options.odometry_noise, ConeSonar(), rays=rays, roughness_in=options.roughness
+        )
+
+    limits = MODEL_LIMITS[robot.model.name].capped(options.speed, TURN_RAD_S)
+    steps = survey(
+        robot, body, mapper_of, driver, limits, time.sleep, fence=options.geofence,
+        collector=None if before is None else DriveCollector(robot.model.name, before),
+    )  # fmt: skip
+    # Closing the generator stops the robot.
+    with contextlib.closing(steps):
+        return _print_progress(steps, options, is_manual=driver is None)
+
+
+def _print_progress(
+    steps: Generator[tuple[SurveyStep, LiveMapper, SurveyLog], None, None], options: argparse.Namespace, is_manual: bool
+) -> tuple[SurveyStep, SurveyLog]:
+    printed_s, noted, last, log = -math.inf, 0, SurveyStep(0.0, None, None), SurveyLog()
+    try:
+        for step, mapper, log in steps:
+            last = step
+            if not options.json and step.elapsed_s >= printed_s + PRINT_S:
+                printed_s = step.elapsed_s
+                print(progress_line(step, mapper), flush=True)
+            for clock_s, note in log.notes[noted:]:
+                print(f"{clock_s:7.1f} s  {note}", file=sys.stderr if options.json else sys.stdout, flush=True)
+            noted = len(log.notes)
+            if step.elapsed_s > options.time_limit:
+                return step._replace(ended=f"time limit: {options.time_limit:g} s (--time-limit)"), log
+    except KeyboardInterrupt:
+        # A person who has driven enough; anything else must stop the robot and leave the map alone.
+        if not is_manual:
+            raise
+    return last, log
+
+
+def progress_line(step: SurveyStep, mapper: LiveMapper) -> str:
+    """Return time, pose, and the map so far as a line of text."""
+    if step.pose is None:
+        return f"{step.elapsed_s:7.1f} s  waiting for readings"
+    x, y, heading = step.pose.tolist()
+    estimate = mapper.estimate
+    walls, points = (0, 0) if estimate is None else (len(estimate.state.walls), len(estimate.state.points))
+    return (
+        f"{step.elapsed_s:7.1f} s  ({x:6.1f}, {y:6.1f}) in {math.degrees(heading):5.0f} deg  "
+        f"{walls} walls, {points} points"
+    )
+
+
+def _report(options: argparse.Namespace, driver: Driver | None, last: SurveyStep, log: SurveyLog) -> ExitCode:
+    """Print how a drive ended; return NOT_REACHED if a way-point was left out."""
+    out = sys.stderr if options.json else sys.stdout
+    contacts = f", {len(log.contacts)} contacts" if log.contacts else ""
+    print(f"driven for {last.elapsed_s:.0f} s{contacts}: {last.ended or 'ended'}", file=out, flush=True)
+    if not isinstance(driver, WaypointDriver):
+        return ExitCode.DONE
+    for (x, y), reason in driver.skipped:
+        print(f"way-point ({x:g}, {y:g}) left out: {reason}", file=out, flush=True)
+    return ExitCode.NOT_REACHED if driver.skipped or driver.remaining else ExitCode.DONE
+
+
+# Files.
+
+
+def _write_files(options: argparse.Namespace, found: LearnedMap, model: str, recordings: list[Path]) -> None:
     """Write the world file and the calibration."""
-    comment = f"nomad map learn --from {options.recording.name}: {found.quality.explained:.0%} of the ranges explained"
+    names = " ".join(path.name for path in recordings)
+    comment = f"nomad map learn --from {names}: {found.quality.explained:.0%} of the ranges explained"
     text = format_world(found.world(options.out.stem), comment)
     # Reading it again checks it as any other world file.
     parse_world(text, str(options.out), options.out.stem)

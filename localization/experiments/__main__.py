@@ -18,6 +18,9 @@ from localization.experiments.execution import drive, drive_on_cluster, progress
 from localization.experiments.figure_trial import FIGURES, Figure, figure_setup, summarize
 from localization.experiments.output import NO_PICTURES, add_shared, table
 from localization.live.plot import require_matplotlib
+from nclient.common.arguments import Parser
+from nclient.common.exit_codes import ExitCode
+from nclient.common.hints import suggest
 from nclient.errors import NomadError
 
 OUT: Final = Path("out/experiments")
@@ -26,7 +29,7 @@ ALONE: Final = ("live", "lost", "plan", "corridor", "mapping", "disturbed", "all
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; return 0, 2 after an error, 130 after Ctrl-C."""
+    """Run the command, and return the exit code (docs/exit-codes.md)."""
     # The first word selects the command; anything else is the name of a figure.
     given = list(sys.argv[1:] if arguments is None else arguments)
     try:
@@ -49,14 +52,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 _drive_figures(given)
     except (NomadError, OSError) as error:
         print(f"localization.experiments: {error}", file=sys.stderr)
-        return 2
+        return ExitCode.USAGE if isinstance(error, NomadError) and error.usage else ExitCode.FAILED
     except KeyboardInterrupt:
-        return 130
-    return 0
+        return ExitCode.INTERRUPTED
+    return ExitCode.DONE
 
 
 def _drive_all(arguments: list[str]) -> None:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="python -m localization.experiments all",
         description=f"Run everything in sequence: the figures {', '.join(FIGURES)} (with the errors in "
         f"{', '.join(_parts())}), then `live`, `lost` and `plan`, each with its own worlds, methods and scenarios. "
@@ -90,7 +93,10 @@ def _figure(text: str) -> str:
     if text in ALONE:
         raise argparse.ArgumentTypeError(f"{text} is a command, not a figure: give it first and without figures")
     if text not in FIGURES:
-        raise argparse.ArgumentTypeError(f"unknown figure {text!r}; expected one of {', '.join(FIGURES)}")
+        raise argparse.ArgumentTypeError(
+            f"unknown figure {text!r}; expected one of {', '.join(FIGURES)}, or first a command: {', '.join(ALONE)}"
+            f"{suggest(text, (*FIGURES, *ALONE))}"
+        )
     return text
 
 
@@ -131,7 +137,7 @@ def _parser() -> argparse.ArgumentParser:
         + (f", and {figure.errors_figure}, its errors" if figure.errors_figure else "")
         for figure in FIGURES.values()
     )
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="python -m localization.experiments",
         description="Simulate figures of the thesis with many seeds: a robot with ideal sonars and Gaussian noise, an "
         "extended Kalman filter (except 5.2), the thesis' control law.",

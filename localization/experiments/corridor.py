@@ -28,6 +28,7 @@ from localization.filters.sonar_cone import building_sonar
 from localization.live.log import LogRow, new_echoes, run_log
 from localization.live.plot import ESTIMATE, FAINT, TRUTH, blank, check_picture, save
 from localization.live.run import Run
+from nclient.common.arguments import Parser
 from nclient.errors import LogFileError
 from worlds.robots import N150, Body, read_model_file
 
@@ -225,7 +226,7 @@ def _rows(text: str) -> tuple[int, int]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="python -m localization.experiments corridor",
         description="Run a filter on the sonar readings of a real corridor. Odometry is made of the poses of the data, "
         "with the noise of the experiments; the map is two walls fitted to the echoes.",

@@ -47,6 +47,7 @@ from localization.live.sensor_input import FiringSchedule, SensorData
 from localization.navigation.limits import VelocityCommand
 from localization.navigation.roadmap import Roadmap
 from localization.navigation.waypoints import PERIOD_S, Speeds
+from nclient.common.arguments import Parser
 from nclient.protocol.types import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
 from nclient.robot import Robot
 from nclient.state import Pose, RobotState
@@ -438,7 +439,7 @@ def run_cache(folder: Path, code: str) -> ResultCache[Case, Tally]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="python -m localization.experiments disturbed",
         description="A filter with the models of `nomad localize` under errors that these do not have: biased sonars, "
         "wrong maps, slipping wheels, late clocks, contacts. For each the error, the consistency, and how often the "

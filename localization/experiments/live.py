@@ -26,7 +26,7 @@ from localization.experiments.output import add_choice, add_shared, executor_for
 from localization.filters.belief import Floats
 from localization.filters.registry import METHODS
 from localization.live.plot import blank, require_matplotlib, save
-from nclient.common.arguments import add_value
+from nclient.common.arguments import Parser, add_value
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -226,7 +226,7 @@ def _has_paths(folder: Path, trial: Trial, cache: ResultCache[Trial, TrialResult
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="python -m localization.experiments live",
         description="Compare filters on simulated robots driven over the same interface as real ones: RMSE, "
         "consistency, jitter, computing time, lost runs. Results are cached. The numbers of `smoother` apply to poses "

@@ -14,7 +14,7 @@ from localization.experiments.execution import ResultCache, code_hash, progress,
 from localization.experiments.live_trial import SCENARIOS
 from localization.experiments.lost_trial import START_LIMIT_S, STARTS, Case, Kind, LostResult, drive
 from localization.experiments.output import add_choice, add_execution_options, add_output, executor_for, positive
-from nclient.common.arguments import add_value
+from nclient.common.arguments import Parser, add_value
 from worlds.io import load_world, world_names
 
 # At the scenarios' 5 in/s the robot has driven at most 25 in by then.
@@ -266,7 +266,7 @@ def _kind(text: str) -> Kind:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="python -m localization.experiments lost",
         description="Long runs of the method `finder`: tracking (calm), in which every LOST is a false alarm; robots "
         "moved elsewhere (kidnapped); robots with an unknown start (nowhere), or a start that looks like the "

@@ -28,7 +28,7 @@ from localization.missions.mission import Mission, run_mission
 from localization.missions.settings import Settings
 from localization.navigation.path import total_length_in, wall_distances
 from localization.navigation.roadmap import Roadmap
-from nclient.common.arguments import add_value
+from nclient.common.arguments import Parser, add_value
 from nclient.robot import Robot
 from nclient.state import Pose, Truth
 from worlds.geometry import inside, polygon_segments
@@ -289,7 +289,7 @@ def table(rows: Sequence[dict[str, Any]], drives: Sequence[DriveResult]) -> str:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="python -m localization.experiments plan",
         description="Drive a simulated N150 between random positions of the shipped worlds on the estimate, "
         "as `nomad go` does, and report arrivals, contacts, and path lengths relative to the shortest path. Results "

@@ -18,6 +18,7 @@ from localization.filters.ekf import KalmanFilter, Prediction
 from localization.filters.global_localization import GlobalLocalizer
 from localization.filters.health import HealthLimits
 from localization.filters.odometry import MAX_STATE, predict_state, with_parameters
+from localization.filters.own import SEPARATOR, make_own
 from localization.filters.particles import (
     ConeLikelihood,
     Likelihood,
@@ -33,6 +34,7 @@ from localization.filters.sonar_cone import ConeModel, ConeSonar
 from localization.filters.sonar_ray import STRICT, Gate, RaySonar, RingBody, wall_map
 from localization.filters.surface import SurfaceModel
 from localization.filters.update import MeasurementUpdate, Rule, iterated, linear
+from nclient.common.hints import suggest
 
 Factory = Callable[[LocalizationConfig, Belief, int], Filter]
 """Makes a filter from a configuration, the belief at the first state, and a seed for methods that draw samples."""
@@ -90,6 +92,19 @@ METHODS: Final[Mapping[str, Factory]] = MappingProxyType(
 )
 """Every method by its name."""
 DEFAULT_METHOD: Final = "ekf"
+
+
+class _MethodChoices(tuple[str, ...]):
+    """The names in METHODS, and any `module:Class` as well."""
+
+    __slots__ = ()
+
+    def __contains__(self, method: object) -> bool:
+        return isinstance(method, str) and (SEPARATOR in method or super().__contains__(method))
+
+
+METHOD_CHOICES: Final = _MethodChoices(METHODS)
+"""What `--method` accepts, for argparse."""
 MAX_UNEXPLAINED: Final = 0.3
 """Fraction of the very last readings, besides 2.5 times the outliers of the model, that means a slip."""
 MAX_DRIFT: Final = 5.0
@@ -99,15 +114,19 @@ MAX_NIS_RATIO: Final = 2.5
 
 
 def make(method: str, config: LocalizationConfig, belief: Belief, seed: int = 0) -> Filter:
-    """Return a new filter of a name in METHODS.
+    """Return a new filter of a name in METHODS, or of a user's class, `module:Class`.
 
     Raises
     ------
     ValueError
         No such name.
+    OwnFilterError
+        No such class.
     """
+    if SEPARATOR in method:
+        return make_own(method, config, belief)
     if method not in METHODS:
-        raise ValueError(f"no method {method!r}; there are {', '.join(METHODS)}")
+        raise ValueError(f"no method {method!r}; there are {', '.join(METHODS)}{suggest(method, METHODS)}")
     return METHODS[method](config, belief, seed)
 
 

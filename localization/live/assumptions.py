@@ -6,13 +6,24 @@ Everything is derived from the address, the setup file it names, and the options
 from __future__ import annotations
 
 from collections.abc import Iterable
+from math import comb
 from pathlib import Path
 from typing import Final, NamedTuple
 
+import numpy as np
+import numpy.typing as npt
+
+from localization.filters.base import sonar_of
+from localization.filters.belief import POSE, Belief
+from localization.filters.global_localization import is_wide
+from localization.filters.range_table import sampled_echoes
+from localization.filters.sonar_ray import ranges_from, wall_map
 from localization.live.localizer import Consistency, Echo
+from localization.live.sensor_input import SensorInput
 from nclient.common.hints import suggest
 from nclient.connector import address_or_default
 from nclient.errors import AddressError, WorldFileError
+from nclient.protocol.types import MAX_SONAR_IN, MIN_SONAR_IN
 from nclient.url import split_address
 from worlds.robots import BODIES, Body, load_bodies
 from worlds.schema import parse_toml, read_text
@@ -77,14 +88,30 @@ MIN_READINGS: Final = 30
 
 
 class SonarAssumption(NamedTuple):
-    """Assumed sonar model (rays or cones), True if it is a guess, and True for walls of a real building."""
+    """Assumed sonar model.
+
+    Attributes
+    ----------
+    rays
+        True for exact rays, False for cones.
+    guessed
+        True if neither the user nor the address states it.
+    building
+        True for the walls of a real building.
+    evidence
+        What the first readings say, where these decide.
+    """
 
     rays: bool
     guessed: bool
     building: bool = False
+    evidence: str = ""
 
     def line(self) -> str:
         """Return the guess as text; "" if the model was given or is that of a real robot."""
+        if self.evidence:
+            model = "measure exact rays" if self.rays else "have cones"
+            return f"assuming that sonars {model}: {self.evidence} (see --sonars)"
         if not (self.rays and self.guessed):
             return ""
         return (
@@ -126,6 +153,75 @@ def resolve_sonar_model(option: str | None, simulated: bool, address: str | None
     return SonarAssumption(has_rays, guessed=False, building=not has_rays and setup_of(address) == BUILDING_SETUP)
 
 
+# The model, from the first readings.
+
+MIN_RAY_FIT: Final = 0.78
+"""Fraction of readings from which sonars measure exact rays: of those from a pose that is known to 1 in and 2 degrees
+all fit, to 3 in and 5 degrees 62 to 100 %; of a ring with cones 14 to 69 %."""
+MAX_NOTHING_PROBABILITY: Final = 1e-3
+"""Of so many readings of "nothing" where exact rays would meet walls, from an unknown pose."""
+SAMPLED_POSES: Final = 200
+"""Poses of the belief that are compared."""
+TOLERANCE_IN, TOLERANCE = 3.0, 0.05
+"""A reading fits a range within an offset of the ring and a fraction of the range: sonars have noise of 1 %."""
+PLACES: Final = 48
+"""Random places that stand for an unknown pose."""
+FAR_IN: Final = 240.0
+"""Beyond this range, nothing and an echo are the same."""
+
+
+def decide_by_readings(
+    sonars: SonarAssumption, belief: Belief | None, state: SensorInput, walls: npt.ArrayLike, body: Body
+) -> SonarAssumption:
+    """Return the sonar model that the readings of a standing robot fit; unchanged where it is not guessed to be rays.
+
+    Exact rays always return the distance to the wall ahead of a sonar; a ring with cones returns the nearest part of a
+    wall, or nothing of one that slants.
+
+    Parameters
+    ----------
+    sonars : SonarAssumption
+    belief : Belief or None
+        Of the pose; None or a wide one if it is unknown.
+    state : SensorInput
+        State after a full round of the ring.
+    walls : (m, 4) array
+        The map.
+    body : Body
+    """
+    if not (sonars.rays and sonars.guessed) or not state.sonars_in:
+        return sonars
+    readings = np.array(state.sonars_in[: body.ring.count], dtype=np.float64)
+    angles = np.array(body.sonar_angles_rad[: len(readings)]) + (state.turret_rad - state.steering_rad)
+    # Always the same samples, so that a run can be repeated.
+    rng = np.random.default_rng(0)
+    if belief is None or is_wide(belief):
+        ranges, probabilities = sampled_echoes(walls, body, sonar_of(body.ring, rays=True), body.radius_in, PLACES)
+        nothing = 1.0 - float(((probabilities > 0.0) & (ranges < FAR_IN)).mean()) if ranges.size else 1.0
+        count = int((readings >= FAR_IN).sum())
+        probability = sum(
+            comb(len(readings), k) * nothing**k * (1.0 - nothing) ** (len(readings) - k)
+            for k in range(count, len(readings) + 1)
+        )
+        return sonars._replace(
+            rays=probability >= MAX_NOTHING_PROBABILITY,
+            evidence=f"{count} of the first {len(readings)} readings are no echo, {nothing:.0%} would be of exact rays",
+        )
+    # 1. The poses that the belief covers; the first is its mean.
+    poses = belief.mean[:POSE] + rng.standard_normal((SAMPLED_POSES, POSE)) * belief.std[:POSE]
+    poses[0] = belief.mean[:POSE]
+    # 2. The best fit of any. Nearer than the shortest reading, and nothing from far away, fit everything.
+    expected = ranges_from(poses, angles, body, wall_map(walls)).range_in
+    expected = np.clip(np.nan_to_num(expected, nan=MAX_SONAR_IN, posinf=MAX_SONAR_IN), MIN_SONAR_IN, MAX_SONAR_IN)
+    counts = ((expected < FAR_IN) | (readings < FAR_IN)) & ((expected > MIN_SONAR_IN) | (readings > MIN_SONAR_IN + 2))
+    fits = np.abs(readings - expected) <= TOLERANCE_IN + TOLERANCE * expected
+    fractions = (fits & counts).sum(axis=-1) / np.maximum(counts.sum(axis=-1), 1)
+    if not counts.any():
+        return sonars
+    fit = float(fractions.max())
+    return sonars._replace(rays=fit >= MIN_RAY_FIT, evidence=f"{fit:.0%} of the first readings fit exact rays")
+
+
 def setup_of(address: str) -> str:
     """Return the setup of a sim: address, of a setup file its base; "" if there is none."""
     setup = split_address(address).options.get("setup", "")
@@ -156,7 +252,7 @@ def sonar_model_of_address(address: str) -> bool | None:
 
 def sonar_mismatch_hint(sonars: SonarAssumption, echoes: Iterable[Echo]) -> str:
     """Return a hint if the model was a guess and does not fit the echoes; else ""."""
-    if not sonars.line():
+    if not (sonars.rays and sonars.guessed):
         return ""
     fit = Consistency(sonars.rays)
     fit.add(echoes)

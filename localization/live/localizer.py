@@ -13,7 +13,8 @@ from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from math import sqrt
+from html import escape
+from math import degrees, sqrt
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -82,6 +83,19 @@ class Estimate(NamedTuple):
     smoothed: Smoothed | None = None
     places: tuple[Place, ...] = ()
     informative_turn_rad: float | None = None
+
+    def _repr_html_(self) -> str:
+        (x, y, heading), std = self.pose.tolist(), self.belief.std[:POSE].tolist()
+        used = sum(echo.refusal is Refusal.NONE for echo in self.echoes)
+        rows = {
+            "pose": f"x {x:.2f} ± {std[0]:.2f} in, y {y:.2f} ± {std[1]:.2f} in, "
+            f"heading {degrees(heading):.2f} ± {degrees(std[2]):.2f}°",
+            "health": escape(f"{self.health.status.value} {self.health.reason}".strip()),
+            "echoes": f"{len(self.echoes)} since the last estimate, {used} used",
+            "clock": f"{self.clock_s:.2f} s",
+        }
+        cells = (f"<tr><th style='text-align:left'>{name}</th><td>{text}</td></tr>" for name, text in rows.items())
+        return f"<table>{''.join(cells)}</table>"
 
     @property
     def pose(self) -> Floats:

@@ -26,7 +26,9 @@ from localization.filters.update import REFUSALS
 from localization.live.localizer import Echo, Estimate
 from localization.live.run import Pose, Run, RunMoment
 from nclient.common.hints import suggest
-from nclient.errors import LogFileError
+from nclient.errors import LogFileError, RecordingError
+from nclient.protocol.types import M_PER_IN
+from nclient.recording import convert
 from worlds.rings import Ring
 
 _IN_PER: Final = {"in": 1.0, "mm": 1.0 / 25.4, "cm": 1.0 / 2.54, "m": 1000.0 / 25.4}
@@ -38,6 +40,8 @@ _UNITS: Final = {
     **dict.fromkeys(("heading", "turret", "truth_heading"), _RAD_PER),
 }
 _REQUIRED: Final = ("time", "x", "y", "heading")
+_UNUSED: Final = frozenset({"speed_in_s", "turn_deg_s", "bumpers"})
+"""Columns that `nomad convert` writes besides."""
 _TRUTH: Final = ("truth_x", "truth_y", "truth_heading")
 SONAR: Final = "sonar_"
 MAX_BYTES: Final = 64 << 20
@@ -74,13 +78,15 @@ class _Column(NamedTuple):
 
 
 def read_log(file: Path) -> list[LogRow]:
-    """Return the rows of a log.
+    """Return the rows of a log: CSV, or any file that `nomad convert` reads.
 
     Raises
     ------
     LogFileError
         If it cannot be read, a column is missing or has no unit, a field is no number, or time does not increase.
     """
+    if file.suffix != ".csv" and convert.may_be_drive(file):
+        return _rows_of_drive(file)
     try:
         if file.stat().st_size > MAX_BYTES:
             raise LogFileError(f"{file}: larger than {MAX_BYTES >> 20} MB; split it")
@@ -90,6 +96,28 @@ def read_log(file: Path) -> list[LogRow]:
             rows = [_row(fields, columns, file, number) for number, fields in enumerate(reader, 2)]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise LogFileError(f"{file}: cannot be read: {error}") from error
+    return _checked(rows, file)
+
+
+def _rows_of_drive(file: Path) -> list[LogRow]:
+    """Return the rows of a recording, bag, MCAP or CARMEN log."""
+    try:
+        drive = convert.read_drive(file)
+    except RecordingError as error:
+        raise LogFileError(str(error)) from None
+    rows = [
+        LogRow(
+            sample.time_s, (sample.x_m / M_PER_IN, sample.y_m / M_PER_IN, sample.heading_rad),
+            sample.heading_rad if sample.turret_rad is None else sample.turret_rad,
+            tuple(range_m / M_PER_IN for range_m in sample.ranges_m),
+        )
+        for sample in drive.samples if sample.ranges_m
+    ]  # fmt: skip
+    return _checked(rows, file)
+
+
+def _checked(rows: list[LogRow], file: Path) -> list[LogRow]:
+    """Return the rows of a log. Raises LogFileError if there are too few, or time does not increase."""
     for number, (before, after) in enumerate(pairwise(rows), 3):
         if after.clock_s <= before.clock_s:
             raise LogFileError(f"{file}: row {number}: time {after.clock_s:g} s does not increase")
@@ -102,6 +130,8 @@ def _columns(names: Sequence[str], file: Path) -> dict[str, _Column]:
     """Return the columns by name without the unit."""
     columns: dict[str, _Column] = {}
     for index, name in enumerate(name.strip() for name in names):
+        if name in _UNUSED:
+            continue
         quantity, _, unit = name.rpartition("_")
         is_sonar = quantity.removeprefix(SONAR).isdecimal() and quantity.startswith(SONAR)
         units = _IN_PER if is_sonar else _UNITS.get(quantity)

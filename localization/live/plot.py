@@ -7,8 +7,10 @@ matplotlib is the extra `plot` and imported where it is needed.
 from __future__ import annotations
 
 import math
+from functools import cache
+from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -60,10 +62,23 @@ def check_picture(path: Path) -> None:
 
 
 def blank(width_in: float, height_in: float) -> Picture:
-    """Return an empty picture of this size in inches on paper."""
+    """Return an empty picture of this size in inches on paper; notebooks show it."""
+    picture: Picture = _figure_class()(figsize=(width_in, height_in), layout="constrained", facecolor="white")
+    return picture
+
+
+@cache
+def _figure_class() -> Any:
+    """Return a figure that shows itself in notebooks, which otherwise only those of pyplot do."""
     from matplotlib.figure import Figure as MatplotlibFigure
 
-    return MatplotlibFigure(figsize=(width_in, height_in), layout="constrained", facecolor="white")
+    class NotebookFigure(MatplotlibFigure):
+        def _repr_png_(self) -> bytes:
+            written = BytesIO()
+            self.savefig(written, format="png")
+            return written.getvalue()
+
+    return NotebookFigure
 
 
 def save(picture: Picture, path: Path) -> None:
@@ -121,18 +136,19 @@ def draw_run(path: Path, world: World, done: Run, body: Body) -> None:
     has_truth = done.moments[-1].truth is not None
     picture = blank(12.0 if has_truth else 7.2, 7.0)
     columns = picture.subplots(1, 2 if has_truth else 1, squeeze=False, width_ratios=[3, 2] if has_truth else None)[0]
-    _draw_path(columns[0], world, done, body)
+    draw_path(columns[0], world, done, body)
     if has_truth:
         _draw_errors(columns[1], done)
     save(picture, path)
 
 
-def _draw_path(axes: Axes, world: World, done: Run, body: Body) -> None:
+def draw_path(axes: Axes, world: World, done: Run, body: Body) -> None:
+    """Draw true and estimated path, odometry, ellipses and waypoints of a run on its map."""
     axes.set_aspect("equal")
     draw_walls(axes, world.walls)
     beliefs = [moment.estimate.belief for moment in done.moments]
     means = np.array([belief.mean for belief in beliefs])
-    draw_points(axes, means[0], done.waypoints)
+    draw_points(axes, means[0], done.waypoints or np.empty((0, 2)))
     odometry = np.array([moment.odometry for moment in done.moments])
     axes.plot(*odometry[:, :2].T, color=ODOMETRY, linewidth=1.2, linestyle=":", label="odometry")
     truth = np.array([moment.truth for moment in done.moments if moment.truth])

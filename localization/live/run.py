@@ -20,6 +20,8 @@ from localization.live.localizer import Echo, Estimate
 from localization.live.sensor_input import MAX_GAP_S
 from nclient.robot import Robot
 
+MAX_MOMENTS = 36_000
+"""Periods of a run in memory: an hour. Results of a longer run, which stays on a page, are those of its end."""
 MAX_HYPOTHESES = 4
 """Largest number of hypotheses in a line of output."""
 Pose = tuple[float, float, float]
@@ -92,9 +94,16 @@ class Run:
     start: str = ""
     alike: Sequence[Floats] = ()
 
+    def __post_init__(self) -> None:
+        self._begin_s: float | None = None
+
     def add(self, moment: RunMoment) -> None:
-        """Append a period."""
+        """Append a period; after MAX_MOMENTS the oldest are forgotten."""
+        if self._begin_s is None:
+            self._begin_s = moment.estimate.clock_s
         self.moments.append(moment)
+        if len(self.moments) > MAX_MOMENTS:
+            del self.moments[: MAX_MOMENTS // 10]
 
     @property
     def reached(self) -> int:
@@ -104,7 +113,10 @@ class Run:
     @property
     def duration_s(self) -> float:
         """Duration in seconds of the robot's clock."""
-        return self.moments[-1].estimate.clock_s - self.moments[0].estimate.clock_s if self.moments else 0.0
+        if not self.moments:
+            return 0.0
+        begin_s = self.moments[0].estimate.clock_s if self._begin_s is None else self._begin_s
+        return self.moments[-1].estimate.clock_s - begin_s
 
     @property
     def longest_gap_s(self) -> float:

@@ -37,6 +37,8 @@ EXTRA_TURN_RAD: Final = pi
 """Assumed turning of an unobserved drive in addition to the difference of the encoders."""
 MAX_DISPLACEMENT_IN: Final = 60.0
 """After a longer unobserved drive the saved estimate is useless."""
+MIN_DRIVEN_IN: Final = 24.0
+"""Displacement that is assumed of a drive which may have led back."""
 TOP_SPEED_IN_S: Final = 40.0
 """No robot drives faster: a faster change means that the encoders were set."""
 STANDS_IN: Final = 0.15
@@ -187,6 +189,38 @@ def _unobserved_variance(straight_in: float, turned_rad: float, noise: OdometryN
     heading = noise.rotation_std**2 * turn + noise.drift_std**2 * distance
     position = noise.translation_std**2 * distance + heading * distance * distance
     return np.array([position, position, heading])
+
+
+def encoder_std(now: Floats, known: Floats, std: Floats, noise: OdometryNoise) -> tuple[Floats, float]:
+    """Return standard deviations (3,) of the pose of encoders that were last known at one of some poses.
+
+    The protocol reports neither a distance driven nor when the encoders were set: the displacement from the nearest of
+    the poses stands for both, as of a saved estimate, and MIN_DRIVEN_IN for a drive that ended beside it.
+
+    Parameters
+    ----------
+    now : (3,) array
+        Encoders, inches and radians.
+    known : (n, 3) array
+        Poses at which a robot is switched on or placed.
+    std : (3,) array
+        Standard deviations where the robot has not driven.
+    noise : OdometryNoise
+
+    Returns
+    -------
+    std : (3,) array
+    driven_in : float
+        Displacement; 0 at one of the poses.
+    """
+    offset = difference(np.broadcast_to(now, known.shape), known)
+    far = np.hypot(offset[:, 0], offset[:, 1])
+    if ((far <= STANDS_IN) & (np.abs(offset[:, HEADING]) <= STANDS_RAD)).any():
+        return std, 0.0
+    nearest = int(far.argmin())
+    driven_in = max(MIN_DRIVEN_IN, float(far[nearest]))
+    variance = _unobserved_variance(driven_in, abs(float(offset[nearest, HEADING])), noise)
+    return np.sqrt(np.square(std) + variance), driven_in
 
 
 def _has_stood(before: EncoderPose, now: EncoderPose) -> bool:

@@ -130,6 +130,8 @@ class MapEstimate:
 
     def measure_extents(self) -> None:
         """Set the extents to the feet of the echoes; the outermost foot at either end may be a mistake."""
+        if self.problem.has_fixed_map:
+            return
         extents = np.empty((len(self.state.walls), 2))
         for wall in range(len(extents)):
             feet = np.sort(self.feet_of(wall))

@@ -44,7 +44,7 @@ from localization.mapping.association import (
     segments_of,
 )
 from localization.mapping.births import find_births
-from localization.mapping.measurements import DriveLog, build_trajectory
+from localization.mapping.measurements import DriveLog, build_trajectory, relative_pose
 from localization.mapping.problem import NO_FEATURE, ROBUST_LIMIT, MapProblem
 from localization.mapping.walls import MIN_CROSSINGS, free_paths
 from worlds.geometry import nearest_points_of_pairs
@@ -89,6 +89,8 @@ class MapLearner:
         True if sonars measure along exact rays.
     roughness_in
         Standard deviation of the walls' surfaces from straight lines.
+    nodes_per_round
+        Nodes that `advance` adds.
     """
 
     def __init__(
@@ -99,12 +101,15 @@ class MapLearner:
         *,
         rays: bool = False,
         roughness_in: float = ROUGHNESS_IN,
+        nodes_per_round: int = NODES_PER_ROUND,
     ) -> None:
-        self._noise = noise
+        self._noise, self._nodes_per_round = noise, nodes_per_round
         self.trajectory = build_trajectory(log, noise, sonar, roughness_in)
         self.estimate = MapEstimate.start(MapProblem(self.trajectory, len(log.angles_rad), rays=rays))
         self.turret_rad = float(log.encoders[-1, 4] - log.encoders[-1, 3])
         """Angle of the turret from the heading at the end."""
+        self.rest = relative_pose(self.trajectory.odometry[-1], log.encoders[-1, 1:4])
+        """What the robot has moved after the last node, by the encoders."""
 
     @property
     def is_complete(self) -> bool:
@@ -115,21 +120,12 @@ class MapLearner:
         """Add the next nodes."""
         estimate = self.estimate
         before = len(estimate.state.poses)
-        count = min(before + NODES_PER_ROUND, len(self.trajectory))
+        count = min(before + self._nodes_per_round, len(self.trajectory))
         window = max(count - WINDOW_NODES, 0)
         # 1. Where the robot is, by the features so far.
         estimate.extend(count)
-        align_heading(estimate, before - NODES_PER_ROUND // 2, self._noise)
-        estimate.associate(window)
-        estimate.optimize()
-        # 2. New features.
-        estimate.associate(window)
-        if find_births(estimate, window):
-            estimate.associate(window)
-            estimate.optimize()
-        # 3. Revision.
-        if merge(estimate) + prune(estimate):
-            estimate.optimize()
+        align_heading(estimate, before - self._nodes_per_round // 2, self._noise)
+        update_features(estimate, window)
 
     def finish(self) -> None:
         """Revise the map with all echoes."""
@@ -147,6 +143,20 @@ class MapLearner:
                 break
         tie_points(estimate)
         estimate.optimize(LAST_STEPS)
+
+
+def update_features(estimate: MapEstimate, first_node: int) -> None:
+    """Optimize everything, and add, merge and remove features by the echoes of the nodes since one."""
+    estimate.associate(first_node)
+    estimate.optimize()
+    # 1. New features.
+    estimate.associate(first_node)
+    if find_births(estimate, first_node):
+        estimate.associate(first_node)
+        estimate.optimize()
+    # 2. Revision.
+    if merge(estimate) + prune(estimate):
+        estimate.optimize()
 
 
 def learn_map(

@@ -9,6 +9,7 @@ and its derivative by the calibration parameters, so that the estimator needs no
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,7 +28,7 @@ from localization.filters.odometry import (
     step_jacobians,
 )
 from localization.filters.sonar_cone import ConeSonar
-from localization.live.sensor_input import FiringSchedule
+from localization.live.sensor_input import FiringSchedule, FiringTime
 from nclient.errors import RecordingError
 from nclient.protocol.types import get_model
 from nclient.recording.format import IN, OUT, Recording, read_recording
@@ -38,6 +39,10 @@ Indices = npt.NDArray[np.intp]
 
 READINGS_PER_NODE: Final = 8
 """Readings of one node: half a turn of the ring, 0.5 s, in which a robot rolls 2.5 in."""
+RESUME_PAUSE_S: Final = 1.0
+"""Between the end of a drive and its continuation: whatever it was, the robot stood."""
+ROWS_PER_S: Final = 30
+"""States of the last second, at least: a control loop has two in 0.1 s."""
 STANDING_IN, STANDING_RAD = 0.05, 0.005
 """A robot that moves less than this between two nodes stands: its readings repeat themselves and are left out."""
 QUANTIZATION_STD: Final = (0.04, 0.04, 0.001)
@@ -94,6 +99,8 @@ class Trajectory:
         (n - 1, 3, 3) upper triangular root W of the information of a step: W' W is the inverse covariance.
     step_by_parameters
         (n - 1, 3, 3) derivative of a step by distance scale, turn scale and drift.
+    group
+        (n,) number of the group of READINGS_PER_NODE readings that each node stands for.
     node, sonar
         (e,) node and sonar of each echo.
     mounts
@@ -113,6 +120,7 @@ class Trajectory:
     steps: Floats
     step_info: Floats
     step_by_parameters: Floats
+    group: Indices
     node: Indices
     sonar: Indices
     mounts: Floats
@@ -126,33 +134,133 @@ class Trajectory:
         return len(self.instants_s)
 
 
-def read_drive(path: Path) -> DriveLog:
-    """Return the drive of a recording of the client or of the emulator (`record=FILE`, `nserver --record`).
+class DriveCollector:
+    """Collects states of a robot into a DriveLog: `restart` when the ring is restarted, then `add` for each state.
+
+    Parameters
+    ----------
+    model
+        Name of the robot model.
+    before
+        The drive so far of a robot that goes on from where it stood at its end.
+    """
+
+    def __init__(self, model: str, before: DriveLog | None = None) -> None:
+        self.model = model
+        self._schedule: FiringSchedule | None = None
+        self._rows: list[tuple[float, float, float, float, float]] = []
+        self._firings: list[tuple[float, int, float]] = []
+        self._last_s = -np.inf
+        self._shift_s, self._moved = 0.0, (0.0, 0.0, 0.0)
+        if before is not None:
+            self._rows = [(row[0], row[1], row[2], row[3], row[4]) for row in before.encoders.tolist()]
+            self._firings = list(
+                zip(before.instants_s.tolist(), before.sonars.tolist(), before.readings_in.tolist(), strict=True)
+            )
+
+    def __len__(self) -> int:
+        """Return the number of readings."""
+        return len(self._firings)
+
+    @property
+    def has_drive(self) -> bool:
+        """True once there are readings and states to interpolate between."""
+        return len(self._rows) > 1 and bool(self._firings)
+
+    def restart(self, state: RobotState, schedule: FiringSchedule) -> None:
+        """Begin with the state that answers the restart of the ring; what came before on this connection is dropped."""
+        assert state.clock_s is not None
+        self._schedule, self._last_s = schedule, state.clock_s
+        pose = (state.x_in, state.y_in, state.steering_rad)
+        if self._rows:
+            # The robot stands where it stood: the encoders and the clock go on from their last values.
+            last = self._rows[-1]
+            turn = last[3] - pose[2]
+            c, s = np.cos(turn), np.sin(turn)
+            self._moved = last[1] - (c * pose[0] - s * pose[1]), last[2] - (s * pose[0] + c * pose[1]), turn
+            self._shift_s = last[0] + RESUME_PAUSE_S - state.clock_s
+        self._rows.append(self._row(state))
+
+    def add(self, state: RobotState) -> list[FiringTime]:
+        """Take a state into account and return the readings that it shows for the first time; none for an old state."""
+        if self._schedule is None or state.clock_s is None or state.clock_s + self._shift_s <= self._rows[-1][0]:
+            return []
+        self._rows.append(self._row(state))
+        firings = self._schedule.readable(self._last_s, state.clock_s)
+        for sonar, instant_s in firings:
+            self._firings.append((instant_s + self._shift_s, sonar, float(state.sonars_in[sonar])))
+            self._last_s = instant_s
+        return firings
+
+    def _row(self, state: RobotState) -> tuple[float, float, float, float, float]:
+        x, y, turn = self._moved
+        if self._moved == (0.0, 0.0, 0.0):
+            return (state.clock_s or 0.0) + self._shift_s, state.x_in, state.y_in, state.steering_rad, state.turret_rad
+        c, s = np.cos(turn), np.sin(turn)
+        return (
+            (state.clock_s or 0.0) + self._shift_s,
+            float(x + c * state.x_in - s * state.y_in), float(y + s * state.x_in + c * state.y_in),
+            state.steering_rad + turn, state.turret_rad + turn,
+        )  # fmt: skip
+
+    def encoders_at(self, instant_s: float) -> Floats:
+        """Return the encoder pose and the turret angle (4,) at an instant of the last second, of the drive's clock."""
+        rows = np.array(self._rows[-ROWS_PER_S:])
+        angles = np.unwrap(rows[:, 3:], axis=0)
+        return np.array([np.interp(instant_s, rows[:, 0], c) for c in (rows[:, 1], rows[:, 2], *angles.T)])
+
+    @property
+    def shift_s(self) -> float:
+        """Seconds from the robot's clock to that of the drive."""
+        return self._shift_s
+
+    def log(self, first_reading: int = 0) -> DriveLog:
+        """Return the drive, from one of its readings on."""
+        firings = self._firings[first_reading:]
+        instants, sonars, readings = zip(*firings, strict=True)
+        # A state before the first reading, to interpolate.
+        first = bisect_left(self._rows, instants[0], key=lambda row: row[0]) if first_reading else 1
+        body = BODIES[self.model]
+        return DriveLog(
+            np.array(self._rows[max(first - 1, 0) :], dtype=np.float64), np.array(instants),
+            np.array(sonars, dtype=np.intp), np.array(readings), np.asarray(body.sonar_angles_rad),
+            body.sonar_ring_radius_in, self.model,
+        )  # fmt: skip
+
+
+def read_drive(*paths: Path) -> DriveLog:
+    """Return the drive of a recording of the client or of the emulator (`record=FILE`, `nserver --record FILE`).
+
+    Of several recordings each goes on where the one before ended.
 
     Raises
     ------
     RecordingError
         A file that is no recording, or one from which it does not follow when the sonars fired.
     """
-    recording = read_recording(path)
-    for connection in recording.connections():
-        log = _drive_of(recording, connection)
-        if log is not None:
-            return log
-    raise RecordingError(
-        f"{path}: no connection restarts the sonars (conf_sn) and reads states after it, so it is unknown when they "
-        "fired; record a drive of `nomad localize`, `nomad shell` after `conf_sn`, or any program that configures them"
-    )
+    log = None
+    for path in paths:
+        recording = read_recording(path)
+        drives = (_drive_of(recording, connection, log) for connection in recording.connections())
+        found = next((drive for drive in drives if drive is not None), None)
+        if found is None:
+            raise RecordingError(
+                f"{path}: no connection restarts the sonars (conf_sn) and reads states after it, so it is unknown when "
+                "they fired; record a drive of `nomad localize`, `nomad shell` after `conf_sn`, or any program that "
+                "configures them"
+            )
+        log = found
+    assert log is not None
+    return log
 
 
-def _drive_of(recording: Recording, connection: str) -> DriveLog | None:
+def _drive_of(recording: Recording, connection: str, before: DriveLog | None) -> DriveLog | None:
     """Return the drive on one connection; None without a restart of the ring and states after it."""
-    # 1. States and restarts of the ring, in order. The reply to conf_sn has the clock of the restart.
     model = get_model(next((e.more["model"] for e in recording.entries if "model" in e.more), "n150"))
-    schedule: FiringSchedule | None = None
+    collector = DriveCollector(model.name, before)
     restart: tuple[int, tuple[int, ...]] | None = None
-    states: list[RobotState] = []
-    firings: list[tuple[float, int, float]] = []
+    readings = len(collector)
+    # States and restarts of the ring, in order. The reply to conf_sn has the clock of the restart.
     for kind, frame in _frames(recording, connection):
         if kind == OUT and frame.get("call") == "conf_sn":
             rate, *order = frame["args"]
@@ -160,28 +268,14 @@ def _drive_of(recording: Recording, connection: str) -> DriveLog | None:
         if kind != IN or frame.get("reply") != "state" or frame.get("clock") is None:
             continue
         state = RobotState(model, tuple(frame["State"]), clock_ms=int(frame["clock"]))
-        assert state.clock_s is not None
         if restart is not None:
-            schedule, restart = FiringSchedule.of_command(state.clock_s, *restart), None
-            states, firings = [state], []
-            last_s = state.clock_s
+            collector = DriveCollector(model.name, before)
+            assert state.clock_s is not None
+            collector.restart(state, FiringSchedule.of_command(state.clock_s, *restart))
+            restart = None
             continue
-        if schedule is None or state.clock_s <= (states[-1].clock_s or 0.0):
-            continue
-        # 2. The echoes that this state shows for the first time.
-        states.append(state)
-        for sonar, instant_s in schedule.readable(last_s, state.clock_s):
-            firings.append((instant_s, sonar, float(state.sonars_in[sonar])))
-            last_s = instant_s
-    if len(states) < 2 or not firings:
-        return None
-    encoders = np.array([(s.clock_s, s.x_in, s.y_in, s.steering_rad, s.turret_rad) for s in states], dtype=np.float64)
-    instants, sonars, readings = zip(*firings, strict=True)
-    body = BODIES[model.name]
-    return DriveLog(
-        encoders, np.array(instants), np.array(sonars, dtype=np.intp), np.array(readings),
-        np.asarray(body.sonar_angles_rad), body.sonar_ring_radius_in, model.name,
-    )  # fmt: skip
+        collector.add(state)
+    return collector.log() if len(collector) > readings and collector.has_drive else None
 
 
 def model_angles(name: str) -> Sequence[float]:
@@ -236,8 +330,8 @@ def build_trajectory(log: DriveLog, noise: OdometryNoise, sonar: ConeSonar, roug
     is_range = (readings > sonar.lowest_in) & (readings < sonar.highest_in)
     std = np.sqrt(sonar.variance(readings) + roughness_in**2)
     return Trajectory(
-        instants, nodes[:, :POSE], steps, root, by_parameters, node[is_range], sonars[is_range], mounts[is_range],
-        axes[is_range], readings[is_range], std[is_range], len(readings),
+        instants, nodes[:, :POSE], steps, root, by_parameters, np.flatnonzero(moving), node[is_range], sonars[is_range],
+        mounts[is_range], axes[is_range], readings[is_range], std[is_range], len(readings),
     )  # fmt: skip
 
 
@@ -298,3 +392,10 @@ def compose(poses: Floats, steps: Floats) -> Floats:
     return np.concatenate(
         (poses[..., :2] + rotate(steps[..., :2], poses[..., 2]), poses[..., 2:] + steps[..., 2:]), axis=-1
     )
+
+
+def relative_pose(origin: Floats, pose: Floats) -> Floats:
+    """Return a pose (3,) in the frame of another: the inverse of `compose`."""
+    step: Floats = pose[:POSE] - origin[:POSE]
+    step[:2] = rotate(step[:2], -origin[HEADING])
+    return step

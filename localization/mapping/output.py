@@ -6,17 +6,17 @@ the robot stands at the end, so that `nomad localize --map room.toml` continues 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import degrees
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from localization.filters.belief import HEADING, Floats, wrap_angle
+from localization.filters.belief import HEADING, POSE, Floats, wrap_angle
 from localization.filters.odometry import OdometryParameter
 from localization.mapping.association import MapEstimate
-from localization.mapping.measurements import rotate
+from localization.mapping.measurements import compose, rotate
 from localization.mapping.problem import COMMON_OFFSET, NO_FEATURE, POINT, WALL, sensors_at
 from localization.mapping.walls import Piece, axes_rad, extract_walls, final_pose, parameter_covariance
 from worlds.robots import Calibration, Spread
@@ -51,7 +51,7 @@ class Quality:
 
 @dataclass(frozen=True, slots=True)
 class LearnedMap:
-    """A map in its own frame: walls, points, path (n, 3) and where the robot stands now."""
+    """A map in its own frame: walls, points, path (n, 3), and what the robot has moved after it (3,)."""
 
     walls: tuple[Piece, ...]
     points: Floats
@@ -59,6 +59,16 @@ class LearnedMap:
     calibration: Calibration
     quality: Quality
     turret_rad: float
+    rest: Floats = field(default_factory=lambda: np.zeros(POSE))
+    unexplored: Floats | None = None
+    """Places (n, 2) beyond which the room goes on; None if they were not looked for."""
+
+    @property
+    def pose(self) -> Floats:
+        """Where the robot stands now (3,)."""
+        pose: Floats = compose(self.path[-1], self.rest)
+        pose[HEADING] = wrap_angle(pose[HEADING])
+        return pose
 
     @property
     def open_ends(self) -> list[tuple[float, float]]:
@@ -92,7 +102,7 @@ class LearnedMap:
     def world(self, name: str) -> World:
         """Return the map as a world."""
         walls = np.array([wall.ends.reshape(4) for wall in self.walls]).reshape(-1, 4)
-        x, y, heading = self.path[-1].tolist()
+        x, y, heading = self.pose.tolist()
         start = StartPose(round(x, 3), round(y, 3), round(heading, 4), round(wrap_angle(heading + self.turret_rad), 4))
         accuracies = {
             row: WallAccuracy(round(wall.std_in, 4), round(wall.std_rad, 5), round(wall.measured_in, 2))
@@ -107,6 +117,7 @@ class LearnedMap:
                 {
                     "ends_in": wall.ends.tolist(),
                     "closed": [bool(closed) for closed in wall.closed],
+                    "end_stds_in": list(wall.end_stds_in),
                     "measured_in": wall.measured_in,
                     "echoes": wall.echoes,
                     "offset_std_in": wall.std_in,
@@ -116,7 +127,8 @@ class LearnedMap:
             ],
             "points_in": self.points.tolist(),
             "open_ends_in": self.open_ends,
-            "pose": self.path[-1].tolist(),
+            "unexplored_in": None if self.unexplored is None else self.unexplored.tolist(),
+            "pose": self.pose.tolist(),
             "explained": self.quality.explained,
             "chi_square": self.quality.chi_square,
             "distance_scale": self.calibration.distance_scale,
@@ -127,7 +139,9 @@ class LearnedMap:
         }
 
 
-def describe(estimate: MapEstimate, turret_rad: float = 0.0) -> LearnedMap:
+def describe(
+    estimate: MapEstimate, turret_rad: float = 0.0, rest: Floats | None = None, unexplored: Floats | None = None
+) -> LearnedMap:
     """Return the map of an estimate in its own frame.
 
     Parameters
@@ -136,6 +150,10 @@ def describe(estimate: MapEstimate, turret_rad: float = 0.0) -> LearnedMap:
         A finished estimate.
     turret_rad
         Angle of the turret from the heading at the end.
+    rest
+        What the robot has moved after the last pose (3,).
+    unexplored
+        Places (n, 2) beyond which the room goes on, in the frame of the estimate.
     """
     walls = extract_walls(estimate)
     # 1. The frame: the origin stays, the axes turn to the longest walls.
@@ -146,7 +164,12 @@ def describe(estimate: MapEstimate, turret_rad: float = 0.0) -> LearnedMap:
     path[:, HEADING] -= turn
     points = rotate(estimate.state.points, np.full(len(estimate.state.points), -turn))
     turned = [replace(wall, ends=rotate(wall.ends, np.full(2, -turn))) for wall in walls]
-    return LearnedMap(tuple(turned), points, path, calibration_of(estimate), quality_of(estimate), turret_rad)
+    rest = np.zeros(POSE) if rest is None else rest
+    if unexplored is not None:
+        unexplored = rotate(unexplored, np.full(len(unexplored), -turn))
+    return LearnedMap(
+        tuple(turned), points, path, calibration_of(estimate), quality_of(estimate), turret_rad, rest, unexplored
+    )
 
 
 def quality_of(estimate: MapEstimate) -> Quality:
@@ -234,5 +257,7 @@ def summary(found: LearnedMap) -> str:
         f"{len(found.walls)} walls from {length:.0f} in of driving; {found.quality.explained:.0%} of the ranges "
         f"explained, chi-square {found.quality.chi_square:.2f} (1 is right)"
     )
+    if found.unexplored is not None:
+        lines += [f"not explored beyond ({x:.0f}, {y:.0f})" for x, y in found.unexplored]
     lines += [f"open end at ({x:.1f}, {y:.1f}): drive there to find its corner" for x, y in found.open_ends]
     return "\n".join(lines)

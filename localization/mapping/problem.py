@@ -50,6 +50,8 @@ BEARING_STD_RAD: Final = 0.2
 TIE_STD_IN: Final = 0.1
 _FRAME_INFORMATION: Final = 1e8
 """Weight of the first pose: fixed."""
+_FIXED_INFORMATION: Final = 1e12
+"""Weight of a map that stays as it is."""
 MIN_GAIN: Final = 0.05
 """A step that lowers the cost by less changes no decision: a likelihood ratio of 1.03."""
 
@@ -205,10 +207,15 @@ class MapProblem:
         True if readings are ranges along the axis of a sonar, not of a cone.
     robust
         False for plain least squares.
+    has_fixed_map
+        True if only the poses are unknown: localization in a map that stays as it is.
     """
 
-    def __init__(self, trajectory: Trajectory, sonars: int, *, rays: bool = False, robust: bool = True) -> None:
-        self.trajectory, self.rays, self.robust = trajectory, rays, robust
+    def __init__(
+        self, trajectory: Trajectory, sonars: int, *, rays: bool = False, robust: bool = True,
+        has_fixed_map: bool = False,
+    ) -> None:  # fmt: skip
+        self.trajectory, self.rays, self.robust, self.has_fixed_map = trajectory, rays, robust, has_fixed_map
         self.parameter_stds = np.array((*PARAMETER_STDS, *(OWN_OFFSET_STD_IN,) * sonars))
 
     def initial(self) -> MapState:
@@ -329,6 +336,8 @@ class MapProblem:
         D[range(first, size), range(first, size)] += self.parameter_stds**-2
         h[first:] -= state.parameters / self.parameter_stds**2
         D[range(first), range(first)] += 1e-9
+        if self.has_fixed_map:
+            D[range(size), range(size)] += _FIXED_INFORMATION
         T[0] += _FRAME_INFORMATION * np.eye(POSE)
         return NormalEquations(T, U, C, D, g, h)
 

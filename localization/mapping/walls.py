@@ -38,6 +38,8 @@ REACH_IN: Final = 48.0
 OVERSHOOT_IN: Final = 6.0
 """A mistaken spot may lie this far beyond the true end."""
 POINT_ON_LINE_IN: Final = 2.5
+ON_LINE_IN: Final = 0.01
+"""A corner lies this near to both of its lines."""
 MIN_CORNER_RAD: Final = radians(20.0)
 """Lines that cross at a smaller angle make no corner: its position would be uncertain."""
 
@@ -60,6 +62,8 @@ class Piece:
         Number of its echoes.
     std_in, std_rad
         Standard deviations of its offset, at the middle, and of its angle.
+    end_stds_in
+        Standard deviation of each closed end along the wall; None for an open one, which lies beyond.
     """
 
     line: int
@@ -70,6 +74,7 @@ class Piece:
     echoes: int
     std_in: float = 0.0
     std_rad: float = 0.0
+    end_stds_in: tuple[float | None, float | None] = (None, None)
 
     @property
     def measured_in(self) -> float:
@@ -334,6 +339,51 @@ def _add_accuracy(estimate: MapEstimate, pieces: list[Piece], lines: list[_Line]
         middle = 0.25 * (spread[low, low] + spread[high, high] + 2.0 * spread[low, high])
         turn = (spread[low, low] + spread[high, high] - 2.0 * spread[low, high]) / piece.measured_in**2
         piece.std_in, piece.std_rad = float(np.sqrt(max(middle, 0.0))), float(np.sqrt(max(turn, 0.0)))
+    # Ends along their walls, without the same rigid motion.
+    gauge, state = np.linalg.pinv(N) @ A, estimate.state
+    for piece in pieces:
+        stds: list[float | None] = [None, None]
+        for end in range(2):
+            derivative = end_derivative(state.walls, state.points, piece.line, piece.ends[end])
+            if not piece.closed[end] or derivative is None:
+                continue
+            along, place = lines[piece.line].along, piece.ends[end]
+            rigid = np.array((along[0], along[1], along[1] * place[0] - along[0] * place[1]))
+            end_row = np.concatenate((derivative, np.zeros(len(covariance) - len(derivative)))) - rigid @ gauge
+            stds[end] = max(float(end_row @ covariance @ end_row), 0.0) ** 0.5
+        piece.end_stds_in = (stds[0], stds[1])
+
+
+def end_derivative(walls: Floats, points: Floats, own: int, place: Floats) -> Floats | None:
+    """Return the derivative (2 w + 2 v,) of an end along its wall by all walls and points; None if it is of neither.
+
+    Parameters
+    ----------
+    walls, points
+        (w, 2) angle and offset, (v, 2) positions.
+    own
+        Number of the wall that ends.
+    place
+        (2,) the end: a point of the map, or where the wall's line meets another, n_i . p = offset_i of both.
+    """
+    derivative = np.zeros(walls.size + points.size)
+    normals = np.stack((np.cos(walls[:, 0]), np.sin(walls[:, 0])), axis=-1)
+    alongs = np.stack((-normals[:, 1], normals[:, 0]), axis=-1)
+    # 1. Where another line passes: p moves by a across the own wall and b along it, n_j . (a n_i + b t_i) = d offset_j.
+    for other, (normal, along) in enumerate(zip(normals, alongs, strict=True)):
+        slope, cosine = float(alongs[own] @ normal), float(normals[own] @ normal)
+        if abs(slope) < np.sin(MIN_CORNER_RAD) or abs(float(place @ normal) - walls[other, 1]) > ON_LINE_IN:
+            continue
+        derivative[WALL * other : WALL * other + 2] = -float(place @ along) / slope, 1.0 / slope
+        derivative[WALL * own : WALL * own + 2] = float(place @ alongs[own]) * cosine / slope, -cosine / slope
+        return derivative
+    # 2. The point.
+    off = points - place
+    for number in np.flatnonzero(np.abs(off @ alongs[own]) < ON_LINE_IN):
+        if abs(float(off[number] @ normals[own])) < POINT_ON_LINE_IN:
+            derivative[walls.size + POINT * number : walls.size + POINT * number + 2] = alongs[own]
+            return derivative
+    return None
 
 
 def covariance_of(estimate: MapEstimate) -> Floats:

@@ -2,8 +2,8 @@
 
 RecoveryBehavior turns in place and then drives where the sonars ahead measure free space: poses that look alike from
 one position are distinguished on the path to another. Where the filter states a direction in which they differ, it
-drives there. After a contact it backs off and turns away. ContactDetector reports a bumper that closes, StallDetector a
-robot that presses against something or whose wheels stand.
+drives there. After a contact it backs off and turns away. ContactDetector reports a bumper that closes, MisfitDetector
+a start that the readings do not fit, StallDetector a robot that presses against something or whose wheels stand.
 """
 
 from dataclasses import dataclass
@@ -13,6 +13,9 @@ from typing import Final, Protocol
 import numpy as np
 
 from localization.filters.belief import Floats, difference
+from localization.filters.health import HealthStatus
+from localization.filters.update import OUTLIER_THRESHOLD, Refusal
+from localization.live.localizer import Estimate
 from localization.navigation.control_law import distance_to
 from nclient.state import RobotState
 from worlds.rings import Ring
@@ -45,6 +48,13 @@ PROGRESS_RAD: Final = 0.1
 """Encoder motion that counts as progress."""
 CONTACT_PROGRESS_IN: Final = 0.5
 """In contact, the estimate must come this much nearer to the waypoint: wheels may slip and bodies slide."""
+
+
+FIRST_RANGES: Final = 24
+"""A ring and a half: the first ranges, which decide whether the start is right."""
+MIN_EXPLAINED: Final = 0.25
+"""Fraction of them that must be explained; of a right start more than half are, among bad readings and people."""
+_MISFIT_REMEDY: Final = "check --map and --start, or search with --start unknown"
 
 
 class SonarState(Protocol):
@@ -160,6 +170,27 @@ class ContactDetector:
             f"contact of bumpers {numbers} at the estimate ({pose[0]:z.1f}, {pose[1]:z.1f}) in: drive the robot free "
             "(nomad shell), check map and start pose"
         )
+
+
+class MisfitDetector:
+    """Detect an estimate that a filter which cannot search has lost, or that the first readings do not fit."""
+
+    def __init__(self) -> None:
+        self._explained = self._ranges = 0
+
+    def reason(self, estimate: Estimate) -> str:
+        """Return why the estimate is useless, in words; "" if it may be right."""
+        if estimate.health.status is HealthStatus.LOST:
+            return f"lost: {estimate.health.reason}; {_MISFIT_REMEDY}"
+        if self._ranges >= FIRST_RANGES:
+            return ""
+        for echo in estimate.echoes:
+            is_used = echo.refusal is Refusal.NONE
+            self._ranges += is_used or echo.refusal is Refusal.GATE
+            self._explained += is_used and echo.outlier_probability < OUTLIER_THRESHOLD
+        if self._ranges < FIRST_RANGES or self._explained >= MIN_EXPLAINED * self._ranges:
+            return ""
+        return f"{self._explained} of the first {self._ranges} ranges fit the map at the start; {_MISFIT_REMEDY}"
 
 
 class StallDetector:

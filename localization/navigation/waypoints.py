@@ -146,6 +146,7 @@ def follow_waypoints(
 ) -> Generator[NavigationStep, None, None]:
     """Drive until the navigator is finished and yield each period; the robot is stopped at the end in any case.
 
+    Without a waypoint left, a navigator that stays gives no commands: the robot may be driven by other clients.
     While the estimate is LOST the robot searches (RecoveryBehavior). Where states arrive far apart it drives slower
     (StateGapLimiter).
 
@@ -160,6 +161,7 @@ def follow_waypoints(
         Smooths the pose to steer by. Default: steer by the estimates.
     """
     smoother, gap_limiter = smoother or PoseSmoother(0.0), StateGapLimiter()
+    stands = navigator.finished
     recovery = RecoveryBehavior(PERIOD_S, ring=localizer.ring)
     robot.set_timeout(COMMAND_TIMEOUT_S)
     state = robot.refresh()
@@ -179,10 +181,13 @@ def follow_waypoints(
             yield NavigationStep(estimate, state, navigator.passed)
             if command is None:
                 return
-            # 3. Drive for the rest of the period.
-            fraction = gap_limiter.speed_fraction(estimate.clock_s)
-            translation_in_s, steering_rad_s = (fraction * speed for speed in command)
-            after = robot.drive(translation_in_s=translation_in_s, steering_rad_s=steering_rad_s)
+            # 3. Drive for the rest of the period. A robot that stands is not commanded again: others may drive it.
+            after = state
+            if command != STAND or not stands:
+                fraction = gap_limiter.speed_fraction(estimate.clock_s)
+                translation_in_s, steering_rad_s = (fraction * speed for speed in command)
+                after = robot.drive(translation_in_s=translation_in_s, steering_rad_s=steering_rad_s)
+            stands = command == STAND
             state = wait_for_next_state(robot, state, after, wait)
 
 

@@ -2,19 +2,35 @@
 
     nomad doctor nserver://localhost:7019/1
     nomad doctor "serial:///dev/ttyUSB0?model=n150" --exchanges 500 --json
+    nomad doctor                                   no address, no NOMAD_ROBOT: look for a robot on all serial ports
+
+The search asks each port at every usual baud rate for its state, and then an Nserver on this machine.
 
 Prints a line for each finding, OK, WARN or FAIL, with a remedy. Exit code 1 if any finding is FAIL.
 """
 
 import argparse
+import contextlib
 import json
+import os
+import shlex
 import time
+from typing import Final
 
 from nclient.common.arguments import add_address, add_flag, add_value, seconds, whole_number
 from nclient.common.exit_codes import ExitCode
-from nclient.connector import Connector, address_or_default
-from nclient.diagnostics import EXCHANGES, INTERVAL_S, Diagnostics, Grade, report, worst
-from nclient.url import parse_address
+from nclient.connector import DEFAULT_ADDRESS, VARIABLE, Connector, address_or_default, is_listening
+from nclient.diagnostics import EXCHANGES, INTERVAL_S, Diagnostics, Finding, Grade, fail, ok, report, warn, worst
+from nclient.errors import ConnectionLost, ReplyTimeout
+from nclient.protocol.commands import BY_NAME
+from nclient.protocol.decode import guess_model
+from nclient.protocol.serial_framing import SerialFramer, build_frame
+from nclient.protocol.types import Model
+from nclient.transports import serial
+from nclient.transports.stream import Deadline
+from nclient.url import DEFAULT_PORT, parse_address
+
+_GET_STATE: Final = BY_NAME["gs"].line_type or 0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -29,15 +45,113 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Check the robot, print the findings, and return the exit code."""
-    address = address_or_default(options.address)
+    if not options.address and not os.environ.get(VARIABLE):
+        return _search(options)
+    return _check(address_or_default(options.address), options)
+
+
+def _check(address: str, options: argparse.Namespace) -> int:
+    """Check one robot, print the findings, and return the exit code."""
     connector = Connector(parse_address(address))
     chart = Diagnostics(connector.open_session, time.perf_counter, time.sleep).run(options.exchanges, options.interval)
     findings = report(chart)
     grade = worst(findings)
     if options.json:
-        print(json.dumps({"address": address, "model": chart.model, "worst": grade.name,
-                          "findings": [finding._asdict() | {"grade": finding.grade.name} for finding in findings]}))
+        print(json.dumps({"address": address, "model": chart.model, "worst": grade.name, "findings": _dicts(findings)}))
     else:
         for finding in findings:
             print(finding)
     return ExitCode.FAILED if grade is Grade.FAIL else ExitCode.DONE
+
+
+def _dicts(findings: list[Finding]) -> list[dict[str, object]]:
+    return [finding._asdict() | {"grade": finding.grade.name} for finding in findings]
+
+
+# -- search -----------------------------------------------------------------------------------------------------------
+
+USUAL_BAUDS: Final = (38400, 9600, 19200, 57600, 115200)
+"""Baud rates that are tried, that of a Nomad as it was delivered first."""
+ANSWER_S: Final = 0.4
+"""Wait for an answer at each rate: a whole state packet of a N150 takes 0.06 s at 9600 baud."""
+_QUIET_S: Final = 0.05
+
+
+def _search(options: argparse.Namespace) -> int:
+    """Look for robots on all ports and for an Nserver; check the Nserver if there is one, and return the exit code."""
+    findings, found = [], []
+    for port in serial.ports():
+        finding, address = search_port(port)
+        findings.append(finding)
+        found += [address] if address else []
+    if not findings:
+        findings.append(warn("ports", "this machine has no serial ports", "is the adapter plugged in?"))
+    is_nserver = is_listening("localhost", DEFAULT_PORT)
+    if options.json and not is_nserver:
+        grade = Grade.OK if found else Grade.FAIL
+        print(json.dumps({"addresses": found, "worst": grade.name, "findings": _dicts(findings)}))
+    elif not options.json:
+        for finding in findings:
+            print(finding)
+        for address in found:
+            print(f"      next: nomad doctor {shlex.quote(address)}")
+    if is_nserver:
+        return _check(DEFAULT_ADDRESS, options)
+    if not found and not options.json:
+        print(fail("robot", "none found", "switch it on, plug its cable in, and look at docs/real-robot.md; "
+                   f"for an Nserver elsewhere give its address, or start one: {DEFAULT_ADDRESS} does not answer"))
+    return ExitCode.DONE if found else ExitCode.FAILED
+
+
+def search_port(port: str) -> tuple[Finding, str]:
+    """Ask a port at every usual baud rate for a Nomad's state, which moves nothing.
+
+    Returns
+    -------
+    tuple of Finding and str
+        What was found, and the address of the robot, "" without one.
+    """
+    noisy = []
+    for baud in USUAL_BAUDS:
+        try:
+            model, is_noisy = ask_port(port, baud)
+        except ConnectionLost as error:
+            return warn(port, "cannot be asked", str(error)), ""
+        if model is not None:
+            rate = "" if baud == serial.DEFAULT_BAUD else f"&baud={baud}"
+            return ok(port, f"a {model.name} answers at {baud} baud"), f"serial://{port}?model={model.name}{rate}"
+        noisy += [baud] if is_noisy else []
+    rates = ", ".join(map(str, USUAL_BAUDS))
+    if noisy:
+        return warn(port, f"answers at {', '.join(map(str, noisy))} baud, but not as a Nomad",
+                    "another device, or a robot at an unusual rate: try baud= in the address"), ""
+    return warn(port, f"silent at {rates} baud", "another device, or a robot that is off or not plugged in"), ""
+
+
+def ask_port(port: str, baud: int) -> tuple[Model | None, bool]:
+    """Return the model of the robot that answers at this baud rate, None without one, and whether bytes came at all.
+
+    Raises
+    ------
+    ConnectionLost
+        If the port cannot be opened.
+    """
+    stream, framer, is_noisy = serial.open_port(port, baud), SerialFramer(), False
+    try:
+        # 1. What was under way before is no answer.
+        with contextlib.suppress(ReplyTimeout):
+            while True:
+                stream.receive(Deadline.after(_QUIET_S))
+        # 2. gs only reads the state.
+        stream.send(build_frame(_GET_STATE))
+        deadline = Deadline.after(ANSWER_S)
+        with contextlib.suppress(ReplyTimeout):
+            while True:
+                data = stream.receive(deadline)
+                is_noisy = True
+                for frame in framer.receive(data):
+                    if frame.type == _GET_STATE and (model := guess_model(frame.data)):
+                        return model, True
+    finally:
+        stream.close()
+    return None, is_noisy

@@ -18,7 +18,7 @@ from nclient.protocol import codec
 from nclient.protocol.client_state import STATE_SIZE
 from nclient.protocol.codec import describe_serial_overflow
 from nclient.protocol.commands import BY_NAME, Call, Command
-from nclient.protocol.types import EVERYTHING, SLOTS, Mask
+from nclient.protocol.types import EVERYTHING, SLOTS, Mask, Model
 from nclient.protocol.wire_state import WireState
 from nclient.robot import Robot
 
@@ -26,6 +26,8 @@ _END = 255
 """End mark of a firing order."""
 # motion_check takes doubles in C, thousandths in a Call.
 _THOUSANDTHS = 1000
+_SPEED_MODES = (1, 5)
+"""Modes of mv whose value is a speed: motion at a speed, and the speed of relative motions."""
 _MAX_NUMBER = 2**63
 """Limit of numbers: more than any command takes, and within the range of floats."""
 
@@ -59,6 +61,28 @@ def build_call(command: shell_help.ParsedCommand, wire_state: WireState, smask: 
     elif error := describe_serial_overflow(call):
         raise WireError(error)
     return call
+
+
+def describe_excess_speed(call: Call, model: Model) -> Iterator[str]:
+    """Yield a note for each axis that vm, sp or mv commands to go faster than the model can.
+
+    The call is sent as it is: the robot drives at its top speed, and a simulated model may have a higher one.
+    """
+    match call.name, call.args:
+        case "vm" | "sp", values:
+            speeds = dict(enumerate(values))
+        case "mv", values:
+            speeds = {axis: values[2 * axis + 1] for axis in range(3) if values[2 * axis] in _SPEED_MODES}
+        case _:
+            return
+    length, angle = (model.top_speed_in_s, "in/s"), (model.top_turn_deg_s, "deg/s")
+    tops = (length, angle, angle) if model.has_turret else (length, length)
+    names = ("translation", "steering", "turret") if model.has_turret else ("right wheel", "left wheel")
+    for axis, (name, (top, unit)) in enumerate(zip(names, tops, strict=True)):
+        tenths = speeds.get(axis, 0)
+        if abs(tenths) > 10 * top:
+            yield (f"{call.name}: {name} {tenths} is {abs(tenths) / 10:g} {unit}, more than the {top} {unit} of the "
+                   f"{model.name}; it drives at its top speed (numbers are tenths: {10 * top})")
 
 
 def describe_unknown_command(name: str, alternatives: Iterable[str] = ()) -> str:
@@ -217,7 +241,9 @@ class Session:
             elif command.name in shell_help.BUILTINS:
                 yield from self._execute_builtin(command)
             else:
-                yield from self._execute(build_call(command, self.wire_state, self._smask, self._pid))
+                call = build_call(command, self.wire_state, self._smask, self._pid)
+                yield from describe_excess_speed(call, self.wire_state.model)
+                yield from self._execute(call)
 
     def halt(self) -> str:
         """Stop the robot, and return the line to show."""

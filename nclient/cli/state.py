@@ -22,7 +22,7 @@ from nclient.common.exit_codes import ExitCode
 from nclient.connector import Connector, address_or_default
 from nclient.errors import AddressError, ShellError
 from nclient.robot import Robot
-from nclient.url import available_schemes, parse_address
+from nclient.url import available_schemes, is_port_name, parse_address
 
 EVERY_S = 1.0
 _HOME_AND_CLEAR = "\x1b[H\x1b[J"
@@ -78,8 +78,8 @@ def watch(
 
 def _sorted_words(words: list[str]) -> tuple[str | None, list[str]]:
     """Separate the address, which has a colon, from the parts. Raises AddressError for any other word."""
-    addresses = [word for word in words if ":" in word]
-    parts = [word for word in words if ":" not in word]
+    addresses = [word for word in words if ":" in word or is_port_name(word)]
+    parts = [word for word in words if word not in addresses]
     if len(addresses) > 1:
         raise AddressError(f"one robot at a time, not {' and '.join(addresses)}")
     try:

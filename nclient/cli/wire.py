@@ -4,6 +4,7 @@
     nomad wire decode 000f0000                        {"to": "robot", "call": "gs", "args": []}
     nomad wire decode --to host --call get_rc HEX     the client's state after that reply
     nomad wire dump --line serial --model n200        reads `> hex` and `< hex` lines, prints an object for each
+    nomad wire dissector >nomad.lua                   a dissector for Wireshark and tshark
 
 Results go to stdout. The reason why a frame is invalid goes to stderr, except in a dump, which has an object per line.
 """
@@ -30,9 +31,9 @@ _LIST = "nomad wire encode --help lists them all"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add encode, decode and dump; --line and --model may stand before or after them."""
+    """Add encode, decode, dump and dissector; --line and --model may stand before or after them."""
     _add_line(parser)
-    verbs = parser.add_subparsers(dest="verb", metavar="encode|decode|dump", required=True)
+    verbs = parser.add_subparsers(dest="verb", metavar="encode|decode|dump|dissector", required=True)
     names = fill(" ".join(BY_NAME), 100, initial_indent="    ", subsequent_indent="    ")
     encode = _add_verb(verbs, "encode", f"{getdoc(_encode)}\n\nCalls:\n\n{names}")
     encode.add_argument("call", help="C name, such as vm, get_sn, special_request")
@@ -49,6 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     decode.add_argument("--mask", type=_mask, help="44 numbers of the mask in force (default: all on)")
     decode.add_argument("--laser-mode", type=int, help="laser mode in force (default: 51)")
     _add_verb(verbs, "dump", getdoc(_dump) or "")
+    _add_verb(verbs, "dissector", getdoc(_dissector) or "")
     parser.set_defaults(**_DEFAULTS)
 
 
@@ -73,12 +75,14 @@ def _add_line(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run encode, decode or dump, and return the exit code."""
+    """Run encode, decode, dump or dissector, and return the exit code."""
     match options.verb:
         case "encode":
             return _encode(options)
         case "decode":
             return _decode(options)
+        case "dissector":
+            return _dissector()
         case _:
             return _dump(options)
 
@@ -180,6 +184,21 @@ def _dump(options: argparse.Namespace) -> int:
     # Bytes that are no UTF-8 become replacement characters, and an error object like any other invalid line.
     for line in sys.stdin.buffer:
         print(json.dumps(decoder.read(line.decode("utf-8", "replace"))), flush=True)
+    return ExitCode.DONE
+
+
+def _dissector() -> int:
+    """Print a dissector for Wireshark and tshark in Lua, generated from the command table.
+
+    It shows the Nserver protocol, of 32-bit and 64-bit clients, and the serial protocol over TCP: on the ports 7019
+    and 65001, on those of the preferences, and on any other where the start of a connection is in the capture.
+
+        nomad wire dissector >nomad.lua
+        tshark -X lua_script:nomad.lua -r capture.pcap -Y nomad
+    """
+    from nclient.cli.dissector import build_dissector  # here: no other verb needs the file
+
+    print(build_dissector(), end="")
     return ExitCode.DONE
 
 

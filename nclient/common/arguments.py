@@ -1,6 +1,7 @@
 """Argument parser with suggestions for misspelt options and choices.
 
-    nomad --hlep                    no option --hlep; did you mean --help?
+    nomad --hlep                    nomad: error: no option --hlep; did you mean --help?
+                                    nomad --help lists all options
     nomad wire --line seriall       argument --line: no 'seriall'; there are tcp, tcp64, serial; did you mean serial?
     nomad completion                the following arguments are required: shell
 
@@ -13,6 +14,7 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import Any, Final, NoReturn
 
+from nclient.common.exit_codes import ExitCode
 from nclient.common.hints import closest_match, suggest
 
 MAX_DIGITS = 18
@@ -46,6 +48,10 @@ class Parser(argparse.ArgumentParser):
             self.error(f"too many arguments: {' '.join(rest)}")
         return options
 
+    def error(self, message: str) -> NoReturn:
+        """Print the error and a hint, without the usage of all options, and exit with 2."""
+        self.exit(ExitCode.USAGE, f"{self.prog}: error: {message}\n{self.prog} --help lists all options\n")
+
     def _mark_optional_words(self) -> None:
         # Python before 3.13 reports positional arguments with nargs="*" as required.
         for action in self._actions:
@@ -57,7 +63,7 @@ class Parser(argparse.ArgumentParser):
         options = {option.strip("-"): option for option in self._option_names()}
         match = options.get(closest_match(name.strip("-"), options))
         hint = f"; did you mean {match}?" if match else ""
-        self.error(f"no option {name}{hint}; --help shows them all")
+        self.error(f"no option {name}{hint}")
 
     def _option_names(self) -> list[str]:
         return [option for action in self._actions for option in action.option_strings]

@@ -34,9 +34,9 @@ TO_ROBOT, TO_HOST = ">", "<"
 # Requests of old recordings may have no replies: the oldest are forgotten.
 MAX_OUTSTANDING = 256
 
-# Reply types of old servers (moved, acceleration) with the layout of another type.
-_SAME_SHAPE = {81: 80, 90: 89}
-_BY_REPLY_TYPE: dict[int, tuple[TcpLayout, ...]] = {
+SAME_SHAPE = {81: 80, 90: 89}
+"""Reply types of old servers (moved, acceleration) with the layout of another type."""
+BY_REPLY_TYPE: dict[int, tuple[TcpLayout, ...]] = {
     80: (shape.STATE,), 82: (shape.SIMPLE_LIST,), 83: (shape.INFRARED,), 84: (shape.SONAR,),
     85: (shape.LASER, shape.SEGMENTS), 86: (shape.COMPASS,), 87: (shape.BUMPER,), 88: (shape.CONFIGURATION,),
     89: (shape.VELOCITY,), ERROR_TYPE: (shape.ERROR,), 300: (shape.SPECIAL,), 1000: (shape.TRUTH,),
@@ -233,7 +233,7 @@ class _TcpEnds:
         return _Answer(self._by_type(frame), None)
 
     def _by_type(self, frame: TcpFrame) -> Reply:
-        *others, last = _BY_REPLY_TYPE[_SAME_SHAPE.get(frame.type, frame.type)]
+        *others, last = BY_REPLY_TYPE[SAME_SHAPE.get(frame.type, frame.type)]
         for layout in others:
             try:
                 return codec.parse_tcp_payload(layout, frame.payload, self.wire_state)
@@ -243,7 +243,7 @@ class _TcpEnds:
 
 
 def _fitting(row: Command, frame: TcpFrame, wire_state: WireState) -> Reply | None:
-    frame_type = _SAME_SHAPE.get(frame.type, frame.type)
+    frame_type = SAME_SHAPE.get(frame.type, frame.type)
     if frame_type not in (ERROR_TYPE, REPLY_TYPES[row.tcp_reply]):
         return None
     try:

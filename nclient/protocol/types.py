@@ -27,6 +27,7 @@ from dataclasses import dataclass, field
 from enum import IntFlag
 from typing import NamedTuple
 
+from nclient.common.hints import suggest
 from nclient.errors import AddressError, WireError
 
 
@@ -46,11 +47,15 @@ class Model:
     has_infrared: bool
     has_laser: bool
     has_turret: bool
+    top_speed_in_s: int = 20
+    """Top speed of the user's manual, of a Scout of each wheel."""
+    top_turn_deg_s: int = 45
+    """Top rate of steering and turret."""
 
 
 N200 = Model("n200", 0, True, False, 0xF00000, has_infrared=True, has_laser=True, has_turret=True)
 N150 = Model("n150", 1, False, False, 0xF00000, has_infrared=False, has_laser=False, has_turret=True)
-SCOUT = Model("scout", 2, False, True, 0, has_infrared=False, has_laser=False, has_turret=False)
+SCOUT = Model("scout", 2, False, True, 0, has_infrared=False, has_laser=False, has_turret=False, top_speed_in_s=39)
 
 MODELS = {model.name: model for model in (N150, N200, SCOUT)}
 """Models by lower-case name."""
@@ -61,7 +66,8 @@ def get_model(name: str) -> Model:
     try:
         return MODELS[name.lower()]
     except KeyError:
-        raise AddressError(f"no robot model {name!r}; there are {', '.join(MODELS)}") from None
+        hint = suggest(name.lower(), MODELS)
+        raise AddressError(f"no robot model {name!r}; there are {', '.join(MODELS)}{hint}") from None
 
 
 SONAR_SLOTS = 16

@@ -1,8 +1,11 @@
 """A serial port as a byte stream: a cable, a USB adapter, a radio modem, or the pseudo-terminal of an emulated robot.
 
-8 data bits, no parity, 1 stop bit, no flow control. Access is exclusive (flock, as other serial programs do).
-pyserial opens and configures the port; bytes are then read and written through its file descriptor, which takes half
-the time and needs a system whose poll() supports terminals. This is the only module that imports serial.
+    SerialStream            Linux: pyserial opens the port, poll() and the file descriptor take half the time
+    PortableSerialStream    Windows, macOS, and ports of other machines: a thread and pyserial's own read and write
+
+8 data bits, no parity, 1 stop bit, no flow control. Access is exclusive (flock, as other serial programs do); ports of
+other machines are `rfc2217://host:port` and `socket://host:port`, as ser2net serves them.
+This is the only module that imports serial.
 """
 
 import contextlib
@@ -11,20 +14,23 @@ import os
 import selectors
 import sys
 import threading
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import serial
 from serial.tools import list_ports
 
 from nclient.errors import ConnectionLost, ReplyTimeout
-from nclient.transports.stream import Deadline
+from nclient.transports.stream import ByteStream, Deadline
 
 DEFAULT_BAUD: Final = 38400
 WRITE_TIMEOUT_S: Final = 5.0
 """Maximum time to write a request; the longest one takes 70 ms at 38400 baud."""
 _CHUNK: Final = 65536
+_READ_SLICE_S: Final = 0.2
+"""Longest read of the portable stream: `close` waits for it where a system cannot cancel it."""
 _BUSY: Final = frozenset({errno.EAGAIN, errno.EBUSY, errno.EACCES})
 _PROCESSES: Final = Path("/proc")
 if sys.platform == "win32":
@@ -129,6 +135,122 @@ class SerialStream:
         return ConnectionLost(f"{self.name}: this end has closed the port")
 
 
+class PortableSerialStream:
+    """An open serial port by pyserial's means alone: a thread reads, without termios, poll() and file descriptors.
+
+    Parameters
+    ----------
+    port
+        Name of the port, or a URL of pyserial.
+    baud
+        Bits per second. A raw socket has none.
+
+    Raises
+    ------
+    ConnectionLost
+        If the port cannot be opened; the message has the reason and a remedy.
+    """
+
+    def __init__(self, port: str, baud: int = DEFAULT_BAUD) -> None:
+        self.name = port
+        # pyserial has neither lock nor write timeout for ports of other machines.
+        local: dict[str, Any] = {} if "://" in port else {"exclusive": True, "write_timeout": WRITE_TIMEOUT_S}
+        try:
+            with warnings.catch_warnings():
+                # pyserial's rfc2217 calls Thread.setDaemon.
+                warnings.simplefilter("ignore", DeprecationWarning)
+                self._port = serial.serial_for_url(_pyserial_url(port), baud, timeout=_READ_SLICE_S, **local)
+        except _OPEN_ERRORS as error:
+            raise ConnectionLost(_remedy(port, baud, error)) from error
+        self._writing, self._arrived = threading.Lock(), threading.Condition()
+        self._received = bytearray()
+        self._failure: OSError | None = None
+        self._closed = False
+        self._reader = threading.Thread(target=self._read_all, name=f"serial {port}", daemon=True)
+        self._reader.start()
+
+    def send(self, data: bytes) -> None:
+        """Send all bytes. Raises ConnectionLost."""
+        with self._writing:
+            if self._closed:
+                raise self._closed_here()
+            try:
+                self._port.write(data)
+            except OSError as error:
+                raise self._lost(error) from error
+
+    def receive(self, deadline: Deadline) -> bytes:
+        """Return at least one byte. Raises ReplyTimeout at the deadline, ConnectionLost if the port has gone."""
+        with self._arrived:
+            self._arrived.wait_for(self._has_news, deadline.remaining())
+            if self._closed:
+                raise self._closed_here()
+            if self._received:
+                data = bytes(self._received)
+                self._received.clear()
+                return data
+            if self._failure is not None:
+                raise self._lost(self._failure)
+            raise ReplyTimeout(f"{self.name} was silent")
+
+    def close(self) -> None:
+        """Close the port; a `receive` in another thread ends with ConnectionLost. May be called twice."""
+        with self._arrived:
+            if self._closed:
+                return
+            self._closed = True
+            self._arrived.notify_all()
+        # The reader ends first: closing a port while it is read from is not safe on every system.
+        if cancel := getattr(self._port, "cancel_read", None):
+            with contextlib.suppress(OSError):
+                cancel()
+        self._reader.join()
+        with self._writing, contextlib.suppress(OSError):
+            self._port.close()
+
+    def _has_news(self) -> bool:
+        return bool(self._received) or self._closed or self._failure is not None
+
+    def _read_all(self) -> None:
+        """Read until the port is closed or fails; the read's own timeout looks after a missed cancel."""
+        while not self._closed:
+            try:
+                # The first byte, and what has come with it.
+                data = self._port.read(1)
+                if data and (waiting := self._port.in_waiting):
+                    data += self._port.read(waiting)
+            except OSError as error:
+                with self._arrived:
+                    self._failure = error
+                    self._arrived.notify_all()
+                return
+            if data:
+                with self._arrived:
+                    self._received += data
+                    self._arrived.notify_all()
+
+    def _lost(self, reason: OSError) -> ConnectionLost:
+        return ConnectionLost(f"{self.name} is gone ({reason}); is the cable in, and the robot's line still there?")
+
+    def _closed_here(self) -> ConnectionLost:
+        return ConnectionLost(f"{self.name}: this end has closed the port")
+
+
+def open_port(port: str, baud: int = DEFAULT_BAUD) -> ByteStream:
+    """Open a port by its name or a URL of pyserial. Raises ConnectionLost as the streams do."""
+    return PortableSerialStream(port, baud) if needs_portable(port) else SerialStream(port, baud)
+
+
+def _pyserial_url(port: str) -> str:
+    """Return the name that pyserial opens: without waiting for answers about flow control, which ser2net leaves out."""
+    return f"{port}?ign_set_control" if port.startswith("rfc2217:") else port
+
+
+def needs_portable(port: str) -> bool:
+    """Return True for ports of other machines, and on systems whose poll() does not support terminals."""
+    return "://" in port or sys.platform != "linux"
+
+
 def ports() -> list[str]:
     """Return the device names of this machine's serial ports."""
     return [found.device for found in list_ports.comports()]
@@ -138,6 +260,8 @@ def _remedy(port: str, baud: int, error: Exception) -> str:
     """Return why a port cannot be opened, and what to do about it."""
     number = getattr(error, "errno", None)
     message = str(error)
+    if "://" in port:
+        return f"{port} cannot be opened: {message}; is ser2net, or another server of the port, running there?"
     if number == errno.ENOENT:
         there = ", ".join(ports()) or "none at all"
         return f"there is no port {port}; is the adapter plugged in? Ports there are: {there}"

@@ -301,8 +301,9 @@ def _show_world(server: ControlledServer, _: object) -> JsonObject:
 def _put_world(server: ControlledServer, argument: object, world: World | None = None) -> JsonObject:
     """Replace the world by that of a text; `world` is what was read from it already."""
     text, file = _world_text(argument)
-    world = runtime_settings.put_world(server.emulator, text, file, world)
-    server.record_change({"world": {"text": text, "file": file}})
+    places = {"places": True} if isinstance(argument, dict) and argument.get("places") is True else {}
+    world = runtime_settings.put_world(server.emulator, text, file, world, **places)
+    server.record_change({"world": {"text": text, "file": file, **places}})
     return {"world": world.name}
 
 
@@ -315,18 +316,31 @@ def _world_text(argument: object) -> tuple[str, str]:
 
 
 def _obstacle(server: ControlledServer, argument: object) -> JsonObject:
-    try:
-        change = json.loads(argument) if isinstance(argument, str) else argument
-    except (ValueError, RecursionError):
-        change = None
-    if not isinstance(change, dict):
-        raise ControlError(f"{runtime_settings.OBSTACLE_USAGE}, not {argument!r:.200}")
+    change = _json_object(argument, runtime_settings.OBSTACLE_USAGE)
     result = runtime_settings.change_obstacle(server.emulator, change)
     server.record_change({"obstacle": change})
     return result
 
 
+def _wall(server: ControlledServer, argument: object) -> JsonObject:
+    change = _json_object(argument, runtime_settings.WALL_USAGE)
+    result = runtime_settings.change_wall(server.emulator, change)
+    server.record_change({"wall": change})
+    return result
+
+
 # Arguments.
+
+
+def _json_object(argument: object, usage: str) -> JsonObject:
+    """Return an argument that is an object, or the text of one."""
+    try:
+        change = json.loads(argument) if isinstance(argument, str) else argument
+    except (ValueError, RecursionError):
+        change = None
+    if not isinstance(change, dict):
+        raise ControlError(f"{usage}, not {argument!r:.200}")
+    return change
 
 
 def _number(argument: object, low: float, high: float, usage: str) -> float:
@@ -356,6 +370,7 @@ COMMANDS: Final = (
     ControlCommand("world show", "", "show the current world, as TOML", _show_world),
     ControlCommand(WORLD_SET, "WORLD", "replace the world; robots keep their poses", _put_world),
     ControlCommand("obstacle", "JSON", "move (by, to), remove or add (put) an obstacle", _obstacle),
+    ControlCommand("wall", "JSON", "move (by, to), remove or add (put) an inner wall", _wall),
     ControlCommand("pause", "", "pause simulated time", _pause),
     ControlCommand("resume", "", "resume simulated time", _resume),
     ControlCommand("speed", "X", f"set simulated seconds per second, or {MAX_SPEED}", _speed),

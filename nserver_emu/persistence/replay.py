@@ -15,7 +15,13 @@ from nclient.recording.format import IN, OUT, Entry, Recording
 from nclient.recording.recorder import HANDSHAKE_FIRST, TCP
 from nserver_emu.persistence.recording import SERVER, RunHeader
 from nserver_emu.server.client_registry import CLOSED_RETENTION_S, ClientRegistry
-from nserver_emu.server.handlers.runtime_settings import change_obstacle, put_world, show_world, switch_noise
+from nserver_emu.server.handlers.runtime_settings import (
+    change_obstacle,
+    change_wall,
+    put_world,
+    show_world,
+    switch_noise,
+)
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.inprocess import SCHEME, InProcess, open_address
 from nserver_emu.server.serial_session import SerialSession
@@ -221,6 +227,8 @@ def _apply_change(emulator: Emulator, name: str, value: Any) -> None:
             show_world(emulator)
         case "obstacle":
             change_obstacle(emulator, value)
+        case "wall":
+            change_wall(emulator, value)
         case "world":
             put_world(emulator, **value)
 

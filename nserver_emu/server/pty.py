@@ -6,6 +6,8 @@ A file at PATH that is no symbolic link is not replaced, nor is a link that anot
 a killed server is replaced. Only the server's end stays open here: the system reports a hang-up (EIO, POLLHUP) when the
 last host closes its end. A host that opens the link immediately after another closed it, before the server has seen the
 hang-up, is not recognised as a new host.
+
+A host that sets another baud rate than the robot's gets nonsense, and the robot gets nothing of it, as on a cable.
 """
 
 import contextlib
@@ -18,8 +20,13 @@ import sys
 import termios
 import tty
 from pathlib import Path
+from typing import Final
 
 from nclient.errors import ConnectionLost
+
+DEFAULT_BAUD: Final = 38400
+"""Baud rate of the robot's line."""
+_INPUT_SPEED, _OUTPUT_SPEED = 4, 5  # places in the settings of termios
 
 
 class PseudoTerminal:
@@ -31,8 +38,10 @@ class PseudoTerminal:
         If it cannot be created; the message names the remedy.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, bauds: tuple[int, ...] = (DEFAULT_BAUD,)) -> None:
         self.path = path
+        # Speeds as termios numbers them; it has no numbers for unusual ones.
+        self._speeds = {getattr(termios, f"B{baud}", None) for baud in bauds}
         self._claim = _claim(path)
         # The server's end, -1 while closed.
         self.fd = -1
@@ -56,18 +65,22 @@ class PseudoTerminal:
     def read(self, max_bytes: int) -> bytes | None:
         """Return bytes from the host, empty if there are none yet, None if the host closed its end."""
         try:
-            return os.read(self.fd, max_bytes)
+            data = os.read(self.fd, max_bytes)
         except BlockingIOError:
             return b""
         except OSError as error:
             if error.errno != errno.EIO:
                 raise
             return None
+        if not self._has_own_baud():
+            self.write(data)
+            return b""
+        return data
 
     def write(self, data: bytes) -> int:
         """Write as much as the host's buffer takes and return the number of bytes; without a host all is discarded."""
         try:
-            return os.write(self.fd, data)
+            return os.write(self.fd, data if self._has_own_baud() else _nonsense(data))
         except BlockingIOError:
             return 0
         except OSError:
@@ -78,6 +91,7 @@ class PseudoTerminal:
         other = os.open(self.device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         try:
             tty.setraw(other, termios.TCSANOW)
+            self._set_own_baud(other)
             termios.tcflush(other, termios.TCIFLUSH)
         finally:
             os.close(other)
@@ -112,6 +126,7 @@ class PseudoTerminal:
         try:
             self.device = os.ttyname(other)
             tty.setraw(other, termios.TCSANOW)
+            self._set_own_baud(other)
             os.set_blocking(fd, False)
             _link(self.path, self.device)
         except BaseException:
@@ -123,10 +138,30 @@ class PseudoTerminal:
         self.fd = fd
         self._poll.register(fd, select.POLLIN)
 
+    def _has_own_baud(self) -> bool:
+        """Return True if the host has set a baud rate of the robot, which both ends of a pseudo-terminal show."""
+        try:
+            return termios.tcgetattr(self.fd)[_OUTPUT_SPEED] in self._speeds
+        except termios.error:
+            # The terminal has gone, which the caller's next access reports.
+            return True
+
+    @staticmethod
+    def _set_own_baud(file: int) -> None:
+        """Set the robot's baud rate: hosts that set none find the port so."""
+        settings = termios.tcgetattr(file)
+        settings[_INPUT_SPEED] = settings[_OUTPUT_SPEED] = termios.B38400
+        termios.tcsetattr(file, termios.TCSANOW, settings)
+
     def _release(self) -> None:
         self._poll.unregister(self.fd)
         os.close(self.fd)
         self.fd = -1
+
+
+def _nonsense(data: bytes) -> bytes:
+    """Return what bytes look like at another baud rate: as many others, none of which begins a frame."""
+    return bytes(0x80 | (byte * 167 + 73 * k) & 0xFF for k, byte in enumerate(data))
 
 
 def _link(path: Path, device: str) -> None:

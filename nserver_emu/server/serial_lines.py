@@ -291,10 +291,12 @@ async def _open_robotd(daemon: Daemon, robot: RobotLine, host: str, port: int) -
 
 def _open_serial(daemon: Daemon, robot: RobotLine, path: str, baud: int | None) -> str:
     try:
-        from nserver_emu.server.pty import PseudoTerminal
+        from nserver_emu.server.pty import DEFAULT_BAUD, PseudoTerminal
     except ImportError:
         raise ConnectionLost(f"no serial link {path}: this system has no pseudo-terminals; use --robotd") from None
-    PtyConnection(daemon, robot, PseudoTerminal(Path(path)), None if baud is None else lambda: RateLimitedChannel(baud))
+    # A limited line takes hosts of the robot's usual rate, too.
+    terminal = PseudoTerminal(Path(path), (DEFAULT_BAUD,) if baud is None else (DEFAULT_BAUD, baud))
+    PtyConnection(daemon, robot, terminal, None if baud is None else lambda: RateLimitedChannel(baud))
     _add_place(daemon, f"serial:{robot.robot_id}", path)
     return path
 

@@ -136,6 +136,13 @@ def address(host: str, port: int) -> str:
     return f"http://[{name}]:{port}" if ":" in name else f"http://{name}:{port}"
 
 
+def to_loopback(place: str) -> str:
+    """Return `HOST:PORT` with loopback in place of a wildcard host, for a client on this machine."""
+    host, _, port = place.rpartition(":")
+    loopback = _WILDCARDS.get(host.strip("[]"), (host, host))[1]
+    return f"[{loopback}]:{port}" if ":" in loopback.strip("[]") else f"{loopback}:{port}"
+
+
 def _outgoing_address(destination: str, loopback: str) -> str:
     """Return the source address of packets to a destination; none is sent."""
     family = socket.AF_INET6 if ":" in destination else socket.AF_INET

@@ -16,7 +16,10 @@ import json
 import logging
 from collections import Counter, deque
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any, Final
+
+import numpy as np
 
 from nclient.errors import REFUSALS, NomadError
 from nclient.faults.frames import Language, TcpLanguage
@@ -24,7 +27,7 @@ from nclient.protocol import codec
 from nclient.protocol.codec import TcpFrame, TcpFramer, reply_bounds
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
-from nclient.protocol.types import N150
+from nclient.protocol.types import N150, heading_tenths, tenths
 from nclient.protocol.wire_state import WireState, tcp_wire_state
 from nclient.recording.recorder import TCP
 from nserver_emu.control.commands import WORLD_SET, answer_line, answer_line_in_thread
@@ -35,8 +38,10 @@ from nserver_emu.server.session import Session
 from nserver_emu.viewer import messages
 from nserver_emu.viewer.broadcaster import Broadcaster, Viewer
 from nserver_emu.viewer.error_boundary import ErrorBoundary
+from nserver_emu.viewer.localizers import Localizers
 from nserver_emu.viewer.messages import parse_estimate
 from nserver_emu.viewer.traffic import TrafficMonitor
+from worlds.io import SHIPPED, load_world, world_names
 
 log = logging.getLogger(__name__)
 
@@ -196,6 +201,20 @@ class ViewerClients:
             raise
 
 
+@lru_cache(maxsize=1)
+def shipped_worlds() -> Answer:
+    """Return name, title, file and walls in whole inches of every shipped world."""
+    worlds = [(name, load_world(name)) for name in world_names()]
+    return {
+        "ok": True,
+        "worlds": [
+            {"name": name, "title": world.title, "text": (SHIPPED / f"{name}.toml").read_text(encoding="utf-8"),
+             "walls": np.rint(world.walls.reshape(-1, 4)).astype(int).tolist()}
+            for name, world in worlds
+        ],
+    }  # fmt: skip
+
+
 STALE_S: Final = 60.0
 """Age in real seconds from which an estimate is not shown to new pages."""
 
@@ -213,7 +232,9 @@ class ViewerController:
         self._waypoints_set: Counter[int] = Counter()
         self._clients: dict[Viewer, ViewerClients] = {}
         self._worlds_being_read: dict[Viewer, asyncio.Task[bytes]] = {}
+        self._reading: set[asyncio.Task[Answer]] = set()
         self._published: dict[int, tuple[float, dict[str, Any]]] = {}
+        self.localizers = Localizers(daemon, self._send_localizers)
         # The monitor takes the recorder's place and passes everything on to it.
         self.traffic_monitor = TrafficMonitor(
             daemon.recorder, self._wire_state_of, lambda: daemon.emulator.simulation.time_s
@@ -228,6 +249,7 @@ class ViewerController:
                             watch_token=watch_token if may_act else None, waypoints=self.waypoints,
                             lines=dict(self.daemon.lines()) if may_act else {}))
         viewer.notify(messages.encode_message("asked", robots=self._pose_requests))
+        viewer.notify(messages.encode_message("localizers", robots=self.localizers.as_dict()))
         # 2. Estimates that are not outdated.
         for published_at, estimate in self._published.values():
             if now - published_at < STALE_S:
@@ -254,7 +276,7 @@ class ViewerController:
 
     def close(self) -> None:
         """Restore the daemon's own recorder, and drop worlds that are still being read."""
-        for reading in self._worlds_being_read.values():
+        for reading in (*self._worlds_being_read.values(), *self._reading):
             reading.cancel()
         self.daemon.recorder = self.traffic_monitor.inner
 
@@ -315,6 +337,45 @@ class ViewerController:
                     self._refuse(viewer, None, f"no client asks for a pose of robot {message.robot}")
             case messages.Waypoints():
                 self.set_waypoints(message.robot, message.points)
+            case messages.Localize():
+                self.robots(message.robot)
+                self.localizers.start(message.robot, message.method, is_lost=message.is_lost, resumes=message.resumes)
+                _replier(viewer, message.id)({"ok": True})
+            case messages.Gallery():
+                self._answer_in_thread(viewer, message.id, shipped_worlds)
+            case messages.Kidnap():
+                self.robots(message.robot)
+                self._kidnap(viewer, message)
+            case messages.Unlocalize():
+                self.localizers.stop(message.robot)
+                _replier(viewer, message.id)({"ok": True})
+
+    def _answer_in_thread(self, viewer: Viewer, number: int, read: Callable[[], Answer]) -> None:
+        """Send a viewer the answer that a function returns, which reads files in a thread."""
+        reading = asyncio.create_task(asyncio.to_thread(read))
+        self._reading.add(reading)
+
+        def finish(reading: asyncio.Task[Answer]) -> None:
+            self._reading.discard(reading)
+            if not reading.cancelled():
+                with self.error_boundary.guard("files for a page", viewer.name):
+                    _replier(viewer, number)(reading.result())
+
+        reading.add_done_callback(finish)
+
+    def _kidnap(self, viewer: Viewer, message: messages.Kidnap) -> None:
+        """Place a robot, and set its encoders back to what they were: three calls in one turn of the event loop."""
+        clients, encoder = self.clients(viewer), self.daemon.emulator.simulation.robots[message.robot].encoder
+        positions = [tenths(encoder.x_in), tenths(encoder.y_in)]
+        angles = [heading_tenths(encoder.steering_rad), heading_tenths(encoder.turret_rad)]
+
+        def restore(answer: Answer) -> None:
+            if answer["ok"]:
+                clients.call(message.robot, "dp", positions, lambda _: None)
+                clients.call(message.robot, "da", angles, lambda _: None)
+            _replier(viewer, message.id)(answer)
+
+        clients.call(message.robot, "place_robot", message.pose, restore)
 
     def _set_world(self, viewer: Viewer, number: int, request: str) -> None:
         """Replace the world; its file is read in a thread, one at a time for each page."""
@@ -351,6 +412,7 @@ class ViewerController:
         if estimate.pop("began") and self.waypoints.get(robot):
             self.set_waypoints(robot, [])
         self._published[robot] = now, estimate
+        self.localizers.mark_published(robot)
         self.broadcaster.notify(messages.encode_message("localization", **estimate, age_s=0.0))
         return {"waypoints": self.waypoints.get(robot), "set": self._waypoints_set[robot]}
 
@@ -387,6 +449,9 @@ class ViewerController:
         if requests != self._pose_requests:
             self._pose_requests = requests
             self.broadcaster.notify(messages.encode_message("asked", robots=requests))
+
+    def _send_localizers(self) -> None:
+        self.broadcaster.notify(messages.encode_message("localizers", robots=self.localizers.as_dict()))
 
     def _send_traffic(self) -> None:
         recorder = self.traffic_monitor

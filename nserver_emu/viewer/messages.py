@@ -6,6 +6,8 @@ to the page, by `type`
     picture      the scene or its changes (scene.py)
     traffic      rows of requests and replies (traffic.py), missed: number of frames left out
     localization the latest published estimate (localization.py), and its age: age_s
+    localizers   robots: {robot: {"method", "state", "words"} ...} of localizers that pages started; state: starting,
+                 running, ended, failed; words: what it waits for, why it ended, or the error
     asked        robots: number of clients that wait for a click of a pose (get_robot_conf), by robot
     waypoints    robot, points: new way-points
     missed       count: other messages that were dropped since the viewer was too slow
@@ -21,7 +23,12 @@ from the page, by `do`
                  viewers and this page (server/estop.py)
     release      id, robot (left out: all): allow motions again
     control      id, command, argument: time, faults, noise, world (control/commands.py)
+    gallery      id: the shipped worlds, worlds: [{name, title, text of the file, walls} ...]
     click        robot, pose: x, y, steer, turret in tenths
+    localize     id, robot, method, is_lost, resumes: start its localizer, in place of one that runs (localizers.py);
+                 is_lost: it finds the pose itself; resumes: it begins with the estimate of the one before
+    unlocalize   id, robot: end its localizer
+    kidnap       id, robot, pose: as for click: place it there; its encoders stay as they are
     waypoints    robot, points: [[x_in, y_in] ...] for its localizer
 
 A message of any other form raises InvalidMessage, which names the correct form; unknown keys are left out. A viewer
@@ -55,7 +62,7 @@ from msgspec import Meta, Struct
 from nclient.common.validation import InvalidValue, convert, decode_json, describe_value, reported_as
 from worlds.rings import MAX_SONARS
 
-VERSION: Final = 4
+VERSION: Final = 5
 MAX_TEXT: Final = 2_000_000
 """Characters of a message from the page; a plan of faults is the longest."""
 MAX_ARGS: Final = 64
@@ -76,15 +83,20 @@ Word = Annotated[int, Meta(ge=-(2**31), le=2**31 - 1)]
 Number = Annotated[float, Meta(ge=-MAX_NUMBER, le=MAX_NUMBER)]
 Point = Annotated[list[Number], Meta(min_length=2, max_length=2, title="a point [x, y]")]
 Points = Annotated[list[Point], Meta(max_length=MAX_POINTS, title="a list of points [[x, y], ...] in inches")]
+PoseTenths = Annotated[
+    list[Word], Meta(min_length=4, max_length=4, title="x, y, steer and turret in whole tenths")
+]  # fmt: skip
 Call = Literal[
     "st", "lp", "zr", "vm", "pr", "dp", "da", "conf_tm", "conf_sn", "place_robot", "add_obstacle", "delete_obstacle",
     "move_obstacle", "new_world", "refresh_all", "create_robot",
 ]  # fmt: skip
 Control = Literal[
     "status", "pause", "resume", "speed", "step", "faults show", "faults set", "faults clear", "faults counts", "noise",
-    "world show", "world set", "obstacle",
+    "world show", "world set", "obstacle", "wall",
 ]  # fmt: skip
 """Control commands of the page: all but those that write files."""
+LocalizationMethod = Literal["ekf", "iekf", "ukf", "smoother", "mcl", "finder", "offsets"]
+"""Filters by name: those of `nomad localize --method`."""
 CALLS: Final = get_args(Call)
 CONTROLS: Final = get_args(Control)
 
@@ -156,9 +168,33 @@ class Click(_Message, tag="click"):
     """A pose for a client that waits for one."""
 
     robot: Id
-    pose: Annotated[
-        list[Word], Meta(min_length=4, max_length=4, title="x, y, steer and turret in whole tenths")
-    ]
+    pose: PoseTenths
+
+
+class Localize(_Request, tag="localize"):
+    """Start the localizer of a robot."""
+
+    robot: Id
+    method: LocalizationMethod
+    is_lost: bool
+    resumes: bool = False
+
+
+class Gallery(_Request, tag="gallery"):
+    """Send the shipped worlds."""
+
+
+class Unlocalize(_Request, tag="unlocalize"):
+    """End the localizer of a robot."""
+
+    robot: Id
+
+
+class Kidnap(_Request, tag="kidnap"):
+    """Place a robot without its encoders noticing."""
+
+    robot: Id
+    pose: PoseTenths
 
 
 class Waypoints(_Message, tag="waypoints"):
@@ -168,7 +204,10 @@ class Waypoints(_Message, tag="waypoints"):
     points: Points
 
 
-Message = Seen | Watch | CallRobot | Drive | Stop | Release | ControlServer | Click | Waypoints
+Message = (
+    Seen | Watch | CallRobot | Drive | Stop | Release | ControlServer | Click | Waypoints | Localize | Unlocalize
+    | Kidnap | Gallery
+)
 
 
 class InvalidMessage(ValueError):

@@ -72,7 +72,7 @@ async def running_viewer(daemon: Daemon, options: argparse.Namespace) -> AsyncIt
             token_file = options.viewer_token_file
             tokens = None if token_file is None else load_tokens(token_file)
             host, port = options.viewer
-            lines = await open_page.enter_async_context(serve_viewer(daemon, host, port, tokens))
+            lines = await open_page.enter_async_context(serve_viewer(daemon, host, port, tokens, options.model_file))
         except NomadError:
             await daemon.close()
             raise

@@ -198,12 +198,16 @@ class ViewerServer:
                 f"cannot serve the page on {host}:{port}: {error.strerror or error}; {remedy}"
             ) from error
         auth.HTTP_LOG.addFilter(self._admission.keep_record)  # only if the page is served: close() removes it
-        # 3. The clock that takes pictures.
+        # 3. The clock that takes pictures; localizers that pages start publish to this port.
         self._clock = asyncio.create_task(self._run_clock())
-        return int(self._server.sockets[0].getsockname()[1])
+        port = int(self._server.sockets[0].getsockname()[1])
+        place = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+        self.controller.localizers.page_url = f"http://{auth.to_loopback(place)}/?token={self.token}"
+        return port
 
     async def close(self) -> None:
         """Stop serving. May be called twice."""
+        await self.controller.localizers.close()
         # In the reverse order of `open`: clock, pages, socket, filter, runner.
         if self._clock is not None:
             self._clock.cancel()
@@ -410,10 +414,11 @@ async def _add_headers(_request: web.Request, response: web.StreamResponse) -> N
 
 @contextlib.asynccontextmanager
 async def serve_viewer(
-    daemon: Daemon, host: str, port: int, tokens: auth.Tokens | None = None
+    daemon: Daemon, host: str, port: int, tokens: auth.Tokens | None = None, model_file: Path | None = None
 ) -> AsyncIterator[list[str]]:
-    """Serve the page; yield the line to print."""
+    """Serve the page; yield the line to print. `model_file` has the robot models of the daemon, if not shipped."""
     viewer_server = ViewerServer(daemon, tokens)
+    viewer_server.controller.localizers.model_file = model_file
     port = await viewer_server.open(host, port)
     if not is_loopback(host):
         log.warning("the page is open to the network, unencrypted: all who read its address can drive the robots; "

@@ -20,14 +20,19 @@ PAGES = sorted(DOCS.rglob("*.md"))
 TESTS_OF_PAGES = {
     "calibration.md": "docs/test_calibration_and_maps_pages.py",
     "c-programs.md": "docs/test_pages.py",
+    "examples.md": "docs/test_examples.py",
     "faults.md": "docs/test_pages.py",
     "files.md": "nclient/cli/test_schema.py",
     "from-c.md": "docs/test_from_c_page.py",
     "fuzzing.md": "fuzz/test_documentation.py",
+    "interop.md": "docs/test_interop_page.py",
     "localization.md": "docs/test_pages.py",
+    "map-your-room.md": "docs/test_newcomer_pages.py",
     "maps.md": "docs/test_calibration_and_maps_pages.py",
     "mapping.md": "docs/test_calibration_and_maps_pages.py",
     "missions.md": "docs/test_missions_page.py",
+    "own-filter.md": "docs/test_own_filter_page.py",
+    "platforms.md": "docs/test_newcomer_pages.py",
     "protocol.md": "docs/test_protocol_page.py",
     "real-data.md": "localization/experiments/test_corridor.py",
     "real-robot.md": "docs/test_pages.py",
@@ -39,6 +44,7 @@ TESTS_OF_PAGES = {
     "shell.md": "docs/test_shell_page.py",
     "start.md": "docs/test_pages.py",
     "window.md": "docs/test_window_page.py",
+    "worlds.md": "docs/test_newcomer_pages.py",
 }
 """Pages with commands or programs, and the test that runs them."""
 HOURS = ("methods.md", "results.md")

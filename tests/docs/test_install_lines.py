@@ -15,6 +15,8 @@ EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["p
 FOLDERS = (
     "docs", "nclient", "nserver_emu", "localization", "worlds", "clib", "scripts", "benchmarks", "examples", "fuzz",
 )
+PROGRAMS = ("nclient/common/hints.py", "scripts/venv")
+"""Files that make an install line of variables."""
 SUFFIXES = (".md", ".py", ".ipynb", ".toml", ".sh", "")
 INSTALL = re.compile(r"pip install (?P<rest>[^`\n\"]+)")
 FROM_CLONE = re.compile(r"(?:-e )?(?:\.(?![\w\[])|'\.\[(?P<extras>[\w,]+)\]')")
@@ -24,7 +26,7 @@ def install_lines() -> Iterator[tuple[str, str]]:
     """Yield every file with `pip install`, and what follows the words there."""
     files = [path for folder in FOLDERS for path in (ROOT / folder).rglob("*") if path.suffix in SUFFIXES]
     for path in (*ROOT.glob("*.md"), *(path for path in files if path.is_file())):
-        if path.name == "hints.py" or "build" in path.parts:
+        if path.relative_to(ROOT).as_posix() in PROGRAMS or "build" in path.parts:
             continue
         try:
             text = path.read_text(encoding="utf-8")
@@ -44,7 +46,7 @@ def test_lines_are_found() -> None:
 def test_install_line_works_in_a_clone(file: str, rest: str) -> None:
     found = FROM_CLONE.match(rest)
     assert found, f"{file}: pip install {rest}: the package is in no registry: pip install -e '.[EXTRA]'"
-    assert set((found["extras"] or "").split(",")) - {""} <= set(EXTRAS)
+    assert set((found["extras"] or "").split(",")) - {"", "EXTRA"} <= set(EXTRAS)
 
 
 def test_extras_named_in_prose_exist() -> None:

@@ -16,12 +16,10 @@ from localization.experiments.figure_trial import FIGURES
 from localization.experiments.live import trial_cache
 from localization.experiments.live_trial import TrialJob, trials
 
-distributed = pytest.importorskip("distributed")
-
-
 
 @pytest.fixture(scope="module")
 def address() -> Iterator[str]:
+    distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0", host="127.0.0.1"
     ) as cluster:

@@ -1,6 +1,6 @@
 """Run every command of the README as a user would: real processes, real sockets, real time.
 
-`scripts/test` is left out because it runs this test. Port 7019 is replaced by a free one, so that a daemon that is
+Port 7019 is replaced by a free one, so that a daemon that is
 already running does not interfere.
 """
 
@@ -28,7 +28,7 @@ LINES = [line.split("#")[0].strip() for kind, text in BLOCKS if kind == "sh" for
 ACTIVATION = ". .venv/bin/activate"
 COMMANDS = [line for line in LINES if line != ACTIVATION]
 PROGRAMS = [text for kind, text in BLOCKS if kind == "python"]
-NOT_RUN = ("scripts/test",)
+NOT_RUN: tuple[str, ...] = ()
 MAX_LINES = 150
 """The README stays short enough to be read as a whole."""
 

@@ -19,7 +19,7 @@ import serial
 
 from nclient.errors import ConnectionLost, ReplyTimeout
 from nclient.transports import serial as serial_port
-from nclient.transports.serial import SerialStream
+from nclient.transports.serial import PortableSerialStream, SerialStream
 from nclient.transports.stream import Deadline
 
 
@@ -39,6 +39,25 @@ class Pty:
             self.far = -1
 
 
+Opener = type[SerialStream] | type[PortableSerialStream]
+
+
+@pytest.fixture(params=[SerialStream, PortableSerialStream])
+def open_stream(request: pytest.FixtureRequest) -> Opener:
+    """Return each of the two kinds of ports."""
+    kind: Opener = request.param
+    return kind
+
+
+def wait_for_byte(stream: SerialStream | PortableSerialStream) -> None:
+    """Wait until a byte has arrived, without taking it."""
+    if isinstance(stream, SerialStream):
+        assert select.select([stream._file], [], [], 5)[0]
+    else:
+        with stream._arrived:
+            assert stream._arrived.wait_for(lambda: stream._received, 5)
+
+
 @pytest.fixture
 def pty() -> Iterator[Pty]:
     made = Pty()
@@ -46,8 +65,8 @@ def pty() -> Iterator[Pty]:
     made.disconnect()
 
 
-def test_bytes_are_transferred_unchanged(pty: Pty) -> None:
-    stream = SerialStream(pty.name)
+def test_bytes_are_transferred_unchanged(open_stream: Opener, pty: Pty) -> None:
+    stream = open_stream(pty.name)
     data = bytes(range(256))
     stream.send(data)
     assert os.read(pty.far, 1024) == data
@@ -59,20 +78,20 @@ def test_bytes_are_transferred_unchanged(pty: Pty) -> None:
     stream.close()
 
 
-def test_past_deadline_returns_available_bytes(pty: Pty) -> None:
-    stream = SerialStream(pty.name)
+def test_past_deadline_returns_available_bytes(open_stream: Opener, pty: Pty) -> None:
+    stream = open_stream(pty.name)
     with pytest.raises(ReplyTimeout, match=f"{pty.name} was silent"):
         stream.receive(Deadline.after(0))
     os.write(pty.far, b"x")
-    assert select.select([stream._file], [], [], 5)[0]
+    wait_for_byte(stream)
     assert stream.receive(Deadline.after(0)) == b"x"
     with pytest.raises(ReplyTimeout):
         stream.receive(Deadline.after(0.03))
     stream.close()
 
 
-def test_bytes_arriving_while_waiting(pty: Pty) -> None:
-    stream = SerialStream(pty.name)
+def test_bytes_arriving_while_waiting(open_stream: Opener, pty: Pty) -> None:
+    stream = open_stream(pty.name)
     later = threading.Timer(0.1, os.write, (pty.far, b"late"))
     later.start()
     assert b"late".startswith(stream.receive(Deadline.after(5)))
@@ -80,8 +99,8 @@ def test_bytes_arriving_while_waiting(pty: Pty) -> None:
     stream.close()
 
 
-def test_closing_in_another_thread_ends_the_wait(pty: Pty) -> None:
-    stream = SerialStream(pty.name)
+def test_closing_in_another_thread_ends_the_wait(open_stream: Opener, pty: Pty) -> None:
+    stream = open_stream(pty.name)
     closing = threading.Timer(0.1, stream.close)
     closing.start()
     with pytest.raises(ConnectionLost, match="this end"):
@@ -93,8 +112,8 @@ def test_closing_in_another_thread_ends_the_wait(pty: Pty) -> None:
             use()
 
 
-def test_large_data_is_sent_in_parts(pty: Pty) -> None:
-    stream = SerialStream(pty.name)
+def test_large_data_is_sent_in_parts(open_stream: Opener, pty: Pty) -> None:
+    stream = open_stream(pty.name)
     data = bytes(range(256)) * 400
     got = bytearray()
 
@@ -110,13 +129,13 @@ def test_large_data_is_sent_in_parts(pty: Pty) -> None:
     stream.close()
 
 
-def test_write_timeout_means_connection_lost(pty: Pty, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_write_timeout_means_connection_lost(open_stream: Opener, pty: Pty, monkeypatch: pytest.MonkeyPatch) -> None:
     def send_for_ever() -> None:
         while True:
             stream.send(bytes(65536))
 
     monkeypatch.setattr(serial_port, "WRITE_TIMEOUT_S", 0.1)
-    stream = SerialStream(pty.name)
+    stream = open_stream(pty.name)
     with pytest.raises(ConnectionLost, match=r"is gone \(Write timeout"):
         send_for_ever()
     stream.close()
@@ -150,8 +169,8 @@ def test_read_error_means_connection_lost(pty: Pty, monkeypatch: pytest.MonkeyPa
     stream.close()
 
 
-def test_disconnected_cable(pty: Pty) -> None:
-    stream = SerialStream(pty.name)
+def test_disconnected_cable(open_stream: Opener, pty: Pty) -> None:
+    stream = open_stream(pty.name)
     pulling = threading.Timer(0.1, pty.disconnect)
     pulling.start()
     with pytest.raises(ConnectionLost, match=f"{pty.name} is gone.*cable"):
@@ -162,38 +181,38 @@ def test_disconnected_cable(pty: Pty) -> None:
     stream.close()
 
 
-def test_port_in_use_error_names_process(pty: Pty) -> None:
-    first = SerialStream(pty.name)
+def test_port_in_use_error_names_process(open_stream: Opener, pty: Pty) -> None:
+    first = open_stream(pty.name)
     with pytest.raises(ConnectionLost, match=f"{pty.name} .*this very program"):
-        SerialStream(pty.name)
+        open_stream(pty.name)
     first.close()
-    SerialStream(pty.name).close()
+    open_stream(pty.name).close()
     holds = "import sys,serial; p=serial.Serial(sys.argv[1],exclusive=True); print(flush=True); sys.stdin.read()"
     other = subprocess.Popen([sys.executable, "-c", holds, pty.name], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
     with other:
         assert other.stdout is not None
         other.stdout.readline()
         with pytest.raises(ConnectionLost, match=rf"in use .*\(process {other.pid}\).*one program"):
-            SerialStream(pty.name)
+            open_stream(pty.name)
         other.communicate(timeout=10)
-    SerialStream(pty.name).close()
+    open_stream(pty.name).close()
 
 
-def test_missing_port_error_lists_ports(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_port_error_lists_ports(open_stream: Opener, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(serial_port, "ports", lambda: ["/dev/ttyUSB7"])
     with pytest.raises(ConnectionLost, match=r"plugged in.*/dev/ttyUSB7"):
-        SerialStream(str(tmp_path / "ttyUSB0"))
+        open_stream(str(tmp_path / "ttyUSB0"))
     monkeypatch.setattr(serial_port, "ports", list)
     with pytest.raises(ConnectionLost, match="none at all"):
-        SerialStream(str(tmp_path / "ttyUSB0"))
+        open_stream(str(tmp_path / "ttyUSB0"))
 
 
-def test_invalid_port_and_baud_rate(tmp_path: Path, pty: Pty) -> None:
+def test_invalid_port_and_baud_rate(open_stream: Opener, tmp_path: Path, pty: Pty) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(ConnectionLost, match="cannot be opened"):
-        SerialStream(str(tmp_path / "file"))
+        open_stream(str(tmp_path / "file"))
     with pytest.raises(ConnectionLost, match=f"{pty.name} .* at -1 baud"):
-        SerialStream(pty.name, -1)
+        open_stream(pty.name, -1)
 
 
 @pytest.mark.parametrize(

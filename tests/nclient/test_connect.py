@@ -15,6 +15,7 @@ from nclient import (
     WorldFileError,
     connect,
     connect_async,
+    connector,
 )
 from nclient.connector import ConnectOptions, is_listening, open_machine
 from nclient.protocol.types import EVERYTHING, N150, N200, SCOUT
@@ -104,7 +105,12 @@ def test_options_of_an_nserver(dialled: list[tuple[str, int]]) -> None:
         ("nserver://lab/1?timeout_s=inf", "above 0"),
         ("nserver://lab/1?model=n300", "no robot model 'n300'"),
         ("nsever://lab/1", "did you mean nserver:"),
-        ("localhost:7019", "There are nserver:, replay:, robotd:, serial:, sim:"),
+        ("localhost:7019", "There are nserver:, replay:, robotd:, serial:, serial[+]rfc2217:, serial[+]socket:, sim:"),
+        ("localhost:7019", "did you mean nserver://localhost:7019?"),
+        ("lab-2.example.org:65001?model=n200", "did you mean robotd://lab-2.example.org:65001"),
+        ("serial+rfc2217://lab", "a host and its port follow: serial[+]rfc2217://host:port"),
+        ("serial+socket://lab:1/dev", "a host and its port follow"),
+        ("serial+socket://lab:1?baud=9600", "no option 'baud'"),
         ("thesis_room", "such as nserver://localhost:7019/1 or sim:thesis_room"),
         ("serialport:///dev/ttyUSB0", "did you mean serial:"),
         ("serial:/dev/ttyUSB0", "such an address is serial:///dev/ttyUSB0"),
@@ -272,3 +278,17 @@ async def test_connect_async_can_be_awaited_or_entered() -> None:
     async with connect_async("sim:thesis_room") as entered:
         assert isinstance(entered, AsyncRobot)
     assert entered.closed
+
+
+def test_ignored_variable_is_reported_once(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    connector._report_ignored_variable.cache_clear()
+    monkeypatch.setenv("NOMAD_ROBOT", "nserver://lab:1234/2")
+    for _ in range(2):
+        connector.connect("sim:thesis_room").disconnect()
+    assert caplog.messages == ["NOMAD_ROBOT=nserver://lab:1234/2 is ignored: the program names sim:thesis_room"]
+    monkeypatch.setenv("NOMAD_ROBOT", "sim:thesis_room")
+    connector.connect("sim:thesis_room").disconnect()
+    connector.connect().disconnect()
+    assert len(caplog.messages) == 1

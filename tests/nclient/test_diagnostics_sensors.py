@@ -56,6 +56,14 @@ def test_dead_sonars() -> None:
     assert grades(diagnostics.sonars(rings([[255]] * 16))) == [("WARN", "sonars")]
 
 
+def test_silence_beside_a_corner_is_healthy() -> None:
+    columns = [[40]] * 16
+    columns[5], columns[6] = [255], [60]
+    assert grades(diagnostics.sonars(rings(columns))) == [("OK", "sonars")], "two walls: 40 and 60 in"
+    columns[6] = [48]
+    assert grades(diagnostics.sonars(rings(columns))) == [("WARN", "sonars")], "one wall: 40 and 48 in"
+
+
 def test_a_stuck_sonar_is_steadier_than_nearer_ones() -> None:
     columns = noisy()
     columns[15] = [170]

@@ -41,6 +41,7 @@ class Bench:
 def bench(monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
     made = Bench()
     monkeypatch.setattr("nclient.transports.serial.SerialStream", made.open)
+    monkeypatch.setattr("nclient.transports.serial.PortableSerialStream", made.open)
     monkeypatch.setattr("nclient.transports.tcp.TcpStream", made.open)
     yield made
     for robot in made.robots:
@@ -58,6 +59,17 @@ def test_a_serial_port(bench: Bench) -> None:
     bench.connect("serial:///dev/serial/by-id/a%20b?model=scout&baud=9600&tm_s=0")
     assert bench.opened[1] == ("/dev/serial/by-id/a b", 9600)
     assert bench.robots[1].model is SCOUT
+
+
+@pytest.mark.parametrize(("address", "port"), [
+    ("/dev/ttyUSB0", "/dev/ttyUSB0"), ("/dev/cu.usbserial-1?model=n150", "/dev/cu.usbserial-1"),
+    ("COM3", "COM3"), ("com12?model=n150", "com12"), ("serial:///COM3", "COM3"),
+    ("serial+rfc2217://lab:4001", "rfc2217://lab:4001"), ("serial+rfc2217://[::1]:4001", "rfc2217://[::1]:4001"),
+    ("serial+socket://lab:4001?model=n150", "socket://lab:4001"),
+])  # fmt: skip
+def test_names_of_ports_are_addresses(bench: Bench, address: str, port: str) -> None:
+    bench.connect(address)
+    assert bench.opened == [(port, 38400)]
 
 
 def test_the_serial_protocol_over_tcp(bench: Bench) -> None:

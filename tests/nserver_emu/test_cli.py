@@ -61,7 +61,7 @@ def test_wrong_usage_exits_2(argv: list[str], capsys: pytest.CaptureFixture[str]
     with pytest.raises(SystemExit) as stop:
         cli.main(argv)
     assert stop.value.code == 2
-    assert "usage: nserver" in capsys.readouterr().err
+    assert capsys.readouterr().err.splitlines()[1:] == ["nserver --help lists all options"]
 
 
 def test_a_wrong_compiler_setting_exits_2_and_lists_values(
@@ -140,7 +140,7 @@ def test_help_is_a_word_as_well(words: list[str], usage: str, capsys: pytest.Cap
 def test_help_of_something_else_says_of_what_there_is_help(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit, match="2"):
         cli.main(["help", "status"])
-    assert capsys.readouterr().err.endswith("nserver: error: help status: it is help alone, or help ctl\n")
+    assert capsys.readouterr().err.startswith("nserver: error: help status: it is help alone, or help ctl\n")
 
 
 def test_ctrl_c_before_it_serves_ends_with_130(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,8 +6,6 @@ import contextlib
 import re
 import signal
 import socket
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,6 +14,7 @@ import pytest
 from nserver_emu import cli
 from nserver_emu.options import as_long_option
 from tests.nserver_emu.server.wire_client import WireClient
+from tests.programs.forked import Forked
 
 pytestmark = pytest.mark.long
 
@@ -25,7 +24,7 @@ END_S = 20
 class Program:
     """A daemon that runs, and a client connected to its robot 1."""
 
-    def __init__(self, process: subprocess.Popen[str], port: int) -> None:
+    def __init__(self, process: Forked, port: int) -> None:
         self.process, self.port = process, port
         self._socket = socket.create_connection(("127.0.0.1", port), timeout=END_S)
         self.client = WireClient(self._exchange)
@@ -50,9 +49,7 @@ class Program:
 
 @contextlib.contextmanager
 def program(*words: str) -> Iterator[Program]:
-    command = [sys.executable, "-m", "nserver_emu", *words]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
+    with Forked("nserver", *words, stderr=True) as process:
         line = re.fullmatch(r"listening nserver 127\.0\.0\.1:(\d+)\n", process.stdout.readline())
         assert line
         started = Program(process, int(line[1]))

@@ -191,6 +191,7 @@ def find_type_errors(environment: Environment, version: str) -> Iterator[str]:
     script = environment.folder / USER_SCRIPT.name
     script.write_bytes(USER_SCRIPT.read_bytes())
     command = [sys.executable, "-m", "mypy", "--strict", "--config-file=", "--python-version", version,
+               "--cache-dir", str(ROOT / ".mypy_cache" / "installed"),
                "--python-executable", str(environment.python), str(script)]  # fmt: skip
     done = subprocess.run(command, cwd=environment.folder, capture_output=True, text=True, check=False)
     if done.returncode:

@@ -67,6 +67,7 @@ def test_compiled_scalar_and_array_results_are_equal(
     assert found.hex() == in_numbers.hex() == min(to_wall, to_disc).hex()
 
 
+@pytest.mark.long
 def test_writable_and_read_only_arrays_use_the_same_code(kernel: CompiledKernel) -> None:
     assert kernel.run is not None
     fixed = SQUARE.copy()

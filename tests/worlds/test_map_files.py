@@ -9,11 +9,9 @@ import sys
 from math import pi
 from pathlib import Path
 
-import ezdxf
 import numpy as np
 import pytest
 import yaml
-from ezdxf import units
 from PIL import Image
 
 from localization.cli import map as map_command
@@ -209,8 +207,11 @@ def test_start_is_inside_the_drawing(tmp_path: Path) -> None:
     assert -1900 / 25.4 < start.y_in < -100 / 25.4
 
 
-def dxf(path: Path, unit: int = units.M) -> Path:
-    drawing = ezdxf.new(units=unit)  # type: ignore[attr-defined]
+def dxf(path: Path, unit: str = "M") -> Path:
+    import ezdxf
+    from ezdxf import units
+
+    drawing = ezdxf.new(units=getattr(units, unit))  # type: ignore[attr-defined]
     model = drawing.modelspace()
     model.add_lwpolyline([(0, 0), (4, 0), (4, 3), (0, 3)], close=True, dxfattribs={"layer": "walls"})
     model.add_circle((3, 2), 0.3)
@@ -232,7 +233,7 @@ def test_dxf_drawing_with_blocks(tmp_path: Path) -> None:
 
 
 def test_dxf_layers_and_units(tmp_path: Path) -> None:
-    path = dxf(tmp_path / "plan.dxf", units.FT)
+    path = dxf(tmp_path / "plan.dxf", "FT")
     world = read_map_file(path, ImportSettings(layers=("walls",))).world
     assert len(world.walls) == 4
     assert np.ptp(world.walls.reshape(-1, 2), axis=0) == pytest.approx([48.0, 36.0], abs=1e-3)

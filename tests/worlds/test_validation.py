@@ -79,6 +79,23 @@ def test_walls_over_one_another_are_doubled() -> None:
     assert validate_world(room((50.0, 50.0, 90.0, 50.0), (70.0, 50.0, 70.0, 30.0)), RADIUS_IN, limits) == []
 
 
+def cupboard(x: float, y: float, width: float, depth: float) -> tuple[tuple[float, float, float, float], ...]:
+    corners = ((x, y), (x + width, y), (x + width, y + depth), (x, y + depth))
+    return tuple((*one, *other) for one, other in zip(corners, (*corners[1:], corners[0]), strict=True))
+
+
+def test_cupboard_at_a_wall_is_no_doubled_wall() -> None:
+    limits = ValidationLimits(space_in2=1e9)
+    assert validate_world(room(*cupboard(120.0, 0.0, 40.0, 20.0)), RADIUS_IN, limits) == []
+    assert validate_world(room(*cupboard(120.0, 80.0, 80.0, 20.0)), RADIUS_IN, limits) == [], "in a corner"
+    drawn_twice = room(*cupboard(120.0, 40.0, 40.0, 20.0), *cupboard(120.0, 40.0, 40.0, 20.0))
+    assert {found.kind for found in validate_world(drawn_twice, RADIUS_IN, limits)} == {"doubled"}
+    room_twice = room(*cupboard(0.0, 0.0, 200.0, 100.0))
+    assert {found.kind for found in validate_world(room_twice, RADIUS_IN, limits)} == {"doubled"}
+    line = room((120.0, 0.0, 160.0, 0.0), (160.0, 0.0, 160.0, 20.0))
+    assert [found.kind for found in validate_world(line, RADIUS_IN, limits)] == ["doubled"]
+
+
 def test_crumbs_and_starts_without_room() -> None:
     world = room((50.0, 50.0, 50.2, 50.0), starts=(StartPose(30.0, 50.0), StartPose(195.0, 50.0)))
     found = validate_world(world, RADIUS_IN)

@@ -5,8 +5,11 @@
                {"corners": [[x, y] ...]}                            remove it
                {"put": [[x, y] ...], "name": text, "at": index}     add it; name and index (default: last) are optional
                reply   {"obstacles": count, "was": corners, "name", "at": index, "is": corners}; null if absent
+    wall       {"wall": [[x, y], [x, y]], "by"/"to": as above, or neither: remove it}, {"put": [[x, y], [x, y]]}
+               reply   {"walls": count, "was": ends, "is": ends}; inner walls only, rooms keep their outlines
     noise      {"sensors": NAME, "motion": NAME, "robot": number}   omitted parts stay; no robot: all of them
     world      {"text": TOML, "file": name in error messages}       replaces rooms, walls, obstacles, starts and paths
+               "places": true                                       robots without room are placed at its starts
     shown      true                                                 its text was exported and restores exactly it
 
 Inches. An obstacle is identified by its corners as displayed, the last one if several have them. The reply undoes a
@@ -21,17 +24,24 @@ from collections.abc import Mapping, Sequence
 from pathlib import PurePath
 from typing import Any, Final
 
+import numpy as np
+
 from nclient.common.hints import suggest
 from nclient.errors import ControlError, StartError
-from nserver_emu.server.handlers.world import is_valid_polygon, overlaps_robot
+from nserver_emu.server.handlers.world import MAX_COORDINATE_IN, is_valid_polygon, overlaps_robot
 from nserver_emu.server.server_state import ServerState
 from nserver_emu.simulation.noise import PARTS, part_choices, part_name, with_part
 from nserver_emu.simulation.robot import SimulatedRobot
+from nserver_emu.simulation.spatial_hash import Disc
+from worlds.geometry import nearest_distances
 from worlds.io import format_world, parse_world
-from worlds.world import Point, Polygon, World
+from worlds.world import Point, Polygon, StartPose, World
 
 # Corners are displayed rounded to a thousandth of an inch.
 CORNER_TOLERANCE_IN: Final = 0.002
+WALL_USAGE: Final = 'wall: such as {"wall": [[0, 0], [9, 0]], "by": [1, 0]}, in inches'
+MIN_WALL_IN: Final = 0.5
+"""Shorter walls are clicks, not drags."""
 OBSTACLE_USAGE: Final = 'obstacle: such as {"corners": [[0, 0], [9, 0], [9, 9]], "by": [1, 0]}, in inches'
 
 
@@ -65,6 +75,60 @@ def change_obstacle(server: ServerState, wanted: Mapping[str, Any]) -> dict[str,
     obstacle = now or was
     assert obstacle is not None
     return {"obstacles": len(obstacles), "was": _corners(was), "name": obstacle.name, "at": number, "is": _corners(now)}
+
+
+def change_wall(server: ServerState, wanted: Mapping[str, Any]) -> dict[str, Any]:
+    """Add, move, change or remove an inner wall; return what undoes it."""
+    world = server.simulation.world
+    row, was, now = len(world.inner_walls), None, None
+    try:
+        # 1. Find the wall and its new ends.
+        if "put" in wanted:
+            now = _points(wanted["put"])
+        else:
+            row = _row_of(world, _points(wanted["wall"]))
+            x1, y1, x2, y2 = world.inner_walls[row].tolist()
+            was = ((x1, y1), (x2, y2))
+            if wanted.get("to") is not None:
+                now = _points(wanted["to"])
+            elif wanted.get("by") is not None:
+                ((dx_in, dy_in),) = _points([wanted["by"]])
+                now = ((x1 + dx_in, y1 + dy_in), (x2 + dx_in, y2 + dy_in))
+    except ControlError:
+        raise
+    except (KeyError, TypeError, ValueError, OverflowError):
+        raise ControlError(f"{WALL_USAGE}, not {wanted!r:.200}") from None
+    # 2. Check that it fits.
+    if now is not None and (len(now) != 2 or math.dist(*now) < MIN_WALL_IN or not _is_on_map(now)):
+        raise ControlError(f"wall: expected two ends on the map, at least {MIN_WALL_IN:g} in apart")
+    if was is None and len(world.inner_walls) >= server.allowed.obstacles:
+        raise ControlError(f"wall: there are {len(world.inner_walls)} already, the maximum (--limit-obstacles)")
+    changed = world.with_inner_wall(row, *([] if now is None else [(*now[0], *now[1])]))
+    if not len(changed.walls):
+        raise ControlError("wall: it is the last wall of this world, which needs at least one")
+    for number, robot in server.simulation.robots.items():
+        x, y, radius_in = robot.disc
+        if now is not None and float(nearest_distances(np.array([x, y]), np.reshape(now, (1, 4)))) <= radius_in:
+            raise ControlError(f"wall: it would touch robot {number}")
+    # 3. Replace, insert or remove it.
+    server.simulation.change_world(changed)
+    server.invalidate_state_cache()
+    ends = [None if one is None else [list(end) for end in one] for one in (was, now)]
+    return {"walls": len(changed.inner_walls), "was": ends[0], "is": ends[1]}
+
+
+def _is_on_map(points: Sequence[Point]) -> bool:
+    return all(max(abs(x), abs(y)) <= MAX_COORDINATE_IN for x, y in points)
+
+
+def _row_of(world: World, ends: Sequence[Point]) -> int:
+    """Return the row of the last inner wall with these ends."""
+    wanted = np.ravel(np.asarray(ends, dtype=np.float64))
+    if wanted.shape == (4,):
+        rows = np.flatnonzero((np.abs(world.inner_walls - wanted) < CORNER_TOLERANCE_IN).all(axis=1))
+        if len(rows):
+            return int(rows[-1])
+    raise ControlError("wall: there is no inner wall with these ends, or it was changed meanwhile")
 
 
 def _moved(was: Polygon, wanted: Mapping[str, Any]) -> Polygon | None:
@@ -165,21 +229,56 @@ def read_world_file(text: str, file: str) -> World:
     return parse_world(text, file, PurePath(file).stem)
 
 
-def put_world(server: ServerState, text: str, file: str, world: World | None = None) -> World:
+def put_world(
+    server: ServerState, text: str, file: str, world: World | None = None, *, places: bool = False
+) -> World:  # fmt: skip
     """Replace the world; robots keep their poses, where there must be no wall or obstacle.
 
-    `world` is that of the text, if it was read before.
+    `world` is that of the text, if it was read before. `places` puts robots without room at the starts of the world.
     """
     world = server.exported_worlds.get(text) or world or read_world_file(text, file)
-    for number, robot in server.simulation.robots.items():
-        x, y, radius_in = robot.disc
-        try:
-            world.require_free(x, y, radius_in)
-        except StartError as error:
-            raise ControlError(f"{file}: there is no room for robot {number} at its pose: {error}") from None
+    # 1. Robots that fit where they are; the reason for each that does not.
+    robots = server.simulation.robots
+    reasons = {number: reason for number, robot in robots.items() if (reason := _obstruction(world, *robot.disc))}
+    if reasons and not places:
+        number, reason = next(iter(reasons.items()))
+        raise ControlError(f"{file}: there is no room for robot {number} at its pose: {reason}")
+    # 2. Free starts for the others.
+    taken = [robot.disc for number, robot in robots.items() if number not in reasons]
+    starts: dict[int, StartPose] = {}
+    for number in reasons:
+        *_, radius_in = robots[number].disc
+        start = _free_start(world, radius_in, taken)
+        if start is None:
+            raise ControlError(f"{file}: no start of this world is free for robot {number}")
+        starts[number] = start
+        taken.append((start.x_in, start.y_in, radius_in))
+    # 3. Nothing can fail from here on.
     server.simulation.change_world(world)
+    for number, start in starts.items():
+        server.simulation.place(number, start.x_in, start.y_in, start.steering_rad, start.turret_rad)
     server.invalidate_state_cache()
     return world
+
+
+def _obstruction(world: World, x_in: float, y_in: float, radius_in: float) -> str:
+    """Return why a robot does not fit at a position; "" if it does."""
+    try:
+        world.require_free(x_in, y_in, radius_in)
+    except StartError as error:
+        return str(error)
+    return ""
+
+
+def _free_start(world: World, radius_in: float, taken: Sequence[Disc]) -> StartPose | None:
+    """Return the first start of a world where a robot of this radius fits and touches none of the discs."""
+    for start in world.starts:
+        here = start.x_in, start.y_in
+        if not _obstruction(world, *here, radius_in) and all(
+            math.dist(here, (x, y)) > radius_in + radius for x, y, radius in taken
+        ):
+            return start
+    return None
 
 
 def show_world(server: ServerState) -> str:

@@ -4,11 +4,18 @@ import { sizedPen, element } from './widgets.js';
 
 const LEFT = 40, BOTTOM = 16;
 
-// lines: [{points: [[time_s, value] ...], colour, dots}]; bound: a value marked by a horizontal line.
-export function chart(canvas, theme, { end_s, span_s, lines, bound }) {
+// A line is interrupted where there was nothing for longer than this.
+const GAP_S = 1;
+
+// lines: [{points: [[time_s, value] ...], colour, dots}]; a value of null interrupts the line. bands: [{points:
+// [[time_s, low, high] ...], colour}], filled areas. bound: a value marked by a horizontal line.
+export function chart(canvas, theme, { end_s, span_s, lines, bands = [], bound }) {
   const pen = sizedPen(canvas, 0.34);
   if (!pen) return;
-  const values = lines.flatMap(({ points }) => points.map(([, value]) => value)).concat(bound ?? []);
+  // Samples older than the axis are not drawn.
+  const recent = ({ points, ...rest }) => ({ ...rest, runs: runsOf(points.filter(([time_s]) => time_s >= end_s - span_s)) });
+  const shownLines = lines.map(recent), shownBands = bands.map(recent);
+  const values = [...shownLines, ...shownBands].flatMap(({ runs }) => runs.flat().flatMap(([, ...numbers]) => numbers)).concat(bound ?? []);
   const low = Math.min(0, ...values), high = Math.max(1e-3, ...values), wide = pen.width - LEFT - 6, tall = pen.height - BOTTOM - 8;
   const at = (time_s, value) => [LEFT + wide * (1 - (end_s - time_s) / span_s), 6 + tall - (value - low) / (high - low) * tall];
   pen.font = '11px system-ui, sans-serif';
@@ -24,16 +31,45 @@ export function chart(canvas, theme, { end_s, span_s, lines, bound }) {
   }
   pen.setLineDash([]);
   timeAxis(pen, theme, { left: LEFT, right: pen.width - 6, y: pen.height - 3, span_s });
-  for (const { points, colour, dots } of lines) {
+  for (const { runs, colour } of shownBands) {
+    pen.fillStyle = colour;
+    pen.globalAlpha = 0.2;
+    for (const run of runs) {
+      // Along the upper limit, and back along the lower one.
+      const outline = [...run.map(([time_s, , top]) => at(time_s, top)), ...run.map(([time_s, bottom]) => at(time_s, bottom)).reverse()];
+      pen.beginPath();
+      outline.forEach(([px, py], k) => (k ? pen.lineTo : pen.moveTo).call(pen, px, py));
+      pen.fill();
+    }
+    pen.globalAlpha = 1;
+  }
+  for (const { runs, colour, dots } of shownLines) {
     pen.strokeStyle = pen.fillStyle = colour;
     pen.lineWidth = 1.5;
     pen.beginPath();
-    points.forEach(([time_s, value], k) => {
-      const [px, py] = at(time_s, value);
-      if (dots) pen.fillRect(px - 1.5, py - 1.5, 3, 3); else (k ? pen.lineTo : pen.moveTo).call(pen, px, py);
-    });
+    for (const run of runs) {
+      run.forEach(([time_s, value], k) => {
+        const [px, py] = at(time_s, value);
+        if (dots) pen.fillRect(px - 1.5, py - 1.5, 3, 3); else (k ? pen.lineTo : pen.moveTo).call(pen, px, py);
+      });
+    }
     pen.stroke();
   }
+}
+
+// Return points as runs without a gap: a point with null ends a run, and so does a longer time without points.
+export function runsOf(points, gap_s = GAP_S) {
+  const runs = [];
+  let before = null;
+  for (const point of points) {
+    const isNothing = point.includes(null);
+    if (!isNothing) {
+      if (!before || point[0] - before[0] > gap_s) runs.push([]);
+      runs[runs.length - 1].push(point);
+    }
+    before = isNothing ? null : point;
+  }
+  return runs;
 }
 
 // Label the time axis: seconds before now.

@@ -23,6 +23,12 @@ export async function control(app, command, argument) {
   return answer;
 }
 
+// Start or end the localizer of the selected robot.
+export async function callLocalizer(app, message) {
+  const answer = await app.link.request({ ...message, robot: Number(app.robot) });
+  app.notice(answer.ok ? '' : answer.error);
+}
+
 // Return the undo history. A step is {title, apply, revert}; both functions send commands and resolve to the answer.
 // Commands run one after another: undo waits for a step that has no answer yet. A step that can no longer be
 // reverted is removed, with a notice.
@@ -87,7 +93,33 @@ function obstacleStep(app, title, apply, revertCommand) {
   }, revert: () => revert(revertCommand(result)) });
 }
 
+// Walls: each step changes one inner wall, as above. `wall` is that of the scene: two ends.
+function wallStep(app, title, change, revertChange) {
+  let result = null;
+  return app.history.run({ title, apply: async () => {
+    const answer = await control(app, 'wall', change);
+    if (answer.ok) result = answer.result;
+    return answer;
+  }, revert: async () => {
+    const answer = await control(app, 'wall', revertChange(result));
+    return answer.ok ? answer : { ...answer, error: `${answer.error} (it may have been moved or deleted meanwhile)` };
+  } });
+}
+
+export function addWall(app, ends) { return wallStep(app, 'draw wall', { put: ends }, ({ is }) => ({ wall: is })); }
+
+export function deleteWall(app, wall) { return wallStep(app, 'delete wall', { wall }, ({ was }) => ({ put: was })); }
+
+export function moveWall(app, wall, to) { return wallStep(app, 'move wall', { wall, to }, ({ was, is }) => ({ wall: is, to: was })); }
+
+// Return the inner walls of a world as pairs of ends; the outlines of rooms come before them.
+export function innerWalls(world) {
+  const outlines = world.rooms.reduce((sum, room) => sum + room.corners.length, 0);
+  return world.walls.slice(outlines).map(([x1, y1, x2, y2]) => [[x1, y1], [x2, y2]]);
+}
+
 export async function addObstacle(app, corners) {
+  if (corners.length === 2) return addWall(app, corners);
   const error = cornersError(corners);
   if (error) { app.notice(`Not possible: ${error}.`); return { ok: false, error }; }
   const added = corners.map((corner) => corner.map((inches) => tenthsOf(inches) / 10));

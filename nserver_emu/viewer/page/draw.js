@@ -1,7 +1,7 @@
 // Draws a scene with a pen: the 2D context of a canvas, or an SvgPen. The world is in inches, the screen in CSS pixels.
 // Nothing here changes scene, view or options.
 
-import { toScreen, toWorld, roundLength } from './geometry.js';
+import { toScreen, toWorld, roundLength, wallDistances, wallsWithin } from './geometry.js';
 import { infraredAngle, isEcho, shownRange, sonarReadings } from './scene.js';
 import { clientColour } from './colours.js';
 import { unitIn, lengthText } from './units.js';
@@ -11,6 +11,8 @@ export const LAYERS = {
   laser: 'Laser', graphics: 'Client graphics', estimate: 'Estimate',
 };
 const NO_INFRARED = 15;  // the reading without an obstacle
+// Straight parts of the far end of a cone, and how far a ping may be from where the robot is now.
+const CONE_RAYS = 12, BEAM_MARGIN_IN = 60;
 
 export function drawScene(pen, scene, view, options) {
   const { theme, shown } = options;
@@ -110,8 +112,8 @@ function drawSensors(pen, scene, id, view, { theme, shown }) {
   const robot = scene.robots[id], body = scene.bodies[id], laser = scene.lasers[id];
   const [x, y] = robot.actual;
   if (shown.sonar) {
-    const readings = sonarReadings(robot, body);
-    for (const [k, ...from] of scene.beams[id] ?? []) drawBeam(pen, view, from, body, readings[k], theme.sonar);
+    const readings = sonarReadings(robot, body), walls = wallsWithin(scene.world, x, y, body.ring_in + body.sonars.max_in + BEAM_MARGIN_IN);
+    for (const [k, ...from] of scene.beams[id] ?? []) drawBeam(pen, view, from, body, readings[k], theme.sonar, walls);
   }
   if (shown.infrared && body.sees) {
     pen.strokeStyle = theme.infrared; pen.lineWidth = 4;
@@ -128,15 +130,18 @@ function drawSensors(pen, scene, id, view, { theme, shown }) {
   }
 }
 
-// Without an echo a beam is drawn as far as the sonar measures.
-function drawBeam(pen, view, [x, y, direction], { ring_in: ring, sonars }, reading, colour) {
+// Without an echo a beam is drawn as far as the sonar measures. Its cone ends at walls.
+function drawBeam(pen, view, [x, y, direction], { ring_in: ring, sonars }, reading, colour, walls) {
   const nothing = !isEcho(reading, sonars), far = ring + shownRange(reading, sonars), cone = sonars.half_cone;
   const [px, py] = toScreen(view, x, y);
   pen.globalAlpha = nothing ? 0.03 : 0.09;
   pen.fillStyle = colour;
   pen.beginPath();
   pen.moveTo(px, py);
-  pen.arc(px, py, far * view.scale, -direction - cone, -direction + cone);
+  const angles = Array.from({ length: CONE_RAYS + 1 }, (_, k) => direction + cone * (2 * k / CONE_RAYS - 1));
+  wallDistances(walls, x, y, angles, far).forEach((reach, k) => {
+    pen.lineTo(...toScreen(view, x + reach * Math.cos(angles[k]), y + reach * Math.sin(angles[k])));
+  });
   pen.closePath();
   pen.fill();
   pen.globalAlpha = nothing ? 0.25 : 0.9;

@@ -1,5 +1,5 @@
-// The window Drive: driving by knob or keys while they are pressed, and placing the robot at a pose. Hidden on read-only
-// pages.
+// The windows Knob and keys, for driving while they are pressed, and Pose in numbers, for placing the robot. Hidden on
+// read-only pages.
 
 import { element, button, field, form, lengthField } from './widgets.js';
 import { callRobot, placeRobot } from './commands.js';
@@ -19,7 +19,7 @@ function velocities(body, [forward, left, turret], speed_in_s, turn_deg_s) {
 // Drive while knob or keys are pressed: the command is repeated, and the robot stopped on release, when the page is hidden,
 // or when another robot is selected.
 export const driveWindow = {
-  id: 'drive', title: 'Drive', acts: true,
+  id: 'drive', title: 'Knob and keys',
   build(box, app) {
     const pressed = new Set();
     let stick = null, timer = null;
@@ -75,6 +75,13 @@ export const driveWindow = {
     box.append(element('div', { className: 'row' }, pad, element('div', { style: 'flex: 1 1 9rem' },
       element('p', { className: 'quiet' }, 'Drag the knob, or focus it and hold W A S D, Q E for the turret. Release to stop.'),
       element('div', { className: 'row' }, this.speed.label, this.turn.label))));
+  },
+  update() {},
+};
+
+export const poseWindow = {
+  id: 'pose', title: 'Pose in numbers', closed: true,
+  build(box, app) {
     this.pose = [lengthField(app, 'x', 0), lengthField(app, 'y', 0),
       ...['steering, °', 'turret, °'].map((name) => field(name, { type: 'number', step: 'any', value: 0 }))];
     box.append(form(() => placeRobot(app, app.robot, this.enteredPose()), element('div', { className: 'row', role: 'group', ariaLabel: 'Pose' },

@@ -1,7 +1,8 @@
-// Emergency stop: the keys that stop all robots, and the banner with the button that releases them.
+// Emergency stop: the keys that stop robots, and the banner with the button that releases them.
 //
-// Escape always stops. The space bar stops unless the focused element uses it: a text field, or a control that was
-// focused by keyboard.
+// Escape closes what is open, and with nothing open it stops the user's own robot: the selected one. The space bar stops it
+// in any case, unless the focused element uses that key: a text field, or a control that was focused by keyboard.
+// Shift+Space stops all robots, from anywhere.
 
 const TEXT_FIELDS = 'textarea, input:not([type="checkbox"], [type="range"], [type="button"]), [contenteditable]';
 const CONTROLS = 'button, summary, select, input';
@@ -12,20 +13,20 @@ document.addEventListener('pointerdown', () => { lastInputWasPointer = true; }, 
 document.addEventListener('keydown', (event) => { if (event.key !== ' ') lastInputWasPointer = false; }, { capture: true });
 document.addEventListener('focusin', () => { focusedByPointer = lastInputWasPointer; });
 
-function isStopKey(event) {
-  if (event.ctrlKey || event.metaKey || event.altKey) return false;
-  if (event.key === 'Escape') return true;
-  if (event.key !== ' ') return false;
-  const { target } = event;
-  return !(target.matches?.(TEXT_FIELDS) || (target.matches?.(CONTROLS) && !focusedByPointer));
-}
+function usesSpace(target) { return target.matches?.(TEXT_FIELDS) || (target.matches?.(CONTROLS) && !focusedByPointer); }
 
-export function setUpStopKeys(stop) {
+// closeOpen() closes what is open, and returns false if nothing is.
+export function setUpStopKeys({ closeOpen, stopMine, stopAll }) {
   let isSpaceDown = false;
   document.addEventListener('keydown', (event) => {
-    if (!isStopKey(event)) return;
-    if (event.key === ' ') { event.preventDefault(); isSpaceDown = true; }
-    if (!event.repeat) stop();
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    if (event.key === 'Escape') {
+      if (!event.repeat && !closeOpen()) stopMine();
+    } else if (event.key === ' ' && (event.shiftKey || !usesSpace(event.target))) {
+      event.preventDefault();
+      isSpaceDown = true;
+      if (!event.repeat) (event.shiftKey ? stopAll : stopMine)();
+    }
   }, { capture: true });
   // A button is pressed when the space bar is released: suppress that, too.
   document.addEventListener('keyup', (event) => {
@@ -35,9 +36,9 @@ export function setUpStopKeys(stop) {
   }, { capture: true });
 }
 
-// Stop all robots until they are released. Return an error text, or ''.
-export async function stopAll(link) {
-  const answer = await link.request({ do: 'stop' });
+// Stop a robot, or all without a number, until release. Return an error text, or ''.
+export async function stop(link, robot) {
+  const answer = await link.request(robot === undefined ? { do: 'stop' } : { do: 'stop', robot });
   return answer.ok ? '' : `NOT STOPPED — ${answer.error}`;
 }
 
@@ -80,7 +81,16 @@ export function setUpBanner(app) {
   };
 }
 
+// Release what this page has stopped; if it has stopped none, all robots.
 async function release(app) {
-  const answer = await app.link.request({ do: 'release' });
-  app.notice(answer.ok ? '' : `NOT RELEASED — ${answer.error}`);
+  const robots = robotsToRelease(app.scene.robots, app.name);
+  const answers = await Promise.all(robots.map((robot) => app.link.request(robot === null ? { do: 'release' } : { do: 'release', robot })));
+  const failed = answers.find((answer) => !answer.ok);
+  app.notice(failed ? `NOT RELEASED — ${failed.error}` : '', { stays: true });
+}
+
+// Return the numbers of the robots that Release of this viewer releases; [null] for all.
+export function robotsToRelease(robots, viewerName) {
+  const stopped = Object.keys(robots).filter((id) => robots[id].held), own = stopped.filter((id) => robots[id].held.by === viewerName);
+  return own.length && own.length < stopped.length ? own.map(Number) : [null];
 }

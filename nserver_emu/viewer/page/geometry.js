@@ -63,12 +63,18 @@ export function isFree(world, x, y) {
   return inRoom && !world.obstacles.some((obstacle) => inside(obstacle.corners, x, y));
 }
 
+// Return the point of a segment that is nearest to a point.
+export function nearestOn([[x1, y1], [x2, y2]], [x, y]) {
+  const [dx, dy] = [x2 - x1, y2 - y1], t = Math.max(0, Math.min(1, ((x - x1) * dx + (y - y1) * dy) / (dx * dx + dy * dy)));
+  return [x1 + t * dx, y1 + t * dy];
+}
+
 // Return true if a robot at this position seems to fit; the server checks exactly.
 export function robotFits(scene, id, [x, y]) {
   const radius = scene.bodies[id].radius_in;
-  const distance = ([x1, y1], [x2, y2]) => {
-    const [dx, dy] = [x2 - x1, y2 - y1], t = Math.max(0, Math.min(1, ((x - x1) * dx + (y - y1) * dy) / (dx * dx + dy * dy)));
-    return Math.hypot(x - x1 - t * dx, y - y1 - t * dy);
+  const distance = (...side) => {
+    const [nearX, nearY] = nearestOn(side, [x, y]);
+    return Math.hypot(x - nearX, y - nearY);
   };
   const walls = scene.world.walls.map(([a, b, c, d]) => [[a, b], [c, d]]);
   const sides = scene.world.obstacles.flatMap(({ corners }) => corners.map((corner, k) => [corner, corners[(k + 1) % corners.length]]));
@@ -76,6 +82,29 @@ export function robotFits(scene, id, [x, y]) {
     && [...walls, ...sides].every((side) => distance(...side) > radius)
     && Object.keys(scene.robots).every((other) => other === id
       || Math.hypot(x - scene.robots[other].actual[0], y - scene.robots[other].actual[1]) > radius + scene.bodies[other].radius_in);
+}
+
+// Return the walls and the sides of obstacles, [x1, y1, x2, y2], that come within a distance of a point in x and in y.
+export function wallsWithin(world, x, y, distance) {
+  const sides = world.obstacles.flatMap(({ corners }) => corners.map((corner, k) => [...corner, ...corners[(k + 1) % corners.length]]));
+  return [...world.walls, ...sides].filter(([x1, y1, x2, y2]) => Math.min(x1, x2) < x + distance && Math.max(x1, x2) > x - distance
+    && Math.min(y1, y2) < y + distance && Math.max(y1, y2) > y - distance);
+}
+
+// Return for each direction the distance from a point to the nearest wall, at most `far`.
+export function wallDistances(walls, x, y, angles, far) {
+  return angles.map((angle) => {
+    const c = Math.cos(angle), s = Math.sin(angle);
+    let nearest = far;
+    for (const [x1, y1, x2, y2] of walls) {
+      // Solve (x, y) + t (c, s) = (x1, y1) + u ((x2, y2) - (x1, y1)) for t > 0 and u from 0 to 1.
+      const dx = x2 - x1, dy = y2 - y1, determinant = dx * s - dy * c;
+      if (Math.abs(determinant) < 1e-9) continue;
+      const t = (dx * (y1 - y) - dy * (x1 - x)) / determinant, u = (c * (y1 - y) - s * (x1 - x)) / determinant;
+      if (t > 0 && t < nearest && u >= 0 && u <= 1) nearest = t;
+    }
+    return nearest;
+  });
 }
 
 // Return what is wrong with the corners of an obstacle, or '' if they are valid.

@@ -1,11 +1,13 @@
-// The window Localization and the estimate on the map, from `nomad localize --publish` for the selected robot: pose with
-// 3-sigma ellipse, used and rejected beams with the reason, innovation, NIS and error over time, waypoints. Old data is
-// marked and then fades. For a robot that is LOST, no pose is shown, only the possible ones with their probabilities.
+// The window Localization and the estimate on the map, from a localizer that this page started or from
+// `nomad localize --publish`, for the selected robot: a ghost robot with its 3-sigma ellipse, used and rejected beams with
+// the reason, innovation, NIS and error over time, waypoints. Old data is marked and then fades. For a robot that is LOST,
+// no pose is shown, only the possible ones with their probabilities.
 
 import { toScreen } from './geometry.js';
 import { circle, arrow } from './draw.js';
 import { drawWaypoints, remainingWaypoints, roundToTenths } from './tools.js';
 import { chart, legend } from './charts.js';
+import { localizerControls } from './localizer_controls.js';
 import { linkWith } from './menus.js';
 import { cell, table, element, button, form, lengthField } from './widgets.js';
 import { lengthText, degreesText, unitIn, unitName } from './units.js';
@@ -17,22 +19,23 @@ const REASONS = { none: 'used', limit: 'at sensor limit', no_wall: 'no wall', am
 const CHARTS = {
   innovation: ['Innovation', [['estimate', 'used'], ['hit', 'rejected']]],
   nis: ['NIS', [['estimate', 'used'], ['hit', 'rejected, and the 99.9 % bound']]],
-  error: ['Position error', [['hit', 'error'], ['quiet', '3 sigma, major axis']]],
-  heading: ['Heading error, °', [['hit', 'error'], ['quiet', '3 sigma']]],
+  error: ['Position error', [['hit', 'error'], ['estimate', '3 sigma, major axis']]],
+  heading: ['Heading error, °', [['hit', 'error'], ['estimate', '3 sigma']]],
 };
 const DEGREES = 180 / Math.PI;
-const TRUST = { OK: '✓ OK', DEGRADED: '! DEGRADED', LOST: '✕ LOST' };
+const TRUST = { OK: '✓ OK', DEGRADED: '! DEGRADED', LOST: '✕ LOST', OLD: '– OLD', STARTING: '… STARTING', FAILED: '✕ FAILED', OFF: '– OFF' };
 const UNKNOWN = { error: null, sigma: null, turn: null, turnSigma: null };
 
-function newHistory() { return { latest: null, received_ms: 0, samples: [], beams: new Map(), counts: {} }; }
+function newHistory() { return { latest: null, received_ms: 0, received_s: 0, samples: [], beams: new Map(), counts: {} }; }
 
 export const localizationWindow = {
-  id: 'localization', title: 'Localization', of: {},
+  id: 'localization', title: 'Localization', of: {}, runs: {},
   build(box, app) {
     this.note = element('p', { className: 'quiet' });
     this.trust = element('strong', { role: 'status', id: 'trust' });
     this.reason = element('span', { id: 'trust-reason' });
-    this.state = element('p', { className: 'trust' }, this.trust, ' ', this.reason);
+    this.state = element('p', { className: 'trust' }, element('i', { className: 'lamp' }), this.trust, ' ', this.reason);
+    this.controls = localizerControls(app, () => this.runs[app.robot]);
     this.rows = table(box, 'Estimate');
     this.charts = Object.fromEntries(Object.entries(CHARTS).map(([name, [title, entries]]) => {
       const canvas = element('canvas', { role: 'img' }), heading = element('div');
@@ -40,7 +43,7 @@ export const localizationWindow = {
       return [name, { canvas, heading, title, whole: element('div', {}, heading, canvas, legend(...entries)) }];
     }));
     this.plots = element('div', {}, ...Object.values(this.charts).map(({ whole }) => whole));
-    box.prepend(this.note, this.state);
+    box.prepend(this.state, this.controls.box, this.note);
     box.append(this.plots, this.waypoints(app));
   },
   waypoints(app) {
@@ -49,18 +52,20 @@ export const localizationWindow = {
     return element('div', { className: 'acts', role: 'group', ariaLabel: 'Waypoints' },
       form(() => app.setWaypoints([...remainingWaypoints(app), roundToTenths(this.point.map(({ inches }) => inches))]),
         element('div', { className: 'row' }, ...this.point.map(({ label }) => label), element('button', { id: 'add-waypoint' }, 'Add waypoint'))),
-      element('div', { className: 'row' }, button('By pointer', () => app.chooseTool('waypoint'), { ariaLabel: 'Waypoints by pointer' }),
+      element('div', { className: 'row' }, 
         button('Clear waypoints', () => app.setWaypoints([]), { id: 'clear-waypoints' })),
       this.list);
   },
-  reset() { this.of = {}; },
+  reset() { this.of = {}; this.runs = {}; },
   onMessage(message, app) {
+    if (message.type === 'localizers') this.onLocalizers(message.robots, app);
     if (message.type !== 'localization') return;
     // An older clock means that another localizer has started.
     const old = this.of[message.robot];
     const own = this.of[message.robot] = old && message.clock_s >= old.latest.clock_s ? old : newHistory();
     own.latest = message;
     own.received_ms = performance.now() - 1000 * (message.age_s ?? 0);
+    own.received_s = app.scene.time_s;
     if (isLost(message)) own.beams.clear();
     for (const echo of message.echoes) {
       own.counts[echo.refusal] = (own.counts[echo.refusal] ?? 0) + 1;
@@ -73,6 +78,13 @@ export const localizationWindow = {
     app.map.requestRedraw();
     app.requestUpdate();
   },
+  // The states of the localizers that pages started: {method, state, words} by robot.
+  onLocalizers(robots, app) {
+    for (const [id, run] of Object.entries(robots)) {
+      if (run.state !== this.runs[id]?.state || run.words !== this.runs[id].words) this.runs[id] = { ...run, at_ms: performance.now() };
+    }
+    app.requestUpdate();
+  },
   // Return the latest message of a robot's localizer, or null if it is old. In a replay no data is old.
   currentEstimate(id) {
     const own = this.of[id];
@@ -81,26 +93,29 @@ export const localizationWindow = {
   update(app) {
     const own = this.of[app.robot], age_s = own && ageOf(own);
     this.listWaypoints(app);
-    this.plots.hidden = this.rows.parentElement.hidden = this.state.hidden = !own;
-    this.note.hidden = Boolean(own) && age_s < STALE_S;
+    this.plots.hidden = this.rows.parentElement.hidden = !own;
+    this.note.hidden = Boolean(own);
+    this.controls.update();
+    this.showHealth(...healthOf(own, age_s, this.runs[app.robot]));
     if (!own) { this.showCommand(app); return; }
-    if (!this.note.hidden) this.note.textContent = `No message from the localizer for ${Math.round(age_s)} s: the data shown is old.`;
     if (age_s > STALE_S) app.map.requestRedraw();
     this.updateTexts(own, app);
     this.updateCharts(own, app);
+  },
+  showHealth(trust, reason) {
+    if (this.trust.textContent !== TRUST[trust]) this.trust.textContent = TRUST[trust];
+    this.state.dataset.trust = trust;
+    if (this.reason.textContent !== reason) this.reason.textContent = reason;
   },
   showCommand(app) {
     const line = publishCommand(app), key = line ?? 'none';
     if (this.shownCommand === key && this.note.firstChild) return;
     this.shownCommand = key;
-    this.note.replaceChildren(`No localizer publishes an estimate of robot ${app.robot}. `, ...(line ? ['Run in a terminal: ', element('code', {}, line)] : []));
+    this.note.replaceChildren(`No localizer publishes an estimate of robot ${app.robot}. `, ...(line ? ['The same in a terminal: ', element('code', {}, line)] : []));
   },
   updateTexts({ latest: now, counts }, app) {
     this.shownCommand = null;
-    const { error, sigma, turn, turnSigma } = errorsOf(now), lost = isLost(now), trust = now.trust ?? 'OK';
-    if (this.trust.textContent !== TRUST[trust]) this.trust.textContent = TRUST[trust];
-    this.state.dataset.trust = trust;
-    this.reason.textContent = now.reason ?? '';
+    const { error, sigma, turn, turnSigma } = errorsOf(now), lost = isLost(now);
     const at = ([px, py, turned]) => `${lengthText(px, app.metric, 2)}, ${lengthText(py, app.metric, 2)}, ${degreesText(turned)}`;
     cell(this.rows, 'estimate', lost ? 'none' : at(now.pose));
     cell(this.rows, 'alternatives', alternatives(now).map(({ pose, share }) => `${percent(share)}: ${at(pose)}`).join('; ') || (lost ? 'none found yet' : 'no other pose'));
@@ -109,21 +124,29 @@ export const localizationWindow = {
     cell(this.rows, 'echoes', Object.entries(REASONS).map(([name, text]) => `${counts[name] ?? 0} ${text}`).join(', '));
     cell(this.rows, 'waypoints', `${now.passed} of ${now.waypoints.length} reached`);
   },
-  updateCharts({ latest, samples }, app) {
+  updateCharts({ latest, samples, received_s }, app) {
     const { theme } = app, one = unitIn(app.metric), unit = unitName(app.metric);
     const dots = (used, pick) => ({ dots: true, colour: used ? theme.estimate : theme.hit, points: samples.flatMap((sample) => sample.echoes
       .filter((echo) => (echo.refusal === 'none') === used && (used || echo.nis > 0)).map((echo) => [sample.time_s, pick(echo)])) });
-    const line = (colour, pick) => ({ colour, points: samples.filter((sample) => pick(sample) !== null).map((sample) => [sample.time_s, pick(sample)]) });
+    const line = (pick) => ({ colour: theme.hit, points: samples.map((sample) => [sample.time_s, pick(sample)]) });
+    const band = (low, high) => ({ colour: theme.estimate, points: samples.map((sample) => [sample.time_s, low(sample), high(sample)]) });
+    const scaled = (length) => (length === null ? null : length / one);
     const lines = {
       innovation: [dots(false, (echo) => echo.innovation_in / one), dots(true, (echo) => echo.innovation_in / one)],
       nis: [dots(false, (echo) => Math.min(echo.nis, 2 * GATE_99_9)), dots(true, (echo) => echo.nis)],
-      error: [line(theme.quiet, (sample) => sample.sigma && sample.sigma / one), line(theme.hit, (sample) => sample.error && sample.error / one)],
-      heading: [line(theme.quiet, (sample) => sample.turnSigma), line(theme.hit, (sample) => sample.turn && Math.abs(sample.turn))],
+      error: [line((sample) => scaled(sample.error))],
+      heading: [line((sample) => sample.turn)],
     };
+    const bands = {
+      error: [band((sample) => (sample.sigma === null ? null : 0), (sample) => scaled(sample.sigma))],
+      heading: [band((sample) => (sample.turnSigma === null ? null : -sample.turnSigma), (sample) => sample.turnSigma)],
+    };
+    // Time goes on without messages: then the charts have a gap at their right end.
+    const end_s = latest.clock_s + Math.max(0, app.scene.time_s - received_s);
     for (const [name, { canvas, heading, title }] of Object.entries(this.charts)) {
       const text = ['innovation', 'error'].includes(name) ? `${title}, ${unit}` : title;
       if (heading.textContent !== text) heading.textContent = text;
-      chart(canvas, theme, { end_s: latest.clock_s, span_s: chartSpan(samples), lines: lines[name], bound: name === 'nis' ? GATE_99_9 : undefined });
+      chart(canvas, theme, { end_s, span_s: chartSpan([...samples, { time_s: end_s }]), lines: lines[name], bands: bands[name], bound: name === 'nis' ? GATE_99_9 : undefined });
     }
   },
   listWaypoints(app) {
@@ -143,11 +166,11 @@ export const localizationWindow = {
     const points = remainingWaypoints(app);
     if (points.length && !(app.toolName === 'waypoint' && app.map.dragged === 'tool')) drawWaypoints(pen, points, view, theme);
     if (!own || ageOf(own) > MAX_AGE_S) return;
-    const now = own.latest, body = scene.bodies[String(now.robot)], old = ageOf(own) > STALE_S;
+    const now = own.latest, body = scene.bodies[String(now.robot)], old = healthOf(own, ageOf(own), this.runs[app.robot])[0] === 'OLD';
     if (!body) return;
     pen.globalAlpha = old ? 0.35 : 1;
     if (!old) for (const beam of own.beams.values()) drawBeam(pen, view, beam, body, theme);
-    if (!isLost(now)) drawEllipse(pen, view, now, theme);
+    if (!isLost(now)) { drawGhost(pen, view, now, body, theme); drawEllipse(pen, view, now, theme); }
     for (const place of alternatives(now)) drawAlternative(pen, view, place, body.radius_in, theme);
     pen.setLineDash([2, 3]);
     pen.strokeStyle = theme.encoder;
@@ -162,6 +185,18 @@ export const localizationWindow = {
     pen.globalAlpha = 1;
   },
 };
+
+// Return the health that is shown, [name in TRUST, reason], from the data of a robot, its age, and the localizer that a page
+// started for it. A localizer that has ended or is silent has no health: what is shown is old.
+export function healthOf(own, age_s, run) {
+  const isNewer = own && (!run || own.received_ms > run.at_ms);
+  if (run?.state === 'starting') return ['STARTING', run.words || 'the localizer starts, which takes some seconds'];
+  if (run?.state === 'failed' && !isNewer) return ['FAILED', run.words];
+  if (!own) return ['OFF', run ? run.words : 'no localizer runs: press Localize'];
+  if (run?.state === 'ended' && !isNewer) return ['OLD', `the localizer has ended (${run.words}): the data shown is old`];
+  if (age_s > STALE_S) return ['OLD', `no message from the localizer for ${Math.round(age_s)} s: the data shown is old`];
+  return [own.latest.trust ?? 'OK', own.latest.reason ?? ''];
+}
 
 function isLost({ trust }) { return trust === 'LOST'; }
 
@@ -200,6 +235,21 @@ export function errorsOf({ pose, truth, cov, trust }) {
 export function ellipse([xx, xy, , , yy]) {
   const mean = (xx + yy) / 2, radius = Math.hypot((xx - yy) / 2, xy);
   return [Math.sqrt(Math.max(mean + radius, 0)), Math.sqrt(Math.max(mean - radius, 0)), 0.5 * Math.atan2(2 * xy, xx - yy)];
+}
+
+// Draw the estimate as a robot that one can look through.
+function drawGhost(pen, view, { pose: [x, y], turret }, { radius_in: radius, differential }, theme) {
+  const alpha = pen.globalAlpha;
+  pen.strokeStyle = pen.fillStyle = theme.estimate;
+  pen.lineWidth = 1.5;
+  circle(pen, view, x, y, radius);
+  pen.globalAlpha = 0.12 * alpha; pen.fill(); pen.globalAlpha = alpha;
+  pen.stroke();
+  if (differential) return;
+  pen.beginPath();
+  pen.moveTo(...toScreen(view, x + 0.55 * radius * Math.cos(turret), y + 0.55 * radius * Math.sin(turret)));
+  pen.lineTo(...toScreen(view, x + radius * Math.cos(turret), y + radius * Math.sin(turret)));
+  pen.stroke();
 }
 
 function drawEllipse(pen, view, { pose, cov }, theme) {

@@ -7,22 +7,31 @@ import { openReplay } from './replay.js';
 import { newRun, recordMessage, savePng, saveSvg, saveRun, runLength } from './export.js';
 import { mapWindow } from './map_window.js';
 import { robotWindow, shortWindow, longWindow } from './robot_windows.js';
-import { driveWindow } from './drive_window.js';
+import { driveWindow, poseWindow } from './drive_window.js';
 import { timeWindow } from './time_window.js';
 import { worldWindow } from './world_window.js';
 import { trafficWindow } from './traffic_window.js';
 import { localizationWindow } from './localization_window.js';
 import { setUpTools } from './tools.js';
 import { setUpMenus, setUpSharing } from './menus.js';
-import { setUpBanner, setUpStopKeys, stopAll } from './estop.js';
+import { setUpBanner, setUpStopKeys, stop } from './estop.js';
 import { newUndoHistory, poseTenths } from './commands.js';
 import { isFree } from './geometry.js';
-import { element } from './widgets.js';
+import { button, element } from './widgets.js';
 import { takeToken, savePreference, loadPreference } from './browser_storage.js';
 
-// A window has id, title and build(box, app), and may have update(app), onMessage(message, app), onToggle(open, app) and
-// reset(). `acts` hides it on read-only pages, `closed` closes it at first.
-const WINDOWS = [driveWindow, robotWindow, shortWindow, longWindow, localizationWindow, timeWindow, worldWindow, trafficWindow];
+// Windows by task. A window has id, title and build(box, app), and may have update(app), onMessage(message, app),
+// onToggle(open, app) and reset(); `closed` closes it at first. `acts` hides a task on read-only pages. On a phone one task
+// is shown at a time.
+const TASKS = {
+  drive: { title: 'Drive', acts: true, windows: [driveWindow, poseWindow] },
+  world: { title: 'World', acts: true, windows: [worldWindow, timeWindow] },
+  localize: { title: 'Localize', windows: [localizationWindow] },
+  observe: { title: 'Observe', windows: [robotWindow, shortWindow, longWindow, trafficWindow] },
+};
+const WINDOWS = Object.values(TASKS).flatMap(({ windows }) => windows);
+// A notice vanishes after this time, except for one that a stop or release has failed.
+const NOTICE_MS = 12000;
 // Texts need no more than ten updates per second. The server's report of waypoints set here arrives within two seconds.
 const WINDOWS_EVERY_MS = 100, JUST_SET_MS = 2000;
 const part = (id) => document.getElementById(id);
@@ -58,22 +67,34 @@ const app = {
     if (!isFree(app.scene.world, pose[0], pose[1])) app.notice('This pose is in a wall, in an obstacle or outside of all rooms; it was sent anyway.');
     app.link.send({ do: 'click', robot: Number(app.robot), pose: poseTenths(pose) });
   },
-  async stopAll() {
+  // Stop a robot, or all without a number.
+  async stop(robot) {
     driveWindow.release();
-    app.notice(await stopAll(app.link));
+    app.notice(await stop(app.link, robot), { stays: true });
+  },
+  stopMine() { return app.stop(Number(app.robot)); },
+  // Close what is open, the newest first, and return false if nothing is. The browser itself closes its menus.
+  closeOpen() {
+    if (document.querySelector(':popover-open')) return true;
+    if (app.toolName !== 'pan') { if (!app.map.tool.cancel?.()) app.chooseTool('pan'); app.map.requestRedraw(); return true; }
+    if (part('notice').hidden) return false;
+    app.notice('');
+    return true;
   },
   requestUpdate() { needsUpdate = true; },
   drawEstimate(pen, scene, view, options) { localizationWindow.draw(pen, scene, view, options, app); },
   // Send the server which optional data this page shows.
   watch() { app.link.send({ do: 'watch', traffic: trafficWindow.open, laser: app.map.shown.laser, robot: Number(app.robot) }); },
-  notice(text) {
+  notice(text, { stays = false } = {}) {
     const notice = part('notice');
     notice.firstElementChild.textContent = text;
     notice.hidden = !text;
+    clearTimeout(noticeTimer);
+    if (text && !stays) noticeTimer = setTimeout(() => app.notice(''), NOTICE_MS);
   },
 };
 app.history = newUndoHistory(app, () => { needsUpdate = true; });
-let needsUpdate = true, windowsUpdatedAt = 0, poseRequests = [];
+let needsUpdate = true, windowsUpdatedAt = 0, poseRequests = [], noticeTimer = null;
 
 function redrawAll() {
   app.map.requestRedraw();
@@ -128,7 +149,10 @@ function onPoseRequests(robots) {
 }
 
 function onPicture(picture) {
+  const before = app.scene.world?.name;
   applyPicture(app.scene, picture);
+  // Another world is shown as a whole.
+  if (before !== undefined && app.scene.world.name !== before) app.map.fitted = false;
   if ('world' in picture) part('world-name').textContent = picture.world.title || picture.world.name;
   if ('bodies' in picture) listRobots();
   updateBanner();
@@ -159,14 +183,32 @@ function frame(now) {
 }
 
 function buildWindows() {
-  for (const window of WINDOWS) {
-    window.box = element('div');
-    const details = element('details', { className: `window${window.acts ? ' acts' : ''}`, open: loadPreference(`window ${window.id}`, !window.closed), id: `window-${window.id}` },
-      element('summary', {}, window.title), window.box);
-    details.addEventListener('toggle', () => { savePreference(`window ${window.id}`, details.open); needsUpdate = true; window.onToggle?.(details.open, app); });
-    part('windows').append(details);
-    window.build(window.box, app);
+  for (const [name, { title, acts, windows }] of Object.entries(TASKS)) {
+    const section = element('section', { className: `task${acts ? ' acts' : ''}`, id: `task-${name}`, ariaLabel: title }, element('h2', {}, title));
+    part('windows').append(section);
+    for (const window of windows) buildWindow(window, section);
+    part('tasks').append(button(title, () => chooseTask(name), { id: `show-${name}`, className: acts ? 'acts' : '' }));
   }
+  chooseTask(loadPreference('task', 'localize'));
+}
+
+function buildWindow(window, section) {
+  window.box = element('div');
+  const details = element('details', { className: 'window', open: loadPreference(`window ${window.id}`, !window.closed), id: `window-${window.id}` },
+    element('summary', {}, window.title), window.box);
+  details.addEventListener('toggle', () => { savePreference(`window ${window.id}`, details.open); needsUpdate = true; window.onToggle?.(details.open, app); });
+  section.append(details);
+  window.build(window.box, app);
+}
+
+// Select the task that a phone shows; the window of a task that has only closed ones is opened.
+function chooseTask(name) {
+  for (const task of Object.keys(TASKS)) {
+    part(`task-${task}`).classList.toggle('chosen', task === name);
+    part(`show-${task}`).setAttribute('aria-current', String(task === name));
+  }
+  savePreference('task', name);
+  needsUpdate = true;
 }
 
 function undoByKey(event) {
@@ -185,7 +227,7 @@ setUpSharing(app);
 const updateBanner = setUpBanner(app);
 // The buttons of index.html; those of a window are made by the window.
 const ON_CLICK = {
-  stop: () => app.stopAll(),
+  stop: () => app.stopMine(), 'stop-all': () => app.stop(),
   'notice-close': () => app.notice(''),
   'pose-here': () => { if (app.scene.robots[app.robot]) app.givePose(app.scene.robots[app.robot].actual); },
   'clear-traces': () => { app.scene.traces = {}; app.map.requestRedraw(); },
@@ -228,7 +270,8 @@ if (window.nserverRun) {
   app.run = window.nserverRun;
   app.link = openReplay(window.nserverRun, { onMessage, onState, onReset });
 } else {
-  setUpStopKeys(() => { if (app.mayAct) app.stopAll(); });
+  setUpStopKeys({ closeOpen: app.closeOpen, stopMine: () => { if (app.mayAct) app.stopMine(); },
+    stopAll: () => { if (app.mayAct) app.stop(); } });
   document.addEventListener('keydown', undoByKey);
   app.token = takeToken();
   app.link = openLink(app.token, { onMessage, onState });

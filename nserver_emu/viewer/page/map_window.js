@@ -110,7 +110,8 @@ export function mapWindow(app) {
       if (event.type === 'pointerup') map.tool.up?.(toWorld(view, ...position(event)), event);
       else map.tool.cancel?.();
     } else if (event.type === 'pointerup' && pressedAt && Math.hypot(event.clientX - pressedAt[0], event.clientY - pressedAt[1]) < MAX_TAP_PX) {
-      map.tool?.tap?.(toWorld(view, ...position(event)));
+      if (map.tool?.tap) map.tool.tap(toWorld(view, ...position(event)));
+      else app.rejectPlace();
     }
     pressedAt = null;
     map.dragged = null;
@@ -124,7 +125,6 @@ export function mapWindow(app) {
     '+': () => zoom(ZOOM), '=': () => zoom(ZOOM), '-': () => zoom(1 / ZOOM), 0: fitAll, f: () => follow(!map.following),
     u: () => app.switchUnits(),
     arrowleft: move(KEY_PAN_PX, 0), arrowright: move(-KEY_PAN_PX, 0), arrowup: move(0, KEY_PAN_PX), arrowdown: move(0, -KEY_PAN_PX),
-    escape: () => map.tool?.cancel?.(),
   };
   canvas.addEventListener('keydown', (event) => {
     const action = keys[event.key.toLowerCase()];

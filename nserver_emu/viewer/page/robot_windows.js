@@ -3,24 +3,33 @@
 
 import { HISTORY_S, infraredAngle, isEcho, shownRange, sonarReadings } from './scene.js';
 import { lengthText, degreesText, unitIn, unitName } from './units.js';
-import { cell, table, sizedPen } from './widgets.js';
+import { cell, element, table, sizedPen } from './widgets.js';
+import { loadPreference, savePreference } from './browser_storage.js';
 import { timeAxis } from './charts.js';
 
 const MODES = { n150: 'steering', n200: 'steering', scout: 'wheels' };
 
 export const robotWindow = {
-  id: 'robot', title: 'Robot',
-  build(box) { this.rows = table(box, 'State of the robot'); },
+  id: 'robot', title: 'Robot', closed: true,
+  build(box) {
+    this.rows = table(box, 'State of the robot');
+    this.numbers = element('code');
+    this.raw = element('details', { id: 'raw-state', open: loadPreference('raw state', false), ontoggle: () => savePreference('raw state', this.raw.open) },
+      element('summary', {}, 'State[0] to State[44]'), this.numbers);
+    box.append(this.raw);
+  },
   update(app) {
     const { robot, body, scene } = app.selected();
     if (!robot) return;
     for (const [name, text] of stateRows(robot, body, scene, app.metric, app.robot)) cell(this.rows, name, text);
+    const numbers = robot.state.join(' ');
+    if (this.raw.open && this.numbers.textContent !== numbers) this.numbers.textContent = numbers;
   },
 };
 
 // Describe the laser modes: each client has its own, and the map shows points if any of them has the laser on.
 function laserText(body, clients = []) {
-  if (!body.sees) return 'this robot has none';
+  if (!body.sees) return null;
   if (!clients.length) return 'on, as at power-on: no client is connected';
   const names = (on) => clients.filter(([, mode]) => Boolean(mode & 1) === on).map(([name, mode]) => `${name} (mode ${mode})`).join(', ');
   return [['on for', names(true)], ['off for', names(false)]].filter(([, list]) => list).map((parts) => parts.join(' ')).join('; ');
@@ -50,12 +59,11 @@ function stateRows(robot, body, scene, metric, id) {
     ['laser', laserText(body, scene.laser_modes[id])],
     ['State[0] (speed)', s[0] === 9999 ? 'as fast as possible' : s[0] === 0 ? 'paused' : `${s[0] / 10} x real time`],
     ['last speech', scene.speech.findLast(([, robotId]) => String(robotId) === String(id))?.[2] ?? 'none'],
-    ['numbers', s.join(' ')],
   ];
 }
 
 export const shortWindow = {
-  id: 'short', title: 'Short sensors',
+  id: 'short', title: 'Short sensors', closed: true,
   build(box) { this.canvas = polarCanvas(box, 'Infrared ring and bumpers from above'); this.rows = table(box, 'Infrared'); },
   update(app) {
     const { robot, body } = app.selected();
@@ -64,13 +72,14 @@ export const shortWindow = {
     polar(this.canvas, app.theme, { values: readings, max: 15, colour: app.theme.infrared, off: !body.sees,
       turn: robot.actual[3], steer: robot.actual[2], bumpers: body.bumpers, touched: robot.state[33],
       frame: robot.front, metric: app.metric });
-    cell(this.rows, 'infrared', body.sees ? readings.join(' ') : 'this robot has none');
+    this.canvas.ariaLabel = body.sees ? 'Infrared ring and bumpers from above' : 'Bumpers from above';
+    cell(this.rows, 'infrared', body.sees ? readings.join(' ') : null);
     cell(this.rows, 'bumper bits', `0x${(robot.state[33] >>> 0).toString(16)}`);
   },
 };
 
 export const longWindow = {
-  id: 'long', title: 'Long sensors',
+  id: 'long', title: 'Long sensors', closed: true,
   build(box) {
     this.canvas = polarCanvas(box, 'Sonar ring from above');
     this.strips = document.createElement('canvas');
@@ -108,7 +117,7 @@ export function polarRange(readings, ring) {
 
 // Plot a ring of sensors from above, turned as the robot in the world, with circles at thirds of the range.
 function polar(canvas, theme, { values, max, colour, off, turn, steer, bumpers = 0, touched = 0, frame = 0, numbered, metric, angles }) {
-  const pen = sizedPen(canvas, 0.62);
+  const pen = sizedPen(canvas, off ? 0.25 : 0.62);
   if (!pen) return;
   const cx = pen.width / 2, cy = pen.height / 2, inner = 16, outer = Math.min(cx, cy) - 18;
   const at = (angle, r) => [cx + r * Math.cos(angle), cy - r * Math.sin(angle)];
@@ -116,7 +125,7 @@ function polar(canvas, theme, { values, max, colour, off, turn, steer, bumpers =
   pen.strokeStyle = theme.edge;
   pen.fillStyle = theme.quiet;
   pen.font = '11px system-ui, sans-serif';
-  for (const fraction of [1 / 3, 2 / 3, 1]) {
+  for (const fraction of off ? [] : [1 / 3, 2 / 3, 1]) {
     pen.beginPath();
     pen.arc(cx, cy, inner + fraction * (outer - inner), 0, 2 * Math.PI);
     pen.stroke();

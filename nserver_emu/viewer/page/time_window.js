@@ -1,12 +1,10 @@
-// The window Time, noise, faults: settings of the running server. Hidden on read-only pages.
+// The window Time and faults: settings of the running server. Hidden on read-only pages.
 
-import { element, button, choice, field, form } from './widgets.js';
+import { element, button, field, form } from './widgets.js';
 import { control } from './commands.js';
 
-const NOISE_PARTS = { sensors: 'Sensors', motion: 'Motion' };
-
 export const timeWindow = {
-  id: 'time', title: 'Time, noise, faults', acts: true,
+  id: 'time', title: 'Time and faults', closed: true,
   build(box, app) {
     const send = (command, argument) => control(app, command, argument);
     this.pause = button('Pause', () => send(app.scene.paused ? 'resume' : 'pause'), { id: 'pause' });
@@ -20,7 +18,6 @@ export const timeWindow = {
       element('div', { className: 'row' }, this.factor.label, button('As fast as possible', () => send('speed', 'max'))));
     this.lockstep = element('p', { className: 'quiet', id: 'lockstep', hidden: true });
     box.append(this.lockstep);
-    this.buildNoise(box, app, send);
     this.buildFaults(box, send);
   },
   async change(send) {
@@ -28,14 +25,6 @@ export const timeWindow = {
     await send('speed', this.factor.input.value);
     this.isSending = false;
     this.shown = null;
-  },
-  buildNoise(box, app, send) {
-    const all = element('input', { type: 'checkbox', id: 'noise-all' });
-    const target = () => (all.checked ? {} : { robot: Number(app.robot) });
-    this.noise = Object.fromEntries(Object.entries(NOISE_PARTS).map(([name, title]) =>
-      [name, choice(title, { id: `noise-${name}` }, (value) => send('noise', { [name]: value, ...target() }))]));
-    box.append(element('div', { className: 'row', role: 'group', ariaLabel: 'Noise' }, ...Object.values(this.noise).map(({ label }) => label),
-      element('label', {}, all, 'all robots')));
   },
   buildFaults(box, send) {
     const plan = element('textarea', { rows: 5, style: 'width:100%', spellcheck: false, id: 'faults',
@@ -57,7 +46,7 @@ export const timeWindow = {
         button('Count', count, { id: 'faults-count' })), counts));
   },
   update(app) {
-    const { scene } = app, body = scene.bodies[app.robot];
+    const { scene } = app;
     this.lockstep.hidden = scene.lockstep_s === null;
     this.lockstep.textContent = lockstepText(scene.lockstep_s);
     this.pause.textContent = scene.paused ? 'Resume' : 'Pause';
@@ -65,7 +54,6 @@ export const timeWindow = {
       this.shown = scene.speed;
       this.factor.input.value = scene.speed === null ? '' : String(scene.speed);
     }
-    for (const name of body ? Object.keys(NOISE_PARTS) : []) this.noise[name].offer(body.noises[name], body.noise[name]);
   },
 };
 

@@ -1,49 +1,90 @@
-// Tools for the pointer on the map, one active at a time. down(world) returns true if the tool handles the drag; then
-// move, up and cancel follow. Everything is also possible by keyboard in the windows Drive, World and Localization.
-// A tool only sends commands: the map shows the state that the server reports.
+// Tools for the pointer on the map, one active at a time, chosen by buttons in the panels. down(world) returns true if the
+// tool handles the drag; then move, up and cancel follow. finish() is called by Enter, and returns true if there was
+// something to finish. cancel() returns true if there was something to cancel. Everything is also possible by keyboard in
+// the panels. A tool only sends commands: the map shows the state that the server reports.
 
 import { drawRobot, polygonPath, circle, arrow } from './draw.js';
 import { element } from './widgets.js';
-import { inside, robotFits, toScreen } from './geometry.js';
-import { addObstacle, deleteObstacle, moveObstacle, placeRobot } from './commands.js';
+import { inside, isFree, nearestOn, robotFits, toScreen } from './geometry.js';
+import { addObstacle, addWall, deleteObstacle, deleteWall, innerWalls, moveObstacle, moveWall, placeRobot } from './commands.js';
 
 const MIN_SIDE_IN = 0.5, MIN_DRAG_PX = 4, CLOSE_PX = 12;
+const WRONG_PLACE_MS = 5000;
+// task: the panel with the button; hint: how to use it; wants: where it must be used; icon: a path in a box of 16 x 16.
 const TOOLS = {
-  pan: ['Move map', chooseTool], place: ['Robot', placeTool], turn: ['Turn', turnTool], add: ['Add obstacle', addTool],
-  shift: ['Move obstacle', shiftTool], remove: ['Delete obstacle', removeTool], pose: ['Give pose', poseTool],
-  waypoint: ['Waypoints', waypointTool],
+  pan: { title: 'Move map', make: chooseTool },
+  place: { title: 'Move robot', make: placeTool, task: 'drive', icon: 'M8 1v14M1 8h14M6 3l2-2 2 2M6 13l2 2 2-2M3 6L1 8l2 2M13 6l2 2-2 2',
+    hint: 'Drag a robot to its new place.', wants: 'There is no robot: press on one and drag it.' },
+  turn: { title: 'Turn robot', make: turnTool, task: 'drive', icon: 'M13 8a5 5 0 1 1-2-4M11 1v3H8',
+    hint: 'Press on a robot and drag towards its new heading; with Shift only the turret.', wants: 'There is no robot: press on one and drag.' },
+  pose: { title: 'Give pose', make: poseTool, task: 'drive', icon: 'M4 12a2 2 0 1 0 .1 0M6 10l7-7M9 3h4v4',
+    hint: 'Press at the position and drag towards the heading: the answer to a program that asks for a pose.' },
+  add: { title: 'Add obstacle', make: addTool, task: 'world', icon: 'M2 4h8v8H2zM13 1v6M10 4h6',
+    hint: 'Drag a rectangle, or click corner after corner; Enter closes the outline.' },
+  wall: { title: 'Draw wall', make: wallTool, task: 'world', icon: 'M2 13L11 4M13 1v6M10 4h6',
+    hint: 'Drag from one end of the wall to the other. Ends near those of other walls join them.', wants: 'A wall has a length: press at one end and drag to the other.' },
+  shift: { title: 'Move', make: shiftTool, task: 'world', icon: 'M2 5h7v7H2zM10 8h5M13 6l2 2-2 2',
+    hint: 'Drag an obstacle or an inner wall; near its end a wall turns.', wants: 'There is nothing to move: press on a grey obstacle or an inner wall and drag it. The outlines of rooms stay.' },
+  remove: { title: 'Delete', make: removeTool, task: 'world', icon: 'M2 4h8v8H2zM11 2l4 4M15 2l-4 4',
+    hint: 'Click on an obstacle or an inner wall to delete it.', wants: 'There is nothing to delete: click on a grey obstacle or an inner wall. The outlines of rooms stay.' },
+  waypoint: { title: 'Waypoints', make: waypointTool, task: 'localize', icon: 'M3 13l4-5 3 2 4-7M3 13h.1M14 3h.1',
+    hint: 'Click to add a waypoint; drag one to move it, click it to delete it.', wants: 'A robot cannot stand there: click on free space.' },
 };
+const TOOL_GROUPS = { drive: 'Robot on the map', world: 'Walls and obstacles on the map', localize: 'Waypoints on the map' };
 
 export function setUpTools(app) {
-  const bar = document.getElementById('tools'), buttons = {};
+  const buttons = {}, bar = document.getElementById('tool-hint'), [words, done] = bar.children;
+  let timer = null;
+  const showHint = (text, isError) => {
+    clearTimeout(timer);
+    words.textContent = text;
+    bar.classList.toggle('error', isError);
+  };
   app.chooseTool = (name) => {
-    const [title, makeTool] = TOOLS[name];
+    const { title, make, hint = '' } = TOOLS[name];
     app.map.tool?.cancel?.();
-    app.map.tool = makeTool(app);
+    app.map.tool = make(app);
     app.toolName = name;
-    for (const [other, button] of Object.entries(buttons)) {
-      button.setAttribute('aria-checked', String(other === name));
-      button.tabIndex = other === name ? 0 : -1;
-    }
-    app.map.canvas.ariaDescription = `Pointer tool: ${title}`;
+    for (const [other, button] of Object.entries(buttons)) button.setAttribute('aria-pressed', String(other === name));
+    bar.hidden = name === 'pan';
+    showHint(hint, false);
+    app.map.canvas.ariaDescription = `Pointer tool: ${title}. ${hint}`;
     app.map.canvas.style.cursor = name === 'pan' ? 'grab' : 'crosshair';
     app.map.requestRedraw();
   };
-  for (const [name, [title]] of Object.entries(TOOLS)) {
-    buttons[name] = element('button', { type: 'button', id: `tool-${name}`, onclick: () => app.chooseTool(name) }, title);
-    buttons[name].setAttribute('role', 'radio');
-    bar.append(buttons[name]);
+  // A click where the tool can do nothing says what it wants.
+  app.rejectPlace = () => {
+    const { hint, wants } = TOOLS[app.toolName];
+    if (!wants) return;
+    showHint(wants, true);
+    timer = setTimeout(() => showHint(hint, false), WRONG_PLACE_MS);
+  };
+  for (const [task, label] of Object.entries(TOOL_GROUPS)) {
+    const row = element('div', { className: 'row tools acts live', role: 'group', ariaLabel: label });
+    for (const [name, { title, icon, hint }] of Object.entries(TOOLS).filter(([, tool]) => tool.task === task)) {
+      buttons[name] = element('button', { type: 'button', id: `tool-${name}`, title: hint,
+        onclick: () => app.chooseTool(app.toolName === name ? 'pan' : name) }, iconOf(icon), title);
+      row.append(buttons[name]);
+    }
+    document.querySelector(`#task-${task} > h2`).after(row);
   }
-  // Arrow keys select the next tool, as in any radio group.
-  bar.addEventListener('keydown', (event) => {
-    const names = Object.keys(TOOLS), step = { ArrowRight: 1, ArrowDown: 1, ArrowLeft: -1, ArrowUp: -1 }[event.key];
-    if (!step) return;
+  done.addEventListener('click', () => app.finishTool());
+  // Enter: finish what is being drawn, then the tool.
+  app.finishTool = () => { if (!app.map.tool.finish?.()) app.chooseTool('pan'); };
+  document.addEventListener('keydown', (event) => {
+    if (event.key !== 'Enter' || app.toolName === 'pan' || event.target.closest?.('button, input, select, textarea, summary, a')) return;
     event.preventDefault();
-    const next = names[(names.indexOf(app.toolName) + step + names.length) % names.length];
-    app.chooseTool(next);
-    buttons[next].focus();
+    app.finishTool();
   });
   app.chooseTool('pan');
+}
+
+function iconOf(path) {
+  const svg = document.createElementNS('http://www.w3.org/2000/svg', 'svg'), line = document.createElementNS(svg.namespaceURI, 'path');
+  for (const [name, value] of [['viewBox', '0 0 16 16'], ['aria-hidden', 'true'], ['class', 'icon']]) svg.setAttribute(name, value);
+  line.setAttribute('d', path);
+  svg.append(line);
+  return svg;
 }
 
 function robotAt(app, [x, y]) {
@@ -56,6 +97,46 @@ function robotAt(app, [x, y]) {
 // The topmost obstacle at a point: the last one drawn.
 function obstacleAt(app, [x, y]) {
   return (app.scene.world?.obstacles ?? []).findLast(({ corners }) => inside(corners, x, y)) ?? null;
+}
+
+// The inner wall at a point, or null; [wall, end] where end is 0 or 1 near an end and null between them.
+function wallAt(app, point) {
+  const world = app.scene.world ? innerWalls(app.scene.world) : [];
+  const wall = world.findLast((ends) => app.map.pixels(point, nearestOn(ends, point)) < CLOSE_PX) ?? null;
+  if (!wall) return null;
+  const end = wall.findIndex((one) => app.map.pixels(one, point) < CLOSE_PX);
+  return [wall, end < 0 ? null : end];
+}
+
+// The end of a wall near a point, or the point itself.
+function snapped(app, point) {
+  const ends = (app.scene.world?.walls ?? []).flatMap(([x1, y1, x2, y2]) => [[x1, y1], [x2, y2]]);
+  return ends.find((end) => app.map.pixels(end, point) < CLOSE_PX) ?? roundToTenths(point);
+}
+
+function drawLine(pen, view, [start, end], theme) {
+  pen.strokeStyle = theme.accent;
+  pen.lineWidth = 3;
+  pen.beginPath();
+  pen.moveTo(...toScreen(view, ...start));
+  pen.lineTo(...toScreen(view, ...end));
+  pen.stroke();
+}
+
+// Drag from one end of a new wall to the other.
+function wallTool(app) {
+  let start = null, here = null;
+  return {
+    down(world) { start = here = snapped(app, world); return true; },
+    move(world) { here = snapped(app, world); },
+    up() {
+      if (app.map.pixels(start, here) > 2 * MIN_DRAG_PX) addWall(app, [start, here]);
+      else app.rejectPlace();
+      start = null;
+    },
+    cancel() { const isDragging = start !== null; start = null; return isDragging; },
+    draw(pen, scene, view, { theme }) { if (start) drawLine(pen, view, [start, here], theme); },
+  };
 }
 
 function outline(pen, view, corners, theme) {
@@ -91,7 +172,7 @@ function previewTool(app, change) {
       if (isDragged) change(preview, world, grip, event);
     },
     up() { if (isDragged) placeRobot(app, id, preview); id = null; },
-    cancel() { id = null; },
+    cancel() { const isDragging = id !== null; id = null; return isDragging; },
     draw(pen, scene, view, { theme }) {
       if (id !== null) drawRobot(pen, preview, app.scene.bodies[id], view, { dashed: true,
         colour: robotFits(app.scene, id, preview) ? theme.accent : theme.hit });
@@ -132,7 +213,20 @@ function addTool(app) {
       else corners.push(world);
       first = here = null;
     },
-    cancel() { first = here = null; corners = []; },
+    cancel() {
+      const isDrawing = Boolean(first || corners.length);
+      first = here = null;
+      corners = [];
+      return isDrawing;
+    },
+    finish() {
+      const outlined = corners;
+      if (outlined.length < 3) return this.cancel();
+      corners = [];
+      here = null;
+      addObstacle(app, outlined);
+      return true;
+    },
     draw(pen, scene, view, { theme }) {
       const path = first && !corners.length ? rectangle(first, here) : [...corners, ...(here ? [here] : [])];
       if (!path.length) return;
@@ -142,25 +236,48 @@ function addTool(app) {
   };
 }
 
+// Drag an obstacle, an inner wall, or one end of it.
 function shiftTool(app) {
-  let obstacle = null, start = null, here = null;
+  let obstacle = null, wall = null, start = null, here = null;
+  const movedWall = () => wall[0].map((end, k) => {
+    if (wall[1] !== null) return wall[1] === k ? snapped(app, here) : end;
+    return [end[0] + here[0] - start[0], end[1] + here[1] - start[1]];
+  });
   return {
-    down(world) { obstacle = obstacleAt(app, world); start = here = world; return Boolean(obstacle); },
+    down(world) {
+      obstacle = obstacleAt(app, world);
+      wall = obstacle ? null : wallAt(app, world);
+      start = here = world;
+      return Boolean(obstacle || wall);
+    },
     move(world) { here = world; },
-    up() { moveObstacle(app, obstacle.corners, here[0] - start[0], here[1] - start[1]); obstacle = null; },
-    cancel() { obstacle = null; },
+    up() {
+      if (obstacle) moveObstacle(app, obstacle.corners, here[0] - start[0], here[1] - start[1]);
+      else if (app.map.pixels(start, here) > MIN_DRAG_PX) moveWall(app, wall[0], movedWall());
+      obstacle = wall = null;
+    },
+    cancel() { const isDragging = Boolean(obstacle || wall); obstacle = wall = null; return isDragging; },
     draw(pen, scene, view, { theme }) {
+      if (wall) drawLine(pen, view, movedWall(), theme);
       if (obstacle) outline(pen, view, obstacle.corners.map(([x, y]) => [x + here[0] - start[0], y + here[1] - start[1]]), theme);
     },
   };
 }
 
 function removeTool(app) {
-  let obstacle = null;
+  let obstacle = null, wall = null;
   return {
-    down(world) { obstacle = obstacleAt(app, world); return Boolean(obstacle); },
-    up(world) { if (obstacleAt(app, world) === obstacle) deleteObstacle(app, obstacle); obstacle = null; },
-    cancel() { obstacle = null; },
+    down(world) {
+      obstacle = obstacleAt(app, world);
+      wall = obstacle ? null : wallAt(app, world)?.[0] ?? null;
+      return Boolean(obstacle || wall);
+    },
+    up(world) {
+      if (obstacle && obstacleAt(app, world) === obstacle) deleteObstacle(app, obstacle);
+      else if (wall && wallAt(app, world)) deleteWall(app, wall);
+      obstacle = wall = null;
+    },
+    cancel() { const isDragging = Boolean(obstacle || wall); obstacle = wall = null; return isDragging; },
   };
 }
 
@@ -176,7 +293,7 @@ function poseTool(app) {
       app.givePose([...start, angle, angle]);
       start = null;
     },
-    cancel() { start = null; },
+    cancel() { const isDragging = start !== null; start = null; return isDragging; },
     draw(pen, scene, view, { theme }) {
       if (!start) return;
       pen.strokeStyle = pen.fillStyle = theme.accent;
@@ -201,6 +318,7 @@ function waypointTool(app) {
     move(world) { here = world; },
     up(world) {
       const points = remainingWaypoints(app).map((point) => [...point]);
+      if (index < 0 && !isFree(app.scene.world, ...world)) { app.rejectPlace(); return; }
       if (index < 0) points.push(roundToTenths(world));
       else if (app.map.pixels(start, world) < CLOSE_PX / 2) points.splice(index, 1);
       else points[index] = roundToTenths(world);

@@ -22,9 +22,15 @@ export function table(box, label) {
   return rows;
 }
 
-// Set the text of the row with the given name, adding the row first if needed. Unchanged texts are not touched.
+// Set the text of the row with the given name, adding the row first if needed. Unchanged texts are not touched. Without a
+// text (null) the row is removed: the robot has no such thing.
 export function cell(rows, name, text) {
   rows.cells ??= new Map();
+  if (text === null) {
+    rows.cells.get(name)?.parentElement.remove();
+    rows.cells.delete(name);
+    return;
+  }
   if (!rows.cells.has(name)) {
     const value = element('td');
     rows.append(element('tr', {}, element('th', { scope: 'row' }, name), value));

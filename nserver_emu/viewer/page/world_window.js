@@ -1,8 +1,8 @@
-// The window World: obstacles by corners and by keyboard, undo, saving and loading worlds. Hidden on read-only pages. The
+// The window with walls, obstacles and world files: by corners and by keyboard, the gallery, undo, saving and loading. Hidden on read-only pages. The
 // server reads and writes the world format; the page only transfers the text.
 
 import { element, button, download, form, lengthField } from './widgets.js';
-import { addObstacle, callRobot, control, deleteObstacle, moveObstacle } from './commands.js';
+import { addObstacle, callRobot, control, deleteObstacle, deleteWall, innerWalls, moveObstacle, moveWall } from './commands.js';
 import { unitIn, unitName } from './units.js';
 
 const STEP_IN = 1, EXAMPLE = '10,10 20,10 20,20';
@@ -15,7 +15,7 @@ export function parseCorners(text) {
 }
 
 export const worldWindow = {
-  id: 'world', title: 'World', acts: true, moves: Promise.resolve(),
+  id: 'world', title: 'Walls, obstacles, world files', moves: Promise.resolve(),
   build(box, app) {
     this.list = element('div', { id: 'world-list' });
     const corners = element('input', { id: 'corners', placeholder: EXAMPLE, size: 22 }), name = document.createTextNode('');
@@ -31,7 +31,7 @@ export const worldWindow = {
       if (chosen) await loadWorld(app, await chosen.text(), chosen.name);
       file.value = '';
     } });
-    box.append(
+    box.append(gallery(app),
       form(() => {
         const typed = parseCorners(corners.value);
         if (!typed) app.notice(`Corners must be pairs x,y, for example ${EXAMPLE}`);
@@ -51,21 +51,31 @@ export const worldWindow = {
     if (this.shown === app.scene.world) return;
     this.shown = app.scene.world;
     const focused = document.activeElement?.dataset?.key;
-    this.list.replaceChildren(...(this.shown?.obstacles ?? []).map((obstacle, k) => this.row(app, obstacle, k)));
+    this.list.replaceChildren(...(this.shown?.obstacles ?? []).map((obstacle, k) => this.row(app, obstacle, k)),
+      ...(this.shown ? innerWalls(this.shown) : []).map((wall, k) => this.wallRow(app, wall, k)));
     if (focused) this.list.querySelector(`[data-key="${focused}"]`)?.focus();
   },
   row(app, obstacle, k) {
-    const name = obstacle.name || `obstacle ${k + 1}`, round = (inches) => String(Math.round(inches / unitIn(app.metric) * 10) / 10);
+    return this.thing(app, obstacle.name || `obstacle ${k + 1}`, k, obstacle.corners,
+      (dx_in, dy_in) => shift(app, k, dx_in, dy_in), () => deleteObstacle(app, obstacle));
+  },
+  wallRow(app, wall, k) {
+    return this.thing(app, `wall ${k + 1}`, `wall ${k}`, wall,
+      (dx_in, dy_in) => moveWall(app, wall, wall.map(([x, y]) => [x + dx_in, y + dy_in])), () => deleteWall(app, wall));
+  },
+  // A row with the corners of a thing and buttons that move it in steps and delete it; `key` identifies its buttons.
+  thing(app, name, key, corners, move, remove) {
+    const round = (inches) => String(Math.round(inches / unitIn(app.metric) * 10) / 10);
     const action = (sign, word, act) => {
       const node = button(sign, act, { title: word, ariaLabel: `${word} ${name}` });
-      node.dataset.key = `${k} ${word}`;
+      node.dataset.key = `${key} ${word}`;
       return node;
     };
-    const by = (dx, dy) => () => { this.moves = this.moves.then(() => shift(app, k, dx * this.step.inches, dy * this.step.inches)); };
+    const by = (dx, dy) => () => { this.moves = this.moves.then(() => move(dx * this.step.inches, dy * this.step.inches)); };
     return element('div', { className: 'row' },
-      element('span', {}, `${name}: ${obstacle.corners.map((corner) => corner.map(round).join(',')).join(' ')}`),
+      element('span', {}, `${name}: ${corners.map((corner) => corner.map(round).join(',')).join(' ')}`),
       action('←', 'move left', by(-1, 0)), action('→', 'move right', by(1, 0)), action('↑', 'move up', by(0, 1)), action('↓', 'move down', by(0, -1)),
-      action('Delete', 'delete', () => deleteObstacle(app, obstacle)));
+      action('Delete', 'delete', remove));
   },
 };
 
@@ -89,7 +99,7 @@ async function saveWorld(app) {
 
 // Replace the world. Undo restores the whole previous world, unless the new one was changed meanwhile: those changes would
 // be lost.
-function replaceWorld(app, title, apply) {
+function replaceWorld(app, title, apply, options = {}) {
   let before = null, after = null;
   return app.history.run({ title, apply: async () => {
     before = await worldText(app);
@@ -98,12 +108,47 @@ function replaceWorld(app, title, apply) {
     if (answer.ok) after = await worldText(app);
     return answer;
   }, revert: async () => (await worldText(app) === after
-    ? control(app, 'world set', { text: before, file: 'the world before' })
+    ? control(app, 'world set', { text: before, file: 'the world before', ...options })
     : { ok: false, error: 'the world was changed meanwhile' }) });
 }
 
 export function loadWorld(app, text, file) {
   return replaceWorld(app, `load ${file}`, () => control(app, 'world set', { text, file }));
+}
+
+// The shipped worlds with pictures. Robots that have no room in the chosen one are placed at its starts.
+function gallery(app) {
+  const list = element('div', { className: 'gallery' });
+  const fill = async () => {
+    if (list.firstChild) return;
+    const answer = await app.link.request({ do: 'gallery' });
+    if (answer.ok) list.replaceChildren(...answer.worlds.map((world) => galleryButton(app, world)));
+    else app.notice(answer.error);
+  };
+  return element('details', { id: 'gallery', ontoggle: (event) => { if (event.target.open) fill(); } }, element('summary', {}, 'Choose a world'), list);
+}
+
+function galleryButton(app, { name, title, text, walls }) {
+  const places = { places: true }, choose = () => replaceWorld(app, `world ${name}`, async () => {
+    const answer = await control(app, 'world set', { text, file: `${name}.toml`, ...places });
+    if (answer.ok) app.restartLocalizer();
+    return answer;
+  }, places);
+  return element('button', { type: 'button', id: `world-${name}`, title, onclick: choose }, picture(walls), element('span', {}, name.replaceAll('_', ' ')));
+}
+
+// Return a small drawing of walls.
+function picture(walls) {
+  const xs = walls.flatMap(([x1, , x2]) => [x1, x2]), ys = walls.flatMap(([, y1, , y2]) => [y1, y2]);
+  const [left, top] = [Math.min(...xs), Math.min(...ys)], wide = Math.max(...xs) - left, high = Math.max(...ys) - top;
+  const svg = document.createElementNS('http://www.w3.org/2000/svg', 'svg'), lines = document.createElementNS(svg.namespaceURI, 'path');
+  // y points up in the world and down in the drawing.
+  lines.setAttribute('d', walls.map(([x1, y1, x2, y2]) => `M${x1} ${-y1}L${x2} ${-y2}`).join(''));
+  lines.setAttribute('vector-effect', 'non-scaling-stroke');
+  svg.setAttribute('viewBox', `${left - 2} ${-top - high - 2} ${wide + 4} ${high + 4}`);
+  svg.setAttribute('aria-hidden', 'true');
+  svg.append(lines);
+  return svg;
 }
 
 function clearWorld(app) {

@@ -93,9 +93,12 @@ def nserver(*words: str) -> Iterator[RunningServer]:
             assert process.wait(timeout=10) == 0
 
 
+OPEN_WINDOWS = "document.querySelectorAll('.window:not(#window-traffic), #raw-state').forEach((one) => one.open = true)"
+
+
 @contextmanager
-def open_page(browser: Browser, url: str, **context: Any) -> Iterator[OpenPage]:
-    """Open a page; errors on its console fail the test."""
+def open_page(browser: Browser, url: str, *, windows: bool = True, **context: Any) -> Iterator[OpenPage]:
+    """Open a page; errors on its console fail the test. `windows` opens the windows that are closed at first."""
     with browser.new_context(**{"viewport": {"width": 1000, "height": 720}} | context) as made:
         page = made.new_page()
         found = OpenPage(page)
@@ -103,5 +106,7 @@ def open_page(browser: Browser, url: str, **context: Any) -> Iterator[OpenPage]:
         page.on("pageerror", lambda error: found.errors.append(str(error)))
         page.goto(url)
         found.wait("window.nserver && nserver.scene.world && nserver.map.fitted")
+        if windows:
+            page.evaluate(OPEN_WINDOWS)
         yield found
         assert found.errors == []

@@ -14,7 +14,7 @@ from tests.integration.viewer.browsing import CHROMIUM, FLAGS, OpenPage, nserver
 
 ROOM = ("several_walls", "--robot", "n200", "--robot", "scout", "--start", "8,8,0,0", "--start", "88,8,120,0",
         "--noisy", "--seed", "3", "--speed", "4")  # fmt: skip
-WINDOWS = ("drive", "robot", "short", "long", "time", "world", "traffic")
+WINDOWS = ("drive", "pose", "robot", "short", "long", "time", "world", "traffic")
 LOCALIZE = "import sys; from nclient.cli.main import main; sys.exit(main())"
 
 

@@ -45,12 +45,28 @@ def test_obstacle_drawn_by_pointer_changes_sonar(browser: Browser) -> None:
 
 
 def test_obstacle_by_clicks_and_by_keyboard(browser: Browser) -> None:
+    hint = "document.querySelector('#tool-hint').innerText"
     with nserver("thesis_room") as program, open_page(browser, program.url) as page:
         page.page.click("#tool-add")
         for corner in ((40, 40), (60, 40), (50, 60), (40, 40)):
             page.page.mouse.click(*page.at(*corner))
         page.wait("nserver.scene.world.obstacles.length === 1")
         assert len(page.value("nserver.scene.world.obstacles[0].corners")) == 3
+        # Enter closes an outline, then it finishes the tool.
+        for corner in ((10, 80), (20, 80), (15, 90)):
+            page.page.mouse.click(*page.at(*corner))
+        page.page.keyboard.press("Enter")
+        page.wait("nserver.scene.world.obstacles.length === 2")
+        page.page.keyboard.press("Enter")
+        assert page.value("nserver.toolName") == "pan"
+        page.value("nserver.history.undo()")
+        page.wait("nserver.scene.world.obstacles.length === 1")
+        # A tool says what it wants where it can do nothing.
+        for tool, words in (("remove", "nothing to delete"), ("place", "no robot"), ("waypoint", "cannot stand")):
+            page.page.click(f"#tool-{tool}")
+            page.page.mouse.click(*page.at(45, 45) if tool == "waypoint" else page.at(80, 80))
+            page.wait(f"{hint}.includes('{words}')")
+        page.page.click("#tool-pan")
         page.page.fill("#corners", "70,70 80,70 80,80 70,80")
         page.page.press("#corners", "Tab")
         page.page.keyboard.press("Enter")
@@ -73,7 +89,7 @@ def test_robot_is_dragged_turned_and_placed(browser: Browser) -> None:
         page.page.click("#tool-turn")
         drag(page, (43, 32), (40, 60))
         page.wait("Math.abs(nserver.scene.robots['1'].actual[2] - Math.PI / 2) < 0.05")
-        page.page.fill("#window-drive input[step='any'] >> nth=0", "20")
+        page.page.fill("#window-pose input[step='any'] >> nth=0", "20")
         page.page.click("#place-robot")
         page.wait("nserver.scene.robots['1'].actual[0] === 20")
         page.page.click("#tool-place")
@@ -132,8 +148,8 @@ def test_get_robot_conf_gets_pose_from_page(browser: Browser, by_keyboard: bool)
             page.page.wait_for_timeout(200)
             assert page.page.is_visible("#pose-request")
         if by_keyboard:
-            page.page.fill("#window-drive input[step='any'] >> nth=0", "50")
-            page.page.fill("#window-drive input[step='any'] >> nth=1", "20")
+            page.page.fill("#window-pose input[step='any'] >> nth=0", "50")
+            page.page.fill("#window-pose input[step='any'] >> nth=1", "20")
             page.page.focus("#give-pose")
             page.page.keyboard.press("Enter")
         else:

@@ -37,6 +37,38 @@ def test_stop_blocks_programs_until_release(browser: Browser) -> None:
         page.wait(f"{SPEED} === 20")
 
 
+def test_escape_closes_what_is_open_then_stops_own_robot(browser: Browser) -> None:
+    held = "Object.keys(nserver.scene.robots).filter((id) => nserver.scene.robots[id].held).join()"
+    with nserver("thesis_room", "--robots", "2") as program, open_page(browser, program.url, windows=False) as page:
+        # Menu, unfinished outline, tool and notice are closed one after the other.
+        page.page.click("[popovertarget=layers]")
+        page.page.keyboard.press("Escape")
+        assert not page.page.is_visible("#layers")
+        page.page.click("#tool-add")
+        page.page.mouse.click(*page.at(60, 60))
+        page.page.keyboard.press("Escape")
+        assert page.value("nserver.toolName") == "add"
+        page.page.keyboard.press("Escape")
+        assert page.value("nserver.toolName") == "pan"
+        page.value("nserver.notice('a notice')")
+        page.page.keyboard.press("Escape")
+        assert page.value("document.querySelector('#notice').hidden")
+        assert page.value(held) == ""
+        page.page.keyboard.press("Escape")
+        page.wait(f"{held} === '1'")
+        # Shift+Space stops all, from a text field too.
+        page.page.focus("#corners")
+        page.page.keyboard.press("Shift+Space")
+        page.wait(f"{held} === '1,2'")
+        page.page.click("#release")
+        page.wait(RELEASED)
+        page.page.select_option("#robot-choice", "2")
+        page.page.click("#stop")
+        page.wait(f"{held} === '2'")
+        page.page.click("#stop-all")
+        page.wait(f"{held} === '1,2'")
+
+
 def test_all_see_stop_and_read_only_page_cannot_release(browser: Browser) -> None:
     with nserver("thesis_room") as program, open_page(browser, program.url) as page:
         watch = program.url.split("token=")[0] + "token=" + page.value("nserver.watchToken")

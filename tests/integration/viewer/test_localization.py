@@ -40,6 +40,27 @@ def test_estimate_is_shown_and_waypoints_are_reached(browser: Browser) -> None:
         assert axes == pytest.approx([3**0.5, 1, 3.14159265 / 4])
 
 
+def test_localizer_is_started_and_stopped_on_the_page(browser: Browser) -> None:
+    with nserver("thesis_room", "--noisy", "--seed", "1") as program, open_page(browser, program.url) as page:
+        page.wait("document.querySelector('#trust').innerText === '– OFF'")
+        assert not page.page.is_enabled("#unlocalize")
+        page.page.select_option("#method", "ekf")
+        page.page.click("#localize")
+        page.wait("document.querySelector('#trust').innerText === '… STARTING'")
+        page.wait("document.querySelector('#trust').innerText === '✓ OK'", 60.0)
+        with program.robot() as robot:
+            # The localizer only watches: another program drives the robot.
+            robot.move(translation_in=10)
+            page.wait("nserver.estimateOf('1')?.pose[0] > 9", 30.0)
+        page.page.click("#kidnap")
+        # The encoders do not notice.
+        page.wait("""(() => { const { actual, encoder } = nserver.scene.robots['1'];
+            const far = Math.hypot(actual[0] - encoder[0], actual[1] - encoder[1]) > 30;
+            return far && Math.abs(encoder[0] - 10) < 2; })()""")
+        page.page.click("#unlocalize")
+        page.wait("document.querySelector('.trust').innerText.includes('– OLD the localizer has ended (stopped)')")
+
+
 def publish(url: str, robot: int, **changes: Any) -> dict[str, Any]:
     """Publish a message as a localizer does and return the response."""
     message = {

@@ -126,3 +126,46 @@ def test_undo_waits_for_running_step(browser: Browser) -> None:
         page.value("Promise.all([nserver.history.undo(), nserver.history.redo(), nserver.history.undo()])")
         page.wait(f"{OBSTACLES}.map((thing) => thing.corners[0][0]).join() === '40'")
         page.wait("document.querySelector('#undo').innerText === 'Undo: add obstacle'")
+
+
+def test_world_is_chosen_from_gallery(browser: Browser) -> None:
+    words = ("hall", "--robots", "2")
+    with nserver(*words) as program, open_page(browser, program.url) as page:
+        page.page.click("#gallery > summary")
+        page.wait("document.querySelectorAll('.gallery button').length > 5")
+        page.page.click("#world-arena")
+        page.wait("nserver.scene.world.name === 'arena'")
+        # The whole world is shown, and the step can be undone.
+        page.wait("nserver.map.fitted && Math.abs(nserver.map.view.x - 256) < 20")
+        page.page.keyboard.press("Control+z")
+        page.wait("nserver.scene.world.name === 'hall'")
+
+
+def test_walls_are_drawn_dragged_and_deleted(browser: Browser) -> None:
+    walls = "JSON.stringify(nserver.scene.world.walls.slice(4).map((wall) => wall.map(Math.round)))"
+
+    def drag(page: OpenPage, *points: tuple[float, float]) -> None:
+        page.page.mouse.move(*page.at(*points[0]))
+        page.page.mouse.down()
+        for point in points[1:]:
+            page.page.mouse.move(*page.at(*point), steps=3)
+        page.page.mouse.up()
+
+    with nserver("thesis_room") as program, open_page(browser, program.url) as page:
+        page.page.click("#tool-wall")
+        # The second end is near a corner of the room, and joins it.
+        drag(page, (60, 60), (101, 101))
+        page.wait(f"{walls} === '[[60,60,102,102]]'")
+        page.page.click("#tool-shift")
+        drag(page, (60, 60), (60, 80))
+        page.wait(f"{walls} === '[[60,80,102,102]]'")
+        drag(page, (81, 91), (71, 81))
+        page.wait(f"{walls} === '[[50,70,92,92]]'")
+        page.page.click("[aria-label='move left wall 1']")
+        page.wait(f"{walls} === '[[49,70,91,92]]'")
+        page.page.click("#tool-remove")
+        page.page.mouse.click(*page.at(70, 81))
+        page.wait(f"{walls} === '[]'")
+        for text in ("[[49,70,91,92]]", "[[50,70,92,92]]"):
+            page.value("nserver.history.undo()")
+            page.wait(f"{walls} === '{text}'")

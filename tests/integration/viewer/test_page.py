@@ -100,7 +100,7 @@ def test_escape_and_space_stop(browser: Browser) -> None:
         page.page.keyboard.press("a", delay=200)
         page.wait(still)
         failing = """import('/page/estop.js').then((m) =>
-            m.stopAll({ request: async () => ({ ok: false, error: 'not connected' }) }))"""
+            m.stop({ request: async () => ({ ok: false, error: 'not connected' }) }))"""
         assert page.value(failing) == "NOT STOPPED — not connected"
 
 
@@ -209,7 +209,14 @@ EXPRESSIONS: list[tuple[str, str, Any]] = [
       "ignored": "7 motion commands ignored."}),
     ("estop.js", "m.bannerTexts({ 1: {}, 2: { held: { by: 'b', ignored: 0 } } }, 'a')",
      {"state": "Stopped: robot 2 does not move until Release. Stopped by b.", "ignored": ""}),
+    ("estop.js", "[m.robotsToRelease({ 1: { held: { by: 'a' } }, 2: { held: { by: 'b' } }, 3: {} }, 'a'), "
+     "m.robotsToRelease({ 1: { held: { by: 'a' } } }, 'a'), m.robotsToRelease({ 1: { held: { by: 'b' } } }, 'a')]",
+     [[1], [None], [None]]),
     ("geometry.js", "m.cornersError([[0, 0], [9, 0], [9, 9], [0, 9]])", ""),
+    ("geometry.js", "m.wallsWithin({ walls: [[0, 0, 0, 9], [50, 0, 50, 9]], "
+     "obstacles: [{ corners: [[3, 0], [4, 0], [3, 60]] }] }, 0, 0, 20).length", 4),
+    ("geometry.js", "m.wallDistances([[4, -9, 4, 9], [8, -9, 8, 9], [-1, 3, 20, 3]], 1, 0, "
+     "[0, Math.PI / 2, Math.PI, Math.atan2(4, 3)], 30).map((each) => Number(each.toFixed(6)))", [3, 3, 30, 3.75]),
     ("geometry.js", "m.isFree({ rooms: [{ corners: [[0, 0], [9, 0], [9, 9]] }], obstacles: [] }, 8, 2)", True),
     ("geometry.js", "m.isFree({ rooms: [{ corners: [[0, 0], [9, 0], [9, 9]] }], obstacles: [] }, 2, 8)", False),
     ("robot_windows.js",
@@ -230,6 +237,20 @@ EXPRESSIONS: list[tuple[str, str, Any]] = [
      ["no faults are active", "tcp, no: seen 2, nak 1"]),
     ("localization_window.js",
      "[[0, 9], [0, 31], [5, 200]].map((ends) => m.chartSpan(ends.map((time_s) => ({ time_s }))))", [15, 60, 120]),
+    ("charts.js", "m.runsOf([[0, 1], [0.1, 2], [0.2, null], [0.3, 4], [3, 5]])",
+     [[[0, 1], [0.1, 2]], [[0.3, 4]], [[3, 5]]]),
+    ("charts.js", "m.runsOf([[0, null, 1], [1, 0, 1]])", [[[1, 0, 1]]]),
+    ("localization_window.js",
+     "[[null, 0], [{ received_ms: 9, latest: { trust: 'LOST', reason: 'r' } }, 1], [{ received_ms: 9 }, 7]]"
+     ".flatMap(([own, age]) => [undefined, { state: 'starting', words: 'w', at_ms: 9 }, "
+     "{ state: 'failed', words: 'w', at_ms: 9 }, { state: 'ended', words: 'w', at_ms: 9 }]"
+     ".map((run) => m.healthOf(own, age, run)[0])).join()",
+     "OFF,STARTING,FAILED,OFF,LOST,STARTING,FAILED,OLD,OLD,STARTING,FAILED,OLD"),
+    ("localizer_controls.js",
+     "(() => { let k = 0; const numbers = [0.1, 0.1, 0.5, 0.99, 0.6, 0.8, 0.25], world = { rooms: [], obstacles: [], "
+     "walls: [[0, 0, 100, 0], [100, 0, 100, 100], [100, 100, 0, 100], [0, 100, 0, 0]] };"
+     "return m.randomPose({ world, robots: { 1: { actual: [10, 10, 0, 0] } }, bodies: { 1: { radius_in: 9 } } }, '1', "
+     "() => numbers[k++]).map(Math.round); })()", [60, 80, 2, 2]),
     ("menus.js", "m.linkWith({ origin: 'http://h:1', pathname: '/' }, 'a b')", "http://h:1/?token=a%20b"),
     ("localization_window.js",
      "m.errorsOf({ pose: [3, 4, 0.1], truth: [0, 0, 2 * Math.PI], cov: [1, 0, 0, 0, 4, 0, 0, 0, 0] }).turn.toFixed(3)",

@@ -47,7 +47,10 @@ def test_scout_wheels_and_selecting_second_robot(browser: Browser) -> None:
     words = ("thesis_room", "--robot", "scout", "--robot", "n150", "--robot", "corridor8", *models)
     with nserver(*words) as program, open_page(browser, program.url) as page:
         page.wait("document.querySelector('#window-robot').innerText.includes('0.0 in/s right, 0.0 in/s left')")
-        page.wait("document.querySelector('#window-short').innerText.includes('this robot has none')")
+        # It has no infrareds and no laser: nothing is shown of them.
+        page.wait("document.querySelector('#window-short').innerText.includes('bumper bits')")
+        assert "infrared" not in page.page.inner_text("#window-short")
+        assert "laser" not in page.page.inner_text("#window-robot")
         page.page.select_option("#robot-choice", "2")
         page.wait("document.querySelector('#window-robot').innerText.includes('n150')")
         # A ring of another size replaces the readings of the ring before.

@@ -51,6 +51,7 @@ def test_noisy_sonars_and_wheels_still_reach_goal(setup: str, capsys: pytest.Cap
     assert result["end_error_in"] < 2.0 < result["odometry_end_error_in"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", ["iekf", "ukf", "mcl"])
 def test_other_filters_drive_as_well(method: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert localize(NOISY, *TO_GOAL, "--method", method, "--json") == 0
@@ -115,7 +116,7 @@ def test_wrong_usage_exits_2(words: list[str], capsys: pytest.CaptureFixture[str
     with pytest.raises(SystemExit) as stop:
         localize("sim:", *words)
     assert stop.value.code == 2
-    assert "usage: nomad localize" in capsys.readouterr().err
+    assert capsys.readouterr().err.splitlines()[1:] == ["nomad localize --help lists all options"]
 
 
 @pytest.mark.parametrize(
@@ -162,6 +163,7 @@ def test_a_calibrated_robot_errs_no_more(tmp_path: Path, capsys: pytest.CaptureF
     assert ends[1] < 0.15 < 3.0 * ends[1] < ends[0]
 
 
+@pytest.mark.long
 def test_sonar_offsets_are_estimated_while_driving(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -177,6 +179,7 @@ def test_sonar_offsets_are_estimated_while_driving(
     assert len(json.loads(saved.read_text())["mean"]) == 6
 
 
+@pytest.mark.long
 def test_unknown_start_is_found_and_goal_reached(capsys: pytest.CaptureFixture[str]) -> None:
     robot = "sim:several_walls?noisy=1&seed=3&start=30,60,20,20"
     assert localize(robot, "--map", "several_walls", "--start", "unknown", "--waypoints", "45,65", "--json") == 0
@@ -381,8 +384,9 @@ def test_encoders_of_a_robot_that_drove_before_are_called_into_question(
 def test_assumed_rays_are_reported_and_refused_on_misfit(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As of a server, which does not report its setup."""
+    """As of a server, which does not report its setup, where the readings do not decide."""
     monkeypatch.setattr("localization.live.assumptions.sonar_model_of_address", lambda _: None)
+    monkeypatch.setattr("localization.cli.arguments.decide_by_readings", lambda sonars, *_: sonars)
     assert localize(NOISY, *TO_GOAL) == 0
     output = capsys.readouterr().out
     assert output.startswith("assuming that sonars measure exact rays, as this is a simulation")
@@ -397,6 +401,48 @@ def test_assumed_rays_are_reported_and_refused_on_misfit(
     assert "taken for" not in output
     assert localize(measured, *TO_GOAL, "--time-limit", "1", "--json") == 3
     assert json.loads(capsys.readouterr().out)["hint"] is None, "no hint from few readings"
+
+
+@pytest.mark.parametrize(("query", "words", "expected"), [
+    ("noisy=1&seed=1", [], "exact rays: 100% of the first readings"),
+    ("setup=measured&seed=1", [], "have cones: "),
+    ("setup=measured&seed=1", ["--start", "unknown"], "have cones: "),
+])  # fmt: skip
+def test_the_first_readings_decide_the_sonar_model(
+    query: str, words: list[str], expected: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As of a server, which does not report its setup."""
+    monkeypatch.setattr("localization.live.assumptions.sonar_model_of_address", lambda _: None)
+    address = f"sim:several_walls?{query}"
+    localize(address, "--map", "several_walls", "--waypoints", "5,0", "--time-limit", "0.2", *words)
+    assert expected in capsys.readouterr().out.splitlines()[0]
+
+
+def test_encoders_of_a_driven_robot_are_wide_and_searched(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As of a server's robot: it stands 30 in from the start of the map, on encoders that nobody has set."""
+    monkeypatch.setattr("localization.cli.arguments.is_lockstep", lambda _: False)
+    monkeypatch.setattr("localization.cli.arguments.time.sleep", lambda _: None)
+    address = "sim:thesis_room?noisy=1&seed=1&start=30,0,0,0"
+    run = [address, "--map", "thesis_room", "--waypoints", "35,0", "--time-limit", "0.2"]
+    localize(*run)
+    line = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("start ("))
+    assert "30 in or more since" in line
+    assert "method finder" in line
+    std_in = float(line.split("±")[1].split()[0])
+    assert 4.0 < std_in < 40.0
+    # A stated deviation is taken as it is.
+    localize(*run, "--start-std", "0.1,0.1,0.57")
+    assert "± 0.1 in 0.57 deg, from the encoders;" in capsys.readouterr().out
+
+
+def test_a_start_that_nothing_fits_ends_the_run_at_once(capsys: pytest.CaptureFixture[str]) -> None:
+    run = ["sim:several_walls?noisy=1&seed=1", "--map", "several_walls", "--start", "30,60,20", "--waypoints", "45,65"]
+    assert localize(*run, "--json") == 3
+    result = json.loads(capsys.readouterr().out)
+    assert "ranges fit the map at the start; check --map and --start" in result["stopped"]
+    assert result["duration_s"] < 4.0
 
 
 @pytest.mark.long

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -29,7 +30,10 @@ class Executor:
             yield live_trial.run(job)
 
 
-def test_people_get_a_table_and_files(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_people_get_a_table_and_files(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
     assert experiments.main(["live", *SHORT, "--jobs", "1", "--out", str(tmp_path)]) == 0
     printed, output = capsys.readouterr()
     assert [line.split()[2] for line in printed.splitlines()[1:3]] == ["ekf", "ukf"]
@@ -103,10 +107,10 @@ def test_invalid_arguments_are_refused(arguments: list[str], capsys: pytest.Capt
     with pytest.raises(SystemExit) as caught:
         experiments.main(["live", *arguments])
     assert caught.value.code == 2
-    assert "usage" in capsys.readouterr().err
+    assert capsys.readouterr().err.endswith("python -m localization.experiments live --help lists all options\n")
 
 
 def test_a_cluster_that_is_not_there_is_named(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     address = "nowhere://127.0.0.1:1"
-    assert experiments.main(["live", *SHORT, "--no-pictures", "--out", str(tmp_path), "--cluster", address]) == 2
+    assert experiments.main(["live", *SHORT, "--no-pictures", "--out", str(tmp_path), "--cluster", address]) == 1
     assert f"no Dask scheduler answers at {address}" in capsys.readouterr().err

@@ -129,6 +129,7 @@ def test_wrong_data_is_refused(tmp_path: Path) -> None:
     assert experiments.main(["corridor", "--data", str(tmp_path / "none")]) == 2
 
 
+@pytest.mark.long
 def test_pictures_are_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("matplotlib")
     made_data(tmp_path)
@@ -154,6 +155,7 @@ def real() -> tuple[corridor.Corridor, np.ndarray]:
 
 
 @real_data
+@pytest.mark.long
 @pytest.mark.parametrize("name", corridor.CASES)
 def test_the_filter_is_right_and_knows_it(real: tuple[corridor.Corridor, np.ndarray], name: str) -> None:
     part, walls = real

@@ -65,6 +65,7 @@ def test_error_plot_is_estimate_minus_truth() -> None:
     assert picture.axes[0].get_title().startswith("Figure 5.5")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "files"),
     [("5.2", {"figure_5.2.png", "figure_5.3.png"}), ("5.9", {"figure_5.9.png", "figure_5.9_errors.png"})],

@@ -30,6 +30,9 @@ from worlds.robots import N150
 DRIVEN = DriveResult("thesis_room", 0, "done", "", False, 2.0, 0.4, 50.0, 50.5, 51.0, 1, 12.0)
 
 
+OTHERS = [world for world in WORLDS if world != "thesis_room"]
+
+
 @pytest.mark.parametrize("world", WORLDS)
 def test_pairs_have_room_are_apart_and_differ(world: str) -> None:
     drawn = [ends_of(DrivePair(world, number, "noisy")) for number in range(100)]
@@ -42,7 +45,7 @@ def test_pairs_have_room_are_apart_and_differ(world: str) -> None:
     assert ends_of(DrivePair(world, 3, "exact")) == drawn[3]
 
 
-@pytest.mark.parametrize("world", WORLDS)
+@pytest.mark.parametrize("world", ["thesis_room", *(pytest.param(world, marks=pytest.mark.long) for world in OTHERS)])
 def test_drive_arrives_without_contact_on_short_path(world: str) -> None:
     pair, driven = drive(DrivePair(world, 7, "noisy"))
     assert (pair, driven.ending, driven.contact) == (DrivePair(world, 7, "noisy"), "done", False)

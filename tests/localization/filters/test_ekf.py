@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 import pytest
-from filterpy.kalman import KalmanFilter
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -54,6 +53,8 @@ def test_a_correction_is_that_of_the_linear_kalman_filter(seed: int, size: int) 
 
 def test_a_whole_run_is_that_of_filterpy() -> None:
     """Predictions with filterpy's own product, corrections as sixteen scalar updates one after another."""
+    from filterpy.kalman import KalmanFilter
+
     rng = np.random.default_rng(11)
     belief = independent((1.0, 2.0, 0.3), (0.1, 0.1, 0.01))
     peer = KalmanFilter(dim_x=3, dim_z=1)

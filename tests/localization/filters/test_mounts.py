@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -129,10 +130,18 @@ def test_every_method_corrects_by_mounted_sonars(method: str, rays: bool) -> Non
     assert np.abs(filter_.belief.mean[:2] - truth[:2]).max() < (0.5 if method == "mcl" else 0.25)
 
 
+@pytest.fixture
+def numba() -> Iterator[None]:
+    pytest.importorskip("numba")
+    assert compiled.load()
+    yield
+    compiled.load.cache_clear()  # otherwise all filters made later in this process would be compiled
+
+
+@pytest.mark.long
+@pytest.mark.usefixtures("numba")
 @pytest.mark.parametrize("rays", [True, False])
 def test_compiled_code_has_the_same_mounts(rays: bool) -> None:
-    if not compiled.load():
-        pytest.skip("numba is not installed")
     sonar = sonar_of(BODY.ring, rays=rays)
     belief = independent(POSE + np.array([0.3, -0.2, 0.01]), (0.5, 0.5, 0.02))
     echoes = [(0.1 * (1 + k), k, round(range_of(POSE, mount))) for k, mount in enumerate(MOUNTS)]

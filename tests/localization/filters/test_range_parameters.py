@@ -44,7 +44,7 @@ def driven(method: str, sonar: RaySonar | ConeSonar, offset_in: float, scale: fl
     config = LocalizationConfig(WORLD.walls, N150, QUIET, sonar)
     guess = START + rng.standard_normal(3) * STD
     kalman = make(method, config, independent(guess, STD))
-    errors, squares = [], []
+    errors, covs = [], []
     for k in range(640):
         step = np.array([0.0, 2.0 * np.pi / 320.0]) if k < 320 else np.array([0.0625, 0.0])
         spread = np.sqrt([QUIET.translation_std**2 * step[0], QUIET.rotation_std**2 * step[1]])
@@ -54,12 +54,13 @@ def driven(method: str, sonar: RaySonar | ConeSonar, offset_in: float, scale: fl
         if range_in < 255.0:
             range_in = float(np.rint((1.0 + scale) * range_in + offset_in))
         kalman.update(k % 16, 0.0, range_in)
-        error = difference(kalman.belief.mean[:3], truth)
-        errors.append(float(np.hypot(error[0], error[1])))
-        squares.append(float(nees(error[None], kalman.belief.cov[None, :3, :3])[0]))
-    return max(errors[160:]), float(np.mean(squares[160:]))
+        errors.append(difference(kalman.belief.mean[:3], truth))
+        covs.append(kalman.belief.cov[:3, :3])
+    late = np.array(errors[160:])
+    return float(np.hypot(*late[:, :2].T).max()), float(nees(late, np.array(covs[160:])).mean())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("offset_in", "scale"), [(-1.0, 0.0), (-0.5, 0.0), (0.5, 0.0), (1.0, 0.0), (0.0, 0.02), (0.0, -0.02)]
 )
@@ -70,6 +71,7 @@ def test_biased_readings_do_not_displace_the_robot(sonar: RaySonar | ConeSonar, 
     assert squared < 6.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", ["iekf", "ukf", "smoother"])
 def test_every_kalman_filter_estimates_the_bias(method: str) -> None:
     worst_in, squared = driven(method, EXACT_RAYS, 0.5, 0.0, 2)

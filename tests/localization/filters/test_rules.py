@@ -4,14 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
-from scipy.optimize import minimize
-from stonesoup.models.measurement.nonlinear import NonLinearGaussianMeasurement
-from stonesoup.types.detection import Detection
-from stonesoup.types.hypothesis import SingleHypothesis
-from stonesoup.types.prediction import GaussianStatePrediction
-from stonesoup.types.state import State
-from stonesoup.updater.kalman import ExtendedKalmanUpdater, IteratedKalmanUpdater, UnscentedKalmanUpdater
 
 from localization.filters.belief import Belief, Floats
 from localization.filters.ukf import unscented
@@ -52,6 +44,8 @@ def range_of(state: Floats) -> Floats:
 
 
 def test_the_linear_rule_is_filterpys_extended_filter() -> None:
+    from filterpy.kalman import ExtendedKalmanFilter
+
     peer = ExtendedKalmanFilter(3, 1)
     peer.x, peer.P, peer.R = BELIEF.mean.copy(), BELIEF.cov.copy(), np.array([[VARIANCE]])
     peer.update(np.array([READING_IN]), lambda x: to_vertex(x)[1][None], range_of)
@@ -63,6 +57,8 @@ def test_the_linear_rule_is_filterpys_extended_filter() -> None:
 
 
 def test_the_unscented_rule_is_filterpys_unscented_filter() -> None:
+    from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
+
     # alpha, beta and kappa as in the module; the range is the measurement function.
     points = MerweScaledSigmaPoints(3, 1.0, 2.0, 0.0)
     peer = UnscentedKalmanFilter(3, 1, 1.0, range_of, lambda x, _: x, points)
@@ -79,36 +75,41 @@ def test_the_unscented_rule_is_filterpys_unscented_filter() -> None:
     assert taken.innovation == pytest.approx(float(peer.y[0]))
 
 
-class RangeToVertex(NonLinearGaussianMeasurement):  # type: ignore[misc]  # Stone-Soup has no types
-    """The same reading for Stone-Soup."""
+def by_stone_soup(updater: str, **options: float) -> Belief:
+    """Return the belief after the same reading by a class of `stonesoup.updater.kalman`."""
+    from stonesoup.models.measurement.nonlinear import NonLinearGaussianMeasurement
+    from stonesoup.types.detection import Detection
+    from stonesoup.types.hypothesis import SingleHypothesis
+    from stonesoup.types.prediction import GaussianStatePrediction
+    from stonesoup.types.state import State
+    from stonesoup.updater import kalman
 
-    @property
-    def ndim_meas(self) -> int:
-        return 1
+    class RangeToVertex(NonLinearGaussianMeasurement):  # type: ignore[misc]  # Stone-Soup has no types
+        @property
+        def ndim_meas(self) -> int:
+            return 1
 
-    def function(self, state: State, noise: bool = False, **_: object) -> object:
-        assert not noise
-        vector = state.state_vector
-        return type(vector)(np.hypot(vector[0] - VERTEX[0], vector[1] - VERTEX[1]).reshape(1, -1))
+        def function(self, state: State, noise: bool = False, **_: object) -> object:
+            assert not noise
+            vector = state.state_vector
+            return type(vector)(np.hypot(vector[0] - VERTEX[0], vector[1] - VERTEX[1]).reshape(1, -1))
 
-
-def by_stone_soup(updater: type, **options: float) -> Belief:
     model = RangeToVertex(ndim_state=3, mapping=(0, 1), noise_covar=np.array([[VARIANCE]]))
     prediction = GaussianStatePrediction(BELIEF.mean[:, None], BELIEF.cov)
     reading = Detection(np.array([[READING_IN]]), measurement_model=model)
-    state = updater(model, **options).update(SingleHypothesis(prediction, reading))
+    state = getattr(kalman, updater)(model, **options).update(SingleHypothesis(prediction, reading))
     return Belief(np.array(state.state_vector, dtype=np.float64)[:, 0], np.array(state.covar, dtype=np.float64))
 
 
 @pytest.mark.parametrize(
     ("rule", "updater", "options", "within"),
     [
-        (linear, ExtendedKalmanUpdater, {}, 1e-6),
-        (unscented, UnscentedKalmanUpdater, {"alpha": 1.0, "beta": 2.0, "kappa": 0.0}, 1e-9),
-        (iterated, IteratedKalmanUpdater, {"tolerance": 1e-9, "max_iterations": 50}, 1e-5),
+        (linear, "ExtendedKalmanUpdater", {}, 1e-6),
+        (unscented, "UnscentedKalmanUpdater", {"alpha": 1.0, "beta": 2.0, "kappa": 0.0}, 1e-9),
+        (iterated, "IteratedKalmanUpdater", {"tolerance": 1e-9, "max_iterations": 50}, 1e-5),
     ],
 )
-def test_each_rule_agrees_with_stone_soup(rule: Rule, updater: type, options: dict[str, float], within: float) -> None:
+def test_each_rule_agrees_with_stone_soup(rule: Rule, updater: str, options: dict[str, float], within: float) -> None:
     """Its derivatives are finite differences, which is what the wider bounds are for."""
     theirs = by_stone_soup(updater, **options)
     mine = posterior(BELIEF, corrected(rule, BELIEF, READING_IN))
@@ -118,6 +119,8 @@ def test_each_rule_agrees_with_stone_soup(rule: Rule, updater: type, options: di
 
 @pytest.mark.parametrize("reading", [4.0, 5.0, 5.6, 7.0])
 def test_the_iterated_rule_finds_the_most_likely_state(reading: float) -> None:
+    from scipy.optimize import minimize
+
     # The cost that the iterated update minimizes: innovation and change, each by its variance.
     inverse = np.linalg.inv(BELIEF.cov)
 

@@ -6,7 +6,6 @@ from typing import cast
 
 import numpy as np
 import pytest
-from filterpy.kalman import rts_smoother
 
 from localization.filters.base import Smoothing
 from localization.filters.belief import Belief, Floats, add, difference, independent
@@ -50,6 +49,8 @@ def smoother(belief: Belief, lag: int) -> FixedLagSmoother:
 @pytest.mark.parametrize("size", [3, 4])
 def test_smoother_equals_filterpy_rts(lag: int, size: int) -> None:
     """filterpy smooths errors about the predicted path: x_k+1 - F x_k there is what `later - predicted` is here."""
+    from filterpy.kalman import rts_smoother
+
     rng = np.random.default_rng(7)
     made = smoother(with_parameters(independent([1.0, 2.0, 0.3], [0.1, 0.1, 0.01]), (0.02,) * (size - 3)), lag)
     # All that filterpy needs: covariances, F and Q of each step.

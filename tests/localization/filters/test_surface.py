@@ -123,6 +123,7 @@ def drive(seed: int, sonar: ConeSonar) -> tuple[float, float, list[HealthStatus]
     return error**2 / localizer.belief.cov[1, 1], error, health
 
 
+@pytest.mark.long
 def test_the_filter_is_consistent_on_simulated_surfaces() -> None:
     """Oracle: the true position of a Monte Carlo simulation; a filter for plane walls is overconfident there."""
     sonar = replace(SONAR, surface_std_in=1.5)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 
 from localization.filters import odometry
 from localization.filters.belief import Belief, Floats, difference, independent
@@ -23,6 +22,8 @@ def some_belief(size: int) -> Belief:
 @pytest.mark.parametrize("size", [1, 3, 6])
 @pytest.mark.parametrize("spread", [Spread(), Spread(0.1, 2.0, 1.0), Spread(1.0, 0.0, 0.5)])
 def test_points_and_weights_are_filterpys(size: int, spread: Spread) -> None:
+    from filterpy.kalman import MerweScaledSigmaPoints
+
     peer = MerweScaledSigmaPoints(size, spread.alpha, spread.beta, spread.kappa)
     belief, weight = some_belief(size), weights(size, spread)
     np.testing.assert_allclose(weight.mean, peer.Wm, rtol=1e-12)
@@ -50,6 +51,8 @@ def test_a_certain_coordinate_has_a_root_too() -> None:
 
 @pytest.mark.parametrize("size", [3, 4, 6])
 def test_a_prediction_is_that_of_filterpys_augmented_filter(size: int) -> None:
+    from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
+
     belief, step = some_belief(size), np.array([3.0, 0.4])
     # Process noise as two more states: the augmented form of the filter.
     whole = np.zeros((size + 2, size + 2))

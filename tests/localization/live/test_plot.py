@@ -22,7 +22,7 @@ def test_an_ellipse_lies_its_sigmas_away() -> None:
 def test_without_matplotlib_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     plot.require_matplotlib()
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    with pytest.raises(plot.PlotExtraMissing, match=r"nomad-nserver\[plot\]") as caught:
+    with pytest.raises(plot.PlotExtraMissing, match=r"\[plot\]") as caught:
         plot.require_matplotlib()
     assert isinstance(caught.value, NomadError)
     assert isinstance(caught.value, ImportError)

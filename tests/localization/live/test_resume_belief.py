@@ -9,7 +9,7 @@ import pytest
 
 from localization.filters.belief import difference, independent
 from localization.filters.odometry import OdometryNoise, move, step_between, step_variance
-from localization.live.saved_estimate import SavedEstimate, map_signature, resume_belief
+from localization.live.saved_estimate import SavedEstimate, encoder_std, map_signature, resume_belief
 from localization.live.sensor_input import EncoderPose
 from nclient.errors import EstimateFileError
 from worlds.io import load_world
@@ -106,3 +106,23 @@ def test_another_map_or_robot_is_refused() -> None:
         resume_belief(SAVED, map_signature(load_world("several_walls"), "n150"), now, NOISE)
     with pytest.raises(EstimateFileError, match=r"n150.*scout.*--body n150"):
         resume_belief(SAVED, SITE._replace(body="scout"), now, NOISE)
+
+
+def test_encoders_are_as_wide_as_a_resumed_estimate_of_the_start() -> None:
+    """The same displacement from a start of the map and from a saved estimate there."""
+    known = np.array([[100.0, 0.0, 0.0], [10.0, 20.0, 0.3]])
+    std, driven_in = encoder_std(np.array([40.0, 20.0, 0.8]), known, np.zeros(3), NOISE)
+    saved = SavedEstimate(SITE, encoders(10.0, 20.0, 0.3), independent([10.0, 20.0, 0.3], [0.0, 0.0, 0.0]))
+    resumed = resume_belief(saved, SITE, encoders(40.0, 20.0, 0.8, 200.0), NOISE)
+    assert driven_in == pytest.approx(30.0)
+    np.testing.assert_allclose(std, resumed.std)
+
+
+def test_encoders_at_a_start_have_not_driven() -> None:
+    std, driven_in = encoder_std(np.array([10.0, 20.0, 0.3]), np.array([[10.1, 20.0, 0.3]]), np.full(3, 0.1), NOISE)
+    assert (std.tolist(), driven_in) == ([0.1, 0.1, 0.1], 0.0)
+    # Beside it, or turned, it may have driven a round.
+    for now in ([10.0, 20.5, 0.3], [10.0, 20.0, 0.31]):
+        std, driven_in = encoder_std(np.array(now), np.array([[10.0, 20.0, 0.3]]), np.full(3, 0.1), NOISE)
+        assert driven_in == 24.0
+        assert std[0] > 2.0

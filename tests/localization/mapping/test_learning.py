@@ -15,6 +15,7 @@ from localization.filters.sonar_cone import ConeSonar
 from localization.mapping.learn import learn_map
 from localization.mapping.measurements import DriveLog
 from localization.mapping.output import LearnedMap, describe
+from localization.mapping.walls import end_derivative
 from nclient.cli import main
 from tests.localization.mapping.drives import drive
 from worlds.io import format_world, load_world
@@ -55,6 +56,40 @@ def test_stated_accuracy_covers_the_error(room: LearnedMap) -> None:
     width = sum(wall.std_in**2 for wall in room.walls[:2]) ** 0.5
     assert abs(distances(room)[1] - 100.0) < 4.0 * width
     assert all(0.01 < wall.std_in < 0.5 for wall in room.walls)
+
+
+def test_corners_state_their_accuracy(room: LearnedMap) -> None:
+    for wall in room.walls:
+        one, other = wall.end_stds_in
+        assert one is not None
+        assert other is not None
+        error = min(abs(wall.length_in - 120.0), abs(wall.length_in - 100.0))
+        assert error < 3.0 * (one + other)
+        assert 0.01 < one < 0.6
+
+
+def test_derivative_of_an_end_agrees_with_differences() -> None:
+    walls = np.array([[0.3, 20.0], [1.7, 35.0]])
+    points = np.array([[60.0, 80.0]])
+
+    def corner(walls: Floats) -> Floats:
+        normals = np.stack((np.cos(walls[:, 0]), np.sin(walls[:, 0])), axis=-1)
+        place: Floats = np.linalg.solve(normals, walls[:, 1])
+        return place
+
+    along = np.array((-np.sin(0.3), np.cos(0.3)))
+    derivative = end_derivative(walls, points, 0, corner(walls))
+    assert derivative is not None
+    for number in range(4):
+        step = np.zeros(4)
+        step[number] = 1e-6
+        change = corner(walls + step.reshape(2, 2)) - corner(walls - step.reshape(2, 2))
+        assert derivative[number] == pytest.approx(float(change @ along) / 2e-6, abs=1e-5)
+    # An end at a point moves with it, and a free one with nothing.
+    at_point = end_derivative(walls, points, 0, points[0])
+    assert at_point is not None
+    np.testing.assert_allclose(at_point, (0.0, 0.0, 0.0, 0.0, *along))
+    assert end_derivative(walls, points, 0, np.array((500.0, 500.0))) is None
 
 
 def test_same_drive_gives_the_same_file_to_the_bit(room: LearnedMap) -> None:
@@ -108,6 +143,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.long
 def test_recorded_drive_becomes_a_map_that_localizes(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

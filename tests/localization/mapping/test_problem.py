@@ -125,6 +125,7 @@ def test_robust_weight_is_the_cost_s_slope(residual: float) -> None:
     np.testing.assert_allclose(slope, 2.0 * robust_weight(r) * r, atol=1e-6)
 
 
+@pytest.mark.long
 def test_optimum_is_that_of_scipy(trajectory: Trajectory) -> None:
     problem = MapProblem(trajectory, 16, robust=False)
     state, assignment = perturbed(trajectory, 3)

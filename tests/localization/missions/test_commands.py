@@ -315,9 +315,10 @@ def test_help_has_no_rules_and_names_existing_files(
 def test_a_guess_of_rays_that_does_not_fit_is_doubted(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As of a server, which does not report its setup."""
+    """As of a server, which does not report its setup, where the readings do not decide."""
     # The setup of a server is not known to its clients: rays are assumed.
     monkeypatch.setattr("localization.live.assumptions.sonar_model_of_address", lambda _: None)
+    monkeypatch.setattr("localization.cli.arguments.decide_by_readings", lambda sonars, *_: sonars)
     words = ["go", "sim:thesis_room?setup=measured&seed=1", "--to", "60,40", "--method", "ekf", "--speed", "8"]
     main([*words, "--json"])
     output = capsys.readouterr()

@@ -92,6 +92,29 @@ def test_period_waits_for_rest_of_robot_clock() -> None:
     assert waited == pytest.approx([PERIOD_S - 0.02] * 4)
 
 
+def test_robot_that_stays_can_be_driven_by_others() -> None:
+    with connect("sim:thesis_room?step_s=0.05") as robot:
+        state = robot.refresh()
+        belief = independent([state.x_in, state.y_in, state.steering_rad], [0.1, 0.1, 0.01])
+        localizer = start_localizer(robot, LocalizationConfig(load_world("thesis_room").walls, N150), belief)
+        navigator = Navigator([], stays=True)
+        run = follow_waypoints(robot, localizer, navigator, lambda _: None)
+        next(run)
+        # Velocities of another client of this robot last.
+        robot.drive(translation_in_s=5.0)
+        for _ in range(20):
+            progress = next(run)
+        assert progress.state.moving
+        # A waypoint is driven to; then the robot is stopped.
+        x, y = progress.estimate.pose[:2]
+        navigator.set_waypoints([(x + 10.0, y)])
+        while not navigator.finished:
+            next(run)
+        for _ in range(20):
+            progress = next(run)
+        assert not progress.state.moving
+
+
 GAP_S = 1.1
 RARELY = f"sim:thesis_room?noisy=1&step_s={GAP_S / 2}&seed="
 """Two exchanges a period: states come GAP_S apart."""

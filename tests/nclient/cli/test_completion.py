@@ -65,7 +65,7 @@ def test_scripts_of_all_programs_or_of_those_named(
 def test_without_a_shell_that_is_asked_for_and_no_program(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit, match="2"):
         main.main(["completion"])
-    assert capsys.readouterr().err.endswith("error: the following arguments are required: shell\n")
+    assert capsys.readouterr().err.splitlines()[0].endswith("error: the following arguments are required: shell")
 
 
 def test_a_program_that_there_is_not(capsys: pytest.CaptureFixture[str]) -> None:

@@ -46,6 +46,22 @@ def test_a_motion_and_its_end() -> None:
     assert session.robot.truth().x_in == pytest.approx(24.0)
 
 
+@pytest.mark.parametrize(("address", "text", "notes"), [
+    ("sim:thesis_room", "vm 10000 0 0", ["translation 10000 is 1000 in/s, more than the 20 in/s of the n150"]),
+    ("sim:thesis_room", "vm -201 0 451", ["translation -201 is 20.1 in/s", "turret 451 is 45.1 deg/s"]),
+    ("sim:thesis_room", "vm 200 -450 450", []),
+    ("sim:thesis_room", "sp 0 460 0", ["steering 460 is 46 deg/s"]),
+    ("sim:thesis_room", "mv 1 300 2 3000 0 0", ["translation 300 is 30 in/s"]),
+    ("sim:thesis_room", "pr 10000 0 0", []),
+    ("sim:thesis_room?robot=scout", "vm 390 -400 0", ["left wheel -400 is 40 in/s, more than the 39 in/s"]),
+])  # fmt: skip
+def test_speeds_beyond_the_model_are_reported(address: str, text: str, notes: list[str]) -> None:
+    session = session_on(address)
+    *shown, _ = list(session.run(text))
+    assert len(shown) == len(notes)
+    assert all(note in line for note, line in zip(notes, shown, strict=True))
+
+
 @pytest.mark.parametrize(("text", "shown"), [
     ("gs", "x 0.0 in  y 0.0 in"),
     ("get_sn", "sonar "),

@@ -60,7 +60,8 @@ def test_objects_for_programs(capsys: pytest.CaptureFixture[str]) -> None:
 
 @pytest.mark.parametrize(("words", "reported"), [
     (["sim:", "sonars"], "no part 'sonars' of the state; there are pose, "),
-    (["thesis_room"], "an address begins with one of nserver:, replay:, robotd:, serial:, sim:"),
+    (["thesis_room"], "an address begins with one of nserver:, replay:, robotd:, serial:, serial+rfc2217:, "
+     "serial+socket:, sim:"),
     (["sim:", "nserver://lab"], "one robot at a time, not sim: and nserver://lab"),
 ])
 def test_words_that_are_neither(words: list[str], reported: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -88,7 +88,7 @@ async def test_a_lockstep_recording_replays_byte_by_byte(tmp_path: Path) -> None
     ("pace", "speed"),
     [
         (SimulationClock(), 1.0),
-        (SimulationClock(factor=20.0), 20.0),
+        (SimulationClock(factor=5.0), 5.0),
         (SimulationClock(factor=None), None),
         (SimulationClock(lockstep_s=0.05), 1.0),
     ],
@@ -193,9 +193,21 @@ async def test_replay_repeats_changes_of_obstacles_and_worlds(tmp_path: Path) ->
         control("obstacle", {"corners": [[17.655, -10], [23.655, -10], [23.655, 10]]})
         server.daemon.step(1.5)
         await client.ask("gs")
+        # A wall, and a world in which the robot has no room, so that it is placed at a start.
+        control("wall", {"put": [[30, -20], [30, 20]]})
+        server.daemon.step(1.5)
+        await client.ask("gs")
+        room = "[[room]]\ncorners_in = [[500, 500], [600, 500], [600, 600], [500, 600]]\n"
+        far = f"{room}[[start]]\nx_in = 550\ny_in = 550"
+        control("world set", {"text": far, "file": "far.toml", "places": True})
+        server.daemon.step(1.5)
+        await client.ask("gs")
 
     recording = await recorded(tmp_path / "run.log", REAL_TIME, scenario)
-    assert (replay(recording).answers, replay(recording).difference) == (6, "")
+    assert (replay(recording).answers, replay(recording).difference) == (8, "")
+    for change in ("wall", "world"):
+        tape = dataclasses.replace(recording, entries=tuple(e for e in recording.entries if change not in e.more))
+        assert replay(tape).difference
     tape = dataclasses.replace(recording, entries=tuple(e for e in recording.entries if "obstacle" not in e.more))
     assert replay(tape).difference
 

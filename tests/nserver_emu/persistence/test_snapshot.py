@@ -9,6 +9,7 @@ import tracemalloc
 from base64 import b64decode, b64encode
 from collections.abc import Callable
 from enum import IntEnum
+from functools import cache
 from math import inf, nan
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -239,10 +240,15 @@ def test_other_files_and_versions_are_refused(text: str, match: str) -> None:
     check_refused(text, match)
 
 
-def saved() -> dict[str, Any]:
+@cache
+def saved_text() -> str:
     emulator, _ = busy()
     emulator.arms[1] = Arm()
-    whole: dict[str, Any] = json.loads(snapshot.dumps(emulator))
+    return snapshot.dumps(emulator)
+
+
+def saved() -> dict[str, Any]:
+    whole: dict[str, Any] = json.loads(saved_text())
     return whole
 
 
@@ -414,7 +420,7 @@ SHAPE = [1, ["line", [1, 2, 3, 4], "Blue", False]]
         (("traces",), [{"1": ["", 3, [2, 1]]}, {}, 0]),
         (("traces",), [{"1": ["AAAAAAAA8H8AAAAAAADwfw==", 1, []]}, {}, 0]),
         (("simulation", "world", "rooms"), [{"corners_in": [[0, 0], [1e9, 0], [0, 9]], "name": ""}]),
-        (("simulation", "world", "inner_walls"), [[0, 0, 1, 1]] * 100_001),
+        pytest.param(("simulation", "world", "inner_walls"), [[0, 0, 1, 1]] * 100_001, marks=pytest.mark.long),
         (("simulation", "world", "starts"),
          [{"x_in": 0, "y_in": 0, "steering_rad": 0, "turret_rad": 0}] * 1001),
     ],

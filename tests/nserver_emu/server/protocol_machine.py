@@ -387,11 +387,12 @@ class ProtocolMachine(RuleBasedStateMachine):
         if not first.closed and not any(peer.host == first.host for peer in self.others):
             second = self.open_peer(number)
             self.others.append(second)
-            # The first may have a CONNECT to another robot waiting behind `ws`, which is executed before or after this.
+            # The first may have a CONNECT to another robot waiting behind `ws`, which is executed before or after this,
+            # or a DISCONNECT waiting for the real robot, after which there is no robot to continue with.
             before = first.context.robot_id
             second.send(made)
             self.pump()
-            allowed = (before, first.context.robot_id)
+            allowed = (before, first.context.robot_id, None) if first.closed else (before, first.context.robot_id)
             assert second.closed or self.has_had_faults or second.context.robot_id in allowed
         for peer in self.others if closes else ():
             peer.close()

@@ -67,8 +67,8 @@ class RunningServer:
 
 
 @contextlib.asynccontextmanager
-async def serving(daemon: Daemon, within_s: float = 30.0) -> AsyncIterator[None]:
-    """Serve during the block, which may take at most `within_s`."""
+async def serving(daemon: Daemon, within_s: float = 120.0) -> AsyncIterator[None]:
+    """Serve during the block, which fails after `within_s`: long enough for a busy machine."""
     stop = asyncio.Event()
     served = asyncio.create_task(daemon.serve(stop))
     try:

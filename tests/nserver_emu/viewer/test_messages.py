@@ -33,6 +33,11 @@ GOOD: list[dict[str, Any]] = [
     {"do": "control", "id": 3, "command": "obstacle", "argument": {"by": None, "to": [[1, 2.5], [3, 4]]}},
     {"do": "click", "robot": 1, "pose": [1, 2, 3, 4]},
     {"do": "waypoints", "robot": 1, "points": [[1, 2.5], [3, 4]]},
+    {"do": "localize", "id": 5, "robot": 1, "method": "finder", "is_lost": True},
+    {"do": "localize", "id": 5, "robot": 1, "method": "ekf", "is_lost": False, "resumes": True},
+    {"do": "unlocalize", "id": 6, "robot": 1},
+    {"do": "gallery", "id": 8},
+    {"do": "kidnap", "id": 7, "robot": 1, "pose": [1, 2, 3, 4]},
 ]
 BAD: list[tuple[Any, str]] = [
     ([], "a JSON object"),

@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from nclient.errors import ControlError, WorldFileError
@@ -13,6 +14,7 @@ from nserver_emu.persistence import snapshot
 from nserver_emu.server.config import SimulationConfig
 from nserver_emu.server.handlers.runtime_settings import (
     MAX_EXPORTED_WORLDS,
+    change_wall,
     noise_of,
     noise_words,
     put_world,
@@ -20,11 +22,12 @@ from nserver_emu.server.handlers.runtime_settings import (
     switch_noise,
 )
 from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.simulation.models import N150
 from nserver_emu.simulation.noise import IDEAL, SETUPS
 from tests.nserver_emu.server.wire_client import WireClient, meet, simulation
 from worlds.io import format_world, load_world
 from worlds.world import Path as WayPoints
-from worlds.world import Polygon, StartPose, World
+from worlds.world import Polygon, StartPose, WallAccuracy, World
 
 
 def sonars(client: WireClient) -> tuple[int, ...]:
@@ -152,6 +155,20 @@ def test_an_invalid_world_changes_nothing() -> None:
     assert emulator.simulation.world is world
 
 
+def test_robots_without_room_are_placed_at_starts() -> None:
+    emulator = Emulator(simulation())
+    emulator.simulation.add_robot(2, StartPose(40.0, 0.0), N150, IDEAL)
+    arena = load_world("arena")
+    assert put_world(emulator, format_world(arena), "arena.toml", places=True).starts == arena.starts
+    for number, robot in emulator.simulation.robots.items():
+        emulator.simulation.require_free(*robot.disc, number)
+    # A world with a single start has no room for the second robot, and nothing changes.
+    far = "[[room]]\ncorners_in = [[500, 500], [600, 500], [600, 600], [500, 600]]\n[[start]]\nx_in = 550\ny_in = 550"
+    with pytest.raises(ControlError, match="no start of this world is free for robot 2"):
+        put_world(emulator, far, "far.toml", places=True)
+    assert emulator.simulation.world.name == arena.name
+
+
 TWELVE = tuple(
     (60.123456789 + 9 * math.cos(k * math.tau / 12), 50.1 + 9 * math.sin(k * math.tau / 12)) for k in range(12)
 )
@@ -190,3 +207,43 @@ def test_exported_worlds_are_limited_to_the_undo_steps() -> None:
         show_world(emulator)
     assert len(emulator.exported_worlds) == MAX_EXPORTED_WORLDS
     assert put_world(emulator, text, "first") is not first
+
+
+def test_inner_walls_are_added_moved_and_removed() -> None:
+    emulator = Emulator(simulation())
+    client, _ = meet(emulator)
+    before, rows = sonars(client), len(emulator.simulation.world.inner_walls)
+    assert change_wall(emulator, {"put": [[40, -9], [40, 9]]}) == {
+        "walls": rows + 1, "was": None, "is": [[40, -9], [40, 9]],
+    }  # fmt: skip
+    emulator.pass_time(1.0)
+    assert sonars(client)[0] < before[0]
+    moved = change_wall(emulator, {"wall": [[40, -9], [40, 9]], "by": [5, 1]})
+    assert (moved["was"], moved["is"]) == ([[40, -9], [40, 9]], [[45, -8], [45, 10]])
+    change_wall(emulator, {"wall": moved["is"], "to": [[50, 0], [60, 0]]})
+    assert change_wall(emulator, {"wall": [[50, 0], [60, 0]]})["walls"] == rows
+    emulator.pass_time(1.0)
+    assert sonars(client) == before
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [({"put": [[-5, -5], [5, 5]]}, "touch robot 1"), ({"put": [[40, 0], [40, 0.1]]}, "at least"),
+     ({"put": [[40, 0]]}, "two ends"), ({"put": [[40, 0], [1e9, 0]]}, "on the map"), ({"put": 7}, "such as"),
+     ({"wall": [[1, 2], [3, 4]]}, "no inner wall"), ({}, "such as")],
+)  # fmt: skip
+def test_wrong_wall_changes_nothing(change: dict[str, Any], words: str) -> None:
+    emulator = Emulator(simulation())
+    world = emulator.simulation.world
+    with pytest.raises(ControlError, match=words):
+        change_wall(emulator, change)
+    assert emulator.simulation.world is world
+
+
+def test_measured_walls_keep_their_accuracy() -> None:
+    known = WallAccuracy(0.1, 0.01, 20.0)
+    rows = np.array([[0, 0, 9, 0], [0, 5, 9, 5], [0, 9, 9, 9]])
+    world = World("w", inner_walls=rows, accuracies={0: known, 2: known})
+    assert world.with_inner_wall(1).accuracies == {0: known, 1: known}
+    assert world.with_inner_wall(2, (1, 1, 2, 2)).accuracies == {0: known}
+    assert world.with_inner_wall(3, (1, 1, 2, 2)).accuracies == world.accuracies

@@ -1,0 +1,26 @@
+"""Generate the gallery of docs/worlds.md: a picture of each shipped world, and its title and size."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from worlds.io import load_world, world_names
+from worlds.picture import IN_PER_M
+
+FOLDER = "docs/figures/worlds"
+
+
+def blocks() -> dict[str, Iterator[str]]:
+    """Return the table of the page."""
+    return {"gallery": _rows()}
+
+
+def _rows() -> Iterator[str]:
+    yield from ("| world | picture |", "|---|---|")
+    for name in world_names():
+        world = load_world(name)
+        width_m, height_m = np.ptp(world.walls.reshape(-1, 2), axis=0) / IN_PER_M
+        size = f"{width_m:.3g} x {height_m:.3g} m, {len(world.walls)} walls, {len(world.starts)} starts"
+        yield f"| **{name}**<br>{world.title}<br>{size} | ![{name}](figures/worlds/{name}.svg) |"

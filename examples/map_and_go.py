@@ -1,0 +1,27 @@
+"""Go to a point on a map: localize, plan the shortest path, drive it around obstacles.
+
+    python examples/map_and_go.py [ADDRESS]
+
+`nomad go` does the same from the command line; docs/missions.md has more steps than go_to.
+"""
+
+import sys
+import time
+
+from localization.filters.base import LocalizationConfig
+from localization.filters.belief import independent
+from localization.missions import Mission
+from localization.missions.controller import RobotController
+from nclient import connect
+from worlds.io import load_world
+from worlds.robots import BODIES
+
+room, body = load_world("several_walls"), BODIES["n150"]
+with connect(sys.argv[1] if len(sys.argv) > 1 else "sim:several_walls?noisy=1&seed=3&start=5,5") as robot:
+    state = robot.refresh()
+    start = independent([state.x_in, state.y_in, state.steering_rad], [0.5, 0.5, 0.03])
+    with RobotController(robot, LocalizationConfig(room.walls, body), body, start, time.sleep) as controller:
+        mission = Mission(controller)
+        seen = mission.go_to(35, 55, limit_s=60)
+        seen = mission.go_to(90, 55, heading_deg=0, limit_s=60)
+    print(f"arrived at {seen.x_in:.1f}, {seen.y_in:.1f} in ± {seen.std_in:.2f} in, {seen.trust}")

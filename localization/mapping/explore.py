@@ -1,0 +1,538 @@
+"""Exploration: where a robot that maps a room should drive next.
+
+    echoes --> grid of free cells --> cells the robot can reach --> places worth visiting --> path to the best one
+
+A cell is free where sound or the robot has been: along the path of each explained echo, within half of its cone, and
+within the circle about each pose that is as large as the shortest reading of a turn of the ring. The grid is made anew
+for each leg, from the map as it is.
+
+    place        worth            where
+    frontier     doors first      free cells beside unknown ones that no wall explains
+    open end     next             6 in beyond the end of a wall, 18 in in front of it
+    vertex       then             around a point or an end at which fewer than two walls were found
+    coverage     last             cells farther than 20 in from where the robot has been
+
+Worth is divided by the time to get there. Done when nothing is worth it any more; the last leg is straight, since a
+turn leaves the heading uncertain.
+
+References
+----------
+Yamauchi, A Frontier-Based Approach for Autonomous Exploration (1997). Quinlan, Khatib, Elastic Bands (1993).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from math import hypot, radians
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from localization.filters.belief import Floats
+from localization.mapping.association import MapEstimate
+from localization.mapping.live import LiveMapper, walls_and_posts
+from localization.mapping.survey import Geofence, Point
+from localization.mapping.walls import Piece, extract_walls, free_paths
+from localization.navigation.path import angle_difference, wall_distances
+from localization.navigation.roadmap import crossings, segment_clearances
+from nclient.common.hints import install_command
+from worlds.geometry import nearest_points
+from worlds.map_files import MapsExtraMissing
+
+Mask = npt.NDArray[np.bool_]
+
+CELL_IN: Final = 2.0
+BORDER_IN: Final = 30.0
+SAMPLE_IN: Final = 2.0
+FAN_RAD: Final = np.radians((-6.0, -3.0, 0.0, 3.0, 6.0))
+"""Directions about the path of an echo that are free as well: half of the cone."""
+SHORTENED: Final = 0.95
+"""Of the range, so far the sector is free."""
+MARGIN_IN: Final = 0.8
+"""Least space between body and walls: a gap of 24 in leaves 2.3 in at each side."""
+COMFORT_IN: Final = 4.0
+"""Space from which a path costs no more."""
+WALL_SHADOW_IN: Final = 5.0
+"""Unknown cells this near to a wall are its own."""
+UNKNOWN_IN: Final = 4.0
+"""The robot's axis stays this far from unknown cells."""
+MIN_FRONTIER_CELLS: Final = 7
+"""14 in: more than the slits between echoes, less than a door."""
+SIGHT_IN: Final = 40.0
+"""A frontier is looked at from at most this far."""
+END_AHEAD_IN, END_ASIDE_IN = 6.0, 18.0
+VERTEX_IN: Final = 17.0
+NEAR_WALL_END_IN: Final = 4.0
+COVERAGE_IN: Final = 20.0
+VISITED_IN: Final = 7.0
+"""A place nearer than this to the path has been visited."""
+REACH_CELLS_IN: Final = 6.0
+"""A place is exchanged for the nearest cell within this distance that the robot can reach."""
+START_LEG_IN: Final = 30.0
+START_TURN_IN: Final = 5.0
+"""Of a first leg: a turn of 1 rad counts as 5 in."""
+FIRST_ROUNDS: Final = 2
+LAST_LEG_IN: Final = 24.0
+LAST_LEG_S: Final = 15.0
+SETTLE_S: Final = 4.0
+"""Added to the time to a place: near places are not visited one after the other for ever."""
+WORTH: Final = {"frontier": 3.0, "end": 2.0, "vertex": 1.0, "coverage": 0.6}
+MAX_TRIES: Final = 2
+
+
+@dataclass(slots=True)
+class Place:
+    """A place worth visiting, in inches."""
+
+    kind: str
+    x_in: float
+    y_in: float
+
+
+@dataclass(slots=True)
+class Grid:
+    """Cells of CELL_IN: which are free, how far each is from a wall, and which the robot can reach at what cost."""
+
+    low: Floats
+    free: Mask
+    space: Floats
+    walls: Floats
+    cost: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+    before: npt.NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+
+    def cells(self, points: Floats) -> npt.NDArray[np.intp]:
+        """Return rows and columns (n, 2) of points (n, 2), limited to the grid."""
+        index = np.floor((points - self.low) / CELL_IN).astype(np.intp)
+        limited: npt.NDArray[np.intp] = np.clip(index, 0, np.array(self.free.shape) - 1)
+        return limited
+
+    def centres(self, cells: npt.NDArray[np.intp]) -> Floats:
+        """Return the centres (n, 2) of cells (n, 2)."""
+        return self.low + (cells + 0.5) * CELL_IN
+
+    @property
+    def reached(self) -> Mask:
+        """Cells that the robot can reach."""
+        return np.isfinite(self.cost)
+
+
+class _Finished:
+    """A finished map, as far as the grid needs one."""
+
+    def __init__(self, estimate: MapEstimate) -> None:
+        self.estimate: MapEstimate | None = estimate
+        self.poses, self.walls = estimate.state.poses, walls_and_posts(estimate)
+
+
+class Explorer:
+    """Chooses where to drive; a driver of `survey`.
+
+    Parameters
+    ----------
+    body_in
+        Radius of the robot.
+    speed_in_s
+        Top speed.
+    time_limit_s
+        The last leg begins before it.
+    fence
+        Where the robot must stay.
+    """
+
+    def __init__(self, body_in: float, speed_in_s: float, time_limit_s: float, fence: Geofence | None = None) -> None:
+        try:
+            import scipy.ndimage
+            import scipy.sparse.csgraph
+        except ImportError as error:
+            raise MapsExtraMissing(f"exploring needs scipy: {install_command('maps')}") from error
+        self._image: Any = scipy.ndimage
+        self._sparse: Any = scipy.sparse
+        self._graph: Any = scipy.sparse.csgraph
+        self._body_in, self._speed_in_s, self._fence = body_in, speed_in_s, fence
+        self._time_limit_s = time_limit_s
+        self._blocked: list[Point] = []
+        self._tried: list[Place] = []
+        self._place: Place | None = None
+        self._free_ways: list[float] = []
+        self._is_last = False
+        self._pieces: list[Piece] = []
+        self.places: list[Place] = []
+        """Places worth visiting at the last decision: what is open when the drive ends."""
+
+    # The driver.
+
+    def leg(
+        self, clock_s: float, pose: Floats, mapper: LiveMapper, free_in: Callable[[float], float]
+    ) -> list[Point] | None:
+        """Return the next path."""
+        if self._is_last:
+            return None
+        # 1. At first where the sonars show the longest way, so that there is something to see.
+        if mapper.rounds < FIRST_ROUNDS:
+            return self._free_leg(pose, free_in)
+        grid = self._grid(mapper, pose)
+        path: list[Point] | None = None
+        if clock_s < self._time_limit_s - LAST_LEG_S:
+            path = self._next_path(grid, mapper, pose)
+        # 2. At the end a straight leg.
+        if path is None:
+            self._is_last = True
+            self._place = None
+            return self._last_leg(pose, mapper)
+        return path
+
+    def _free_leg(self, pose: Floats, free_in: Callable[[float], float]) -> list[Point]:
+        """Return a straight leg in the direction with the longest way; turns count as ways."""
+        best, chosen = -np.inf, (0.0, 0.0)
+        for turn in np.linspace(-np.pi, np.pi, 16, endpoint=False):
+            length = min(free_in(float(pose[2]) + float(turn)), START_LEG_IN)
+            # Backwards is no turn.
+            cost = START_TURN_IN * min(abs(turn), np.pi - abs(turn))
+            been = sum(abs(angle_difference(other, float(pose[2] + turn))) < 1.0 for other in self._free_ways)
+            if length - cost - 6.0 * been > best:
+                best, chosen = length - cost - 6.0 * been, (float(pose[2] + turn), length)
+        direction, length = chosen
+        self._free_ways.append(direction)
+        return [(float(pose[0]) + length * np.cos(direction), float(pose[1]) + length * np.sin(direction))]
+
+    def end_leg(self, pose: Floats, reason: str) -> None:
+        """Remember what is in the way, and which place was tried."""
+        if reason:
+            # Ahead of the body, in the direction of the place.
+            goal = (self._place.x_in, self._place.y_in) if self._place else (float(pose[0]), float(pose[1]))
+            away = max(hypot(goal[0] - pose[0], goal[1] - pose[1]), 1e-6)
+            reach = min(self._body_in + 3.0, away)
+            ahead = (
+                float(pose[0]) + reach * (goal[0] - float(pose[0])) / away,
+                float(pose[1]) + reach * (goal[1] - float(pose[1])) / away,
+            )
+            self._blocked.append(ahead)
+        if self._place is not None:
+            self._tried.append(self._place)
+        self._place = None
+
+    def unexplored(self, estimate: MapEstimate) -> Floats:
+        """Return the frontiers (n, 2) of a finished map that are in sight of where the robot was."""
+        finished = _Finished(estimate)
+        grid = self._grid(finished, finished.poses[-1])
+        reached = np.argwhere(grid.reached)
+        centres = grid.centres(reached)
+        space = grid.space[reached[:, 0], reached[:, 1]]
+        comfortable = centres[space > self._body_in + COMFORT_IN]
+        found = []
+        for frontier in self._frontiers(grid):
+            near = comfortable[np.hypot(*(comfortable - frontier).T) < SIGHT_IN]
+            if len(near) and not _crossed(near, frontier, grid.walls).all():
+                found.append(frontier)
+        return np.array(found).reshape(-1, 2)
+
+    # The grid.
+
+    def _grid(self, mapper: LiveMapper | _Finished, pose: Floats) -> Grid:
+        """Return the grid of the map as it is."""
+        # Walls as far as they were seen, and as far as their corners.
+        self._pieces = [] if mapper.estimate is None else extract_walls(mapper.estimate)
+        ends = np.array([piece.ends.reshape(4) for piece in self._pieces]).reshape(-1, 4)
+        walls = np.concatenate((mapper.walls, ends))
+        positions = mapper.poses[:, :2]
+        everything = np.concatenate((walls.reshape(-1, 2), positions, pose[None, :2]))
+        low = everything.min(axis=0) - BORDER_IN
+        shape = np.ceil((everything.max(axis=0) + BORDER_IN - low) / CELL_IN).astype(int)
+        grid = Grid(low, np.zeros(tuple(shape), dtype=np.bool_), np.full(tuple(shape), np.inf), walls)
+        # 1. Where sound went.
+        if mapper.estimate is not None:
+            self._mark_sectors(grid, mapper.estimate)
+        self._mark_circles(grid, mapper)
+        # 2. Where the robot was.
+        driven = grid.cells(np.concatenate((positions, pose[None, :2])))
+        own = np.zeros(grid.free.shape, dtype=np.bool_)
+        own[driven[:, 0], driven[:, 1]] = True
+        grid.free |= self._image.distance_transform_edt(~own, sampling=CELL_IN) <= self._body_in
+        # Slits between neighbouring echoes.
+        grid.free |= self._image.binary_closing(grid.free, iterations=2)
+        # 3. Space to the walls, exact where it matters.
+        grid.walls = obstacles = np.concatenate((walls, self._blocks()))
+        if len(obstacles):
+            marks = np.zeros(grid.free.shape, dtype=np.bool_)
+            samples = np.concatenate([_samples(row) for row in obstacles])
+            at = grid.cells(samples)
+            marks[at[:, 0], at[:, 1]] = True
+            grid.space = self._image.distance_transform_edt(~marks, sampling=CELL_IN)
+            near = np.argwhere(grid.free & (grid.space < 2.0 * self._body_in))
+            if len(near):
+                grid.space[near[:, 0], near[:, 1]] = wall_distances(grid.centres(near), obstacles)
+        self.find_reach(grid, pose)
+        return grid
+
+    def _blocks(self) -> Floats:
+        """Return what was in the way, as short segments (n, 4)."""
+        if not self._blocked:
+            return np.zeros((0, 4))
+        points = np.array(self._blocked)
+        return np.concatenate((points - (1.0, 0.0), points + (1.0, 0.0)), axis=1)  # noqa: RUF005
+
+    def _mark_sectors(self, grid: Grid, estimate: MapEstimate) -> None:
+        """Mark the sectors before the reflecting spots of explained echoes."""
+        starts, ends = free_paths(estimate)
+        span = ends - starts
+        length, angle = np.hypot(span[:, 0], span[:, 1]), np.arctan2(span[:, 1], span[:, 0])
+        keep = length > SAMPLE_IN
+        starts, length, angle = starts[keep], length[keep], angle[keep]
+        if not len(starts):
+            return
+        steps = np.arange(0.0, float(length.max()), SAMPLE_IN)
+        for fan in FAN_RAD:
+            reach = length if not fan else SHORTENED * length
+            along = np.stack((np.cos(angle + fan), np.sin(angle + fan)), axis=-1)
+            number, step = np.nonzero(steps[None, :] < reach[:, None])
+            at = grid.cells(starts[number] + steps[step, None] * along[number])
+            grid.free[at[:, 0], at[:, 1]] = True
+
+    def _mark_circles(self, grid: Grid, mapper: LiveMapper | _Finished) -> None:
+        """Mark the circles that the shortest readings of a turn of the ring leave free."""
+        estimate = mapper.estimate
+        if estimate is None:
+            return
+        trajectory, count = estimate.problem.trajectory, len(estimate.state.poses)
+        shortest = np.full(count, np.inf)
+        np.minimum.at(shortest, trajectory.node, trajectory.readings_in)
+        # A turn of the ring is two nodes; one more at either side for what a bad reading hides.
+        turn = np.minimum.reduce([np.roll(shortest, shift) for shift in (-1, 0, 1)])
+        for (x, y), reading in zip(estimate.state.poses[:, :2], turn, strict=True):
+            radius = min(float(reading), 60.0)
+            if not radius > self._body_in:
+                continue
+            first, last = grid.cells(np.array(((x - radius, y - radius), (x + radius, y + radius))))
+            cells = np.stack(np.meshgrid(*(np.arange(a, b + 1) for a, b in zip(first, last, strict=True)),
+                                         indexing="ij"), axis=-1).reshape(-1, 2)  # fmt: skip
+            inside = np.hypot(*(grid.centres(cells) - (x, y)).T) < radius
+            grid.free[cells[inside, 0], cells[inside, 1]] = True
+
+    def find_reach(self, grid: Grid, pose: Floats) -> None:
+        """Find the cells that the robot can reach, and the cheapest ways to them."""
+        passable = grid.free & (grid.space >= self._body_in + MARGIN_IN)
+        passable &= self._image.distance_transform_edt(grid.free, sampling=CELL_IN) > UNKNOWN_IN
+        if self._fence is not None:
+            first, last = grid.cells(np.array((self._fence.low, self._fence.high)))
+            inside = np.zeros(passable.shape, dtype=np.bool_)
+            inside[first[0] + 1 : last[0], first[1] + 1 : last[1]] = True
+            passable &= inside
+        # 1. Where the robot is, there is a way out: straight to the nearest passable cell.
+        (row, column), = grid.cells(pose[None, :2]).tolist()
+        if not passable[row, column]:
+            cells = np.argwhere(passable)
+            if not len(cells):
+                grid.cost = np.full(passable.shape, np.inf)
+                return
+            row, column = cells[np.hypot(*(grid.centres(cells) - pose[:2]).T).argmin()].tolist()
+        # 2. Eight neighbours; narrow places cost more.
+        tight = np.clip((self._body_in + COMFORT_IN - grid.space) / COMFORT_IN, 0.0, 1.0)
+        price = CELL_IN * (1.0 + 2.0 * tight)
+        number = np.arange(passable.size).reshape(passable.shape)
+        ones, others, costs = [], [], []
+        for dr, dc in ((0, 1), (1, 0), (1, 1), (1, -1)):
+            a = (slice(0, passable.shape[0] - dr), slice(max(-dc, 0), passable.shape[1] - max(dc, 0)))
+            b = (slice(dr, None), slice(max(dc, 0), passable.shape[1] + min(dc, 0)))
+            both = passable[a] & passable[b]
+            ones.append(number[a][both])
+            others.append(number[b][both])
+            costs.append(hypot(dr, dc) * 0.5 * (price[a] + price[b])[both])
+        graph = self._sparse.coo_matrix(
+            (np.concatenate(costs), (np.concatenate(ones), np.concatenate(others))), shape=(passable.size,) * 2
+        ).tocsr()
+        cost, before = self._graph.dijkstra(
+            graph, directed=False, indices=number[row, column], return_predecessors=True
+        )
+        grid.cost, grid.before = cost.reshape(passable.shape), before
+
+    # Places.
+
+    def _next_path(self, grid: Grid, mapper: LiveMapper, pose: Floats) -> list[Point] | None:
+        """Return the path to the best place; None if there is none."""
+        self.places = []
+        best, chosen = 0.0, None
+        reached = np.argwhere(grid.reached)
+        if not len(reached):
+            return None
+        centres = grid.centres(reached)
+        costs = grid.cost[reached[:, 0], reached[:, 1]]
+        visited = mapper.poses[:, :2]
+        space = grid.space[reached[:, 0], reached[:, 1]]
+        for place, radius in self._candidates(grid, mapper, centres, visited):
+            at = np.array((place.x_in, place.y_in))
+            away = np.hypot(*(centres - at).T)
+            near = away < radius
+            if place.kind == "frontier":
+                # From a place with space around it, in sight of it.
+                near &= (space > self._body_in + COMFORT_IN) & (away > VISITED_IN)
+                near[near] = ~_crossed(centres[near], at, grid.walls)
+            if not near.any() or self._tries(place) >= MAX_TRIES:
+                continue
+            # The nearest cell to the place, cheap to reach.
+            number = int(np.where(near, away + 0.3 * costs, np.inf).argmin())
+            goal = centres[number]
+            if place.kind != "frontier" and float(np.hypot(*(visited - goal).T).min(initial=np.inf)) < VISITED_IN:
+                continue
+            self.places.append(place)
+            worth = WORTH[place.kind] / (SETTLE_S + float(costs[number]) / (0.7 * self._speed_in_s))
+            if worth > best:
+                best, chosen = worth, (place, reached[number])
+        if chosen is None:
+            return None
+        self._place = chosen[0]
+        return self.path(grid, pose, chosen[1])
+
+    def _tries(self, place: Place) -> int:
+        """Return how often a place, or one near to it, was tried."""
+        radius = 12.0 if place.kind == "frontier" else 5.0
+        return sum(
+            other.kind == place.kind and hypot(other.x_in - place.x_in, other.y_in - place.y_in) < radius
+            for other in self._tried
+        )
+
+    def _candidates(
+        self, grid: Grid, mapper: LiveMapper, centres: Floats, visited: Floats
+    ) -> list[tuple[Place, float]]:
+        """Return places worth visiting, each with the radius within which it may be visited."""
+        found: list[tuple[Place, float]] = [
+            (Place("frontier", *centre), SIGHT_IN) for centre in self._frontiers(grid).tolist()
+        ]
+        if mapper.estimate is not None and len(mapper.estimate.state.walls):
+            found += [(place, REACH_CELLS_IN) for place in _end_places(mapper.estimate, self._pieces)]
+        # Cells far from the path, the farthest first.
+        away = np.full(len(centres), np.inf)
+        for start in range(0, len(visited), 64):
+            part = visited[start : start + 64]
+            away = np.minimum(away, np.hypot(*(centres[:, None] - part[None]).transpose(2, 0, 1)).min(axis=1))
+        left = np.flatnonzero(away > COVERAGE_IN)
+        while len(left):
+            centre = centres[left[away[left].argmax()]]
+            found.append((Place("coverage", *centre.tolist()), REACH_CELLS_IN))
+            left = left[np.hypot(*(centres[left] - centre).T) > COVERAGE_IN]
+        return found
+
+    def _frontiers(self, grid: Grid) -> Floats:
+        """Return the centres (n, 2) of runs of unknown cells beside free ones, away from walls."""
+        unknown = ~grid.free & (grid.space > WALL_SHADOW_IN)
+        # Only what lies beside free cells that are open themselves.
+        open_cells = grid.free & (grid.space > WALL_SHADOW_IN)
+        border = unknown & self._image.binary_dilation(open_cells)
+        labels, count = self._image.label(border, structure=np.ones((3, 3)))
+        found = []
+        for number in range(1, count + 1):
+            cells = np.argwhere(labels == number)
+            if len(cells) < MIN_FRONTIER_CELLS:
+                continue
+            # A long one in parts.
+            parts = max(1, len(cells) // 30)
+            for part in np.array_split(cells[np.argsort(cells @ np.ptp(cells, axis=0))], parts):
+                centres = grid.centres(part)
+                found.append(centres[np.hypot(*(centres - centres.mean(axis=0)).T).argmin()])
+        return np.array(found).reshape(-1, 2)
+
+    # Paths.
+
+    def path(self, grid: Grid, pose: Floats, goal: npt.NDArray[np.intp]) -> list[Point]:
+        """Return the way-points to a cell: the cheapest cells, pushed away from walls, straightened."""
+        # 1. The cells.
+        width = grid.free.shape[1]
+        cells = [int(goal[0]) * width + int(goal[1])]
+        while (cell := int(grid.before[cells[-1]])) >= 0:
+            cells.append(cell)
+        points = grid.centres(np.stack(np.divmod(np.array(cells[::-1]), width), axis=-1))
+        points = np.concatenate((pose[None, :2], points[1:])) if len(points) > 1 else points
+        walls = grid.walls
+        if len(walls) and len(points) > 2:
+            points = pushed(points, walls, self._body_in + COMFORT_IN)
+        # 2. Straight lines as long as they leave as much space as the cells do.
+        space = wall_distances(points, walls)
+        path, at = [], 0
+        while at < len(points) - 1:
+            to = len(points) - 1
+            while to > at + 1 and not self._is_clear(points, at, to, walls, space):
+                to = at + max((to - at) * 3 // 4, 1)
+            path.append((float(points[to, 0]), float(points[to, 1])))
+            at = to
+        return path or [(float(points[-1, 0]), float(points[-1, 1]))]
+
+    def _is_clear(self, points: Floats, at: int, to: int, walls: Floats, space: Floats) -> bool:
+        """Return True if the straight line between two points of a path leaves as much space as the path."""
+        if not len(walls):
+            return True
+        line = np.concatenate((points[at], points[to]))[None]
+        needed = min(float(space[at : to + 1].min()) - 0.3, self._body_in + COMFORT_IN)
+        # A path around a corner must not be cut through what is unknown.
+        off = points[at : to + 1]
+        if nearest_points(off, line)[1].max() > self._body_in:
+            return False
+        return bool(segment_clearances(line, walls)[0] >= needed)
+
+    def _last_leg(self, pose: Floats, mapper: LiveMapper) -> list[Point] | None:
+        """Return a straight leg with little turning, forwards or backwards; None without space."""
+        walls = np.concatenate((mapper.walls, self._blocks()))
+        for turn in np.radians((0.0, 15.0, -15.0, 35.0, -35.0, 60.0, -60.0)):
+            for length in (LAST_LEG_IN, -LAST_LEG_IN):
+                along = length * np.array((np.cos(pose[2] + turn), np.sin(pose[2] + turn)))
+                line = np.concatenate((pose[:2], pose[:2] + along))[None]
+                if self._fence is not None and not self._fence.contains(*line[0, 2:].tolist()):
+                    continue
+                if segment_clearances(line, walls)[0] > self._body_in + COMFORT_IN + 2.0:
+                    return [(float(line[0, 2]), float(line[0, 3]))]
+        return None
+
+
+def _samples(segment: Floats) -> Floats:
+    """Return points (n, 2) along a segment (4,), at most a cell apart."""
+    count = int(np.hypot(*(segment[2:] - segment[:2])) / (0.7 * CELL_IN)) + 2
+    return np.linspace(segment[:2], segment[2:], count)
+
+
+def pushed(points: Floats, walls: Floats, wanted_in: float) -> Floats:
+    """Return a path whose inner points are pushed away from walls nearer than a distance: an elastic band."""
+    points = points.copy()
+    for _ in range(30):
+        nearest, distances = nearest_points(points[1:-1], walls)
+        rows = np.arange(len(points) - 2)
+        which = distances.argmin(axis=1)
+        distance = np.maximum(distances[rows, which], 1e-6)
+        away = (points[1:-1] - nearest[rows, which]) / distance[:, None]
+        push = 0.3 * np.maximum(wanted_in - distance, 0.0)[:, None] * away
+        pull = 0.25 * (points[:-2] + points[2:] - 2.0 * points[1:-1])
+        points[1:-1] += push + pull
+    return points
+
+
+def _crossed(starts: Floats, end: Floats, walls: Floats) -> Mask:
+    """Return True (n,) for straight lines from points (n, 2) to one that cross a wall."""
+    if not len(walls):
+        return np.zeros(len(starts), dtype=np.bool_)
+    lines = np.concatenate((starts, np.broadcast_to(end, starts.shape)), axis=1)
+    return np.asarray(crossings(lines, walls).any(axis=1), dtype=np.bool_)
+
+
+def _end_places(estimate: MapEstimate, pieces: list[Piece]) -> list[Place]:
+    """Return places from which open ends of walls, and vertices with fewer than two walls, are seen."""
+    found = []
+    # 1. Open ends: beyond the end, at either side of the wall.
+    for piece in pieces:
+        for end, is_closed in enumerate(piece.closed):
+            if is_closed:
+                continue
+            here, there = piece.ends[end], piece.ends[1 - end]
+            along = (here - there) / max(float(np.hypot(*(here - there))), 1e-6)
+            normal = np.array((-along[1], along[0]))
+            for side in (END_ASIDE_IN, -END_ASIDE_IN):
+                x, y = here + END_AHEAD_IN * along + side * normal
+                found.append(Place("end", float(x), float(y)))
+    # 2. Vertices.
+    for point in estimate.state.points:
+        ends = [end for piece in pieces for end in piece.ends]
+        if sum(float(np.hypot(*(point - end))) < NEAR_WALL_END_IN for end in ends) >= 2:
+            continue
+        for turn in np.arange(8) * radians(45.0):
+            x, y = point + VERTEX_IN * np.array((np.cos(turn), np.sin(turn)))
+            found.append(Place("vertex", float(x), float(y)))
+    return found
+

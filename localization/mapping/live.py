@@ -1,0 +1,243 @@
+"""A map that grows while the robot drives, and the pose of the robot in it.
+
+    each state           readings --> groups of half a second
+    each group           poses of the last 10 s, in the map as it is       (fixed-lag smoother, some milliseconds)
+    every 16 nodes       the whole map, from the poses so far              (warm start; see learn.py)
+    in between           last pose --> encoders --> pose now
+
+The result of a drive is not this map: that is learned again from the recording, so that the same recording always gives
+the same map.
+
+References
+----------
+Kaess et al., Concurrent Filtering and Smoothing (2012): a short smoother for the present beside a full one for the map.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from localization.filters.belief import HEADING, POSE, Floats, wrap_angle
+from localization.filters.odometry import OdometryNoise
+from localization.filters.sonar_cone import ConeSonar
+from localization.live.sensor_input import FiringTime
+from localization.mapping.association import MapEstimate, align_heading, segments_of
+from localization.mapping.learn import NODES_PER_ROUND, WINDOW_NODES, MapLearner, update_features
+from localization.mapping.measurements import (
+    READINGS_PER_NODE,
+    DriveCollector,
+    DriveLog,
+    Indices,
+    build_trajectory,
+    compose,
+    relative_pose,
+)
+from localization.mapping.problem import NO_FEATURE, Assignment, MapProblem
+from nclient.state import RobotState
+
+LAG_NODES: Final = 20
+"""Nodes of the smoother: 10 s."""
+ALIGN_NODES: Final = 6
+"""A turn that ended longer ago has its heading."""
+NODES_PER_FRACTION: Final = 40
+"""The longer the drive, the rarer the whole map is solved: the effort grows with its nodes."""
+ALWAYS_CHALLENGED: Final = 80
+"""Nodes up to which each map is compared with one learned from the beginning: the first 40 s decide."""
+CHALLENGE_GROWTH: Final = 1.3
+CHALLENGE_ROUNDS: Final = (17, 24, 13)
+"""Nodes per round of those, in turn: other choices at the same places."""
+MAX_COST: Final = 0.95
+"""Cost of a sound map by the number of its ranges; a larger one is poor. 1 without outliers and short of freedom."""
+POST_IN: Final = 0.5
+"""Half length of the segment that stands for a point."""
+
+
+class LiveMapper:
+    """The map and the pose of a robot that drives.
+
+    Parameters
+    ----------
+    collector
+        The drive, which gets the states.
+    noise
+        Random errors of the odometry.
+    sonar
+        Noise and limits of the readings.
+    rays
+        True if sonars measure along exact rays.
+    roughness_in
+        Standard deviation of the walls' surfaces from straight lines.
+    """
+
+    def __init__(
+        self, collector: DriveCollector, noise: OdometryNoise, sonar: ConeSonar, *, rays: bool, roughness_in: float
+    ) -> None:
+        self._collector, self._noise, self._sonar = collector, noise, sonar
+        self._rays, self._roughness_in = rays, roughness_in
+        self.estimate: MapEstimate | None = None
+        """The last solution of the whole map; None before the first one."""
+        self.rounds = 0
+        """Number of those solutions."""
+        self._poses, self._groups = np.zeros((0, POSE)), np.zeros(0, dtype=np.intp)
+        self._encoders = np.zeros(POSE)
+        self._tracked = self._challenged_nodes = 0
+        if collector.has_drive:
+            self._go_on()
+
+    def _go_on(self) -> None:
+        """Learn the map of the drive so far, of a robot that goes on."""
+        log = self._collector.log()
+        learner = MapLearner(log, self._noise, self._sonar, rays=self._rays, roughness_in=self._roughness_in)
+        while not learner.is_complete:
+            learner.advance()
+        self.estimate = learner.estimate
+        self._poses, self._groups = learner.estimate.state.poses, learner.trajectory.group
+        self._encoders, self._tracked = learner.trajectory.odometry[-1], len(self._collector) // READINGS_PER_NODE
+        self.rounds += 1
+
+    @property
+    def poses(self) -> Floats:
+        """Poses (n, 3) of the nodes so far, in the frame of the first."""
+        return self._poses
+
+    @property
+    def is_ready(self) -> bool:
+        """True once there is a pose."""
+        return len(self._poses) > 0
+
+    def add(self, state: RobotState) -> list[FiringTime]:
+        """Take a state into account and return the readings that it shows for the first time."""
+        firings = self._collector.add(state)
+        groups = len(self._collector) // READINGS_PER_NODE
+        if groups > self._tracked:
+            self._tracked = groups
+            self._track()
+        return firings
+
+    def pose(self, encoders: Floats) -> Floats:
+        """Return the pose (3,) at encoders (3,) that are later than the last node's."""
+        pose = compose(self._poses[-1], relative_pose(self._encoders, encoders))
+        pose[HEADING] = wrap_angle(pose[HEADING])
+        return pose
+
+    @property
+    def walls(self) -> Floats:
+        """Walls (w, 4) as far as they were seen, and points as short ones."""
+        if self.estimate is None:
+            return np.zeros((0, 4))
+        return walls_and_posts(self.estimate)
+
+    @property
+    def is_sound(self) -> bool:
+        """True if the map explains its readings."""
+        estimate = self.estimate
+        return estimate is not None and estimate.cost < MAX_COST * len(estimate.problem.trajectory.node)
+
+    # The pose.
+
+    def _track(self) -> None:
+        """Add the last group, and optimize the last poses in the map as it is."""
+        # 1. The last nodes. The first of them is fixed.
+        known = max(len(self._groups) - LAG_NODES, 0)
+        first_group = int(self._groups[known]) if len(self._groups) else 0
+        log = self._collector.log(first_group * READINGS_PER_NODE)
+        trajectory = build_trajectory(log, self._noise, self._sonar, self._roughness_in)
+        groups = trajectory.group + first_group
+        old, old_groups = self._poses[known:], self._groups[known:]
+        same = _common(groups, old_groups)
+        poses = old[:same] if same else np.zeros((1, POSE))
+        # 2. The map without its echoes.
+        full = self.estimate
+        state = MapProblem(trajectory, len(log.angles_rad)).initial() if full is None else full.state
+        problem = MapProblem(trajectory, len(log.angles_rad), rays=self._rays, has_fixed_map=True)
+        nothing = Assignment(np.full(len(trajectory.node), NO_FEATURE, dtype=np.intp))
+        extents = np.zeros((0, 2)) if full is None else full.extents
+        window = MapEstimate(problem, replace(state, poses=poses), nothing, extents)
+        window.extend(len(trajectory))
+        # 3. The poses.
+        if full is not None and full.state.features and len(trajectory) > 1:
+            align_heading(window, len(trajectory) - ALIGN_NODES, self._noise)
+            window.associate()
+            window.optimize(2)
+        self._poses = np.concatenate((self._poses[:known], window.state.poses))
+        self._groups = np.concatenate((self._groups[:known], groups))
+        self._encoders = trajectory.odometry[-1]
+
+    # The map.
+
+    @property
+    def is_due(self) -> bool:
+        """True if the whole map should be solved again."""
+        mapped = 0 if self.estimate is None else len(self.estimate.state.poses)
+        return len(self._poses) >= mapped + max(NODES_PER_ROUND, mapped // NODES_PER_FRACTION)
+
+    def solve(self) -> None:
+        """Solve the whole map, from the poses so far."""
+        log = self._collector.log()
+        trajectory = build_trajectory(log, self._noise, self._sonar, self._roughness_in)
+        problem = MapProblem(trajectory, len(log.angles_rad), rays=self._rays)
+        before = self.estimate or MapEstimate.start(problem)
+        # 1. The echoes of the nodes that both have keep their features.
+        feature = np.full(len(trajectory.node), NO_FEATURE, dtype=np.intp)
+        same = 0
+        if self.estimate is not None:
+            old = before.problem.trajectory
+            same = _common(trajectory.group, old.group)
+            kept = int(np.searchsorted(old.node, same))
+            feature[:kept] = before.assignment.feature[:kept]
+        # 2. From the smoother's poses, and from the odometry with its headings compared anew: the cheaper one.
+        window = max(len(trajectory) - WINDOW_NODES, 0)
+        mapped = len(before.state.poses)
+        candidates: list[MapEstimate] = []
+        for poses in (self._poses[: _common(trajectory.group, self._groups)], before.state.poses[:same]):
+            state = replace(before.state, poses=poses if len(poses) else np.zeros((1, POSE)))
+            candidate = MapEstimate(problem, state, replace(before.assignment, feature=feature), before.extents)
+            candidate.extend(len(trajectory))
+            if candidates:
+                align_heading(candidate, mapped - NODES_PER_ROUND // 2, self._noise)
+            candidate.associate(window)
+            candidate.optimize(2)
+            candidates.append(candidate)
+        estimate = min(candidates, key=lambda candidate: candidate.cost)
+        # 3. Features.
+        update_features(estimate, window)
+        estimate = self._challenged(estimate, log)
+        self.estimate, self._poses, self._groups = estimate, estimate.state.poses, trajectory.group
+        self._encoders = trajectory.odometry[-1]
+        self.rounds += 1
+
+
+    def _challenged(self, estimate: MapEstimate, log: DriveLog) -> MapEstimate:
+        """Return a map, or one that is learned from the beginning if that is cheaper.
+
+        A wrong wall among the first ones stays, since all that follows is explained by it. It shows in the cost.
+        """
+        nodes = len(estimate.state.poses)
+        is_poor = estimate.cost >= MAX_COST * len(estimate.problem.trajectory.node)
+        if nodes > ALWAYS_CHALLENGED and not (is_poor and nodes > CHALLENGE_GROWTH * self._challenged_nodes):
+            return estimate
+        self._challenged_nodes = nodes
+        learner = MapLearner(
+            log, self._noise, self._sonar, rays=self._rays, roughness_in=self._roughness_in,
+            nodes_per_round=CHALLENGE_ROUNDS[self.rounds % len(CHALLENGE_ROUNDS)],
+        )  # fmt: skip
+        while not learner.is_complete:
+            learner.advance()
+        return min(estimate, learner.estimate, key=lambda candidate: candidate.cost)
+
+
+def walls_and_posts(estimate: MapEstimate) -> Floats:
+    """Return the walls (w, 4) of a map as far as they were seen, and its points as short ones."""
+    points, half = estimate.state.points, np.array((POST_IN, 0.0))
+    posts = np.concatenate((points - half, points + half), axis=1).reshape(-1, 4)
+    return np.concatenate((segments_of(estimate.state.walls, estimate.extents), posts))
+
+
+def _common(one: Indices, other: Indices) -> int:
+    """Return the number of equal values at the start of two arrays."""
+    count = min(len(one), len(other))
+    differs = one[:count] != other[:count]
+    return int(differs.argmax()) if differs.any() else count

@@ -1,0 +1,368 @@
+"""Conversion of drives between files: formats by suffix or content, CSV and CARMEN logs, one table of all formats.
+
+    suffix           format                                   carries
+    .log .jsonl      recording of this project                all bytes
+    .mcap            MCAP with ROS 2 messages                 drive, and the lines of a recording
+    .bag             ROS 1 bag                                drive, and the lines of a recording
+    none (a folder)  ROS 2 bag                                drive, and the lines of a recording
+    .csv             time series, as `nomad localize --from`  pose, turret, velocities, sonars, bumpers
+    .clf .carmen     CARMEN log: ODOM, SONAR (FLASER)         pose, turret, velocities, sonars
+
+A file is read by its content, since `.log` is the suffix of many. What a format cannot hold is in `Drive.omitted`.
+MCAP and bags need the extra `ros` (nclient/recording/ros.py).
+"""
+
+import contextlib
+import csv
+import math
+import shutil
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from types import ModuleType
+from typing import Final
+
+from nclient.common.files import write_errors_as
+from nclient.common.hints import install_hint
+from nclient.errors import ExtraMissing, RecordingError
+from nclient.protocol.types import M_PER_IN
+from nclient.recording.drive import RING, Drive, Sample, drive_of_recording, recording_of_drive
+from nclient.recording.format import FORMAT, parse_recording
+
+RECORDING, MCAP, BAG, BAG2, CSV, CARMEN = "recording", "MCAP", "ROS 1 bag", "ROS 2 bag", "CSV", "CARMEN log"
+SUFFIXES: Final = {
+    ".log": RECORDING, ".jsonl": RECORDING, ".mcap": MCAP, ".bag": BAG, "": BAG2, ".csv": CSV, ".clf": CARMEN,
+    ".carmen": CARMEN,
+}
+MAX_BYTES: Final = 1 << 30
+"""Larger text files are refused: they are read as a whole."""
+_ROS: Final = (MCAP, BAG, BAG2)
+
+
+def format_to_write(path: Path) -> str:
+    """Return the format of a suffix. Raises RecordingError if no format has it."""
+    try:
+        return SUFFIXES[path.suffix.lower()]
+    except KeyError:
+        names = ", ".join(f"{suffix or 'no suffix'} ({name})" for suffix, name in SUFFIXES.items())
+        raise RecordingError(f"{path}: no format has the suffix {path.suffix!r}; there are {names}") from None
+
+
+def format_of_file(path: Path) -> str:
+    """Return the format of a file by its first bytes. Raises RecordingError if it is none of them."""
+    try:
+        if path.is_dir():
+            if (path / "metadata.yaml").exists():
+                return BAG2
+            raise RecordingError(f"{path}: a folder without metadata.yaml; a ROS 2 bag has one")
+        with path.open("rb") as file:
+            start = file.read(4096)
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read ({error.strerror})") from error
+    except ValueError as error:
+        raise RecordingError(f"{str(path)!r}: cannot be read ({error})") from None
+    # 1. Binary formats have a magic number, recordings a header.
+    if start.startswith(b"\x89MCAP"):
+        return MCAP
+    if start.startswith(b"#ROSBAG V2"):
+        return BAG
+    if start.lstrip().startswith(b"{") and FORMAT.encode() in start:
+        return RECORDING
+    # 2. Text: column names of a time series, or the lines of a CARMEN log.
+    lines = [line for line in start.decode("latin-1").splitlines() if line.strip() and not line.startswith("#")]
+    first = lines[0].split(",")[0].strip() if lines else ""
+    if any(name.strip() in ("time_s", "time_ms") for name in (lines[0].split(",") if lines else ())):
+        return CSV
+    if start.startswith(b"# CARMEN") or first.split(" ")[0] in ("PARAM", "ODOM", "FLASER", "SONAR", "SYNC"):
+        return CARMEN
+    raise RecordingError(f"{path}: is no recording, MCAP, ROS bag, CARMEN log or CSV with a column time_s")
+
+
+def may_be_drive(path: Path, or_csv: bool = False) -> bool:
+    """Return True if a file is of a format that has a drive, CSV only with `or_csv`."""
+    try:
+        return format_of_file(path) != CSV or or_csv
+    except RecordingError:
+        return False
+
+
+def read_drive(path: Path, fields: Sequence[str] = ()) -> Drive:
+    """Read a drive from a file of any format.
+
+    Parameters
+    ----------
+    path
+        The file, or the folder of a ROS 2 bag.
+    fields
+        For bags and MCAP with messages of other types: `column=topic:place`, such as `x_m=/state:raw.0`.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be read or has no drive.
+    ExtraMissing
+        If the format needs an extra that is not installed.
+    """
+    name = format_of_file(path)
+    if fields and name not in _ROS:
+        raise RecordingError(f"{path}: --field is for bags and MCAP; this is a {name}")
+    if name in _ROS:
+        drive: Drive = _ros().read(path, fields)
+    else:
+        text = _read_text(path)
+        match name:
+            case "recording":
+                drive = drive_of_recording(parse_recording(text, str(path)), text.splitlines())
+            case "CSV":
+                drive = read_csv(text, str(path))
+            case _:
+                drive = read_carmen(text, str(path))
+    if not drive.samples:
+        raise RecordingError(f"{path}: has no pose and no sonars; nothing to read" + _because(drive))
+    return drive
+
+
+def write_drive(drive: Drive, path: Path) -> None:
+    """Write a drive to a file in the format of its suffix; add what the format cannot hold to `drive.omitted`.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be written.
+    """
+    name = format_to_write(path)
+    if path.exists():
+        raise RecordingError(f"{path}: exists; remove it or give another name")
+    drive.omitted += _not_held(drive, name)
+    with write_errors_as(RecordingError, path), _removed_on_error(path):
+        match name:
+            case "recording":
+                path.write_text("\n".join(recording_of_drive(drive)) + "\n", encoding="utf-8")
+            case "CSV":
+                path.write_text("".join(f"{line}\n" for line in csv_lines(drive)), encoding="utf-8")
+            case "CARMEN log":
+                path.write_text("".join(f"{line}\n" for line in carmen_lines(drive)), encoding="utf-8")
+            case _:
+                _ros().write(drive, path, name)
+
+
+@contextlib.contextmanager
+def _removed_on_error(path: Path) -> Iterator[None]:
+    """Remove what was written of a file or folder if the block fails."""
+    try:
+        yield
+    except BaseException:
+        if path.is_dir():
+            shutil.rmtree(path)
+        else:
+            path.unlink(missing_ok=True)
+        raise
+
+
+def _not_held(drive: Drive, name: str) -> Iterator[str]:
+    """Yield what this drive has and the format cannot hold."""
+    if name in (CSV, CARMEN):
+        if drive.traffic:
+            yield "the bytes between program and robot, and replies other than pose, sonars and bumpers"
+        if any(sample.volts for sample in drive.samples):
+            yield "battery voltages"
+        if drive.start_s and name == CSV:
+            yield "the date of the start"
+    if name == CSV and drive.directions_rad != RING:
+        yield "directions of the sonars (give them to nomad localize in a model file)"
+    if name == CARMEN and any(sample.bumpers for sample in drive.samples):
+        yield "bumpers"
+    if name == RECORDING and not drive.traffic:
+        if drive.directions_rad != RING:
+            count = len(drive.directions_rad)
+            yield f"the ring of {count} sonars: each of a Nomad's 16 has the nearest within 11 degrees"
+        yield "parts of inches of the sonars, of 0.1 in and 0.1 degrees of the pose"
+
+
+def _because(drive: Drive) -> str:
+    if not drive.omitted:
+        return ""
+    return f"; it has {', '.join(drive.omitted)}: name their numbers with --field (nomad help convert)"
+
+
+def _ros() -> ModuleType:
+    """Return the module for MCAP and bags. Raises ExtraMissing without its extra."""
+    try:
+        from nclient.recording import ros
+    except ModuleNotFoundError as error:
+        raise ExtraMissing(f"MCAP and ROS bags need {error.name}: {install_hint(error.name or '')}") from error
+    return ros
+
+
+def _read_text(path: Path) -> str:
+    if path.stat().st_size > MAX_BYTES:
+        raise RecordingError(f"{path}: larger than {MAX_BYTES >> 20} MB; split it")
+    return path.read_text(encoding="utf-8", errors="replace")
+
+
+# -- CSV --------------------------------------------------------------------------------------------------------------
+
+_SONAR: Final = "sonar_"
+_IN_PER: Final = {"in": M_PER_IN, "mm": 0.001, "cm": 0.01, "m": 1.0}
+_RAD_PER: Final = {"deg": math.radians(1.0), "rad": 1.0}
+_LENGTHS: Final = ("x", "y")
+_ANGLES: Final = ("heading", "turret")
+_OTHERS: Final = {
+    "time_s": 1.0, "time_ms": 0.001, "speed_in_s": M_PER_IN, "turn_deg_s": math.radians(1.0), "bumpers": 1.0,
+}
+
+
+def csv_lines(drive: Drive) -> Iterator[str]:
+    """Yield the lines of a time series in inches and degrees, as `nomad localize --from` reads it.
+
+    Numbers have four decimals, the time nine.
+    """
+    sonars = [f"{_SONAR}{k}_in" for k in range(len(drive.directions_rad))]
+    others = ("time_s", "x_in", "y_in", "heading_deg", "turret_deg", "speed_in_s", "turn_deg_s", "bumpers")
+    yield ",".join((*others, *sonars))
+    for sample in drive.samples:
+        turret = sample.heading_rad if sample.turret_rad is None else sample.turret_rad
+        numbers = (sample.x_m / M_PER_IN, sample.y_m / M_PER_IN, math.degrees(sample.heading_rad), math.degrees(turret),
+                   sample.speed_m_s / M_PER_IN, math.degrees(sample.turn_rad_s))
+        ranges = sample.ranges_m or (math.inf,) * len(sonars)
+        fields = [_decimal(sample.time_s, 9), *(_decimal(number, 4) for number in numbers), str(sample.bumpers)]
+        # An empty field means no echo.
+        yield ",".join([*fields, *("" if math.isinf(one) else _decimal(one / M_PER_IN, 4) for one in ranges)])
+
+
+def _decimal(value: float, digits: int) -> str:
+    """Return a number without needless zeros, and never -0."""
+    return f"{value:.{digits}f}".rstrip("0").rstrip(".").replace("-0", "0") if abs(value) < 10**-digits else (
+        f"{value:.{digits}f}".rstrip("0").rstrip("."))
+
+
+def read_csv(text: str, name: str) -> Drive:
+    """Parse a time series with the columns of `csv_lines`, in any order and with any of the units."""
+    rows = csv.reader(line for line in text.splitlines() if line.strip() and not line.startswith("#"))
+    names = [field.strip() for field in next(rows, [])]
+    factors = [_factor(column) for column in names]
+    unknown = [column for column, factor in zip(names, factors, strict=True) if factor is None]
+    sonars = sum(column.startswith(_SONAR) for column in names)
+    drive = Drive([], tuple(math.tau * k / sonars for k in range(sonars)) if sonars else RING)
+    if unknown:
+        drive.omitted.append(f"columns {', '.join(unknown)}")
+    for number, row in enumerate(rows, 2):
+        values: dict[str, float] = {}
+        for column, factor, field in zip(names, factors, row, strict=False):
+            if factor is not None and field.strip():
+                try:
+                    values[column.rpartition("_")[0] if column not in _OTHERS else column] = float(field) * factor
+                except ValueError:
+                    raise RecordingError(f"{name}: row {number}: {column} is {field!r}; expected a number") from None
+        drive.samples.append(_csv_sample(values, sonars, name, number))
+    return drive
+
+
+def _factor(column: str) -> float | None:
+    quantity, _, unit = column.rpartition("_")
+    if quantity in _LENGTHS or (quantity.startswith(_SONAR) and quantity.removeprefix(_SONAR).isdecimal()):
+        return _IN_PER.get(unit)
+    return _RAD_PER.get(unit) if quantity in _ANGLES else _OTHERS.get(column)
+
+
+def _csv_sample(values: dict[str, float], sonars: int, name: str, number: int) -> Sample:
+    time_s = values.get("time_s", values.get("time_ms"))
+    missing = [key for key in ("x", "y", "heading") if key not in values] + ([] if time_s is not None else ["time"])
+    if missing or time_s is None:
+        raise RecordingError(f"{name}: row {number}: has no {missing[0]}; "
+                             "expected columns time_s, x_in, y_in, heading_deg")
+    ranges = tuple(values.get(f"{_SONAR}{k}", math.inf) for k in range(sonars))
+    return Sample(time_s, values["x"], values["y"], values["heading"], values.get("turret"),
+                  values.get("speed_in_s", 0.0), values.get("turn_deg_s", 0.0), ranges, int(values.get("bumpers", 0)))
+
+
+# -- CARMEN -----------------------------------------------------------------------------------------------------------
+
+# Opening angle of a Nomad's sonar in radians: 25 degrees.
+_CONE_RAD: Final = math.radians(25)
+# Radius of the ring in metres, which CARMEN wants with every reading.
+_RING_M: Final = 0.0
+_HOST: Final = "nomad"
+
+
+def carmen_lines(drive: Drive) -> Iterator[str]:
+    """Yield the lines of a CARMEN log: ODOM and SONAR for each sample, in metres, radians and seconds."""
+    yield "# CARMEN Logfile"
+    yield "# file format is one message per line"
+    yield "# message_name [message contents] ipc_timestamp ipc_hostname logger_timestamp"
+    yield "# ODOM x y theta tv rv accel"
+    yield "# SONAR cone_angle num_sonars [ranges] [x y theta of each sonar]"
+    for sample in drive.samples:
+        end = f"{drive.start_s + sample.time_s!r} {_HOST} {sample.time_s!r}"
+        yield (f"ODOM {sample.x_m!r} {sample.y_m!r} {sample.heading_rad!r} {sample.speed_m_s!r} "
+               f"{sample.turn_rad_s!r} 0 {end}")
+        if sample.ranges_m:
+            turret = 0.0 if sample.turret_rad is None else sample.turret_rad - sample.heading_rad
+            ranges = " ".join(repr(one) for one in sample.ranges_m)
+            mounts = " ".join(f"{_RING_M} {_RING_M} {angle + turret!r}" for angle in drive.directions_rad)
+            yield f"SONAR {_CONE_RAD!r} {len(sample.ranges_m)} {ranges} {mounts} {end}"
+
+
+def read_carmen(text: str, name: str) -> Drive:
+    """Parse a CARMEN log: poses of ODOM, ranges of SONAR, or of FLASER where it has no sonars."""
+    kinds = Counter(line.split(" ", 1)[0] for line in text.splitlines() if line and not line.startswith("#"))
+    ranges_of: dict[str, Callable[[list[float]], tuple[Sequence[float], tuple[float, ...]]]] = {
+        "SONAR": _carmen_sonar, "FLASER": _carmen_laser,
+    }
+    source = next((kind for kind in ranges_of if kinds[kind]), "ODOM")
+    drive = Drive([], start_s=0.0)
+    skipped = {kind: count for kind, count in kinds.items() if kind not in ("ODOM", "PARAM", "SYNC", source)}
+    drive.omitted += [f"{count} messages {kind}" for kind, count in skipped.items()]
+    pose = Sample(0.0)
+    for number, line in enumerate(text.splitlines(), 1):
+        kind, *words = line.split() or [""]
+        if kind not in ("ODOM", source):
+            continue
+        try:
+            # The last three words are time, host and time of the logger.
+            numbers, time_s, start_s = [float(word) for word in words[:-3]], float(words[-1]), float(words[-3])
+            if kind == "ODOM":
+                x, y, heading, speed, turn, _ = numbers
+                pose = Sample(time_s, x, y, heading, None, speed, turn)
+            if kind == "FLASER":
+                pose = Sample(time_s, numbers[-3], numbers[-2], numbers[-1])
+            if kind == source:
+                drive.start_s = drive.start_s or start_s - time_s
+                sample = pose._replace(time_s=time_s)
+                if kind != "ODOM":
+                    ranges, directions = ranges_of[kind](numbers)
+                    drive.directions_rad = drive.directions_rad if drive.samples else _ring(directions)
+                    # A ring on a turret: all sonars turn by the same angle.
+                    turned = directions[0] - drive.directions_rad[0]
+                    turret = sample.heading_rad + turned if kind == "SONAR" else None
+                    sample = sample._replace(ranges_m=tuple(ranges), turret_rad=turret)
+                drive.samples.append(sample)
+        except (ValueError, IndexError) as error:
+            raise RecordingError(f"{name}, line {number}: no {kind} message of CARMEN ({error})") from None
+    if abs(drive.start_s) < 1e-3:  # the two times of a line differ by rounding only
+        drive.start_s = 0.0
+    return drive
+
+
+def _ring(directions: tuple[float, ...]) -> tuple[float, ...]:
+    """Return the directions of the sonars on the turret: a Nomad's, whatever the turret's direction, or as they are."""
+    if len(directions) != len(RING):
+        return directions
+    apart = [one - directions[0] - wanted for one, wanted in zip(directions, RING, strict=True)]
+    return RING if all(abs(math.remainder(angle, math.tau)) < 1e-9 for angle in apart) else directions
+
+
+def _carmen_sonar(numbers: list[float]) -> tuple[Sequence[float], tuple[float, ...]]:
+    count = int(numbers[1])
+    mounts = numbers[2 + count :]
+    if len(mounts) != 3 * count:
+        raise ValueError(f"{count} sonars, {len(mounts)} numbers of their places")
+    return numbers[2 : 2 + count], tuple(mounts[2::3])
+
+
+def _carmen_laser(numbers: list[float]) -> tuple[Sequence[float], tuple[float, ...]]:
+    # Beams of a front laser go from -90 to 90 degrees; the last six numbers are two poses.
+    count = int(numbers[0])
+    if len(numbers) != count + 7 or count < 2:
+        raise ValueError(f"{count} readings, {len(numbers) - 7} numbers")
+    return numbers[1 : 1 + count], tuple(math.pi * (k / (count - 1) - 0.5) for k in range(count))

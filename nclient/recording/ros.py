@@ -1,0 +1,349 @@
+"""Drives as ROS messages in MCAP files and ROS 1 and 2 bags (extra `ros`: mcap, rosbags).
+
+    /robot1/odom      nav_msgs/Odometry       robot1/odom -> robot1/base_link, metres, radians (REP-103, REP-105)
+    /robot1/sonar     sensor_msgs/LaserScan   frame robot1/turret, +inf for no echo (REP-117)
+    /robot1/bumpers   std_msgs/UInt32         bits of State[33]
+    /robot1/battery   sensor_msgs/BatteryState
+    /tf               tf2_msgs/TFMessage
+    /nomad/recording  std_msgs/String         lines of the recording that the drive comes from: the way back
+
+Read are nav_msgs/Odometry, geometry_msgs/PoseStamped, sensor_msgs/LaserScan and sensor_msgs/Range of any topic, and
+with `fields` numbers of any message. Times of messages are those of the log.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from mcap.reader import make_reader
+from mcap.writer import Writer as McapWriter
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag1 import Writer as Bag1Writer
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Bag2Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from nclient.errors import RecordingError
+from nclient.protocol.types import M_PER_IN, MAX_SONAR_IN
+from nclient.recording.drive import RING, Drive, Sample, drive_of_recording
+from nclient.recording.format import parse_recording
+
+ODOMETRY, SCAN, RANGE = "nav_msgs/msg/Odometry", "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/Range"
+POSE, TEXT, NUMBER = "geometry_msgs/msg/PoseStamped", "std_msgs/msg/String", "std_msgs/msg/UInt32"
+BATTERY, TRANSFORMS = "sensor_msgs/msg/BatteryState", "tf2_msgs/msg/TFMessage"
+TRAFFIC: Final = "/nomad/recording"
+"""Topic of the lines of a recording."""
+_ROBOT: Final = "robot1"
+_MIN_RANGE_M, _MAX_RANGE_M = 6 * M_PER_IN, MAX_SONAR_IN * M_PER_IN
+_UNKNOWN: Final = float("nan")
+
+
+class Message(NamedTuple):
+    """A message to write: time in ns, topic, type, object of the type store."""
+
+    time_ns: int
+    topic: str
+    type: str
+    content: Any
+
+
+# -- writing ----------------------------------------------------------------------------------------------------------
+
+
+def write(drive: Drive, path: Path, name: str) -> None:
+    """Write a drive as MCAP, ROS 1 bag or ROS 2 bag."""
+    if name == "ROS 1 bag":
+        store = get_typestore(Stores.ROS1_NOETIC)
+        store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TRANSFORMS))
+        with Bag1Writer(path) as bag:
+            _write_bag(bag, drive, store, store.serialize_ros1)
+        return
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    if name == "ROS 2 bag":
+        with Bag2Writer(path, version=8, storage_plugin=StoragePlugin.SQLITE3) as bag2:
+            _write_bag(bag2, drive, store, store.serialize_cdr)
+        return
+    _write_mcap(drive, path, store)
+
+
+def _write_bag(bag: Any, drive: Drive, store: Any, serialize: Callable[[Any, str], Any]) -> None:
+    topics: dict[str, Any] = {}
+    for message in _messages(drive, store):
+        if message.topic not in topics:
+            topics[message.topic] = bag.add_connection(message.topic, message.type, typestore=store)
+        bag.write(topics[message.topic], message.time_ns, serialize(message.content, message.type))
+
+
+def _write_mcap(drive: Drive, path: Path, store: Any) -> None:
+    with path.open("wb") as file:
+        writer = McapWriter(file)
+        writer.start(profile="ros2", library="nomad-nserver")
+        channels: dict[str, int] = {}
+        for sequence, message in enumerate(_messages(drive, store)):
+            if message.topic not in channels:
+                text, _ = store.generate_msgdef(message.type, ros_version=2)
+                schema = writer.register_schema(message.type, "ros2msg", text.encode())
+                channels[message.topic] = writer.register_channel(message.topic, "cdr", schema)
+            writer.add_message(channels[message.topic], message.time_ns,
+                               bytes(store.serialize_cdr(message.content, message.type)), message.time_ns, sequence)
+        writer.finish()  # type: ignore[no-untyped-call]
+
+
+def _messages(drive: Drive, store: Any) -> Iterator[Message]:
+    """Yield the messages of a drive in the order of time, the lines of its recording first."""
+    start_ns = round(drive.start_s * 1e9)
+    first_ns = start_ns + round(drive.samples[0].time_s * 1e9)
+    for line in drive.traffic:
+        yield Message(first_ns, TRAFFIC, TEXT, store.types[TEXT](line))
+    for sample in drive.samples:
+        yield from sample_messages(sample, drive.directions_rad, start_ns, store)
+
+
+def sample_messages(sample: Sample, directions: Sequence[float], start_ns: int, store: Any) -> Iterator[Message]:
+    """Yield the messages of one sample."""
+    import numpy as np
+
+    types = store.types
+    time_ns = start_ns + round(sample.time_s * 1e9)
+
+    def header(frame: str) -> Any:
+        stamp = types["builtin_interfaces/msg/Time"](time_ns // 10**9, time_ns % 10**9)
+        kind = types["std_msgs/msg/Header"]
+        # Headers of ROS 1 have a sequence number.
+        return kind(0, stamp, frame) if "seq" in kind.__dataclass_fields__ else kind(stamp, frame)
+
+    def vector(x: float = 0.0, y: float = 0.0, z: float = 0.0, kind: str = "Vector3") -> Any:
+        return types[f"geometry_msgs/msg/{kind}"](x, y, z)
+
+    def rotation(angle: float) -> Any:
+        return types["geometry_msgs/msg/Quaternion"](0.0, 0.0, math.sin(angle / 2), math.cos(angle / 2))
+
+    def transform(parent: str, child: str, x: float, y: float, angle: float) -> Any:
+        moved = types["geometry_msgs/msg/Transform"](vector(x, y), rotation(angle))
+        return types["geometry_msgs/msg/TransformStamped"](header(f"{_ROBOT}/{parent}"), f"{_ROBOT}/{child}", moved)
+
+    # 1. Pose and velocity by odometry; their covariances are unknown: zeros.
+    pose = types["geometry_msgs/msg/Pose"](vector(sample.x_m, sample.y_m, 0.0, "Point"), rotation(sample.heading_rad))
+    twist = types["geometry_msgs/msg/Twist"](vector(sample.speed_m_s), vector(z=sample.turn_rad_s))
+    unknown = np.zeros(36)
+    yield Message(time_ns, f"/{_ROBOT}/odom", ODOMETRY, types[ODOMETRY](
+        header(f"{_ROBOT}/odom"), f"{_ROBOT}/base_link",
+        types["geometry_msgs/msg/PoseWithCovariance"](pose, unknown),
+        types["geometry_msgs/msg/TwistWithCovariance"](twist, unknown)))
+    # 2. Frames: the turret turns on the base.
+    turret = sample.heading_rad if sample.turret_rad is None else sample.turret_rad
+    frames = [transform("odom", "base_link", sample.x_m, sample.y_m, sample.heading_rad)]
+    frames.append(transform("base_link", "turret", 0.0, 0.0, turret - sample.heading_rad))
+    yield Message(time_ns, "/tf", TRANSFORMS, types[TRANSFORMS](frames))
+    # 3. Bumpers and battery, before the sonars: a scan completes the sample when it is read.
+    yield Message(time_ns, f"/{_ROBOT}/bumpers", NUMBER, types[NUMBER](sample.bumpers))
+    if sample.volts:
+        for place, volts in zip(("cpu", "motors"), sample.volts, strict=True):
+            yield Message(time_ns, f"/{_ROBOT}/battery/{place}", BATTERY, battery(types, header(""), volts, place))
+    # 4. Sonars as a scan: it has room for readings at equal angles only.
+    if sample.ranges_m:
+        step = directions[1] - directions[0] if len(directions) > 1 else 0.0
+        scan = types[SCAN](header(f"{_ROBOT}/turret"), directions[0], directions[-1], step, 0.0, 0.0, _MIN_RANGE_M,
+                           _MAX_RANGE_M, np.array(sample.ranges_m, np.float32), np.array([], np.float32))
+        yield Message(time_ns, f"/{_ROBOT}/sonar", SCAN, scan)
+
+
+def battery(types: Any, header: Any, volts: float, place: str) -> Any:
+    """Return a BatteryState of which only the voltage is measured."""
+    import numpy as np
+
+    kind, none = types[BATTERY], np.array([], np.float32)
+    values = {"header": header, "voltage": volts, "present": True, "location": place, "serial_number": "",
+              "cell_voltage": none, "cell_temperature": none, "power_supply_status": 0, "power_supply_health": 0,
+              "power_supply_technology": 0}
+    return kind(**{name: values.get(name, _UNKNOWN) for name in kind.__dataclass_fields__ if name[0] != "_"})
+
+
+# -- reading ----------------------------------------------------------------------------------------------------------
+
+
+def read(path: Path, fields: Sequence[str]) -> Drive:
+    """Read a drive from MCAP or a bag; `fields` as of `convert.read_drive`."""
+    builder = _Builder([_Field.parse(text) for text in fields])
+    try:
+        for topic, kind, time_ns, message in _read_messages(path, builder):
+            builder.add(topic, kind, time_ns, message)
+    except RecordingError:
+        raise
+    except Exception as error:  # readers of other packages raise any type
+        raise RecordingError(f"{path}: cannot be read ({type(error).__name__}: {error})") from error
+    if builder.lines:
+        return drive_of_recording(parse_recording("\n".join(builder.lines) + "\n", str(path)), builder.lines)
+    return builder.drive()
+
+
+def _read_messages(path: Path, builder: "_Builder") -> Iterator[tuple[str, str, int, Any]]:
+    """Yield topic, type, time in ns and content of the messages that the builder wants."""
+    if path.suffix != ".mcap" or path.is_dir():
+        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+            for connection, time_ns, data in reader.messages():
+                if builder.wants(connection.topic, connection.msgtype):
+                    content = reader.deserialize(data, connection.msgtype)
+                    yield connection.topic, connection.msgtype, time_ns, content
+        return
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    with path.open("rb") as file:
+        for schema, channel, message in make_reader(file).iter_messages():
+            if schema is None or not builder.wants(channel.topic, schema.name):
+                continue
+            if channel.message_encoding != "cdr":
+                raise RecordingError(f"{path}: {channel.topic} is encoded as {channel.message_encoding}; "
+                                     "CDR of ROS 2 is read")
+            if schema.name not in store.types:
+                store.register(get_types_from_msg(schema.data.decode(), schema.name))
+            yield channel.topic, schema.name, message.log_time, store.deserialize_cdr(message.data, schema.name)
+
+
+class _Field(NamedTuple):
+    """A number of a message that is read as a column: `x_m=/state:raw.0`."""
+
+    column: str
+    topic: str
+    place: tuple[str, ...]
+
+    @classmethod
+    def parse(cls, text: str) -> "_Field":
+        column, _, source = text.partition("=")
+        topic, _, place = source.partition(":")
+        known = ("x_m", "y_m", "heading_rad", "qx", "qy", "qz", "qw")
+        if (column not in known and not _is_sonar(column)) or not topic or not place:
+            raise RecordingError(f"--field {text}: expected COLUMN=TOPIC:PLACE, such as x_m=/state:raw.0; columns are "
+                                 f"{', '.join(known)}, sonar_0_m, sonar_1_m, ...")
+        return cls(column, topic, tuple(place.split(".")))
+
+    def value(self, message: Any) -> float:
+        for part in self.place:
+            try:
+                message = message[int(part)] if part.isdecimal() else getattr(message, part)
+            except (AttributeError, IndexError, TypeError):
+                raise RecordingError(f"--field {self.column}: {self.topic} has no {'.'.join(self.place)}") from None
+        return float(message)
+
+
+def _is_sonar(column: str) -> bool:
+    return column.startswith("sonar_") and column.endswith("_m") and column[6:-2].isdecimal()
+
+
+class _Builder:
+    """Puts messages together to samples: one at each scan, or at each pose if there are no scans."""
+
+    def __init__(self, fields: Sequence[_Field]) -> None:
+        self._fields = fields
+        self._values: dict[str, float] = {}
+        self._pose: Sample | None = None
+        self._volts: dict[str, float] = {}
+        self._found: list[tuple[int, Sample, bool]] = []
+        self._directions: tuple[float, ...] = RING
+        self._ignored: dict[str, str] = {}
+        self._early = 0
+        self.lines: list[str] = []
+
+    def wants(self, topic: str, kind: str) -> bool:
+        if any(field.topic == topic for field in self._fields):
+            return True
+        own = topic == TRAFFIC or topic == f"/{_ROBOT}/bumpers" or kind in (BATTERY, TRANSFORMS)
+        if own or (not self._fields and kind in (ODOMETRY, POSE, SCAN, RANGE)):
+            return True
+        self._ignored[topic] = kind
+        return False
+
+    def add(self, topic: str, kind: str, time_ns: int, message: Any) -> None:
+        if topic == TRAFFIC:
+            self.lines.append(message.data)
+        elif self._fields:
+            self._add_fields(topic, time_ns, message)
+        elif kind == ODOMETRY:
+            twist = message.twist.twist
+            pose = _pose(message.pose.pose)._replace(speed_m_s=twist.linear.x, turn_rad_s=twist.angular.z)
+            self._set_pose(time_ns, pose)
+        elif kind == POSE:
+            self._set_pose(time_ns, _pose(message.pose))
+        elif kind == TRANSFORMS:
+            for transform in message.transforms:
+                if transform.child_frame_id == f"{_ROBOT}/turret" and self._pose:
+                    angle = _angle(transform.transform.rotation)
+                    self._pose = self._pose._replace(turret_rad=self._pose.heading_rad + angle)
+                    self._replace_last()
+        elif topic == f"/{_ROBOT}/bumpers" and self._pose:
+            self._pose = self._pose._replace(bumpers=message.data)
+            self._replace_last()
+        elif kind == BATTERY and self._pose:
+            self._volts[message.location] = message.voltage
+            if len(self._volts) == 2:
+                self._pose = self._pose._replace(volts=(self._volts["cpu"], self._volts["motors"]))
+        elif kind == SCAN:
+            count, step = len(message.ranges), message.angle_increment
+            self._directions = tuple(message.angle_min + k * step for k in range(count))
+            # A scan has angles in single precision: those of a Nomad's ring are known exactly.
+            if count == len(RING) and not message.angle_min and math.isclose(step, RING[1], rel_tol=1e-5):
+                self._directions = RING
+            self._add_ranges(time_ns, tuple(_range(value, message.range_max) for value in message.ranges))
+
+    def _set_pose(self, time_ns: int, pose: Sample) -> None:
+        before = self._pose
+        if before is not None and before.turret_rad is not None:
+            # Until the next transform the turret keeps its direction on the base.
+            pose = pose._replace(turret_rad=pose.heading_rad + before.turret_rad - before.heading_rad)
+        self._pose = pose
+        self._found.append((time_ns, self._pose, False))
+
+    def _replace_last(self) -> None:
+        if self._found and self._pose and not self._found[-1][2]:
+            self._found[-1] = (self._found[-1][0], self._pose, False)
+
+    def _add_ranges(self, time_ns: int, ranges: tuple[float, ...]) -> None:
+        if self._pose is None:
+            self._early += 1
+        else:
+            self._found.append((time_ns, self._pose._replace(ranges_m=ranges), True))
+
+    def _add_fields(self, topic: str, time_ns: int, message: Any) -> None:
+        new = [field for field in self._fields if field.topic == topic]
+        for field in new:
+            self._values[field.column] = field.value(message)
+        values = self._values
+        heading = values.get("heading_rad", 0.0)
+        if "qw" in values:
+            heading = _angle_of(*(values.get(name, 0.0) for name in ("qx", "qy", "qz", "qw")))
+        self._pose = Sample(0.0, values.get("x_m", 0.0), values.get("y_m", 0.0), heading)
+        sonars = sorted((name for name in values if _is_sonar(name)), key=lambda name: int(name[6:-2]))
+        wanted = {field.column for field in self._fields if _is_sonar(field.column)}
+        # A sample is complete with the message that has the sonars, or any where there are none.
+        if any(_is_sonar(field.column) for field in new) or not wanted:
+            self._directions = tuple(math.tau * k / len(sonars) for k in range(len(sonars))) or RING
+            self._add_ranges(time_ns, tuple(values[name] for name in sonars))
+
+    def drive(self) -> Drive:
+        with_ranges = any(is_scan for _, _, is_scan in self._found)
+        found = [(time_ns, sample) for time_ns, sample, is_scan in self._found if is_scan or not with_ranges]
+        start_ns = found[0][0] if found and found[0][0] > 10**18 else 0
+        samples = [sample._replace(time_s=(time_ns - start_ns) / 1e9) for time_ns, sample in found]
+        drive = Drive(samples, self._directions, start_ns / 1e9)
+        drive.omitted += [f"{topic} ({kind})" for topic, kind in self._ignored.items()]
+        if self._early:
+            drive.omitted.append(f"{self._early} scans before the first pose")
+        return drive
+
+
+def _pose(pose: Any) -> Sample:
+    return Sample(0.0, pose.position.x, pose.position.y, _angle(pose.orientation))
+
+
+def _angle(q: Any) -> float:
+    return _angle_of(q.x, q.y, q.z, q.w)
+
+
+def _angle_of(x: float, y: float, z: float, w: float) -> float:
+    """Return the heading of a quaternion in radians."""
+    return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+
+
+def _range(value: float, max_m: float) -> float:
+    """Return a reading in metres, inf for none (REP-117: +inf; older drivers: the maximum, or nothing valid)."""
+    return float(value) if 0 <= value <= max_m else math.inf

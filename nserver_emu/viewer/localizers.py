@@ -1,0 +1,255 @@
+"""Localizers started from the page: for each robot at most one process of `nomad localize`.
+
+    page ──localize──> Localizers.start ──> process ──POST /publish──> all pages
+    page <──localizers── starting, running, ended or failed, and the process's own words
+
+The process is an ordinary client: it connects to the robot at the daemon's port and publishes to the page like a
+localizer started in a terminal. It ends when a page stops it, when it is replaced, or with the daemon. The map is the
+world at the time of the start. The page's address contains its token, so the process gets it in its environment, which
+only its owner can read, and not on its command line.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import logging
+import os
+import sys
+import tempfile
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from nserver_emu.server.daemon import Daemon
+from nserver_emu.simulation.acoustics import Polaroid
+from nserver_emu.viewer.auth import to_loopback
+from nserver_emu.viewer.messages import LocalizationMethod
+from worlds.io import format_world
+
+log = logging.getLogger(__name__)
+
+PUBLISH_VARIABLE: Final = "NOMAD_PUBLISH"
+"""Environment variable that is the default of `nomad localize --publish` (localization/cli/arguments.py)."""
+NOMAD: Final = (sys.executable, "-P", "-m", "nclient.cli")
+"""The program `nomad` of this installation; -P: modules in the daemon's working folder are not imported."""
+TIME_LIMIT_S: Final = 1e9
+"""A localizer of the page runs until it is stopped."""
+WORN_SCALE_STD: Final = "0.05,0.05,0.003"
+"""--scale-std for a robot with wheel errors: distance scale, turn scale, drift in rad/in."""
+END_S: Final = 2.0
+"""Time to end after SIGTERM, then SIGKILL."""
+MAX_LINES: Final = 20
+MAX_LINE_BYTES: Final = 2**20
+MAX_WORDS: Final = 500
+"""Characters of a process's words on the page."""
+
+
+@dataclass(slots=True)
+class LocalizerState:
+    """State of a robot's localizer, as sent to the pages.
+
+    Attributes
+    ----------
+    method : name of the filter.
+    state : "starting" until the first estimate, then "running"; "ended" or "failed" after the process.
+    words : what it waits for, why it ended, or the error with its remedy.
+    """
+
+    method: str
+    state: str = "starting"
+    words: str = ""
+
+    def as_dict(self) -> dict[str, str]:
+        """Return the state as plain data."""
+        return {"method": self.method, "state": self.state, "words": self.words[:MAX_WORDS]}
+
+
+class Localizers:
+    """Localizer processes of one daemon, by robot.
+
+    Parameters
+    ----------
+    daemon : Daemon
+    on_change : called when the state of a localizer has changed.
+    program : the program `nomad`, replaced in tests.
+    """
+
+    def __init__(self, daemon: Daemon, on_change: Callable[[], None], program: Sequence[str] = NOMAD) -> None:
+        self._daemon = daemon
+        self._on_change = on_change
+        self._program = tuple(program)
+        self._tasks: dict[int, asyncio.Task[None]] = {}
+        self._folder: tempfile.TemporaryDirectory[str] | None = None
+        self.states: dict[int, LocalizerState] = {}
+        # Set by the server of the page once its port is open.
+        self.page_url = ""
+        self.model_file: Path | None = None
+
+    def as_dict(self) -> dict[str, dict[str, str]]:
+        """Return the states of all localizers by robot."""
+        return {str(robot): state.as_dict() for robot, state in self.states.items()}
+
+    def start(self, robot: int, method: LocalizationMethod, *, is_lost: bool, resumes: bool = False) -> None:
+        """Start the localizer of a robot, in place of one that runs.
+
+        Parameters
+        ----------
+        robot : number of the robot.
+        method : name of the filter.
+        is_lost : True if the pose is not known and is to be found; False if it is that of the encoders.
+        resumes : True to begin with the last estimate of the localizer before, where that has saved one.
+        """
+        previous = self._tasks.pop(robot, None)
+        state = self.states[robot] = LocalizerState(method)
+        command, saved = self._command(robot, method, is_lost), self._file(robot, "estimate.json")
+        task = self._tasks[robot] = asyncio.create_task(self._run(state, command, saved, previous, resumes=resumes))
+        # Also a task that was cancelled before its first step.
+        task.add_done_callback(lambda task: self._change(state, "ended", "stopped") if task.cancelled() else None)
+        self._on_change()
+
+    def stop(self, robot: int) -> None:
+        """End the localizer of a robot, if there is one."""
+        task = self._tasks.get(robot)
+        if task is not None:
+            task.cancel()
+
+    def mark_published(self, robot: int) -> None:
+        """Record that an estimate of this robot was published."""
+        state = self.states.get(robot)
+        if state is not None and state.state == "starting":
+            self._change(state, "running", "")
+
+    async def close(self) -> None:
+        """End all localizers; may be called twice."""
+        tasks = list(self._tasks.values())
+        self._tasks.clear()
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        if self._folder is not None:
+            self._folder.cleanup()
+            self._folder = None
+
+    def _command(self, robot: int, method: str, is_lost: bool) -> list[str]:
+        """Return the command line of a localizer."""
+        # 1. Robot, map and filter. A pose that is not known is found by the method that this option implies.
+        address = f"nserver://{to_loopback(self._daemon.places['nserver'])}/{robot}"
+        command = [*self._program, "localize", address, "--map", str(self._write_map(robot)), "--stay", "--json",
+                   "--time-limit", f"{TIME_LIMIT_S:g}"]  # fmt: skip
+        command += ["--start", "unknown"] if is_lost else ["--method", method]
+        # 2. Models of the robot and its sensors. A real robot's are the program's own defaults.
+        if self.model_file is not None:
+            command += ["--model-file", str(self.model_file)]
+        if self._daemon.handler is self._daemon.emulator:
+            setup = self._daemon.emulator.simulation.robots[robot].setup
+            command += ["--sonars", "cones" if isinstance(setup.sonar, Polaroid) else "rays"]
+            if not setup.odometry.is_exact:
+                command += ["--scale-std", WORN_SCALE_STD]
+        return command
+
+    def _write_map(self, robot: int) -> Path:
+        """Write the present world to a file and return its path."""
+        path = self._file(robot, "world.toml")
+        path.write_text(format_world(self._daemon.emulator.simulation.world))
+        return path
+
+    def _file(self, robot: int, name: str) -> Path:
+        if self._folder is None:
+            self._folder = tempfile.TemporaryDirectory(prefix="nserver-")
+        return Path(self._folder.name) / f"robot_{robot}_{name}"
+
+    async def _run(
+        self, state: LocalizerState, command: list[str], saved: Path, previous: asyncio.Task[None] | None,
+        *, resumes: bool,
+    ) -> None:  # fmt: skip
+        # 1. Two localizers of one robot would publish in turns: wait for the end of the one before, which saves its
+        # estimate unless it is lost.
+        if previous is not None:
+            previous.cancel()
+            await asyncio.gather(previous, return_exceptions=True)
+        if resumes and saved.exists():
+            command += ["--resume", str(saved.replace(saved.with_suffix(".before")))]
+        saved.unlink(missing_ok=True)
+        command += ["--save", str(saved)]
+        # 2. A session of its own: Ctrl-C in the daemon's terminal reaches only the daemon, which ends it in order.
+        try:
+            process = await asyncio.create_subprocess_exec(
+                *command, stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE,
+                stderr=asyncio.subprocess.STDOUT, limit=MAX_LINE_BYTES, start_new_session=True,
+                env=os.environ | {PUBLISH_VARIABLE: self.page_url},
+            )  # fmt: skip
+        except OSError as error:
+            self._change(state, "failed", f"cannot start {command[0]}: {error.strerror or error}")
+            return
+        log.info("localizer started: pid=%d", process.pid)
+        # 3. Its output until it ends. A cancelled task ends it.
+        lines: deque[str] = deque(maxlen=MAX_LINES)
+        try:
+            assert process.stdout is not None
+            async for line in process.stdout:
+                text = line.decode(errors="replace").strip()
+                if text:
+                    lines.append(text)
+                    self._report_progress(state, text)
+            code = await process.wait()
+        except asyncio.CancelledError:
+            await _end(process)
+            raise
+        except ValueError:
+            # A line longer than MAX_LINE_BYTES: not the program that was started.
+            await _end(process)
+            code = process.returncode or 1
+        # 4. It ended by itself.
+        log.info("localizer ended: pid=%d code=%d", process.pid, code)
+        if stopped := _reason_to_stop(lines):
+            self._change(state, "ended", stopped)
+        else:
+            self._change(state, "failed", _error_words(lines, code))
+
+    def _report_progress(self, state: LocalizerState, text: str) -> None:
+        """Show what a starting localizer waits for."""
+        if state.state == "starting" and not text.startswith("{"):
+            self._change(state, "starting", text.removeprefix("nomad: "))
+
+    def _change(self, state: LocalizerState, name: str, words: str) -> None:
+        state.state, state.words = name, words
+        # A state that was replaced is not shown any more.
+        if state in self.states.values():
+            self._on_change()
+
+
+async def _end(process: asyncio.subprocess.Process) -> None:
+    """End a process: by SIGTERM, after END_S by SIGKILL."""
+    with contextlib.suppress(ProcessLookupError):
+        process.terminate()
+    # The output is read to its end, so that a full pipe does not keep the process from ending.
+    try:
+        async with asyncio.timeout(END_S):
+            await process.communicate()
+    except (TimeoutError, ValueError):
+        with contextlib.suppress(ProcessLookupError):
+            process.kill()
+        await process.wait()
+
+
+def _reason_to_stop(lines: Sequence[str]) -> str:
+    """Return why a run was given up, from its result, the JSON object in the last line; "" if there is none."""
+    try:
+        result: Any = json.loads(lines[-1])
+        return str(result["stopped"] or "")
+    except (IndexError, ValueError, KeyError, TypeError):
+        return ""
+
+
+def _error_words(lines: Sequence[str], code: int) -> str:
+    """Return the error in the output of a process that failed; it names its remedy."""
+    # An error is the last line that begins with the program's name; anything else is an unexpected one.
+    errors = [line.removeprefix("nomad: ") for line in lines if line.startswith("nomad: ")]
+    return errors[-1] if errors else (
+        f"the localizer ended with exit code {code}: {lines[-1] if lines else 'without a word'}; "
+        "run `nomad localize` in a terminal to see all of its output"
+    )  # fmt: skip

@@ -1,0 +1,43 @@
+"""Run the commands of the page about other tools."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from nclient.protocol import codec
+from nclient.protocol.commands import BY_NAME, Call
+from nclient.protocol.replies import Reply
+from nclient.protocol.types import N200
+from nclient.protocol.wire_state import tcp_wire_state
+from tests.docs.pages import command_lines, run
+from tests.nclient.cli.captures import TO_HOST, TO_ROBOT, Conversation, write_pcap
+
+PAGE = "interop.md"
+
+
+@pytest.mark.skipif(shutil.which("tshark") is None, reason="tshark is not installed (apt install tshark)")
+def test_commands_about_wireshark(tmp_path: Path) -> None:
+    state = tcp_wire_state(N200)
+    requests = [Call("connect_robot", (1, 4711)), Call("vm", (100, -50, 0)), Call("gs")]
+    reply = Reply("state", slots={17: 12, 34: -5}, clock=1)
+    segments = [(TO_ROBOT, codec.encode_tcp_request(call)) for call in requests]
+    segments.append((TO_HOST, codec.encode_tcp_reply(BY_NAME["vm"], reply, state)))
+    write_pcap(tmp_path / "capture.pcap", [Conversation(7019, segments)])
+    written, all_messages, drives, near = [line for line in command_lines(PAGE) if "lua" in line]
+    assert run(written, tmp_path) == ""
+    shown = run(all_messages, tmp_path)
+    assert "> vm 100 -50 0" in shown
+    assert run(drives, tmp_path).split() == ["0.001000000", "100"]
+    assert run(near, tmp_path).split() == ["12", "-5"]
+
+
+def test_commands_about_recordings(tmp_path: Path) -> None:
+    lines = command_lines(PAGE)
+    first = next(k for k, line in enumerate(lines) if "record=run.log" in line)
+    for line in lines[first : first + 10]:
+        shown = run(line, tmp_path)
+    assert "sonar" in shown
+    assert len(list(tmp_path.glob("run*"))) == 6

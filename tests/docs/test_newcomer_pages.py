@@ -1,0 +1,67 @@
+"""Pages for newcomers: their commands exist, their worlds are valid, their samples are read."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from importlib.metadata import entry_points
+from pathlib import Path
+
+import pytest
+
+from nclient.cli.main import GROUP
+from nserver_emu.options import nserver_parser, read_options
+from nserver_emu.server.legacy_setup import read_setups
+from tests.docs.pages import DOCS, ROOT, code_blocks, command_lines, run
+from worlds.io import parse_world, world_names
+from worlds.validate import validate_world
+
+COMMANDS = {point.name for point in entry_points(group=GROUP)}
+
+
+def test_every_command_has_a_purpose_and_every_purpose_a_command() -> None:
+    page = (DOCS / "which-command.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"\| `?[^|]*`nomad (\w+)", page))
+    assert named == COMMANDS
+    options = {f"--{option}" for option in re.findall(r"`nserver [^`]*?--([\w-]+)", page)}
+    assert options <= {name for action in nserver_parser()._actions for name in action.option_strings}
+
+
+def test_programs_named_by_the_platforms_page_exist() -> None:
+    text = (DOCS / "platforms.md").read_text(encoding="utf-8")
+    assert set(re.findall(r"scripts/\w+", text)) == {"scripts/run"}
+    for words in re.findall(r"^ *\$ \.venv/bin/nserver (.*)$", text, re.MULTILINE):
+        assert read_options(nserver_parser(), shlex.split(words)).real
+    assert set(re.findall(r"bin/nomad (\w+)", text)) <= COMMANDS
+
+
+@pytest.mark.parametrize("page", ["worlds.md", "map-your-room.md"])
+def test_world_of_a_page_is_well(page: str) -> None:
+    (text,) = code_blocks(page, "toml")
+    assert validate_world(parse_world(text, page, "page"), 9.0) == []
+
+
+def test_room_measured_with_a_tape_can_be_driven_in(tmp_path: Path) -> None:
+    (text,) = code_blocks("map-your-room.md", "toml")
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "my_room.toml").write_text(text, encoding="utf-8")
+    check, localize = command_lines("map-your-room.md")
+    assert "no problems" in run(check, tmp_path)
+    assert "2 of 2 waypoints reached" in run(localize, tmp_path)
+
+
+def test_commands_of_the_worlds_page_run() -> None:
+    listing, check = command_lines("worlds.md")
+    assert "several_walls" in run(listing, ROOT)
+    assert "no problems" in run(check, ROOT)
+
+
+def test_samples_of_setup_files_are_read() -> None:
+    setup = read_setups([DOCS / "samples" / name for name in ("robot.setup", "world.setup")])
+    assert (setup.robot, setup.port) == ("n200", 7019)
+    assert setup.unused == ("[laser] calibration", "[laser] offset")
+
+
+def test_gallery_shows_every_shipped_world() -> None:
+    page = (DOCS / "worlds.md").read_text(encoding="utf-8")
+    assert set(re.findall(r"figures/worlds/(\w+)\.svg", page)) == set(world_names())

@@ -1,0 +1,67 @@
+"""Exploration: gaps that are entered, paths through them, and a room that a robot explores by itself."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from localization.filters.belief import Floats
+from localization.mapping.explore import CELL_IN, Explorer, Grid, pushed
+from localization.mapping.measurements import read_drive
+from localization.navigation.path import wall_distances
+from localization.navigation.roadmap import segment_clearances
+from nclient.cli import main
+
+BODY_IN = 9.72
+
+
+def wall_with_gap(width_in: float, at_in: float = 0.37) -> Floats:
+    """Return the walls of a room of 160 by 80 in, with a wall across that has a gap off the cells' centres."""
+    low, high = 40.0 + at_in - 0.5 * width_in, 40.0 + at_in + 0.5 * width_in
+    room = [(0, 0, 160, 0), (160, 0, 160, 80), (160, 80, 0, 80), (0, 80, 0, 0)]
+    return np.array([*room, (80.3, 0, 80.3, low), (80.3, high, 80.3, 80)], dtype=np.float64)
+
+
+def grid_of(walls: Floats) -> Grid:
+    """Return a grid of which all cells are free, with their exact distances from walls."""
+    shape = int(164 / CELL_IN), int(84 / CELL_IN)
+    grid = Grid(np.array((-2.0, -2.0)), np.ones(shape, dtype=np.bool_), np.zeros(shape), walls)
+    cells = np.argwhere(grid.free)
+    grid.space[cells[:, 0], cells[:, 1]] = wall_distances(grid.centres(cells), walls)
+    return grid
+
+
+@pytest.mark.parametrize(("width_in", "enters"), [(24.0, True), (30.0, True), (20.0, False)])
+@pytest.mark.parametrize("at_in", [0.0, 0.37, 1.0])
+def test_gaps_of_24_in_are_entered(width_in: float, enters: bool, at_in: float) -> None:
+    walls = wall_with_gap(width_in, at_in)
+    grid, explorer = grid_of(walls), Explorer(BODY_IN, 6.0, 300.0)
+    explorer.find_reach(grid, np.array((40.0, 30.0, 0.0)))
+    (goal,) = grid.cells(np.array([[120.0, 50.0]]))
+    assert bool(grid.reached[goal[0], goal[1]]) is enters
+    if enters:
+        path = [(40.0, 30.0), *explorer.path(grid, np.array((40.0, 30.0, 0.0)), goal)]
+        lines = np.array([[*one, *other] for one, other in pairwise(path)])
+        assert segment_clearances(lines, walls).min() > BODY_IN + 0.8
+        assert len(path) < 8
+
+
+def test_band_is_pushed_to_the_middle_of_a_gap() -> None:
+    points = np.column_stack((np.linspace(60.0, 100.0, 21), np.full(21, 38.0)))
+    found = pushed(points, wall_with_gap(24.0), BODY_IN + 4.0)
+    middle = found[np.abs(found[:, 0] - 80.0) < 4.0]
+    np.testing.assert_allclose(middle[:, 1], 40.37, atol=1.2)
+    np.testing.assert_allclose(found[[0, -1]], points[[0, -1]])
+
+
+def test_robot_explores_a_room_without_contact(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "room.toml"
+    address = "sim:thesis_room?setup=measured&seed=1"
+    assert main.main(["map", "learn", address, "--out", str(out), "--time-limit", "40"]) in (0, 4)
+    text = capsys.readouterr().out
+    assert "contact" not in text
+    assert "done" in text
+    assert read_drive(tmp_path / "room.log").encoders[-1, 0] < 45.0

@@ -1,0 +1,192 @@
+"""Localizers that the page starts: the command, the states shown, and the end of the process in every case."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+from collections.abc import AsyncIterator, Sequence
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any, get_args
+
+import pytest
+
+from localization.filters.registry import METHODS
+from nserver_emu.server.daemon import Daemon
+from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.simulation.noise import SETUPS
+from nserver_emu.viewer import localizers
+from nserver_emu.viewer.localizers import Localizers
+from nserver_emu.viewer.messages import LocalizationMethod
+from tests.nserver_emu.server.wire_client import simulation
+from tests.nserver_emu.viewer.page_client import serve_viewer
+
+WAITS = "exec sleep 60"
+
+
+class Running:
+    """Localizers whose program is a shell script, and the states that they have reported."""
+
+    def __init__(self, script: str) -> None:
+        self.daemon = Daemon(Emulator(simulation()))
+        self.daemon.places["nserver"] = "0.0.0.0:7019"
+        self.reported: list[dict[str, Any]] = []
+        self.changed = asyncio.Event()
+        self.localizers = Localizers(self.daemon, self.report, ("sh", "-c", script, "nomad"))
+        self.localizers.page_url = "http://127.0.0.1:7080/?token=secret"
+
+    def report(self) -> None:
+        self.reported.append(self.localizers.as_dict())
+        self.changed.set()
+
+    async def until(self, state: str) -> dict[str, str]:
+        """Wait for a state of robot 1 and return it."""
+        async with asyncio.timeout(10):
+            while (shown := self.localizers.as_dict()["1"])["state"] != state:
+                self.changed.clear()
+                await self.changed.wait()
+        return shown
+
+
+@asynccontextmanager
+async def running(script: str) -> AsyncIterator[Running]:
+    here = Running(script)
+    try:
+        yield here
+    finally:
+        await here.localizers.close()
+
+
+def test_methods_are_those_of_the_program() -> None:
+    assert get_args(LocalizationMethod) == tuple(METHODS)
+
+
+async def command_of(tmp_path: Path, robot_setup: str, **options: Any) -> tuple[Sequence[str], str]:
+    """Return the arguments and the published address that a localizer gets."""
+    file = tmp_path / "arguments"
+    async with running(f'printf "%s\\n" "$@" $NOMAD_PUBLISH >{file}') as here:
+        robot = here.daemon.emulator.simulation.robots[1]
+        robot.set_noise_model(SETUPS[robot_setup])
+        here.localizers.start(1, "ekf", **({"is_lost": False} | options))
+        await here.until("failed")
+    *arguments, url = file.read_text().splitlines()
+    return arguments, url
+
+
+async def test_command_has_robot_map_and_models(tmp_path: Path) -> None:
+    arguments, url = await command_of(tmp_path, "ideal")
+    assert arguments[:2] == ["localize", "nserver://127.0.0.1:7019/1"]
+    assert " --stay --json --time-limit 1e+09 --method ekf --sonars rays --save" in " ".join(arguments)
+    assert url == "http://127.0.0.1:7080/?token=secret"
+    assert "secret" not in " ".join(arguments)
+
+
+async def test_command_fits_the_noise(tmp_path: Path) -> None:
+    arguments, _ = await command_of(tmp_path, "measured", is_lost=True, resumes=True)
+    assert " --start unknown --sonars cones --save" in " ".join(arguments)
+    arguments, _ = await command_of(tmp_path, "worn")
+    assert " --sonars rays --scale-std 0.05,0.05,0.003 --save" in " ".join(arguments)
+
+
+async def test_stopped_process_ends_and_is_reported() -> None:
+    async with running(f"echo $$; {WAITS}") as here:
+        here.localizers.start(1, "finder", is_lost=True)
+        here.localizers.mark_published(1)
+        shown = await here.until("running")
+        here.localizers.mark_published(2)
+        here.localizers.stop(1)
+        assert await here.until("ended") == {"method": "finder", "state": "ended", "words": "stopped"}
+        assert shown["words"] == ""
+        here.localizers.stop(1)
+
+
+async def test_new_localizer_replaces_the_one_before(tmp_path: Path) -> None:
+    pids = tmp_path / "pids"
+    async with running(f"echo $$ $* >>{pids}; {WAITS}") as here:
+        here.localizers.start(1, "ekf", is_lost=False)
+        async with asyncio.timeout(10):
+            while not pids.exists():
+                await asyncio.sleep(0.01)
+            folder = next(Path(word).parent for word in pids.read_text().split() if word.endswith(".toml"))
+            (folder / "robot_1_estimate.json").write_text("{}")
+            here.localizers.start(1, "mcl", is_lost=False, resumes=True)
+            while len(pids.read_text().splitlines()) < 2:
+                await asyncio.sleep(0.01)
+    first, second = pids.read_text().splitlines()
+    assert "--resume" not in first
+    assert f"--resume {folder}/robot_1_estimate.before" in second
+    for line in (first, second):
+        with pytest.raises(ProcessLookupError):
+            os.kill(int(line.split()[0]), 0)
+    assert not folder.exists()
+
+
+async def test_process_that_ignores_signals_is_killed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(localizers, "END_S", 0.1)
+    async with running('trap "" TERM; echo ready; while :; do sleep 0.2; done') as here:
+        here.localizers.start(1, "ekf", is_lost=False)
+        async with asyncio.timeout(10):
+            while here.localizers.states[1].words != "ready":
+                await asyncio.sleep(0.01)
+        here.localizers.stop(1)
+        await here.until("ended")
+
+
+@pytest.mark.parametrize(
+    ("script", "words"),
+    [("echo 'nomad: --publish needs x: pip install y' >&2; exit 1", "--publish needs x: pip install y"),
+     ("echo Traceback >&2; exit 1", "exit code 1: Traceback"), ("exit 2", "exit code 2: without a word"),
+     ("head -c 2000000 /dev/zero", "exit code")],
+)  # fmt: skip
+async def test_failure_is_reported_with_its_remedy(script: str, words: str) -> None:
+    async with running(script) as here:
+        here.localizers.start(1, "ekf", is_lost=False)
+        assert words in (await here.until("failed"))["words"]
+
+
+async def test_stalled_run_has_ended_with_its_reason() -> None:
+    result = json.dumps({"stopped": "no progress"})
+    async with running(f"echo 'nomad: waiting'; echo '{result}'; exit 3") as here:
+        here.localizers.start(1, "ekf", is_lost=False)
+        assert (await here.until("ended"))["words"] == "no progress"
+        assert ("starting", "waiting") in [(shown["1"]["state"], shown["1"]["words"]) for shown in here.reported]
+
+
+async def test_missing_program_is_reported() -> None:
+    async with running("") as here:
+        here.localizers = Localizers(here.daemon, here.report, ("/nowhere/nomad",))
+        here.localizers.start(1, "ekf", is_lost=False)
+        assert "cannot start /nowhere/nomad" in (await here.until("failed"))["words"]
+
+
+async def test_pages_start_and_stop_localizers() -> None:
+    async with serve_viewer(Emulator(simulation())) as here, here.page() as page:
+        started = here.viewer_server.controller.localizers
+        started._program = ("sh", "-c", WAITS, "nomad")
+        assert started.page_url == f"{here.origin}/?token={here.viewer_server.token}"
+        await page.send_message(do="localize", id=1, robot=1, method="ekf", is_lost=False)
+        shown = await page.until(lambda message: message["type"] == "localizers" and message["robots"])
+        assert shown["robots"] == {"1": {"method": "ekf", "state": "starting", "words": ""}}
+        assert (await page.answer(1))["ok"]
+        async with here.page() as late:
+            assert (await late.until(lambda message: message["type"] == "localizers"))["robots"] == shown["robots"]
+        await page.send_message(do="unlocalize", id=2, robot=1)
+        await page.until(lambda message: message["type"] == "localizers" and message["robots"]["1"]["state"] == "ended")
+        for wrong in ({"robot": 7, "method": "ekf"}, {"robot": 1, "method": "magic"}):
+            await page.send_message(do="localize", id=3, is_lost=False, **wrong)
+            assert not (await page.answer(3))["ok"]
+
+
+async def test_encoders_do_not_notice_a_kidnapping() -> None:
+    emulator = Emulator(simulation())
+    async with serve_viewer(emulator) as here, here.page() as page:
+        robot = emulator.simulation.robots[1]
+        await page.send_message(do="call", id=1, robot=1, call="place_robot", args=[300, 200, 900, 450])
+        await page.answer(1)
+        before = robot.encoder
+        for number, pose, is_ok in ((2, [500, 600, 0, 0], True), (3, [-100, 0, 0, 0], False)):
+            await page.send_message(do="kidnap", id=number, robot=1, pose=pose)
+            assert (await page.answer(number))["ok"] == is_ok
+        assert robot.actual[:2] == (50.0, 60.0)
+        assert robot.encoder == pytest.approx(before)
