@@ -71,6 +71,7 @@ CHECKS = (
     Check((*EXPERIMENT, "--jobs", "1"), "5.2", "plot"),
     Check((*EXPERIMENT, "--no-pictures", "--cluster", "127.0.0.1:1"), "no Dask scheduler answers", "cluster"),
     Check(("nomad", "map", "export", "flat", "--out", "flat.yaml"), "254 x 194 cells", "maps"),
+    Check(("python", "-c", "import mcap, rosbags; print('converts')"), "converts", "ros", is_hinted=False),
     Check(("nserver", "thesis_room", "--port", "0", "--viewer", "0"), "listening viewer", "viewer"),
     Check(("python", "-c", MACHINE_CODE), "loaded True", "fast", is_hinted=False),
     Check(("python", "-c", MACHINE_CODE), "loaded"),
