@@ -319,7 +319,7 @@ class ViewerController:
                 viewer.traffic, viewer.laser, viewer.laser_robot = message.traffic, message.laser, message.robot
                 self.traffic_monitor.watched = self.broadcaster.watch_traffic
             case messages.CallRobot():
-                self.clients(viewer).call(message.robot, message.call, message.args, _replier(viewer, message.id))
+                self._call(viewer, message)
             case messages.Drive():
                 reply, others = _replier(viewer, message.id), self.others(viewer, message.robot)
                 self.clients(viewer).drive(
@@ -357,6 +357,16 @@ class ViewerController:
             case messages.Unlocalize():
                 self.localizers.stop(message.robot)
                 _replier(viewer, message.id)({"ok": True})
+
+    def _call(self, viewer: Viewer, message: messages.CallRobot) -> None:
+        reply = _replier(viewer, message.id)
+
+        def finish(answer: Answer) -> None:
+            if answer["ok"] and message.call == "place_robot":
+                self.localizers.mark_placed(message.robot)
+            reply(answer)
+
+        self.clients(viewer).call(message.robot, message.call, message.args, finish)
 
     def _answer_in_thread(self, viewer: Viewer, number: int, read: Callable[[], Answer]) -> None:
         """Send a viewer the answer that a function returns, which reads files in a thread."""
