@@ -14,12 +14,20 @@ project = "nomad-nserver"
 author = "the nomad-nserver authors"
 version = release = version_of("nomad-nserver")
 
-extensions = ["myst_nb"]  # Markdown, and notebooks that are executed at each build
+# Markdown, notebooks that are executed at each build, and the reference from numpydoc docstrings.
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+napoleon_google_docstring = False
+napoleon_use_rtype = False
+default_role = "code"  # names in docstrings
+autodoc_member_order = "bysource"
+autodoc_typehints = "signature"
+autodoc_class_signature = "mixed"
 nb_execution_mode = "force"
 nb_execution_raise_on_error = True
 nb_execution_timeout = 120
 myst_heading_anchors = 3
 nitpicky = True
+nitpick_ignore_regex = [("py:.*", ".*")]  # types in signatures, of which most have no page
 
 html_theme = "furo"
 html_title = f"nomad-nserver {version}"

@@ -41,6 +41,7 @@ from nserver_emu.persistence import snapshot
 from nserver_emu.persistence.options import SaveFile, autosaved, resolve_restore
 from nserver_emu.persistence.recording import RunHeader
 from nserver_emu.persistence.replay import replay
+from nserver_emu.rosbridge.options import running_rosbridge
 from nserver_emu.server.admission import RESERVED_CONNECTIONS, AdmissionControl
 from nserver_emu.server.config import MODEL_NAMES, SimulationConfig, robot_placements
 from nserver_emu.server.connection import MAX_REQUESTS_PER_TURN
@@ -144,7 +145,7 @@ async def _serve_with(
     gateway = Gateway(emulator, proxies, shadow=options.shadow, wrap=real_options.speed_limiter(options))
     daemon = Daemon(emulator, emulator.clock.factor, gateway if proxies else emulator, faults)
     limits = limits_of(options)
-    pages = limits.page_connections if options.viewer else 0
+    pages = limits.page_connections * sum(map(bool, (options.viewer, options.rosbridge)))
     room = make_room(limits.connections + RESERVED_CONNECTIONS + pages)
     limits = replace(limits, connections=min(limits.connections, room))
     daemon.admission = AdmissionControl(limits, allowlist_from_options(options))
@@ -178,11 +179,13 @@ async def _run(
     async with (
         controlled(daemon, options) as control,
         running_viewer(daemon, options) as page,
+        running_rosbridge(daemon, options) as rosbridge,
         run_gateway(gateway, daemon, options.shadow_every),
         autosaved(file, options.autosave),
     ):
         # 2. Programs may connect as soon as they have read these lines.
-        for line in (f"listening nserver {at_port(options.bind, daemon.emulator.port)}", *lines, *control, *page):
+        own = f"listening nserver {at_port(options.bind, daemon.emulator.port)}"
+        for line in (own, *lines, *control, *page, *rosbridge):
             logs.print_line(line)
         # 3. Serve; the service manager is notified when all is open.
         with rare_collection():

@@ -159,12 +159,8 @@ class Ring:
 
     def reading(self, range_in: float) -> float:
         """Return the reading of a range from the sonar, rounded to the resolution; infinity has no echo."""
-        if range_in >= self.max_range_in:
-            return self.plain(self.no_echo_in)
-        rounded = self.resolution_in * floor(max(range_in, self.min_range_in) / self.resolution_in + 0.5)
-        if rounded >= self.max_range_in - _ROUNDING_IN:
-            return self.plain(self.no_echo_in)
-        return self.plain(max(rounded, self.min_range_in))
+        limits = self.min_range_in, self.max_range_in, self.resolution_in, self.no_echo_in
+        return self.plain(quantized_range(range_in, *limits))
 
     def plain(self, reading_in: float) -> float:
         """Return a reading, as an int where the ring measures in whole inches."""
@@ -202,6 +198,16 @@ class Ring:
             abs(number) <= 2.0 * MAX_MOUNT_IN for shift in self.shifts_in for number in shift
         )):
             raise InvalidValue(f"expected mounts within {MAX_MOUNT_IN:g} in of the axis")
+
+
+def quantized_range(
+    range_in: float, min_range_in: float, max_range_in: float, resolution_in: float, no_echo_in: float
+) -> float:
+    """Return the reading of a range; limits and resolution are those of a `Ring`."""
+    if range_in >= max_range_in:
+        return no_echo_in
+    rounded = resolution_in * floor(max(range_in, min_range_in) / resolution_in + 0.5)
+    return no_echo_in if rounded >= max_range_in - _ROUNDING_IN else max(rounded, min_range_in)
 
 
 def evenly(count: int) -> tuple[float, ...]:

@@ -25,7 +25,8 @@ PAGES: dict[str, Callable[[], dict[str, Iterator[str]]]] = {
 """Pages, and the functions that return the lines of their blocks by name."""
 C_TABLE = "clib/src/commands.inc"
 PICTURES = tuple(f"{gallery.FOLDER}/{name}.svg" for name in world_names())
-FILES = (*PAGES, C_TABLE, *PICTURES)
+MY_ROOM = "docs/figures/my_room.svg"
+FILES = (*PAGES, C_TABLE, *PICTURES, MY_ROOM)
 BLOCK = re.compile(r"(<!-- generated: (\w+) -->)\n.*?<!-- end -->\n", re.DOTALL)
 
 
@@ -33,6 +34,8 @@ def text(name: str) -> str:
     """Return the text of a file with its generated blocks replaced."""
     if name == C_TABLE:
         return c_table.table()
+    if name == MY_ROOM:
+        return gallery.measured_room()
     if name in PICTURES:
         return world_svg(load_world(Path(name).stem))
     blocks = PAGES[name]()

@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 
-from worlds.io import load_world, world_names
-from worlds.picture import IN_PER_M
+from worlds.io import load_world, parse_world, world_names
+from worlds.picture import IN_PER_M, world_svg
 
 FOLDER = "docs/figures/worlds"
+
+
+def measured_room() -> str:
+    """Return the picture of the world in docs/map-your-room.md."""
+    page = Path(__file__).parents[1] / "map-your-room.md"
+    _, _, rest = page.read_text(encoding="utf-8").partition("```toml\n")
+    return world_svg(parse_world(rest.partition("```")[0], page.name, "my_room"))
 
 
 def blocks() -> dict[str, Iterator[str]]:

@@ -212,7 +212,9 @@ def _drive(
             # End on a contact, a misfit, a stall or at the time limit. A lost robot searches, and backs off by itself.
             is_lost = done.moments[-1].lost
             aim = None if is_lost else navigator.goal
-            done.stopped = contact_detector.reason(state, progress.estimate.pose, backs_off=is_lost)
+            # Without a waypoint another program drives, and a contact is no failure of this run.
+            backs_off = is_lost or (stays and aim is None)
+            done.stopped = contact_detector.reason(state, progress.estimate.pose, backs_off=backs_off)
             if misfit_detector and not done.stopped:
                 done.stopped = misfit_detector.reason(progress.estimate)
             done.stopped = done.stopped or stall_detector.reason(clock_s, state, progress.estimate.pose, aim)

@@ -248,6 +248,14 @@ def _check(world: World, options: argparse.Namespace) -> int:
     return PROBLEMS_FOUND if found else 0
 
 
+def _thinned(space: FreeSpace, stride: int) -> FreeSpace:
+    """Return every `stride`-th row and column of a grid."""
+    part = np.s_[::stride, ::stride]
+    return FreeSpace(
+        space.xs[::stride], space.ys[::stride], stride * space.step_in, space.fits[part], space.reached[part]
+    )
+
+
 def _find_aliases(
     world: World, radius_in: float, at: Sequence[tuple[float, float]] = (), samples: int = ALIAS_SAMPLES
 ) -> tuple[int, list[Alias]]:
@@ -309,6 +317,9 @@ def _show(world: World, options: argparse.Namespace) -> int:
     reached = find_free_space(world, body.radius_in, options.cell or CELL_IN)
     if not options.cell and (count := np.count_nonzero(reached.reached)) > MAX_PLACES:
         reached = find_free_space(world, body.radius_in, CELL_IN * math.sqrt(count / MAX_PLACES))
+        # Its steps are no longer than the radius: of a large floor only some of the grid.
+        if (stride := round(math.sqrt(np.count_nonzero(reached.reached) / MAX_PLACES))) > 1:
+            reached = _thinned(reached, stride)
     columns, rows = np.nonzero(reached.reached)
     places = np.stack((reached.xs[columns], reached.ys[rows]), axis=-1)
     if not len(places):

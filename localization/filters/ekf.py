@@ -10,7 +10,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from math import copysign, cos, sqrt
+from math import cos
+from typing import Final
 
 import numpy as np
 
@@ -35,6 +36,7 @@ from localization.filters.odometry import (
     OdometryNoise,
     pose_at,
     predict_state,
+    process_variance,
     relative_step,
     true_step,
     widen,
@@ -60,8 +62,12 @@ from localization.filters.update import (
     record_used,
 )
 
-SLIP_IN, SIDE_SLIP_IN, SLIP_RAD = 1.2, 0.3, 0.02
+SLIP_GAIN, SIDE_SLIP_IN, SLIP_RAD = 0.5, 0.3, 0.02
 """Standard deviations that are added when the wheels may have slipped: along the heading, across it, and of it."""
+
+PRESSED_NOISE: Final = 5.0
+"""Variance of wheels that roll on the spot, relative to those that roll freely: the robot creeps and turns by the same
+noise, and all readings from there repeat their errors."""
 
 Prediction = Callable[[State, Covariance, float, float, OdometryNoise, int], None]
 """Predicts x and P after a step (distance, turn), in place; the last argument is the number of constants."""
@@ -143,6 +149,7 @@ class KalmanFilter:
     ) -> None:
         self._x, self._P = unpack(with_constants(belief, range_stds))
         self._size, self._constants, self._middle_in = len(belief.mean), len(range_stds), middle_in
+        self.detects_slips = True
         self._measurement = measurement
         self._odometry = odometry
         self._predict = prediction
@@ -180,6 +187,13 @@ class KalmanFilter:
         self._predict(self._x, self._P, distance_in, turn_rad, self._odometry, self._constants)
         self._correlated.move(distance_in, turn_rad)
 
+    def roll_on_spot(self, distance_in: float) -> None:
+        """Widen the belief by the noise of wheels that roll so far while something holds the robot."""
+        q_distance, q_turn = process_variance(PRESSED_NOISE * abs(distance_in), 0.0, self._odometry)
+        c, s = unit_vector(self._x[HEADING])
+        add_outer(self._P, q_distance, (c, s, 0.0))
+        add_outer(self._P, q_turn, (0.0, 0.0, 1.0))
+
     def predicted(self, distance_in: float, turn_rad: float, lag: Lag = NO_LAG) -> Belief:
         """Return the belief after such a step, without taking it, widened by what the model leaves out.
 
@@ -189,8 +203,10 @@ class KalmanFilter:
         robot is s times its distance from the middle off. No reading tells one from the other.
         """
         # The pose does not depend on the range parameters.
-        x, ratio = self._x[: self._size], self._monitor.nis_ratio
-        P = [[ratio * cov for cov in row[: self._size]] for row in self._P[: self._size]]
+        size, ratio = self._size, self._monitor.nis_ratio
+        x, P = self._x[:size], [row[:size] for row in self._P[:size]]
+        if ratio > 1.0:
+            P = [[ratio * cov for cov in row] for row in P]
         self._predict(x, P, distance_in, turn_rad, self._odometry, 0)
         widen(x, P, lag)
         if self._constants:
@@ -206,22 +222,22 @@ class KalmanFilter:
             self._correlated.record(sonar, turret_offset_rad)
         if result.refusal in self._informative:
             self._monitor.add(result)
-            self._add_drift(result, sonar, turret_offset_rad)
+            self._add_slip(result, sonar, turret_offset_rad)
             self._check_slip()
         return result
 
-    def _add_drift(self, outcome: Outcome, sonar: int, turret_offset_rad: float) -> None:
-        """Let the monitor know in which direction a reading displaces the robot, along its heading."""
-        if self._angles_rad:
-            innovation, nis = outcome[1:3]
-            cosine = cos(turret_offset_rad + self._angles_rad[sonar])
-            self._monitor.add_drift(copysign(sqrt(nis), innovation), cosine)
+    def _add_slip(self, outcome: Outcome, sonar: int, turret_offset_rad: float) -> None:
+        """Let the monitor know how far a reading displaces the robot along its heading."""
+        if self.detects_slips and self._angles_rad:
+            self._monitor.slip.add(outcome[1], outcome[2], -cos(turret_offset_rad + self._angles_rad[sonar]))
 
     def _check_slip(self) -> None:
-        """Widen the covariance by a slip of the wheels, along the heading above all, if the last readings look so."""
-        if self._monitor.take_slip():
+        """Widen the covariance by a slip of the wheels, along the heading, if the last readings agree on one."""
+        slip_in = self._monitor.take_slip()
+        if slip_in is not None:
+            std = SLIP_GAIN * abs(slip_in)
             c, s = unit_vector(self._x[HEADING])
-            add_outer(self._P, 1.0, (SLIP_IN * c, SLIP_IN * s, 0.0))
+            add_outer(self._P, 1.0, (std * c, std * s, 0.0))
             add_outer(self._P, 1.0, (-SIDE_SLIP_IN * s, SIDE_SLIP_IN * c, 0.0))
             add_outer(self._P, 1.0, (0.0, 0.0, SLIP_RAD))
 
@@ -240,7 +256,7 @@ class KalmanFilter:
         for outcome, (_, sonar, _) in zip(outcomes, echoes, strict=True):
             if outcome[0] in INFORMATIVE:
                 self._monitor.add(outcome)
-                self._add_drift(outcome, sonar, turret_offset_rad)
+                self._add_slip(outcome, sonar, turret_offset_rad)
         self._check_slip()
         return outcomes
 

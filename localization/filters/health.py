@@ -5,9 +5,8 @@
     LOST            the evidence has fallen by `lost_nats` from its maximum: a CUSUM test
     suspicious      it has fallen by `suspicious_nats`, or few readings are explained: worth a search for another pose
     DEGRADED        the matched fraction or the NIS of the last readings, or the standard deviation, is beyond its limit
-    slip            so many of the very last readings are outliers, or so many before and behind the robot agree that it
-                    is not where the wheels say (a two-sided CUSUM test of signed innovations), that the wheels may
-                    have slipped: DEGRADED at once, and a filter widens its covariance (`IntegrityMonitor.take_slip`)
+    slip            the last readings agree on another place along the heading (`SlipTest`): DEGRADED at once, and a
+                    filter widens its covariance (`IntegrityMonitor.take_slip`)
     NIS ratio       mean NIS of the window, if that is significantly above 1: what is reported is widened by it
 
 The CUSUM test decides between two hypotheses, here or anywhere. Of independent readings a false alarm would come once
@@ -66,16 +65,12 @@ class HealthLimits:
         Mean NIS from which the estimate is DEGRADED; below, its covariance is widened.
     max_std_in
         Largest standard deviation of the position, along its worst direction.
-    recent, max_unexplained
-        Number of the very last readings, and the number of outliers among them that means a slip.
-    min_rise
-        Least rise of the fraction of outliers against the readings before.
-    drift, max_drift
-        Part of a signed innovation, in standard deviations, that counts for nothing, and the sum of the rest that means
-        a slip.
-    max_side, max_innovation
-        Sonars that look forwards, or backwards, add so much at most: something unmapped is on one side only. An
-        innovation counts as so many standard deviations at most.
+    slip_nats
+        Evidence of a slip (`SlipTest`) that widens the covariance.
+    suspect_nats
+        Evidence of a slip from which the estimate is DEGRADED.
+    after_slip
+        Number of readings after a slip for which the estimate is DEGRADED.
     """
 
     lost_nats: float = 45.0
@@ -87,19 +82,91 @@ class HealthLimits:
     nis_probability: float = 0.999
     max_nis_ratio: float = 1.0
     max_std_in: float = 3.0
-    recent: int = 12
-    max_unexplained: float = inf
-    min_rise: float = 0.3
-    drift: float = 0.5
-    max_drift: float = inf
-    max_side: float = 3.0
-    max_innovation: float = 2.5
+    slip_nats: float = inf
+    suspect_nats: float = inf
+    after_slip: int = 12
 
 
 BUILDING: Final = HealthLimits(max_std_in=18.0, nis_probability=1.0 - 1e-6)
 """In a building: half the width of a door, as nothing bounds the error along a corridor, and 3 in are soon exceeded;
 and a wider limit of the NIS, as the innovations of two hypotheses have heavier tails than a normal distribution."""
 HEALTHY: Final = FilterHealth(HealthStatus.OK, "")
+
+
+DISPLACEMENTS_IN: Final = (-5.0, -3.0, -2.0, 2.0, 3.0, 5.0)
+"""Displacements along the heading that are tested, inches."""
+MIN_DISPLACEMENT_IN: Final = min(map(abs, DISPLACEMENTS_IN))
+MAX_NIS: Final = 12.0
+"""A reading is an outlier rather than so many standard deviations, squared, off: 2 ln of both densities' ratio."""
+MAX_GAIN_NATS: Final = 3.0
+"""One reading adds so much at most: no displacement is of one reading alone."""
+MAX_SIDE_NATS: Final = 4.0
+"""Sonars that look forwards, or backwards, add so much at most: something unmapped is on one side only."""
+ALLOWANCE_NATS: Final = 0.1
+"""Each reading takes away so much: innovations are correlated."""
+
+
+def displacement_evidence(innovation_in: float, nis: float, shift_in: float) -> float:
+    """Return the log likelihood ratio of a reading whose mean is shifted to one as expected, nats.
+
+    Both densities are normal, of the variance that innovation and NIS imply, and bounded below: an outlier is
+    as probable either way.
+    """
+    ratio = 1.0 - shift_in / innovation_in
+    return 0.5 * (min(nis, MAX_NIS) - min(ratio * ratio * nis, MAX_NIS))
+
+
+class SlipTest:
+    """Test whether recent readings agree that the robot is displaced along its heading, and by how much.
+
+    A generalized likelihood ratio test for a step. The range of a reading changes by h for each inch that the robot is
+    displaced forwards, so its innovation, of variance S, has the mean 0 without a slip and h d after one by d. The log
+    likelihood ratio of both, 1/2 (nu^2 - (nu - h d)^2) / S, is summed for each d of DISPLACEMENTS_IN from the instant
+    at which the sum was last 0: the most likely instant of the slip (CUSUM). The largest sum decides. Bad readings
+    agree on no displacement.
+
+    Attributes
+    ----------
+    evidence_nats
+        Log likelihood ratio of the most likely displacement to none.
+    displacement_in
+        This displacement, inches forwards.
+
+    References
+    ----------
+    Basseville, Nikiforov, Detection of Abrupt Changes (1993), sections 2.4 and 7.2.
+    """
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin anew."""
+        self.evidence_nats = self.displacement_in = 0.0
+        # Sums of the sonars that look forwards, and backwards; None: all are 0.
+        self._sums: list[list[float] | None] = [None, None]
+
+    def add(self, innovation_in: float, nis: float, slope: float) -> None:
+        """Take note of a reading, whose range changes by `slope` for each inch that the robot is displaced forwards."""
+        side = 1 if slope > 0.0 else 0
+        sums = self._sums[side]
+        # 1. An innovation of less than half the least shift supports no displacement, and there is no sum to lower.
+        if sums is None:
+            if abs(innovation_in) <= 0.5 * MIN_DISPLACEMENT_IN * abs(slope):
+                return
+            sums = [0.0] * len(DISPLACEMENTS_IN)
+        if innovation_in == 0.0:
+            return
+        # 2. The CUSUM of each displacement.
+        for j, displacement_in in enumerate(DISPLACEMENTS_IN):
+            gain = displacement_evidence(innovation_in, nis, slope * displacement_in)
+            sums[j] = min(max(0.0, sums[j] + min(gain, MAX_GAIN_NATS) - ALLOWANCE_NATS), MAX_SIDE_NATS)
+        self._sums[side] = sums if any(sums) else None
+        # 3. The most likely displacement by both sides together.
+        both = [one for one in self._sums if one]
+        totals = [sum(column) for column in zip(*both, strict=True)] or [0.0]
+        self.evidence_nats = max(totals)
+        self.displacement_in = DISPLACEMENTS_IN[totals.index(self.evidence_nats)] if self.evidence_nats else 0.0
 
 
 class IntegrityMonitor:
@@ -110,8 +177,8 @@ class IntegrityMonitor:
         self._fall = 0.0
         self._matched: deque[float] = deque(maxlen=self.limits.window)
         self._nis: deque[float] = deque(maxlen=self.limits.window)
-        self._since_slip = self.limits.recent
-        self._drifts = [0.0] * 4
+        self.slip = SlipTest()
+        self._since_slip = self.limits.after_slip
         self._ratio: float | None = 1.0
 
     @property
@@ -129,6 +196,7 @@ class IntegrityMonitor:
         self._fall = 0.0
         self._matched.clear()
         self._nis.clear()
+        self.slip.reset()
         self._ratio = 1.0
 
     def add_evidence(self, likelihood: float, anywhere: float, result: Outcome | None) -> None:
@@ -155,45 +223,14 @@ class IntegrityMonitor:
         if outlier_probability < OUTLIER_THRESHOLD:
             self._nis.append(nis)
 
-    def _unexplained(self) -> float:
-        """Return the number of outliers among the very last readings; 0 until there are enough."""
-        recent = self.limits.recent
-        if len(self._matched) < recent:
-            return 0.0
-        return recent - sum([self._matched[-k] for k in range(1, recent + 1)])
-
-    def _looks_slipped(self, unexplained: float) -> bool:
-        """Return True for more outliers among the very last readings than the model has, and more than before them."""
-        limits, before = self.limits, len(self._matched) - self.limits.recent
-        if unexplained < limits.max_unexplained:
-            return False
-        share = (len(self._matched) - sum(self._matched) - unexplained) / before if before >= limits.recent else 0.0
-        return unexplained >= limits.recent * (share + limits.min_rise)
-
-    def add_drift(self, sigmas: float, cosine: float) -> None:
-        """Take note of an innovation in standard deviations, of a sonar of this cosine to the heading."""
-        limits, drifts = self.limits, self._drifts
-        bounded = cosine * min(max(sigmas, -limits.max_innovation), limits.max_innovation)
-        # The robot is ahead of the estimate (0, 1) or behind it (2, 3), by sonars that look forwards or backwards.
-        side = 0 if cosine > 0.0 else 1
-        drifts[side] = min(max(0.0, drifts[side] - bounded - limits.drift), limits.max_side)
-        drifts[2 + side] = min(max(0.0, drifts[2 + side] + bounded - limits.drift), limits.max_side)
-
-    @property
-    def _drift(self) -> float:
-        """The larger sum of signed innovations, of both sides together."""
-        ahead_forwards, ahead_backwards, behind_forwards, behind_backwards = self._drifts
-        return max(ahead_forwards + ahead_backwards, behind_forwards + behind_backwards)
-
-    def take_slip(self) -> bool:
-        """Return True if the wheels may have slipped; then False until as many readings again are known."""
-        if self._since_slip < self.limits.recent:
-            return False
-        if self._drift < self.limits.max_drift and not self._looks_slipped(self._unexplained()):
-            return False
+    def take_slip(self) -> float | None:
+        """Return the displacement in inches along the heading of a slip that readings show, and begin anew; or None."""
+        if self.slip.evidence_nats < self.limits.slip_nats:
+            return None
+        displacement = self.slip.displacement_in
+        self.slip.reset()
         self._since_slip = 0
-        self._drifts = [0.0] * 4
-        return True
+        return displacement
 
     @property
     def nis_ratio(self) -> float:
@@ -232,10 +269,8 @@ class IntegrityMonitor:
         if matched < limits.min_matched:
             reason = f"only {matched:.0%} of the last {limits.window} echoes are explained"
             return FilterHealth(HealthStatus.DEGRADED, reason)
-        unexplained = self._unexplained()
-        if self._since_slip < limits.recent or self._looks_slipped(unexplained):
-            count = limits.recent - unexplained
-            reason = f"{count:.0f} of the last {limits.recent} echoes are explained: the wheels may have slipped"
+        if self._since_slip < limits.after_slip or self.slip.evidence_nats >= limits.suspect_nats:
+            reason = "the wheels may have slipped: readings agree on another place along the heading"
             return FilterHealth(HealthStatus.DEGRADED, reason)
         ratio = self.nis_ratio
         if ratio <= limits.max_nis_ratio:

@@ -45,10 +45,20 @@ from localization.filters.update import (
 
 
 class Likelihoods(NamedTuple):
-    """Likelihoods of a reading at n poses, per inch: `total` (n,), and the part `outlier` (n,) of outliers in it."""
+    """Likelihoods of a reading at n poses, per inch, and what was expected there.
+
+    Attributes
+    ----------
+    total, outlier
+        (n,) the likelihood, and the part of outliers in it.
+    expected_in, variance_in2
+        (n,) range of the echo that the reading most probably is, and its variance; NaN where the map has none.
+    """
 
     total: Floats
     outlier: Floats
+    expected_in: Floats
+    variance_in2: Floats
 
 
 class Likelihood(Protocol):
@@ -121,9 +131,11 @@ class RayLikelihood:
         range_in = ranges_along(poses, aimed, self._walls).range_in[:, 0]
         has_wall = np.isfinite(range_in)
         expected = np.where(has_wall, range_in, 0.0)
-        hit = _density(reading_in - expected, self._sonar.variance(expected) + self._widen_in2)
+        variance = self._sonar.variance(expected)
+        hit = _density(reading_in - expected, variance + self._widen_in2)
         outlier = np.full(len(poses), self._outlier_probability / self._sonar.range_span_in)
-        return Likelihoods((1.0 - self._outlier_probability) * np.where(has_wall, hit, 0.0) + outlier, outlier)
+        total = (1.0 - self._outlier_probability) * np.where(has_wall, hit, 0.0) + outlier
+        return Likelihoods(total, outlier, np.where(has_wall, range_in, np.nan), variance)
 
 
 class ConeLikelihood:
@@ -165,7 +177,11 @@ class ConeLikelihood:
         hits = _density(reading_in - ranges, noise.variance(ranges) + self._widen_in2)
         inlier = 1.0 - noise.outlier_probability
         outlier = noise.outlier_density * (1.0 - inlier * probability.sum(axis=-1))
-        return Likelihoods(inlier * (probability * hits).sum(axis=-1) + outlier, outlier)
+        weighted = probability * hits
+        best = weighted.argmax(axis=-1)[:, None]
+        expected = np.take_along_axis(ranges, best, axis=-1)[:, 0]
+        expected = np.where(np.take_along_axis(weighted, best, axis=-1)[:, 0] > 0.0, expected, np.nan)
+        return Likelihoods(inlier * weighted.sum(axis=-1) + outlier, outlier, expected, noise.variance(expected))
 
 
 # The filter.
@@ -253,15 +269,17 @@ class ParticleFilter:
         count = self._correlated.count(sonar, turret_offset_rad) + 1
         self._correlated.record(sonar, turret_offset_rad)
         power = self._likelihood.information(reading_in, count)
-        # 2. Weights, and the probability of an outlier.
-        likelihood, outlier = self._likelihood.at(self.states[:, :POSE], sonar, turret_offset_rad, reading_in)
+        # 2. Weights, the innovation before them, and the probability of an outlier.
+        at = self._likelihood.at(self.states[:, :POSE], sonar, turret_offset_rad, reading_in)
+        innovation_in, nis = weighted_innovation(self.weights, reading_in, at)
+        likelihood, outlier = at.total, at.outlier
         outlier_probability = float(self.weights @ outlier / (self.weights @ likelihood))
         self.weights = self.weights * likelihood**power
         self.weights /= self.weights.sum()
         # 3. Resampling.
         if self.effective < self._parameters.resample_threshold * len(self.states):
             self._resample()
-        result = result_of((gate_code(outlier_probability), 0.0, 0.0, outlier_probability, 1.0))
+        result = result_of((gate_code(outlier_probability), innovation_in, nis, outlier_probability, 1.0))
         self._monitor.add(result)
         return result
 
@@ -269,6 +287,24 @@ class ParticleFilter:
         chosen = resample_low_variance(self.weights, float(self._rng.random()))
         self.states = self.states[chosen]
         self.weights = np.full(len(chosen), 1.0 / len(chosen))
+
+
+def weighted_innovation(weights: Floats, reading_in: float, at: Likelihoods) -> tuple[float, float]:
+    """Return innovation and NIS of a reading under weighted particles; 0 and 0 if none of them expects an echo.
+
+    The expected reading is a mixture: its mean is that of the particles', and S the spread of theirs and the mean
+    variance of a reading, without the widening of the likelihood.
+    """
+    has_echo = np.isfinite(at.expected_in)
+    share = weights[has_echo]
+    total = share.sum()
+    if total <= 0.0:
+        return 0.0, 0.0
+    share, expected = share / total, at.expected_in[has_echo]
+    mean = share @ expected
+    S = share @ ((expected - mean) ** 2 + at.variance_in2[has_echo])
+    innovation = reading_in - float(mean)
+    return innovation, innovation * innovation / float(S)
 
 
 def resample_low_variance(weights: Floats, start: float) -> np.typing.NDArray[np.intp]:

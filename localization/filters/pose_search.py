@@ -37,6 +37,8 @@ PEAK_CELLS, PEAK_RAD = 2.5, 0.35
 """A pose nearer than this to a better one belongs to the same peak."""
 SLIP_IN, SLIP_RAD = 7.5, 0.5
 """An estimate may have slipped by this: a heading by the width of the cone, 25 degrees, over which an echo stays."""
+HEADINGS_RAD: Final[Floats] = np.arange(DIRECTIONS, dtype=np.float64) * (2.0 * np.pi / DIRECTIONS)
+"""Headings of the grid."""
 MAX_PEAKS: Final = 100
 MAX_CANDIDATES: Final = 20_000
 """Poses among which peaks are looked for."""
@@ -295,27 +297,27 @@ def _peaks(records: Sequence[EchoRecord], table: RangeTable, prior: Prior | None
     places = table.places_in
     if not records or not len(places):
         return []
-    poses, score = _coarse(records, table, places)
+    score, std = _coarse(records, table, places), _peak_std(table)
     if prior is not None:
-        then = _displaced(poses, records[-1].encoders, prior.encoders)
-        offset = difference(then, prior.belief.mean[:POSE])
-        information = np.linalg.inv(prior.belief.cov[:POSE, :POSE] + np.diag(np.square(_peak_std(table))))
-        score = score - 0.5 * np.einsum("ni,ij,nj->n", offset, information, offset)
-    std = _peak_std(table)
-    return [independent(peak, std) for peak in _maxima(poses, score, PEAK_CELLS * table.cell_in)]
+        information = np.linalg.inv(prior.belief.cov[:POSE, :POSE] + np.diag(np.square(std)))
+        # Heading by heading: an array of all poses would be large on a large map.
+        for row, heading in enumerate(HEADINGS_RAD.tolist()):
+            poses = np.column_stack((places, np.full(len(places), heading)))
+            offset = difference(_displaced(poses, records[-1].encoders, prior.encoders), prior.belief.mean[:POSE])
+            score[row] -= 0.5 * np.einsum("ni,ij,nj->n", offset, information, offset)
+    return [independent(peak, std) for peak in _maxima(places, score, PEAK_CELLS * table.cell_in)]
 
 
 def _peak_std(table: RangeTable) -> tuple[float, float, float]:
     return PEAK_STD * table.cell_in, PEAK_STD * table.cell_in, PEAK_HEADING_STD_RAD
 
 
-def _coarse(records: Sequence[EchoRecord], table: RangeTable, places: Floats) -> tuple[Floats, Floats]:
-    """Return all poses (n, 3) of the grid at the last record, and their log likelihoods (n,)."""
+def _coarse(records: Sequence[EchoRecord], table: RangeTable, places: Floats) -> npt.NDArray[np.float32]:
+    """Return the log likelihoods (DIRECTIONS, places) of all poses of the grid at the last record."""
     # 1. The records that count, and the distance driven since each.
     chosen = [*_spread(records[:-LAST_RECORDS], COARSE_RECORDS - LAST_RECORDS), *records[-LAST_RECORDS:]]
     steps = [0.0] + [float(np.hypot(*(b.encoders - a.encoders)[:2])) for a, b in pairwise(chosen)]
     since_in = sum(steps) - np.cumsum(steps)
-    headings = np.arange(DIRECTIONS) * (2.0 * np.pi / DIRECTIONS)
     score = np.zeros((DIRECTIONS, len(places)), dtype=np.float32)
     # 2. Sum of log likelihoods; readings are independent given the pose.
     for record, driven_in in zip(chosen, since_in.tolist(), strict=True):
@@ -323,15 +325,12 @@ def _coarse(records: Sequence[EchoRecord], table: RangeTable, places: Floats) ->
             continue
         nats = _log_likelihoods(record.reading_in, table.cell_in, driven_in)
         # Where the robot was then depends on the heading alone: the same step from all places.
-        dx, dy, heading = _displaced(np.stack((0.0 * headings, 0.0 * headings, headings), axis=-1),
+        dx, dy, heading = _displaced(np.stack((0.0 * HEADINGS_RAD, 0.0 * HEADINGS_RAD, HEADINGS_RAD), axis=-1),
                                      records[-1].encoders, record.encoders).T  # fmt: skip
         directions = np.rint((heading + record.sonar_rad) * (DIRECTIONS / (2.0 * np.pi))).astype(np.intp) % DIRECTIONS
         for row, (x_in, y_in, direction) in enumerate(zip(dx.tolist(), dy.tolist(), directions.tolist(), strict=True)):
             score[row] += nats[table.codes_beside(x_in, y_in, direction)]
-    # 3. As a list of poses.
-    poses = np.empty((*score.shape, 3))
-    poses[..., :2], poses[..., HEADING] = places, headings[:, None]
-    return poses.reshape(-1, 3), score.ravel().astype(np.float64)
+    return score
 
 
 def _spread(records: Sequence[EchoRecord], count: int) -> Sequence[EchoRecord]:
@@ -366,14 +365,20 @@ def _displaced(poses: Floats, last: Floats, then: Floats) -> Floats:
     return there
 
 
-def _maxima(poses: Floats, score: Floats, distance_in: float) -> list[Floats]:
-    """Return the best poses (3,), one for each peak: no two within this distance with nearly the same heading."""
-    # Non-maximum suppression: take the best pose, drop its neighbours, repeat.
-    count = min(MAX_CANDIDATES, len(score))
-    order = np.argpartition(score, len(score) - count)[len(score) - count :]
-    order = order[np.argsort(-score[order], kind="stable")]
-    order = order[score[order] > score[order[0]] - MAX_PEAK_NATS]
-    rest = poses[order]
+def _maxima(places: Floats, score: npt.NDArray[np.float32], distance_in: float) -> list[Floats]:
+    """Return the best poses (3,) of places (n, 2) with scores (DIRECTIONS, n), one for each peak.
+
+    No two are within this distance with nearly the same heading.
+    """
+    # 1. The best poses, and those not much worse.
+    nats = score.ravel()
+    count = min(MAX_CANDIDATES, len(nats))
+    lowest = np.partition(nats, len(nats) - count)[len(nats) - count]
+    order = np.flatnonzero(nats >= max(float(lowest), float(nats.max()) - MAX_PEAK_NATS))
+    order = order[np.argsort(-nats[order], kind="stable")][:count]
+    row, place = np.divmod(order, len(places))
+    rest: Floats = np.column_stack((places[place], HEADINGS_RAD[row]))
+    # 2. Non-maximum suppression: take the best pose, drop its neighbours, repeat.
     found: list[Floats] = []
     while len(rest) and len(found) < MAX_PEAKS:
         peak = rest[0]

@@ -41,6 +41,8 @@ MIN_ENCLOSED: Final = 0.1
 """Fraction of all floor that must be enclosed by walls for the rest to be outside: less may be a hollow pillar."""
 _BLOCK_CELLS: Final = 8
 """Cells along a side of the blocks that are built together."""
+_PART_POSES: Final = 960
+"""Poses of a block that are computed at once."""
 _FAR_IN: Final = MAX_READING_IN + 45.0
 """Reflectors farther than this from the middle of a block return nothing to it: the range, and half a block."""
 _SMOOTHING: Final = np.full(5, 0.2)
@@ -320,13 +322,18 @@ def _most_probable(
     seen, blocking = around_block(places, around, body.sonar_ring_radius_in)
     poses = _poses(places, directions).reshape(-1, 3)
     mount, std = SonarMount(0.0, body.sonar_ring_radius_in), np.full(len(poses), HEADING_STD_RAD)
-    ranges_in, probability = echo_probabilities(poses, std, mount, seen, sonar, blocking)
     shape = len(places), len(directions)
-    if not probability.shape[1]:
-        return np.zeros(shape), np.zeros(shape)
-    best = probability.argmax(axis=-1)[:, None]
-    range_in, likeliest = (np.take_along_axis(part, best, axis=-1).reshape(shape) for part in (ranges_in, probability))
-    return range_in, likeliest
+    range_in, likeliest = np.zeros(len(poses)), np.zeros(len(poses))
+    # In parts: an array of all poses and all reflectors takes 40 MB.
+    for first in range(0, len(poses), _PART_POSES):
+        part = slice(first, first + _PART_POSES)
+        ranges_in, probability = echo_probabilities(poses[part], std[part], mount, seen, sonar, blocking)
+        if probability.shape[1]:
+            best = probability.argmax(axis=-1)[:, None]
+            range_in[part], likeliest[part] = (
+                np.take_along_axis(each, best, axis=-1)[:, 0] for each in (ranges_in, probability)
+            )
+    return range_in.reshape(shape), likeliest.reshape(shape)
 
 
 def around_block(places: Floats, around: Reflectors, ring_in: float) -> tuple[Reflectors, Floats]:

@@ -57,7 +57,7 @@ def _smoother(config: LocalizationConfig, belief: Belief, _seed: int) -> Filter:
     stds = config.range_stds or ()
     measurement = _measurement(config, linear, len(stds))
     return FixedLagSmoother(
-        belief, measurement, config.odometry, range_stds=stds, middle_in=_middle(config), limits=_limits(config)
+        belief, measurement, config.odometry, range_stds=stds, middle_in=_middle(config), limits=_LIMITS
     )
 
 
@@ -105,12 +105,11 @@ class _MethodChoices(tuple[str, ...]):
 
 METHOD_CHOICES: Final = _MethodChoices(METHODS)
 """What `--method` accepts, for argparse."""
-MAX_UNEXPLAINED: Final = 0.3
-"""Fraction of the very last readings, besides 2.5 times the outliers of the model, that means a slip."""
-MAX_DRIFT: Final = 5.0
-"""Sum of signed innovations that means a slip: of a consistent filter once in some 3000 readings."""
+SLIP_NATS, SUSPECT_NATS = 6.0, 3.5
+"""Evidence of a slip of the wheels: of one that widens the covariance, and from which the estimate is DEGRADED."""
 MAX_NIS_RATIO: Final = 2.5
 """The covariance is widened for a mean NIS up to this."""
+_LIMITS: Final = HealthLimits(max_nis_ratio=MAX_NIS_RATIO, slip_nats=SLIP_NATS, suspect_nats=SUSPECT_NATS)
 
 
 def make(method: str, config: LocalizationConfig, belief: Belief, seed: int = 0) -> Filter:
@@ -183,16 +182,7 @@ def _kalman(
         # It stores echoes: one for each filter.
         cone = ConeModel(config.walls, config.body, config.sonar, len(stds))
         measurement = MeasurementUpdate(SurfaceModel(cone))
-    return KalmanFilter(belief, measurement, config.odometry, prediction, stds, _middle(config), _limits(config))
-
-
-def _limits(config: LocalizationConfig) -> HealthLimits:
-    """Return the limits of the monitor: readings of cones are outliers more often than of rays."""
-    outliers = config.sonar.outlier_probability if isinstance(config.sonar, ConeSonar) else 0.0
-    recent = HealthLimits().recent
-    return HealthLimits(
-        max_nis_ratio=MAX_NIS_RATIO, max_unexplained=recent * (MAX_UNEXPLAINED + 2.5 * outliers), max_drift=MAX_DRIFT
-    )
+    return KalmanFilter(belief, measurement, config.odometry, prediction, stds, _middle(config), _LIMITS)
 
 
 def _middle(config: LocalizationConfig) -> tuple[float, float]:

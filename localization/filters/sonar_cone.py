@@ -87,6 +87,8 @@ class ConeSonar(RangeNoise):
 
     Attributes
     ----------
+    range_std_relative
+        A quarter more than the 1 % of the data sheet: echoes of one reflector that follow one another err alike.
     cone_rad
         Whole angle of the cone.
     margin_db, margin_std_db
@@ -103,6 +105,7 @@ class ConeSonar(RangeNoise):
         Standard deviation and correlation length of the surface of walls (surface.py); 0: walls are where the map says.
     """
 
+    range_std_relative: float = 0.0125
     rounding_var_in2: float = WIRE_SONAR.rounding_var_in2
     place_var_in2: float = 0.04
     lowest_in: float = NOMAD.min_range_in

@@ -20,7 +20,16 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from localization.filters import compiled
-from localization.filters.base import Filter, LocalizationConfig, Place, RingFilter, Searching, Smoothing, process_each
+from localization.filters.base import (
+    Disturbable,
+    Filter,
+    LocalizationConfig,
+    Place,
+    RingFilter,
+    Searching,
+    Smoothing,
+    process_each,
+)
 from localization.filters.belief import POSE, Belief, Floats
 from localization.filters.health import HEALTHY, FilterHealth
 from localization.filters.odometry import NO_LAG, Lag, pose_at, relative_step
@@ -139,6 +148,7 @@ class Localizer:
         self._process_echoes = (
             self._filter.process if isinstance(self._filter, RingFilter) else partial(process_each, self._filter)
         )
+        self._disturbable = self._filter if isinstance(self._filter, Disturbable) else None
         self._searching = self._filter if isinstance(self._filter, Searching) else None
         self._smoothing = self._filter if isinstance(self._filter, Smoothing) else None
         self._instants: deque[float] = deque(maxlen=1 + (self._smoothing.lag if self._smoothing else 0))
@@ -170,11 +180,16 @@ class Localizer:
         elif now.clock_s > self._history.latest.clock_s:
             self._history.add(now)
         latest = self._history.latest
+        clock_std_s = self._history.clock_std_s if self._history.is_uneven else LAG_STD_S
+        if self._disturbable:
+            self._disturbable.detects_slips = not self._history.is_uneven
+            if self._slip.rolled_in:
+                self._disturbable.roll_on_spot(self._slip.rolled_in)
         # 2. Every new echo: predict to the pose of its instant, update.
         firings = self._schedule.readable(self._last_echo_s, latest.clock_s)
         echoes = self._process(firings, state.sonars_in) if firings else ()
         # 3. The estimate now: predicted from the last echo, widened by the uncertain instants.
-        belief = self._filter.predicted(*_step(self._encoders, latest), clock_lag(*self._history.last_two))
+        belief = self._filter.predicted(*_step(self._encoders, latest), clock_lag(*self._history.last_two, clock_std_s))
         smoothed = Smoothed(self._instants[0], self._smoothing.smoothed()) if self._smoothing else None
         places, turn = (self._searching.places, self._searching.informative_turn_rad) if self._searching else ((), None)
         return Estimate(latest.clock_s, belief, echoes, self._filter.health, smoothed, places, turn)
@@ -209,10 +224,10 @@ LAG_STD_S: Final = CLOCK_STEP_S / sqrt(6.0)
 """Standard deviation of the difference of two instants, each anywhere within one step of the clock."""
 
 
-def clock_lag(before: EncoderPose, now: EncoderPose) -> Lag:
+def clock_lag(before: EncoderPose, now: EncoderPose, std_s: float = LAG_STD_S) -> Lag:
     """Return what the uncertain instants of echoes and states add to the last two poses of the encoders.
 
-        P + LAG_STD_S^2 xdot xdot'        xdot = (v cos(heading), v sin(heading), turn rate)
+        P + std_s^2 xdot xdot'        xdot = (v cos(heading), v sin(heading), turn rate)
 
     A clock in steps leaves it open when the ring was restarted and when a state was taken, so the estimate is ahead of
     the robot or behind it. The first is constant over a run: no filter averages it out, and no noise of the echoes
@@ -223,7 +238,7 @@ def clock_lag(before: EncoderPose, now: EncoderPose) -> Lag:
     if passed_s <= 0.0:
         return NO_LAG
     distance_in, turn_rad = _step(before, now)
-    return LAG_STD_S * distance_in / passed_s, LAG_STD_S * turn_rad / passed_s
+    return std_s * distance_in / passed_s, std_s * turn_rad / passed_s
 
 
 # Consistency of a whole run.

@@ -15,7 +15,7 @@ from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
-from localization.filters.belief import HEADING, POSE, Belief, Floats
+from localization.filters.belief import HEADING, POSE, Belief, Floats, wrap_angle
 from localization.filters.odometry import with_parameters
 from nclient.errors import AddressError, RobotRefused
 from nclient.protocol.types import MAX_SONAR_IN, MIN_SONAR_IN, SONAR_RATE_STEP_S, SONAR_SLOTS
@@ -102,9 +102,10 @@ def corrected(state: SensorInput, calibration: Calibration, ring: Ring = N150.ri
     for every part of a filter.
     """
     readings = sonar_readings(state)
-    if _limits(ring) != _limits(N150.ring):
+    is_other = ring is not N150.ring and _limits(ring) != _limits(N150.ring)
+    if is_other:
         readings = tuple([_limited(reading, ring) for reading in readings])
-    if not ring.fits_state or _limits(ring) != _limits(N150.ring):
+    if is_other or not ring.fits_state:
         state = with_readings(state, readings)
     if calibration is IDEAL_CALIBRATION:
         return state
@@ -272,24 +273,63 @@ class SlipCorrection:
     def __init__(self) -> None:
         self._last: SensorInput | None = None
         self._x_in = self._y_in = 0.0
+        self.rolled_in = 0.0
+        """Distance that was rolled on the spot up to the last state, from the one before."""
 
     def position_of(self, state: SensorInput) -> tuple[float, float]:
         """Return x and y of the encoders without the distance that was rolled on the spot, inches."""
         last, self._last = self._last, state
+        self.rolled_in = 0.0
         if last is not None and state.touching and last.touching:
             dx, dy = state.x_in - last.x_in, state.y_in - last.y_in
             passed_s = (state.clock_s or 0.0) - (last.clock_s or 0.0)
-            if math.hypot(dx, dy) <= PRESSED_IN_S * passed_s:
+            distance_in = math.hypot(dx, dy)
+            if distance_in <= PRESSED_IN_S * passed_s:
+                self.rolled_in = distance_in
                 self._x_in += dx
                 self._y_in += dy
         return float(state.x_in) - self._x_in, float(state.y_in) - self._y_in
 
 
+HEADING_ARM_IN: Final = 10.0
+"""A turn counts as the distance that a point so far from the axis moves."""
+MIN_MOTION_IN: Final = 0.2
+"""A robot that moves less from one state to the second next does not show the errors of its clock."""
+MAX_CLOCK_ERROR_S: Final = 0.1
+"""A larger error is a change of the motion."""
+CLOCK_MEMORY: Final = 0.05
+"""Weight of the last error in the mean: of some twenty states."""
+
+
+def clock_error(before: EncoderPose, middle: EncoderPose, after: EncoderPose) -> float:
+    """Return how late the clock of the second of three poses is, if the robot moves evenly; 0 if it hardly moves.
+
+    The encoders are interpolated to its clock: what lies ahead of them along the way, over the speed.
+    """
+    passed_s = after.clock_s - before.clock_s
+    fraction = (middle.clock_s - before.clock_s) / passed_s
+    squared = error = 0.0
+    for index, arm in ((1, 1.0), (2, 1.0), (3, HEADING_ARM_IN)):
+        whole, part = after[index] - before[index], middle[index] - before[index]
+        if index == 1 + HEADING:
+            whole, part = wrap_angle(whole), wrap_angle(part)
+        squared += (arm * whole) ** 2
+        error += arm * arm * whole * (fraction * whole - part)
+    return passed_s * error / squared if squared > MIN_MOTION_IN**2 else 0.0
+
+
 class PoseHistory:
-    """The encoder poses of the last seconds."""
+    """The encoder poses of the last seconds, and how evenly their clock advances."""
 
     def __init__(self) -> None:
         self._poses: deque[EncoderPose] = deque()
+        self.clock_std_s = 0.0
+        """Standard deviation of the clock of a state, from the motion of the encoders (`clock_error`)."""
+
+    @property
+    def is_uneven(self) -> bool:
+        """True if the clocks of the states err by more than a step of a robot's clock."""
+        return self.clock_std_s > CLOCK_STEP_S
 
     @property
     def last_two(self) -> tuple[EncoderPose, EncoderPose]:
@@ -304,6 +344,11 @@ class PoseHistory:
     def add(self, pose: EncoderPose) -> None:
         """Append a pose later than all others; drop those older than HISTORY_S."""
         self._poses.append(pose)
+        if len(self._poses) > 2:
+            # The mean absolute value of three clocks' error, in these weights, is nearly the deviation of one.
+            late_s = abs(clock_error(self._poses[-3], self._poses[-2], pose))
+            if late_s:
+                self.clock_std_s += CLOCK_MEMORY * (min(late_s, MAX_CLOCK_ERROR_S) - self.clock_std_s)
         while len(self._poses) > 2 and self._poses[1].clock_s < pose.clock_s - HISTORY_S:
             self._poses.popleft()
 

@@ -708,7 +708,12 @@ class SonarErrors:
 
     def std_in(self, range_in: float) -> float:
         """Return the standard deviation of a range, inches."""
-        return max(self.range_std_relative * range_in, self.range_std_floor_in)
+        return range_std_in(range_in, self.range_std_relative, self.range_std_floor_in)
+
+
+def range_std_in(range_in: float, relative: float, floor_in: float) -> float:
+    """Return the standard deviation of a range, inches."""
+    return max(relative * range_in, floor_in)
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,8 +5,11 @@ the size of the time steps changes nothing. A unit is an inch or a radian; the a
 
     without ramps | cruise |              the axis jumps to its speed (the original's note on `ac`)
     trapezoid     / cruise \              never beyond speed or acceleration, never past a relative target
+
+The formulas are functions of plain numbers, which numba compiles for the batch simulation (batch_kernel.py).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from math import copysign, inf, sqrt
@@ -75,6 +78,9 @@ class Phase(NamedTuple):
     acceleration: float
 
 
+NO_PHASE: Final = Phase(0.0, 0.0, 0.0)
+"""A phase that is not there: those that last 0 s never begin."""
+
 AxisMotion = tuple[tuple[Phase, ...], float, float]
 """The motion of an axis until the next command: its phases, how long the first has lasted, and the axis's resolution.
 A plain tuple, because one is recorded for every firing of a sonar."""
@@ -84,7 +90,8 @@ def shown_velocity_after(motion: AxisMotion, dt_s: float) -> float:
     """Return the encoder velocity dt_s >= 0 seconds later: never 0 while the axis moves, exactly 0 when it is still."""
     phases, elapsed_s, resolution = motion
     if dt_s:
-        _, phases, elapsed_s = _advance_phases(phases, elapsed_s, dt_s)
+        _, done, elapsed_s = advance_phases(phases, elapsed_s, dt_s)
+        phases = phases[done:]
     if not phases:
         return 0.0
     _, velocity, acceleration = phases[0]
@@ -196,8 +203,7 @@ class Axis:
         """`phase_left_s`, `velocity` and `phase_acceleration` in one call, which is faster."""
         if not self._phases:
             return inf, 0.0, 0.0
-        duration_s, velocity, acceleration = self._phases[0]
-        return duration_s - self._elapsed_s, velocity + acceleration * self._elapsed_s, acceleration
+        return phase_now(self._phases[0], self._elapsed_s)
 
     @property
     def shown_velocity(self) -> float:
@@ -237,11 +243,9 @@ class Axis:
     def move_at(self, velocity: float) -> None:
         """Run at a velocity (units/s, clamped to the top speed) until the next command; 0 brakes and holds."""
         top = self.limits.top_speed
-        # A phase without end follows the ramp, unless the axis stops.
         wanted = min(max(velocity, -top), top)
         self.mode = Mode.VELOCITY if wanted else Mode.HOLD
-        ramp = self._ramp(self.velocity, wanted) if self.ramps else ()
-        self._start((*ramp, Phase(inf, wanted, 0.0)) if wanted else ramp)
+        self._start(plan_velocity(self.velocity, wanted, self.acceleration, self.ramps))
 
     def move_by(self, distance: float, speed: float | None = None) -> None:
         """Move by a distance (units, from here) and hold there.
@@ -260,10 +264,7 @@ class Axis:
             self.stop()
             return
         self.mode = Mode.RELATIVE
-        if self.ramps:
-            self._start(self._trapezoid(distance, top))
-        else:
-            self._start((Phase(abs(distance) / top, copysign(top, distance), 0.0),))
+        self._start(plan_distance(self.velocity, distance, top, self.acceleration, self.ramps))
 
     def stop(self) -> None:
         """Brake and hold."""
@@ -285,20 +286,21 @@ class Axis:
             return 0.0
         duration_s, velocity, acceleration = self._phases[0]
         elapsed_s = self._elapsed_s
-        # Most steps end inside the first phase: the same formulas as in _advance_phases, without the loop.
+        # Most steps end inside the first phase: the same formulas as in advance_phases, without the loop.
         if dt_s < duration_s - elapsed_s - TIME_TOLERANCE_S:
             velocity += acceleration * elapsed_s
             travelled = (velocity + 0.5 * acceleration * dt_s) * dt_s
             self._elapsed_s = elapsed_s + dt_s
         else:
-            travelled, self._phases, self._elapsed_s = _advance_phases(self._phases, elapsed_s, dt_s)
+            travelled, done, self._elapsed_s = advance_phases(self._phases, elapsed_s, dt_s)
+            self._phases = self._phases[done:]
             self._hold_when_done()
         self.count += travelled
         return travelled
 
     def displacement_after(self, dt_s: float) -> float:
         """Return the displacement of the next dt_s >= 0 seconds, units, without advancing."""
-        return _advance_phases(self._phases, self._elapsed_s, dt_s)[0] if self._phases else 0.0
+        return advance_phases(self._phases, self._elapsed_s, dt_s)[0] if self._phases else 0.0
 
     def _start(self, phases: tuple[Phase, ...]) -> None:
         """Begin the phases that have a duration; a finished motion holds."""
@@ -310,48 +312,78 @@ class Axis:
         if not self._phases and self.mode != Mode.LIMP:
             self.mode = Mode.HOLD
 
-    def _ramp(self, start: float, end: float) -> tuple[Phase, ...]:
-        """Return the ramp between two velocities at the acceleration in force; two phases where the sign changes."""
-        # No phase may change the sign of the velocity.
-        if start * end < 0.0:
-            return (*self._ramp(start, 0.0), *self._ramp(0.0, end))
-        return (Phase(abs(end - start) / self.acceleration, start, copysign(self.acceleration, end - start)),)
 
-    def _trapezoid(self, distance: float, top: float) -> tuple[Phase, ...]:
-        """Plan the motion from the velocity in force to standing still `distance` ahead, at most `top` fast.
+def plan_velocity(start: float, wanted: float, rate: float, ramps: bool) -> tuple[Phase, Phase, Phase]:
+    """Plan the motion from a velocity to another one, which lasts until the next command unless it is 0.
 
-        With start velocity u, peak p and acceleration A the two ramps cover (p^2 - u^2) / 2A + p^2 / 2A; the rest of
-        the distance is cruise.
-        """
-        start, rate = self.velocity, self.acceleration
-        # 1. The direction in which the point of standstill has to move; all quantities along it.
-        direction = copysign(1.0, distance - start * abs(start) / (2.0 * rate))
-        forward, ahead = direction * start, direction * distance
-        # 2. The peak of a motion without cruise.
-        peak = sqrt(max(rate * ahead + 0.5 * forward * forward, 0.0))
-        cruise_s = 0.0
-        # 3. Beyond the permitted speed: cruise at that speed.
-        if peak > top:
-            ramped = top * top - forward * forward
-            ramps = (abs(ramped) if forward > top else ramped) + top * top
-            peak = top
-            cruise_s = max(ahead - ramps / (2.0 * rate), 0.0) / top
-        up = self._ramp(start, direction * peak)
-        return (*up, Phase(cruise_s, direction * peak, 0.0), *self._ramp(direction * peak, 0.0))
+    Parameters
+    ----------
+    start, wanted
+        Velocities, units/s.
+    rate
+        Acceleration > 0, units/s^2.
+
+    Returns
+    -------
+    tuple of Phase
+        Phases, some of which may last 0 s.
+    """
+    up, down = _ramp(start, wanted, rate) if ramps else (NO_PHASE, NO_PHASE)
+    return up, down, Phase(inf if wanted else 0.0, wanted, 0.0)
 
 
-def _advance_phases(
-    phases: tuple[Phase, ...], elapsed_s: float, dt_s: float
-) -> tuple[float, tuple[Phase, ...], float]:
-    """Return the displacement of dt_s seconds, the phases left then, and how long the first of them has lasted."""
+def plan_distance(
+    start: float, distance: float, top: float, rate: float, ramps: bool
+) -> tuple[Phase, Phase, Phase, Phase, Phase]:
+    """Plan the motion from the velocity in force to standing still `distance` ahead, at most `top` > 0 fast.
+
+    With start velocity u, peak p and acceleration A the two ramps cover (p^2 - u^2) / 2A + p^2 / 2A; the rest of
+    the distance is cruise. The result is that of `plan_velocity`.
+    """
+    if not ramps:
+        cruise = Phase(abs(distance) / top, copysign(top, distance), 0.0)
+        return NO_PHASE, NO_PHASE, cruise, NO_PHASE, NO_PHASE
+    # 1. The direction in which the point of standstill has to move; all quantities along it.
+    direction = copysign(1.0, distance - start * abs(start) / (2.0 * rate))
+    forward, ahead = direction * start, direction * distance
+    # 2. The peak of a motion without cruise.
+    peak = sqrt(max(rate * ahead + 0.5 * forward * forward, 0.0))
+    cruise_s = 0.0
+    # 3. Beyond the permitted speed: cruise at that speed.
+    if peak > top:
+        ramped = top * top - forward * forward
+        ramps_in = (abs(ramped) if forward > top else ramped) + top * top
+        peak = top
+        cruise_s = max(ahead - ramps_in / (2.0 * rate), 0.0) / top
+    first, second = _ramp(start, direction * peak, rate)
+    third, fourth = _ramp(direction * peak, 0.0, rate)
+    return first, second, Phase(cruise_s, direction * peak, 0.0), third, fourth
+
+
+def _ramp(start: float, end: float, rate: float) -> tuple[Phase, Phase]:
+    """Return the ramp between two velocities; both phases last longer than 0 s only where the sign changes."""
+    # No phase may change the sign of the velocity.
+    middle = 0.0 if start * end < 0.0 else end
+    return _ramp_phase(start, middle, rate), _ramp_phase(middle, end, rate)
+
+
+def _ramp_phase(start: float, end: float, rate: float) -> Phase:
+    return Phase(abs(end - start) / rate, start, copysign(rate, end - start))
+
+
+def phase_now(phase: Sequence[float], elapsed_s: float) -> tuple[float, float, float]:
+    """Return the seconds left of a phase that has lasted `elapsed_s`, its velocity now, and its acceleration."""
+    return phase[0] - elapsed_s, phase[1] + phase[2] * elapsed_s, phase[2]
+
+
+def advance_phases(phases: Sequence[Sequence[float]], elapsed_s: float, dt_s: float) -> tuple[float, int, float]:
+    """Return the displacement of dt_s seconds, how many phases end in it, and how long the next one has lasted then."""
     travelled = 0.0
-    while phases:
-        duration_s, velocity, acceleration = phases[0]
-        left_s = duration_s - elapsed_s
-        velocity += acceleration * elapsed_s
+    for done in range(len(phases)):
+        left_s, velocity, acceleration = phase_now(phases[done], elapsed_s)
         if dt_s < left_s - TIME_TOLERANCE_S:
-            return travelled + (velocity + 0.5 * acceleration * dt_s) * dt_s, phases, elapsed_s + dt_s
+            return travelled + (velocity + 0.5 * acceleration * dt_s) * dt_s, done, elapsed_s + dt_s
         travelled += (velocity + 0.5 * acceleration * left_s) * left_s
         dt_s = max(dt_s - left_s, 0.0)
-        phases, elapsed_s = phases[1:], 0.0
-    return travelled, phases, 0.0
+        elapsed_s = 0.0
+    return travelled, len(phases), 0.0

@@ -16,7 +16,7 @@ bumpers, so the bands count as one.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from math import ceil, cos, hypot, inf, sin, sqrt, tau
+from math import ceil, cos, inf, sin, sqrt, tau
 from typing import Final, NamedTuple
 
 from nserver_emu.simulation.segments import ConstantAccelerationSegment, wrap_to_pi
@@ -59,6 +59,10 @@ class Contact(NamedTuple):
         return outward < -PRESSING if velocity > 0.0 else outward > PRESSING
 
 
+NO_CONTACT: Final = Contact(inf, 0.0, 0.0)
+"""The contact of a path that stays free."""
+
+
 class Capsule(NamedTuple):
     """The segment from (x1, y1) to (x2, y2) with a radius, inches."""
 
@@ -85,7 +89,7 @@ class Capsule(NamedTuple):
         if squared:
             fraction = min(max((dx * along_x + dy * along_y) / squared, 0.0), 1.0)
             dx, dy = dx - fraction * along_x, dy - fraction * along_y
-        distance = hypot(dx, dy)
+        distance = _length(dx, dy)
         per = 1.0 / distance if distance else 0.0
         return distance - radius - radius_in, dx * per, dy * per
 
@@ -93,20 +97,21 @@ class Capsule(NamedTuple):
         """Return the fraction of a straight path (dx, dy) from (x, y) free for a disc; inf if it never touches."""
         # 1. The path in the frame of the capsule, `along` its segment and `across` it.
         x1, y1, x2, y2, radius = self
-        reach, length = radius + radius_in, hypot(x2 - x1, y2 - y1)
+        reach, length = radius + radius_in, _length(x2 - x1, y2 - y1)
         unit_x, unit_y = ((x2 - x1) / length, (y2 - y1) / length) if length else (1.0, 0.0)
         x, y = x_in - x1, y_in - y1
         along, across = x * unit_x + y * unit_y, y * unit_x - x * unit_y
         d_along, d_across = dx_in * unit_x + dy_in * unit_y, dy_in * unit_x - dx_in * unit_y
         # 2. A path that does not approach never touches; one that starts in contact is blocked at once.
         beyond = along - min(max(along, 0.0), length)
-        distance, travel = hypot(beyond, across), hypot(d_along, d_across)
+        distance, travel = _length(beyond, across), _length(d_along, d_across)
         if beyond * d_along + across * d_across >= -PRESSING * distance * travel:
             return inf
         if distance <= reach:
             return 0.0
         # 3. The rounded ends: the quadratic equation of a point and a circle.
-        fraction = min(_to_circle(along - end, across, d_along, d_across, reach) for end in (0.0, length))
+        fraction = _to_circle(along, across, d_along, d_across, reach)
+        fraction = min(fraction, _to_circle(along - length, across, d_along, d_across, reach))
         # 4. The side, which is reached where |across| falls to the sum of the radii.
         closing = -d_across if across > 0.0 else d_across
         if closing > 0.0:
@@ -153,7 +158,7 @@ class PlacedSegment(NamedTuple):
         dx, dy = self.segment.displacement(self.heading_rad, time_s)
         return self.x_in + dx, self.y_in + dy
 
-    def velocity(self, time_s: float) -> tuple[float, float]:
+    def velocity_vector(self, time_s: float) -> tuple[float, float]:
         """Return (vx, vy) in in/s, `time_s` into the segment."""
         speed = self.segment.velocity_at(time_s)
         heading = self.heading_rad + self.segment.turn_at(time_s)
@@ -161,7 +166,13 @@ class PlacedSegment(NamedTuple):
 
 
 def first_contact(placed: PlacedSegment, radius_in: float, capsules: Sequence[Capsule]) -> Contact | None:
-    """Return the first contact of a disc on its path with any of the capsules, or None if it stays free.
+    """Return `find_contact`, or None if the path stays free."""
+    contact = find_contact(placed, radius_in, capsules)
+    return contact if contact.time_s < inf else None
+
+
+def find_contact(placed: PlacedSegment, radius_in: float, capsules: Sequence[Capsule]) -> Contact:
+    """Return the first contact of a disc on its path with any of the capsules; NO_CONTACT if it stays free.
 
     A disc that touches already, or overlaps, is in contact at 0 s if it presses on; otherwise it is free to leave.
     Contacts are located to CHORD_ERROR_IN or better, to GAP_SOLVED_IN unless the path only grazes.
@@ -180,10 +191,11 @@ def first_contact(placed: PlacedSegment, radius_in: float, capsules: Sequence[Ca
             capsule = capsules[row]
             window = duration * max(chord - 1, 0) / count, duration * min(chord + 2, count) / count
             time = _solve(placed, capsule, radius_in, duration * (chord + fraction) / count, window)
-            _, away_x, away_y = capsule.gap_to(radius_in, *placed.position(time))
+            x, y = placed.position(time)
+            _, away_x, away_y = capsule.gap_to(radius_in, x, y)
             return Contact(time, away_x, away_y)
         x, y = end_x, end_y
-    return None
+    return NO_CONTACT
 
 
 def _first_touched(
@@ -209,10 +221,11 @@ def _solve(
     time, (before_s, after_s) = guess_s, window_s
     for _ in range(MAX_STEPS):
         # The rate of the gap is the velocity along the direction away from the capsule.
-        gap, away_x, away_y = capsule.gap_to(radius_in, *placed.position(time))
+        x, y = placed.position(time)
+        gap, away_x, away_y = capsule.gap_to(radius_in, x, y)
         if abs(gap) < GAP_SOLVED_IN:
             return time
-        vx, vy = placed.velocity(time)
+        vx, vy = placed.velocity_vector(time)
         rate = away_x * vx + away_y * vy
         if gap > 0.0 > rate:
             before_s = time
@@ -221,6 +234,12 @@ def _solve(
         newton = time - gap / rate if rate < 0.0 else inf
         time = newton if before_s < newton < after_s else 0.5 * (before_s + after_s)
     return guess_s
+
+
+def _length(x: float, y: float) -> float:
+    """Return the length of a vector."""
+    # A root, because hypot rounds differently in compiled code; no number here comes near its overflow.
+    return sqrt(x * x + y * y)
 
 
 def _to_circle(x: float, y: float, dx: float, dy: float, radius: float) -> float:
@@ -240,10 +259,17 @@ def pressed_bumpers(directions_rad: Iterable[float], bumper_angles_rad: tuple[fl
     bumper_angles_rad
         Angles of a ring with equal spacing, in the same frame.
     """
-    half = 0.5 * tau / len(bumper_angles_rad) + MIDWAY_RAD
     bits = 0
     for direction in directions_rad:
-        for number, angle in enumerate(bumper_angles_rad):
-            if abs(wrap_to_pi(direction - angle)) <= half:
-                bits |= 1 << number
+        bits |= touched_bumpers(direction, bumper_angles_rad)
+    return bits
+
+
+def touched_bumpers(direction_rad: float, bumper_angles_rad: Sequence[float]) -> int:
+    """Return the bumpers that one touch presses; arguments as of `pressed_bumpers`."""
+    half = 0.5 * tau / len(bumper_angles_rad) + MIDWAY_RAD
+    bits = 0
+    for number, angle in enumerate(bumper_angles_rad):
+        if abs(wrap_to_pi(direction_rad - angle)) <= half:
+            bits |= 1 << number
     return bits

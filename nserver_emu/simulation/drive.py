@@ -46,6 +46,47 @@ class AxisRate(NamedTuple):
         return AxisRate(self.velocity * scale, self.acceleration * scale)
 
 
+NO_TRACK: Final = 0.0
+"""The track of a synchro drive, whose axes are translation and steering."""
+
+
+def axis_rates(segment: ConstantAccelerationSegment, track_in: float) -> tuple[AxisRate, AxisRate]:
+    """Return the rates of both axes of a drive on a segment: the wheels, or translation and steering."""
+    _, speed, acceleration, turn_rate, turn_acceleration = segment
+    if track_in == NO_TRACK:
+        return AxisRate(speed, acceleration), AxisRate(turn_rate, turn_acceleration)
+    half = 0.5 * track_in
+    faster, gaining = half * turn_rate, half * turn_acceleration
+    return AxisRate(speed + faster, acceleration + gaining), AxisRate(speed - faster, acceleration - gaining)
+
+
+def path_segment(
+    duration_s: float, first: AxisRate, second: AxisRate, track_in: float
+) -> ConstantAccelerationSegment:
+    """Return the segment that both axes of a drive cause; the inverse of `axis_rates`."""
+    velocity_1, acceleration_1 = first
+    velocity_2, acceleration_2 = second
+    if track_in == NO_TRACK:
+        return ConstantAccelerationSegment(duration_s, velocity_1, acceleration_1, velocity_2, acceleration_2)
+    return ConstantAccelerationSegment(
+        duration_s,
+        0.5 * (velocity_1 + velocity_2),
+        0.5 * (acceleration_1 + acceleration_2),
+        (velocity_1 - velocity_2) / track_in,
+        (acceleration_1 - acceleration_2) / track_in,
+    )
+
+
+def until_reversal(segment: ConstantAccelerationSegment) -> ConstantAccelerationSegment:
+    """Return the segment up to where the robot reverses, unless that is within the tolerance of now."""
+    duration_s, speed, acceleration, turn_rate, turn_acceleration = segment
+    if speed * acceleration < 0.0:
+        reverses_s = -speed / acceleration
+        if TIME_TOLERANCE_S < reverses_s < duration_s:
+            return ConstantAccelerationSegment(reverses_s, speed, acceleration, turn_rate, turn_acceleration)
+    return segment
+
+
 class DriveState(NamedTuple):
     """The state of a drive in a snapshot: mechanical angles in radians, and the axes in their order."""
 
@@ -105,11 +146,11 @@ class SynchroDrive:
 
     def axis_rates(self, segment: ConstantAccelerationSegment) -> tuple[AxisRate, AxisRate]:
         """Return the rates of translation and steering on a segment."""
-        return AxisRate(segment.speed, segment.acceleration), AxisRate(segment.turn_rate, segment.turn_acceleration)
+        return axis_rates(segment, NO_TRACK)
 
     def path_segment(self, duration_s: float, first: AxisRate, second: AxisRate) -> ConstantAccelerationSegment:
         """Return the segment that translation and steering cause; the inverse of `axis_rates`."""
-        return ConstantAccelerationSegment(duration_s, *first, *second)
+        return path_segment(duration_s, first, second, NO_TRACK)
 
     def advance(self, dt_s: float) -> float:
         """Advance all axes by dt_s seconds and return the turn of the turret, radians."""
@@ -200,12 +241,8 @@ class DifferentialDrive:
         right_s, *right = self.right.current_phase
         left_s, *left = self.left.current_phase
         segment = self.path_segment(min(max_s, right_s, left_s), AxisRate(*right), AxisRate(*left))
-        # 2. Until the robot reverses, unless that is within the tolerance of now.
-        if segment.speed * segment.acceleration < 0.0:
-            reverses_s = -segment.speed / segment.acceleration
-            if TIME_TOLERANCE_S < reverses_s < segment.duration_s:
-                return segment._replace(duration_s=reverses_s)
-        return segment
+        # 2. Until the robot reverses.
+        return until_reversal(segment)
 
     @property
     def max_speed(self) -> float:
@@ -225,22 +262,11 @@ class DifferentialDrive:
 
     def axis_rates(self, segment: ConstantAccelerationSegment) -> tuple[AxisRate, AxisRate]:
         """Return the rates of the right and the left wheel on a segment."""
-        half = 0.5 * self.track_in
-        faster, gaining = half * segment.turn_rate, half * segment.turn_acceleration
-        return (
-            AxisRate(segment.speed + faster, segment.acceleration + gaining),
-            AxisRate(segment.speed - faster, segment.acceleration - gaining),
-        )
+        return axis_rates(segment, self.track_in)
 
     def path_segment(self, duration_s: float, first: AxisRate, second: AxisRate) -> ConstantAccelerationSegment:
         """Return the segment that the right and the left wheel cause; the inverse of `axis_rates`."""
-        return ConstantAccelerationSegment(
-            duration_s,
-            0.5 * (first.velocity + second.velocity),
-            0.5 * (first.acceleration + second.acceleration),
-            (first.velocity - second.velocity) / self.track_in,
-            (first.acceleration - second.acceleration) / self.track_in,
-        )
+        return path_segment(duration_s, first, second, self.track_in)
 
     def advance(self, dt_s: float) -> float:
         """Advance both wheels by dt_s seconds and return the turn of the turret: 0, there is none."""

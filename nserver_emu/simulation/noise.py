@@ -25,7 +25,7 @@ stream of its own.
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from enum import IntEnum
 from math import radians, sqrt
@@ -116,11 +116,11 @@ class MotionNoise:
 
     def distance_std_in(self, distance_in: float, angle_rad: float) -> float:
         """Return the standard deviation of a distance on which the robot turns by an angle, inches."""
-        return sqrt(self.alpha3 * abs(distance_in) + self.alpha4 * abs(angle_rad))
+        return _walk_std(self.alpha3, distance_in, self.alpha4, angle_rad)
 
     def turn_std_rad(self, distance_in: float, angle_rad: float) -> float:
         """Return the standard deviation of the body's turn on that distance."""
-        return sqrt(self.alpha1 * abs(angle_rad) + self.alpha2 * abs(distance_in))
+        return _walk_std(self.alpha1, angle_rad, self.alpha2, distance_in)
 
     def disturbed(
         self, segment: ConstantAccelerationSegment, rng: np.random.Generator
@@ -134,17 +134,39 @@ class MotionNoise:
         if self == NO_NOISE or (distance == 0.0 and angle == 0.0):
             return segment
         # Both numbers are drawn, even if one variance is 0: the stream must not depend on the parameters.
-        longer = self.distance_std_in(distance, angle) * rng.standard_normal()
-        turned = self.turn_std_rad(distance, angle) * rng.standard_normal()
-        # Scaling keeps the duration and the shape of the speed profile.
-        scale = 1.0 + longer / distance if distance else 1.0
-        return ConstantAccelerationSegment(
-            duration,
-            segment.speed * scale if distance else longer / duration,
-            segment.acceleration * scale,
-            segment.turn_rate + turned / duration,
-            segment.turn_acceleration,
-        )
+        alphas = (self.alpha1, self.alpha2, self.alpha3, self.alpha4)
+        return disturbed_segment(segment, alphas, rng.standard_normal(), rng.standard_normal())
+
+
+def _walk_std(first_alpha: float, first: float, second_alpha: float, second: float) -> float:
+    return sqrt(first_alpha * abs(first) + second_alpha * abs(second))
+
+
+def disturbed_segment(
+    segment: ConstantAccelerationSegment, alphas: Sequence[float], along_normal: float, turn_normal: float
+) -> ConstantAccelerationSegment:
+    """Return a segment that moves with noise: the same duration, another length, and a turn of the body.
+
+    Parameters
+    ----------
+    alphas
+        alpha1 to alpha4 of `MotionNoise`.
+    along_normal, turn_normal
+        Standard normal numbers, of the length and of the turn.
+    """
+    duration, speed, acceleration, turn_rate, turn_acceleration = segment
+    distance, angle = segment.distance_at(duration), segment.turn_at(duration)
+    longer = _walk_std(alphas[2], distance, alphas[3], angle) * along_normal
+    turned = _walk_std(alphas[0], angle, alphas[1], distance) * turn_normal
+    # Scaling keeps the duration and the shape of the speed profile.
+    scale = 1.0 + longer / distance if distance else 1.0
+    return ConstantAccelerationSegment(
+        duration,
+        speed * scale if distance else longer / duration,
+        acceleration * scale,
+        turn_rate + turned / duration,
+        turn_acceleration,
+    )
 
 
 NO_NOISE: Final = MotionNoise()

@@ -8,11 +8,12 @@ count the commanded one. Slip is the opposite: the encoders count it, and the ro
     + drift_1 first + drift_2 second               an additional turn of the whole body
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import cos, sin
 from typing import Final, NamedTuple
 
-from nserver_emu.simulation.drive import Drive
+from nserver_emu.simulation.drive import NO_TRACK, DifferentialDrive, Drive, axis_rates, path_segment
 from nserver_emu.simulation.segments import ConstantAccelerationSegment, Pose, wrap_to_2pi
 from nserver_emu.simulation.settings import setting
 
@@ -57,16 +58,25 @@ class Odometry:
         """Return the true motion for a commanded one; the same object if there is no error."""
         if self.scales[:2] == (1.0, 1.0) and self.drifts == (0.0, 0.0):
             return segment
-        # 1. Scale errors of both axes.
-        first, second = drive.axis_rates(segment)
-        path = drive.path_segment(segment.duration_s, first.times(self.scales[0]), second.times(self.scales[1]))
-        # 2. Drift of the body.
-        (rate_1, acceleration_1), (rate_2, acceleration_2) = first, second
-        drift_1, drift_2 = self.drifts
-        return path._replace(
-            turn_rate=path.turn_rate + drift_1 * rate_1 + drift_2 * rate_2,
-            turn_acceleration=path.turn_acceleration + drift_1 * acceleration_1 + drift_2 * acceleration_2,
-        )
+        track_in = drive.track_in if isinstance(drive, DifferentialDrive) else NO_TRACK
+        return erroneous_segment(segment, track_in, self.scales, self.drifts)
+
+
+def erroneous_segment(
+    segment: ConstantAccelerationSegment, track_in: float, scales: Sequence[float], drifts: Sequence[float]
+) -> ConstantAccelerationSegment:
+    """Return the true motion of a drive of this track for a commanded one; errors as those of `Odometry`."""
+    # 1. Scale errors of both axes.
+    first, second = axis_rates(segment, track_in)
+    path = path_segment(segment.duration_s, first.times(scales[0]), second.times(scales[1]), track_in)
+    # 2. Drift of the body.
+    return ConstantAccelerationSegment(
+        path.duration_s,
+        path.speed,
+        path.acceleration,
+        path.turn_rate + drifts[0] * first.velocity + drifts[1] * second.velocity,
+        path.turn_acceleration + drifts[0] * first.acceleration + drifts[1] * second.acceleration,
+    )
 
 
 EXACT: Final = Odometry()

@@ -27,6 +27,7 @@ from nserver_emu.simulation.acoustics import (
     SonarErrors,
     Steps,
     completed,
+    range_std_in,
 )
 from nserver_emu.simulation.segments import NO_STAMP, PS_PER_S, TIME_MAX_PS, SegmentTime, Stamp
 from nserver_emu.simulation.visibility import MAX_ROBOT_RANGE_IN, NO_NEAR_ROBOTS, SensorPose, robots_on_rays
@@ -115,7 +116,21 @@ class SonarNoise(SonarErrors):
 
     def _with_noise(self, range_in: float, ping: Ping) -> float:
         noise = ping.noise[0]
-        return range_in + noise * self.std_in(range_in) if noise and range_in < inf else range_in
+        return noisy_range(range_in, noise, self.range_std_relative, self.range_std_floor_in)
+
+
+def noisy_range(range_in: float, noise: float, relative: float, floor_in: float) -> float:
+    """Return a range with noise, given as a standard normal number; infinity and ranges without noise as they are."""
+    return range_in + noise * range_std_in(range_in, relative, floor_in) if noise and range_in < inf else range_in
+
+
+def shifted(
+    x_in: float, y_in: float, direction_rad: float, shift_in: Sequence[float]
+) -> tuple[float, float]:
+    """Return a point moved along a direction and to the left of it."""
+    cosine, sine = cos(direction_rad), sin(direction_rad)
+    forwards_in, left_in = shift_in[0], shift_in[1]
+    return x_in + forwards_in * cosine - left_in * sine, y_in + forwards_in * sine + left_in * cosine
 
 
 def _cast_compiled(
@@ -322,9 +337,7 @@ class SonarRing:
         # The beam points away from the axis of the ring, or from one beside it.
         direction_rad = turret_rad + self.model.turned_rad + self._ring.angles_rad[sonar]
         if self._ring.shifts_in:
-            forwards_in, left_in = self._ring.shifts_in[sonar]
-            cosine, sine = cos(direction_rad), sin(direction_rad)
-            x, y = x + forwards_in * cosine - left_in * sine, y + forwards_in * sine + left_in * cosine
+            x, y = shifted(x, y, direction_rad, self._ring.shifts_in[sonar])
         ping = Ping(x, y, direction_rad, instant_ps, self.model.draw(self._rng))
         self._pending[sonar] = Firing(ping, earlier, sensor_pose, self._reflectors)
         self._stamps[sonar] = stamp

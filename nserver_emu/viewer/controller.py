@@ -49,6 +49,7 @@ ALWAYS_MOVE: Final = frozenset({"zr", "lp"})
 """Commands without arguments that move a robot or switch its motors off."""
 Answer = dict[str, Any]
 OnAnswer = Callable[[Answer], None]
+ToAnswer = Callable[[str, Reply], Answer]
 
 
 class ViewerClient(ConnectionHandler):
@@ -58,8 +59,9 @@ class ViewerClient(ConnectionHandler):
     # The page waits for its turn before it sends a call (server.py).
     is_scheduled = False
 
-    def __init__(self, daemon: Daemon, name: str) -> None:
+    def __init__(self, daemon: Daemon, name: str, to_answer: ToAnswer) -> None:
         super().__init__(daemon)
+        self._to_answer = to_answer
         self._handler = daemon.handler
         self.session = Session(daemon.handler.answer, name)
         # Over TCP the layout of messages does not depend on the model.
@@ -110,7 +112,7 @@ class ViewerClient(ConnectionHandler):
                 self.close()
                 return
             name, on_answer = self._waiting.popleft()
-            on_answer(_answer(name, codec.decode_tcp_reply(BY_NAME[name], frame, self._wire_state)))
+            on_answer(self._to_answer(name, codec.decode_tcp_reply(BY_NAME[name], frame, self._wire_state)))
 
     def _install_faults(self) -> None:
         """Do nothing: faults do not apply here."""
@@ -135,9 +137,15 @@ def _answer(name: str, reply: Reply) -> Answer:
 
 
 class ViewerClients:
-    """Connections of one viewer, one per robot. `now` is real time in seconds."""
+    """Connections of one viewer, one per robot. `now` is real time in seconds.
 
-    def __init__(self, daemon: Daemon, name: str, error_boundary: ErrorBoundary) -> None:
+    `to_answer` makes the answer of a call's name and reply; by default the one that pages get.
+    """
+
+    def __init__(
+        self, daemon: Daemon, name: str, error_boundary: ErrorBoundary, to_answer: ToAnswer = _answer
+    ) -> None:
+        self._to_answer = to_answer
         self._daemon = daemon
         self._error_boundary = error_boundary
         self.name = name
@@ -149,7 +157,7 @@ class ViewerClients:
         # 1. The connection to this robot, opened at the first call.
         client = self._clients.get(robot_id)
         if client is None or client.session.closing:
-            client = ViewerClient(self._daemon, f"{self.name} on robot {robot_id}")
+            client = ViewerClient(self._daemon, f"{self.name} on robot {robot_id}", self._to_answer)
             if not client.connect(robot_id):
                 client.close()
                 on_answer({"ok": False, "error": f"there is no robot {robot_id}"})
@@ -311,7 +319,7 @@ class ViewerController:
                 viewer.traffic, viewer.laser, viewer.laser_robot = message.traffic, message.laser, message.robot
                 self.traffic_monitor.watched = self.broadcaster.watch_traffic
             case messages.CallRobot():
-                self.clients(viewer).call(message.robot, message.call, message.args, _replier(viewer, message.id))
+                self._call(viewer, message)
             case messages.Drive():
                 reply, others = _replier(viewer, message.id), self.others(viewer, message.robot)
                 self.clients(viewer).drive(
@@ -349,6 +357,16 @@ class ViewerController:
             case messages.Unlocalize():
                 self.localizers.stop(message.robot)
                 _replier(viewer, message.id)({"ok": True})
+
+    def _call(self, viewer: Viewer, message: messages.CallRobot) -> None:
+        reply = _replier(viewer, message.id)
+
+        def finish(answer: Answer) -> None:
+            if answer["ok"] and message.call == "place_robot":
+                self.localizers.mark_placed(message.robot)
+            reply(answer)
+
+        self.clients(viewer).call(message.robot, message.call, message.args, finish)
 
     def _answer_in_thread(self, viewer: Viewer, number: int, read: Callable[[], Answer]) -> None:
         """Send a viewer the answer that a function returns, which reads files in a thread."""

@@ -20,7 +20,7 @@ import sys
 import tempfile
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -29,6 +29,7 @@ from nserver_emu.simulation.acoustics import Polaroid
 from nserver_emu.viewer.auth import to_loopback
 from nserver_emu.viewer.messages import LocalizationMethod
 from worlds.io import format_world
+from worlds.world import StartPose
 
 log = logging.getLogger(__name__)
 
@@ -42,6 +43,7 @@ WORN_SCALE_STD: Final = "0.05,0.05,0.003"
 """--scale-std for a robot with wheel errors: distance scale, turn scale, drift in rad/in."""
 END_S: Final = 2.0
 """Time to end after SIGTERM, then SIGKILL."""
+MAX_KNOWN_POSES: Final = 100
 MAX_LINES: Final = 20
 MAX_LINE_BYTES: Final = 2**20
 MAX_WORDS: Final = 500
@@ -85,6 +87,10 @@ class Localizers:
         self._tasks: dict[int, asyncio.Task[None]] = {}
         self._folder: tempfile.TemporaryDirectory[str] | None = None
         self.states: dict[int, LocalizerState] = {}
+        # Poses at which the encoders were right: where robots were switched on, and where pages have placed them. A
+        # restored simulation has driven already.
+        simulation = daemon.emulator.simulation
+        self._known_poses = [robot.encoder for robot in simulation.robots.values()] if not simulation.time_s else []
         # Set by the server of the page once its port is open.
         self.page_url = ""
         self.model_file: Path | None = None
@@ -116,6 +122,11 @@ class Localizers:
         task = self._tasks.get(robot)
         if task is not None:
             task.cancel()
+
+    def mark_placed(self, robot: int) -> None:
+        """Record that a page has placed this robot, and its encoders with it."""
+        self._known_poses.append(self._daemon.emulator.simulation.robots[robot].encoder)
+        del self._known_poses[:-MAX_KNOWN_POSES]
 
     def mark_published(self, robot: int) -> None:
         """Record that an estimate of this robot was published."""
@@ -152,9 +163,14 @@ class Localizers:
         return command
 
     def _write_map(self, robot: int) -> Path:
-        """Write the present world to a file and return its path."""
+        """Write the present world to a file and return its path.
+
+        Its starts include the poses at which encoders were right: from there a localizer trusts them.
+        """
+        world = self._daemon.emulator.simulation.world
+        starts = dict.fromkeys((*world.starts, *(StartPose(*pose) for pose in self._known_poses)))
         path = self._file(robot, "world.toml")
-        path.write_text(format_world(self._daemon.emulator.simulation.world))
+        path.write_text(format_world(replace(world, starts=tuple(starts))))
         return path
 
     def _file(self, robot: int, name: str) -> Path:

@@ -32,7 +32,7 @@ class ListenAddress(NamedTuple):
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the page's options, in a group of their own."""
     group = parser.add_argument_group("page")
-    group.add_argument("--viewer", type=_listen_address, nargs="?", const=ListenAddress(), metavar="PORT",
+    group.add_argument("--viewer", type=parse_listen_address, nargs="?", const=ListenAddress(), metavar="PORT",
                        help=f"serve the page for the browser; its address with a token is printed on stdout "
                        f"(default port {DEFAULT_PORT}, 0 takes a free one; on loopback unless HOST is given; "
                        "needs the extra viewer; the world goes before --viewer)")
@@ -85,7 +85,8 @@ def require_aiohttp() -> None:
         raise ViewerMissing(f"--viewer needs aiohttp: {install_command('viewer')}")
 
 
-def _listen_address(text: str) -> ListenAddress:
+def parse_listen_address(text: str) -> ListenAddress:
+    """Return the address of PORT or HOST:PORT. Raises ArgumentTypeError."""
     host, _, port = text.rpartition(":")
     if not port.isdecimal() or int(port) > 65535:
         raise argparse.ArgumentTypeError(f"a port is 0 to 65535, or HOST:PORT, not {text!r}; "

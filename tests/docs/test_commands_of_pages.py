@@ -32,7 +32,6 @@ TESTS_OF_PAGES = {
     "mapping.md": "docs/test_calibration_and_maps_pages.py",
     "missions.md": "docs/test_missions_page.py",
     "own-filter.md": "docs/test_own_filter_page.py",
-    "platforms.md": "docs/test_newcomer_pages.py",
     "protocol.md": "docs/test_protocol_page.py",
     "real-data.md": "localization/experiments/test_corridor.py",
     "real-robot.md": "docs/test_pages.py",

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import shutil
+import signal
 from pathlib import Path
 
 import pytest
@@ -12,8 +14,9 @@ from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import N200
 from nclient.protocol.wire_state import tcp_wire_state
-from tests.docs.pages import command_lines, run
+from tests.docs.pages import ROOT, code_blocks, command_lines, run
 from tests.nclient.cli.captures import TO_HOST, TO_ROBOT, Conversation, write_pcap
+from tests.programs.forked import Forked
 
 PAGE = "interop.md"
 
@@ -41,3 +44,24 @@ def test_commands_about_recordings(tmp_path: Path) -> None:
         shown = run(line, tmp_path)
     assert "sonar" in shown
     assert len(list(tmp_path.glob("run*"))) == 6
+
+
+def test_program_about_rosbridge(tmp_path: Path) -> None:
+    (program,) = code_blocks(PAGE, "python")
+    (tmp_path / "drive.py").write_text(program)
+    server = Forked("nserver", "thesis_room", "--port", "0", "--rosbridge", "0")
+    try:
+        _, (_, kind, address) = (server.stdout.readline().split() for _ in range(2))
+        assert kind == "rosbridge"
+        shown = run(f"python drive.py '{address}'", tmp_path, timeout_s=60)
+    finally:
+        server.send_signal(signal.SIGTERM)
+        server.communicate(timeout=30)
+    assert float(shown.split()[-2]) > 0.1
+
+
+def test_udev_rule_names_real_keys() -> None:
+    """Each line is a comment, a jump, or matches and assignments with their operators."""
+    term = r'[A-Z]+(\{\w+\})?(==|!=|=|\+=)"[^"]*"'
+    for line in (ROOT / "packaging" / "60-nomad.rules").read_text().splitlines():
+        assert line.startswith("#") or re.fullmatch(f"{term}(, {term})*", line), line

@@ -47,6 +47,11 @@ class Check(NamedTuple):
 LOCALIZE = ("nomad", "localize", "sim:thesis_room?noisy=1&seed=3", "--map", "thesis_room", "--waypoints", "0,0", "10,0")
 EXPERIMENT = ("python", "-m", "localization.experiments", "5.2", "--seeds", "1")
 MACHINE_CODE = "from worlds.raycast import RAYCAST_KERNEL; print('loaded', RAYCAST_KERNEL.load())"
+WRITE_MCAP = (
+    "from pathlib import Path; from nclient.recording.convert import write_drive; "
+    "from nclient.recording.drive import Drive, Sample; "
+    "write_drive(Drive([Sample(0.0)]), Path('drive.mcap')); print('written')"
+)
 CHECKS = (
     Check(("nomad", "--version"), rf"nomad {VERSION}\n"),
     Check(("nserver", "--version"), rf"nserver {VERSION}\n"),
@@ -55,6 +60,8 @@ CHECKS = (
     Check(("nomad", "shell", "sim:thesis_room?setup=worn", "--command", "pr 240 0 0; wait"), r"x 24\.\d in"),
     Check(("nomad", "doctor", "sim:thesis_room", "--exchanges", "3"), "OK"),
     Check(("nomad", "wire", "encode", "gs"), "000f0000"),
+    Check(("nomad", "wire", "dissector"), "tcp_proto:register_heuristic"),
+    Check(("python", "-c", WRITE_MCAP), "written", "ros"),
     Check(LOCALIZE, "2 of 2 waypoints reached"),
     Check(("python", str(USER_SCRIPT)), "nearest .*turned 90 deg"),
     Check(("nomad", "completion", "bash"), "_nomad_whole_words nomad.*_nserver_whole_words nserver", "shell"),
@@ -64,6 +71,7 @@ CHECKS = (
     Check((*EXPERIMENT, "--jobs", "1"), "5.2", "plot"),
     Check((*EXPERIMENT, "--no-pictures", "--cluster", "127.0.0.1:1"), "no Dask scheduler answers", "cluster"),
     Check(("nomad", "map", "export", "flat", "--out", "flat.yaml"), "254 x 194 cells", "maps"),
+    Check(("python", "-c", "import mcap, rosbags; print('converts')"), "converts", "ros", is_hinted=False),
     Check(("nserver", "thesis_room", "--port", "0", "--viewer", "0"), "listening viewer", "viewer"),
     Check(("python", "-c", MACHINE_CODE), "loaded True", "fast", is_hinted=False),
     Check(("python", "-c", MACHINE_CODE), "loaded"),
@@ -133,7 +141,7 @@ def build_distribution(folder: Path) -> tuple[Path, Path]:
 
 def find_missing_files(wheel: Path) -> set[str]:
     """Return files of the packages that are not in the wheel: code, worlds, the viewer page, py.typed."""
-    kinds = {".py", ".toml", ".typed", ".js", ".css", ".html"}
+    kinds = {".py", ".toml", ".typed", ".js", ".css", ".html", ".lua"}
     packages = ("nclient", "nserver_emu", "localization", "worlds")
     files = (path for package in packages for path in (ROOT / package).rglob("*"))
     wanted = {path.relative_to(ROOT).as_posix() for path in files if path.suffix in kinds}

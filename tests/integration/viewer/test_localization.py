@@ -52,13 +52,13 @@ def test_localizer_is_started_and_stopped_on_the_page(browser: Browser) -> None:
             # The localizer only watches: another program drives the robot.
             robot.move(translation_in=10)
             page.wait("nserver.estimateOf('1')?.pose[0] > 9", 30.0)
+        page.page.click("#unlocalize")
+        page.wait("document.querySelector('.trust').innerText.includes('– OLD the localizer has ended (stopped)')")
         page.page.click("#kidnap")
         # The encoders do not notice.
         page.wait("""(() => { const { actual, encoder } = nserver.scene.robots['1'];
             const far = Math.hypot(actual[0] - encoder[0], actual[1] - encoder[1]) > 30;
             return far && Math.abs(encoder[0] - 10) < 2; })()""")
-        page.page.click("#unlocalize")
-        page.wait("document.querySelector('.trust').innerText.includes('– OLD the localizer has ended (stopped)')")
 
 
 def publish(url: str, robot: int, **changes: Any) -> dict[str, Any]:

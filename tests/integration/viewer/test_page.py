@@ -154,7 +154,7 @@ def test_obstacles_move_by_keys_and_errors_are_shown(browser: Browser) -> None:
             page.wait(f"{OBSTACLES}[0].corners[0][0] === {60 + 2.5 * count}")
             page.wait("document.activeElement.ariaLabel === 'move right obstacle 1'")
         for corners, words in (
-            ("0,0 1,1", "3 to 10 corners, not 2"),
+            ("1,1", "3 to 10 corners, not 1"), ("0,0 1,1", "it would touch robot 1"),
             (" ".join(f"{k},{k * k}" for k in range(12)), "3 to 10 corners, not 12"),
             ("60,20 70,30 70,20 60,30", "may not cross"), ("60,20 61,20 62,20", "on one line"),
             ("-5,-5 5,-5 5,5", "it overlaps a robot"),

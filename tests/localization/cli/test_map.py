@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from localization.cli.map import _note
+from localization.cli.map import _note, _thinned
 from localization.mapping.aliases import Alias
 from nclient.cli import main
 from worlds.io import load_world
+from worlds.validate import FreeSpace
 
 ROOM = """
 [[room]]
@@ -77,6 +78,15 @@ def test_show_takes_a_coarser_grid_of_a_large_floor(capsys: pytest.CaptureFixtur
     shown = json.loads(capsys.readouterr().out)
     assert 500 < shown["places"] <= 1000
     assert 8.0 < shown["cell_in"] < 12.0
+
+
+def test_a_floor_beyond_the_grid_of_the_radius_is_thinned() -> None:
+    """Steps of a flood are no longer than the radius; places shown are farther apart."""
+    space = FreeSpace(np.arange(5.0), np.arange(7.0), 1.0, np.ones((5, 7), bool), np.eye(5, 7, dtype=bool))
+    thin = _thinned(space, 2)
+    assert (thin.xs.tolist(), thin.ys.tolist(), thin.step_in) == ([0, 2, 4], [0, 2, 4, 6], 2.0)
+    assert thin.fits.shape == (3, 4)
+    assert (thin.reached == np.eye(3, 4, dtype=bool)).all()
 
 
 def test_simplify_writes_a_world_with_fewer_walls(

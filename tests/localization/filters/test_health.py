@@ -1,4 +1,4 @@
-"""The monitor: a CUSUM by hand, its false alarms against Wald's bound, and each status."""
+"""The monitor: a CUSUM by hand, its false alarms against Wald's bound, each status; slips by scipy's densities."""
 
 from __future__ import annotations
 
@@ -6,9 +6,22 @@ from math import exp, log
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from localization.filters.belief import independent
-from localization.filters.health import HEALTHY, HealthLimits, HealthStatus, IntegrityMonitor
+from localization.filters.health import (
+    ALLOWANCE_NATS,
+    DISPLACEMENTS_IN,
+    HEALTHY,
+    MAX_GAIN_NATS,
+    MAX_NIS,
+    MAX_SIDE_NATS,
+    HealthLimits,
+    HealthStatus,
+    IntegrityMonitor,
+    SlipTest,
+    displacement_evidence,
+)
 from localization.filters.update import Refusal, UpdateResult
 
 SHARP, BLUNT = independent([0, 0, 0], [0.2, 0.2, 0.01]), independent([0, 0, 0], [0.2, 4.0, 0.01])
@@ -107,53 +120,79 @@ def test_falling_evidence_or_few_matches_are_suspicious() -> None:
 
 # A slip of the wheels.
 
-SLIPPING = HealthLimits(max_unexplained=4.0, max_drift=5.0)
+SLIPPING = HealthLimits(slip_nats=6.0, suspect_nats=3.5)
 
 
-def test_unexplained_echoes_mean_a_slip_once() -> None:
-    monitor = IntegrityMonitor(SLIPPING)
-    slips, reasons = [], []
-    for number in range(40):
-        monitor.add(outcome(1.0 if number % 3 == 0 else 0.0))
-        slips.append(monitor.take_slip())
+def densities_ratio(innovation: float, std: float, shift: float) -> float:
+    """Log ratio of two normal densities with outliers: no density falls below that of MAX_NIS."""
+    floor = float(norm.logpdf(np.sqrt(MAX_NIS) * std, 0.0, std))
+    shifted, expected = norm.logpdf(innovation, shift, std), norm.logpdf(innovation, 0.0, std)
+    return max(float(shifted), floor) - max(float(expected), floor)
+
+
+@pytest.mark.parametrize("shift", [-5.0, -1.3, 0.4, 3.0])
+@pytest.mark.parametrize("innovation", [-2.9, -0.3, 0.7, 1.6, 4.0])
+def test_evidence_is_the_ratio_of_normal_densities(innovation: float, shift: float) -> None:
+    std = 0.8
+    nis = (innovation / std) ** 2
+    assert displacement_evidence(innovation, nis, shift) == pytest.approx(densities_ratio(innovation, std, shift))
+
+
+def test_slip_test_is_the_cusum_of_each_displacement() -> None:
+    """Sums written out, of all displacements and both sides, for readings of a robot that is 2 in behind from half."""
+    rng, std, test = np.random.default_rng(2), 0.8, SlipTest()
+    sums = np.zeros((2, len(DISPLACEMENTS_IN)))
+    for number, slope in enumerate(rng.choice([-1.0, -0.7, 0.6, 1.0], 40).tolist()):
+        innovation = std * float(rng.standard_normal()) + (-2.0 * slope if number >= 20 else 0.0)
+        test.add(innovation, (innovation / std) ** 2, slope)
+        for j, displacement in enumerate(DISPLACEMENTS_IN):
+            gain = min(densities_ratio(innovation, std, slope * displacement), MAX_GAIN_NATS) - ALLOWANCE_NATS
+            one = sums[int(slope > 0.0), j] + gain
+            sums[int(slope > 0.0), j] = min(max(0.0, one), MAX_SIDE_NATS)
+        assert test.evidence_nats == pytest.approx(sums.sum(axis=0).max())
+    assert test.evidence_nats > SLIPPING.slip_nats
+    assert test.displacement_in == -2.0
+
+
+@pytest.mark.parametrize("displacement", [-4.0, -2.0, 2.5])
+def test_slip_is_found_within_a_ring(displacement: float) -> None:
+    monitor, slopes = IntegrityMonitor(SLIPPING), np.cos(np.arange(16) * np.pi / 8).tolist()
+    readings, found = 0, None
+    while found is None:
+        slope = slopes[readings]
+        innovation = displacement * slope
+        monitor.add(outcome(nis=(innovation / 0.6) ** 2))
+        monitor.slip.add(innovation, (innovation / 0.6) ** 2, slope)
+        found = monitor.take_slip()
+        readings += 1
+    assert readings <= 12
+    assert abs(found - displacement) <= 1.0
+    # DEGRADED for some readings more; the test begins anew.
+    reasons = []
+    for _ in range(SLIPPING.after_slip + 1):
         reasons.append(monitor.health(np.eye(3)).reason)
-    # Four of the first twelve; from then on as many are usual.
-    assert [number for number, slip in enumerate(slips) if slip] == [11]
-    assert ["slipped" in reason for reason in reasons] == [11 <= number < 23 for number in range(40)]
-    # A slip makes nearly all of them outliers.
-    for _ in range(12):
-        monitor.add(outcome(1.0))
-    assert monitor.take_slip()
-    assert monitor.health(np.eye(3)).status is HealthStatus.DEGRADED
-
-
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_both_sides_of_the_robot_agree_on_a_slip(sign: float) -> None:
-    monitor = IntegrityMonitor(SLIPPING)
-    for _ in range(12):
         monitor.add(outcome())
-    # Readings before the robot are too long and those behind it too short, or the other way round.
-    count = 0
-    while not monitor.take_slip():
-        monitor.add_drift(2.0 * sign, 1.0)
-        monitor.add_drift(-2.0 * sign, -1.0)
-        count += 1
-    assert count == 2
+    assert ["slipped" in reason for reason in reasons] == [True] * SLIPPING.after_slip + [False]
+    assert monitor.take_slip() is None
 
 
 def test_something_unmapped_on_one_side_is_no_slip() -> None:
     monitor = IntegrityMonitor(SLIPPING)
     for _ in range(100):
         monitor.add(outcome())
-        monitor.add_drift(-5.0, 1.0)
-        assert not monitor.take_slip()
+        monitor.slip.add(-3.0, 25.0, -1.0)
+        assert monitor.take_slip() is None
+    # It may be one, though.
+    assert "slipped" in monitor.health(np.eye(3)).reason
 
 
-def test_consistent_innovations_seldom_mean_a_slip() -> None:
+@pytest.mark.parametrize("bad", [0.0, 0.2])
+def test_consistent_or_bad_readings_seldom_mean_a_slip(bad: float) -> None:
+    """Readings of a consistent filter; then a fifth of them anywhere, which agree on no displacement."""
     rng, monitor = np.random.default_rng(3), IntegrityMonitor(SLIPPING)
-    slips = 0
-    for sigmas, angle in zip(rng.standard_normal(20_000), rng.uniform(0.0, 2.0 * np.pi, 20_000), strict=True):
-        monitor.add(outcome(nis=sigmas * sigmas))
-        monitor.add_drift(float(sigmas), float(np.cos(angle)))
-        slips += monitor.take_slip()
-    assert slips <= 20
+    slips, std = 0, 0.6
+    for angle in rng.uniform(0.0, 2.0 * np.pi, 10_000).tolist():
+        innovation = std * float(rng.standard_normal()) if rng.random() >= bad else float(rng.uniform(-30.0, 200.0))
+        monitor.slip.add(innovation, (innovation / std) ** 2, float(np.cos(angle)))
+        slips += monitor.take_slip() is not None
+    assert slips <= 10

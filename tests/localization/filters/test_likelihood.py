@@ -65,7 +65,8 @@ def test_the_widening_counts_as_a_constant_error(kind: Likelihood, noise: RangeN
 
 def test_a_ray_into_nothing_leaves_only_bad_readings() -> None:
     alone = RayLikelihood([[50, -10, 50, 10]], N150, WIRE_SONAR)
-    assert alone.at(np.array([[0.0, 0.0, pi]]), 0, 0.0, 41.0) == pytest.approx(np.full((2, 1), 0.05 / SPAN_IN))
+    assert alone.at(np.array([[0.0, 0.0, pi]]), 0, 0.0, 41.0)[:2] == pytest.approx(np.full((2, 1), 0.05 / SPAN_IN))
+    assert np.isnan(alone.at(np.array([[0.0, 0.0, pi]]), 0, 0.0, 41.0).expected_in).all()
 
 
 @pytest.mark.parametrize("kind", [RAYS, CONES])

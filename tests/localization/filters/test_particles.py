@@ -15,6 +15,7 @@ from localization.filters.particles import (
     draw_particles,
     moments,
     resample_low_variance,
+    weighted_innovation,
 )
 from localization.filters.sonar_ray import WIRE_SONAR
 from localization.filters.update import Refusal, kalman_update
@@ -38,7 +39,8 @@ class Ruler:
 
     def at(self, poses: Floats, sonar: int, turret_offset_rad: float, reading_in: float) -> Likelihoods:
         del sonar, turret_offset_rad
-        return Likelihoods(np.exp(-0.5 * ((reading_in - poses[:, 0]) / 0.5) ** 2), np.zeros(len(poses)))
+        likelihood = np.exp(-0.5 * ((reading_in - poses[:, 0]) / 0.5) ** 2)
+        return Likelihoods(likelihood, np.zeros(len(poses)), poses[:, 0], np.full(len(poses), 0.25))
 
 
 def filter_of(count: int, seed: int = 1, **more: object) -> ParticleFilter:
@@ -116,8 +118,40 @@ def test_the_outlier_probability_is_bayes_over_all_particles() -> None:
     likelihood = RayLikelihood(ROOM, N150, WIRE_SONAR)
     particles = ParticleFilter(draw_particles(BELIEF, 50, rng), likelihood, OdometryNoise(), rng)
     reading = _reading(BELIEF.mean, 2)
-    whole, bad = np.sum([likelihood.at(state[None, :], 2, 0.0, reading) for state in particles.states], axis=0)
+    whole, bad = np.sum([likelihood.at(state[None, :], 2, 0.0, reading)[:2] for state in particles.states], axis=0)
     assert particles.update(2, 0.0, reading).outlier_probability == pytest.approx(float(bad[0] / whole[0]))
+
+
+def test_nis_of_particles_is_that_of_the_kalman_filter() -> None:
+    """A linear sensor of x: S is the variance of x and of the reading, also of particles that are weighted."""
+    rng = np.random.default_rng(6)
+    particles = ParticleFilter(draw_particles(BELIEF, 200_000, rng), Ruler(), OdometryNoise(), rng)
+    mean, variance = 40.0, 0.8**2
+    for reading in (41.5, 39.0):
+        result = particles.update(0, 0.0, reading)
+        innovation, S = reading - mean, variance + 0.25
+        assert result.innovation_in == pytest.approx(innovation, abs=0.02)
+        assert result.nis == pytest.approx(innovation**2 / S, rel=0.03)
+        mean, variance = mean + variance / S * innovation, variance - variance**2 / S
+
+
+def test_nis_leaves_out_particles_without_an_echo() -> None:
+    expected, variance = np.array([30.0, np.nan, 32.0]), np.array([1.0, np.nan, 2.0])
+    at = Likelihoods(np.ones(3), np.ones(3), expected, variance)
+    # Weights 1/4 and 3/4 of the two: mean 31.5, spread 0.75, mean variance 1.75.
+    assert weighted_innovation(np.array([0.1, 0.6, 0.3]), 34.0, at) == pytest.approx((2.5, 2.5**2 / 2.5))
+    assert weighted_innovation(np.array([0.0, 1.0, 0.0]), 34.0, at) == (0.0, 0.0)
+
+
+def test_particles_too_close_together_degrade() -> None:
+    """A cloud that is 1 in off in x and y and far too sure: its readings are explained, but the NIS is too large."""
+    rng = np.random.default_rng(8)
+    sure = independent(BELIEF.mean + np.array([1.0, -1.0, 0.0]), [0.01, 0.01, 0.001])
+    cloud = ParticleFilter(draw_particles(sure, 100, rng), RayLikelihood(ROOM, N150, WIRE_SONAR), OdometryNoise(), rng)
+    for sonar in [*range(16)] * 6:
+        cloud.update(sonar, 0.0, _reading(BELIEF.mean, sonar))
+    assert cloud.health.status is HealthStatus.DEGRADED
+    assert "squared innovations" in cloud.health.reason
 
 
 def test_a_cloud_away_from_the_robot_degrades() -> None:

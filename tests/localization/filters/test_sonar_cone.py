@@ -108,7 +108,7 @@ def test_many_poses_at_once_are_each_their_own() -> None:
 
 def test_variance_has_relative_floor_rounding_and_place_parts() -> None:
     constant = 1 / 12 + MODEL.place_var_in2
-    np.testing.assert_allclose(MODEL.variance(np.array([1.0, 100.0])), [0.05**2 + constant, 1.0 + constant])
+    np.testing.assert_allclose(MODEL.variance(np.array([1.0, 100.0])), [0.05**2 + constant, 1.25**2 + constant])
 
 
 def test_sonar_position_depends_on_heading() -> None:

@@ -8,7 +8,7 @@ import pytest
 from localization.filters.belief import Floats, independent
 from localization.filters.odometry import add_lag, move
 from localization.live.localizer import clock_lag
-from localization.live.sensor_input import CLOCK_STEP_S, EncoderPose
+from localization.live.sensor_input import CLOCK_STEP_S, EncoderPose, PoseHistory, clock_error
 
 
 def encoders(clock_s: float, pose: Floats) -> EncoderPose:
@@ -45,3 +45,26 @@ def test_standing_robot_has_no_lag() -> None:
     here = encoders(1.0, np.zeros(3))
     assert add_lag(belief, clock_lag(here, encoders(2.0, np.zeros(3)))) is belief
     assert add_lag(belief, clock_lag(here, here)) is belief
+
+
+@pytest.mark.parametrize("rates", [[5.0, 0.3], [0.0, -0.8], [5.0, 0.0]])
+def test_late_clock_shows_in_the_motion_of_the_encoders(rates: list[float]) -> None:
+    start, late_s = np.array([3.0, -4.0, 3.1]), 0.03
+    before, middle, after = (move(start, time_s * np.array(rates)) for time_s in (0.0, 0.1, 0.2))
+    error_s = clock_error(encoders(1.0, before), encoders(1.1 + late_s, middle), encoders(1.2, after))
+    assert error_s == pytest.approx(late_s, rel=1e-3)
+    assert clock_error(encoders(1.0, start), encoders(1.1 + late_s, start), encoders(1.2, start)) == 0.0
+
+
+@pytest.mark.parametrize(("late_s", "is_uneven"), [(0.0, False), (CLOCK_STEP_S, False), (0.1, True)])
+def test_spread_of_late_clocks_is_estimated(late_s: float, is_uneven: bool) -> None:
+    rng, history, spread_s = np.random.default_rng(4), PoseHistory(), []
+    for number in range(400):
+        time_s = 0.1 * number
+        pose = move(np.zeros(3), time_s * np.array([5.0, 0.0]))
+        history.add(encoders(time_s + late_s * float(rng.random()), pose))
+        spread_s.append(history.clock_std_s)
+        if number > 50:
+            assert history.is_uneven is is_uneven
+    # A uniform error of a length has its standard deviation over sqrt(12).
+    assert np.mean(spread_s[50:]) == pytest.approx(late_s / np.sqrt(12.0), rel=0.15)

@@ -21,6 +21,7 @@ from nserver_emu.viewer.localizers import Localizers
 from nserver_emu.viewer.messages import LocalizationMethod
 from tests.nserver_emu.server.wire_client import simulation
 from tests.nserver_emu.viewer.page_client import serve_viewer
+from worlds.io import load_world
 
 WAITS = "exec sleep 60"
 
@@ -176,6 +177,19 @@ async def test_pages_start_and_stop_localizers() -> None:
         for wrong in ({"robot": 7, "method": "ekf"}, {"robot": 1, "method": "magic"}):
             await page.send_message(do="localize", id=3, is_lost=False, **wrong)
             assert not (await page.answer(3))["ok"]
+
+
+async def test_map_has_the_poses_where_encoders_were_right(tmp_path: Path) -> None:
+    file = tmp_path / "map"
+    async with serve_viewer(Emulator(simulation())) as here, here.page() as page:
+        here.viewer_server.controller.localizers._program = ("sh", "-c", f"cp $4 {file}", "nomad")
+        await page.send_message(do="call", id=1, robot=1, call="place_robot", args=[300, 200, 900, 450])
+        await page.answer(1)
+        await page.send_message(do="localize", id=2, robot=1, method="ekf", is_lost=False)
+        await page.until(lambda message: message["type"] == "localizers" and message["robots"]["1"]["state"] == "failed"
+                         if message.get("robots") else False)
+    starts = [(start.x_in, start.y_in) for start in load_world(file).starts]
+    assert starts == [(0.0, 0.0), (30.0, 20.0)]
 
 
 async def test_encoders_do_not_notice_a_kidnapping() -> None:

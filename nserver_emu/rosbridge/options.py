@@ -1,0 +1,70 @@
+"""Options of `nserver` for rosbridge, and the check for aiohttp, which the extra `viewer` installs.
+
+--rosbridge [[HOST:]PORT]    --rosbridge-token-file FILE
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+from collections.abc import AsyncIterator
+from contextlib import AsyncExitStack, asynccontextmanager
+from pathlib import Path
+from typing import Final
+
+from nclient.common.hints import install_command
+from nclient.errors import ExtraMissing, NomadError
+from nserver_emu.server.daemon import Daemon
+from nserver_emu.viewer.options import ListenAddress, parse_listen_address
+
+DEFAULT_PORT: Final = 9090
+"""The port that rosbridge clients use by default."""
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add rosbridge's options, in a group of their own."""
+    group = parser.add_argument_group("rosbridge")
+    group.add_argument("--rosbridge", type=parse_listen_address, nargs="?", const=ListenAddress(port=DEFAULT_PORT),
+                       metavar="PORT",
+                       help=f"serve the robots as ROS topics to rosbridge clients; the address with a token is printed "
+                       f"on stdout (default port {DEFAULT_PORT}, 0 takes a free one; on loopback unless HOST is given; "
+                       "needs the extra viewer; the world goes before --rosbridge)")
+    group.add_argument("--rosbridge-token-file", type=Path, metavar="FILE",
+                       help="store its tokens in a file that only you may read, so that the address stays the same "
+                       "over restarts (created where it is missing; may be that of the page)")
+
+
+def refuse(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
+    """Report options that exclude each other as wrong usage."""
+    if options.rosbridge_token_file is not None and options.rosbridge is None:
+        parser.error("--rosbridge-token-file is for rosbridge: give --rosbridge too")
+
+
+@asynccontextmanager
+async def running_rosbridge(daemon: Daemon, options: argparse.Namespace) -> AsyncIterator[list[str]]:
+    """Serve rosbridge clients as the options require; yield the lines to print.
+
+    Raises
+    ------
+    ExtraMissing, TokenFileError, ConnectionLost
+        With a remedy; the daemon is closed before.
+    """
+    if options.rosbridge is None:
+        yield []
+        return
+    async with AsyncExitStack() as opened:
+        try:
+            if importlib.util.find_spec("aiohttp") is None:
+                raise ExtraMissing(f"--rosbridge needs aiohttp: {install_command('viewer')}")
+            from nserver_emu.rosbridge.server import serve_rosbridge
+            from nserver_emu.viewer.auth import load_tokens
+
+            tokens = None if options.rosbridge_token_file is None else load_tokens(options.rosbridge_token_file)
+            host, port = options.rosbridge
+            # The world of a real robot is known only if it was named.
+            has_map = options.real is None or bool(options.files)
+            lines = await opened.enter_async_context(serve_rosbridge(daemon, host, port, tokens, has_map=has_map))
+        except NomadError:
+            await daemon.close()
+            raise
+        yield lines

@@ -1,0 +1,617 @@
+"""The compiled part of the batch simulation: how one robot of many advances, as `SimulatedRobot` does.
+
+The formulas are those of axis, segments, drive, collision, odometry, noise, sonar and worlds.raycast: numba (extra
+`fast`) compiles the same source. What stands here is only what connects them: there in objects, here in arrays.
+A robot is a record, and a batch an array of them; robots do not see each other, so threads advance parts of the array
+in parallel.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable
+from functools import cache, wraps
+from inspect import isfunction
+from math import atan2, copysign, cos, inf, sin
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Final, NamedTuple, cast
+from zlib import crc32
+
+import numba
+import numpy as np
+import numpy.typing as npt
+from numba import extending, types
+
+from nserver_emu.simulation import acoustics, axis, batch_random, collision, drive, noise, odometry, segments, sonar
+from nserver_emu.simulation.axis import TIME_TOLERANCE_S, Phase, advance_phases, phase_now, plan_distance, plan_velocity
+from nserver_emu.simulation.batch_random import standard_normal
+from nserver_emu.simulation.collision import (
+    NO_CONTACT,
+    TOUCH_IN,
+    Capsule,
+    Contact,
+    PlacedSegment,
+    find_contact,
+    touched_bumpers,
+)
+from nserver_emu.simulation.drive import NO_TRACK, AxisRate, path_segment, until_reversal
+from nserver_emu.simulation.noise import disturbed_segment
+from nserver_emu.simulation.odometry import erroneous_segment
+from nserver_emu.simulation.segments import PS_PER_S, ConstantAccelerationSegment, wrap_to_2pi
+from nserver_emu.simulation.sonar import MAX_ORDER, noisy_range, shifted
+from worlds import raycast, rings
+from worlds.geometry import FloatArray
+from worlds.raycast import SAME_SIDE_IN2, nearest_wall
+from worlds.rings import MAX_SONARS, quantized_range
+from worlds.robots import MAX_BUMPERS
+
+log = logging.getLogger(__name__)
+
+Records = npt.NDArray[np.void]
+BoolArray = npt.NDArray[np.bool_]
+
+NEVER_PS: Final = 2**63 - 1
+"""An instant that is never reached."""
+
+AXES: Final = 3
+PHASES: Final = 5
+"""Phases of a planned motion."""
+
+# Columns of the fields pose, angles, spans, streams and limits.
+X, Y, YAW, LAG = range(4)
+STEERING, TURRET = range(2)
+FIRST, END = range(2)
+MOTION, SONAR = range(2)
+TOP_SPEED, SPEED, ACCELERATION = range(3)
+
+
+MAX_ENTRIES: Final = MAX_ORDER
+"""Entries in the firing order of a batch."""
+
+
+def robot_dtype(sonars: int) -> np.dtype[np.void]:
+    """Return the record of one robot; an array of them has every field as an array of n rows.
+
+    time_ps, deadline_ps, has_timed_out   simulated time, the time-out, and True if it stopped the robot since the
+                                          last command
+    pose                                  true x, y; yaw of the body, lag of the turret
+    angles                                mechanical steering and turret; of a differential drive twice the heading
+    encoders                              x, y by dead reckoning
+    clearance_in                          lower bound of the distance to the nearest wall
+    phases, spans, elapsed_s              planned phases of each axis, the first that is not over and the end, and
+                                          how long it has lasted
+    due_ps, fired                         the next firing of the ring, and the firings so far
+    pings, is_pending, readings_in        by sonar: x, y, direction and noise of its last ping, True until its
+                                          reading is computed, the reading
+    bumpers                               pressed bumpers as bits
+    streams                               random streams of the motion and of the sonars
+    wall_begin, wall_end                  rows of the walls of its world
+    """
+    return np.dtype(
+        [
+            ("time_ps", np.int64), ("deadline_ps", np.int64), ("pose", np.float64, 4), ("angles", np.float64, 2),
+            ("encoders", np.float64, 2), ("clearance_in", np.float64), ("phases", np.float64, (AXES, PHASES, 3)),
+            ("spans", np.int64, (AXES, 2)), ("elapsed_s", np.float64, AXES), ("due_ps", np.int64),
+            ("fired", np.int64), ("pings", np.float64, (sonars, 4)), ("readings_in", np.float64, sonars),
+            ("bumpers", np.int64), ("streams", np.uint64, (2, 4)), ("wall_begin", np.int64), ("wall_end", np.int64),
+            ("is_pending", np.int8, sonars), ("has_timed_out", np.bool_),
+        ],
+        align=True,
+    )  # fmt: skip
+
+
+SETTINGS_DTYPE: Final = np.dtype(
+    [
+        # Motion: top speed, speed and acceleration of each axis; track (NO_TRACK: a synchro drive).
+        ("limits", np.float64, (AXES, 3)), ("has_ramps", np.bool_), ("track_in", np.float64),
+        ("alphas", np.float64, 4), ("scales", np.float64, 3), ("drifts", np.float64, 2), ("slip_in", np.float64),
+        ("has_exact_motion", np.bool_), ("has_motion_noise", np.bool_), ("has_axis_errors", np.bool_),
+        # The body.
+        ("radius_in", np.float64), ("bumpers", np.int64), ("bumper_angles_rad", np.float64, MAX_BUMPERS),
+        # The sonars: entry k of the order fires order[starts[k]:starts[k + 1]].
+        ("ring_in", np.float64), ("turned_rad", np.float64), ("sonars", np.int64),
+        ("sonar_angles_rad", np.float64, MAX_SONARS), ("has_shifts", np.bool_),
+        ("shifts_in", np.float64, (MAX_SONARS, 2)), ("offsets_in", np.float64, MAX_SONARS),
+        ("is_dead", np.int8, MAX_SONARS), ("entries", np.int64), ("order", np.int64, MAX_ENTRIES),
+        ("starts", np.int64, MAX_ENTRIES + 1), ("interval_ps", np.int64),
+        ("min_range_in", np.float64), ("max_range_in", np.float64), ("resolution_in", np.float64),
+        ("no_echo_in", np.float64), ("has_sonar_noise", np.bool_), ("range_std_relative", np.float64),
+        ("range_std_floor_in", np.float64),
+    ],
+    align=True,
+)  # fmt: skip
+"""The record of what all robots of a batch share: model and setup; fields as those of the classes they come from."""
+
+
+# The loops over an array of robots.
+
+
+class Loops(NamedTuple):
+    """The loops over an array of robots, in Python or in machine code, which releases the interpreter lock.
+
+    Attributes
+    ----------
+    advance(robots, settings, walls, dt_ps)
+        Let time pass; walls (4, m) are columns x1 y1 x2 y2.
+    observe(robots, settings, walls)
+        Compute the readings of the sonars that have fired, and the bumpers.
+    command(robots, settings, mask, values, is_relative, timeout_ps)
+        Command velocities (n, 3), or distances, of the robots of the mask; restart their time-outs.
+    start_rings(robots, settings, mask, with_all)
+        Restart the rings of the robots of the mask; `with_all` fires all sonars first, as at power-on.
+    """
+
+    advance: Callable[..., None]
+    observe: Callable[..., None]
+    command: Callable[..., None]
+    start_rings: Callable[..., None]
+
+
+def make_loops(checksum: int) -> Loops:
+    """Return the loops in Python; the checksum of what they call is part of their key in numba's cache."""
+
+    def advance(robots: Records, settings: Records, walls: FloatArray, dt_ps: int) -> None:
+        for i in range(len(robots)):
+            _advance(robots[i], settings[0], walls, robots[i]["time_ps"] + dt_ps)
+        assert checksum >= 0
+
+    def observe(robots: Records, settings: Records, walls: FloatArray) -> None:
+        candidates = np.empty((5, walls.shape[1]))
+        for i in range(len(robots)):
+            _measure(robots[i], settings[0], walls, candidates)
+            robots[i]["bumpers"] = _bumpers(robots[i], settings[0], walls)
+        assert checksum >= 0
+
+    def command(
+        robots: Records, settings: Records, mask: BoolArray, values: FloatArray, is_relative: bool, timeout_ps: int
+    ) -> None:
+        for i in range(len(robots)):
+            if mask[i]:
+                _command(robots[i], settings[0], values[i], is_relative, timeout_ps)
+        assert checksum >= 0
+
+    def start_rings(robots: Records, settings: Records, mask: BoolArray, with_all: bool) -> None:
+        for i in range(len(robots)):
+            if mask[i]:
+                _start_ring(robots[i], settings[0], with_all)
+        assert checksum >= 0
+
+    return Loops(advance, observe, command, start_rings)
+
+
+def _command(robot: np.void, settings: np.void, values: FloatArray, is_relative: bool, timeout_ps: int) -> None:
+    robot["deadline_ps"] = robot["time_ps"] + timeout_ps if timeout_ps else NEVER_PS
+    robot["has_timed_out"] = False
+    for axis_number in range(AXES):
+        if is_relative:
+            _move_by(robot, settings, axis_number, values[axis_number])
+        else:
+            _move_at(robot, settings, axis_number, values[axis_number])
+
+
+def _start_ring(robot: np.void, settings: np.void, with_all: bool) -> None:
+    if with_all:
+        turret_rad = _turret_direction(robot, robot["angles"][TURRET])
+        for sonar_number in range(settings["sonars"]):
+            _fire(robot, settings, sonar_number, robot["pose"][X], robot["pose"][Y], turret_rad)
+    robot["fired"] = 0
+    robot["due_ps"] = robot["time_ps"] if settings["entries"] else NEVER_PS
+    _fire_due(robot, settings)
+
+
+# Time: `SimulatedRobot.advance_to`.
+
+
+def _advance(robot: np.void, settings: np.void, walls: FloatArray, end_ps: int) -> None:
+    while robot["time_ps"] < end_ps:
+        # 1. The next instant at which something other than motion happens.
+        until_ps = min(end_ps, robot["deadline_ps"])
+        if not settings["has_exact_motion"]:
+            until_ps = min(until_ps, robot["due_ps"])
+        # 2. Motion up to it, with the sonars that fire in between.
+        _move(robot, settings, walls, (until_ps - robot["time_ps"]) / PS_PER_S)
+        robot["time_ps"] = until_ps
+        # 3. The events at that instant.
+        if until_ps == robot["deadline_ps"]:
+            robot["deadline_ps"] = NEVER_PS
+            robot["has_timed_out"] = True
+            for axis_number in range(AXES):
+                _move_at(robot, settings, axis_number, 0.0)
+        _fire_due(robot, settings)
+
+
+# Axes: `Axis`.
+
+
+def _move_at(robot: np.void, settings: np.void, axis_number: int, velocity: float) -> None:
+    top, rate = settings["limits"][axis_number, TOP_SPEED], settings["limits"][axis_number, ACCELERATION]
+    wanted = min(max(velocity, -top), top)
+    _begin(robot, axis_number, plan_velocity(_now(robot, axis_number)[1], wanted, rate, settings["has_ramps"]))
+
+
+def _move_by(robot: np.void, settings: np.void, axis_number: int, distance: float) -> None:
+    top, rate = settings["limits"][axis_number, SPEED], settings["limits"][axis_number, ACCELERATION]
+    velocity = _now(robot, axis_number)[1]
+    # At speed 0 the target is never reached: hold instead.
+    if top == 0.0:
+        _begin(robot, axis_number, plan_velocity(velocity, 0.0, rate, settings["has_ramps"]))
+    else:
+        _begin(robot, axis_number, plan_distance(velocity, distance, top, rate, settings["has_ramps"]))
+
+
+def _begin(robot: np.void, axis_number: int, planned: tuple[Phase, ...]) -> None:
+    """Begin the phases that have a duration."""
+    end = 0
+    for phase in planned:
+        if phase.duration_s > 0.0:
+            row = robot["phases"][axis_number, end]
+            row[0], row[1], row[2] = phase.duration_s, phase.velocity, phase.acceleration
+            end += 1
+    robot["spans"][axis_number, FIRST] = 0
+    robot["spans"][axis_number, END] = end
+    robot["elapsed_s"][axis_number] = 0.0
+
+
+def _now(robot: np.void, axis_number: int) -> tuple[float, float, float]:
+    """Return `Axis.current_phase`."""
+    first = robot["spans"][axis_number, FIRST]
+    if first == robot["spans"][axis_number, END]:
+        return inf, 0.0, 0.0
+    return phase_now(robot["phases"][axis_number, first], robot["elapsed_s"][axis_number])
+
+
+def _after(robot: np.void, axis_number: int, dt_s: float) -> tuple[float, int, float]:
+    """Return `advance_phases` of an axis."""
+    first, end = robot["spans"][axis_number, FIRST], robot["spans"][axis_number, END]
+    if first == end:
+        return 0.0, 0, 0.0
+    return advance_phases(robot["phases"][axis_number, first:end], robot["elapsed_s"][axis_number], dt_s)
+
+
+def _advance_axis(robot: np.void, axis_number: int, dt_s: float) -> float:
+    travelled, done, elapsed_s = _after(robot, axis_number, dt_s)
+    robot["spans"][axis_number, FIRST] += done
+    robot["elapsed_s"][axis_number] = elapsed_s
+    return travelled
+
+
+def _halt(robot: np.void, axis_number: int) -> None:
+    robot["spans"][axis_number, END] = robot["spans"][axis_number, FIRST]
+
+
+# The drive: `SynchroDrive` and `DifferentialDrive`.
+
+
+def _segment(robot: np.void, settings: np.void, max_s: float) -> ConstantAccelerationSegment:
+    first_s, first_velocity, first_acceleration = _now(robot, 0)
+    second_s, second_velocity, second_acceleration = _now(robot, 1)
+    first, second = AxisRate(first_velocity, first_acceleration), AxisRate(second_velocity, second_acceleration)
+    segment = path_segment(min(max_s, first_s, second_s), first, second, settings["track_in"])
+    return segment if settings["track_in"] == NO_TRACK else until_reversal(segment)
+
+
+def _advance_drive(robot: np.void, settings: np.void, dt_s: float) -> float:
+    """Advance all axes and return the turn of the turret."""
+    first, second = _advance_axis(robot, 0, dt_s), _advance_axis(robot, 1, dt_s)
+    if settings["track_in"] != NO_TRACK:
+        robot["angles"][STEERING] += (first - second) / settings["track_in"]
+        robot["angles"][TURRET] = robot["angles"][STEERING]
+        return 0.0
+    robot["angles"][STEERING] += second
+    turned = _advance_axis(robot, 2, dt_s)
+    robot["angles"][TURRET] += turned
+    return turned
+
+
+def _turret_after(robot: np.void, settings: np.void, dt_s: float) -> float:
+    if settings["track_in"] != NO_TRACK:
+        turned: float = (_after(robot, 0, dt_s)[0] - _after(robot, 1, dt_s)[0]) / settings["track_in"]
+    else:
+        turned = _after(robot, 2, dt_s)[0]
+    angle_rad: float = robot["angles"][TURRET] + turned
+    return angle_rad
+
+
+def _turret_direction(robot: np.void, turret_rad: float) -> float:
+    return wrap_to_2pi(turret_rad + robot["pose"][LAG] + robot["pose"][YAW])
+
+
+# Motion: `SimulatedRobot._move` and `_follow`.
+
+
+def _move(robot: np.void, settings: np.void, walls: FloatArray, span_s: float) -> None:
+    left_s = span_s
+    while left_s > 0.0:
+        segment = _segment(robot, settings, left_s)
+        # At rest only the turret may turn.
+        if segment.speed == segment.turn_rate == segment.acceleration == segment.turn_acceleration == 0.0:
+            _fire_along(robot, settings, segment, span_s - left_s, left_s)
+            turned_rad = _advance_drive(robot, settings, left_s)
+            _turn_uncounted(robot, settings, 0.0, turned_rad)
+            return
+        left_s -= _follow(robot, settings, walls, segment, span_s - left_s)
+
+
+def _follow(
+    robot: np.void, settings: np.void, walls: FloatArray, segment: ConstantAccelerationSegment, begin_s: float
+) -> float:
+    """Follow a segment to its end or to a contact; return the seconds it took."""
+    duration = segment.duration_s
+    steering_rad = robot["angles"][STEERING]
+    # 1. The true motion: systematic errors, then noise.
+    actual, is_disturbed = segment, False
+    if settings["has_axis_errors"]:
+        actual = erroneous_segment(segment, settings["track_in"], settings["scales"], settings["drifts"])
+    is_moving = actual.distance_at(duration) != 0.0 or actual.turn_at(duration) != 0.0
+    if settings["has_motion_noise"] and is_moving:
+        is_disturbed = True
+        along_normal = standard_normal(robot["streams"][MOTION])
+        turn_normal = standard_normal(robot["streams"][MOTION])
+        actual = disturbed_segment(actual, settings["alphas"], along_normal, turn_normal)
+    # 2. Contact on it, and whether the commanded motion presses on.
+    heading = steering_rad + robot["pose"][YAW]
+    contact = _contact(robot, settings, walls, actual, heading)
+    is_blocked, free_s, commanded_in = False, duration, 0.0
+    if contact.time_s < inf:
+        free_s, commanded_in = contact.time_s, segment.distance_at(duration)
+        is_pressing = not is_disturbed or contact.pressed_by(heading + actual.turn_at(free_s), commanded_in)
+        is_blocked = commanded_in != 0.0 and is_pressing
+    taken_s = free_s if is_blocked else duration
+    # 3. Sonars, then the chassis and the encoders, which move by the same numbers without errors.
+    _fire_along(robot, settings, segment, begin_s, taken_s)
+    dx, dy = actual.displacement(heading, free_s)
+    robot["pose"][X] += dx
+    robot["pose"][Y] += dy
+    robot["clearance_in"] -= actual.length_bound(free_s)
+    if is_disturbed or settings["has_axis_errors"] or taken_s != free_s or steering_rad != heading:
+        dx, dy = segment.displacement(steering_rad, taken_s)
+    robot["encoders"][X] += dx
+    robot["encoders"][Y] += dy
+    # 4. The axes, and the turns that no encoder counts.
+    turned_rad = _advance_drive(robot, settings, taken_s)
+    _turn_uncounted(robot, settings, actual.turn_at(taken_s) - segment.turn_at(taken_s), turned_rad)
+    # 5. A blocked robot slips, and its wheels stop.
+    if is_blocked:
+        slip_in, heading = copysign(settings["slip_in"], commanded_in), robot["angles"][STEERING]
+        robot["encoders"][X] += slip_in * cos(heading)
+        robot["encoders"][Y] += slip_in * sin(heading)
+        _halt(robot, 0)
+        if settings["track_in"] != NO_TRACK:
+            _halt(robot, 1)
+    return taken_s
+
+
+def _turn_uncounted(
+    robot: np.void, settings: np.void, body_rad: float, counted_rad: float
+) -> None:
+    if not settings["has_exact_motion"]:
+        robot["pose"][YAW] += body_rad
+        robot["pose"][LAG] += (settings["scales"][2] - 1.0) * counted_rad
+
+
+# Contact: `Chassis`.
+
+
+def _contact(
+    robot: np.void, settings: np.void, walls: FloatArray, segment: ConstantAccelerationSegment, heading_rad: float
+) -> Contact:
+    # Most segments are shorter than the clearance: nothing needs to be examined.
+    distance = segment.length_bound(segment.duration_s)
+    if distance == 0.0 or distance < robot["clearance_in"]:
+        return NO_CONTACT
+    capsules = _walls_within(robot, settings, walls, distance)
+    if not len(capsules):
+        return NO_CONTACT
+    placed = PlacedSegment(robot["pose"][X], robot["pose"][Y], heading_rad, segment)
+    return find_contact(placed, settings["radius_in"], capsules)
+
+
+def _walls_within(robot: np.void, settings: np.void, walls: FloatArray, distance_in: float) -> list[Capsule]:
+    """Return the walls within a distance, and update the clearance."""
+    found: list[Capsule] = []
+    clearance = inf
+    for row in range(robot["wall_begin"], robot["wall_end"]):
+        capsule = Capsule(walls[0, row], walls[1, row], walls[2, row], walls[3, row], 0.0)
+        gap = capsule.gap_to(settings["radius_in"], robot["pose"][X], robot["pose"][Y])[0]
+        clearance = min(clearance, gap)
+        if gap <= distance_in:
+            found.append(capsule)
+    robot["clearance_in"] = clearance
+    return found
+
+
+def _bumpers(robot: np.void, settings: np.void, walls: FloatArray) -> int:
+    bits = 0
+    # Nothing can be that near.
+    if robot["clearance_in"] > TOUCH_IN:
+        return bits
+    # The bumpers of a differential drive turn with its heading.
+    frame_rad = 0.0 if settings["track_in"] == NO_TRACK else robot["angles"][STEERING]
+    front = frame_rad + robot["pose"][YAW]
+    for capsule in _walls_within(robot, settings, walls, TOUCH_IN):
+        _, away_x, away_y = capsule.gap_to(0.0, robot["pose"][X], robot["pose"][Y])
+        bits |= touched_bumpers(atan2(-away_y, -away_x) - front, settings["bumper_angles_rad"][: settings["bumpers"]])
+    return bits
+
+
+# Sonars: `SonarRing`, and `SimulatedRobot._emit_along`.
+
+
+def _fire_along(
+    robot: np.void, settings: np.void, segment: ConstantAccelerationSegment, begin_s: float,
+    taken_s: float,
+) -> None:  # fmt: skip
+    """Fire the sonars that are due within the first seconds of a segment, which is about to begin."""
+    before_s = taken_s - TIME_TOLERANCE_S
+    into_s = (robot["due_ps"] - robot["time_ps"]) / PS_PER_S - begin_s
+    heading = robot["angles"][STEERING] + robot["pose"][YAW]
+    while into_s < before_s:
+        into_s = max(into_s, 0.0)
+        turret_rad = _turret_direction(robot, _turret_after(robot, settings, into_s))
+        dx, dy = segment.displacement(heading, into_s)
+        _fire_entry(robot, settings, robot["pose"][X] + dx, robot["pose"][Y] + dy, turret_rad)
+        into_s = (robot["due_ps"] - robot["time_ps"]) / PS_PER_S - begin_s
+
+
+def _fire_due(robot: np.void, settings: np.void) -> None:
+    """Fire the sonars that are due now."""
+    while robot["due_ps"] <= robot["time_ps"]:
+        turret_rad = _turret_direction(robot, robot["angles"][TURRET])
+        _fire_entry(robot, settings, robot["pose"][X], robot["pose"][Y], turret_rad)
+
+
+def _fire_entry(
+    robot: np.void, settings: np.void, x_in: float, y_in: float, turret_rad: float
+) -> None:
+    """Fire the next entry of the order at this pose."""
+    entry = robot["fired"] % settings["entries"]
+    for at in range(settings["starts"][entry], settings["starts"][entry + 1]):
+        _fire(robot, settings, settings["order"][at], x_in, y_in, turret_rad)
+    robot["fired"] += 1
+    robot["due_ps"] += settings["interval_ps"]
+
+
+def _fire(
+    robot: np.void, settings: np.void, sonar_number: int, x_in: float, y_in: float,
+    turret_rad: float,
+) -> None:  # fmt: skip
+    direction_rad = turret_rad + settings["turned_rad"] + settings["sonar_angles_rad"][sonar_number]
+    if settings["has_shifts"]:
+        x_in, y_in = shifted(x_in, y_in, direction_rad, settings["shifts_in"][sonar_number])
+    ping = robot["pings"][sonar_number]
+    ping[0], ping[1], ping[2] = x_in, y_in, direction_rad
+    ping[3] = standard_normal(robot["streams"][SONAR]) if settings["has_sonar_noise"] else 0.0
+    robot["is_pending"][sonar_number] = 1
+
+
+def _measure(robot: np.void, settings: np.void, walls: FloatArray, candidates: FloatArray) -> None:
+    """Compute the readings of the sonars that have fired since the last call."""
+    # Columns one by one: a slice of two dimensions has strides, and loops over it do not use vectors.
+    begin, end = robot["wall_begin"], robot["wall_end"]
+    columns = walls[0, begin:end], walls[1, begin:end], walls[2, begin:end], walls[3, begin:end]
+    for number in range(settings["sonars"]):
+        if robot["is_pending"][number]:
+            robot["is_pending"][number] = 0
+            if not settings["is_dead"][number]:
+                ping = robot["pings"][number]
+                range_in = noisy_range(
+                    _range_from_axis(ping[0], ping[1], cos(ping[2]), sin(ping[2]), columns, candidates)
+                    - settings["ring_in"],
+                    ping[3], settings["range_std_relative"], settings["range_std_floor_in"],
+                )  # fmt: skip
+                robot["readings_in"][number] = quantized_range(
+                    range_in + settings["offsets_in"][number], settings["min_range_in"], settings["max_range_in"],
+                    settings["resolution_in"], settings["no_echo_in"],
+                )  # fmt: skip
+
+
+def _range_from_axis(
+    x_in: float, y_in: float, dx: float, dy: float, columns: tuple[FloatArray, ...], candidates: FloatArray
+) -> float:
+    """Return the range of `nearest_wall`, to the same bit.
+
+    Parameters
+    ----------
+    columns
+        x1, y1, x2, y2 of m walls.
+    candidates
+        (5, m or more), overwritten.
+    """
+    # 1. The walls that `nearest_wall` skips in its first step, in a loop without branches, which uses vectors.
+    products = candidates[0]
+    x1, y1, x2, y2 = columns
+    for row in range(len(x1)):
+        side_1 = dx * (y1[row] - y_in) - dy * (x1[row] - x_in)
+        side_2 = dx * (y2[row] - y_in) - dy * (x2[row] - x_in)
+        products[row] = side_1 * side_2
+    # 2. The others, of which few are left.
+    found = 0
+    for row in range(len(x1)):
+        if products[row] <= SAME_SIDE_IN2:
+            candidates[1, found], candidates[2, found] = x1[row], y1[row]
+            candidates[3, found], candidates[4, found] = x2[row], y2[row]
+            found += 1
+    rows = zip(candidates[1, :found], candidates[2, :found], candidates[3, :found], candidates[4, :found])  # noqa: B905
+    return nearest_wall(x_in, y_in, dx, dy, rows)[0]
+
+
+# Compiling.
+
+_SOURCES: Final[tuple[ModuleType, ...]] = (
+    acoustics, axis, batch_random, collision, drive, noise, odometry, segments, sonar, raycast, rings,
+)  # fmt: skip
+"""Modules whose functions are compiled where the loops call them."""
+
+_FUNCTIONS: Final[tuple[Callable[..., Any], ...]] = (
+    acoustics.range_std_in, axis.plan_velocity, axis.plan_distance, axis._ramp, axis._ramp_phase, axis.phase_now,
+    axis.advance_phases, batch_random.standard_normal, batch_random._tail, batch_random._uniform,
+    batch_random.next_word, batch_random._high_word, collision.find_contact, collision._first_touched,
+    collision._solve, collision._to_circle, collision._length, collision.touched_bumpers, drive.axis_rates,
+    drive.path_segment, drive.until_reversal, noise._walk_std, noise.disturbed_segment, odometry.erroneous_segment,
+    segments._sinc, segments.wrap_to_2pi, segments.wrap_to_pi, sonar.noisy_range, sonar.shifted,
+    raycast.nearest_wall, raycast.intersect, rings.quantized_range,
+    _command, _start_ring, _advance, _move_at,
+    _move_by, _begin, _now, _after, _advance_axis, _halt, _segment, _advance_drive, _turret_after,
+    _turret_direction, _move, _follow, _turn_uncounted, _contact, _walls_within, _bumpers, _fire_along, _fire_due,
+    _fire_entry, _fire, _measure, _range_from_axis,
+)  # fmt: skip
+
+_CLASSES: Final[tuple[type, ...]] = (ConstantAccelerationSegment, AxisRate, Capsule, Contact, PlacedSegment)
+"""Named tuples whose methods are compiled where the loops call them."""
+
+
+@cache
+def load_loops() -> Loops:
+    """Return the compiled loops: compiled at the first call of each, or read from numba's cache."""
+    for function in _FUNCTIONS:
+        extending.register_jitable(function)
+    for kind in _CLASSES:
+        for name, method in vars(kind).items():
+            if isfunction(method) and not name.startswith("__"):
+                extending.overload_method(types.BaseNamedTuple, name)(_of_class(kind, method))
+    extending.overload(math.remainder, strict=False)(_remainder_form)
+    # numba's cache watches this file only: the checksum of the others is part of its key, as a variable of the closure.
+    checksum = 0
+    for module in _SOURCES:
+        checksum = crc32(Path(str(module.__file__)).read_bytes(), checksum)
+    return Loops(*map(_compiled, make_loops(checksum)))
+
+
+def _compiled(loop: Callable[..., None]) -> Callable[..., None]:
+    # Threads run a loop on parts of the array. numba's own parallel loops would compile every function twice.
+    try:
+        compiled: Any = numba.njit(nogil=True, cache=True)(loop)
+        is_cached = any(Path(compiled.stats.cache_path).glob(f"batch_kernel.make_loops*{loop.__name__}*.nbi"))
+    except RuntimeError:  # no writable directory for the cache
+        compiled, is_cached = numba.njit(nogil=True)(loop), False
+    if not is_cached:
+        log.warning("compiling the batch simulation with numba; the result is cached function=%s", loop.__name__)
+    return cast("Callable[..., None]", compiled)
+
+
+def _of_class(kind: type, method: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function that gives numba this method for named tuples of this class, and nothing for others."""
+
+    @wraps(method)
+    def form(*arguments: Any) -> Callable[..., Any] | None:
+        return method if arguments[0].instance_class is kind else None
+
+    return form
+
+
+def _remainder_form(x: Any, y: Any) -> Callable[[float, float], float]:
+    """Return `math.remainder` for numba, which does not have it; by the same steps as CPython."""
+    del x, y
+
+    def remainder(x: float, y: float) -> float:
+        rest = np.fmod(abs(x), abs(y))
+        missing = abs(y) - rest
+        if rest > missing:
+            rest = -missing
+        elif rest == missing:
+            rest -= 2.0 * np.fmod(0.5 * (abs(x) - rest), abs(y))
+        return float(copysign(1.0, x) * rest)
+
+    return remainder

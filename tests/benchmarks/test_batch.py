@@ -1,0 +1,24 @@
+"""The benchmark runs and prints its results. Times are not checked."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+SCRIPT = Path(__file__).parents[2] / "benchmarks" / "batch.py"
+
+
+@pytest.mark.long
+def test_json_has_figures_references_and_targets() -> None:
+    pytest.importorskip("numba")
+    command = [sys.executable, str(SCRIPT), "--json", "--robots", "20", "--steps", "2", "--rounds", "1"]
+    found = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+    assert len(found) == 2
+    for result in found.values():
+        assert (result["robots"], result["walls"], result["target_robot_steps_per_s"]) == (20, 50, 300_000)
+        assert 0 < result["bytes_per_robot"] <= result["target_bytes_per_robot"] == 4096
+        assert result["cpu_us_per_robot_step"] > 0.0
