@@ -120,7 +120,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_value(show, "--out", "PNG", Path, "draw it into this file (needs the extra `plot`)")
     arguments.add_sonar_model(show)
     add_value(show, "--cell", "IN", arguments.parse_positive,
-              f"grid step in in (default: {CELL_IN:g}, or larger for at most {MAX_PLACES} positions)")
+              f"grid step in in (default: {CELL_IN:g}, or larger for about {MAX_PLACES} positions at most)")
     add_value(show, "--speed", "IN_S", arguments.parse_positive, "speed of the robot in in/s", 5.0)
     arguments.add_odometry_noise(show)
     add_value(show, "--weak", "IN", arguments.parse_positive,

@@ -188,11 +188,13 @@ class LiveMapper:
             same = _common(trajectory.group, old.group)
             kept = int(np.searchsorted(old.node, same))
             feature[:kept] = before.assignment.feature[:kept]
-        # 2. From the smoother's poses, and from the odometry with its headings compared anew: the cheaper one.
+        # 2. From the smoother's poses; if that is poor, also from the odometry with its headings compared anew.
         window = max(len(trajectory) - WINDOW_NODES, 0)
         mapped = len(before.state.poses)
         candidates: list[MapEstimate] = []
         for poses in (self._poses[: _common(trajectory.group, self._groups)], before.state.poses[:same]):
+            if candidates and candidates[0].cost < MAX_COST * len(trajectory.node):
+                break
             state = replace(before.state, poses=poses if len(poses) else np.zeros((1, POSE)))
             candidate = MapEstimate(problem, state, replace(before.assignment, feature=feature), before.extents)
             candidate.extend(len(trajectory))
