@@ -57,8 +57,8 @@ def errors(run: Run) -> Figure:
         axes.margins(x=0.0)
     picture.legend(*rows[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
     inside = np.abs(error) <= SIGMAS * std
-    known = np.isfinite(error).all(axis=1)
-    rows[0].set_title(f"{inside[known].mean():.0%} of the errors lie in the band" if known.any() else "no ground truth")
+    finite = np.isfinite(error).all(axis=1)
+    rows[0].set_title(f"{inside[finite].mean():.0%} of the errors lie in the band" if finite.any() else "no ground truth")
     rows[-1].set_xlabel("time (s)")
     return picture
 
@@ -94,8 +94,8 @@ def nees(run: Run) -> Figure:
     axes.axhspan(low, high, color=plot.FAINT, alpha=0.3, linewidth=0, label=f"{CONFIDENCE:.0%} of chi-square, 3 dof")
     axes.set(xlabel="time (s)", ylabel="NEES", ylim=(0, None))
     axes.margins(x=0.0)
-    known = values[np.isfinite(values)]
-    axes.set_title(f"mean NEES {known.mean():.2f} (3 is right)" if len(known) else "no ground truth")
+    finite = values[np.isfinite(values)]
+    axes.set_title(f"mean NEES {finite.mean():.2f} (3 is right)" if len(finite) else "no ground truth")
     axes.legend(loc="upper right", framealpha=0.9)
     return picture
 

@@ -39,7 +39,7 @@ NOT_REACHED = {
     "nomad go": "the robot is not at the goal: blocked, lost or out of time, as reported",
     "nomad localize": "a waypoint was not reached",
     "nomad map check": "the map has defects",
-    "nomad map learn": "a way-point was left out; the map is written",
+    "nomad map learn": "a waypoint was left out; the map is written",
     "nomad mission": "a step failed, as reported",
 }
 """Meaning of exit code 3 by command."""

@@ -55,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `nomad map learn`."""
     parser.description = (
         "Make a map of the room by driving, without any map. The robot explores the room by itself or drives to "
-        "way-points, a person drives it (--drive manual), or a recorded drive is read (--from). Keep the emergency "
+        "waypoints, a person drives it (--drive manual), or a recorded drive is read (--from). Keep the emergency "
         "button at hand."
     )
     parser.epilog = (
@@ -110,7 +110,7 @@ def parse_geofence(text: str) -> Geofence:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit code: 0; 3 if way-points were left out; 4 if no map is written."""
+    """Run the command and return its exit code: 0; 3 if waypoints were left out; 4 if no map is written."""
     # 1. Report unwritable files before the work.
     arguments.check_writable(options.out, options.calibration_out)
     if options.picture is not None:
@@ -204,7 +204,7 @@ def _check_way(options: argparse.Namespace) -> None:
     points = options.waypoints or []
     outside = [point for point in points if options.geofence and not options.geofence.contains(*point)]
     if outside:
-        options.refuse(f"way-point {outside[0][0]:g},{outside[0][1]:g} is outside of --geofence")
+        options.refuse(f"waypoint {outside[0][0]:g},{outside[0][1]:g} is outside of --geofence")
 
 
 def _driver(options: argparse.Namespace, body: Body) -> Driver | None:
@@ -285,14 +285,14 @@ def progress_line(step: SurveyStep, mapper: LiveMapper) -> str:
 
 
 def _report(options: argparse.Namespace, driver: Driver | None, last: SurveyStep, log: SurveyLog) -> ExitCode:
-    """Print how a drive ended; return NOT_REACHED if a way-point was left out."""
+    """Print how a drive ended; return NOT_REACHED if a waypoint was left out."""
     out = sys.stderr if options.json else sys.stdout
     contacts = f", {len(log.contacts)} contacts" if log.contacts else ""
     print(f"driven for {last.elapsed_s:.0f} s{contacts}: {last.ended or 'ended'}", file=out, flush=True)
     if not isinstance(driver, WaypointDriver):
         return ExitCode.DONE
     for (x, y), reason in driver.skipped:
-        print(f"way-point ({x:g}, {y:g}) left out: {reason}", file=out, flush=True)
+        print(f"waypoint ({x:g}, {y:g}) left out: {reason}", file=out, flush=True)
     return ExitCode.NOT_REACHED if driver.skipped or driver.remaining else ExitCode.DONE
 
 

@@ -1,6 +1,6 @@
 """`python -m localization.experiments mapping`: maps learned from drives in simulated rooms, against the true ones.
 
-A trial drives a robot along way-points of a world, as a person would who sees the room, and records the connection as
+A trial drives a robot along waypoints of a world, as a person would who sees the room, and records the connection as
 `record=` does. The map is learned from the recording alone; the ground truth is used to drive and to compare.
 
     found     a wall of the world, of which half of the visible length has a learned wall within 1 in and 2 degrees
@@ -65,13 +65,13 @@ TOURS: Final[dict[str, tuple[Point, ...]]] = {
         (84, 70), (84, 20), (50, 45), (30, 50), (20, 20),
     ),
 }  # fmt: skip
-"""Way-points along all walls and past all vertices; at most 300 s of driving."""
+"""Waypoints along all walls and past all vertices; at most 300 s of driving."""
 FRESH_TOURS: Final[dict[str, tuple[Point, ...]]] = {
     "thesis_room": ((60, 40), (80, 80), (0, 60), (0, 0)),
     "several_walls": ((35, 20), (35, 55), (75, 55), (35, 60), (20, 20)),
     "centre_vertex": ((10, 60), (60, 60), (80, 20), (60, 70)),
 }
-"""Way-points of the drive that compares localization on the learned and on the true map."""
+"""Waypoints of the drive that compares localization on the learned and on the true map."""
 TIME_LIMIT_S: Final = 300.0
 FLAT: Final = "flat"
 EXPLORE_IN_S, EXPLORE_RAD_S = 6.0, 0.6
@@ -113,7 +113,7 @@ class Score:
     contacts
         Number of times that the robot touched something.
     live_seconds
-        Processor time of the map and the choice of the way while driving; 0 for way-points.
+        Processor time of the map and the choice of the way while driving; 0 for waypoints.
     path_in, odometry_in
         RMSE of the learned path and of the encoders, after the best rigid fit each.
     true_map_in, own_map_in
@@ -161,7 +161,7 @@ class Drive:
 
 
 def drive(trial: Trial, points: Sequence[Point], folder: Path) -> Drive:
-    """Return a drive along way-points, steered by the true pose."""
+    """Return a drive along waypoints, steered by the true pose."""
     path = folder / f"{trial.world}_{trial.setup}_{trial.seed}.log"
     start = load_world(trial.world).starts[0]
     navigator = Navigator(points, radius_in=RADIUS_IN)
@@ -239,7 +239,7 @@ def explore(trial: Trial, folder: Path) -> Drive:
 
 
 def _slowed(speed_in_s: float, navigator: Navigator, seen: Truth) -> float:
-    """Return 0 while the way-point lies to the side: a robot that rolls meanwhile may circle around it."""
+    """Return 0 while the waypoint lies to the side: a robot that rolls meanwhile may circle around it."""
     goal = navigator.goal
     if goal is None:
         return 0.0
@@ -467,7 +467,7 @@ def main(arguments: Sequence[str]) -> None:
     parser = _parser()
     options = parser.parse_args(arguments)
     if FLAT in options.worlds and not options.explore:
-        parser.error(f"{FLAT} has no way-points: add --explore")
+        parser.error(f"{FLAT} has no waypoints: add --explore")
     trials = [
         Trial(world, setup, seed, options.time_limit, options.explore)
         for world in options.worlds
@@ -490,11 +490,11 @@ def main(arguments: Sequence[str]) -> None:
 def _parser() -> argparse.ArgumentParser:
     parser = Parser(
         prog="python -m localization.experiments mapping",
-        description="Learn maps from drives along way-points in simulated rooms and compare them with the true ones.",
+        description="Learn maps from drives along waypoints in simulated rooms and compare them with the true ones.",
         epilog="example: python -m localization.experiments mapping --seeds 10 --worlds thesis_room",
     )
     add_choice(parser, "--worlds", (*TOURS, FLAT), list(TOURS), f"worlds; {FLAT} with --explore alone")
-    parser.add_argument("--explore", action="store_true", help="explore instead of driving along way-points")
+    parser.add_argument("--explore", action="store_true", help="explore instead of driving along waypoints")
     parser.add_argument("--time-limit", type=float, default=TIME_LIMIT_S, metavar="S",
                         help="end a drive after this time in s (default: %(default)s)")  # fmt: skip
     add_choice(parser, "--setups", ("measured",), ["measured"], "setups of the simulation")

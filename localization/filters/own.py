@@ -69,7 +69,7 @@ class TimedEcho(NamedTuple):
 
 
 class OwnFilter(Protocol):
-    """What a filter of a user has. It is made by `MyFilter(config, belief)`.
+    """Interface of a filter that a user writes. It is made by `MyFilter(config, belief)`.
 
     config
         `LocalizationConfig`: walls (m, 4), the robot's body, the noise of its encoders.

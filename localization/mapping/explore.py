@@ -435,7 +435,7 @@ class Explorer:
     # Paths.
 
     def path(self, grid: Grid, pose: Floats, goal: npt.NDArray[np.intp]) -> list[Point]:
-        """Return the way-points to a cell: the cheapest cells, pushed away from walls, straightened."""
+        """Return the waypoints to a cell: the cheapest cells, pushed away from walls, straightened."""
         # 1. The cells.
         width = grid.free.shape[1]
         cells = [int(goal[0]) * width + int(goal[1])]

@@ -109,7 +109,7 @@ class MapLearner:
         self.turret_rad = float(log.encoders[-1, 4] - log.encoders[-1, 3])
         """Angle of the turret from the heading at the end."""
         self.rest = relative_pose(self.trajectory.odometry[-1], log.encoders[-1, 1:4])
-        """What the robot has moved after the last node, by the encoders."""
+        """Motion after the last node, by the encoders."""
 
     @property
     def is_complete(self) -> bool:

@@ -141,12 +141,12 @@ class LiveMapper:
     def _track(self) -> None:
         """Add the last group, and optimize the last poses in the map as it is."""
         # 1. The last nodes. The first of them is fixed.
-        known = max(len(self._groups) - LAG_NODES, 0)
-        first_group = int(self._groups[known]) if len(self._groups) else 0
+        first = max(len(self._groups) - LAG_NODES, 0)
+        first_group = int(self._groups[first]) if len(self._groups) else 0
         log = self._collector.log(first_group * READINGS_PER_NODE)
         trajectory = build_trajectory(log, self._noise, self._sonar, self._roughness_in)
         groups = trajectory.group + first_group
-        old, old_groups = self._poses[known:], self._groups[known:]
+        old, old_groups = self._poses[first:], self._groups[first:]
         same = _common(groups, old_groups)
         poses = old[:same] if same else np.zeros((1, POSE))
         # 2. The map without its echoes.
@@ -162,8 +162,8 @@ class LiveMapper:
             align_heading(window, len(trajectory) - ALIGN_NODES, self._noise)
             window.associate()
             window.optimize(2)
-        self._poses = np.concatenate((self._poses[:known], window.state.poses))
-        self._groups = np.concatenate((self._groups[:known], groups))
+        self._poses = np.concatenate((self._poses[:first], window.state.poses))
+        self._groups = np.concatenate((self._groups[:first], groups))
         self._encoders = trajectory.odometry[-1]
 
     # The map.

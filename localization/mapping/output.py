@@ -35,7 +35,7 @@ MARGIN_IN: Final = 15.0
 
 @dataclass(frozen=True, slots=True)
 class Quality:
-    """How well a map explains its readings.
+    """Quality of a map: the fit of its readings.
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ class LearnedMap:
 
     @property
     def pose(self) -> Floats:
-        """Where the robot stands now (3,)."""
+        """The robot's pose now (3,)."""
         pose: Floats = compose(self.path[-1], self.rest)
         pose[HEADING] = wrap_angle(pose[HEADING])
         return pose

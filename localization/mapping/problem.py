@@ -83,7 +83,7 @@ class MapState:
 
 @dataclass(frozen=True, slots=True)
 class Assignment:
-    """Which feature explains which echo.
+    """The feature that explains each echo.
 
     Attributes
     ----------

@@ -39,7 +39,7 @@ REACTION_S: Final = 1.5
 GUARD_MARGIN_IN: Final = 1.5
 HALF_CONE_RAD: Final = radians(12.5)
 ASIDE_RAD: Final = radians(80.0)
-"""What lies farther aside is not approached."""
+"""Obstacles farther aside are not approached."""
 DEAD_ZONE_RAD: Final = radians(60.0)
 """A reading at the lower limit of 6 in may be anything from 0 to 6: nearer to the direction than this it blocks."""
 BLIND_IN: Final = 8.0
@@ -113,12 +113,12 @@ class SpeedGuard:
 
 
 class Driver(Protocol):
-    """Where to drive next. `leg` returns the points of the next path, None at the end."""
+    """Choice of the next path. `leg` returns the points of the next path, None at the end."""
 
     def leg(
         self, clock_s: float, pose: Floats, mapper: LiveMapper, free_in: Callable[[float], float]
     ) -> list[Point] | None:
-        """Return the way-points of the next path from a pose; None if there is nothing left to do.
+        """Return the waypoints of the next path from a pose; None if there is nothing left to do.
 
         `free_in(direction_rad)` is the way that the sonars show to be free in a direction of the map.
         """
@@ -135,21 +135,21 @@ class WaypointDriver:
     def __init__(self, waypoints: Sequence[Point]) -> None:
         self._waypoints = list(waypoints)
         self.skipped: list[tuple[Point, str]] = []
-        """Way-points that were not reached, and why."""
+        """Waypoints that were not reached, and why."""
 
     @property
     def remaining(self) -> list[Point]:
-        """Way-points to come."""
+        """Waypoints to come."""
         return self._waypoints
 
     def leg(
         self, clock_s: float, pose: Floats, mapper: LiveMapper, free_in: Callable[[float], float]  # noqa: ARG002
     ) -> list[Point] | None:
-        """Return the next way-point."""
+        """Return the next waypoint."""
         return [self._waypoints[0]] if self._waypoints else None
 
     def end_leg(self, pose: Floats, reason: str) -> None:  # noqa: ARG002
-        """Go on with the way-point after it."""
+        """Go on with the waypoint after it."""
         point = self._waypoints.pop(0)
         if reason:
             self.skipped.append((point, reason))
@@ -199,7 +199,7 @@ class SurveyStep(NamedTuple):
 
 @dataclass(slots=True)
 class SurveyLog:
-    """What happened on a drive: contacts (x, y) in inches, and notes with their time."""
+    """Events of a drive: contacts (x, y) in inches, and notes with their time."""
 
     contacts: list[Point] = field(default_factory=list)
     notes: list[tuple[float, str]] = field(default_factory=list)

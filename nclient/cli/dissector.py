@@ -120,7 +120,7 @@ def _label(name: str) -> str:
 
 def _row(row: Command) -> dict[str, Any]:
     """Return a row of the command table as the Lua program needs it."""
-    known: dict[str, Any] = {
+    entry: dict[str, Any] = {
         "name": row.name,
         "arguments": [_argument_field(row, argument.name) for argument in row.arguments],
         "any_length": row.any_length,
@@ -138,31 +138,31 @@ def _row(row: Command) -> dict[str, Any]:
     # Arguments that are not one word or one field each.
     match row.tcp_request:
         case requests.TcpMask():
-            known["tcp_form"] = "mask"
+            entry["tcp_form"] = "mask"
         case requests.TextWords():
-            known["tcp_form"] = "text"
+            entry["tcp_form"] = "text"
         case requests.ByteWords():
-            known["tcp_form"] = "packet"
+            entry["tcp_form"] = "packet"
         case requests.MotionWords():
-            known["tcp_form"] = "motion"
+            entry["tcp_form"] = "motion"
         case requests.ObstacleWords(tail=tail):
-            known |= {"tcp_form": "obstacle", "tail": tail}
+            entry |= {"tcp_form": "obstacle", "tail": tail}
         case _:
             pass
     match row.line_request:
         case requests.LineMask():
-            known["line_form"] = "mask"
+            entry["line_form"] = "mask"
         case requests.LineText():
-            known["line_form"] = "text"
+            entry["line_form"] = "text"
         case requests.UserPacket():
-            known["line_form"] = "packet"
+            entry["line_form"] = "packet"
         case requests.ArmPacket(elements=elements):
             # Sizes in bytes of the packet's fields, negative for signed ones.
             sizes = [-element.sizeof() if element is requests.ARM_NUMBER else element.sizeof() for element in elements]
-            known |= {"line_form": "packet", "packet": sizes}
+            entry |= {"line_form": "packet", "packet": sizes}
         case _:
-            known["line"] = [_LINE_FORMS[id(argument.line)] for argument in row.arguments]
-    return known
+            entry["line"] = [_LINE_FORMS[id(argument.line)] for argument in row.arguments]
+    return entry
 
 
 def _tcp_layout(layout: TcpLayout) -> dict[str, Any]:

@@ -50,7 +50,7 @@ _MEASURED: Final = ("state", "sonar", "configuration")
 
 
 class Sample(NamedTuple):
-    """What a robot measured at one instant.
+    """Measurements of a robot at one instant.
 
     Attributes
     ----------
@@ -172,11 +172,11 @@ def _decode(entry: Entry, decoder: WireDecoder) -> list[dict[str, Any]]:
 
 
 def _sample(frame: Any, time_s: float, model: Model) -> Sample | None:
-    known = frame["State"]
-    if None in known[_POSE]:
+    slots = frame["State"]
+    if None in slots[_POSE]:
         return None
     # Values of 64-bit clients have no sign; those that no reply has set yet count as 0.
-    state = [wrap_word(value or 0) for value in known]
+    state = [wrap_word(value or 0) for value in slots]
     x, y, steer, turret = state[_POSE]
     right, left, _ = state[_SPEEDS]
     speed, turn = float(right), float(left)
@@ -184,7 +184,7 @@ def _sample(frame: Any, time_s: float, model: Model) -> Sample | None:
         # Velocities of the wheels: half of their sum drives, half of their difference turns.
         speed, turn = (right + left) / 2, (right - left) / 2 / SCOUT_WHEEL_IN_PER_DEG
     sonars = state[_SONARS : _SONARS + SONAR_SLOTS]
-    has_sonars = None not in known[_SONARS : _SONARS + SONAR_SLOTS]
+    has_sonars = None not in slots[_SONARS : _SONARS + SONAR_SLOTS]
     cpu, motors = frame.get("volt_cpu"), frame.get("volt_motor")
     return Sample(
         time_s, x * _TENTH_M, y * _TENTH_M, _rad(steer), _rad(turret), speed * _TENTH_M, _rad(turn),

@@ -46,7 +46,7 @@ class Subscription:
 
 @dataclass(frozen=True, slots=True)
 class Services:
-    """What clients may use: topics by name, and functions of the server."""
+    """Topics and services for clients: topics by name, and functions of the server."""
 
     published: Mapping[str, str]
     commands: Mapping[str, str]

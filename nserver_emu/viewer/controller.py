@@ -228,7 +228,7 @@ STALE_S: Final = 60.0
 
 
 class ViewerController:
-    """State that all viewers share: the daemon, open pages, requested poses, way-points."""
+    """State that all viewers share: the daemon, open pages, requested poses, waypoints."""
 
     def __init__(self, daemon: Daemon, broadcaster: Broadcaster) -> None:
         self.daemon = daemon
@@ -416,7 +416,7 @@ class ViewerController:
         reading.add_done_callback(finish)
 
     def publish(self, text: str, now: float) -> dict[str, Any]:
-        """Show a localizer's estimate on all pages; return the reply with the way-points.
+        """Show a localizer's estimate on all pages; return the reply with the waypoints.
 
         Raises
         ------
@@ -435,7 +435,7 @@ class ViewerController:
         return {"waypoints": self.waypoints.get(robot), "set": self._waypoints_set[robot]}
 
     def set_waypoints(self, robot: int, points: list[list[float]]) -> None:
-        """Set a robot's way-points, in inches."""
+        """Set a robot's waypoints, in inches."""
         self.waypoints[robot] = points
         self._waypoints_set[robot] += 1
         self.broadcaster.notify(messages.encode_message("waypoints", robot=robot, points=points))

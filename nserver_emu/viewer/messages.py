@@ -9,7 +9,7 @@ to the page, by `type`
     localizers   robots: {robot: {"method", "state", "words"} ...} of localizers that pages started; state: starting,
                  running, ended, failed; words: what it waits for, why it ended, or the error
     asked        robots: number of clients that wait for a click of a pose (get_robot_conf), by robot
-    waypoints    robot, points: new way-points
+    waypoints    robot, points: new waypoints
     missed       count: other messages that were dropped since the viewer was too slow
     answer       id, ok, and the result: values, slots, or error; of drive, others: the other viewers that drive the
                  robot; of stop and release, held: {robot: {"by", "ignored"} ...} of all robots that are held
@@ -34,7 +34,7 @@ from the page, by `do`
 A message of any other form raises InvalidMessage, which names the correct form; unknown keys are left out. A viewer
 that may only watch may send seen and watch.
 
-Estimates published by a localizer: POST /publish, one JSON object per update; the reply contains way-points.
+Estimates published by a localizer: POST /publish, one JSON object per update; the reply contains waypoints.
 
     robot       number of the robot                     clock_s    the robot's clock
     pose        x, y, heading of the steering           turret     its estimated direction
@@ -42,7 +42,7 @@ Estimates published by a localizer: POST /publish, one JSON object per update; t
     echoes      [{"sonar", "reading_in", "refusal", "innovation_in", "nis"} ...] since the previous update
     trust       OK, DEGRADED, LOST    reason    in words, "" for OK
     places      [{"pose", "share"} ...] candidate poses, the most probable first; with LOST pose and cov are undefined
-    waypoints   [[x, y] ...], and the number passed     began      true: the localizer starts with its own way-points
+    waypoints   [[x, y] ...], and the number passed     began      true: the localizer starts with its own waypoints
 
     reply       {"waypoints": [[x, y] ...] or null, "set": how often they were set}
 

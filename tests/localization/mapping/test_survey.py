@@ -106,7 +106,7 @@ def test_blocked_way_point_is_left_out(tmp_path: Path, capsys: pytest.CaptureFix
     text = capsys.readouterr().out
     assert code == 4
     assert "blocked" in text
-    assert "way-point (40, 0) left out" in text
+    assert "waypoint (40, 0) left out" in text
     assert "contact" not in text
 
 
