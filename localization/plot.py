@@ -57,8 +57,8 @@ def errors(run: Run) -> Figure:
         axes.margins(x=0.0)
     picture.legend(*rows[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
     inside = np.abs(error) <= SIGMAS * std
-    finite = np.isfinite(error).all(axis=1)
-    rows[0].set_title(f"{inside[finite].mean():.0%} of the errors lie in the band" if finite.any() else "no ground truth")
+    valid = np.isfinite(error).all(axis=1)
+    rows[0].set_title(f"{inside[valid].mean():.0%} of the errors lie in the band" if valid.any() else "no ground truth")
     rows[-1].set_xlabel("time (s)")
     return picture
 
