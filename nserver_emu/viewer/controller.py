@@ -274,11 +274,13 @@ class ViewerController:
         self._accept_pose_clicks()
 
     def tick(self, now: float) -> None:
-        """Stop robots whose driver is silent, then send pose requests and traffic."""
+        """Stop robots whose driver is silent, then send pose requests, states of localizers and traffic."""
         for clients in self._clients.values():
             clients.tick(now)
         with self.error_boundary.guard("pose requests"):
             self._send_pose_requests()
+        with self.error_boundary.guard("the maps of localizers"):
+            self.localizers.check_maps()
         with self.error_boundary.guard("the traffic"):
             self._send_traffic()
 
@@ -302,10 +304,7 @@ class ViewerController:
             self._refuse(viewer, number, "this link only looks")
             return
 
-        def failed(error: Exception) -> None:
-            self._refuse(viewer, number, f"internal error, see the daemon's log: {error!r}")
-
-        with self.error_boundary.guard("a message of a page", viewer.name, failed):
+        with self.error_boundary.guard("a message of a page", viewer.name, self._internal_error(viewer, number)):
             try:
                 self._carry_out(message, viewer, now)
             except messages.InvalidMessage as error:
@@ -376,7 +375,7 @@ class ViewerController:
         def finish(reading: asyncio.Task[Answer]) -> None:
             self._reading.discard(reading)
             if not reading.cancelled():
-                with self.error_boundary.guard("files for a page", viewer.name):
+                with self.error_boundary.guard("files for a page", viewer.name, self._internal_error(viewer, number)):
                     _replier(viewer, number)(reading.result())
 
         reading.add_done_callback(finish)
@@ -404,14 +403,9 @@ class ViewerController:
 
         def finish(reading: asyncio.Task[bytes]) -> None:
             del self._worlds_being_read[viewer]
-            if reading.cancelled():
-                return
-
-            def failed(error: Exception) -> None:
-                self._refuse(viewer, number, f"internal error, see the daemon's log: {error!r}")
-
-            with self.error_boundary.guard("a world of a page", viewer.name, failed):
-                _replier(viewer, number)(json.loads(reading.result()))
+            if not reading.cancelled():
+                with self.error_boundary.guard("a world of a page", viewer.name, self._internal_error(viewer, number)):
+                    _replier(viewer, number)(json.loads(reading.result()))
 
         reading.add_done_callback(finish)
 
@@ -461,6 +455,10 @@ class ViewerController:
 
     def _refuse(self, viewer: Viewer, number: int | None, error: str) -> None:
         viewer.notify(messages.encode_message("answer", id=number, ok=False, error=error))
+
+    def _internal_error(self, viewer: Viewer, number: int | None) -> Callable[[Exception], None]:
+        """Return a function that answers a viewer's message with an unexpected error."""
+        return lambda error: self._refuse(viewer, number, f"internal error, see the daemon's log: {error!r}")
 
     def _send_pose_requests(self) -> None:
         requests = self.daemon.emulator.pose_requests.counts()
