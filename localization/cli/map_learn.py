@@ -29,7 +29,7 @@ from localization.mapping.learn import ROUGHNESS_IN, MapLearner
 from localization.mapping.live import LiveMapper
 from localization.mapping.measurements import DriveCollector, DriveLog, read_drive
 from localization.mapping.output import LearnedMap, describe, draw_learned, summary
-from localization.mapping.survey import Driver, Geofence, SurveyLog, SurveyStep, WaypointDriver, survey
+from localization.mapping.survey import Driver, Geofence, RobotMoved, SurveyLog, SurveyStep, WaypointDriver, survey
 from localization.navigation.limits import MODEL_LIMITS
 from nclient import Robot
 from nclient.common.arguments import add_value
@@ -37,7 +37,7 @@ from nclient.common.exit_codes import ExitCode
 from nclient.common.files import write_errors_as
 from nclient.common.process import TerminatedBySignal
 from nclient.connector import address_or_default
-from nclient.errors import OutputFileError
+from nclient.errors import AddressError, ConnectionLost, OutputFileError, ReplyTimeout
 from nclient.url import split_address
 from worlds.io import format_world, parse_world
 from worlds.map_files import MapsExtraMissing
@@ -94,7 +94,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_value(live, "--record", "FILE", Path, "record the drive into this file (default: --out with the suffix .log)")
     live.add_argument(
         "--resume", nargs="+", type=Path, metavar="RECORDING",
-        help="go on with the drive of these recordings: the robot stands where it stood at their end",
+        help="go on with the drive of these recordings: the robot must stand where it stood at their end, as its first "
+             "readings are compared with the last ones there",
     )
     add_value(live, "--time-limit", "S", arguments.parse_positive,
               "end the drive after this time in s of the robot's clock", 300.0)
@@ -119,9 +120,17 @@ def run(options: argparse.Namespace) -> int:
     result = ExitCode.DONE
     recordings = options.recording
     if recordings is None:
-        recordings, result = _drive(options)
-    elif options.address or options.resume or options.waypoints:
-        options.refuse("--from reads a drive: omit the address, --resume and --waypoints")
+        try:
+            recordings, result = _drive(options)
+        except RobotMoved as error:
+            print(f"nomad map learn: no map written: {error}", file=sys.stderr)
+            return ExitCode.UNFIT
+    elif options.address or options.resume or options.waypoints or options.record or options.geofence or (
+        options.drive != DRIVES[0]
+    ):
+        options.refuse(
+            "--from reads a drive: omit the address, --resume, --waypoints, --record, --geofence and --drive manual"
+        )
     # 3. The map.
     log = read_drive(*recordings)
     learned = _learn(options, log, recordings)
@@ -180,10 +189,11 @@ def _drive(options: argparse.Namespace) -> tuple[list[Path], ExitCode]:
         # A robot that a person drives is not stopped.
         stack.callback(robot.disconnect) if options.drive == "manual" else stack.enter_context(robot)
         body = resolve_body(resolve_robot_model(None, robot.model.name, options.address), None, options.address)
+        _require_nomad(body, robot.model.name)
         driver = _driver(options, body)
         try:
             last, log = _follow(robot, body, driver, before, options)
-        except (KeyboardInterrupt, TerminatedBySignal):
+        except (KeyboardInterrupt, TerminatedBySignal, ConnectionLost, ReplyTimeout):
             again = " ".join(str(path) for path in [*(options.resume or []), record])
             print(f"nomad map learn: stopped; the drive is in {record}: --from {again} makes the map, "
                   f"--resume {again} --record FILE goes on", file=sys.stderr, flush=True)  # fmt: skip
@@ -197,14 +207,27 @@ def _drive(options: argparse.Namespace) -> tuple[list[Path], ExitCode]:
     return [*(options.resume or []), record], result
 
 
+def _require_nomad(body: Body, model: str) -> None:
+    """Raise AddressError for a body of a model file with other sonars: maps are learned with those of a Nomad."""
+    if body.ring != BODIES[model].ring:
+        raise AddressError(
+            f"model_file= in the address describes other sonars than those of a {model}, and nomad map learn reads "
+            "only those: omit it"
+        )
+
+
 def _check_way(options: argparse.Namespace) -> None:
     """Refuse options that contradict each other."""
     if options.drive == "manual" and options.waypoints:
         options.refuse("--drive manual: a person drives; omit --waypoints")
     points = options.waypoints or []
-    outside = [point for point in points if options.geofence and not options.geofence.contains(*point)]
+    if options.geofence is None:
+        return
+    outside = [point for point in points if not options.geofence.contains(*point)]
     if outside:
         options.refuse(f"waypoint {outside[0][0]:g},{outside[0][1]:g} is outside of --geofence")
+    if not options.resume and not options.geofence.contains(0.0, 0.0):
+        options.refuse("the robot's start 0,0 is outside of --geofence")
 
 
 def _driver(options: argparse.Namespace, body: Body) -> Driver | None:
