@@ -412,7 +412,15 @@ class ViewerController:
         reading.add_done_callback(finish)
 
     def _kidnap(self, viewer: Viewer, message: messages.Kidnap) -> None:
-        """Place a robot, and set its encoders back to what they were: three calls in one turn of the event loop."""
+        """Place a robot, and set its encoders back to what they were: three calls in one turn of the event loop.
+
+        Raises
+        ------
+        InvalidMessage
+            If robots are real: of those only the encoders would be set.
+        """
+        if self.daemon.handler is not self.daemon.emulator:
+            raise messages.InvalidMessage("a real robot cannot be placed from here: carry it to another place")
         clients, encoder = self.clients(viewer), self.daemon.emulator.simulation.robots[message.robot].encoder
         positions = [tenths(encoder.x_in), tenths(encoder.y_in)]
         angles = [heading_tenths(encoder.steering_rad), heading_tenths(encoder.turret_rad)]
