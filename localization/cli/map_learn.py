@@ -38,7 +38,7 @@ from nclient.common.files import write_errors_as
 from nclient.common.process import TerminatedBySignal
 from nclient.connector import address_or_default
 from nclient.errors import AddressError, ConnectionLost, OutputFileError, ReplyTimeout
-from nclient.url import split_address
+from nclient.url import parse_address, split_address
 from worlds.io import format_world, parse_world
 from worlds.map_files import MapsExtraMissing
 from worlds.robots import BODIES, Body, format_calibration
@@ -179,7 +179,7 @@ def _has_rays(options: argparse.Namespace) -> bool:
 def _drive(options: argparse.Namespace) -> tuple[list[Path], ExitCode]:
     """Drive the robot and record it; return the recordings, those of --resume first, and the exit code."""
     _check_way(options)
-    address, record = _recorded_address(options)
+    address, record = recorded_address(options)
     before = read_drive(*options.resume) if options.resume else None
     if options.resume and record.resolve() in [path.resolve() for path in options.resume]:
         options.refuse(f"{record} is one of --resume: name another file with --record")
@@ -239,16 +239,28 @@ def _driver(options: argparse.Namespace, body: Body) -> Driver | None:
     return Explorer(body.radius_in, options.speed, options.time_limit, options.geofence)
 
 
-def _recorded_address(options: argparse.Namespace) -> tuple[str, Path]:
-    """Return the address with a recording, and its file."""
+def recorded_address(options: argparse.Namespace) -> tuple[str, Path]:
+    """Return the address with a recording and without reconnecting, and the file.
+
+    A drive is one connection: after another one the sonars fire at other instants, and in the recording a second drive
+    begins. So a lost link ends the drive; --resume goes on.
+    """
     text = address_or_default(options.address)
-    there = split_address(text).options.get("record")
-    if there is not None:
+    there, more = split_address(text).options, []
+    # 1. The recording.
+    record: Path = options.record or options.out.with_suffix(".log")
+    if "record" in there:
         if options.record is not None:
             options.refuse("--record and record= in the address exclude each other: give one of them")
-        return text, Path(there)
-    record: Path = options.record or options.out.with_suffix(".log")
-    return f"{text}{'&' if '?' in text else '?'}record={quote(str(record))}", record
+        record = Path(there["record"])
+    else:
+        more.append(f"record={quote(str(record))}")
+    # 2. One connection.
+    if parse_address(text).options.reconnect:
+        if "reconnect" in there:
+            options.refuse("reconnect= in the address: a drive is one connection; omit it, and go on with --resume")
+        more.append("reconnect=0")
+    return "&".join([f"{text}{'&' if '?' in text else '?'}{more[0]}", *more[1:]]) if more else text, record
 
 
 def _follow(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 from collections.abc import Callable
 from dataclasses import replace
@@ -12,6 +13,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from localization.cli.map_learn import recorded_address
 from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
 from localization.mapping.live import LiveMapper
@@ -300,6 +302,7 @@ def test_blocked_way_point_is_left_out(tmp_path: Path, capsys: pytest.CaptureFix
 @pytest.mark.parametrize(("words", "reason"), [
     (["--waypoints", "90,0", "--geofence", "0,0,50,50"], "geofence"),
     (["--geofence", "10,10,50,50"], "start"),
+    (["nserver://localhost:1/1?reconnect=5"], "reconnect"),
     (["--from", "drive.log", "--geofence", "0,0,50,50"], "--from"),
     (["--drive", "manual", "--waypoints", "9,0"], "manual"),
     (["--from", "drive.log", "--waypoints", "9,0"], "--from"),
@@ -308,7 +311,7 @@ def test_contradicting_options_are_refused(
     words: list[str], reason: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit, match="2"):
-        learn("sim:thesis_room", *words, "--out", str(tmp_path / "room.toml"))
+        learn(*(words if "//" in words[0] else ["sim:thesis_room", *words]), "--out", str(tmp_path / "room.toml"))
     assert reason in capsys.readouterr().err
 
 
@@ -317,6 +320,18 @@ def test_other_rings_than_a_nomads_are_refused(name: str, tmp_path: Path, capsys
     model = Path(__file__).parents[2] / "worlds" / "models" / f"{name}.toml"
     assert learn(f"sim:thesis_room?robot={name}&model_file={model}", "--out", str(tmp_path / "room.toml")) == 2
     assert "model_file=" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("address", "expected"), [
+    ("serial:///dev/ttyUSB0", "serial:///dev/ttyUSB0?record=room.log&reconnect=0"),
+    ("serial:///dev/ttyUSB0?record=room.log", "serial:///dev/ttyUSB0?record=room.log&reconnect=0"),
+    ("serial:///dev/ttyUSB0?reconnect=0", "serial:///dev/ttyUSB0?reconnect=0&record=room.log"),
+    ("nserver://localhost:7019/1", "nserver://localhost:7019/1?record=room.log"),
+    ("sim:thesis_room?record=room.log", "sim:thesis_room?record=room.log"),
+])  # fmt: skip
+def test_drive_is_recorded_as_one_connection(address: str, expected: str) -> None:
+    options = argparse.Namespace(address=address, record=None, out=Path("room.toml"))
+    assert recorded_address(options) == (expected, Path("room.log"))
 
 
 def test_a_person_drives_over_a_socket(tmp_path: Path) -> None:
