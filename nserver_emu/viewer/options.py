@@ -95,7 +95,7 @@ def parse_listen_address(text: str) -> ListenAddress:
 
 
 def listen_address_of(option: str) -> Callable[[str], ListenAddress]:
-    """Return the type of an option of `nserver` whose address may be left out: what follows may be meant as the world."""
+    """Return the type of an option whose address may be left out: what follows it may be meant as the world."""
 
     def read(text: str) -> ListenAddress:
         try:
