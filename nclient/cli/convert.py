@@ -28,13 +28,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Convert a file, and return the exit code."""
     from nclient.recording import convert  # here: completion and help need no formats
+    from nclient.recording.format import escape_controls
 
     # The target first: a mistake there must not cost the time to read a long file.
     convert.format_to_write(options.target)
     drive = convert.read_drive(options.source, options.field)
     convert.write_drive(drive, options.target)
     for omitted in drive.omitted:
-        print(f"nomad: left out: {omitted}", file=sys.stderr)
+        print(f"nomad: left out: {escape_controls(omitted)}", file=sys.stderr)
     first, last = drive.samples[0].time_s, drive.samples[-1].time_s
     print(f"{options.target}: {len(drive.samples)} samples, {last - first:.1f} s")
     return ExitCode.DONE

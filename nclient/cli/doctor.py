@@ -4,7 +4,8 @@
     nomad doctor "serial:///dev/ttyUSB0?model=n150" --exchanges 500 --json
     nomad doctor                                   no address, no NOMAD_ROBOT: look for a robot on all serial ports
 
-The search asks each port at every usual baud rate for its state, and then an Nserver on this machine.
+The search asks each port that no other program uses for its state, at every usual baud rate, and then an Nserver on
+this machine.
 
 Prints a line for each finding, OK, WARN or FAIL, with a remedy. Exit code 1 if any finding is FAIL.
 """
@@ -50,14 +51,15 @@ def run(options: argparse.Namespace) -> int:
     return _check(address_or_default(options.address), options)
 
 
-def _check(address: str, options: argparse.Namespace) -> int:
-    """Check one robot, print the findings, and return the exit code."""
+def _check(address: str, options: argparse.Namespace, search: dict[str, object] | None = None) -> int:
+    """Check one robot, print the findings, in JSON with those of a search before, and return the exit code."""
     connector = Connector(parse_address(address))
     chart = Diagnostics(connector.open_session, time.perf_counter, time.sleep).run(options.exchanges, options.interval)
     findings = report(chart)
     grade = worst(findings)
     if options.json:
-        print(json.dumps({"address": address, "model": chart.model, "worst": grade.name, "findings": _dicts(findings)}))
+        print(json.dumps({"address": address, "model": chart.model, "worst": grade.name, "findings": _dicts(findings)}
+                         | (search or {})))
     else:
         for finding in findings:
             print(finding)
@@ -87,19 +89,22 @@ def _search(options: argparse.Namespace) -> int:
     if not findings:
         findings.append(warn("ports", "this machine has no serial ports", "is the adapter plugged in?"))
     is_nserver = is_listening("localhost", DEFAULT_PORT)
-    if options.json and not is_nserver:
+    if not found and not is_nserver:
+        findings.append(fail(
+            "robot", "none found", "switch it on, plug its cable in, and look at docs/real-robot.md; "
+            f"for an Nserver elsewhere give its address, or start one: {DEFAULT_ADDRESS} does not answer"))
+    if options.json and is_nserver:
+        return _check(DEFAULT_ADDRESS, options, {"addresses": found, "ports": _dicts(findings)})
+    if options.json:
         grade = Grade.OK if found else Grade.FAIL
         print(json.dumps({"addresses": found, "worst": grade.name, "findings": _dicts(findings)}))
-    elif not options.json:
+    else:
         for finding in findings:
             print(finding)
         for address in found:
             print(f"      next: nomad doctor {shlex.quote(address)}")
     if is_nserver:
         return _check(DEFAULT_ADDRESS, options)
-    if not found and not options.json:
-        print(fail("robot", "none found", "switch it on, plug its cable in, and look at docs/real-robot.md; "
-                   f"for an Nserver elsewhere give its address, or start one: {DEFAULT_ADDRESS} does not answer"))
     return ExitCode.DONE if found else ExitCode.FAILED
 
 
@@ -111,6 +116,10 @@ def search_port(port: str) -> tuple[Finding, str]:
     tuple of Finding and str
         What was found, and the address of the robot, "" without one.
     """
+    # 1. A port that another program has open: to set its baud rate would disturb that program, lock or not.
+    if users := ", ".join(serial.users(port)):
+        return warn(port, f"not asked: in use by {users}", "end that program to look for a robot there"), ""
+    # 2. Every rate.
     noisy = []
     for baud in USUAL_BAUDS:
         try:
@@ -119,7 +128,8 @@ def search_port(port: str) -> tuple[Finding, str]:
             return warn(port, "cannot be asked", str(error)), ""
         if model is not None:
             rate = "" if baud == serial.DEFAULT_BAUD else f"&baud={baud}"
-            return ok(port, f"a {model.name} answers at {baud} baud"), f"serial://{port}?model={model.name}{rate}"
+            place = port if port.startswith("/") else f"/{port}"  # COM3: serial:///COM3
+            return ok(port, f"a {model.name} answers at {baud} baud"), f"serial://{place}?model={model.name}{rate}"
         noisy += [baud] if is_noisy else []
     rates = ", ".join(map(str, USUAL_BAUDS))
     if noisy:
@@ -138,15 +148,16 @@ def ask_port(port: str, baud: int) -> tuple[Model | None, bool]:
     """
     stream, framer, is_noisy = serial.open_port(port, baud), SerialFramer(), False
     try:
-        # 1. What was under way before is no answer.
+        # 1. What was under way before is no answer. Another device may send without a pause.
+        deadline = Deadline.after(ANSWER_S)
         with contextlib.suppress(ReplyTimeout):
-            while True:
+            while deadline.remaining():
                 stream.receive(Deadline.after(_QUIET_S))
         # 2. gs only reads the state.
         stream.send(build_frame(_GET_STATE))
         deadline = Deadline.after(ANSWER_S)
         with contextlib.suppress(ReplyTimeout):
-            while True:
+            while deadline.remaining():
                 data = stream.receive(deadline)
                 is_noisy = True
                 for frame in framer.receive(data):

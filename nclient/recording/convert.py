@@ -12,12 +12,15 @@ A file is read by its content, since `.log` is the suffix of many. What a format
 MCAP and bags need the extra `ros` (nclient/recording/ros.py).
 """
 
+import codecs
 import contextlib
 import csv
 import math
 import shutil
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
 from typing import Final
@@ -25,9 +28,9 @@ from typing import Final
 from nclient.common.files import write_errors_as
 from nclient.common.hints import install_hint
 from nclient.errors import ExtraMissing, RecordingError
-from nclient.protocol.types import M_PER_IN
+from nclient.protocol.types import M_PER_IN, MAX_SONAR_IN
 from nclient.recording.drive import RING, Drive, Sample, drive_of_recording, recording_of_drive
-from nclient.recording.format import FORMAT, parse_recording
+from nclient.recording.format import FORMAT, escape_controls, parse_recording
 
 RECORDING, MCAP, BAG, BAG2, CSV, CARMEN = "recording", "MCAP", "ROS 1 bag", "ROS 2 bag", "CSV", "CARMEN log"
 SUFFIXES: Final = {
@@ -36,16 +39,23 @@ SUFFIXES: Final = {
 }
 MAX_BYTES: Final = 1 << 30
 """Larger text files are refused: they are read as a whole."""
+MAX_VALUE: Final = 1e8
+"""Limit of metres and radians: what is beyond it is damaged, and fits no message of a Nomad."""
+MAX_NAMES: Final = 20
+"""Names of unknown columns or messages that are listed; a damaged file has thousands."""
+_MAX_TIME_S: Final = 2.0**31
+"""Seconds since 1970 that all formats hold: messages of ROS 2 until 2038."""
 _ROS: Final = (MCAP, BAG, BAG2)
 
 
 def format_to_write(path: Path) -> str:
-    """Return the format of a suffix. Raises RecordingError if no format has it."""
-    try:
-        return SUFFIXES[path.suffix.lower()]
-    except KeyError:
+    """Return the format of a new file by its suffix. Raises RecordingError if no format has it, or the file exists."""
+    if path.suffix.lower() not in SUFFIXES:
         names = ", ".join(f"{suffix or 'no suffix'} ({name})" for suffix, name in SUFFIXES.items())
-        raise RecordingError(f"{path}: no format has the suffix {path.suffix!r}; there are {names}") from None
+        raise RecordingError(f"{path}: no format has the suffix {path.suffix!r}; there are {names}")
+    if path.exists():
+        raise RecordingError(f"{path}: exists; remove it or give another name")
+    return SUFFIXES[path.suffix.lower()]
 
 
 def format_of_file(path: Path) -> str:
@@ -69,6 +79,7 @@ def format_of_file(path: Path) -> str:
     if start.lstrip().startswith(b"{") and FORMAT.encode() in start:
         return RECORDING
     # 2. Text: column names of a time series, or the lines of a CARMEN log.
+    start = start.removeprefix(codecs.BOM_UTF8)  # as spreadsheets write it
     lines = [line for line in start.decode("latin-1").splitlines() if line.strip() and not line.startswith("#")]
     first = lines[0].split(",")[0].strip() if lines else ""
     if any(name.strip() in ("time_s", "time_ms") for name in (lines[0].split(",") if lines else ())):
@@ -107,18 +118,19 @@ def read_drive(path: Path, fields: Sequence[str] = ()) -> Drive:
     if fields and name not in _ROS:
         raise RecordingError(f"{path}: --field is for bags and MCAP; this is a {name}")
     if name in _ROS:
-        drive: Drive = _ros().read(path, fields)
+        drive: Drive = _ros().read(path, name, fields)
     else:
         text = _read_text(path)
         match name:
             case "recording":
-                drive = drive_of_recording(parse_recording(text, str(path)), text.splitlines())
+                drive = drive_of_recording(parse_recording(text, str(path)), text.removesuffix("\n").split("\n"))
             case "CSV":
                 drive = read_csv(text, str(path))
             case _:
                 drive = read_carmen(text, str(path))
     if not drive.samples:
         raise RecordingError(f"{path}: has no pose and no sonars; nothing to read" + _because(drive))
+    _check(drive, path)
     return drive
 
 
@@ -131,8 +143,6 @@ def write_drive(drive: Drive, path: Path) -> None:
         If it cannot be written.
     """
     name = format_to_write(path)
-    if path.exists():
-        raise RecordingError(f"{path}: exists; remove it or give another name")
     drive.omitted += _not_held(drive, name)
     with write_errors_as(RecordingError, path), _removed_on_error(path):
         match name:
@@ -143,7 +153,7 @@ def write_drive(drive: Drive, path: Path) -> None:
             case "CARMEN log":
                 path.write_text("".join(f"{line}\n" for line in carmen_lines(drive)), encoding="utf-8")
             case _:
-                _ros().write(drive, path, name)
+                _ros().write(drive if _has_equal_angles(drive) else _without_ranges(drive), path, name)
 
 
 @contextlib.contextmanager
@@ -172,7 +182,13 @@ def _not_held(drive: Drive, name: str) -> Iterator[str]:
         yield "directions of the sonars (give them to nomad localize in a model file)"
     if name == CARMEN and any(sample.bumpers for sample in drive.samples):
         yield "bumpers"
+    if name in _ROS and not _has_equal_angles(drive):
+        yield "sonars: a LaserScan needs equal angles between them (a CARMEN log holds them)"
     if name == RECORDING and not drive.traffic:
+        if any(sample.volts for sample in drive.samples):
+            yield "battery voltages"
+        if any(MAX_SONAR_IN * M_PER_IN < range_m < math.inf for sample in drive.samples for range_m in sample.ranges_m):
+            yield f"ranges beyond {MAX_SONAR_IN} in, which read as no echo"
         if drive.directions_rad != RING:
             count = len(drive.directions_rad)
             yield f"the ring of {count} sonars: each of a Nomad's 16 has the nearest within 11 degrees"
@@ -182,7 +198,35 @@ def _not_held(drive: Drive, name: str) -> Iterator[str]:
 def _because(drive: Drive) -> str:
     if not drive.omitted:
         return ""
-    return f"; it has {', '.join(drive.omitted)}: name their numbers with --field (nomad help convert)"
+    found = ", ".join(map(escape_controls, drive.omitted))
+    return f"; it has {found}: name their numbers with --field (nomad help convert)"
+
+
+def _check(drive: Drive, path: Path) -> None:
+    """Check that all numbers of a drive can be written to any format. Raises RecordingError."""
+    if not 0 <= drive.start_s < _MAX_TIME_S:
+        raise RecordingError(f"{path}: starts at {drive.start_s:g} s; expected seconds since 1970")
+    sonars = len(drive.directions_rad)
+    for number, sample in enumerate(drive.samples, 1):
+        values = (sample.x_m, sample.y_m, sample.heading_rad, sample.turret_rad or 0.0, sample.speed_m_s,
+                  sample.turn_rad_s)
+        is_valid = abs(sample.time_s) < _MAX_TIME_S and all(abs(value) < MAX_VALUE for value in values)
+        # NaN is above nothing.
+        if not is_valid or not all(range_m > -math.inf for range_m in sample.ranges_m):
+            raise RecordingError(f"{path}: sample {number} has no numbers of a robot: {sample!r:.300}")
+        if sample.ranges_m and len(sample.ranges_m) != sonars:
+            raise RecordingError(f"{path}: sample {number} has {len(sample.ranges_m)} sonars; the first has {sonars}")
+
+
+def _has_equal_angles(drive: Drive) -> bool:
+    """Return True if the sonars are at equal angles, as the readings of a LaserScan are."""
+    angles = drive.directions_rad
+    steps = [math.remainder(after - before, math.tau) for before, after in pairwise(angles)]
+    return all(math.isclose(step, steps[0], abs_tol=1e-3) for step in steps)
+
+
+def _without_ranges(drive: Drive) -> Drive:
+    return replace(drive, samples=[sample._replace(ranges_m=()) for sample in drive.samples])
 
 
 def _ros() -> ModuleType:
@@ -195,9 +239,12 @@ def _ros() -> ModuleType:
 
 
 def _read_text(path: Path) -> str:
-    if path.stat().st_size > MAX_BYTES:
-        raise RecordingError(f"{path}: larger than {MAX_BYTES >> 20} MB; split it")
-    return path.read_text(encoding="utf-8", errors="replace")
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise RecordingError(f"{path}: larger than {MAX_BYTES >> 20} MB; split it")
+        return path.read_text(encoding="utf-8-sig", errors="replace")
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read ({error.strerror})") from error
 
 
 # -- CSV --------------------------------------------------------------------------------------------------------------
@@ -232,30 +279,64 @@ def csv_lines(drive: Drive) -> Iterator[str]:
 
 def _decimal(value: float, digits: int) -> str:
     """Return a number without needless zeros, and never -0."""
-    return f"{value:.{digits}f}".rstrip("0").rstrip(".").replace("-0", "0") if abs(value) < 10**-digits else (
-        f"{value:.{digits}f}".rstrip("0").rstrip("."))
+    text = f"{value:.{digits}f}".rstrip("0").rstrip(".")
+    return "0" if text == "-0" else text
 
 
 def read_csv(text: str, name: str) -> Drive:
     """Parse a time series with the columns of `csv_lines`, in any order and with any of the units."""
-    rows = csv.reader(line for line in text.splitlines() if line.strip() and not line.startswith("#"))
-    names = [field.strip() for field in next(rows, [])]
+    try:
+        names, *rows = csv.reader(line for line in text.splitlines() if line.strip() and not line.startswith("#"))
+    except (csv.Error, ValueError) as error:
+        raise RecordingError(f"{name}: no CSV ({error})") from None
+    names = [field.strip() for field in names]
     factors = [_factor(column) for column in names]
-    unknown = [column for column, factor in zip(names, factors, strict=True) if factor is None]
-    sonars = sum(column.startswith(_SONAR) for column in names)
+    sonars = _count_sonars([_quantity(one) for one, factor in zip(names, factors, strict=True) if factor], name)
     drive = Drive([], tuple(math.tau * k / sonars for k in range(sonars)) if sonars else RING)
+    unknown = [column for column, factor in zip(names, factors, strict=True) if factor is None]
     if unknown:
-        drive.omitted.append(f"columns {', '.join(unknown)}")
+        drive.omitted.append(f"columns {_listed(unknown)}")
     for number, row in enumerate(rows, 2):
         values: dict[str, float] = {}
         for column, factor, field in zip(names, factors, row, strict=False):
             if factor is not None and field.strip():
-                try:
-                    values[column.rpartition("_")[0] if column not in _OTHERS else column] = float(field) * factor
-                except ValueError:
-                    raise RecordingError(f"{name}: row {number}: {column} is {field!r}; expected a number") from None
+                values[_quantity(column)] = _number(field, column, name, number) * factor
         drive.samples.append(_csv_sample(values, sonars, name, number))
     return drive
+
+
+def _quantity(column: str) -> str:
+    """Return the name of a column without its unit."""
+    return column if column in _OTHERS else column.rpartition("_")[0]
+
+
+def _count_sonars(quantities: Sequence[str], name: str) -> int:
+    """Return the number of sonars. Raises RecordingError if a quantity occurs twice, or a sonar is missing."""
+    for quantity, times in Counter(quantities).items():
+        if times > 1:
+            raise RecordingError(f"{name}: column {quantity} occurs {times} times; expected once")
+    sonars = sum(quantity.startswith(_SONAR) for quantity in quantities)
+    for number in range(sonars):
+        if f"{_SONAR}{number}" not in quantities:
+            raise RecordingError(f"{name}: {sonars} sonars and no {_SONAR}{number}; they count from 0 without a gap")
+    return sonars
+
+
+def _number(field: str, column: str, name: str, row: int) -> float:
+    try:
+        value = float(field)
+    except ValueError:
+        value = math.nan
+    # inf is a way to write no echo.
+    if not math.isfinite(value) and not (column.startswith(_SONAR) and value == math.inf):
+        raise RecordingError(f"{name}: row {row}: {column} is {field!r:.100}; expected a number")
+    return value
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Return names as a list, and the number of those that are too many."""
+    more = len(names) - MAX_NAMES
+    return ", ".join(names[:MAX_NAMES]) + (f" and {more} more" if more > 0 else "")
 
 
 def _factor(column: str) -> float | None:
@@ -305,14 +386,16 @@ def carmen_lines(drive: Drive) -> Iterator[str]:
 
 def read_carmen(text: str, name: str) -> Drive:
     """Parse a CARMEN log: poses of ODOM, ranges of SONAR, or of FLASER where it has no sonars."""
-    kinds = Counter(line.split(" ", 1)[0] for line in text.splitlines() if line and not line.startswith("#"))
+    kinds = Counter(line.split(None, 1)[0] for line in text.splitlines() if line.strip() and not line.startswith("#"))
     ranges_of: dict[str, Callable[[list[float]], tuple[Sequence[float], tuple[float, ...]]]] = {
         "SONAR": _carmen_sonar, "FLASER": _carmen_laser,
     }
     source = next((kind for kind in ranges_of if kinds[kind]), "ODOM")
     drive = Drive([], start_s=0.0)
-    skipped = {kind: count for kind, count in kinds.items() if kind not in ("ODOM", "PARAM", "SYNC", source)}
-    drive.omitted += [f"{count} messages {kind}" for kind, count in skipped.items()]
+    skipped = [(kind, count) for kind, count in kinds.items() if kind not in ("ODOM", "PARAM", "SYNC", source)]
+    drive.omitted += [f"{count} messages {kind}" for kind, count in skipped[:MAX_NAMES]]
+    if len(skipped) > MAX_NAMES:
+        drive.omitted.append(f"{sum(count for _, count in skipped[MAX_NAMES:])} messages of other kinds")
     pose = Sample(0.0)
     for number, line in enumerate(text.splitlines(), 1):
         kind, *words = line.split() or [""]
@@ -325,21 +408,25 @@ def read_carmen(text: str, name: str) -> Drive:
                 x, y, heading, speed, turn, _ = numbers
                 pose = Sample(time_s, x, y, heading, None, speed, turn)
             if kind == "FLASER":
-                pose = Sample(time_s, numbers[-3], numbers[-2], numbers[-1])
+                # The velocities are those of the last ODOM.
+                pose = pose._replace(x_m=numbers[-3], y_m=numbers[-2], heading_rad=numbers[-1])
             if kind == source:
                 drive.start_s = drive.start_s or start_s - time_s
                 sample = pose._replace(time_s=time_s)
                 if kind != "ODOM":
                     ranges, directions = ranges_of[kind](numbers)
+                    if kind == "SONAR" and not drive.samples and _is_off_axis(numbers):
+                        drive.omitted.append("places of the sonars on the robot, other than their directions")
                     drive.directions_rad = drive.directions_rad if drive.samples else _ring(directions)
                     # A ring on a turret: all sonars turn by the same angle.
                     turned = directions[0] - drive.directions_rad[0]
                     turret = sample.heading_rad + turned if kind == "SONAR" else None
                     sample = sample._replace(ranges_m=tuple(ranges), turret_rad=turret)
                 drive.samples.append(sample)
-        except (ValueError, IndexError) as error:
+        except (ValueError, IndexError, OverflowError) as error:
             raise RecordingError(f"{name}, line {number}: no {kind} message of CARMEN ({error})") from None
-    if abs(drive.start_s) < 1e-3:  # the two times of a line differ by rounding only
+    # The two times of a line differ by rounding only, or that of the logger is since 1970.
+    if drive.start_s < 1e-3:
         drive.start_s = 0.0
     return drive
 
@@ -358,6 +445,12 @@ def _carmen_sonar(numbers: list[float]) -> tuple[Sequence[float], tuple[float, .
     if len(mounts) != 3 * count:
         raise ValueError(f"{count} sonars, {len(mounts)} numbers of their places")
     return numbers[2 : 2 + count], tuple(mounts[2::3])
+
+
+def _is_off_axis(numbers: list[float]) -> bool:
+    """Return True if a SONAR message has sonars beside the robot's axis."""
+    mounts = numbers[2 + int(numbers[1]) :]
+    return any(mounts[0::3]) or any(mounts[1::3])
 
 
 def _carmen_laser(numbers: list[float]) -> tuple[Sequence[float], tuple[float, ...]]:

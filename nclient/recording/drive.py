@@ -131,6 +131,10 @@ def drive_of_recording(recording: Recording, lines: Sequence[str]) -> Drive:
     # 1. Replies of the first connection that has any.
     names = recording.connections()
     drive = Drive([], traffic=list(lines), start_s=_start(recording))
+    if recording.cut:
+        # With a line end behind it the rest of a line would be an error.
+        drive.traffic.pop()
+        drive.omitted.append(recording.cut)
     for name in names:
         entries = [entry for entry in recording.entries if entry.connection == name]
         opened = dict(recording.header) | dict(next((entry.more for entry in entries if entry.kind == "open"), {}))

@@ -7,16 +7,16 @@
     /tf               tf2_msgs/TFMessage
     /nomad/recording  std_msgs/String         lines of the recording that the drive comes from: the way back
 
-Read are nav_msgs/Odometry, geometry_msgs/PoseStamped, sensor_msgs/LaserScan and sensor_msgs/Range of any topic, and
-with `fields` numbers of any message. Times of messages are those of the log.
+Read are one topic of nav_msgs/Odometry or geometry_msgs/PoseStamped and one of sensor_msgs/LaserScan, whatever their
+names, or with `fields` numbers of any message. Times of messages are those of the log.
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from mcap.reader import make_reader
+from mcap.reader import SeekingReader
 from mcap.writer import Writer as McapWriter
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag1 import Writer as Bag1Writer
@@ -29,14 +29,20 @@ from nclient.protocol.types import M_PER_IN, MAX_SONAR_IN
 from nclient.recording.drive import RING, Drive, Sample, drive_of_recording
 from nclient.recording.format import parse_recording
 
-ODOMETRY, SCAN, RANGE = "nav_msgs/msg/Odometry", "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/Range"
+ODOMETRY, SCAN = "nav_msgs/msg/Odometry", "sensor_msgs/msg/LaserScan"
 POSE, TEXT, NUMBER = "geometry_msgs/msg/PoseStamped", "std_msgs/msg/String", "std_msgs/msg/UInt32"
 BATTERY, TRANSFORMS = "sensor_msgs/msg/BatteryState", "tf2_msgs/msg/TFMessage"
 TRAFFIC: Final = "/nomad/recording"
 """Topic of the lines of a recording."""
 _ROBOT: Final = "robot1"
+_BUMPERS, _FRAMES = f"/{_ROBOT}/bumpers", "/tf"
+_BATTERIES: Final = (f"/{_ROBOT}/battery/cpu", f"/{_ROBOT}/battery/motors")
+_OWN: Final = {TRAFFIC: TEXT, _BUMPERS: NUMBER, _FRAMES: TRANSFORMS, **dict.fromkeys(_BATTERIES, BATTERY)}
+"""Topics of `write` that others do not have, with their types."""
 _MIN_RANGE_M, _MAX_RANGE_M = 6 * M_PER_IN, MAX_SONAR_IN * M_PER_IN
 _UNKNOWN: Final = float("nan")
+MAX_RECORD_BYTES: Final = 1 << 28
+"""Longer records of a MCAP file are refused: a damaged length must not take all memory. Chunks have some MB."""
 
 
 class Message(NamedTuple):
@@ -52,7 +58,19 @@ class Message(NamedTuple):
 
 
 def write(drive: Drive, path: Path, name: str) -> None:
-    """Write a drive as MCAP, ROS 1 bag or ROS 2 bag."""
+    """Write a drive as MCAP, ROS 1 bag or ROS 2 bag. Raises RecordingError, or OSError."""
+    earliest_s = drive.start_s + min(sample.time_s for sample in drive.samples)
+    if earliest_s < 0:
+        raise RecordingError(f"{path}: cannot be written: bags and MCAP have no time before 0, here {earliest_s:g} s")
+    try:
+        _write(drive, path, name)
+    except OSError:
+        raise
+    except Exception as error:  # writers of other packages raise any type, such as struct.error
+        raise RecordingError(f"{path}: cannot be written ({type(error).__name__}: {error})") from error
+
+
+def _write(drive: Drive, path: Path, name: str) -> None:
     if name == "ROS 1 bag":
         store = get_typestore(Stores.ROS1_NOETIC)
         store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TRANSFORMS))
@@ -135,17 +153,21 @@ def sample_messages(sample: Sample, directions: Sequence[float], start_ns: int, 
     turret = sample.heading_rad if sample.turret_rad is None else sample.turret_rad
     frames = [transform("odom", "base_link", sample.x_m, sample.y_m, sample.heading_rad)]
     frames.append(transform("base_link", "turret", 0.0, 0.0, turret - sample.heading_rad))
-    yield Message(time_ns, "/tf", TRANSFORMS, types[TRANSFORMS](frames))
+    yield Message(time_ns, _FRAMES, TRANSFORMS, types[TRANSFORMS](frames))
     # 3. Bumpers and battery, before the sonars: a scan completes the sample when it is read.
-    yield Message(time_ns, f"/{_ROBOT}/bumpers", NUMBER, types[NUMBER](sample.bumpers))
+    yield Message(time_ns, _BUMPERS, NUMBER, types[NUMBER](sample.bumpers))
     if sample.volts:
-        for place, volts in zip(("cpu", "motors"), sample.volts, strict=True):
-            yield Message(time_ns, f"/{_ROBOT}/battery/{place}", BATTERY, battery(types, header(""), volts, place))
+        for topic, volts in zip(_BATTERIES, sample.volts, strict=True):
+            place = topic.rpartition("/")[2]
+            yield Message(time_ns, topic, BATTERY, battery(types, header(""), volts, place))
     # 4. Sonars as a scan: it has room for readings at equal angles only.
     if sample.ranges_m:
-        step = directions[1] - directions[0] if len(directions) > 1 else 0.0
-        scan = types[SCAN](header(f"{_ROBOT}/turret"), directions[0], directions[-1], step, 0.0, 0.0, _MIN_RANGE_M,
-                           _MAX_RANGE_M, np.array(sample.ranges_m, np.float32), np.array([], np.float32))
+        step = math.remainder(directions[1] - directions[0], math.tau) if len(directions) > 1 else 0.0
+        angle_max = directions[0] + step * (len(directions) - 1)
+        # Readings of other sensors reach farther: beyond the maximum of a scan a reading is no echo.
+        max_m = max((_MAX_RANGE_M, *(one for one in sample.ranges_m if one < math.inf)))
+        scan = types[SCAN](header(f"{_ROBOT}/turret"), directions[0], angle_max, step, 0.0, 0.0, _MIN_RANGE_M,
+                           max_m, np.array(sample.ranges_m, np.float32), np.array([], np.float32))
         yield Message(time_ns, f"/{_ROBOT}/sonar", SCAN, scan)
 
 
@@ -163,11 +185,11 @@ def battery(types: Any, header: Any, volts: float, place: str) -> Any:
 # -- reading ----------------------------------------------------------------------------------------------------------
 
 
-def read(path: Path, fields: Sequence[str]) -> Drive:
-    """Read a drive from MCAP or a bag; `fields` as of `convert.read_drive`."""
+def read(path: Path, name: str, fields: Sequence[str]) -> Drive:
+    """Read a drive from MCAP or a bag, as `name` says; `fields` as of `convert.read_drive`."""
     builder = _Builder([_Field.parse(text) for text in fields])
     try:
-        for topic, kind, time_ns, message in _read_messages(path, builder):
+        for topic, kind, time_ns, message in _read_messages(path, name, builder):
             builder.add(topic, kind, time_ns, message)
     except RecordingError:
         raise
@@ -178,10 +200,13 @@ def read(path: Path, fields: Sequence[str]) -> Drive:
     return builder.drive()
 
 
-def _read_messages(path: Path, builder: "_Builder") -> Iterator[tuple[str, str, int, Any]]:
+def _read_messages(path: Path, name: str, builder: "_Builder") -> Iterator[tuple[str, str, int, Any]]:
     """Yield topic, type, time in ns and content of the messages that the builder wants."""
-    if path.suffix != ".mcap" or path.is_dir():
+    if name == "ROS 1 bag" and path.suffix != ".bag":
+        raise RecordingError(f"{path}: is a ROS 1 bag; give it a name that ends in .bag")
+    if name != "MCAP":
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+            builder.choose((connection.topic, connection.msgtype) for connection in reader.connections)
             for connection, time_ns, data in reader.messages():
                 if builder.wants(connection.topic, connection.msgtype):
                     content = reader.deserialize(data, connection.msgtype)
@@ -189,7 +214,12 @@ def _read_messages(path: Path, builder: "_Builder") -> Iterator[tuple[str, str, 
         return
     store = get_typestore(Stores.ROS2_HUMBLE)
     with path.open("rb") as file:
-        for schema, channel, message in make_reader(file).iter_messages():
+        mcap = SeekingReader(file, record_size_limit=MAX_RECORD_BYTES)
+        # A file that was not closed has no summary: the first topics are chosen as they come.
+        if summary := mcap.get_summary():
+            builder.choose((channel.topic, summary.schemas[channel.schema_id].name)
+                           for channel in summary.channels.values() if channel.schema_id in summary.schemas)
+        for schema, channel, message in mcap.iter_messages():
             if schema is None or not builder.wants(channel.topic, schema.name):
                 continue
             if channel.message_encoding != "cdr":
@@ -235,29 +265,47 @@ class _Builder:
 
     def __init__(self, fields: Sequence[_Field]) -> None:
         self._fields = fields
+        self._poses = self._scans = ""
+        self._frames_seen = self._has_turret = False
         self._values: dict[str, float] = {}
         self._pose: Sample | None = None
         self._volts: dict[str, float] = {}
         self._found: list[tuple[int, Sample, bool]] = []
-        self._directions: tuple[float, ...] = RING
+        self._directions: tuple[float, ...] = ()
         self._ignored: dict[str, str] = {}
-        self._early = 0
+        self._early = self._odd = 0
         self.lines: list[str] = []
 
+    def choose(self, topics: Iterable[tuple[str, str]]) -> None:
+        """Choose the topic of the poses and that of the scans: of this project, else odometry before others, by name.
+
+        Two robots, or two lasers, would be mixed into one drive.
+        """
+        found = sorted(topics, key=lambda one: (not one[0].startswith(f"/{_ROBOT}/"), one[1] != ODOMETRY, one[0]))
+        self._poses = next((topic for topic, kind in found if kind in (ODOMETRY, POSE)), "")
+        self._scans = next((topic for topic, kind in found if kind == SCAN), "")
+
     def wants(self, topic: str, kind: str) -> bool:
-        if any(field.topic == topic for field in self._fields):
-            return True
-        own = topic == TRAFFIC or topic == f"/{_ROBOT}/bumpers" or kind in (BATTERY, TRANSFORMS)
-        if own or (not self._fields and kind in (ODOMETRY, POSE, SCAN, RANGE)):
-            return True
-        self._ignored[topic] = kind
-        return False
+        """Return True if messages of the topic are read; the others are named as left out."""
+        if self._fields:
+            is_read = any(field.topic == topic for field in self._fields)
+        elif kind in (ODOMETRY, POSE):
+            self._poses = self._poses or topic
+            is_read = topic == self._poses
+        elif kind == SCAN:
+            self._scans = self._scans or topic
+            is_read = topic == self._scans
+        else:
+            is_read = _OWN.get(topic) == kind
+        if not is_read:
+            self._ignored[topic] = kind
+        return is_read
 
     def add(self, topic: str, kind: str, time_ns: int, message: Any) -> None:
-        if topic == TRAFFIC:
-            self.lines.append(message.data)
-        elif self._fields:
+        if self._fields:
             self._add_fields(topic, time_ns, message)
+        elif topic == TRAFFIC:
+            self.lines.append(message.data)
         elif kind == ODOMETRY:
             twist = message.twist.twist
             pose = _pose(message.pose.pose)._replace(speed_m_s=twist.linear.x, turn_rad_s=twist.angular.z)
@@ -265,25 +313,37 @@ class _Builder:
         elif kind == POSE:
             self._set_pose(time_ns, _pose(message.pose))
         elif kind == TRANSFORMS:
+            self._frames_seen = True
             for transform in message.transforms:
                 if transform.child_frame_id == f"{_ROBOT}/turret" and self._pose:
+                    self._has_turret = True
                     angle = _angle(transform.transform.rotation)
                     self._pose = self._pose._replace(turret_rad=self._pose.heading_rad + angle)
                     self._replace_last()
-        elif topic == f"/{_ROBOT}/bumpers" and self._pose:
+        elif topic == _BUMPERS and self._pose:
             self._pose = self._pose._replace(bumpers=message.data)
             self._replace_last()
         elif kind == BATTERY and self._pose:
-            self._volts[message.location] = message.voltage
-            if len(self._volts) == 2:
-                self._pose = self._pose._replace(volts=(self._volts["cpu"], self._volts["motors"]))
+            self._volts[topic] = message.voltage
+            if len(self._volts) == len(_BATTERIES):
+                cpu, motors = (self._volts[one] for one in _BATTERIES)
+                self._pose = self._pose._replace(volts=(cpu, motors))
         elif kind == SCAN:
-            count, step = len(message.ranges), message.angle_increment
-            self._directions = tuple(message.angle_min + k * step for k in range(count))
-            # A scan has angles in single precision: those of a Nomad's ring are known exactly.
-            if count == len(RING) and not message.angle_min and math.isclose(step, RING[1], rel_tol=1e-5):
-                self._directions = RING
-            self._add_ranges(time_ns, tuple(_range(value, message.range_max) for value in message.ranges))
+            self._add_scan(time_ns, message)
+
+    def _add_scan(self, time_ns: int, message: Any) -> None:
+        count, step = len(message.ranges), message.angle_increment
+        directions = tuple(message.angle_min + k * step for k in range(count))
+        # A scan has angles in single precision: those of a Nomad's ring are known exactly.
+        if count == len(RING) and not message.angle_min and math.isclose(step, RING[1], rel_tol=1e-5):
+            directions = RING
+        # The first scan decides the directions of the drive.
+        self._directions = self._directions or directions
+        ends = zip(directions[:1] + directions[-1:], self._directions[:1] + self._directions[-1:], strict=False)
+        if count != len(self._directions) or not all(math.isclose(*both, abs_tol=1e-3) for both in ends):
+            self._odd += 1
+            return
+        self._add_ranges(time_ns, tuple(_range(value, message.range_max) for value in message.ranges))
 
     def _set_pose(self, time_ns: int, pose: Sample) -> None:
         before = self._pose
@@ -308,6 +368,10 @@ class _Builder:
         for field in new:
             self._values[field.column] = field.value(message)
         values = self._values
+        # Until every column has had a message there is no pose to begin with.
+        if len(values) < len({field.column for field in self._fields}):
+            self._early += any(_is_sonar(field.column) for field in new)
+            return
         heading = values.get("heading_rad", 0.0)
         if "qw" in values:
             heading = _angle_of(*(values.get(name, 0.0) for name in ("qx", "qy", "qz", "qw")))
@@ -316,7 +380,7 @@ class _Builder:
         wanted = {field.column for field in self._fields if _is_sonar(field.column)}
         # A sample is complete with the message that has the sonars, or any where there are none.
         if any(_is_sonar(field.column) for field in new) or not wanted:
-            self._directions = tuple(math.tau * k / len(sonars) for k in range(len(sonars))) or RING
+            self._directions = tuple(math.tau * k / len(sonars) for k in range(len(sonars)))
             self._add_ranges(time_ns, tuple(values[name] for name in sonars))
 
     def drive(self) -> Drive:
@@ -324,8 +388,12 @@ class _Builder:
         found = [(time_ns, sample) for time_ns, sample, is_scan in self._found if is_scan or not with_ranges]
         start_ns = found[0][0] if found and found[0][0] > 10**18 else 0
         samples = [sample._replace(time_s=(time_ns - start_ns) / 1e9) for time_ns, sample in found]
-        drive = Drive(samples, self._directions, start_ns / 1e9)
+        drive = Drive(samples, self._directions or RING, start_ns / 1e9)
+        if self._frames_seen and not self._has_turret:
+            self._ignored[_FRAMES] = TRANSFORMS
         drive.omitted += [f"{topic} ({kind})" for topic, kind in self._ignored.items()]
+        if self._odd:
+            drive.omitted.append(f"{self._odd} scans with other directions than the first")
         if self._early:
             drive.omitted.append(f"{self._early} scans before the first pose")
         return drive
@@ -345,5 +413,5 @@ def _angle_of(x: float, y: float, z: float, w: float) -> float:
 
 
 def _range(value: float, max_m: float) -> float:
-    """Return a reading in metres, inf for none (REP-117: +inf; older drivers: the maximum, or nothing valid)."""
+    """Return a reading in metres, inf for none (REP-117: +inf; older drivers: NaN, or beyond the maximum)."""
     return float(value) if 0 <= value <= max_m else math.inf

@@ -31,6 +31,8 @@ WRITE_TIMEOUT_S: Final = 5.0
 _CHUNK: Final = 65536
 _READ_SLICE_S: Final = 0.2
 """Longest read of the portable stream: `close` waits for it where a system cannot cancel it."""
+_MAX_UNREAD: Final = 1 << 16
+"""Unread bytes of the portable stream; further ones are dropped, as a terminal of the system does from 4096 on."""
 _BUSY: Final = frozenset({errno.EAGAIN, errno.EBUSY, errno.EACCES})
 _PROCESSES: Final = Path("/proc")
 if sys.platform == "win32":
@@ -78,14 +80,14 @@ class SerialStream:
         """Send all bytes. Raises ConnectionLost."""
         with self._writing:
             if self._closed:
-                raise self._closed_here()
+                raise _closed_here(self.name)
             try:
                 # The port nearly always takes everything at once; pyserial waits for the rest.
                 sent = self._write_available(data)
                 if sent < len(data):
                     self._port.write(data[sent:])
             except OSError as error:
-                raise self._lost(error) from error
+                raise _lost(self.name, error) from error
 
     def receive(self, deadline: Deadline) -> bytes:
         """Return at least one byte. Raises ReplyTimeout at the deadline, ConnectionLost if the port has gone."""
@@ -97,7 +99,7 @@ class SerialStream:
                     return self._read()
                 if not ready and wait_s <= 0:
                     raise ReplyTimeout(f"{self.name} was silent")
-            raise self._closed_here()
+            raise _closed_here(self.name)
 
     def close(self) -> None:
         """Close the port; a `receive` in another thread ends with ConnectionLost. May be called twice."""
@@ -117,9 +119,9 @@ class SerialStream:
         try:
             data = os.read(self._file, _CHUNK)
         except OSError as error:
-            raise self._lost(error) from error
+            raise _lost(self.name, error) from error
         if not data:
-            raise self._lost("it has ended")
+            raise _lost(self.name, "it has ended")
         return data
 
     def _write_available(self, data: bytes) -> int:
@@ -127,12 +129,6 @@ class SerialStream:
             return os.write(self._file, data)
         except BlockingIOError:
             return 0
-
-    def _lost(self, reason: OSError | str) -> ConnectionLost:
-        return ConnectionLost(f"{self.name} is gone ({reason}); is the cable in, and the robot's line still there?")
-
-    def _closed_here(self) -> ConnectionLost:
-        return ConnectionLost(f"{self.name}: this end has closed the port")
 
 
 class PortableSerialStream:
@@ -153,18 +149,19 @@ class PortableSerialStream:
 
     def __init__(self, port: str, baud: int = DEFAULT_BAUD) -> None:
         self.name = port
-        # pyserial has neither lock nor write timeout for ports of other machines.
-        local: dict[str, Any] = {} if "://" in port else {"exclusive": True, "write_timeout": WRITE_TIMEOUT_S}
+        # pyserial has no lock for ports of other machines; rfc2217 has the write timeout of its socket, 5 s.
+        more: dict[str, Any] = {} if port.startswith("rfc2217:") else {"write_timeout": WRITE_TIMEOUT_S}
+        more |= {} if "://" in port else {"exclusive": True}
         try:
             with warnings.catch_warnings():
                 # pyserial's rfc2217 calls Thread.setDaemon.
                 warnings.simplefilter("ignore", DeprecationWarning)
-                self._port = serial.serial_for_url(_pyserial_url(port), baud, timeout=_READ_SLICE_S, **local)
+                self._port = serial.serial_for_url(_pyserial_url(port), baud, timeout=_READ_SLICE_S, **more)
         except _OPEN_ERRORS as error:
             raise ConnectionLost(_remedy(port, baud, error)) from error
         self._writing, self._arrived = threading.Lock(), threading.Condition()
         self._received = bytearray()
-        self._failure: OSError | None = None
+        self._failure: Exception | None = None
         self._closed = False
         self._reader = threading.Thread(target=self._read_all, name=f"serial {port}", daemon=True)
         self._reader.start()
@@ -173,24 +170,24 @@ class PortableSerialStream:
         """Send all bytes. Raises ConnectionLost."""
         with self._writing:
             if self._closed:
-                raise self._closed_here()
+                raise _closed_here(self.name)
             try:
                 self._port.write(data)
             except OSError as error:
-                raise self._lost(error) from error
+                raise _lost(self.name, error) from error
 
     def receive(self, deadline: Deadline) -> bytes:
         """Return at least one byte. Raises ReplyTimeout at the deadline, ConnectionLost if the port has gone."""
         with self._arrived:
             self._arrived.wait_for(self._has_news, deadline.remaining())
             if self._closed:
-                raise self._closed_here()
+                raise _closed_here(self.name)
             if self._received:
                 data = bytes(self._received)
                 self._received.clear()
                 return data
             if self._failure is not None:
-                raise self._lost(self._failure)
+                raise _lost(self.name, self._failure)
             raise ReplyTimeout(f"{self.name} was silent")
 
     def close(self) -> None:
@@ -206,7 +203,11 @@ class PortableSerialStream:
                 cancel()
         self._reader.join()
         with self._writing, contextlib.suppress(OSError):
+            # pyserial does not close a socket whose other end has gone.
+            link = getattr(self._port, "_socket", None)
             self._port.close()
+            if link is not None:
+                link.close()
 
     def _has_news(self) -> bool:
         return bool(self._received) or self._closed or self._failure is not None
@@ -219,21 +220,23 @@ class PortableSerialStream:
                 data = self._port.read(1)
                 if data and (waiting := self._port.in_waiting):
                     data += self._port.read(waiting)
-            except OSError as error:
+            except (*_OPEN_ERRORS, AttributeError, TypeError) as error:  # also those of pyserial after a loss
                 with self._arrived:
                     self._failure = error
                     self._arrived.notify_all()
                 return
             if data:
                 with self._arrived:
-                    self._received += data
+                    self._received += data[: _MAX_UNREAD - len(self._received)]
                     self._arrived.notify_all()
 
-    def _lost(self, reason: OSError) -> ConnectionLost:
-        return ConnectionLost(f"{self.name} is gone ({reason}); is the cable in, and the robot's line still there?")
 
-    def _closed_here(self) -> ConnectionLost:
-        return ConnectionLost(f"{self.name}: this end has closed the port")
+def _lost(port: str, reason: Exception | str) -> ConnectionLost:
+    return ConnectionLost(f"{port} is gone ({reason}); is the cable in, and the robot's line still there?")
+
+
+def _closed_here(port: str) -> ConnectionLost:
+    return ConnectionLost(f"{port}: this end has closed the port")
 
 
 def open_port(port: str, baud: int = DEFAULT_BAUD) -> ByteStream:
@@ -268,14 +271,14 @@ def _remedy(port: str, baud: int, error: Exception) -> str:
     if number == errno.EACCES and "lock" not in message:
         return f"no permission to open {port}; most often the group dialout may: `sudo usermod -aG dialout $USER`"
     if "lock" in message or number in _BUSY:
-        users = ", ".join(_users(port)) or "another program"
-        return f"{port} is in use by {users}; one program at a time can talk to a robot"
+        programs = ", ".join(users(port)) or "another program"
+        return f"{port} is in use by {programs}; one program at a time can talk to a robot"
     if isinstance(error, (ValueError, OverflowError)):
         return f"{port} cannot be opened at {baud} baud: {message}"
     return f"{port} cannot be opened: {message}"
 
 
-def _users(port: str) -> Iterator[str]:
+def users(port: str) -> Iterator[str]:
     """Yield name and process id of the programs that have the port open, as far as this user may see them."""
     device, own = os.path.realpath(port), str(os.getpid())
     for process in _PROCESSES.glob("[0-9]*"):

@@ -3,8 +3,10 @@
     handle(text) ──> advertise, unadvertise, publish, subscribe, unsubscribe, call_service, set_level
     offer(topic, message) ──> {"op": "publish", ...}, if subscribed and not throttled
 
-Every error is a status message of rosbridge; none closes the connection. Velocities must be repeated: the robot stops
-DRIVE_TIMEOUT_S after the last one, and when the connection closes.
+Every error is a status message of rosbridge; only a message that is too long closes the connection (server.py).
+Velocities must be repeated: the robot stops DRIVE_TIMEOUT_S after the last one, and when the connection closes. Those
+that may be older than that, because the client sends faster than its messages are handled, are refused unless they
+stop the robot.
 """
 
 import json
@@ -21,6 +23,7 @@ log = logging.getLogger(__name__)
 
 LEVELS: Final = ("none", "error", "warning", "info")
 MAX_SUBSCRIPTIONS: Final = 200
+"""Subscribe messages of a client that are in force."""
 MAX_UNSENT: Final = 200
 """Messages that wait for a slow client; older ones are dropped."""
 _ROSAPI: Final = ("/rosapi/topics", "/rosapi/topic_type", "/rosapi/services")
@@ -51,8 +54,8 @@ class Services:
     published: Mapping[str, str]
     commands: Mapping[str, str]
     is_differential: Callable[[int], bool]
-    latched: Callable[[str], dict[str, Any] | None]
-    """Returns the last message of a topic that does not change, for new subscribers; raises InvalidRequest."""
+    latched: Callable[[str], str | None]
+    """Returns the encoded message of a topic that is sent once, to new subscribers; raises InvalidRequest."""
 
 
 class RosbridgeClient:
@@ -66,12 +69,15 @@ class RosbridgeClient:
         self._may_act = may_act
         self._level = LEVELS.index("error")
 
-    def handle(self, text: str, now: float) -> None:
-        """Carry out a message of the client; errors become status messages."""
+    def handle(self, text: str, now: float, *, is_late: bool = False) -> None:
+        """Carry out a message of the client; errors become status messages.
+
+        `is_late` is True if the message may have waited for longer than DRIVE_TIMEOUT_S.
+        """
         request: Any = None
         try:
             request = _parse(text)
-            self._carry_out(request, now)
+            self._carry_out(request, now, is_late)
         except InvalidRequest as error:
             self._status("error", str(error), request)
 
@@ -82,12 +88,12 @@ class RosbridgeClient:
             # Counted from the planned time, so that the average rate is right; a longer delay is not made up for.
             interval_s, late_s = subscription.interval_s, now - subscription.due_s
             subscription.due_s = (subscription.due_s if late_s < interval_s else now) + interval_s
-            self._send({"op": "publish", "topic": topic, "msg": message})
+            self.unsent.append(encode_published(topic, message))
 
-    def _carry_out(self, request: dict[str, Any], now: float) -> None:
+    def _carry_out(self, request: dict[str, Any], now: float, is_late: bool) -> None:
         match request["op"]:
             case "subscribe":
-                self._subscribe(request, now)
+                self._subscribe(request)
             case "unsubscribe":
                 self._unsubscribe(request)
             case "advertise":
@@ -95,7 +101,7 @@ class RosbridgeClient:
             case "unadvertise":
                 self._require_topic(request)
             case "publish":
-                self._publish(request, now)
+                self._publish(request, now, is_late)
             case "call_service":
                 self._call(request)
             case "set_level" | "status_level":
@@ -108,7 +114,7 @@ class RosbridgeClient:
 
     # -- topics
 
-    def _subscribe(self, request: dict[str, Any], now: float) -> None:
+    def _subscribe(self, request: dict[str, Any]) -> None:
         # 1. The topic exists, with this type.
         topic = self._require_topic(request)
         published = self._services.published
@@ -120,33 +126,40 @@ class RosbridgeClient:
         throttle_ms = request.get("throttle_rate", 0) or 0
         if isinstance(throttle_ms, bool) or not isinstance(throttle_ms, int | float) or not 0 <= throttle_ms < 1e9:
             raise InvalidRequest(f"{topic}: throttle_rate is a number of milliseconds, 0 or more")
-        if topic not in self.subscriptions and len(self.subscriptions) >= MAX_SUBSCRIPTIONS:
-            raise InvalidRequest(f"{topic}: this connection has {MAX_SUBSCRIPTIONS} subscriptions, the most there are")
-        # 2. What never changes is sent once, now.
+        number, ids = str(request.get("id")), [one.throttles_s for one in self.subscriptions.values()]
+        is_new = topic not in self.subscriptions or number not in self.subscriptions[topic].throttles_s
+        if is_new and sum(map(len, ids)) >= MAX_SUBSCRIPTIONS:
+            raise InvalidRequest(f"{topic}: this connection has {MAX_SUBSCRIPTIONS} subscriptions, the maximum: "
+                                 "unsubscribe from some")
+        # 2. What is sent once is sent now.
         constant = self._services.latched(topic)
         subscription = self.subscriptions.setdefault(topic, Subscription())
-        subscription.throttles_s[str(request.get("id"))] = throttle_ms / 1000
+        subscription.throttles_s[number] = throttle_ms / 1000
         if constant is not None:
-            self.offer(topic, constant, now)
+            self.unsent.append(constant)
 
     def _unsubscribe(self, request: dict[str, Any]) -> None:
         topic = self._require_topic(request)
         subscription = self.subscriptions.get(topic)
         if subscription is None:
-            raise InvalidRequest(f"{topic}: is not subscribed")
+            raise InvalidRequest(f"{topic!a:.80} is not subscribed")
         # Without an id all subscriptions of the topic end.
         if request.get("id") is not None:
             subscription.throttles_s.pop(str(request["id"]), None)
         if request.get("id") is None or not subscription.throttles_s:
             del self.subscriptions[topic]
 
-    def _publish(self, request: dict[str, Any], now: float) -> None:
+    def _publish(self, request: dict[str, Any], now: float, is_late: bool) -> None:
         topic = self._require_command(request)
         robot = _robot_of(topic)
         try:
             args = topics.velocities(request.get("msg"), self._services.is_differential(robot))
         except ValueError as error:
             raise InvalidRequest(f"{topic}: {error}") from None
+        if is_late and any(args):
+            raise InvalidRequest(f"{topic}: this connection sends faster than its messages are handled "
+                                 "(--limit-page-rate), so velocities are late and not carried out: publish 10 to 50 "
+                                 "times a second")
 
         def answered(answer: dict[str, Any]) -> None:
             if not answer["ok"]:
@@ -174,6 +187,8 @@ class RosbridgeClient:
 
     def _call(self, request: dict[str, Any]) -> None:
         service = request.get("service")
+        if not isinstance(service, str):
+            raise InvalidRequest("call_service: service is missing")
         published, commands = self._services.published, self._services.commands
         match service:
             case "/rosapi/topics":
@@ -181,12 +196,14 @@ class RosbridgeClient:
                 self._respond(request, {"topics": list(every), "types": list(every.values())})
             case "/rosapi/topic_type":
                 args = request.get("args")
-                topic = args.get("topic", "") if isinstance(args, dict) else args[0] if isinstance(args, list) else ""
+                if isinstance(args, list):
+                    args = {"topic": next(iter(args), "")}
+                topic = args.get("topic") if isinstance(args, dict) else ""
                 self._respond(request, {"type": {**published, **commands}.get(str(topic), "")})
             case "/rosapi/services":
                 stops = [f"{name.removesuffix('/cmd_vel')}/stop" for name in commands]
                 self._respond(request, {"services": [*stops, *_ROSAPI]})
-            case str() if service.endswith("/stop") and f"{service.removesuffix('/stop')}/cmd_vel" in commands:
+            case _ if service.endswith("/stop") and f"{service.removesuffix('/stop')}/cmd_vel" in commands:
                 self._stop(request, _robot_of(service))
             case _:
                 self._respond(request, f"no service {service!a:.80}; /rosapi/services lists them", result=False)
@@ -214,7 +231,16 @@ class RosbridgeClient:
             self._send({"op": "status", "level": level, "msg": text} | ({} if number is None else {"id": number}))
 
     def _send(self, message: dict[str, Any]) -> None:
-        self.unsent.append(json.dumps(message, separators=(",", ":"), allow_nan=False))
+        self.unsent.append(_encode(message))
+
+
+def encode_published(topic: str, message: dict[str, Any]) -> str:
+    """Encode a message of a topic."""
+    return _encode({"op": "publish", "topic": topic, "msg": message})
+
+
+def _encode(message: dict[str, Any]) -> str:
+    return json.dumps(message, separators=(",", ":"), allow_nan=False)
 
 
 def _parse(text: str) -> dict[str, Any]:
@@ -224,6 +250,9 @@ def _parse(text: str) -> dict[str, Any]:
         request = None
     if not isinstance(request, dict) or not isinstance(request.get("op"), str):
         raise InvalidRequest("a message is a JSON object with op, the operation")
+    # It is sent back.
+    if not isinstance(request.get("id", ""), str | int | None):
+        raise InvalidRequest("id is a text")
     return request
 
 

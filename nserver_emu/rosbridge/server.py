@@ -11,36 +11,56 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
+import math
 import time
-from collections.abc import AsyncIterator, Awaitable, Callable
-from http import HTTPStatus
+from collections.abc import AsyncIterator
 from typing import Any, Final
 
+import numpy as np
 from aiohttp import WSCloseCode, WSMsgType, web
 
-from nclient.common.allowlist import LOOPBACK_NAME, NOT_ALLOWED
+from nclient.common.allowlist import LOOPBACK_NAME, is_loopback
+from nclient.common.hints import install_command
 from nclient.errors import ConnectionLost
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import M_PER_IN, MOTOR_RANGE_V, volts
 from nserver_emu.rosbridge import topics
-from nserver_emu.rosbridge.client import InvalidRequest, RosbridgeClient, Services
+from nserver_emu.rosbridge.client import InvalidRequest, RosbridgeClient, Services, encode_published
 from nserver_emu.rosbridge.topics import Reading
 from nserver_emu.server.admission import listen
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.server_state import state_slots
 from nserver_emu.simulation.robot import battery_v
 from nserver_emu.viewer import auth
-from nserver_emu.viewer.controller import Answer, ViewerClients
+from nserver_emu.viewer.controller import STALE_S, Answer, ViewerClients
 from nserver_emu.viewer.error_boundary import ErrorBoundary
-from nserver_emu.viewer.messages import MAX_TEXT, InvalidMessage, parse_estimate
-from nserver_emu.viewer.server import CLOSING_S, HEARTBEAT_S, PageMessages, PageWriter, next_due, wait_for_rate
+from nserver_emu.viewer.messages import DRIVE_TIMEOUT_S, MAX_TEXT, InvalidMessage, parse_estimate
+from nserver_emu.viewer.server import (
+    CLOSING_S,
+    HEARTBEAT_S,
+    Handler,
+    PageMessages,
+    PageWriter,
+    admit,
+    bind_remedy,
+    clear_tracebacks,
+    next_due,
+    transport_of,
+)
 from worlds.cells import cells_of_world
+from worlds.world import World
+
+log = logging.getLogger(__name__)
 
 PERIOD_S: Final = 0.05
 """Interval at which robots are read: twenty times a second, as for the page."""
 MAP_CELL_IN: Final = 2.0
 """Cells of /map: 5 cm."""
-Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
+MAX_MAP_CELLS: Final = 1_000_000
+"""50 x 50 m of such cells; larger worlds get larger cells, since all robots wait while the map is made."""
+MAX_MESSAGE: Final = 131_072
+"""Bytes of a message from a client; they are short. A longer one closes the connection."""
 
 
 class RosbridgeServer:
@@ -55,7 +75,10 @@ class RosbridgeServer:
         self._clients: dict[RosbridgeClient, PageWriter] = {}
         self._sockets: set[web.WebSocketResponse] = set()
         self._clients_made = 0
-        self._estimates: dict[int, dict[str, Any]] = {}
+        # The last estimate of each robot, and when it came.
+        self._estimates: dict[int, tuple[float, dict[str, Any]]] = {}
+        # The world of /map, and the message about it.
+        self._map: tuple[World, str] | None = None
         # A real robot is asked for its state on connections of the server's own.
         self._readers = ViewerClients(daemon, "rosbridge", self._error_boundary, answer_with_reply)
         self._asked: set[int] = set()
@@ -85,8 +108,9 @@ class RosbridgeServer:
             self._server = await listen(self._admission.protocol_factory, host, port)
         except OSError as error:
             await self._runner.cleanup()
+            remedy = bind_remedy(error, "--rosbridge")
             raise ConnectionLost(f"cannot serve rosbridge on {host}:{port}: {error.strerror or error}; "
-                                 "--rosbridge 0 takes a free port") from error
+                                 f"{remedy}") from error
         auth.HTTP_LOG.addFilter(self._admission.keep_record)
         self._clock = asyncio.create_task(self._run_clock())
         return int(self._server.sockets[0].getsockname()[1])
@@ -115,14 +139,7 @@ class RosbridgeServer:
 
     @web.middleware
     async def _admit(self, request: web.Request, handler: Handler) -> web.StreamResponse:
-        if self._admission is not None:
-            self._admission.request_received(request)
-            await wait_for_rate(self._admission.rate_limit(request.remote or "", _now()))
-        own = request.transport and request.transport.get_extra_info("sockname")
-        if not self._door.access.allows(request.remote or "", str(own[0]) if own else ""):
-            self._door.reject(request.remote or "", NOT_ALLOWED)
-            return web.Response(status=HTTPStatus.FORBIDDEN, text="this address is not allowed\n")
-        return await handler(request)
+        return await admit(request, handler, self._door, self._admission)
 
     def _may_act(self, request: web.Request) -> bool:
         """Return True if the token allows everything, False if only watching; else raise HTTPForbidden."""
@@ -143,8 +160,11 @@ class RosbridgeServer:
         robot = estimate["robot"]
         if robot not in self._daemon.emulator.simulation.robots:
             raise web.HTTPBadRequest(text=f"there is no robot {robot}\n")
-        self._estimates[robot] = estimate
-        self._offer(f"/robot{robot}/pose", topics.estimate_message(estimate, time.time()))
+        # The pose of a robot that is lost is undefined: it has neither a pose nor a frame map.
+        self._estimates.pop(robot, None)
+        if estimate["trust"] != "LOST":
+            self._estimates[robot] = _now(), estimate
+            self._offer(f"/robot{robot}/pose", topics.estimate_message(estimate, time.time()))
         return web.json_response({"waypoints": None, "set": 0})
 
     async def _socket(self, request: web.Request) -> web.StreamResponse:
@@ -156,13 +176,12 @@ class RosbridgeServer:
         if len(self._sockets) >= self._door.limits.viewers:
             self._door.reject(request.remote or "", "too many rosbridge clients (--limit-viewers)")
             raise web.HTTPServiceUnavailable(text="too many clients: close one (--limit-viewers)\n")
-        socket = web.WebSocketResponse(compress=False, heartbeat=HEARTBEAT_S, timeout=CLOSING_S, max_msg_size=MAX_TEXT)
+        socket = web.WebSocketResponse(compress=False, heartbeat=HEARTBEAT_S, timeout=CLOSING_S,
+                                       max_msg_size=MAX_MESSAGE)  # fmt: skip
         self._sockets.add(socket)
         try:
             await socket.prepare(request)
-            if request.transport is None:
-                raise ConnectionResetError("closed before the request was answered")
-            writer = PageWriter(socket, request.transport, _now())
+            writer = PageWriter(socket, transport_of(request), _now())
         except BaseException:
             self._sockets.discard(socket)
             raise
@@ -171,25 +190,32 @@ class RosbridgeServer:
         robots = ViewerClients(self._daemon, f"rosbridge {self._clients_made}", self._error_boundary)
         client = RosbridgeClient(robots, self._services(), may_act=may_act)
         self._clients[client] = writer
-        messages = PageMessages(self._daemon.scheduler, lambda text: self._handle(client, text),
-                                self._door.limits.page_rate)  # fmt: skip
+        backlog = Backlog()
+        messages = PageMessages(
+            self._daemon.scheduler,
+            lambda text: self._handle(client, text, is_late=backlog.max_age_s() > DRIVE_TIMEOUT_S),
+            self._door.limits.page_rate,
+        )
         try:
             async for message in socket:
+                backlog.message_received()
                 if message.type == WSMsgType.TEXT:
                     await messages.handle(message.data)
                     await self._send(client)
                 await asyncio.sleep(0)
+                backlog.expect_message()
         finally:
             self._sockets.discard(socket)
             del self._clients[client]
             robots.close()
             if socket.close_code == WSCloseCode.ABNORMAL_CLOSURE:
                 writer.abort()
+            clear_tracebacks(socket.exception())
         return socket
 
-    def _handle(self, client: RosbridgeClient, text: str) -> None:
+    def _handle(self, client: RosbridgeClient, text: str, *, is_late: bool) -> None:
         with self._error_boundary.guard("a message", client.robots.name):
-            client.handle(text, _now())
+            client.handle(text, _now(), is_late=is_late)
 
     def _services(self) -> Services:
         simulated = self._daemon.emulator.simulation.robots
@@ -198,17 +224,20 @@ class RosbridgeServer:
             lambda robot: simulated[robot].model.track_in is not None, self._latched,
         )  # fmt: skip
 
-    def _latched(self, topic: str) -> dict[str, Any] | None:
+    def _latched(self, topic: str) -> str | None:
         """Return the map, the only topic that is sent once. Raises InvalidRequest if there is none."""
         if topic != topics.MAP:
             return None
         if not self._has_map:
             raise InvalidRequest("/map: the map of this robot is not known; name it with --map")
-        try:
-            grid = cells_of_world(self._daemon.emulator.simulation.world, MAP_CELL_IN)
-        except (ImportError, ValueError) as error:
-            raise InvalidRequest(f"/map: {error}; the extra maps has what it needs") from None
-        return topics.grid_message(grid, time.time())
+        world = self._daemon.emulator.simulation.world
+        if self._map is None or self._map[0] is not world:
+            try:
+                grid = cells_of_world(world, map_cell_in(world))
+            except ImportError as error:
+                raise InvalidRequest(f"/map: {error}; install it: {install_command('maps')}") from None
+            self._map = world, encode_published(topic, topics.grid_message(grid, time.time()))
+        return self._map[1]
 
     # -- publishing
 
@@ -222,14 +251,18 @@ class RosbridgeServer:
                     await self._tick()
 
     async def _tick(self) -> None:
-        """Stop robots whose driver is silent, read those that are watched, send what is due."""
+        """Stop robots whose driver is silent, read those that are watched, send what is due.
+
+        An error of one robot or client does not affect others.
+        """
         now = _now()
         for client in self._clients:
             client.robots.tick(now)
         wanted = {topic for client in self._clients for topic in client.subscriptions}
         for robot in self._daemon.emulator.simulation.robots:
             if topics.TF in wanted or any(topic.startswith(f"/robot{robot}/") for topic in wanted):
-                self._read(robot)
+                with self._error_boundary.guard("reading a robot"):
+                    self._read(robot)
         for client in tuple(self._clients):
             await self._send(client)
 
@@ -257,9 +290,10 @@ class RosbridgeServer:
         reading = Reading(robot, slots, body.track_in is not None, time.time(), volts_v)
         for topic, message in topics.messages_of(reading):
             self._offer(topic, message)
-        estimate = self._estimates.get(robot)
+        come_s, estimate = self._estimates.get(robot, (-math.inf, None))
         ring_m = body.body.sonar_ring_radius_in * M_PER_IN
-        localized = None if estimate is None else topics.map_to_odom(estimate)
+        is_localized = estimate is not None and _now() - come_s < STALE_S
+        localized = topics.map_to_odom(estimate) if estimate is not None and is_localized else None
         self._offer(topics.TF, {"transforms": topics.transforms(reading, ring_m, localized)})
 
     def _offer(self, topic: str, message: dict[str, Any]) -> None:
@@ -272,10 +306,51 @@ class RosbridgeServer:
         if writer is None:
             return
         if writer.is_ready(now):
-            while client.unsent:
-                await writer.send(client.unsent.popleft())
+            # One after another: what is sent once, such as a map, is large.
+            with self._error_boundary.guard("messages", client.robots.name):
+                while client.unsent and writer.is_ready(now):
+                    await writer.send(client.unsent.popleft())
         elif writer.is_stalled(now):
             writer.abort()
+
+
+class Backlog:
+    """Bound of the age of a client's messages.
+
+    A program that sends faster than its messages are handled leaves a queue, which is handled even after the program
+    has vanished. A message is no older than the time since the queue was last empty.
+    """
+
+    def __init__(self) -> None:
+        self._empty_at_s = _now()
+        self._has_turned = True
+
+    def expect_message(self) -> None:
+        """Call before waiting for the next message."""
+        # The event loop turns only if there is none.
+        self._has_turned = False
+        asyncio.get_running_loop().call_soon(self._turned)
+
+    def message_received(self) -> None:
+        """Call with the next message."""
+        if self._has_turned:
+            self._empty_at_s = _now()
+
+    def max_age_s(self) -> float:
+        """Return the largest possible age of the message that is handled."""
+        return _now() - self._empty_at_s
+
+    def _turned(self) -> None:
+        self._has_turned = True
+
+
+def map_cell_in(world: World) -> float:
+    """Return the size of the cells of /map: MAP_CELL_IN, twice that for a large world, and so on."""
+    wide, high = np.ptp(world.walls.reshape(-1, 2), axis=0).tolist()
+    size = MAP_CELL_IN
+    while wide * high > MAX_MAP_CELLS * size**2:
+        size *= 2.0
+    return size
 
 
 def answer_with_reply(name: str, reply: Reply) -> Answer:
@@ -295,6 +370,9 @@ async def serve_rosbridge(
     """Serve rosbridge clients; yield the line to print."""
     server = RosbridgeServer(daemon, tokens, has_map=has_map)
     port = await server.open(host, port)
+    if not is_loopback(host):
+        log.warning("rosbridge is open to the network, unencrypted: all who read its address can drive the robots; "
+                    "ssh -L %d:127.0.0.1:%d forwards a port on loopback to another machine", port, port)
     place = auth.address(host, port).replace("http", "ws", 1)
     try:
         yield [f"listening rosbridge {place}/?token={server.tokens.act}"]

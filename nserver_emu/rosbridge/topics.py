@@ -18,6 +18,8 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
+import numpy as np
+
 from nclient.protocol.types import M_PER_IN, MAX_SONAR_IN, MIN_SONAR_IN, SCOUT_WHEEL_IN_PER_DEG, SONAR_SLOTS
 from worlds.cells import Cell, OccupancyGrid
 
@@ -157,9 +159,10 @@ def map_to_odom(estimate: Mapping[str, Any]) -> tuple[float, float, float]:
 
 def grid_message(grid: OccupancyGrid, stamp_s: float) -> Message:
     """Return a world as OccupancyGrid: 100 occupied, 0 free, -1 unknown, rows along y."""
-    values = {Cell.OCCUPIED: 100, Cell.FREE: 0}
+    values = np.full(len(Cell), -1)
+    values[Cell.OCCUPIED], values[Cell.FREE] = 100, 0
     width, height = grid.cells.shape
-    data = [values.get(Cell(value), -1) for value in grid.cells.T.reshape(-1).tolist()]
+    data = values[grid.cells.T.reshape(-1)].tolist()
     x, y = grid.origin_in
     info = {"map_load_time": stamp(stamp_s), "resolution": grid.size_in * M_PER_IN, "width": width, "height": height,
             "origin": pose(x * M_PER_IN, y * M_PER_IN, grid.turn_rad)}  # fmt: skip
@@ -176,22 +179,31 @@ def velocities(twist: Any, is_differential: bool) -> list[int]:
     ValueError
         If linear.x or angular.z is no finite number; parts that are left out are 0.
     """
-    speed, turn = _component(twist, "linear", "x"), _component(twist, "angular", "z")
-    speed_tenths, turn_tenths = speed / _TENTH_M, turn / _TENTH_RAD
+    speed_tenths = _limited(_component(twist, "linear", "x") / _TENTH_M)
+    turn_tenths = _limited(_component(twist, "angular", "z") / _TENTH_RAD)
     if is_differential:
         difference = turn_tenths * SCOUT_WHEEL_IN_PER_DEG
         numbers = (speed_tenths + difference, speed_tenths - difference, 0.0)
     else:
         numbers = (speed_tenths, turn_tenths, turn_tenths)
-    return [max(-_MAX_TENTHS, min(_MAX_TENTHS, round(number))) for number in numbers]
+    return [round(_limited(number)) for number in numbers]
+
+
+def _limited(tenths: float) -> float:
+    return max(-_MAX_TENTHS, min(_MAX_TENTHS, tenths))
 
 
 def _component(twist: Any, part: str, axis: str) -> float:
     vector = twist.get(part, {}) if isinstance(twist, dict) else None
     value = vector.get(axis, 0.0) if isinstance(vector, dict) else None
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+    try:
+        # A whole number of JSON may have any number of digits.
+        number = math.nan if isinstance(value, bool) or not isinstance(value, int | float) else float(value)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
         raise ValueError(f"a Twist has numbers linear.x and angular.z; {part}.{axis} is {value!r:.40}")
-    return float(value)
+    return number
 
 
 def stamp(time_s: float) -> Message:

@@ -75,13 +75,14 @@ class Limits:
         65_536, (1024, 16_777_216), "bytes", "replies queued for a slow reader",
         "its requests are not processed until it has read most of the replies", "server/connection.py")
     viewers: int = _limit(
-        50, (1, 1000), "pages", "open viewer pages",
+        50, (1, 1000), "pages", "open viewer pages, and as many rosbridge clients",
         "the page's websocket is refused with HTTP 503 and retried by the page. The port accepts "
         f"{CONNECTIONS_PER_PAGE} times as many connections; idle ones are closed as by --limit-stall",
         "viewer/server.py")
     page_rate: int = _limit(
-        200, (10, 1_000_000), "messages per second", "messages of one page, and HTTP requests of one address to the "
-        "viewer's port", "they are handled later; nothing is lost or refused", "viewer/server.py", none=True)
+        200, (10, 1_000_000), "messages per second", "messages of one page or rosbridge client, and HTTP requests of "
+        "one address to their port", "they are handled later; only a rosbridge client's velocities are refused if they "
+        "are late by 0.5 s", "viewer/server.py", none=True)
     obstacles: int = _limit(
         1000, (1, 100_000), "polygons", "obstacles in the world",
         "ERROR 5 to add_obstacle", "server/handlers/world.py")

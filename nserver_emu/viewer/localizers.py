@@ -5,8 +5,8 @@
 
 The process is an ordinary client: it connects to the robot at the daemon's port and publishes to the page like a
 localizer started in a terminal. It ends when a page stops it, when it is replaced, or with the daemon. The map is the
-world at the time of the start. The page's address contains its token, so the process gets it in its environment, which
-only its owner can read, and not on its command line.
+world at the time of the start; pages are informed when the world is another one. The page's address contains its token,
+so the process gets it in its environment, which only its owner can read, and not on its command line.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import os
 import sys
 import tempfile
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Coroutine, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -27,9 +27,9 @@ from typing import Any, Final
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.simulation.acoustics import Polaroid
 from nserver_emu.viewer.auth import to_loopback
-from nserver_emu.viewer.messages import LocalizationMethod
+from nserver_emu.viewer.messages import InvalidMessage, LocalizationMethod
 from worlds.io import format_world
-from worlds.world import StartPose
+from worlds.world import StartPose, World
 
 log = logging.getLogger(__name__)
 
@@ -43,6 +43,8 @@ WORN_SCALE_STD: Final = "0.05,0.05,0.003"
 """--scale-std for a robot with wheel errors: distance scale, turn scale, drift in rad/in."""
 END_S: Final = 2.0
 """Time to end after SIGTERM, then SIGKILL."""
+MAX_LOCALIZERS: Final = 50
+"""Processes at once: as many as pages by default. Each has some 100 MB."""
 MAX_KNOWN_POSES: Final = 100
 MAX_LINES: Final = 20
 MAX_LINE_BYTES: Final = 2**20
@@ -50,24 +52,29 @@ MAX_WORDS: Final = 500
 """Characters of a process's words on the page."""
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class LocalizerState:
     """State of a robot's localizer, as sent to the pages.
 
     Attributes
     ----------
     method : name of the filter.
+    world : the world when it was started, which is its map.
     state : "starting" until the first estimate, then "running"; "ended" or "failed" after the process.
     words : what it waits for, why it ended, or the error with its remedy.
+    has_old_map : True if the world has changed since.
     """
 
     method: str
+    world: World
     state: str = "starting"
     words: str = ""
+    has_old_map: bool = False
 
-    def as_dict(self) -> dict[str, str]:
+    def as_dict(self) -> dict[str, Any]:
         """Return the state as plain data."""
-        return {"method": self.method, "state": self.state, "words": self.words[:MAX_WORDS]}
+        return {"method": self.method, "state": self.state, "words": self.words[:MAX_WORDS],
+                "has_old_map": self.has_old_map}  # fmt: skip
 
 
 class Localizers:
@@ -84,7 +91,9 @@ class Localizers:
         self._daemon = daemon
         self._on_change = on_change
         self._program = tuple(program)
-        self._tasks: dict[int, asyncio.Task[None]] = {}
+        # Tasks of each robot that have not ended; all but the last were cancelled.
+        self._tasks: dict[int, list[asyncio.Task[None]]] = {}
+        self._is_closed = False
         self._folder: tempfile.TemporaryDirectory[str] | None = None
         self.states: dict[int, LocalizerState] = {}
         # Poses at which the encoders were right: where robots were switched on, and where pages have placed them. A
@@ -95,7 +104,7 @@ class Localizers:
         self.page_url = ""
         self.model_file: Path | None = None
 
-    def as_dict(self) -> dict[str, dict[str, str]]:
+    def as_dict(self) -> dict[str, dict[str, Any]]:
         """Return the states of all localizers by robot."""
         return {str(robot): state.as_dict() for robot, state in self.states.items()}
 
@@ -108,20 +117,54 @@ class Localizers:
         method : name of the filter.
         is_lost : True if the pose is not known and is to be found; False if it is that of the encoders.
         resumes : True to begin with the last estimate of the localizer before, where that has saved one.
+
+        Raises
+        ------
+        InvalidMessage
+            If it cannot be started; the one that runs goes on.
         """
-        previous = self._tasks.pop(robot, None)
-        state = self.states[robot] = LocalizerState(method)
-        command, saved = self._command(robot, method, is_lost), self._file(robot, "estimate.json")
-        task = self._tasks[robot] = asyncio.create_task(self._run(state, command, saved, previous, resumes=resumes))
-        # Also a task that was cancelled before its first step.
-        task.add_done_callback(lambda task: self._change(state, "ended", "stopped") if task.cancelled() else None)
+        # 1. All that can fail.
+        if self._is_closed:
+            raise InvalidMessage("this nserver ends: start it again")
+        if not self._tasks.get(robot) and sum(map(bool, self._tasks.values())) >= MAX_LOCALIZERS:
+            raise InvalidMessage(f"there are {MAX_LOCALIZERS} localizers already: stop one, or run `nomad localize`")
+        try:
+            command, saved = self._command(robot, method, is_lost), self._file(robot, "estimate.json")
+        except OSError as error:
+            raise InvalidMessage(f"the map of the localizer cannot be written: {error}; free space in "
+                                 f"{tempfile.gettempdir()}, or set TMPDIR to another folder") from error
+        # 2. The end of the one that runs, and a task for the new one.
+        self.stop(robot)
+        state = self.states[robot] = LocalizerState(method, self._daemon.emulator.simulation.world)
+        tasks = self._tasks.setdefault(robot, [])
+        task = asyncio.create_task(self._run(state, command, saved, tuple(tasks), resumes=resumes))
+        tasks.append(task)
+
+        def finish(task: asyncio.Task[None]) -> None:
+            tasks.remove(task)
+            # Also a task that was cancelled before its first step.
+            if task.cancelled():
+                self._change(state, "ended", "stopped")
+            elif error := task.exception():
+                log.error("localizer of robot %d: internal error", robot, exc_info=error)
+                self._change(state, "failed", f"internal error, see the daemon's log: {error!r}")
+
+        task.add_done_callback(finish)
         self._on_change()
 
     def stop(self, robot: int) -> None:
         """End the localizer of a robot, if there is one."""
-        task = self._tasks.get(robot)
-        if task is not None:
+        for task in self._tasks.get(robot, ()):
             task.cancel()
+
+    def check_maps(self) -> None:
+        """Report localizers whose map is not the world any more, or is again."""
+        world = self._daemon.emulator.simulation.world
+        changed = [state for state in self.states.values() if (state.world is not world) != state.has_old_map]
+        for state in changed:
+            state.has_old_map = not state.has_old_map
+        if changed:
+            self._on_change()
 
     def mark_placed(self, robot: int) -> None:
         """Record that a page has placed this robot, and its encoders with it."""
@@ -135,9 +178,9 @@ class Localizers:
             self._change(state, "running", "")
 
     async def close(self) -> None:
-        """End all localizers; may be called twice."""
-        tasks = list(self._tasks.values())
-        self._tasks.clear()
+        """End all localizers, and start none from now on; may be called twice."""
+        self._is_closed = True
+        tasks = [task for ending in self._tasks.values() for task in ending]
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
@@ -179,14 +222,12 @@ class Localizers:
         return Path(self._folder.name) / f"robot_{robot}_{name}"
 
     async def _run(
-        self, state: LocalizerState, command: list[str], saved: Path, previous: asyncio.Task[None] | None,
+        self, state: LocalizerState, command: list[str], saved: Path, previous: Sequence[asyncio.Task[None]],
         *, resumes: bool,
     ) -> None:  # fmt: skip
-        # 1. Two localizers of one robot would publish in turns: wait for the end of the one before, which saves its
-        # estimate unless it is lost.
-        if previous is not None:
-            previous.cancel()
-            await asyncio.gather(previous, return_exceptions=True)
+        # 1. Two localizers of one robot would publish in turns: wait for the end of those before. The last one saves
+        # its estimate unless it is lost.
+        await asyncio.gather(*previous, return_exceptions=True)
         if resumes and saved.exists():
             command += ["--resume", str(saved.replace(saved.with_suffix(".before")))]
         saved.unlink(missing_ok=True)
@@ -202,22 +243,23 @@ class Localizers:
             self._change(state, "failed", f"cannot start {command[0]}: {error.strerror or error}")
             return
         log.info("localizer started: pid=%d", process.pid)
-        # 3. Its output until it ends. A cancelled task ends it.
+        # 3. Its output until it ends, without the token: all pages see it. A cancelled task ends it.
+        token = self.page_url.partition("token=")[2]
         lines: deque[str] = deque(maxlen=MAX_LINES)
         try:
             assert process.stdout is not None
             async for line in process.stdout:
-                text = line.decode(errors="replace").strip()
+                text = line.decode(errors="replace").replace(token or "\0", "...").strip()
                 if text:
                     lines.append(text)
                     self._report_progress(state, text)
             code = await process.wait()
         except asyncio.CancelledError:
-            await _end(process)
+            await _complete(_end(process))
             raise
         except ValueError:
             # A line longer than MAX_LINE_BYTES: not the program that was started.
-            await _end(process)
+            await _complete(_end(process))
             code = process.returncode or 1
         # 4. It ended by itself.
         log.info("localizer ended: pid=%d code=%d", process.pid, code)
@@ -236,6 +278,15 @@ class Localizers:
         # A state that was replaced is not shown any more.
         if state in self.states.values():
             self._on_change()
+
+
+async def _complete(work: Coroutine[Any, Any, None]) -> None:
+    """Run a coroutine to its end, even if the task that waits for it is cancelled again."""
+    task = asyncio.create_task(work)
+    while not task.done():
+        with contextlib.suppress(asyncio.CancelledError):
+            await asyncio.wait([task])
+    task.result()
 
 
 async def _end(process: asyncio.subprocess.Process) -> None:

@@ -6,8 +6,9 @@ to the page, by `type`
     picture      the scene or its changes (scene.py)
     traffic      rows of requests and replies (traffic.py), missed: number of frames left out
     localization the latest published estimate (localization.py), and its age: age_s
-    localizers   robots: {robot: {"method", "state", "words"} ...} of localizers that pages started; state: starting,
-                 running, ended, failed; words: what it waits for, why it ended, or the error
+    localizers   robots: {robot: {"method", "state", "words", "has_old_map"} ...} of localizers that pages started;
+                 state: starting, running, ended, failed; words: what it waits for, why it ended, or the error;
+                 has_old_map: true if the world has changed since the start
     asked        robots: number of clients that wait for a click of a pose (get_robot_conf), by robot
     waypoints    robot, points: new waypoints
     missed       count: other messages that were dropped since the viewer was too slow

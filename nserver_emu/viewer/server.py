@@ -26,7 +26,7 @@ from aiohttp import WSCloseCode, WSMsgType, web
 
 from nclient.common.allowlist import LOOPBACK_NAME, NOT_ALLOWED, is_loopback, is_same_machine
 from nclient.errors import ConnectionLost
-from nserver_emu.server.admission import listen
+from nserver_emu.server.admission import AdmissionControl, listen
 from nserver_emu.server.connection import FairScheduler, TokenBucket
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.viewer import auth
@@ -134,7 +134,6 @@ CONNECTION_LOST_S: Final = 10.0
 """Ping interval plus reply time-out, rounded up."""
 CLOSING_S: Final = 0.5
 """Time-out of the closing handshake."""
-REMEDIES: Final = {errno.EADDRINUSE: "--viewer 0 takes a free port", errno.EACCES: "take a port above 1023"}
 # Only files of this server; no inline script, so that a text from a client cannot become code.
 POLICY: Final = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; "
@@ -193,9 +192,8 @@ class ViewerServer:
             self._server = await listen(self._admission.protocol_factory, host, port)
         except OSError as error:
             await self._runner.cleanup()
-            remedy = REMEDIES.get(error.errno or 0, "take an address of this machine")
             raise ConnectionLost(
-                f"cannot serve the page on {host}:{port}: {error.strerror or error}; {remedy}"
+                f"cannot serve the page on {host}:{port}: {error.strerror or error}; {bind_remedy(error, '--viewer')}"
             ) from error
         auth.HTTP_LOG.addFilter(self._admission.keep_record)  # only if the page is served: close() removes it
         # 3. The clock that takes pictures; localizers that pages start publish to this port.
@@ -252,19 +250,7 @@ class ViewerServer:
 
     @web.middleware
     async def _admit(self, request: web.Request, handler: Handler) -> web.StreamResponse:
-        if self._admission is not None:
-            self._admission.request_received(request)
-        host = request.remote or ""
-        if self._admission is not None:
-            await wait_for_rate(self._admission.rate_limit(host, _now()))
-        if not self._door.access.allows(host, _local_address(request)):
-            self._door.reject(host, NOT_ALLOWED)
-            return web.Response(status=HTTPStatus.FORBIDDEN, text="this address is not allowed\n")
-        try:
-            return await handler(request)
-        except web.HTTPException as refusal:  # aiohttp stores what is raised, with its traceback
-            _clear_tracebacks(refusal)
-            return web.Response(status=refusal.status, headers=refusal.headers, body=refusal.body)
+        return await admit(request, handler, self._door, self._admission)
 
     def _may_act(self, request: web.Request) -> bool:
         """Return True if the token allows everything, False if only watching; else raise HTTPForbidden."""
@@ -322,7 +308,7 @@ class ViewerServer:
         self._sockets.add(socket)  # it counts towards the limit from now on
         try:
             await socket.prepare(request)
-            writer = PageWriter(socket, _transport(request), _now())
+            writer = PageWriter(socket, transport_of(request), _now())
         except BaseException:
             self._sockets.discard(socket)
             raise
@@ -348,7 +334,7 @@ class ViewerServer:
             self.controller.leave(viewer)
             if socket.close_code == WSCloseCode.ABNORMAL_CLOSURE:
                 writer.abort()
-            _clear_tracebacks(socket.exception())
+            clear_tracebacks(socket.exception())
         return socket
 
     def _send_soon(self, viewer: Viewer) -> None:
@@ -385,14 +371,38 @@ def _now() -> float:
     return asyncio.get_running_loop().time()
 
 
-def _transport(request: web.Request) -> asyncio.Transport:
+async def admit(
+    request: web.Request, handler: Handler, door: AdmissionControl, admission: auth.HttpAdmission | None
+) -> web.StreamResponse:
+    """Answer a request by its handler if its address is allowed, at the rate of its address."""
+    host = request.remote or ""
+    if admission is not None:
+        admission.request_received(request)
+        await wait_for_rate(admission.rate_limit(host, _now()))
+    if not door.access.allows(host, _local_address(request)):
+        door.reject(host, NOT_ALLOWED)
+        return web.Response(status=HTTPStatus.FORBIDDEN, text="this address is not allowed\n")
+    try:
+        return await handler(request)
+    except web.HTTPException as refusal:  # aiohttp stores what is raised, with its traceback
+        clear_tracebacks(refusal)
+        return web.Response(status=refusal.status, headers=refusal.headers, body=refusal.body)
+
+
+def bind_remedy(error: OSError, option: str) -> str:
+    """Return what to do about a port that cannot be used; `option` is the one that chooses it."""
+    remedies = {errno.EADDRINUSE: f"{option} 0 takes a free port", errno.EACCES: "take a port above 1023"}
+    return remedies.get(error.errno or 0, "take an address of this machine")
+
+
+def transport_of(request: web.Request) -> asyncio.Transport:
     """Return the request's transport. Raises ConnectionResetError, which aiohttp ignores, if it is closed."""
     if request.transport is None:
         raise ConnectionResetError("closed before the request was answered")
     return request.transport
 
 
-def _clear_tracebacks(error: BaseException | None) -> None:
+def clear_tracebacks(error: BaseException | None) -> None:
     """Drop the tracebacks of an error and its context: their frames would keep it alive until garbage collection."""
     while error is not None:
         error.__traceback__, error = None, error.__context__

@@ -7,6 +7,7 @@ import shutil
 import signal
 import socket
 import subprocess
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,7 +17,10 @@ from nclient import connect
 from nclient.cli import doctor
 from nclient.cli.main import main
 from nclient.errors import ConnectionLost, ReplyTimeout
+from nclient.protocol.types import MODELS
 from nclient.transports import serial as serial_port
+from nclient.transports.stream import Deadline
+from nclient.url import parse_address
 from tests.programs.forked import Forked
 from tests.waiting import wait_until
 
@@ -85,6 +89,102 @@ def test_both_kinds_of_port_drive(line: Path, monkeypatch: pytest.MonkeyPatch, p
         before = robot.read_pose().x_in
         robot.move(translation_in=-2)
         assert robot.wait_until_still(20).x_in == pytest.approx(before - 2, abs=0.3)
+
+
+class Talker:
+    """A device that sends without a pause."""
+
+    def send(self, data: bytes) -> None:
+        pass
+
+    def receive(self, _: Deadline) -> bytes:
+        return b"$GPGGA"
+
+    def close(self) -> None:
+        pass
+
+
+def test_search_ends_at_a_device_that_never_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(serial_port, "open_port", lambda *_: Talker())
+    monkeypatch.setattr(doctor, "ANSWER_S", 0.02)
+    finding, address = doctor.search_port("/dev/ttyUSB0")
+    assert "not as a Nomad" in finding.seen
+    assert address == ""
+
+
+def test_search_leaves_ports_of_other_programs_alone(line: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise AssertionError("opened")
+
+    with line.open("rb", buffering=0):
+        monkeypatch.setattr(serial_port, "open_port", fail)
+        finding, _ = doctor.search_port(str(line))
+    assert "in use by this very program" in finding.seen
+
+
+def test_search_names_ports_of_windows_as_addresses(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(doctor, "ask_port", lambda *_: (MODELS["n150"], True))
+    _, address = doctor.search_port("COM3")
+    assert parse_address(address).path == "COM3"
+
+
+def test_search_beside_an_nserver_shows_both(
+    line: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.delenv("NOMAD_ROBOT", raising=False)
+    monkeypatch.setattr(doctor, "is_listening", lambda *_: True)
+    monkeypatch.setattr(doctor, "DEFAULT_ADDRESS", "sim:thesis_room")
+    monkeypatch.setattr(serial_port, "ports", lambda: [str(line)])
+    main(["doctor", "--json", "--exchanges", "2", "--interval", "0"])
+    found = json.loads(capsys.readouterr().out)
+    assert found["address"] == "sim:thesis_room"
+    assert found["addresses"] == [f"serial://{line}?model=scout"]
+
+
+def serial_threads() -> list[str]:
+    return [thread.name for thread in threading.enumerate() if thread.name.startswith("serial socket")]
+
+
+@pytest.fixture
+def silent_server() -> Iterator[tuple[str, socket.socket]]:
+    """A server of a raw serial port: its address, and the listening socket."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        yield f"socket://127.0.0.1:{server.getsockname()[1]}", server
+
+
+def test_failed_connect_leaves_no_thread(silent_server: tuple[str, socket.socket]) -> None:
+    with pytest.raises(ReplyTimeout):
+        connect(f"serial+{silent_server[0]}?retries=0&timeout_s=0.1")
+    assert serial_threads() == []
+
+
+def test_unread_bytes_are_bounded(
+    silent_server: tuple[str, socket.socket], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(serial_port, "_MAX_UNREAD", 1000)
+    stream = serial_port.PortableSerialStream(silent_server[0])
+    far, _ = silent_server[1].accept()
+    with far:
+        far.sendall(bytes(3000))
+    # The far end has closed: all has been read.
+    wait_until(lambda: stream._failure is not None)
+    assert len(stream.receive(Deadline.after(1))) == 1000
+    with pytest.raises(ConnectionLost, match="gone"):
+        stream.receive(Deadline.after(1))
+    link = vars(stream._port)["_socket"]
+    stream.close()
+    assert link.fileno() == -1
+
+
+def test_server_that_reads_nothing_is_lost(
+    silent_server: tuple[str, socket.socket], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(serial_port, "WRITE_TIMEOUT_S", 0.1)
+    stream = serial_port.PortableSerialStream(silent_server[0])
+    far, _ = silent_server[1].accept()
+    with far, pytest.raises(ConnectionLost, match="Write timeout"):
+        stream.send(bytes(50_000_000))
+    stream.close()
 
 
 def test_other_baud_rates_answer_nonsense(line: Path) -> None:

@@ -7,7 +7,7 @@ import { toScreen } from './geometry.js';
 import { circle, arrow } from './draw.js';
 import { drawWaypoints, remainingWaypoints, roundToTenths } from './tools.js';
 import { chart, legend } from './charts.js';
-import { localizerControls } from './localizer_controls.js';
+import { isActive, localizerControls } from './localizer_controls.js';
 import { linkWith } from './menus.js';
 import { cell, table, element, button, form, lengthField } from './widgets.js';
 import { lengthText, degreesText, unitIn, unitName } from './units.js';
@@ -35,6 +35,7 @@ export const localizationWindow = {
     this.trust = element('strong', { role: 'status', id: 'trust' });
     this.reason = element('span', { id: 'trust-reason' });
     this.state = element('p', { className: 'trust' }, element('i', { className: 'lamp' }), this.trust, ' ', this.reason);
+    this.mapNote = element('p', { id: 'map-note', className: 'error', role: 'status' });
     this.controls = localizerControls(app, () => this.runs[app.robot]);
     this.rows = table(box, 'Estimate');
     this.charts = Object.fromEntries(Object.entries(CHARTS).map(([name, [title, entries]]) => {
@@ -43,7 +44,7 @@ export const localizationWindow = {
       return [name, { canvas, heading, title, whole: element('div', {}, heading, canvas, legend(...entries)) }];
     }));
     this.plots = element('div', {}, ...Object.values(this.charts).map(({ whole }) => whole));
-    box.prepend(this.state, this.controls.box, this.note);
+    box.prepend(this.state, this.mapNote, this.controls.box, this.note);
     box.append(this.plots, this.waypoints(app));
   },
   waypoints(app) {
@@ -52,7 +53,7 @@ export const localizationWindow = {
     return element('div', { className: 'acts', role: 'group', ariaLabel: 'Waypoints' },
       form(() => app.setWaypoints([...remainingWaypoints(app), roundToTenths(this.point.map(({ inches }) => inches))]),
         element('div', { className: 'row' }, ...this.point.map(({ label }) => label), element('button', { id: 'add-waypoint' }, 'Add waypoint'))),
-      element('div', { className: 'row' }, 
+      element('div', { className: 'row' },
         button('Clear waypoints', () => app.setWaypoints([]), { id: 'clear-waypoints' })),
       this.list);
   },
@@ -78,10 +79,11 @@ export const localizationWindow = {
     app.map.requestRedraw();
     app.requestUpdate();
   },
-  // The states of the localizers that pages started: {method, state, words} by robot.
+  // The states of the localizers that pages started: {method, state, words, has_old_map} by robot.
   onLocalizers(robots, app) {
     for (const [id, run] of Object.entries(robots)) {
-      if (run.state !== this.runs[id]?.state || run.words !== this.runs[id].words) this.runs[id] = { ...run, at_ms: performance.now() };
+      const old = this.runs[id], isSame = run.state === old?.state && run.words === old.words;
+      this.runs[id] = { ...run, at_ms: isSame ? old.at_ms : performance.now() };
     }
     app.requestUpdate();
   },
@@ -97,6 +99,7 @@ export const localizationWindow = {
     this.note.hidden = Boolean(own);
     this.controls.update();
     this.showHealth(...healthOf(own, age_s, this.runs[app.robot]));
+    this.showMapNote(this.runs[app.robot]);
     if (!own) { this.showCommand(app); return; }
     if (age_s > STALE_S) app.map.requestRedraw();
     this.updateTexts(own, app);
@@ -106,6 +109,10 @@ export const localizationWindow = {
     if (this.trust.textContent !== TRUST[trust]) this.trust.textContent = TRUST[trust];
     this.state.dataset.trust = trust;
     if (this.reason.textContent !== reason) this.reason.textContent = reason;
+  },
+  showMapNote(run) {
+    const text = isActive(run) && run.has_old_map ? 'The world has changed since this localizer was started; its map has not. Localize starts it with the new map.' : '';
+    if (this.mapNote.textContent !== text) this.mapNote.textContent = text;
   },
   showCommand(app) {
     const line = publishCommand(app), key = line ?? 'none';

@@ -9,7 +9,7 @@ import { worldBounds } from './scene.js';
 const METHODS = { finder: 'finder: recovers when lost', ekf: 'ekf: extended Kalman filter', iekf: 'iekf: iterated Kalman filter',
   ukf: 'ukf: unscented Kalman filter', smoother: 'smoother: fixed-lag', mcl: 'mcl: particles', offsets: 'offsets: with sonar offsets' };
 const NOISE_PARTS = { sensors: 'Sensors', motion: 'Motion' };
-// A kidnapped robot is at least this far away: its radius twice, so that no filter takes it for noise.
+// A kidnapped robot is at least this many of its radii away, so that no filter takes it for noise.
 const MIN_KIDNAP_RADII = 4, KIDNAP_ATTEMPTS = 2000;
 
 export function localizerControls(app, stateOf) {
@@ -36,7 +36,8 @@ export function localizerControls(app, stateOf) {
   } };
 }
 
-function isActive(run) { return ['starting', 'running'].includes(run?.state); }
+// Return true if a localizer that a page has started runs.
+export function isActive(run) { return ['starting', 'running'].includes(run?.state); }
 
 function noiseControls(app, onChange) {
   const all = element('input', { type: 'checkbox', id: 'noise-all' });

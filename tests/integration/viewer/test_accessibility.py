@@ -13,6 +13,17 @@ FOCUSED = """(() => { const one = document.activeElement, group = one.closest('[
     return [...(group ? [group] : []), one.ariaLabel || one.labels?.[0]?.innerText || one.innerText].join(': '); })()"""
 
 
+def test_controls_have_names_on_a_phone(browser: Browser) -> None:
+    with (
+        nserver("thesis_room") as program,
+        open_page(browser, program.url, viewport={"width": 390, "height": 844}) as page,
+    ):
+        page.page.evaluate("for (const one of document.querySelectorAll('details')) one.open = true")
+        for task in ("drive", "world", "localize", "observe"):
+            page.page.click(f"#show-{task}")
+            assert page.value(NAMED) == []
+
+
 def test_controls_have_names_and_tab_order(browser: Browser) -> None:
     with nserver("thesis_room") as program, open_page(browser, program.url, reduced_motion="reduce") as page:
         page.page.evaluate("for (const one of document.querySelectorAll('details')) one.open = true")

@@ -52,7 +52,12 @@ def test_localizer_is_started_and_stopped_on_the_page(browser: Browser) -> None:
             # The localizer only watches: another program drives the robot.
             robot.move(translation_in=10)
             page.wait("nserver.estimateOf('1')?.pose[0] > 9", 30.0)
+        # Its map is the world of the start.
+        assert page.value("document.querySelector('#map-note').innerText") == ""
+        page.value("nserver.link.request({ do: 'control', command: 'wall', argument: { put: [[60, 90], [70, 90]] } })")
+        page.wait("document.querySelector('#map-note').innerText.includes('The world has changed')")
         page.page.click("#unlocalize")
+        page.wait("document.querySelector('#map-note').innerText === ''")
         page.wait("document.querySelector('.trust').innerText.includes('– OLD the localizer has ended (stopped)')")
         page.page.click("#kidnap")
         # The encoders do not notice.

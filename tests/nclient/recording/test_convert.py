@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from pathlib import Path
 from random import Random
@@ -193,6 +194,145 @@ def test_carmen_logs_of_lasers(tmp_path: Path) -> None:
     assert any("ring of 3" in one for one in drive.omitted)
     (entry,) = [entry for entry in read_recording(tmp_path / "log.log").entries if entry.time_s == 1.5][-1].decoded
     assert [entry["State"][17 + k] for k in (0, 4, 8, 12)] == [98, 255, 255, 59]
+
+
+def write_bag(path: Path, *messages: tuple[str, Any]) -> None:
+    """Write a ROS 1 bag of messages, one in each second of the type store of `ros_types`."""
+    store = ros_types()
+    with rosbag1.Writer(path) as bag:
+        topics: dict[str, Any] = {}
+        for second, (topic, message) in enumerate(messages, 1):
+            if topic not in topics:
+                topics[topic] = bag.add_connection(topic, message.__msgtype__, typestore=store)
+            bag.write(topics[topic], second * 10**9, store.serialize_ros1(message, message.__msgtype__))
+
+
+def ros_types() -> Any:
+    from rosbags.typesys import Stores, get_typestore
+
+    return get_typestore(Stores.ROS1_NOETIC)
+
+
+def pose_of(x_m: float) -> Any:
+    types = ros_types().types
+    point = types["geometry_msgs/msg/Point"](x_m, 0.0, 0.0)
+    turn = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+    return types["geometry_msgs/msg/PoseStamped"](header_of(), types["geometry_msgs/msg/Pose"](point, turn))
+
+
+def header_of() -> Any:
+    types = ros_types().types
+    return types["std_msgs/msg/Header"](0, types["builtin_interfaces/msg/Time"](0, 0), "base")
+
+
+def scan_of(*ranges: float, first: float = 0.0) -> Any:
+    found = np.array(ranges, np.float32)
+    return ros_types().types["sensor_msgs/msg/LaserScan"](
+        header_of(), first, 0.0, 0.5, 0.0, 0.0, 0.1, 80.0, found, np.array([], np.float32))
+
+
+def test_one_topic_of_each_kind_is_read(tmp_path: Path) -> None:
+    """Two robots and two lasers are not mixed; what is left out has a name."""
+    types = ros_types().types
+    charge = convert._ros().battery(types, header_of(), 12.0, "left")
+    sonar = types["sensor_msgs/msg/Range"](header_of(), 0, 0.4, 0.1, 6.0, 1.5)
+    write_bag(tmp_path / "two.bag", ("/a/pose", pose_of(1)), ("/b/pose", pose_of(9)), ("/battery", charge),
+              ("/other/battery", convert._ros().battery(types, header_of(), 24.0, "right")),
+              ("/front", scan_of(1, 2)), ("/rear", scan_of(3, 4, 5)), ("/front", scan_of(2, 3, 4)), ("/range", sonar))
+    drive = convert.read_drive(tmp_path / "two.bag")
+    assert [(sample.x_m, sample.ranges_m) for sample in drive.samples] == [(1, (1, 2))]
+    left_out = [one.split()[0] for one in drive.omitted]
+    assert left_out == ["/b/pose", "/battery", "/other/battery", "/rear", "/range", "1"]
+
+
+def test_long_ranges_and_unequal_angles_in_bags(tmp_path: Path) -> None:
+    drive = Drive([Sample(1.0, ranges_m=(50.0, 2.0, math.inf))], (-0.5, 0.0, 0.5))
+    convert.write_drive(drive, tmp_path / "laser.bag")
+    assert convert.read_drive(tmp_path / "laser.bag").samples[0].ranges_m == (50, 2, math.inf)
+    convert.write_drive(drive, tmp_path / "laser.log")
+    assert any("beyond 255" in one for one in drive.omitted)
+    uneven = Drive([Sample(1.0, ranges_m=(1.0, 2.0, 3.0))], (0.0, 0.1, 2.0))
+    convert.write_drive(uneven, tmp_path / "uneven.mcap")
+    assert [one for one in uneven.omitted if "equal angles" in one]
+    assert convert.read_drive(tmp_path / "uneven.mcap").samples[0].ranges_m == ()
+
+
+@pytest.mark.parametrize("suffix", HOLD_RECORDINGS)
+def test_recording_cut_short_survives(recorded: Path, tmp_path: Path, suffix: str) -> None:
+    """After a power failure the last line is not whole; it must not break the file that it is converted to."""
+    (tmp_path / "cut.log").write_bytes(recorded.read_bytes()[:-50])
+    drive = convert.read_drive(tmp_path / "cut.log")
+    assert any("cut short" in one for one in drive.omitted)
+    convert.write_drive(drive, tmp_path / f"cut{suffix}")
+    assert convert.read_drive(tmp_path / f"cut{suffix}").samples == drive.samples
+
+
+def test_mcap_of_any_name(recorded: Path, tmp_path: Path) -> None:
+    convert.write_drive(convert.read_drive(recorded), tmp_path / "run.mcap")
+    (tmp_path / "run.mcap").rename(tmp_path / "run.data")
+    assert convert.read_drive(tmp_path / "run.data").samples
+    convert.write_drive(convert.read_drive(recorded), tmp_path / "run.bag")
+    (tmp_path / "run.bag").rename(tmp_path / "bag.data")
+    with pytest.raises(RecordingError, match="ends in"):
+        convert.read_drive(tmp_path / "bag.data")
+
+
+def test_spreadsheets_and_small_numbers(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("time_s,x_in,y_in,heading_deg,sonar_0_in\n1.5,-0.00009,2,90,inf\n", "utf-8-sig")
+    drive = convert.read_drive(tmp_path / "a.csv")
+    assert (drive.samples[0].time_s, drive.samples[0].ranges_m) == (1.5, (math.inf,))
+    assert list(convert.csv_lines(drive))[1].split(",")[:3] == ["1.5", "-0.0001", "2"]
+
+
+@pytest.mark.parametrize(("text", "word"), [
+    ("time_s,x_in,y_in,heading_deg\n0,nan,0,0\n", "row 2"),
+    ("time_s,x_in,y_in,heading_deg,bumpers\n0,0,0,0,inf\n", "row 2"),
+    ("time_s,x_in,y_in,heading_deg\n0,1e300,0,0\n", "sample 1"),
+    ("time_s,x_in,y_in,heading_deg\n1e30,0,0,0\n", "sample 1"),
+    ("time_s,x_in,x_m,y_in,heading_deg\n0,0,0,0,0\n", "2 times"),
+    ("time_s,x_in,y_in,heading_deg,sonar_0_in,sonar_2_in\n0,0,0,0,1,2\n", "sonar_1"),
+    (f"time_s,x_in,y_in,heading_deg\n0,0,0,{'1' * 200_000}\n", "no CSV"),
+    ("ODOM 1 2 0 0 0 0 1e400 pc 0\n", "starts at"),
+    ("ODOM 1 2 nan 0 0 0 0 pc 0\n", "sample 1"),
+    ("SONAR 0.4 inf 1 0 0 0 0 pc 0\n", "line 1"),
+    ("ODOM 0 0 0 0 0 0 0 pc 0\nSONAR 0.4 1 2 0 0 0 0 pc 0\nSONAR 0.4 2 1 1 0 0 0 0 0 1 0 pc 0\n", "2 sonars"),
+])  # fmt: skip
+def test_damaged_text_is_an_error_of_a_recording(tmp_path: Path, text: str, word: str) -> None:
+    (tmp_path / "log").write_text(text)
+    with pytest.raises(RecordingError, match=word):
+        convert.read_drive(tmp_path / "log")
+
+
+def test_names_in_a_file_do_not_reach_the_terminal_raw(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lines = ["ODOM 0 0 0 0 0 0 0 pc 0", *(f"EVIL\x1b[31m{k} 0" for k in range(500))]
+    (tmp_path / "a.clf").write_text("\n".join(lines) + "\n")
+    assert main(["convert", str(tmp_path / "a.clf"), str(tmp_path / "a.csv")]) == 0
+    shown = capsys.readouterr().err
+    assert "\x1b" not in shown
+    assert "480 messages of other kinds" in shown
+    assert len(shown.splitlines()) < 30
+
+
+def test_times_that_a_bag_cannot_hold(tmp_path: Path) -> None:
+    for suffix in HOLD_RECORDINGS:
+        with pytest.raises(RecordingError, match="cannot be written"):
+            convert.write_drive(Drive([Sample(-5.0)]), tmp_path / f"early{suffix}")
+        assert not (tmp_path / f"early{suffix}").exists()
+
+
+def test_random_damage_is_an_error_of_a_recording(recorded: Path, tmp_path: Path) -> None:
+    rng = Random(1)
+    for suffix in (".mcap", ".bag", ".clf", ".csv"):
+        path = tmp_path / f"run{suffix}"
+        convert.write_drive(convert.read_drive(recorded), path)
+        whole = path.read_bytes()
+        for _ in range(25):
+            data = bytearray(whole)
+            for _ in range(8):
+                data[rng.randrange(len(data))] = rng.randrange(256)
+            path.write_bytes(data[: rng.choice((len(data), rng.randrange(len(data))))])
+            with contextlib.suppress(RecordingError):
+                convert.read_drive(path)
 
 
 @pytest.mark.skipif(not DATA.exists(), reason="../shared/data is not here")

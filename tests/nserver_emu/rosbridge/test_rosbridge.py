@@ -9,19 +9,31 @@ import sys
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from itertools import pairwise
-from typing import Any
+from typing import Any, cast
 
 import aiohttp
+import numpy as np
 import pytest
 
 from nclient.errors import ConnectionLost
 from nserver_emu.rosbridge import topics
-from nserver_emu.rosbridge.server import RosbridgeServer
+from nserver_emu.rosbridge.client import MAX_SUBSCRIPTIONS, RosbridgeClient, Services
+from nserver_emu.rosbridge.server import (
+    MAP_CELL_IN,
+    MAX_MAP_CELLS,
+    MAX_MESSAGE,
+    RosbridgeServer,
+    map_cell_in,
+    serve_rosbridge,
+)
 from nserver_emu.rosbridge.topics import Reading
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.viewer.controller import ViewerClients
 from nserver_emu.viewer.messages import DRIVE_TIMEOUT_S
 from tests.nserver_emu.server.wire_client import simulation
+from worlds.io import load_world
+from worlds.world import World
 
 HOST = "127.0.0.1"
 TIMEOUT_S = 10.0
@@ -195,7 +207,9 @@ TWIST = {"topic": "/robot1/cmd_vel"}
     ({"op": "set_level", "level": "loud"}, "level"),
     ({"op": "publish", **TWIST, "msg": {"linear": {"x": "fast"}}}, "linear.x"),
     ({"op": "publish", **TWIST, "msg": {"linear": {"x": 1e999}}}, "linear.x"),
+    ({"op": "publish", **TWIST, "msg": {"linear": {"x": 10**400}}}, "linear.x"),
     ({"op": "publish", **TWIST, "msg": {"angular": 3}}, "angular.z"),
+    ({"op": "call_service"}, "service is missing"),
     ({"op": "publish", **TWIST, "msg": None}, "linear.x"),
 ])  # fmt: skip
 async def test_errors_are_status_messages(message: Any, text: str) -> None:
@@ -206,6 +220,101 @@ async def test_errors_are_status_messages(message: Any, text: str) -> None:
         assert status["level"] == "error"
         assert status.get("id") == ("x" if isinstance(message, dict) else None)
         assert not any(here.robot.moving)
+
+
+@pytest.mark.parametrize("number", [math.nan, ["x"], {"x": []}])
+async def test_only_texts_are_ids(number: Any) -> None:
+    async with serve() as here, here.client() as client:
+        await client.send("call_service", service="/rosapi/services", id=number)
+        status = await client.next("status")
+        assert "id" in status["msg"]
+        assert "id" not in status
+
+
+async def test_long_message_closes_the_connection() -> None:
+    async with serve() as here, here.client() as client:
+        await client.send("call_service", service="/rosapi/services", id="x" * MAX_MESSAGE)
+        assert (await client.socket.receive()).type is aiohttp.WSMsgType.CLOSE
+        assert client.socket.close_code == aiohttp.WSCloseCode.MESSAGE_TOO_BIG
+
+
+class DrivenRobots:
+    """Records velocities in place of `ViewerClients`."""
+
+    def __init__(self) -> None:
+        self.driven: list[list[int]] = []
+
+    def drive(self, _robot: int, args: list[int], _now: float, _on_answer: Any) -> None:
+        self.driven.append(args)
+
+
+def client_alone() -> tuple[RosbridgeClient, DrivenRobots]:
+    """Return a client without a socket."""
+    robots = DrivenRobots()
+    services = Services(topics.topic_types([1]), topics.command_types([1]), lambda _: False, lambda _: None)
+    return RosbridgeClient(cast("ViewerClients", robots), services, may_act=True), robots
+
+
+def test_subscriptions_are_limited_by_their_ids() -> None:
+    client, _ = client_alone()
+    for number in range(MAX_SUBSCRIPTIONS + 1):
+        client.handle(json.dumps({"op": "subscribe", "topic": "/tf", "id": str(number)}), 0.0)
+    assert len(client.subscriptions["/tf"].throttles_s) == MAX_SUBSCRIPTIONS
+    assert "maximum" in client.unsent.pop()
+    client.handle(json.dumps({"op": "subscribe", "topic": "/tf", "id": "0", "throttle_rate": 500}), 0.0)
+    assert client.subscriptions["/tf"].throttles_s["0"] == 0.5
+
+
+def test_late_velocities_only_stop() -> None:
+    client, robots = client_alone()
+    for speed in (0.1, 0.0):
+        message = {"op": "publish", **TWIST, "msg": {"linear": {"x": speed}}}
+        client.handle(json.dumps(message), 0.0, is_late=True)
+    assert robots.driven == [[0, 0, 0]]
+    assert "late" in client.unsent.pop()
+
+
+async def test_flood_of_velocities_ends_with_its_program() -> None:
+    """A thousand velocities take five seconds at the rate of a client."""
+    async with serve() as here, here.client() as client:
+        for _ in range(1000):
+            await client.drive(0.127)
+        await here.until(lambda: any(here.robot.moving))
+        begin_s = asyncio.get_running_loop().time()
+        await here.until(lambda: not any(here.robot.moving))
+        assert asyncio.get_running_loop().time() - begin_s < 2 * DRIVE_TIMEOUT_S + 1.0
+        assert "late" in (await client.next("status"))["msg"]
+
+
+async def test_topic_type_without_a_topic_is_empty() -> None:
+    async with serve() as here, here.client() as client:
+        wrong: list[Any] = [[], {}, None]
+        for args in wrong:
+            await client.send("call_service", service="/rosapi/topic_type", args=args)
+            assert (await client.next("service_response"))["values"] == {"type": ""}
+
+
+async def test_map_is_encoded_once_for_each_world() -> None:
+    async with serve() as here:
+        first = here.server._latched("/map")
+        assert here.server._latched("/map") is first
+        simulated = here.daemon.emulator.simulation
+        simulated.change_world(simulated.world.with_inner_wall(0, (20.0, 20.0, 30.0, 20.0)))
+        assert here.server._latched("/map") != first
+
+
+def test_large_worlds_have_larger_cells() -> None:
+    room = load_world("thesis_room")
+    assert map_cell_in(room) == MAP_CELL_IN
+    large = World("large", inner_walls=np.array([[0.0, 0.0, 1e5, 0.0], [0.0, 0.0, 0.0, 1e5]]))
+    assert (1e5 / map_cell_in(large)) ** 2 <= MAX_MAP_CELLS
+
+
+async def test_open_network_is_warned_of(caplog: pytest.LogCaptureFixture) -> None:
+    daemon = Daemon(Emulator(simulation()))
+    async with serve_rosbridge(daemon, "0.0.0.0", 0):
+        assert "unencrypted" in caplog.text
+    await daemon.close()
 
 
 async def test_tokens_and_origins() -> None:
@@ -262,6 +371,11 @@ async def test_published_estimates_are_poses_in_the_map() -> None:
         frames = (await client.topic("/tf", "tf2_msgs/TFMessage"))["transforms"]
         assert frames[0]["header"]["frame_id"] == "map"
         assert frames[0]["transform"]["translation"]["x"] == pytest.approx(0.254)
+        async with here.web.post(address, json=ESTIMATE | {"trust": "LOST"}) as answer:
+            assert answer.status == 200
+        # A frame of before may be on its way.
+        while frames[0]["header"]["frame_id"] == "map":
+            frames = (await client.next("publish"))["msg"].get("transforms", frames)
         for wrong, status in ((ESTIMATE | {"robot": 5}, 400), ({}, 400)):
             async with here.web.post(address, json=wrong) as answer:
                 assert answer.status == status
@@ -279,6 +393,7 @@ def test_wheels_of_a_scout() -> None:
     assert turn == pytest.approx(0.5, abs=0.02)
     assert args[0] > args[1]
     assert topics.velocities({"linear": {"x": 1e9}}, False) == [32767, 0, 0]
+    assert topics.velocities({"linear": {"x": -1e308}, "angular": {"z": 1e308}}, True)[1] == -32767
 
 
 ROSLIBPY = """

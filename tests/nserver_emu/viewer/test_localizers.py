@@ -13,12 +13,13 @@ from typing import Any, get_args
 import pytest
 
 from localization.filters.registry import METHODS
+from nserver_emu.gateway.gateway import Gateway
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.simulation.noise import SETUPS
 from nserver_emu.viewer import localizers
 from nserver_emu.viewer.localizers import Localizers
-from nserver_emu.viewer.messages import LocalizationMethod
+from nserver_emu.viewer.messages import InvalidMessage, LocalizationMethod
 from tests.nserver_emu.server.wire_client import simulation
 from tests.nserver_emu.viewer.page_client import serve_viewer
 from worlds.io import load_world
@@ -97,7 +98,8 @@ async def test_stopped_process_ends_and_is_reported() -> None:
         shown = await here.until("running")
         here.localizers.mark_published(2)
         here.localizers.stop(1)
-        assert await here.until("ended") == {"method": "finder", "state": "ended", "words": "stopped"}
+        ended = {"method": "finder", "state": "ended", "words": "stopped", "has_old_map": False}
+        assert await here.until("ended") == ended
         assert shown["words"] == ""
         here.localizers.stop(1)
 
@@ -134,6 +136,89 @@ async def test_process_that_ignores_signals_is_killed(monkeypatch: pytest.Monkey
         await here.until("ended")
 
 
+def is_alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+async def pid_of(here: Running) -> int:
+    """Return the number of the process, its first line."""
+    await here.until("starting")
+    async with asyncio.timeout(10):
+        while not here.localizers.states[1].words:
+            await asyncio.sleep(0.01)
+    return int(here.localizers.states[1].words)
+
+
+async def test_process_ends_however_often_it_is_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(localizers, "END_S", 0.3)
+    async with running('trap "" TERM; echo $$; while :; do sleep 0.1; done') as here:
+        here.localizers.start(1, "ekf", is_lost=False)
+        pid = await pid_of(here)
+        for _ in range(3):
+            here.localizers.stop(1)
+            await asyncio.sleep(0.01)
+        here.localizers.start(1, "ekf", is_lost=False)
+        await here.localizers.close()
+        assert not is_alive(pid)
+
+
+async def test_start_and_stop_at_once_end_the_one_before() -> None:
+    async with running(f"echo $$; {WAITS}") as here:
+        here.localizers.start(1, "ekf", is_lost=False)
+        pid = await pid_of(here)
+        here.localizers.start(1, "mcl", is_lost=False)
+        here.localizers.stop(1)
+        await here.until("ended")
+        await here.localizers.close()
+        assert not is_alive(pid)
+
+
+async def test_localizer_that_cannot_be_started_replaces_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    async with running(f"echo $$; {WAITS}") as here:
+        here.localizers.start(1, "ekf", is_lost=False)
+        pid = await pid_of(here)
+
+        def fail(_robot: int) -> Path:
+            raise OSError(28, "No space left on device")
+
+        monkeypatch.setattr(here.localizers, "_write_map", fail)
+        with pytest.raises(InvalidMessage, match="TMPDIR"):
+            here.localizers.start(1, "mcl", is_lost=False)
+        assert is_alive(pid)
+        assert here.localizers.states[1].method == "ekf"
+        monkeypatch.undo()
+        monkeypatch.setattr(localizers, "MAX_LOCALIZERS", 1)
+        with pytest.raises(InvalidMessage, match="already"):
+            here.localizers.start(2, "ekf", is_lost=False)
+        await here.localizers.close()
+        assert not is_alive(pid)
+        with pytest.raises(InvalidMessage, match="ends"):
+            here.localizers.start(1, "ekf", is_lost=False)
+
+
+async def test_changed_world_makes_the_map_old() -> None:
+    async with running(f"echo $$; {WAITS}") as here:
+        here.localizers.start(1, "ekf", is_lost=False)
+        await pid_of(here)
+        simulated = here.daemon.emulator.simulation
+        world = simulated.world
+        for now, is_old in ((world, False), (world.with_inner_wall(0, (20.0, 20.0, 30.0, 20.0)), True), (world, False)):
+            simulated.change_world(now)
+            here.localizers.check_maps()
+            assert here.localizers.as_dict()["1"]["has_old_map"] is is_old
+            assert here.reported[-1]["1"]["has_old_map"] is is_old
+
+
+async def test_words_do_not_have_the_token() -> None:
+    async with running("echo nomad: cannot reach $NOMAD_PUBLISH; exit 1") as here:
+        here.localizers.start(1, "ekf", is_lost=False)
+        assert (await here.until("failed"))["words"] == "cannot reach http://127.0.0.1:7080/?token=..."
+
+
 @pytest.mark.parametrize(
     ("script", "words"),
     [("echo 'nomad: --publish needs x: pip install y' >&2; exit 1", "--publish needs x: pip install y"),
@@ -168,7 +253,8 @@ async def test_pages_start_and_stop_localizers() -> None:
         assert started.page_url == f"{here.origin}/?token={here.viewer_server.token}"
         await page.send_message(do="localize", id=1, robot=1, method="ekf", is_lost=False)
         shown = await page.until(lambda message: message["type"] == "localizers" and message["robots"])
-        assert shown["robots"] == {"1": {"method": "ekf", "state": "starting", "words": ""}}
+        wanted = {"method": "ekf", "state": "starting", "words": "", "has_old_map": False}
+        assert shown["robots"] == {"1": wanted}
         assert (await page.answer(1))["ok"]
         async with here.page() as late:
             assert (await late.until(lambda message: message["type"] == "localizers"))["robots"] == shown["robots"]
@@ -204,3 +290,13 @@ async def test_encoders_do_not_notice_a_kidnapping() -> None:
             assert (await page.answer(number))["ok"] == is_ok
         assert robot.actual[:2] == (50.0, 60.0)
         assert robot.encoder == pytest.approx(before)
+
+
+async def test_real_robots_are_not_kidnapped() -> None:
+    """Only their encoders would be set, and then to those of the simulated robot."""
+    emulator = Emulator(simulation())
+    async with serve_viewer(emulator) as here, here.page() as page:
+        here.daemon.handler = Gateway(emulator, {})
+        await page.send_message(do="kidnap", id=1, robot=1, pose=[500, 600, 0, 0])
+        assert "carry it" in (await page.answer(1))["error"]
+        assert emulator.simulation.robots[1].actual[:2] == (0.0, 0.0)

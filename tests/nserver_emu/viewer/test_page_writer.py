@@ -12,7 +12,7 @@ from aiohttp import web
 from aiohttp.test_utils import make_mocked_request
 
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.viewer.server import STALLED_S, PageWriter, _transport
+from nserver_emu.viewer.server import STALLED_S, PageWriter, transport_of
 from tests.nserver_emu.server.wire_client import simulation
 from tests.nserver_emu.viewer.page_client import serve_viewer
 
@@ -96,8 +96,8 @@ def test_nothing_is_sent_after_the_closing_frame() -> None:
 
 def test_a_closed_request_has_no_transport() -> None:
     line = Line()
-    assert _transport(make_mocked_request("GET", "/ws", transport=line)) is line
+    assert transport_of(make_mocked_request("GET", "/ws", transport=line)) is line
     request = make_mocked_request("GET", "/ws")
     request._protocol.transport = None
     with pytest.raises(ConnectionResetError, match="closed"):
-        _transport(request)
+        transport_of(request)
