@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from localization.filters import belief
 from localization.filters.belief import POSE, Floats, chi_square_quantile
 from localization.filters.update import Refusal
 from localization.live import plot
@@ -34,7 +35,7 @@ CONFIDENCE: Final = 0.95
 
 def trajectory(run: Run, world: World, body: Body = N150) -> Figure:
     """Return a picture of the run on its map."""
-    plot.require_matplotlib()
+    _require_moments(run)
     picture = plot.blank(7.2, 7.0)
     plot.draw_path(picture.add_subplot(), world, run, body)
     return picture
@@ -42,7 +43,7 @@ def trajectory(run: Run, world: World, body: Body = N150) -> Figure:
 
 def errors(run: Run) -> Figure:
     """Return a picture of the error of each coordinate, and the band in which the filter expects it."""
-    plot.require_matplotlib()
+    _require_moments(run)
     picture = plot.blank(8.0, 6.5)
     times, error, std = _times(run), _errors(run), np.array([m.estimate.belief.std[:POSE] for m in run.moments])
     rows = picture.subplots(POSE, 1, sharex=True)
@@ -65,7 +66,7 @@ def errors(run: Run) -> Figure:
 
 def innovations(run: Run) -> Figure:
     """Return a picture of the innovations in standard deviations: 95 % within 2 if all is well."""
-    plot.require_matplotlib()
+    _require_moments(run)
     picture = plot.blank(8.0, 3.4)
     axes = picture.add_subplot()
     first_s = run.moments[0].estimate.clock_s
@@ -85,7 +86,7 @@ def innovations(run: Run) -> Figure:
 
 def nees(run: Run) -> Figure:
     """Return a picture of e' P^-1 e over time: 3 on average for a consistent filter."""
-    plot.require_matplotlib()
+    _require_moments(run)
     picture = plot.blank(8.0, 3.4)
     axes = picture.add_subplot()
     values = nees_values(run)
@@ -101,16 +102,15 @@ def nees(run: Run) -> Figure:
 
 
 def nees_values(run: Run) -> Floats:
-    """Return e' P^-1 e of each moment (k,), NaN without ground truth or while lost.
+    """Return e' P^-1 e of each moment (k,), NaN without ground truth or while lost."""
+    return belief.nees(_errors(run), np.array([moment.estimate.belief.cov[:POSE, :POSE] for moment in run.moments]))
 
-    References
-    ----------
-    Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation (2001), section 5.4.2.
-    """
-    error = _errors(run)
-    P = np.array([moment.estimate.belief.cov[:POSE, :POSE] for moment in run.moments])
-    values: Floats = np.einsum("ki,ki->k", error, np.linalg.solve(P, error[..., None])[..., 0])
-    return values
+
+def _require_moments(run: Run) -> None:
+    """Raise ValueError for a run without moments, ExtraMissing without matplotlib."""
+    plot.require_matplotlib()
+    if not run.moments:
+        raise ValueError("expected a run with at least one moment, found none: nothing was recorded")
 
 
 def _times(run: Run) -> Floats:

@@ -29,7 +29,7 @@ from localization.mapping.learn import ROUGHNESS_IN, MapLearner
 from localization.mapping.live import LiveMapper
 from localization.mapping.measurements import DriveCollector, DriveLog, read_drive
 from localization.mapping.output import LearnedMap, describe, draw_learned, summary
-from localization.mapping.survey import Driver, Geofence, SurveyLog, SurveyStep, WaypointDriver, survey
+from localization.mapping.survey import Driver, Geofence, RobotMoved, SurveyLog, SurveyStep, WaypointDriver, survey
 from localization.navigation.limits import MODEL_LIMITS
 from nclient import Robot
 from nclient.common.arguments import add_value
@@ -37,8 +37,8 @@ from nclient.common.exit_codes import ExitCode
 from nclient.common.files import write_errors_as
 from nclient.common.process import TerminatedBySignal
 from nclient.connector import address_or_default
-from nclient.errors import OutputFileError
-from nclient.url import split_address
+from nclient.errors import AddressError, ConnectionLost, OutputFileError, ReplyTimeout
+from nclient.url import parse_address, split_address
 from worlds.io import format_world, parse_world
 from worlds.map_files import MapsExtraMissing
 from worlds.robots import BODIES, Body, format_calibration
@@ -94,7 +94,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_value(live, "--record", "FILE", Path, "record the drive into this file (default: --out with the suffix .log)")
     live.add_argument(
         "--resume", nargs="+", type=Path, metavar="RECORDING",
-        help="go on with the drive of these recordings: the robot stands where it stood at their end",
+        help="go on with the drive of these recordings: the robot must stand where it stood at their end, as its first "
+             "readings are compared with the last ones there",
     )
     add_value(live, "--time-limit", "S", arguments.parse_positive,
               "end the drive after this time in s of the robot's clock", 300.0)
@@ -119,9 +120,17 @@ def run(options: argparse.Namespace) -> int:
     result = ExitCode.DONE
     recordings = options.recording
     if recordings is None:
-        recordings, result = _drive(options)
-    elif options.address or options.resume or options.waypoints:
-        options.refuse("--from reads a drive: omit the address, --resume and --waypoints")
+        try:
+            recordings, result = _drive(options)
+        except RobotMoved as error:
+            print(f"nomad map learn: no map written: {error}", file=sys.stderr)
+            return ExitCode.UNFIT
+    elif options.address or options.resume or options.waypoints or options.record or options.geofence or (
+        options.drive != DRIVES[0]
+    ):
+        options.refuse(
+            "--from reads a drive: omit the address, --resume, --waypoints, --record, --geofence and --drive manual"
+        )
     # 3. The map.
     log = read_drive(*recordings)
     learned = _learn(options, log, recordings)
@@ -170,7 +179,7 @@ def _has_rays(options: argparse.Namespace) -> bool:
 def _drive(options: argparse.Namespace) -> tuple[list[Path], ExitCode]:
     """Drive the robot and record it; return the recordings, those of --resume first, and the exit code."""
     _check_way(options)
-    address, record = _recorded_address(options)
+    address, record = recorded_address(options)
     before = read_drive(*options.resume) if options.resume else None
     if options.resume and record.resolve() in [path.resolve() for path in options.resume]:
         options.refuse(f"{record} is one of --resume: name another file with --record")
@@ -180,10 +189,11 @@ def _drive(options: argparse.Namespace) -> tuple[list[Path], ExitCode]:
         # A robot that a person drives is not stopped.
         stack.callback(robot.disconnect) if options.drive == "manual" else stack.enter_context(robot)
         body = resolve_body(resolve_robot_model(None, robot.model.name, options.address), None, options.address)
+        _require_nomad(body, robot.model.name)
         driver = _driver(options, body)
         try:
             last, log = _follow(robot, body, driver, before, options)
-        except (KeyboardInterrupt, TerminatedBySignal):
+        except (KeyboardInterrupt, TerminatedBySignal, ConnectionLost, ReplyTimeout):
             again = " ".join(str(path) for path in [*(options.resume or []), record])
             print(f"nomad map learn: stopped; the drive is in {record}: --from {again} makes the map, "
                   f"--resume {again} --record FILE goes on", file=sys.stderr, flush=True)  # fmt: skip
@@ -197,14 +207,27 @@ def _drive(options: argparse.Namespace) -> tuple[list[Path], ExitCode]:
     return [*(options.resume or []), record], result
 
 
+def _require_nomad(body: Body, model: str) -> None:
+    """Raise AddressError for a body of a model file with other sonars: maps are learned with those of a Nomad."""
+    if body.ring != BODIES[model].ring:
+        raise AddressError(
+            f"model_file= in the address describes other sonars than those of a {model}, and nomad map learn reads "
+            "only those: omit it"
+        )
+
+
 def _check_way(options: argparse.Namespace) -> None:
     """Refuse options that contradict each other."""
     if options.drive == "manual" and options.waypoints:
         options.refuse("--drive manual: a person drives; omit --waypoints")
     points = options.waypoints or []
-    outside = [point for point in points if options.geofence and not options.geofence.contains(*point)]
+    if options.geofence is None:
+        return
+    outside = [point for point in points if not options.geofence.contains(*point)]
     if outside:
         options.refuse(f"waypoint {outside[0][0]:g},{outside[0][1]:g} is outside of --geofence")
+    if not options.resume and not options.geofence.contains(0.0, 0.0):
+        options.refuse("the robot's start 0,0 is outside of --geofence")
 
 
 def _driver(options: argparse.Namespace, body: Body) -> Driver | None:
@@ -216,16 +239,28 @@ def _driver(options: argparse.Namespace, body: Body) -> Driver | None:
     return Explorer(body.radius_in, options.speed, options.time_limit, options.geofence)
 
 
-def _recorded_address(options: argparse.Namespace) -> tuple[str, Path]:
-    """Return the address with a recording, and its file."""
+def recorded_address(options: argparse.Namespace) -> tuple[str, Path]:
+    """Return the address with a recording and without reconnecting, and the file.
+
+    A drive is one connection: after another one the sonars fire at other instants, and in the recording a second drive
+    begins. So a lost link ends the drive; --resume goes on.
+    """
     text = address_or_default(options.address)
-    there = split_address(text).options.get("record")
-    if there is not None:
+    there, more = split_address(text).options, []
+    # 1. The recording.
+    record: Path = options.record or options.out.with_suffix(".log")
+    if "record" in there:
         if options.record is not None:
             options.refuse("--record and record= in the address exclude each other: give one of them")
-        return text, Path(there)
-    record: Path = options.record or options.out.with_suffix(".log")
-    return f"{text}{'&' if '?' in text else '?'}record={quote(str(record))}", record
+        record = Path(there["record"])
+    else:
+        more.append(f"record={quote(str(record))}")
+    # 2. One connection.
+    if parse_address(text).options.reconnect:
+        if "reconnect" in there:
+            options.refuse("reconnect= in the address: a drive is one connection; omit it, and go on with --resume")
+        more.append("reconnect=0")
+    return "&".join([f"{text}{'&' if '?' in text else '?'}{more[0]}", *more[1:]]) if more else text, record
 
 
 def _follow(

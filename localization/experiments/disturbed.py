@@ -25,7 +25,6 @@ import numpy as np
 
 from localization.cli.arguments import START_STD, make_folder
 from localization.experiments.execution import ResultCache, code_hash, progress, run_cached
-from localization.experiments.figure_trial import nees
 from localization.experiments.live_trial import LOST_IN, Scenario, simulated_robot
 from localization.experiments.lost_trial import GOALS, MARGIN_IN, POSITIONS, START, RandomExplorer, free_positions
 from localization.experiments.output import (
@@ -37,7 +36,7 @@ from localization.experiments.output import (
     text_table,
 )
 from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig
-from localization.filters.belief import Floats, add, chi_square_quantile, difference, independent
+from localization.filters.belief import Floats, add, chi_square_quantile, difference, independent, nees
 from localization.filters.health import HealthStatus
 from localization.filters.registry import DEFAULT_METHOD, METHODS
 from localization.filters.sonar_cone import ConeSonar

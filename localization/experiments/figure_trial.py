@@ -29,7 +29,7 @@ import numpy.typing as npt
 
 from localization.filters import odometry, sonar_ray
 from localization.filters.base import THESIS_ODOMETRY
-from localization.filters.belief import Belief, Floats, add, chi_square_quantile, difference, independent
+from localization.filters.belief import Belief, Floats, add, chi_square_quantile, difference, independent, nees
 from localization.filters.ekf import update_ring
 from localization.navigation.control_law import ControlGains, is_reached, next_step
 from worlds.io import load_world
@@ -157,25 +157,6 @@ def draw_step_errors(seeds: Sequence[int], beams: int) -> Iterator[tuple[Floats,
 
 def _generator(seed: int, purpose: int) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(purpose,)))
-
-
-def nees(error: Floats, cov: Floats) -> Floats:
-    """Return the normalised estimation error squared (...), e' P^-1 e.
-
-    For a consistent filter it is chi-square distributed with n degrees of freedom, so n on average.
-
-    Parameters
-    ----------
-    error : (..., n) array
-    cov : (..., n, n) array
-
-    Raises
-    ------
-    LinAlgError
-        If a covariance is singular.
-    """
-    value: Floats = (error * np.linalg.solve(cov, error[..., None])[..., 0]).sum(axis=-1)
-    return value
 
 
 def mean_band(dof: int, runs: int, probability: float = 0.95) -> tuple[float, float]:

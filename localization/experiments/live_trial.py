@@ -28,9 +28,8 @@ from typing import Final, NamedTuple, TypedDict
 
 import numpy as np
 
-from localization.experiments.figure_trial import nees
 from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig
-from localization.filters.belief import Floats, add, chi_square_quantile, difference, independent
+from localization.filters.belief import Floats, add, chi_square_quantile, difference, independent, nees
 from localization.filters.odometry import OdometryNoise, with_parameters
 from localization.filters.sonar_cone import ConeSonar
 from localization.filters.sonar_ray import WIRE_SONAR, RaySonar

@@ -278,3 +278,26 @@ def _gamma_fraction(shape: float, point: float) -> float:
         change = growth * ratio
         total *= change
     return total
+
+
+def nees(error: Floats, cov: Floats) -> Floats:
+    """Return the normalised estimation error squared (...), e' P^-1 e.
+
+    For a consistent filter it is chi-square distributed with n degrees of freedom, so n on average.
+
+    Parameters
+    ----------
+    error : (..., n) array
+    cov : (..., n, n) array
+
+    Raises
+    ------
+    LinAlgError
+        If a covariance is singular.
+
+    References
+    ----------
+    Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation (2001), section 5.4.2.
+    """
+    value: Floats = (error * np.linalg.solve(cov, error[..., None])[..., 0]).sum(axis=-1)
+    return value

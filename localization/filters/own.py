@@ -226,12 +226,14 @@ def make_own(method: str, config: LocalizationConfig, belief: Belief) -> OwnFilt
 
 
 def _load_file(path: Path) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(path.stem, path)
+    # A name of its own: a file numpy.py must not take the place of the package.
+    name = f"own_filter_{path.stem}"
+    spec = importlib.util.spec_from_file_location(name, path)
     if not path.is_file() or spec is None or spec.loader is None:
         raise OwnFilterError(f"{path}: no such file; expected FILE.py:CLASS or MODULE:CLASS")
     module = importlib.util.module_from_spec(spec)
     # Before it runs: dataclasses look their module up.
-    sys.modules[path.stem] = module
+    sys.modules[name] = module
     with _found_first(path.resolve().parent):
         spec.loader.exec_module(module)
     return module

@@ -152,9 +152,11 @@ class Explorer:
         self._graph: Any = scipy.sparse.csgraph
         self._body_in, self._speed_in_s, self._fence = body_in, speed_in_s, fence
         self._time_limit_s = time_limit_s
-        self._blocked: list[Point] = []
+        self.blocked: list[Point] = []
+        """Where something was in the way."""
         self._tried: list[Place] = []
         self._place: Place | None = None
+        self._goal: Point | None = None
         self._free_ways: list[float] = []
         self._is_last = False
         self._pieces: list[Piece] = []
@@ -167,8 +169,13 @@ class Explorer:
         self, clock_s: float, pose: Floats, mapper: LiveMapper, free_in: Callable[[float], float]
     ) -> list[Point] | None:
         """Return the next path."""
-        if self._is_last:
-            return None
+        path = None if self._is_last else self._chosen_leg(clock_s, pose, mapper, free_in)
+        self._goal = path[-1] if path else None
+        return path
+
+    def _chosen_leg(
+        self, clock_s: float, pose: Floats, mapper: LiveMapper, free_in: Callable[[float], float]
+    ) -> list[Point] | None:
         # 1. At first where the sonars show the longest way, so that there is something to see.
         if mapper.rounds < FIRST_ROUNDS:
             return self._free_leg(pose, free_in)
@@ -199,16 +206,17 @@ class Explorer:
 
     def end_leg(self, pose: Floats, reason: str) -> None:
         """Remember what is in the way, and which place was tried."""
-        if reason:
-            # Ahead of the body, in the direction of the place.
-            goal = (self._place.x_in, self._place.y_in) if self._place else (float(pose[0]), float(pose[1]))
-            away = max(hypot(goal[0] - pose[0], goal[1] - pose[1]), 1e-6)
-            reach = min(self._body_in + 3.0, away)
-            ahead = (
-                float(pose[0]) + reach * (goal[0] - float(pose[0])) / away,
-                float(pose[1]) + reach * (goal[1] - float(pose[1])) / away,
-            )
-            self._blocked.append(ahead)
+        if self._place is not None:
+            goal: Point | None = (self._place.x_in, self._place.y_in)
+        else:
+            goal = self._goal
+        away = 0.0 if goal is None else hypot(goal[0] - pose[0], goal[1] - pose[1])
+        if reason and goal is not None and away > 0.0:
+            # Ahead of the body, towards the place, or towards the end of a leg that leads to none.
+            reach = (self._body_in + 3.0) / away
+            self.blocked.append((
+                float(pose[0]) + reach * (goal[0] - float(pose[0])), float(pose[1]) + reach * (goal[1] - float(pose[1]))
+            ))  # fmt: skip
         if self._place is not None:
             self._tried.append(self._place)
         self._place = None
@@ -268,9 +276,9 @@ class Explorer:
 
     def _blocks(self) -> Floats:
         """Return what was in the way, as short segments (n, 4)."""
-        if not self._blocked:
+        if not self.blocked:
             return np.zeros((0, 4))
-        points = np.array(self._blocked)
+        points = np.array(self.blocked)
         return np.concatenate((points - (1.0, 0.0), points + (1.0, 0.0)), axis=1)  # noqa: RUF005
 
     def _mark_sectors(self, grid: Grid, estimate: MapEstimate) -> None:

@@ -211,7 +211,6 @@ class LiveMapper:
         self._encoders = trajectory.odometry[-1]
         self.rounds += 1
 
-
     def _challenged(self, estimate: MapEstimate, log: DriveLog) -> MapEstimate:
         """Return a map, or one that is learned from the beginning if that is cheaper.
 

@@ -12,13 +12,14 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from math import radians
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from localization.filters.belief import HEADING, POSE, Floats
+from localization.filters.belief import HEADING, POSE, Floats, wrap_angle
 from localization.filters.odometry import (
     MAX_STATE,
     OdometryNoise,
@@ -47,6 +48,22 @@ STANDING_IN, STANDING_RAD = 0.05, 0.005
 """A robot that moves less than this between two nodes stands: its readings repeat themselves and are left out."""
 QUANTIZATION_STD: Final = (0.04, 0.04, 0.001)
 """Standard deviation of an odometry step by the encoders' resolution, 0.1 in and 0.1 deg: in, in, rad."""
+SAME_AXIS_RAD: Final = radians(6.0)
+"""Sonars of two rounds are compared if their axes differ by less: half of what is left of a cone's half angle."""
+DISPLACEMENTS_IN: Final[Floats] = np.arange(-24.0, 24.5)
+"""Displacements that are tested along x and along y: farther away little is the same."""
+STANDING_VAR_IN2: Final = 1.0
+"""Variance of the difference of two readings besides their noise: a robot rolls on while it brakes."""
+MAX_DIFFERENCE: Final = 3.0
+"""A larger difference of two readings, in standard deviations, is a bad reading or another place."""
+COMPARED_ROUNDS: Final = 2
+"""Two of each, so that one bad reading of a sonar is not the only one."""
+MIN_COMPARED: Final = 4
+"""With fewer sonars that are compared nothing is decided."""
+MIN_AGREEING: Final = 0.3
+"""Fraction of them that must agree: if a fifth of all readings is bad, four in five do; at another place few."""
+MAX_SAVED: Final = 14.0
+"""Sum of squared standard deviations that a displacement may explain: less than two readings."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -282,6 +299,94 @@ def model_angles(name: str) -> Sequence[float]:
     """Return the directions of the sonars of a robot model."""
     angles: Sequence[float] = BODIES[name].sonar_angles_rad
     return angles
+
+
+# Continuing a drive.
+
+
+class RoundComparison(NamedTuple):
+    """Comparison of the last rounds of a drive with the first ones after it.
+
+    Attributes
+    ----------
+    compared
+        Number of sonars with echoes in both, or in all rounds of one and none of the other.
+    agreeing
+        Number of those whose readings agree.
+    saved
+        Sum of squared differences, in standard deviations and bounded, that the best displacement explains.
+    displacement_in
+        This displacement, x ahead and y to the left of the robot.
+    """
+
+    compared: int
+    agreeing: int
+    saved: float
+    displacement_in: tuple[float, float]
+
+    @property
+    def has_moved(self) -> bool:
+        """True if the readings contradict a robot that still stands where the drive ended."""
+        if self.compared < MIN_COMPARED:
+            return False
+        return self.agreeing < MIN_AGREEING * self.compared or self.saved > MAX_SAVED
+
+
+def compare_rounds(before: DriveLog, after: DriveLog, sonar: ConeSonar) -> RoundComparison:
+    """Compare the last rounds of a drive with the first ones of another, of a robot that stood between them.
+
+    Each reading is corrected by the encoders' motion between its instant and the end, or the beginning, as of a wall
+    across the axis of the sonar. A displacement d changes the range of a sonar of axis u by -u . d. The squares of the
+    differences are bounded, so bad readings agree on no displacement.
+
+    Parameters
+    ----------
+    before, after
+        The drives.
+    sonar
+        Noise and limits of the readings.
+    """
+    # 1. Axes and ranges at the end of the one and at the beginning of the other.
+    count = COMPARED_ROUNDS * len(before.angles_rad)
+    axes, ranges = _ranges_at(before, slice(-count, None), before.encoders[-1, 1:4], sonar)
+    new_axes, new_ranges = _ranges_at(after, slice(None, count), after.encoders[0, 1:4], sonar)
+    sonars = after.sonars[:count]
+    # 2. For each sonar the cost of each displacement, by the two readings that fit it best. The first one is none.
+    x, y = (grid.ravel() for grid in np.meshgrid(DISPLACEMENTS_IN, DISPLACEMENTS_IN, indexing="ij"))
+    displacements = np.concatenate((np.zeros((1, 2)), np.stack((x, y), axis=-1)))
+    costs: list[Floats] = []
+    for number in np.unique(sonars):
+        own = np.flatnonzero(sonars == number)
+        new, old = np.nonzero(np.abs(wrap_angle(new_axes[own, None] - axes)) < SAME_AXIS_RAD)
+        z, z_before, axis = new_ranges[own[new]], ranges[old], new_axes[own[new]]
+        has_both = np.isfinite(z) & np.isfinite(z_before)
+        if has_both.any():
+            z, z_before, axis = z[has_both], z_before[has_both], axis[has_both]
+            u = np.stack((np.cos(axis), np.sin(axis)), axis=-1)
+            variance = sonar.variance(z) + sonar.variance(z_before) + STANDING_VAR_IN2
+            costs.append((np.square(z - z_before + displacements @ u.T) / variance).min(axis=1))
+        elif len(new) and (np.isfinite(z).all() or np.isfinite(z_before).all()):
+            # Echoes in all rounds of one drive, and in none of the other: another place.
+            costs.append(np.full(len(displacements), np.inf))
+    if not costs:
+        return RoundComparison(0, 0, 0.0, (0.0, 0.0))
+    # 3. None, and the best one.
+    bounded = np.minimum(costs, MAX_DIFFERENCE**2)
+    cost = bounded.sum(axis=0)
+    best = int(cost.argmin())
+    agreeing = int((bounded[:, 0] < MAX_DIFFERENCE**2).sum())
+    at = displacements[best].tolist()
+    return RoundComparison(len(costs), agreeing, float(cost[0] - cost[best]), (at[0], at[1]))
+
+
+def _ranges_at(log: DriveLog, part: slice, pose: Floats, sonar: ConeSonar) -> tuple[Floats, Floats]:
+    """Return axes in the frame of a pose (3,) and ranges at it of a part of the readings; NaN for one at a limit."""
+    readings, there = log.readings_in[part], log.poses_at(log.instants_s[part])
+    axes = there[:, 3] + log.angles_rad[log.sonars[part]]
+    u = np.stack((np.cos(axes), np.sin(axes)), axis=-1)
+    moved = ((pose[:2] - there[:, :2]) * u).sum(axis=1)
+    is_echo = (readings > sonar.lowest_in) & (readings < sonar.highest_in)
+    return axes - pose[HEADING], np.where(is_echo, readings - moved, np.nan)
 
 
 def _frames(recording: Recording, connection: str) -> Iterator[tuple[str, dict[str, Any]]]:

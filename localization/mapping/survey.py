@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Generator, Sequence
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field
 from itertools import pairwise
 from math import cos, degrees, hypot, inf, pi, radians, sin
@@ -19,13 +19,16 @@ from typing import Final, NamedTuple, Protocol
 import numpy as np
 
 from localization.filters.belief import Floats
-from localization.live.sensor_input import FiringTime, restart_ring
+from localization.filters.sonar_cone import ConeSonar
+from localization.live.sensor_input import FiringSchedule, FiringTime, restart_ring
 from localization.mapping.live import LiveMapper
-from localization.mapping.measurements import DriveCollector
+from localization.mapping.measurements import COMPARED_ROUNDS, DriveCollector, DriveLog, compare_rounds
 from localization.navigation.limits import STAND, AxisLimits, StateGapLimiter, VelocityCommand
 from localization.navigation.path import PathSection, angle_difference, line_between, wall_distances
 from localization.navigation.path_follower import PathFollower
-from localization.navigation.waypoints import COMMAND_TIMEOUT_S, PERIOD_S, stop_on_exit
+from localization.navigation.recovery import StallDetector
+from localization.navigation.waypoints import stop_on_exit, wait_for_next_state
+from nclient.errors import BumperHit, NomadError
 from nclient.robot import Robot
 from nclient.state import RobotState
 from worlds.robots import Body
@@ -36,6 +39,8 @@ GUARD_S: Final = 2.0
 """Readings considered by the guard: two turns of the ring, so that one bad reading of a sonar is not the only one."""
 REACTION_S: Final = 1.5
 """The way ahead lasts this long at least: a turn of the ring, and braking."""
+COMMAND_TIMEOUT_S: Final = 1
+"""The robot stops by itself after this time without a command, within REACTION_S: solving the map may take longer."""
 GUARD_MARGIN_IN: Final = 1.5
 HALF_CONE_RAD: Final = radians(12.5)
 ASIDE_RAD: Final = radians(80.0)
@@ -61,6 +66,12 @@ REVERSE_RAD: Final = radians(100.0)
 BACK_OFF_IN, BACK_OFF_IN_S = 3.0, 2.0
 MAX_CONTACTS: Final = 3
 REACHED_IN: Final = 2.0
+MAX_ROUND_PERIODS: Final = 100
+"""Periods in which the compared rounds of the ring must be complete: 10 s."""
+
+
+class RobotMoved(NomadError):
+    """A robot does not stand where the drive ended that is to go on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +95,7 @@ class SpeedGuard:
 
     def __init__(self, body: Body) -> None:
         self._ring_in, self.body_in, self._shortest_in = body.ring.radius_in, body.radius_in, body.ring.min_range_in
+        self._sonars = body.ring.count
         self._walls: deque[tuple[float, float, float, float]] = deque()
         self.is_blind = False
         """True if something was nearer aside than sonars measure, at the last question."""
@@ -94,6 +106,10 @@ class SpeedGuard:
             self._walls.popleft()
         distance = float(encoders[0] * np.cos(axis_rad) + encoders[1] * np.sin(axis_rad)) + self._ring_in + reading_in
         self._walls.append((clock_s, axis_rad, distance, reading_in))
+
+    def is_complete(self, clock_s: float) -> bool:
+        """Return True if the readings of the last GUARD_S are at least a turn of the ring: fewer leave gaps."""
+        return sum(wall[0] >= clock_s - GUARD_S for wall in self._walls) >= self._sonars
 
     def free_in(self, encoders: Floats, direction_rad: float) -> float:
         """Return how far the body may move from an encoder pose in a direction; inf if nothing is ahead."""
@@ -160,6 +176,7 @@ class _Leg:
 
     def __init__(self, pose: Floats, points: Sequence[Point], limits: AxisLimits) -> None:
         corners = [(float(pose[0]), float(pose[1])), *points]
+        self.goal: Floats = np.array(corners[-1])
         self._sections = [
             PathSection((line_between(one, other),))
             for one, other in pairwise(corners)
@@ -218,17 +235,16 @@ class _Motion:
         self.log = SurveyLog()
 
     def command(
-        self, elapsed_s: float, state: RobotState, encoders: Floats, pose: Floats, mapper: LiveMapper
+        self, elapsed_s: float, is_touching: bool, encoders: Floats, pose: Floats, mapper: LiveMapper
     ) -> VelocityCommand | str:
         """Return the velocities, or why the drive ends."""
         # 1. Contacts: back off, away from where it drove to.
-        if state.touching and self._back_off is None:
+        if is_touching and self._back_off is None:
             self.log.contacts.append((float(pose[0]), float(pose[1])))
             self.log.notes.append((elapsed_s, f"touched something at ({pose[0]:.1f}, {pose[1]:.1f})"))
             if len(self.log.contacts) >= MAX_CONTACTS:
                 return f"touched something {MAX_CONTACTS} times"
-            speed = -BACK_OFF_IN_S if self._speed_in_s > 0.0 else BACK_OFF_IN_S
-            self._back_off = speed, encoders, elapsed_s
+            self._back_off = self._back_off_speed_in_s(encoders), encoders, elapsed_s
             self._give_up(pose, "contact")
         if self._back_off is not None:
             speed, since, since_s = self._back_off
@@ -248,6 +264,21 @@ class _Motion:
             self._driver.end_leg(pose, "")
             return STAND
         return self._guarded(command, elapsed_s, encoders, pose, mapper)
+
+    def _back_off_speed_in_s(self, encoders: Floats) -> float:
+        """Return the speed of backing off: to where it came from, or if it has not driven to where more is free."""
+        if self._speed_in_s:
+            return -BACK_OFF_IN_S if self._speed_in_s > 0.0 else BACK_OFF_IN_S
+        ahead, behind = (self._guard.free_in(encoders, float(encoders[2]) + turn) for turn in (0.0, pi))
+        if max(ahead, behind) < BACK_OFF_IN:
+            return 0.0
+        return BACK_OFF_IN_S if ahead > behind else -BACK_OFF_IN_S
+
+    @property
+    def goal(self) -> Floats | None:
+        """End (2,) of the leg; None without one, and while the guard or a contact keeps the robot from driving it."""
+        is_held = self._leg is None or self._back_off is not None or self._blocked_s < inf
+        return None if self._leg is None or is_held else self._leg.goal
 
     def _fits(self, pose: Floats, direction_rad: float, mapper: LiveMapper) -> bool:
         """Return True if the map shows space ahead, and what is too near for the sonars."""
@@ -328,49 +359,93 @@ def survey(
         Where the robot must stay.
     collector
         The drive so far, of one that goes on.
+
+    Raises
+    ------
+    RobotMoved
+        If the robot does not stand where the drive ended that goes on.
     """
     # 1. The ring, so that it is known when each sonar fires.
     schedule, state = restart_ring(robot, body.ring)
+    if collector is not None and collector.has_drive:
+        _require_same_place(collector.log(), _first_rounds(robot, schedule, state, wait))
     collector = collector or DriveCollector(robot.model.name)
     mapper = mapper_of(collector)
     collector.restart(state, schedule)
-    start_s = state.clock_s or 0.0
-    guard, gaps = SpeedGuard(body), StateGapLimiter()
+    start_s = clock_s = state.clock_s or 0.0
+    guard, gaps, stall_detector = SpeedGuard(body), StateGapLimiter(), StallDetector(limits.translation_in_s)
     motion = None if driver is None else _Motion(driver, guard, limits, fence)
     log = SurveyLog() if motion is None else motion.log
     if driver is not None:
         robot.set_timeout(COMMAND_TIMEOUT_S)
     with nullcontext() if driver is None else stop_on_exit(robot):
+        state, is_hit = robot.refresh(), False
         while True:
             # 2. The map.
-            state = robot.refresh()
             _add_readings(guard, collector, body, state, mapper.add(state))
-            elapsed_s = (state.clock_s or 0.0) - start_s
-            encoders = collector.encoders_at((state.clock_s or 0.0) + collector.shift_s)
+            before_s, clock_s = clock_s, state.clock_s or 0.0
+            elapsed_s = clock_s - start_s
+            encoders = collector.encoders_at(clock_s + collector.shift_s)
             pose = mapper.pose(encoders) if mapper.is_ready else None
-            # 3. Where to: nowhere before the first pose.
+            # 3. Where to: nowhere before the first pose, without the readings of a turn of the ring, or while the
+            # clock stands: then the encoders and readings may be old.
             command: VelocityCommand | str = STAND
-            # A turn of the ring, so that the guard has seen everything.
-            if motion is not None and pose is not None and len(collector) >= body.ring.count:
-                command = motion.command(elapsed_s, state, encoders[:3], pose, mapper)
+            if clock_s < before_s:
+                command = f"the robot's clock went back from {before_s:.1f} to {clock_s:.1f} s: was it restarted?"
+            elif motion is not None and pose is not None and guard.is_complete(clock_s) and clock_s > before_s:
+                command = motion.command(elapsed_s, state.touching or is_hit, encoders[:3], pose, mapper)
+                if not isinstance(command, str):
+                    goal = None if command == STAND else motion.goal
+                    command = stall_detector.reason(elapsed_s, state, pose, goal) or command
             if isinstance(command, str):
                 yield SurveyStep(elapsed_s, state, pose, command), mapper, log
                 return
             yield SurveyStep(elapsed_s, state, pose), mapper, log
             # 4. Drive for the rest of the period.
-            after = state
-            if motion is not None:
-                fraction = gaps.speed_fraction(state.clock_s or 0.0)
-                after = robot.drive(
-                    translation_in_s=fraction * command.translation_in_s,
-                    steering_rad_s=fraction * command.steering_rad_s,
-                )
-                _add_readings(guard, collector, body, after, mapper.add(after))
+            after, is_hit = state, True
+            # With bumper_stop the robot was stopped already, and goes on as after any contact.
+            with suppress(BumperHit):
+                if motion is not None:
+                    fraction = gaps.speed_fraction(clock_s)
+                    after = robot.drive(
+                        translation_in_s=fraction * command.translation_in_s,
+                        steering_rad_s=fraction * command.steering_rad_s,
+                    )
+                    _add_readings(guard, collector, body, after, mapper.add(after))
+                is_hit = False
             if mapper.is_due:
                 mapper.solve()
-            remaining_s = PERIOD_S - ((after.clock_s or 0.0) - (state.clock_s or 0.0))
-            if remaining_s > 0.0:
-                wait(remaining_s / (after.speed_factor or 1.0))
+            try:
+                state = wait_for_next_state(robot, state, after, wait)
+            except BumperHit:
+                state, is_hit = robot.refresh(), True
+
+
+def _first_rounds(robot: Robot, schedule: FiringSchedule, state: RobotState, wait: Callable[[float], None]) -> DriveLog:
+    """Return the first readings after a restart of the ring. Raises RobotMoved if there are none."""
+    first = DriveCollector(robot.model.name)
+    first.restart(state, schedule)
+    for _ in range(MAX_ROUND_PERIODS):
+        after = robot.refresh()
+        first.add(after)
+        if len(first) >= COMPARED_ROUNDS * len(schedule.order):
+            return first.log()
+        state = wait_for_next_state(robot, state, after, wait)
+        first.add(state)
+    raise RobotMoved("the robot's clock does not advance, so its readings cannot be compared with those of --resume")
+
+
+def _require_same_place(before: DriveLog, after: DriveLog) -> None:
+    """Raise RobotMoved if the first readings do not fit the last ones of the drive that goes on."""
+    found = compare_rounds(before, after, ConeSonar())
+    if not found.has_moved:
+        return
+    x, y = found.displacement_in
+    hint = f"; they fit one that was moved by ({x:g}, {y:g}) in (ahead, left)" if found.saved > 0.0 else ""
+    raise RobotMoved(
+        f"--resume: {found.agreeing} of {found.compared} sonars measure what they did at the end of the drive{hint}: "
+        "put the robot back where the drive ended, or map anew without --resume"
+    )
 
 
 def _add_readings(

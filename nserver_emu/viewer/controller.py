@@ -150,7 +150,10 @@ class ViewerClients:
         self._error_boundary = error_boundary
         self.name = name
         self._clients: dict[int, ViewerClient] = {}
+        # When robots that are driven stop, and velocities: those not answered yet, and the latest ones after them.
         self._driven: dict[int, float] = {}
+        self._unanswered: set[int] = set()
+        self._next: dict[int, tuple[list[int], float, OnAnswer]] = {}
 
     def call(self, robot_id: int, name: str, args: list[int], on_answer: OnAnswer) -> None:
         """Make a call to a robot."""
@@ -165,6 +168,7 @@ class ViewerClients:
             self._clients[robot_id] = client
         # 2. Any other call ends continuous driving.
         self._driven.pop(robot_id, None)
+        self._skip_next(robot_id)
         # 3. A held robot accepts no motion; velocities of 0 are no motion.
         hold = self._daemon.emulator.estop.get(robot_id)
         if hold is not None and (name in ALWAYS_MOVE or (name in MOTIONS and any(args))):
@@ -174,11 +178,37 @@ class ViewerClients:
         client.call(name, args, on_answer)
 
     def drive(self, robot_id: int, args: list[int], now: float, on_answer: OnAnswer) -> None:
-        """Drive at these velocities; the robot stops if the next call does not come within DRIVE_TIMEOUT_S."""
-        self.call(robot_id, "vm", args, on_answer)
+        """Drive at these velocities; the robot stops if the next call does not come within DRIVE_TIMEOUT_S.
+
+        A real robot may be slower than its driver: of velocities that come before the last ones were answered only the
+        latest are sent, so that neither they nor a stop wait in a queue. The others are answered without values.
+        """
+        if robot_id in self._unanswered:
+            self._skip_next(robot_id)
+            self._next[robot_id] = args, now, on_answer
+        else:
+            self._unanswered.add(robot_id)
+
+            def answered(answer: Answer) -> None:
+                self._unanswered.discard(robot_id)
+                on_answer(answer)
+                if robot_id in self._next:
+                    self.drive(robot_id, *self._next.pop(robot_id))
+
+            try:
+                self.call(robot_id, "vm", args, answered)
+            except Exception:
+                self._unanswered.discard(robot_id)
+                raise
         # Velocities of 0 need no repetition.
         if any(args) and self._daemon.emulator.estop.get(robot_id) is None:
             self._driven[robot_id] = now + messages.DRIVE_TIMEOUT_S
+
+    def _skip_next(self, robot_id: int) -> None:
+        """Answer velocities that wait, instead of sending them."""
+        if robot_id in self._next:
+            *_, on_answer = self._next.pop(robot_id)
+            on_answer({"ok": True, "values": []})
 
     def is_driving(self, robot_id: int) -> bool:
         """Return True while this viewer drives the robot."""
@@ -194,6 +224,7 @@ class ViewerClients:
     def close(self) -> None:
         """Close all connections."""
         self._driven.clear()
+        self._next.clear()
         while self._clients:
             _, client = self._clients.popitem()
             with self._error_boundary.guard("closing a connection", self.name):
@@ -381,7 +412,15 @@ class ViewerController:
         reading.add_done_callback(finish)
 
     def _kidnap(self, viewer: Viewer, message: messages.Kidnap) -> None:
-        """Place a robot, and set its encoders back to what they were: three calls in one turn of the event loop."""
+        """Place a robot, and set its encoders back to what they were: three calls in one turn of the event loop.
+
+        Raises
+        ------
+        InvalidMessage
+            If robots are real: of those only the encoders would be set.
+        """
+        if self.daemon.handler is not self.daemon.emulator:
+            raise messages.InvalidMessage("a real robot cannot be placed from here: carry it to another place")
         clients, encoder = self.clients(viewer), self.daemon.emulator.simulation.robots[message.robot].encoder
         positions = [tenths(encoder.x_in), tenths(encoder.y_in)]
         angles = [heading_tenths(encoder.steering_rad), heading_tenths(encoder.turret_rad)]

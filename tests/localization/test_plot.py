@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -98,3 +100,9 @@ def test_notebooks_show_robots_worlds_and_estimates(run: Run) -> None:
     assert picture.count("<circle") == len(load_world("flat").starts)
     estimate = run.moments[-1].estimate
     assert f"x {estimate.pose[0]:.2f} ±" in estimate._repr_html_()
+
+
+@pytest.mark.parametrize("draw", [plot.errors, plot.innovations, plot.nees])
+def test_run_without_moments_is_refused(draw: Callable[[Run], object]) -> None:
+    with pytest.raises(ValueError, match="none"):
+        draw(Run([]))

@@ -274,7 +274,7 @@ function removeTool(app) {
     },
     up(world) {
       if (obstacle && obstacleAt(app, world) === obstacle) deleteObstacle(app, obstacle);
-      else if (wall && wallAt(app, world)) deleteWall(app, wall);
+      else if (wall && String(wallAt(app, world)?.[0]) === String(wall)) deleteWall(app, wall);
       obstacle = wall = null;
     },
     cancel() { const isDragging = Boolean(obstacle || wall); obstacle = wall = null; return isDragging; },

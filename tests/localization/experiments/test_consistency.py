@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.special import gammaincinv
 
-from localization.experiments.figure_trial import bound_step, information, mean_band, nees
-from localization.filters.belief import Floats
+from localization.experiments.figure_trial import bound_step, information, mean_band
+from localization.filters.belief import Floats, nees
 
 
 def some_covariance(rng: np.random.Generator, size: int = 3) -> Floats:

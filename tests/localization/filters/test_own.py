@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from pathlib import Path
 
 import numpy as np
@@ -120,6 +121,12 @@ def test_classes_of_files_and_modules_are_found(tmp_path: Path, monkeypatch: pyt
     assert made.belief.mean == pytest.approx(START.mean)
     monkeypatch.chdir(tmp_path)
     assert load_factory("filters_of_a_test:MyFilter").__name__ == "MyFilter"
+
+
+def test_file_does_not_replace_a_module_of_its_name(tmp_path: Path) -> None:
+    (tmp_path / "colorsys.py").write_text("class MyFilter:\n    pass\n", encoding="utf-8")
+    load_factory(f"{tmp_path}/colorsys.py:MyFilter")
+    assert hasattr(importlib.import_module("colorsys"), "rgb_to_hsv")
 
 
 @pytest.mark.parametrize(("method", "word"), [

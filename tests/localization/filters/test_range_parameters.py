@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from localization.experiments.figure_trial import nees
 from localization.experiments.live_trial import EXACT_RAYS
 from localization.filters.base import LocalizationConfig
-from localization.filters.belief import difference, independent
+from localization.filters.belief import difference, independent, nees
 from localization.filters.ekf import KalmanFilter
 from localization.filters.odometry import OdometryNoise, move, predict, with_parameters
 from localization.filters.reflectors import reflectors

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from itertools import pairwise
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
 
 from localization.filters.belief import Floats
 from localization.mapping.explore import CELL_IN, Explorer, Grid, pushed
+from localization.mapping.live import LiveMapper
 from localization.mapping.measurements import read_drive
 from localization.navigation.path import wall_distances
 from localization.navigation.roadmap import segment_clearances
@@ -55,6 +57,16 @@ def test_band_is_pushed_to_the_middle_of_a_gap() -> None:
     middle = found[np.abs(found[:, 0] - 80.0) < 4.0]
     np.testing.assert_allclose(middle[:, 1], 40.37, atol=1.2)
     np.testing.assert_allclose(found[[0, -1]], points[[0, -1]])
+
+
+def test_what_blocks_a_first_leg_lies_ahead_of_the_body() -> None:
+    class NoMap:
+        rounds = 0
+
+    explorer, pose = Explorer(BODY_IN, 6.0, 300.0), np.array((10.0, 20.0, 0.0))
+    explorer.leg(1.0, pose, cast("LiveMapper", NoMap()), lambda way: 30.0 if abs(way) < 0.1 else 5.0)
+    explorer.end_leg(pose, "blocked")
+    np.testing.assert_allclose(explorer.blocked, [(10.0 + BODY_IN + 3.0, 20.0)], atol=1e-9)
 
 
 def test_robot_explores_a_room_without_contact(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,18 +2,30 @@
 
 from __future__ import annotations
 
+import argparse
 import json
-from math import pi
+from collections.abc import Callable
+from dataclasses import replace
+from math import cos, pi, sin
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
-from localization.mapping.measurements import DriveCollector, read_drive
-from localization.mapping.survey import Geofence, SpeedGuard
-from nclient import connect
+from localization.cli.map_learn import recorded_address
+from localization.filters.odometry import OdometryNoise
+from localization.filters.sonar_cone import ConeSonar
+from localization.mapping.live import LiveMapper
+from localization.mapping.measurements import DriveCollector, DriveLog, compare_rounds, read_drive
+from localization.mapping.survey import Geofence, SpeedGuard, SurveyStep, WaypointDriver, survey
+from localization.navigation.limits import MODEL_LIMITS
+from nclient import Robot, connect
 from nclient.cli import main
+from nclient.errors import BumperHit
 from nclient.recording.format import read_recording
+from nclient.state import RobotState
+from tests.localization.mapping.drives import drive, echo
 from tests.programs.forked import Forked
 from worlds.io import load_world
 from worlds.robots import N150
@@ -51,6 +63,152 @@ def test_geofence_contains_its_inside() -> None:
     fence = Geofence((-5.0, -5.0), (5.0, 10.0))
     assert fence.contains(0.0, 9.0)
     assert not fence.contains(0.0, 11.0)
+
+
+def test_guard_is_complete_after_a_turn_of_the_ring() -> None:
+    readings = [(0.06 * number, 0.4 * number, 50.0) for number in range(16)]
+    assert not guard(*readings[:15]).is_complete(0.9)
+    assert guard(*readings).is_complete(0.9)
+    # Readings that have stopped show nothing of what is ahead now.
+    assert not guard(*readings).is_complete(2.5)
+
+
+# Robots that were moved.
+
+
+def standing_rounds(log: DriveLog, seed: int, moved: tuple[float, float, float], bad: float) -> DriveLog:
+    """Return two rounds at the end of the true lap, displaced ahead, to the left and by an angle, with bad readings."""
+    rng = np.random.default_rng(seed)
+    heading = log.encoders[-1, 3] - 0.4
+    x = 25.0 + cos(heading) * moved[0] - sin(heading) * moved[1]
+    y = 30.0 + sin(heading) * moved[0] + cos(heading) * moved[1]
+    ring, readings = N150.sonar_ring_radius_in, []
+    for angle in N150.sonar_angles_rad * 2:
+        axis = heading + moved[2] + angle
+        found = echo(x + ring * cos(axis), y + ring * sin(axis), axis)
+        found = float(rng.integers(7, 200)) if rng.random() < bad else found
+        readings.append(found if found >= 255.0 else float(round(found + rng.normal(0.0, 0.01 * found))))
+    # Encoders that were set anew meanwhile.
+    encoders = np.array([(0.0, 1.0, 2.0, 0.3, 0.3), (2.0, 1.0, 2.0, 0.3, 0.3)])
+    return replace(
+        log, encoders=encoders, instants_s=np.linspace(0.1, 1.9, 32), sonars=np.arange(32) % 16,
+        readings_in=np.array(readings),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("bad", [0.0, 0.2])
+def test_robot_that_stands_where_it_stood_fits(bad: float) -> None:
+    log = drive(quiet=True)
+    rng = np.random.default_rng(3)
+    worse = np.where(rng.random(len(log.readings_in)) < bad, rng.uniform(7.0, 200.0, len(log.readings_in)),
+                     log.readings_in)  # fmt: skip
+    log = replace(log, readings_in=worse)
+    for seed in range(40):
+        assert not compare_rounds(log, standing_rounds(log, seed, (0.0, 0.0, 0.0), bad), ConeSonar()).has_moved
+
+
+@pytest.mark.parametrize("moved", [(9.0, 0.0, 0.0), (0.0, -9.0, 0.0), (-6.0, 7.0, 0.0), (40.0, -30.0, 2.0)])
+def test_robot_that_was_moved_does_not_fit(moved: tuple[float, float, float]) -> None:
+    log = drive(quiet=True)
+    for seed in range(20):
+        found = compare_rounds(log, standing_rounds(log, seed, moved, 0.0), ConeSonar())
+        assert found.has_moved
+        if abs(moved[0]) < 12.0:
+            np.testing.assert_allclose(found.displacement_in, moved[:2], atol=2.5)
+
+
+def test_round_without_echoes_decides_nothing() -> None:
+    log = drive(quiet=True)
+    nothing = replace(log, readings_in=np.full(len(log.readings_in), 255.0))
+    found = compare_rounds(nothing, nothing, ConeSonar())
+    assert found.compared == 0
+    assert not found.has_moved
+
+
+# Robots with a fault.
+
+
+class Faulty:
+    """A robot whose states are changed, and whose commands are listed; without motors it does not drive."""
+
+    def __init__(self, robot: Robot, change: Callable[[int, RobotState], RobotState], *, has_motors: bool) -> None:
+        self._robot, self._change, self._has_motors = robot, change, has_motors
+        self.states, self.speeds = 0, list[float]()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._robot, name)
+
+    def refresh(self) -> RobotState:
+        self.states += 1
+        return self._change(self.states, self._robot.refresh())
+
+    def drive(self, *, translation_in_s: float, steering_rad_s: float) -> RobotState:
+        self.speeds.append(translation_in_s)
+        factor = 1.0 if self._has_motors else 0.0
+        after = self._robot.drive(translation_in_s=factor * translation_in_s, steering_rad_s=factor * steering_rad_s)
+        return self._change(self.states, after)
+
+
+def unchanged(_: int, state: RobotState) -> RobotState:
+    return state
+
+
+def surveyed(
+    address: str, change: Callable[[int, RobotState], RobotState], *, has_motors: bool = True, limit_s: float = 20.0
+) -> tuple[SurveyStep, Faulty]:
+    """Drive to a waypoint; return the last period and the robot."""
+
+    def mapper_of(collector: DriveCollector) -> LiveMapper:
+        return LiveMapper(collector, OdometryNoise(), ConeSonar(), rays=False, roughness_in=0.15)
+
+    limits = MODEL_LIMITS["n150"].capped(6.0, 0.6)
+    with connect(address) as robot:
+        faulty = Faulty(robot, change, has_motors=has_motors)
+        for step, _, _ in survey(
+            cast("Robot", faulty), N150, mapper_of, WaypointDriver([(35.0, 15.0)]), limits, lambda _: None
+        ):
+            if step.elapsed_s > limit_s:
+                break
+    return step, faulty
+
+
+def test_drive_ends_when_the_clock_goes_back() -> None:
+    def restarted(number: int, state: RobotState) -> RobotState:
+        return RobotState(state.model, state.raw, clock_ms=(state.clock_ms or 0) - (2000 if number > 20 else 0))
+
+    step, robot = surveyed("sim:thesis_room?setup=measured&seed=4", restarted)
+    assert "clock" in step.ended
+    assert robot.states == 21
+
+
+def test_drive_ends_when_the_robot_does_not_move() -> None:
+    step, robot = surveyed("sim:thesis_room?setup=measured&seed=4", unchanged, has_motors=False)
+    assert "does not move" in step.ended
+    assert step.elapsed_s < 10.0
+    assert robot.speeds
+
+
+def test_bumper_hit_is_a_contact() -> None:
+    # As bumper_stop reports it on serial lines: the bumper may be open again in the next state.
+    def hit(number: int, state: RobotState) -> RobotState:
+        if number == 20:
+            raise BumperHit("gs", (3,))
+        return state
+
+    step, robot = surveyed("sim:thesis_room?setup=measured&seed=4", hit, limit_s=6.0)
+    assert not step.ended
+    assert min(robot.speeds) < 0.0
+
+
+def test_robot_that_begins_in_contact_backs_off_to_where_space_is() -> None:
+    def touching(number: int, state: RobotState) -> RobotState:
+        raw = (*state.raw[:33], 1, *state.raw[34:])
+        return RobotState(state.model, raw, clock_ms=state.clock_ms) if number < 40 else state
+
+    # The wall is ahead.
+    _, robot = surveyed("sim:thesis_room?setup=measured&seed=4&start=92,60,0", touching, limit_s=4.0)
+    first = next(speed for speed in robot.speeds if speed)
+    assert first < 0.0
 
 
 # Whole drives.
@@ -92,6 +250,37 @@ def test_drive_goes_on_where_it_stopped(driven: Path) -> None:
     )
 
 
+def test_resumed_robot_that_was_moved_is_refused(
+    driven: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # A simulation that starts anew has the robot at its start.
+    words = ("sim:thesis_room?setup=measured&seed=9", "--resume", str(driven / "room.log"))
+    assert learn(*words, "--out", str(tmp_path / "room.toml")) == 4
+    assert "put the robot back" in capsys.readouterr().err
+    assert not (tmp_path / "room.toml").exists()
+
+
+def test_resumed_drive_waits_for_a_turn_of_the_ring(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    address, out = "sim:thesis_room?setup=measured&seed=4", ("--out", str(tmp_path / "room.toml"))
+    first, second = tmp_path / "first.log", tmp_path / "second.log"
+    assert learn(address, "--waypoints", "12,0", *out, "--record", str(first)) == 4
+    x, y, heading = read_drive(first).encoders[-1, 1:4]
+    start = f"&start={x:.2f},{y:.2f},{np.degrees(heading):.2f}"
+    words = ("--resume", str(first), "--waypoints", "20,0", "--record", str(second))
+    assert learn(address + start, *words, *out) == 4
+    assert "driven for" in capsys.readouterr().out
+    # Nothing is known of what is ahead before: states between conf_sn and the first motion.
+    clocks = list[int]()
+    for frame in (frame for entry in read_recording(second).entries for frame in entry.decoded):
+        if frame.get("call") == "conf_sn":
+            clocks = []
+        if frame.get("call") == "vm" and any(int(speed) for speed in frame["args"]):
+            break
+        if frame.get("reply") == "state":
+            clocks.append(int(frame["clock"]))
+    assert clocks[-1] - clocks[0] > 900
+
+
 def test_collector_ignores_states_that_are_old(driven: Path) -> None:
     collector = DriveCollector("n150", read_drive(driven / "room.log"))
     count = len(collector)
@@ -112,6 +301,9 @@ def test_blocked_way_point_is_left_out(tmp_path: Path, capsys: pytest.CaptureFix
 
 @pytest.mark.parametrize(("words", "reason"), [
     (["--waypoints", "90,0", "--geofence", "0,0,50,50"], "geofence"),
+    (["--geofence", "10,10,50,50"], "start"),
+    (["nserver://localhost:1/1?reconnect=5"], "reconnect"),
+    (["--from", "drive.log", "--geofence", "0,0,50,50"], "--from"),
     (["--drive", "manual", "--waypoints", "9,0"], "manual"),
     (["--from", "drive.log", "--waypoints", "9,0"], "--from"),
 ])  # fmt: skip
@@ -119,8 +311,27 @@ def test_contradicting_options_are_refused(
     words: list[str], reason: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit, match="2"):
-        learn("sim:thesis_room", *words, "--out", str(tmp_path / "room.toml"))
+        learn(*(words if "//" in words[0] else ["sim:thesis_room", *words]), "--out", str(tmp_path / "room.toml"))
     assert reason in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["corridor8", "ring24"])
+def test_other_rings_than_a_nomads_are_refused(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    model = Path(__file__).parents[2] / "worlds" / "models" / f"{name}.toml"
+    assert learn(f"sim:thesis_room?robot={name}&model_file={model}", "--out", str(tmp_path / "room.toml")) == 2
+    assert "model_file=" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("address", "expected"), [
+    ("serial:///dev/ttyUSB0", "serial:///dev/ttyUSB0?record=room.log&reconnect=0"),
+    ("serial:///dev/ttyUSB0?record=room.log", "serial:///dev/ttyUSB0?record=room.log&reconnect=0"),
+    ("serial:///dev/ttyUSB0?reconnect=0", "serial:///dev/ttyUSB0?reconnect=0&record=room.log"),
+    ("nserver://localhost:7019/1", "nserver://localhost:7019/1?record=room.log"),
+    ("sim:thesis_room?record=room.log", "sim:thesis_room?record=room.log"),
+])  # fmt: skip
+def test_drive_is_recorded_as_one_connection(address: str, expected: str) -> None:
+    options = argparse.Namespace(address=address, record=None, out=Path("room.toml"))
+    assert recorded_address(options) == (expected, Path("room.log"))
 
 
 def test_a_person_drives_over_a_socket(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from typing import Any, get_args
 import pytest
 
 from localization.filters.registry import METHODS
+from nserver_emu.gateway.gateway import Gateway
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.simulation.noise import SETUPS
@@ -289,3 +290,13 @@ async def test_encoders_do_not_notice_a_kidnapping() -> None:
             assert (await page.answer(number))["ok"] == is_ok
         assert robot.actual[:2] == (50.0, 60.0)
         assert robot.encoder == pytest.approx(before)
+
+
+async def test_real_robots_are_not_kidnapped() -> None:
+    """Only their encoders would be set, and then to those of the simulated robot."""
+    emulator = Emulator(simulation())
+    async with serve_viewer(emulator) as here, here.page() as page:
+        here.daemon.handler = Gateway(emulator, {})
+        await page.send_message(do="kidnap", id=1, robot=1, pose=[500, 600, 0, 0])
+        assert "carry it" in (await page.answer(1))["error"]
+        assert emulator.simulation.robots[1].actual[:2] == (0.0, 0.0)
