@@ -17,7 +17,7 @@ from worlds.io import load_world
 from worlds.robots import BODIES
 
 room, body = load_world("several_walls"), BODIES["n150"]
-with connect(sys.argv[1] if len(sys.argv) > 1 else "sim:several_walls?noisy=1&seed=3&start=5,5") as robot:
+with connect(sys.argv[1] if len(sys.argv) > 1 else "sim:several_walls?noisy=1&seed=1&start=5,5") as robot:
     state = robot.refresh()
     start = independent([state.x_in, state.y_in, state.steering_rad], [0.5, 0.5, 0.03])
     with RobotController(robot, LocalizationConfig(room.walls, body), body, start, time.sleep) as controller:

@@ -178,6 +178,10 @@ class ConeLikelihood:
         inlier = 1.0 - noise.outlier_probability
         outlier = noise.outlier_density * (1.0 - inlier * probability.sum(axis=-1))
         weighted = probability * hits
+        if not weighted.shape[-1]:
+            # No wall in reach: no particle expects an echo.
+            expected = np.full(len(poses), np.nan)
+            return Likelihoods(outlier.copy(), outlier, expected, expected)
         best = weighted.argmax(axis=-1)[:, None]
         expected = np.take_along_axis(ranges, best, axis=-1)[:, 0]
         expected = np.where(np.take_along_axis(weighted, best, axis=-1)[:, 0] > 0.0, expected, np.nan)

@@ -77,7 +77,8 @@ def slow_for_turn(step: Floats, pose: Floats, goal: Floats, gains: ControlGains)
     """Return a step towards a goal that is shortened until the robot's turning circle reaches the goal.
 
     A goal inside the smallest circle of `next_step` is never reached: the robot drives around it, up to two radii
-    beside the straight line. A goal behind the robot is turned to on the spot.
+    beside the straight line. A goal aside is approached with the component of the step towards it, so that the arc
+    stays near the straight line, on which the map is free; a goal behind the robot is turned to on the spot.
 
     Parameters
     ----------
@@ -93,11 +94,11 @@ def slow_for_turn(step: Floats, pose: Floats, goal: Floats, gains: ControlGains)
     -------
     (..., 2) array
         The arc from the pose through a goal at the distance d and the bearing error delta has the radius
-        d / (2 sin abs(delta)): drho is at most dtheta_max times this, and 0 where abs(delta) is 90 degrees or more.
+        d / (2 sin abs(delta)): drho is at most dtheta_max times this, and at most cos(delta) times that of the step; 0
+        where abs(delta) is 90 degrees or more.
     """
     delta = np.abs(bearing_error(pose, goal))
     with np.errstate(divide="ignore"):
-        longest = np.where(
-            delta < np.pi / 2, gains.dtheta_max_rad * distance_to(pose, goal) / (2.0 * np.sin(delta)), 0.0
-        )
-    return np.stack((np.minimum(step[..., 0], longest), step[..., 1]), axis=-1)
+        longest = gains.dtheta_max_rad * distance_to(pose, goal) / (2.0 * np.sin(delta))
+    towards = np.maximum(step[..., 0] * np.cos(delta), 0.0)
+    return np.stack((np.minimum(towards, longest), step[..., 1]), axis=-1)

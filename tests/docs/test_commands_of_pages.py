@@ -19,6 +19,7 @@ DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.rglob("*.md"))
 TESTS_OF_PAGES = {
     "calibration.md": "docs/test_calibration_and_maps_pages.py",
+    "batch.md": "nserver_emu/simulation/test_batch.py",
     "c-programs.md": "docs/test_pages.py",
     "examples.md": "docs/test_examples.py",
     "faults.md": "docs/test_pages.py",

@@ -53,10 +53,10 @@ def test_limits_are_no_ranges(kind: Likelihood) -> None:
 
 @pytest.mark.parametrize(("kind", "noise"), [(RAYS, WIRE_SONAR), (CONES, ConeSonar())])
 def test_the_widening_counts_as_a_constant_error(kind: Likelihood, noise: RangeNoise) -> None:
-    """At 100 in the noise is 1 in: of the rounding next to nothing stays, of place and widening, 0.25 in2, all."""
+    """At 100 in of the noise and of the rounding next to nothing stays, of place and widening, 0.25 in2, all."""
     assert noise.place_var_in2 > 0.0
     constant = 0.25 + noise.place_var_in2 + exp(-4.0 * pi**2) / 12
-    variance = 1.0 + 1 / 12 + 0.25 + noise.place_var_in2
+    variance = (100.0 * noise.range_std_relative) ** 2 + 1 / 12 + 0.25 + noise.place_var_in2
     assert [kind.information(100.0, times) for times in (1, 2, 5)] == pytest.approx(
         [1.0, (variance - 2.0 * constant) / variance, (1.0 - 2.0 * constant / variance) ** 4]
     )

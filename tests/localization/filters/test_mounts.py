@@ -117,7 +117,8 @@ def test_every_method_corrects_by_mounted_sonars(method: str, rays: bool) -> Non
     mounts = [(7.0 * np.cos(a) - 2.0 * np.sin(a), 7.0 * np.sin(a) + 2.0 * np.cos(a), a)
               for a in np.arange(24) * (np.pi / 12.0)]  # fmt: skip
     body = replace(N150, ring=replace(ring_of(mounts), resolution_in=0.01))
-    config = LocalizationConfig(ROOM, body, OdometryNoise(), sonar_of(body.ring, rays=rays))
+    sonar_noise = replace(sonar_of(body.ring, rays=rays), range_std_relative=0.01)
+    config = LocalizationConfig(ROOM, body, OdometryNoise(), sonar_noise)
     truth = np.array([5.0, 3.0, 0.0])
     filter_ = make(method, config, independent(truth + np.array([0.7, -0.7, 0.02]), (0.7, 0.7, 0.02)), seed=3)
     for sonar, mount in enumerate(mounts):

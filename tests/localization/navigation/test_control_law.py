@@ -75,15 +75,16 @@ def test_slowed_robot_stays_near_the_straight_leg(distance: float) -> None:
     assert beside.max() < min(distance / 2.0, 10.0) + 0.5
 
 
-def test_a_step_is_shortened_only_inside_the_turning_circle() -> None:
+def test_a_step_is_shortened_aside_and_inside_the_turning_circle() -> None:
     gains, bearings = ControlGains(drho_max_in=0.5, dtheta_max_rad=0.05), np.array([0.0, 0.3, 1.0, 1.5])
     # The circles of 10 in to both sides touch the origin: a goal at this distance is on them.
     on_circle = 20.0 * np.sin(bearings)
-    for factor, expected in ((1.01, 0.5), (0.5, 0.25)):
+    # Far away the component of the step towards the goal counts; half as far as the circle, half of its radius.
+    for factor, expected in ((100.0, 0.5 * np.cos(bearings[1:])), (0.5, np.minimum(0.25, 0.5 * np.cos(bearings[1:])))):
         distance = factor * on_circle[1:]
         goals = np.stack((distance * np.cos(bearings[1:]), distance * np.sin(bearings[1:])), axis=-1)
         step = slow_for_turn(np.full((3, 2), 0.5), np.zeros((3, 3)), goals, gains)
-        assert step[:, 0] == pytest.approx(np.full(3, expected))
+        assert step[:, 0] == pytest.approx(expected)
     ahead, behind = np.array([5.0, 0.0]), np.array([-50.0, 1.0])
     assert slow_for_turn(np.array([0.5, 0.0]), np.zeros(3), ahead, gains).tolist() == [0.5, 0.0]
     assert slow_for_turn(np.array([0.5, 0.05]), np.zeros(3), behind, gains).tolist() == [0.0, 0.05]

@@ -68,10 +68,10 @@ def test_navigator_slows_and_turns_towards_goal() -> None:
     near = navigator.command(np.array([8.0, 0.0, 0.0]))
     assert near is not None
     assert near.translation_in_s == pytest.approx(2.0)
-    # Within the tolerance the next waypoint counts, 90 degrees to the left.
+    # Within the tolerance the next waypoint counts, 89 degrees to the left: the robot turns before it drives there.
     turning = navigator.command(np.array([9.5, 0.0, 0.0]))
     assert navigator.passed == 1
-    assert turning == pytest.approx((4.0, 0.3))
+    assert turning == pytest.approx((4.0 * 0.5 / math.hypot(0.5, 30.0), 0.3))
     assert navigator.command(np.array([10.0, 29.5, 0.0])) is None
     assert navigator.finished
 
