@@ -15,7 +15,7 @@ from typing import Final
 from nclient.common.hints import install_command
 from nclient.errors import ExtraMissing, NomadError
 from nserver_emu.server.daemon import Daemon
-from nserver_emu.viewer.options import ListenAddress, parse_listen_address
+from nserver_emu.viewer.options import ListenAddress, listen_address_of
 
 DEFAULT_PORT: Final = 9090
 """The port that rosbridge clients use by default."""
@@ -24,8 +24,8 @@ DEFAULT_PORT: Final = 9090
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add rosbridge's options, in a group of their own."""
     group = parser.add_argument_group("rosbridge")
-    group.add_argument("--rosbridge", type=parse_listen_address, nargs="?", const=ListenAddress(port=DEFAULT_PORT),
-                       metavar="PORT",
+    group.add_argument("--rosbridge", type=listen_address_of("--rosbridge"), nargs="?",
+                       const=ListenAddress(port=DEFAULT_PORT), metavar="PORT",
                        help=f"serve the robots as ROS topics to rosbridge clients; the address with a token is printed "
                        f"on stdout (default port {DEFAULT_PORT}, 0 takes a free one; on loopback unless HOST is given; "
                        "needs the extra viewer; the world goes before --rosbridge)")

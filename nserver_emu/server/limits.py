@@ -84,8 +84,8 @@ class Limits:
         "one address to their port", "they are handled later; only a rosbridge client's velocities are refused if they "
         "are late by 0.5 s", "viewer/server.py", none=True)
     obstacles: int = _limit(
-        1000, (1, 100_000), "polygons", "obstacles in the world",
-        "ERROR 5 to add_obstacle", "server/handlers/world.py")
+        1000, (1, 100_000), "polygons", "obstacles in the world, and as many inner walls drawn at run time",
+        "ERROR 5 to add_obstacle, an error at the page", "server/handlers/world.py")
     graphics: int = _limit(
         20_000, (1, 1_000_000), "shapes", "shapes drawn by draw_robot, draw_line and draw_arc",
         "the oldest shape is removed", "server/handlers/graphics.py")

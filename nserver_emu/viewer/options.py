@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -32,7 +32,8 @@ class ListenAddress(NamedTuple):
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the page's options, in a group of their own."""
     group = parser.add_argument_group("page")
-    group.add_argument("--viewer", type=parse_listen_address, nargs="?", const=ListenAddress(), metavar="PORT",
+    group.add_argument("--viewer", type=listen_address_of("--viewer"), nargs="?", const=ListenAddress(),
+                       metavar="PORT",
                        help=f"serve the page for the browser; its address with a token is printed on stdout "
                        f"(default port {DEFAULT_PORT}, 0 takes a free one; on loopback unless HOST is given; "
                        "needs the extra viewer; the world goes before --viewer)")
@@ -89,6 +90,17 @@ def parse_listen_address(text: str) -> ListenAddress:
     """Return the address of PORT or HOST:PORT. Raises ArgumentTypeError."""
     host, _, port = text.rpartition(":")
     if not port.isdecimal() or int(port) > 65535:
-        raise argparse.ArgumentTypeError(f"a port is 0 to 65535, or HOST:PORT, not {text!r}; "
-                                         "the world goes before --viewer")
+        raise argparse.ArgumentTypeError(f"a port is 0 to 65535, or HOST:PORT, not {text!r}")
     return ListenAddress(host.strip("[]") or LOOPBACK, int(port))
+
+
+def listen_address_of(option: str) -> Callable[[str], ListenAddress]:
+    """Return the type of an option whose address may be left out: what follows it may be meant as the world."""
+
+    def read(text: str) -> ListenAddress:
+        try:
+            return parse_listen_address(text)
+        except argparse.ArgumentTypeError as error:
+            raise argparse.ArgumentTypeError(f"{error}; the world goes before {option}") from None
+
+    return read

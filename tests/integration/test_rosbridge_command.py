@@ -58,6 +58,13 @@ def test_robot_behind_an_address() -> None:
                 assert not watcher.wait_until_still(timeout_s=5).moving
 
 
+def test_wrong_port_names_its_option(capsys: pytest.CaptureFixture[str]) -> None:
+    from nclient.cli.main import main
+
+    assert main(["rosbridge", "nserver://127.0.0.1:1", "--port", "abc"]) == 2
+    assert "--port: a port is 0 to 65535" in capsys.readouterr().err
+
+
 def test_no_robot_there(capsys: pytest.CaptureFixture[str]) -> None:
     from nclient.cli.main import main
 

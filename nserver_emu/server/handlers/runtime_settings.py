@@ -250,7 +250,8 @@ def put_world(
         *_, radius_in = robots[number].disc
         start = _free_start(world, radius_in, taken)
         if start is None:
-            raise ControlError(f"{file}: no start of this world is free for robot {number}")
+            raise ControlError(f"{file}: no start of this world is free for robot {number}: add [[start]] tables, or "
+                               "choose another world")
         starts[number] = start
         taken.append((start.x_in, start.y_in, radius_in))
     # 3. Nothing can fail from here on.
