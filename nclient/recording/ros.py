@@ -24,6 +24,7 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Bag2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from nclient.common.hints import suggest
 from nclient.errors import RecordingError
 from nclient.protocol.types import M_PER_IN, MAX_SONAR_IN
 from nclient.recording.drive import RING, Drive, Sample, drive_of_recording
@@ -253,7 +254,11 @@ class _Field(NamedTuple):
                 message = message[int(part)] if part.isdecimal() else getattr(message, part)
             except (AttributeError, IndexError, TypeError):
                 raise RecordingError(f"--field {self.column}: {self.topic} has no {'.'.join(self.place)}") from None
-        return float(message)
+        try:
+            return float(message)
+        except (TypeError, ValueError):
+            place = ".".join(self.place)
+            raise RecordingError(f"--field {self.column}: {place} of {self.topic} is no number") from None
 
 
 def _is_sonar(column: str) -> bool:
@@ -384,6 +389,10 @@ class _Builder:
             self._add_ranges(time_ns, tuple(values[name] for name in sonars))
 
     def drive(self) -> Drive:
+        missing = [field for field in self._fields if field.column not in self._values]
+        if missing:
+            raise RecordingError(f"--field {missing[0].column}: there is no message of {missing[0].topic}"
+                                 f"{suggest(missing[0].topic, self._ignored)}")
         with_ranges = any(is_scan for _, _, is_scan in self._found)
         found = [(time_ns, sample) for time_ns, sample, is_scan in self._found if is_scan or not with_ranges]
         start_ns = found[0][0] if found and found[0][0] > 10**18 else 0

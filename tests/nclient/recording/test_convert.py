@@ -277,6 +277,28 @@ def test_mcap_of_any_name(recorded: Path, tmp_path: Path) -> None:
         convert.read_drive(tmp_path / "bag.data")
 
 
+@pytest.mark.parametrize(("field", "word"), [
+    ("x_m=/a/pos:pose.position.x", "did you mean /a/pose"),
+    ("x_m=/a/pose:header.frame_id", "is no number"),
+    ("x_m=/a/pose:pose", "is no number"),
+    ("x_m=/a/pose:pose.nothing", "has no pose.nothing"),
+])  # fmt: skip
+def test_fields_that_a_bag_does_not_have(tmp_path: Path, field: str, word: str) -> None:
+    write_bag(tmp_path / "one.bag", ("/a/pose", pose_of(1)))
+    with pytest.raises(RecordingError, match=word):
+        convert.read_drive(tmp_path / "one.bag", [field])
+
+
+def test_scans_before_the_first_pose_are_left_out(tmp_path: Path) -> None:
+    """Also with --field: a scan without a pose is not one at the origin."""
+    write_bag(tmp_path / "one.bag", ("/scan", scan_of(1, 2)), ("/pose", pose_of(7)), ("/scan", scan_of(3, 4)))
+    fields = ["x_m=/pose:pose.position.x", "sonar_0_m=/scan:ranges.0"]
+    for one in ([], fields):
+        drive = convert.read_drive(tmp_path / "one.bag", one)
+        assert [(sample.x_m, sample.ranges_m[0]) for sample in drive.samples] == [(7, 3)]
+        assert "1 scans before the first pose" in drive.omitted
+
+
 def test_spreadsheets_and_small_numbers(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("time_s,x_in,y_in,heading_deg,sonar_0_in\n1.5,-0.00009,2,90,inf\n", "utf-8-sig")
     drive = convert.read_drive(tmp_path / "a.csv")
