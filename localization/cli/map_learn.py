@@ -178,7 +178,7 @@ def _has_rays(options: argparse.Namespace) -> bool:
 
 def _drive(options: argparse.Namespace) -> tuple[list[Path], ExitCode]:
     """Drive the robot and record it; return the recordings, those of --resume first, and the exit code."""
-    _check_way(options)
+    _check_route(options)
     address, record = recorded_address(options)
     before = read_drive(*options.resume) if options.resume else None
     if options.resume and record.resolve() in [path.resolve() for path in options.resume]:
@@ -216,7 +216,7 @@ def _require_nomad(body: Body, model: str) -> None:
         )
 
 
-def _check_way(options: argparse.Namespace) -> None:
+def _check_route(options: argparse.Namespace) -> None:
     """Refuse options that contradict each other."""
     if options.drive == "manual" and options.waypoints:
         options.refuse("--drive manual: a person drives; omit --waypoints")
@@ -231,7 +231,7 @@ def _check_way(options: argparse.Namespace) -> None:
 
 
 def _driver(options: argparse.Namespace, body: Body) -> Driver | None:
-    """Return what chooses the way; None if a person drives."""
+    """Return what chooses the route; None if a person drives."""
     if options.drive == "manual":
         return None
     if options.waypoints:

@@ -153,11 +153,11 @@ class Explorer:
         self._body_in, self._speed_in_s, self._fence = body_in, speed_in_s, fence
         self._time_limit_s = time_limit_s
         self.blocked: list[Point] = []
-        """Where something was in the way."""
+        """Points at which something blocked a leg."""
         self._tried: list[Place] = []
         self._place: Place | None = None
         self._goal: Point | None = None
-        self._free_ways: list[float] = []
+        self._free_directions: list[float] = []
         self._is_last = False
         self._pieces: list[Piece] = []
         self.places: list[Place] = []
@@ -176,7 +176,7 @@ class Explorer:
     def _chosen_leg(
         self, clock_s: float, pose: Floats, mapper: LiveMapper, free_in: Callable[[float], float]
     ) -> list[Point] | None:
-        # 1. At first where the sonars show the longest way, so that there is something to see.
+        # 1. At first where the sonars show the longest free distance, so that there is something to measure.
         if mapper.rounds < FIRST_ROUNDS:
             return self._free_leg(pose, free_in)
         grid = self._grid(mapper, pose)
@@ -191,21 +191,21 @@ class Explorer:
         return path
 
     def _free_leg(self, pose: Floats, free_in: Callable[[float], float]) -> list[Point]:
-        """Return a straight leg in the direction with the longest way; turns count as ways."""
+        """Return a straight leg in the direction with the longest free distance, less a distance for the turn."""
         best, chosen = -np.inf, (0.0, 0.0)
         for turn in np.linspace(-np.pi, np.pi, 16, endpoint=False):
             length = min(free_in(float(pose[2]) + float(turn)), START_LEG_IN)
             # Backwards is no turn.
             cost = START_TURN_IN * min(abs(turn), np.pi - abs(turn))
-            been = sum(abs(angle_difference(other, float(pose[2] + turn))) < 1.0 for other in self._free_ways)
+            been = sum(abs(angle_difference(other, float(pose[2] + turn))) < 1.0 for other in self._free_directions)
             if length - cost - 6.0 * been > best:
                 best, chosen = length - cost - 6.0 * been, (float(pose[2] + turn), length)
         direction, length = chosen
-        self._free_ways.append(direction)
+        self._free_directions.append(direction)
         return [(float(pose[0]) + length * np.cos(direction), float(pose[1]) + length * np.sin(direction))]
 
     def end_leg(self, pose: Floats, reason: str) -> None:
-        """Remember what is in the way, and which place was tried."""
+        """Record what blocked a leg, and which place was tried."""
         if self._place is not None:
             goal: Point | None = (self._place.x_in, self._place.y_in)
         else:
@@ -275,7 +275,7 @@ class Explorer:
         return grid
 
     def _blocks(self) -> Floats:
-        """Return what was in the way, as short segments (n, 4)."""
+        """Return what blocked legs, as short segments (n, 4)."""
         if not self.blocked:
             return np.zeros((0, 4))
         points = np.array(self.blocked)
@@ -319,7 +319,7 @@ class Explorer:
             grid.free[cells[inside, 0], cells[inside, 1]] = True
 
     def find_reach(self, grid: Grid, pose: Floats) -> None:
-        """Find the cells that the robot can reach, and the cheapest ways to them."""
+        """Find the cells that the robot can reach, and the cheapest paths to them."""
         passable = grid.free & (grid.space >= self._body_in + MARGIN_IN)
         passable &= self._image.distance_transform_edt(grid.free, sampling=CELL_IN) > UNKNOWN_IN
         if self._fence is not None:
@@ -327,7 +327,7 @@ class Explorer:
             inside = np.zeros(passable.shape, dtype=np.bool_)
             inside[first[0] + 1 : last[0], first[1] + 1 : last[1]] = True
             passable &= inside
-        # 1. Where the robot is, there is a way out: straight to the nearest passable cell.
+        # 1. The robot may stand on a cell that is not passable: begin at the nearest one that is.
         (row, column), = grid.cells(pose[None, :2]).tolist()
         if not passable[row, column]:
             cells = np.argwhere(passable)

@@ -111,7 +111,7 @@ class LearnedMap:
         return World(name, inner_walls=np.round(walls, DECIMALS) + 0.0, starts=(start,), accuracies=accuracies)
 
     def as_json(self) -> dict[str, Any]:
-        """Return the result as plain data: inches and degrees."""
+        """Return the result as plain data: inches, and units in the keys; the heading of `pose` is in radians."""
         return {
             "walls": [
                 {

@@ -38,7 +38,7 @@ Point = tuple[float, float]
 GUARD_S: Final = 2.0
 """Readings considered by the guard: two turns of the ring, so that one bad reading of a sonar is not the only one."""
 REACTION_S: Final = 1.5
-"""The way ahead lasts this long at least: a turn of the ring, and braking."""
+"""The free distance ahead lasts this long at least: a turn of the ring, and braking."""
 COMMAND_TIMEOUT_S: Final = 1
 """The robot stops by itself after this time without a command, within REACTION_S: solving the map may take longer."""
 GUARD_MARGIN_IN: Final = 1.5
@@ -87,7 +87,7 @@ class Geofence:
 
 
 class SpeedGuard:
-    """The free way ahead by the readings of the last seconds, in the frame of the encoders.
+    """The free distance ahead by the readings of the last seconds, in the frame of the encoders.
 
     A cone measures the nearest wall perpendicularly, so each reading is taken for a wall across its axis. Whatever is
     nearest to the robot reflects into one of its sonars, as their cones cover all directions.
@@ -136,7 +136,7 @@ class Driver(Protocol):
     ) -> list[Point] | None:
         """Return the waypoints of the next path from a pose; None if there is nothing left to do.
 
-        `free_in(direction_rad)` is the way that the sonars show to be free in a direction of the map.
+        `free_in(direction_rad)` is the distance that the sonars show to be free in a direction of the map.
         """
         ...
 
@@ -254,7 +254,7 @@ class _Motion:
         # 2. The next leg.
         if self._leg is None:
             turned = float(encoders[2] - pose[2])
-            points = self._driver.leg(elapsed_s, pose, mapper, lambda way: self._guard.free_in(encoders, way + turned))
+            points = self._driver.leg(elapsed_s, pose, mapper, lambda rad: self._guard.free_in(encoders, rad + turned))
             if points is None:
                 return "done"
             self._leg, self._blocked_s, self._blind_since = _Leg(pose, points, self._limits), inf, None
