@@ -387,16 +387,15 @@ def address_or_default(address: str | None) -> str:
 
     A NOMAD_ROBOT that names another robot than the address is reported once: it has no effect.
     """
-    if address:
-        _report_ignored_variable(address, os.environ.get(VARIABLE, ""))
+    ignored = os.environ.get(VARIABLE)
+    if address and ignored and address != ignored:
+        _report_ignored_variable(address, ignored)
     return address or os.environ.get(VARIABLE) or DEFAULT_ADDRESS
 
 
 @functools.cache
 def _report_ignored_variable(used: str, ignored: str) -> None:
-    # A C program names a host alone, which may be that of the variable.
-    if used not in ignored and ignored:
-        log.warning("%s=%s is ignored: the program names %s", VARIABLE, ignored, used)
+    log.warning("%s=%s is ignored: the program names %s", VARIABLE, ignored, used)
 
 
 # -- for C programs: nclient.capi -------------------------------------------------------------------------------------
@@ -418,8 +417,10 @@ def open_machine(name: str, port: int, options: ConnectOptions = ConnectOptions(
     AddressError, ConnectionLost, ReplyTimeout, RobotRefused
         As `connect` does.
     """
-    if name:
-        _report_ignored_variable(name, os.environ.get(VARIABLE, ""))
+    # A C program names a host alone, which may be that of the variable.
+    ignored = os.environ.get(VARIABLE)
+    if name and ignored and name not in ignored:
+        _report_ignored_variable(name, ignored)
     address = _address_of(name)
     if address is None:
         stream = _open_tcp(name, port, options.timeout_s)

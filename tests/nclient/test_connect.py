@@ -292,3 +292,7 @@ def test_ignored_variable_is_reported_once(
     connector.connect("sim:thesis_room").disconnect()
     connector.connect().disconnect()
     assert len(caplog.messages) == 1
+    # Robot 1 is not robot 12.
+    monkeypatch.setenv("NOMAD_ROBOT", "nserver://lab:1234/12")
+    connector.address_or_default("nserver://lab:1234/1")
+    assert len(caplog.messages) == 2
