@@ -103,7 +103,7 @@ class BuildCache:
     ) -> Path:
         """Return a program built from one source and a library; `flags` refolders the default standard and warnings."""
         libraries = self.libraries(kind)
-        made = libraries / f"{source.stem}-{library}"
+        made = libraries / f"{source.parent.name}-{source.stem}-{library}"
         with self._lock(f"{kind.name}-{made.name}"):
             if not made.exists():
                 partial = made.with_suffix(".partial")

@@ -61,7 +61,9 @@ def test_robot_behind_an_address() -> None:
 def test_wrong_port_names_its_option(capsys: pytest.CaptureFixture[str]) -> None:
     from nclient.cli.main import main
 
-    assert main(["rosbridge", "nserver://127.0.0.1:1", "--port", "abc"]) == 2
+    with pytest.raises(SystemExit) as ended:
+        main(["rosbridge", "nserver://127.0.0.1:1", "--port", "abc"])
+    assert ended.value.code == 2
     assert "--port: a port is 0 to 65535" in capsys.readouterr().err
 
 
