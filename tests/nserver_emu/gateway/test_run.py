@@ -71,8 +71,10 @@ async def test_a_shadow_is_summarized_and_reported(tmp_path: Path, caplog: pytes
     def drive(address: str) -> None:
         with connect(address) as robot:
             robot.set_position(x_in=5.0)
-            while "real less simulated" not in caplog.text:
+            refreshed = 0
+            while "real less simulated" not in caplog.text or refreshed < 20:
                 robot.refresh()
+                refreshed += 1
 
     for name in ("shadow.json", "shadow.csv"):
         caplog.clear()
