@@ -42,6 +42,8 @@ def checkout(tmp_path: Path) -> Path:
             (tmp_path / folder / name).chmod(0o755)
     (tmp_path / "pyproject.toml").touch()
     (tmp_path / ".venv" / "installed-dev").touch()
+    # Clearly older than the mark: what is installed is up to date.
+    os.utime(tmp_path / "pyproject.toml", (0.0, 0.0))
     return tmp_path
 
 
