@@ -22,13 +22,11 @@ from aiohttp import WSCloseCode, WSMsgType, web
 
 from nclient.common.allowlist import LOOPBACK_NAME, is_loopback
 from nclient.common.hints import install_command
-from nclient.errors import ConnectionLost
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import M_PER_IN, MOTOR_RANGE_V, volts
 from nserver_emu.rosbridge import topics
 from nserver_emu.rosbridge.client import InvalidRequest, RosbridgeClient, Services, encode_published
 from nserver_emu.rosbridge.topics import Reading
-from nserver_emu.server.admission import listen
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.server_state import state_slots
 from nserver_emu.simulation.robot import battery_v
@@ -39,11 +37,9 @@ from nserver_emu.viewer.messages import DRIVE_TIMEOUT_S, MAX_TEXT, InvalidMessag
 from nserver_emu.viewer.server import (
     CLOSING_S,
     HEARTBEAT_S,
-    Handler,
+    HttpPort,
     PageMessages,
     PageWriter,
-    admit,
-    bind_remedy,
     clear_tracebacks,
     next_due,
     transport_of,
@@ -69,7 +65,7 @@ class RosbridgeServer:
     def __init__(self, daemon: Daemon, tokens: auth.Tokens | None = None, *, has_map: bool = True) -> None:
         self.tokens = tokens or auth.new_tokens()
         self._daemon = daemon
-        self._door = daemon.admission
+        self._port = HttpPort(daemon.admission, "rosbridge", "--rosbridge")
         self._has_map = has_map
         self._error_boundary = ErrorBoundary()
         self._clients: dict[RosbridgeClient, PageWriter] = {}
@@ -83,9 +79,6 @@ class RosbridgeServer:
         self._readers = ViewerClients(daemon, "rosbridge", self._error_boundary, answer_with_reply)
         self._asked: set[int] = set()
         self._host_name = LOOPBACK_NAME
-        self._runner: web.AppRunner | None = None
-        self._server: asyncio.Server | None = None
-        self._admission: auth.HttpAdmission | None = None
         self._clock: asyncio.Task[None] | None = None
 
     async def open(self, host: str, port: int) -> int:
@@ -97,23 +90,12 @@ class RosbridgeServer:
             If the port cannot be used.
         """
         self._host_name = host.lower()
-        app = web.Application(client_max_size=MAX_TEXT, middlewares=[self._admit])
+        app = web.Application(client_max_size=MAX_TEXT, middlewares=[self._port.admit])
         app.router.add_post("/publish", self._publish)
         app.router.add_get("/{path:.*}", self._socket)
-        self._runner = web.AppRunner(app, access_log=None, logger=auth.HTTP_LOG, shutdown_timeout=1.0)
-        await self._runner.setup()
-        try:
-            assert self._runner.server is not None
-            self._admission = auth.HttpAdmission(self._door, self._runner.server)
-            self._server = await listen(self._admission.protocol_factory, host, port)
-        except OSError as error:
-            await self._runner.cleanup()
-            remedy = bind_remedy(error, "--rosbridge")
-            raise ConnectionLost(f"cannot serve rosbridge on {host}:{port}: {error.strerror or error}; "
-                                 f"{remedy}") from error
-        auth.HTTP_LOG.addFilter(self._admission.keep_record)
+        port = await self._port.open(app, host, port)
         self._clock = asyncio.create_task(self._run_clock())
-        return int(self._server.sockets[0].getsockname()[1])
+        return port
 
     async def close(self) -> None:
         """Stop serving; robots that clients drive stop. May be called twice."""
@@ -125,21 +107,9 @@ class RosbridgeServer:
         closing = [socket.close(code=WSCloseCode.GOING_AWAY, drain=False) for socket in self._sockets]
         await asyncio.gather(*closing, return_exceptions=True)
         self._readers.close()
-        if self._server is not None:
-            self._server.close()
-            self._server = None
-        if self._admission is not None:
-            auth.HTTP_LOG.removeFilter(self._admission.keep_record)
-            self._admission = None
-        if self._runner is not None:
-            await self._runner.cleanup()
-            self._runner = None
+        await self._port.close()
 
     # -- requests
-
-    @web.middleware
-    async def _admit(self, request: web.Request, handler: Handler) -> web.StreamResponse:
-        return await admit(request, handler, self._door, self._admission)
 
     def _may_act(self, request: web.Request) -> bool:
         """Return True if the token allows everything, False if only watching; else raise HTTPForbidden."""
@@ -173,8 +143,8 @@ class RosbridgeServer:
         origin = request.headers.get("Origin")
         if origin is not None and not auth.is_same_origin(origin, request.scheme, request.host):
             raise web.HTTPForbidden(text=f"Origin {origin!a:.80} is not this server's\n")
-        if len(self._sockets) >= self._door.limits.viewers:
-            self._door.reject(request.remote or "", "too many rosbridge clients (--limit-viewers)")
+        if len(self._sockets) >= self._port.door.limits.viewers:
+            self._port.door.reject(request.remote or "", "too many rosbridge clients (--limit-viewers)")
             raise web.HTTPServiceUnavailable(text="too many clients: close one (--limit-viewers)\n")
         socket = web.WebSocketResponse(compress=False, heartbeat=HEARTBEAT_S, timeout=CLOSING_S,
                                        max_msg_size=MAX_MESSAGE)  # fmt: skip
@@ -194,7 +164,7 @@ class RosbridgeServer:
         messages = PageMessages(
             self._daemon.scheduler,
             lambda text: self._handle(client, text, is_late=backlog.max_age_s() > DRIVE_TIMEOUT_S),
-            self._door.limits.page_rate,
+            self._port.door.limits.page_rate,
         )
         try:
             async for message in socket:

@@ -157,11 +157,8 @@ class ViewerServer:
         self._sockets: set[web.WebSocketResponse] = set()
         self._sending: set[asyncio.Task[None]] = set()
         self._host_name = LOOPBACK_NAME
-        self._door = daemon.admission
+        self._port = HttpPort(daemon.admission, "the page", "--viewer")
         self._daemon = daemon
-        self._runner: web.AppRunner | None = None
-        self._server: asyncio.Server | None = None
-        self._admission: auth.HttpAdmission | None = None
         self._clock: asyncio.Task[None] | None = None
 
     async def open(self, host: str, port: int) -> int:
@@ -174,7 +171,7 @@ class ViewerServer:
         """
         # 1. Routes and middleware.
         self._host_name = host.lower()
-        app = web.Application(client_max_size=MAX_TEXT, middlewares=[self._admit])
+        app = web.Application(client_max_size=MAX_TEXT, middlewares=[self._port.admit])
         app.on_response_prepare.append(_add_headers)
         app.router.add_get("/", self._page)
         app.router.add_get("/favicon.ico", _no_icon)
@@ -183,22 +180,10 @@ class ViewerServer:
         app.router.add_get("/health", self._health)
         app.router.add_get("/metrics", self._metrics)
         app.router.add_static("/page/", PAGE)
-        # 2. Runner and socket; an own protocol factory limits connections before HTTP is parsed.
-        self._runner = web.AppRunner(app, access_log=None, logger=auth.HTTP_LOG, shutdown_timeout=1.0)
-        await self._runner.setup()
-        try:
-            assert self._runner.server is not None
-            self._admission = auth.HttpAdmission(self._door, self._runner.server)
-            self._server = await listen(self._admission.protocol_factory, host, port)
-        except OSError as error:
-            await self._runner.cleanup()
-            raise ConnectionLost(
-                f"cannot serve the page on {host}:{port}: {error.strerror or error}; {bind_remedy(error, '--viewer')}"
-            ) from error
-        auth.HTTP_LOG.addFilter(self._admission.keep_record)  # only if the page is served: close() removes it
+        # 2. The port.
+        port = await self._port.open(app, host, port)
         # 3. The clock that takes pictures; localizers that pages start publish to this port.
         self._clock = asyncio.create_task(self._run_clock())
-        port = int(self._server.sockets[0].getsockname()[1])
         place = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
         self.controller.localizers.page_url = f"http://{auth.to_loopback(place)}/?token={self.token}"
         return port
@@ -214,15 +199,7 @@ class ViewerServer:
             self._clock = None
         closing = [socket.close(code=WSCloseCode.GOING_AWAY, drain=False) for socket in self._sockets]
         await asyncio.gather(*closing, return_exceptions=True)
-        if self._server is not None:
-            self._server.close()
-            self._server = None
-        if self._admission is not None:
-            auth.HTTP_LOG.removeFilter(self._admission.keep_record)
-            self._admission = None
-        if self._runner is not None:
-            await self._runner.cleanup()
-            self._runner = None
+        await self._port.close()
         self.controller.close()
 
     async def _run_clock(self) -> None:
@@ -247,10 +224,6 @@ class ViewerServer:
         robots = self._daemon.emulator.simulation.robots
         numbers = [number for number, robot in robots.items() if robot.model.has_light_sensors]
         return laser_modes(self._daemon.connections, numbers)
-
-    @web.middleware
-    async def _admit(self, request: web.Request, handler: Handler) -> web.StreamResponse:
-        return await admit(request, handler, self._door, self._admission)
 
     def _may_act(self, request: web.Request) -> bool:
         """Return True if the token allows everything, False if only watching; else raise HTTPForbidden."""
@@ -301,8 +274,8 @@ class ViewerServer:
         origin = request.headers.get("Origin", "")
         if not auth.is_same_origin(origin, request.scheme, request.host):
             raise web.HTTPForbidden(text=f"Origin {ascii(origin) if origin else '(none)'} is not this page's\n")
-        if len(self._sockets) >= self._door.limits.viewers:
-            self._door.reject(request.remote or "", "too many pages are open (--limit-viewers)")
+        if len(self._sockets) >= self._port.door.limits.viewers:
+            self._port.door.reject(request.remote or "", "too many pages are open (--limit-viewers)")
             raise web.HTTPServiceUnavailable(text="too many pages are open: close one (--limit-viewers)\n")
         socket = web.WebSocketResponse(compress=False, heartbeat=HEARTBEAT_S, timeout=CLOSING_S, max_msg_size=MAX_TEXT)
         self._sockets.add(socket)  # it counts towards the limit from now on
@@ -319,7 +292,7 @@ class ViewerServer:
         viewer.on_message()
         messages = PageMessages(
             self._daemon.scheduler, lambda text: self.controller.handle_message(viewer, text, _now()),
-            self._door.limits.page_rate,
+            self._port.door.limits.page_rate,
         )  # fmt: skip
         try:
             async for message in socket:
@@ -371,28 +344,68 @@ def _now() -> float:
     return asyncio.get_running_loop().time()
 
 
-async def admit(
-    request: web.Request, handler: Handler, door: AdmissionControl, admission: auth.HttpAdmission | None
-) -> web.StreamResponse:
-    """Answer a request by its handler if its address is allowed, at the rate of its address."""
-    host = request.remote or ""
-    if admission is not None:
-        admission.request_received(request)
-        await wait_for_rate(admission.rate_limit(host, _now()))
-    if not door.access.allows(host, _local_address(request)):
-        door.reject(host, NOT_ALLOWED)
-        return web.Response(status=HTTPStatus.FORBIDDEN, text="this address is not allowed\n")
-    try:
-        return await handler(request)
-    except web.HTTPException as refusal:  # aiohttp stores what is raised, with its traceback
-        clear_tracebacks(refusal)
-        return web.Response(status=refusal.status, headers=refusal.headers, body=refusal.body)
+class HttpPort:
+    """A port that serves an application of aiohttp; connections are limited before HTTP is parsed.
 
+    Parameters
+    ----------
+    door
+        Permitted addresses and limits.
+    title, option
+        What is served, and the option that chooses the port, for errors.
+    """
 
-def bind_remedy(error: OSError, option: str) -> str:
-    """Return what to do about a port that cannot be used; `option` is the one that chooses it."""
-    remedies = {errno.EADDRINUSE: f"{option} 0 takes a free port", errno.EACCES: "take a port above 1023"}
-    return remedies.get(error.errno or 0, "take an address of this machine")
+    def __init__(self, door: AdmissionControl, title: str, option: str) -> None:
+        self.door, self._title, self._option = door, title, option
+        self.runner: web.AppRunner | None = None
+        self.admission: auth.HttpAdmission | None = None
+        self._server: asyncio.Server | None = None
+
+    async def open(self, app: web.Application, host: str, port: int) -> int:
+        """Start serving; return the port. Raises ConnectionLost if it cannot be used; the message names the remedy."""
+        self.runner = web.AppRunner(app, access_log=None, logger=auth.HTTP_LOG, shutdown_timeout=1.0)
+        await self.runner.setup()
+        try:
+            assert self.runner.server is not None
+            self.admission = auth.HttpAdmission(self.door, self.runner.server)
+            self._server = await listen(self.admission.protocol_factory, host, port)
+        except OSError as error:
+            await self.runner.cleanup()
+            remedies = {errno.EADDRINUSE: f"{self._option} 0 takes a free port", errno.EACCES: "take a port above 1023"}
+            remedy = remedies.get(error.errno or 0, "take an address of this machine")
+            raise ConnectionLost(
+                f"cannot serve {self._title} on {host}:{port}: {error.strerror or error}; {remedy}"
+            ) from error
+        auth.HTTP_LOG.addFilter(self.admission.keep_record)  # only if something is served: close() removes it
+        return int(self._server.sockets[0].getsockname()[1])
+
+    async def close(self) -> None:
+        """Stop serving. May be called twice."""
+        if self._server is not None:
+            self._server.close()
+            self._server = None
+        if self.admission is not None:
+            auth.HTTP_LOG.removeFilter(self.admission.keep_record)
+            self.admission = None
+        if self.runner is not None:
+            await self.runner.cleanup()
+            self.runner = None
+
+    @web.middleware
+    async def admit(self, request: web.Request, handler: Handler) -> web.StreamResponse:
+        """Answer a request by its handler if its address is allowed, at the rate of its address."""
+        host = request.remote or ""
+        if self.admission is not None:
+            self.admission.request_received(request)
+            await wait_for_rate(self.admission.rate_limit(host, _now()))
+        if not self.door.access.allows(host, _local_address(request)):
+            self.door.reject(host, NOT_ALLOWED)
+            return web.Response(status=HTTPStatus.FORBIDDEN, text="this address is not allowed\n")
+        try:
+            return await handler(request)
+        except web.HTTPException as refusal:  # aiohttp stores what is raised, with its traceback
+            clear_tracebacks(refusal)
+            return web.Response(status=refusal.status, headers=refusal.headers, body=refusal.body)
 
 
 def transport_of(request: web.Request) -> asyncio.Transport:

@@ -62,8 +62,8 @@ async def test_a_connection_without_a_request_is_closed() -> None:
 async def test_there_are_no_more_than_pages_want(limits: Limits, most: int, caplog: pytest.LogCaptureFixture) -> None:
     async with serve_with(limits) as here:
         inside = [await comes(here) for _ in range(most)]
-        assert here.viewer_server._runner is not None
-        server = here.viewer_server._runner.server
+        assert here.viewer_server._port.runner is not None
+        server = here.viewer_server._port.runner.server
         assert server is not None
         async with asyncio.timeout(PATIENCE_S):
             while len(server.connections) < most:

@@ -86,7 +86,7 @@ async def test_all_messages_and_requests_take_tokens(monkeypatch: pytest.MonkeyP
 async def test_limits_of_addresses_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("nserver_emu.viewer.auth.MAX_RATE_LIMITS", 3)
     async with serve_viewer(Emulator(simulation())) as here:
-        admission = here.viewer_server._admission
+        admission = here.viewer_server._port.admission
         assert admission is not None
         for number in range(20):
             assert admission.rate_limit(f"10.0.0.{number}", 0.0) is not None
