@@ -409,49 +409,57 @@ def run(trial: Trial) -> tuple[Trial, Score]:
 
 def summarize(scores: Sequence[Score]) -> list[list[str]]:
     """Return rows of requirement, required, measured."""
-    small = [score for score in scores if score.trial.world in ("thesis_room", "centre_vertex")]
-    several = [score for score in scores if score.trial.world == "several_walls"]
-    rows = [["requirement", "required", "measured"]]
-
-    def add(what: str, required: str, measured: str) -> None:
-        rows.append([what, required, measured])
-
-    if small:
-        complete = sum(score.found == score.walls for score in small)
-        add("thesis_room, centre_vertex: runs with all walls", "99 %", f"{complete} of {len(small)}")
-    if several:
-        found, walls = sum(score.found for score in several), sum(score.walls for score in several)
-        inner = sum(all(hypot(x + 1.0, y - 40.0) > 8.0 for x, y in score.missing) for score in several)
-        add("several_walls: walls found", "95 %", f"{found} of {walls}")
-        add("several_walls: the wall at y = 40", "90 % of the runs", f"{inner} of {len(several)}")
-    offsets = np.concatenate([score.offsets_in for score in scores])
-    angles = np.concatenate([score.angles_deg for score in scores])
-    ends = np.concatenate([score.ends_in for score in scores])
-    z = np.concatenate([score.z for score in scores])
+    offsets, angles, ends, z = (
+        np.concatenate([getattr(score, name) for score in scores])
+        for name in ("offsets_in", "angles_deg", "ends_in", "z")
+    )
     path = np.array([score.path_in for score in scores])
     worse = np.array([score.own_map_in - score.true_map_in for score in scores])
     worse = worse[np.isfinite(worse)]
-    add("visible length found: mean, worst", "90 % of a flat", _shares([score.seen for score in scores]))
-    explored = [score for score in scores if score.trial.explores]
-    if explored:
-        add("contacts", "0 in 100 runs", f"{sum(score.contacts for score in explored)} in {len(explored)} runs")
-        live = [score.live_seconds / score.duration_s for score in explored]
-        add("processor while driving: mean, worst", "10 %", f"{np.mean(live):.1%}, {max(live):.1%}")
-    precision = np.array([score.precision for score in scores])
-    add("false walls", "1 in 50 runs", f"{sum(score.false for score in scores)} in {len(scores)} runs")
-    add("precision: mean, worst", "99 %, 90 %", _shares(precision.tolist()))
-    add("offset: median, worst (in)", "0.1, 0.5", f"{np.median(offsets):.3f}, {offsets.max():.2f}")
-    add("angle: median, worst (deg)", "0.2, 2", f"{np.median(angles):.3f}, {angles.max():.2f}")
-    add("ends: median (in)", "0.15", f"{np.median(ends):.3f}")
-    add("path RMSE: median, worst (in)", "0.3, 0.5", f"{np.median(path):.3f}, {path.max():.2f}")
-    add("odometry RMSE: median, worst (in)", "", _range([score.odometry_in for score in scores]))
-    if len(worse):
-        add("localization, own less true map (in)", "0.05, 0.15", f"{np.median(worse):.3f}, {worse.max():.2f}")
-    add("stated standard deviations: rms z", "0.8 to 1.5", f"{np.sqrt(np.square(z).mean()):.2f}")
-    add("maps refused", "", str(sum(bool(score.refused) for score in scores)))
-    add("duration: median, worst (s)", "300", _range([score.duration_s for score in scores]))
-    add("processor: median, worst (s)", "10 % of the drive", _range([score.seconds for score in scores]))
+    localized = f"{np.median(worse):.3f}, {worse.max():.2f}" if len(worse) else "no run"
+    return [
+        ["requirement", "required", "measured"],
+        *_rows_of_walls(scores),
+        ["visible length found: mean, worst", "90 % of a flat", _shares([score.seen for score in scores])],
+        *_rows_of_exploration([score for score in scores if score.trial.explores]),
+        ["false walls", "1 in 50 runs", f"{sum(score.false for score in scores)} in {len(scores)} runs"],
+        ["precision: mean, worst", "99 %, 90 %", _shares([score.precision for score in scores])],
+        ["offset: median, worst (in)", "0.1, 0.5", f"{np.median(offsets):.3f}, {offsets.max():.2f}"],
+        ["angle: median, worst (deg)", "0.2, 2", f"{np.median(angles):.3f}, {angles.max():.2f}"],
+        ["ends: median (in)", "0.15", f"{np.median(ends):.3f}"],
+        ["path RMSE: median, worst (in)", "0.3, 0.5", f"{np.median(path):.3f}, {path.max():.2f}"],
+        ["odometry RMSE: median, worst (in)", "", _range([score.odometry_in for score in scores])],
+        ["localization, own less true map (in)", "0.05, 0.15", localized],
+        ["stated standard deviations: rms z", "0.8 to 1.5", f"{np.sqrt(np.square(z).mean()):.2f}"],
+        ["maps refused", "", str(sum(bool(score.refused) for score in scores))],
+        ["duration: median, worst (s)", "300", _range([score.duration_s for score in scores])],
+        ["processor: median, worst (s)", "10 % of the drive", _range([score.seconds for score in scores])],
+    ]
+
+
+def _rows_of_walls(scores: Sequence[Score]) -> list[list[str]]:
+    """Return the rows about the walls that were found, for the worlds that were driven in."""
+    rows = list[list[str]]()
+    if small := [score for score in scores if score.trial.world in ("thesis_room", "centre_vertex")]:
+        complete = sum(score.found == score.walls for score in small)
+        rows.append(["thesis_room, centre_vertex: runs with all walls", "99 %", f"{complete} of {len(small)}"])
+    if several := [score for score in scores if score.trial.world == "several_walls"]:
+        found, walls = sum(score.found for score in several), sum(score.walls for score in several)
+        rows.append(["several_walls: walls found", "95 %", f"{found} of {walls}"])
+        inner = sum(all(hypot(x + 1.0, y - 40.0) > 8.0 for x, y in score.missing) for score in several)
+        rows.append(["several_walls: the wall at y = 40", "90 % of the runs", f"{inner} of {len(several)}"])
     return rows
+
+
+def _rows_of_exploration(explored: Sequence[Score]) -> list[list[str]]:
+    """Return the rows about runs that explored by themselves."""
+    if not explored:
+        return []
+    live = [score.live_seconds / score.duration_s for score in explored]
+    return [
+        ["contacts", "0 in 100 runs", f"{sum(score.contacts for score in explored)} in {len(explored)} runs"],
+        ["processor while driving: mean, worst", "10 %", f"{np.mean(live):.1%}, {max(live):.1%}"],
+    ]
 
 
 def _shares(values: Sequence[float]) -> str:

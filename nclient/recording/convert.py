@@ -18,7 +18,7 @@ import csv
 import math
 import shutil
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -387,15 +387,9 @@ def carmen_lines(drive: Drive) -> Iterator[str]:
 def read_carmen(text: str, name: str) -> Drive:
     """Parse a CARMEN log: poses of ODOM, ranges of SONAR, or of FLASER where it has no sonars."""
     kinds = Counter(line.split(None, 1)[0] for line in text.splitlines() if line.strip() and not line.startswith("#"))
-    ranges_of: dict[str, Callable[[list[float]], tuple[Sequence[float], tuple[float, ...]]]] = {
-        "SONAR": _carmen_sonar, "FLASER": _carmen_laser,
-    }
-    source = next((kind for kind in ranges_of if kinds[kind]), "ODOM")
+    source = next((kind for kind in ("SONAR", "FLASER") if kinds[kind]), "ODOM")
     drive = Drive([], start_s=0.0)
-    skipped = [(kind, count) for kind, count in kinds.items() if kind not in ("ODOM", "PARAM", "SYNC", source)]
-    drive.omitted += [f"{count} messages {kind}" for kind, count in skipped[:MAX_NAMES]]
-    if len(skipped) > MAX_NAMES:
-        drive.omitted.append(f"{sum(count for _, count in skipped[MAX_NAMES:])} messages of other kinds")
+    _name_skipped(drive, [item for item in kinds.items() if item[0] not in ("ODOM", "PARAM", "SYNC", source)])
     pose = Sample(0.0)
     for number, line in enumerate(text.splitlines(), 1):
         kind, *words = line.split() or [""]
@@ -407,28 +401,39 @@ def read_carmen(text: str, name: str) -> Drive:
             if kind == "ODOM":
                 x, y, heading, speed, turn, _ = numbers
                 pose = Sample(time_s, x, y, heading, None, speed, turn)
-            if kind == "FLASER":
+            elif kind == "FLASER":
                 # The velocities are those of the last ODOM.
                 pose = pose._replace(x_m=numbers[-3], y_m=numbers[-2], heading_rad=numbers[-1])
             if kind == source:
                 drive.start_s = drive.start_s or start_s - time_s
                 sample = pose._replace(time_s=time_s)
-                if kind != "ODOM":
-                    ranges, directions = ranges_of[kind](numbers)
-                    if kind == "SONAR" and not drive.samples and _is_off_axis(numbers):
-                        drive.omitted.append("places of the sonars on the robot, other than their directions")
-                    drive.directions_rad = drive.directions_rad if drive.samples else _ring(directions)
-                    # A ring on a turret: all sonars turn by the same angle.
-                    turned = directions[0] - drive.directions_rad[0]
-                    turret = sample.heading_rad + turned if kind == "SONAR" else None
-                    sample = sample._replace(ranges_m=tuple(ranges), turret_rad=turret)
-                drive.samples.append(sample)
+                drive.samples.append(sample if kind == "ODOM" else _with_carmen_ranges(sample, kind, numbers, drive))
         except (ValueError, IndexError, OverflowError) as error:
             raise RecordingError(f"{name}, line {number}: no {kind} message of CARMEN ({error})") from None
     # The two times of a line differ by rounding only, or that of the logger is since 1970.
     if drive.start_s < 1e-3:
         drive.start_s = 0.0
     return drive
+
+
+def _name_skipped(drive: Drive, skipped: list[tuple[str, int]]) -> None:
+    """Add kinds of messages that are not read, with their number, to what the drive leaves out."""
+    drive.omitted += [f"{count} messages {kind}" for kind, count in skipped[:MAX_NAMES]]
+    if len(skipped) > MAX_NAMES:
+        drive.omitted.append(f"{sum(count for _, count in skipped[MAX_NAMES:])} messages of other kinds")
+
+
+def _with_carmen_ranges(sample: Sample, kind: str, numbers: list[float], drive: Drive) -> Sample:
+    """Return a sample with the ranges of a message; the first one gives the drive its directions."""
+    ranges, directions = _carmen_sonar(numbers) if kind == "SONAR" else _carmen_laser(numbers)
+    if not drive.samples:
+        drive.directions_rad = _ring(directions)
+        if kind == "SONAR" and _is_off_axis(numbers):
+            drive.omitted.append("places of the sonars on the robot, other than their directions")
+    # A ring on a turret: all sonars turn by the same angle.
+    turned = directions[0] - drive.directions_rad[0]
+    turret = sample.heading_rad + turned if kind == "SONAR" else None
+    return sample._replace(ranges_m=tuple(ranges), turret_rad=turret)
 
 
 def _ring(directions: tuple[float, ...]) -> tuple[float, ...]:
