@@ -191,8 +191,8 @@ def _unobserved_variance(straight_in: float, turned_rad: float, noise: OdometryN
     return np.array([position, position, heading])
 
 
-def encoder_std(now: Floats, known: Floats, std: Floats, noise: OdometryNoise) -> tuple[Floats, float]:
-    """Return standard deviations (3,) of the pose of encoders that were last known at one of some poses.
+def encoder_std(now: Floats, starts: Floats, std: Floats, noise: OdometryNoise) -> tuple[Floats, float]:
+    """Return standard deviations (3,) of the pose of encoders that were last right at one of some starts.
 
     The protocol reports neither a distance driven nor when the encoders were set: the displacement from the nearest of
     the poses stands for both, as of a saved estimate, and MIN_DRIVEN_IN for a drive that ended beside it.
@@ -201,7 +201,7 @@ def encoder_std(now: Floats, known: Floats, std: Floats, noise: OdometryNoise) -
     ----------
     now : (3,) array
         Encoders, inches and radians.
-    known : (n, 3) array
+    starts : (n, 3) array
         Poses at which a robot is switched on or placed.
     std : (3,) array
         Standard deviations where the robot has not driven.
@@ -213,7 +213,7 @@ def encoder_std(now: Floats, known: Floats, std: Floats, noise: OdometryNoise) -
     driven_in : float
         Displacement; 0 at one of the poses.
     """
-    offset = difference(np.broadcast_to(now, known.shape), known)
+    offset = difference(np.broadcast_to(now, starts.shape), starts)
     far = np.hypot(offset[:, 0], offset[:, 1])
     if ((far <= STANDS_IN) & (np.abs(offset[:, HEADING]) <= STANDS_RAD)).any():
         return std, 0.0

@@ -5,7 +5,7 @@
     /robot1/bumpers   std_msgs/UInt32         bits of State[33]
     /robot1/battery   sensor_msgs/BatteryState
     /tf               tf2_msgs/TFMessage
-    /nomad/recording  std_msgs/String         lines of the recording that the drive comes from: the way back
+    /nomad/recording  std_msgs/String         lines of the recording that the drive comes from, to convert it back
 
 Read are one topic of nav_msgs/Odometry or geometry_msgs/PoseStamped and one of sensor_msgs/LaserScan, whatever their
 names, or with `fields` numbers of any message. Times of messages are those of the log.
@@ -242,10 +242,10 @@ class _Field(NamedTuple):
     def parse(cls, text: str) -> "_Field":
         column, _, source = text.partition("=")
         topic, _, place = source.partition(":")
-        known = ("x_m", "y_m", "heading_rad", "qx", "qy", "qz", "qw")
-        if (column not in known and not _is_sonar(column)) or not topic or not place:
+        columns = ("x_m", "y_m", "heading_rad", "qx", "qy", "qz", "qw")
+        if (column not in columns and not _is_sonar(column)) or not topic or not place:
             raise RecordingError(f"--field {text}: expected COLUMN=TOPIC:PLACE, such as x_m=/state:raw.0; columns are "
-                                 f"{', '.join(known)}, sonar_0_m, sonar_1_m, ...")
+                                 f"{', '.join(columns)}, sonar_0_m, sonar_1_m, ...")
         return cls(column, topic, tuple(place.split(".")))
 
     def value(self, message: Any) -> float:
