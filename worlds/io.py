@@ -149,7 +149,8 @@ class _Door(Table):
 
     def check(self) -> None:
         if len(self.points) != 2:
-            raise InvalidValue(f"expected the two ends of a door, found {len(self.points)} points", self.key_of("points"))
+            found = f"found {len(self.points)} points"
+            raise InvalidValue(f"expected the two ends of a door, {found}", self.key_of("points"))
         _reject_repeats(self, "points", polyline_segments(self.points))
 
     def door(self) -> Door:

@@ -331,7 +331,10 @@ values = st.recursive(
 )
 
 
-@given(st.sampled_from(["room", "wall", "obstacle", "door", "walker", "start", "path"]), st.dictionaries(keys, values, max_size=4))
+KINDS = ["room", "wall", "obstacle", "door", "walker", "start", "path"]
+
+
+@given(st.sampled_from(KINDS), st.dictionaries(keys, values, max_size=4))
 def test_random_table_is_a_world_or_a_file_error(kind: str, table: dict[str, object]) -> None:
     rows = "\n".join(f"{key} = {value}" for key, value in table.items())
     assert outcome(f"{ROOM}[[{kind}]]\n{rows}").startswith(("x.toml: ", "World("))

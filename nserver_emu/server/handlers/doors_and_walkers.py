@@ -1,6 +1,6 @@
 """Changes to doors and walkers by the operator (`nserver ctl`, viewer), as runtime_settings.py has them for walls.
 
-    door     {"door": name, "open": true or false}                       open or close it; without "open": the other state
+    door     {"door": name, "open": true or false}                       open, close; without "open": the other state
              {"put": [[x, y], [x, y]], "name": text, "open": bool}       add it
              {"door": name, "by": [dx, dy]}, {"door": name, "to": ends}  move it
              {"door": name, "remove": true}                              remove it

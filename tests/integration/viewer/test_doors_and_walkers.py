@@ -10,7 +10,9 @@ DOORS = (
     "JSON.stringify((nserver.scene.world.doors ?? []).map("
     "({ name, ends, open }) => ({ name, ends: ends.map((at) => at.map(Math.round)), open })))"
 )
-ROUTES = "JSON.stringify((nserver.scene.world.walkers ?? []).map((each) => each.points.map((at) => at.map(Math.round))))"
+ROUTES = (
+    "JSON.stringify((nserver.scene.world.walkers ?? []).map(({ points }) => points.map((at) => at.map(Math.round))))"
+)
 
 
 def click(page: OpenPage, *points: tuple[float, float]) -> None:
