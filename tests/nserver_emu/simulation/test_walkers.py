@@ -71,7 +71,10 @@ def test_walker_stops_before_a_robot_and_walks_on() -> None:
 def test_robot_that_drives_at_a_walker_is_stopped_by_it() -> None:
     run = simulation(Walker(((50.0, 100.0), (250.0, 100.0)), 10.0), start=StartPose(170.0, 100.0))
     run.robots[1].set_velocities(-8.0, 0.0, 0.0)
-    nearest = min((run.step(0.1), hypot(run.robots[1].actual.x_in - run.walkers[0].disc[0], 0.0))[1] for _ in range(90))
+    nearest = np.inf
+    for _ in range(90):
+        run.step(0.1)
+        nearest = min(nearest, run.robots[1].actual.x_in - run.walkers[0].disc[0])
     assert nearest == pytest.approx(N150.body.radius_in + 7.0, abs=2e-3)
     assert run.robots[1].bumpers
     assert not any(run.robots[1].moving)
