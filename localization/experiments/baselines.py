@@ -99,8 +99,8 @@ def _parser() -> Parser:
         "by a contact or with a wrong estimate.",
         epilog="example: python -m localization.experiments baselines --episodes 20 --environments GoTo",
     )
-    parser.add_argument("--episodes", type=output.positive, default=50, metavar="N",
-                        help="episodes of each policy (default: 50)")  # fmt: skip
+    parser.add_argument("--episodes", type=output.positive, default=20, metavar="N",
+                        help="episodes of each policy (default: 20)")  # fmt: skip
     output.add_choice(parser, "--environments", ENVIRONMENTS, list(ENVIRONMENTS), "environments")
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
     return parser

@@ -146,9 +146,9 @@ class RobotVectorEnv(VectorEnv[Observation, Action, npt.NDArray[Any]]):
 
     def _info(self, is_success: BoolArray) -> Info:
         # Gymnasium marks by _NAME which robots have a value.
-        everyone = np.ones(self.num_envs, dtype=np.bool_)
+        every_robot = np.ones(self.num_envs, dtype=np.bool_)
         return {
-            "is_success": is_success, "_is_success": everyone, "pose_m": self.runner.poses_m(), "_pose_m": everyone,
+            "is_success": is_success, "_is_success": every_robot, "pose_m": self.runner.poses_m(), "_pose_m": every_robot,
         }  # fmt: skip
 
 

@@ -74,9 +74,9 @@ class RobotsParallelEnv(ParallelEnv[str, Observation, Action]):
         if seed is not None:
             self._rng, _ = seeding.np_random(seed)
         self.agents, self._steps = [*self.possible_agents], 0
-        everyone = np.ones(len(self.agents), dtype=np.bool_)
-        observations = self.runner.reset(everyone, self._rng, None, is_seeded=True)
-        return self._of_agents(observations), self._infos(~everyone)
+        every_robot = np.ones(len(self.agents), dtype=np.bool_)
+        observations = self.runner.reset(every_robot, self._rng, None, is_seeded=True)
+        return self._of_agents(observations), self._infos(~every_robot)
 
     def step(
         self, actions: Mapping[str, Action]

@@ -85,7 +85,7 @@ class Robots(Protocol):
         ...
 
     def close(self) -> None:
-        """Stop, and let go of everything."""
+        """Stop connected robots, and disconnect."""
         ...
 
 
