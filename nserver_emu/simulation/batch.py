@@ -95,6 +95,8 @@ class BatchSimulation:
         self.model, self.setup, self.seed = model, apply_model(model, setup), seed
         _check(model, self.setup)
         self._worlds = _worlds(worlds, robots)
+        if any(world.walkers for world in self._worlds):
+            raise ValueError("expected worlds without walkers: each robot is alone; use Simulation for people who walk")
         kernel = self._kernel = _load_kernel()
         self._loops = kernel.load_loops()
         self.threads = max(1, threads or _cores())

@@ -96,7 +96,7 @@ Call = Literal[
 ]  # fmt: skip
 Control = Literal[
     "status", "pause", "resume", "speed", "step", "faults show", "faults set", "faults clear", "faults counts", "noise",
-    "world show", "world set", "obstacle", "wall",
+    "world show", "world set", "obstacle", "wall", "door", "walker",
 ]  # fmt: skip
 """Control commands of the page: all but those that write files."""
 LocalizationMethod = Literal["ekf", "iekf", "ukf", "smoother", "mcl", "finder", "offsets"]

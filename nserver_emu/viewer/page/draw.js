@@ -21,6 +21,8 @@ export function drawScene(pen, scene, view, options) {
   if (shown.grid) drawGrid(pen, view, options);
   if (!scene.world) return;
   drawWorld(pen, scene.world, view, options);
+  drawDoors(pen, scene.world, view, options);
+  drawWalkers(pen, scene, view, options);
   if (shown.graphics) options.graphics?.(pen, scene, view, options);
   const isFleet = Object.keys(scene.robots).length > 1;
   for (const [id, robot] of Object.entries(scene.robots)) {
@@ -88,6 +90,40 @@ function drawWorld(pen, world, view, { theme }) {
     pen.moveTo(...toScreen(view, x1, y1)); pen.lineTo(...toScreen(view, x2, y2));
   }
   pen.stroke();
+}
+
+// An open door is dashed.
+function drawDoors(pen, world, view, { theme }) {
+  pen.font = '12px system-ui, sans-serif';
+  for (const { name, ends: [start, end], open } of world.doors ?? []) {
+    pen.strokeStyle = pen.fillStyle = theme.encoder;
+    pen.lineWidth = open ? 1.5 : 4;
+    pen.setLineDash(open ? [5, 4] : []);
+    line(pen, view, ...start, ...end);
+    const [px, py] = toScreen(view, (start[0] + end[0]) / 2, (start[1] + end[1]) / 2);
+    pen.fillText(name, px + 6, py - 6);
+  }
+  pen.setLineDash([]);
+}
+
+// Routes are dotted.
+function drawWalkers(pen, scene, view, { theme }) {
+  for (const [k, { points, radius, closed }] of (scene.world.walkers ?? []).entries()) {
+    pen.strokeStyle = theme.quiet;
+    pen.lineWidth = 1;
+    pen.setLineDash([2, 4]);
+    pen.beginPath();
+    points.forEach(([x, y], number) => (number ? pen.lineTo : pen.moveTo).call(pen, ...toScreen(view, x, y)));
+    if (closed) pen.closePath();
+    pen.stroke();
+    pen.setLineDash([]);
+    circle(pen, view, ...(scene.walkers[k] ?? points[0]), radius);
+    pen.fillStyle = theme.obstacle;
+    pen.fill();
+    pen.strokeStyle = theme.wall;
+    pen.lineWidth = 1.5;
+    pen.stroke();
+  }
 }
 
 function drawTraces(pen, traces, view, theme) {

@@ -55,7 +55,7 @@ BAD: list[tuple[Any, str]] = [
     ({"do": "call", "id": 1, "robot": 1, "call": "vm", "args": [0] * (MAX_ARGS + 1)}, "args: expected at most 64"),
     ({"do": "drive", "id": 1, "robot": 1, "args": [1, 2]}, "three whole numbers"),
     ({"do": "stop", "id": 1, "robot": "all"}, "the number of a robot, or left out"),
-    ({"do": "control", "id": 1, "command": "save", "argument": "/etc/passwd"}, "command: expected one of faults"),
+    ({"do": "control", "id": 1, "command": "save", "argument": "/etc/passwd"}, "command: expected one of door, faults"),
     ({"do": "control", "id": 1, "command": "speed", "argument": [1]}, "argument: expected nothing"),
     ({"do": "click", "robot": 1, "pose": [1, 2, 3]}, "pose: expected x, y"),
     ({"do": "waypoints", "robot": 1, "points": [[1, 2, 3]]}, r"points\[0\]: expected a point"),
