@@ -21,6 +21,7 @@ TESTS_OF_PAGES = {
     "calibration.md": "docs/test_calibration_and_maps_pages.py",
     "batch.md": "nserver_emu/simulation/test_batch.py",
     "c-programs.md": "docs/test_pages.py",
+    "class.md": "docs/test_class_page.py",
     "examples.md": "docs/test_examples.py",
     "faults.md": "docs/test_pages.py",
     "files.md": "nclient/cli/test_schema.py",
