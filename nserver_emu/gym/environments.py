@@ -146,9 +146,9 @@ class RobotVectorEnv(VectorEnv[Observation, Action, npt.NDArray[Any]]):
 
     def _info(self, is_success: BoolArray) -> Info:
         # Gymnasium marks by _NAME which robots have a value.
-        every_robot = np.ones(self.num_envs, dtype=np.bool_)
+        of_all = np.ones(self.num_envs, dtype=np.bool_)
         return {
-            "is_success": is_success, "_is_success": every_robot, "pose_m": self.runner.poses_m(), "_pose_m": every_robot,
+            "is_success": is_success, "_is_success": of_all, "pose_m": self.runner.poses_m(), "_pose_m": of_all,
         }  # fmt: skip
 
 
