@@ -72,7 +72,7 @@ class ConeArrays(NamedTuple):
     range_parameters: int
 
 
-def _row(row: Any, record: object) -> Any:
+def row_of(row: Any, record: object) -> Any:
     """Return a record as a row of floats."""
     return row(*(float(getattr(record, name)) for name in row._fields))
 
@@ -82,15 +82,15 @@ def _arrays(model: Any) -> RayArrays | ConeArrays:
     walls = WallArrays(model.walls.segments, model.walls.lines, model.walls.middle)
     ring = (np.array(model.mounts), model.range_parameters)
     if isinstance(model, RayModel):
-        noise, gate = _row(RaySonarRow, model.noise), _row(GateRow, model.gate)
+        noise, gate = row_of(RaySonarRow, model.noise), row_of(GateRow, model.gate)
         return RayArrays(noise, walls, gate, model.threshold, *ring)
     faces, vertices = np.array(model.faces).reshape(-1, 5), np.array(model.vertices).reshape(-1, 3)
-    return ConeArrays(_row(ConeSonarRow, model.noise), walls, faces, vertices, *ring)
+    return ConeArrays(row_of(ConeSonarRow, model.noise), walls, faces, vertices, *ring)
 
 
 # Compiling.
 
-_SOURCES: Final = (belief, odometry, sonar_ray, sonar_cone, update, raycast)
+SOURCES: Final = (belief, odometry, sonar_ray, sonar_cone, update, raycast)
 """numba may compile all functions of these modules; it does so for those that the loop calls."""
 
 # Forms for numba of what differs between lists and arrays. It cannot unpack a row of an array: rows become tuples.
@@ -143,7 +143,7 @@ def load() -> bool:
         import numba.extending
     except ImportError:
         return False
-    for module in _SOURCES:
+    for module in SOURCES:
         for function in vars(module).values():
             if isfunction(function) and function.__module__ == module.__name__ and function not in _FORMS:
                 numba.extending.register_jitable(function)
@@ -159,7 +159,7 @@ def _compile(loop: Callable[..., list[Outcome]], correct: Callable[..., Outcome]
 
     # numba's cache watches this file only: the checksum of the others is part of its key, as a variable of the closure.
     checksum = crc32(Path(loop.__code__.co_filename).read_bytes())
-    for module in _SOURCES:
+    for module in SOURCES:
         checksum = crc32(Path(str(module.__file__)).read_bytes(), checksum)
 
     def filter_ring(
@@ -184,7 +184,7 @@ class CompiledRing:
 
     def __init__(self, loop: Callable[..., list[Outcome]], model: DirectModel, noise: OdometryNoise) -> None:
         self._run = _compile(loop, model.update)
-        self._noise, self._model = _row(NoiseRow, noise), _arrays(model)
+        self._noise, self._model = row_of(NoiseRow, noise), _arrays(model)
         # Compile now, not in the first update.
         encoders = (0.0,) * ENCODERS
         self.filter([0.0] * POSE, [[0.0] * POSE for _ in range(POSE)], np.zeros((1, 4)), encoders, [encoders], [])
