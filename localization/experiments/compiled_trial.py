@@ -49,6 +49,7 @@ def make_step(checksum: int) -> Step:
         is_used = np.zeros(count, dtype=np.bool_)
         change: Any = np.zeros(POSE)
         rows = wall_rows(walls)
+        listed: Any = compiled.ListedWalls(walls.segments, walls.lines, walls.middle, rows)
         for i in range(len(truth)):
             distance, turn = steps[i, 0], steps[i, 1]
             # 1. The bound along the true path, and the belief, are predicted by the same function.
@@ -70,7 +71,7 @@ def make_step(checksum: int) -> Step:
                 row = nearest_wall(truth[i, 0], truth[i, 1], dx, dy, rows)[1]
                 if row == NO_WALL:
                     continue
-                along, H_true, _ = intersect_line(truth[i, 0], truth[i, 1], dx, dy, line_of(row, walls), 0.0)
+                along, H_true, _ = intersect_line(truth[i, 0], truth[i, 1], dx, dy, line_of(row, listed), 0.0)
                 R_true = range_variance(sonar, along - ring_in)
                 K, S = kalman_gain(bound[i], H_true, R_true)
                 add_outer(bound[i], -S, K)
@@ -78,7 +79,7 @@ def make_step(checksum: int) -> Step:
                 if not sonar.lowest_in < reading < sonar.highest_in:
                     continue
                 # 4. The expected reading, and the chi-square gate; linearised at the mean before the whole ring.
-                expected = predict_beam(mean[i], cov[i], angles_rad[beam], ring_in, walls, gate, 0.0)
+                expected = predict_beam(mean[i], cov[i], angles_rad[beam], ring_in, listed, gate, 0.0)
                 if expected.refusal != NONE:
                     continue
                 R_beam, error = range_variance(sonar, expected.range_in), reading - expected.range_in

@@ -50,6 +50,15 @@ class WallArrays(NamedTuple):
     middle: tuple[float, float, float]
 
 
+class ListedWalls(NamedTuple):
+    """`WallArrays` with the rows as a list, which compiled code makes once and not for every ray."""
+
+    segments: Floats
+    lines: Floats
+    middle: tuple[float, float, float]
+    rows: Any
+
+
 class RayArrays(NamedTuple):
     """A `RayModel`."""
 
@@ -100,6 +109,15 @@ def _wall_rows(walls: Any) -> Any:
     return [(row[0], row[1], row[2], row[3]) for row in walls.segments]
 
 
+def _listed_rows(walls: Any) -> Any:
+    return walls.rows
+
+
+def _form_of_rows(walls: Any) -> Callable[..., Any]:
+    """Return the form of `wall_rows` for a type of walls."""
+    return _listed_rows if "rows" in walls.fields else _wall_rows
+
+
 def _rows_of_five(rows: Any) -> Any:
     return [(row[0], row[1], row[2], row[3], row[4]) for row in rows]
 
@@ -148,7 +166,8 @@ def load() -> bool:
             if isfunction(function) and function.__module__ == module.__name__ and function not in _FORMS:
                 numba.extending.register_jitable(function)
     for function, form in _FORMS.items():
-        numba.extending.overload(function, strict=False)(_same(form))
+        of_type = _form_of_rows if form is _wall_rows else _same(form)
+        numba.extending.overload(function, strict=False)(of_type)
     return True
 
 

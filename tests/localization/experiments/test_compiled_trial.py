@@ -29,7 +29,8 @@ def test_single_steps_are_those_of_the_arrays(monkeypatch: pytest.MonkeyPatch) -
     setup = course()
     # In plain Python, whose walls are the filter's own.
     monkeypatch.setattr(compiled_trial, "load_step", lambda: compiled_trial.make_step(0))
-    monkeypatch.setattr(compiled, "WallArrays", lambda *_: setup.walls)
+    for name in ("WallArrays", "ListedWalls"):
+        monkeypatch.setattr(compiled, name, lambda *_: setup.walls)
     with np.errstate(invalid="ignore"):
         one, many = run(setup, range(3), is_compiled=True), run(setup, range(3))
     assert largest_difference(one, many) < 1e-9
