@@ -27,6 +27,8 @@ GOOD: list[dict[str, Any]] = [
     {"do": "stop", "id": 3},
     {"do": "stop", "id": 3, "robot": 2},
     {"do": "release", "id": 4},
+    {"do": "reset", "id": 4},
+    {"do": "reset", "id": 4, "robot": 2},
     {"do": "control", "id": 3, "command": "pause"},
     {"do": "control", "id": 3, "command": "speed", "argument": 2.5},
     {"do": "control", "id": 3, "command": "faults set", "argument": {"text": "", "file": "x"}},
