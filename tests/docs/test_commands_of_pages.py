@@ -27,6 +27,7 @@ TESTS_OF_PAGES = {
     "files.md": "nclient/cli/test_schema.py",
     "from-c.md": "docs/test_from_c_page.py",
     "fuzzing.md": "fuzz/test_documentation.py",
+    "gym.md": "docs/test_gym_page.py",
     "interop.md": "docs/test_interop_page.py",
     "localization.md": "docs/test_pages.py",
     "map-your-room.md": "docs/test_newcomer_pages.py",
