@@ -269,6 +269,8 @@ class ViewerController:
         self.waypoints: dict[int, list[list[float]]] = {}
         """Goal of each robot, as set at a page."""
         self._waypoints_set: Counter[int] = Counter()
+        self._waypoints_received: Counter[int] = Counter()
+        """How often they were set, by robot, and that number when its localizer last got them."""
         self._clients: dict[Viewer, ViewerClients] = {}
         self._worlds_being_read: dict[Viewer, asyncio.Task[bytes]] = {}
         self._reading: set[asyncio.Task[Answer]] = set()
@@ -286,7 +288,8 @@ class ViewerController:
         viewer = self.broadcaster.join(may_act=may_act)
         viewer.notify(messages.encode_message("hello", version=messages.VERSION, name=viewer.name, may_act=may_act,
                             watch_token=watch_token if may_act else None, waypoints=self.waypoints,
-                            lines=dict(self.daemon.lines()) if may_act else {}))
+                            lines=dict(self.daemon.lines()) if may_act else {},
+                            own_methods=list(self.localizers.own_methods)))
         viewer.notify(messages.encode_message("asked", robots=self._pose_requests))
         viewer.notify(messages.encode_message("localizers", robots=self.localizers.as_dict()))
         # 2. Estimates that are not outdated.
@@ -460,8 +463,11 @@ class ViewerController:
         robot = estimate["robot"]
         if robot not in self.daemon.emulator.simulation.robots:
             raise messages.InvalidMessage(f"there is no robot {robot}")
-        if estimate.pop("began") and self.waypoints.get(robot):
+        # A new localizer gets the waypoints that none before it got, unless it has some of its own.
+        is_new = self._waypoints_received[robot] < self._waypoints_set[robot] and not estimate["waypoints"]
+        if estimate.pop("began") and self.waypoints.get(robot) and not is_new:
             self.set_waypoints(robot, [])
+        self._waypoints_received[robot] = self._waypoints_set[robot]
         self._published[robot] = now, estimate
         self.localizers.mark_published(robot)
         self.broadcaster.notify(messages.encode_message("localization", **estimate, age_s=0.0))

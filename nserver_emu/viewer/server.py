@@ -17,7 +17,7 @@ import asyncio
 import contextlib
 import errno
 import logging
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from http import HTTPStatus
 from pathlib import Path
 from typing import Final
@@ -437,11 +437,16 @@ async def _add_headers(_request: web.Request, response: web.StreamResponse) -> N
 
 @contextlib.asynccontextmanager
 async def serve_viewer(
-    daemon: Daemon, host: str, port: int, tokens: auth.Tokens | None = None, model_file: Path | None = None
+    daemon: Daemon, host: str, port: int, tokens: auth.Tokens | None = None, model_file: Path | None = None,
+    own_methods: Sequence[str] = (),
 ) -> AsyncIterator[list[str]]:
-    """Serve the page; yield the line to print. `model_file` has the robot models of the daemon, if not shipped."""
+    """Serve the page; yield the line to print. `model_file` has the robot models of the daemon, if not shipped.
+
+    `own_methods` are filters of the user that pages offer.
+    """
     viewer_server = ViewerServer(daemon, tokens)
     viewer_server.controller.localizers.model_file = model_file
+    viewer_server.controller.localizers.own_methods = tuple(own_methods)
     port = await viewer_server.open(host, port)
     if not is_loopback(host):
         log.warning("the page is open to the network, unencrypted: all who read its address can drive the robots; "
