@@ -142,7 +142,7 @@ class Publisher:
             self._lost_s = None
         if first:
             # Those that wait on the page are for a run without waypoints of its own.
-            return None if message.get("waypoints") else waypoints or None
+            return (waypoints or None) if message.get("waypoints") == [] else None
         return None if before == self._set else waypoints
 
     def _lose(self, error: Exception) -> None:

@@ -2,7 +2,8 @@
 // server reads and writes the world format; the page only transfers the text.
 
 import { element, button, download, form, lengthField } from './widgets.js';
-import { addObstacle, callRobot, control, deleteObstacle, deleteWall, innerWalls, moveObstacle, moveWall } from './commands.js';
+import { addObstacle, callRobot, control, deleteObstacle, deleteWall, innerWalls, moveObstacle, moveWall, poseTenths } from './commands.js';
+import { robotFits } from './geometry.js';
 import { unitIn, unitName } from './units.js';
 
 const STEP_IN = 1, EXAMPLE = '10,10 20,10 20,20';
@@ -107,19 +108,24 @@ async function saveWorld(app) {
   if (text !== null) download(`${app.scene.world.name}.toml`, 'text/plain', text);
 }
 
-// Replace the world. Undo restores the whole previous world, unless the new one was changed meanwhile: those changes would
-// be lost.
+// Replace the world. Undo restores the whole previous world, and the robots that had no room in the new one to their poses,
+// unless the new one was changed meanwhile: those changes would be lost.
 function replaceWorld(app, title, apply, options = {}) {
-  let before = null, after = null;
+  let before = null, after = null, poses = [];
   return app.history.run({ title, apply: async () => {
     before = await worldText(app);
+    poses = Object.entries(app.scene.robots).map(([id, { actual }]) => [id, [...actual]]);
     if (before === null) return { ok: false, error: 'the world cannot be read' };
     const answer = await apply();
     if (answer.ok) after = await worldText(app);
     return answer;
-  }, revert: async () => (await worldText(app) === after
-    ? control(app, 'world set', { text: before, file: 'the world before', ...options })
-    : { ok: false, error: 'the world was changed meanwhile' }) });
+  }, revert: async () => {
+    if (await worldText(app) !== after) return { ok: false, error: 'the world was changed meanwhile' };
+    const placed = poses.filter(([id, pose]) => app.scene.robots[id] && !robotFits(app.scene, id, pose));
+    const answer = await control(app, 'world set', { text: before, file: 'the world before', ...options });
+    for (const [id, pose] of answer.ok ? placed : []) await callRobot(app, 'place_robot', poseTenths(pose), Number(id));
+    return answer;
+  } });
 }
 
 export function loadWorld(app, text, file) {

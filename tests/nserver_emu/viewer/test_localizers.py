@@ -89,7 +89,7 @@ async def test_only_own_filters_of_the_start_are_run(tmp_path: Path) -> None:
     async with running(f'echo "$@" >{file}') as here:
         here.localizers.own_methods = ("/home/me/filters.py:Mine",)
         for wrong in ("/home/me/filters.py:Other", "/home/me/other.py:Mine", "ekff"):
-            with pytest.raises(InvalidMessage, match="filters.py:Mine"):
+            with pytest.raises(InvalidMessage, match=r"filters\.py:Mine"):
                 here.localizers.start(1, wrong, is_lost=False)
         assert not here.localizers.states
         here.localizers.start(1, "/home/me/filters.py:Mine", is_lost=False)

@@ -12,7 +12,7 @@ import pytest
 from nserver_emu import cli
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.viewer.options import DEFAULT_PORT, ListenAddress, ViewerMissing, add_options, running_viewer
+from nserver_emu.viewer.options import DEFAULT_PORT, ListenAddress, ViewerMissing, add_options, refuse, running_viewer
 from tests.nserver_emu.server.wire_client import simulation
 
 
@@ -70,8 +70,10 @@ def test_own_filter_is_named_by_its_whole_path(tmp_path: Path, monkeypatch: pyte
 def test_wrong_own_filter_is_refused(
     words: tuple[str, ...], error: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    parser = argparse.ArgumentParser()
+    add_options(parser)
     with pytest.raises(SystemExit):
-        options(*words)
+        refuse(parser, parser.parse_args(words))
     assert error in capsys.readouterr().err
 
 
