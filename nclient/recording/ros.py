@@ -26,33 +26,31 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from nclient.common.hints import suggest
 from nclient.errors import RecordingError
-from nclient.protocol.types import M_PER_IN, MAX_SONAR_IN
+from nclient.recording import ros_messages
 from nclient.recording.drive import RING, Drive, Sample, drive_of_recording
 from nclient.recording.format import parse_recording
+from nclient.recording.ros_messages import BATTERY, NUMBER, ODOMETRY, SCAN, TEXT, TF, TRANSFORMS
+from nclient.recording.ros_types import MessageBuilder
 
-ODOMETRY, SCAN = "nav_msgs/msg/Odometry", "sensor_msgs/msg/LaserScan"
-POSE, TEXT, NUMBER = "geometry_msgs/msg/PoseStamped", "std_msgs/msg/String", "std_msgs/msg/UInt32"
-BATTERY, TRANSFORMS = "sensor_msgs/msg/BatteryState", "tf2_msgs/msg/TFMessage"
+POSE: Final = "geometry_msgs/msg/PoseStamped"
 TRAFFIC: Final = "/nomad/recording"
 """Topic of the lines of a recording."""
 _ROBOT: Final = "robot1"
-_BUMPERS, _FRAMES = f"/{_ROBOT}/bumpers", "/tf"
+_BUMPERS = f"/{_ROBOT}/bumpers"
 _BATTERIES: Final = (f"/{_ROBOT}/battery/cpu", f"/{_ROBOT}/battery/motors")
-_OWN: Final = {TRAFFIC: TEXT, _BUMPERS: NUMBER, _FRAMES: TRANSFORMS, **dict.fromkeys(_BATTERIES, BATTERY)}
+_OWN: Final = {TRAFFIC: TEXT, _BUMPERS: NUMBER, TF: TRANSFORMS, **dict.fromkeys(_BATTERIES, BATTERY)}
 """Topics of `write` that others do not have, with their types."""
-_MIN_RANGE_M, _MAX_RANGE_M = 6 * M_PER_IN, MAX_SONAR_IN * M_PER_IN
-_UNKNOWN: Final = float("nan")
 MAX_RECORD_BYTES: Final = 1 << 28
 """Longer records of a MCAP file are refused: a damaged length must not take all memory. Chunks have some MB."""
 
 
 class Message(NamedTuple):
-    """A message to write: time in ns, topic, type, object of the type store."""
+    """A message to write: time in ns, topic, type, and its fields."""
 
     time_ns: int
     topic: str
     type: str
-    content: Any
+    content: ros_messages.Message
 
 
 # -- writing ----------------------------------------------------------------------------------------------------------
@@ -88,10 +86,12 @@ def _write(drive: Drive, path: Path, name: str) -> None:
 
 def _write_bag(bag: Any, drive: Drive, store: Any, serialize: Callable[[Any, str], Any]) -> None:
     topics: dict[str, Any] = {}
-    for message in _messages(drive, store):
+    builder = _builder(store)
+    for message in _messages(drive):
         if message.topic not in topics:
             topics[message.topic] = bag.add_connection(message.topic, message.type, typestore=store)
-        bag.write(topics[message.topic], message.time_ns, serialize(message.content, message.type))
+        data = serialize(builder.build(message.type, message.content), message.type)
+        bag.write(topics[message.topic], message.time_ns, data)
 
 
 def _write_mcap(drive: Drive, path: Path, store: Any) -> None:
@@ -99,88 +99,53 @@ def _write_mcap(drive: Drive, path: Path, store: Any) -> None:
         writer = McapWriter(file)
         writer.start(profile="ros2", library="nomad-nserver")
         channels: dict[str, int] = {}
-        for sequence, message in enumerate(_messages(drive, store)):
+        builder = _builder(store)
+        for sequence, message in enumerate(_messages(drive)):
             if message.topic not in channels:
                 text, _ = store.generate_msgdef(message.type, ros_version=2)
                 schema = writer.register_schema(message.type, "ros2msg", text.encode())
                 channels[message.topic] = writer.register_channel(message.topic, "cdr", schema)
-            writer.add_message(channels[message.topic], message.time_ns,
-                               bytes(store.serialize_cdr(message.content, message.type)), message.time_ns, sequence)
+            data = bytes(store.serialize_cdr(builder.build(message.type, message.content), message.type))
+            writer.add_message(channels[message.topic], message.time_ns, data, message.time_ns, sequence)
         writer.finish()  # type: ignore[no-untyped-call]
 
 
-def _messages(drive: Drive, store: Any) -> Iterator[Message]:
+def _builder(store: Any) -> MessageBuilder:
+    """Return what makes messages of rosbags, whose arrays are numpy's."""
+    import numpy as np
+
+    return MessageBuilder(store, store.types.__getitem__, np.array)
+
+
+def _messages(drive: Drive) -> Iterator[Message]:
     """Yield the messages of a drive in the order of time, the lines of its recording first."""
     start_ns = round(drive.start_s * 1e9)
     first_ns = start_ns + round(drive.samples[0].time_s * 1e9)
     for line in drive.traffic:
-        yield Message(first_ns, TRAFFIC, TEXT, store.types[TEXT](line))
+        yield Message(first_ns, TRAFFIC, TEXT, {"data": line})
     for sample in drive.samples:
-        yield from sample_messages(sample, drive.directions_rad, start_ns, store)
+        yield from sample_messages(sample, drive.directions_rad, start_ns)
 
 
-def sample_messages(sample: Sample, directions: Sequence[float], start_ns: int, store: Any) -> Iterator[Message]:
+def sample_messages(sample: Sample, directions: Sequence[float], start_ns: int) -> Iterator[Message]:
     """Yield the messages of one sample."""
-    import numpy as np
-
-    types = store.types
     time_ns = start_ns + round(sample.time_s * 1e9)
-
-    def header(frame: str) -> Any:
-        stamp = types["builtin_interfaces/msg/Time"](time_ns // 10**9, time_ns % 10**9)
-        kind = types["std_msgs/msg/Header"]
-        # Headers of ROS 1 have a sequence number.
-        return kind(0, stamp, frame) if "seq" in kind.__dataclass_fields__ else kind(stamp, frame)
-
-    def vector(x: float = 0.0, y: float = 0.0, z: float = 0.0, kind: str = "Vector3") -> Any:
-        return types[f"geometry_msgs/msg/{kind}"](x, y, z)
-
-    def rotation(angle: float) -> Any:
-        return types["geometry_msgs/msg/Quaternion"](0.0, 0.0, math.sin(angle / 2), math.cos(angle / 2))
-
-    def transform(parent: str, child: str, x: float, y: float, angle: float) -> Any:
-        moved = types["geometry_msgs/msg/Transform"](vector(x, y), rotation(angle))
-        return types["geometry_msgs/msg/TransformStamped"](header(f"{_ROBOT}/{parent}"), f"{_ROBOT}/{child}", moved)
-
-    # 1. Pose and velocity by odometry; their covariances are unknown: zeros.
-    pose = types["geometry_msgs/msg/Pose"](vector(sample.x_m, sample.y_m, 0.0, "Point"), rotation(sample.heading_rad))
-    twist = types["geometry_msgs/msg/Twist"](vector(sample.speed_m_s), vector(z=sample.turn_rad_s))
-    unknown = np.zeros(36)
-    yield Message(time_ns, f"/{_ROBOT}/odom", ODOMETRY, types[ODOMETRY](
-        header(f"{_ROBOT}/odom"), f"{_ROBOT}/base_link",
-        types["geometry_msgs/msg/PoseWithCovariance"](pose, unknown),
-        types["geometry_msgs/msg/TwistWithCovariance"](twist, unknown)))
-    # 2. Frames: the turret turns on the base.
+    at = sample.x_m, sample.y_m, sample.heading_rad
+    # 1. Pose and velocity by odometry, and frames: the turret turns on the base.
+    moved = ros_messages.odometry(time_ns, _ROBOT, at, sample.speed_m_s, sample.turn_rad_s)
+    yield Message(time_ns, f"/{_ROBOT}/odom", ODOMETRY, moved)
     turret = sample.heading_rad if sample.turret_rad is None else sample.turret_rad
-    frames = [transform("odom", "base_link", sample.x_m, sample.y_m, sample.heading_rad)]
-    frames.append(transform("base_link", "turret", 0.0, 0.0, turret - sample.heading_rad))
-    yield Message(time_ns, _FRAMES, TRANSFORMS, types[TRANSFORMS](frames))
-    # 3. Bumpers and battery, before the sonars: a scan completes the sample when it is read.
-    yield Message(time_ns, _BUMPERS, NUMBER, types[NUMBER](sample.bumpers))
+    frames = ros_messages.moving_frames(time_ns, _ROBOT, at, turret - sample.heading_rad)
+    yield Message(time_ns, TF, TRANSFORMS, {"transforms": frames})
+    # 2. Bumpers and battery, before the sonars: a scan completes the sample when it is read.
+    yield Message(time_ns, _BUMPERS, NUMBER, {"data": sample.bumpers})
     if sample.volts:
         for topic, volts in zip(_BATTERIES, sample.volts, strict=True):
-            place = topic.rpartition("/")[2]
-            yield Message(time_ns, topic, BATTERY, battery(types, header(""), volts, place))
-    # 4. Sonars as a scan: it has room for readings at equal angles only.
+            yield Message(time_ns, topic, BATTERY, ros_messages.battery(time_ns, "", volts, topic.rpartition("/")[2]))
+    # 3. Sonars.
     if sample.ranges_m:
-        step = math.remainder(directions[1] - directions[0], math.tau) if len(directions) > 1 else 0.0
-        angle_max = directions[0] + step * (len(directions) - 1)
-        # Readings of other sensors reach farther: beyond the maximum of a scan a reading is no echo.
-        max_m = max((_MAX_RANGE_M, *(one for one in sample.ranges_m if one < math.inf)))
-        scan = types[SCAN](header(f"{_ROBOT}/turret"), directions[0], angle_max, step, 0.0, 0.0, _MIN_RANGE_M,
-                           max_m, np.array(sample.ranges_m, np.float32), np.array([], np.float32))
-        yield Message(time_ns, f"/{_ROBOT}/sonar", SCAN, scan)
-
-
-def battery(types: Any, header: Any, volts: float, place: str) -> Any:
-    """Return a BatteryState of which only the voltage is measured."""
-    import numpy as np
-
-    kind, none = types[BATTERY], np.array([], np.float32)
-    values = {"header": header, "voltage": volts, "present": True, "location": place, "serial_number": "",
-              "cell_voltage": none, "cell_temperature": none, "power_supply_status": 0, "power_supply_health": 0,
-              "power_supply_technology": 0}
-    return kind(**{name: values.get(name, _UNKNOWN) for name in kind.__dataclass_fields__ if name[0] != "_"})
+        yield Message(time_ns, f"/{_ROBOT}/sonar", SCAN,
+                      ros_messages.scan(time_ns, _ROBOT, sample.ranges_m, directions))  # fmt: skip
 
 
 # -- reading ----------------------------------------------------------------------------------------------------------
@@ -399,7 +364,7 @@ class _Builder:
         samples = [sample._replace(time_s=(time_ns - start_ns) / 1e9) for time_ns, sample in found]
         drive = Drive(samples, self._directions or RING, start_ns / 1e9)
         if self._frames_seen and not self._has_turret:
-            self._ignored[_FRAMES] = TRANSFORMS
+            self._ignored[TF] = TRANSFORMS
         drive.omitted += [f"{topic} ({kind})" for topic, kind in self._ignored.items()]
         if self._odd:
             drive.omitted.append(f"{self._odd} scans with other directions than the first")

@@ -231,13 +231,18 @@ def scan_of(*ranges: float, first: float = 0.0) -> Any:
         header_of(), first, 0.0, 0.5, 0.0, 0.0, 0.1, 80.0, found, np.array([], np.float32))
 
 
+def battery_of(volts: float, place: str) -> Any:
+    message = convert._ros().ros_messages.battery(0, "base", volts, place)
+    return convert._ros()._builder(ros_types()).build("sensor_msgs/msg/BatteryState", message)
+
+
 def test_one_topic_of_each_kind_is_read(tmp_path: Path) -> None:
     """Two robots and two lasers are not mixed; what is left out has a name."""
     types = ros_types().types
-    charge = convert._ros().battery(types, header_of(), 12.0, "left")
+    charge = battery_of(12.0, "left")
     sonar = types["sensor_msgs/msg/Range"](header_of(), 0, 0.4, 0.1, 6.0, 1.5)
     write_bag(tmp_path / "two.bag", ("/a/pose", pose_of(1)), ("/b/pose", pose_of(9)), ("/battery", charge),
-              ("/other/battery", convert._ros().battery(types, header_of(), 24.0, "right")),
+              ("/other/battery", battery_of(24.0, "right")),
               ("/front", scan_of(1, 2)), ("/rear", scan_of(3, 4, 5)), ("/front", scan_of(2, 3, 4)), ("/range", sonar))
     drive = convert.read_drive(tmp_path / "two.bag")
     assert [(sample.x_m, sample.ranges_m) for sample in drive.samples] == [(1, (1, 2))]

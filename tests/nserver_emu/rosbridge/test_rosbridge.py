@@ -18,14 +18,8 @@ import pytest
 from nclient.errors import ConnectionLost
 from nserver_emu.rosbridge import topics
 from nserver_emu.rosbridge.client import MAX_SUBSCRIPTIONS, RosbridgeClient, Services
-from nserver_emu.rosbridge.server import (
-    MAP_CELL_IN,
-    MAX_MAP_CELLS,
-    MAX_MESSAGE,
-    RosbridgeServer,
-    map_cell_in,
-    serve_rosbridge,
-)
+from nserver_emu.rosbridge.readings import MAP_CELL_IN, MAX_MAP_CELLS, map_cell_in
+from nserver_emu.rosbridge.server import MAX_MESSAGE, RosbridgeServer, serve_rosbridge
 from nserver_emu.rosbridge.topics import Reading
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
@@ -123,9 +117,14 @@ async def test_topics_have_units_and_frames() -> None:
         assert (await client.topic("/robot1/bumpers", "std_msgs/UInt32"))["data"] == 0
         assert 10 < (await client.topic("/robot1/battery", "sensor_msgs/BatteryState"))["voltage"] < 13
         frames = (await client.topic("/tf", "tf2_msgs/TFMessage"))["transforms"]
-        assert [(one["header"]["frame_id"], one["child_frame_id"]) for one in frames][:2] == [
+        assert [(one["header"]["frame_id"], one["child_frame_id"]) for one in frames] == [
             ("robot1/odom", "robot1/base_link"), ("robot1/base_link", "robot1/turret")
         ]
+        fixed = (await client.topic("/tf_static", "tf2_msgs/TFMessage"))["transforms"]
+        assert [one["child_frame_id"] for one in fixed] == [f"robot1/sonar_{k}" for k in range(16)]
+        fourth = fixed[4]["transform"]
+        assert fourth["translation"]["y"] == pytest.approx(here.robot.model.body.sonar_ring_radius_in * 0.0254)
+        assert fourth["rotation"]["z"] == pytest.approx(math.sin(math.pi / 4))
         grid = await client.topic("/map", "nav_msgs/OccupancyGrid")
         assert len(grid["data"]) == grid["info"]["width"] * grid["info"]["height"]
         assert set(grid["data"]) == {-1, 0, 100}
@@ -388,7 +387,7 @@ def test_wheels_of_a_scout() -> None:
     args = topics.velocities({"linear": {"x": 0.127}, "angular": {"z": 0.5}}, True)
     state = [0] * 45
     state[38:40] = args[:2]
-    speed, turn = Reading(1, state, True, 0.0).velocity
+    speed, turn = Reading(1, state, True, 0).velocity
     assert speed == pytest.approx(0.127, abs=0.002)
     assert turn == pytest.approx(0.5, abs=0.02)
     assert args[0] > args[1]
