@@ -41,6 +41,7 @@ from nserver_emu.viewer.broadcaster import Broadcaster, Viewer
 from nserver_emu.viewer.classroom import refusal
 from nserver_emu.viewer.error_boundary import ErrorBoundary
 from nserver_emu.viewer.localizers import Localizers
+from nserver_emu.viewer.map_editor import adjust_world
 from nserver_emu.viewer.messages import parse_estimate
 from nserver_emu.viewer.traffic import TrafficMonitor
 from worlds.io import SHIPPED, load_world, world_names
@@ -400,6 +401,11 @@ class ViewerController:
                 self.robots(message.robot)
                 self.localizers.start(message.robot, message.method, is_lost=message.is_lost, resumes=message.resumes)
                 _replier(viewer, message.id)({"ok": True})
+            case messages.Adjust():
+                if self._reading:
+                    raise messages.InvalidMessage("another page's files are being read; repeat it in a moment")
+                world = self.daemon.emulator.simulation.world
+                self._answer_in_thread(viewer, message.id, lambda: adjust_world(world, message.lengths))
             case messages.Gallery():
                 self._answer_in_thread(viewer, message.id, shipped_worlds)
             case messages.Kidnap():

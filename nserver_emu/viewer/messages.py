@@ -28,6 +28,8 @@ from the page, by `do`
     release      id, robot (left out: all): allow motions again
     reset        id, robot (left out: all): place it where it started; a held one stays held
     control      id, command, argument: time, faults, noise, world (control/commands.py)
+    adjust       id, lengths: [{ends: [[x, y], [x, y]], length, std} ...], measured with a tape: the answer has the text
+                 of the world adjusted to them, and moved_in
     gallery      id: the shipped worlds, worlds: [{name, title, text of the file, walls} ...]
     click        robot, pose: x, y, steer, turret in tenths
     localize     id, robot, method, is_lost, resumes: start its localizer, in place of one that runs (localizers.py);
@@ -76,6 +78,8 @@ MAX_POINTS: Final = 200
 MAX_METHOD: Final = 1000
 MAX_NUMBER: Final = 1e9
 """Largest absolute value of any number: inches, radians, seconds."""
+MAX_TAPES: Final = 50
+"""Measured lengths of a map."""
 MAX_DEPTH: Final = 3
 """Nesting of an argument: the corners of an obstacle."""
 DRIVE_TIMEOUT_S: Final = 0.5
@@ -193,6 +197,20 @@ class Localize(_Request, tag="localize"):
     resumes: bool = False
 
 
+class Tape(Struct):
+    """A measured length between two ends of walls, and its standard deviation."""
+
+    ends: Annotated[list[Point], Meta(min_length=2, max_length=2, title="two points")]
+    length: Annotated[float, Meta(gt=0.0, le=1e5)]
+    std: Annotated[float, Meta(gt=0.0, le=1e3)] = 0.1
+
+
+class Adjust(_Request, tag="adjust"):
+    """Adjust the walls of the world to measured lengths."""
+
+    lengths: Annotated[list[Tape], Meta(min_length=1, max_length=MAX_TAPES, title="a list of 1 to 50 lengths")]
+
+
 class Gallery(_Request, tag="gallery"):
     """Send the shipped worlds."""
 
@@ -219,7 +237,7 @@ class Waypoints(_Message, tag="waypoints"):
 
 Message = (
     Seen | Watch | CallRobot | Drive | Stop | Release | Reset | ControlServer | Click | Waypoints | Localize
-    | Unlocalize | Kidnap | Gallery
+    | Unlocalize | Kidnap | Gallery | Adjust
 )
 
 
