@@ -187,8 +187,8 @@ async def _run(
         controlled(daemon, options) as control,
         running_viewer(daemon, options) as page,
         running_rosbridge(daemon, options, estimates) as rosbridge,
-        running_ros2(daemon, options, estimates) as ros2,
         run_gateway(gateway, daemon, options.shadow_every),
+        running_ros2(daemon, options, estimates) as ros2,
         autosaved(file, options.autosave),
     ):
         # 2. Programs may connect as soon as they have read these lines.

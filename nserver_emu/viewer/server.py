@@ -177,7 +177,7 @@ class ViewerServer:
         """
         # 1. Routes and middleware.
         self._host_name = host.lower()
-        app = web.Application(client_max_size=MAX_TEXT, middlewares=[self._port.admit])
+        app = web.Application(client_max_size=MAX_TEXT, middlewares=[self._port.admit, _compress_files])
         app.on_response_prepare.append(_add_headers)
         app.router.add_get("/", self._page)
         app.router.add_get("/favicon.ico", _no_icon)
@@ -444,6 +444,15 @@ def _local_address(request: web.Request) -> str:
     return str(own[0]) if own else ""
 
 
+@web.middleware
+async def _compress_files(request: web.Request, handler: Handler) -> web.StreamResponse:
+    """Compress the files of the page: 54 kB instead of 190 kB, for slow links."""
+    response = await handler(request)
+    if isinstance(response, web.FileResponse):
+        response.enable_compression()
+    return response
+
+
 async def _no_icon(_request: web.Request) -> web.StreamResponse:
     return web.Response(status=HTTPStatus.NO_CONTENT)
 
@@ -455,11 +464,15 @@ async def _add_headers(_request: web.Request, response: web.StreamResponse) -> N
 @contextlib.asynccontextmanager
 async def serve_viewer(
     daemon: Daemon, host: str, port: int, tokens: auth.Tokens | None = None, model_file: Path | None = None,
-    students: Sequence[Student] = (),
+    students: Sequence[Student] = (), own_methods: Sequence[str] = (),
 ) -> AsyncIterator[list[str]]:
-    """Serve the page; yield the line to print. `model_file` has the robot models of the daemon, if not shipped."""
+    """Serve the page; yield the line to print. `model_file` has the robot models of the daemon, if not shipped.
+
+    `own_methods` are filters of the user that pages offer.
+    """
     viewer_server = ViewerServer(daemon, tokens, students)
     viewer_server.controller.localizers.model_file = model_file
+    viewer_server.controller.localizers.own_methods = tuple(own_methods)
     port = await viewer_server.open(host, port)
     if not is_loopback(host):
         log.warning("the page is open to the network, unencrypted: all who read its address can drive the robots; "
