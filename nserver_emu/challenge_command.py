@@ -3,8 +3,8 @@
     nomad challenge corridor my_program.py                  three runs, one line each, then a JSON line
     nomad challenge flat ./my_program --runs 10 --seed 7    the runs of a class: the same seeds for everybody
 
-The program gets the robot's address as its argument and as NOMAD_ADDRESS, the goal as NOMAD_GOAL (X,Y in inches), and the
-start as NOMAD_START (X,Y,HEADING in inches and degrees). Files that end in .py are run by this Python.
+The program gets the robot's address as its argument and as NOMAD_ADDRESS, the goal as NOMAD_GOAL (X,Y in inches), and
+the start as NOMAD_START (X,Y,HEADING in inches and degrees). Files that end in .py are run by this Python.
 
 Rules: docs/challenge.md.
 """
@@ -43,6 +43,7 @@ PRECISE_IN: Final = 24.0
 POINTS_WAY, POINTS_PRECISION, POINTS_PER_S, POINTS_PER_BUMP = 50.0, 50.0, 0.1, 5.0
 MAX_RUNS: Final = 1000
 MAX_SEED: Final = 2**31 - 1
+STDERR: Final = 2
 END_S: Final = 2.0
 """Seconds between SIGTERM and SIGKILL."""
 
@@ -63,7 +64,7 @@ class Challenge(NamedTuple):
 
 CHALLENGES: Final = {
     "corridor": Challenge(2, (1000.0, 39.0), 400.0),
-    "flat": Challenge(0, (400.0, 60.0), 400.0),
+    "flat": Challenge(0, (400.0, 280.0), 400.0),
     "several_walls": Challenge(0, (90.0, 55.0), 120.0),
     "thesis_room": Challenge(0, (80.0, 80.0), 120.0),
 }
@@ -147,7 +148,7 @@ class Referee(Emulator):
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.add_argument("world", choices=sorted(CHALLENGES), metavar="WORLD", help=f"one of {', '.join(CHALLENGES)}")
-    parser.add_argument("program", type=Path, metavar="PROGRAM", help="a Python file, or a program that can be executed")
+    parser.add_argument("program", type=Path, metavar="PROGRAM", help="a Python file, or another program")
     add_value(parser, "--seed", "N", whole_number("a seed", 0, MAX_SEED),
               "seed of the first run; the others follow (default: a random one)")
     add_value(parser, "--runs", "N", whole_number("the number of runs", 1, MAX_RUNS), "number of runs", 3)
@@ -245,7 +246,7 @@ async def _run_program(
     """Run the program until it ends, simulated time is over or real time is; return how it ended."""
     # Its output goes to stderr: stdout has the results. A group of its own ends with its children.
     process = await asyncio.create_subprocess_exec(
-        *command, env=environment, stdin=asyncio.subprocess.DEVNULL, stdout=sys.stderr, start_new_session=True
+        *command, env=environment, stdin=asyncio.subprocess.DEVNULL, stdout=STDERR, start_new_session=True
     )
     finished, limit = asyncio.create_task(process.wait()), asyncio.create_task(over.wait())
     try:

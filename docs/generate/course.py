@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import jupytext
-import nbformat
 
 ROOT: Final = Path(__file__).parents[2]
 COURSE: Final = ROOT / "docs" / "course"
@@ -44,13 +43,14 @@ def notebook(name: str) -> Any:
         # Numbers of short runs are for the tests.
         cell["source"] = re.sub(r"\s+# quick: .*$", "", cell["source"], flags=re.MULTILINE)
         cell["metadata"] = {key: value for key, value in cell["metadata"].items() if key == "tags"}
-    made.metadata = nbformat.from_dict(KERNEL)
+    made.metadata.clear()
+    made.metadata.update(KERNEL)
     return made
 
 
 def text(name: str) -> str:
     """Return the file of a notebook."""
-    return nbformat.writes(notebook(name)) + "\n"
+    return str(jupytext.writes(notebook(name), fmt="ipynb")) + "\n"
 
 
 def solved(name: str, *, quick: bool = False, address: str = "") -> Any:
@@ -69,13 +69,15 @@ def solved(name: str, *, quick: bool = False, address: str = "") -> Any:
             cell.source = QUICK.sub(r"= \3", cell.source) if quick else cell.source
             if address:
                 cell.source += f"\nADDRESS = {address!r}"
-    made.metadata = nbformat.from_dict(KERNEL)
+    made.metadata.clear()
+    made.metadata.update(KERNEL)
     return made
 
 
 def address_of(name: str) -> str:
     """Return the address in the parameters of a notebook."""
-    found = re.search(r'^ADDRESS = "(.*)"', (COURSE / "source" / f"{name}.py").read_text(encoding="utf-8"), re.MULTILINE)
+    source = (COURSE / "source" / f"{name}.py").read_text(encoding="utf-8")
+    found = re.search(r'^ADDRESS = "(.*)"', source, re.MULTILINE)
     assert found
     return found[1]
 
@@ -84,7 +86,8 @@ def run(made: Any, folder: Path) -> Any:
     """Execute a notebook in a kernel, with this working folder; raise if a cell fails or an answer is wrong."""
     from nbclient import NotebookClient
 
-    NotebookClient(made, timeout=TIMEOUT_S, kernel_name="python3", resources={"metadata": {"path": str(folder)}}).execute()
+    resources = {"metadata": {"path": str(folder)}}
+    NotebookClient(made, timeout=TIMEOUT_S, kernel_name="python3", resources=resources).execute()
     outputs = [output for cell in made.cells for output in cell.get("outputs", ())]
     shown = "\n".join(str(output.get("text", output.get("data", {}).get("text/plain", ""))) for output in outputs)
     assert "not yet" not in shown, shown

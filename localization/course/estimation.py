@@ -4,18 +4,20 @@ from math import cos, pi, sin, sqrt
 from statistics import NormalDist
 
 import numpy as np
+import numpy.typing as npt
 
 from localization.course.tasks import TRIES, Answer, Rng, call, expect, numbers, require, task
 from worlds.raycast import cast_ray
+
+Floats = npt.NDArray[np.float64]
 
 FARTHEST_IN = 255.0
 NEVER = -1
 """No reflector explains a reading."""
 
 
-def _belief(rng: Rng, cells: int = 12) -> np.ndarray:
-    belief = rng.uniform(0.05, 1.0, cells) ** 3
-    return belief / belief.sum()
+def _belief(rng: Rng, cells: int = 12) -> Floats:
+    return rng.dirichlet(np.full(cells, 2.0))
 
 
 @task("04", points=2)
@@ -155,9 +157,9 @@ def is_consistent(answer: Answer, rng: Rng) -> None:
 def motion_jacobians(answer: Answer, rng: Rng) -> None:
     """Check F and G of the motion, against differences."""
 
-    def move(pose: np.ndarray, step: np.ndarray) -> np.ndarray:
+    def move(pose: Floats, step: Floats) -> Floats:
         angle = pose[2] + step[1] / 2
-        return pose + np.array([step[0] * cos(angle), step[0] * sin(angle), step[1]])
+        return np.array([pose[0] + step[0] * cos(angle), pose[1] + step[0] * sin(angle), pose[2] + step[1]])
 
     for _ in range(TRIES):
         heading, distance, turn = rng.uniform((0, 1, -0.3), (2 * pi, 5, 0.3)).tolist()
@@ -204,7 +206,7 @@ def range_and_jacobian(answer: Answer, rng: Rng) -> None:
         along = np.array([-n[1], n[0]])
         wall = np.array([[*(rho * n - 1e4 * along), *(rho * n + 1e4 * along)]])
 
-        def measure(pose: np.ndarray, bearing: float = bearing, wall: np.ndarray = wall) -> float:
+        def measure(pose: Floats, bearing: float = bearing, wall: Floats = wall) -> float:
             return cast_ray(pose[0], pose[1], cos(pose[2] + bearing), sin(pose[2] + bearing), wall)[0]
 
         pose, small = np.array([x, y, heading]), 1e-4

@@ -3,6 +3,7 @@
 from math import cos, pi, sin, sqrt
 
 import numpy as np
+import numpy.typing as npt
 
 from localization.course.tasks import TRIES, Answer, Rng, Wrong, call, expect, numbers, require, task
 
@@ -35,7 +36,7 @@ def move_particles(answer: Answer, rng: Rng) -> None:
             f"The turns have the standard deviation {turned.std():.4f} rad; "
             f"expected {std[1]:.4f}. rng.normal takes a standard deviation, the root of the variance.",
         )
-        # In the frame of the mean direction on the way: the noise of the distance lies along it, that of the turn across.
+        # Along the mean direction on the way lies the noise of the distance, across it that of the turn.
         angle = heading + turn / 2
         off = moved[:, :2] - (x, y)
         ahead, aside = off @ (cos(angle), sin(angle)), off @ (-sin(angle), cos(angle))
@@ -183,7 +184,10 @@ def is_found(answer: Answer, rng: Rng) -> None:
     """Check whether 95 % of the weight lie in one place."""
     n, within = 400, 12.0
     centre, other = rng.uniform(0, 40, 2), rng.uniform(60, 100, 2)
-    near = lambda place, count: np.column_stack((rng.normal(place, 2.0, (count, 2)), rng.uniform(0, 6, count)))  # noqa: E731
+
+    def near(place: npt.NDArray[np.float64], count: int) -> npt.NDArray[np.float64]:
+        return np.column_stack((rng.normal(place, 2.0, (count, 2)), rng.uniform(0, 6, count)))
+
     equal = np.full(n, 1 / n)
     light = np.r_[np.full(n // 2, 2 / n * 0.995), np.full(n // 2, 2 / n * 0.005)]
     stray = np.vstack((near(centre, n - 8), rng.uniform((-200, -200, 0), (200, 200, 6), (8, 3))))

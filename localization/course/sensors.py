@@ -268,7 +268,7 @@ def turn_rate(answer: Answer, rng: Rng) -> None:
             require(distance > 10.0, f"From {begin:.1f} in it runs into the wall: use the angle as well.")
         require(
             abs(distance - wanted) < 1.0 and abs(angle) < 0.1,
-            f"From {begin:.1f} in it is {distance:.1f} in from the wall after 30 s at 6 in/s, {wanted:.0f} in wanted, at "
+            f"From {begin:.1f} in it is {distance:.1f} in from the wall after 30 s at 6 in/s, not {wanted:.0f}, at "
             f"{degrees(angle):.0f} deg. Oscillating? Add a term with the angle, as a damper; slow? Increase the gains.",
         )
 

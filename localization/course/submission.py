@@ -20,8 +20,8 @@ from nclient.errors import NomadError
 MAGIC: Final = re.compile(r"^\s*[%!].*$", re.MULTILINE)
 """Commands of Jupyter, which are no Python."""
 HARMLESS: Final = frozenset(
-    {"np", "numpy", "math", "functools", "operator", "abs", "dict", "float", "int", "len", "list", "max", "min", "range",
-     "set", "sum", "tuple", "zip"}
+    {"np", "numpy", "math", "functools", "operator", "abs", "dict", "float", "int", "len", "list", "max", "min",
+     "range", "set", "sum", "tuple", "zip"}
 )  # fmt: skip
 """Names that a simple assignment may call."""
 

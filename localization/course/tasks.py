@@ -187,8 +187,8 @@ def expect(
     found = numbers(answer, *arguments, shape=right.shape)
     if _is_near(found, right, tolerance, angles):
         return
-    for wrong, about in mistakes:
-        wrong = np.asarray(wrong, dtype=np.float64)
+    for value, about in mistakes:
+        wrong = np.asarray(value, dtype=np.float64)
         if wrong.shape == right.shape and _is_near(found, wrong, tolerance, angles):
             hint = about
             break

@@ -9,7 +9,7 @@ def wall_on_the_right(side_in, ahead_in):
 
 
 def turn_rate(distance_in, angle_rad, wanted_in):
-    rate = 2 * (wanted_in - distance_in) + 60 * angle_rad
+    rate = 4 * (wanted_in - distance_in) + 80 * angle_rad
     return max(-30, min(30, rate))
 
 

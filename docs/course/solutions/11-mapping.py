@@ -17,6 +17,6 @@ def inverse_sensor(distances_in, angles_rad, reading_in):
 
 def fit_wall(points):
     centre = points.mean(axis=0)
-    values, vectors = np.linalg.eigh(np.cov(points.T))
+    _, vectors = np.linalg.eigh(np.cov(points.T))
     normal = vectors[:, 0]
     return np.arctan2(normal[1], normal[0]), normal @ centre

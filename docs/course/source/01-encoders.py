@@ -2,8 +2,9 @@
 r"""
 # 1 Encoders and odometry
 
-The wheels of a robot turn encoders. Adding up what they count gives a pose: *odometry*, or *dead reckoning*. It is always
-there, it is smooth, and its error grows without bound. This notebook computes it, and measures how fast it goes wrong.
+The wheels of a robot turn encoders. Adding up what they count gives a pose: *odometry*, or *dead reckoning*. It is
+always there, it is smooth, and its error grows without bound. This notebook computes it, and measures how fast it
+goes wrong.
 
 A step of the encoders is a distance $d$ along the heading and a turn $a$. From the pose $(x, y, \theta)$ it leads to
 
@@ -11,17 +12,18 @@ $$
 x' = x + d \cos(\theta + a/2), \qquad y' = y + d \sin(\theta + a/2), \qquad \theta' = \theta + a
 $$
 
-The robot turns while it drives, so the heading on the way is, on average, that at half of the turn (Thrun, Burgard and Fox,
-*Probabilistic Robotics*, 2005, section 5.4). Lengths are inches, angles radians, counter-clockwise positive; heading 0 looks
-along x.
+The robot turns while it drives, so the heading on the way is, on average, that at half of the turn (Thrun, Burgard
+and Fox, *Probabilistic Robotics*, 2005, section 5.4). Lengths are inches, angles radians, counter-clockwise positive;
+heading 0 looks along x.
 
 `ADDRESS` decides which robot drives: one simulated in this process, a recording (`replay:out/drive.log`, made with
-`&record=out/drive.log` at the end of a simulated robot's address), or a real one (`serial:///dev/ttyUSB0?model=n150`, with a
-free square of 2 m to its left).
+`&record=out/drive.log` at the end of a simulated robot's address), or a real one (`serial:///dev/ttyUSB0?model=n150`,
+with a free square of 2 m to its left).
 """
 
 # %% tags=["parameters"]
-ADDRESS = "sim:arena?setup=worn&seed=2"
+ADDRESS = "sim:arena?setup=worn&seed=2&start=200,150,0,0"
+SIDES = 4  # quick: 1
 RUNS = 40  # quick: 4
 
 # %%
@@ -38,12 +40,12 @@ from nclient import connect
 """
 ## A square
 
-Four sides of 40 in, with a turn of 90° to the left at each corner. `record` returns a row per state: `drive.encoders` has x,
-y and heading, and `drive.truth` the true pose, which only a simulated robot can tell.
+Four sides of 40 in, with a turn of 90° to the left at each corner. `record` returns a row per state: `drive.encoders`
+has x, y and heading, and `drive.truth` the true pose, which only a simulated robot can tell.
 """
 
 # %%
-drive = record(ADDRESS, [(8, 0, 5), (0, 30, 3)] * 4)
+drive = record(ADDRESS, [(8, 0, 5), (0, 30, 3)] * SIDES)
 start, end = drive.encoders[0], drive.encoders[-1]
 print(f"encoders: {math.dist(start[:2], end[:2]):.1f} in from the start; true: "
       f"{math.dist(drive.truth[0][:2], drive.truth[-1][:2]):.1f} in")
@@ -76,11 +78,12 @@ check(step_pose)
 r"""
 ## Task 2: the step between two poses
 
-A filter needs steps, but robots report poses. Return the distance and the turn that lead from the pose `before` to the pose
-`after`. Two things to mind:
+A filter needs steps, but robots report poses. Return the distance and the turn that lead from the pose `before` to
+the pose `after`. Two things to mind:
 
 - Headings are in $[0, 2\pi)$, so a small turn may look like one of almost $2\pi$. Bring it into $(-\pi, \pi]$.
-- A robot that drives backwards has a negative distance. Project the way from `before` to `after` on the heading on the way.
+- A robot that drives backwards has a negative distance. Project the way from `before` to `after` on the heading on
+  the way.
 """
 
 # %% tags=["task"]
@@ -93,8 +96,8 @@ check(relative_step)
 
 # %% [markdown]
 """
-Both together give the path again. Encoders report tenths of an inch and of a degree, so we take every fifth state: rounding
-errors of many tiny steps would add up.
+Both together give the path again. Encoders report tenths of an inch and of a degree, so we take every fifth state:
+rounding errors of many tiny steps would add up.
 """
 
 # %%
@@ -109,28 +112,27 @@ print(f"largest difference from the encoders: {difference:.2f} in")
 r"""
 ## How large is the error?
 
-Wheels slip a little, at random. After $d$ inches the sum of many small independent errors has a variance proportional to $d$:
+Wheels slip a little, at random. After $d$ inches the sum of many small independent errors has a variance proportional
+to $d$:
 
 $$
 \operatorname{var}(e) = \alpha\, d
 $$
 
-so the standard deviation grows with the root of the way. Here are simulated robots that drive straight ahead, each over
-another distance; `errors` is the true distance minus that of the encoders.
+so the standard deviation grows with the root of the way. Here are simulated robots that drive straight ahead, each
+over another distance; `errors` is the true distance minus that of the encoders.
 """
 
 # %%
-distances, errors, ends = [], [], []
+distances, errors = [], []
 for seed in range(RUNS):
-    with connect(f"sim:arena?setup=noisy&seed={seed}") as robot:
+    with connect(f"sim:arena?noisy=1&seed={seed}&start=200,150,0,0") as robot:
         robot.move(translation_in=20 + 60 * seed / RUNS)
-        before, state, truth = robot.truth(), robot.wait_until_still(timeout_s=20), robot.truth()
-        x, y = truth.x_in - drive.truth[0][0], truth.y_in - drive.truth[0][1]
-        counted = 20 + 60 * seed / RUNS
+        state, truth = robot.wait_until_still(timeout_s=20), robot.truth()
+        counted = math.hypot(state.x_in - 200, state.y_in - 150)
         distances.append(counted)
-        ends.append((x, y))
-        errors.append(math.hypot(x, y) - counted)
-distances, errors, ends = np.array(distances), np.array(errors), np.array(ends)
+        errors.append(math.hypot(truth.x_in - 200, truth.y_in - 150) - counted)
+distances, errors = np.array(distances), np.array(errors)
 
 # %% [markdown]
 r"""
@@ -161,7 +163,7 @@ plt.show()
 
 # %% [markdown]
 r"""
-The simulation has $\alpha = 0.01$ in. With few runs the estimate varies: its own standard deviation is $\alpha \sqrt{2/n}$.
-Turns have an error as well, and it matters more: a heading that is wrong by 0.05 rad puts the robot 5 in to the side after
-100 in. The next notebooks use sonars against that.
+The simulation has $\alpha = 0.01$ in. The estimate itself is random: its standard deviation is $\alpha \sqrt{2/n}$,
+22 % of $\alpha$ for $n = 40$ runs. Turns have an error as well, and it matters more: a heading that is wrong by 0.05
+rad puts the robot 5 in to the side after 100 in. The next notebooks use sonars against that.
 """

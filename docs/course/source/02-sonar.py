@@ -2,18 +2,19 @@
 r"""
 # 2 What a sonar measures
 
-A sonar sends a chirp of ultrasound and measures the time until the first echo. A Nomad has sixteen, in a ring of radius
-$r = 9.06$ in around its turret; sonar $i$ looks in the direction $i \cdot 22.5°$ counter-clockwise from sonar 0. A reading is
-a range in whole inches from the ring; 255 means that there was no echo.
+A sonar sends a chirp of ultrasound and measures the time until the first echo. A Nomad has sixteen, in a ring of
+radius $r = 9.06$ in around its turret; sonar $i$ looks in the direction $i \cdot 22.5°$ counter-clockwise from sonar
+0. A reading is a range in whole inches from the ring; 255 means that there was no echo.
 
-Two models are in use. The simple one takes a sonar for a *ray*: the reading is the range along its axis. In reality sound
-spreads in a *cone* of some 25°, and smooth walls reflect it as mirrors do: only what is perpendicular to the sound returns an
-echo. This notebook shows both (Leonard and Durrant-Whyte, *Directed Sonar Sensing*, 1992).
+Two models are in use. The simple one takes a sonar for a *ray*: the reading is the range along its axis. In reality
+sound spreads in a *cone* of some 25°, and smooth walls reflect it as mirrors do: only what is perpendicular to the
+sound returns an echo. This notebook shows both (Leonard and Durrant-Whyte, *Directed Sonar Sensing*, 1992).
 """
 
 # %% tags=["parameters"]
 ADDRESS = "sim:thesis_room?noisy=1&seed=1&start=25,35,0,0"
-READINGS = 400  # quick: 40
+TURN_S = 16  # quick: 3
+READINGS = 400  # quick: 30
 
 # %%
 import math
@@ -61,14 +62,15 @@ check(echo_point)
 """
 ## Rays and cones
 
-The robot turns once on the spot. Left: the readings of `ADDRESS`, simulated as rays. Right: the same with the acoustics of a
-real ring (`setup=measured`). Points of the right picture lie on arcs: whatever the direction of the sonar within the cone, the
-echo is that of the nearest point of the wall, so the range stays the same. Between the arcs there are no echoes, and corners,
-where two walls meet, return some.
+The robot turns on the spot by the angle between two sonars, slowly: the sixteen sonars fire one after the other, and
+a round takes a second. Left: the readings of `ADDRESS`, simulated as rays. Right: the same with the acoustics of a
+real ring (`setup=measured`). Points of the right picture lie on arcs: whatever the direction of the sonar within the
+cone, the echo is that of the nearest point of the wall, so the range stays the same. Between the arcs there are no
+echoes, and corners, where two walls meet, return some.
 """
 
 # %%
-turn = [(0, 30, 12)]
+turn = [(0, 1.5, TURN_S)]
 drives = {"rays": record(ADDRESS, turn), "cones": record("sim:thesis_room?setup=measured&seed=1&start=25,35,0,0", turn)}
 figure, columns = plt.subplots(1, 2, figsize=(10, 5))
 for axes, (name, drive) in zip(columns, drives.items()):
@@ -87,18 +89,18 @@ plt.show()
 r"""
 ## Task 3: the range to a wall
 
-A filter compares readings with expected ranges. Return the range along a ray from (x, y) to a wall `(x1, y1, x2, y2)`, and
-`math.inf` if the ray misses the wall, passes its end, or the wall lies behind.
+A filter compares readings with expected ranges. Return the range along a ray from (x, y) to a wall `(x1, y1, x2,
+y2)`, and `math.inf` if the ray misses the wall, passes its end, or the wall lies behind.
 
-With $c = \cos\varphi$, $s = \sin\varphi$ of the ray's direction, each end of the wall has a coordinate along the ray and one to
-the left of it:
+With $c = \cos\varphi$, $s = \sin\varphi$ of the ray's direction, each end of the wall has a coordinate along the ray
+and one to the left of it:
 
 $$
 a_i = c\,(x_i - x) + s\,(y_i - y), \qquad b_i = c\,(y_i - y) - s\,(x_i - x)
 $$
 
-The ray's line meets the wall if $b_1$ and $b_2$ have different signs, and it does so at
-$(a_1 b_2 - a_2 b_1) / (b_2 - b_1)$.
+The ray's line meets the wall if $b_1$ and $b_2$ have different signs, and it does so at $(a_1 b_2 - a_2 b_1) / (b_2 -
+b_1)$.
 """
 
 # %% tags=["task"]
@@ -125,8 +127,8 @@ for number in range(0, 16, 2):
 r"""
 ## Task 4: how exact is a reading?
 
-The simulated noise is one per cent of the range (standard deviation), and readings are rounded to whole inches. An error that
-is uniform over one inch has the variance $1/12$. Return the standard deviation of a reading.
+The simulated noise is one per cent of the range (standard deviation), and readings are rounded to whole inches. An
+error that is uniform over one inch has the variance $1/12$. Return the standard deviation of a reading.
 """
 
 # %% tags=["task"]
@@ -139,9 +141,9 @@ check(reading_std)
 
 # %% [markdown]
 """
-Many readings of sonar 0, which alone fires now, while the robot creeps to the wall. The errors lie in the band, mostly. Errors
-of neighbours look alike: rounding repeats itself where the range hardly changes. (Without the ground truth, the encoders must
-do.)
+Many readings of sonar 0, which alone fires now, while the robot creeps to the wall. The errors lie in the band,
+mostly. Errors of neighbours look alike: rounding repeats itself where the range hardly changes. This needs the ground
+truth, so it is always simulated.
 """
 
 # %%
@@ -152,6 +154,7 @@ band = np.array([2 * reading_std(each) for each in ranges])
 figure, axes = plt.subplots(figsize=(8, 4))
 axes.plot(ranges, errors, ".", markersize=3)
 axes.fill_between(ranges, -band, band, alpha=0.2, label="two standard deviations")
-axes.set(xlabel="true range (in)", ylabel="reading minus range (in)", title=f"{np.mean(abs(errors) < band):.0%} in the band")
+axes.set(xlabel="true range (in)", ylabel="reading minus range (in)")
+axes.set_title(f"{np.mean(abs(errors) < band):.0%} in the band")
 axes.legend()
 plt.show()

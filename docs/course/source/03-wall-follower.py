@@ -2,24 +2,25 @@
 r"""
 # 3 A wall follower
 
-A robot without a map can still do something useful: follow a wall on its right at a constant distance. This needs feedback.
-The robot measures how far it is from the wall and at which angle it drives, and turns so that both become right.
+A robot without a map can still do something useful: follow a wall on its right at a constant distance. This needs
+feedback. The robot measures how far it is from the wall and at which angle it drives, and turns so that both become
+right.
 
-With the distance $\delta$ from the wall, the angle $\varphi$ of the wall against the robot's heading (positive if the wall turns
-to the left, into the path) and the speed $v$, the motion along a straight wall is
+With the distance $\delta$ from the wall, the angle $\varphi$ of the wall against the robot's heading (positive if the
+wall turns to the left, into the path) and the speed $v$, the motion along a straight wall is
 
 $$
 \dot\delta = -v \sin\varphi, \qquad \dot\varphi = -\omega
 $$
 
-where $\omega$ is the turn rate, positive to the left. Turning in proportion to the error of $\delta$ alone makes the robot swing
-for ever, like a pendulum without friction: a term with $\varphi$ is its damper (Åström and Murray, *Feedback Systems*, 2008,
-section 10.3).
+where $\omega$ is the turn rate, positive to the left. Turning in proportion to the error of $\delta$ alone makes the
+robot swing for ever, like a pendulum without friction: a term with $\varphi$ is its damper (Åström and Murray,
+*Feedback Systems*, 2008, section 10.3).
 """
 
 # %% tags=["parameters"]
-ADDRESS = "sim:several_walls?noisy=1&seed=1&start=20,20,0,0"
-SECONDS = 70  # quick: 20
+ADDRESS = "sim:thesis_room?noisy=1&seed=1&start=20,15,0,0"
+SECONDS = 70  # quick: 8
 DISTANCE_IN = 20
 
 # %%
@@ -36,12 +37,13 @@ from worlds.io import load_world
 r"""
 ## Task 1: distance and angle of the wall
 
-Sonar 12 looks to the right ($-90°$), sonar 13 half ahead ($-67.5°$). Both ranges begin at the ring, 9.06 in from the axis. Take
-them for rays: then each gives a point of the wall in the robot's frame (x ahead, y to the left), and the two points give the
-wall. Return its distance from the axis, perpendicular to the wall, and its angle $\varphi$ in radians.
+Sonar 12 looks to the right ($-90°$), sonar 13 half ahead ($-67.5°$). Both ranges begin at the ring, 9.06 in from the
+axis. Take them for rays: then each gives a point of the wall in the robot's frame (x ahead, y to the left), and the
+two points give the wall. Return its distance from the axis, perpendicular to the wall, and its angle $\varphi$ in
+radians.
 
-Hint: the direction of the wall is `math.atan2` of the difference of both points, and the distance is that of the first point
-times $\cos\varphi$.
+Hint: the direction of the wall is `math.atan2` of the difference of both points, and the distance is that of the
+first point times $\cos\varphi$.
 """
 
 # %% tags=["task"]
@@ -56,8 +58,9 @@ check(wall_on_the_right)
 """
 ## Task 2: the control law
 
-Return the turn rate in degrees per second, positive to the left and limited to ±30. The check lets a robot drive along a
-simulated wall at 6 in/s, from several distances: after 30 s it must be within 1 in of the wanted distance and must not swing.
+Return the turn rate in degrees per second, positive to the left and limited to ±30. The check lets a robot drive
+along a simulated wall at 6 in/s, from several distances: after 30 s it must be within 1 in of the wanted distance and
+must not swing.
 """
 
 # %% tags=["task"]
@@ -87,9 +90,9 @@ check(is_blocked)
 """
 ## Drive
 
-`steer` is called with each state and returns the speed (in/s) and the turn rate (deg/s). Before a corner the robot turns to the
-left on the spot. At a corner away from the robot, where sonar 13 looks past the end of the wall, the angle would be huge: it is
-limited.
+`steer` is called with each state and returns the speed (in/s) and the turn rate (deg/s). Before a corner the robot
+turns to the left on the spot. While it turns, both sonars may look at different walls, and the angle would be huge:
+it is limited.
 """
 
 # %%
@@ -103,7 +106,7 @@ def steer(state):
 drive = record(ADDRESS, steer, SECONDS, sonars=[0, 12, 13, 1, 12, 13, 15, 12, 13])
 
 # %%
-room = load_world("several_walls")
+room = load_world("thesis_room")
 path = drive.truth if drive.has_truth else drive.encoders
 nearest = [room.clearance(x, y) for x, y, _ in path]
 figure, (plan, distance) = plt.subplots(1, 2, figsize=(11, 4.5))
@@ -116,6 +119,7 @@ plt.show()
 
 # %% [markdown]
 """
-Try other gains, another distance, and `setup=measured` in the address: cones show the nearest point of a wall, so sonar 13
-reads less than a ray would, or nothing. Which formula for distance and angle suits cones?
+Try other gains and another distance, and the world `several_walls`, in which walls end: what should the robot do
+there? Then try `setup=measured` in the address: cones show the nearest point of a wall, so sonar 13 reads less than a
+ray would, or nothing. Which formula for distance and angle suits cones?
 """

@@ -2,15 +2,16 @@
 r"""
 # 4 Bayes on a grid
 
-Where in a corridor is the robot? A *belief* is a probability for each place. It changes in two ways (Probabilistic Robotics,
-section 8.2, Markov localization on a grid):
+Where in a corridor is the robot? A *belief* is a probability for each place. It changes in two ways (Probabilistic
+Robotics, section 8.2, Markov localization on a grid):
 
-- **Prediction.** The robot moves. Where it is afterwards follows from where it was and from how well it moves:
-  $\bar b(x) = \sum_{x'} p(x \mid u, x')\, b(x')$.
-- **Update.** A sensor measures $z$. Bayes' rule: $b(x) = \eta\, p(z \mid x)\, \bar b(x)$, where $\eta$ makes the sum 1.
+- **Prediction.** The robot moves. Where it is afterwards follows from where it was and from how well it moves: $\bar
+  b(x) = \sum_{x'} p(x \mid u, x')\, b(x')$.
+- **Update.** A sensor measures $z$. Bayes' rule: $b(x) = \eta\, p(z \mid x)\, \bar b(x)$, where $\eta$ makes the sum
+  1.
 
-The corridor is 40 m long and has ten doors on each side, all alike: 6 in deep, 13 ft apart. The robot does not know where it
-starts.
+The corridor is 40 m long and has ten doors on each side, all alike: 6 in deep, 13 ft apart. The robot does not know
+where it starts.
 """
 
 # %% tags=["parameters"]
@@ -31,8 +32,8 @@ CELL_IN = 4
 """
 ## Task 1: predict
 
-`belief[i]` is the probability of cell i, `kernel[k]` that of moving by k cells forwards. Return the belief after the motion.
-What would leave the grid stays in its last cell.
+`belief[i]` is the probability of cell i, `kernel[k]` that of moving by k cells forwards. Return the belief after the
+motion. What would leave the grid stays in its last cell.
 """
 
 # %% tags=["task"]
@@ -47,8 +48,8 @@ check(predict_grid)
 """
 ## Task 2: update
 
-`likelihood[i]` is the density of the reading if the robot is in cell i. Return the belief after the reading. If no cell
-explains it, all likelihoods are 0: then return the belief as it was.
+`likelihood[i]` is the density of the reading if the robot is in cell i. Return the belief after the reading. If no
+cell explains it, all likelihoods are 0: then return the belief as it was.
 """
 
 # %% tags=["task"]
@@ -63,11 +64,11 @@ check(update_grid)
 r"""
 ## Task 3: the likelihood of a reading
 
-`expected_in` is an array: the range that an exact sonar would measure in each cell. A reading is either that plus Gaussian
-noise, or, with the probability `p_random`, anything from 0 to 255 in with equal density:
+`expected_in` is an array: the range that an exact sonar would measure in each cell. A reading is either that plus
+Gaussian noise, or, with the probability `p_random`, anything from 0 to 255 in with equal density:
 
 $$
-p(z \mid x) = (1 - p)\, \frac{1}{\sigma \sqrt{2\pi}}\, e^{-\frac{1}{2} \left(\frac{z - h(x)}{\sigma}\right)^2} + \frac{p}{255}
+p(z \mid x) = (1 - p)\, \frac{1}{\sigma \sqrt{2\pi}}\, \exp\left(-\frac{(z - h(x))^2}{2 \sigma^2}\right) + \frac{p}{255}
 $$
 
 Without the second part one odd reading would rule out the true place for ever.
@@ -85,8 +86,8 @@ check(reading_likelihood)
 """
 ## Drive
 
-The robot drives along the corridor and keeps to its middle by the sonars 2 and 14, which look 45° to both sides. Four sonars
-fire in turn, one every 60 ms, so that each reading is at most a quarter of a second old.
+The robot drives along the corridor and keeps to its middle by the sonars 2 and 14, which look 45° to both sides. Four
+sonars fire in turn, one every 60 ms, so that each reading is at most a quarter of a second old.
 """
 
 # %%
@@ -103,8 +104,8 @@ print(f"{way[-1]:.0f} in by the encoders")
 """
 ## Localize
 
-Each time that the robot has moved by two cells: predict by one to three cells, update by the sonars 12 (to the right: doors) and
-0 (ahead: the end of the corridor, once it is near enough).
+Each time that the robot has moved by two cells: predict by one to three cells, update by the sonars 12 (to the right:
+doors) and 0 (ahead: the end of the corridor, once it is near enough).
 """
 
 # %%
@@ -135,11 +136,11 @@ history.plot(drive.truth[rows, 0], drive.clock_s[rows], "r:", label="truth")
 history.set(xlabel="x (in)", ylabel="time (s)")
 history.legend()
 plt.show()
-print(f"at the end: most probable x {cells[np.argmax(belief)]} in with {belief.max():.0%}, true {drive.truth[rows[-1], 0]:.0f} in")
+print(f"at the end x = {cells[np.argmax(belief)]} in with {belief.max():.0%}; true: {drive.truth[rows[-1], 0]:.0f} in")
 
 # %% [markdown]
 """
-The first door leaves ten places. All doors are alike, so only the end of the corridor decides; places that would be beyond it
-drop out on the way. A belief of several peaks is something that a Kalman filter, which the next notebook is about, cannot
-represent.
+The first door leaves ten places. All doors are alike, so only the end of the corridor decides; places that would be
+beyond it drop out on the way. A belief of several peaks is something that a Kalman filter, which the next notebook is
+about, cannot represent.
 """

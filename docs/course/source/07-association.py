@@ -2,18 +2,18 @@
 r"""
 # 7 Association and gating
 
-A reading does not say which wall it comes from. Before a filter can use it, it must decide: this is *data association*. A wrong
-decision is worse than none, since the filter becomes sure of a wrong pose. Three tools:
+A reading does not say which wall it comes from. Before a filter can use it, it must decide: this is *data
+association*. A wrong decision is worse than none, since the filter becomes sure of a wrong pose. Three tools:
 
-- **Distance.** How many standard deviations off is a reading? The squared Mahalanobis distance is $\nu^\top S^{-1} \nu$, with the
-  innovation $\nu$ and its covariance $S$. If all is well, it is chi-square distributed.
+- **Distance.** How many standard deviations off is a reading? The squared Mahalanobis distance is $\nu^\top S^{-1}
+  \nu$, with the innovation $\nu$ and its covariance $S$. If all is well, it is chi-square distributed.
 - **Gate.** Readings above a bound are not used. For one dimension, 9 lets 99.7 % of the right ones pass.
-- **Probabilities.** Where several walls explain a reading, each gets a weight (Bar-Shalom and Fortmann, *Tracking and Data
-  Association*, 1988).
+- **Probabilities.** Where several walls explain a reading, each gets a weight (Bar-Shalom and Fortmann, *Tracking and
+  Data Association*, 1988).
 """
 
 # %% tags=["parameters"]
-ADDRESS = "sim:several_walls?setup=measured&seed=2&start=5,5,0,0"
+ADDRESS = "sim:several_walls?setup=measured&seed=2&start=0,57,0,0"
 SECONDS = 24  # quick: 6
 
 # %%
@@ -45,8 +45,9 @@ check(mahalanobis2)
 """
 ## Task 2: the nearest neighbour
 
-Several reflectors could have returned an echo. `expected_in` are their ranges, `variances` those of the innovations. Return the
-number of the one that is nearest in standard deviations, or -1 if even its squared distance is above the gate.
+Several reflectors could have returned an echo. `expected_in` are their ranges, `variances` those of the innovations.
+Return the number of the one that is nearest in standard deviations, or -1 if even its squared distance is above the
+gate.
 """
 
 # %% tags=["task"]
@@ -61,9 +62,9 @@ check(nearest_reflector)
 r"""
 ## Task 3: probabilities
 
-Return the probabilities of all explanations of a reading: one for each of the $m$ reflectors, and last that it is random. Before
-the reading all reflectors are equally probable, $(1 - p)/m$ each, and a random reading has the probability $p$ and the density
-$1/255$:
+Return the probabilities of all explanations of a reading: one for each of the $m$ reflectors, and last that it is
+random. Before the reading all reflectors are equally probable, $(1 - p)/m$ each, and a random reading has the
+probability $p$ and the density $1/255$:
 
 $$
 w_i = \frac{1 - p}{m}\, \frac{1}{\sqrt{2 \pi S_i}}\, e^{-\nu_i^2 / 2 S_i}, \qquad w_0 = \frac{p}{255}
@@ -84,14 +85,14 @@ check(association_probabilities)
 """
 ## Which wall was it?
 
-The robot turns and drives in a room with inner walls, with the acoustics of a real ring. A wall returns an echo if its
-perpendicular lies in the cone of the sonar; an edge returns one from any direction, but a weak one. So each reading has a few
-candidates: walls with a foot point in the cone, and ends of walls in it. The pose is the true one here (with a real robot: that
-of the encoders), so what does not fit is not the pose's fault.
+The robot drives slowly through a room with inner walls, with the acoustics of a real ring. A wall returns an echo if
+its perpendicular lies in the cone of the sonar; an edge returns one from any direction, but a weak one. So each
+reading has a few candidates: walls with a foot point in the cone, and ends of walls in it. The pose is the true one
+here (with a real robot: that of the encoders), so what does not fit is not the pose's fault.
 """
 
 # %%
-drive = record(ADDRESS, [(0, 30, 3), (5, 0, SECONDS - 6), (0, 30, 3)])
+drive = record(ADDRESS, [(3, 0, SECONDS)])
 room = load_world("several_walls")
 CONE = math.radians(12.5)
 
@@ -101,8 +102,8 @@ def candidates(origin, direction):
     begin, end = room.walls[:, :2], room.walls[:, 2:]
     along = end - begin
     t = np.sum((origin - begin) * along, axis=1) / np.sum(along**2, axis=1)
-    feet = (begin + t[:, None] * along)[(0 < t) & (t < 1)]
-    points = np.vstack((feet, begin[len(room.fixed_walls) - 4:], end))
+    feet = (begin + t[:, None] * along)[(t > 0) & (t < 1)]
+    points = np.vstack((feet, begin[4:], end))  # rows 0 to 3: the outline
     bearing = np.arctan2(*(points - origin).T[::-1]) - direction
     return points[np.abs((bearing + np.pi) % (2 * np.pi) - np.pi) < CONE]
 
@@ -134,13 +135,14 @@ axes.plot(*np.array(explained).T, ".", label="explained: the reflector")
 if odd:
     axes.plot(*np.array(odd).T, "rx", markersize=4, label="not explained: on the sonar's axis")
 axes.set(xlim=(-30, 120), ylim=(-30, 120))
-axes.legend(loc="upper left")
+axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0))
 plt.show()
 
 # %% [markdown]
 """
-Readings that nothing explains are mostly echoes over two walls, or old ones: a sonar fires once a second, and the robot has
-moved since. A filter must refuse them. A reading that two candidates explain is shared by their probabilities:
+Some of the readings that nothing explains are old: a sonar fires once a second, and the robot has moved by up to 3 in
+since. Others are echoes over several walls, which take a longer way than the direct one. A filter must refuse both,
+or know better. A reading that two candidates explain is shared by their probabilities:
 """
 
 # %%

@@ -2,21 +2,21 @@
 r"""
 # 11 Mapping
 
-Until now the map was given. Here the pose is known, and the map is not. An *occupancy grid* (Moravec and Elfes 1985; Probabilistic
-Robotics, chapter 9) divides the floor into cells, each with a probability of being occupied. Cells are taken to be independent, so
-each is a Bayes filter of its own, and in log odds
+Until now the map was given. Here the pose is known, and the map is not. An *occupancy grid* (Moravec and Elfes 1985;
+Probabilistic Robotics, chapter 9) divides the floor into cells, each with a probability of being occupied. Cells are
+taken to be independent, so each is a Bayes filter of its own, and in log odds
 
 $$
 l = \log \frac{p}{1 - p}
 $$
 
-Bayes' rule is an addition: $l \leftarrow l + \log \frac{p(z)}{1 - p(z)}$, where $p(z)$ is the probability of the cell given this one
-reading. $l = 0$ means that nothing is known.
+Bayes' rule is an addition: $l \leftarrow l + \log \frac{p(z)}{1 - p(z)}$, where $p(z)$ is the probability of the cell
+given this one reading. $l = 0$ means that nothing is known.
 """
 
 # %% tags=["parameters"]
-ADDRESS = "sim:several_walls?setup=measured&seed=3&start=5,5,0,0"
-SECONDS = 90  # quick: 15
+ADDRESS = "sim:several_walls?setup=measured&seed=3&start=0,57,0,0"
+SECONDS = 120  # quick: 6
 
 # %%
 import matplotlib.pyplot as plt
@@ -45,8 +45,8 @@ check(update_cell)
 r"""
 ## Task 2: what a reading says about cells
 
-Arrays `distances_in` and `angles_rad` say where cells are: distances from the sonar, angles against its axis. Return an array of
-probabilities:
+Arrays `distances_in` and `angles_rad` say where cells are: distances from the sonar, angles against its axis. Return
+an array of probabilities:
 
 - 0.5 outside of the cone (more than 12.5° off the axis) and behind the arc: nothing is known;
 - 0.35 in the cone before the arc, that is nearer than the reading by more than 2 in: probably free;
@@ -66,14 +66,14 @@ check(inverse_sensor)
 """
 ## Drive and fill the grid
 
-The robot wanders. Its poses are the true ones, or those of the encoders if there is no ground truth: then walls become blurred as
-the odometry drifts.
+The robot wanders, slowly: readings are up to a second old. So those of its turns are left out as well. Its poses are
+the true ones, or those of the encoders if there is no ground truth: then walls become blurred as the odometry drifts.
 """
 
 # %%
 def wander(state):
     ahead = min(state.sonars_in[k] for k in (14, 15, 0, 1, 2))
-    return (0, 35) if ahead < 14 else (6, 3)
+    return (0, 25) if ahead < 16 else (4, 0)
 
 
 drive = record(ADDRESS, wander, SECONDS)
@@ -85,7 +85,10 @@ CELL_IN = 2
 axis = np.arange(-20, 112, CELL_IN) + CELL_IN / 2
 X, Y = np.meshgrid(axis, axis)
 grid = np.zeros(X.shape)
-for (x, y, _), turret, readings in zip(poses[::10], turrets[::10], drive.sonars_in[::10]):
+for row in range(10, len(poses), 10):
+    (x, y, _), turret, readings = poses[row], turrets[row], drive.sonars_in[row]
+    if abs(drive.turret_rad[row] - drive.turret_rad[row - 10]) > 0.02:
+        continue
     for direction, reading in zip(turret + SONAR_RAD, readings):
         dx, dy = X - x - RING_IN * np.cos(direction), Y - y - RING_IN * np.sin(direction)
         angles = (np.arctan2(dy, dx) - direction + np.pi) % (2 * np.pi) - np.pi
@@ -107,10 +110,10 @@ plt.show()
 r"""
 ## Task 3: from points to a wall
 
-A filter wants lines. Fit the line $x \cos\alpha + y \sin\alpha = \rho$ to points (n x 2) so that the sum of squared distances *across
-the line* is smallest, for walls of any direction. Return $\alpha$ and $\rho$. The normal $(\cos\alpha, \sin\alpha)$ is the eigenvector
-of the points' covariance (`np.cov(points.T)`, `np.linalg.eigh`) with the smaller eigenvalue, and the line goes through the mean of
-the points.
+A filter wants lines. Fit the line $x \cos\alpha + y \sin\alpha = \rho$ to points (n x 2) so that the sum of squared
+distances *across the line* is smallest, for walls of any direction. Return $\alpha$ and $\rho$. The normal
+$(\cos\alpha, \sin\alpha)$ is the eigenvector of the points' covariance (`np.cov(points.T)`, `np.linalg.eigh`) with
+the smaller eigenvalue, and the line goes through the mean of the points.
 """
 
 # %% tags=["task"]
@@ -135,7 +138,7 @@ if len(points) > 2:
 
 # %% [markdown]
 """
-Cells take each reading for new information, although a sonar that looks at the same wall from almost the same place says the same
-again. `nomad map learn` estimates poses, walls and the errors of wheels and sonars together, without any given pose
-([Learn a map](../mapping.md)).
+Cells take each reading for new information, although a sonar that looks at the same wall from almost the same place
+says the same again. `nomad map learn` estimates poses, walls and the errors of wheels and sonars together, without
+any given pose ([Learn a map](../mapping.md)).
 """

@@ -22,7 +22,7 @@ def update_cell__right_probabilities(log_odds, p):
     return math.log(odds)
 
 
-def _sensor(d, a, z, behind=0.5, cone=np.radians(12.5), nothing=0.5):
+def _sensor(d, a, z, behind=0.5, cone=0.218, nothing=0.5):
     p = np.where(d < z - 2, 0.35, np.where(d <= z + 2, 0.7, behind))
     p = np.where(abs(a) < cone, p, 0.5)
     return np.full_like(p, nothing) if z == 255 else p
@@ -57,7 +57,7 @@ def fit_wall__wrong_polyfit(points):
 
 
 def fit_wall__wrong_direction(points):
-    values, vectors = np.linalg.eigh(np.cov(points.T))
+    _, vectors = np.linalg.eigh(np.cov(points.T))
     along = vectors[:, 1]
     return math.atan2(along[1], along[0]), along @ points.mean(axis=0)
 
