@@ -40,7 +40,7 @@ STEP_S: Final = 0.1
 """Simulated seconds per request, as on a `sim:` address."""
 PRECISE_IN: Final = 24.0
 """An error of so much or more earns nothing for precision, inches."""
-POINTS_WAY, POINTS_PRECISION, POINTS_PER_S, POINTS_PER_BUMP = 50.0, 50.0, 0.1, 5.0
+POINTS_PROGRESS, POINTS_PRECISION, POINTS_PER_S, POINTS_PER_BUMP = 50.0, 50.0, 0.1, 5.0
 MAX_RUNS: Final = 1000
 MAX_SEED: Final = 2**31 - 1
 STDERR: Final = 2
@@ -116,9 +116,9 @@ def score(error_in: float, start_in: float, time_s: float, bumps: int) -> float:
     bumps
         Contacts.
     """
-    way = POINTS_WAY * max(0.0, 1.0 - error_in / start_in)
+    progress = POINTS_PROGRESS * max(0.0, 1.0 - error_in / start_in)
     precision = POINTS_PRECISION * max(0.0, 1.0 - error_in / PRECISE_IN)
-    return max(0.0, way + precision - POINTS_PER_S * time_s - POINTS_PER_BUMP * bumps)
+    return max(0.0, progress + precision - POINTS_PER_S * time_s - POINTS_PER_BUMP * bumps)
 
 
 class Referee(Emulator):

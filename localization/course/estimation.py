@@ -11,7 +11,7 @@ from worlds.raycast import cast_ray
 
 Floats = npt.NDArray[np.float64]
 
-FARTHEST_IN = 255.0
+MAX_RANGE_IN = 255.0
 NEVER = -1
 """No reflector explains a reading."""
 
@@ -80,15 +80,15 @@ def reading_likelihood(answer: Answer, rng: Rng) -> None:
         bell = density * std * sqrt(2 * pi)
         mistakes = [
             (density, "A reading is random with the probability p_random: add p_random / 255."),
-            (density + p_random / FARTHEST_IN, "The Gaussian part has the weight 1 - p_random."),
+            (density + p_random / MAX_RANGE_IN, "The Gaussian part has the weight 1 - p_random."),
             ((1 - p_random) * density + p_random, "The uniform density over 255 in is 1 / 255."),
             (
-                (1 - p_random) * bell + p_random / FARTHEST_IN,
+                (1 - p_random) * bell + p_random / MAX_RANGE_IN,
                 "The Gaussian density has the factor 1 / (std sqrt(2 pi)).",
             ),
             ((1 - p_random) * density, "Add the uniform part, p_random / 255."),
         ]
-        right = (1 - p_random) * density + p_random / FARTHEST_IN
+        right = (1 - p_random) * density + p_random / MAX_RANGE_IN
         expect(answer, (reading, expected, std, p_random), right, 1e-6, mistakes=mistakes)
 
 
@@ -188,7 +188,7 @@ def motion_jacobians(answer: Answer, rng: Rng) -> None:
             G,
             0.02 * distance,
             mistakes=[
-                (no_half, "The heading on the way is that at half of the turn: the chain rule gives a factor 1/2."),
+                (no_half, "The heading while driving is that at half of the turn: the chain rule gives a factor 1/2."),
             ],
             hint="G: derivatives of x', y', heading' by distance and turn.",
         )
@@ -230,7 +230,7 @@ def range_and_jacobian(answer: Answer, rng: Rng) -> None:
             H,
             0.002 * (1 + abs(H[2])),
             mistakes=[
-                (-H, "The signs: the range becomes shorter on the way to the wall."),
+                (-H, "The signs: the range becomes shorter towards the wall."),
                 ((*H[:2], 0.0), "The range also depends on the heading, which turns the beam."),
                 ((*H[:2], -H[2]), "The derivative by the heading has the other sign."),
                 ((-n[0], -n[1], H[2]), "Divide by n . u: along a slanted beam the range changes faster."),
@@ -333,9 +333,9 @@ def association_probabilities(answer: Answer, rng: Rng) -> None:
         innovations, variances = rng.normal(0, 3, 3), rng.uniform(0.5, 16, 3)
         p_random = float(rng.uniform(0.05, 0.4))
         density = np.array([NormalDist(0, sqrt(v)).pdf(e) for e, v in zip(innovations, variances, strict=True)])
-        weights = np.array([*((1 - p_random) / 3 * density), p_random / FARTHEST_IN])
-        bell = np.array([*((1 - p_random) / 3 * np.exp(-0.5 * innovations**2 / variances)), p_random / FARTHEST_IN])
-        several = np.array([*((1 - p_random) * density), p_random / FARTHEST_IN])
+        weights = np.array([*((1 - p_random) / 3 * density), p_random / MAX_RANGE_IN])
+        bell = np.array([*((1 - p_random) / 3 * np.exp(-0.5 * innovations**2 / variances)), p_random / MAX_RANGE_IN])
+        several = np.array([*((1 - p_random) * density), p_random / MAX_RANGE_IN])
         flat = np.array([*((1 - p_random) / 3 * density), p_random])
         mistakes = [
             (weights, "Divide by the sum: one of the explanations is true."),

@@ -43,7 +43,7 @@ def move_particles(answer: Answer, rng: Rng) -> None:
         require(
             abs(ahead.mean() - distance) < 0.05 * distance and abs(aside.mean()) < 0.05 * distance,
             f"The particles move by ({ahead.mean():.2f}, {aside.mean():.2f}) in along and across the mean direction on "
-            f"average; expected ({distance:.2f}, 0). The heading on the way is that at half of the turn.",
+            f"average; expected ({distance:.2f}, 0). The heading while driving is that at half of the turn.",
         )
         require(
             abs(ahead.std() / std[0] - 1) < 0.1,

@@ -40,11 +40,11 @@ def step_pose(answer: Answer, rng: Rng) -> None:
         mistakes = [
             (
                 (x + distance * cos(heading), y + distance * sin(heading), heading + turn),
-                "On the way the heading is on average that at half of the turn, not that at the beginning.",
+                "While driving, the heading is on average that at half of the turn, not that at the beginning.",
             ),
             (
                 (x + distance * cos(heading + turn), y + distance * sin(heading + turn), heading + turn),
-                "On the way the heading is on average that at half of the turn, not that at the end.",
+                "While driving, the heading is on average that at half of the turn, not that at the end.",
             ),
             ((*drive_arc(pose, distance, turn)[:2], heading), "The heading changes by the turn as well."),
             ((*drive_arc(pose, distance, turn)[:2], heading - turn), "A turn to the left is positive."),
@@ -77,7 +77,7 @@ def relative_step(answer: Answer, rng: Rng) -> None:
         unwrapped = after[2] - before[2]
         mistakes = [
             ((distance, unwrapped), "Headings are in [0, 2 pi): bring the difference into (-pi, pi]."),
-            ((abs(distance), turn), "Backwards the distance is negative: project the way on the heading."),
+            ((abs(distance), turn), "Backwards the distance is negative: project the displacement on the heading."),
             ((abs(distance), unwrapped), "Backwards the distance is negative, and the turn is in (-pi, pi]."),
             ((distance, -turn), "The turn is the heading after minus the heading before."),
         ]
@@ -228,7 +228,7 @@ def wall_on_the_right(answer: Answer, rng: Rng) -> None:
         bare_angle = atan2(bare[1], bare[0])
         mistakes = [
             ((side * cos(bare_angle), bare_angle), f"Ranges begin {RING_IN} in from the axis."),
-            ((side + RING_IN, angle), "The shortest way to the wall is perpendicular to the wall, not to the robot."),
+            ((side + RING_IN, angle), "The shortest line to the wall is perpendicular to the wall, not to the robot."),
             ((distance, -angle), "The angle is positive if the wall turns to the left, into the robot's path."),
             ((distance - RING_IN, angle), "The distance is from the axis."),
             ((distance, degrees(angle)), "Radians, please."),

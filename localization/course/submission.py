@@ -46,7 +46,7 @@ def read_cells(path: Path) -> list[str]:
 
 def statements(cells: Iterable[str]) -> tuple[list[ast.stmt], list[str]]:
     """Return the statements that grading executes, in order, and the errors of cells that are no Python."""
-    kept: list[ast.stmt] = []
+    selected: list[ast.stmt] = []
     errors: list[str] = []
     defined: set[str] = set()
     for cell in cells:
@@ -58,10 +58,10 @@ def statements(cells: Iterable[str]) -> tuple[list[ast.stmt], list[str]]:
         for node in tree.body:
             if isinstance(node, ast.FunctionDef | ast.ClassDef | ast.AsyncFunctionDef):
                 defined.add(node.name)
-                kept.append(node)
+                selected.append(node)
             elif isinstance(node, ast.Import | ast.ImportFrom) or _is_simple(node, defined):
-                kept.append(node)
-    return kept, errors
+                selected.append(node)
+    return selected, errors
 
 
 def _is_simple(node: ast.stmt, defined: set[str]) -> bool:
@@ -85,10 +85,10 @@ def _evaluated(node: ast.AST) -> Iterator[ast.AST]:
         yield from _evaluated(child)
 
 
-def names(kept: Iterable[ast.stmt]) -> set[str]:
+def names(selected: Iterable[ast.stmt]) -> set[str]:
     """Return the names that statements define."""
     found = set()
-    for node in kept:
+    for node in selected:
         if isinstance(node, ast.FunctionDef):
             found.add(node.name)
         elif isinstance(node, ast.Assign):

@@ -155,7 +155,7 @@ def inverse_sensor(answer: Answer, rng: Rng) -> None:
                 if gap[k] < -half
                 else "in the arc"
                 if gap[k] <= half
-                else "behind the arc: nothing is known"
+                else "behind the arc: nothing is learnt"
             )
             require(
                 False,

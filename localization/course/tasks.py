@@ -112,7 +112,7 @@ def check(answer: Answer, name: str = "", seed: int = 0) -> Verdict:
 def verdict(task: Task, answer: Answer, seed: int) -> Verdict:
     """Return the verdict on an answer, whatever it does."""
     try:
-        # Answers may divide by zero on their way to a right result.
+        # Answers may divide by zero before they return a right result.
         with np.errstate(all="ignore"):
             task.check(answer, np.random.default_rng(seed))
     except Wrong as wrong:

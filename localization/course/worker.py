@@ -41,10 +41,10 @@ def _time_limit(seconds: float) -> Iterator[None]:
 
 
 def load(path: Path, limit_s: float) -> tuple[dict[str, Any], str]:
-    """Return the names that a submission defines, and the first error on the way."""
-    kept, errors = statements(read_cells(path))
+    """Return the names that a submission defines, and the first error."""
+    selected, errors = statements(read_cells(path))
     values: dict[str, Any] = {"__name__": "submission"}
-    for node in kept:
+    for node in selected:
         try:
             with _time_limit(limit_s):
                 exec(compile(_module(node), str(path), "exec"), values)

@@ -5,14 +5,14 @@ import numpy as np
 
 def step_pose(pose, distance_in, turn_rad):
     x, y, heading = pose
-    on_the_way = heading + turn_rad / 2
-    return x + distance_in * math.cos(on_the_way), y + distance_in * math.sin(on_the_way), heading + turn_rad
+    middle = heading + turn_rad / 2
+    return x + distance_in * math.cos(middle), y + distance_in * math.sin(middle), heading + turn_rad
 
 
 def relative_step(before, after):
     turn = (after[2] - before[2] + math.pi) % (2 * math.pi) - math.pi
-    on_the_way = before[2] + turn / 2
-    distance = (after[0] - before[0]) * math.cos(on_the_way) + (after[1] - before[1]) * math.sin(on_the_way)
+    middle = before[2] + turn / 2
+    distance = (after[0] - before[0]) * math.cos(middle) + (after[1] - before[1]) * math.sin(middle)
     return distance, turn
 
 

@@ -6,8 +6,8 @@ def move_particles(particles, distance_in, turn_rad, rng):
     distance = distance_in + rng.normal(0, np.sqrt(0.01 * abs(distance_in)), n)
     turn = turn_rad + rng.normal(0, np.sqrt(0.01 * abs(turn_rad) + 0.000025 * abs(distance_in)), n)
     x, y, heading = particles.T
-    on_the_way = heading + turn / 2
-    return np.column_stack((x + distance * np.cos(on_the_way), y + distance * np.sin(on_the_way), heading + turn))
+    middle = heading + turn / 2
+    return np.column_stack((x + distance * np.cos(middle), y + distance * np.sin(middle), heading + turn))
 
 
 def weigh_particles(weights, readings_in, expected_in, std_in):

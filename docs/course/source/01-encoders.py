@@ -12,7 +12,7 @@ $$
 x' = x + d \cos(\theta + a/2), \qquad y' = y + d \sin(\theta + a/2), \qquad \theta' = \theta + a
 $$
 
-The robot turns while it drives, so the heading on the way is, on average, that at half of the turn (Thrun, Burgard
+The robot turns while it drives, so the heading while driving is, on average, that at half of the turn (Thrun, Burgard
 and Fox, *Probabilistic Robotics*, 2005, section 5.4). Lengths are inches, angles radians, counter-clockwise positive;
 heading 0 looks along x.
 
@@ -82,8 +82,8 @@ A filter needs steps, but robots report poses. Return the distance and the turn 
 the pose `after`. Two things to mind:
 
 - Headings are in $[0, 2\pi)$, so a small turn may look like one of almost $2\pi$. Bring it into $(-\pi, \pi]$.
-- A robot that drives backwards has a negative distance. Project the way from `before` to `after` on the heading on
-  the way.
+- A robot that drives backwards has a negative distance. Project the displacement from `before` to `after` on the mean
+  heading.
 """
 
 # %% tags=["task"]
@@ -119,8 +119,8 @@ $$
 \operatorname{var}(e) = \alpha\, d
 $$
 
-so the standard deviation grows with the root of the way. Here are simulated robots that drive straight ahead, each
-over another distance; `errors` is the true distance minus that of the encoders.
+so the standard deviation grows with the root of the distance. Here are simulated robots that drive straight ahead,
+each over another distance; `errors` is the true distance minus that of the encoders.
 """
 
 # %%

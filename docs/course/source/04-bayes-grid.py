@@ -2,7 +2,7 @@
 r"""
 # 4 Bayes on a grid
 
-Where in a corridor is the robot? A *belief* is a probability for each place. It changes in two ways (Probabilistic
+Where in a corridor is the robot? A *belief* is a probability for each place. It changes in two steps (Probabilistic
 Robotics, section 8.2, Markov localization on a grid):
 
 - **Prediction.** The robot moves. Where it is afterwards follows from where it was and from how well it moves: $\bar
@@ -97,8 +97,8 @@ def keep_to_the_middle(state):
 
 
 drive = record(ADDRESS, keep_to_the_middle, SECONDS, sonars=[0, 12, 2, 14])
-way = np.hypot(*np.diff(drive.encoders[:, :2], axis=0).T).cumsum()
-print(f"{way[-1]:.0f} in by the encoders")
+travelled = np.hypot(*np.diff(drive.encoders[:, :2], axis=0).T).cumsum()
+print(f"{travelled[-1]:.0f} in by the encoders")
 
 # %% [markdown]
 """
@@ -116,8 +116,8 @@ expected = {number: expected_ranges(places, [number * np.pi / 8], corridor)[:, 0
 
 belief = np.full(len(cells), 1 / len(cells))
 beliefs, rows, driven = [belief], [0], 0.0
-for row in range(1, len(way)):
-    if way[row] - driven < 2 * CELL_IN:
+for row in range(1, len(travelled)):
+    if travelled[row] - driven < 2 * CELL_IN:
         continue
     driven += 2 * CELL_IN
     belief = predict_grid(belief, [0, 0.1, 0.8, 0.1])
@@ -141,6 +141,6 @@ print(f"at the end x = {cells[np.argmax(belief)]} in with {belief.max():.0%}; tr
 # %% [markdown]
 """
 The first door leaves ten places. All doors are alike, so only the end of the corridor decides; places that would be
-beyond it drop out on the way. A belief of several peaks is something that a Kalman filter, which the next notebook is
-about, cannot represent.
+beyond it drop out. A belief of several peaks is something that a Kalman filter, which the next notebook is about,
+cannot represent.
 """

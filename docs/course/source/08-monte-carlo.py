@@ -96,7 +96,7 @@ check(mean_pose)
 """
 ## Localize
 
-The start is known within 15 in and 0.3 rad. Once a second the particles move and are weighed by the eight sonars with
+The start is given within 15 in and 0.3 rad. Once a second the particles move and are weighed by the eight sonars with
 even numbers. A standard deviation of 4 in is far more than the noise of a sonar: with few particles, none is exactly
 right, and readings are up to half a second old. Readings of 255 are left out.
 """

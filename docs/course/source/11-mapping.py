@@ -11,7 +11,7 @@ l = \log \frac{p}{1 - p}
 $$
 
 Bayes' rule is an addition: $l \leftarrow l + \log \frac{p(z)}{1 - p(z)}$, where $p(z)$ is the probability of the cell
-given this one reading. $l = 0$ means that nothing is known.
+given this one reading. $l = 0$ means that nothing is learnt.
 """
 
 # %% tags=["parameters"]
@@ -48,9 +48,9 @@ r"""
 Arrays `distances_in` and `angles_rad` say where cells are: distances from the sonar, angles against its axis. Return
 an array of probabilities:
 
-- 0.5 outside of the cone (more than 12.5° off the axis) and behind the arc: nothing is known;
+- 0.5 outside of the cone (more than 12.5° off the axis) and behind the arc: nothing is learnt;
 - 0.35 in the cone before the arc, that is nearer than the reading by more than 2 in: probably free;
-- 0.7 in the cone on the arc, within 2 in of the reading: something on the arc returned the echo, nobody knows where;
+- 0.7 in the cone on the arc, within 2 in of the reading: something on the arc returned the echo, at an unknown place;
 - 0.5 everywhere if the reading is 255: a slanted smooth wall returns no echo, so no echo does not mean free.
 """
 

@@ -31,14 +31,14 @@ def notebook(path: Path, *cells: str) -> Path:
 
 
 def test_only_definitions_are_executed() -> None:
-    kept, errors = statements([
+    selected, errors = statements([
         "%matplotlib inline\nimport math\nfrom nclient import connect\n",
         "SCALE = 2 * math.pi\nrobot = connect('sim:')\nfunction = lambda: connect('sim:')\nprint(SCALE)\n",
         "def helper(x):\n    return x\n\nvalues = [helper(k) for k in range(3)]\nfor k in values:\n    print(k)\n",
         "this is no Python",
     ])  # fmt: skip
-    assert names(kept) == {"SCALE", "function", "helper", "values"}
-    assert len(kept) == 6
+    assert names(selected) == {"SCALE", "function", "helper", "values"}
+    assert len(selected) == 6
     assert len(errors) == 1
 
 
