@@ -15,6 +15,7 @@ from nclient.recording.format import IN, OUT, Entry, Recording
 from nclient.recording.recorder import HANDSHAKE_FIRST, TCP
 from nserver_emu.persistence.recording import SERVER, RunHeader
 from nserver_emu.server.client_registry import CLOSED_RETENTION_S, ClientRegistry
+from nserver_emu.server.handlers.doors_and_walkers import change_door, change_walker
 from nserver_emu.server.handlers.runtime_settings import (
     change_obstacle,
     change_wall,
@@ -219,16 +220,20 @@ def _apply_change(emulator: Emulator, name: str, value: Any) -> None:
             switch_noise(emulator, value)
         case "hold":
             for robot_id in value.get("robots", ()):
-                emulator.hold(robot_id, value["by"])
+                emulator.hold(robot_id, value["by"], is_silent=not value.get("informs"))
         case "release":
             for robot_id in value:
-                emulator.estop.release(robot_id)
+                emulator.release(robot_id)
         case "shown":
             show_world(emulator)
         case "obstacle":
             change_obstacle(emulator, value)
         case "wall":
             change_wall(emulator, value)
+        case "door":
+            change_door(emulator, value)
+        case "walker":
+            change_walker(emulator, value)
         case "world":
             put_world(emulator, **value)
 
