@@ -13,12 +13,12 @@ import numpy.typing as npt
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import independent
 from localization.filters.own import OwnFactory, OwnFilterAdapter
-from localization.live.plot import draw_walls
 from localization.live.run import Run
 from localization.record import record_run
 from nclient import connect
 from nclient.robot import Robot
 from nclient.state import RobotState
+from worlds.drawing import draw_walls
 from worlds.raycast import cast_rays
 from worlds.robots import N150
 from worlds.world import World
