@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from localization.cli import arguments, map_learn
+from localization.cli import arguments, map_learn, map_update
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import Floats
 from localization.filters.sonar_cone import ConeSonar
@@ -97,7 +97,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "other tools."
     )
     parser.epilog = "example: nomad map show several_walls --out out/map.png"
-    tools = parser.add_subparsers(dest="tool", required=True, metavar="check|simplify|show|learn|import|export")
+    tools = parser.add_subparsers(dest="tool", required=True, metavar="check|simplify|show|learn|update|import|export")
     check = tools.add_parser(
         "check",
         help="find gaps, doubled walls, very short walls, starts without space, closed-off space; name places that "
@@ -125,6 +125,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     arguments.add_odometry_noise(show)
     add_value(show, "--weak", "IN", arguments.parse_positive,
               "call positions with a bound above this distance in in weak", WEAK_IN)
+    map_update.add_arguments(
+        tools.add_parser("update", help="compare a map with a drive: moved, missing and new walls, an error of scale")
+    )
     map_learn.add_arguments(tools.add_parser("learn", help="make a map of the room from a recorded drive"))
     _add_import(tools.add_parser("import", help="make a world file of a ROS, CARMEN, SVG or DXF map, or of a bitmap"))
     _add_export(tools.add_parser("export", help="write a world as map of ROS: map.yaml and PGM"))
@@ -166,6 +169,8 @@ def run(options: argparse.Namespace) -> int:
         return _import(options)
     if options.tool == "learn":
         return map_learn.run(options)
+    if options.tool == "update":
+        return map_update.run(options)
     world = load_world(options.world)
     match options.tool:
         case "simplify":

@@ -46,7 +46,7 @@ from localization.mapping.association import (
 from localization.mapping.births import find_births
 from localization.mapping.measurements import DriveLog, build_trajectory, relative_pose
 from localization.mapping.problem import NO_FEATURE, ROBUST_LIMIT, MapProblem
-from localization.mapping.walls import MIN_CROSSINGS, free_paths
+from localization.mapping.walls import MIN_CORNER_RAD, MIN_CROSSINGS, REACH_IN, free_paths
 from worlds.geometry import nearest_points_of_pairs
 
 NODES_PER_ROUND: Final = 16
@@ -401,13 +401,19 @@ def _try_merge(estimate: MapEstimate, remaining: int, removed: int) -> bool:
 
 
 def tie_points(estimate: MapEstimate) -> None:
-    """Tie each point to the walls on whose lines it lies."""
+    """Tie each point to the walls on whose lines it lies: one that it is near to, or two that meet in it.
+
+    Both walls of a corner are tied to it, wherever their extents end: the ranges of the corner and of its walls are
+    what tells the range offset of all sonars apart from the size of a room.
+    """
     state, ties = estimate.state, []
+    c, s = np.cos(state.walls[:, 0]), np.sin(state.walls[:, 0])
     for number, point in enumerate(state.points):
-        for wall, (angle, offset) in enumerate(state.walls):
-            c, s = np.cos(angle), np.sin(angle)
-            across, along = abs(c * point[0] + s * point[1] - offset), c * point[1] - s * point[0]
-            low, high = estimate.extents[wall]
-            if across < TIE_IN and low - TIE_BEYOND_IN - across < along < high + 48.0:
-                ties.append((number, wall))
+        across, along = np.abs(c * point[0] + s * point[1] - state.walls[:, 1]), c * point[1] - s * point[0]
+        low, high = estimate.extents.T
+        beyond = np.maximum(np.maximum(low - along, along - high), 0.0)
+        meeting = np.flatnonzero((across < TIE_IN) & (beyond < REACH_IN))
+        slope = np.abs(np.sin(state.walls[meeting, 0][:, None] - state.walls[meeting, 0]))
+        is_corner = (slope > np.sin(MIN_CORNER_RAD)).any(axis=1)
+        ties += [(number, wall) for wall in meeting[is_corner | (beyond[meeting] < TIE_BEYOND_IN + across[meeting])]]
     estimate.assignment = replace(estimate.assignment, ties=np.array(ties, dtype=np.intp).reshape(-1, 2))

@@ -19,6 +19,7 @@ from localization.mapping.association import MapEstimate
 from localization.mapping.measurements import compose, rotate
 from localization.mapping.problem import COMMON_OFFSET, NO_FEATURE, POINT, WALL, sensors_at
 from localization.mapping.walls import Piece, axes_rad, extract_walls, final_pose, parameter_covariance
+from nclient.errors import NomadError
 from worlds.robots import Calibration, Spread
 from worlds.world import StartPose, WallAccuracy, World
 
@@ -31,6 +32,10 @@ MAX_CHI_SQUARE: Final = 1.5
 MIN_WALLS: Final = 2
 MARGIN_IN: Final = 15.0
 """Around the walls in the picture."""
+
+
+class MapRefused(NomadError):
+    """A drive makes no map that holds together, or one that does not fit another map."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -101,7 +101,7 @@ class _Line:
         point: Floats = self.normal * self.offset + self.along * coordinate
         return point
 
-    def is_crossed(self, low: float, high: float) -> bool:
+    def iscrossed_at(self, low: float, high: float) -> bool:
         """Return True if paths have crossed the line between two coordinates."""
         within = (self.crossed > low + BLOCKED_IN) & (self.crossed < high - BLOCKED_IN)
         return int(within.sum()) >= MIN_CROSSINGS
@@ -114,7 +114,7 @@ def extract_walls(estimate: MapEstimate) -> list[Piece]:
     lines = []
     for angle, offset in estimate.state.walls:
         normal, along = np.array((np.cos(angle), np.sin(angle))), np.array((-np.sin(angle), np.cos(angle)))
-        lines.append(_Line(normal, along, float(offset), _crossed(starts, ends, normal, along, float(offset))))
+        lines.append(_Line(normal, along, float(offset), crossed_at(starts, ends, normal, along, float(offset))))
     # 2. Pieces.
     points = estimate.state.points
     pieces = [
@@ -146,7 +146,7 @@ def free_paths(estimate: MapEstimate) -> tuple[Floats, Floats]:
     return np.concatenate((face, poses[:-1])), np.concatenate((spot, poses[1:]))
 
 
-def _crossed(starts: Floats, ends: Floats, normal: Floats, along: Floats, offset: float) -> Floats:
+def crossed_at(starts: Floats, ends: Floats, normal: Floats, along: Floats, offset: float) -> Floats:
     """Return the coordinates along a line at which paths cross it."""
     before, after = starts @ normal - offset, ends @ normal - offset
     # A spot just behind the line belongs to a corner of it.
@@ -174,7 +174,7 @@ def _pieces(line: _Line, feet: Floats, points: Floats) -> list[tuple[float, floa
         return []
     gaps = np.diff(feet)
     is_cut = [
-        gap > MAX_GAP_IN or (gap > MIN_CROSSED_GAP_IN and line.is_crossed(low - BLOCKED_IN, high + BLOCKED_IN))
+        gap > MAX_GAP_IN or (gap > MIN_CROSSED_GAP_IN and line.iscrossed_at(low - BLOCKED_IN, high + BLOCKED_IN))
         for low, high, gap in zip(feet[:-1], feet[1:], gaps, strict=True)
     ]
     runs = np.split(feet, np.flatnonzero(is_cut) + 1)
@@ -258,7 +258,7 @@ def _may_move(piece: Piece, lines: list[_Line], points: Floats, end: int | None,
         return False
     line = lines[piece.line]
     coordinate, present = float(place @ line.along), (piece.low, piece.high)[end]
-    if line.is_crossed(min(coordinate, present), max(coordinate, present)):
+    if line.iscrossed_at(min(coordinate, present), max(coordinate, present)):
         return False
     # A point on the line before the corner is where the wall ends.
     sign = 1.0 if end else -1.0
@@ -280,7 +280,7 @@ def _move_ends_to_points(pieces: list[Piece], lines: list[_Line], points: Floats
             ahead = np.where(ahead > -OVERSHOOT_IN, np.abs(ahead), np.inf)
             nearest = int(ahead.argmin())
             coordinate = float(on_line[nearest] @ line.along)
-            if ahead[nearest] < REACH_IN and not line.is_crossed(min(coordinate, present), max(coordinate, present)):
+            if ahead[nearest] < REACH_IN and not line.iscrossed_at(min(coordinate, present), max(coordinate, present)):
                 piece.ends[end], piece.closed[end] = line.at(coordinate), True
 
 

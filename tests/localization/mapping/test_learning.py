@@ -12,6 +12,7 @@ import pytest
 from localization.filters.belief import Floats
 from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
+from localization.mapping.association import MapEstimate
 from localization.mapping.learn import learn_map
 from localization.mapping.measurements import DriveLog
 from localization.mapping.output import LearnedMap, describe
@@ -35,8 +36,13 @@ def distances(found: LearnedMap) -> tuple[float, float]:
 
 
 @pytest.fixture(scope="module")
-def room() -> LearnedMap:
-    return learn(drive(1))
+def estimate() -> MapEstimate:
+    return learn_map(drive(1), NOISE, ConeSonar())
+
+
+@pytest.fixture(scope="module")
+def room(estimate: MapEstimate) -> LearnedMap:
+    return describe(estimate)
 
 
 def test_room_has_its_four_walls_and_size(room: LearnedMap) -> None:
@@ -50,6 +56,14 @@ def test_corners_of_a_closed_room_are_closed(room: LearnedMap) -> None:
     assert room.open_ends == []
     corners = {tuple(np.round(end, 6)) for wall in room.walls for end in wall.ends}
     assert len(corners) == 4
+
+
+def test_corners_are_tied_to_both_walls(estimate: MapEstimate) -> None:
+    walls, points = estimate.state.walls, estimate.state.points
+    normals = np.stack((np.cos(walls[:, 0]), np.sin(walls[:, 0])), axis=-1)
+    on_line = np.abs(points @ normals.T - walls[:, 1]) < 1.0
+    assert on_line.sum() >= 6
+    assert sorted(estimate.assignment.ties.tolist()) == np.argwhere(on_line).tolist()
 
 
 def test_stated_accuracy_covers_the_error(room: LearnedMap) -> None:
