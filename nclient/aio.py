@@ -177,6 +177,8 @@ class AsyncRobot:
     quit_server = _awaitable(Robot.quit_server)
     truth = _awaitable(Robot.truth)
     is_simulated = _awaitable(Robot.is_simulated)
+    held_by = _awaitable(Robot.held_by)
+    wait_until_released = _awaitable(Robot.wait_until_released)
     control_time = _awaitable(Robot.control_time)
 
 

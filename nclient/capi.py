@@ -33,7 +33,7 @@ from nclient.protocol.client_state import STATE_SIZE, ClientState
 from nclient.protocol.codec import clamp_to_serial
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.fields import MAX_LASER_READINGS
-from nclient.protocol.replies import SIMPLE, Reply
+from nclient.protocol.replies import SIMPLE, Reply, text_of
 from nclient.protocol.requests import MOTION_LINE
 from nclient.protocol.types import (
     CPU_RANGE_V,
@@ -52,19 +52,99 @@ from nclient.protocol.types import (
 from nclient.state import WHEEL_IN_PER_DEG
 
 __all__ = [
-    "FALSE", "LEFT", "MODEL_N150", "MODEL_N200", "MODEL_SCOUT", "RIGHT", "ROTATION_CONSTANT", "TRUE", "Laser",
-    "Smask", "State", "ac", "add_obstacle",
-    "arm_mv", "arm_ws", "arm_zr", "conf_cp", "conf_ir", "conf_ls", "conf_ser", "conf_sg", "conf_sn",
-    "conf_tm", "connect_robot", "create_robot", "ct", "da", "delete_obstacle", "disconnect_robot", "dp",
-    "draw_arc", "draw_line", "draw_robot", "get_bp", "get_cp", "get_ir", "get_ls", "get_ra", "get_rc",
-    "get_robot_conf", "get_rpx", "get_rv", "get_sg", "get_sn", "gs", "last_error", "lp", "motion_check",
-    "move_obstacle", "mv", "new_world", "pa", "place_robot", "posBumperGet", "posCompassGet", "posDataCheck",
-    "posDataRequest", "posInfraredGet", "posInfraredRingGet", "posLaserGet", "posSonarGet", "posSonarRingGet",
-    "posTimeGet", "pr", "predict_sensors", "quit_server", "real_robot", "refresh_actual_trace", "refresh_all",
-    "refresh_all_sensors", "refresh_all_traces", "refresh_bumper_sensor", "refresh_client_graphics",
-    "refresh_encoder_trace", "refresh_infrared_sensor", "refresh_laser_sensor", "refresh_sonar_sensor",
-    "scout_pr", "scout_vm", "server_is_running", "sim_control", "sim_truth", "simulated_robot", "sp",
-    "special_request", "st", "tk", "vm", "voltCpuGet", "voltMotorGet", "ws", "zr",
+    "FALSE",
+    "LEFT",
+    "MODEL_N150",
+    "MODEL_N200",
+    "MODEL_SCOUT",
+    "RIGHT",
+    "ROTATION_CONSTANT",
+    "TRUE",
+    "Laser",
+    "Smask",
+    "State",
+    "ac",
+    "add_obstacle",
+    "arm_mv",
+    "arm_ws",
+    "arm_zr",
+    "conf_cp",
+    "conf_ir",
+    "conf_ls",
+    "conf_ser",
+    "conf_sg",
+    "conf_sn",
+    "conf_tm",
+    "connect_robot",
+    "create_robot",
+    "ct",
+    "da",
+    "delete_obstacle",
+    "disconnect_robot",
+    "dp",
+    "draw_arc",
+    "draw_line",
+    "draw_robot",
+    "get_bp",
+    "get_cp",
+    "get_ir",
+    "get_ls",
+    "get_ra",
+    "get_rc",
+    "get_robot_conf",
+    "get_rpx",
+    "get_rv",
+    "get_sg",
+    "get_sn",
+    "gs",
+    "held_by",
+    "last_error",
+    "lp",
+    "motion_check",
+    "move_obstacle",
+    "mv",
+    "new_world",
+    "pa",
+    "place_robot",
+    "posBumperGet",
+    "posCompassGet",
+    "posDataCheck",
+    "posDataRequest",
+    "posInfraredGet",
+    "posInfraredRingGet",
+    "posLaserGet",
+    "posSonarGet",
+    "posSonarRingGet",
+    "posTimeGet",
+    "pr",
+    "predict_sensors",
+    "quit_server",
+    "real_robot",
+    "refresh_actual_trace",
+    "refresh_all",
+    "refresh_all_sensors",
+    "refresh_all_traces",
+    "refresh_bumper_sensor",
+    "refresh_client_graphics",
+    "refresh_encoder_trace",
+    "refresh_infrared_sensor",
+    "refresh_laser_sensor",
+    "refresh_sonar_sensor",
+    "scout_pr",
+    "scout_vm",
+    "server_is_running",
+    "sim_control",
+    "sim_truth",
+    "simulated_robot",
+    "sp",
+    "special_request",
+    "st",
+    "tk",
+    "vm",
+    "voltCpuGet",
+    "voltMotorGet",
+    "ws",
+    "zr",
 ]  # fmt: skip
 
 TRUE, FALSE = 1, 0
@@ -503,6 +583,12 @@ refresh_client_graphics = _command("refresh_client_graphics", "Redraw the drawin
 def sim_truth(truth: Out) -> int:
     """Fill truth with eight numbers: 1, ms, x, y (1/1000 in), heading, turret (1/1000 deg), seed, id."""
     return _fill(truth, _values("sim_truth"))
+
+
+def held_by() -> str:
+    """Return which person holds the robot (Stop on the page), "" if no person does or the server cannot say."""
+    values = _values("held_by")
+    return text_of(values) if values else ""
 
 
 def sim_control(verb: int, value: int) -> int:

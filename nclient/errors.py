@@ -5,6 +5,7 @@
     ├── ConnectionLost (ConnectionError)   the other end has closed the connection, or never accepted it
     ├── ReplyTimeout (TimeoutError)        the other end is there and does not reply
     ├── RobotRefused                       a refusal: ERROR or NAK, with the command
+    │   └── RobotHeld                      a person stopped the robot and holds it: by name, with how to release it
     ├── BumperHit                          a bumper closed while the robot moved, and it was stopped (bumper_stop)
     ├── WireError (ValueError)             malformed bytes, or values that cannot be encoded
     ├── WorldFileError (ValueError)        a world, model or setup file in TOML that is not valid: file, key
@@ -37,8 +38,11 @@ REFUSALS: Final = {
     4: "not available on this robot",
     5: "not allowed by the setup or a limit, or another client drives the robot",
     6: "the real robot did not answer",
+    7: "a person stopped the robot and holds it",
 }
 """Meaning of the codes of an ERROR reply (docs/protocol.md, Error codes)."""
+HELD: Final = 7
+"""Code of an ERROR reply to a motion of a held robot, and word 44 of its state replies over TCP."""
 
 
 class NomadError(Exception):
@@ -90,6 +94,28 @@ class RobotRefused(NomadError):
     def is_nak(self) -> bool:
         """True for a NAK on a serial line, which the C library takes for success."""
         return self.code is None and not self.reason
+
+
+class RobotHeld(RobotRefused):
+    """A person stopped the robot and holds it: motions are refused until it is released; queries and st still work.
+
+    Attributes
+    ----------
+    robot_id
+        Number of the robot on its server; None if it is not known.
+    by
+        The page or tool that stopped it; empty if the server does not report it.
+    """
+
+    def __init__(self, command: str, robot_id: int | None = None, by: str = "") -> None:
+        self.robot_id = robot_id
+        self.by = by
+        robot = "the robot" if robot_id is None else f"robot {robot_id}"
+        reason = f"{robot} is held{by and f' by {by}'}; release it on the page or with nserver ctl release"
+        super().__init__(command, HELD, reason if robot_id is None else f"{reason} {robot_id}")
+
+    def __reduce__(self) -> tuple[type[RobotHeld], tuple[str, int | None, str]]:
+        return type(self), (self.command, self.robot_id, self.by)
 
 
 class BumperHit(NomadError):

@@ -13,16 +13,17 @@ import contextlib
 import math
 import os
 import threading
+import time
 from collections.abc import Iterable
 from dataclasses import replace
 from types import TracebackType
 from typing import Any, Final, Literal, NamedTuple, Self
 
 from nclient.backends.base import Backend, LinkStatistics
-from nclient.errors import BumperHit, ConnectionLost, ReplyTimeout, RobotRefused, WireError
+from nclient.errors import BumperHit, ConnectionLost, ReplyTimeout, RobotHeld, RobotRefused, WireError
 from nclient.protocol.client_state import ClientState
 from nclient.protocol.commands import Call
-from nclient.protocol.replies import Reply
+from nclient.protocol.replies import Reply, text_of
 from nclient.protocol.requests import MOTION_ARC, MOTION_LINE
 from nclient.protocol.ring_packet import READ, RESTART, RING_PACKET, RingReadings, parse_ring
 from nclient.protocol.types import (
@@ -848,6 +849,33 @@ class Robot:
             self.truth()
             return True
         return False
+
+    def held_by(self) -> str:
+        """Query which person holds the robot (Stop on the page, `nserver ctl stop`); "" if nobody does.
+
+        Raises RobotRefused (error 1) if the server is not one of this project. Wire name: held_by.
+        """
+        return text_of(self._query("held_by", at_least=1))
+
+    def wait_until_released(self, timeout_s: float | None = None, *, every_s: float = 0.2) -> RobotState:
+        """Wait until no person holds the robot; sends gs at intervals of `every_s` real seconds.
+
+        Parameters
+        ----------
+        timeout_s
+            Maximum time in real seconds; None waits without limit.
+
+        Raises
+        ------
+        RobotHeld
+            If the robot is held still at the end of that time.
+        """
+        end_s = None if timeout_s is None else time.monotonic() + timeout_s
+        while (state := self.refresh()).is_held:
+            if end_s is not None and time.monotonic() >= end_s:
+                raise RobotHeld("wait_until_released", by=self.held_by())
+            time.sleep(every_s)
+        return state
 
     def control_time(self, verb: Literal["pause", "resume", "speed", "step"], value: float = 0.0) -> SimulatedTime:
         """Control the time of a simulation. Wire name: sim_control.

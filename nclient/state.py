@@ -111,6 +111,8 @@ class RobotState:
     """Position stamps by sensor (ir_0, sonar_15, bumper, laser, compass), in wire units."""
     clock_ms: int | None = None
     raw_volts: tuple[int, int] | None = None
+    is_held: bool = False
+    """True while a person holds the robot (Stop); `Robot.held_by` returns who. Over TCP only."""
     ring_in: tuple[float, ...] | None = None
     """All readings of the ring of a model file, inches, after `Robot.watch_ring`; `sonars_in` has 16 at most."""
 
@@ -350,7 +352,9 @@ def snapshot(client_state: ClientState, model: Model) -> RobotState:
     # Slots without a value yet read 0; after the first whole state there are none.
     raw = tuple([value or 0 for value in slots]) if None in slots else cast("tuple[int, ...]", tuple(slots))
     stamps = dict(client_state.stamps) if client_state.stamps else {}
-    return RobotState(model, raw, client_state.laser or (0,), stamps, client_state.clock, client_state.volts)
+    return RobotState(
+        model, raw, client_state.laser or (0,), stamps, client_state.clock, client_state.volts, client_state.is_held
+    )
 
 
 def _stamp(raw: Stamp) -> PositionStamp:

@@ -179,6 +179,19 @@ int get_bp(void) { return SEND_EMPTY(GET_BP); }
 
 int nomad_sim_control(int verb, int value) { return SEND(SIM_CONTROL, verb, value); }
 
+const char *nomad_held_by(void)
+{
+    static char name[201];
+    const struct reply *reply = nomad_request_numbers(CMD_HELD_BY, NULL, 0);
+    size_t count = reply && reply->count > 0 ? (size_t)reply->count - 1 : 0, k;
+
+    /* The number of bytes, then the bytes. */
+    for (k = 0; k < count && k < sizeof name - 1; k++)
+        name[k] = (char)reply->values[1 + k];
+    name[k] = '\0';
+    return name;
+}
+
 int nomad_sim_truth(long truth[8])
 {
     const struct reply *reply = nomad_request_numbers(CMD_SIM_TRUTH, NULL, 0);

@@ -21,12 +21,14 @@ enum {
     MAX_REPLY = 4 * 4096, /* bytes; a state with every stamp and 482 lines has 2292 words */
     MAX_REQUEST = HEAD + 4 * 256,
     ERROR_TYPE = 91,
+    HELD = 7, /* error of a motion while a person holds the robot */
     REAL_TIME = 10 /* State[STATE_SIM_SPEED] at real time */
 };
 
 static int fd = -1;
 static struct wire_state wire;
 static long robot; /* the robot of this connection */
+static int is_hold_reported; /* since a person holds the robot */
 static pid_t owner; /* the process that opened it; a forked child shares it */
 
 static enum outcome close_with_error(const struct request *request, const char *why)
@@ -74,9 +76,20 @@ static int has_simple_reply(const struct command *command)
            && command != &nomad_commands[CMD_CREATE_ROBOT];
 }
 
+static int is_motion(const struct command *command)
+{
+    static const enum command_id MOTIONS[] = {CMD_VM, CMD_PR, CMD_MV, CMD_ZR, CMD_LP};
+
+    for (size_t k = 0; k < sizeof MOTIONS / sizeof *MOTIONS; k++)
+        if (command == &nomad_commands[MOTIONS[k]])
+            return 1;
+    return 0;
+}
+
 static enum outcome report_refusal(const struct request *request, struct reply *reply)
 {
     long code = reply->values[0];
+    void (*report)(const char *, ...) = nomad_report_error;
     static const char *const WHY[] = {
         "unknown message",
         "wrong number or range of values",
@@ -84,10 +97,16 @@ static enum outcome report_refusal(const struct request *request, struct reply *
         "not on this robot",
         "not allowed by the setup or a limit, or another client drives the robot",
         "the real robot did not reply",
+        "a person holds the robot (Stop): release it on the page or with nserver ctl release",
     };
 
-    nomad_report_error("%s: error %ld, %s", request->command->name, code,
-                       code >= 1 && code <= 6 ? WHY[code - 1] : "an unknown error code");
+    /* A program that drives on while a person holds its robot would flood stderr: print it once per hold. */
+    if (code == HELD) {
+        report = is_hold_reported ? nomad_store_error : nomad_report_error;
+        is_hold_reported = 1;
+    }
+    report("%s: error %ld, %s", request->command->name, code,
+                       code >= 1 && code <= 7 ? WHY[code - 1] : "an unknown error code");
     nomad_reset_reply(reply, SHAPE_NOTHING);
     if (has_simple_reply(request->command))
         return REPLIED;
@@ -106,6 +125,8 @@ static enum outcome parse_reply(const struct request *request, unsigned type, co
     }
     if (!nomad_decode_tcp_reply(request->command->tcp_reply, bytes, size, &wire, reply))
         return close_with_error(request, "the reply has the wrong format");
+    if (is_motion(request->command))
+        is_hold_reported = 0;
     nomad_apply_reply(reply);
     return REPLIED;
 }

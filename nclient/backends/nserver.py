@@ -14,11 +14,11 @@ from functools import lru_cache
 from typing import Final
 
 from nclient.backends.base import LinkStatistics
-from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused, WireError
+from nclient.errors import HELD, ConnectionLost, ReplyTimeout, RobotHeld, RobotRefused, WireError
 from nclient.protocol import codec
 from nclient.protocol.codec import TcpFrame, TcpFramer, reply_bounds
 from nclient.protocol.commands import Call, Command
-from nclient.protocol.replies import STATE, Reply, TcpLayout
+from nclient.protocol.replies import STATE, Reply, TcpLayout, text_of
 from nclient.protocol.types import EVERYTHING, N150, Mask, Model
 from nclient.protocol.wire_state import tcp_wire_state
 from nclient.transports.stream import ByteStream, Deadline
@@ -212,6 +212,8 @@ class NserverBackend:
     def _evaluate(self, call: Call, reply: Reply) -> None:
         """Raise RobotRefused for a refusal; record which robot is connected and how fast its time runs."""
         if reply.kind == "error":
+            if reply.values[0] == HELD:
+                raise RobotHeld(call.name, self.robot_id, self._holder())
             raise RobotRefused(call.name, reply.values[0])
         # The reply to connecting is a port, 0 if there is no such robot.
         if call.name in _PORT_0_MEANS:
@@ -220,6 +222,13 @@ class NserverBackend:
             self.robot_id = call.args[0]
         elif reply.slots.get(SPEED_SLOT, 0) > 0:
             self._slowness = max(1.0, REAL_TIME / reply.slots[SPEED_SLOT])
+
+    def _holder(self) -> str:
+        """Return who holds the robot, which an ERROR reply does not say; empty if the server does not report it."""
+        try:
+            return text_of(self.execute(Call("held_by")).values)
+        except RobotRefused:
+            return ""
 
     def _reply_timeout_s(self, row: Command, call: Call) -> float:
         """Return the maximum time for a reply; motions take server time, which may run slower than real time."""

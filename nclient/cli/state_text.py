@@ -12,7 +12,7 @@ from typing import Any
 from nclient.common.hints import suggest
 from nclient.errors import ShellError
 from nclient.protocol.commands import Call
-from nclient.protocol.replies import Reply
+from nclient.protocol.replies import Reply, text_of
 from nclient.protocol.types import unwrap_word
 from nclient.state import NO_ECHO_IN, RobotState
 
@@ -29,6 +29,8 @@ def format_state(state: RobotState) -> str:
     nearest = min(range(16), key=lambda number: state.sonars_in[number])
     if 0 < state.sonars_in[nearest] < NO_ECHO_IN:
         parts.append(f"nearest {state.sonars_in[nearest]} in at {_SECTOR_DEG * nearest:g} deg")
+    if state.is_held:
+        parts.append("HELD")
     if state.touching:
         parts.append(f"BUMPER {' '.join(map(str, state.bumpers))}")
     if state.clock_s is not None:
@@ -74,6 +76,7 @@ def as_json(state: RobotState) -> dict[str, Any]:
         "bumpers": list(state.bumpers), "compass_deg": state.compass_deg,
         "cpu_v": None if battery is None else round(battery.cpu_v, 3),
         "motor_v": None if battery is None else round(battery.motor_v, 3), "error": state.error,
+        "held": state.is_held,
     }  # fmt: skip
 
 
@@ -137,6 +140,8 @@ PARTS: dict[str, Callable[[RobotState], str]] = {
     "battery": _battery,
     "clock": lambda state: "unknown" if state.clock_s is None else f"{state.clock_s:.3f} s",
     "error": lambda state: str(state.error) if state.error else "none",
+    "hold": lambda state: "HELD by a person (Stop): release it on the page or with nserver ctl release"
+    if state.is_held else "none",
 }
 """Parts of the state, and the function that formats each."""
 
@@ -192,6 +197,11 @@ def _truth(reply: Reply) -> Iterator[str]:
     )
 
 
+def _hold(reply: Reply) -> Iterator[str]:
+    by = text_of(reply.values)
+    yield f"held by {by}: release it on the page or with nserver ctl release" if by else "not held"
+
+
 def _time(reply: Reply) -> Iterator[str]:
     # The speed is ten times the factor; 0 means no relation to real time.
     _, time_ms, speed, paused = reply.values
@@ -222,6 +232,7 @@ def _prediction(reply: Reply) -> Iterator[str]:
 
 VALUES: dict[str, Callable[[Reply], Iterator[str]]] = {
     "sim_truth": _truth, "sim_control": _time, "motion_check": _collision, "get_rpx": _robots,
+    "held_by": _hold,
     "predict_sensors": _prediction,
 }  # fmt: skip
 """Formatting of replies that are not stored in the state, by command."""

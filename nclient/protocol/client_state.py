@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 from construct import Bytes, ConstructError, Int8ub, Padding, Struct, Terminated
 
-from nclient.errors import WireError
+from nclient.errors import HELD, WireError
 from nclient.protocol import requests
 from nclient.protocol.replies import LAST_TCP_SLOT, Reply
 from nclient.protocol.types import COMPASS_SLOT, LASER_SLOT, Mask, Stamp, mask_from_line
@@ -53,6 +53,7 @@ class ClientState:
         self.stamps: dict[str, Stamp] = {}
         self.clock: int | None = None
         self.volts: tuple[int, int] | None = None
+        self.is_held = False
         self._wide = wide
 
     def apply_reply(self, reply: Reply) -> None:
@@ -70,8 +71,10 @@ class ClientState:
         else:
             for slot, value in reply.slots.items():
                 self.slots[slot] = value
-        # 3. C clients store 0 in State[44] after a TCP state reply, whatever its word 44 holds.
+        # 3. C clients store 0 in State[44] after a TCP state reply, whatever its word 44 holds: that is HELD while a
+        #    person holds the robot.
         if LAST_TCP_SLOT in reply.slots:
+            self.is_held = reply.slots.get(ERROR_SLOT) == HELD
             self.slots[ERROR_SLOT] = 0
         # 4. Everything else is overwritten only where the reply has it.
         self.stamps.update(reply.stamps)

@@ -267,6 +267,7 @@ COMMANDS: tuple[Command, ...] = (
          "ask a simulation where the actual robot is"),
     _row("sim_control", "control_time", (1001, None), _signed("verb", "value"), (shape.CONTROL, shape.LINE_STATE),
          "pause, resume, speed or step the simulated time"),
+    _row("held_by", "held_by", (1002, None), (), _LIST, "ask which person holds the robot (Stop)"),
 )
 
 BY_NAME = {row.name: row for row in COMMANDS}

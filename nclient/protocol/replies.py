@@ -62,6 +62,17 @@ class Reply(NamedTuple):
     values: tuple[int, ...] = ()
 
 
+def text_values(text: str, max_bytes: int = 200) -> tuple[int, ...]:
+    """Return a text as the values of a reply: the number of its bytes in UTF-8, then the bytes."""
+    coded = text.encode()[:max_bytes]
+    return (len(coded), *coded)
+
+
+def text_of(values: Sequence[int]) -> str:
+    """Return the text of such values; what is no text is left out."""
+    return bytes(value & 0xFF for value in values[1:]).decode(errors="ignore")
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class TcpLayout:
     """Layout of a reply over TCP: these parts of a Reply, in this order, as big-endian words of 32 bits.

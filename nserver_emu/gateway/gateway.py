@@ -365,8 +365,8 @@ class Gateway:
             return self._switch(proxy, context, to_real=call.name == REAL)
         if not proxy.active or translate.stays_here(call.name):
             return self._emulator.answer(call, context)
-        effective = self._emulator.estop.effective_call(call, context.robot_id)
-        return error_reply(REFUSED) if effective is None else proxy.answer(effective, context)
+        answer = self._emulator.estop.execute(call, context, proxy.answer)
+        return answer if isinstance(answer, Reply) else self._emulator.estop.until_held(answer, call, context)
 
     def hold(self, robot_id: int, by: str) -> None:
         """Stop a robot, the real one too where it is driven, and refuse motions until it is released."""

@@ -219,10 +219,10 @@ def _apply_change(emulator: Emulator, name: str, value: Any) -> None:
             switch_noise(emulator, value)
         case "hold":
             for robot_id in value.get("robots", ()):
-                emulator.hold(robot_id, value["by"])
+                emulator.hold(robot_id, value["by"], is_silent=not value.get("informs"))
         case "release":
             for robot_id in value:
-                emulator.estop.release(robot_id)
+                emulator.release(robot_id)
         case "shown":
             show_world(emulator)
         case "obstacle":

@@ -193,13 +193,13 @@ class Daemon:
             self.handler.hold(robot_id, by)
         log.warning("emergency stop by %s: %s; release in the viewer or with nserver ctl release",
                     by, _names(robot_ids))
-        self.record_change({"hold": {"robots": robot_ids, "by": by}})
+        self.record_change({"hold": {"robots": robot_ids, "by": by, "informs": True}})
 
     def release(self, robot_ids: Iterable[int]) -> None:
         """End the emergency stop of these robots."""
         robot_ids = list(robot_ids)
         for robot_id in robot_ids:
-            self.emulator.estop.release(robot_id)
+            self.emulator.release(robot_id)
         log.warning("released: %s", _names(robot_ids))
         self.record_change({"release": robot_ids})
 

@@ -2,19 +2,27 @@
 
 The viewer and `nserver ctl release` release it.
 
-    motion command (vm, pr, pa, mv, zr, lp)    executed as st: the reply is the state, with velocities 0
-    arm motion, user packet                    ERROR 5
-    any other command                          executed as usual
+    motion command (vm, pr, pa, mv, zr, lp)    executed as st; the reply is ERROR 7 (HELD)
+    the same with all speeds and ways 0        executed as st: the reply is the state
+    arm motion, user packet                    not executed, ERROR 7
+    ws and zr that wait at the moment of Stop  ERROR 7
+    any other command                          executed as usual; word 44 of a state over TCP is 7
+
+A robot's own line has no such errors: motions are answered there by the state with velocities 0, the arm by NAK.
 
 It applies to all clients, like the emergency button on a robot. It is no part of a snapshot, but of a recording,
-because it changes replies. Clients get no notification, so the log reports the first ignored motion command.
+because it changes replies. Programs that ignore errors do not show it, so the log reports the first ignored motion.
 """
 
 import logging
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
 
+from nclient.errors import HELD
 from nclient.protocol.commands import Call
+from nclient.protocol.replies import Reply
+from nserver_emu.server.session import REFUSED, ConnectionContext, DeferredReply, error_reply
 
 log = logging.getLogger(__name__)
 
@@ -26,6 +34,17 @@ _EXECUTED_AS_STOP: Final = (MOTIONS - ARM_MOTIONS) | {"lp"}
 _REFUSED: Final = ARM_MOTIONS | {"special_request"}
 # Modes of mv that move an axis or release it; 4 and 5 only set its limits.
 _MV_MOTIONS: Final = (1, 2, 3)
+_MV_LIMP: Final = 3
+# Calls whose reply may come later, when the robot stands: Stop ends them.
+_WAITS: Final = MOTIONS | {"ws", "arm_ws"}
+
+
+def _asks_for_motion(call: Call) -> bool:
+    """Return False for a motion command with all speeds and distances 0, which is a stop itself."""
+    if call.name == "mv":
+        pairs = zip(call.args[::2], call.args[1::2], strict=True)
+        return any(mode == _MV_LIMP or (mode in _MV_MOTIONS and value) for mode, value in pairs)
+    return any(call.args) or not call.args
 
 
 def moves(call: Call) -> bool:
@@ -43,6 +62,8 @@ class RobotHold:
     by: str
     # Number of motion commands ignored since.
     ignored: int = 0
+    # True where clients are not informed: in a recording made before there was ERROR 7.
+    is_silent: bool = False
 
     def as_dict(self) -> dict[str, Any]:
         """Return it as plain data."""
@@ -56,9 +77,9 @@ class EStop:
         # By robot.
         self.holds: dict[int, RobotHold] = {}
 
-    def engage(self, robot_id: int, by: str) -> None:
+    def engage(self, robot_id: int, by: str, *, is_silent: bool = False) -> None:
         """Stop a robot; a robot that is stopped already keeps its first operator."""
-        self.holds.setdefault(robot_id, RobotHold(by))
+        self.holds.setdefault(robot_id, RobotHold(by, is_silent=is_silent))
 
     def release(self, robot_id: int) -> None:
         """Release a robot, stopped or not."""
@@ -72,6 +93,37 @@ class EStop:
         """Return all stopped robots as plain data."""
         return {str(robot_id): hold.as_dict() for robot_id, hold in self.holds.items()}
 
+    def execute(
+        self, call: Call, context: ConnectionContext, run: Callable[[Call, ConnectionContext], Reply | DeferredReply]
+    ) -> Reply | DeferredReply:
+        """Execute a call as far as the hold of its robot allows, and return the reply that informs the client.
+
+        Parameters
+        ----------
+        run : executes a call.
+        """
+        hold = self.get(context.robot_id)
+        context.is_held = hold is not None and not hold.is_silent
+        if hold is None:
+            return run(call, context)
+        # 1. A motion is executed as st even if its reply is an error: a real robot's line may have lost the first st.
+        effective = self.effective_call(call, context.robot_id)
+        answer = error_reply(REFUSED) if effective is None else run(effective, context)
+        # 2. A robot's own line has no such error.
+        is_refused = effective is not call and (effective is None or _asks_for_motion(call))
+        return error_reply(HELD) if is_refused and context.is_held and not context.wire_state.line else answer
+
+    def until_held(self, poll: DeferredReply, call: Call, context: ConnectionContext) -> DeferredReply:
+        """Return a deferred reply that becomes an error when the robot that it waits for is stopped."""
+        if call.name not in _WAITS or context.wire_state.line or context.is_held:
+            return poll
+
+        def poll_or_refuse() -> Reply | None:
+            hold = self.get(context.robot_id)
+            return poll() if hold is None or hold.is_silent else error_reply(HELD)
+
+        return poll_or_refuse
+
     def effective_call(self, call: Call, robot_id: int | None) -> Call | None:
         """Return the call to execute instead: the same, st for a motion of a stopped robot, None to refuse it."""
         hold = self.holds.get(robot_id) if self.holds and robot_id is not None else None
@@ -79,8 +131,7 @@ class EStop:
             return call
         if call.name == "mv" and not moves(call):
             return call
-        # A motion with all arguments 0 is a stop itself and not reported as ignored.
-        is_motion = any(call.args) or not call.args
+        is_motion = _asks_for_motion(call)
         hold.ignored += is_motion
         if is_motion and hold.ignored == 1:
             log.warning("robot %s: motion command %s ignored: emergency stop by %s; release in the viewer or with "

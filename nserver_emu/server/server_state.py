@@ -31,7 +31,8 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from nclient.protocol.client_state import STATE_SIZE
+from nclient.errors import HELD
+from nclient.protocol.client_state import ERROR_SLOT, STATE_SIZE
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.ring_packet import RING_PACKET
@@ -63,14 +64,7 @@ from nserver_emu.server.deferred import DeferredReplies, PoseRequests
 from nserver_emu.server.estop import EStop
 from nserver_emu.server.graphics import Graphics, SpeechLog, Traces, layers
 from nserver_emu.server.limits import Limits
-from nserver_emu.server.session import (
-    NOT_AVAILABLE,
-    REFUSED,
-    CachedStateReply,
-    ConnectionContext,
-    DeferredReply,
-    error_reply,
-)
+from nserver_emu.server.session import NOT_AVAILABLE, CachedStateReply, ConnectionContext, DeferredReply, error_reply
 from nserver_emu.simulation import segments
 from nserver_emu.simulation.arm import Arm
 from nserver_emu.simulation.axis import Command
@@ -493,6 +487,8 @@ def build_state_reply(
 def apply_mask(context: ConnectionContext, slots: list[int]) -> list[int]:
     """Return State[0..44] as sent to a connection, and record it as last sent."""
     mask, last_sent = context.wire_state.mask, context.last_sent
+    if context.is_held:
+        slots = [*slots[:ERROR_SLOT], HELD]
     if not mask.whole and not context.wire_state.line:
         slots = [
             value if slot in UNMASKED_SLOTS or mask.has(slot) else last_sent[slot] for slot, value in enumerate(slots)
@@ -523,11 +519,13 @@ Handler = Callable[["ServerState", ConnectionContext, tuple[Any, ...]], "Reply |
 Preparation = Callable[["ServerState", ConnectionContext, tuple[Any, ...]], Iterator[None]]
 
 # Commands that do not change the robot.
-QUERIES: Final = frozenset({"gs", "ct", "sim_truth", *(name for name in BY_NAME if name.startswith("get_"))})
+QUERIES: Final = frozenset({"gs", "ct", "sim_truth", "held_by", *(name for name in BY_NAME if name.startswith("get_"))})
 # Queries whose replies contain State slots.
 STATE_QUERIES: Final = frozenset({"get_ir", "get_sn", "get_rc", "get_rv", "get_cp", "get_bp"})
 # Commands that take no time in lockstep and do not restart the command timeout: observers must not keep a robot moving.
-TIMELESS: Final = frozenset({"connect_robot", "create_robot", "disconnect_robot", "sim_truth", "sim_control"})
+TIMELESS: Final = frozenset(
+    {"connect_robot", "create_robot", "disconnect_robot", "sim_truth", "sim_control", "held_by"}
+)
 
 
 def is_ring_packet(call: Call) -> bool:
@@ -600,12 +598,15 @@ class ServerState:
             context.cached_state = None
             if name not in QUERIES:
                 self.invalidate_state_cache()
-        # 4. Under emergency stop, motions become st or are refused.
-        effective = self.estop.effective_call(call, context.robot_id) if self.estop.holds else call
-        answer = error_reply(REFUSED) if effective is None else self._execute(effective, context)
+        # 4. Under emergency stop, motions become st or are not executed, and the client is informed.
+        if self.estop.holds:
+            answer = self.estop.execute(call, context, self._execute)
+        else:
+            context.is_held = False
+            answer = self._execute(call, context)
         # 5. These replies contain State slots: they count as sent for slots that the mask excludes.
         if not isinstance(answer, Reply):
-            return self.defer(context, answer)
+            return self.defer(context, self.estop.until_held(answer, call, context))
         if name in STATE_QUERIES:
             context.update_last_sent(answer.slots)
         return answer
@@ -712,12 +713,20 @@ class ServerState:
         for robot_id in self.axis_ownership.release_arms(context):
             self.stop_arm(robot_id)
 
-    def hold(self, robot_id: int, by: str) -> None:
-        """Stop a robot and ignore motion commands until it is released. Raise KeyError if there is no such robot."""
+    def hold(self, robot_id: int, by: str, *, is_silent: bool = False) -> None:
+        """Stop a robot and ignore motion commands until it is released. Raise KeyError if there is no such robot.
+
+        `is_silent`: clients are not informed, as in recordings of earlier versions.
+        """
         self.simulation.robots[robot_id].stop()
         self.stop_arm(robot_id)
         self.invalidate_state_cache()
-        self.estop.engage(robot_id, by)
+        self.estop.engage(robot_id, by, is_silent=is_silent)
+
+    def release(self, robot_id: int) -> None:
+        """Allow motions of a robot again, held or not."""
+        self.estop.release(robot_id)
+        self.invalidate_state_cache()
 
     def serial_wire_state(self, robot_id: int) -> WireState:
         """Return mask and laser mode in force on a robot's own lines.

@@ -38,6 +38,7 @@ log = logging.getLogger(__name__)
 
 # Codes of ERROR replies (docs/protocol.md, Error codes).
 BAD_VALUES, NOT_CONNECTED, NOT_AVAILABLE, REFUSED = 2, 3, 4, 5
+# The reply to a motion of a held robot is HELD of nclient.errors, 7.
 
 # Requests that may wait in a session; its port is not read while there are more.
 MAX_QUEUED_REQUESTS: Final = 100
@@ -127,6 +128,8 @@ class ConnectionContext:
     # Line extraction of the laser as in conf_sg: threshold and gap (tenths of an inch), minimum number of points in
     # between. None is the default at power-on.
     segments: tuple[int, int, int] | None = None
+    # True while a person holds the robot: word 44 of its state replies is HELD.
+    is_held: bool = False
 
     def update_last_sent(self, slots: Mapping[int, int]) -> None:
         """Record State slots sent in a reply that is not a state packet."""

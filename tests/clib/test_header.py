@@ -25,7 +25,8 @@ ONLY_C = {
     "extract4byteint", "extractuchar", "extract2byteuint", "extract4byteuint", "extractdouble",
 }  # fmt: skip
 """Functions that Python programs do not need: copies of arrays, bytes of packets, other names."""
-ADDITIONS = {"last_error": "nomad_last_error", "sim_truth": "nomad_sim_truth", "sim_control": "nomad_sim_control"}
+ADDITIONS = {"last_error": "nomad_last_error", "sim_truth": "nomad_sim_truth", "sim_control": "nomad_sim_control",
+             "held_by": "nomad_held_by"}  # fmt: skip
 """Names of capi that the old library does not have, and their names in nomad.h."""
 
 

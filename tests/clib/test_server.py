@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from nclient.protocol.commands import Call
-from nclient.protocol.replies import Reply
+from nclient.protocol.replies import Reply, text_values
 from tests.clib.clib_build import NARROW_SANITIZED, PROGRAMS, SANITIZED, BuildCache, BuildKind, run_calls
 from tests.nclient.protocol.recorded import TCP
 from tests.nclient.scripted_server import ScriptedServer, by_script, error, on_socket, simple
@@ -177,6 +177,18 @@ def test_simulator_and_scout_calls(client: str) -> None:
     assert truth["obs"][:8] == [1, 500, -2, 3, 4, 5, 6, 7]
     assert control["return"] == wheels["return"] == moved["return"] == 1
     assert server.calls[3:] == [Call("sim_control", (3, 100)), Call("vm", (47, 153, 0)), Call("pr", (53, -53, 0))]
+
+
+def test_held_robot_is_error_7_and_printed_once(client: str) -> None:
+    server = ScriptedServer({"vm": error(7), "pr": error(7), "held_by": simple(*text_values("viewer 1"))})
+    script = "connect_robot 1\nvm 1 2 3\nvm 1 2 3\npr 1 2 3\ngs\nheld_by\n"
+    with on_socket(by_script(server, 7)) as port:
+        _, refused, *more, state, name, last = run_calls([client, str(port)], script)
+    assert last["stderr"].count("error 7") == 1
+    assert [found["return"] for found in (refused, *more, state)] == [0, 0, 0, 1]
+    assert [found["State"][44] for found in (refused, *more, state)] == [7, 7, 7, 0]
+    assert "release" in refused["error"]
+    assert bytes(name["obs"]).rstrip(b"\0") == b"viewer 1"
 
 
 def test_server_from_environment(client: str, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -18,7 +18,7 @@ from nclient.state import RobotState
 from nclient.units import AxisCommand
 from tests.nclient.scripted_server import ScriptedServer, error, robot_on, simple
 
-OWN_NAMES = {"sim_truth", "sim_control"}
+OWN_NAMES = {"sim_truth", "sim_control", "held_by"}
 ORDER = (1, 2, 3, *[255] * 13)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from nclient.protocol.replies import Reply
+from nclient.protocol.replies import Reply, text_values
 from nclient.protocol.types import Position, clamp_word, wrap_word
 from nclient.protocol.wire_state import LINES
 from nserver_emu.server.server_state import (
@@ -65,6 +65,12 @@ def get_ra(server: ServerState, context: ConnectionContext, _args: tuple[int, ..
     """Return the three accelerations in the slots of the velocities; 0 where speeds change at once."""
     robot = server.robot_of(context)
     return Reply("velocity", dict(enumerate(axis_tenths(robot, robot.accelerations), start=_VELOCITY_SLOT)))
+
+
+def held_by(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
+    """Return which person holds the robot, as a text; an empty one if nobody does."""
+    hold = server.estop.get(context.robot_id)
+    return Reply("simple", values=text_values("" if hold is None else hold.by))
 
 
 def sim_truth(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:

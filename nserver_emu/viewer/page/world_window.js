@@ -15,7 +15,7 @@ export function parseCorners(text) {
 }
 
 export const worldWindow = {
-  id: 'world', title: 'Walls, obstacles, world files', moves: Promise.resolve(),
+  id: 'world', title: 'Walls, obstacles, world files', moves: Promise.resolve(), rows: [],
   build(box, app) {
     this.list = element('div', { id: 'world-list' });
     const corners = element('input', { id: 'corners', placeholder: EXAMPLE, size: 22 }), name = document.createTextNode('');
@@ -50,41 +50,51 @@ export const worldWindow = {
     }
     if (this.shown === app.scene.world) return;
     this.shown = app.scene.world;
-    const focused = document.activeElement?.dataset?.key;
-    this.list.replaceChildren(...(this.shown?.obstacles ?? []).map((obstacle, k) => this.row(app, obstacle, k)),
-      ...(this.shown ? innerWalls(this.shown) : []).map((wall, k) => this.wallRow(app, wall, k)));
-    if (focused) this.list.querySelector(`[data-key="${focused}"]`)?.focus();
+    const things = this.shown ? listThings(app, this.shown) : [];
+    while (this.rows.length < things.length) this.rows.push(this.newRow(app));
+    for (const row of this.rows.splice(things.length)) row.node.remove();
+    this.rows.forEach((row, k) => row.show(things[k]));
   },
-  row(app, obstacle, k) {
-    return this.thing(app, obstacle.name || `obstacle ${k + 1}`, k, obstacle.corners,
-      (dx_in, dy_in) => shift(app, k, dx_in, dy_in), () => deleteObstacle(app, obstacle));
-  },
-  wallRow(app, wall, k) {
-    return this.thing(app, `wall ${k + 1}`, `wall ${k}`, wall,
-      (dx_in, dy_in) => moveWall(app, wall, wall.map(([x, y]) => [x + dx_in, y + dy_in])), () => deleteWall(app, wall));
-  },
-  // A row with the corners of a thing and buttons that move it in steps and delete it; `key` identifies its buttons.
-  thing(app, name, key, corners, move, remove) {
-    const round = (inches) => String(Math.round(inches / unitIn(app.metric) * 10) / 10);
+  // A row with the points of a thing and buttons that move it in steps and delete it. A row stays when the world changes,
+  // so that no press of a button is lost; the row then shows another thing. A press is for the newest one shown.
+  newRow(app) {
+    const text = element('span'), row = { node: element('div', { className: 'row' }, text), pressed: null };
     const action = (sign, word, act) => {
-      const node = button(sign, act, { title: word, ariaLabel: `${word} ${name}` });
-      node.dataset.key = `${key} ${word}`;
+      const pick = () => { this.update(app); row.pressed = row.thing; };
+      const node = button(sign, () => { if (!row.pressed) pick(); act(row.pressed); row.pressed = null; }, { title: word,
+        // Released above another row, the press still counts.
+        onpointerdown: (event) => { pick(); node.setPointerCapture(event.pointerId); } });
+      node.dataset.word = word;
       return node;
     };
-    const by = (dx, dy) => () => { this.moves = this.moves.then(() => move(dx * this.step.inches, dy * this.step.inches)); };
-    return element('div', { className: 'row' },
-      element('span', {}, `${name}: ${corners.map((corner) => corner.map(round).join(',')).join(' ')}`),
-      action('←', 'move left', by(-1, 0)), action('→', 'move right', by(1, 0)), action('↑', 'move up', by(0, 1)), action('↓', 'move down', by(0, -1)),
-      action('Delete', 'delete', remove));
+    const by = (dx, dy) => (thing) => { this.moves = this.moves.then(() => shift(thing, dx * this.step.inches, dy * this.step.inches)); };
+    row.node.append(action('←', 'move left', by(-1, 0)), action('→', 'move right', by(1, 0)), action('↑', 'move up', by(0, 1)),
+      action('↓', 'move down', by(0, -1)), action('Delete', 'delete', (thing) => thing.remove(thing.corners)));
+    row.show = (thing) => {
+      const round = (inches) => String(Math.round(inches / unitIn(app.metric) * 10) / 10);
+      row.thing = thing;
+      text.textContent = `${thing.name}: ${thing.corners.map((corner) => corner.map(round).join(',')).join(' ')}`;
+      for (const node of row.node.querySelectorAll('button')) node.ariaLabel = `${node.dataset.word} ${thing.name}`;
+    };
+    this.list.append(row.node);
+    return row;
   },
 };
 
-// Move an obstacle. Its new corners are stored at once: the next move may come before the next picture.
-async function shift(app, k, dx_in, dy_in) {
-  const obstacle = app.scene.world.obstacles[k];
-  if (!obstacle) return;
-  const answer = await moveObstacle(app, obstacle.corners, dx_in, dy_in);
-  if (answer.ok) obstacle.corners = answer.result.is;
+// The things that can be moved and deleted, with their commands.
+function listThings(app, world) {
+  return [
+    ...world.obstacles.map(({ name, corners }, k) => ({ name: name || `obstacle ${k + 1}`, corners,
+      move: (now, dx, dy) => moveObstacle(app, now, dx, dy), remove: (now) => deleteObstacle(app, { corners: now }) })),
+    ...innerWalls(world).map((ends, k) => ({ name: `wall ${k + 1}`, corners: ends,
+      move: (now, dx, dy) => moveWall(app, now, now.map(([x, y]) => [x + dx, y + dy])), remove: (now) => deleteWall(app, now) })),
+  ];
+}
+
+// Move a thing. Its new corners are stored at once: the next move may come before the next picture.
+async function shift(thing, dx_in, dy_in) {
+  const answer = await thing.move(thing.corners, dx_in, dy_in);
+  if (answer.ok) thing.corners = answer.result.is;
 }
 
 async function worldText(app) {

@@ -134,6 +134,17 @@ static int call_list(const char *name)
     return returned;
 }
 
+static int call_held_by(void)
+{
+    const char *name = nomad_held_by();
+    long bytes[31] = {0};
+
+    for (int k = 0; k < 31 && name[k]; k++)
+        bytes[k] = name[k];
+    set_extra("obs", bytes, 31);
+    return TRUE;
+}
+
 static int call_prediction(void)
 {
     long state[NUM_STATE] = {0};
@@ -249,6 +260,8 @@ static int call(const char *name, char *rest, char **words, int count)
         return call_prediction();
     if (strcmp(name, "motion_check") == 0)
         return call_motion_check();
+    if (strcmp(name, "held_by") == 0)
+        return call_held_by();
     if (strcmp(name, "special_request") == 0)
         return call_special();
     if (strcmp(name, "arm_ws") == 0)

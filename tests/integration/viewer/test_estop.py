@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from playwright.sync_api import Browser
 
+from nclient import RobotHeld
 from tests.integration.viewer.browsing import nserver, open_page
 
 BANNER = "document.querySelector('#estop-banner').innerText"
@@ -19,7 +20,8 @@ def test_stop_blocks_programs_until_release(browser: Browser) -> None:
         page.page.keyboard.press("Escape")
         page.wait(f"{BANNER}.includes('no robot moves until Release. Stopped by you (viewer 1)')")
         for _ in range(3):
-            robot.drive(translation_in_s=2)
+            with pytest.raises(RobotHeld, match="viewer 1"):
+                robot.drive(translation_in_s=2)
         page.wait(f"{BANNER}.includes('3 motion commands ignored')")
         assert page.value(SPEED) == 0
         page.page.focus("#pad")

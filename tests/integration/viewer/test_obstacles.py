@@ -169,3 +169,31 @@ def test_walls_are_drawn_dragged_and_deleted(browser: Browser) -> None:
         for text in ("[[49,70,91,92]]", "[[50,70,92,92]]"):
             page.value("nserver.history.undo()")
             page.wait(f"{walls} === '{text}'")
+
+
+def test_presses_count_while_the_panel_changes(browser: Browser) -> None:
+    walls = "JSON.stringify(nserver.scene.world.walls.slice(4))"
+    left = "[aria-label='move left wall 1']"
+    with nserver("thesis_room") as program, open_page(browser, program.url) as page, program.robot() as robot:
+        page.page.fill("#corners", "60,60 80,80")
+        page.page.press("#corners", "Enter")
+        page.wait(f'document.querySelector("{left}")')
+        # 1. Two presses before the next picture.
+        page.value(f'[1, 2].forEach(() => document.querySelector("{left}").click())')
+        page.wait(f"{walls} === '[[58,60,78,80]]'")
+        # 2. A press before the panel shows the newest picture.
+        page.value(
+            f"""new Promise((resolve) => {{
+            const button = document.querySelector("{left}"), {{ request }} = nserver.link, world = nserver.scene.world;
+            request({{ do: 'control', command: 'wall', argument: {{ wall: [[58, 60], [78, 80]], by: [0, 5] }} }});
+            const timer = setInterval(() => {{ if (nserver.scene.world !== world) {{
+                clearInterval(timer); button.click(); resolve(); }} }}, 0); }})"""
+        )
+        page.wait(f"{walls} === '[[57,65,77,85]]'")
+        # 3. Another client adds an obstacle, and with it a row above, while the button is held down.
+        page.page.hover(left)
+        page.page.mouse.down()
+        robot.add_obstacle(corners_in=((20, 20), (30, 20), (30, 30)))
+        page.wait("document.querySelector('#world-list').innerText.includes('obstacle 1')")
+        page.page.mouse.up()
+        page.wait(f"{walls} === '[[56,65,76,85]]'")

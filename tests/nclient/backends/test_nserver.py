@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import pickle
 import socket
 
 import pytest
 
 from nclient.backends.base import LinkStatistics
 from nclient.backends.nserver import NserverBackend
-from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused, WireError
+from nclient.errors import ConnectionLost, ReplyTimeout, RobotHeld, RobotRefused, WireError
 from nclient.protocol import codec
 from nclient.protocol.commands import Call
-from nclient.protocol.replies import Reply
+from nclient.protocol.replies import Reply, text_values
 from nclient.protocol.types import EVERYTHING, N150, SCOUT, Position
 from nclient.transports.stream import Deadline, MemoryStream
 from nclient.transports.tcp import TcpStream
@@ -67,6 +68,18 @@ def test_a_refusal_leaves_the_session_open() -> None:
         backend.execute(VM)
     assert (refusal.value.command, refusal.value.code) == ("vm", 5)
     assert backend.execute(GS).kind == "state"
+
+
+@pytest.mark.parametrize(("reply", "by"), [(simple(*text_values("viewer 1")), "viewer 1"), (error(1), "")])
+def test_refusal_of_held_robot_names_the_person(reply: Reply, by: str) -> None:
+    server = ScriptedServer({"vm": error(7), "held_by": reply})
+    backend = connected(server)
+    with pytest.raises(RobotHeld, match="release") as refusal:
+        backend.execute(VM)
+    assert (refusal.value.command, refusal.value.code, refusal.value.by, refusal.value.robot_id) == ("vm", 7, by, 3)
+    assert str(pickle.loads(pickle.dumps(refusal.value))) == str(refusal.value)
+    assert backend.execute(GS).kind == "state"
+    assert server.names() == ["vm", "held_by", "gs"]
 
 
 def test_invalid_calls_leave_the_session_open() -> None:

@@ -26,7 +26,7 @@ TCP_TYPES = {
     "new_world": 53, "draw_robot": 60, "draw_line": 61, "draw_arc": 62, "quit_server": 70, "real_robot": 71,
     "simulated_robot": 74, "place_robot": 41, "predict_sensors": 42, "get_robot_conf": 200, "special_request": 300,
     "arm_zr": 300, "arm_ws": 300, "arm_mv": 300, "motion_check": 400, "create_robot": 101, "connect_robot": 102,
-    "disconnect_robot": 103, "sim_truth": 1000, "sim_control": 1001, "conf_ser": None,
+    "disconnect_robot": 103, "sim_truth": 1000, "sim_control": 1001, "held_by": 1002, "conf_ser": None,
 }
 REFRESHES = (
     "refresh_all", "refresh_all_traces", "refresh_actual_trace", "refresh_encoder_trace", "refresh_all_sensors",

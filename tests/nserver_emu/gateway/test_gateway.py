@@ -13,7 +13,7 @@ from nclient.connector import open_backend
 from nclient.errors import AddressError, BumperHit, ConnectionLost, ReplyTimeout, RobotRefused
 from nclient.protocol import codec
 from nclient.protocol.commands import COMMANDS, Call
-from nclient.protocol.replies import Reply
+from nclient.protocol.replies import Reply, text_of
 from nclient.protocol.types import EVERYTHING, N200
 from nserver_emu.gateway.gateway import TIMEOUT_S
 from nserver_emu.server.server_state import SimulationClock
@@ -510,11 +510,13 @@ def test_a_hold_stops_the_real_robot_and_refuses_motions() -> None:
     harness.run_pending()
     assert real.is_still((0,))
     for name, args in (("vm", (100, 0, 0)), ("pr", (100, 0, 0)), ("zr", ()), ("mv", (1, 50, 0, 0, 0, 0))):
-        assert client.ask(name, *args).slots[38] == 0
+        assert refusal(client.ask(name, *args)) == (7,)
         assert real.is_still((0, 1, 2))
-    assert refusal(client.ask("arm_mv", 2, 10, 2, 10)) == (5,)
+    assert refusal(client.ask("arm_mv", 2, 10, 2, 10)) == (7,)
+    assert client.ask("gs").slots[44] == 7
+    assert text_of(client.ask("held_by").values) == "viewer 1"
     assert harness.emulator.estop.as_dict() == {"1": {"by": "viewer 1", "ignored": 5}}
-    harness.emulator.estop.release(1)
+    harness.emulator.release(1)
     assert client.ask("vm", 100, 0, 0).slots[38] == 100
 
 

@@ -52,7 +52,8 @@ def test_each_command_is_translated_local_or_unsupported() -> None:
     assert staying == {
         "create_robot", "connect_robot", "disconnect_robot", "get_rpx", "add_obstacle", "delete_obstacle",
         "move_obstacle", "new_world", "predict_sensors", "motion_check", "draw_robot", "draw_line", "draw_arc",
-        "real_robot", "simulated_robot", "quit_server", *[row.name for row in COMMANDS if "refresh_" in row.name],
+        "real_robot", "simulated_robot", "quit_server", "held_by",
+        *[row.name for row in COMMANDS if "refresh_" in row.name],
     }  # fmt: skip
 
 

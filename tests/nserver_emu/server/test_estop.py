@@ -1,4 +1,4 @@
-"""A robot under emergency stop ignores motions, replies as usual, and moves again after release."""
+"""A robot under emergency stop ignores motions, informs its clients, and moves again after release."""
 
 from __future__ import annotations
 
@@ -7,7 +7,11 @@ import math
 import pytest
 
 from docs.generate.commands import examples
+from nclient.errors import HELD
 from nclient.protocol.commands import BY_NAME, Call
+from nclient.protocol.replies import Reply, text_of
+from nclient.protocol.types import N150
+from nclient.protocol.wire_state import serial_wire_state
 from nserver_emu.server.estop import EStop, moves
 from nserver_emu.server.handlers.table import HANDLERS, Emulator
 from nserver_emu.server.session import ConnectionContext, error_reply
@@ -31,13 +35,14 @@ def held() -> Emulator:
 
 
 @pytest.mark.parametrize("name", MOVING)
-def test_motions_return_the_state_and_move_nothing(name: str) -> None:
+def test_motions_are_refused_and_move_nothing(name: str) -> None:
     emulator = held()
     client, _ = meet(emulator)
     before = emulator.simulation.robots[1].actual
-    reply = client.ask(name, *MOVING[name])
-    assert reply.kind == "state"
-    assert [reply.slots[slot] for slot in (38, 39, 40)] == [0, 0, 0]
+    assert client.ask(name, *MOVING[name]) == error_reply(HELD)
+    state = client.ask("gs")
+    assert [state.slots[slot] for slot in (38, 39, 40, 44)] == [0, 0, 0, HELD]
+    assert text_of(client.ask("held_by").values) == "viewer 1"
     emulator.pass_time(2.0)
     assert emulator.simulation.robots[1].actual == before
     assert emulator.estop.as_dict() == {"1": {"by": "viewer 1", "ignored": 1}}
@@ -56,12 +61,56 @@ def test_a_moving_robot_stops_and_ws_replies() -> None:
     assert at.x_in > 0.0
 
 
+@pytest.mark.parametrize("name", MOVING)
+def test_silent_hold_of_old_recording_returns_state(name: str) -> None:
+    emulator = Emulator(simulation())
+    emulator.hold(1, "viewer 1", is_silent=True)
+    client, _ = meet(emulator)
+    reply = client.ask(name, *MOVING[name])
+    assert reply.kind == "state"
+    assert [reply.slots[slot] for slot in (38, 39, 40, 44)] == [0, 0, 0, 0]
+    assert emulator.estop.as_dict() == {"1": {"by": "viewer 1", "ignored": 1}}
+
+
+def test_line_of_held_robot_carries_the_state_as_before() -> None:
+    emulator = held()
+    context = ConnectionContext(serial_wire_state(N150), 1)
+    reply = emulator.answer(Call("vm", (100, 0, 0)), context)
+    assert isinstance(reply, Reply)
+    assert (reply.kind, reply.slots[38]) == ("state", 0)
+
+
+@pytest.mark.parametrize("call", [Call("ws", (1, 1, 1, 60)), Call("zr")], ids=lambda call: call.name)
+def test_stop_ends_a_wait_with_an_error(call: Call) -> None:
+    emulator = Emulator(simulation())
+    context = ConnectionContext(robot_id=1)
+    emulator.answer(Call("vm", (100, 300, 0)), context)
+    emulator.pass_time(2.0)
+    poll = emulator.answer(call, context)
+    emulator.pass_time(0.05)
+    assert callable(poll)
+    assert poll() is None
+    emulator.hold(1, "viewer 1")
+    emulator.pass_time(0.1)
+    assert poll() == error_reply(HELD)
+
+
+def test_release_clears_the_mark_at_once() -> None:
+    emulator = held()
+    client, _ = meet(emulator)
+    assert client.ask("gs").slots[44] == HELD
+    emulator.release(1)
+    assert client.ask("gs").slots[44] == 0
+    assert text_of(client.ask("held_by").values) == ""
+
+
 def test_all_else_is_done_as_ever() -> None:
     emulator = held()
     client, _ = meet(emulator)
     for name, args in (
         ("gs", ()), ("st", ()), ("sp", (100, 100, 100)), ("ac", (100, 100, 100)), ("conf_tm", (5,)),
-        ("mv", (4, 100, 5, 100, 0, 0)), ("dp", (70, 80)), ("place_robot", (300, 200, 900, 0)),
+        ("mv", (4, 100, 5, 100, 0, 0)), ("mv", (1, 0, 1, 0, 2, 0)),
+        ("dp", (70, 80)), ("place_robot", (300, 200, 900, 0)),
     ):  # fmt: skip
         assert client.ask(name, *args).kind != "error"
     assert math.degrees(emulator.simulation.robots[1].actual.steering_rad) == pytest.approx(90.0)
@@ -101,7 +150,7 @@ def test_the_arm_stops_and_is_refused() -> None:
     at = emulator.arms[1].lift.position_in
     for call in (Call("arm_mv", (2, 100, 2, 100)), Call("arm_zr", (0,)), Call("special_request", (99, 1, 2))):
         reply = emulator.answer(call, context)
-        assert reply == error_reply(5)
+        assert reply == error_reply(HELD)
     emulator.pass_time(1.0)
     assert emulator.arms[1].lift.position_in == pytest.approx(at)
     assert 0.0 < at < 5.0
@@ -113,6 +162,9 @@ def test_the_first_motion_that_comes_to_nothing_is_in_the_log(caplog: pytest.Log
     for name, args in (("vm", (0, 0, 0)), ("gs", ()), ("pr", (100, 0, 0)), ("vm", (50, 0, 0))):
         client.ask(name, *args)
     messages = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
+    refused = [message for message in messages if "refused:" in message]
+    assert [message.split(" (")[0].partition("refused: ")[2] for message in refused] == ["pr: error 7", "vm: error 7"]
+    messages = [message for message in messages if message not in refused]
     assert len(messages) == 1
     assert messages[0].startswith("robot 1: motion command pr ignored: emergency stop by viewer 1;")
     assert "nserver ctl release" in messages[0]
