@@ -357,7 +357,8 @@ def _compared(
             (found.unchanged if confirmed else found.unseen).append(row)
     # 3. New: what is left.
     found.changes.extend(
-        Change("new", -1, None, ends_of[number], 0.0, _accuracy(pieces[number])) for number in np.flatnonzero(is_free)
+        Change("new", -1, None, ends_of[number], 0.0, _accuracy(pieces[number]))
+        for number in np.flatnonzero(is_free).tolist()
     )
     return found
 
@@ -442,7 +443,7 @@ def _intersection(one: Floats, other: Floats) -> Floats | None:
     _, normals, offsets = _normals(np.stack((one, other)))
     if abs(normals[0, 0] * normals[1, 1] - normals[0, 1] * normals[1, 0]) < np.sin(MIN_CORNER_RAD):
         return None
-    place: Floats = np.linalg.solve(normals, offsets)
+    place: Floats = np.asarray(np.linalg.solve(normals, offsets), dtype=np.float64)
     return place
 
 

@@ -101,7 +101,7 @@ class _Line:
         point: Floats = self.normal * self.offset + self.along * coordinate
         return point
 
-    def iscrossed_at(self, low: float, high: float) -> bool:
+    def is_crossed(self, low: float, high: float) -> bool:
         """Return True if paths have crossed the line between two coordinates."""
         within = (self.crossed > low + BLOCKED_IN) & (self.crossed < high - BLOCKED_IN)
         return int(within.sum()) >= MIN_CROSSINGS
@@ -174,7 +174,7 @@ def _pieces(line: _Line, feet: Floats, points: Floats) -> list[tuple[float, floa
         return []
     gaps = np.diff(feet)
     is_cut = [
-        gap > MAX_GAP_IN or (gap > MIN_CROSSED_GAP_IN and line.iscrossed_at(low - BLOCKED_IN, high + BLOCKED_IN))
+        gap > MAX_GAP_IN or (gap > MIN_CROSSED_GAP_IN and line.is_crossed(low - BLOCKED_IN, high + BLOCKED_IN))
         for low, high, gap in zip(feet[:-1], feet[1:], gaps, strict=True)
     ]
     runs = np.split(feet, np.flatnonzero(is_cut) + 1)
@@ -258,7 +258,7 @@ def _may_move(piece: Piece, lines: list[_Line], points: Floats, end: int | None,
         return False
     line = lines[piece.line]
     coordinate, present = float(place @ line.along), (piece.low, piece.high)[end]
-    if line.iscrossed_at(min(coordinate, present), max(coordinate, present)):
+    if line.is_crossed(min(coordinate, present), max(coordinate, present)):
         return False
     # A point on the line before the corner is where the wall ends.
     sign = 1.0 if end else -1.0
@@ -280,7 +280,7 @@ def _move_ends_to_points(pieces: list[Piece], lines: list[_Line], points: Floats
             ahead = np.where(ahead > -OVERSHOOT_IN, np.abs(ahead), np.inf)
             nearest = int(ahead.argmin())
             coordinate = float(on_line[nearest] @ line.along)
-            if ahead[nearest] < REACH_IN and not line.iscrossed_at(min(coordinate, present), max(coordinate, present)):
+            if ahead[nearest] < REACH_IN and not line.is_crossed(min(coordinate, present), max(coordinate, present)):
                 piece.ends[end], piece.closed[end] = line.at(coordinate), True
 
 

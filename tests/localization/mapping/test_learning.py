@@ -18,9 +18,10 @@ from localization.mapping.measurements import DriveLog
 from localization.mapping.output import LearnedMap, describe
 from localization.mapping.walls import end_derivative
 from nclient.cli import main
-from tests.localization.mapping.drives import drive
+from tests.localization.mapping.drives import ROOM, drive
 from worlds.io import format_world, load_world
 from worlds.robots import load_calibration
+from worlds.validate import validate_world
 
 NOISE = OdometryNoise(0.05, 0.05, 0.002)
 
@@ -136,6 +137,34 @@ def test_offsets_of_the_sonars_are_found(room: LearnedMap) -> None:
     error = np.array(found.calibration.offsets_in) - offsets
     assert np.std(error - error.mean()) < 0.4
     assert np.std(room.calibration.offsets_in) < 0.35
+
+
+def test_faces_of_a_thick_wall_stay_apart() -> None:
+    wall = ((36.0, 47.5), (84.0, 47.5), (84.0, 52.5), (36.0, 52.5))
+    found = learn(drive(2, outlines=(ROOM, wall)))
+    # In the frame of the first pose, (25, 25).
+    faces = sorted(float(wall.ends[:, 1].mean()) for wall in found.walls if np.abs(wall.ends[:, 1] - 25.0).max() < 8.0)
+    np.testing.assert_allclose(faces, (22.5, 27.5), atol=0.8)
+    assert found.reason_to_refuse() == ""
+
+
+def test_post_is_a_closed_outline_of_the_file(room: LearnedMap) -> None:
+    beside_wall = room.walls[0].ends.mean(axis=0) + 1.0
+    found = replace(room, points=np.concatenate((room.points, [(30.0, 20.0), (33.0, 20.0), beside_wall])))
+    (post,) = found.world("room").obstacles
+    assert post.corners_in == ((29.5, 19.5), (30.5, 19.5), (30.5, 20.5), (29.5, 20.5))
+    assert validate_world(found.world("room"), 9.7) == []
+
+
+def test_map_that_the_path_crosses_is_refused(room: LearnedMap) -> None:
+    (x, y), (x2, y2) = room.path[len(room.path) // 8, :2], room.path[len(room.path) // 8 + 1, :2]
+    across = np.array((y - y2, x2 - x)) / np.hypot(x2 - x, y2 - y)
+    middle = np.array((0.5 * (x + x2), 0.5 * (y + y2)))
+    double = replace(room.walls[0], ends=np.array((middle - 9.0 * across, middle + 9.0 * across)))
+    assert "crosses" in replace(room, walls=(*room.walls, double)).reason_to_refuse()
+    # A path past its end does not.
+    beside = replace(double, ends=np.array((middle - 1.0 * across, middle + 9.0 * across)))
+    assert replace(room, walls=(*room.walls, beside)).reason_to_refuse() == ""
 
 
 def test_random_readings_make_no_map() -> None:
