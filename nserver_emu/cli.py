@@ -41,7 +41,9 @@ from nserver_emu.persistence import snapshot
 from nserver_emu.persistence.options import SaveFile, autosaved, resolve_restore
 from nserver_emu.persistence.recording import RunHeader
 from nserver_emu.persistence.replay import replay
+from nserver_emu.ros2.options import running_ros2
 from nserver_emu.rosbridge.options import running_rosbridge
+from nserver_emu.rosbridge.readings import Estimates
 from nserver_emu.server.admission import RESERVED_CONNECTIONS, AdmissionControl
 from nserver_emu.server.config import MODEL_NAMES, SimulationConfig, robot_placements
 from nserver_emu.server.connection import MAX_REQUESTS_PER_TURN
@@ -54,6 +56,7 @@ from nserver_emu.server.link import FaultController
 from nserver_emu.server.serial_lines import at_port, open_lines
 from nserver_emu.server.server_state import Allowed, SimulationClock
 from nserver_emu.service import STOPPING, ServiceManager, announced
+from nserver_emu.viewer.classroom import read_class
 from nserver_emu.viewer.options import running_viewer
 from worlds.cells import braille_picture
 from worlds.io import load_world, world_names
@@ -121,6 +124,9 @@ def _run_command(options: argparse.Namespace) -> int:
 
 
 async def _serve(options: argparse.Namespace) -> int:
+    if options.class_file is not None:
+        options.students = read_class(options.class_file)
+        options.robots = max(options.robots, *(student.robot for student in options.students))
     setups = read_setups(options.setups)
     for key in setups.unused:
         log.warning("%s of the setup file is read and has no effect: what its numbers mean is not known", key)
@@ -176,16 +182,18 @@ async def _run(
     # 1. Everything that listens; each closes what it has opened.
     lines = await open_lines(daemon, options)
     manager = ServiceManager(os.environ)
+    estimates = Estimates()
     async with (
         controlled(daemon, options) as control,
         running_viewer(daemon, options) as page,
-        running_rosbridge(daemon, options) as rosbridge,
+        running_rosbridge(daemon, options, estimates) as rosbridge,
         run_gateway(gateway, daemon, options.shadow_every),
+        running_ros2(daemon, options, estimates) as ros2,
         autosaved(file, options.autosave),
     ):
         # 2. Programs may connect as soon as they have read these lines.
         own = f"listening nserver {at_port(options.bind, daemon.emulator.port)}"
-        for line in (own, *lines, *control, *page, *rosbridge):
+        for line in (own, *lines, *control, *page, *rosbridge, *ros2):
             logs.print_line(line)
         # 3. Serve; the service manager is notified when all is open.
         with rare_collection():

@@ -17,6 +17,7 @@ from nserver_emu import logs
 from nserver_emu.control import socket as control_options
 from nserver_emu.gateway import run as real_options
 from nserver_emu.persistence import options as restore_options
+from nserver_emu.ros2 import options as ros2_options
 from nserver_emu.rosbridge import options as rosbridge_options
 from nserver_emu.server import limits, serial_lines
 from nserver_emu.server.config import MAX_ROBOTS, MODEL_NAMES
@@ -24,6 +25,7 @@ from nserver_emu.server.daemon import LOOPBACK
 from nserver_emu.server.server_state import MAX_LOCKSTEP_S, MAX_TIME_FACTOR, MIN_TIME_FACTOR
 from nserver_emu.simulation.noise import NOISY, SETUPS, SUFFIX
 from nserver_emu.viewer import options as viewer_options
+from nserver_emu.viewer.classroom import WORLD as CLASS_WORLD
 from worlds.io import DEFAULT_WORLD, world_names
 
 # The port that clients of the original use by default.
@@ -58,7 +60,8 @@ def nserver_parser(*, with_files: bool = True) -> Parser:
     _add_persistence(parser)
     _add_setup(parser)
     # Packages add their own options, in the order of --help.
-    for package in (serial_lines, real_options, control_options, allowlist, limits, viewer_options, rosbridge_options):
+    for package in (serial_lines, real_options, control_options, allowlist, limits, viewer_options, rosbridge_options,
+                    ros2_options):
         package.add_options(parser)
     add_flag(parser, "--list-worlds", "list the shipped worlds and exit")
     logs.add_options(parser)
@@ -120,7 +123,8 @@ def read_options(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
     words = [_as_value(as_long_option(word)) for word in words]
     options: argparse.Namespace = parser.parse_args(words)
     # 2. Positional words: a world and the original's setup files.
-    options.world, options.setups = _sorted_files(parser, options.files)
+    default_world = CLASS_WORLD if options.class_file else DEFAULT_WORLD
+    options.world, options.setups = _sorted_files(parser, options.files, default_world)
     # 3. Combinations that argparse cannot express.
     _refuse_unknown_models(parser, options)
     _refuse_contradictions(parser, options, words)
@@ -128,6 +132,7 @@ def read_options(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
     real_options.refuse(parser, options)
     viewer_options.refuse(parser, options)
     rosbridge_options.refuse(parser, options)
+    ros2_options.refuse(parser, options)
     restore_options.check_options(parser, options, words)
     # 4. With --restore the saved pace applies unless an option of time was given.
     options.keeps_pace = restore_options.keeps_pace(parser, words)
@@ -159,13 +164,13 @@ def as_long_option(word: str) -> str:
     return next((f"--{name}" for name in OLD_OPTIONS if name.startswith(letters)), word)
 
 
-def _sorted_files(parser: argparse.ArgumentParser, files: list[str]) -> tuple[str, list[Path]]:
+def _sorted_files(parser: argparse.ArgumentParser, files: list[str], default: str) -> tuple[str, list[Path]]:
     """Return the world and the old setup files: those with their suffix, or that exist and are no TOML."""
     setups = [name for name in files if _is_setup(name)]
     worlds = [name for name in files if not _is_setup(name)]
     if len(worlds) > 1 or len(setups) > MAX_SETUPS:
         parser.error(f"one world and two setup files at most, not {' '.join(files)}")
-    return (worlds[0] if worlds else DEFAULT_WORLD), [Path(name) for name in setups]
+    return (worlds[0] if worlds else default), [Path(name) for name in setups]
 
 
 def _is_setup(name: str) -> bool:

@@ -13,25 +13,18 @@ from pathlib import Path
 from nclient.common.arguments import add_address
 from nclient.connector import address_or_default
 from nserver_emu import cli
-from nserver_emu.rosbridge.options import DEFAULT_PORT
-from nserver_emu.viewer.options import parse_listen_address
+from nserver_emu.rosbridge.options import DEFAULT_PORT, port_text
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     add_address(parser)
-    parser.add_argument("--port", type=_port, default=str(DEFAULT_PORT), metavar="[HOST:]PORT",
+    parser.add_argument("--port", type=port_text, default=str(DEFAULT_PORT), metavar="[HOST:]PORT",
                         help=f"port to listen on, on loopback unless HOST is given (default {DEFAULT_PORT}; 0 takes a "
                         "free one)")
     parser.add_argument("--map", metavar="WORLD", help="publish this world as /map: a shipped world or a TOML file")
     parser.add_argument("--token-file", type=Path, metavar="FILE",
                         help="store the tokens in this file, so that the address stays the same over restarts")
-
-
-def _port(text: str) -> str:
-    """Return the text of a port that can be read. Raises ArgumentTypeError."""
-    parse_listen_address(text)
-    return text
 
 
 def run(options: argparse.Namespace) -> int:

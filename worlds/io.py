@@ -5,15 +5,18 @@
     [[wall]]      points                                an open line of two points or more
                   offset_std, angle_std_deg, measured   of a measured wall: how well it is known, the length measured
     [[obstacle]]  corners, name                         a closed solid; clients may move and delete it
+    [[door]]      name, points, open                    a wall between two points while it is not open
+    [[walker]]    points, speed, radius, closed, name   a person who walks along a route; speed per second
     [[start]]     x, y, steering_deg, turret_deg        degrees counter-clockwise, default 0
     [[path]]      name, figure, points, start           waypoints from the start on; start: number of a [[start]]
 
-corners, points, x and y end in their unit: _in, _cm or _m. All errors are WorldFileError.
+corners, points, speed, radius, x and y end in their unit: _in, _cm or _m. All errors are WorldFileError.
 """
 
 import functools
 import json
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from math import degrees, radians
 from os import PathLike, fspath
 from pathlib import Path as FilePath
@@ -43,12 +46,17 @@ from worlds.schema import (
 from worlds.world import (
     AT_ORIGIN,
     MAX_CORNERS,
+    MAX_DOORS,
     MAX_PATH_POINTS,
+    MAX_ROUTE_POINTS,
     MAX_STARTS,
+    MAX_WALKERS,
+    Door,
     Path,
     Point,
     Polygon,
     StartPose,
+    Walker,
     WallAccuracy,
     World,
 )
@@ -57,6 +65,8 @@ SHIPPED: Final = FilePath(__file__).resolve().parent
 """Folder of the shipped worlds."""
 DEFAULT_WORLD: Final = "thesis_room"
 """World of a simulation whose address names none."""
+MAX_ROUTE_CHECKS: Final = 20_000
+"""Points at which a route is compared with the walls: 3.5 km at the default radius."""
 CONTENT: Final = ("room", "wall", "obstacle")
 """Tables of which a world needs at least one."""
 
@@ -132,6 +142,46 @@ class _Wall(Table):
 
 
 @table()
+class _Door(Table):
+    name: Annotated[Text, Meta(min_length=1, description="name of the door, by which it is opened and closed")]
+    points: Line
+    open: Annotated[bool, Meta(description="true: nothing is there")] = False
+
+    def check(self) -> None:
+        if len(self.points) != 2:
+            found = f"found {len(self.points)} points"
+            raise InvalidValue(f"expected the two ends of a door, {found}", self.key_of("points"))
+        _reject_repeats(self, "points", polyline_segments(self.points))
+
+    def door(self) -> Door:
+        """Return the door."""
+        return Door(self.name, (self.points[0], self.points[1]), self.open)
+
+
+@table()
+class _Walker(Table):
+    name: Text = ""
+    points: Line
+    speed: Distance | UnsetType = UNSET
+    radius: Distance | UnsetType = UNSET
+    closed: Annotated[bool, Meta(description="true: from the last point to the first; false: back the same route")] = (
+        False
+    )
+
+    def check(self) -> None:
+        if len(self.points) > MAX_ROUTE_POINTS:
+            key = self.key_of("points")
+            raise InvalidValue(f"expected at most {MAX_ROUTE_POINTS} points, found {len(self.points)}", key)
+        _reject_repeats(self, "points", polyline_segments(self.points))
+
+    def walker(self) -> Walker:
+        """Return the walker."""
+        given = {"speed_in_s": self.speed, "radius_in": self.radius}
+        numbers = {name: number for name, number in given.items() if number is not UNSET}
+        return Walker(self.points, is_closed=self.closed, name=self.name, **numbers)
+
+
+@table()
 class _Start(Table):
     x: Length
     y: Length
@@ -161,6 +211,8 @@ class WorldFile(Table):
     room: Annotated[tuple[_Outline, ...], Meta(description="a closed outline, free inside")] = ()
     wall: Annotated[tuple[_Wall, ...], Meta(description="an open line of two points or more")] = ()
     obstacle: Annotated[tuple[_Outline, ...], Meta(description="a closed solid; clients may move and delete it")] = ()
+    door: Annotated[tuple[_Door, ...], Meta(description="a wall that can be opened")] = ()
+    walker: Annotated[tuple[_Walker, ...], Meta(description="a person who walks along a route")] = ()
     start: Annotated[tuple[_Start, ...], Meta(description="a start pose")] = ()
     path: Annotated[tuple[_Path, ...], Meta(description="waypoints from the start on")] = ()
 
@@ -208,10 +260,37 @@ def _build_world(values: WorldFile, name: str) -> World:
         starts=starts or AT_ORIGIN,
         paths=_paths(values.path, starts or AT_ORIGIN),
         accuracies={row: accuracy for row, accuracy in enumerate(accuracies) if accuracy},
+        doors=tuple(door.door() for door in values.door),
+        walkers=tuple(walker.walker() for walker in values.walker),
     )
     # 2. The default start need not be free.
     _require_free_places(world, starts)
+    # 3. Names of doors, and routes: doors on them may be opened later.
+    for k, door in enumerate(world.doors):
+        if door.name in [each.name for each in world.doors[:k]]:
+            raise InvalidValue(f"{door.name!r} is used by an earlier door; expected another", f"door[{k}].name")
+    for k, walker in enumerate(world.walkers):
+        if complaint := route_error(world, walker):
+            raise InvalidValue(complaint, f"walker[{k}].{values.walker[k].key_of('points')}")
     return world
+
+
+def route_error(world: World, walker: Walker) -> str:
+    """Return why a walker cannot walk its route in a world, except for doors; "" if it can."""
+    # As many points on each leg as it has radii, so that no wall stands between them.
+    points = np.array([*walker.points_in, *walker.points_in[: int(walker.is_closed)]])
+    legs = polyline_segments(points)
+    counts = np.ceil(lengths(legs) / walker.radius_in).astype(np.intp) + 1
+    if counts.sum() > MAX_ROUTE_CHECKS:
+        return f"expected a shorter route: at most {MAX_ROUTE_CHECKS} times the walker's radius"
+    on_route = np.concatenate([
+        np.linspace(leg[:2], leg[2:], count) for leg, count in zip(legs, counts.tolist(), strict=True)
+    ])  # fmt: skip
+    blocked = np.flatnonzero(replace(world, doors=()).clearances(on_route) <= 0.9 * walker.radius_in)
+    if not blocked.size:
+        return ""
+    x, y = on_route[blocked[0]].tolist()
+    return f"expected a route clear of walls for a radius of {walker.radius_in:g} in, found ({x:g}, {y:g}) in"
 
 
 def _require_free_places(world: World, starts: tuple[StartPose, ...]) -> None:
@@ -236,6 +315,8 @@ def _check_size(values: Mapping[str, Any]) -> None:
     for key, found, maximum, what in (
         ("", sum(sizes.get(key, 0) for key in CONTENT), MAX_CORNERS, "corners in total"),
         ("start", len(tables.get("start", ())), MAX_STARTS, "starts"),
+        ("door", len(tables.get("door", ())), MAX_DOORS, "doors"),
+        ("walker", len(tables.get("walker", ())), MAX_WALKERS, "walkers"),
         ("path", sizes.get("path", 0), MAX_PATH_POINTS, "points in total"),
     ):
         if found > maximum:
@@ -334,6 +415,7 @@ def _format_lines(world: World) -> Iterator[str]:
     yield from _format_walls(world)
     for thing in world.obstacles:
         yield from _format_outline("obstacle", thing)
+    yield from _format_doors_and_walkers(world)
     # Only starts in free space can be read again.
     is_free = world.clearances(np.array([(start.x_in, start.y_in) for start in world.starts])) > 0.0
     starts = [start for start, free in zip(world.starts, is_free, strict=True) if free]
@@ -364,6 +446,24 @@ def _format_walls(world: World) -> Iterator[str]:
         yield f"angle_std_deg = {degrees(accuracy.angle_std_rad)!r}"
         if accuracy.measured_in:
             yield f"measured_in = {accuracy.measured_in!r}"
+
+
+def _format_doors_and_walkers(world: World) -> Iterator[str]:
+    for door in world.doors:
+        yield from ("", "[[door]]", f"name = {_quote(door.name)}", f"points_in = {_format_points(door.ends_in)}")
+        if door.is_open:
+            yield "open = true"
+    for walker in world.walkers:
+        if route_error(world, walker):
+            yield from ("", f"# omitted because something stands on the route: the walker {_quote(walker.name)}")
+            continue
+        yield from ("", "[[walker]]")
+        if walker.name:
+            yield f"name = {_quote(walker.name)}"
+        yield f"points_in = {_format_points(walker.points_in)}"
+        yield from (f"speed_in = {float(walker.speed_in_s)!r}", f"radius_in = {float(walker.radius_in)!r}")
+        if walker.is_closed:
+            yield "closed = true"
 
 
 def _format_path(path: Path, starts: list[StartPose]) -> Iterator[str]:

@@ -51,6 +51,14 @@ def _shapes(world: World, larger: float) -> Iterator[str]:
         yield f'<path d="M{x1:.1f} {0.0 - y1:.1f}L{x2:.1f} {0.0 - y2:.1f}" stroke="#52616b"/>'
     for obstacle in world.obstacles:
         yield f'<polygon points="{_points(obstacle.corners_in)}" fill="#c8d1d8" stroke="#52616b"/>'
+    for door in world.doors:
+        dash = ' stroke-dasharray="4 3"' if door.is_open else ""
+        yield f'<polyline points="{_points(door.ends_in)}" fill="none" stroke="#b0410e"{dash}/>'
+    for walker in world.walkers:
+        outline = "polygon" if walker.is_closed else "polyline"
+        yield f'<{outline} points="{_points(walker.points_in)}" fill="none" stroke="#8a94a6" stroke-dasharray="1 4"/>'
+        x, y = walker.points_in[0]
+        yield f'<circle cx="{x:.1f}" cy="{0.0 - y:.1f}" r="{walker.radius_in:.1f}" fill="#8a94a6"/>'
     # A start is a disc with a line along its heading.
     size = min(9.0, 0.04 * larger)
     for start in world.starts[:MAX_STARTS]:

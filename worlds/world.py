@@ -3,8 +3,10 @@
 Inches and radians. Free space is inside a room (if there are rooms) and outside of all obstacles. Walls and rooms are
 fixed; obstacles may be added, moved and deleted by clients (`with_obstacles`).
 
-    walls (m, 4)    = fixed_walls | obstacles        a fixed wall keeps its row when obstacles change
+    walls (m, 4)    = fixed_walls | obstacles | closed doors     a fixed wall keeps its row when the others change
     fixed_walls     = outlines of the rooms | inner_walls
+
+Walkers are no walls: they move, so each simulation of the world has their positions.
 """
 
 from __future__ import annotations
@@ -29,6 +31,9 @@ Point = tuple[float, float]
 MAX_CORNERS, MAX_STARTS, MAX_PATH_POINTS = 50_000, 1_000, 2_000
 """Size of a world: corners and points of its rooms, walls and obstacles; starts; points of its paths. The file of a
 larger world is rejected: a simulated sonar compares each wall with each ray."""
+
+MAX_DOORS, MAX_WALKERS, MAX_ROUTE_POINTS = 200, 50, 200
+"""Doors and walkers of a world, and points of a walker's route."""
 
 MARGIN_IN: Final = 0.1
 """Extra distance from walls of the alternative position in an error message, inches."""
@@ -97,6 +102,38 @@ class Path:
         return self.points_in[1:]
 
 
+@dataclass(frozen=True, slots=True)
+class Door:
+    """A wall that can be opened: while it is open, there is nothing. `name` identifies it in its world."""
+
+    name: str
+    ends_in: tuple[Point, Point]
+    is_open: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Walker:
+    """A person who walks along a route again and again, simulated as a disc.
+
+    Attributes
+    ----------
+    points_in
+        The route, two points or more.
+    speed_in_s
+        Walking speed.
+    radius_in
+        Radius of the disc.
+    is_closed
+        True: from the last point on to the first. False: back along the same route.
+    """
+
+    points_in: tuple[Point, ...]
+    speed_in_s: float = 20.0
+    radius_in: float = 7.0
+    is_closed: bool = False
+    name: str = ""
+
+
 def _no_walls() -> FloatArray:
     return np.empty((0, 4))
 
@@ -116,6 +153,8 @@ class World:
     starts: tuple[StartPose, ...] = AT_ORIGIN
     paths: Mapping[str, Path] = field(default_factory=dict)
     accuracies: Mapping[int, WallAccuracy] = field(default_factory=dict)
+    doors: tuple[Door, ...] = ()
+    walkers: tuple[Walker, ...] = ()
     fixed_walls: FloatArray = field(init=False, repr=False)
     walls: FloatArray = field(init=False, repr=False)
     _edges: FloatArray = field(init=False, repr=False)
@@ -128,11 +167,12 @@ class World:
         solids = [thing.segments() for thing in self.obstacles]
         inner = _stacked([np.asarray(self.inner_walls, dtype=np.float64)])
         fixed = _stacked([*rooms, inner])
+        doors = np.array([np.ravel(door.ends_in) for door in self.closed_doors]).reshape(-1, 4)
         # 2. Derived arrays; edges of closed outlines are separate, for the test of points inside.
         derived = {
             "inner_walls": inner,
             "fixed_walls": fixed,
-            "walls": _stacked([fixed, *solids]),
+            "walls": _stacked([fixed, *solids, doors]),
             "paths": MappingProxyType(dict(self.paths)),
             "accuracies": MappingProxyType(dict(self.accuracies)),
             "_edges": _stacked([*rooms, *solids]),
@@ -147,6 +187,11 @@ class World:
 
         return world_svg(self)
 
+    @property
+    def closed_doors(self) -> list[Door]:
+        """The doors that are walls now."""
+        return [door for door in self.doors if not door.is_open]
+
     def with_obstacles(self, obstacles: Iterable[Polygon]) -> World:
         """Return this world with other obstacles; fixed walls keep their rows.
 
@@ -160,7 +205,7 @@ class World:
         new = [polygon.segments() for polygon in after[head : len(after) - tail]]
         firsts, rooms = np.append(self._firsts, len(self._edges)), len(self.rooms)
         begin, end = int(firsts[rooms + head]), int(firsts[rooms + len(before) - tail])
-        inner = len(self.walls) - len(self._edges)
+        inner = len(self.inner_walls)
         added = sum(map(len, new)) - (end - begin)
         derived = {
             "obstacles": after,
@@ -263,6 +308,7 @@ class World:
         kinds = [_titled(room, "the outline of a room") for room in self.rooms for _ in room.corners_in]
         kinds += ["a wall"] * len(self.inner_walls)
         kinds += [_titled(thing, "an obstacle") for thing in self.obstacles for _ in thing.corners_in]
+        kinds += [f"the door {door.name!r}" for door in self.closed_doors]
         x1, y1, x2, y2 = self.walls[row]
         return f"{kinds[row]} ({x1:g}, {y1:g})-({x2:g}, {y2:g})"
 

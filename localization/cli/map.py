@@ -14,13 +14,14 @@ from localization.filters.base import LocalizationConfig
 from localization.filters.belief import Floats
 from localization.filters.sonar_cone import ConeSonar
 from localization.filters.sonar_ray import WIRE_SONAR
-from localization.live.plot import ESTIMATE, GOAL, blank, check_picture, draw_walls, save
+from localization.live.plot import check_picture, save
 from localization.mapping.aliases import Alias, AliasFinder, find_aliases
 from localization.mapping.observability import Observability, compute_observability
 from nclient.common.arguments import add_flag, add_value
 from nclient.common.exit_codes import ExitCode
 from nclient.common.files import write_errors_as
 from nclient.errors import MapFileError, WorldFileError
+from worlds.drawing import ESTIMATE, GOAL, blank, draw_walls
 from worlds.io import format_world, load_world, parse_world
 from worlds.map_files import IN_PER_M, ImportSettings, read_map_file, write_ros_map
 from worlds.robots import BODIES

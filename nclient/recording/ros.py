@@ -1,10 +1,11 @@
 """Drives as ROS messages in MCAP files and ROS 1 and 2 bags (extra `ros`: mcap, rosbags).
 
     /robot1/odom      nav_msgs/Odometry       robot1/odom -> robot1/base_link, metres, radians (REP-103, REP-105)
-    /robot1/sonar     sensor_msgs/LaserScan   frame robot1/turret, +inf for no echo (REP-117)
+    /robot1/sonar     sensor_msgs/LaserScan   frame robot1/turret, +inf for no echo, -inf for too near (REP-117)
     /robot1/bumpers   std_msgs/UInt32         bits of State[33]
     /robot1/battery   sensor_msgs/BatteryState
     /tf               tf2_msgs/TFMessage
+    /tf_static        tf2_msgs/TFMessage      places of the sonars, if known
     /nomad/recording  std_msgs/String         lines of the recording that the drive comes from, to convert it back
 
 Read are one topic of nav_msgs/Odometry or geometry_msgs/PoseStamped and one of sensor_msgs/LaserScan, whatever their
@@ -26,33 +27,32 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from nclient.common.hints import suggest
 from nclient.errors import RecordingError
-from nclient.protocol.types import M_PER_IN, MAX_SONAR_IN
+from nclient.recording import ros_messages
 from nclient.recording.drive import RING, Drive, Sample, drive_of_recording
 from nclient.recording.format import parse_recording
+from nclient.recording.ros_messages import BATTERY, NUMBER, ODOMETRY, SCAN, TEXT, TF, TF_STATIC, TRANSFORMS
+from nclient.recording.ros_types import MessageBuilder
 
-ODOMETRY, SCAN = "nav_msgs/msg/Odometry", "sensor_msgs/msg/LaserScan"
-POSE, TEXT, NUMBER = "geometry_msgs/msg/PoseStamped", "std_msgs/msg/String", "std_msgs/msg/UInt32"
-BATTERY, TRANSFORMS = "sensor_msgs/msg/BatteryState", "tf2_msgs/msg/TFMessage"
+POSE: Final = "geometry_msgs/msg/PoseStamped"
 TRAFFIC: Final = "/nomad/recording"
 """Topic of the lines of a recording."""
 _ROBOT: Final = "robot1"
-_BUMPERS, _FRAMES = f"/{_ROBOT}/bumpers", "/tf"
+_BUMPERS, _SONAR = f"/{_ROBOT}/bumpers", f"/{_ROBOT}/sonar"
 _BATTERIES: Final = (f"/{_ROBOT}/battery/cpu", f"/{_ROBOT}/battery/motors")
-_OWN: Final = {TRAFFIC: TEXT, _BUMPERS: NUMBER, _FRAMES: TRANSFORMS, **dict.fromkeys(_BATTERIES, BATTERY)}
+_OWN: Final = {TRAFFIC: TEXT, _BUMPERS: NUMBER, TF: TRANSFORMS, TF_STATIC: TRANSFORMS,
+               **dict.fromkeys(_BATTERIES, BATTERY)}  # fmt: skip
 """Topics of `write` that others do not have, with their types."""
-_MIN_RANGE_M, _MAX_RANGE_M = 6 * M_PER_IN, MAX_SONAR_IN * M_PER_IN
-_UNKNOWN: Final = float("nan")
 MAX_RECORD_BYTES: Final = 1 << 28
 """Longer records of a MCAP file are refused: a damaged length must not take all memory. Chunks have some MB."""
 
 
 class Message(NamedTuple):
-    """A message to write: time in ns, topic, type, object of the type store."""
+    """A message to write: time in ns, topic, type, and its fields."""
 
     time_ns: int
     topic: str
     type: str
-    content: Any
+    content: ros_messages.Message
 
 
 # -- writing ----------------------------------------------------------------------------------------------------------
@@ -88,10 +88,12 @@ def _write(drive: Drive, path: Path, name: str) -> None:
 
 def _write_bag(bag: Any, drive: Drive, store: Any, serialize: Callable[[Any, str], Any]) -> None:
     topics: dict[str, Any] = {}
-    for message in _messages(drive, store):
+    builder = _builder(store)
+    for message in _messages(drive):
         if message.topic not in topics:
             topics[message.topic] = bag.add_connection(message.topic, message.type, typestore=store)
-        bag.write(topics[message.topic], message.time_ns, serialize(message.content, message.type))
+        data = serialize(builder.build(message.type, message.content), message.type)
+        bag.write(topics[message.topic], message.time_ns, data)
 
 
 def _write_mcap(drive: Drive, path: Path, store: Any) -> None:
@@ -99,88 +101,59 @@ def _write_mcap(drive: Drive, path: Path, store: Any) -> None:
         writer = McapWriter(file)
         writer.start(profile="ros2", library="nomad-nserver")
         channels: dict[str, int] = {}
-        for sequence, message in enumerate(_messages(drive, store)):
+        builder = _builder(store)
+        for sequence, message in enumerate(_messages(drive)):
             if message.topic not in channels:
                 text, _ = store.generate_msgdef(message.type, ros_version=2)
                 schema = writer.register_schema(message.type, "ros2msg", text.encode())
                 channels[message.topic] = writer.register_channel(message.topic, "cdr", schema)
-            writer.add_message(channels[message.topic], message.time_ns,
-                               bytes(store.serialize_cdr(message.content, message.type)), message.time_ns, sequence)
+            data = bytes(store.serialize_cdr(builder.build(message.type, message.content), message.type))
+            writer.add_message(channels[message.topic], message.time_ns, data, message.time_ns, sequence)
         writer.finish()  # type: ignore[no-untyped-call]
 
 
-def _messages(drive: Drive, store: Any) -> Iterator[Message]:
+def _builder(store: Any) -> MessageBuilder:
+    """Return what makes messages of rosbags, whose arrays are numpy's."""
+    import numpy as np
+
+    return MessageBuilder(store, store.types.__getitem__, np.array)
+
+
+def _messages(drive: Drive) -> Iterator[Message]:
     """Yield the messages of a drive in the order of time, the lines of its recording first."""
-    start_ns = round(drive.start_s * 1e9)
+    start_ns, ring_m = round(drive.start_s * 1e9), drive.ring_m
     first_ns = start_ns + round(drive.samples[0].time_s * 1e9)
     for line in drive.traffic:
-        yield Message(first_ns, TRAFFIC, TEXT, store.types[TEXT](line))
+        yield Message(first_ns, TRAFFIC, TEXT, {"data": line})
+    if ring_m:
+        yield Message(first_ns, TF_STATIC, TRANSFORMS,
+                      {"transforms": ros_messages.sonar_frames(first_ns, _ROBOT, ring_m)})  # fmt: skip
     for sample in drive.samples:
-        yield from sample_messages(sample, drive.directions_rad, start_ns, store)
+        yield from sample_messages(sample, drive.directions_rad, start_ns, ring_m)
 
 
-def sample_messages(sample: Sample, directions: Sequence[float], start_ns: int, store: Any) -> Iterator[Message]:
+def sample_messages(
+    sample: Sample, directions: Sequence[float], start_ns: int, ring_m: float
+) -> Iterator[Message]:
     """Yield the messages of one sample."""
-    import numpy as np
-
-    types = store.types
     time_ns = start_ns + round(sample.time_s * 1e9)
-
-    def header(frame: str) -> Any:
-        stamp = types["builtin_interfaces/msg/Time"](time_ns // 10**9, time_ns % 10**9)
-        kind = types["std_msgs/msg/Header"]
-        # Headers of ROS 1 have a sequence number.
-        return kind(0, stamp, frame) if "seq" in kind.__dataclass_fields__ else kind(stamp, frame)
-
-    def vector(x: float = 0.0, y: float = 0.0, z: float = 0.0, kind: str = "Vector3") -> Any:
-        return types[f"geometry_msgs/msg/{kind}"](x, y, z)
-
-    def rotation(angle: float) -> Any:
-        return types["geometry_msgs/msg/Quaternion"](0.0, 0.0, math.sin(angle / 2), math.cos(angle / 2))
-
-    def transform(parent: str, child: str, x: float, y: float, angle: float) -> Any:
-        moved = types["geometry_msgs/msg/Transform"](vector(x, y), rotation(angle))
-        return types["geometry_msgs/msg/TransformStamped"](header(f"{_ROBOT}/{parent}"), f"{_ROBOT}/{child}", moved)
-
-    # 1. Pose and velocity by odometry; their covariances are unknown: zeros.
-    pose = types["geometry_msgs/msg/Pose"](vector(sample.x_m, sample.y_m, 0.0, "Point"), rotation(sample.heading_rad))
-    twist = types["geometry_msgs/msg/Twist"](vector(sample.speed_m_s), vector(z=sample.turn_rad_s))
-    unknown = np.zeros(36)
-    yield Message(time_ns, f"/{_ROBOT}/odom", ODOMETRY, types[ODOMETRY](
-        header(f"{_ROBOT}/odom"), f"{_ROBOT}/base_link",
-        types["geometry_msgs/msg/PoseWithCovariance"](pose, unknown),
-        types["geometry_msgs/msg/TwistWithCovariance"](twist, unknown)))
-    # 2. Frames: the turret turns on the base.
+    at = sample.x_m, sample.y_m, sample.heading_rad
+    # 1. Pose and velocity by odometry, and frames: the turret turns on the base.
+    moved = ros_messages.odometry(time_ns, _ROBOT, at, sample.speed_m_s, sample.turn_rad_s)
+    yield Message(time_ns, f"/{_ROBOT}/odom", ODOMETRY, moved)
     turret = sample.heading_rad if sample.turret_rad is None else sample.turret_rad
-    frames = [transform("odom", "base_link", sample.x_m, sample.y_m, sample.heading_rad)]
-    frames.append(transform("base_link", "turret", 0.0, 0.0, turret - sample.heading_rad))
-    yield Message(time_ns, _FRAMES, TRANSFORMS, types[TRANSFORMS](frames))
-    # 3. Bumpers and battery, before the sonars: a scan completes the sample when it is read.
-    yield Message(time_ns, _BUMPERS, NUMBER, types[NUMBER](sample.bumpers))
+    frames = ros_messages.moving_frames(time_ns, _ROBOT, at, turret - sample.heading_rad)
+    yield Message(time_ns, TF, TRANSFORMS, {"transforms": frames})
+    # 2. Bumpers and battery, before the sonars: a scan completes the sample when it is read.
+    yield Message(time_ns, _BUMPERS, NUMBER, {"data": sample.bumpers})
     if sample.volts:
         for topic, volts in zip(_BATTERIES, sample.volts, strict=True):
-            place = topic.rpartition("/")[2]
-            yield Message(time_ns, topic, BATTERY, battery(types, header(""), volts, place))
-    # 4. Sonars as a scan: it has room for readings at equal angles only.
+            yield Message(time_ns, topic, BATTERY, ros_messages.battery(time_ns, "", volts, topic.rpartition("/")[2]))
+    # 3. Sonars.
     if sample.ranges_m:
-        step = math.remainder(directions[1] - directions[0], math.tau) if len(directions) > 1 else 0.0
-        angle_max = directions[0] + step * (len(directions) - 1)
-        # Readings of other sensors reach farther: beyond the maximum of a scan a reading is no echo.
-        max_m = max((_MAX_RANGE_M, *(one for one in sample.ranges_m if one < math.inf)))
-        scan = types[SCAN](header(f"{_ROBOT}/turret"), directions[0], angle_max, step, 0.0, 0.0, _MIN_RANGE_M,
-                           max_m, np.array(sample.ranges_m, np.float32), np.array([], np.float32))
-        yield Message(time_ns, f"/{_ROBOT}/sonar", SCAN, scan)
-
-
-def battery(types: Any, header: Any, volts: float, place: str) -> Any:
-    """Return a BatteryState of which only the voltage is measured."""
-    import numpy as np
-
-    kind, none = types[BATTERY], np.array([], np.float32)
-    values = {"header": header, "voltage": volts, "present": True, "location": place, "serial_number": "",
-              "cell_voltage": none, "cell_temperature": none, "power_supply_status": 0, "power_supply_health": 0,
-              "power_supply_technology": 0}
-    return kind(**{name: values.get(name, _UNKNOWN) for name in kind.__dataclass_fields__ if name[0] != "_"})
+        ranges_m = [ros_messages.range_m(one) for one in sample.ranges_m] if ring_m else sample.ranges_m
+        scan = ros_messages.scan(time_ns, _ROBOT, ranges_m, directions, ring_m)
+        yield Message(time_ns, _SONAR, SCAN, scan)
 
 
 # -- reading ----------------------------------------------------------------------------------------------------------
@@ -279,6 +252,7 @@ class _Builder:
         self._directions: tuple[float, ...] = ()
         self._ignored: dict[str, str] = {}
         self._early = self._odd = 0
+        self._ring_m = 0.0
         self.lines: list[str] = []
 
     def choose(self, topics: Iterable[tuple[str, str]]) -> None:
@@ -317,6 +291,10 @@ class _Builder:
             self._set_pose(time_ns, pose)
         elif kind == POSE:
             self._set_pose(time_ns, _pose(message.pose))
+        elif topic == TF_STATIC:
+            # All sonars have the same distance from the axis.
+            own = (one for one in message.transforms if one.child_frame_id == f"{_ROBOT}/sonar_0")
+            self._ring_m = next((one.transform.translation.x for one in own), self._ring_m)
         elif kind == TRANSFORMS:
             self._frames_seen = True
             for transform in message.transforms:
@@ -334,9 +312,9 @@ class _Builder:
                 cpu, motors = (self._volts[one] for one in _BATTERIES)
                 self._pose = self._pose._replace(volts=(cpu, motors))
         elif kind == SCAN:
-            self._add_scan(time_ns, message)
+            self._add_scan(time_ns, message, self._ring_m if topic == _SONAR else 0.0)
 
-    def _add_scan(self, time_ns: int, message: Any) -> None:
+    def _add_scan(self, time_ns: int, message: Any, ring_m: float) -> None:
         count, step = len(message.ranges), message.angle_increment
         directions = tuple(message.angle_min + k * step for k in range(count))
         # A scan has angles in single precision: those of a Nomad's ring are known exactly.
@@ -348,7 +326,8 @@ class _Builder:
         if count != len(self._directions) or not all(math.isclose(*both, abs_tol=1e-3) for both in ends):
             self._odd += 1
             return
-        self._add_ranges(time_ns, tuple(_range(value, message.range_max) for value in message.ranges))
+        limits_m = message.range_min, message.range_max
+        self._add_ranges(time_ns, tuple(_range(value, *limits_m) - ring_m for value in message.ranges))
 
     def _set_pose(self, time_ns: int, pose: Sample) -> None:
         before = self._pose
@@ -397,9 +376,9 @@ class _Builder:
         found = [(time_ns, sample) for time_ns, sample, is_scan in self._found if is_scan or not with_ranges]
         start_ns = found[0][0] if found and found[0][0] > 10**18 else 0
         samples = [sample._replace(time_s=(time_ns - start_ns) / 1e9) for time_ns, sample in found]
-        drive = Drive(samples, self._directions or RING, start_ns / 1e9)
+        drive = Drive(samples, self._directions or RING, self._ring_m, start_ns / 1e9)
         if self._frames_seen and not self._has_turret:
-            self._ignored[_FRAMES] = TRANSFORMS
+            self._ignored[TF] = TRANSFORMS
         drive.omitted += [f"{topic} ({kind})" for topic, kind in self._ignored.items()]
         if self._odd:
             drive.omitted.append(f"{self._odd} scans with other directions than the first")
@@ -421,6 +400,11 @@ def _angle_of(x: float, y: float, z: float, w: float) -> float:
     return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
-def _range(value: float, max_m: float) -> float:
-    """Return a reading in metres, inf for none (REP-117: +inf; older drivers: NaN, or beyond the maximum)."""
+def _range(value: float, min_m: float, max_m: float) -> float:
+    """Return a reading in metres; inf for none (REP-117: +inf; older drivers: NaN, or beyond the maximum).
+
+    One that is too near (-inf) reads as the minimum.
+    """
+    if value == -math.inf:
+        return float(min_m)
     return float(value) if 0 <= value <= max_m else math.inf

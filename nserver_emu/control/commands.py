@@ -23,7 +23,7 @@ from nclient.errors import ControlError, NomadError
 from nclient.faults.frames import total
 from nclient.faults.plan import parse_plan, plan_text
 from nserver_emu.persistence import snapshot
-from nserver_emu.server.handlers import runtime_settings
+from nserver_emu.server.handlers import doors_and_walkers, runtime_settings
 from nserver_emu.server.handlers.server import MAX_STEP_MS
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.link import FaultController
@@ -329,6 +329,22 @@ def _wall(server: ControlledServer, argument: object) -> JsonObject:
     return result
 
 
+def _door(server: ControlledServer, argument: object) -> JsonObject:
+    is_words = isinstance(argument, str) and not argument.lstrip().startswith("{")
+    words = doors_and_walkers.door_words(str(argument)) if is_words else argument
+    change = _json_object(words, doors_and_walkers.DOOR_USAGE)
+    result = doors_and_walkers.change_door(server.emulator, change)
+    server.record_change({"door": change})
+    return result
+
+
+def _walker(server: ControlledServer, argument: object) -> JsonObject:
+    change = _json_object(argument, doors_and_walkers.WALKER_USAGE)
+    result = doors_and_walkers.change_walker(server.emulator, change)
+    server.record_change({"walker": change})
+    return result
+
+
 # Arguments.
 
 
@@ -371,6 +387,8 @@ COMMANDS: Final = (
     ControlCommand(WORLD_SET, "WORLD", "replace the world; robots keep their poses", _put_world),
     ControlCommand("obstacle", "JSON", "move (by, to), remove or add (put) an obstacle", _obstacle),
     ControlCommand("wall", "JSON", "move (by, to), remove or add (put) an inner wall", _wall),
+    ControlCommand("door", "WORDS", "open or close a door: 'kitchen open'; or add, move, remove one, as JSON", _door),
+    ControlCommand("walker", "JSON", "add (put), move (by, to) or remove a person who walks along a route", _walker),
     ControlCommand("pause", "", "pause simulated time", _pause),
     ControlCommand("resume", "", "resume simulated time", _resume),
     ControlCommand("speed", "X", f"set simulated seconds per second, or {MAX_SPEED}", _speed),

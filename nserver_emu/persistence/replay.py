@@ -15,6 +15,7 @@ from nclient.recording.format import IN, OUT, Entry, Recording
 from nclient.recording.recorder import HANDSHAKE_FIRST, TCP
 from nserver_emu.persistence.recording import SERVER, RunHeader
 from nserver_emu.server.client_registry import CLOSED_RETENTION_S, ClientRegistry
+from nserver_emu.server.handlers.doors_and_walkers import change_door, change_walker
 from nserver_emu.server.handlers.runtime_settings import (
     change_obstacle,
     change_wall,
@@ -229,6 +230,10 @@ def _apply_change(emulator: Emulator, name: str, value: Any) -> None:
             change_obstacle(emulator, value)
         case "wall":
             change_wall(emulator, value)
+        case "door":
+            change_door(emulator, value)
+        case "walker":
+            change_walker(emulator, value)
         case "world":
             put_world(emulator, **value)
 

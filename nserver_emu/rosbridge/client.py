@@ -11,6 +11,7 @@ stop the robot.
 
 import json
 import logging
+import math
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -28,6 +29,7 @@ MAX_UNSENT: Final = 200
 """Messages that wait for a slow client; older ones are dropped."""
 _ROSAPI: Final = ("/rosapi/topics", "/rosapi/topic_type", "/rosapi/services")
 _TYPE_PREFIX: Final = "/msg/"
+_TIME: Final = {"sec", "nanosec"}
 
 
 class InvalidRequest(ValueError):
@@ -236,7 +238,30 @@ class RosbridgeClient:
 
 def encode_published(topic: str, message: dict[str, Any]) -> str:
     """Encode a message of a topic."""
-    return _encode({"op": "publish", "topic": topic, "msg": message})
+    return _encode({"op": "publish", "topic": topic, "msg": _as_json(message)})
+
+
+def _as_json(value: Any) -> Any:
+    """Return a message in the form of rosbridge: JSON has no infinity and no NaN, and times are those of ROS 1.
+
+    A wall nearer than a sonar measures is its minimum, since null would be no echo.
+    """
+    match value:
+        case {"ranges": ranges, "range_min": nearest}:
+            value = value | {"ranges": [max(one, nearest) for one in ranges]}
+        case {"range": one, "min_range": nearest}:
+            value = value | {"range": max(one, nearest)}
+    match value:
+        case float():
+            return value if math.isfinite(value) else None
+        case dict() if value.keys() == _TIME:
+            return {"secs": value["sec"], "nsecs": value["nanosec"]}
+        case dict():
+            return {name: _as_json(one) for name, one in value.items()}
+        # A map has a million whole numbers.
+        case [float() | dict(), *_]:
+            return [_as_json(one) for one in value]
+    return value
 
 
 def _encode(message: dict[str, Any]) -> str:
@@ -259,8 +284,13 @@ def _parse(text: str) -> dict[str, Any]:
 def _require_type(request: dict[str, Any], wanted: str) -> None:
     given = request.get("type")
     # ROS 1 and ROS 2 spell it nav_msgs/Odometry and nav_msgs/msg/Odometry.
-    if given is not None and str(given).replace(_TYPE_PREFIX, "/") != wanted:
+    if given is not None and short_type(str(given)) != wanted:
         raise InvalidRequest(f"{request['topic']}: is of type {wanted}, not {given!a:.80}")
+
+
+def short_type(name: str) -> str:
+    """Return the name of a type as in ROS 1."""
+    return name.replace(_TYPE_PREFIX, "/")
 
 
 def _robot_of(topic: str) -> int:

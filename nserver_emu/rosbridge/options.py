@@ -14,8 +14,9 @@ from typing import Final
 
 from nclient.common.hints import install_command
 from nclient.errors import ExtraMissing, NomadError
+from nserver_emu.rosbridge.readings import Estimates
 from nserver_emu.server.daemon import Daemon
-from nserver_emu.viewer.options import ListenAddress, listen_address_of
+from nserver_emu.viewer.options import ListenAddress, listen_address_of, parse_listen_address
 
 DEFAULT_PORT: Final = 9090
 """The port that rosbridge clients use by default."""
@@ -34,6 +35,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
                        "over restarts (created where it is missing; may be that of the page)")
 
 
+def port_text(text: str) -> str:
+    """Return the text of a port that can be read. Raises ArgumentTypeError."""
+    parse_listen_address(text)
+    return text
+
+
 def refuse(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
     """Report options that exclude each other as wrong usage."""
     if options.rosbridge_token_file is not None and options.rosbridge is None:
@@ -41,8 +48,16 @@ def refuse(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None
 
 
 @asynccontextmanager
-async def running_rosbridge(daemon: Daemon, options: argparse.Namespace) -> AsyncIterator[list[str]]:
+async def running_rosbridge(
+    daemon: Daemon, options: argparse.Namespace, estimates: Estimates
+) -> AsyncIterator[list[str]]:
     """Serve rosbridge clients as the options require; yield the lines to print.
+
+    Parameters
+    ----------
+    daemon : the robots.
+    options : the options of `nserver`.
+    estimates : gets what localizers publish.
 
     Raises
     ------
@@ -63,7 +78,8 @@ async def running_rosbridge(daemon: Daemon, options: argparse.Namespace) -> Asyn
             host, port = options.rosbridge
             # The world of a real robot is known only if it was named.
             has_map = options.real is None or bool(options.files)
-            lines = await opened.enter_async_context(serve_rosbridge(daemon, host, port, tokens, has_map=has_map))
+            serving = serve_rosbridge(daemon, host, port, tokens, has_map=has_map, estimates=estimates)
+            lines = await opened.enter_async_context(serving)
         except NomadError:
             await daemon.close()
             raise

@@ -3,8 +3,7 @@
     GET /?token=T             the websocket, at any path; programs send no Origin, pages that of this port
     POST /publish?token=T     estimates of a localizer: `nomad localize --publish URL`
 
-Tokens, Host, address and rate checks and limits are those of the page (nserver_emu/viewer). Simulated robots are read
-without a request, so that watching does not feed a program's motion timeout; a real one is asked by gs.
+Tokens, Host, address and rate checks and limits are those of the page (nserver_emu/viewer).
 """
 
 from __future__ import annotations
@@ -12,26 +11,20 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-import math
-import time
 from collections.abc import AsyncIterator
 from typing import Any, Final
 
-import numpy as np
 from aiohttp import WSCloseCode, WSMsgType, web
 
 from nclient.common.allowlist import LOOPBACK_NAME, is_loopback
 from nclient.common.hints import install_command
-from nclient.protocol.replies import Reply
-from nclient.protocol.types import M_PER_IN, MOTOR_RANGE_V, volts
+from nclient.recording.ros_messages import MAP, TF, TF_STATIC
 from nserver_emu.rosbridge import topics
-from nserver_emu.rosbridge.client import InvalidRequest, RosbridgeClient, Services, encode_published
-from nserver_emu.rosbridge.topics import Reading
+from nserver_emu.rosbridge.client import InvalidRequest, RosbridgeClient, Services, encode_published, short_type
+from nserver_emu.rosbridge.readings import Estimates, RobotReader, map_message
 from nserver_emu.server.daemon import Daemon
-from nserver_emu.server.server_state import state_slots
-from nserver_emu.simulation.robot import battery_v
 from nserver_emu.viewer import auth
-from nserver_emu.viewer.controller import STALE_S, Answer, ViewerClients
+from nserver_emu.viewer.controller import ViewerClients
 from nserver_emu.viewer.error_boundary import ErrorBoundary
 from nserver_emu.viewer.messages import DRIVE_TIMEOUT_S, MAX_TEXT, InvalidMessage, parse_estimate
 from nserver_emu.viewer.server import (
@@ -44,17 +37,10 @@ from nserver_emu.viewer.server import (
     next_due,
     transport_of,
 )
-from worlds.cells import cells_of_world
 from worlds.world import World
 
 log = logging.getLogger(__name__)
 
-PERIOD_S: Final = 0.05
-"""Interval at which robots are read: twenty times a second, as for the page."""
-MAP_CELL_IN: Final = 2.0
-"""Cells of /map: 5 cm."""
-MAX_MAP_CELLS: Final = 1_000_000
-"""50 x 50 m of such cells; larger worlds get larger cells, since all robots wait while the map is made."""
 MAX_MESSAGE: Final = 131_072
 """Bytes of a message from a client; they are short. A longer one closes the connection."""
 
@@ -62,7 +48,10 @@ MAX_MESSAGE: Final = 131_072
 class RosbridgeServer:
     """Serve one daemon's robots to rosbridge clients. `has_map` is False if the world is not that of the robots."""
 
-    def __init__(self, daemon: Daemon, tokens: auth.Tokens | None = None, *, has_map: bool = True) -> None:
+    def __init__(
+        self, daemon: Daemon, tokens: auth.Tokens | None = None, *, has_map: bool = True,
+        estimates: Estimates | None = None,
+    ) -> None:  # fmt: skip
         self.tokens = tokens or auth.new_tokens()
         self._daemon = daemon
         self._port = HttpPort(daemon.admission, "rosbridge", "--rosbridge")
@@ -71,13 +60,10 @@ class RosbridgeServer:
         self._clients: dict[RosbridgeClient, PageWriter] = {}
         self._sockets: set[web.WebSocketResponse] = set()
         self._clients_made = 0
-        # The last estimate of each robot, and when it came.
-        self._estimates: dict[int, tuple[float, dict[str, Any]]] = {}
         # The world of /map, and the message about it.
         self._map: tuple[World, str] | None = None
-        # A real robot is asked for its state on connections of the server's own.
-        self._readers = ViewerClients(daemon, "rosbridge", self._error_boundary, answer_with_reply)
-        self._asked: set[int] = set()
+        self._estimates = estimates or Estimates()
+        self._reader = RobotReader(daemon, "rosbridge", self._error_boundary, self._offer, self._estimates)
         self._host_name = LOOPBACK_NAME
         self._clock: asyncio.Task[None] | None = None
 
@@ -106,7 +92,7 @@ class RosbridgeServer:
             self._clock = None
         closing = [socket.close(code=WSCloseCode.GOING_AWAY, drain=False) for socket in self._sockets]
         await asyncio.gather(*closing, return_exceptions=True)
-        self._readers.close()
+        self._reader.close()
         await self._port.close()
 
     # -- requests
@@ -130,11 +116,7 @@ class RosbridgeServer:
         robot = estimate["robot"]
         if robot not in self._daemon.emulator.simulation.robots:
             raise web.HTTPBadRequest(text=f"there is no robot {robot}\n")
-        # The pose of a robot that is lost is undefined: it has neither a pose nor a frame map.
-        self._estimates.pop(robot, None)
-        if estimate["trust"] != "LOST":
-            self._estimates[robot] = _now(), estimate
-            self._offer(f"/robot{robot}/pose", topics.estimate_message(estimate, time.time()))
+        self._estimates.add(robot, estimate)
         return web.json_response({"waypoints": None, "set": 0})
 
     async def _socket(self, request: web.Request) -> web.StreamResponse:
@@ -189,24 +171,27 @@ class RosbridgeServer:
 
     def _services(self) -> Services:
         simulated = self._daemon.emulator.simulation.robots
+        published, commands = topics.topic_types(list(simulated)), topics.command_types(list(simulated))
         return Services(
-            topics.topic_types(list(simulated)), topics.command_types(list(simulated)),
+            {name: short_type(kind) for name, kind in published.items()},
+            {name: short_type(kind) for name, kind in commands.items()},
             lambda robot: simulated[robot].model.track_in is not None, self._latched,
         )  # fmt: skip
 
     def _latched(self, topic: str) -> str | None:
-        """Return the map, the only topic that is sent once. Raises InvalidRequest if there is none."""
-        if topic != topics.MAP:
+        """Return a topic that is sent once: frames of sonars, map. Raises InvalidRequest if there is no map."""
+        if topic == TF_STATIC:
+            return encode_published(topic, self._reader.static_frames())
+        if topic != MAP:
             return None
         if not self._has_map:
             raise InvalidRequest("/map: the map of this robot is not known; name it with --map")
         world = self._daemon.emulator.simulation.world
         if self._map is None or self._map[0] is not world:
             try:
-                grid = cells_of_world(world, map_cell_in(world))
+                self._map = world, encode_published(topic, map_message(world))
             except ImportError as error:
                 raise InvalidRequest(f"/map: {error}; install it: {install_command('maps')}") from None
-            self._map = world, encode_published(topic, topics.grid_message(grid, time.time()))
         return self._map[1]
 
     # -- publishing
@@ -230,41 +215,11 @@ class RosbridgeServer:
             client.robots.tick(now)
         wanted = {topic for client in self._clients for topic in client.subscriptions}
         for robot in self._daemon.emulator.simulation.robots:
-            if topics.TF in wanted or any(topic.startswith(f"/robot{robot}/") for topic in wanted):
+            if TF in wanted or any(topic.startswith(f"/robot{robot}/") for topic in wanted):
                 with self._error_boundary.guard("reading a robot"):
-                    self._read(robot)
+                    self._reader.read(robot)
         for client in tuple(self._clients):
             await self._send(client)
-
-    def _read(self, robot: int) -> None:
-        daemon = self._daemon
-        if daemon.handler is daemon.emulator:
-            simulated = daemon.emulator.simulation.robots[robot]
-            slots = state_slots(simulated, daemon.emulator.clock.speed_tenths)
-            self._publish_reading(robot, slots, battery_v(daemon.emulator.simulation.time_s))
-        elif robot not in self._asked:
-            # One question at a time: a slow line is not asked faster than it answers.
-            self._asked.add(robot)
-            self._readers.call(robot, "gs", [], lambda answer: self._answered(robot, answer))
-
-    def _answered(self, robot: int, answer: Answer) -> None:
-        self._asked.discard(robot)
-        reply = answer.get("reply")
-        if answer["ok"] and reply is not None and reply.slots:
-            raw = reply.volts[1] if reply.volts else None
-            slots = [reply.slots.get(slot, 0) for slot in range(45)]
-            self._publish_reading(robot, slots, None if raw is None else volts(raw, MOTOR_RANGE_V))
-
-    def _publish_reading(self, robot: int, slots: list[int], volts_v: float | None) -> None:
-        body = self._daemon.emulator.simulation.robots[robot].model
-        reading = Reading(robot, slots, body.track_in is not None, time.time(), volts_v)
-        for topic, message in topics.messages_of(reading):
-            self._offer(topic, message)
-        come_s, estimate = self._estimates.get(robot, (-math.inf, None))
-        ring_m = body.body.sonar_ring_radius_in * M_PER_IN
-        is_localized = estimate is not None and _now() - come_s < STALE_S
-        localized = topics.map_to_odom(estimate) if estimate is not None and is_localized else None
-        self._offer(topics.TF, {"transforms": topics.transforms(reading, ring_m, localized)})
 
     def _offer(self, topic: str, message: dict[str, Any]) -> None:
         now = _now()
@@ -314,31 +269,17 @@ class Backlog:
         self._has_turned = True
 
 
-def map_cell_in(world: World) -> float:
-    """Return the size of the cells of /map: MAP_CELL_IN, twice that for a large world, and so on."""
-    wide, high = np.ptp(world.walls.reshape(-1, 2), axis=0).tolist()
-    size = MAP_CELL_IN
-    while wide * high > MAX_MAP_CELLS * size**2:
-        size *= 2.0
-    return size
-
-
-def answer_with_reply(name: str, reply: Reply) -> Answer:
-    """Return the answer to a call with its whole reply."""
-    del name
-    return {"ok": reply.kind != "error", "values": list(reply.values), "reply": reply}
-
-
 def _now() -> float:
     return asyncio.get_running_loop().time()
 
 
 @contextlib.asynccontextmanager
 async def serve_rosbridge(
-    daemon: Daemon, host: str, port: int, tokens: auth.Tokens | None = None, *, has_map: bool = True
+    daemon: Daemon, host: str, port: int, tokens: auth.Tokens | None = None, *, has_map: bool = True,
+    estimates: Estimates | None = None,
 ) -> AsyncIterator[list[str]]:
     """Serve rosbridge clients; yield the line to print."""
-    server = RosbridgeServer(daemon, tokens, has_map=has_map)
+    server = RosbridgeServer(daemon, tokens, has_map=has_map, estimates=estimates)
     port = await server.open(host, port)
     if not is_loopback(host):
         log.warning("rosbridge is open to the network, unencrypted: all who read its address can drive the robots; "

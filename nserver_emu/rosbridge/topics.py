@@ -1,17 +1,17 @@
-"""ROS messages of a robot's state, as JSON objects: metres, radians, the frames of REP-103 and REP-105.
+"""Topics of robots, for rosbridge and for ROS 2 by DDS, and their messages from a robot's state.
 
     /robotN/odom          nav_msgs/Odometry          odom -> base_link
-    /robotN/sonar         sensor_msgs/LaserScan      in the frame turret, counter-clockwise from ahead
+    /robotN/sonar         sensor_msgs/LaserScan      from the axis, the frame turret, counter-clockwise from ahead
     /robotN/sonar/K       sensor_msgs/Range          sonar K, in its own frame
     /robotN/bumpers       std_msgs/UInt32            bits of State[33]
     /robotN/battery       sensor_msgs/BatteryState   of the motors
     /robotN/pose          geometry_msgs/PoseWithCovarianceStamped    the published estimate, in the frame map
     /robotN/cmd_vel       geometry_msgs/Twist        from programs: m/s and rad/s
-    /tf                   tf2_msgs/TFMessage
+    /tf                   tf2_msgs/TFMessage         frames that move
+    /tf_static            tf2_msgs/TFMessage         the sonars' frames
     /map                  nav_msgs/OccupancyGrid     the world
 
-Frames of robot N begin with `robotN/`. JSON has no infinity: as in rosbridge, null stands for the +inf of REP-117, no
-echo. A wall nearer than a sonar measures reads as its minimum.
+Frames of robot N begin with `robotN/`. Messages have the form of nclient/recording/ros_messages.py.
 """
 
 import math
@@ -20,16 +20,31 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from nclient.protocol.types import M_PER_IN, MAX_SONAR_IN, MIN_SONAR_IN, SCOUT_WHEEL_IN_PER_DEG, SONAR_SLOTS
+from nclient.protocol.types import M_PER_IN, MAX_SONAR_IN, SCOUT_WHEEL_IN_PER_DEG, SONAR_SLOTS
+from nclient.recording import ros_messages
+from nclient.recording.drive import RING
+from nclient.recording.ros_messages import (
+    BATTERY,
+    ESTIMATE,
+    GRID,
+    MAP,
+    MAP_FRAME,
+    NUMBER,
+    ODOMETRY,
+    RANGE,
+    SCAN,
+    TF,
+    TF_STATIC,
+    TRANSFORMS,
+    TWIST,
+    Message,
+    Pose2,
+    header,
+    pose,
+    stamp,
+)
 from worlds.cells import Cell, OccupancyGrid
 
-Message = dict[str, Any]
-ODOMETRY, SCAN, RANGE = "nav_msgs/Odometry", "sensor_msgs/LaserScan", "sensor_msgs/Range"
-NUMBER, BATTERY, ESTIMATE = "std_msgs/UInt32", "sensor_msgs/BatteryState", "geometry_msgs/PoseWithCovarianceStamped"
-TWIST, TRANSFORMS, GRID = "geometry_msgs/Twist", "tf2_msgs/TFMessage", "nav_msgs/OccupancyGrid"
-TF, MAP, MAP_FRAME = "/tf", "/map", "map"
-_HALF_CONE_RAD: Final = math.radians(12.5)
-_ULTRASOUND: Final = 0
 _TENTH_M: Final = M_PER_IN / 10
 _TENTH_RAD: Final = math.radians(0.1)
 # Places in the State vector (docs/protocol.md).
@@ -39,19 +54,28 @@ _MAX_TENTHS: Final = 32767
 
 
 class Reading(NamedTuple):
-    """State[0..44] of a robot, and its motors' battery in volts if known; `stamp_s` is Unix time."""
+    """State[0..44] of a robot, and its motors' battery in volts if known; `time_ns` is Unix time.
+
+    The sonars are on a circle of radius `ring_m` around the axis of the turret.
+    """
 
     robot: int
     state: Sequence[int]
     is_differential: bool
-    stamp_s: float
+    time_ns: int
     volts: float | None = None
+    ring_m: float = 0.0
 
     @property
-    def pose(self) -> tuple[float, float, float]:
+    def pose(self) -> Pose2:
         """Return x, y in metres and heading in radians, by odometry."""
         x, y, steer = self.state[_X : _X + 3]
         return x * _TENTH_M, y * _TENTH_M, math.remainder(steer * _TENTH_RAD, math.tau)
+
+    @property
+    def sonars(self) -> Sequence[int]:
+        """Return the sixteen sonars in inches."""
+        return self.state[_SONARS : _SONARS + SONAR_SLOTS]
 
     @property
     def turret_rad(self) -> float:
@@ -71,7 +95,7 @@ class Reading(NamedTuple):
 
 def topic_types(robots: Sequence[int]) -> dict[str, str]:
     """Return the types of all topics that are published, by name."""
-    types = {TF: TRANSFORMS, MAP: GRID}
+    types = {TF: TRANSFORMS, TF_STATIC: TRANSFORMS, MAP: GRID}
     for robot in robots:
         base = f"/robot{robot}"
         types |= {f"{base}/odom": ODOMETRY, f"{base}/sonar": SCAN, f"{base}/bumpers": NUMBER}
@@ -86,55 +110,42 @@ def command_types(robots: Sequence[int]) -> dict[str, str]:
 
 
 def messages_of(reading: Reading) -> Iterator[tuple[str, Message]]:
-    """Yield the topics of a robot's state, except /tf."""
-    base, frame = f"/robot{reading.robot}", f"robot{reading.robot}"
-    (x, y, heading), (speed, turn) = reading.pose, reading.velocity
-    no_covariance = [0.0] * 36
-    yield f"{base}/odom", {
-        "header": header(reading.stamp_s, f"{frame}/odom"), "child_frame_id": f"{frame}/base_link",
-        "pose": {"pose": pose(x, y, heading), "covariance": no_covariance},
-        "twist": {"twist": {"linear": vector(speed), "angular": vector(z=turn)}, "covariance": no_covariance},
-    }
-    ranges = [None if value >= MAX_SONAR_IN else value * M_PER_IN for value in sonars(reading)]
-    step = math.tau / SONAR_SLOTS
-    yield f"{base}/sonar", {
-        "header": header(reading.stamp_s, f"{frame}/turret"), "angle_min": 0.0, "angle_max": math.tau - step,
-        "angle_increment": step, "time_increment": 0.0, "scan_time": 0.0, "range_min": MIN_SONAR_IN * M_PER_IN,
-        "range_max": MAX_SONAR_IN * M_PER_IN, "ranges": ranges, "intensities": [],
-    }
+    """Yield the topics of a robot's state, except frames."""
+    base, frame, time_ns = f"/robot{reading.robot}", frame_of(reading.robot), reading.time_ns
+    yield f"{base}/odom", ros_messages.odometry(time_ns, frame, reading.pose, *reading.velocity)
+    readings_m = (math.inf if value >= MAX_SONAR_IN else value * M_PER_IN for value in reading.sonars)
+    ranges = [ros_messages.range_m(one) for one in readings_m]
+    yield f"{base}/sonar", ros_messages.scan(time_ns, frame, ranges, RING, reading.ring_m)
     for k, range_m in enumerate(ranges):
-        yield f"{base}/sonar/{k}", {
-            "header": header(reading.stamp_s, f"{frame}/sonar_{k}"), "radiation_type": _ULTRASOUND,
-            "field_of_view": 2 * _HALF_CONE_RAD, "min_range": MIN_SONAR_IN * M_PER_IN,
-            "max_range": MAX_SONAR_IN * M_PER_IN, "range": range_m,
-        }
+        yield f"{base}/sonar/{k}", ros_messages.sonar_range(time_ns, frame, k, range_m)
     yield f"{base}/bumpers", {"data": reading.state[_BUMPER]}
     if reading.volts is not None:
-        yield f"{base}/battery", {
-            "header": header(reading.stamp_s, f"{frame}/base_link"), "voltage": reading.volts, "present": True,
-            "location": "motors", "percentage": None, "current": None, "charge": None,
-        }
+        yield f"{base}/battery", ros_messages.battery(time_ns, f"{frame}/base_link", reading.volts, "motors")
 
 
-def sonars(reading: Reading) -> Sequence[int]:
-    """Return the sixteen sonars of State in inches."""
-    return reading.state[_SONARS : _SONARS + SONAR_SLOTS]
+def frame_of(robot: int) -> str:
+    """Return the name that the frames of a robot begin with."""
+    return f"robot{robot}"
 
 
-def transforms(reading: Reading, ring_radius_m: float, map_to_odom: tuple[float, float, float] | None) -> list[Message]:
-    """Return the frames of a robot: map to odom if it is localized, odom to base_link to turret to each sonar."""
-    frame, (x, y, heading) = f"robot{reading.robot}", reading.pose
-    found = [] if map_to_odom is None else [_transform(reading.stamp_s, MAP_FRAME, f"{frame}/odom", *map_to_odom)]
-    found.append(_transform(reading.stamp_s, f"{frame}/odom", f"{frame}/base_link", x, y, heading))
-    found.append(_transform(reading.stamp_s, f"{frame}/base_link", f"{frame}/turret", 0.0, 0.0, reading.turret_rad))
-    for k in range(SONAR_SLOTS):
-        angle = math.tau * k / SONAR_SLOTS
-        place = ring_radius_m * math.cos(angle), ring_radius_m * math.sin(angle)
-        found.append(_transform(reading.stamp_s, f"{frame}/turret", f"{frame}/sonar_{k}", *place, angle))
-    return found
+def frames(reading: Reading, map_to_odom: Pose2 | None) -> Message:
+    """Return the frames of a robot that move: map to odom if it is localized, odom to base_link to turret."""
+    frame, time_ns = frame_of(reading.robot), reading.time_ns
+    found = ros_messages.moving_frames(time_ns, frame, reading.pose, reading.turret_rad)
+    if map_to_odom is not None:
+        found.insert(0, ros_messages.transform(time_ns, MAP_FRAME, f"{frame}/odom", map_to_odom))
+    return {"transforms": found}
 
 
-def estimate_message(estimate: Mapping[str, Any], stamp_s: float) -> Message:
+def static_frames(ring_radii_m: Mapping[int, float], time_ns: int) -> Message:
+    """Return the frames of all sonars of all robots, whose rings have these radii."""
+    rings = ring_radii_m.items()
+    return {"transforms": [
+        frame for robot, radius in rings for frame in ros_messages.sonar_frames(time_ns, frame_of(robot), radius)
+    ]}  # fmt: skip
+
+
+def estimate_message(estimate: Mapping[str, Any], time_ns: int) -> Message:
     """Return a published estimate, which is in inches and radians, as PoseWithCovarianceStamped."""
     x, y, heading = estimate["pose"]
     # 1. Covariance of x, y, heading: rows and columns 0, 1 and 5 of the six of a pose.
@@ -145,10 +156,10 @@ def estimate_message(estimate: Mapping[str, Any], stamp_s: float) -> Message:
             covariance[6 * places[row] + places[column]] = value
     # 2. The pose in the frame of the map.
     at = pose(x * M_PER_IN, y * M_PER_IN, heading)
-    return {"header": header(stamp_s, MAP_FRAME), "pose": {"pose": at, "covariance": covariance}}
+    return {"header": header(time_ns, MAP_FRAME), "pose": {"pose": at, "covariance": covariance}}
 
 
-def map_to_odom(estimate: Mapping[str, Any]) -> tuple[float, float, float]:
+def map_to_odom(estimate: Mapping[str, Any]) -> Pose2:
     """Return the transform from map to odom of an estimate and the odometry that belongs to it (REP-105)."""
     x, y, heading = estimate["pose"]
     odom_x, odom_y, odom_heading = estimate["odometry"]
@@ -157,16 +168,16 @@ def map_to_odom(estimate: Mapping[str, Any]) -> tuple[float, float, float]:
     return (x - cos * odom_x + sin * odom_y) * M_PER_IN, (y - sin * odom_x - cos * odom_y) * M_PER_IN, turn
 
 
-def grid_message(grid: OccupancyGrid, stamp_s: float) -> Message:
+def grid_message(grid: OccupancyGrid, time_ns: int) -> Message:
     """Return a world as OccupancyGrid: 100 occupied, 0 free, -1 unknown, rows along y."""
     values = np.full(len(Cell), -1)
     values[Cell.OCCUPIED], values[Cell.FREE] = 100, 0
     width, height = grid.cells.shape
     data = values[grid.cells.T.reshape(-1)].tolist()
     x, y = grid.origin_in
-    info = {"map_load_time": stamp(stamp_s), "resolution": grid.size_in * M_PER_IN, "width": width, "height": height,
+    info = {"map_load_time": stamp(time_ns), "resolution": grid.size_in * M_PER_IN, "width": width, "height": height,
             "origin": pose(x * M_PER_IN, y * M_PER_IN, grid.turn_rad)}  # fmt: skip
-    return {"header": header(stamp_s, MAP_FRAME), "info": info, "data": data}
+    return {"header": header(time_ns, MAP_FRAME), "info": info, "data": data}
 
 
 def velocities(twist: Any, is_differential: bool) -> list[int]:
@@ -204,32 +215,3 @@ def _component(twist: Any, part: str, axis: str) -> float:
     if not math.isfinite(number):
         raise ValueError(f"a Twist has numbers linear.x and angular.z; {part}.{axis} is {value!r:.40}")
     return number
-
-
-def stamp(time_s: float) -> Message:
-    """Return a time of ROS."""
-    return {"secs": int(time_s), "nsecs": int(time_s % 1 * 1e9)}
-
-
-def header(time_s: float, frame: str) -> Message:
-    """Return a header of ROS."""
-    return {"stamp": stamp(time_s), "frame_id": frame}
-
-
-def vector(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Message:
-    """Return a Vector3 or Point."""
-    return {"x": x, "y": y, "z": z}
-
-
-def pose(x: float, y: float, angle_rad: float) -> Message:
-    """Return a Pose in the plane."""
-    return {"position": vector(x, y), "orientation": _rotation(angle_rad)}
-
-
-def _rotation(angle_rad: float) -> Message:
-    return vector() | {"z": math.sin(angle_rad / 2), "w": math.cos(angle_rad / 2)}
-
-
-def _transform(time_s: float, parent: str, child: str, x: float, y: float, angle_rad: float) -> Message:
-    moved = {"translation": vector(x, y), "rotation": _rotation(angle_rad)}
-    return {"header": header(time_s, parent), "child_frame_id": child, "transform": moved}

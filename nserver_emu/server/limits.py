@@ -75,7 +75,8 @@ class Limits:
         65_536, (1024, 16_777_216), "bytes", "replies queued for a slow reader",
         "its requests are not processed until it has read most of the replies", "server/connection.py")
     viewers: int = _limit(
-        50, (1, 1000), "pages", "open viewer pages, and as many rosbridge clients",
+        50, (1, 1000), "pages",
+        "open viewer pages, as many rosbridge clients, and as many publishers of velocities in ROS 2",
         "the page's websocket is refused with HTTP 503 and retried by the page. The port accepts "
         f"{CONNECTIONS_PER_PAGE} times as many connections; idle ones are closed as by --limit-stall",
         "viewer/server.py")

@@ -1,5 +1,7 @@
 """Several robots in one world: which may meet, in which order they advance, and where their sensors see one another.
 
+Walkers (walkers.py) are bodies like robots; their rows come after those of the robots.
+
     a span of at most SPAN_PS    a robot that cannot meet another moving one in it advances through it at once; robots
                                  that stand are obstacles
     half of it, ...              the same for the others
@@ -14,14 +16,14 @@ first robot changes from tick to tick, so that none always has priority.
 
 from collections.abc import Iterable, Mapping, Sequence
 from math import hypot
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 
-from nserver_emu.simulation.robot import SimulatedRobot
 from nserver_emu.simulation.segments import PS_PER_S, to_s
 from nserver_emu.simulation.spatial_hash import STATIONARY, Disc, SweptBounds
-from nserver_emu.simulation.visibility import RobotPositions
+from nserver_emu.simulation.visibility import PositionProvider, RobotPositions
+from nserver_emu.simulation.walkers import SimulatedWalker
 from worlds.geometry import FloatArray
 
 TICK_PS: Final = PS_PER_S // 100
@@ -41,6 +43,35 @@ GroupState = tuple[tuple[int, tuple[Disc, ...]], ...]
 """The positions of all robots, by tick."""
 
 
+class MovingBody(Protocol):
+    """A disc that moves and stops at others: a robot or a walker."""
+
+    @property
+    def disc(self) -> Disc:
+        """x, y, radius in inches."""
+
+    def disc_at(self, instant_ps: int) -> Disc:
+        """Return the disc at an instant since `start_trajectory`."""
+
+    def max_travel_in(self, span_s: float) -> float:
+        """Return an upper bound of the distance travelled within a time."""
+
+    def swept_bounds(self, span_s: float) -> SweptBounds:
+        """Return the same bound by direction; STATIONARY if it stands."""
+
+    def advance_to(self, end_ps: int) -> None:
+        """Advance to an instant."""
+
+    def set_obstacles(self, discs: Sequence[Disc]) -> None:
+        """Replace the other bodies that can be touched."""
+
+    def set_positions(self, positions: PositionProvider, self_index: int) -> None:
+        """Set the source of all positions; row `self_index` is this body."""
+
+    def start_trajectory(self) -> None:
+        """Start recording the path, for `disc_at`."""
+
+
 class RobotGroup:
     """The robots of one world; provides their positions to their sensors."""
 
@@ -54,7 +85,7 @@ class RobotGroup:
             for tick, positions in self._positions.items()
         )
 
-    def set_state(self, state: GroupState, robots: Mapping[int, SimulatedRobot]) -> None:
+    def set_state(self, state: GroupState, robots: Sequence[MovingBody]) -> None:
         """Continue from a state; raise ValueError if it is not one of these robots."""
         for tick, discs in state:
             if len(discs) != len(robots) or not all(radius > 0.0 for _, _, radius in discs):
@@ -69,50 +100,53 @@ class RobotGroup:
         positions = self._positions.get(tick)
         return self._positions.setdefault(tick, RobotPositions()) if positions is None else positions
 
-    def set_robots(self, robots: Mapping[int, SimulatedRobot], now_ps: int) -> None:
+    def set_robots(self, robots: Sequence[MovingBody], now_ps: int) -> None:
         """Set the robots; their current positions count from now on."""
         self._join(robots)
-        self._positions = {(now_ps - 1) // TICK_PS: RobotPositions(discs_of(robots.values()))}
+        self._positions = {(now_ps - 1) // TICK_PS: RobotPositions(discs_of(robots))}
 
-    def _join(self, robots: Mapping[int, SimulatedRobot]) -> None:
-        for row, robot in enumerate(robots.values()):
+    def _join(self, robots: Sequence[MovingBody]) -> None:
+        for row, robot in enumerate(robots):
             robot.set_positions(self, row)
             robot.start_trajectory()
 
-    def advance(self, robots: Mapping[int, SimulatedRobot], begin_ps: int, end_ps: int) -> None:
+    def advance(self, robots: Sequence[MovingBody], begin_ps: int, end_ps: int) -> None:
         """Advance all robots from one instant to another."""
         while begin_ps < end_ps:
             until_ps = min(end_ps, begin_ps + SPAN_PS)
-            _advance_span(list(robots.values()), begin_ps, until_ps)
+            _advance_span(robots, begin_ps, until_ps)
             self._fill_in(robots, until_ps)
             begin_ps = until_ps
 
-    def _fill_in(self, robots: Mapping[int, SimulatedRobot], now_ps: int) -> None:
+    def _fill_in(self, robots: Sequence[MovingBody], now_ps: int) -> None:
         """Compute the positions that sensors have requested, and keep those that count until the next tick."""
         # The tick before now may still be used by firings until the next one.
         last = self.at(now_ps)
         for tick, positions in self._positions.items():
             if not len(positions.discs):
-                positions.discs = discs_of(robots.values(), tick * TICK_PS)
+                positions.discs = discs_of(robots, tick * TICK_PS)
         self._positions = {(now_ps - 1) // TICK_PS: last}
-        for robot in robots.values():
+        for robot in robots:
             robot.start_trajectory()
 
 
-def discs_of(robots: Iterable[SimulatedRobot], instant_ps: int | None = None) -> FloatArray:
+def discs_of(robots: Iterable[MovingBody], instant_ps: int | None = None) -> FloatArray:
     """Return robots as discs (n, 3), rows x y radius in inches, now or at an instant since the last span began."""
     if instant_ps is None:
         return np.array([robot.disc for robot in robots]).reshape(-1, 3)
     return np.array([robot.disc_at(instant_ps) for robot in robots])
 
 
-def candidate_pairs(robots: Sequence[SimulatedRobot], span_ps: int) -> list[Pair]:
+def candidate_pairs(robots: Sequence[MovingBody], span_ps: int) -> list[Pair]:
     """Return the pairs that may meet within a span of time, sorted."""
     # Each disc is enlarged by the distance that its robot may travel.
     discs = discs_of(robots)
     span_s = to_s(span_ps)
     discs[:, 2] += [robot.max_travel_in(span_s) for robot in robots]
-    return neighbours(discs, SLACK_IN)
+    pairs = neighbours(discs, SLACK_IN)
+    # Walkers pass one another.
+    first = next((row for row, body in enumerate(robots) if isinstance(body, SimulatedWalker)), len(robots))
+    return [pair for pair in pairs if pair[0] < first] if first < len(robots) else pairs
 
 
 def neighbours(discs: FloatArray, within_in: float) -> list[Pair]:
@@ -137,7 +171,7 @@ def neighbours(discs: FloatArray, within_in: float) -> list[Pair]:
     return sorted(pairs)
 
 
-def update_obstacles(robots: Sequence[SimulatedRobot], pairs: Iterable[Pair] | None = None) -> None:
+def update_obstacles(robots: Sequence[MovingBody], pairs: Iterable[Pair] | None = None) -> None:
     """Set the obstacles of the robots to the current positions of the others, for their bumpers.
 
     Parameters
@@ -152,7 +186,7 @@ def update_obstacles(robots: Sequence[SimulatedRobot], pairs: Iterable[Pair] | N
         _set_obstacles(robots, row, neighbours_of.get(row, ()))
 
 
-def _advance_span(robots: Sequence[SimulatedRobot], begin_ps: int, end_ps: int) -> None:
+def _advance_span(robots: Sequence[MovingBody], begin_ps: int, end_ps: int) -> None:
     """Advance robots that cannot meet another at once, the others gradually."""
     # 1. Robots in no pair.
     pairs = candidate_pairs(robots, end_ps - begin_ps)
@@ -167,7 +201,7 @@ def _advance_span(robots: Sequence[SimulatedRobot], begin_ps: int, end_ps: int) 
     update_obstacles(robots, pairs)
 
 
-def _advance_pairs(robots: Sequence[SimulatedRobot], pairs: Iterable[Pair], begin_ps: int, end_ps: int) -> None:
+def _advance_pairs(robots: Sequence[MovingBody], pairs: Iterable[Pair], begin_ps: int, end_ps: int) -> None:
     """Advance the moving robots of the pairs; they can meet in no others. Standing robots may wait.
 
     A robot that may meet another moving one is held back: within a tick these take turns; in longer spans they advance
@@ -197,18 +231,18 @@ def _advance_pairs(robots: Sequence[SimulatedRobot], pairs: Iterable[Pair], begi
         _advance_one(robots, row, neighbours_of[row], end_ps)
 
 
-def _advance_one(robots: Sequence[SimulatedRobot], row: int, others: Iterable[int], end_ps: int) -> None:
+def _advance_one(robots: Sequence[MovingBody], row: int, others: Iterable[int], end_ps: int) -> None:
     """Advance one robot while the others stand."""
     _set_obstacles(robots, row, others)
     robots[row].advance_to(end_ps)
 
 
-def _set_obstacles(robots: Sequence[SimulatedRobot], row: int, others: Iterable[int]) -> None:
+def _set_obstacles(robots: Sequence[MovingBody], row: int, others: Iterable[int]) -> None:
     robots[row].set_obstacles([robots[other].disc for other in others])
 
 
 def _may_meet(
-    robots: Sequence[SimulatedRobot], pairs: Iterable[Pair], bounds: Mapping[int, SweptBounds]
+    robots: Sequence[MovingBody], pairs: Iterable[Pair], bounds: Mapping[int, SweptBounds]
 ) -> list[Pair]:
     """Return the pairs that may meet if each robot moves within its bounds."""
     met: list[Pair] = []

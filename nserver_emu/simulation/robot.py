@@ -701,6 +701,12 @@ class SimulatedRobot:
         """Start recording the true path, for `disc_at`."""
         self._trajectory = []
 
+    def stand_alone(self) -> None:
+        """Forget all others: none is left."""
+        self.set_positions(NO_OTHERS, 0)
+        self.set_obstacles(())
+        self._trajectory = None
+
     def set_walls(self, walls: FloatArray) -> None:
         """Replace the walls (m, 4), rows x1 y1 x2 y2 in inches."""
         self._walls = walls

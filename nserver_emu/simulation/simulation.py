@@ -7,20 +7,34 @@ continues with the same bits.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import hypot
 from typing import Final
 
 import numpy as np
 
 from nclient.errors import StartError
 from nserver_emu.simulation.models import N150, RobotModel
-from nserver_emu.simulation.multi_robot import GroupState, RobotGroup, update_obstacles
+from nserver_emu.simulation.multi_robot import GroupState, MovingBody, RobotGroup, update_obstacles
 from nserver_emu.simulation.noise import IDEAL, RngFactory, RobotSetup
 from nserver_emu.simulation.robot import RobotState, SimulatedRobot
 from nserver_emu.simulation.segments import TIME_MAX_PS, to_ps, to_s
 from nserver_emu.simulation.spatial_hash import SpatialHash
+from nserver_emu.simulation.walkers import SimulatedWalker, WalkerState
 from worlds.raycast import load_compiled
 from worlds.schema import MAX_COORDINATE_IN
-from worlds.world import MAX_CORNERS, MAX_STARTS, Path, Polygon, StartPose, World
+from worlds.world import (
+    MAX_CORNERS,
+    MAX_DOORS,
+    MAX_ROUTE_POINTS,
+    MAX_STARTS,
+    MAX_WALKERS,
+    Door,
+    Path,
+    Polygon,
+    StartPose,
+    Walker,
+    World,
+)
 
 MAX_OUTLINE_CORNERS: Final = 1_000_000
 """Corners of rooms and obstacles in a restored world; clients may add more obstacles than a file may have."""
@@ -37,6 +51,8 @@ class WorldState:
     obstacles: tuple[Polygon, ...]
     starts: tuple[StartPose, ...]
     paths: tuple[Path, ...]
+    doors: tuple[Door, ...] | None = None
+    walkers: tuple[Walker, ...] | None = None
 
     @classmethod
     def of(cls, world: World) -> WorldState:
@@ -45,7 +61,7 @@ class WorldState:
         inner_walls = tuple((x1, y1, x2, y2) for x1, y1, x2, y2 in world.inner_walls.tolist())
         return cls(
             world.name, world.title, world.rooms, inner_walls, world.obstacles, world.starts,
-            tuple(world.paths.values()),
+            tuple(world.paths.values()), world.doors or None, world.walkers or None,
         )  # fmt: skip
 
     def world(self) -> World:
@@ -56,11 +72,18 @@ class WorldState:
         fixed = len(self.inner_walls) + sum(len(room.corners_in) for room in self.rooms)
         if fixed > 2 * MAX_CORNERS or len(outlines) > MAX_OUTLINE_CORNERS or len(self.starts) > MAX_STARTS:
             raise ValueError("a world that is too large")
-        if not all(abs(number) <= MAX_COORDINATE_IN for place in (*outlines, *self.inner_walls) for number in place):
+        doors, walkers = self.doors or (), self.walkers or ()
+        routes = [point for walker in walkers for point in walker.points_in]
+        if len(doors) > MAX_DOORS or len(walkers) > MAX_WALKERS or len(routes) > MAX_WALKERS * MAX_ROUTE_POINTS:
+            raise ValueError("a world with too many doors or walkers")
+        if not all(len(walker.points_in) > 1 and walker.speed_in_s > 0.0 < walker.radius_in for walker in walkers):
+            raise ValueError("a walker that cannot walk")
+        places = (*outlines, *self.inner_walls, *routes, *(end for door in doors for end in door.ends_in))
+        if not all(abs(number) <= MAX_COORDINATE_IN for place in places for number in place):
             raise ValueError(f"a world with coordinates beyond {MAX_COORDINATE_IN:g} in")
         return World(
             self.name, self.title, self.rooms, np.array(self.inner_walls).reshape(-1, 4), self.obstacles, self.starts,
-            {path.name: path for path in self.paths},
+            {path.name: path for path in self.paths}, doors=doors, walkers=walkers,
         )  # fmt: skip
 
 
@@ -73,6 +96,7 @@ class SimulationState:
     world: WorldState
     robots: dict[int, RobotState]
     group: GroupState
+    walkers: tuple[WalkerState, ...] | None = None
 
 
 class Simulation:
@@ -88,6 +112,8 @@ class Simulation:
         0 or more.
     time_ps
         Simulated time since the beginning.
+    walkers
+        Those of the world, in its order.
     """
 
     def __init__(self, world: World, seed: int = 0) -> None:
@@ -96,6 +122,7 @@ class Simulation:
         self._world = world
         self.time_ps = 0
         self._group = RobotGroup()
+        self.walkers = [SimulatedWalker(walker, world.walls) for walker in world.walkers]
         self._spatial_hash: SpatialHash | None = None
         self._has_new_robots = False
 
@@ -104,7 +131,9 @@ class Simulation:
         # New robots join the others first: their state has no form of its own.
         self._join_new_robots()
         robots = {number: robot.to_state() for number, robot in self.robots.items()}
-        return SimulationState(self.seed, self.time_ps, WorldState.of(self._world), robots, self._group.to_state())
+        walkers = tuple(walker.to_state() for walker in self.walkers) or None
+        group = self._group.to_state()
+        return SimulationState(self.seed, self.time_ps, WorldState.of(self._world), robots, group, walkers)
 
     @classmethod
     def from_state(cls, state: SimulationState) -> Simulation:
@@ -122,10 +151,20 @@ class Simulation:
             number: SimulatedRobot.from_state(robot, RngFactory(number, state.seed), walls, state.time_ps)
             for number, robot in state.robots.items()
         }
+        if len(state.walkers or ()) != len(simulation.walkers):
+            raise ValueError("the state of other walkers")
+        simulation.walkers = [SimulatedWalker(each.walker, walls, state.time_ps) for each in simulation.walkers]
+        for walker, walker_state in zip(simulation.walkers, state.walkers or (), strict=True):
+            walker.set_state(walker_state)
         # 3. The compiled ray caster, if there are enough robots for it; positions for one another's sensors.
         load_compiled(len(simulation.robots))
-        simulation._group.set_state(state.group, simulation.robots)
+        simulation._group.set_state(state.group, simulation.bodies)
         return simulation
+
+    @property
+    def bodies(self) -> list[MovingBody]:
+        """The robots, then the walkers: what moves and can be touched."""
+        return [*self.robots.values(), *self.walkers]
 
     @property
     def world(self) -> World:
@@ -203,8 +242,8 @@ class Simulation:
         """Make robots that were added visible to the others, and the others to them."""
         if self._has_new_robots:
             load_compiled(len(self.robots))
-            if len(self.robots) > 1:
-                self._group.set_robots(self.robots, self.time_ps)
+            if len(bodies := self.bodies) > 1:
+                self._group.set_robots(bodies, self.time_ps)
         self._has_new_robots = False
 
     def require_free(self, x_in: float, y_in: float, radius_in: float, robot_id: int | None = None) -> None:
@@ -222,22 +261,44 @@ class Simulation:
                     f"the start ({x_in:g}, {y_in:g}) in touches robot {number}, which stands at ({x:.1f}, {y:.1f}) in; "
                     f"{radius_in + radius:g} in from there there is room"
                 )
+        for walker in self.walkers:
+            x, y, radius = walker.disc
+            if hypot(x - x_in, y - y_in) <= radius + radius_in:
+                raise StartError(f"the start ({x_in:g}, {y_in:g}) in touches a walker, who is at ({x:.1f}, {y:.1f}) in")
 
     def place(self, robot_id: int, x_in: float, y_in: float, steering_rad: float, turret_rad: float) -> None:
         """Set a robot down at a pose, as `SimulatedRobot.place` does; the others detect it there at once."""
         self.robots[robot_id].place(x_in, y_in, steering_rad, turret_rad)
         self._spatial_hash = None
-        if len(self.robots) > 1:
-            self._group.set_robots(self.robots, self.time_ps)
-            update_obstacles(list(self.robots.values()))
+        self._update_group()
+
+    def _update_group(self) -> None:
+        """Make the present positions those that sensors and bumpers detect."""
+        if len(bodies := self.bodies) > 1:
+            self._group.set_robots(bodies, self.time_ps)
+            update_obstacles(bodies)
 
     def change_world(self, world: World) -> None:
-        """Replace the world now; earlier readings do not change."""
+        """Replace the world now; earlier readings do not change. Walkers that it has as well walk on."""
         self._world = world
         for robot in self.robots.values():
             robot.set_walls(world.walls)
-        if len(self.robots) > 1:
-            update_obstacles(list(self.robots.values()))
+        before = self.walkers
+        if before or world.walkers:
+            here = {id(each.walker): each for each in before}
+            self.walkers = [
+                here.get(id(walker)) or SimulatedWalker(walker, world.walls, self.time_ps) for walker in world.walkers
+            ]
+            for walker in self.walkers:
+                walker.set_walls(world.walls)
+        if self.walkers != before:
+            if len(self.bodies) > 1:
+                self._update_group()
+            else:
+                for robot in self.robots.values():
+                    robot.stand_alone()
+        elif len(self.bodies) > 1:
+            update_obstacles(self.bodies)
 
     def step(self, dt_s: float) -> None:
         """Advance by dt_s >= 0 seconds; raise ValueError for other numbers.
@@ -248,8 +309,9 @@ class Simulation:
         begin_ps, self.time_ps = self.time_ps, self.time_ps + to_ps(dt_s)
         self._spatial_hash = None
         self._join_new_robots()
-        # Several robots advance together, so that they can stop at one another.
-        if len(self.robots) > 1:
-            self._group.advance(self.robots, begin_ps, self.time_ps)
-        for robot in self.robots.values():
-            robot.advance_to(self.time_ps)
+        # Several bodies advance together, so that they can stop at one another.
+        bodies = self.bodies
+        if len(bodies) > 1:
+            self._group.advance(bodies, begin_ps, self.time_ps)
+        for body in bodies:
+            body.advance_to(self.time_ps)

@@ -2,7 +2,9 @@
 
 to the page, by `type`
     hello        version, name (of this viewer), may_act, watch_token (of a link that may only watch; null for viewers
-                 that may only watch), waypoints (points by robot), lines (addresses by name; none for watchers)
+viewers that may only watch), waypoints (points by robot), lines (addresses by name; none for watchers),
+                 robot (the only one on which this page may act, null for all), names (students by robot)
+    programs     robots: names of the clients of each robot that has any
     picture      the scene or its changes (scene.py)
     traffic      rows of requests and replies (traffic.py), missed: number of frames left out
     localization the latest published estimate (localization.py), and its age: age_s
@@ -23,6 +25,7 @@ from the page, by `do`
     stop         id, robot (left out: all): stop it, and refuse motions until it is released, from programs, other
                  viewers and this page (server/estop.py)
     release      id, robot (left out: all): allow motions again
+    reset        id, robot (left out: all): place it where it started; a held one stays held
     control      id, command, argument: time, faults, noise, world (control/commands.py)
     gallery      id: the shipped worlds, worlds: [{name, title, text of the file, walls} ...]
     click        robot, pose: x, y, steer, turret in tenths
@@ -93,7 +96,7 @@ Call = Literal[
 ]  # fmt: skip
 Control = Literal[
     "status", "pause", "resume", "speed", "step", "faults show", "faults set", "faults clear", "faults counts", "noise",
-    "world show", "world set", "obstacle", "wall",
+    "world show", "world set", "obstacle", "wall", "door", "walker",
 ]  # fmt: skip
 """Control commands of the page: all but those that write files."""
 LocalizationMethod = Literal["ekf", "iekf", "ukf", "smoother", "mcl", "finder", "offsets"]
@@ -153,6 +156,12 @@ class Release(_Request, tag="release"):
     robot: RobotOrAll | None = None
 
 
+class Reset(_Request, tag="reset"):
+    """Return a robot, or all, to the start."""
+
+    robot: RobotOrAll | None = None
+
+
 class ControlServer(_Request, tag="control"):
     """A control command."""
 
@@ -206,8 +215,8 @@ class Waypoints(_Message, tag="waypoints"):
 
 
 Message = (
-    Seen | Watch | CallRobot | Drive | Stop | Release | ControlServer | Click | Waypoints | Localize | Unlocalize
-    | Kidnap | Gallery
+    Seen | Watch | CallRobot | Drive | Stop | Release | Reset | ControlServer | Click | Waypoints | Localize
+    | Unlocalize | Kidnap | Gallery
 )
 
 

@@ -4,13 +4,15 @@
                 robots    {id: {"state": State[0..44], "actual": [x, y, steer, turret], "encoder": the same, "front":
                           the direction of bumper 0, "sonars": readings in inches of a ring that State has no room for,
                           "held": {"by": viewer that stopped it, "ignored": number of motions refused since} or null}}
+                walkers   [[x, y] ...], in the order of those of the world; if it has any
     if changed  bodies    {id: {"model", "radius_in", "ring_in", "bumpers": count, "differential", "sees",
                           "sonars": {"angles", "shifts": [[forwards, left] ...] or [], "half_cone", "max_in",
                           "no_echo_in"}: the ring (worlds/rings.py),
                           "noise": {"sensors": name in force, "motion": the same}, "noises": the available names}}
                 world     {"name", "title", "walls": [[x1, y1, x2, y2] ...], the outlines of rooms first,
                           "rooms", "obstacles": [{"name", "corners"} ...], "starts": [[x, y, steer, turret in
-                          degrees] ...], "paths": {name: [[x, y] ...]}}
+                          degrees] ...], "paths": {name: [[x, y] ...]}, "doors": [{"name", "ends", "open"} ...],
+                          "walkers": [{"name", "points", "speed", "radius", "closed"} ...]; the last two if it has any}
                 graphics  [[number, figure, numbers, colour, xor] ...], or its changes:
                 drawn     {"gone": [number ...], "come": [[number, figure, numbers, colour, xor] ...]}
                 traces    {id: {"actual": {"gone", "points"}, "encoder": the same}}    points x, y, x, y ...; null, null
@@ -47,7 +49,7 @@ from nserver_emu.simulation.laser import points
 from nserver_emu.simulation.noise import RobotSetup
 from nserver_emu.simulation.robot import SimulatedRobot
 from nserver_emu.simulation.segments import Pose
-from worlds.world import Polygon, World
+from worlds.world import Point, Polygon, World
 
 # Clients per robot that are listed with their laser modes.
 MAX_NAMED: Final = 20
@@ -252,17 +254,32 @@ def world_data(world: World) -> Plain:
             for start in world.starts
         ],
         "paths": {name: [list(point) for point in path.points_in] for name, path in world.paths.items()},
+    } | {name: rows for name, rows in _doors_and_walkers(world).items() if rows}  # fmt: skip
+
+
+def _doors_and_walkers(world: World) -> Plain:
+    return {
+        "doors": [
+            {"name": door.name, "ends": _rounded(door.ends_in), "open": door.is_open} for door in world.doors
+        ],
+        "walkers": [
+            {"name": walker.name, "points": _rounded(walker.points_in), "speed": round(walker.speed_in_s, DIGITS),
+             "radius": round(walker.radius_in, DIGITS), "closed": walker.is_closed}
+            for walker in world.walkers
+        ],
     }  # fmt: skip
 
 
 def _outline(polygon: Polygon) -> Plain:
-    return {
-        "name": polygon.name, "corners": [[round(x, DIGITS), round(y, DIGITS)] for x, y in polygon.corners_in]
-    }  # fmt: skip
+    return {"name": polygon.name, "corners": _rounded(polygon.corners_in)}
+
+
+def _rounded(points: Iterable[Point]) -> list[list[float]]:
+    return [[round(x, DIGITS), round(y, DIGITS)] for x, y in points]
 
 
 def _now(server_state: ServerState) -> Plain:
-    pace = server_state.clock
+    pace, walkers = server_state.clock, server_state.simulation.walkers
     return {
         "time_s": round(server_state.simulation.time_s, DIGITS), "speed": pace.factor, "paused": pace.paused,
         "lockstep_s": pace.lockstep_s,
@@ -275,7 +292,7 @@ def _now(server_state: ServerState) -> Plain:
             }
             for number, robot in server_state.simulation.robots.items()
         },
-    }  # fmt: skip
+    } | ({"walkers": _rounded(walker.disc[:2] for walker in walkers)} if walkers else {})  # fmt: skip
 
 
 def _pose(pose: Pose) -> list[float]:

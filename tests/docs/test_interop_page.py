@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import signal
@@ -58,6 +59,22 @@ def test_program_about_rosbridge(tmp_path: Path) -> None:
         server.send_signal(signal.SIGTERM)
         server.communicate(timeout=30)
     assert float(shown.split()[-2]) > 0.1
+
+
+@pytest.mark.long
+def test_command_about_ros_2(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("cyclonedds", reason="Cyclone DDS has no wheel for this system")
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(1 + os.getpid() % 231))
+    (line,) = [line for line in command_lines(PAGE) if "cyclonedds" in line]
+    server = Forked("nserver", "thesis_room", "--port", "0", "--ros2")
+    try:
+        while "ros2" not in server.stdout.readline():
+            pass
+        shown = run(f"{line} --id $ROS_DOMAIN_ID", tmp_path, timeout_s=60)
+    finally:
+        server.send_signal(signal.SIGTERM)
+        server.communicate(timeout=30)
+    assert "struct Odometry_" in shown
 
 
 def test_udev_rule_names_real_keys() -> None:

@@ -19,7 +19,8 @@ from worlds.robots import N150
 from worlds.world import Polygon, StartPose
 
 ROOM = "[[room]]\ncorners_in = [[0, 0], [10, 0], [10, 10], [0, 10]]\n"
-SHIPPED = ("arena", "centre_vertex", "corridor", "flat", "hall", "maze", "office", "several_walls", "thesis_room")
+SHIPPED = ("arena", "centre_vertex", "corridor", "flat", "hall", "maze", "office", "several_walls", "thesis_room",
+           "two_rooms")  # fmt: skip
 
 
 def complaint(text: str) -> str:
@@ -330,7 +331,10 @@ values = st.recursive(
 )
 
 
-@given(st.sampled_from(["room", "wall", "obstacle", "start", "path"]), st.dictionaries(keys, values, max_size=4))
+KINDS = ["room", "wall", "obstacle", "door", "walker", "start", "path"]
+
+
+@given(st.sampled_from(KINDS), st.dictionaries(keys, values, max_size=4))
 def test_random_table_is_a_world_or_a_file_error(kind: str, table: dict[str, object]) -> None:
     rows = "\n".join(f"{key} = {value}" for key, value in table.items())
     assert outcome(f"{ROOM}[[{kind}]]\n{rows}").startswith(("x.toml: ", "World("))

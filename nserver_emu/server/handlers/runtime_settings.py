@@ -53,10 +53,10 @@ def change_obstacle(server: ServerState, wanted: Mapping[str, Any]) -> dict[str,
     now: Polygon | None
     try:
         if "put" in wanted:
-            now = Polygon(_points(wanted["put"]), _name(wanted.get("name", "")))
+            now = Polygon(read_points(wanted["put"]), read_name(wanted.get("name", "")))
             number = _index(wanted.get("at"), len(obstacles))
         else:
-            number = _number_of(obstacles, _points(wanted["corners"]))
+            number = _number_of(obstacles, read_points(wanted["corners"]))
             was = obstacles[number]
             now = _moved(was, wanted)
     except ControlError:
@@ -84,22 +84,22 @@ def change_wall(server: ServerState, wanted: Mapping[str, Any]) -> dict[str, Any
     try:
         # 1. Find the wall and its new ends.
         if "put" in wanted:
-            now = _points(wanted["put"])
+            now = read_points(wanted["put"])
         else:
-            row = _row_of(world, _points(wanted["wall"]))
+            row = _row_of(world, read_points(wanted["wall"]))
             x1, y1, x2, y2 = world.inner_walls[row].tolist()
             was = ((x1, y1), (x2, y2))
             if wanted.get("to") is not None:
-                now = _points(wanted["to"])
+                now = read_points(wanted["to"])
             elif wanted.get("by") is not None:
-                ((dx_in, dy_in),) = _points([wanted["by"]])
+                ((dx_in, dy_in),) = read_points([wanted["by"]])
                 now = ((x1 + dx_in, y1 + dy_in), (x2 + dx_in, y2 + dy_in))
     except ControlError:
         raise
     except (KeyError, TypeError, ValueError, OverflowError):
         raise ControlError(f"{WALL_USAGE}, not {wanted!r:.200}") from None
     # 2. Check that it fits.
-    if now is not None and (len(now) != 2 or math.dist(*now) < MIN_WALL_IN or not _is_on_map(now)):
+    if now is not None and (len(now) != 2 or math.dist(*now) < MIN_WALL_IN or not is_on_map(now)):
         raise ControlError(f"wall: expected two ends on the map, at least {MIN_WALL_IN:g} in apart")
     if was is None and len(world.inner_walls) >= server.allowed.obstacles:
         raise ControlError(f"wall: there are {len(world.inner_walls)} already, the maximum (--limit-obstacles)")
@@ -117,7 +117,8 @@ def change_wall(server: ServerState, wanted: Mapping[str, Any]) -> dict[str, Any
     return {"walls": len(changed.inner_walls), "was": ends[0], "is": ends[1]}
 
 
-def _is_on_map(points: Sequence[Point]) -> bool:
+def is_on_map(points: Sequence[Point]) -> bool:
+    """Return True if all points are on the map."""
     return all(max(abs(x), abs(y)) <= MAX_COORDINATE_IN for x, y in points)
 
 
@@ -134,10 +135,10 @@ def _row_of(world: World, ends: Sequence[Point]) -> int:
 def _moved(was: Polygon, wanted: Mapping[str, Any]) -> Polygon | None:
     """Return the obstacle after the change, None if it is removed."""
     if wanted.get("to") is not None:
-        return Polygon(_points(wanted["to"]), was.name)
+        return Polygon(read_points(wanted["to"]), was.name)
     if wanted.get("by") is None:
         return None
-    ((dx_in, dy_in),) = _points([wanted["by"]])
+    ((dx_in, dy_in),) = read_points([wanted["by"]])
     return was.moved(dx_in, dy_in)
 
 
@@ -148,14 +149,16 @@ def _check_obstacle(server: ServerState, obstacle: Polygon) -> None:
         raise ControlError("obstacle: it would overlap a robot")
 
 
-def _points(value: Any) -> tuple[Point, ...]:
+def read_points(value: Any) -> tuple[Point, ...]:
+    """Return a list of points. Raises TypeError or ValueError."""
     points = tuple((float(x), float(y)) for x, y in value)
     if not all(math.isfinite(number) for point in points for number in point):
         raise ValueError("not a number")
     return points
 
 
-def _name(value: Any) -> str:
+def read_name(value: Any) -> str:
+    """Return a name. Raises TypeError."""
     if not isinstance(value, str):
         raise TypeError("not a name")
     return value
@@ -268,6 +271,9 @@ def _obstruction(world: World, x_in: float, y_in: float, radius_in: float) -> st
         world.require_free(x_in, y_in, radius_in)
     except StartError as error:
         return str(error)
+    for walker in world.walkers:
+        if math.dist(walker.points_in[0], (x_in, y_in)) <= walker.radius_in + radius_in:
+            return f"a walker begins at ({x_in:g}, {y_in:g}) in"
     return ""
 
 

@@ -275,7 +275,7 @@ def prepare_prediction(
 def _predict(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Prediction:
     """Return the prediction that was prepared, or a new one if anything differs."""
     simulation, robot, before = server.simulation, server.robot_of(context), context.prediction
-    walls, others = simulation.world.walls, discs_of(each for each in simulation.robots.values() if each is not robot)
+    walls, others = simulation.world.walls, discs_of(each for each in simulation.bodies if each is not robot)
     if (
         isinstance(before, Prediction) and before.args == args and before.walls is walls
         and before.robot.model is robot.model and np.array_equal(before.others, others)

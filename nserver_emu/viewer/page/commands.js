@@ -93,24 +93,24 @@ function obstacleStep(app, title, apply, revertCommand) {
   }, revert: () => revert(revertCommand(result)) });
 }
 
-// Walls: each step changes one inner wall, as above. `wall` is that of the scene: two ends.
-function wallStep(app, title, change, revertChange) {
+// Walls, doors, walkers: each step changes one of them, as above. `wall` is that of the scene: two ends.
+export function stepOn(app, command, title, change, revertChange) {
   let result = null;
   return app.history.run({ title, apply: async () => {
-    const answer = await control(app, 'wall', change);
+    const answer = await control(app, command, change);
     if (answer.ok) result = answer.result;
     return answer;
   }, revert: async () => {
-    const answer = await control(app, 'wall', revertChange(result));
+    const answer = await control(app, command, revertChange(result));
     return answer.ok ? answer : { ...answer, error: `${answer.error} (it may have been moved or deleted meanwhile)` };
   } });
 }
 
-export function addWall(app, ends) { return wallStep(app, 'draw wall', { put: ends }, ({ is }) => ({ wall: is })); }
+export function addWall(app, ends) { return stepOn(app, 'wall', 'draw wall', { put: ends }, ({ is }) => ({ wall: is })); }
 
-export function deleteWall(app, wall) { return wallStep(app, 'delete wall', { wall }, ({ was }) => ({ put: was })); }
+export function deleteWall(app, wall) { return stepOn(app, 'wall', 'delete wall', { wall }, ({ was }) => ({ put: was })); }
 
-export function moveWall(app, wall, to) { return wallStep(app, 'move wall', { wall, to }, ({ was, is }) => ({ wall: is, to: was })); }
+export function moveWall(app, wall, to) { return stepOn(app, 'wall', 'move wall', { wall, to }, ({ was, is }) => ({ wall: is, to: was })); }
 
 // Return the inner walls of a world as pairs of ends; the outlines of rooms come before them.
 export function innerWalls(world) {

@@ -69,6 +69,11 @@ export function nearestOn([[x1, y1], [x2, y2]], [x, y]) {
   return [x1 + t * dx, y1 + t * dy];
 }
 
+// Return walls and closed doors, [x1, y1, x2, y2].
+function solidWalls(world) {
+  return [...world.walls, ...(world.doors ?? []).filter(({ open }) => !open).map(({ ends }) => ends.flat())];
+}
+
 // Return true if a robot at this position seems to fit; the server checks exactly.
 export function robotFits(scene, id, [x, y]) {
   const radius = scene.bodies[id].radius_in;
@@ -76,7 +81,7 @@ export function robotFits(scene, id, [x, y]) {
     const [nearX, nearY] = nearestOn(side, [x, y]);
     return Math.hypot(x - nearX, y - nearY);
   };
-  const walls = scene.world.walls.map(([a, b, c, d]) => [[a, b], [c, d]]);
+  const walls = solidWalls(scene.world).map(([a, b, c, d]) => [[a, b], [c, d]]);
   const sides = scene.world.obstacles.flatMap(({ corners }) => corners.map((corner, k) => [corner, corners[(k + 1) % corners.length]]));
   return isFree(scene.world, x, y)
     && [...walls, ...sides].every((side) => distance(...side) > radius)
@@ -87,7 +92,7 @@ export function robotFits(scene, id, [x, y]) {
 // Return the walls and the sides of obstacles, [x1, y1, x2, y2], that come within a distance of a point in x and in y.
 export function wallsWithin(world, x, y, distance) {
   const sides = world.obstacles.flatMap(({ corners }) => corners.map((corner, k) => [...corner, ...corners[(k + 1) % corners.length]]));
-  return [...world.walls, ...sides].filter(([x1, y1, x2, y2]) => Math.min(x1, x2) < x + distance && Math.max(x1, x2) > x - distance
+  return [...solidWalls(world), ...sides].filter(([x1, y1, x2, y2]) => Math.min(x1, x2) < x + distance && Math.max(x1, x2) > x - distance
     && Math.min(y1, y2) < y + distance && Math.max(y1, y2) > y - distance);
 }
 

@@ -7,7 +7,7 @@ const MAX_SAMPLES = 1500;
 
 export function emptyScene() {
   return {
-    frame: 0, time_s: 0, speed: 1, paused: false, lockstep_s: null, robots: {}, bodies: {}, world: null,
+    frame: 0, time_s: 0, speed: 1, paused: false, lockstep_s: null, robots: {}, walkers: [], bodies: {}, world: null,
     graphics: [], traces: {}, beams: {}, lasers: {}, laser_modes: {}, speech: [], history: {},
   };
 }
@@ -20,6 +20,7 @@ export function applyPicture(scene, picture) {
   }
   for (const key of ['frame', 'time_s', 'speed', 'paused', 'lockstep_s', 'robots']) scene[key] = picture[key];
   for (const key of ['bodies', 'world', 'graphics', 'lasers', 'laser_modes']) if (key in picture) scene[key] = picture[key];
+  scene.walkers = picture.walkers ?? [];
   if ('said' in picture) scene.speech = picture.said;  // texts of tk: [time_s, robot, text]
   if ('drawn' in picture) scene.graphics = updateShapes(scene.graphics, picture.drawn);
   for (const [id, both] of Object.entries(picture.traces ?? {})) {

@@ -5,8 +5,9 @@
 
 import { drawRobot, polygonPath, circle, arrow } from './draw.js';
 import { element } from './widgets.js';
-import { inside, isFree, nearestOn, robotFits, toScreen } from './geometry.js';
-import { addObstacle, addWall, deleteObstacle, deleteWall, innerWalls, moveObstacle, moveWall, placeRobot } from './commands.js';
+import { isFree, robotFits, toScreen } from './geometry.js';
+import { addObstacle, addWall, placeRobot } from './commands.js';
+import { addDoor, addWalker, listThings } from './things.js';
 
 const MIN_SIDE_IN = 0.5, MIN_DRAG_PX = 4, CLOSE_PX = 12;
 const WRONG_PLACE_MS = 5000;
@@ -21,12 +22,16 @@ const TOOLS = {
     hint: 'Press at the position and drag towards the heading: the answer to a program that asks for a pose.' },
   add: { title: 'Add obstacle', make: addTool, task: 'world', icon: 'M2 4h8v8H2zM13 1v6M10 4h6',
     hint: 'Drag a rectangle, or click corner after corner; Enter closes the outline.' },
-  wall: { title: 'Draw wall', make: wallTool, task: 'world', icon: 'M2 13L11 4M13 1v6M10 4h6',
+  wall: { title: 'Draw wall', make: segmentTool(addWall), task: 'world', icon: 'M2 13L11 4M13 1v6M10 4h6',
     hint: 'Drag from one end of the wall to the other. Ends near those of other walls join them.', wants: 'A wall has a length: press at one end and drag to the other.' },
+  door: { title: 'Add door', make: segmentTool(addDoor), task: 'world', icon: 'M3 14V2h7v12M10 14V5l4-2v11M1 14h14',
+    hint: 'Drag across a gap, from one side of the door to the other. Ends near those of walls join them.', wants: 'A door has a width: press at one side and drag to the other.' },
+  walker: { title: 'Add walker', make: walkerTool, task: 'world', icon: 'M8 1a1.5 1.5 0 1 0 .1 0M8 5v5M8 10l-3 5M8 10l3 5M4 8l4-2 4 2',
+    hint: 'Click point after point of a route; Enter ends it, a click on the first point closes it.', wants: 'A person cannot walk there: click on free space.' },
   shift: { title: 'Move', make: shiftTool, task: 'world', icon: 'M2 5h7v7H2zM10 8h5M13 6l2 2-2 2',
-    hint: 'Drag an obstacle or an inner wall; near its end a wall turns.', wants: 'There is nothing to move: press on a grey obstacle or an inner wall and drag it. The outlines of rooms stay.' },
+    hint: 'Drag an obstacle, an inner wall, a door or a walker; near its end a wall turns.', wants: 'There is nothing to move: press on a grey obstacle, an inner wall, a door or a walker and drag it. The outlines of rooms stay.' },
   remove: { title: 'Delete', make: removeTool, task: 'world', icon: 'M2 4h8v8H2zM11 2l4 4M15 2l-4 4',
-    hint: 'Click on an obstacle or an inner wall to delete it.', wants: 'There is nothing to delete: click on a grey obstacle or an inner wall. The outlines of rooms stay.' },
+    hint: 'Click on an obstacle, an inner wall, a door or a walker to delete it.', wants: 'There is nothing to delete: click on a grey obstacle, an inner wall, a door or a walker. The outlines of rooms stay.' },
   waypoint: { title: 'Waypoints', make: waypointTool, task: 'localize', icon: 'M3 13l4-5 3 2 4-7M3 13h.1M14 3h.1',
     hint: 'Click to add a waypoint; drag one to move it, click it to delete it.', wants: 'A robot cannot stand there: click on free space.' },
 };
@@ -94,18 +99,12 @@ function robotAt(app, [x, y]) {
   });
 }
 
-// The topmost obstacle at a point: the last one drawn.
-function obstacleAt(app, [x, y]) {
-  return (app.scene.world?.obstacles ?? []).findLast(({ corners }) => inside(corners, x, y)) ?? null;
-}
-
-// The inner wall at a point, or null; [wall, end] where end is 0 or 1 near an end and null between them.
-function wallAt(app, point) {
-  const world = app.scene.world ? innerWalls(app.scene.world) : [];
-  const wall = world.findLast((ends) => app.map.pixels(point, nearestOn(ends, point)) < CLOSE_PX) ?? null;
-  if (!wall) return null;
-  const end = wall.findIndex((one) => app.map.pixels(one, point) < CLOSE_PX);
-  return [wall, end < 0 ? null : end];
+// The topmost thing at a point, or null; [thing, end], where end is 0 or 1 near an end of a wall or door, otherwise null.
+function thingAt(app, point) {
+  const thing = listThings(app).findLast(({ distance }) => distance(point) * app.map.view.scale < CLOSE_PX) ?? null;
+  if (!thing) return null;
+  const end = thing.hasEnds ? thing.points.findIndex((one) => app.map.pixels(one, point) < CLOSE_PX) : -1;
+  return [thing, end < 0 ? null : end];
 }
 
 // The end of a wall near a point, or the point itself.
@@ -123,14 +122,18 @@ function drawLine(pen, view, [start, end], theme) {
   pen.stroke();
 }
 
-// Drag from one end of a new wall to the other.
-function wallTool(app) {
+// Drag from one end of a new wall or door to the other.
+function segmentTool(add) {
+  return (app) => newSegmentTool(app, (ends) => add(app, ends));
+}
+
+function newSegmentTool(app, add) {
   let start = null, here = null;
   return {
     down(world) { start = here = snapped(app, world); return true; },
     move(world) { here = snapped(app, world); },
     up() {
-      if (app.map.pixels(start, here) > 2 * MIN_DRAG_PX) addWall(app, [start, here]);
+      if (app.map.pixels(start, here) > 2 * MIN_DRAG_PX) add([start, here]);
       else app.rejectPlace();
       start = null;
     },
@@ -146,10 +149,14 @@ function outline(pen, view, corners, theme) {
   pen.stroke();
 }
 
-// Move the map; a click on a robot selects it.
+// Move the map; a click on a robot selects it, one on a door opens or closes it.
 function chooseTool(app) {
   return {
-    tap(world) { const id = robotAt(app, world); if (id) app.selectRobot(id); },
+    tap(world) {
+      const id = robotAt(app, world), door = id || !app.mayAct ? null : thingAt(app, world)?.[0];
+      if (id) app.selectRobot(id);
+      else door?.toggle?.();
+    },
   };
 }
 
@@ -236,48 +243,77 @@ function addTool(app) {
   };
 }
 
-// Drag an obstacle, an inner wall, or one end of it.
+// Drag a thing, or one end of a wall or door.
 function shiftTool(app) {
-  let obstacle = null, wall = null, start = null, here = null;
-  const movedWall = () => wall[0].map((end, k) => {
-    if (wall[1] !== null) return wall[1] === k ? snapped(app, here) : end;
-    return [end[0] + here[0] - start[0], end[1] + here[1] - start[1]];
+  let thing = null, end = null, start = null, here = null;
+  const moved = () => thing.points.map((point, k) => {
+    if (end !== null) return end === k ? snapped(app, here) : point;
+    return [point[0] + here[0] - start[0], point[1] + here[1] - start[1]];
   });
   return {
     down(world) {
-      obstacle = obstacleAt(app, world);
-      wall = obstacle ? null : wallAt(app, world);
+      [thing, end] = thingAt(app, world) ?? [null, null];
       start = here = world;
-      return Boolean(obstacle || wall);
+      return Boolean(thing);
     },
     move(world) { here = world; },
     up() {
-      if (obstacle) moveObstacle(app, obstacle.corners, here[0] - start[0], here[1] - start[1]);
-      else if (app.map.pixels(start, here) > MIN_DRAG_PX) moveWall(app, wall[0], movedWall());
-      obstacle = wall = null;
+      if (app.map.pixels(start, here) > MIN_DRAG_PX) {
+        if (end === null) thing.move(thing.points, here[0] - start[0], here[1] - start[1]);
+        else thing.reshape(thing.points, moved());
+      }
+      thing = null;
     },
-    cancel() { const isDragging = Boolean(obstacle || wall); obstacle = wall = null; return isDragging; },
+    cancel() { const isDragging = Boolean(thing); thing = null; return isDragging; },
     draw(pen, scene, view, { theme }) {
-      if (wall) drawLine(pen, view, movedWall(), theme);
-      if (obstacle) outline(pen, view, obstacle.corners.map(([x, y]) => [x + here[0] - start[0], y + here[1] - start[1]]), theme);
+      if (!thing) return;
+      if (thing.hasEnds) drawLine(pen, view, moved(), theme);
+      else outline(pen, view, moved(), theme);
     },
   };
 }
 
 function removeTool(app) {
-  let obstacle = null, wall = null;
+  let thing = null;
   return {
     down(world) {
-      obstacle = obstacleAt(app, world);
-      wall = obstacle ? null : wallAt(app, world)?.[0] ?? null;
-      return Boolean(obstacle || wall);
+      thing = thingAt(app, world)?.[0] ?? null;
+      return Boolean(thing);
     },
     up(world) {
-      if (obstacle && obstacleAt(app, world) === obstacle) deleteObstacle(app, obstacle);
-      else if (wall && String(wallAt(app, world)?.[0]) === String(wall)) deleteWall(app, wall);
-      obstacle = wall = null;
+      const released = thingAt(app, world)?.[0];
+      if (released?.name === thing.name && String(released.points) === String(thing.points)) thing.remove(thing.points);
+      thing = null;
     },
-    cancel() { const isDragging = Boolean(obstacle || wall); obstacle = wall = null; return isDragging; },
+    cancel() { const isDragging = Boolean(thing); thing = null; return isDragging; },
+  };
+}
+
+// Click point after point of a route; a click on the first one closes it, Enter or a click on the last one ends it.
+function walkerTool(app) {
+  let points = [], here = null;
+  const add = (closed) => { addWalker(app, points, closed); points = []; here = null; };
+  return {
+    down(world) { here = world; return true; },
+    move(world) { here = world; },
+    up(world) {
+      const isAt = (point) => point && app.map.pixels(point, world) < CLOSE_PX;
+      if (points.length > 2 && isAt(points[0])) add(true);
+      else if (points.length > 1 && isAt(points[points.length - 1])) add(false);
+      else if (!isFree(app.scene.world, ...world)) app.rejectPlace();
+      else if (!isAt(points[points.length - 1])) points.push(roundToTenths(world));
+    },
+    cancel() { const isDrawing = points.length > 0; points = []; here = null; return isDrawing; },
+    finish() {
+      if (points.length < 2) return this.cancel();
+      add(false);
+      return true;
+    },
+    draw(pen, scene, view, { theme }) {
+      const path = [...points, ...(here ? [here] : [])];
+      path.slice(1).forEach((point, k) => drawLine(pen, view, [path[k], point], theme));
+      for (const [x, y] of points) { circle(pen, view, x, y, 4 / view.scale); pen.stroke(); }
+    },
   };
 }
 

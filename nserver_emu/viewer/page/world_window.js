@@ -1,8 +1,9 @@
-// The window with walls, obstacles and world files: by corners and by keyboard, the gallery, undo, saving and loading. Hidden on read-only pages. The
+// The window with walls, obstacles, doors, walkers and world files: by corners and by keyboard, the gallery, undo, saving and loading. Hidden on read-only pages. The
 // server reads and writes the world format; the page only transfers the text.
 
 import { element, button, download, form, lengthField } from './widgets.js';
-import { addObstacle, callRobot, control, deleteObstacle, deleteWall, innerWalls, moveObstacle, moveWall } from './commands.js';
+import { addObstacle, callRobot, control } from './commands.js';
+import { listThings, WALKING_SPEED } from './things.js';
 import { unitIn, unitName } from './units.js';
 
 const STEP_IN = 1, EXAMPLE = '10,10 20,10 20,20';
@@ -15,7 +16,7 @@ export function parseCorners(text) {
 }
 
 export const worldWindow = {
-  id: 'world', title: 'Walls, obstacles, world files', moves: Promise.resolve(), rows: [],
+  id: 'world', title: 'Walls, obstacles, people, world files', moves: Promise.resolve(), rows: [],
   build(box, app) {
     this.list = element('div', { id: 'world-list' });
     const corners = element('input', { id: 'corners', placeholder: EXAMPLE, size: 22 }), name = document.createTextNode('');
@@ -24,6 +25,7 @@ export const worldWindow = {
     app.onUnits(relabel);
     relabel();
     this.step = lengthField(app, 'move by', STEP_IN, { min: 0.1, id: 'move-step' });
+    this.speed = lengthField(app, 'walkers', WALKING_SPEED, { min: 1, id: 'walking-speed', onchange: () => { app.walkingSpeed = this.speed.inches; } }, '/s');
     this.undo = button('Undo', () => app.history.undo(), { id: 'undo' });
     this.redo = button('Redo', () => app.history.redo(), { id: 'redo' });
     const file = element('input', { type: 'file', accept: '.toml', id: 'load-world', hidden: true, onchange: async () => {
@@ -36,7 +38,7 @@ export const worldWindow = {
         const typed = parseCorners(corners.value);
         if (!typed) app.notice(`Corners must be pairs x,y, for example ${EXAMPLE}`);
         else addObstacle(app, typed.map((corner) => corner.map((number) => number * unitIn(app.metric))));
-      }, element('div', { className: 'row' }, label, element('button', { id: 'add-corners' }, 'Add'), this.step.label)),
+      }, element('div', { className: 'row' }, label, element('button', { id: 'add-corners' }, 'Add'), this.step.label, this.speed.label)),
       element('div', { className: 'row halves' }, this.undo, this.redo),
       element('div', { className: 'row' }, button('Save world', () => saveWorld(app), { id: 'save-world' }), file,
         button('Load world', () => file.click()), button('Remove all obstacles', () => clearWorld(app), { id: 'clear-world' })),
@@ -50,7 +52,7 @@ export const worldWindow = {
     }
     if (this.shown === app.scene.world) return;
     this.shown = app.scene.world;
-    const things = this.shown ? listThings(app, this.shown) : [];
+    const things = listThings(app);
     while (this.rows.length < things.length) this.rows.push(this.newRow(app));
     for (const row of this.rows.splice(things.length)) row.node.remove();
     this.rows.forEach((row, k) => row.show(things[k]));
@@ -69,11 +71,14 @@ export const worldWindow = {
     };
     const by = (dx, dy) => (thing) => { this.moves = this.moves.then(() => shift(thing, dx * this.step.inches, dy * this.step.inches)); };
     row.node.append(action('←', 'move left', by(-1, 0)), action('→', 'move right', by(1, 0)), action('↑', 'move up', by(0, 1)),
-      action('↓', 'move down', by(0, -1)), action('Delete', 'delete', (thing) => thing.remove(thing.corners)));
+      action('↓', 'move down', by(0, -1)), action('Delete', 'delete', (thing) => thing.remove(thing.points)), action('Open', 'open', (thing) => thing.toggle()));
     row.show = (thing) => {
       const round = (inches) => String(Math.round(inches / unitIn(app.metric) * 10) / 10);
       row.thing = thing;
-      text.textContent = `${thing.name}: ${thing.corners.map((corner) => corner.map(round).join(',')).join(' ')}`;
+      text.textContent = `${thing.name}: ${thing.points.map((corner) => corner.map(round).join(',')).join(' ')}`;
+      row.node.lastChild.hidden = !thing.toggle;
+      row.node.lastChild.textContent = thing.isOpen ? 'Close' : 'Open';
+      row.node.lastChild.dataset.word = row.node.lastChild.title = thing.isOpen ? 'close' : 'open';
       for (const node of row.node.querySelectorAll('button')) node.ariaLabel = `${node.dataset.word} ${thing.name}`;
     };
     this.list.append(row.node);
@@ -81,20 +86,10 @@ export const worldWindow = {
   },
 };
 
-// The things that can be moved and deleted, with their commands.
-function listThings(app, world) {
-  return [
-    ...world.obstacles.map(({ name, corners }, k) => ({ name: name || `obstacle ${k + 1}`, corners,
-      move: (now, dx, dy) => moveObstacle(app, now, dx, dy), remove: (now) => deleteObstacle(app, { corners: now }) })),
-    ...innerWalls(world).map((ends, k) => ({ name: `wall ${k + 1}`, corners: ends,
-      move: (now, dx, dy) => moveWall(app, now, now.map(([x, y]) => [x + dx, y + dy])), remove: (now) => deleteWall(app, now) })),
-  ];
-}
-
 // Move a thing. Its new corners are stored at once: the next move may come before the next picture.
 async function shift(thing, dx_in, dy_in) {
-  const answer = await thing.move(thing.corners, dx_in, dy_in);
-  if (answer.ok) thing.corners = answer.result.is;
+  const answer = await thing.move(thing.points, dx_in, dy_in);
+  if (answer.ok) thing.points = answer.result.is;
 }
 
 async function worldText(app) {

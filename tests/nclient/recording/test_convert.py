@@ -25,6 +25,7 @@ from nclient.protocol.types import M_PER_IN, MODELS
 from nclient.recording import convert
 from nclient.recording.drive import RING, Drive, Sample
 from nclient.recording.format import read_recording
+from worlds.robots import N150
 
 DATA = Path(__file__).parents[4] / "shared" / "data" / "sparse_gslam_flights"
 FORMATS = (".log", ".mcap", ".bag", "", ".csv", ".clf")
@@ -76,7 +77,7 @@ def drives() -> st.SearchStrategy[Drive]:
                 tuple(rng.choice((math.inf, rng.uniform(0.16, 6.4))) for _ in directions), rng.randrange(2**20),
             )
             for k in range(count)
-        ], directions if sonars != 16 else RING)  # fmt: skip
+        ], directions if sonars != 16 else RING, rng.choice((0.0, 0.25)))  # fmt: skip
 
     return st.builds(drive, st.integers(0, 2**32), st.integers(1, 5), st.sampled_from((1, 8, 16, 24)))
 
@@ -130,8 +131,25 @@ def test_mcap_holds_ros_messages(recorded: Path, tmp_path: Path) -> None:
     assert (odometry.header.frame_id, odometry.child_frame_id) == ("robot1/odom", "robot1/base_link")
     assert odometry.pose.pose.position.x == sample.x_m
     assert scan.header.frame_id == "robot1/turret"
-    assert np.array_equal(scan.ranges, np.array(sample.ranges_m, np.float32))
+    ring_m = N150.sonar_ring_radius_in * M_PER_IN
+    assert scan.ranges.tolist() == pytest.approx([one + ring_m for one in sample.ranges_m])
+    assert (scan.range_min, scan.range_max) == pytest.approx((6 * M_PER_IN + ring_m, 255 * M_PER_IN + ring_m))
+    (frames,) = found["/tf_static"]
+    assert frames.transforms[4].transform.translation.y == pytest.approx(ring_m)
     assert scan.angle_increment == pytest.approx(math.tau / 16)
+
+
+@pytest.mark.parametrize("suffix", HOLD_RECORDINGS)
+def test_readings_at_the_limits_survive(tmp_path: Path, suffix: str) -> None:
+    """REP-117: -inf nearer than a sonar measures, +inf without an echo."""
+    ranges = (6 * M_PER_IN, 7 * M_PER_IN, math.inf) + (math.inf,) * 13
+    drive = Drive([Sample(1.0, ranges_m=ranges)], ring_m=0.25)
+    (scan,) = [one.content for one in convert._ros()._messages(drive) if one.topic == "/robot1/sonar"]
+    assert scan["ranges"][:3] == [-math.inf, pytest.approx(7 * M_PER_IN + 0.25), math.inf]
+    convert.write_drive(drive, tmp_path / f"run{suffix}")
+    found = convert.read_drive(tmp_path / f"run{suffix}")
+    assert found.samples[0].ranges_m == pytest.approx(ranges, abs=1e-6)
+    assert found.ring_m == pytest.approx(0.25)
 
 
 @pytest.mark.parametrize("suffix", [".bag", ""])
@@ -231,13 +249,18 @@ def scan_of(*ranges: float, first: float = 0.0) -> Any:
         header_of(), first, 0.0, 0.5, 0.0, 0.0, 0.1, 80.0, found, np.array([], np.float32))
 
 
+def battery_of(volts: float, place: str) -> Any:
+    message = convert._ros().ros_messages.battery(0, "base", volts, place)
+    return convert._ros()._builder(ros_types()).build("sensor_msgs/msg/BatteryState", message)
+
+
 def test_one_topic_of_each_kind_is_read(tmp_path: Path) -> None:
     """Two robots and two lasers are not mixed; what is left out has a name."""
     types = ros_types().types
-    charge = convert._ros().battery(types, header_of(), 12.0, "left")
+    charge = battery_of(12.0, "left")
     sonar = types["sensor_msgs/msg/Range"](header_of(), 0, 0.4, 0.1, 6.0, 1.5)
     write_bag(tmp_path / "two.bag", ("/a/pose", pose_of(1)), ("/b/pose", pose_of(9)), ("/battery", charge),
-              ("/other/battery", convert._ros().battery(types, header_of(), 24.0, "right")),
+              ("/other/battery", battery_of(24.0, "right")),
               ("/front", scan_of(1, 2)), ("/rear", scan_of(3, 4, 5)), ("/front", scan_of(2, 3, 4)), ("/range", sonar))
     drive = convert.read_drive(tmp_path / "two.bag")
     assert [(sample.x_m, sample.ranges_m) for sample in drive.samples] == [(1, (1, 2))]

@@ -193,6 +193,13 @@ async def test_replay_repeats_changes_of_obstacles_and_worlds(tmp_path: Path) ->
         control("obstacle", {"corners": [[17.655, -10], [23.655, -10], [23.655, 10]]})
         server.daemon.step(1.5)
         await client.ask("gs")
+        # A door that is opened, and a walker.
+        control("door", {"put": [[25, -20], [25, 20]], "name": "gate"})
+        server.daemon.step(1.5)
+        control("door", "gate open")
+        control("walker", {"put": [[60, 3], [60, 20]]})
+        server.daemon.step(1.5)
+        await client.ask("gs")
         # A wall, and a world in which the robot has no room, so that it is placed at a start.
         control("wall", {"put": [[30, -20], [30, 20]]})
         server.daemon.step(1.5)
@@ -204,8 +211,8 @@ async def test_replay_repeats_changes_of_obstacles_and_worlds(tmp_path: Path) ->
         await client.ask("gs")
 
     recording = await recorded(tmp_path / "run.log", REAL_TIME, scenario)
-    assert (replay(recording).answers, replay(recording).difference) == (8, "")
-    for change in ("wall", "world"):
+    assert (replay(recording).answers, replay(recording).difference) == (9, "")
+    for change in ("wall", "world", "door", "walker"):
         tape = dataclasses.replace(recording, entries=tuple(e for e in recording.entries if change not in e.more))
         assert replay(tape).difference
     tape = dataclasses.replace(recording, entries=tuple(e for e in recording.entries if "obstacle" not in e.more))

@@ -17,15 +17,9 @@ import pytest
 
 from nclient.errors import ConnectionLost
 from nserver_emu.rosbridge import topics
-from nserver_emu.rosbridge.client import MAX_SUBSCRIPTIONS, RosbridgeClient, Services
-from nserver_emu.rosbridge.server import (
-    MAP_CELL_IN,
-    MAX_MAP_CELLS,
-    MAX_MESSAGE,
-    RosbridgeServer,
-    map_cell_in,
-    serve_rosbridge,
-)
+from nserver_emu.rosbridge.client import MAX_SUBSCRIPTIONS, RosbridgeClient, Services, encode_published
+from nserver_emu.rosbridge.readings import MAP_CELL_IN, MAX_MAP_CELLS, map_cell_in
+from nserver_emu.rosbridge.server import MAX_MESSAGE, RosbridgeServer, serve_rosbridge
 from nserver_emu.rosbridge.topics import Reading
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
@@ -115,17 +109,26 @@ async def test_topics_have_units_and_frames() -> None:
         assert abs(odometry["header"]["stamp"]["nsecs"]) < 1e9
         scan = await client.topic("/robot1/sonar", "sensor_msgs/msg/LaserScan")
         readings = here.robot.sonar.readings_in
-        assert scan["ranges"] == [pytest.approx(round(one) * 0.0254) if one < 255 else None for one in readings]
+        ring_m = here.robot.model.body.sonar_ring_radius_in * 0.0254
+        # From the axis, which is the frame of the message.
+        expected = [round(one) * 0.0254 + ring_m if one < 255 else None for one in readings]
+        assert scan["ranges"] == [one and pytest.approx(one) for one in expected]
+        assert scan["range_max"] == pytest.approx(255 * 0.0254 + ring_m)
         assert scan["angle_increment"] == pytest.approx(math.tau / 16)
         one = await client.topic("/robot1/sonar/3", "sensor_msgs/Range")
-        assert one["range"] == scan["ranges"][3]
+        assert one["range"] == pytest.approx(scan["ranges"][3] - ring_m)
         assert one["header"]["frame_id"] == "robot1/sonar_3"
         assert (await client.topic("/robot1/bumpers", "std_msgs/UInt32"))["data"] == 0
         assert 10 < (await client.topic("/robot1/battery", "sensor_msgs/BatteryState"))["voltage"] < 13
         frames = (await client.topic("/tf", "tf2_msgs/TFMessage"))["transforms"]
-        assert [(one["header"]["frame_id"], one["child_frame_id"]) for one in frames][:2] == [
+        assert [(one["header"]["frame_id"], one["child_frame_id"]) for one in frames] == [
             ("robot1/odom", "robot1/base_link"), ("robot1/base_link", "robot1/turret")
         ]
+        fixed = (await client.topic("/tf_static", "tf2_msgs/TFMessage"))["transforms"]
+        assert [one["child_frame_id"] for one in fixed] == [f"robot1/sonar_{k}" for k in range(16)]
+        fourth = fixed[4]["transform"]
+        assert fourth["translation"]["y"] == pytest.approx(ring_m)
+        assert fourth["rotation"]["z"] == pytest.approx(math.sin(math.pi / 4))
         grid = await client.topic("/map", "nav_msgs/OccupancyGrid")
         assert len(grid["data"]) == grid["info"]["width"] * grid["info"]["height"]
         assert set(grid["data"]) == {-1, 0, 100}
@@ -383,12 +386,26 @@ async def test_published_estimates_are_poses_in_the_map() -> None:
             assert answer.status == 403
 
 
+def test_readings_at_the_limits() -> None:
+    """REP-117: -inf nearer than a sonar measures, +inf without an echo; JSON has the least range, and null."""
+    state = [255] * 45
+    state[17:20] = 6, 7, 255
+    found = dict(topics.messages_of(Reading(1, state, False, 0, ring_m=0.25)))
+    scan = found["/robot1/sonar"]
+    assert scan["ranges"][:3] == [-math.inf, pytest.approx(7 * 0.0254 + 0.25), math.inf]
+    assert scan["range_min"] == pytest.approx(6 * 0.0254 + 0.25)
+    assert [found[f"/robot1/sonar/{k}"]["range"] for k in (0, 2)] == [-math.inf, math.inf]
+    sent = json.loads(encode_published("/robot1/sonar", scan))["msg"]
+    assert sent["ranges"][:3] == [scan["range_min"], scan["ranges"][1], None]
+    assert json.loads(encode_published("/a", found["/robot1/sonar/0"]))["msg"]["range"] == pytest.approx(6 * 0.0254)
+
+
 def test_wheels_of_a_scout() -> None:
     """Its velocities are those of the wheels, in both directions."""
     args = topics.velocities({"linear": {"x": 0.127}, "angular": {"z": 0.5}}, True)
     state = [0] * 45
     state[38:40] = args[:2]
-    speed, turn = Reading(1, state, True, 0.0).velocity
+    speed, turn = Reading(1, state, True, 0).velocity
     assert speed == pytest.approx(0.127, abs=0.002)
     assert turn == pytest.approx(0.5, abs=0.02)
     assert args[0] > args[1]

@@ -11,6 +11,7 @@ from localization.filters.health import HealthStatus
 from localization.filters.update import Refusal
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.viewer.auth import Access
 from nserver_emu.viewer.broadcaster import Broadcaster
 from nserver_emu.viewer.controller import STALE_S, ViewerController
 from nserver_emu.viewer.messages import MAX_PLACES, MAX_REASON, REFUSALS, TRUSTS, InvalidMessage, parse_estimate
@@ -83,7 +84,7 @@ def test_an_old_estimate_is_not_sent_to_new_pages() -> None:
     controller.publish(json.dumps(GOOD), 100.0)
 
     def ages(now: float) -> list[Any]:
-        message = [json.loads(text) for text in controller.connect_page(now, may_act=False).take_messages()]
+        message = [json.loads(text) for text in controller.connect_page(now, Access(may_act=False)).take_messages()]
         return [message["age_s"] for message in message if message["type"] == "localization"]
 
     assert ages(112.3) == [12.3]

@@ -45,7 +45,7 @@ def test_what_is_no_port_is_wrong_usage(text: str, capsys: pytest.CaptureFixture
 @pytest.mark.parametrize(("host", "name"), [("127.0.0.1", r"127\.0\.0\.1"), ("::1", r"\[::1\]")])
 async def test_one_line_says_where_and_the_token(host: str, name: str) -> None:
     daemon = Daemon(Emulator(simulation()))
-    options = argparse.Namespace(viewer=ListenAddress(host, 0), viewer_token_file=None, model_file=None)
+    options = argparse.Namespace(viewer=ListenAddress(host, 0), viewer_token_file=None, model_file=None, students=[])
     async with running_viewer(daemon, options) as (line,):
         pass
     assert re.fullmatch(rf"listening viewer http://{name}:\d+/\?token=[\w-]{{32}}", line)

@@ -1,0 +1,125 @@
+"""ROS messages of a robot as dictionaries, in one form for bags, MCAP, rosbridge and ROS 2 by DDS.
+
+Metres, radians and frames of REP-103 and REP-105; +inf is no echo, -inf a wall nearer than a sonar measures (REP-117).
+Fields are named as in ROS 2; those that are left out are 0 or empty. Times are Unix times in nanoseconds; `robot` is
+the name that its frames begin with.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any, Final
+
+from nclient.protocol.types import M_PER_IN, MAX_SONAR_IN, MIN_SONAR_IN, SONAR_SLOTS
+
+Message = dict[str, Any]
+Pose2 = tuple[float, float, float]
+"""x and y in metres, direction in radians."""
+
+ODOMETRY, SCAN, RANGE = "nav_msgs/msg/Odometry", "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/Range"
+NUMBER, BATTERY, TEXT = "std_msgs/msg/UInt32", "sensor_msgs/msg/BatteryState", "std_msgs/msg/String"
+ESTIMATE, TWIST = "geometry_msgs/msg/PoseWithCovarianceStamped", "geometry_msgs/msg/Twist"
+TRANSFORMS, GRID = "tf2_msgs/msg/TFMessage", "nav_msgs/msg/OccupancyGrid"
+TF, TF_STATIC, MAP, MAP_FRAME = "/tf", "/tf_static", "/map", "map"
+MIN_RANGE_M, MAX_RANGE_M = MIN_SONAR_IN * M_PER_IN, MAX_SONAR_IN * M_PER_IN
+_CONE_RAD: Final = math.radians(25.0)
+_ULTRASOUND: Final = 0
+_UNMEASURED: Final = ("temperature", "current", "charge", "capacity", "design_capacity", "percentage")
+"""Numbers of a BatteryState that are NaN where they are not measured."""
+
+
+def odometry(time_ns: int, robot: str, at: Pose2, speed_m_s: float, turn_rad_s: float) -> Message:
+    """Return an Odometry; its covariances are unknown: zeros."""
+    unknown = [0.0] * 36
+    return {
+        "header": header(time_ns, f"{robot}/odom"), "child_frame_id": f"{robot}/base_link",
+        "pose": {"pose": pose(*at), "covariance": unknown},
+        "twist": {"twist": {"linear": vector(speed_m_s), "angular": vector(z=turn_rad_s)}, "covariance": unknown},
+    }  # fmt: skip
+
+
+def range_m(reading_m: float) -> float:
+    """Return a reading of a Nomad's sonar by REP-117: the least means that the wall may be nearer."""
+    return reading_m if reading_m > MIN_RANGE_M else -math.inf
+
+
+def scan(
+    time_ns: int, robot: str, ranges_m: Sequence[float], directions_rad: Sequence[float], ring_m: float
+) -> Message:
+    """Return sonars as LaserScan, which has room for readings at equal angles only.
+
+    Parameters
+    ----------
+    time_ns, robot : as for all messages.
+    ranges_m : readings, which begin at the sonars.
+    directions_rad : directions of the sonars.
+    ring_m : distance of the sonars from the axis, where the ranges of the message begin, as its frame does.
+    """
+    first = directions_rad[0]
+    step = math.remainder(directions_rad[1] - first, math.tau) if len(directions_rad) > 1 else 0.0
+    # Other sensors reach farther: beyond the maximum of a scan a reading is no echo.
+    measured = [one for one in ranges_m if math.isfinite(one)]
+    min_m, max_m = min((MIN_RANGE_M, *measured)), max((MAX_RANGE_M, *measured))
+    return {"header": header(time_ns, f"{robot}/turret"), "angle_min": first,
+            "angle_max": first + step * (len(directions_rad) - 1), "angle_increment": step, "time_increment": 0.0,
+            "scan_time": 0.0, "range_min": min_m + ring_m, "range_max": max_m + ring_m,
+            "ranges": [one + ring_m for one in ranges_m], "intensities": []}  # fmt: skip
+
+
+def sonar_range(time_ns: int, robot: str, sonar: int, reading_m: float) -> Message:
+    """Return a sonar's reading as Range, in the sonar's own frame."""
+    return {
+        "header": header(time_ns, f"{robot}/sonar_{sonar}"), "radiation_type": _ULTRASOUND, "field_of_view": _CONE_RAD,
+        "min_range": MIN_RANGE_M, "max_range": MAX_RANGE_M, "range": reading_m,
+    }  # fmt: skip
+
+
+def battery(time_ns: int, frame: str, volts: float, place: str) -> Message:
+    """Return a BatteryState of which only the voltage is measured."""
+    return {"header": header(time_ns, frame), "voltage": volts, "present": True, "location": place,
+            **dict.fromkeys(_UNMEASURED, math.nan)}  # fmt: skip
+
+
+def moving_frames(time_ns: int, robot: str, at: Pose2, turret_rad: float) -> list[Message]:
+    """Return the transforms from odom to base_link to turret, which is relative to the base."""
+    return [transform(time_ns, f"{robot}/odom", f"{robot}/base_link", at),
+            transform(time_ns, f"{robot}/base_link", f"{robot}/turret", (0.0, 0.0, turret_rad))]  # fmt: skip
+
+
+def sonar_frames(time_ns: int, robot: str, radius_m: float) -> list[Message]:
+    """Return the transforms from the turret to each sonar, on a ring of this radius."""
+    found = []
+    for k in range(SONAR_SLOTS):
+        angle = math.tau * k / SONAR_SLOTS
+        at = radius_m * math.cos(angle), radius_m * math.sin(angle), angle
+        found.append(transform(time_ns, f"{robot}/turret", f"{robot}/sonar_{k}", at))
+    return found
+
+
+def stamp(time_ns: int) -> Message:
+    """Return a time of ROS."""
+    return {"sec": time_ns // 10**9, "nanosec": time_ns % 10**9}
+
+
+def header(time_ns: int, frame: str) -> Message:
+    """Return a header of ROS."""
+    return {"stamp": stamp(time_ns), "frame_id": frame}
+
+
+def vector(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Message:
+    """Return a Vector3 or Point."""
+    return {"x": x, "y": y, "z": z}
+
+
+def pose(x: float, y: float, angle_rad: float) -> Message:
+    """Return a Pose in the plane."""
+    return {"position": vector(x, y), "orientation": _rotation(angle_rad)}
+
+
+def transform(time_ns: int, parent: str, child: str, at: Pose2) -> Message:
+    """Return a TransformStamped in the plane."""
+    moved = {"translation": vector(*at[:2]), "rotation": _rotation(at[2])}
+    return {"header": header(time_ns, parent), "child_frame_id": child, "transform": moved}
+
+
+def _rotation(angle_rad: float) -> Message:
+    return vector() | {"z": math.sin(angle_rad / 2), "w": math.cos(angle_rad / 2)}

@@ -1,0 +1,1 @@
+"""Robots as ROS 2 topics by DDS, without ROS on this machine."""
