@@ -42,6 +42,9 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in a script's backgr
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+os.environ.setdefault("NOMAD_COMPILED", "never")  # the same numbers; importing numba takes every process a second
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
     group = parser.getgroup("nomad")
     group.addoption("--robot", metavar="ADDRESS", help="run only tests/hardware, on this real robot, which needs "
