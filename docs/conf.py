@@ -14,8 +14,10 @@ project = "nomad-nserver"
 author = "the nomad-nserver authors"
 version = release = version_of("nomad-nserver")
 
-# Markdown, notebooks that are executed at each build, and the reference from numpydoc docstrings.
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+# Markdown with $formulas$ (MathJax is part of the site), notebooks that are executed at each build, and the reference
+# from numpydoc docstrings.
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax", "sphinx-mathjax-offline"]
+myst_enable_extensions = ["dollarmath"]
 napoleon_google_docstring = False
 napoleon_use_rtype = False
 default_role = "code"  # names in docstrings

@@ -17,12 +17,14 @@ with connect(address) as robot:
     state, nearest_in = robot.refresh(), 255
     end_s = state.clock_s + limit_s
     while state.clock_s < end_s:
+        robot.sleep(0.1)
+        state = robot.refresh()
         near = min(state.sonars_in[number] for number in (15, 0, 1))
         nearest_in = min(nearest_in, near)
         turning = near < 20
         try:
-            state = robot.drive(translation_in_s=0 if turning else 6, steering_deg_s=30 if turning else 0,
-                                turret_deg_s=30 if turning else 0)
+            robot.drive(translation_in_s=0 if turning else 6, steering_deg_s=30 if turning else 0,
+                        turret_deg_s=30 if turning else 0)
         except RobotHeld as error:
             print(error)
             state = robot.wait_until_released()

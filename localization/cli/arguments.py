@@ -4,7 +4,6 @@ import argparse
 import math
 import os
 import sys
-import time
 from collections.abc import Sequence
 from dataclasses import astuple
 from pathlib import Path
@@ -338,10 +337,8 @@ def find_sonar_model(
     if sonars.rays and sonars.guessed and body.ring.fits_state:
         _, state = restart_ring(robot, body.ring)
         end_s = (state.clock_s or 0.0) + body.ring.round_s + ROUND_MARGIN_S
-        # In a simulation of this process each request takes some time of the robot's.
         while (state.clock_s or 0.0) < end_s:
-            if not is_lockstep(options.address):
-                time.sleep(ROUND_MARGIN_S / (state.speed_factor or 1.0))
+            robot.sleep(ROUND_MARGIN_S)
             state = robot.refresh()
         sonars = decide_by_readings(sonars, belief, state, world.walls, body)
     if sonars.line():

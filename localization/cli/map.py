@@ -1,4 +1,4 @@
-"""Check a map, simplify it, show where localization is inaccurate, learn one, or exchange maps with other tools."""
+"""Check a map, simplify it, show where localization is inaccurate, learn, edit or exchange one."""
 
 import argparse
 import json
@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from localization.cli import arguments, map_learn, map_update
+from localization.cli import arguments, map_edit, map_learn, map_update
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import Floats
 from localization.filters.sonar_cone import ConeSonar
@@ -98,7 +98,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "other tools."
     )
     parser.epilog = "example: nomad map show several_walls --out out/map.png"
-    tools = parser.add_subparsers(dest="tool", required=True, metavar="check|simplify|show|learn|update|import|export")
+    tools = parser.add_subparsers(
+        dest="tool", required=True, metavar="check|simplify|show|learn|update|edit|import|export"
+    )
     check = tools.add_parser(
         "check",
         help="find gaps, doubled walls, very short walls, starts without space, closed-off space; name places that "
@@ -130,6 +132,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         tools.add_parser("update", help="compare a map with a drive: moved, missing and new walls, an error of scale")
     )
     map_learn.add_arguments(tools.add_parser("learn", help="make a map of the room from a recorded drive"))
+    map_edit.add_arguments(tools.add_parser("edit", help="adjust a learned map to lengths measured with a tape"))
     _add_import(tools.add_parser("import", help="make a world file of a ROS, CARMEN, SVG or DXF map, or of a bitmap"))
     _add_export(tools.add_parser("export", help="write a world as map of ROS: map.yaml and PGM"))
     for tool in (check, simplify, show):
@@ -172,6 +175,8 @@ def run(options: argparse.Namespace) -> int:
         return map_learn.run(options)
     if options.tool == "update":
         return map_update.run(options)
+    if options.tool == "edit":
+        return map_edit.run(options)
     world = load_world(options.world)
     match options.tool:
         case "simplify":

@@ -13,7 +13,6 @@ import contextlib
 import json
 import math
 import sys
-import time
 from collections.abc import Generator
 from pathlib import Path
 from urllib.parse import quote
@@ -285,7 +284,7 @@ def _follow(
 
     limits = MODEL_LIMITS[robot.model.name].capped(options.speed, TURN_RAD_S)
     steps = survey(
-        robot, body, mapper_of, driver, limits, time.sleep, fence=options.geofence,
+        robot, body, mapper_of, driver, limits, robot.sleep, fence=options.geofence,
         collector=None if before is None else DriveCollector(robot.model.name, before),
     )  # fmt: skip
     # Closing the generator stops the robot.

@@ -82,7 +82,8 @@ def _write(path: Path, world: World, comment: str) -> None:
 
 def _draw(path: Path, world: World, found: MapDifference) -> None:
     """Draw the map, what is no longer there, and what has been found in its place."""
-    from localization.live.plot import ESTIMATE, GOAL, ODOMETRY, blank, draw_walls, save
+    from localization.live.plot import save
+    from worlds.drawing import ESTIMATE, GOAL, ODOMETRY, blank, draw_walls
 
     picture = blank(9.0, 8.0)
     axes = picture.subplots()

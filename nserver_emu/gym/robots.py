@@ -5,7 +5,6 @@ Inches, radians and seconds; arrays have one row per robot.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from contextlib import suppress
 from math import pi
@@ -186,13 +185,12 @@ class ConnectedRobot:
     address
         Of the robot.
     wait
-        Lets real time pass; None: time.sleep, and nothing for `sim:`, whose time advances with requests.
+        Lets time of the robot pass; None: `Robot.sleep`.
     """
 
     def __init__(self, address: str, wait: Callable[[float], None] | None = None) -> None:
-        self._is_lockstep = address.startswith("sim:")
-        self._wait = wait or time.sleep
         self._robot = connect(address)
+        self._wait = wait or self._robot.sleep
         self._turns = self._robot.model.has_turret
         self.body = BODIES[self._robot.model.name]
         self._state = self._robot.refresh()
@@ -235,9 +233,7 @@ class ConnectedRobot:
             remaining_s = end_s - self._now_s
             if remaining_s < MIN_WAIT_S:
                 return
-            if not self._is_lockstep:
-                # A real robot has no speed factor.
-                self._wait(remaining_s / (self._state.speed_factor or 1.0))
+            self._wait(remaining_s)
 
     def sense(self) -> Sensed:
         """Return the last state."""

@@ -129,7 +129,7 @@ def refusal(message: messages.Message, robot: int, person: str, holders: Mapping
     match message:
         case messages.Seen() | messages.Watch() | messages.Gallery():
             return ""
-        case messages.ControlServer():
+        case messages.ControlServer() | messages.Adjust():
             return "only the teacher changes the world, its time, noise and faults"
         case messages.CallRobot() if message.call in _OF_THE_WORLD:
             return "only the teacher changes the world"

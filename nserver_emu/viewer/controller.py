@@ -41,6 +41,7 @@ from nserver_emu.viewer.broadcaster import Broadcaster, Viewer
 from nserver_emu.viewer.classroom import refusal
 from nserver_emu.viewer.error_boundary import ErrorBoundary
 from nserver_emu.viewer.localizers import Localizers
+from nserver_emu.viewer.map_editor import adjust_world
 from nserver_emu.viewer.messages import parse_estimate
 from nserver_emu.viewer.traffic import TrafficMonitor
 from worlds.io import SHIPPED, load_world, world_names
@@ -276,6 +277,8 @@ class ViewerController:
         self.waypoints: dict[int, list[list[float]]] = {}
         """Goal of each robot, as set at a page."""
         self._waypoints_set: Counter[int] = Counter()
+        self._waypoints_received: Counter[int] = Counter()
+        """How often they were set, by robot, and that number when its localizer last got them."""
         self._clients: dict[Viewer, ViewerClients] = {}
         self._worlds_being_read: dict[Viewer, asyncio.Task[bytes]] = {}
         self._reading: set[asyncio.Task[Answer]] = set()
@@ -295,7 +298,8 @@ class ViewerController:
         viewer.notify(messages.encode_message("hello", version=messages.VERSION, name=viewer.name,
                             may_act=access.may_act, watch_token=watch_token if access.may_act else None,
                             waypoints=self.waypoints, lines=dict(self.daemon.lines()) if access.may_act else {},
-                            robot=access.robot, names=self._names))
+                            robot=access.robot, names=self._names,
+                            own_methods=list(self.localizers.own_methods)))
         viewer.notify(messages.encode_message("programs", robots=self._programs))
         viewer.notify(messages.encode_message("asked", robots=self._pose_requests))
         viewer.notify(messages.encode_message("localizers", robots=self.localizers.as_dict()))
@@ -397,6 +401,11 @@ class ViewerController:
                 self.robots(message.robot)
                 self.localizers.start(message.robot, message.method, is_lost=message.is_lost, resumes=message.resumes)
                 _replier(viewer, message.id)({"ok": True})
+            case messages.Adjust():
+                if self._reading:
+                    raise messages.InvalidMessage("another page's files are being read; repeat it in a moment")
+                world = self.daemon.emulator.simulation.world
+                self._answer_in_thread(viewer, message.id, lambda: adjust_world(world, message.lengths))
             case messages.Gallery():
                 self._answer_in_thread(viewer, message.id, shipped_worlds)
             case messages.Kidnap():
@@ -514,8 +523,11 @@ class ViewerController:
             raise messages.InvalidMessage(f"there is no robot {robot}")
         if only not in (None, robot):
             raise messages.InvalidMessage(f"this link publishes estimates of robot {only} only")
-        if estimate.pop("began") and self.waypoints.get(robot):
+        # A new localizer gets the waypoints that none before it got, unless it has some of its own.
+        is_new = self._waypoints_received[robot] < self._waypoints_set[robot] and not estimate["waypoints"]
+        if estimate.pop("began") and self.waypoints.get(robot) and not is_new:
             self.set_waypoints(robot, [])
+        self._waypoints_received[robot] = self._waypoints_set[robot]
         self._published[robot] = now, estimate
         self.localizers.mark_published(robot)
         self.broadcaster.notify(messages.encode_message("localization", **estimate, age_s=0.0))

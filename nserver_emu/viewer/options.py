@@ -2,7 +2,7 @@
 
 The options:
 
-    --viewer [[HOST:]PORT]    --viewer-token-file FILE    --class FILE
+    --viewer [[HOST:]PORT]    --viewer-token-file FILE    --class FILE    --method FILE.py:CLASS
 """
 
 from __future__ import annotations
@@ -49,6 +49,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--viewer-token-file", type=Path, metavar="FILE",
                        help="store the page's tokens in a file that only you may read, so that its address stays the "
                        "same over restarts (created where it is missing)")
+    group.add_argument("--method", type=parse_own_method, action="append", default=[], metavar="FILE.py:CLASS",
+                       help="offer a filter of your own on the page, beside the built-in ones; repeatable; it runs in "
+                       "the process of the localizer (docs/own-filter.md)")
     group.add_argument("--class", dest="class_file", type=Path, metavar="STUDENTS.csv",
                        help="a class: give each student of the file (name[,token][,robot] per line) a robot and a link "
                        "of the page that drives only that robot; links are written to STUDENTS.links.csv; implies "
@@ -62,6 +65,8 @@ def refuse(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None
         options.viewer = ListenAddress()
     if options.viewer_token_file is not None and options.viewer is None:
         parser.error("--viewer-token-file is for the page: give --viewer too")
+    if options.method and options.viewer is None:
+        parser.error("--method is for the page: give --viewer too, or use nomad localize --method")
 
 
 class ViewerMissing(ExtraMissing):
@@ -92,7 +97,7 @@ async def running_viewer(daemon: Daemon, options: argparse.Namespace) -> AsyncIt
             host, port = options.viewer
             students = require_robots(options, daemon)
             lines = await open_page.enter_async_context(
-                serve_viewer(daemon, host, port, tokens, options.model_file, students)
+                serve_viewer(daemon, host, port, tokens, options.model_file, students, options.method)
             )
             if students:
                 page = lines[0].split()[-1].partition("/?")[0]
@@ -139,6 +144,20 @@ def parse_listen_address(text: str) -> ListenAddress:
     if not port.isdecimal() or int(port) > 65535:
         raise argparse.ArgumentTypeError(f"a port is 0 to 65535, or HOST:PORT, not {text!r}")
     return ListenAddress(host.strip("[]") or LOOPBACK, int(port))
+
+
+def parse_own_method(text: str) -> str:
+    """Return `FILE.py:CLASS` with the whole path, or `MODULE:CLASS` as it is. Raises ArgumentTypeError."""
+    place, _, name = text.rpartition(":")
+    if not place or not name.isidentifier():
+        raise argparse.ArgumentTypeError(f"a filter of your own is FILE.py:CLASS or MODULE:CLASS, not {text!r}; the "
+                                         "built-in ones are on the page without this option")
+    if not place.endswith(".py"):
+        return text
+    path = Path(place).absolute()
+    if not path.is_file():
+        raise argparse.ArgumentTypeError(f"{place}: no such file; expected FILE.py:CLASS")
+    return f"{path}:{name}"
 
 
 def listen_address_of(option: str) -> Callable[[str], ListenAddress]:

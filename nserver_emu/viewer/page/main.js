@@ -129,6 +129,7 @@ function onHello(message) {
   showConnection();
   app.watchToken = message.watch_token;
   app.lines = message.lines;
+  app.ownMethods = message.own_methods;
   app.waypoints = message.waypoints;
   document.body.classList.toggle('read-only', !message.may_act);
   app.watch();

@@ -83,10 +83,9 @@ def test_turret_that_looks_elsewhere_is_refused() -> None:
 def test_real_time_is_waited_for() -> None:
     waited: list[float] = []
     robots = ConnectedRobot("sim:thesis_room?step_s=0.05", wait=waited.append)
-    robots._is_lockstep = False
     robots.reset(np.ones(1, dtype=bool), np.zeros((1, 4)), None)
     robots.step(0.2)
-    # Each request takes 0.05 s of simulated time; a robot without a speed factor runs in real time.
+    # Each request takes 0.05 s of simulated time.
     assert waited == pytest.approx([0.15, 0.1, 0.05])
     assert robots.sense().time_s[0] == pytest.approx(0.2)
     robots.close()

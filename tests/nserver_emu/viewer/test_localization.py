@@ -106,6 +106,15 @@ def test_a_new_localizer_discards_old_waypoints() -> None:
     assert controller.publish(json.dumps(GOOD), 3.0) == {"waypoints": [[1, 2]], "set": 3}
 
 
+def test_a_new_localizer_gets_waypoints_set_while_it_started() -> None:
+    controller = ViewerController(Daemon(Emulator(simulation())), Broadcaster(SceneHistory(Emulator(simulation()))))
+    without = GOOD | {"waypoints": [], "began": True}
+    controller.set_waypoints(1, [[7, 8]])
+    assert controller.publish(json.dumps(without), 1.0) == {"waypoints": [[7, 8]], "set": 1}
+    # The next localizer does not drive to what this one has received.
+    assert controller.publish(json.dumps(without), 2.0) == {"waypoints": [], "set": 2}
+
+
 async def test_a_posted_estimate_reaches_present_and_later_pages() -> None:
     async with serve_viewer(Emulator(simulation())) as here, here.page(here.viewer_server.watch_token) as page:
         address = f"{here.origin}/publish"

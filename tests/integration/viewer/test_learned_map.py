@@ -1,0 +1,44 @@
+"""A learned map at the page: opened, a taped length entered, undone; what contradicts the map is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from playwright.sync_api import Browser
+
+from tests.integration.viewer.browsing import OpenPage, nserver, open_page
+from tests.localization.cli.test_map import LEARNED
+
+WIDTH = "nserver.scene.world.walls[0][2] - nserver.scene.world.walls[0][0]"
+
+
+def measure(page: OpenPage, start: tuple[float, float], end: tuple[float, float], length: str) -> None:
+    """Drag from one end of a wall to another one, and enter the length between them."""
+    if page.page.get_attribute("#tool-length", "aria-pressed") == "false":
+        page.page.click("#tool-length")
+    page.page.mouse.move(*page.at(*start))
+    page.page.mouse.down()
+    page.page.mouse.move(*page.at(*end), steps=3)
+    page.page.mouse.up()
+    page.page.fill("#tape-length", length)
+    page.page.press("#tape-length", "Enter")
+
+
+def test_map_adjusts_to_a_taped_length(browser: Browser, tmp_path: Path) -> None:
+    room = tmp_path / "room.toml"
+    room.write_text(LEARNED)
+    with nserver(str(room)) as program, open_page(browser, program.url) as page:
+        measure(page, (1, 1), (99, 1), "100.4")
+        page.wait(f"Math.abs({WIDTH} - 100.28) < 0.03", 60.0)
+        page.wait("document.querySelector('#tapes').innerText.includes('0,0 to 100,0: 100.40 in')")
+        # The second length is entered beside the first, which stays true.
+        measure(page, (0, 80), (0, 0), "80.1")
+        page.wait("document.querySelector('#tapes').children.length === 2", 60.0)
+        assert abs(page.value(WIDTH) - 100.3) < 0.06
+        page.value("nserver.history.undo()")
+        page.wait("document.querySelector('#tapes').children.length === 1")
+        page.value("nserver.history.undo()")
+        page.wait(f"{WIDTH} === 100 && document.querySelector('#tapes').children.length === 0")
+        measure(page, (1, 1), (99, 1), "150")
+        page.wait("document.querySelector('#notice').innerText.includes('contradicts the map')", 60.0)
+        assert page.value(WIDTH) == 100
