@@ -48,6 +48,7 @@ def make_step(checksum: int) -> Step:
         H, R, innovation = np.zeros((count, POSE)), np.ones(count), np.zeros(count)
         is_used = np.zeros(count, dtype=np.bool_)
         change: Any = np.zeros(POSE)
+        H_true: Any = np.zeros(POSE)
         rows = wall_rows(walls)
         listed: Any = compiled.ListedWalls(walls.segments, walls.lines, walls.middle, rows)
         for i in range(len(truth)):
@@ -71,7 +72,9 @@ def make_step(checksum: int) -> Step:
                 row = nearest_wall(truth[i, 0], truth[i, 1], dx, dy, rows)[1]
                 if row == NO_WALL:
                     continue
-                along, H_true, _ = intersect_line(truth[i, 0], truth[i, 1], dx, dy, line_of(row, listed), 0.0)
+                along, slope, _ = intersect_line(truth[i, 0], truth[i, 1], dx, dy, line_of(row, listed), 0.0)
+                # An array: `kalman_gain` has code for longer derivatives, which numba refuses for a tuple of three.
+                H_true[0], H_true[1], H_true[2] = slope
                 R_true = range_variance(sonar, along - ring_in)
                 K, S = kalman_gain(bound[i], H_true, R_true)
                 add_outer(bound[i], -S, K)
@@ -93,7 +96,7 @@ def make_step(checksum: int) -> Step:
                 if is_used[beam]:
                     a, b, c = H[beam, 0], H[beam, 1], H[beam, 2]
                     left = innovation[beam] - (a * change[0] + b * change[1] + c * change[2])
-                    nis[i] += kalman_update(change, cov[i], (a, b, c), R[beam], left)
+                    nis[i] += kalman_update(change, cov[i], H[beam], R[beam], left)
             mean[i] += change
             mean[i, HEADING] = wrap_angle(mean[i, HEADING])
         assert checksum >= 0
