@@ -54,8 +54,8 @@ def test_walls_are_joined_at_their_corner_or_to_one(browser: Browser, tmp_path: 
         for x, y in ((50, 0), (80, 50)):
             page.page.mouse.click(*page.at(x, y))
         page.wait(f"{shown} === '[[0,0,80,0],[80,0,80,90],[10,60,30,60],[40,60,60,61]]'")
-        for x, y in ((20, 60), (50, 60.5)):
-            page.page.mouse.click(*page.at(x, y))
+        for x_in, y_in in ((20, 60), (50, 60.5)):
+            page.page.mouse.click(*page.at(x_in, y_in))
         page.wait(f"{shown} === '[[0,0,80,0],[80,0,80,90],[10,60,60,61]]'")
         # Longer walls keep their accuracy; each join is two steps.
         request = "nserver.link.request({ do: 'control', command: 'world show' })"
