@@ -898,7 +898,7 @@ class Robot:
         return False
 
     def held_by(self) -> str:
-        """Query which person holds the robot (Stop on the page, `nserver ctl stop`); "" if nobody does.
+        """Query which person holds the robot (Stop on the page, `nserver ctl stop`); "" if none does.
 
         Raises RobotRefused (error 1) if the server is not one of this project. Wire name: held_by.
         """

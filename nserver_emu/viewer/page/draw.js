@@ -217,20 +217,21 @@ function drawLabels(pen, scene, view, { theme, names }) {
   const robots = Object.entries(scene.robots).filter(([id]) => scene.bodies[id]);
   const circles = robots.map(([id, { actual }]) => ({ id, at: toScreen(view, actual[0], actual[1]), radius: scene.bodies[id].radius_in * view.scale }));
   pen.fillStyle = theme.actual;
-  for (const { text, x, y, size } of placeLabels(circles, names ?? {})) {
+  for (const { text, x, y, size } of placeLabels(circles, names ?? {}, view.width)) {
     pen.font = `${size}px system-ui, sans-serif`;
     pen.fillText(text, x, y);
   }
 }
 
 // Return [{text, x, y, size, box}]: x and y are the left end of the base line, box is [left, top, right, bottom], in pixels.
-export function placeLabels(circles, names) {
+// Labels of robots at the edge of the map, `width` pixels wide, stay on it.
+export function placeLabels(circles, names, width) {
   const placed = [], bodies = circles.map(({ id, at: [x, y], radius }) => ({ id, box: [x - radius, y - radius, x + radius, y + radius] }));
   for (const { id, at: [x, y], radius } of circles) {
     const texts = names[id] ? [`${id} ${names[id]}`, id] : [id];
     const others = [...bodies.filter((body) => body.id !== id), ...placed];
     const fits = texts.flatMap((text) => labelPlaces(text, x, y, radius))
-      .find(({ box }) => !others.some((other) => overlap(box, other.box)));
+      .find(({ box }) => box[0] >= 0 && box[2] <= width && !others.some((other) => overlap(box, other.box)));
     placed.push(fits ?? labelInside(id, x, y, radius));
   }
   return placed;

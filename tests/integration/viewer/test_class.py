@@ -78,7 +78,7 @@ def test_list_and_labels_of_thirty_robots(browser: Browser) -> None:
               const circles = Object.entries(nserver.scene.robots).map(([id, { actual: [x, y] }]) => ({ id,
                 at: toScreen(view, x, y), radius: nserver.scene.bodies[id].radius_in * view.scale }));
               const names = Object.fromEntries(circles.map(({ id }) => [id, `Student ${id}`]));
-              const boxes = placeLabels(circles, names).map(({ box }) => box);
+              const boxes = placeLabels(circles, names, view.width).map(({ box }) => box);
               boxes.forEach(([l, t, r, b], k) => boxes.slice(k + 1).forEach(([left, top, right, bottom]) => {
                 if (l < right && left < r && t < bottom && top < b) found.push(zoom); }));
               if (boxes.length !== 30) found.push('missing');
