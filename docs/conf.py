@@ -25,6 +25,7 @@ autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_class_signature = "mixed"
 nb_execution_mode = "force"
+nb_execution_excludepatterns = ["course/*"]  # tasks to be solved; tests run them with the solutions in
 nb_execution_raise_on_error = True
 nb_execution_timeout = 120
 myst_heading_anchors = 3

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from localization.cli import arguments, map_edit, map_learn
+from localization.cli import arguments, map_edit, map_learn, map_update
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import Floats
 from localization.filters.sonar_cone import ConeSonar
@@ -98,7 +98,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "other tools."
     )
     parser.epilog = "example: nomad map show several_walls --out out/map.png"
-    tools = parser.add_subparsers(dest="tool", required=True, metavar="check|simplify|show|learn|edit|import|export")
+    tools = parser.add_subparsers(
+        dest="tool", required=True, metavar="check|simplify|show|learn|update|edit|import|export"
+    )
     check = tools.add_parser(
         "check",
         help="find gaps, doubled walls, very short walls, starts without space, closed-off space; name places that "
@@ -126,6 +128,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     arguments.add_odometry_noise(show)
     add_value(show, "--weak", "IN", arguments.parse_positive,
               "call positions with a bound above this distance in in weak", WEAK_IN)
+    map_update.add_arguments(
+        tools.add_parser("update", help="compare a map with a drive: moved, missing and new walls, an error of scale")
+    )
     map_learn.add_arguments(tools.add_parser("learn", help="make a map of the room from a recorded drive"))
     map_edit.add_arguments(tools.add_parser("edit", help="adjust a learned map to lengths measured with a tape"))
     _add_import(tools.add_parser("import", help="make a world file of a ROS, CARMEN, SVG or DXF map, or of a bitmap"))
@@ -168,6 +173,8 @@ def run(options: argparse.Namespace) -> int:
         return _import(options)
     if options.tool == "learn":
         return map_learn.run(options)
+    if options.tool == "update":
+        return map_update.run(options)
     if options.tool == "edit":
         return map_edit.run(options)
     world = load_world(options.world)

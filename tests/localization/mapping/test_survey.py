@@ -331,7 +331,7 @@ def test_other_rings_than_a_nomads_are_refused(name: str, tmp_path: Path, capsys
 ])  # fmt: skip
 def test_drive_is_recorded_as_one_connection(address: str, expected: str) -> None:
     options = argparse.Namespace(address=address, record=None, out=Path("room.toml"))
-    assert recorded_address(options) == (expected, Path("room.log"))
+    assert recorded_address(options, Path("room.toml")) == (expected, Path("room.log"))
 
 
 def test_a_person_drives_over_a_socket(tmp_path: Path) -> None:
