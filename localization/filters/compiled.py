@@ -55,6 +55,15 @@ class WallArrays(NamedTuple):
     middle: tuple[float, float, float]
 
 
+class ListedWalls(NamedTuple):
+    """`WallArrays` with the rows as a list, which compiled code makes once and not for every ray."""
+
+    segments: Floats
+    lines: Floats
+    middle: tuple[float, float, float]
+    rows: Any
+
+
 class RayArrays(NamedTuple):
     """A `RayModel`."""
 
@@ -77,7 +86,7 @@ class ConeArrays(NamedTuple):
     range_parameters: int
 
 
-def _row(row: Any, record: object) -> Any:
+def row_of(row: Any, record: object) -> Any:
     """Return a record as a row of floats."""
     return row(*(float(getattr(record, name)) for name in row._fields))
 
@@ -87,15 +96,15 @@ def _arrays(model: Any) -> RayArrays | ConeArrays:
     walls = WallArrays(model.walls.segments, model.walls.lines, model.walls.middle)
     ring = (np.array(model.mounts), model.range_parameters)
     if isinstance(model, RayModel):
-        noise, gate = _row(RaySonarRow, model.noise), _row(GateRow, model.gate)
+        noise, gate = row_of(RaySonarRow, model.noise), row_of(GateRow, model.gate)
         return RayArrays(noise, walls, gate, model.threshold, *ring)
     faces, vertices = np.array(model.faces).reshape(-1, 5), np.array(model.vertices).reshape(-1, 3)
-    return ConeArrays(_row(ConeSonarRow, model.noise), walls, faces, vertices, *ring)
+    return ConeArrays(row_of(ConeSonarRow, model.noise), walls, faces, vertices, *ring)
 
 
 # Compiling.
 
-_SOURCES: Final = (belief, odometry, sonar_ray, sonar_cone, update, raycast)
+SOURCES: Final = (belief, odometry, sonar_ray, sonar_cone, update, raycast)
 """numba may compile all functions of these modules; it does so for those that the loop calls."""
 
 # Forms for numba of what differs between lists and arrays. It cannot unpack a row of an array: rows become tuples.
@@ -103,6 +112,15 @@ _SOURCES: Final = (belief, odometry, sonar_ray, sonar_cone, update, raycast)
 
 def _wall_rows(walls: Any) -> Any:
     return [(row[0], row[1], row[2], row[3]) for row in walls.segments]
+
+
+def _listed_rows(walls: Any) -> Any:
+    return walls.rows
+
+
+def _form_of_rows(walls: Any) -> Callable[..., Any]:
+    """Return the form of `wall_rows` for a type of walls."""
+    return _listed_rows if "rows" in walls.fields else _wall_rows
 
 
 def _rows_of_five(rows: Any) -> Any:
@@ -148,12 +166,13 @@ def load() -> bool:
         import numba.extending
     except ImportError:
         return False
-    for module in _SOURCES:
+    for module in SOURCES:
         for function in vars(module).values():
             if isfunction(function) and function.__module__ == module.__name__ and function not in _FORMS:
                 numba.extending.register_jitable(function)
     for function, form in _FORMS.items():
-        numba.extending.overload(function, strict=False)(_same(form))
+        of_type = _form_of_rows if form is _wall_rows else _same(form)
+        numba.extending.overload(function, strict=False)(of_type)
     return True
 
 
@@ -161,7 +180,7 @@ def load() -> bool:
 def _checksum(loop: Callable[..., list[Outcome]]) -> int:
     """Return a checksum of all sources."""
     checksum = crc32(Path(loop.__code__.co_filename).read_bytes())
-    for module in _SOURCES:
+    for module in SOURCES:
         checksum = crc32(Path(str(module.__file__)).read_bytes(), checksum)
     return checksum
 
@@ -221,7 +240,7 @@ class CompiledRing:
 
     def __init__(self, loop: Callable[..., list[Outcome]], model: DirectModel, noise: OdometryNoise) -> None:
         self._run = _compile(loop, model.update)
-        self._noise, self._model = _row(NoiseRow, noise), _arrays(model)
+        self._noise, self._model = row_of(NoiseRow, noise), _arrays(model)
         mark = _mark(loop, model.update)
         if mark.exists():
             self._warm_up()
