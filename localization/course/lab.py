@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
@@ -107,9 +106,8 @@ def _drive(robot: Robot, before: RobotState, translation_in_s: float, turn_deg_s
     """Drive for a period, and return the state after it."""
     state = robot.drive(translation_in_s=translation_in_s, steering_deg_s=turn_deg_s, turret_deg_s=turn_deg_s)
     remaining_s = PERIOD_S - ((state.clock_s or 0.0) - (before.clock_s or 0.0))
-    # On a sim: address each request takes a period; elsewhere time passes by itself.
     if remaining_s > PERIOD_S / 2:
-        time.sleep(remaining_s)
+        robot.sleep(remaining_s)
         state = robot.refresh()
     return state
 

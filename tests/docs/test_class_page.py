@@ -20,7 +20,7 @@ pytestmark = pytest.mark.long
 
 def test_class_of_the_page(tmp_path: Path) -> None:
     page = (DOCS / "class.md").read_text(encoding="utf-8")
-    (names,) = re.findall(r"```csv\n(.*?)```", page, re.DOTALL)
+    (names,) = re.findall(r"```text\n(name\n.*?)```", page, re.DOTALL)
     (tmp_path / "students.csv").write_text(names)
     (command,) = command_lines("class.md")
     words = [*shlex.split(command), "--port", "0", "--viewer", "0"]

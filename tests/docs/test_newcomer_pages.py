@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import cast
 
 import pytest
+from PIL import Image
 
 from nclient.cli.main import GROUP
 from nserver_emu.control.commands import ControlledServer, answer_line
@@ -90,3 +91,11 @@ def test_samples_of_setup_files_are_read() -> None:
 def test_gallery_shows_every_shipped_world() -> None:
     page = (DOCS / "worlds.md").read_text(encoding="utf-8")
     assert set(re.findall(r"figures/worlds/(\w+)\.svg", page)) == set(world_names())
+
+
+def test_first_screen_shows_a_small_moving_picture() -> None:
+    first_screen = (ROOT / "README.md").read_text(encoding="utf-8")[:1200]
+    (picture,) = re.findall(r"!\[[^]]+\]\((\S+\.gif)\)", first_screen)
+    assert (ROOT / picture).stat().st_size < 500_000
+    with Image.open(ROOT / picture) as image:
+        assert getattr(image, "n_frames", 1) > 20

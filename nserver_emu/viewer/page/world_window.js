@@ -2,7 +2,8 @@
 // server reads and writes the world format; the page only transfers the text.
 
 import { element, button, download, form, lengthField } from './widgets.js';
-import { addObstacle, callRobot, control } from './commands.js';
+import { addObstacle, callRobot, control, poseTenths } from './commands.js';
+import { robotFits } from './geometry.js';
 import { listThings, WALKING_SPEED } from './things.js';
 import { lengthText, unitIn, unitName } from './units.js';
 
@@ -105,19 +106,22 @@ async function saveWorld(app) {
   if (text !== null) download(`${app.scene.world.name}.toml`, 'text/plain', text);
 }
 
-// Replace the world. Undo restores the whole previous world, unless the new one was changed meanwhile: those changes would
-// be lost.
+// Replace the world. Undo restores the whole previous world, and the robots that had no room in the new one to their poses,
+// unless the new one was changed meanwhile: those changes would be lost.
 function replaceWorld(app, title, apply, options = {}, onDone = () => {}) {
-  let before = null, after = null;
+  let before = null, after = null, poses = [];
   return app.history.run({ title, apply: async () => {
     before = await worldText(app);
+    poses = Object.entries(app.scene.robots).map(([id, { actual }]) => [id, [...actual]]);
     if (before === null) return { ok: false, error: 'the world cannot be read' };
     const answer = await apply();
     if (answer.ok) { after = await worldText(app); onDone(true); }
     return answer;
   }, revert: async () => {
     if (await worldText(app) !== after) return { ok: false, error: 'the world was changed meanwhile' };
+    const placed = poses.filter(([id, pose]) => app.scene.robots[id] && !robotFits(app.scene, id, pose));
     const answer = await control(app, 'world set', { text: before, file: 'the world before', ...options });
+    for (const [id, pose] of answer.ok ? placed : []) await callRobot(app, 'place_robot', poseTenths(pose), Number(id));
     if (answer.ok) onDone(false);
     return answer;
   } });

@@ -42,3 +42,25 @@ def test_map_adjusts_to_a_taped_length(browser: Browser, tmp_path: Path) -> None
         measure(page, (1, 1), (99, 1), "150")
         page.wait("document.querySelector('#notice').innerText.includes('contradicts the map')", 60.0)
         assert page.value(WIDTH) == 100
+
+
+def test_walls_are_joined_at_their_corner_or_to_one(browser: Browser, tmp_path: Path) -> None:
+    room = tmp_path / "room.toml"
+    walls = ([[0, 0], [60, 0]], [[80, 20], [80, 90]], [[10, 60], [30, 60]], [[40, 60], [60, 61]])
+    room.write_text("".join(f"[[wall]]\npoints_in = {ends}\noffset_std_in = 0.1\n" for ends in walls))
+    shown = "JSON.stringify(nserver.scene.world.walls)"
+    with nserver(str(room), "--start", "30,30,0,0") as program, open_page(browser, program.url) as page:
+        page.page.click("#tool-join")
+        for x, y in ((50, 0), (80, 50)):
+            page.page.mouse.click(*page.at(x, y))
+        page.wait(f"{shown} === '[[0,0,80,0],[80,0,80,90],[10,60,30,60],[40,60,60,61]]'")
+        for x_in, y_in in ((20, 60), (50, 60.5)):
+            page.page.mouse.click(*page.at(x_in, y_in))
+        page.wait(f"{shown} === '[[0,0,80,0],[80,0,80,90],[10,60,60,61]]'")
+        # Longer walls keep their accuracy; each join is two steps.
+        request = "nserver.link.request({ do: 'control', command: 'world show' })"
+        text = page.value(f"{request}.then((one) => one.result.text)")
+        assert text.count("offset_std_in = 0.1") == 2
+        for _ in range(4):
+            page.value("nserver.history.undo()")
+        page.wait("nserver.scene.world.walls.length === 4 && nserver.scene.world.walls[0][2] === 60")
