@@ -90,7 +90,7 @@ def run_calibration(seed: int, words: list[str]) -> Outcome:
         model, setup = Path(folder, "model.toml"), Path(folder, "setup.toml")
         model.write_text(format_calibration("n150", true), encoding="utf-8")
         setup.write_text(SETUP, encoding="utf-8")
-        address = f"sim:{WORLD}?seed={seed}&setup={setup}&model_file={model}"
+        address = f"sim:{WORLD}?seed={seed}&setup={setup}&model_file={model}&step_s=0.1"
         output = io.StringIO()
         # Other speeds or laps come from the command line of the benchmark.
         options = ["--world", WORLD, "--odometry-noise", ODOMETRY_NOISE, "--json", *words]

@@ -5,7 +5,7 @@
 A state with 16 new echoes, or with one: pose history, prediction, ray casting, association, gate and Kalman update of
 each, as `nomad localize` runs them. The others do 16 scalar updates, given H, R and the predicted mean. All are timed
 in this run by turns, by the processor time of the thread, and must agree before they are timed. The live filter is
-timed in plain Python and, where numba is installed, compiled (NOMAD_COMPILED=always). Then particle filters, and a
+timed in plain Python and, where numba is installed, compiled, as it is by default. Then particle filters, and a
 whole figure of the thesis by the clock on the wall.
 """
 
@@ -38,6 +38,7 @@ from localization.filters.update import Refusal
 from localization.live.localizer import Localizer
 from localization.live.sensor_input import FiringSchedule, SensorData
 from worlds.io import load_world
+from worlds.raycast import VARIABLE
 from worlds.rings import SonarMount
 from worlds.robots import N150
 
@@ -290,6 +291,7 @@ def measure(rounds: int, seeds: int, jobs: int, *, plain: bool = False) -> Resul
         raise SystemExit("the filters disagree; nothing to compare")
     # Both sonar models, with 16 new echoes per state and with one.
     kinds = [(sonar, echoes) for sonar in (WIRE_SONAR, ConeSonar()) for echoes in (16, 1)]
+    os.environ[VARIABLE] = "never"
     lives = [Live(sonar, echoes) for sonar, echoes in kinds]
     if not plain and compiled.load():  # from here on filters are compiled
         lives += [Live(sonar, echoes) for sonar, echoes in kinds]

@@ -14,8 +14,10 @@ project = "nomad-nserver"
 author = "the nomad-nserver authors"
 version = release = version_of("nomad-nserver")
 
-# Markdown, notebooks that are executed at each build, and the reference from numpydoc docstrings.
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+# Markdown with $formulas$ (MathJax is part of the site), notebooks that are executed at each build, and the reference
+# from numpydoc docstrings.
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax", "sphinx-mathjax-offline"]
+myst_enable_extensions = ["dollarmath"]
 napoleon_google_docstring = False
 napoleon_use_rtype = False
 default_role = "code"  # names in docstrings
@@ -23,6 +25,7 @@ autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_class_signature = "mixed"
 nb_execution_mode = "force"
+nb_execution_excludepatterns = ["course/*"]  # tasks to be solved; tests run them with the solutions in
 nb_execution_raise_on_error = True
 nb_execution_timeout = 120
 myst_heading_anchors = 3

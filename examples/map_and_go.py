@@ -6,7 +6,6 @@
 """
 
 import sys
-import time
 
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import independent
@@ -20,7 +19,7 @@ room, body = load_world("several_walls"), BODIES["n150"]
 with connect(sys.argv[1] if len(sys.argv) > 1 else "sim:several_walls?noisy=1&seed=1&start=5,5") as robot:
     state = robot.refresh()
     start = independent([state.x_in, state.y_in, state.steering_rad], [0.5, 0.5, 0.03])
-    with RobotController(robot, LocalizationConfig(room.walls, body), body, start, time.sleep) as controller:
+    with RobotController(robot, LocalizationConfig(room.walls, body), body, start, robot.sleep) as controller:
         mission = Mission(controller)
         seen = mission.go_to(35, 55, limit_s=60)
         seen = mission.go_to(90, 55, heading_deg=0, limit_s=60)

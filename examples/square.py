@@ -8,7 +8,7 @@ import sys
 
 from nclient import connect
 
-with connect(sys.argv[1] if len(sys.argv) > 1 else "sim:thesis_room?setup=worn&seed=2&start=20,20") as robot:
+with connect(sys.argv[1] if len(sys.argv) > 1 else "sim:thesis_room?setup=worn&seed=8&start=20,20") as robot:
     start = robot.truth() if robot.is_simulated() else None
     for _ in range(4):
         robot.move(translation_in=48)

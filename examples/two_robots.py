@@ -16,7 +16,7 @@ async def approach(address: str) -> str:
     async with connect_async(address) as robot:
         await robot.drive(translation_in_s=8)
         while min((await robot.refresh()).sonars_in[0:2]) > 24:
-            await asyncio.sleep(0)  # let the other robot go on
+            await robot.sleep(0.05)  # meanwhile the other robot goes on
         state = await robot.stop()
         return f"{address}: {state.sonars_in[0]} in before the wall after {state.x_in:.0f} in"
 

@@ -20,6 +20,7 @@ from localization.filters.belief import POSE, Floats, chi_square_quantile
 from localization.filters.update import Refusal
 from localization.live import plot
 from localization.live.run import Run
+from worlds import drawing
 from worlds.robots import N150, Body
 from worlds.world import World
 
@@ -36,7 +37,7 @@ CONFIDENCE: Final = 0.95
 def trajectory(run: Run, world: World, body: Body = N150) -> Figure:
     """Return a picture of the run on its map."""
     _require_moments(run)
-    picture = plot.blank(7.2, 7.0)
+    picture = drawing.blank(7.2, 7.0)
     plot.draw_path(picture.add_subplot(), world, run, body)
     return picture
 
@@ -44,16 +45,17 @@ def trajectory(run: Run, world: World, body: Body = N150) -> Figure:
 def errors(run: Run) -> Figure:
     """Return a picture of the error of each coordinate, and the band in which the filter expects it."""
     _require_moments(run)
-    picture = plot.blank(8.0, 6.5)
+    picture = drawing.blank(8.0, 6.5)
     times, error, std = _times(run), _errors(run), np.array([m.estimate.belief.std[:POSE] for m in run.moments])
     rows = picture.subplots(POSE, 1, sharex=True)
     for axes, index, scale, name in zip(
         rows, range(POSE), (1.0, 1.0, np.degrees(1.0)), ("x (in)", "y (in)", "heading (deg)"), strict=True
     ):
         band = SIGMAS * scale * std[:, index]
-        axes.fill_between(times, -band, band, color=plot.ESTIMATE, alpha=0.15, linewidth=0, label=f"{SIGMAS:g} sigma")
-        axes.plot(times, scale * error[:, index], color=plot.ESTIMATE, linewidth=1.2, label="estimate - truth")
-        axes.axhline(0.0, color=plot.TRUTH, linewidth=0.6)
+        label = f"{SIGMAS:g} sigma"
+        axes.fill_between(times, -band, band, color=drawing.ESTIMATE, alpha=0.15, linewidth=0, label=label)
+        axes.plot(times, scale * error[:, index], color=drawing.ESTIMATE, linewidth=1.2, label="estimate - truth")
+        axes.axhline(0.0, color=drawing.TRUTH, linewidth=0.6)
         axes.set_ylabel(name)
         axes.margins(x=0.0)
     picture.legend(*rows[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
@@ -67,16 +69,17 @@ def errors(run: Run) -> Figure:
 def innovations(run: Run) -> Figure:
     """Return a picture of the innovations in standard deviations: 95 % within 2 if all is well."""
     _require_moments(run)
-    picture = plot.blank(8.0, 3.4)
+    picture = drawing.blank(8.0, 3.4)
     axes = picture.add_subplot()
     first_s = run.moments[0].estimate.clock_s
     echoes = [echo for moment in run.moments for echo in moment.estimate.echoes]
-    for refusal, color, label in ((Refusal.NONE, plot.ESTIMATE, "used"), (Refusal.GATE, plot.ODOMETRY, "refused")):
+    drawn = (Refusal.NONE, drawing.ESTIMATE, "used"), (Refusal.GATE, drawing.ODOMETRY, "refused")
+    for refusal, color, label in drawn:
         rows = [(echo.instant_s - first_s, np.sign(echo.innovation_in) * np.sqrt(echo.nis))
                 for echo in echoes if echo.refusal is refusal and echo.nis > 0.0]  # fmt: skip
         if rows:
             axes.plot(*np.array(rows).T, ".", markersize=4, color=color, label=f"{label}: {len(rows)}")
-    axes.axhspan(-GATE, GATE, color=plot.FAINT, alpha=0.3, linewidth=0, label="95 %")
+    axes.axhspan(-GATE, GATE, color=drawing.FAINT, alpha=0.3, linewidth=0, label="95 %")
     used = [echo.nis for echo in echoes if echo.refusal is Refusal.NONE]
     axes.set(xlabel="time (s)", ylabel="innovation / sqrt(S)", ylim=(-6, 6))
     axes.set_title(f"mean NIS of the echoes used: {np.mean(used):.2f} (1 is right)" if used else "no echo was used")
@@ -87,12 +90,12 @@ def innovations(run: Run) -> Figure:
 def nees(run: Run) -> Figure:
     """Return a picture of e' P^-1 e over time: 3 on average for a consistent filter."""
     _require_moments(run)
-    picture = plot.blank(8.0, 3.4)
+    picture = drawing.blank(8.0, 3.4)
     axes = picture.add_subplot()
     values = nees_values(run)
-    axes.plot(_times(run), values, color=plot.ESTIMATE, linewidth=1.2)
+    axes.plot(_times(run), values, color=drawing.ESTIMATE, linewidth=1.2)
     low, high = (chi_square_quantile(share, POSE) for share in (0.5 * (1 - CONFIDENCE), 0.5 * (1 + CONFIDENCE)))
-    axes.axhspan(low, high, color=plot.FAINT, alpha=0.3, linewidth=0, label=f"{CONFIDENCE:.0%} of chi-square, 3 dof")
+    axes.axhspan(low, high, color=drawing.FAINT, alpha=0.3, linewidth=0, label=f"{CONFIDENCE:.0%} of chi-square, 3 dof")
     axes.set(xlabel="time (s)", ylabel="NEES", ylim=(0, None))
     axes.margins(x=0.0)
     finite = values[np.isfinite(values)]
@@ -108,7 +111,7 @@ def nees_values(run: Run) -> Floats:
 
 def _require_moments(run: Run) -> None:
     """Raise ValueError for a run without moments, ExtraMissing without matplotlib."""
-    plot.require_matplotlib()
+    drawing.require_matplotlib()
     if not run.moments:
         raise ValueError("expected a run with at least one moment, found none: nothing was recorded")
 

@@ -1,6 +1,5 @@
 """Record a drive to waypoints on the estimate of a filter, for notebooks, comparisons and `localization.plot`."""
 
-import time
 from collections.abc import Callable, Sequence
 
 from localization.filters.base import Filter, LocalizationConfig
@@ -18,7 +17,7 @@ def record_run(
     method: str | Filter = DEFAULT_METHOD,
     *,
     start_std: tuple[float, float, float] = (0.1, 0.1, 0.01),
-    wait: Callable[[float], None] = time.sleep,
+    wait: Callable[[float], None] | None = None,
 ) -> Run:
     """Drive to waypoints on the estimate of a filter, and return the record of the run, for `localization.plot`.
 
@@ -33,14 +32,14 @@ def record_run(
         Name of a filter, `module:Class`, or a filter.
     start_std : tuple
         Standard deviation of the start: inches, inches, radians.
-    wait : callable
-        Lets real time pass; not called for `sim:` addresses, whose time advances with requests.
+    wait : callable, optional
+        Lets time of the robot pass; default: `Robot.sleep`.
     """
     state = robot.refresh()
     belief = independent([state.x_in, state.y_in, state.steering_rad], start_std)
     run, truth = Run([*waypoints]), GroundTruth(robot, robot.is_simulated())
     localizer = start_localizer(robot, config, belief, method)
-    for step in follow_waypoints(robot, localizer, Navigator(run.waypoints), wait):
+    for step in follow_waypoints(robot, localizer, Navigator(run.waypoints), wait or robot.sleep):
         state, estimate = step.state, step.estimate
         odometry = (state.x_in, state.y_in, state.steering_rad)
         run.add(RunMoment(estimate, odometry, truth.at(estimate.clock_s), step.passed, state.turret_rad))

@@ -117,6 +117,7 @@ class AsyncRobot:
     release = _awaitable(Robot.release)
     zero = _awaitable(Robot.zero)
     wait_until_still = _awaitable(Robot.wait_until_still)
+    sleep = _awaitable(Robot.sleep)
     set_speeds = _awaitable(Robot.set_speeds)
     set_accelerations = _awaitable(Robot.set_accelerations)
     set_position = _awaitable(Robot.set_position)

@@ -345,7 +345,8 @@ def connect(address: str | None = None, *, timeout_s: float | None = None) -> Ro
     WorldFileError, StartError
         If the world or the start pose of a `sim:` address is not usable.
     """
-    return Robot(open_backend(address, ConnectOptions(timeout_s)))
+    connector = Connector(parse_address(address_or_default(address)), ConnectOptions(timeout_s))
+    return Robot(connector.open(), lockstep=connector.address.in_process)
 
 
 def connect_async(address: str | None = None, *, timeout_s: float | None = None) -> Connecting:

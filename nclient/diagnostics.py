@@ -385,7 +385,7 @@ def _link(data: DiagnosticData) -> Finding:
     lost = len(data.losses)
     if not data.states:
         return fail("link", f"no answer to {lost} questions: {data.losses[-1]}",
-                    "is it switched on, the cable in, the address and the model right?")
+                    "is it switched on, the cable in, the address, the model and the baud rate right?")
     p50_ms, p99_ms = (1000 * percentile_s(data.latencies, fraction) for fraction in (0.5, 0.99))
     seen = f"{len(data.states)} of {data.asked} gs answered; {p50_ms:.2f} ms p50, {p99_ms:.2f} ms p99"
     # Grades, from the worst: lost replies, then slow ones.

@@ -14,7 +14,7 @@ import math
 import os
 import threading
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from types import TracebackType
 from typing import Any, Final, Literal, NamedTuple, Self
@@ -48,6 +48,10 @@ _LEAVE: Final = AxisCommand()
 _TIME_VERBS: Final = {"pause": 1, "resume": 2, "speed": 3, "step": 4}
 _TIME_SCALES: Final = {"speed": 10, "step": 1000}
 """sim_control takes tenths of a factor, and milliseconds."""
+_MAX_STEP_S: Final = 1.0
+"""Longest step of simulated time in one request, so that a signal ends a long `sleep`."""
+_PAUSED_POLL_S: Final = 0.05
+"""Interval between two queries of a clock that stands."""
 _NOT_IN_STATE: Final = frozenset({"get_ra"})
 """Its reply has accelerations where the state has velocities; the C library overwrites them, `Robot` does not."""
 
@@ -117,8 +121,10 @@ class Robot:
     Methods may be called from several threads; exchanges do not overlap.
     """
 
-    def __init__(self, backend: Backend) -> None:
+    def __init__(self, backend: Backend, *, lockstep: bool = False) -> None:
         self._backend = backend
+        # True if time passes by the requests of this robot only: sim: and replay: addresses.
+        self._lockstep = lockstep
         self._client_state = ClientState()
         self._applied: Reply | None = None
         self._lock = threading.RLock()
@@ -356,6 +362,47 @@ class Robot:
             The state at the end; `moving` is True after a timeout.
         """
         return self._command("ws", int(translation), int(steering), int(turret), _whole_seconds(timeout_s))
+
+    def sleep(self, seconds: float) -> None:
+        """Let time of the robot pass, simulated or real; the robot goes on with what it does.
+
+        A program that paces its loop by it runs alike on `sim:`, on a server of any speed, and on a real robot.
+
+        Parameters
+        ----------
+        seconds
+            Seconds of the robot's time, 0 or more.
+        """
+        if not 0 <= seconds < math.inf:
+            raise ValueError(f"seconds is 0 or more, not {seconds}")
+        # 1. A simulation in this process advances by the time, a recording by its own requests.
+        if self._lockstep:
+            with contextlib.suppress(RobotRefused):
+                self._step(seconds)
+        # 2. Real time, as fast as the server runs; a serial line has no factor.
+        elif self.state.speed_factor or self._backend.wire_state.line:
+            time.sleep(seconds / (self.state.speed_factor or 1.0))
+        # 3. A server that is paused, or advances with each request.
+        else:
+            self._sleep_by_clock(seconds)
+
+    def _step(self, seconds: float) -> None:
+        """Advance a simulation in this process."""
+        for step_s in _split(seconds, _MAX_STEP_S):
+            self.control_time("step", step_s)
+
+    def _sleep_by_clock(self, seconds: float) -> None:
+        """Query the clock until the time has passed; without a clock, sleep in real time."""
+        now_s = self.refresh().clock_s
+        if now_s is None:
+            time.sleep(seconds)
+            return
+        # 1e-9 s absorbs the rounding of clock differences.
+        until_s = now_s + seconds - 1e-9
+        while now_s < until_s:
+            last_s, now_s = now_s, self.refresh().clock_s or 0.0
+            if now_s == last_s:
+                time.sleep(_PAUSED_POLL_S)
 
     # -- settings -----------------------------------------------------------------------------------------------------
 
@@ -851,7 +898,7 @@ class Robot:
         return False
 
     def held_by(self) -> str:
-        """Query which person holds the robot (Stop on the page, `nserver ctl stop`); "" if nobody does.
+        """Query which person holds the robot (Stop on the page, `nserver ctl stop`); "" if none does.
 
         Raises RobotRefused (error 1) if the server is not one of this project. Wire name: held_by.
         """
@@ -959,6 +1006,14 @@ class Robot:
     def _require_wheels(self, name: str) -> None:
         if self.model.has_turret:
             raise RobotRefused(name, None, f"a {self.model.name} does not drive by its right and left wheel")
+
+
+def _split(total_s: float, piece_s: float) -> Iterator[float]:
+    """Yield durations of at most `piece_s`, which add up to a total."""
+    while total_s > piece_s:
+        yield piece_s
+        total_s -= piece_s
+    yield total_s
 
 
 def _whole_seconds(seconds: float) -> int:

@@ -56,6 +56,7 @@ from nserver_emu.server.link import FaultController
 from nserver_emu.server.serial_lines import at_port, open_lines
 from nserver_emu.server.server_state import Allowed, SimulationClock
 from nserver_emu.service import STOPPING, ServiceManager, announced
+from nserver_emu.viewer.classroom import read_class
 from nserver_emu.viewer.options import running_viewer
 from worlds.cells import braille_picture
 from worlds.io import load_world, world_names
@@ -123,6 +124,9 @@ def _run_command(options: argparse.Namespace) -> int:
 
 
 async def _serve(options: argparse.Namespace) -> int:
+    if options.class_file is not None:
+        options.students = read_class(options.class_file)
+        options.robots = max(options.robots, *(student.robot for student in options.students))
     setups = read_setups(options.setups)
     for key in setups.unused:
         log.warning("%s of the setup file is read and has no effect: what its numbers mean is not known", key)
@@ -183,8 +187,8 @@ async def _run(
         controlled(daemon, options) as control,
         running_viewer(daemon, options) as page,
         running_rosbridge(daemon, options, estimates) as rosbridge,
-        running_ros2(daemon, options, estimates) as ros2,
         run_gateway(gateway, daemon, options.shadow_every),
+        running_ros2(daemon, options, estimates) as ros2,
         autosaved(file, options.autosave),
     ):
         # 2. Programs may connect as soon as they have read these lines.

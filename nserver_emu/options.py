@@ -25,6 +25,7 @@ from nserver_emu.server.daemon import LOOPBACK
 from nserver_emu.server.server_state import MAX_LOCKSTEP_S, MAX_TIME_FACTOR, MIN_TIME_FACTOR
 from nserver_emu.simulation.noise import NOISY, SETUPS, SUFFIX
 from nserver_emu.viewer import options as viewer_options
+from nserver_emu.viewer.classroom import WORLD as CLASS_WORLD
 from worlds.io import DEFAULT_WORLD, world_names
 
 # The port that clients of the original use by default.
@@ -122,7 +123,8 @@ def read_options(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
     words = [_as_value(as_long_option(word)) for word in words]
     options: argparse.Namespace = parser.parse_args(words)
     # 2. Positional words: a world and the original's setup files.
-    options.world, options.setups = _sorted_files(parser, options.files)
+    default_world = CLASS_WORLD if options.class_file else DEFAULT_WORLD
+    options.world, options.setups = _sorted_files(parser, options.files, default_world)
     # 3. Combinations that argparse cannot express.
     _refuse_unknown_models(parser, options)
     _refuse_contradictions(parser, options, words)
@@ -162,13 +164,13 @@ def as_long_option(word: str) -> str:
     return next((f"--{name}" for name in OLD_OPTIONS if name.startswith(letters)), word)
 
 
-def _sorted_files(parser: argparse.ArgumentParser, files: list[str]) -> tuple[str, list[Path]]:
+def _sorted_files(parser: argparse.ArgumentParser, files: list[str], default: str) -> tuple[str, list[Path]]:
     """Return the world and the old setup files: those with their suffix, or that exist and are no TOML."""
     setups = [name for name in files if _is_setup(name)]
     worlds = [name for name in files if not _is_setup(name)]
     if len(worlds) > 1 or len(setups) > MAX_SETUPS:
         parser.error(f"one world and two setup files at most, not {' '.join(files)}")
-    return (worlds[0] if worlds else DEFAULT_WORLD), [Path(name) for name in setups]
+    return (worlds[0] if worlds else default), [Path(name) for name in setups]
 
 
 def _is_setup(name: str) -> bool:

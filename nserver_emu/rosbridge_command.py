@@ -13,7 +13,7 @@ from pathlib import Path
 from nclient.common.arguments import add_address
 from nclient.connector import address_or_default
 from nserver_emu import cli
-from nserver_emu.rosbridge.options import DEFAULT_PORT, port_text
+from nserver_emu.rosbridge.options import DEFAULT_PORT, add_origin, port_text
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -25,6 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--map", metavar="WORLD", help="publish this world as /map: a shipped world or a TOML file")
     parser.add_argument("--token-file", type=Path, metavar="FILE",
                         help="store the tokens in this file, so that the address stays the same over restarts")
+    add_origin(parser, "--origin")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -32,4 +33,5 @@ def run(options: argparse.Namespace) -> int:
     words = [options.map] if options.map else []
     words += ["--real", address_or_default(options.address), "--port", "0", "--rosbridge", options.port]
     words += ["--rosbridge-token-file", str(options.token_file)] if options.token_file else []
+    words += [word for origin in options.origin for word in ("--rosbridge-origin", origin)]
     return cli.main(words)

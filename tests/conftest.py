@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from itertools import chain, islice
 from pathlib import Path
 
@@ -40,6 +40,9 @@ settings.load_profile("steady")
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in a script's background job; child processes inherit it
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+os.environ.setdefault("NOMAD_COMPILED", "never")  # the same numbers; importing numba takes every process a second
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -97,3 +100,19 @@ def _spread_slowest(items: list[pytest.Item], workers: int) -> list[pytest.Item]
         ordered += chain.from_iterable(slowest[number::workers])
         ordered += islice(others, max(0, share - (len(ordered) - begin)))
     return [*ordered, *others]
+
+
+@pytest.fixture
+def plain_batch(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Run the loops of the batch simulation in Python: numba's compilation takes some ten seconds."""
+    import numpy as np
+
+    from nserver_emu.simulation import batch
+
+    batch_kernel = pytest.importorskip("nserver_emu.simulation.batch_kernel", exc_type=ImportError)
+    monkeypatch.setattr(batch_kernel, "load_loops", lambda: batch_kernel.make_loops(0))
+    # One thread: numpy's error state does not pass to others.
+    monkeypatch.setattr(batch, "_cores", lambda: 1)
+    # 64-bit words of random streams overflow on purpose.
+    with np.errstate(over="ignore"):
+        yield

@@ -135,14 +135,15 @@ def sole_wall(x: float, y: float, dx: float, dy: float, walls: WallRows, margin_
     A ray is near if it moves no end of a wall by more than the margin in the frame of the ray, and its origin by no
     more than that. This is a test of one loop, and sufficient only: where it fails, cast the rays.
     """
-    sole = NO_WALL
-    for row, (x1, y1, x2, y2) in enumerate(walls):
+    sole, row = NO_WALL, -1
+    origin_side, origin_ahead = dx * y - dy * x, x * dx + y * dy
+    for x1, y1, x2, y2 in walls:
+        row += 1
         # 1. Both ends clearly on one side, or clearly behind: no near ray meets the wall.
-        to_x_1, to_y_1, to_x_2, to_y_2 = x1 - x, y1 - y, x2 - x, y2 - y
-        side_1, side_2 = dx * to_y_1 - dy * to_x_1, dx * to_y_2 - dy * to_x_2
+        side_1, side_2 = dx * y1 - dy * x1 - origin_side, dx * y2 - dy * x2 - origin_side
         if (side_1 > margin_in and side_2 > margin_in) or (side_1 < -margin_in and side_2 < -margin_in):
             continue
-        ahead_1, ahead_2 = to_x_1 * dx + to_y_1 * dy, to_x_2 * dx + to_y_2 * dy
+        ahead_1, ahead_2 = x1 * dx + y1 * dy - origin_ahead, x2 * dx + y2 * dy - origin_ahead
         if ahead_1 < -margin_in and ahead_2 < -margin_in:
             continue
         # 2. The ends clearly on different sides, the origin clearly on one side of the wall: all near rays meet it

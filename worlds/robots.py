@@ -29,7 +29,7 @@ from msgspec import UNSET, Meta, UnsetType
 from nclient.common.hints import suggest
 from nclient.common.validation import InvalidValue, Text, convert, reported_as
 from nclient.errors import WorldFileError
-from nclient.protocol.types import SONAR_SLOTS
+from nclient.protocol.types import SONAR_RING_IN, SONAR_SLOTS
 from worlds.rings import MAX_SONARS, Ring, RingTable, evenly, nomad_ring
 from worlds.schema import Distance, PositiveAngle, Table, parse_toml, read_text, table
 
@@ -72,10 +72,10 @@ class Body:
         return self.ring.angles_rad
 
 
-N150: Final = Body("n150", 9.72, nomad_ring(9.06), evenly(20))
-N200: Final = Body("n200", 9.0, nomad_ring(9.06), evenly(20))
+N150: Final = Body("n150", 9.72, nomad_ring(SONAR_RING_IN["n150"]), evenly(20))
+N200: Final = Body("n200", 9.0, nomad_ring(SONAR_RING_IN["n200"]), evenly(20))
 # The radii of the Scout and the positions of its six bumpers are assumptions: no source states them.
-SCOUT: Final = Body("scout", 8.0, nomad_ring(8.0), evenly(6))
+SCOUT: Final = Body("scout", 8.0, nomad_ring(SONAR_RING_IN["scout"]), evenly(6))
 
 BODIES: Final[Mapping[str, Body]] = MappingProxyType({body.name: body for body in (N150, N200, SCOUT)})
 """All bodies by name."""

@@ -20,7 +20,7 @@ extern int nomad_timeout_ms;
 /* The eight numbers of sim_truth: 1, ms, x, y (1/1000 inch), heading, turret (1/1000 degree), seed, robot number. */
 extern int nomad_sim_truth(long truth[8]);
 
-/* Return which person holds the robot (Stop on the page), "" if nobody does: its motions are then refused with error 7.
+/* Return which person holds the robot (Stop on the page), "" if none does: its motions are then refused with error 7.
  * The text is valid until the next call. */
 extern const char *nomad_held_by(void);
 

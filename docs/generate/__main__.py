@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from docs.generate import c_table, commands, exit_codes, from_c, gallery, layers, limits, protocol, setups
+from docs.generate import c_table, commands, course, exit_codes, from_c, gallery, layers, limits, protocol, setups
 from worlds.io import load_world, world_names
 from worlds.picture import world_svg
 
@@ -26,7 +26,8 @@ PAGES: dict[str, Callable[[], dict[str, Iterator[str]]]] = {
 C_TABLE = "clib/src/commands.inc"
 PICTURES = tuple(f"{gallery.FOLDER}/{name}.svg" for name in world_names())
 MY_ROOM = "docs/figures/my_room.svg"
-FILES = (*PAGES, C_TABLE, *PICTURES, MY_ROOM)
+NOTEBOOKS = {f"docs/course/{name}.ipynb": name for name in course.NAMES}
+FILES = (*PAGES, C_TABLE, *PICTURES, MY_ROOM, *NOTEBOOKS)
 BLOCK = re.compile(r"(<!-- generated: (\w+) -->)\n.*?<!-- end -->\n", re.DOTALL)
 
 
@@ -34,6 +35,8 @@ def text(name: str) -> str:
     """Return the text of a file with its generated blocks replaced."""
     if name == C_TABLE:
         return c_table.table()
+    if name in NOTEBOOKS:
+        return course.text(NOTEBOOKS[name])
     if name == MY_ROOM:
         return gallery.measured_room()
     if name in PICTURES:

@@ -15,7 +15,9 @@ MEANINGS = {
     ExitCode.FAILED: ("failure; the reason is on stderr", ALL_AND_EXPERIMENTS),
     ExitCode.USAGE: ("wrong usage, or a missing extra; stderr says what is expected", ALL_AND_EXPERIMENTS),
     ExitCode.NOT_REACHED: ("the command ran and did not achieve its goal (table below)", (NOMAD,)),
-    ExitCode.UNFIT: ("`calibrate`, `map learn`: readings do not fit the model; nothing was written", (NOMAD,)),
+    ExitCode.UNFIT: (
+        "`calibrate`, `map learn`, `map update`: readings do not fit the model; nothing was written", (NOMAD,)
+    ),
     ExitCode.HUNG_UP: ("the terminal was closed (SIGHUP); the robot was stopped, the report written", (NOMAD,)),
     ExitCode.INTERRUPTED: (
         "Ctrl-C (SIGINT), of `nserver` only until it serves; the robot was stopped, the report written",
@@ -40,6 +42,7 @@ NOT_REACHED = {
     "nomad localize": "a waypoint was not reached",
     "nomad map check": "the map has defects",
     "nomad map learn": "a waypoint was left out; the map is written",
+    "nomad map update": "the drive shows changes of the map",
     "nomad mission": "a step failed, as reported",
 }
 """Meaning of exit code 3 by command."""

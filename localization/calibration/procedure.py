@@ -311,7 +311,8 @@ def run(
 ) -> Generator[CalibrationStep, None, None]:
     """Drive all tasks and yield each period; the robot is stopped at the end in any case.
 
-    `wait(seconds)` lets real time pass. A turret turns with the steering, so that every sonar measures every wall.
+    `wait(seconds)` lets time of the robot pass. A turret turns with the steering, so that every sonar measures every
+    wall.
     """
     # 1. Firing schedule: the clock of this reply is that of the first sonar.
     schedule, state = restart_ring(robot, config.body.ring)

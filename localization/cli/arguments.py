@@ -4,7 +4,6 @@ import argparse
 import math
 import os
 import sys
-import time
 from collections.abc import Sequence
 from dataclasses import astuple
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig, sonar_of
+from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig, sonar_of, with_wall_errors
 from localization.filters.belief import POSE, Belief, Floats, independent
 from localization.filters.global_localization import is_wide
 from localization.filters.health import HealthStatus
@@ -322,6 +321,7 @@ def prepare_localization(robot: Robot, simulated: bool, world: World, options: a
     # Of the methods only this one models the surfaces of walls; for the others a building has cones.
     building = sonars.building and options.method == DEFAULT_METHOD
     sonar = building_sonar(body.ring) if building else sonar_of(body.ring, rays=sonars.rays)
+    sonar = with_wall_errors(sonar, world)
     config = LocalizationConfig(world.walls, body, options.odometry_noise, sonar, calibration=calibration)
     return LocalizationSetup(belief, config, sonars)
 
@@ -337,10 +337,8 @@ def find_sonar_model(
     if sonars.rays and sonars.guessed and body.ring.fits_state:
         _, state = restart_ring(robot, body.ring)
         end_s = (state.clock_s or 0.0) + body.ring.round_s + ROUND_MARGIN_S
-        # In a simulation of this process each request takes some time of the robot's.
         while (state.clock_s or 0.0) < end_s:
-            if not is_lockstep(options.address):
-                time.sleep(ROUND_MARGIN_S / (state.speed_factor or 1.0))
+            robot.sleep(ROUND_MARGIN_S)
             state = robot.refresh()
         sonars = decide_by_readings(sonars, belief, state, world.walls, body)
     if sonars.line():

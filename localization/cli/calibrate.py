@@ -4,7 +4,6 @@ import argparse
 import json
 import math
 import sys
-import time
 from pathlib import Path
 from typing import NamedTuple
 
@@ -125,7 +124,7 @@ def _drive(robot: Robot, world: World, options: argparse.Namespace, fit: Consist
     driver = procedure.Driver(first.tasks, options.speed, math.radians(options.turn_speed), laps.more)
     stall_detector, printed_s = StallDetector(options.speed), state.clock_s or 0.0
     began_s = printed_s
-    for progress in procedure.run(robot, config, method, driver, time.sleep):
+    for progress in procedure.run(robot, config, method, driver, robot.sleep):
         clock_s = progress.estimate.clock_s
         fit.add(progress.estimate.echoes)
         if clock_s - began_s > options.time_limit:

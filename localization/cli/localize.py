@@ -8,7 +8,6 @@ import contextlib
 import json
 import math
 import sys
-import time
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -200,7 +199,7 @@ def _drive(
         ground_truth, printed_s = GroundTruth(robot, simulated), -math.inf
         stall_detector, contact_detector = StallDetector(options.speed), ContactDetector()
         misfit_detector = None if options.method == FINDER else MisfitDetector()
-        for progress in follow_waypoints(robot, localizer, navigator, time.sleep, PoseSmoother(options.smooth)):
+        for progress in follow_waypoints(robot, localizer, navigator, robot.sleep, PoseSmoother(options.smooth)):
             clock_s, state = progress.estimate.clock_s, progress.state
             # Record, publish, print.
             done.add(_moment(progress, ground_truth))

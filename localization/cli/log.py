@@ -11,7 +11,7 @@ from types import MappingProxyType
 from typing import Final
 
 from localization.cli.arguments import START_STD, UNKNOWN, check_writable
-from localization.filters.base import LocalizationConfig
+from localization.filters.base import LocalizationConfig, with_wall_errors
 from localization.filters.belief import POSE, independent
 from localization.filters.odometry import with_parameters
 from localization.filters.registry import make
@@ -85,7 +85,7 @@ def localize_recorded(options: argparse.Namespace) -> int:
     # 2. Initial belief and models.
     belief = independent(options.start or rows[0].odometry, options.start_std or START_STD)
     belief = with_parameters(belief, options.scale_std)
-    sonar = SONARS[options.sonars or BUILDING_SETUP](body.ring)
+    sonar = with_wall_errors(SONARS[options.sonars or BUILDING_SETUP](body.ring), world)
     config = LocalizationConfig(world.walls, body, options.odometry_noise, sonar)
     # 3. Run, results.
     done = run_log(rows, body.ring.round_s, make(options.method, config, belief))

@@ -1,4 +1,4 @@
-"""Check a map, simplify it, show where localization is inaccurate, learn one, or exchange maps with other tools."""
+"""Check a map, simplify it, show where localization is inaccurate, learn, edit or exchange one."""
 
 import argparse
 import json
@@ -9,18 +9,19 @@ from typing import Any
 
 import numpy as np
 
-from localization.cli import arguments, map_learn
+from localization.cli import arguments, map_edit, map_learn, map_update
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import Floats
 from localization.filters.sonar_cone import ConeSonar
 from localization.filters.sonar_ray import WIRE_SONAR
-from localization.live.plot import ESTIMATE, GOAL, blank, check_picture, draw_walls, save
+from localization.live.plot import check_picture, save
 from localization.mapping.aliases import Alias, AliasFinder, find_aliases
 from localization.mapping.observability import Observability, compute_observability
 from nclient.common.arguments import add_flag, add_value
 from nclient.common.exit_codes import ExitCode
 from nclient.common.files import write_errors_as
 from nclient.errors import MapFileError, WorldFileError
+from worlds.drawing import ESTIMATE, GOAL, blank, draw_walls
 from worlds.io import format_world, load_world, parse_world
 from worlds.map_files import IN_PER_M, ImportSettings, read_map_file, write_ros_map
 from worlds.robots import BODIES
@@ -97,7 +98,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "other tools."
     )
     parser.epilog = "example: nomad map show several_walls --out out/map.png"
-    tools = parser.add_subparsers(dest="tool", required=True, metavar="check|simplify|show|learn|import|export")
+    tools = parser.add_subparsers(
+        dest="tool", required=True, metavar="check|simplify|show|learn|update|edit|import|export"
+    )
     check = tools.add_parser(
         "check",
         help="find gaps, doubled walls, very short walls, starts without space, closed-off space; name places that "
@@ -125,7 +128,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     arguments.add_odometry_noise(show)
     add_value(show, "--weak", "IN", arguments.parse_positive,
               "call positions with a bound above this distance in in weak", WEAK_IN)
+    map_update.add_arguments(
+        tools.add_parser("update", help="compare a map with a drive: moved, missing and new walls, an error of scale")
+    )
     map_learn.add_arguments(tools.add_parser("learn", help="make a map of the room from a recorded drive"))
+    map_edit.add_arguments(tools.add_parser("edit", help="adjust a learned map to lengths measured with a tape"))
     _add_import(tools.add_parser("import", help="make a world file of a ROS, CARMEN, SVG or DXF map, or of a bitmap"))
     _add_export(tools.add_parser("export", help="write a world as map of ROS: map.yaml and PGM"))
     for tool in (check, simplify, show):
@@ -166,6 +173,10 @@ def run(options: argparse.Namespace) -> int:
         return _import(options)
     if options.tool == "learn":
         return map_learn.run(options)
+    if options.tool == "update":
+        return map_update.run(options)
+    if options.tool == "edit":
+        return map_edit.run(options)
     world = load_world(options.world)
     match options.tool:
         case "simplify":

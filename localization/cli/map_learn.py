@@ -13,7 +13,6 @@ import contextlib
 import json
 import math
 import sys
-import time
 from collections.abc import Generator
 from pathlib import Path
 from urllib.parse import quote
@@ -61,6 +60,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = (
         "example: nomad map learn 'sim:thesis_room?setup=measured&seed=1' --out room.toml"
     )
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="write this world file")
+    add_value(parser, "--calibration-out", "FILE", Path,
+              "write sonar offsets and wheel scales into this model file, which --calibration reads")
+    add_drive_arguments(parser)
+
+
+def add_drive_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of a drive, recorded or live, from which walls are learned."""
     parser.set_defaults(refuse=parser.error)
     parser.add_argument(
         "address", nargs="?", metavar="ADDRESS",
@@ -71,10 +78,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--from", dest="recording", nargs="+", type=Path, metavar="RECORDING",
         help="read this recording of a drive instead of driving; several are parts of one drive, in order",
     )  # fmt: skip
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="write this world file")
-    add_value(parser, "--picture", "PNG", Path, "draw walls, echoes and path into this file (needs the extra `plot`)")
-    add_value(parser, "--calibration-out", "FILE", Path,
-              "write sonar offsets and wheel scales into this model file, which --calibration reads")
+    add_value(parser, "--picture", "PNG", Path, "draw the result into this file (needs the extra `plot`)")
     arguments.add_odometry_noise(parser)
     add_value(parser, "--roughness", "IN", arguments.parse_positive,
               "standard deviation of walls from straight lines in in: 0.8 for a real building", ROUGHNESS_IN)
@@ -117,30 +121,34 @@ def run(options: argparse.Namespace) -> int:
     if options.picture is not None:
         check_picture(options.picture)
     # 2. The drive.
-    result = ExitCode.DONE
-    recordings = options.recording
-    if recordings is None:
-        try:
-            recordings, result = _drive(options)
-        except RobotMoved as error:
-            print(f"nomad map learn: no map written: {error}", file=sys.stderr)
-            return ExitCode.UNFIT
-    elif options.address or options.resume or options.waypoints or options.record or options.geofence or (
-        options.drive != DRIVES[0]
-    ):
-        options.refuse(
-            "--from reads a drive: omit the address, --resume, --waypoints, --record, --geofence and --drive manual"
-        )
+    try:
+        recordings, result = recordings_of(options, options.out)
+    except RobotMoved as error:
+        print(f"nomad map learn: no map written: {error}", file=sys.stderr)
+        return ExitCode.UNFIT
     # 3. The map.
     log = read_drive(*recordings)
     learned = _learn(options, log, recordings)
     return result if learned is ExitCode.DONE else learned
 
 
+def recordings_of(options: argparse.Namespace, out: Path) -> tuple[list[Path], ExitCode]:
+    """Return the recordings of --from, or those of a drive now, beside `out`; and how the drive ended."""
+    if options.recording is None:
+        return _drive(options, out)
+    if options.address or options.resume or options.waypoints or options.record or options.geofence or (
+        options.drive != DRIVES[0]
+    ):
+        options.refuse(
+            "--from reads a drive: omit the address, --resume, --waypoints, --record, --geofence and --drive manual"
+        )
+    return options.recording, ExitCode.DONE
+
+
 def _learn(options: argparse.Namespace, log: DriveLog, recordings: list[Path]) -> ExitCode:
     """Learn the map of a drive, write the files and print the result."""
     learner = MapLearner(
-        log, options.odometry_noise, ConeSonar(), rays=_has_rays(options), roughness_in=options.roughness
+        log, options.odometry_noise, ConeSonar(), rays=has_rays(options), roughness_in=options.roughness
     )
     while not learner.is_complete:
         learner.advance()
@@ -166,7 +174,7 @@ def _unexplored(estimate: MapEstimate, model: str) -> Floats | None:
     return None
 
 
-def _has_rays(options: argparse.Namespace) -> bool:
+def has_rays(options: argparse.Namespace) -> bool:
     """Return True if the sonars measure along exact rays."""
     if options.sonars is None and options.recording is None:
         return bool(sonar_model_of_address(address_or_default(options.address)))
@@ -176,10 +184,10 @@ def _has_rays(options: argparse.Namespace) -> bool:
 # Driving.
 
 
-def _drive(options: argparse.Namespace) -> tuple[list[Path], ExitCode]:
+def _drive(options: argparse.Namespace, out: Path) -> tuple[list[Path], ExitCode]:
     """Drive the robot and record it; return the recordings, those of --resume first, and the exit code."""
     _check_route(options)
-    address, record = recorded_address(options)
+    address, record = recorded_address(options, out)
     before = read_drive(*options.resume) if options.resume else None
     if options.resume and record.resolve() in [path.resolve() for path in options.resume]:
         options.refuse(f"{record} is one of --resume: name another file with --record")
@@ -195,7 +203,7 @@ def _drive(options: argparse.Namespace) -> tuple[list[Path], ExitCode]:
             last, log = _follow(robot, body, driver, before, options)
         except (KeyboardInterrupt, TerminatedBySignal, ConnectionLost, ReplyTimeout):
             again = " ".join(str(path) for path in [*(options.resume or []), record])
-            print(f"nomad map learn: stopped; the drive is in {record}: --from {again} makes the map, "
+            print(f"nomad map {options.tool}: stopped; the drive is in {record}: --from {again} reads it, "
                   f"--resume {again} --record FILE goes on", file=sys.stderr, flush=True)  # fmt: skip
             raise
         if driver is not None:
@@ -239,8 +247,8 @@ def _driver(options: argparse.Namespace, body: Body) -> Driver | None:
     return Explorer(body.radius_in, options.speed, options.time_limit, options.geofence)
 
 
-def recorded_address(options: argparse.Namespace) -> tuple[str, Path]:
-    """Return the address with a recording and without reconnecting, and the file.
+def recorded_address(options: argparse.Namespace, out: Path) -> tuple[str, Path]:
+    """Return the address with a recording and without reconnecting, and the file, by default beside `out`.
 
     A drive is one connection: after another one the sonars fire at other instants, and in the recording a second drive
     begins. So a lost link ends the drive; --resume goes on.
@@ -248,7 +256,7 @@ def recorded_address(options: argparse.Namespace) -> tuple[str, Path]:
     text = address_or_default(options.address)
     there, more = split_address(text).options, []
     # 1. The recording.
-    record: Path = options.record or options.out.with_suffix(".log")
+    record: Path = options.record or out.with_suffix(".log")
     if "record" in there:
         if options.record is not None:
             options.refuse("--record and record= in the address exclude each other: give one of them")
@@ -267,7 +275,7 @@ def _follow(
     robot: Robot, body: Body, driver: Driver | None, before: DriveLog | None, options: argparse.Namespace
 ) -> tuple[SurveyStep, SurveyLog]:
     """Drive until the end and print progress; return the last period and the log."""
-    rays = _has_rays(options)
+    rays = has_rays(options)
 
     def mapper_of(collector: DriveCollector) -> LiveMapper:
         return LiveMapper(
@@ -276,7 +284,7 @@ def _follow(
 
     limits = MODEL_LIMITS[robot.model.name].capped(options.speed, TURN_RAD_S)
     steps = survey(
-        robot, body, mapper_of, driver, limits, time.sleep, fence=options.geofence,
+        robot, body, mapper_of, driver, limits, robot.sleep, fence=options.geofence,
         collector=None if before is None else DriveCollector(robot.model.name, before),
     )  # fmt: skip
     # Closing the generator stops the robot.

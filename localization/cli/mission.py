@@ -11,7 +11,6 @@ import argparse
 import contextlib
 import json
 import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -136,7 +135,7 @@ def open_mission(options: argparse.Namespace, map_name: str = "") -> Iterator[Mi
                 options.method, config, belief, waits=waits, report=arguments.report_wait,
                 alike=arguments.find_alike(world, config, belief),
             ) as method,
-            RobotController(robot, config, body, belief, time.sleep, method, options.speed) as controller,
+            RobotController(robot, config, body, belief, robot.sleep, method, options.speed) as controller,
         ):
             context = MissionContext(controller, robot, simulated, sonars, [], [], world)
             # 3. Observers.

@@ -11,20 +11,20 @@ from pathlib import Path
 from typing import Final
 
 from localization.cli.arguments import make_folder
-from localization.experiments import corridor, disturbed, live, mapping, output
+from localization.experiments import baselines, corridor, disturbed, live, mapping, output
 from localization.experiments import lost as lost_command
 from localization.experiments import plan as plan_command
 from localization.experiments.execution import drive, drive_on_cluster, progress
 from localization.experiments.figure_trial import FIGURES, Figure, figure_setup, summarize
 from localization.experiments.output import NO_PICTURES, add_shared, table
-from localization.live.plot import require_matplotlib
 from nclient.common.arguments import Parser
 from nclient.common.exit_codes import ExitCode
 from nclient.common.hints import suggest
 from nclient.errors import NomadError
+from worlds.drawing import require_matplotlib
 
 OUT: Final = Path("out/experiments")
-ALONE: Final = ("live", "lost", "plan", "corridor", "mapping", "disturbed", "all")
+ALONE: Final = ("live", "lost", "plan", "corridor", "mapping", "disturbed", "baselines", "all")
 """Commands that replace the names of figures."""
 
 
@@ -46,6 +46,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 mapping.main(given[1:])
             case ["corridor"]:
                 corridor.main(given[1:])
+            case ["baselines"]:
+                baselines.main(given[1:])
             case ["all"]:
                 _drive_all(given[1:])
             case _:
@@ -145,7 +147,7 @@ def _parser() -> argparse.ArgumentParser:
         "instead of figures: `live`, filters compared on live robots (`live --help`); `lost`, detection of a lost "
         "estimate (`lost --help`); `plan`, planned and driven paths (`plan --help`); `mapping`, learned maps "
         "(`mapping --help`); `disturbed`, errors that the filter's models do not have (`disturbed --help`); "
-        "`all`, everything else",
+        "`baselines`, simple policies in the environments of Gymnasium (`baselines --help`); `all`, everything else",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("figures", nargs="+", type=_figure, metavar="FIGURE", help="simulate these figures, see below")

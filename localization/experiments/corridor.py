@@ -26,10 +26,11 @@ from localization.filters.odometry import process_variance, relative_step, with_
 from localization.filters.registry import DEFAULT_METHOD, METHODS, make
 from localization.filters.sonar_cone import building_sonar
 from localization.live.log import LogRow, new_echoes, run_log
-from localization.live.plot import ESTIMATE, FAINT, TRUTH, blank, check_picture, save
+from localization.live.plot import check_picture, save
 from localization.live.run import Run
 from nclient.common.arguments import Parser
 from nclient.errors import LogFileError
+from worlds.drawing import ESTIMATE, FAINT, TRUTH, blank
 from worlds.robots import N150, Body, read_model_file
 
 if TYPE_CHECKING:

@@ -24,6 +24,7 @@ from localization.experiments.figure_trial import Figure, FigureResult, figure_r
 from nclient.common.files import write_atomic
 from nclient.common.hints import install_command
 from nclient.errors import ExtraMissing, NomadError, OutputFileError
+from worlds.raycast import is_compiled_for
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -242,23 +243,30 @@ def split_seeds(seeds: Sequence[int], jobs: int) -> list[Sequence[int]]:
     return [seeds[first : first + size] for first in range(0, len(seeds), size)]
 
 
-def drive_batch(figure: Figure, seeds: Sequence[int], tick: Tally = lambda _: None) -> FigureResult:
+def drive_batch(
+    figure: Figure, seeds: Sequence[int], tick: Tally = lambda _: None, *, is_compiled: bool = False
+) -> FigureResult:
     """Simulate a figure once per seed and return what summary and pictures need; `tick` is called per step."""
-    return figure_result(run(figure_setup(figure), seeds, tick), figure.filtered)
+    return figure_result(run(figure_setup(figure), seeds, tick, is_compiled=is_compiled), figure.filtered)
+
+
+def _is_compiled(seeds: Sequence[int]) -> bool:
+    """Return True if steps are taken in machine code: decided for all parts of the work, so that results agree."""
+    return is_compiled_for(len(seeds)) and find_spec("numba") is not None
 
 
 def drive(figure: Figure, seeds: Sequence[int], jobs: int, report: Tally = lambda _: None) -> FigureResult:
     """Drive a figure with all seeds, `jobs` processes at a time; one job stays in this process."""
-    parts = split_seeds(seeds, jobs)
+    parts, is_compiled = split_seeds(seeds, jobs), _is_compiled(seeds)
     # 1. One batch after another in this process.
     if len(parts) == 1 or jobs == 1:
         tick = _counting(report)
-        return join_results([drive_batch(figure, part, tick) for part in parts])
+        return join_results([drive_batch(figure, part, tick, is_compiled=is_compiled) for part in parts])
     # 2. Batches in workers, which count their steps in shared memory.
     context = multiprocessing.get_context("spawn")
     counter = context.Value("q", 0)
     with ProcessPoolExecutor(min(jobs, len(parts)), context, _set_counter, (counter,)) as workers:
-        futures = [workers.submit(_drive_batch_counting, figure, part) for part in parts]
+        futures = [workers.submit(_drive_batch_counting, figure, part, is_compiled) for part in parts]
         # 3. Show their progress until all are done; the results are joined in the order of the seeds.
         waiting = set(futures)
         while waiting:
@@ -271,7 +279,9 @@ def drive_on_cluster(
     figure: Figure, seeds: Sequence[int], address: str, report: Tally = lambda _: None
 ) -> FigureResult:
     """Drive a figure with all seeds on a Dask cluster, in parts of equal length."""
-    items = [(figure, seeds[first : first + _CLUSTER_BATCH]) for first in range(0, len(seeds), _CLUSTER_BATCH)]
+    is_compiled = _is_compiled(seeds)
+    firsts = range(0, len(seeds), _CLUSTER_BATCH)
+    items = [(figure, seeds[first : first + _CLUSTER_BATCH], is_compiled) for first in firsts]
     parts = []
     tick = _counting(report)
     for part in on_cluster(_drive_item, items, address, code_hash):
@@ -281,8 +291,9 @@ def drive_on_cluster(
     return join_results(sorted(parts, key=lambda part: part.results[0].seed))
 
 
-def _drive_item(item: tuple[Figure, Sequence[int]]) -> FigureResult:
-    return drive_batch(*item)
+def _drive_item(item: tuple[Figure, Sequence[int], bool]) -> FigureResult:
+    figure, seeds, is_compiled = item
+    return drive_batch(figure, seeds, is_compiled=is_compiled)
 
 
 def _counting(report: Tally) -> Tally:
@@ -301,9 +312,9 @@ def _set_counter(counter: Synchronized[int]) -> None:
     _StepCounter.steps = counter
 
 
-def _drive_batch_counting(figure: Figure, seeds: Sequence[int]) -> FigureResult:
+def _drive_batch_counting(figure: Figure, seeds: Sequence[int], is_compiled: bool) -> FigureResult:
     """Run `drive_batch` in a worker and count its steps for the parent."""
-    return drive_batch(figure, seeds, _count_steps)
+    return drive_batch(figure, seeds, _count_steps, is_compiled=is_compiled)
 
 
 def _count_steps(steps: int) -> None:

@@ -27,6 +27,7 @@ from typing import Final, TypedDict
 import numpy as np
 import numpy.typing as npt
 
+from localization.experiments import compiled_trial
 from localization.filters import odometry, sonar_ray
 from localization.filters.base import THESIS_ODOMETRY
 from localization.filters.belief import Belief, Floats, add, chi_square_quantile, difference, independent, nees
@@ -238,9 +239,15 @@ class Runs:
     used: Indices
 
 
-def run(setup: FigureSetup, seeds: Sequence[int], tick: Callable[[int], None] = lambda _: None) -> Runs:
-    """Simulate a trial once per seed; after each step `tick` is called with the number of moving robots."""
+def run(
+    setup: FigureSetup, seeds: Sequence[int], tick: Callable[[int], None] = lambda _: None, *, is_compiled: bool = False
+) -> Runs:
+    """Simulate a trial once per seed; after each step `tick` is called with the number of moving robots.
+
+    `is_compiled` takes the steps in machine code (extra `fast`): the same numbers, to rounding.
+    """
     batch = _start(setup, seeds)
+    step_robots = _compiled_step(setup) if is_compiled and setup.filtered else None
     history: list[Batch] = []
     steps = np.zeros(len(seeds), dtype=np.intp)
     errors = draw_step_errors(seeds, len(setup.body.sonar_angles_rad))
@@ -248,7 +255,7 @@ def run(setup: FigureSetup, seeds: Sequence[int], tick: Callable[[int], None] = 
         driving = batch.leg < len(setup.goals_in)
         if not driving.any():
             break
-        batch = _advance(setup, batch, motion_error, sonar_error)
+        batch = _advance(setup, batch, motion_error, sonar_error, step_robots)
         history.append(batch)
         steps += driving
         tick(int(driving.sum()))
@@ -276,12 +283,27 @@ def _start(setup: FigureSetup, seeds: Sequence[int]) -> Batch:
     return Batch(truth, belief, belief.cov, nothing, np.zeros(count), nothing)
 
 
-def _advance(setup: FigureSetup, batch: Batch, motion_error: Floats, sonar_error: Floats) -> Batch:
-    """Simulate one step of all robots."""
+def _compiled_step(setup: FigureSetup) -> compiled_trial.Step:
+    ring_in = setup.body.sonar_ring_radius_in
+    return compiled_trial.bind(
+        compiled_trial.load_step(), setup.walls, setup.noise, setup.sonar, setup.angles_rad, ring_in
+    )
+
+
+def _advance(
+    setup: FigureSetup, batch: Batch, motion_error: Floats, sonar_error: Floats, step_robots: compiled_trial.Step | None
+) -> Batch:
+    """Simulate one step of all robots, in arrays or by the compiled loop."""
     # 1. Command; robots at their last goal stand.
     driving = batch.leg < len(setup.goals_in)
     goals = setup.goals_in[np.minimum(batch.leg, len(setup.goals_in) - 1)]
     step = next_step(batch.belief.mean, goals, setup.gains) * driving[:, None]
+    if step_robots is not None:
+        truth, mean, cov = batch.truth.copy(), batch.belief.mean.copy(), batch.belief.cov.copy()
+        bound, nis, used = batch.bound.copy(), batch.nis.copy(), batch.used.copy()
+        step_robots(truth, mean, cov, bound, nis, used, step, motion_error, sonar_error)
+        arrived = driving & is_reached(mean, goals, setup.waypoint_radius_in)
+        return Batch(truth, Belief(mean, cov), bound, batch.leg + arrived, nis, used)
     # 2. Move and predict.
     truth = odometry.move(batch.truth, step + np.sqrt(odometry.step_variance(step, setup.noise)) * motion_error)
     belief = odometry.predict(batch.belief, step, setup.noise)

@@ -167,7 +167,7 @@ def drive(trial: Trial, points: Sequence[Point], folder: Path) -> Drive:
     navigator = Navigator(points, radius_in=RADIUS_IN)
     truth = []
     address = f"sim:{trial.world}?setup={trial.setup}&seed={trial.seed}&start={start.x_in:g},{start.y_in:g}"
-    with connect(f"{address}&record={path}") as robot, stop_on_exit(robot):
+    with connect(f"{address}&step_s=0.1&record={path}") as robot, stop_on_exit(robot):
         state = robot.configure_sonars(rate=DEFAULT_SONAR_RATE, order=DEFAULT_SONAR_ORDER)
         robot.set_timeout(COMMAND_TIMEOUT_S)
         while (state.clock_s or 0.0) < trial.time_limit_s:
@@ -227,7 +227,7 @@ def explore(trial: Trial, folder: Path) -> Drive:
         )
         return mappers[-1]
 
-    address = f"sim:{trial.world}?setup={trial.setup}&seed={trial.seed}&record={path}"
+    address = f"sim:{trial.world}?setup={trial.setup}&seed={trial.seed}&step_s=0.1&record={path}"
     with connect(address) as robot:
         for step, _, log in survey(robot, N150, mapper_of, explorer, limits, lambda _: None):
             seen = robot.truth()

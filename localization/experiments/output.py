@@ -18,6 +18,7 @@ from localization.experiments.figure_trial import Figure, FigureSetup, Summary, 
 from localization.filters.belief import difference
 from localization.live import plot
 from nclient.common.arguments import add_flag, add_value, whole_number
+from worlds import drawing
 from worlds.robots import N150
 
 if TYPE_CHECKING:
@@ -40,17 +41,17 @@ def draw(figure: Figure, setup: FigureSetup, tracks: Sequence[Track], folder: Pa
 
 def trajectory(figure: Figure, setup: FigureSetup, track: Track) -> Picture:
     """Return a picture of map, waypoints, true and estimated path; without a filter also 3-sigma ellipses."""
-    picture = plot.blank(7.2, 7.0)
+    picture = drawing.blank(7.2, 7.0)
     # 1. Map, waypoints, and the body at start and end.
     axes = picture.add_subplot(aspect="equal")
-    plot.draw_walls(axes, setup.walls.segments)
+    drawing.draw_walls(axes, setup.walls.segments)
     plot.draw_points(axes, setup.start, setup.goals_in)
-    plot.draw_body(axes, setup.start, N150, plot.FAINT)
-    plot.draw_body(axes, track.truth[-1], N150, plot.TRUTH)
+    drawing.draw_body(axes, setup.start, N150, drawing.FAINT)
+    drawing.draw_body(axes, track.truth[-1], N150, drawing.TRUTH)
     # 2. True and estimated path; ellipses only without a filter, where they grow.
-    axes.plot(*np.vstack([setup.start[:2], track.truth[:, :2]]).T, color=plot.TRUTH, linewidth=1.8, label="truth")
+    axes.plot(*np.vstack([setup.start[:2], track.truth[:, :2]]).T, color=drawing.TRUTH, linewidth=1.8, label="truth")
     label = _estimate_name(figure)
-    axes.plot(*track.mean[:, :2].T, color=plot.ESTIMATE, linewidth=1.4, linestyle=(0, (4, 2)), label=label)
+    axes.plot(*track.mean[:, :2].T, color=drawing.ESTIMATE, linewidth=1.4, linestyle=(0, (4, 2)), label=label)
     if not figure.filtered:
         plot.draw_ellipses(axes, track.mean, track.cov)
     # 3. Title with the final position error, inches.
@@ -65,25 +66,26 @@ def trajectory(figure: Figure, setup: FigureSetup, track: Track) -> Picture:
 
 def errors(figure: Figure, tracks: Sequence[Track], drawn: Track) -> Picture:
     """Return a picture of the errors in x, y and heading over the steps: one run with its 3-sigma band."""
-    picture = plot.blank(8.0, 7.0)
+    picture = drawing.blank(8.0, 7.0)
     rows = picture.subplots(3, 1, sharex=True)
     # Errors are in inches and radians; the heading is drawn in degrees.
     scales = (1.0, 1.0, np.degrees(1.0))
     for axes, row, scale, name in zip(rows, range(3), scales, ("x (in)", "y (in)", "heading (deg)"), strict=True):
         # 1. All stored runs, faint.
         for track in tracks:
-            axes.plot(scale * difference(track.mean, track.truth)[:, row], color=plot.FAINT, linewidth=0.5, alpha=0.4)
+            error = scale * difference(track.mean, track.truth)[:, row]
+            axes.plot(error, color=drawing.FAINT, linewidth=0.5, alpha=0.4)
         # 2. The drawn run with the 3-sigma band of its own covariance.
         band = 3.0 * scale * np.sqrt(drawn.cov[:, row, row])
         steps = np.arange(len(band))
-        axes.fill_between(steps, -band, band, color=plot.ESTIMATE, alpha=0.15, linewidth=0, label="3 sigma")
+        axes.fill_between(steps, -band, band, color=drawing.ESTIMATE, alpha=0.15, linewidth=0, label="3 sigma")
         error = scale * difference(drawn.mean, drawn.truth)[:, row]
-        axes.plot(error, color=plot.ESTIMATE, linewidth=1.2, label="this run")
-        axes.axhline(0.0, color=plot.TRUTH, linewidth=0.6)
+        axes.plot(error, color=drawing.ESTIMATE, linewidth=1.2, label="this run")
+        axes.axhline(0.0, color=drawing.TRUTH, linewidth=0.6)
         axes.set_ylabel(name)
         axes.margins(x=0.0)
     # 3. An empty line for the legend, since each of the faint ones would have an entry.
-    rows[0].plot([], [], color=plot.FAINT, label=f"{len(tracks)} seeds")
+    rows[0].plot([], [], color=drawing.FAINT, label=f"{len(tracks)} seeds")
     rows[0].legend(loc="upper left", ncols=3, framealpha=0.95)
     number = figure.errors_figure or figure.name
     rows[0].set_title(f"Figure {number}: {figure.title}, errors of the {_estimate_name(figure)}")

@@ -9,9 +9,10 @@ Filters are made by name (registry.make). Echoes come in order of time, each aft
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, NamedTuple, Protocol, runtime_checkable
 
+import numpy as np
 import numpy.typing as npt
 
 from localization.filters.belief import Belief
@@ -20,8 +21,10 @@ from localization.filters.odometry import NO_LAG, Lag, OdometryNoise, pose_at, r
 from localization.filters.sonar_cone import ConeModel, ConeSonar, cone_sonar
 from localization.filters.sonar_ray import STRICT, WIRE_SONAR, Gate, RayModel, RaySonar, RingBody, ray_sonar
 from localization.filters.update import MeasurementModel, Outcome, UpdateResult
+from worlds.geometry import lengths
 from worlds.rings import Ring
 from worlds.robots import IDEAL_CALIBRATION, Calibration
+from worlds.world import World
 
 THESIS_ODOMETRY: Final = OdometryNoise()
 """Noise of the encoders in the experiments."""
@@ -187,6 +190,21 @@ class LocalizationConfig:
 def sonar_of(ring: Ring, *, rays: bool) -> RaySonar | ConeSonar:
     """Return the noise model of a ring, for exact rays or for the cones of a real one."""
     return ray_sonar(ring) if rays else cone_sonar(ring)
+
+
+def with_wall_errors(sonar: RaySonar | ConeSonar, world: World) -> RaySonar | ConeSonar:
+    """Return the noise of sonars in a map whose walls were measured: its mean variance repeats itself in readings.
+
+    To `place_var_in2` is added the mean of offset_std_in^2 over the length of all walls; those that state no accuracy
+    are exact.
+    """
+    if not world.accuracies:
+        return sonar
+    sizes, variances = lengths(world.walls), np.zeros(len(world.walls))
+    first = len(world.fixed_walls) - len(world.inner_walls)
+    for row, accuracy in world.accuracies.items():
+        variances[first + row] = accuracy.offset_std_in**2
+    return replace(sonar, place_var_in2=sonar.place_var_in2 + float(sizes @ variances / sizes.sum()))
 
 
 def measurement_model(

@@ -147,7 +147,10 @@ def add_outer(P: list[list[Number]], weight: Number, v: Sequence[Number]) -> Non
     of_heading[2] = of_heading[2] + weight * c * c
     for i in range(POSE, len(v)):
         row, scaled = P[i], weight * v[i]
-        for j in range(i + 1):
+        row[0] = of_x[i] = row[0] + scaled * a
+        row[1] = of_y[i] = row[1] + scaled * b
+        row[2] = of_heading[i] = row[2] + scaled * c
+        for j in range(POSE, i + 1):
             row[j] = P[j][i] = row[j] + scaled * v[j]
 
 

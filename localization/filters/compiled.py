@@ -2,15 +2,20 @@
 
 numba compiles the functions of odometry, sonar_ray, sonar_cone, update and worlds.raycast from their own source, for
 floats. Only what numba cannot type has a second form here: access to the walls, which are lists in plain Python and
-arrays in compiled code. No fast math: results agree with plain Python to rounding.
+arrays in compiled code. No fast math: results equal those of plain Python to the bit, so it is used by default
+where numba is installed and either the code is on disk or a terminal shows that it is being compiled.
 """
 
 from __future__ import annotations
 
 import logging
+import os
+import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import fields
 from functools import cache
+from importlib.metadata import PackageNotFoundError, version
 from inspect import isfunction
 from pathlib import Path
 from typing import Any, Final, NamedTuple, cast
@@ -50,6 +55,15 @@ class WallArrays(NamedTuple):
     middle: tuple[float, float, float]
 
 
+class ListedWalls(NamedTuple):
+    """`WallArrays` with the rows as a list, which compiled code makes once and not for every ray."""
+
+    segments: Floats
+    lines: Floats
+    middle: tuple[float, float, float]
+    rows: Any
+
+
 class RayArrays(NamedTuple):
     """A `RayModel`."""
 
@@ -72,7 +86,7 @@ class ConeArrays(NamedTuple):
     range_parameters: int
 
 
-def _row(row: Any, record: object) -> Any:
+def row_of(row: Any, record: object) -> Any:
     """Return a record as a row of floats."""
     return row(*(float(getattr(record, name)) for name in row._fields))
 
@@ -82,15 +96,15 @@ def _arrays(model: Any) -> RayArrays | ConeArrays:
     walls = WallArrays(model.walls.segments, model.walls.lines, model.walls.middle)
     ring = (np.array(model.mounts), model.range_parameters)
     if isinstance(model, RayModel):
-        noise, gate = _row(RaySonarRow, model.noise), _row(GateRow, model.gate)
+        noise, gate = row_of(RaySonarRow, model.noise), row_of(GateRow, model.gate)
         return RayArrays(noise, walls, gate, model.threshold, *ring)
     faces, vertices = np.array(model.faces).reshape(-1, 5), np.array(model.vertices).reshape(-1, 3)
-    return ConeArrays(_row(ConeSonarRow, model.noise), walls, faces, vertices, *ring)
+    return ConeArrays(row_of(ConeSonarRow, model.noise), walls, faces, vertices, *ring)
 
 
 # Compiling.
 
-_SOURCES: Final = (belief, odometry, sonar_ray, sonar_cone, update, raycast)
+SOURCES: Final = (belief, odometry, sonar_ray, sonar_cone, update, raycast)
 """numba may compile all functions of these modules; it does so for those that the loop calls."""
 
 # Forms for numba of what differs between lists and arrays. It cannot unpack a row of an array: rows become tuples.
@@ -98,6 +112,15 @@ _SOURCES: Final = (belief, odometry, sonar_ray, sonar_cone, update, raycast)
 
 def _wall_rows(walls: Any) -> Any:
     return [(row[0], row[1], row[2], row[3]) for row in walls.segments]
+
+
+def _listed_rows(walls: Any) -> Any:
+    return walls.rows
+
+
+def _form_of_rows(walls: Any) -> Callable[..., Any]:
+    """Return the form of `wall_rows` for a type of walls."""
+    return _listed_rows if "rows" in walls.fields else _wall_rows
 
 
 def _rows_of_five(rows: Any) -> Any:
@@ -143,13 +166,51 @@ def load() -> bool:
         import numba.extending
     except ImportError:
         return False
-    for module in _SOURCES:
+    for module in SOURCES:
         for function in vars(module).values():
             if isfunction(function) and function.__module__ == module.__name__ and function not in _FORMS:
                 numba.extending.register_jitable(function)
     for function, form in _FORMS.items():
-        numba.extending.overload(function, strict=False)(_same(form))
+        of_type = _form_of_rows if form is _wall_rows else _same(form)
+        numba.extending.overload(function, strict=False)(of_type)
     return True
+
+
+@cache
+def _checksum(loop: Callable[..., list[Outcome]]) -> int:
+    """Return a checksum of all sources."""
+    checksum = crc32(Path(loop.__code__.co_filename).read_bytes())
+    for module in SOURCES:
+        checksum = crc32(Path(str(module.__file__)).read_bytes(), checksum)
+    return checksum
+
+
+def _mark(loop: Callable[..., list[Outcome]], correct: Callable[..., Outcome]) -> Path:
+    """Return the file that marks this loop and update as compiled, next to numba's cache or where that may be."""
+    folder = Path(os.environ.get("NUMBA_CACHE_DIR") or Path(__file__).parent / "__pycache__")
+    key = crc32(f"{version('numba')} {sys.implementation.cache_tag}".encode(), _checksum(loop))
+    return folder / f"compiled.{correct.__name__}.{key:08x}"
+
+
+def is_wanted(loop: Callable[..., list[Outcome]], correct: Callable[..., Outcome]) -> bool:
+    """Return True if compiled code is to be used: as NOMAD_COMPILED says, or where nothing waits for it unseen.
+
+    By default it is used if it is on disk, as importing numba and reading it takes a second, or if stderr is a
+    terminal, where a localizer shows that it is being compiled.
+
+    Raises
+    ------
+    VariableError
+        The variable is set to an unknown word.
+    """
+    if load.cache_info().currsize:
+        return True
+    if not raycast.is_compiled_for(raycast.CROWD):
+        return False
+    try:
+        return raycast.is_compiled_for(1) or _mark(loop, correct).exists() or sys.stderr.isatty()
+    except PackageNotFoundError:  # no numba
+        return False
 
 
 @cache
@@ -158,9 +219,7 @@ def _compile(loop: Callable[..., list[Outcome]], correct: Callable[..., Outcome]
     import numba
 
     # numba's cache watches this file only: the checksum of the others is part of its key, as a variable of the closure.
-    checksum = crc32(Path(loop.__code__.co_filename).read_bytes())
-    for module in _SOURCES:
-        checksum = crc32(Path(str(module.__file__)).read_bytes(), checksum)
+    checksum = _checksum(loop)
 
     def filter_ring(
         x: Any, P: Any, used: Any, encoders: Any, poses: Any, echoes: Any, noise: Any, model: Any
@@ -171,11 +230,8 @@ def _compile(loop: Callable[..., list[Outcome]], correct: Callable[..., Outcome]
     numba.extending.register_jitable(loop)
     try:
         compiled: Any = numba.njit(cache=True)(filter_ring)
-        is_cached = any(Path(compiled.stats.cache_path).glob("compiled._compile*.nbi"))
     except RuntimeError:  # no writable directory for the cache
-        compiled, is_cached = numba.njit(filter_ring), False
-    if not is_cached:
-        _log.warning("compiling the filter with numba; the result is cached function=%s", correct.__name__)
+        compiled = numba.njit(filter_ring)
     return cast("Callable[..., list[Outcome]]", compiled)
 
 
@@ -184,8 +240,18 @@ class CompiledRing:
 
     def __init__(self, loop: Callable[..., list[Outcome]], model: DirectModel, noise: OdometryNoise) -> None:
         self._run = _compile(loop, model.update)
-        self._noise, self._model = _row(NoiseRow, noise), _arrays(model)
-        # Compile now, not in the first update.
+        self._noise, self._model = row_of(NoiseRow, noise), _arrays(model)
+        mark = _mark(loop, model.update)
+        if mark.exists():
+            self._warm_up()
+            return
+        _log.warning("compiling the filter with numba; the result is cached function=%s", model.update.__name__)
+        self._warm_up()
+        with suppress(OSError):  # no writable directory
+            mark.touch()
+
+    def _warm_up(self) -> None:
+        """Compile now, not in the first update."""
         encoders = (0.0,) * ENCODERS
         self.filter([0.0] * POSE, [[0.0] * POSE for _ in range(POSE)], np.zeros((1, 4)), encoders, [encoders], [])
 
@@ -206,5 +272,5 @@ class CompiledRing:
 
 
 def ring(loop: Callable[..., list[Outcome]], model: DirectModel | None, noise: OdometryNoise) -> CompiledRing | None:
-    """Return the compiled loop; None for a model without an update of its own, or if `load` was not called."""
-    return CompiledRing(loop, model, noise) if model and load.cache_info().currsize and load() else None
+    """Return the compiled loop; None for a model without an update of its own, without numba, or if not wanted."""
+    return CompiledRing(loop, model, noise) if model and is_wanted(loop, model.update) and load() else None

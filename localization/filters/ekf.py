@@ -45,6 +45,7 @@ from localization.filters.sonar_ray import Observation
 from localization.filters.update import (
     INFORMATIVE,
     INFORMATIVE_IN_CLUTTER,
+    LIMIT,
     NONE,
     CorrelatedReadings,
     Covariance,
@@ -68,6 +69,9 @@ SLIP_GAIN, SIDE_SLIP_IN, SLIP_RAD = 0.5, 0.3, 0.02
 PRESSED_NOISE: Final = 5.0
 """Variance of wheels that roll on the spot, relative to those that roll freely: the robot creeps and turns by the same
 noise, and all readings from there repeat their errors."""
+
+NO_RANGE: Final[Outcome] = (LIMIT, 0.0, 0.0, 1.0, 1.0)
+"""The outcome of a limit, whose likelihood this filter does not need."""
 
 Prediction = Callable[[State, Covariance, float, float, OdometryNoise, int], None]
 """Predicts x and P after a step (distance, turn), in place; the last argument is the number of constants."""
@@ -205,10 +209,11 @@ class KalmanFilter:
         # The pose does not depend on the range parameters.
         size, ratio = self._size, self._monitor.nis_ratio
         x, P = self._x[:size], [row[:size] for row in self._P[:size]]
-        if ratio > 1.0:
+        if ratio != 1.0:
             P = [[ratio * cov for cov in row] for row in P]
         self._predict(x, P, distance_in, turn_rad, self._odometry, 0)
-        widen(x, P, lag)
+        if lag != NO_LAG:
+            widen(x, P, lag)
         if self._constants:
             scale, (middle_x, middle_y) = self._x[-1], self._middle_in
             add_outer(P, 1.0, (scale * (x[0] - middle_x), scale * (x[1] - middle_y), 0.0))
@@ -248,14 +253,22 @@ class KalmanFilter:
         if not self._direct:
             return process_each(self, encoders, poses, echoes)
         x, P, used, noise, model = self._x, self._P, self._correlated.used, self._odometry, self._direct
+        # A limit is no range: the filter passes over it. It predicts to the last echo in any case.
+        low_in, high_in, last = model.noise.lowest_in, model.noise.highest_in, len(echoes) - 1
+        ranges = [k for k, echo in enumerate(echoes) if low_in < echo[2] < high_in or k == last]
+        some = echoes if len(ranges) == len(echoes) else [echoes[k] for k in ranges]
         if self._compiled:
-            outcomes = self._compiled.filter(x, P, used, encoders, poses, echoes)
+            results = self._compiled.filter(x, P, used, encoders, poses, some)
         else:
-            outcomes = filter_ring(x, P, used, encoders, poses, echoes, noise, model, model.update)
+            results = filter_ring(x, P, used, encoders, poses, some, noise, model, model.update)
+        outcomes = [NO_RANGE] * len(echoes)
+        for k, outcome in zip(ranges, results, strict=True):
+            outcomes[k] = outcome
         turret_offset_rad = poses[-1][4] - poses[-1][3]
+        monitor = self._monitor
         for outcome, (_, sonar, _) in zip(outcomes, echoes, strict=True):
             if outcome[0] in INFORMATIVE:
-                self._monitor.add(outcome)
+                monitor.add(outcome)
                 self._add_slip(outcome, sonar, turret_offset_rad)
         self._check_slip()
         return outcomes

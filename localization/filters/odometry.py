@@ -174,6 +174,7 @@ def predict_state(
         for j in range(POSE, n):
             P[j][0] = of_x[j] = of_x[j] + f_x * of_heading[j]
             P[j][1] = of_y[j] = of_y[j] + f_y * of_heading[j]
+    if n - constants > POSE:
         of_y[0], of_heading[0], of_heading[1] = of_x[1], of_x[2], of_y[2]
         for k, a, b, c in parameter_columns(n - constants, distance, turn, (g_x, g_y), (h_x, h_y)):
             for j in range(n):  # the rows of the pose

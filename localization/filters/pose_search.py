@@ -114,7 +114,7 @@ class EchoReplay:
 
     @cached_property
     def _ring(self) -> compiled.CompiledRing | None:
-        """The compiled loop, where numba was loaded before the first use."""
+        """The compiled loop, where that is wanted."""
         return compiled.ring(filter_ring, self._measurement.direct, self.odometry)
 
     def run(self, belief: Belief, before: Floats, records: Sequence[EchoRecord]) -> tuple[Belief, float]:

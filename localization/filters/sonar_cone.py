@@ -19,13 +19,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
-from math import atan2, cos, log, pi, radians, sqrt
+from math import atan2, cos, log, pi, radians
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from localization.filters.belief import HEADING, Floats, Number, choose, clip, exp, hypot, unit_vector, wrap_angle
+from localization.filters.belief import HEADING, Floats, Number, choose, clip, exp, sqrt, unit_vector, wrap_angle
 from localization.filters.reflectors import Reflectors, reflectors
 from localization.filters.sonar_ray import (
     NOMAD,
@@ -185,7 +185,7 @@ def to_wall(
 def to_vertex(x: Number, y: Number, vertex_x: Number, vertex_y: Number) -> tuple[Number, Number, Number]:
     """Return range and unit vector (two numbers) from (x, y) to a vertex."""
     to_x, to_y = vertex_x - x, vertex_y - y
-    range_in = hypot(to_x, to_y)
+    range_in = sqrt(to_x * to_x + to_y * to_y)  # the same bits everywhere, which hypot has not
     divisor = choose(range_in > _MIN_RANGE_IN, range_in, _MIN_RANGE_IN)
     return range_in, to_x / divisor, to_y / divisor
 
@@ -269,11 +269,15 @@ def first_echoes(
     found, number = [], -1
     for corner_x, corner_y, normal_x, normal_y, length in rows_of_five(model.faces):
         number += 1
+        if abs(normal_x * axis_x + normal_y * axis_y) <= min_cosine:  # from either side
+            continue
         range_in, to_x, to_y, foot = to_wall(face_x, face_y, corner_x, corner_y, normal_x, normal_y)
         if to_x * axis_x + to_y * axis_y > min_cosine and -REACH_IN < foot < length + REACH_IN:
             found.append((range_in, number, to_x, to_y, foot_probability(foot, length), 0.0))
     for vertex_x, vertex_y, loss_db in rows_of_three(model.vertices):
         number += 1
+        if (vertex_x - face_x) * axis_x + (vertex_y - face_y) * axis_y < 0.0 < min_cosine:  # behind
+            continue
         range_in, to_x, to_y = to_vertex(face_x, face_y, vertex_x, vertex_y)
         if to_x * axis_x + to_y * axis_y >= min_cosine:
             found.append((range_in, number, to_x, to_y, 1.0, loss_db))

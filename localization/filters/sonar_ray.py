@@ -17,6 +17,7 @@ robots and all beams of the ring at once (`observe_ring`, the experiments).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -34,7 +35,6 @@ from localization.filters.belief import (
     add_outer,
     chi_square_quantile,
     choose,
-    hypot,
     sqrt,
     unit_vector,
     unpack,
@@ -278,8 +278,9 @@ def only_wall(
     These poses move the end of a wall, in the frame of the beam, by no more than the origin moves and the angle times
     the distance of the end. raycast.NO_WALL if there may be another.
     """
-    to_end_in = hypot(x[0] - walls.middle[0], x[1] - walls.middle[1]) + walls.middle[2]
-    margin_in = gate.sigmas * (sqrt(P[0][0] + P[1][1]) + to_end_in * sqrt(P[HEADING][HEADING]))
+    middle_x, middle_y, half_in = walls.middle
+    to_end_in = math.hypot(x[0] - middle_x, x[1] - middle_y) + half_in
+    margin_in = gate.sigmas * (math.sqrt(P[0][0] + P[1][1]) + to_end_in * math.sqrt(P[HEADING][HEADING]))
     return sole_wall(x[0] - left_in * dy, x[1] + left_in * dx, dx, dy, wall_rows(walls), margin_in)
 
 
@@ -420,15 +421,16 @@ def predict_beam(
     row = nearest(from_x, from_y, dx, dy, walls)[1] if sole == raycast.NO_WALL else sole
     # 2. The expected range and its derivative.
     distance, H, cosine = intersect_line(from_x, from_y, dx, dy, line_of(row, walls), left_in)
+    if sole != raycast.NO_WALL:  # no other wall, from any pose
+        refusal = NONE if abs(cosine) >= gate.min_cos_incidence else GRAZING
+        return BeamPrediction(row, distance - ring_radius_in, H, refusal)
     # 3. The wall from the two poses that move the end of the beam farthest sideways.
-    ambiguous = row != row
-    if sole == raycast.NO_WALL:
-        reach = choose(cosine == cosine, distance, 0.0)  # NaN where there is no wall: the ray caster wants finite rays
-        shift_x, shift_y, shift_heading = sideways_shift(P, dx, dy, reach, gate.sigmas)
-        ambiguous = row_from(x_in + shift_x, y_in + shift_y, direction + shift_heading, left_in, walls) != row
-        ambiguous = ambiguous | (
-            row_from(x_in - shift_x, y_in - shift_y, direction - shift_heading, left_in, walls) != row
-        )
+    reach = choose(cosine == cosine, distance, 0.0)  # NaN where there is no wall: the ray caster wants finite rays
+    shift_x, shift_y, shift_heading = sideways_shift(P, dx, dy, reach, gate.sigmas)
+    ambiguous = row_from(x_in + shift_x, y_in + shift_y, direction + shift_heading, left_in, walls) != row
+    ambiguous = ambiguous | (
+        row_from(x_in - shift_x, y_in - shift_y, direction - shift_heading, left_in, walls) != row
+    )
     # 4. The first reason, in the order of Refusal, that excludes the beam. A wall seen end-on is ambiguous.
     refusal = choose(abs(cosine) >= gate.min_cos_incidence, NONE, GRAZING)
     refusal = choose(ambiguous | (cosine != cosine), AMBIGUOUS_WALL, refusal)

@@ -165,6 +165,20 @@ class MeasurementModel(Protocol):
         ...
 
 
+class ReadingLimits(Protocol):
+    """The readings that are ranges (`sonar_ray.RangeNoise`): those between both limits."""
+
+    @property
+    def lowest_in(self) -> float:
+        """Return the reading that means "no nearer"."""
+        ...
+
+    @property
+    def highest_in(self) -> float:
+        """Return the reading that means "nothing"."""
+        ...
+
+
 @runtime_checkable
 class DirectModel(MeasurementModel, Protocol):
     """A model with an update of its own by the linear rule."""
@@ -172,6 +186,11 @@ class DirectModel(MeasurementModel, Protocol):
     @property
     def mounts(self) -> Sequence[SonarMount]:
         """Return the sonars of the ring."""
+        ...
+
+    @property
+    def noise(self) -> ReadingLimits:
+        """Return the noise of the readings, with their limits."""
         ...
 
     @property
@@ -242,6 +261,12 @@ def kalman_gain(P: Sequence[Sequence[Number]], H: Sequence[Number], R: Number) -
         Variance of the reading.
     """
     a, b, c = H[0], H[1], H[2]
+    if len(H) == POSE + RANGE_PARAMETERS:
+        # The usual case of a live robot in one pass.
+        d, e = H[3], H[4]
+        PHt = [row[0] * a + row[1] * b + row[2] * c + row[-2] * d + row[-1] * e for row in P]
+        S = PHt[0] * a + PHt[1] * b + PHt[2] * c + R + PHt[-2] * d + PHt[-1] * e
+        return [value / S for value in PHt], S
     PHt = [row[0] * a + row[1] * b + row[2] * c for row in P]
     between = len(P) - len(H)
     for j in range(POSE, len(H)):

@@ -26,14 +26,12 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from localization.filters import compiled
 from localization.filters.base import Filter, LocalizationConfig
 from localization.filters.belief import Belief, Floats
 from localization.filters.global_localization import is_wide
 from localization.filters.pose_search import PendingSearch, SearchRequest, SearchResult, TableSearch
 from localization.filters.range_table import RangeTable, build_range_table, reading_densities, sampled_echoes
 from localization.filters.registry import FINDER, finder, update_for
-from worlds.raycast import is_compiled_for
 
 CACHE_VERSION: Final = 2
 """Part of the name of every table; a change of the table's content needs another."""
@@ -210,8 +208,6 @@ _WORKER: Final = _Worker()
 def _prepare(config: LocalizationConfig, folder: Path, done: Synchronized[float]) -> None:
     """Make the search of a worker."""
     os.nice(NICENESS)
-    if is_compiled_for(1):
-        compiled.load()
 
     def progress(fraction: float) -> None:
         done.value = min(fraction, 0.999)

@@ -19,7 +19,6 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from localization.filters import compiled
 from localization.filters.base import (
     Disturbable,
     Filter,
@@ -35,6 +34,7 @@ from localization.filters.health import HEALTHY, FilterHealth
 from localization.filters.odometry import NO_LAG, Lag, pose_at, relative_step
 from localization.filters.registry import DEFAULT_METHOD, make
 from localization.filters.update import REFUSALS, Refusal
+from localization.live.progress import show_seconds
 from localization.live.sensor_input import (
     CLOCK_STEP_S,
     EncoderPose,
@@ -45,7 +45,6 @@ from localization.live.sensor_input import (
     SlipCorrection,
     corrected,
 )
-from worlds.raycast import is_compiled_for
 from worlds.rings import Ring
 
 
@@ -137,9 +136,8 @@ class Localizer:
         method: str | Filter = DEFAULT_METHOD,
         seed: int = 0,
     ) -> None:
-        if is_compiled_for(1):
-            compiled.load()
-        self._filter = make(method, config, belief, seed) if isinstance(method, str) else method
+        with show_seconds("preparing the filter; numba compiles it once on a machine"):
+            self._filter = make(method, config, belief, seed) if isinstance(method, str) else method
         self._schedule, self._calibration, self._ring = schedule, config.calibration, config.body.ring
         self._history, self._slip = PoseHistory(), SlipCorrection()
         self._encoders: EncoderPose | None = None

@@ -1,16 +1,9 @@
-"""Pictures of live runs, and drawing functions shared with the experiments.
-
-Nothing is drawn on the screen: figures are created without pyplot, so no backend is selected and no state is shared.
-matplotlib is the extra `plot` and imported where it is needed.
-"""
+"""Pictures of live runs, and drawing functions shared with the experiments; worlds.drawing has those of worlds."""
 
 from __future__ import annotations
 
-import math
-from functools import cache
-from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -18,8 +11,18 @@ import numpy.typing as npt
 from localization.filters.belief import Floats
 from localization.live.run import Run
 from nclient.common.files import write_errors_as
-from nclient.common.hints import install_command
-from nclient.errors import ExtraMissing, OutputFileError
+from nclient.errors import OutputFileError
+from worlds.drawing import (
+    ESTIMATE,
+    GOAL,
+    ODOMETRY,
+    TRUTH,
+    blank,
+    circle,
+    draw_body,
+    draw_walls,
+    require_matplotlib,
+)  # fmt: skip
 from worlds.robots import Body
 from worlds.world import World
 
@@ -28,30 +31,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure as Picture
 
 SUFFIX: Final = ".png"
-TRUTH: Final = "#1b1b1b"
-ESTIMATE: Final = "#d1495b"
-ODOMETRY: Final = "#3d7ea6"
-GOAL: Final = "#2e8b57"
-WALL: Final = "#52616b"
-FAINT: Final = "#9fb4c7"
-
 ELLIPSES: Final = 8
 """Number of ellipses along a run."""
-ELLIPSE_POINTS: Final = 60
 DPI: Final = 140
-
-
-class PlotExtraMissing(ExtraMissing):
-    """matplotlib is required and not installed; the message names the extra."""
-
-
-def require_matplotlib() -> None:
-    """Raise PlotExtraMissing if matplotlib is missing, before a long run instead of after it."""
-    try:
-        import matplotlib.figure  # noqa: F401
-    except ImportError as error:
-        message = f"pictures need matplotlib: {install_command('plot')}; or run without pictures"
-        raise PlotExtraMissing(message) from error
 
 
 def check_picture(path: Path) -> None:
@@ -61,37 +43,11 @@ def check_picture(path: Path) -> None:
     require_matplotlib()
 
 
-def blank(width_in: float, height_in: float) -> Picture:
-    """Return an empty picture of this size in inches on paper; notebooks show it."""
-    picture: Picture = _figure_class()(figsize=(width_in, height_in), layout="constrained", facecolor="white")
-    return picture
-
-
-@cache
-def _figure_class() -> Any:
-    """Return a figure that shows itself in notebooks, which otherwise only those of pyplot do."""
-    from matplotlib.figure import Figure as MatplotlibFigure
-
-    class NotebookFigure(MatplotlibFigure):
-        def _repr_png_(self) -> bytes:
-            written = BytesIO()
-            self.savefig(written, format="png")
-            return written.getvalue()
-
-    return NotebookFigure
-
-
 def save(picture: Picture, path: Path) -> None:
     """Write a PNG file, creating its folders. Raises OutputFileError."""
     with write_errors_as(OutputFileError, path):
         path.parent.mkdir(parents=True, exist_ok=True)
         picture.savefig(path, dpi=DPI)
-
-
-def draw_walls(axes: Axes, walls: npt.ArrayLike) -> None:
-    """Draw wall segments (m, 4) in inches."""
-    for x1, y1, x2, y2 in np.asarray(walls):
-        axes.plot([x1, x2], [y1, y2], color=WALL, linewidth=3, solid_capstyle="round")
 
 
 def draw_points(axes: Axes, start: Floats, goals: npt.ArrayLike) -> None:
@@ -109,25 +65,12 @@ def draw_ellipses(axes: Axes, means: Floats, covs: Floats, sigmas: float = 3.0) 
         axes.plot(*outline.T, color=ESTIMATE, linewidth=0.8, alpha=0.8, label=label)
 
 
-def draw_body(axes: Axes, pose: Floats, body: Body, color: str) -> None:
-    """Draw the outline of a robot at a pose (3,) and its heading."""
-    axes.plot(*(pose[:2] + body.radius_in * circle()).T, color=color, linewidth=1, alpha=0.7)
-    nose = pose[:2] + body.radius_in * np.array([math.cos(pose[2]), math.sin(pose[2])])
-    axes.plot([pose[0], nose[0]], [pose[1], nose[1]], color=color, linewidth=1, alpha=0.7)
-
-
 def ellipse(mean: Floats, cov: Floats, sigmas: float) -> Floats:
     """Return the outline (k, 2) of positions `sigmas` standard deviations from `mean` (3,) under `cov` (3, 3)."""
     # Axes of the ellipse: eigenvectors, scaled by the square roots of the eigenvalues.
     values, axes = np.linalg.eigh(cov[:2, :2])
     spread = axes * np.sqrt(np.maximum(values, 0.0))
     return np.asarray(mean[:2] + sigmas * circle() @ spread.T, dtype=np.float64)
-
-
-def circle() -> Floats:
-    """Return points (k, 2) of the unit circle."""
-    angle = np.linspace(0.0, 2.0 * np.pi, ELLIPSE_POINTS)
-    return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
 
 def draw_run(path: Path, world: World, done: Run, body: Body) -> None:

@@ -140,7 +140,10 @@ class Publisher:
         if self._lost_s is not None:
             log.warning("%s is connected again", self._address)
             self._lost_s = None
-        return None if first or before == self._set else waypoints
+        if first:
+            # Those that wait on the page are for a run without waypoints of its own.
+            return (waypoints or None) if message.get("waypoints") == [] else None
+        return None if before == self._set else waypoints
 
     def _lose(self, error: Exception) -> None:
         self._connection.close()

@@ -8,7 +8,6 @@ PoseHistory       the encoders at that instant, by interpolation between polled 
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final, NamedTuple, Protocol
@@ -101,6 +100,8 @@ def corrected(state: SensorInput, calibration: Calibration, ring: Ring = N150.ri
     Limits of a ring other than a Nomad's become those of a Nomad, or remain if they are beyond: they are limits then
     for every part of a filter.
     """
+    if ring is N150.ring and calibration is IDEAL_CALIBRATION:
+        return state
     readings = sonar_readings(state)
     is_other = ring is not N150.ring and _limits(ring) != _limits(N150.ring)
     if is_other:
@@ -205,8 +206,11 @@ class FiringSchedule:
         first = max(first, math.floor((overwritten_s - start_s) / interval_s + _TINY) + 1)
         # 2. The last that is certainly past.
         last = math.floor((now_s - CLOCK_STEP_S - start_s) / interval_s + _TINY)
-        entries = [(firing[k % len(firing)], start_s + k * interval_s) for k in range(first, last + 1)]
-        return [FiringTime(sonar, instant_s) for group, instant_s in entries for sonar in group]
+        return [
+            FiringTime(sonar, start_s + k * interval_s)
+            for k in range(first, last + 1)
+            for sonar in firing[k % len(firing)]
+        ]
 
 
 def restart_ring(robot: Robot, ring: Ring) -> tuple[FiringSchedule, RobotState]:
@@ -306,23 +310,27 @@ def clock_error(before: EncoderPose, middle: EncoderPose, after: EncoderPose) ->
 
     The encoders are interpolated to its clock: what lies ahead of them along the way, over the speed.
     """
-    passed_s = after.clock_s - before.clock_s
-    fraction = (middle.clock_s - before.clock_s) / passed_s
-    squared = error = 0.0
-    for index, arm in ((1, 1.0), (2, 1.0), (3, HEADING_ARM_IN)):
-        whole, part = after[index] - before[index], middle[index] - before[index]
-        if index == 1 + HEADING:
-            whole, part = wrap_angle(whole), wrap_angle(part)
-        squared += (arm * whole) ** 2
-        error += arm * arm * whole * (fraction * whole - part)
-    return passed_s * error / squared if squared > MIN_MOTION_IN**2 else 0.0
+    since_s, x, y, heading, _ = before
+    middle_s, middle_x, middle_y, middle_heading, _ = middle
+    after_s, after_x, after_y, after_heading, _ = after
+    # 1. The length of the motion, its turn as a distance.
+    dx, dy, turn = after_x - x, after_y - y, wrap_angle(after_heading - heading)
+    squared = dx * dx + dy * dy + (HEADING_ARM_IN * turn) ** 2
+    if squared <= MIN_MOTION_IN**2:
+        return 0.0
+    # 2. What the middle one lacks of its part of it, along it.
+    passed_s = after_s - since_s
+    fraction = (middle_s - since_s) / passed_s
+    error = dx * (fraction * dx - (middle_x - x)) + dy * (fraction * dy - (middle_y - y))
+    error += HEADING_ARM_IN**2 * turn * (fraction * turn - wrap_angle(middle_heading - heading))
+    return passed_s * error / squared
 
 
 class PoseHistory:
     """The encoder poses of the last seconds, and how evenly their clock advances."""
 
     def __init__(self) -> None:
-        self._poses: deque[EncoderPose] = deque()
+        self._poses: list[EncoderPose] = []
         self.clock_std_s = 0.0
         """Standard deviation of the clock of a state, from the motion of the encoders (`clock_error`)."""
 
@@ -343,20 +351,21 @@ class PoseHistory:
 
     def add(self, pose: EncoderPose) -> None:
         """Append a pose later than all others; drop those older than HISTORY_S."""
-        self._poses.append(pose)
-        if len(self._poses) > 2:
+        poses = self._poses
+        poses.append(pose)
+        if len(poses) > 2:
             # The mean absolute value of three clocks' error, in these weights, is nearly the deviation of one.
-            late_s = abs(clock_error(self._poses[-3], self._poses[-2], pose))
+            late_s = abs(clock_error(poses[-3], poses[-2], pose))
             if late_s:
                 self.clock_std_s += CLOCK_MEMORY * (min(late_s, MAX_CLOCK_ERROR_S) - self.clock_std_s)
-        while len(self._poses) > 2 and self._poses[1].clock_s < pose.clock_s - HISTORY_S:
-            self._poses.popleft()
+        while len(poses) > 2 and poses[1][0] < pose[0] - HISTORY_S:
+            del poses[0]
 
     def since(self, instant_s: float) -> list[EncoderPose]:
         """Return the poses from the last one before an instant."""
         poses = self._poses
-        first = len(poses) - 1
+        # Two at least, to interpolate between them.
+        first = max(len(poses) - 2, 0)
         while first > 0 and poses[first][0] >= instant_s:
             first -= 1
-        # Two at least, to interpolate between them.
-        return [poses[k] for k in range(max(min(first, len(poses) - 2), 0), len(poses))]
+        return poses[first:]

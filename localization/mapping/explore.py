@@ -10,7 +10,9 @@ for each leg, from the map as it is.
     frontier     doors first      free cells beside unknown ones that no wall explains
     open end     next             6 in beyond the end of a wall, 18 in in front of it
     vertex       then             around a point or an end at which fewer than two walls were found
-    coverage     last             cells farther than 20 in from where the robot has been
+    coverage     then             cells farther than 20 in from where the robot has been
+    corner       last             5 in beside both walls of a corner: there ranges tell the offset of all sonars apart
+                                  from the size of the room
 
 Worth is divided by the time to get there. Done when nothing is worth it any more; the last leg is straight, since a
 turn leaves the heading uncertain.
@@ -34,7 +36,7 @@ from localization.filters.belief import Floats
 from localization.mapping.association import MapEstimate
 from localization.mapping.live import LiveMapper, walls_and_posts
 from localization.mapping.survey import Geofence, Point
-from localization.mapping.walls import Piece, extract_walls, free_paths
+from localization.mapping.walls import ON_LINE_IN, Piece, extract_walls, free_paths
 from localization.navigation.path import angle_difference, wall_distances
 from localization.navigation.roadmap import crossings, segment_clearances
 from nclient.common.hints import install_command
@@ -64,6 +66,10 @@ SIGHT_IN: Final = 40.0
 """A frontier is looked at from at most this far."""
 END_AHEAD_IN, END_ASIDE_IN = 6.0, 18.0
 VERTEX_IN: Final = 17.0
+CORNER_IN: Final = 5.0
+"""Space beside the body at a corner: nearer ranges are more accurate, and as near the sonars still measure."""
+NEAR_CORNER_IN, CORNER_NODES = 10.0, 24
+"""So many half seconds this near to its place, and a corner is measured well enough."""
 NEAR_WALL_END_IN: Final = 4.0
 COVERAGE_IN: Final = 20.0
 VISITED_IN: Final = 7.0
@@ -78,8 +84,8 @@ LAST_LEG_IN: Final = 24.0
 LAST_LEG_S: Final = 15.0
 SETTLE_S: Final = 4.0
 """Added to the time to a place: near places are not visited one after the other for ever."""
-WORTH: Final = {"frontier": 3.0, "end": 2.0, "vertex": 1.0, "coverage": 0.6}
-MAX_TRIES: Final = 2
+WORTH: Final = {"frontier": 3.0, "end": 2.0, "vertex": 1.0, "coverage": 0.6, "corner": 0.1}
+MAX_TRIES: Final = {"frontier": 2, "end": 2, "vertex": 2, "coverage": 2, "corner": 4}
 
 
 @dataclass(slots=True)
@@ -376,12 +382,18 @@ class Explorer:
                 # From a place with space around it, in sight of it.
                 near &= (space > self._body_in + COMFORT_IN) & (away > VISITED_IN)
                 near[near] = ~_crossed(centres[near], at, grid.walls)
-            if not near.any() or self._tries(place) >= MAX_TRIES:
+            if not near.any() or self._tries(place) >= MAX_TRIES[place.kind]:
                 continue
             # The nearest cell to the place, cheap to reach.
             number = int(np.where(near, away + 0.3 * costs, np.inf).argmin())
             goal = centres[number]
-            if place.kind != "frontier" and float(np.hypot(*(visited - goal).T).min(initial=np.inf)) < VISITED_IN:
+            past = np.hypot(*(visited - goal).T)
+            if place.kind == "corner":
+                # Another one comes between two visits.
+                is_visited = int((past < NEAR_CORNER_IN).sum()) >= CORNER_NODES or past[-1] < 2.0 * NEAR_CORNER_IN
+            else:
+                is_visited = place.kind != "frontier" and float(past.min(initial=np.inf)) < VISITED_IN
+            if is_visited:
                 continue
             self.places.append(place)
             worth = WORTH[place.kind] / (SETTLE_S + float(costs[number]) / (0.7 * self._speed_in_s))
@@ -408,7 +420,8 @@ class Explorer:
             (Place("frontier", *centre), SIGHT_IN) for centre in self._frontiers(grid).tolist()
         ]
         if mapper.estimate is not None and len(mapper.estimate.state.walls):
-            found += [(place, REACH_CELLS_IN) for place in _end_places(mapper.estimate, self._pieces)]
+            corners = _corner_places(self._pieces, self._body_in + CORNER_IN)
+            found += [(place, REACH_CELLS_IN) for place in _end_places(mapper.estimate, self._pieces) + corners]
         # Cells far from the path, the farthest first.
         away = np.full(len(centres), np.inf)
         for start in range(0, len(visited), 64):
@@ -544,3 +557,22 @@ def _end_places(estimate: MapEstimate, pieces: list[Piece]) -> list[Place]:
             found.append(Place("vertex", float(x), float(y)))
     return found
 
+
+
+def _corner_places(pieces: list[Piece], space_in: float) -> list[Place]:
+    """Return the places at a distance from both walls of each corner, between them."""
+    found = []
+    ends = [
+        (piece.ends[end], piece.ends[1 - end])
+        for piece in pieces if piece.length_in > ON_LINE_IN
+        for end in range(2) if piece.closed[end]
+    ]  # fmt: skip
+    for number, (corner, far) in enumerate(ends):
+        for other, other_far in ends[:number]:
+            if float(np.hypot(*(other - corner))) > ON_LINE_IN:
+                continue
+            one, two = ((end - corner) / np.hypot(*(end - corner)) for end in (far, other_far))
+            # Along both walls by space / sin(angle): as far from the one as from the other.
+            x, y = corner + (one + two) * space_in / max(abs(one[0] * two[1] - one[1] * two[0]), 0.1)
+            found.append(Place("corner", float(x), float(y)))
+    return found

@@ -45,8 +45,8 @@ from localization.mapping.association import (
 )
 from localization.mapping.births import find_births
 from localization.mapping.measurements import DriveLog, build_trajectory, relative_pose
-from localization.mapping.problem import NO_FEATURE, ROBUST_LIMIT, MapProblem
-from localization.mapping.walls import MIN_CROSSINGS, free_paths
+from localization.mapping.problem import NO_FEATURE, ROBUST_LIMIT, MapProblem, sensors_at
+from localization.mapping.walls import MIN_CORNER_RAD, MIN_CROSSINGS, REACH_IN, free_paths
 from worlds.geometry import nearest_points_of_pairs
 
 NODES_PER_ROUND: Final = 16
@@ -60,6 +60,10 @@ ROUGHNESS_IN: Final = 0.15
 MERGE_RAD: Final = radians(20.0)
 MERGE_IN: Final = 8.0
 """Walls that differ by less may be the same wall."""
+ONE_SIDED: Final = 0.9
+"""Fraction of a face's echoes that are from its side of the wall."""
+MIN_THICKNESS_IN: Final = 2.0
+"""Two faces of a wall are at least this far apart; nearer lines may be the same face, by the odometry's drift."""
 MERGE_GAP_IN: Final = 40.0
 """Of walls on one line, the widest gap between them: more than a door."""
 SWALLOW_IN: Final = 24.0
@@ -361,7 +365,8 @@ def _merge_pairs(estimate: MapEstimate) -> list[tuple[int, int]]:
     for one in range(count):
         for other in range(one + 1, count):
             turn = abs(float(wrap_angle(2.0 * (state.walls[one, 0] - state.walls[other, 0])))) / 2.0
-            if turn < MERGE_RAD and _is_near(segments[one], segments[other]):
+            is_candidate = turn < MERGE_RAD and _is_near(segments[one], segments[other])
+            if is_candidate and not _are_faces(estimate, one, other):
                 pairs.append((one, other) if sizes[one] >= sizes[other] else (other, one))
     return pairs
 
@@ -375,6 +380,22 @@ def _is_near(one: Floats, other: Floats) -> bool:
     walls = np.stack((one, one, other, other))
     gap = nearest_points_of_pairs(ends, walls)[1].min()
     return bool(across.min() < MERGE_IN and across.mean() < 1.5 * MERGE_IN and gap < MERGE_GAP_IN)
+
+
+def _are_faces(estimate: MapEstimate, one: int, other: int) -> bool:
+    """Return True for the two faces of a thick wall: each was measured from its own side, the other one behind it."""
+    state, places = estimate.state, []
+    angle = state.walls[one, 0]
+    normal = np.array((np.cos(angle), np.sin(angle)))
+    middles = segments_of(state.walls, estimate.extents)[[one, other]].reshape(2, 2, 2).mean(axis=1) @ normal
+    for wall in (one, other):
+        echoes = estimate.echoes_of(wall)
+        face = sensors_at(state.poses, state.parameters, estimate.problem.trajectory, echoes).face
+        places.append(face @ normal)
+    gap = float(middles[1] - middles[0])
+    between, sign = 0.5 * float(middles.sum()), np.sign(gap)
+    before, after = ((sign * (place - between) < 0.0).mean() if len(place) else 0.5 for place in places)
+    return bool(abs(gap) > MIN_THICKNESS_IN and before > ONE_SIDED and after < 1.0 - ONE_SIDED)
 
 
 def _try_merge(estimate: MapEstimate, remaining: int, removed: int) -> bool:
@@ -401,13 +422,19 @@ def _try_merge(estimate: MapEstimate, remaining: int, removed: int) -> bool:
 
 
 def tie_points(estimate: MapEstimate) -> None:
-    """Tie each point to the walls on whose lines it lies."""
+    """Tie each point to the walls on whose lines it lies: one that it is near to, or two that meet in it.
+
+    Both walls of a corner are tied to it, wherever their extents end: the ranges of the corner and of its walls are
+    what tells the range offset of all sonars apart from the size of a room.
+    """
     state, ties = estimate.state, []
+    c, s = np.cos(state.walls[:, 0]), np.sin(state.walls[:, 0])
     for number, point in enumerate(state.points):
-        for wall, (angle, offset) in enumerate(state.walls):
-            c, s = np.cos(angle), np.sin(angle)
-            across, along = abs(c * point[0] + s * point[1] - offset), c * point[1] - s * point[0]
-            low, high = estimate.extents[wall]
-            if across < TIE_IN and low - TIE_BEYOND_IN - across < along < high + 48.0:
-                ties.append((number, wall))
+        across, along = np.abs(c * point[0] + s * point[1] - state.walls[:, 1]), c * point[1] - s * point[0]
+        low, high = estimate.extents.T
+        beyond = np.maximum(np.maximum(low - along, along - high), 0.0)
+        meeting = np.flatnonzero((across < TIE_IN) & (beyond < REACH_IN))
+        slope = np.abs(np.sin(state.walls[meeting, 0][:, None] - state.walls[meeting, 0]))
+        is_corner = (slope > np.sin(MIN_CORNER_RAD)).any(axis=1)
+        ties += [(number, wall) for wall in meeting[is_corner | (beyond[meeting] < TIE_BEYOND_IN + across[meeting])]]
     estimate.assignment = replace(estimate.assignment, ties=np.array(ties, dtype=np.intp).reshape(-1, 2))

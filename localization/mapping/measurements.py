@@ -433,7 +433,8 @@ def build_trajectory(log: DriveLog, noise: OdometryNoise, sonar: ConeSonar, roug
     # 4. Readings at a limit are no ranges.
     readings = log.readings_in[firing]
     is_range = (readings > sonar.lowest_in) & (readings < sonar.highest_in)
-    std = np.sqrt(sonar.variance(readings) + roughness_in**2)
+    # The variance of a map's place is left out: here walls are estimated.
+    std = np.sqrt(sonar.variance(readings) - sonar.place_var_in2 + roughness_in**2)
     return Trajectory(
         instants, nodes[:, :POSE], steps, root, by_parameters, np.flatnonzero(moving), node[is_range], sonars[is_range],
         mounts[is_range], axes[is_range], readings[is_range], std[is_range], len(readings),

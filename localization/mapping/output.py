@@ -15,12 +15,14 @@ import numpy as np
 
 from localization.filters.belief import HEADING, POSE, Floats, wrap_angle
 from localization.filters.odometry import OdometryParameter
-from localization.mapping.association import MapEstimate
+from localization.mapping.association import MapEstimate, crossings
 from localization.mapping.measurements import compose, rotate
 from localization.mapping.problem import COMMON_OFFSET, NO_FEATURE, POINT, WALL, sensors_at
 from localization.mapping.walls import Piece, axes_rad, extract_walls, final_pose, parameter_covariance
+from nclient.errors import NomadError
+from worlds.geometry import lengths, nearest_points
 from worlds.robots import Calibration, Spread
-from worlds.world import StartPose, WallAccuracy, World
+from worlds.world import Polygon, StartPose, WallAccuracy, World
 
 DECIMALS: Final = 7
 """Of coordinates in the file: far below the 1e-6 in within which ends touch."""
@@ -29,8 +31,18 @@ MIN_EXPLAINED: Final = 0.7
 MAX_CHI_SQUARE: Final = 1.5
 """Highest sum of squared residuals per degree of freedom, 1 for a model that fits."""
 MIN_WALLS: Final = 2
+CROSSED_IN: Final = 2.0
+"""A path that crosses a wall nearer to its end than this passes beside it."""
+POST_IN: Final = 1.0
+"""Side of the post that stands for a point."""
+POST_SPACE_IN: Final = 6.0
+"""A point nearer to a wall or a post is an end or a corner of it."""
 MARGIN_IN: Final = 15.0
 """Around the walls in the picture."""
+
+
+class MapRefused(NomadError):
+    """A drive makes no map that holds together, or one that does not fit another map."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +74,27 @@ class LearnedMap:
     rest: Floats = field(default_factory=lambda: np.zeros(POSE))
     unexplored: Floats | None = None
     """Places (n, 2) beyond which the room goes on; None if they were not looked for."""
+
+    @property
+    def posts(self) -> Floats:
+        """Points (n, 2) that stand alone: neither at a wall nor at one another."""
+        walls = np.array([wall.ends.reshape(4) for wall in self.walls]).reshape(-1, 4)
+        found: list[Floats] = []
+        for point in self.points:
+            things = np.concatenate((walls, *(np.concatenate((post, post))[None] for post in found)))
+            if not len(things) or nearest_points(point[None], things)[1].min() > POST_SPACE_IN:
+                found.append(point)
+        return np.array(found).reshape(-1, 2)
+
+    @property
+    def crossed_walls(self) -> list[Piece]:
+        """Walls that the robot's path crosses: the same place is in the map twice, or something has moved."""
+        path = self.path[:, :2]
+        segments = np.array([wall.ends.reshape(4) for wall in self.walls]).reshape(-1, 4)
+        along = (segments[:, 2:] - segments[:, :2]) / np.maximum(lengths(segments), 1e-9)[:, None]
+        inner = np.concatenate((segments[:, :2] + CROSSED_IN * along, segments[:, 2:] - CROSSED_IN * along), axis=1)
+        crossed = crossings(path[:-1], path[1:], inner).any(axis=0) & (lengths(segments) > 2.0 * CROSSED_IN)
+        return [self.walls[row] for row in np.flatnonzero(crossed)]
 
     @property
     def pose(self) -> Floats:
@@ -97,6 +130,13 @@ class LearnedMap:
                 f"ranges and encoders contradict each other: chi-square is {quality.chi_square:.2f} per degree of "
                 f"freedom, at most {MAX_CHI_SQUARE} is sound; --odometry-noise is too low, or --sonars is wrong"
             )
+        if crossed := self.crossed_walls:
+            (x1, y1), (x2, y2) = crossed[0].ends.tolist()
+            return (
+                f"the path crosses {len(crossed)} of its walls, such as ({x1:.0f}, {y1:.0f})-({x2:.0f}, {y2:.0f}): the "
+                "robot came back to a place without recognizing it, or something moved; drive in smaller loops, along "
+                "walls and corners that are in the map already"
+            )
         return ""
 
     def world(self, name: str) -> World:
@@ -108,7 +148,13 @@ class LearnedMap:
             row: WallAccuracy(round(wall.std_in, 4), round(wall.std_rad, 5), round(wall.measured_in, 2))
             for row, wall in enumerate(self.walls)
         }
-        return World(name, inner_walls=np.round(walls, DECIMALS) + 0.0, starts=(start,), accuracies=accuracies)
+        square = 0.5 * POST_IN * np.array(((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)))
+        posts = tuple(
+            Polygon(tuple((round(x, 3), round(y, 3)) for x, y in (square + post).tolist()), f"post {number}")
+            for number, post in enumerate(self.posts, start=1)
+        )
+        walls = np.round(walls, DECIMALS) + 0.0
+        return World(name, inner_walls=walls, obstacles=posts, starts=(start,), accuracies=accuracies)
 
     def as_json(self) -> dict[str, Any]:
         """Return the result as plain data: inches, and units in the keys; the heading of `pose` is in radians."""
@@ -126,6 +172,7 @@ class LearnedMap:
                 for wall in self.walls
             ],
             "points_in": self.points.tolist(),
+            "posts_in": self.posts.tolist(),
             "open_ends_in": self.open_ends,
             "unexplored_in": None if self.unexplored is None else self.unexplored.tolist(),
             "pose": self.pose.tolist(),
@@ -211,7 +258,8 @@ def draw_learned(path: Path, found: LearnedMap, estimate: MapEstimate) -> None:
     OutputFileError
         If the file cannot be written.
     """
-    from localization.live.plot import ESTIMATE, FAINT, GOAL, ODOMETRY, blank, draw_walls, save
+    from localization.live.plot import save
+    from worlds.drawing import ESTIMATE, FAINT, GOAL, ODOMETRY, blank, draw_walls
 
     # 1. Echoes along their axes, in the frame of the map.
     state, trajectory = estimate.state, estimate.problem.trajectory

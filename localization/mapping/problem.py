@@ -39,15 +39,18 @@ NO_FEATURE: Final = -1
 WALL, POINT = 2, 2
 COMMON_OFFSET: Final = 3
 """Index of the range offset of all sonars among the parameters; own offsets follow."""
-PARAMETER_STDS: Final = (0.03, 0.03, 0.002, 0.3)
-"""Prior standard deviations: wheels 3 % off, 2 mrad an inch, all sonars 0.3 in: walls on all sides grow
-and shrink with the offset of all sonars, which corners alone tell apart."""
+PARAMETER_STDS: Final = (0.03, 0.03, 0.002, 0.25)
+"""Prior standard deviations: wheels 3 % off, 2 mrad an inch, all sonars 0.25 in, which is the mean of 16 that are 1 in
+off each: walls on all sides grow and shrink with the offset of all sonars, which corners alone tell apart."""
 OWN_OFFSET_STD_IN: Final = 0.7
+OWN_MEAN_STD_IN: Final = 0.01
+"""Own offsets are differences from that of all sonars: their mean is 0."""
 ROBUST_LIMIT: Final = 2.5
 """c, in standard deviations: beyond it the influence of a residual decreases."""
 BEARING_STD_RAD: Final = 0.2
 """A reflector is anywhere in a cone of 25 degrees; wider, since this is a bound and no measurement."""
-TIE_STD_IN: Final = 0.1
+TIE_STD_IN: Final = 0.05
+"""A corner is where its walls meet: plaster is that straight over a hand's breadth."""
 _FRAME_INFORMATION: Final = 1e8
 """Weight of the first pose: fixed."""
 _FIXED_INFORMATION: Final = 1e12
@@ -216,11 +219,15 @@ class MapProblem:
         has_fixed_map: bool = False,
     ) -> None:  # fmt: skip
         self.trajectory, self.rays, self.robust, self.has_fixed_map = trajectory, rays, robust, has_fixed_map
-        self.parameter_stds = np.array((*PARAMETER_STDS, *(OWN_OFFSET_STD_IN,) * sonars))
+        self._parameters = len(PARAMETER_STDS) + sonars
+        own = np.r_[np.zeros(len(PARAMETER_STDS)), np.full(sonars, 1.0 / (sonars * OWN_MEAN_STD_IN))]
+        self.prior: Floats = np.vstack((np.diag(1.0 / np.r_[PARAMETER_STDS, np.full(sonars, OWN_OFFSET_STD_IN)]), own))
+        """Prior of the parameters c as rows P of residuals P c: each one, and the mean of the own offsets."""
+        self._prior_information: Floats = self.prior.T @ self.prior
 
     def initial(self) -> MapState:
         """Return the first pose at the origin, nothing else, and an ideal robot."""
-        return MapState(np.zeros((1, POSE)), np.empty((0, WALL)), np.empty((0, POINT)), 0.0 * self.parameter_stds)
+        return MapState(np.zeros((1, POSE)), np.empty((0, WALL)), np.empty((0, POINT)), np.zeros(self._parameters))
 
     # Residuals, in standard deviations, with their derivatives.
 
@@ -286,7 +293,7 @@ class MapProblem:
             + np.square(residuals[:, 1]).sum()
             + ROBUST_LIMIT**2 * unexplained
             + np.square(self.tie_residuals(state, assignment)).sum()
-            + np.square(state.parameters / self.parameter_stds).sum()
+            + np.square(self.prior @ state.parameters).sum()
         )
 
     def residual_vector(self, state: MapState, assignment: Assignment) -> Floats:
@@ -295,7 +302,7 @@ class MapProblem:
             self.odometry(state)[0],
             self.range_residuals(state, assignment)[1],
             self.tie_residuals(state, assignment),
-            state.parameters / self.parameter_stds,
+            self.prior @ state.parameters,
         )
         return np.concatenate([part.reshape(-1) for part in parts])
 
@@ -333,8 +340,8 @@ class MapProblem:
             D[np.ix_(at, at)] += np.outer(J, J)
             h[at] -= J * residual
         # 4. Priors. Features without echoes would make the border singular.
-        D[range(first, size), range(first, size)] += self.parameter_stds**-2
-        h[first:] -= state.parameters / self.parameter_stds**2
+        D[first:, first:] += self._prior_information
+        h[first:] -= self._prior_information @ state.parameters
         D[range(first), range(first)] += 1e-9
         if self.has_fixed_map:
             D[range(size), range(size)] += _FIXED_INFORMATION

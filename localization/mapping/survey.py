@@ -354,7 +354,7 @@ def survey(
     limits
         Speeds and accelerations.
     wait
-        `wait(seconds)` lets real time pass.
+        `wait(seconds)` lets time of the robot pass.
     fence
         Where the robot must stay.
     collector

@@ -114,7 +114,7 @@ def extract_walls(estimate: MapEstimate) -> list[Piece]:
     lines = []
     for angle, offset in estimate.state.walls:
         normal, along = np.array((np.cos(angle), np.sin(angle))), np.array((-np.sin(angle), np.cos(angle)))
-        lines.append(_Line(normal, along, float(offset), _crossed(starts, ends, normal, along, float(offset))))
+        lines.append(_Line(normal, along, float(offset), crossed_at(starts, ends, normal, along, float(offset))))
     # 2. Pieces.
     points = estimate.state.points
     pieces = [
@@ -146,7 +146,7 @@ def free_paths(estimate: MapEstimate) -> tuple[Floats, Floats]:
     return np.concatenate((face, poses[:-1])), np.concatenate((spot, poses[1:]))
 
 
-def _crossed(starts: Floats, ends: Floats, normal: Floats, along: Floats, offset: float) -> Floats:
+def crossed_at(starts: Floats, ends: Floats, normal: Floats, along: Floats, offset: float) -> Floats:
     """Return the coordinates along a line at which paths cross it."""
     before, after = starts @ normal - offset, ends @ normal - offset
     # A spot just behind the line belongs to a corner of it.

@@ -53,7 +53,7 @@ class RobotController:
     belief : Belief
         Initial belief.
     wait : callable
-        `wait(seconds)` lets real time pass.
+        `wait(seconds)` lets time of the robot pass.
     method : str or Filter
         Name of a filter, or a filter.
     speed_in_s, turn_rad_s : float

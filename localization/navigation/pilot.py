@@ -20,13 +20,13 @@ import numpy as np
 from localization.filters.belief import Floats
 from localization.filters.health import HealthStatus
 from localization.live.localizer import Estimate
+from localization.live.sensor_input import SensorInput
 from localization.navigation.limits import STAND, AxisLimits, VelocityCommand, allowed_speed_fraction
 from localization.navigation.obstacles import ObstacleTracker, position_std_in
 from localization.navigation.path import angle_difference, wall_distances
 from localization.navigation.path_follower import TURNED_RAD, PathFollower, turn_command
 from localization.navigation.planner import MARGINS_IN, PlannedPath, Planner
 from localization.navigation.roadmap import NoPathError, Point
-from nclient.state import RobotState
 
 
 class Ending(Enum):
@@ -152,7 +152,7 @@ class Pilot:
         """Goals that are not reached yet."""
         return tuple(self._goals)
 
-    def step(self, estimate: Estimate, state: RobotState) -> VelocityCommand:
+    def step(self, estimate: Estimate, state: SensorInput) -> VelocityCommand:
         """Return the velocities for the next period; STAND once there is a result."""
         if self.result:
             return STAND
@@ -161,7 +161,7 @@ class Pilot:
             self._last_speed_in_s = command.translation_in_s
         return command
 
-    def _step(self, estimate: Estimate, state: RobotState) -> VelocityCommand:
+    def _step(self, estimate: Estimate, state: SensorInput) -> VelocityCommand:
         # 1. Lost or in contact.
         if estimate.health.status is HealthStatus.LOST:
             return self._end(Ending.LOST, estimate.health.reason)
@@ -323,7 +323,7 @@ class Pilot:
 
     # contacts
 
-    def _start_back_off(self, estimate: Estimate, state: RobotState) -> VelocityCommand:
+    def _start_back_off(self, estimate: Estimate, state: SensorInput) -> VelocityCommand:
         x, y, heading = (float(value) for value in estimate.pose)
         is_forward = self._last_speed_in_s > 0.0
         direction = heading if is_forward else heading + pi
@@ -338,7 +338,7 @@ class Pilot:
         self._back_off = _BackOff(velocity, estimate.clock_s, (state.x_in, state.y_in))
         return STAND
 
-    def _continue_back_off(self, estimate: Estimate, state: RobotState, back_off: _BackOff) -> VelocityCommand:
+    def _continue_back_off(self, estimate: Estimate, state: SensorInput, back_off: _BackOff) -> VelocityCommand:
         distance = hypot(state.x_in - back_off.encoders[0], state.y_in - back_off.encoders[1])
         if distance < self.policy.back_off_in and estimate.clock_s - back_off.since_s < self.policy.back_off_s:
             return VelocityCommand(back_off.velocity_in_s, 0.0)

@@ -156,7 +156,8 @@ def follow_waypoints(
     localizer : Localizer
     navigator : Navigator
     wait : callable
-        `wait(seconds)` lets real time pass; called only for what the robot's clock has not advanced by itself.
+        `wait(seconds)` lets time of the robot pass, as `Robot.sleep`; called only for what its clock has not
+        advanced by itself.
     smoother : PoseSmoother, optional
         Smooths the pose to steer by. Default: steer by the estimates.
     """
@@ -206,8 +207,8 @@ def stop_on_exit(robot: Robot) -> Iterator[None]:
 def wait_for_next_state(
     robot: Robot, before: RobotState, after: RobotState, wait: Callable[[float], None]
 ) -> RobotState:
-    """Return the state one period after `before`; a real robot has no speed factor and runs in real time."""
+    """Return the state one period after `before`; `wait` is `Robot.sleep`, or a stand-in of it."""
     remaining_s = PERIOD_S - ((after.clock_s or 0.0) - (before.clock_s or 0.0))
     if remaining_s >= MIN_WAIT_S:
-        wait(remaining_s / (after.speed_factor or 1.0))
+        wait(remaining_s)
     return robot.refresh()

@@ -209,7 +209,7 @@ def run(options: argparse.Namespace) -> int:
     # 1. Robot and session; a script, or the prompt.
     connector = Connector(parse_address(address_or_default(options.address)))
     lines, name = _script_lines(options)
-    session = Session(connector.open(), time.sleep)
+    session = Session(connector.open(), time.sleep, lockstep=connector.address.in_process)
     with session.robot:
         if lines is not None:
             return _execute_script(session, lines, name)

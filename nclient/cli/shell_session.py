@@ -196,10 +196,15 @@ class Session:
         Waits a number of seconds of real time.
     pid
         Process id for connect_robot; default: that of this process.
+    lockstep
+        True if time passes by requests of this session only.
     """
 
-    def __init__(self, backend: Backend, sleep: Callable[[float], None], pid: int | None = None) -> None:
-        self.robot = Robot(backend)
+    def __init__(
+        self, backend: Backend, sleep: Callable[[float], None], pid: int | None = None, *, lockstep: bool = False
+    ) -> None:
+        self.robot = Robot(backend, lockstep=lockstep)
+        self._lockstep = lockstep
         self.finished = False
         self.user_set_timeout = False
         """True after conf_tm: then nothing is sent automatically, so that the robot's timeout works."""
@@ -305,6 +310,9 @@ class Session:
         return state_text.format_state(state)
 
     def _sleep_by_robot_clock(self, seconds: float) -> None:
+        if self._lockstep and not self.robot.control_time("step").paused:
+            self.robot.sleep(seconds)
+            return
         # A lockstep simulation advances with each query, a real robot by itself; both end by the robot's clock.
         begun_s = self.robot.refresh().clock_s
         if begun_s is None:

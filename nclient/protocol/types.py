@@ -74,6 +74,8 @@ SONAR_SLOTS = 16
 """Sonars that State has slots for."""
 MIN_SONAR_IN, MAX_SONAR_IN = 6, 255
 """Sonar readings of a Nomad: "no farther than 6 in", and "no echo up to 255 in"."""
+SONAR_RING_IN = {"n150": 9.06, "n200": 9.06, "scout": 8.0}
+"""Distance of the sonars from the robot's axis, inches; that of the Scout is an assumption: no source states it."""
 DEFAULT_SONAR_ORDER = (0, 2, 15, 1, 14, 3, 13, 4, 12, 5, 11, 6, 10, 7, 9, 8)
 """Firing order of the sonar ring before any conf_sn (docs/protocol.md, State vector)."""
 DEFAULT_SONAR_RATE = 15

@@ -29,7 +29,7 @@ from nclient.common.files import write_errors_as
 from nclient.common.hints import install_hint
 from nclient.errors import ExtraMissing, RecordingError
 from nclient.protocol.types import M_PER_IN, MAX_SONAR_IN
-from nclient.recording.drive import RING, Drive, Sample, drive_of_recording, recording_of_drive
+from nclient.recording.drive import RING, Drive, Sample, drive_of_recording, recording_of_drive, ring_of
 from nclient.recording.format import FORMAT, escape_controls, parse_recording
 
 RECORDING, MCAP, BAG, BAG2, CSV, CARMEN = "recording", "MCAP", "ROS 1 bag", "ROS 2 bag", "CSV", "CARMEN log"
@@ -293,6 +293,7 @@ def read_csv(text: str, name: str) -> Drive:
     factors = [_factor(column) for column in names]
     sonars = _count_sonars([_quantity(one) for one, factor in zip(names, factors, strict=True) if factor], name)
     drive = Drive([], tuple(math.tau * k / sonars for k in range(sonars)) if sonars else RING)
+    drive.ring_m = ring_of(drive)
     unknown = [column for column, factor in zip(names, factors, strict=True) if factor is None]
     if unknown:
         drive.omitted.append(f"columns {_listed(unknown)}")
@@ -413,6 +414,7 @@ def read_carmen(text: str, name: str) -> Drive:
     # The two times of a line differ by rounding only, or that of the logger is since 1970.
     if drive.start_s < 1e-3:
         drive.start_s = 0.0
+    drive.ring_m = ring_of(drive)
     return drive
 
 

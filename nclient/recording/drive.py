@@ -30,6 +30,7 @@ from nclient.protocol.types import (
     N150,
     SCOUT,
     SCOUT_WHEEL_IN_PER_DEG,
+    SONAR_RING_IN,
     SONAR_SLOTS,
     Model,
     heading_tenths,
@@ -92,6 +93,8 @@ class Drive:
         At least one.
     directions_rad
         Direction of each sonar from ahead of the turret, counter-clockwise.
+    ring_m
+        Distance of the sonars from the axis of the turret; 0 if unknown. Ranges begin there.
     start_s
         Unix time of the start; 0 if unknown.
     model
@@ -104,6 +107,7 @@ class Drive:
 
     samples: list[Sample]
     directions_rad: tuple[float, ...] = RING
+    ring_m: float = 0.0
     start_s: float = 0.0
     model: Model = N150
     traffic: list[str] = field(default_factory=list)
@@ -142,6 +146,7 @@ def drive_of_recording(recording: Recording, lines: Sequence[str]) -> Drive:
         drive.samples = list(_samples(entries, drive.model, str(opened.get("wire", "tcp"))))
         if drive.samples:
             others = [other for other in names if other != name]
+            drive.ring_m = ring_of(drive)
             if others:
                 drive.omitted.append(f"samples of the connections {', '.join(others)} (only {name} is decoded)")
             return drive
@@ -199,6 +204,11 @@ def _sample(frame: Any, time_s: float, model: Model) -> Sample | None:
 
 def _rad(value_tenths: float) -> float:
     return math.radians(value_tenths / 10)
+
+
+def ring_of(drive: Drive) -> float:
+    """Return the distance of the sonars from the axis in metres, if they are a Nomad's; else 0."""
+    return SONAR_RING_IN[drive.model.name] * M_PER_IN if drive.directions_rad == RING else 0.0
 
 
 def recording_of_drive(drive: Drive) -> list[str]:

@@ -1,10 +1,11 @@
 """Drives as ROS messages in MCAP files and ROS 1 and 2 bags (extra `ros`: mcap, rosbags).
 
     /robot1/odom      nav_msgs/Odometry       robot1/odom -> robot1/base_link, metres, radians (REP-103, REP-105)
-    /robot1/sonar     sensor_msgs/LaserScan   frame robot1/turret, +inf for no echo (REP-117)
+    /robot1/sonar     sensor_msgs/LaserScan   frame robot1/turret, +inf for no echo, -inf for too near (REP-117)
     /robot1/bumpers   std_msgs/UInt32         bits of State[33]
     /robot1/battery   sensor_msgs/BatteryState
     /tf               tf2_msgs/TFMessage
+    /tf_static        tf2_msgs/TFMessage      places of the sonars, if known
     /nomad/recording  std_msgs/String         lines of the recording that the drive comes from, to convert it back
 
 Read are one topic of nav_msgs/Odometry or geometry_msgs/PoseStamped and one of sensor_msgs/LaserScan, whatever their
@@ -29,16 +30,17 @@ from nclient.errors import RecordingError
 from nclient.recording import ros_messages
 from nclient.recording.drive import RING, Drive, Sample, drive_of_recording
 from nclient.recording.format import parse_recording
-from nclient.recording.ros_messages import BATTERY, NUMBER, ODOMETRY, SCAN, TEXT, TF, TRANSFORMS
+from nclient.recording.ros_messages import BATTERY, NUMBER, ODOMETRY, SCAN, TEXT, TF, TF_STATIC, TRANSFORMS
 from nclient.recording.ros_types import MessageBuilder
 
 POSE: Final = "geometry_msgs/msg/PoseStamped"
 TRAFFIC: Final = "/nomad/recording"
 """Topic of the lines of a recording."""
 _ROBOT: Final = "robot1"
-_BUMPERS = f"/{_ROBOT}/bumpers"
+_BUMPERS, _SONAR = f"/{_ROBOT}/bumpers", f"/{_ROBOT}/sonar"
 _BATTERIES: Final = (f"/{_ROBOT}/battery/cpu", f"/{_ROBOT}/battery/motors")
-_OWN: Final = {TRAFFIC: TEXT, _BUMPERS: NUMBER, TF: TRANSFORMS, **dict.fromkeys(_BATTERIES, BATTERY)}
+_OWN: Final = {TRAFFIC: TEXT, _BUMPERS: NUMBER, TF: TRANSFORMS, TF_STATIC: TRANSFORMS,
+               **dict.fromkeys(_BATTERIES, BATTERY)}  # fmt: skip
 """Topics of `write` that others do not have, with their types."""
 MAX_RECORD_BYTES: Final = 1 << 28
 """Longer records of a MCAP file are refused: a damaged length must not take all memory. Chunks have some MB."""
@@ -119,15 +121,20 @@ def _builder(store: Any) -> MessageBuilder:
 
 def _messages(drive: Drive) -> Iterator[Message]:
     """Yield the messages of a drive in the order of time, the lines of its recording first."""
-    start_ns = round(drive.start_s * 1e9)
+    start_ns, ring_m = round(drive.start_s * 1e9), drive.ring_m
     first_ns = start_ns + round(drive.samples[0].time_s * 1e9)
     for line in drive.traffic:
         yield Message(first_ns, TRAFFIC, TEXT, {"data": line})
+    if ring_m:
+        yield Message(first_ns, TF_STATIC, TRANSFORMS,
+                      {"transforms": ros_messages.sonar_frames(first_ns, _ROBOT, ring_m)})  # fmt: skip
     for sample in drive.samples:
-        yield from sample_messages(sample, drive.directions_rad, start_ns)
+        yield from sample_messages(sample, drive.directions_rad, start_ns, ring_m)
 
 
-def sample_messages(sample: Sample, directions: Sequence[float], start_ns: int) -> Iterator[Message]:
+def sample_messages(
+    sample: Sample, directions: Sequence[float], start_ns: int, ring_m: float
+) -> Iterator[Message]:
     """Yield the messages of one sample."""
     time_ns = start_ns + round(sample.time_s * 1e9)
     at = sample.x_m, sample.y_m, sample.heading_rad
@@ -144,8 +151,9 @@ def sample_messages(sample: Sample, directions: Sequence[float], start_ns: int) 
             yield Message(time_ns, topic, BATTERY, ros_messages.battery(time_ns, "", volts, topic.rpartition("/")[2]))
     # 3. Sonars.
     if sample.ranges_m:
-        yield Message(time_ns, f"/{_ROBOT}/sonar", SCAN,
-                      ros_messages.scan(time_ns, _ROBOT, sample.ranges_m, directions))  # fmt: skip
+        ranges_m = [ros_messages.range_m(one) for one in sample.ranges_m] if ring_m else sample.ranges_m
+        scan = ros_messages.scan(time_ns, _ROBOT, ranges_m, directions, ring_m)
+        yield Message(time_ns, _SONAR, SCAN, scan)
 
 
 # -- reading ----------------------------------------------------------------------------------------------------------
@@ -244,6 +252,7 @@ class _Builder:
         self._directions: tuple[float, ...] = ()
         self._ignored: dict[str, str] = {}
         self._early = self._odd = 0
+        self._ring_m = 0.0
         self.lines: list[str] = []
 
     def choose(self, topics: Iterable[tuple[str, str]]) -> None:
@@ -282,6 +291,10 @@ class _Builder:
             self._set_pose(time_ns, pose)
         elif kind == POSE:
             self._set_pose(time_ns, _pose(message.pose))
+        elif topic == TF_STATIC:
+            # All sonars have the same distance from the axis.
+            own = (one for one in message.transforms if one.child_frame_id == f"{_ROBOT}/sonar_0")
+            self._ring_m = next((one.transform.translation.x for one in own), self._ring_m)
         elif kind == TRANSFORMS:
             self._frames_seen = True
             for transform in message.transforms:
@@ -299,9 +312,9 @@ class _Builder:
                 cpu, motors = (self._volts[one] for one in _BATTERIES)
                 self._pose = self._pose._replace(volts=(cpu, motors))
         elif kind == SCAN:
-            self._add_scan(time_ns, message)
+            self._add_scan(time_ns, message, self._ring_m if topic == _SONAR else 0.0)
 
-    def _add_scan(self, time_ns: int, message: Any) -> None:
+    def _add_scan(self, time_ns: int, message: Any, ring_m: float) -> None:
         count, step = len(message.ranges), message.angle_increment
         directions = tuple(message.angle_min + k * step for k in range(count))
         # A scan has angles in single precision: those of a Nomad's ring are known exactly.
@@ -313,7 +326,8 @@ class _Builder:
         if count != len(self._directions) or not all(math.isclose(*both, abs_tol=1e-3) for both in ends):
             self._odd += 1
             return
-        self._add_ranges(time_ns, tuple(_range(value, message.range_max) for value in message.ranges))
+        limits_m = message.range_min, message.range_max
+        self._add_ranges(time_ns, tuple(_range(value, *limits_m) - ring_m for value in message.ranges))
 
     def _set_pose(self, time_ns: int, pose: Sample) -> None:
         before = self._pose
@@ -362,7 +376,7 @@ class _Builder:
         found = [(time_ns, sample) for time_ns, sample, is_scan in self._found if is_scan or not with_ranges]
         start_ns = found[0][0] if found and found[0][0] > 10**18 else 0
         samples = [sample._replace(time_s=(time_ns - start_ns) / 1e9) for time_ns, sample in found]
-        drive = Drive(samples, self._directions or RING, start_ns / 1e9)
+        drive = Drive(samples, self._directions or RING, self._ring_m, start_ns / 1e9)
         if self._frames_seen and not self._has_turret:
             self._ignored[TF] = TRANSFORMS
         drive.omitted += [f"{topic} ({kind})" for topic, kind in self._ignored.items()]
@@ -386,6 +400,11 @@ def _angle_of(x: float, y: float, z: float, w: float) -> float:
     return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
-def _range(value: float, max_m: float) -> float:
-    """Return a reading in metres, inf for none (REP-117: +inf; older drivers: NaN, or beyond the maximum)."""
+def _range(value: float, min_m: float, max_m: float) -> float:
+    """Return a reading in metres; inf for none (REP-117: +inf; older drivers: NaN, or beyond the maximum).
+
+    One that is too near (-inf) reads as the minimum.
+    """
+    if value == -math.inf:
+        return float(min_m)
     return float(value) if 0 <= value <= max_m else math.inf

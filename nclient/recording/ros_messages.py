@@ -1,7 +1,8 @@
 """ROS messages of a robot as dictionaries, in one form for bags, MCAP, rosbridge and ROS 2 by DDS.
 
-Metres, radians and frames of REP-103 and REP-105; +inf is no echo (REP-117). Fields are named as in ROS 2; those that
-are left out are 0 or empty. Times are Unix times in nanoseconds; `robot` is the name that its frames begin with.
+Metres, radians and frames of REP-103 and REP-105; +inf is no echo, -inf a wall nearer than a sonar measures (REP-117).
+Fields are named as in ROS 2; those that are left out are 0 or empty. Times are Unix times in nanoseconds; `robot` is
+the name that its frames begin with.
 """
 
 import math
@@ -36,23 +37,39 @@ def odometry(time_ns: int, robot: str, at: Pose2, speed_m_s: float, turn_rad_s: 
     }  # fmt: skip
 
 
-def scan(time_ns: int, robot: str, ranges_m: Sequence[float], directions_rad: Sequence[float]) -> Message:
-    """Return sonars as LaserScan, which has room for readings at equal angles only."""
+def range_m(reading_m: float) -> float:
+    """Return a reading of a Nomad's sonar by REP-117: the least means that the wall may be nearer."""
+    return reading_m if reading_m > MIN_RANGE_M else -math.inf
+
+
+def scan(
+    time_ns: int, robot: str, ranges_m: Sequence[float], directions_rad: Sequence[float], ring_m: float
+) -> Message:
+    """Return sonars as LaserScan, which has room for readings at equal angles only.
+
+    Parameters
+    ----------
+    time_ns, robot : as for all messages.
+    ranges_m : readings, which begin at the sonars.
+    directions_rad : directions of the sonars.
+    ring_m : distance of the sonars from the axis, where the ranges of the message begin, as its frame does.
+    """
     first = directions_rad[0]
     step = math.remainder(directions_rad[1] - first, math.tau) if len(directions_rad) > 1 else 0.0
     # Other sensors reach farther: beyond the maximum of a scan a reading is no echo.
-    max_m = max((MAX_RANGE_M, *(one for one in ranges_m if one < math.inf)))
+    measured = [one for one in ranges_m if math.isfinite(one)]
+    min_m, max_m = min((MIN_RANGE_M, *measured)), max((MAX_RANGE_M, *measured))
     return {"header": header(time_ns, f"{robot}/turret"), "angle_min": first,
             "angle_max": first + step * (len(directions_rad) - 1), "angle_increment": step, "time_increment": 0.0,
-            "scan_time": 0.0, "range_min": MIN_RANGE_M, "range_max": max_m, "ranges": list(ranges_m),
-            "intensities": []}  # fmt: skip
+            "scan_time": 0.0, "range_min": min_m + ring_m, "range_max": max_m + ring_m,
+            "ranges": [one + ring_m for one in ranges_m], "intensities": []}  # fmt: skip
 
 
-def sonar_range(time_ns: int, robot: str, sonar: int, range_m: float) -> Message:
+def sonar_range(time_ns: int, robot: str, sonar: int, reading_m: float) -> Message:
     """Return a sonar's reading as Range, in the sonar's own frame."""
     return {
         "header": header(time_ns, f"{robot}/sonar_{sonar}"), "radiation_type": _ULTRASOUND, "field_of_view": _CONE_RAD,
-        "min_range": MIN_RANGE_M, "max_range": MAX_RANGE_M, "range": range_m,
+        "min_range": MIN_RANGE_M, "max_range": MAX_RANGE_M, "range": reading_m,
     }  # fmt: skip
 
 

@@ -242,7 +242,15 @@ def encode_published(topic: str, message: dict[str, Any]) -> str:
 
 
 def _as_json(value: Any) -> Any:
-    """Return a message in the form of rosbridge: JSON has no infinity and no NaN, and times are those of ROS 1."""
+    """Return a message in the form of rosbridge: JSON has no infinity and no NaN, and times are those of ROS 1.
+
+    A wall nearer than a sonar measures is its minimum, since null would be no echo.
+    """
+    match value:
+        case {"ranges": ranges, "range_min": nearest}:
+            value = value | {"ranges": [max(one, nearest) for one in ranges]}
+        case {"range": one, "min_range": nearest}:
+            value = value | {"range": max(one, nearest)}
     match value:
         case float():
             return value if math.isfinite(value) else None

@@ -1,6 +1,6 @@
 """Options of `nserver` for rosbridge, and the check for aiohttp, which the extra `viewer` installs.
 
---rosbridge [[HOST:]PORT]    --rosbridge-token-file FILE
+--rosbridge [[HOST:]PORT]    --rosbridge-token-file FILE    --rosbridge-origin URL
 """
 
 from __future__ import annotations
@@ -33,6 +33,22 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--rosbridge-token-file", type=Path, metavar="FILE",
                        help="store its tokens in a file that only you may read, so that the address stays the same "
                        "over restarts (created where it is missing; may be that of the page)")
+    add_origin(group, "--rosbridge-origin")
+
+
+def add_origin(parser: argparse._ActionsContainer, name: str) -> None:
+    """Add the option of pages of other servers."""
+    parser.add_argument(name, type=_origin, action="append", default=[], metavar="URL",
+                        help="let pages of this server connect, with a token, such as http://localhost:3000 for "
+                        "roslibjs or https://app.foxglove.dev; repeatable (default: programs only, no pages)")
+
+
+def _origin(text: str) -> str:
+    """Return the origin of pages as browsers send it. Raises ArgumentTypeError."""
+    scheme, separator, host = text.lower().removesuffix("/").partition("://")
+    if scheme not in ("http", "https") or not separator or not host or "/" in host:
+        raise argparse.ArgumentTypeError(f"an origin is scheme and host, such as http://localhost:3000, not {text!r}")
+    return f"{scheme}://{host}"
 
 
 def port_text(text: str) -> str:
@@ -43,8 +59,9 @@ def port_text(text: str) -> str:
 
 def refuse(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
     """Report options that exclude each other as wrong usage."""
-    if options.rosbridge_token_file is not None and options.rosbridge is None:
-        parser.error("--rosbridge-token-file is for rosbridge: give --rosbridge too")
+    for name in ("rosbridge_token_file", "rosbridge_origin"):
+        if getattr(options, name) and options.rosbridge is None:
+            parser.error(f"--{name.replace('_', '-')} is for rosbridge: give --rosbridge too")
 
 
 @asynccontextmanager
@@ -78,7 +95,10 @@ async def running_rosbridge(
             host, port = options.rosbridge
             # The world of a real robot is known only if it was named.
             has_map = options.real is None or bool(options.files)
-            serving = serve_rosbridge(daemon, host, port, tokens, has_map=has_map, estimates=estimates)
+            origins = frozenset(options.rosbridge_origin)
+            serving = serve_rosbridge(
+                daemon, host, port, tokens, has_map=has_map, estimates=estimates, origins=origins
+            )
             lines = await opened.enter_async_context(serving)
         except NomadError:
             await daemon.close()

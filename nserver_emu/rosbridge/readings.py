@@ -142,7 +142,8 @@ class RobotReader:
     def _publish_reading(self, robot: int, slots: list[int], motors_v: float | None, clock_s: float) -> None:
         model = self._daemon.emulator.simulation.robots[robot].model
         time_ns = self._clocks[robot].time_ns(clock_s, time.time())
-        reading = Reading(robot, slots, model.track_in is not None, time_ns, motors_v)
+        ring_m = model.body.sonar_ring_radius_in * M_PER_IN
+        reading = Reading(robot, slots, model.track_in is not None, time_ns, motors_v, ring_m)
         for topic, message in topics.messages_of(reading):
             self._publish(topic, message)
         self._publish(TF, topics.frames(reading, self._estimates.map_to_odom(robot)))

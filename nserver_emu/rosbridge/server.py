@@ -1,6 +1,6 @@
 """Websocket server of rosbridge clients, in the daemon's event loop.
 
-    GET /?token=T             the websocket, at any path; programs send no Origin, pages that of this port
+    GET /?token=T             the websocket, at any path; programs send no Origin, pages one of --rosbridge-origin
     POST /publish?token=T     estimates of a localizer: `nomad localize --publish URL`
 
 Tokens, Host, address and rate checks and limits are those of the page (nserver_emu/viewer).
@@ -11,7 +11,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Set
 from typing import Any, Final
 
 from aiohttp import WSCloseCode, WSMsgType, web
@@ -46,16 +46,20 @@ MAX_MESSAGE: Final = 131_072
 
 
 class RosbridgeServer:
-    """Serve one daemon's robots to rosbridge clients. `has_map` is False if the world is not that of the robots."""
+    """Serve one daemon's robots to rosbridge clients.
+
+    `has_map` is False if the world is not that of the robots; `origins` are those of pages that may connect.
+    """
 
     def __init__(
         self, daemon: Daemon, tokens: auth.Tokens | None = None, *, has_map: bool = True,
-        estimates: Estimates | None = None,
+        estimates: Estimates | None = None, origins: Set[str] = frozenset(),
     ) -> None:  # fmt: skip
         self.tokens = tokens or auth.new_tokens()
         self._daemon = daemon
         self._port = HttpPort(daemon.admission, "rosbridge", "--rosbridge")
         self._has_map = has_map
+        self._origins = origins
         self._error_boundary = ErrorBoundary()
         self._clients: dict[RosbridgeClient, PageWriter] = {}
         self._sockets: set[web.WebSocketResponse] = set()
@@ -123,8 +127,9 @@ class RosbridgeServer:
         # 1. Token, origin and number of clients, before the websocket is accepted. Programs send no Origin.
         may_act = self._may_act(request)
         origin = request.headers.get("Origin")
-        if origin is not None and not auth.is_same_origin(origin, request.scheme, request.host):
-            raise web.HTTPForbidden(text=f"Origin {origin!a:.80} is not this server's\n")
+        is_unnamed = origin is not None and origin not in self._origins
+        if is_unnamed and not auth.is_same_origin(origin or "", request.scheme, request.host):
+            raise web.HTTPForbidden(text=f"pages of {origin!a:.80} may not connect (--rosbridge-origin)\n")
         if len(self._sockets) >= self._port.door.limits.viewers:
             self._port.door.reject(request.remote or "", "too many rosbridge clients (--limit-viewers)")
             raise web.HTTPServiceUnavailable(text="too many clients: close one (--limit-viewers)\n")
@@ -276,10 +281,10 @@ def _now() -> float:
 @contextlib.asynccontextmanager
 async def serve_rosbridge(
     daemon: Daemon, host: str, port: int, tokens: auth.Tokens | None = None, *, has_map: bool = True,
-    estimates: Estimates | None = None,
+    estimates: Estimates | None = None, origins: Set[str] = frozenset(),
 ) -> AsyncIterator[list[str]]:
     """Serve rosbridge clients; yield the line to print."""
-    server = RosbridgeServer(daemon, tokens, has_map=has_map, estimates=estimates)
+    server = RosbridgeServer(daemon, tokens, has_map=has_map, estimates=estimates, origins=origins)
     port = await server.open(host, port)
     if not is_loopback(host):
         log.warning("rosbridge is open to the network, unencrypted: all who read its address can drive the robots; "

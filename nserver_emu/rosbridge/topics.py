@@ -1,7 +1,7 @@
 """Topics of robots, for rosbridge and for ROS 2 by DDS, and their messages from a robot's state.
 
     /robotN/odom          nav_msgs/Odometry          odom -> base_link
-    /robotN/sonar         sensor_msgs/LaserScan      in the frame turret, counter-clockwise from ahead
+    /robotN/sonar         sensor_msgs/LaserScan      from the axis, the frame turret, counter-clockwise from ahead
     /robotN/sonar/K       sensor_msgs/Range          sonar K, in its own frame
     /robotN/bumpers       std_msgs/UInt32            bits of State[33]
     /robotN/battery       sensor_msgs/BatteryState   of the motors
@@ -11,8 +11,7 @@
     /tf_static            tf2_msgs/TFMessage         the sonars' frames
     /map                  nav_msgs/OccupancyGrid     the world
 
-Frames of robot N begin with `robotN/`. Messages have the form of nclient/recording/ros_messages.py. A wall nearer than
-a sonar measures reads as its minimum.
+Frames of robot N begin with `robotN/`. Messages have the form of nclient/recording/ros_messages.py.
 """
 
 import math
@@ -55,13 +54,17 @@ _MAX_TENTHS: Final = 32767
 
 
 class Reading(NamedTuple):
-    """State[0..44] of a robot, and its motors' battery in volts if known; `time_ns` is Unix time."""
+    """State[0..44] of a robot, and its motors' battery in volts if known; `time_ns` is Unix time.
+
+    The sonars are on a circle of radius `ring_m` around the axis of the turret.
+    """
 
     robot: int
     state: Sequence[int]
     is_differential: bool
     time_ns: int
     volts: float | None = None
+    ring_m: float = 0.0
 
     @property
     def pose(self) -> Pose2:
@@ -110,8 +113,9 @@ def messages_of(reading: Reading) -> Iterator[tuple[str, Message]]:
     """Yield the topics of a robot's state, except frames."""
     base, frame, time_ns = f"/robot{reading.robot}", frame_of(reading.robot), reading.time_ns
     yield f"{base}/odom", ros_messages.odometry(time_ns, frame, reading.pose, *reading.velocity)
-    ranges = [math.inf if value >= MAX_SONAR_IN else value * M_PER_IN for value in reading.sonars]
-    yield f"{base}/sonar", ros_messages.scan(time_ns, frame, ranges, RING)
+    readings_m = (math.inf if value >= MAX_SONAR_IN else value * M_PER_IN for value in reading.sonars)
+    ranges = [ros_messages.range_m(one) for one in readings_m]
+    yield f"{base}/sonar", ros_messages.scan(time_ns, frame, ranges, RING, reading.ring_m)
     for k, range_m in enumerate(ranges):
         yield f"{base}/sonar/{k}", ros_messages.sonar_range(time_ns, frame, k, range_m)
     yield f"{base}/bumpers", {"data": reading.state[_BUMPER]}

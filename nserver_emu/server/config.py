@@ -64,21 +64,7 @@ class StartPoseAllocator:
 
     def _has_room_ahead(self, pose: StartPose, radius_in: float) -> bool:
         """Return True if a robot can drive ROOM_AHEAD_IN straight ahead, and stands in no other robot's path."""
-        # 1. Walls: the clearance at points half a radius apart.
-        cosine, sine = cos(pose.steering_rad), sin(pose.steering_rad)
-        distances = np.arange(0.0, ROOM_AHEAD_IN + radius_in / 2.0, radius_in / 2.0).clip(max=ROOM_AHEAD_IN)
-        ahead = np.column_stack((pose.x_in + distances * cosine, pose.y_in + distances * sine))
-        if (self._simulation.world.clearances(ahead) <= radius_in).any():
-            return False
-        # 2. Robots nearby: neither may stand in the other's path.
-        near = self._simulation.spatial_hash.touched(pose.x_in, pose.y_in, radius_in + ROOM_AHEAD_IN)
-        for number, (x, y, radius) in near:
-            reach_in, dx, dy = radius + radius_in, x - pose.x_in, y - pose.y_in
-            if _is_in_path(dx, dy, pose.steering_rad, reach_in):
-                return False
-            if _is_in_path(-dx, -dy, self._simulation.robots[number].actual.steering_rad, reach_in):
-                return False
-        return True
+        return has_room_ahead(self._simulation, pose, radius_in)
 
     def _candidates(self, spacing_in: float) -> Iterator[StartPose]:
         """Return the starts, then rings around each to the farthest corner of a room."""
@@ -97,6 +83,30 @@ class StartPoseAllocator:
         """Return the distance from a start to the farthest corner of a room, infinity without rooms."""
         corners = [corner for room in self._simulation.world.rooms for corner in room.corners_in]
         return max((hypot(x - start.x_in, y - start.y_in) for x, y in corners), default=inf)
+
+
+def has_room_ahead(simulation: Simulation, pose: StartPose, radius_in: float, own: int | None = None) -> bool:
+    """Return True if a robot can drive ROOM_AHEAD_IN straight ahead, and stands in no other robot's path.
+
+    `own` is its number if it stands there already.
+    """
+    # 1. Walls: the clearance at points half a radius apart.
+    cosine, sine = cos(pose.steering_rad), sin(pose.steering_rad)
+    distances = np.arange(0.0, ROOM_AHEAD_IN + radius_in / 2.0, radius_in / 2.0).clip(max=ROOM_AHEAD_IN)
+    ahead = np.column_stack((pose.x_in + distances * cosine, pose.y_in + distances * sine))
+    if (simulation.world.clearances(ahead) <= radius_in).any():
+        return False
+    # 2. Robots nearby: neither may stand in the other's path.
+    near = simulation.spatial_hash.touched(pose.x_in, pose.y_in, radius_in + ROOM_AHEAD_IN)
+    for number, (x, y, radius) in near:
+        if number == own:
+            continue
+        reach_in, dx, dy = radius + radius_in, x - pose.x_in, y - pose.y_in
+        if _is_in_path(dx, dy, pose.steering_rad, reach_in):
+            return False
+        if _is_in_path(-dx, -dy, simulation.robots[number].actual.steering_rad, reach_in):
+            return False
+    return True
 
 
 def _is_in_path(dx_in: float, dy_in: float, heading_rad: float, reach_in: float) -> bool:

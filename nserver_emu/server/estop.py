@@ -3,7 +3,7 @@
 The viewer and `nserver ctl release` release it.
 
     motion command (vm, pr, pa, mv, zr, lp)    executed as st; the reply is ERROR 7 (HELD)
-    the same with all speeds and ways 0        executed as st: the reply is the state
+    the same with all values 0                 executed as st: the reply is the state
     arm motion, user packet                    not executed, ERROR 7
     ws and zr that wait at the moment of Stop  ERROR 7
     any other command                          executed as usual; word 44 of a state over TCP is 7

@@ -2,10 +2,10 @@
 
     send(bytes) -> session -> simulated time advances by `step_s` -> replies, read with receive()
 
-No socket and no clock: simulated time advances with each exchange only (lockstep), so that a run is repeatable bit by
-bit. Connecting and sim_truth take no time. The client may control the time; waiting while it is paused is ERROR 5,
-because nothing else could advance it. With `line=1` the robot speaks the protocol of its own serial line
-(serial_session.py). nclient finds this module by entry point and does not import it.
+No socket and no clock: simulated time advances with each exchange (lockstep) and by what the client waits for (ws,
+sim_control), so that a run is repeatable bit by bit. Connecting and sim_truth take no time. Waiting while time is
+paused is ERROR 5, because nothing else could advance it. With `line=1` the robot speaks the protocol of its own serial
+line (serial_session.py). nclient finds this module by entry point and does not import it.
 """
 
 import sys
@@ -20,13 +20,16 @@ from nclient.url import Parser, RawAddress, flag, number, whole_number
 from nserver_emu.server.config import FIRST_ROBOT, MAX_ROBOTS, SimulationConfig, robot_placements
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.serial_session import SerialSession
-from nserver_emu.server.server_state import Allowed
+from nserver_emu.server.server_state import POLL_INTERVAL_PS, Allowed
 from nserver_emu.server.session import REFUSED, BaseSession, Session
+from nserver_emu.simulation.segments import to_s
 from worlds.io import DEFAULT_WORLD
 
 SCHEME = "sim"
-# Simulated seconds per exchange.
-DEFAULT_STEP_S = 0.1
+# Simulated seconds per exchange: about what one takes over TCP, and the resolution of the clock.
+DEFAULT_STEP_S = 0.001
+# Simulated seconds between two looks for a deferred reply.
+_WAIT_STEP_S = to_s(POLL_INTERVAL_PS)
 # Options after the ? of an address (docs/addresses.md).
 OPTIONS = ("robot", "robots", "model_file", "start", "seed", "noisy", "setup", "step_s", "line")
 # Options that may be repeated for robot 2 and so on.
@@ -80,7 +83,7 @@ class InProcess:
         while self._session.ready or (self._session.waiting and self.emulator.clock.step_per_request_s):
             # 1. A deferred reply needs time.
             if self._session.waiting:
-                self.emulator.pass_time(self.emulator.clock.step_per_request_s)
+                self.emulator.pass_time(max(_WAIT_STEP_S, self.emulator.clock.step_per_request_s))
                 self._outgoing += self._session.tick()
             # 2. The next request.
             self._outgoing += self._session.process_requests(max_requests=1)
@@ -129,13 +132,13 @@ class InProcessLine(InProcess):
 def open_address(address: str) -> InProcess:
     """Create the simulation of an address.
 
-    `sim:WORLD?robot=n150&seed=1&noisy=1&start=0,0,0,0&step_s=0.1`; WORLD is a name or a file, options are optional.
+    `sim:WORLD?robot=n150&seed=1&noisy=1&start=0,0,0,0&step_s=0.001`; WORLD is a name or a file, options are optional.
 
     robots      number of robots, 1 to 1000; the client's is number 1, the others stand still, because each address has
                 a world of its own; `robot` and `start` may be repeated for them
     model_file  a TOML file of models that override or extend the built-in ones
     setup       ideal, noisy, measured, building, worn or a TOML file; takes precedence over `noisy`
-    step_s      simulated seconds per exchange, 0.001 to 10
+    step_s      simulated seconds per exchange, 0.001 (default) to 10
     line        1: the robot's own serial line instead of the TCP protocol
 
     Raises AddressError (with the option and a suggestion), WorldFileError or StartError.

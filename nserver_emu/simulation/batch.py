@@ -140,8 +140,7 @@ class BatchSimulation:
         # 1. Starts must be free.
         if starts is not None:
             given = np.broadcast_to(np.asarray(starts, dtype=np.float64), self._starts.shape)
-            for row in np.flatnonzero(chosen).tolist():
-                self._require_free(row, *given[row, :2].tolist())
+            self._require_free(np.flatnonzero(chosen), given[:, :2])
             self._starts[chosen] = given[chosen]
         # 2. Everything but walls and streams at 0; the clearance of 0 makes the first motion search the walls.
         robots = self._robots
@@ -162,11 +161,18 @@ class BatchSimulation:
         robots["deadline_ps"][chosen] = self._timeout_ps or self._kernel.NEVER_PS
         self._start_rings(chosen, True)
 
-    def _require_free(self, row: int, x_in: float, y_in: float) -> None:
-        try:
-            self._worlds[row].require_free(x_in, y_in, self.model.body.radius_in)
-        except StartError as error:
-            raise StartError(f"robot {row} of the batch: {error}") from None
+    def _require_free(self, rows: npt.NDArray[np.intp], places: FloatArray) -> None:
+        """Raise StartError unless the robots of these rows fit at their places (n, 2)."""
+        # All robots of a world at once; the first that does not fit asks for the reason.
+        worlds = np.array([id(self._worlds[row]) for row in rows])
+        for world in dict.fromkeys(worlds.tolist()):
+            own = rows[worlds == world]
+            is_free = self._worlds[own[0]].clearances(places[own]) > self.model.body.radius_in
+            for row in own[~is_free].tolist():
+                try:
+                    self._worlds[row].require_free(*places[row].tolist(), self.model.body.radius_in)
+                except StartError as error:
+                    raise StartError(f"robot {row} of the batch: {error}") from None
 
     # Time
 

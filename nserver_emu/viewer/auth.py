@@ -74,6 +74,14 @@ class Tokens(NamedTuple):
         return True if act else False if watch else None
 
 
+class Access(NamedTuple):
+    """What a token allows; `robot` and `name` are those of a student, who acts on that robot alone."""
+
+    may_act: bool
+    robot: int | None = None
+    name: str = ""
+
+
 def new_tokens() -> Tokens:
     """Return two random tokens of 192 bits."""
     return Tokens(secrets.token_urlsafe(24), secrets.token_urlsafe(24))

@@ -28,6 +28,7 @@ class Viewer:
     Attributes
     ----------
     may_act : True if it may do more than watch.
+    robot, person : the only robot on which a student may act, None for all, and the name of the person, if known.
     name : name in logs and for other viewers.
     joined_at : number of the newest picture when the page was opened.
     on_message : called when a message is waiting.
@@ -38,6 +39,8 @@ class Viewer:
 
     def __init__(self, *, may_act: bool, name: str = "viewer", joined_at: int = 0) -> None:
         self.may_act = may_act
+        self.robot: int | None = None
+        self.person = ""
         self.name = name
         self.joined_at = joined_at
         self.on_message: Callable[[], object] = lambda: None
@@ -99,10 +102,12 @@ class Broadcaster:
         """Encoded differences to the newest picture, by the number of the older one."""
         self._viewer_count = 0
 
-    def join(self, *, may_act: bool) -> Viewer:
-        """Add a viewer."""
+    def join(self, *, may_act: bool, person: str = "") -> Viewer:
+        """Add a viewer; its name contains that of the person, if it is known, and is unique."""
         self._viewer_count += 1
-        viewer = Viewer(may_act=may_act, name=f"viewer {self._viewer_count}", joined_at=self._history.number)
+        name = f"viewer {self._viewer_count}"
+        viewer = Viewer(may_act=may_act, name=f"{person} ({name})" if person else name, joined_at=self._history.number)
+        viewer.person = person
         self.viewers.add(viewer)
         return viewer
 

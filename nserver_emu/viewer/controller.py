@@ -15,7 +15,7 @@ import asyncio
 import json
 import logging
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import Any, Final
 
@@ -36,9 +36,12 @@ from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.estop import MOTIONS
 from nserver_emu.server.session import Session
 from nserver_emu.viewer import messages
+from nserver_emu.viewer.auth import Access
 from nserver_emu.viewer.broadcaster import Broadcaster, Viewer
+from nserver_emu.viewer.classroom import refusal
 from nserver_emu.viewer.error_boundary import ErrorBoundary
 from nserver_emu.viewer.localizers import Localizers
+from nserver_emu.viewer.map_editor import adjust_world
 from nserver_emu.viewer.messages import parse_estimate
 from nserver_emu.viewer.traffic import TrafficMonitor
 from worlds.io import SHIPPED, load_world, world_names
@@ -261,14 +264,21 @@ STALE_S: Final = 60.0
 class ViewerController:
     """State that all viewers share: the daemon, open pages, requested poses, waypoints."""
 
-    def __init__(self, daemon: Daemon, broadcaster: Broadcaster) -> None:
+    def __init__(self, daemon: Daemon, broadcaster: Broadcaster, names: Mapping[int, str] | None = None) -> None:
         self.daemon = daemon
+        self._names = names or {}
+        """Students by robot."""
+        self._programs: dict[int, list[str]] = {}
+        self._starts = {number: robot.actual for number, robot in daemon.emulator.simulation.robots.items()}
+        """Poses at the start, to which *Reset* returns."""
         self.broadcaster = broadcaster
         self.error_boundary = ErrorBoundary()
         self._pose_requests: dict[int, int] = {}
         self.waypoints: dict[int, list[list[float]]] = {}
         """Goal of each robot, as set at a page."""
         self._waypoints_set: Counter[int] = Counter()
+        self._waypoints_received: Counter[int] = Counter()
+        """How often they were set, by robot, and that number when its localizer last got them."""
         self._clients: dict[Viewer, ViewerClients] = {}
         self._worlds_being_read: dict[Viewer, asyncio.Task[bytes]] = {}
         self._reading: set[asyncio.Task[Answer]] = set()
@@ -280,13 +290,17 @@ class ViewerController:
         )
         daemon.recorder = self.traffic_monitor
 
-    def connect_page(self, now: float, *, may_act: bool, watch_token: str = "") -> Viewer:
+    def connect_page(self, now: float, access: Access, *, watch_token: str = "") -> Viewer:
         """Add a page: send it the present state, and return its viewer."""
         # 1. What a new page must know before its first picture.
-        viewer = self.broadcaster.join(may_act=may_act)
-        viewer.notify(messages.encode_message("hello", version=messages.VERSION, name=viewer.name, may_act=may_act,
-                            watch_token=watch_token if may_act else None, waypoints=self.waypoints,
-                            lines=dict(self.daemon.lines()) if may_act else {}))
+        viewer = self.broadcaster.join(may_act=access.may_act, person=access.name)
+        viewer.robot = access.robot
+        viewer.notify(messages.encode_message("hello", version=messages.VERSION, name=viewer.name,
+                            may_act=access.may_act, watch_token=watch_token if access.may_act else None,
+                            waypoints=self.waypoints, lines=dict(self.daemon.lines()) if access.may_act else {},
+                            robot=access.robot, names=self._names,
+                            own_methods=list(self.localizers.own_methods)))
+        viewer.notify(messages.encode_message("programs", robots=self._programs))
         viewer.notify(messages.encode_message("asked", robots=self._pose_requests))
         viewer.notify(messages.encode_message("localizers", robots=self.localizers.as_dict()))
         # 2. Estimates that are not outdated.
@@ -310,6 +324,7 @@ class ViewerController:
             clients.tick(now)
         with self.error_boundary.guard("pose requests"):
             self._send_pose_requests()
+            self._send_programs()
         with self.error_boundary.guard("the maps of localizers"):
             self.localizers.check_maps()
         with self.error_boundary.guard("the traffic"):
@@ -334,6 +349,11 @@ class ViewerController:
         if not isinstance(message, messages.Seen | messages.Watch) and not viewer.may_act:
             self._refuse(viewer, number, "this link only looks")
             return
+        if viewer.robot is not None:
+            holders = {robot: hold.by for robot, hold in self.daemon.emulator.estop.holds.items()}
+            if reason := refusal(message, viewer.robot, viewer.person, holders):
+                self._refuse(viewer, number, reason)
+                return
 
         with self.error_boundary.guard("a message of a page", viewer.name, self._internal_error(viewer, number)):
             try:
@@ -362,6 +382,8 @@ class ViewerController:
                 else:
                     self.daemon.release(robots)
                 _replier(viewer, message.id)({"ok": True, "held": self.daemon.emulator.estop.as_dict()})
+            case messages.Reset():
+                self._reset(viewer, message)
             case messages.ControlServer():
                 # The same form as on the control socket, so that both have the same checks and replies.
                 request = json.dumps({"command": message.command, "argument": message.argument})
@@ -379,6 +401,11 @@ class ViewerController:
                 self.robots(message.robot)
                 self.localizers.start(message.robot, message.method, is_lost=message.is_lost, resumes=message.resumes)
                 _replier(viewer, message.id)({"ok": True})
+            case messages.Adjust():
+                if self._reading:
+                    raise messages.InvalidMessage("another page's files are being read; repeat it in a moment")
+                world = self.daemon.emulator.simulation.world
+                self._answer_in_thread(viewer, message.id, lambda: adjust_world(world, message.lengths))
             case messages.Gallery():
                 self._answer_in_thread(viewer, message.id, shipped_worlds)
             case messages.Kidnap():
@@ -387,6 +414,38 @@ class ViewerController:
             case messages.Unlocalize():
                 self.localizers.stop(message.robot)
                 _replier(viewer, message.id)({"ok": True})
+
+    def _reset(self, viewer: Viewer, message: messages.Reset) -> None:
+        """Return robots to their starts, as often as one more start becomes free; what holds them stays.
+
+        Raises
+        ------
+        InvalidMessage
+            If robots are real, or a start is occupied; the others are there.
+        """
+        if self.daemon.handler is not self.daemon.emulator:
+            raise messages.InvalidMessage("a real robot cannot be placed from here: carry it to its start")
+        clients, waiting = self.clients(viewer), self.robots(message.robot)
+        while placed := [robot for robot in waiting if self._return_to_start(clients, robot)]:
+            waiting = [robot for robot in waiting if robot not in placed]
+        if waiting:
+            numbers = ", ".join(map(str, waiting))
+            raise messages.InvalidMessage(f"reset: no room at the starts of robots {numbers}: move what stands there, "
+                                          "and repeat it")
+        _replier(viewer, message.id)({"ok": True})
+
+    def _return_to_start(self, clients: ViewerClients, robot: int) -> bool:
+        """Place a robot where it started; return False if something else is there."""
+        start = self._starts.get(robot)
+        if start is None:
+            return False
+        answers: list[Answer] = []
+        angles = heading_tenths(start.steering_rad), heading_tenths(start.turret_rad)
+        clients.call(robot, "place_robot", [tenths(start.x_in), tenths(start.y_in), *angles], answers.append)
+        is_placed = bool(answers and answers[0]["ok"])
+        if is_placed:
+            self.localizers.mark_placed(robot)
+        return is_placed
 
     def _call(self, viewer: Viewer, message: messages.CallRobot) -> None:
         reply = _replier(viewer, message.id)
@@ -448,8 +507,10 @@ class ViewerController:
 
         reading.add_done_callback(finish)
 
-    def publish(self, text: str, now: float) -> dict[str, Any]:
+    def publish(self, text: str, now: float, only: int | None = None) -> dict[str, Any]:
         """Show a localizer's estimate on all pages; return the reply with the waypoints.
+
+        `only` is the robot of a student's token; None allows all.
 
         Raises
         ------
@@ -460,8 +521,13 @@ class ViewerController:
         robot = estimate["robot"]
         if robot not in self.daemon.emulator.simulation.robots:
             raise messages.InvalidMessage(f"there is no robot {robot}")
-        if estimate.pop("began") and self.waypoints.get(robot):
+        if only not in (None, robot):
+            raise messages.InvalidMessage(f"this link publishes estimates of robot {only} only")
+        # A new localizer gets the waypoints that none before it got, unless it has some of its own.
+        is_new = self._waypoints_received[robot] < self._waypoints_set[robot] and not estimate["waypoints"]
+        if estimate.pop("began") and self.waypoints.get(robot) and not is_new:
             self.set_waypoints(robot, [])
+        self._waypoints_received[robot] = self._waypoints_set[robot]
         self._published[robot] = now, estimate
         self.localizers.mark_published(robot)
         self.broadcaster.notify(messages.encode_message("localization", **estimate, age_s=0.0))
@@ -504,6 +570,17 @@ class ViewerController:
         if requests != self._pose_requests:
             self._pose_requests = requests
             self.broadcaster.notify(messages.encode_message("asked", robots=requests))
+
+    def _send_programs(self) -> None:
+        """Send the clients of each robot when they have changed."""
+        programs: dict[int, list[str]] = {}
+        for connection in self.daemon.connections:
+            robot_id = connection.session.context.robot_id
+            if robot_id is not None and connection.is_connected and connection.line != ViewerClient.line:
+                programs.setdefault(robot_id, []).append(connection.session.name)
+        if programs != self._programs:
+            self._programs = programs
+            self.broadcaster.notify(messages.encode_message("programs", robots=programs))
 
     def _send_localizers(self) -> None:
         self.broadcaster.notify(messages.encode_message("localizers", robots=self.localizers.as_dict()))

@@ -22,8 +22,9 @@ from collections import deque
 from collections.abc import Callable, Coroutine, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, get_args
 
+from nclient.common.hints import suggest
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.simulation.acoustics import Polaroid
 from nserver_emu.viewer.auth import to_loopback
@@ -33,6 +34,7 @@ from worlds.world import StartPose, World
 
 log = logging.getLogger(__name__)
 
+METHODS: Final[tuple[str, ...]] = get_args(LocalizationMethod)
 PUBLISH_VARIABLE: Final = "NOMAD_PUBLISH"
 """Environment variable that is the default of `nomad localize --publish` (localization/cli/arguments.py)."""
 NOMAD: Final = (sys.executable, "-P", "-m", "nclient.cli")
@@ -103,18 +105,20 @@ class Localizers:
         # Set by the server of the page once its port is open.
         self.page_url = ""
         self.model_file: Path | None = None
+        # Filters of the user, `FILE.py:CLASS`, that nserver was started with: a page selects among them.
+        self.own_methods: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, dict[str, Any]]:
         """Return the states of all localizers by robot."""
         return {str(robot): state.as_dict() for robot, state in self.states.items()}
 
-    def start(self, robot: int, method: LocalizationMethod, *, is_lost: bool, resumes: bool = False) -> None:
+    def start(self, robot: int, method: str, *, is_lost: bool, resumes: bool = False) -> None:
         """Start the localizer of a robot, in place of one that runs.
 
         Parameters
         ----------
         robot : number of the robot.
-        method : name of the filter.
+        method : name of the filter, one of METHODS or `own_methods`.
         is_lost : True if the pose is not known and is to be found; False if it is that of the encoders.
         resumes : True to begin with the last estimate of the localizer before, where that has saved one.
 
@@ -124,6 +128,10 @@ class Localizers:
             If it cannot be started; the one that runs goes on.
         """
         # 1. All that can fail.
+        if method not in (*METHODS, *self.own_methods):
+            names = ", ".join((*METHODS, *self.own_methods))
+            raise InvalidMessage(f"there is no method {method!r}{suggest(method, METHODS)}; there are {names}; a class "
+                                 "of your own needs nserver --method FILE.py:CLASS")
         if self._is_closed:
             raise InvalidMessage("this nserver ends: start it again")
         if not self._tasks.get(robot) and sum(map(bool, self._tasks.values())) >= MAX_LOCALIZERS:
@@ -267,6 +275,8 @@ class Localizers:
             self._change(state, "ended", stopped)
         else:
             self._change(state, "failed", _error_words(lines, code))
+            # All of it, such as the traceback of a filter of the user.
+            log.warning("localizer failed: %s", " | ".join(lines))
 
     def _report_progress(self, state: LocalizerState, text: str) -> None:
         """Show what a starting localizer waits for."""

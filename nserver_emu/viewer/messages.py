@@ -2,7 +2,10 @@
 
 to the page, by `type`
     hello        version, name (of this viewer), may_act, watch_token (of a link that may only watch; null for viewers
-                 that may only watch), waypoints (points by robot), lines (addresses by name; none for watchers)
+                 that may only watch), waypoints (points by robot), lines (addresses by name; none for watchers),
+                 robot (the only one on which this page may act, null for all), names (students by robot),
+                 own_methods (filters of the user, by the names that nserver --method gave them)
+    programs     robots: names of the clients of each robot that has any
     picture      the scene or its changes (scene.py)
     traffic      rows of requests and replies (traffic.py), missed: number of frames left out
     localization the latest published estimate (localization.py), and its age: age_s
@@ -23,7 +26,10 @@ from the page, by `do`
     stop         id, robot (left out: all): stop it, and refuse motions until it is released, from programs, other
                  viewers and this page (server/estop.py)
     release      id, robot (left out: all): allow motions again
+    reset        id, robot (left out: all): place it where it started; a held one stays held
     control      id, command, argument: time, faults, noise, world (control/commands.py)
+    adjust       id, lengths: [{ends: [[x, y], [x, y]], length, std} ...], measured with a tape: the answer has the text
+                 of the world adjusted to them, and moved_in
     gallery      id: the shipped worlds, worlds: [{name, title, text of the file, walls} ...]
     click        robot, pose: x, y, steer, turret in tenths
     localize     id, robot, method, is_lost, resumes: start its localizer, in place of one that runs (localizers.py);
@@ -43,7 +49,8 @@ Estimates published by a localizer: POST /publish, one JSON object per update; t
     echoes      [{"sonar", "reading_in", "refusal", "innovation_in", "nis"} ...] since the previous update
     trust       OK, DEGRADED, LOST    reason    in words, "" for OK
     places      [{"pose", "share"} ...] candidate poses, the most probable first; with LOST pose and cov are undefined
-    waypoints   [[x, y] ...], and the number passed     began      true: the localizer starts with its own waypoints
+    waypoints   [[x, y] ...], and the number passed     began      true: the localizer has started; waypoints
+                that none before it got are for it, unless it has its own
 
     reply       {"waypoints": [[x, y] ...] or null, "set": how often they were set}
 
@@ -68,8 +75,11 @@ MAX_TEXT: Final = 2_000_000
 """Characters of a message from the page; a plan of faults is the longest."""
 MAX_ARGS: Final = 64
 MAX_POINTS: Final = 200
+MAX_METHOD: Final = 1000
 MAX_NUMBER: Final = 1e9
 """Largest absolute value of any number: inches, radians, seconds."""
+MAX_TAPES: Final = 50
+"""Measured lengths of a map."""
 MAX_DEPTH: Final = 3
 """Nesting of an argument: the corners of an obstacle."""
 DRIVE_TIMEOUT_S: Final = 0.5
@@ -97,7 +107,7 @@ Control = Literal[
 ]  # fmt: skip
 """Control commands of the page: all but those that write files."""
 LocalizationMethod = Literal["ekf", "iekf", "ukf", "smoother", "mcl", "finder", "offsets"]
-"""Filters by name: those of `nomad localize --method`."""
+"""Filters by name: those of `nomad localize --method`. The user's own have names as well (localizers.py)."""
 CALLS: Final = get_args(Call)
 CONTROLS: Final = get_args(Control)
 
@@ -153,6 +163,12 @@ class Release(_Request, tag="release"):
     robot: RobotOrAll | None = None
 
 
+class Reset(_Request, tag="reset"):
+    """Return a robot, or all, to the start."""
+
+    robot: RobotOrAll | None = None
+
+
 class ControlServer(_Request, tag="control"):
     """A control command."""
 
@@ -176,9 +192,23 @@ class Localize(_Request, tag="localize"):
     """Start the localizer of a robot."""
 
     robot: Id
-    method: LocalizationMethod
+    method: Annotated[str, Meta(max_length=MAX_METHOD, title="the name of a filter")]
     is_lost: bool
     resumes: bool = False
+
+
+class Tape(Struct):
+    """A measured length between two ends of walls, and its standard deviation."""
+
+    ends: Annotated[list[Point], Meta(min_length=2, max_length=2, title="two points")]
+    length: Annotated[float, Meta(gt=0.0, le=1e5)]
+    std: Annotated[float, Meta(gt=0.0, le=1e3)] = 0.1
+
+
+class Adjust(_Request, tag="adjust"):
+    """Adjust the walls of the world to measured lengths."""
+
+    lengths: Annotated[list[Tape], Meta(min_length=1, max_length=MAX_TAPES, title="a list of 1 to 50 lengths")]
 
 
 class Gallery(_Request, tag="gallery"):
@@ -206,8 +236,8 @@ class Waypoints(_Message, tag="waypoints"):
 
 
 Message = (
-    Seen | Watch | CallRobot | Drive | Stop | Release | ControlServer | Click | Waypoints | Localize | Unlocalize
-    | Kidnap | Gallery
+    Seen | Watch | CallRobot | Drive | Stop | Release | Reset | ControlServer | Click | Waypoints | Localize
+    | Unlocalize | Kidnap | Gallery | Adjust
 )
 
 

@@ -2,21 +2,30 @@
 
 The options:
 
-    --viewer [[HOST:]PORT]    --viewer-token-file FILE
+    --viewer [[HOST:]PORT]    --viewer-token-file FILE    --class FILE    --method FILE.py:CLASS
 """
 
 from __future__ import annotations
 
 import argparse
 import importlib.util
+import logging
+import sys
 from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from nclient.common.hints import install_command
 from nclient.errors import ExtraMissing, NomadError
+from nserver_emu.server.config import ROOM_AHEAD_IN, has_room_ahead
 from nserver_emu.server.daemon import Daemon
+from worlds.world import StartPose
+
+if TYPE_CHECKING:
+    from nserver_emu.viewer.classroom import Student
+
+log = logging.getLogger(__name__)
 
 DEFAULT_PORT: Final = 7080
 LOOPBACK: Final = "127.0.0.1"
@@ -40,12 +49,24 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--viewer-token-file", type=Path, metavar="FILE",
                        help="store the page's tokens in a file that only you may read, so that its address stays the "
                        "same over restarts (created where it is missing)")
+    group.add_argument("--method", type=parse_own_method, action="append", default=[], metavar="FILE.py:CLASS",
+                       help="offer a filter of your own on the page, beside the built-in ones; repeatable; it runs in "
+                       "the process of the localizer (docs/own-filter.md)")
+    group.add_argument("--class", dest="class_file", type=Path, metavar="STUDENTS.csv",
+                       help="a class: give each student of the file (name[,token][,robot] per line) a robot and a link "
+                       "of the page that drives only that robot; links are written to STUDENTS.links.csv; implies "
+                       "--viewer, and the world arena unless another is named")
+    parser.set_defaults(students=[])
 
 
 def refuse(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
     """Report options that exclude each other as wrong usage."""
+    if options.class_file is not None and options.viewer is None:
+        options.viewer = ListenAddress()
     if options.viewer_token_file is not None and options.viewer is None:
         parser.error("--viewer-token-file is for the page: give --viewer too")
+    if options.method and options.viewer is None:
+        parser.error("--method is for the page: give --viewer too, or use nomad localize --method")
 
 
 class ViewerMissing(ExtraMissing):
@@ -67,17 +88,48 @@ async def running_viewer(daemon: Daemon, options: argparse.Namespace) -> AsyncIt
     async with AsyncExitStack() as open_page:
         try:
             require_aiohttp()
-            from nserver_emu.viewer.auth import load_tokens
+            from nserver_emu.viewer.auth import address, load_tokens
+            from nserver_emu.viewer.classroom import write_links
             from nserver_emu.viewer.server import serve_viewer
 
             token_file = options.viewer_token_file
             tokens = None if token_file is None else load_tokens(token_file)
             host, port = options.viewer
-            lines = await open_page.enter_async_context(serve_viewer(daemon, host, port, tokens, options.model_file))
+            students = require_robots(options, daemon)
+            lines = await open_page.enter_async_context(
+                serve_viewer(daemon, host, port, tokens, options.model_file, students, options.method)
+            )
+            if students:
+                page = lines[0].split()[-1].partition("/?")[0]
+                program = address(options.bind, daemon.emulator.port).replace("http:", "nserver:")
+                file = write_links(options.class_file, students, page, program)
+                print(f"nserver: links of {len(students)} students are in {file}; the teacher opens the address below",
+                      file=sys.stderr)
         except NomadError:
             await daemon.close()
             raise
         yield lines
+
+
+def require_robots(options: argparse.Namespace, daemon: Daemon) -> list[Student]:
+    """Return the students. Raises ClassFileError if one has no robot; warns where a robot has little room."""
+    from nserver_emu.viewer.classroom import ClassFileError
+
+    students: list[Student] = options.students
+    robots = daemon.emulator.simulation.robots
+    for student in students:
+        if student.robot not in robots:
+            raise ClassFileError(f"{options.class_file}: {student.name} has robot {student.robot}, and there are only "
+                                 f"{len(robots)}: a saved simulation keeps its robots, leave --restore out")
+    simulation = daemon.emulator.simulation
+    cramped = [
+        str(number) for number, robot in robots.items()
+        if not has_room_ahead(simulation, StartPose(*robot.actual), robot.model.body.radius_in, number)
+    ]  # fmt: skip
+    if students and cramped:
+        log.warning("robots %s have less than %g in of room ahead: the world %s is small for a class, arena has thirty "
+                    "starts", ", ".join(cramped), ROOM_AHEAD_IN, simulation.world.name)
+    return students
 
 
 def require_aiohttp() -> None:
@@ -92,6 +144,20 @@ def parse_listen_address(text: str) -> ListenAddress:
     if not port.isdecimal() or int(port) > 65535:
         raise argparse.ArgumentTypeError(f"a port is 0 to 65535, or HOST:PORT, not {text!r}")
     return ListenAddress(host.strip("[]") or LOOPBACK, int(port))
+
+
+def parse_own_method(text: str) -> str:
+    """Return `FILE.py:CLASS` with the whole path, or `MODULE:CLASS` as it is. Raises ArgumentTypeError."""
+    place, _, name = text.rpartition(":")
+    if not place or not name.isidentifier():
+        raise argparse.ArgumentTypeError(f"a filter of your own is FILE.py:CLASS or MODULE:CLASS, not {text!r}; the "
+                                         "built-in ones are on the page without this option")
+    if not place.endswith(".py"):
+        return text
+    path = Path(place).absolute()
+    if not path.is_file():
+        raise argparse.ArgumentTypeError(f"{place}: no such file; expected FILE.py:CLASS")
+    return f"{path}:{name}"
 
 
 def listen_address_of(option: str) -> Callable[[str], ListenAddress]:

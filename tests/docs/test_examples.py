@@ -17,7 +17,9 @@ EXAMPLES = ROOT / "examples"
 PRINTS = {
     "class_client.py": r"nearest thing ahead \d+ in",
     "compare_filters.py": r"ekf +RMSE 0\.\d.*\niekf .*\nukf ",
+    "corridor_challenge.py": r"the filter says (79|80)\.\d, (79|80)\.\d in",
     "first.py": r"encoders: 2[34]\.\d.*\ntruth: +2[345]\.\d",
+    "gym_policy.py": r"goal reached in \d+ of 20 episodes\nsim:.*: (reached|not reached) after \d+\.\d s",
     "map_and_go.py": r"arrived at (89|90)\.\d, 5[45]\.\d in ± 0\.\d+ in, OK",
     "record_and_replay.py": r"live: +(.*)\nreplayed: \1\n",
     "square.py": r"the robot is [2-9]\.\d in from its start; the encoders say 0\.\d in",

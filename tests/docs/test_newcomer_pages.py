@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shlex
 import tomllib
 from pathlib import Path
+from typing import cast
 
 import pytest
+from PIL import Image
 
 from nclient.cli.main import GROUP
+from nserver_emu.control.commands import ControlledServer, answer_line
 from nserver_emu.options import nserver_parser, read_options
+from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.legacy_setup import read_setups
+from nserver_emu.simulation.simulation import Simulation
 from tests.docs.pages import DOCS, ROOT, code_blocks, command_lines, run
-from worlds.io import parse_world, world_names
+from worlds.io import load_world, parse_world, world_names
 from worlds.validate import validate_world
 
 COMMANDS = set(
@@ -52,8 +58,26 @@ def test_room_measured_with_a_tape_can_be_driven_in(tmp_path: Path) -> None:
     assert "2 of 2 waypoints reached" in run(localize, tmp_path)
 
 
+class _Server:
+    """The parts of a server that the commands of the page need."""
+
+    def __init__(self, emulator: Emulator) -> None:
+        self.emulator = emulator
+
+    def record_change(self, change: object) -> None:
+        """Do nothing: there is no recording."""
+
+
 def test_commands_of_the_worlds_page_run() -> None:
-    listing, check = command_lines("worlds.md")
+    listing, check, serve, *controls = command_lines("worlds.md")
+    assert read_options(nserver_parser(), shlex.split(serve, comments=True)[1:]).world == "two_rooms"
+    emulator = Emulator(Simulation(load_world("two_rooms")))
+    for line in controls:
+        _, _, name, *argument = shlex.split(line, comments=True)
+        words = f"{name} {argument.pop()}" if name == "world" else name
+        request = json.dumps({"command": words, "argument": "".join(argument) or None}).encode()
+        assert json.loads(answer_line(cast(ControlledServer, _Server(emulator)), request))["ok"]
+    assert (len(emulator.simulation.walkers), emulator.simulation.world.doors[0].is_open) == (2, False)
     assert "several_walls" in run(listing, ROOT)
     assert "no problems" in run(check, ROOT)
 
@@ -67,3 +91,11 @@ def test_samples_of_setup_files_are_read() -> None:
 def test_gallery_shows_every_shipped_world() -> None:
     page = (DOCS / "worlds.md").read_text(encoding="utf-8")
     assert set(re.findall(r"figures/worlds/(\w+)\.svg", page)) == set(world_names())
+
+
+def test_first_screen_shows_a_small_moving_picture() -> None:
+    first_screen = (ROOT / "README.md").read_text(encoding="utf-8")[:1200]
+    (picture,) = re.findall(r"!\[[^]]+\]\((\S+\.gif)\)", first_screen)
+    assert (ROOT / picture).stat().st_size < 500_000
+    with Image.open(ROOT / picture) as image:
+        assert getattr(image, "n_frames", 1) > 20

@@ -4,18 +4,27 @@ from __future__ import annotations
 
 import ast
 import runpy
+import shlex
 from pathlib import Path
 
 import pytest
 
+from nserver_emu.options import nserver_parser
 from tests.docs.pages import ROOT, code_blocks, command_lines, run
 
 PAGE = "own-filter.md"
 
 
 def test_command_reaches_the_waypoints() -> None:
-    (command,) = command_lines(PAGE)
+    command, _ = command_lines(PAGE)
     assert "2 of 2 waypoints reached" in run(command, ROOT)
+
+
+def test_server_takes_the_class_for_its_page(monkeypatch: pytest.MonkeyPatch) -> None:
+    _, command = command_lines(PAGE)
+    monkeypatch.chdir(ROOT)
+    options = nserver_parser().parse_args(shlex.split(command)[1:])
+    assert options.method == [f"{ROOT}/examples/own_filter.py:MyFilter"]
 
 
 def test_program_writes_its_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

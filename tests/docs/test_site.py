@@ -10,6 +10,9 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
+from playwright.sync_api import sync_playwright
+
+from tests.integration.viewer.browsing import CHROMIUM, FLAGS
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -58,6 +61,20 @@ def test_notebook_is_executed_and_filter_is_consistent(site: Path) -> None:
     estimate_in, odometry_in, nees = map(float, numbers)
     assert estimate_in < 0.6 < odometry_in
     assert 1.0 < nees < 6.0
+
+
+@pytest.mark.long
+def test_formulas_are_typeset_without_network(site: Path) -> None:
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        page = browser.new_page()
+        for name, count in (("localization", 15), ("methods", 2), ("mapping", 20)):
+            page.goto((site / f"{name}.html").as_uri())
+            page.wait_for_function(f"document.querySelectorAll('mjx-container').length >= {count}")
+            # What is left of LaTeX in the text of the page, code aside.
+            page.evaluate("document.querySelectorAll('pre, code').forEach((one) => one.remove())")
+            assert re.findall(r"\\[a-z]+|\$[^$]*\$", page.inner_text("body")) == []
+        browser.close()
 
 
 def test_nothing_is_loaded_from_other_hosts(site: Path) -> None:

@@ -64,7 +64,7 @@ def test_runs_without_truth_have_gaps(run: Run) -> None:
 
 def test_example_is_as_good_as_the_built_in_filter_on_the_same_drive() -> None:
     runs: dict[str, Run] = {name: Run([]) for name in ("ekf", OWN)}
-    with connect("sim:thesis_room?noisy=1&seed=3") as robot:
+    with connect("sim:thesis_room?noisy=1&seed=3&step_s=0.1") as robot:
         schedule, state = restart_ring(robot, CONFIG.body.ring)
         start = independent([state.x_in, state.y_in, state.steering_rad], [0.1, 0.1, 0.01])
         localizers = {name: Localizer(CONFIG, start, schedule, make(name, CONFIG, start)) for name in runs}

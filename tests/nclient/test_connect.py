@@ -144,7 +144,12 @@ def test_the_simulation_runs_in_this_process() -> None:
         assert (truth.x_in, truth.y_in, truth.seed) == (10, 20, 4)
         first = robot.refresh().clock_s
         assert first is not None
-        assert robot.refresh().clock_s == pytest.approx(first + 0.1)
+        assert robot.refresh().clock_s == pytest.approx(first + 0.001)
+        # What the program waits for passes, whatever a call takes.
+        robot.sleep(2.5)
+        assert robot.refresh().clock_s == pytest.approx(first + 2.502)
+        with pytest.raises(ValueError, match="seconds"):
+            robot.sleep(-1)
 
 
 @pytest.mark.parametrize(

@@ -107,7 +107,10 @@ class Forked:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, error: type[BaseException] | None, *_: object) -> None:
+        # After a failure nothing ends a program that waits.
+        if error is not None:
+            self.kill()
         self._close()
         self.wait()
 

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import PurePath
 from typing import Any, Final
 
@@ -104,6 +105,9 @@ def change_wall(server: ServerState, wanted: Mapping[str, Any]) -> dict[str, Any
     if was is None and len(world.inner_walls) >= server.allowed.obstacles:
         raise ControlError(f"wall: there are {len(world.inner_walls)} already, the maximum (--limit-obstacles)")
     changed = world.with_inner_wall(row, *([] if now is None else [(*now[0], *now[1])]))
+    if was is not None and now is not None and row in world.accuracies and _is_on_line(now, was):
+        # Longer or shorter, it is where it was measured to be.
+        changed = replace(changed, accuracies={**changed.accuracies, row: world.accuracies[row]})
     if not len(changed.walls):
         raise ControlError("wall: it is the last wall of this world, which needs at least one")
     for number, robot in server.simulation.robots.items():
@@ -115,6 +119,15 @@ def change_wall(server: ServerState, wanted: Mapping[str, Any]) -> dict[str, Any
     server.invalidate_state_cache()
     ends = [None if one is None else [list(end) for end in one] for one in (was, now)]
     return {"walls": len(changed.inner_walls), "was": ends[0], "is": ends[1]}
+
+
+def _is_on_line(points: Sequence[Point], ends: Sequence[Point]) -> bool:
+    """Return True if points are on the line through two ends."""
+    (x1, y1), (x2, y2) = ends
+    length = math.dist(*ends)
+    return all(
+        abs((x2 - x1) * (y - y1) - (y2 - y1) * (x - x1)) <= CORNER_TOLERANCE_IN * length for x, y in points
+    )  # fmt: skip
 
 
 def is_on_map(points: Sequence[Point]) -> bool:

@@ -68,7 +68,7 @@ def get_ra(server: ServerState, context: ConnectionContext, _args: tuple[int, ..
 
 
 def held_by(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
-    """Return which person holds the robot, as a text; an empty one if nobody does."""
+    """Return which person holds the robot, as a text; an empty one if none does."""
     hold = server.estop.get(context.robot_id)
     return Reply("simple", values=text_values("" if hold is None else hold.by))
 

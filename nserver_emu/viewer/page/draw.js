@@ -31,9 +31,10 @@ export function drawScene(pen, scene, view, options) {
     if (shown.traces) drawTraces(pen, scene.traces[id], view, theme);
     if (id === options.robot) drawSensors(pen, scene, id, view, options);
     if (shown.encoder) drawRobot(pen, robot.encoder, body, view, { colour: theme.encoder, dashed: true });
-    drawRobot(pen, robot.actual, body, view, { colour: theme.actual, name: id, chosen: id === options.robot && isFleet });
+    drawRobot(pen, robot.actual, body, view, { colour: theme.actual, chosen: id === options.robot && isFleet });
     if (shown.bumper) drawBumpers(pen, robot, body, view, theme);
   }
+  drawLabels(pen, scene, view, options);
   if (shown.estimate) options.estimate?.(pen, scene, view, options);
   options.tool?.(pen, scene, view, options);
   drawScale(pen, view, options);
@@ -192,7 +193,7 @@ function ray(pen, view, x, y, direction, from, to) {
   line(pen, view, x + from * c, y + from * s, x + to * c, y + to * s);
 }
 
-export function drawRobot(pen, [x, y, steer, turret], body, view, { colour, dashed, name, chosen }) {
+export function drawRobot(pen, [x, y, steer, turret], body, view, { colour, dashed, chosen }) {
   pen.strokeStyle = colour;
   pen.fillStyle = colour;
   pen.lineWidth = 2;
@@ -208,11 +209,55 @@ export function drawRobot(pen, [x, y, steer, turret], body, view, { colour, dash
     pen.stroke();
     ray(pen, view, x, y, turret, body.radius_in * 0.55, body.radius_in);
   }
-  if (name !== undefined) {
-    pen.font = '12px system-ui, sans-serif';
-    pen.fillText(name, ...toScreen(view, x + body.radius_in * 0.75, y + body.radius_in * 0.85));
+}
+
+// Number and name of each robot, where neither another label nor a robot is: beside the robot, the name left out where only
+// the number fits, and otherwise the number inside of the robot, in letters small enough for it.
+function drawLabels(pen, scene, view, { theme, names }) {
+  const robots = Object.entries(scene.robots).filter(([id]) => scene.bodies[id]);
+  const circles = robots.map(([id, { actual }]) => ({ id, at: toScreen(view, actual[0], actual[1]), radius: scene.bodies[id].radius_in * view.scale }));
+  pen.fillStyle = theme.actual;
+  for (const { text, x, y, size } of placeLabels(circles, names ?? {}, view.width)) {
+    pen.font = `${size}px system-ui, sans-serif`;
+    pen.fillText(text, x, y);
   }
 }
+
+// Return [{text, x, y, size, box}]: x and y are the left end of the base line, box is [left, top, right, bottom], in pixels.
+// Labels of robots at the edge of the map, `width` pixels wide, stay on it.
+export function placeLabels(circles, names, width) {
+  const placed = [], bodies = circles.map(({ id, at: [x, y], radius }) => ({ id, box: [x - radius, y - radius, x + radius, y + radius] }));
+  for (const { id, at: [x, y], radius } of circles) {
+    const texts = names[id] ? [`${id} ${names[id]}`, id] : [id];
+    const others = [...bodies.filter((body) => body.id !== id), ...placed];
+    const fits = texts.flatMap((text) => labelPlaces(text, x, y, radius))
+      .find(({ box }) => box[0] >= 0 && box[2] <= width && !others.some((other) => overlap(box, other.box)));
+    placed.push(fits ?? labelInside(id, x, y, radius));
+  }
+  return placed;
+}
+
+const LABEL_PX = 12, LETTER = 0.62, LABEL_GAP_PX = 2;  // size, width of a letter by size, distance to the robot
+
+function labelAt(text, left, top, size) {
+  const width = text.length * LETTER * size;
+  return { text, size, x: left, y: top + size * 0.85, box: [left, top, left + width, top + size] };
+}
+
+// Right above first, as on maps; then the other corners and sides.
+function labelPlaces(text, x, y, radius) {
+  const width = text.length * LETTER * LABEL_PX, near = radius * 0.75 + LABEL_GAP_PX, far = radius + LABEL_GAP_PX;
+  return [[x + near, y - near - LABEL_PX], [x - near - width, y - near - LABEL_PX], [x + near, y + near], [x - near - width, y + near],
+    [x - width / 2, y - far - LABEL_PX], [x - width / 2, y + far], [x + far, y - LABEL_PX / 2], [x - far - width, y - LABEL_PX / 2]]
+    .map(([left, top]) => labelAt(text, left, top, LABEL_PX));
+}
+
+function labelInside(text, x, y, radius) {
+  const size = Math.min(LABEL_PX, 1.6 * radius / Math.hypot(1, text.length * LETTER));
+  return labelAt(text, x - text.length * LETTER * size / 2, y - size / 2, size);
+}
+
+function overlap([left, top, right, bottom], [l, t, r, b]) { return left < r && l < right && top < b && t < bottom; }
 
 export function arrow(pen, view, x, y, direction, length_in) {
   const [px, py] = toScreen(view, x + length_in * Math.cos(direction), y + length_in * Math.sin(direction));

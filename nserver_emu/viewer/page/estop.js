@@ -83,7 +83,7 @@ export function setUpBanner(app) {
 
 // Release what this page has stopped; if it has stopped none, all robots.
 async function release(app) {
-  const robots = robotsToRelease(app.scene.robots, app.name);
+  const robots = app.ownRobot !== null ? [Number(app.ownRobot)] : robotsToRelease(app.scene.robots, app.name);
   const answers = await Promise.all(robots.map((robot) => app.link.request(robot === null ? { do: 'release' } : { do: 'release', robot })));
   const failed = answers.find((answer) => !answer.ok);
   app.notice(failed ? `NOT RELEASED — ${failed.error}` : '', { stays: true });

@@ -89,6 +89,14 @@ export function robotFits(scene, id, [x, y]) {
       || Math.hypot(x - scene.robots[other].actual[0], y - scene.robots[other].actual[1]) > radius + scene.bodies[other].radius_in);
 }
 
+// Return the point where the lines through two segments meet, or null if they differ by less than 6 degrees.
+export function linesMeet([[ax, ay], [bx, by]], [[cx, cy], [dx, dy]]) {
+  const [ux, uy, vx, vy] = [bx - ax, by - ay, dx - cx, dy - cy], cross = ux * vy - uy * vx;
+  if (Math.abs(cross) < 0.1 * Math.hypot(ux, uy) * Math.hypot(vx, vy)) return null;
+  const t = ((cx - ax) * vy - (cy - ay) * vx) / cross;
+  return [ax + t * ux, ay + t * uy];
+}
+
 // Return the walls and the sides of obstacles, [x1, y1, x2, y2], that come within a distance of a point in x and in y.
 export function wallsWithin(world, x, y, distance) {
   const sides = world.obstacles.flatMap(({ corners }) => corners.map((corner, k) => [...corner, ...corners[(k + 1) % corners.length]]));

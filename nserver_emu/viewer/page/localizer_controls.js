@@ -14,6 +14,14 @@ const MIN_KIDNAP_RADII = 4, KIDNAP_ATTEMPTS = 2000;
 
 export function localizerControls(app, stateOf) {
   const method = element('select', { id: 'method' }, ...Object.entries(METHODS).map(([name, title]) => element('option', { value: name }, title)));
+  // Filters of the user, which the server was started with; a path is shown by its last part.
+  let offered;
+  const offerOwn = () => {
+    if (!app.ownMethods || offered === app.ownMethods) return;
+    offered = app.ownMethods;
+    method.querySelectorAll('.own').forEach((option) => option.remove());
+    method.append(...offered.map((name) => element('option', { value: name, className: 'own', title: name }, `own: ${name.split('/').at(-1)}`)));
+  };
   const start = (isLost, resumes = false) => callLocalizer(app, { do: 'localize', method: method.value, is_lost: isLost, resumes });
   // Start a localizer that runs again, on the present map.
   app.restartLocalizer = () => { if (isActive(stateOf())) start(false); };
@@ -31,6 +39,7 @@ export function localizerControls(app, stateOf) {
     element('div', { className: 'row' }, buttons.localize, buttons.find, buttons.kidnap, buttons.stop),
     element('div', { className: 'row' }, element('label', {}, 'Method', method)), noise.box);
   return { box, update() {
+    offerOwn();
     buttons.stop.disabled = !isActive(stateOf());
     noise.update();
   } };

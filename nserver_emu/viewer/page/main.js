@@ -7,6 +7,7 @@ import { openReplay } from './replay.js';
 import { newRun, recordMessage, savePng, saveSvg, saveRun, runLength } from './export.js';
 import { mapWindow } from './map_window.js';
 import { robotWindow, shortWindow, longWindow } from './robot_windows.js';
+import { robotsWindow, robotLabel } from './robots_window.js';
 import { driveWindow, poseWindow } from './drive_window.js';
 import { timeWindow } from './time_window.js';
 import { worldWindow } from './world_window.js';
@@ -27,7 +28,7 @@ const TASKS = {
   drive: { title: 'Drive', acts: true, windows: [driveWindow, poseWindow] },
   world: { title: 'World', acts: true, windows: [worldWindow, timeWindow] },
   localize: { title: 'Localize', windows: [localizationWindow] },
-  observe: { title: 'Observe', windows: [robotWindow, shortWindow, longWindow, trafficWindow] },
+  observe: { title: 'Observe', windows: [robotsWindow, robotWindow, shortWindow, longWindow, trafficWindow] },
 };
 const WINDOWS = Object.values(TASKS).flatMap(({ windows }) => windows);
 // A notice vanishes after this time, except for one that a stop or release has failed.
@@ -38,7 +39,7 @@ const part = (id) => document.getElementById(id);
 
 const unitsListeners = [], waypointsSetAt = {};
 const app = {
-  scene: emptyScene(), theme: readTheme(), metric: false, robot: '1', mayAct: false, name: '', token: '', watchToken: null, lines: {},
+  scene: emptyScene(), theme: readTheme(), metric: false, robot: '1', mayAct: false, name: '', names: {}, ownRobot: null, token: '', watchToken: null, lines: {},
   selected() { return { id: app.robot, robot: app.scene.robots[app.robot], body: app.scene.bodies[app.robot], scene: app.scene }; },
   onUnits(listener) { unitsListeners.push(listener); },
   switchUnits() {
@@ -72,7 +73,7 @@ const app = {
     driveWindow.release();
     app.notice(await stop(app.link, robot), { stays: true });
   },
-  stopMine() { return app.stop(Number(app.robot)); },
+  stopMine() { return app.stop(Number(app.ownRobot ?? app.robot)); },
   // Close what is open, the newest first, and return false if nothing is. The browser itself closes its menus.
   closeOpen() {
     if (document.querySelector(':popover-open')) return true;
@@ -122,13 +123,27 @@ function onMessage(message, size) {
 function onHello(message) {
   app.mayAct = message.may_act;
   app.name = message.name;
+  app.names = message.names ?? {};
+  setOwnRobot(message.robot ?? null);
   hasHello = true;
   showConnection();
   app.watchToken = message.watch_token;
   app.lines = message.lines;
+  app.ownMethods = message.own_methods;
   app.waypoints = message.waypoints;
   document.body.classList.toggle('read-only', !message.may_act);
   app.watch();
+}
+
+// A student's page acts on one robot, which it selects at first; the tasks of the teacher are hidden.
+function setOwnRobot(number) {
+  const own = number === null ? null : String(number);
+  document.body.classList.toggle('student', own !== null);
+  if (own !== null && own !== app.ownRobot) app.robot = own;
+  app.ownRobot = own;
+  // A teacher has the list of the class first.
+  if (own === null && Object.keys(app.names).length) { part('windows').prepend(part('task-observe')); part('tasks').prepend(part('show-observe')); }
+  if (Object.keys(app.scene.bodies).length) listRobots();
 }
 
 // Programs wait for poses of these robots (get_robot_conf): select a robot and the pose tool, and show a message until
@@ -161,7 +176,7 @@ function onPicture(picture) {
 
 function listRobots() {
   const choice = part('robot-choice'), ids = Object.keys(app.scene.bodies);
-  choice.replaceChildren(...ids.map((id) => element('option', { value: id }, `${id} (${app.scene.bodies[id].model})`)));
+  choice.replaceChildren(...ids.map((id) => element('option', { value: id }, `${robotLabel(id, app.names)} (${app.scene.bodies[id].model})`)));
   if (!ids.includes(app.robot)) { app.robot = ids[0]; app.watch(); }
   choice.value = app.robot;
 }

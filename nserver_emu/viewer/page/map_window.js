@@ -22,7 +22,7 @@ export function mapWindow(app) {
   let fingerDistance = 0, isDirty = true, pressedAt = null;
 
   function options() {
-    return { theme: app.theme, metric: app.metric, shown, robot: app.robot, graphics: drawClientGraphics,
+    return { theme: app.theme, metric: app.metric, shown, robot: app.robot, names: app.names, graphics: drawClientGraphics,
       estimate: app.drawEstimate, tool: map.tool?.draw?.bind(map.tool) };
   }
 

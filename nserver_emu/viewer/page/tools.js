@@ -7,7 +7,7 @@ import { drawRobot, polygonPath, circle, arrow } from './draw.js';
 import { element } from './widgets.js';
 import { isFree, robotFits, toScreen } from './geometry.js';
 import { addObstacle, addWall, placeRobot } from './commands.js';
-import { addDoor, addWalker, listThings } from './things.js';
+import { addDoor, addWalker, joinWalls, listThings } from './things.js';
 
 const MIN_SIDE_IN = 0.5, MIN_DRAG_PX = 4, CLOSE_PX = 12;
 const WRONG_PLACE_MS = 5000;
@@ -28,6 +28,10 @@ const TOOLS = {
     hint: 'Drag across a gap, from one side of the door to the other. Ends near those of walls join them.', wants: 'A door has a width: press at one side and drag to the other.' },
   walker: { title: 'Add walker', make: walkerTool, task: 'world', icon: 'M8 1a1.5 1.5 0 1 0 .1 0M8 5v5M8 10l-3 5M8 10l3 5M4 8l4-2 4 2',
     hint: 'Click point after point of a route; Enter ends it, a click on the first point closes it.', wants: 'A person cannot walk there: click on free space.' },
+  length: { title: 'Measure', make: lengthTool, task: 'world', icon: 'M2 11V5h12v6zM5 5v3M8 5v3M11 5v3',
+    hint: 'Drag from one end of a wall to another one, then enter the length that a tape measured in the panel.', wants: 'A length is between two ends of walls: drag from one to the other.' },
+  join: { title: 'Join', make: joinTool, task: 'world', icon: 'M2 13h11M13 13V2M10 10l3 3',
+    hint: 'Click one inner wall, then another: both end where their lines meet; parallel walls become one.', wants: 'There is no inner wall: click on one, then on the one that it joins.' },
   shift: { title: 'Move', make: shiftTool, task: 'world', icon: 'M2 5h7v7H2zM10 8h5M13 6l2 2-2 2',
     hint: 'Drag an obstacle, an inner wall, a door or a walker; near its end a wall turns.', wants: 'There is nothing to move: press on a grey obstacle, an inner wall, a door or a walker and drag it. The outlines of rooms stay.' },
   remove: { title: 'Delete', make: removeTool, task: 'world', icon: 'M2 4h8v8H2zM11 2l4 4M15 2l-4 4',
@@ -140,6 +144,15 @@ function newSegmentTool(app, add) {
     cancel() { const isDragging = start !== null; start = null; return isDragging; },
     draw(pen, scene, view, { theme }) { if (start) drawLine(pen, view, [start, here], theme); },
   };
+}
+
+// Drag between two ends of walls whose distance a tape has measured.
+function lengthTool(app) {
+  const line = newSegmentTool(app, (ends) => app.measure(ends));
+  return { ...line, draw(pen, scene, view, options) {
+    line.draw(pen, scene, view, options);
+    for (const { ends } of app.tapes ?? []) drawLine(pen, view, ends, options.theme);
+  } };
 }
 
 function outline(pen, view, corners, theme) {
@@ -270,6 +283,21 @@ function shiftTool(app) {
       if (thing.hasEnds) drawLine(pen, view, moved(), theme);
       else outline(pen, view, moved(), theme);
     },
+  };
+}
+
+// Click one wall, then the other.
+function joinTool(app) {
+  let first = null;
+  return {
+    tap(world) {
+      const thing = thingAt(app, world)?.[0];
+      if (!thing?.hasEnds || thing.toggle || String(thing.points) === String(first)) { app.rejectPlace(); return; }
+      if (first) joinWalls(app, first, thing.points);
+      first = first ? null : thing.points;
+    },
+    cancel() { const isChosen = first !== null; first = null; return isChosen; },
+    draw(pen, scene, view, { theme }) { if (first) drawLine(pen, view, first, theme); },
   };
 }
 

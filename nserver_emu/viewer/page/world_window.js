@@ -2,9 +2,10 @@
 // server reads and writes the world format; the page only transfers the text.
 
 import { element, button, download, form, lengthField } from './widgets.js';
-import { addObstacle, callRobot, control } from './commands.js';
+import { addObstacle, callRobot, control, poseTenths } from './commands.js';
+import { robotFits } from './geometry.js';
 import { listThings, WALKING_SPEED } from './things.js';
-import { unitIn, unitName } from './units.js';
+import { lengthText, unitIn, unitName } from './units.js';
 
 const STEP_IN = 1, EXAMPLE = '10,10 20,10 20,20';
 
@@ -40,6 +41,7 @@ export const worldWindow = {
         else addObstacle(app, typed.map((corner) => corner.map((number) => number * unitIn(app.metric))));
       }, element('div', { className: 'row' }, label, element('button', { id: 'add-corners' }, 'Add'), this.step.label, this.speed.label)),
       element('div', { className: 'row halves' }, this.undo, this.redo),
+      tapeForm(app),
       element('div', { className: 'row' }, button('Save world', () => saveWorld(app), { id: 'save-world' }), file,
         button('Load world', () => file.click()), button('Remove all obstacles', () => clearWorld(app), { id: 'clear-world' })),
       this.list);
@@ -51,6 +53,8 @@ export const worldWindow = {
       button_.title = title === null ? keys : `${word}: ${title} (${keys})`;
     }
     if (this.shown === app.scene.world) return;
+    // Lengths are those of one map.
+    if (this.shown && this.shown.name !== app.scene.world?.name) app.setTapes([]);
     this.shown = app.scene.world;
     const things = listThings(app);
     while (this.rows.length < things.length) this.rows.push(this.newRow(app));
@@ -102,19 +106,57 @@ async function saveWorld(app) {
   if (text !== null) download(`${app.scene.world.name}.toml`, 'text/plain', text);
 }
 
-// Replace the world. Undo restores the whole previous world, unless the new one was changed meanwhile: those changes would
-// be lost.
-function replaceWorld(app, title, apply, options = {}) {
-  let before = null, after = null;
+// Replace the world. Undo restores the whole previous world, and the robots that had no room in the new one to their poses,
+// unless the new one was changed meanwhile: those changes would be lost.
+function replaceWorld(app, title, apply, options = {}, onDone = () => {}) {
+  let before = null, after = null, poses = [];
   return app.history.run({ title, apply: async () => {
     before = await worldText(app);
+    poses = Object.entries(app.scene.robots).map(([id, { actual }]) => [id, [...actual]]);
     if (before === null) return { ok: false, error: 'the world cannot be read' };
     const answer = await apply();
-    if (answer.ok) after = await worldText(app);
+    if (answer.ok) { after = await worldText(app); onDone(true); }
     return answer;
-  }, revert: async () => (await worldText(app) === after
-    ? control(app, 'world set', { text: before, file: 'the world before', ...options })
-    : { ok: false, error: 'the world was changed meanwhile' }) });
+  }, revert: async () => {
+    if (await worldText(app) !== after) return { ok: false, error: 'the world was changed meanwhile' };
+    const placed = poses.filter(([id, pose]) => app.scene.robots[id] && !robotFits(app.scene, id, pose));
+    const answer = await control(app, 'world set', { text: before, file: 'the world before', ...options });
+    for (const [id, pose] of answer.ok ? placed : []) await callRobot(app, 'place_robot', poseTenths(pose), Number(id));
+    if (answer.ok) onDone(false);
+    return answer;
+  } });
+}
+
+// Lengths measured with a tape: the tool chooses the ends, the form takes the length, and the walls adjust to all lengths of
+// this map so far.
+function tapeForm(app) {
+  const tape = lengthField(app, 'length', 0, { min: 0, id: 'tape-length' }), list = element('ul', { id: 'tapes' });
+  const text = (ends) => ends.map((end) => end.map((inches) => Math.round(inches / unitIn(app.metric) * 10) / 10).join(',')).join(' to ');
+  app.setTapes = (tapes) => {
+    app.tapes = tapes;
+    list.replaceChildren(...tapes.map(({ ends, length }) => element('li', {}, `${text(ends)}: ${lengthText(length, app.metric, 2)}`)));
+  };
+  const node = form(async () => {
+    const before = app.tapes, tapes = [...before, { ends: node.ends, length: tape.inches }], { name } = app.scene.world;
+    const answer = await replaceWorld(app, 'adjust to a length', async () => {
+      const adjusted = await app.link.request({ do: 'adjust', lengths: tapes });
+      return adjusted.ok ? control(app, 'world set', { text: adjusted.text, file: `${name}.toml` }) : adjusted;
+    }, {}, (isDone) => app.setTapes(isDone ? tapes : before));
+    app.notice(answer.ok ? '' : answer.error);
+    if (answer.ok) node.hidden = true;
+  }, element('p'), element('div', { className: 'row' }, tape.label, element('button', { id: 'adjust' }, 'Adjust walls'),
+    button('Cancel', () => { node.hidden = true; })));
+  node.hidden = true;
+  app.setTapes([]);
+  app.measure = (ends) => {
+    node.ends = ends;
+    node.firstChild.textContent = `Measured from ${text(ends)}:`;
+    tape.inches = Math.hypot(ends[1][0] - ends[0][0], ends[1][1] - ends[0][1]);
+    node.hidden = false;
+    tape.input.focus();
+    tape.input.select();
+  };
+  return element('div', {}, node, list);
 }
 
 export function loadWorld(app, text, file) {

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import re
+from pathlib import Path
 from typing import Any
 from urllib.request import Request, urlopen
 
 import pytest
 from playwright.sync_api import Browser
 
+from tests.docs.pages import ROOT
 from tests.integration.viewer.browsing import nserver, open_page
 from tests.programs.forked import Forked
 
@@ -169,3 +171,26 @@ def test_global_localization_and_go_are_shown(browser: Browser) -> None:
                 page.wait("nserver.estimateOf('1')?.waypoints[0]?.join() === '30,20'", 60.0)
                 page.wait("nserver.estimateOf('1')?.pose[0] + nserver.estimateOf('1').pose[1] > 47", 60.0)
                 assert driver.wait(timeout=60) == 0
+
+
+BROKEN = """
+from examples.own_filter import MyFilter
+
+class Broken(MyFilter):
+    def update(self, echo):
+        raise ValueError(f"no model of sonar {echo.sonar}")
+"""
+
+
+@pytest.mark.long
+def test_own_filter_runs_and_its_error_is_shown(browser: Browser, tmp_path: Path) -> None:
+    (tmp_path / "broken.py").write_text(f"import sys\nsys.path.insert(0, {str(ROOT)!r})\n{BROKEN}")
+    own = [f"{ROOT}/examples/own_filter.py:MyFilter", f"{tmp_path}/broken.py:Broken"]
+    words = [word for name in own for word in ("--method", name)]
+    with nserver("thesis_room", "--noisy", "--seed", "1", *words) as program, open_page(browser, program.url) as page:
+        page.page.select_option("#method", own[0])
+        page.page.click("#localize")
+        page.wait("document.querySelector('#trust').innerText === '✓ OK'", 60.0)
+        page.page.select_option("#method", own[1])
+        page.page.click("#localize")
+        page.wait("/ValueError: no model of sonar \\d/.test(document.querySelector('.trust').innerText)", 60.0)

@@ -131,6 +131,9 @@ def test_undo_waits_for_running_step(browser: Browser) -> None:
 def test_world_is_chosen_from_gallery(browser: Browser) -> None:
     words = ("hall", "--robots", "2")
     with nserver(*words) as program, open_page(browser, program.url) as page:
+        # Whole inches: poses are set in tenths.
+        poses = "JSON.stringify(Object.values(nserver.scene.robots).map((one) => one.actual.map(Math.floor)))"
+        before = page.value(poses)
         page.page.click("#gallery > summary")
         page.wait("document.querySelectorAll('.gallery button').length > 5")
         page.page.click("#world-arena")
@@ -139,6 +142,11 @@ def test_world_is_chosen_from_gallery(browser: Browser) -> None:
         page.wait("nserver.map.fitted && Math.abs(nserver.map.view.x - 256) < 20")
         page.page.keyboard.press("Control+z")
         page.wait("nserver.scene.world.name === 'hall'")
+        # A robot without room is placed; undo puts it back.
+        page.page.click("#world-maze")
+        page.wait(f"nserver.scene.world.name === 'maze' && {poses} !== '{before}'")
+        page.page.keyboard.press("Control+z")
+        page.wait(f"nserver.scene.world.name === 'hall' && {poses} === '{before}'")
 
 
 def test_walls_are_drawn_dragged_and_deleted(browser: Browser) -> None:

@@ -158,7 +158,7 @@ def test_a_calibrated_robot_errs_no_more(tmp_path: Path, capsys: pytest.CaptureF
     words = [*TO_GOAL, "--odometry-noise", "0.01,0.01,0.0003", "--json"]
     ends = []
     for calibration in ([], ["--calibration", str(mine)]):
-        localize(f"sim:thesis_room?model_file={mine}", *words, *calibration, "--time-limit", "40")
+        localize(f"sim:thesis_room?model_file={mine}&step_s=0.1", *words, *calibration, "--time-limit", "40")
         ends.append(json.loads(capsys.readouterr().out)["rmse_position_in"])
     assert ends[1] < 0.15 < 3.0 * ends[1] < ends[0]
 

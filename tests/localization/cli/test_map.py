@@ -132,3 +132,52 @@ def test_wrong_usage_exits_2(words: list[str]) -> None:
     with pytest.raises(SystemExit) as stop:
         main.main(words)
     assert stop.value.code == 2
+
+
+LEARNED = """
+[[wall]]
+points_in = [[0, 0], [100, 0]]
+offset_std_in = 0.05
+[[wall]]
+points_in = [[100, 0], [100, 80], [0, 80]]
+offset_std_in = 0.1
+angle_std_deg = 0.1
+[[wall]]
+points_in = [[0, 80], [0, 0]]
+offset_std_in = 0.1
+[[start]]
+x_in = 30
+y_in = 30
+"""
+
+
+def test_edit_adjusts_a_map_to_taped_lengths(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before, after = tmp_path / "room.toml", tmp_path / "better.toml"
+    before.write_text(LEARNED)
+    words = ["map", "edit", str(before), "--out", str(after), "--length", " 0.5,-1", "100,0", "100.4"]
+    assert main.main([*words, "--length", "0,0", "0,80", "80"]) == 0
+    assert "80 in: 80.00 in the map now" in capsys.readouterr().out
+    world = load_world(after)
+    assert world.inner_walls[0, 2] - world.inner_walls[0, 0] == pytest.approx(100.285, abs=0.005)
+    assert world.accuracies[1].offset_std_in < 0.1
+    assert main.main([*words, "--json", "--tape-std", "0.01"]) == 0
+    assert json.loads(capsys.readouterr().out)["moved_in"] == pytest.approx(0.238, abs=0.002)
+
+
+@pytest.mark.parametrize(
+    ("length", "code", "words"),
+    [(("0,0", "100,0", "200"), 1, "contradicts"), (("0,0", "100,0", "-1"), 2, "--length 0,0"),
+     (("0", "100,0", "100"), 2, "--length 0 "), (("50,50", "100,0", "70"), 1, "no wall ends")],
+)  # fmt: skip
+def test_edit_refuses_wrong_lengths(
+    length: tuple[str, ...], code: int, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = tmp_path / "room.toml"
+    before.write_text(LEARNED)
+    ended = 0
+    try:
+        ended = main.main(["map", "edit", str(before), "--out", str(tmp_path / "x.toml"), "--length", *length])
+    except SystemExit as error:
+        ended = int(error.code or 0)
+    assert ended == code
+    assert words in capsys.readouterr().err

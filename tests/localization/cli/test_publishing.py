@@ -83,6 +83,15 @@ def test_only_waypoints_set_later_are_returned() -> None:
     assert output == [("/publish?token=secret", {"n": n} | ({"began": True} if n == 0 else {})) for n in range(4)]
 
 
+def test_run_without_waypoints_begins_with_those_of_the_page() -> None:
+    answer = (200, json.dumps({"waypoints": [[9, 9]], "set": 4}))
+    for own, received in (([], [(9.0, 9.0)]), ([[1.0, 2.0]], None)):
+        with a_page(answer) as (url, _):
+            publisher = Publisher(url)
+            assert publisher.publish({"waypoints": own}) == received
+            publisher.close()
+
+
 def test_refusal_of_first_message_raises_with_reason() -> None:
     with a_page((403, "the token is wrong")) as (url, _), pytest.raises(ConnectionLost, match="token is wrong"):
         Publisher(url).publish({})

@@ -10,6 +10,7 @@ import pytest
 
 from localization.live import plot
 from nclient.errors import NomadError, OutputFileError
+from worlds import drawing
 
 
 def test_an_ellipse_lies_its_sigmas_away() -> None:
@@ -20,10 +21,10 @@ def test_an_ellipse_lies_its_sigmas_away() -> None:
 
 
 def test_without_matplotlib_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    plot.require_matplotlib()
+    drawing.require_matplotlib()
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    with pytest.raises(plot.PlotExtraMissing, match=r"\[plot\]") as caught:
-        plot.require_matplotlib()
+    with pytest.raises(drawing.PlotExtraMissing, match=r"\[plot\]") as caught:
+        drawing.require_matplotlib()
     assert isinstance(caught.value, NomadError)
     assert isinstance(caught.value, ImportError)
 
@@ -32,7 +33,7 @@ def test_without_matplotlib_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) 
 def test_a_picture_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
     (tmp_path / "full.png").symlink_to("/dev/full")
     with pytest.raises(OutputFileError, match=r"full\.png: .*No space"):
-        plot.save(plot.blank(1.0, 1.0), tmp_path / "full.png")
+        plot.save(drawing.blank(1.0, 1.0), tmp_path / "full.png")
     (tmp_path / "file").touch()
     with pytest.raises(OutputFileError, match=r"run\.png: .*written"):
-        plot.save(plot.blank(1.0, 1.0), tmp_path / "file" / "run.png")
+        plot.save(drawing.blank(1.0, 1.0), tmp_path / "file" / "run.png")

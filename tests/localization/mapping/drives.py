@@ -35,10 +35,11 @@ def true_path(points: tuple[tuple[float, float], ...] = LAP) -> Floats:
     return np.array(rows)
 
 
-def echo(x: float, y: float, axis: float, corners: tuple[tuple[float, float], ...] = ROOM) -> float:
-    """Return the distance to the nearest wall or corner within the cone of a sonar in a convex room, 255 if none."""
+def echo(x: float, y: float, axis: float, *outlines: tuple[tuple[float, float], ...]) -> float:
+    """Return the distance to the nearest wall or corner within the cone of a sonar, 255 if none; convex outlines."""
     found = [255.0]
-    for (x1, y1), (x2, y2) in zip(corners, corners[1:] + corners[:1], strict=True):
+    sides = [side for corners in outlines or (ROOM,) for side in zip(corners, corners[1:] + corners[:1], strict=True)]
+    for (x1, y1), (x2, y2) in sides:
         length = hypot(x2 - x1, y2 - y1)
         along_x, along_y = (x2 - x1) / length, (y2 - y1) / length
         foot = (x - x1) * along_x + (y - y1) * along_y
@@ -52,7 +53,8 @@ def echo(x: float, y: float, axis: float, corners: tuple[tuple[float, float], ..
     return min(found)
 
 
-def drive(seed: int = 0, *, quiet: bool = False, scale: float = 1.0, offsets_in: Floats | None = None) -> DriveLog:
+def drive(seed: int = 0, *, quiet: bool = False, scale: float = 1.0, offsets_in: Floats | None = None,
+          outlines: tuple[tuple[tuple[float, float], ...], ...] = (ROOM,)) -> DriveLog:  # fmt: skip
     """Return a lap with the random errors of `--odometry-noise 0.05,0.05,0.002`, or without any."""
     rng = np.random.default_rng(seed)
     path = true_path()
@@ -78,7 +80,7 @@ def drive(seed: int = 0, *, quiet: bool = False, scale: float = 1.0, offsets_in:
     for (x, y, heading), sonar in zip(poses.tolist(), sonars.tolist(), strict=True):
         axis = heading + N150.sonar_angles_rad[sonar]
         ring = N150.sonar_ring_radius_in
-        found = echo(x + ring * cos(axis), y + ring * sin(axis), axis)
+        found = echo(x + ring * cos(axis), y + ring * sin(axis), axis, *outlines)
         if found < 255.0:
             found += 0.0 if offsets_in is None else offsets_in[sonar]
             found += 0.0 if quiet else rng.normal(0.0, 0.01 * found)

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from localization.filters.belief import Floats
-from localization.mapping.explore import CELL_IN, Explorer, Grid, pushed
+from localization.mapping.explore import CELL_IN, Explorer, Grid, _corner_places, pushed
 from localization.mapping.live import LiveMapper
 from localization.mapping.measurements import read_drive
+from localization.mapping.walls import Piece
 from localization.navigation.path import wall_distances
 from localization.navigation.roadmap import segment_clearances
 from nclient.cli import main
@@ -67,6 +68,22 @@ def test_what_blocks_a_first_leg_lies_ahead_of_the_body() -> None:
     explorer.leg(1.0, pose, cast("LiveMapper", NoMap()), lambda way: 30.0 if abs(way) < 0.1 else 5.0)
     explorer.end_leg(pose, "blocked")
     np.testing.assert_allclose(explorer.blocked, [(10.0 + BODY_IN + 3.0, 20.0)], atol=1e-9)
+
+
+def test_corners_are_measured_from_between_their_walls() -> None:
+    def piece(*ends: tuple[float, float], closed: bool = True) -> Piece:
+        return Piece(0, 0.0, 0.0, np.array(ends), [closed, closed], 0)
+
+    walls = [piece((0.0, 0.0), (100.0, 0.0)), piece((0.0, 80.0), (0.0, 0.0))]
+    (place,) = _corner_places([*walls, piece((100.0, 0.0), (100.0, 80.0), closed=False)], 15.0)
+    assert place.kind == "corner"
+    assert (place.x_in, place.y_in) == pytest.approx((15.0, 15.0))
+    # At another angle as far from both walls.
+    slanted = piece((0.0, 0.0), (60.0, 80.0))
+    (place,) = _corner_places([walls[0], slanted], 15.0)
+    distances = wall_distances(np.array([[place.x_in, place.y_in]]), walls[0].ends.reshape(1, 4))
+    assert distances[0] == pytest.approx(15.0)
+    assert wall_distances(np.array([[place.x_in, place.y_in]]), slanted.ends.reshape(1, 4))[0] == pytest.approx(15.0)
 
 
 def test_robot_explores_a_room_without_contact(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -12,14 +12,16 @@ import pytest
 from localization.filters.belief import Floats
 from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
+from localization.mapping.association import MapEstimate
 from localization.mapping.learn import learn_map
 from localization.mapping.measurements import DriveLog
 from localization.mapping.output import LearnedMap, describe
 from localization.mapping.walls import end_derivative
 from nclient.cli import main
-from tests.localization.mapping.drives import drive
+from tests.localization.mapping.drives import ROOM, drive
 from worlds.io import format_world, load_world
 from worlds.robots import load_calibration
+from worlds.validate import validate_world
 
 NOISE = OdometryNoise(0.05, 0.05, 0.002)
 
@@ -35,8 +37,13 @@ def distances(found: LearnedMap) -> tuple[float, float]:
 
 
 @pytest.fixture(scope="module")
-def room() -> LearnedMap:
-    return learn(drive(1))
+def estimate() -> MapEstimate:
+    return learn_map(drive(1), NOISE, ConeSonar())
+
+
+@pytest.fixture(scope="module")
+def room(estimate: MapEstimate) -> LearnedMap:
+    return describe(estimate)
 
 
 def test_room_has_its_four_walls_and_size(room: LearnedMap) -> None:
@@ -50,6 +57,14 @@ def test_corners_of_a_closed_room_are_closed(room: LearnedMap) -> None:
     assert room.open_ends == []
     corners = {tuple(np.round(end, 6)) for wall in room.walls for end in wall.ends}
     assert len(corners) == 4
+
+
+def test_corners_are_tied_to_both_walls(estimate: MapEstimate) -> None:
+    walls, points = estimate.state.walls, estimate.state.points
+    normals = np.stack((np.cos(walls[:, 0]), np.sin(walls[:, 0])), axis=-1)
+    on_line = np.abs(points @ normals.T - walls[:, 1]) < 1.0
+    assert on_line.sum() >= 6
+    assert sorted(estimate.assignment.ties.tolist()) == np.argwhere(on_line).tolist()
 
 
 def test_stated_accuracy_covers_the_error(room: LearnedMap) -> None:
@@ -124,6 +139,34 @@ def test_offsets_of_the_sonars_are_found(room: LearnedMap) -> None:
     assert np.std(room.calibration.offsets_in) < 0.35
 
 
+def test_faces_of_a_thick_wall_stay_apart() -> None:
+    wall = ((36.0, 47.5), (84.0, 47.5), (84.0, 52.5), (36.0, 52.5))
+    found = learn(drive(2, outlines=(ROOM, wall)))
+    # In the frame of the first pose, (25, 25).
+    faces = sorted(float(wall.ends[:, 1].mean()) for wall in found.walls if np.abs(wall.ends[:, 1] - 25.0).max() < 8.0)
+    np.testing.assert_allclose(faces, (22.5, 27.5), atol=0.8)
+    assert found.reason_to_refuse() == ""
+
+
+def test_post_is_a_closed_outline_of_the_file(room: LearnedMap) -> None:
+    beside_wall = room.walls[0].ends.mean(axis=0) + 1.0
+    found = replace(room, points=np.concatenate((room.points, [(30.0, 20.0), (33.0, 20.0), beside_wall])))
+    (post,) = found.world("room").obstacles
+    assert post.corners_in == ((29.5, 19.5), (30.5, 19.5), (30.5, 20.5), (29.5, 20.5))
+    assert validate_world(found.world("room"), 9.7) == []
+
+
+def test_map_that_the_path_crosses_is_refused(room: LearnedMap) -> None:
+    (x, y), (x2, y2) = room.path[len(room.path) // 8, :2], room.path[len(room.path) // 8 + 1, :2]
+    across = np.array((y - y2, x2 - x)) / np.hypot(x2 - x, y2 - y)
+    middle = np.array((0.5 * (x + x2), 0.5 * (y + y2)))
+    double = replace(room.walls[0], ends=np.array((middle - 9.0 * across, middle + 9.0 * across)))
+    assert "crosses" in replace(room, walls=(*room.walls, double)).reason_to_refuse()
+    # A path past its end does not.
+    beside = replace(double, ends=np.array((middle - 1.0 * across, middle + 9.0 * across)))
+    assert replace(room, walls=(*room.walls, beside)).reason_to_refuse() == ""
+
+
 def test_random_readings_make_no_map() -> None:
     log = drive(1)
     rng = np.random.default_rng(3)
@@ -169,9 +212,10 @@ def test_recorded_drive_becomes_a_map_that_localizes(
 
 
 def test_refused_map_is_not_written(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    # Readings of a cone taken for rays and odometry that is said to be perfect: nothing holds together.
+    # A robot that was carried back unnoticed, readings of a cone taken for rays, odometry declared perfect: nothing
+    # holds together.
     out = tmp_path / "room.toml"
     arguments = ["--sonars", "rays", "--odometry-noise", "0.0001,0.0001,0.00001"]
-    assert main.main(["map", "learn", "--from", str(recording), "--out", str(out), *arguments]) == 4
+    assert main.main(["map", "learn", "--from", str(recording), str(recording), "--out", str(out), *arguments]) == 4
     assert "no map written" in capsys.readouterr().err
     assert not out.exists()

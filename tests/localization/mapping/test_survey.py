@@ -176,13 +176,13 @@ def test_drive_ends_when_the_clock_goes_back() -> None:
     def restarted(number: int, state: RobotState) -> RobotState:
         return RobotState(state.model, state.raw, clock_ms=(state.clock_ms or 0) - (2000 if number > 20 else 0))
 
-    step, robot = surveyed("sim:thesis_room?setup=measured&seed=4", restarted)
+    step, robot = surveyed("sim:thesis_room?setup=measured&seed=4&step_s=0.1", restarted)
     assert "clock" in step.ended
     assert robot.states == 21
 
 
 def test_drive_ends_when_the_robot_does_not_move() -> None:
-    step, robot = surveyed("sim:thesis_room?setup=measured&seed=4", unchanged, has_motors=False)
+    step, robot = surveyed("sim:thesis_room?setup=measured&seed=4&step_s=0.1", unchanged, has_motors=False)
     assert "does not move" in step.ended
     assert step.elapsed_s < 10.0
     assert robot.speeds
@@ -195,7 +195,7 @@ def test_bumper_hit_is_a_contact() -> None:
             raise BumperHit("gs", (3,))
         return state
 
-    step, robot = surveyed("sim:thesis_room?setup=measured&seed=4", hit, limit_s=6.0)
+    step, robot = surveyed("sim:thesis_room?setup=measured&seed=4&step_s=0.1", hit, limit_s=6.0)
     assert not step.ended
     assert min(robot.speeds) < 0.0
 
@@ -206,7 +206,7 @@ def test_robot_that_begins_in_contact_backs_off_to_where_space_is() -> None:
         return RobotState(state.model, raw, clock_ms=state.clock_ms) if number < 40 else state
 
     # The wall is ahead.
-    _, robot = surveyed("sim:thesis_room?setup=measured&seed=4&start=92,60,0", touching, limit_s=4.0)
+    _, robot = surveyed("sim:thesis_room?setup=measured&seed=4&step_s=0.1&start=92,60,0", touching, limit_s=4.0)
     first = next(speed for speed in robot.speeds if speed)
     assert first < 0.0
 
@@ -221,7 +221,7 @@ def learn(*words: str) -> int:
 @pytest.fixture(scope="module")
 def driven(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("survey")
-    address = "sim:thesis_room?setup=measured&seed=4"
+    address = "sim:thesis_room?setup=measured&seed=4&step_s=0.1"
     assert learn(address, "--waypoints", *FOUR, "--out", str(folder / "room.toml")) in (0, 4)
     return folder
 
@@ -254,7 +254,7 @@ def test_resumed_robot_that_was_moved_is_refused(
     driven: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     # A simulation that starts anew has the robot at its start.
-    words = ("sim:thesis_room?setup=measured&seed=9", "--resume", str(driven / "room.log"))
+    words = ("sim:thesis_room?setup=measured&seed=9&step_s=0.1", "--resume", str(driven / "room.log"))
     assert learn(*words, "--out", str(tmp_path / "room.toml")) == 4
     assert "put the robot back" in capsys.readouterr().err
     assert not (tmp_path / "room.toml").exists()
@@ -331,7 +331,7 @@ def test_other_rings_than_a_nomads_are_refused(name: str, tmp_path: Path, capsys
 ])  # fmt: skip
 def test_drive_is_recorded_as_one_connection(address: str, expected: str) -> None:
     options = argparse.Namespace(address=address, record=None, out=Path("room.toml"))
-    assert recorded_address(options) == (expected, Path("room.log"))
+    assert recorded_address(options, Path("room.toml")) == (expected, Path("room.log"))
 
 
 def test_a_person_drives_over_a_socket(tmp_path: Path) -> None:

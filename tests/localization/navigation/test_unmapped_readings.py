@@ -27,7 +27,7 @@ ANGLES = N150.sonar_angles_rad
 @pytest.fixture
 def robot() -> Iterator[Robot]:
     """Before a box that the map does not have, all sonars fired."""
-    with connect("sim:thesis_room?start=10,16,0,0") as robot:
+    with connect("sim:thesis_room?start=10,16,0,0&step_s=0.1") as robot:
         robot.add_obstacle(corners_in=BOX)
         for _ in range(12):
             robot.refresh()

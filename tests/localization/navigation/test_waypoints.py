@@ -44,7 +44,7 @@ def drive(address: str, world: str, waypoints: list[tuple[float, float]]) -> lis
 
 
 def test_the_noisy_robot_reaches_its_goal_on_the_estimate() -> None:
-    progress = drive("sim:thesis_room?noisy=1&seed=1", "thesis_room", [(0, 0), (60, 40)])
+    progress = drive("sim:thesis_room?noisy=1&seed=1&step_s=0.1", "thesis_room", [(0, 0), (60, 40)])
     assert progress[-1].passed == 2
     assert np.hypot(*(progress[-1].estimate.pose[:2] - [60, 40])) <= 1.0
     assert {p.passed for p in progress} == {1, 2}
@@ -54,7 +54,7 @@ def test_the_noisy_robot_reaches_its_goal_on_the_estimate() -> None:
 def test_the_guided_paths_of_the_thesis(world: str, path: str) -> None:
     points = list(load_world(world).paths[path].points_in)
     x, y = points[0]
-    progress = drive(f"sim:{world}?noisy=1&seed=4&start={x},{y}", world, points)
+    progress = drive(f"sim:{world}?noisy=1&seed=4&start={x},{y}&step_s=0.1", world, points)
     assert progress[-1].passed == len(points)
 
 
@@ -148,7 +148,7 @@ def test_frequent_states_leave_commands_unchanged(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     navigator, driven = Navigator(ROUND), []
-    with connect("sim:thesis_room?noisy=1&seed=1") as robot:
+    with connect("sim:thesis_room?noisy=1&seed=1&step_s=0.1") as robot:
         drive_it = robot.drive
 
         # Record the commands that the robot gets.

@@ -33,7 +33,7 @@ def dump(capsys: pytest.CaptureFixture[str]) -> Dump:
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     """A recorded run."""
-    with connect(f"sim:thesis_room?record={tmp_path}/run.log") as robot:
+    with connect(f"sim:thesis_room?step_s=0.1&record={tmp_path}/run.log") as robot:
         robot.drive(translation_in_s=5)
         robot.read_sonars()
         robot.read_bumpers()

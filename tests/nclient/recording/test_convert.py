@@ -25,6 +25,7 @@ from nclient.protocol.types import M_PER_IN, MODELS
 from nclient.recording import convert
 from nclient.recording.drive import RING, Drive, Sample
 from nclient.recording.format import read_recording
+from worlds.robots import N150
 
 DATA = Path(__file__).parents[4] / "shared" / "data" / "sparse_gslam_flights"
 FORMATS = (".log", ".mcap", ".bag", "", ".csv", ".clf")
@@ -76,7 +77,7 @@ def drives() -> st.SearchStrategy[Drive]:
                 tuple(rng.choice((math.inf, rng.uniform(0.16, 6.4))) for _ in directions), rng.randrange(2**20),
             )
             for k in range(count)
-        ], directions if sonars != 16 else RING)  # fmt: skip
+        ], directions if sonars != 16 else RING, rng.choice((0.0, 0.25)))  # fmt: skip
 
     return st.builds(drive, st.integers(0, 2**32), st.integers(1, 5), st.sampled_from((1, 8, 16, 24)))
 
@@ -130,8 +131,25 @@ def test_mcap_holds_ros_messages(recorded: Path, tmp_path: Path) -> None:
     assert (odometry.header.frame_id, odometry.child_frame_id) == ("robot1/odom", "robot1/base_link")
     assert odometry.pose.pose.position.x == sample.x_m
     assert scan.header.frame_id == "robot1/turret"
-    assert np.array_equal(scan.ranges, np.array(sample.ranges_m, np.float32))
+    ring_m = N150.sonar_ring_radius_in * M_PER_IN
+    assert scan.ranges.tolist() == pytest.approx([one + ring_m for one in sample.ranges_m])
+    assert (scan.range_min, scan.range_max) == pytest.approx((6 * M_PER_IN + ring_m, 255 * M_PER_IN + ring_m))
+    (frames,) = found["/tf_static"]
+    assert frames.transforms[4].transform.translation.y == pytest.approx(ring_m)
     assert scan.angle_increment == pytest.approx(math.tau / 16)
+
+
+@pytest.mark.parametrize("suffix", HOLD_RECORDINGS)
+def test_readings_at_the_limits_survive(tmp_path: Path, suffix: str) -> None:
+    """REP-117: -inf nearer than a sonar measures, +inf without an echo."""
+    ranges = (6 * M_PER_IN, 7 * M_PER_IN, math.inf) + (math.inf,) * 13
+    drive = Drive([Sample(1.0, ranges_m=ranges)], ring_m=0.25)
+    (scan,) = [one.content for one in convert._ros()._messages(drive) if one.topic == "/robot1/sonar"]
+    assert scan["ranges"][:3] == [-math.inf, pytest.approx(7 * M_PER_IN + 0.25), math.inf]
+    convert.write_drive(drive, tmp_path / f"run{suffix}")
+    found = convert.read_drive(tmp_path / f"run{suffix}")
+    assert found.samples[0].ranges_m == pytest.approx(ranges, abs=1e-6)
+    assert found.ring_m == pytest.approx(0.25)
 
 
 @pytest.mark.parametrize("suffix", [".bag", ""])

@@ -24,7 +24,7 @@ def drive(address: str) -> tuple[int, ...]:
 
 
 def test_recording_is_transparent_and_reproducible(tmp_path: Path) -> None:
-    address, files = "sim:thesis_room?noisy=1&seed=3", []
+    address, files = "sim:thesis_room?noisy=1&seed=3&step_s=0.1", []
     for _ in range(2):
         assert drive(f"{address}&record={tmp_path}/run.log") == drive(address)
         files.append((tmp_path / "run.log").read_bytes())

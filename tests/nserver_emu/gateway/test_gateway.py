@@ -388,7 +388,7 @@ def test_position_stamps_are_requested_once_for_all_clients() -> None:
 
 
 def test_stamps_of_another_nserver_are_passed_on() -> None:
-    harness = GatewayHarness(lambda: open_backend("sim:thesis_room"))
+    harness = GatewayHarness(lambda: open_backend("sim:thesis_room?step_s=0.1"))
     client = harness.client()
     client.ask("ct", *EVERYTHING.with_position(2).smask)
     client.ask("dp", 500, 600)

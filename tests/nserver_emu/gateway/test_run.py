@@ -62,7 +62,7 @@ async def test_a_driving_client_does_not_block_others() -> None:
             with pytest.raises(RobotRefused, match="error 4"):
                 watcher.truth()
 
-    with connected(parsed("--real", "sim:thesis_room")) as proxies:
+    with connected(parsed("--real", "sim:thesis_room?step_s=0.1")) as proxies:
         assert model_of(proxies) == "n150"
         await serve(proxies[1], lambda address: asyncio.to_thread(drive, address), every_s=0.01)
 

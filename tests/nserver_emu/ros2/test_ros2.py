@@ -94,10 +94,13 @@ async def test_topics_have_units_and_frames() -> None:
         odometry = await here.next("/robot1/odom", ODOMETRY)
         assert (odometry.header.frame_id, odometry.child_frame_id) == ("robot1/odom", "robot1/base_link")
         scan = await here.next("/robot1/sonar", SCAN, BEST_EFFORT)
-        ranges = [round(one) * 0.0254 if one < 255 else math.inf for one in here.robot.sonar.readings_in]
-        assert scan.ranges.tolist() == pytest.approx(ranges)
+        ring_m = here.robot.model.body.sonar_ring_radius_in * 0.0254
+        # Readings of 6 in and of 255 in are limits.
+        limits = {6: -math.inf, 255: math.inf}
+        readings = [round(one) for one in here.robot.sonar.readings_in]
+        assert scan.ranges.tolist() == pytest.approx([limits.get(one, one * 0.0254 + ring_m) for one in readings])
         one = await here.next("/robot1/sonar/3", RANGE, BEST_EFFORT)
-        assert (one.header.frame_id, one.range) == ("robot1/sonar_3", scan.ranges[3])
+        assert (one.header.frame_id, one.range) == ("robot1/sonar_3", pytest.approx(scan.ranges[3] - ring_m))
         volts = await here.next("/robot1/battery", "sensor_msgs/msg/BatteryState")
         assert 10 < volts.voltage < 13
         assert math.isnan(volts.current)

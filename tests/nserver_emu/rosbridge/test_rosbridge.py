@@ -5,19 +5,24 @@ from __future__ import annotations
 import asyncio
 import json
 import math
+import shutil
 import sys
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from itertools import pairwise
+from pathlib import Path
 from typing import Any, cast
 
 import aiohttp
 import numpy as np
 import pytest
+from aiohttp import web
+from playwright.async_api import async_playwright
 
 from nclient.errors import ConnectionLost
+from nserver_emu.options import nserver_parser, read_options
 from nserver_emu.rosbridge import topics
-from nserver_emu.rosbridge.client import MAX_SUBSCRIPTIONS, RosbridgeClient, Services
+from nserver_emu.rosbridge.client import MAX_SUBSCRIPTIONS, RosbridgeClient, Services, encode_published
 from nserver_emu.rosbridge.readings import MAP_CELL_IN, MAX_MAP_CELLS, map_cell_in
 from nserver_emu.rosbridge.server import MAX_MESSAGE, RosbridgeServer, serve_rosbridge
 from nserver_emu.rosbridge.topics import Reading
@@ -25,6 +30,7 @@ from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.viewer.controller import ViewerClients
 from nserver_emu.viewer.messages import DRIVE_TIMEOUT_S
+from tests.integration.viewer.browsing import CHROMIUM, FLAGS
 from tests.nserver_emu.server.wire_client import simulation
 from worlds.io import load_world
 from worlds.world import World
@@ -86,10 +92,10 @@ class Served:
 
 
 @asynccontextmanager
-async def serve(*, has_map: bool = True) -> AsyncIterator[Served]:
+async def serve(*, has_map: bool = True, origins: frozenset[str] = frozenset()) -> AsyncIterator[Served]:
     daemon = Daemon(Emulator(simulation()))
     await daemon.listen(HOST, 0)
-    server, stop = RosbridgeServer(daemon, has_map=has_map), asyncio.Event()
+    server, stop = RosbridgeServer(daemon, has_map=has_map, origins=origins), asyncio.Event()
     port = await server.open(HOST, 0)
     running = asyncio.create_task(daemon.serve(stop))
     try:
@@ -109,10 +115,14 @@ async def test_topics_have_units_and_frames() -> None:
         assert abs(odometry["header"]["stamp"]["nsecs"]) < 1e9
         scan = await client.topic("/robot1/sonar", "sensor_msgs/msg/LaserScan")
         readings = here.robot.sonar.readings_in
-        assert scan["ranges"] == [pytest.approx(round(one) * 0.0254) if one < 255 else None for one in readings]
+        ring_m = here.robot.model.body.sonar_ring_radius_in * 0.0254
+        # From the axis, which is the frame of the message.
+        expected = [round(one) * 0.0254 + ring_m if one < 255 else None for one in readings]
+        assert scan["ranges"] == [one and pytest.approx(one) for one in expected]
+        assert scan["range_max"] == pytest.approx(255 * 0.0254 + ring_m)
         assert scan["angle_increment"] == pytest.approx(math.tau / 16)
         one = await client.topic("/robot1/sonar/3", "sensor_msgs/Range")
-        assert one["range"] == scan["ranges"][3]
+        assert one["range"] == pytest.approx(scan["ranges"][3] - ring_m)
         assert one["header"]["frame_id"] == "robot1/sonar_3"
         assert (await client.topic("/robot1/bumpers", "std_msgs/UInt32"))["data"] == 0
         assert 10 < (await client.topic("/robot1/battery", "sensor_msgs/BatteryState"))["voltage"] < 13
@@ -123,7 +133,7 @@ async def test_topics_have_units_and_frames() -> None:
         fixed = (await client.topic("/tf_static", "tf2_msgs/TFMessage"))["transforms"]
         assert [one["child_frame_id"] for one in fixed] == [f"robot1/sonar_{k}" for k in range(16)]
         fourth = fixed[4]["transform"]
-        assert fourth["translation"]["y"] == pytest.approx(here.robot.model.body.sonar_ring_radius_in * 0.0254)
+        assert fourth["translation"]["y"] == pytest.approx(ring_m)
         assert fourth["rotation"]["z"] == pytest.approx(math.sin(math.pi / 4))
         grid = await client.topic("/map", "nav_msgs/OccupancyGrid")
         assert len(grid["data"]) == grid["info"]["width"] * grid["info"]["height"]
@@ -337,6 +347,32 @@ async def test_tokens_and_origins() -> None:
             await RosbridgeServer(here.daemon).open(HOST, here.port)
 
 
+async def test_pages_of_named_origins_connect() -> None:
+    async with serve(origins=frozenset({"http://localhost:3000"})) as here:
+        async with here.client(None, Origin="http://localhost:3000") as client:
+            await client.topic("/robot1/odom", "nav_msgs/Odometry")
+        for token, origin in (("wrong", "http://localhost:3000"), (None, "http://localhost:3001")):
+            with pytest.raises(aiohttp.WSServerHandshakeError, match="403"):
+                async with here.client(token, Origin=origin):
+                    pass
+
+
+@pytest.mark.parametrize(("words", "text"), [
+    (["--rosbridge", "0", "--rosbridge-origin", "localhost:3000"], "scheme and host"),
+    (["--rosbridge", "0", "--rosbridge-origin", "http://localhost:3000/page"], "scheme and host"),
+    (["--rosbridge-origin", "http://localhost:3000"], "give --rosbridge too"),
+])  # fmt: skip
+def test_wrong_origins_are_usage_errors(words: list[str], text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        read_options(nserver_parser(), words)
+    assert text in capsys.readouterr().err
+
+
+def test_origins_are_as_browsers_send_them() -> None:
+    options = read_options(nserver_parser(), ["--rosbridge", "0", "--rosbridge-origin", "HTTP://Localhost:3000/"])
+    assert options.rosbridge_origin == ["http://localhost:3000"]
+
+
 async def test_limit_of_clients() -> None:
     async with serve() as here:
         limits = here.daemon.admission.limits
@@ -380,6 +416,20 @@ async def test_published_estimates_are_poses_in_the_map() -> None:
                 assert answer.status == status
         async with here.web.post(address.replace(here.server.tokens.act, here.server.tokens.watch), json={}) as answer:
             assert answer.status == 403
+
+
+def test_readings_at_the_limits() -> None:
+    """REP-117: -inf nearer than a sonar measures, +inf without an echo; JSON has the least range, and null."""
+    state = [255] * 45
+    state[17:20] = 6, 7, 255
+    found = dict(topics.messages_of(Reading(1, state, False, 0, ring_m=0.25)))
+    scan = found["/robot1/sonar"]
+    assert scan["ranges"][:3] == [-math.inf, pytest.approx(7 * 0.0254 + 0.25), math.inf]
+    assert scan["range_min"] == pytest.approx(6 * 0.0254 + 0.25)
+    assert [found[f"/robot1/sonar/{k}"]["range"] for k in (0, 2)] == [-math.inf, math.inf]
+    sent = json.loads(encode_published("/robot1/sonar", scan))["msg"]
+    assert sent["ranges"][:3] == [scan["range_min"], scan["ranges"][1], None]
+    assert json.loads(encode_published("/a", found["/robot1/sonar/0"]))["msg"]["range"] == pytest.approx(6 * 0.0254)
 
 
 def test_wheels_of_a_scout() -> None:
@@ -426,3 +476,43 @@ async def test_roslibpy_drives_the_robot() -> None:
         shown, _ = await asyncio.wait_for(process.communicate(), 60)
         assert shown.decode().split() == ["moved", "True", "tf2_msgs/TFMessage", "True"]
         await here.until(lambda: not any(here.robot.moving))
+
+
+ROSLIB = Path(__file__).parents[3] / "node_modules" / "roslib" / "build" / "roslib.js"
+ROSLIBJS = """address => new Promise((resolve, reject) => {
+  const ros = new ROSLIB.Ros({url: address});
+  ros.on("error", () => reject("no connection"));
+  const odometry = new ROSLIB.Topic({ros, name: "/robot1/odom", messageType: "nav_msgs/Odometry"});
+  const velocity = new ROSLIB.Topic({ros, name: "/robot1/cmd_vel", messageType: "geometry_msgs/Twist"});
+  odometry.subscribe(message => {
+    velocity.publish(new ROSLIB.Message({linear: {x: 0.2, y: 0, z: 0}, angular: {x: 0, y: 0, z: 0}}));
+    if (message.pose.pose.position.x > 0.02) ros.getTopics(found => resolve(found.topics), reject);
+  });
+})"""
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not ROSLIB.exists(), reason="roslib is not installed (npm install roslib@1.4.1)")
+async def test_roslibjs_in_chromium_drives_the_robot(tmp_path: Path) -> None:
+    """A page of another server, which is closed while it drives."""
+    app = web.Application()
+    (tmp_path / "index.html").write_text("<script src=roslib.js></script>")
+    shutil.copy(ROSLIB, tmp_path)
+    app.router.add_static("/", tmp_path)
+    runner = web.AppRunner(app)
+    await runner.setup()
+    site = web.TCPSite(runner, HOST, 0)
+    await site.start()
+    place = f"http://{HOST}:{runner.addresses[0][1]}"
+    try:
+        async with serve(origins=frozenset({place})) as here, async_playwright() as playwright:
+            browser = await playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+            page = await browser.new_page()
+            await page.goto(f"{place}/index.html")
+            found = await page.evaluate(ROSLIBJS, here.url().replace("http", "ws"))
+            assert "/robot1/sonar" in found
+            assert any(here.robot.moving)
+            await browser.close()
+            await here.until(lambda: not any(here.robot.moving))
+    finally:
+        await runner.cleanup()

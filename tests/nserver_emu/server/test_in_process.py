@@ -114,7 +114,7 @@ def test_a_world_file_of_ones_own(tmp_path: Path) -> None:
 
 
 def test_the_client_controls_the_time() -> None:
-    client, _ = connected("sim:")
+    client, _ = connected("sim:?step_s=0.1")
     client.ask("vm", 10, 0, 0)
     assert client.ask("sim_control", 1, 0).values == (1, 100, 0, 1)
     assert client.ask("gs").clock == 100

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from math import pi
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,6 @@ import pytest
 
 from nclient.errors import ExtraMissing, StartError
 from nserver_emu import simulation as package
-from nserver_emu.simulation import batch as module
 from nserver_emu.simulation.batch import MAX_TIME_S, BatchSimulation
 from nserver_emu.simulation.models import N150, N200, SCOUT, RobotModel, parse_models
 from nserver_emu.simulation.noise import IDEAL, MEASURED, NOISY, WORN, RobotSetup, parse_setup
@@ -27,17 +26,6 @@ batch_kernel = pytest.importorskip("nserver_emu.simulation.batch_kernel", exc_ty
 ROOM = load_world("thesis_room")
 DT_S = 0.13
 PAGE = Path(__file__).parents[3] / "docs" / "batch.md"
-
-
-@pytest.fixture
-def plain(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Run the loops in Python: numba's compilation takes some ten seconds."""
-    monkeypatch.setattr(batch_kernel, "load_loops", lambda: batch_kernel.make_loops(0))
-    # One thread: numpy's error state does not pass to others.
-    monkeypatch.setattr(module, "_cores", lambda: 1)
-    # 64-bit words of random streams overflow on purpose.
-    with np.errstate(over="ignore"):
-        yield
 
 
 def singles(count: int, model: RobotModel, setup: RobotSetup, seed: int = 7) -> list[Simulation]:
@@ -86,7 +74,7 @@ def drive(
     return found
 
 
-@pytest.mark.usefixtures("plain")
+@pytest.mark.usefixtures("plain_batch")
 @pytest.mark.parametrize("model", [N150, SCOUT], ids=lambda model: model.name)
 @pytest.mark.parametrize("setup", [IDEAL, NOISY, WORN], ids=lambda setup: setup.name)
 def test_batch_equals_single_robots(model: RobotModel, setup: RobotSetup) -> None:
@@ -116,7 +104,7 @@ def test_compiled_batch_equals_single_robots(model: RobotModel, setup: RobotSetu
     assert max(*differences(batch, simulations), np.max(found)) <= (0.0 if setup is IDEAL else 1e-9)
 
 
-@pytest.mark.usefixtures("plain")
+@pytest.mark.usefixtures("plain_batch")
 def test_drives_of_the_test_touch_walls_and_slip() -> None:
     batch = BatchSimulation(ROOM, 1, setup=WORN, seed=7, threads=1)
     batch.set_velocities(20.0, 0.0, 0.0)
@@ -127,7 +115,7 @@ def test_drives_of_the_test_touch_walls_and_slip() -> None:
     assert np.abs(batch.encoder - batch.actual)[0, :2].max() > 0.01
 
 
-@pytest.mark.usefixtures("plain")
+@pytest.mark.usefixtures("plain_batch")
 def test_unusual_rings_and_dead_sonars_equal_a_single_robot() -> None:
     text = """
 [[model]]
@@ -148,7 +136,7 @@ resolution_in = 0.25
     assert batch.ranges_in[0, 1] == 0.0
 
 
-@pytest.mark.usefixtures("plain")
+@pytest.mark.usefixtures("plain_batch")
 def test_sonar_orders_equal_those_of_a_single_robot() -> None:
     batch, simulations = BatchSimulation(ROOM, 1, seed=7), singles(1, N150, IDEAL)
     for rate, order in ((1, [3, 5, 99, 0]), (400, [2]), (5, [])):
@@ -157,7 +145,7 @@ def test_sonar_orders_equal_those_of_a_single_robot() -> None:
         assert np.max(drive(batch, simulations, 6, np.random.default_rng(1))) == 0.0
 
 
-@pytest.mark.usefixtures("plain")
+@pytest.mark.usefixtures("plain_batch")
 def test_timeouts_equal_those_of_a_single_robot() -> None:
     batch, simulations = BatchSimulation(ROOM, 1, setup=NOISY, seed=7), singles(1, N150, NOISY)
     for seconds in (2.0, 0.5, 0.0, 0.3):
@@ -174,7 +162,7 @@ def test_timeouts_equal_those_of_a_single_robot() -> None:
         assert batch.timed_out[0] == (seconds > 0.0)
 
 
-@pytest.mark.usefixtures("plain")
+@pytest.mark.usefixtures("plain_batch")
 def test_each_robot_may_have_its_own_world() -> None:
     square = World("square", rooms=(Polygon(((-60.0, -60.0), (60.0, -60.0), (60.0, 60.0), (-60.0, 60.0))),))
     batch = BatchSimulation([square, ROOM, square])
@@ -184,7 +172,7 @@ def test_each_robot_may_have_its_own_world() -> None:
     assert batch.ranges_in[1].tolist() != batch.ranges_in[0].tolist()
 
 
-@pytest.mark.usefixtures("plain")
+@pytest.mark.usefixtures("plain_batch")
 def test_reset_begins_anew_with_some_robots() -> None:
     batch = BatchSimulation(ROOM, 2, setup=NOISY, seed=7)
     start, first = batch.actual, batch.ranges_in
@@ -204,7 +192,7 @@ def test_reset_begins_anew_with_some_robots() -> None:
     assert np.abs(batch.actual[0] - robots_of(simulations)[0].actual).max() <= 1e-9
 
 
-@pytest.mark.usefixtures("plain")
+@pytest.mark.usefixtures("plain_batch")
 def test_reset_without_seed_draws_other_noise() -> None:
     batch = BatchSimulation(ROOM, 1, setup=NOISY, seed=7)
     runs = []
@@ -216,7 +204,7 @@ def test_reset_without_seed_draws_other_noise() -> None:
     assert runs[0] != runs[1]
 
 
-@pytest.mark.usefixtures("plain")
+@pytest.mark.usefixtures("plain_batch")
 def test_reset_takes_new_starts() -> None:
     batch = BatchSimulation(ROOM, 2, model=SCOUT)
     x, y = ROOM.starts[0].x_in, ROOM.starts[0].y_in
@@ -227,14 +215,14 @@ def test_reset_takes_new_starts() -> None:
         batch.reset(starts=np.array([[x, y, 0.0, 0.0], [1e4, 0.0, 0.0, 0.0]]))
 
 
-@pytest.mark.usefixtures("plain")
+@pytest.mark.usefixtures("plain_batch")
 @pytest.mark.parametrize("threads", [1, 3])
 def test_threads_change_no_bit(threads: int) -> None:
     batch, simulations = BatchSimulation(ROOM, 4, seed=7, threads=threads), singles(4, N150, IDEAL)
     assert np.max(drive(batch, simulations, 8, np.random.default_rng(4))) == 0.0
 
 
-@pytest.mark.usefixtures("plain")
+@pytest.mark.usefixtures("plain_batch")
 def test_stop_brakes() -> None:
     batch = BatchSimulation(ROOM, 1, threads=1)
     batch.set_velocities(5.0, 0.0, 0.0)
@@ -242,12 +230,12 @@ def test_stop_brakes() -> None:
     assert not batch.moving.any()
 
 
-@pytest.mark.usefixtures("plain")
+@pytest.mark.usefixtures("plain_batch")
 def test_memory_of_a_robot() -> None:
     assert BatchSimulation([ROOM] * 2).bytes_per_robot < 4096
 
 
-@pytest.mark.usefixtures("plain")
+@pytest.mark.usefixtures("plain_batch")
 @pytest.mark.parametrize(("arguments", "word"), [
     ({"model": N200}, "infrared"), ({"setup": MEASURED}, "Polaroid"), ({"robots": 0}, "1 or more"),
     ({"robots": None}, "1 or more"), ({"worlds": []}, "one world"), ({"worlds": [ROOM], "robots": 2}, "one world"),
@@ -257,7 +245,7 @@ def test_what_a_batch_cannot_simulate_is_refused(arguments: dict[str, Any], word
         BatchSimulation(**{"worlds": ROOM, "robots": 2, **arguments})
 
 
-@pytest.mark.usefixtures("plain")
+@pytest.mark.usefixtures("plain_batch")
 def test_bad_commands_and_steps_are_refused() -> None:
     batch = BatchSimulation(ROOM, 2, threads=1)
     with pytest.raises(ValueError, match="finite"):
@@ -278,7 +266,7 @@ def test_missing_numba_is_named_with_the_install_line(monkeypatch: pytest.Monkey
         BatchSimulation(ROOM, 1)
 
 
-@pytest.mark.usefixtures("plain")
+@pytest.mark.usefixtures("plain_batch")
 def test_example_of_the_page_runs() -> None:
     code = PAGE.read_text(encoding="utf-8").split("```python\n")[1].split("```")[0]
     exec(code.replace("10_000", "3").replace("600", "3"), {})

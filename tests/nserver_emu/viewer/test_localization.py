@@ -11,6 +11,7 @@ from localization.filters.health import HealthStatus
 from localization.filters.update import Refusal
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.viewer.auth import Access
 from nserver_emu.viewer.broadcaster import Broadcaster
 from nserver_emu.viewer.controller import STALE_S, ViewerController
 from nserver_emu.viewer.messages import MAX_PLACES, MAX_REASON, REFUSALS, TRUSTS, InvalidMessage, parse_estimate
@@ -83,7 +84,7 @@ def test_an_old_estimate_is_not_sent_to_new_pages() -> None:
     controller.publish(json.dumps(GOOD), 100.0)
 
     def ages(now: float) -> list[Any]:
-        message = [json.loads(text) for text in controller.connect_page(now, may_act=False).take_messages()]
+        message = [json.loads(text) for text in controller.connect_page(now, Access(may_act=False)).take_messages()]
         return [message["age_s"] for message in message if message["type"] == "localization"]
 
     assert ages(112.3) == [12.3]
@@ -103,6 +104,15 @@ def test_a_new_localizer_discards_old_waypoints() -> None:
     assert controller.publish(json.dumps(GOOD | {"began": True}), 2.0) == {"waypoints": [], "set": 2}
     controller.set_waypoints(1, [[1, 2]])
     assert controller.publish(json.dumps(GOOD), 3.0) == {"waypoints": [[1, 2]], "set": 3}
+
+
+def test_a_new_localizer_gets_waypoints_set_while_it_started() -> None:
+    controller = ViewerController(Daemon(Emulator(simulation())), Broadcaster(SceneHistory(Emulator(simulation()))))
+    without = GOOD | {"waypoints": [], "began": True}
+    controller.set_waypoints(1, [[7, 8]])
+    assert controller.publish(json.dumps(without), 1.0) == {"waypoints": [[7, 8]], "set": 1}
+    # The next localizer does not drive to what this one has received.
+    assert controller.publish(json.dumps(without), 2.0) == {"waypoints": [], "set": 2}
 
 
 async def test_a_posted_estimate_reaches_present_and_later_pages() -> None:

@@ -84,6 +84,19 @@ async def test_command_has_robot_map_and_models(tmp_path: Path) -> None:
     assert "secret" not in " ".join(arguments)
 
 
+async def test_only_own_filters_of_the_start_are_run(tmp_path: Path) -> None:
+    file = tmp_path / "arguments"
+    async with running(f'echo "$@" >{file}') as here:
+        here.localizers.own_methods = ("/home/me/filters.py:Mine",)
+        for wrong in ("/home/me/filters.py:Other", "/home/me/other.py:Mine", "ekff"):
+            with pytest.raises(InvalidMessage, match=r"filters\.py:Mine"):
+                here.localizers.start(1, wrong, is_lost=False)
+        assert not here.localizers.states
+        here.localizers.start(1, "/home/me/filters.py:Mine", is_lost=False)
+        await here.until("failed")
+    assert " --method /home/me/filters.py:Mine " in file.read_text()
+
+
 async def test_command_fits_the_noise(tmp_path: Path) -> None:
     arguments, _ = await command_of(tmp_path, "measured", is_lost=True, resumes=True)
     assert " --start unknown --sonars cones --save" in " ".join(arguments)

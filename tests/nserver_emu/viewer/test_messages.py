@@ -27,6 +27,8 @@ GOOD: list[dict[str, Any]] = [
     {"do": "stop", "id": 3},
     {"do": "stop", "id": 3, "robot": 2},
     {"do": "release", "id": 4},
+    {"do": "reset", "id": 4},
+    {"do": "reset", "id": 4, "robot": 2},
     {"do": "control", "id": 3, "command": "pause"},
     {"do": "control", "id": 3, "command": "speed", "argument": 2.5},
     {"do": "control", "id": 3, "command": "faults set", "argument": {"text": "", "file": "x"}},
@@ -37,6 +39,7 @@ GOOD: list[dict[str, Any]] = [
     {"do": "localize", "id": 5, "robot": 1, "method": "ekf", "is_lost": False, "resumes": True},
     {"do": "unlocalize", "id": 6, "robot": 1},
     {"do": "gallery", "id": 8},
+    {"do": "adjust", "id": 9, "lengths": [{"ends": [[0, 0], [9, 0]], "length": 9.5, "std": 0.2}]},
     {"do": "kidnap", "id": 7, "robot": 1, "pose": [1, 2, 3, 4]},
 ]
 BAD: list[tuple[Any, str]] = [

@@ -5,13 +5,14 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import re
+from pathlib import Path
 
 import pytest
 
 from nserver_emu import cli
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.viewer.options import DEFAULT_PORT, ListenAddress, ViewerMissing, add_options, running_viewer
+from nserver_emu.viewer.options import DEFAULT_PORT, ListenAddress, ViewerMissing, add_options, refuse, running_viewer
 from tests.nserver_emu.server.wire_client import simulation
 
 
@@ -45,10 +46,37 @@ def test_what_is_no_port_is_wrong_usage(text: str, capsys: pytest.CaptureFixture
 @pytest.mark.parametrize(("host", "name"), [("127.0.0.1", r"127\.0\.0\.1"), ("::1", r"\[::1\]")])
 async def test_one_line_says_where_and_the_token(host: str, name: str) -> None:
     daemon = Daemon(Emulator(simulation()))
-    options = argparse.Namespace(viewer=ListenAddress(host, 0), viewer_token_file=None, model_file=None)
+    options = argparse.Namespace(
+        viewer=ListenAddress(host, 0), viewer_token_file=None, model_file=None, students=[], method=[]
+    )
     async with running_viewer(daemon, options) as (line,):
         pass
     assert re.fullmatch(rf"listening viewer http://{name}:\d+/\?token=[\w-]{{32}}", line)
+
+
+def test_own_filter_is_named_by_its_whole_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("mine.py").touch()
+    read = options("--viewer", "0", "--method", "mine.py:Mine", "--method", "package.module:Mine")
+    assert read.method == [f"{tmp_path}/mine.py:Mine", "package.module:Mine"]
+
+
+@pytest.mark.parametrize(
+    ("words", "error"),
+    [
+        (("--viewer", "0", "--method", "ekf"), "FILE.py:CLASS"),
+        (("--viewer", "0", "--method", "nowhere.py:Mine"), "no such file"),
+        (("--method", "package:Mine"), "give --viewer"),
+    ],
+)
+def test_wrong_own_filter_is_refused(
+    words: tuple[str, ...], error: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    parser = argparse.ArgumentParser()
+    add_options(parser)
+    with pytest.raises(SystemExit):
+        refuse(parser, parser.parse_args(words))
+    assert error in capsys.readouterr().err
 
 
 async def test_without_the_option_there_is_no_page() -> None:

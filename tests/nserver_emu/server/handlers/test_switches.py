@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -247,3 +248,14 @@ def test_measured_walls_keep_their_accuracy() -> None:
     assert world.with_inner_wall(1).accuracies == {0: known, 1: known}
     assert world.with_inner_wall(2, (1, 1, 2, 2)).accuracies == {0: known}
     assert world.with_inner_wall(3, (1, 1, 2, 2)).accuracies == world.accuracies
+
+
+@pytest.mark.parametrize(("to", "is_measured"), [([[40, -20], [40, 9]], True), ([[40, -9], [41, 9]], False)])
+def test_wall_that_becomes_longer_keeps_its_accuracy(to: list[list[float]], is_measured: bool) -> None:
+    emulator = Emulator(simulation())
+    row = len(emulator.simulation.world.inner_walls)
+    change_wall(emulator, {"put": [[40, -9], [40, 9]]})
+    measured = WallAccuracy(0.1, 0.01, 15.0)
+    emulator.simulation.change_world(replace(emulator.simulation.world, accuracies={row: measured}))
+    change_wall(emulator, {"wall": [[40, -9], [40, 9]], "to": to})
+    assert (emulator.simulation.world.accuracies == {row: measured}) is is_measured

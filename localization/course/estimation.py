@@ -1,0 +1,346 @@
+"""Checks of notebooks 04 to 07: grids, Kalman filters, association."""
+
+from math import cos, pi, sin, sqrt
+from statistics import NormalDist
+
+import numpy as np
+import numpy.typing as npt
+
+from localization.course.tasks import TRIES, Answer, Rng, call, expect, numbers, require, task
+from worlds.raycast import cast_ray
+
+Floats = npt.NDArray[np.float64]
+
+MAX_RANGE_IN = 255.0
+NEVER = -1
+"""No reflector explains a reading."""
+
+
+def _belief(rng: Rng, cells: int = 12) -> Floats:
+    return rng.dirichlet(np.full(cells, 2.0))
+
+
+@task("04", points=2)
+def predict_grid(answer: Answer, rng: Rng) -> None:
+    """Check a belief after a motion of a few cells."""
+    for _ in range(TRIES):
+        belief, kernel = _belief(rng), _belief(rng, int(rng.integers(2, 5)))
+        cells, right, lost = len(belief), np.zeros(len(belief)), np.zeros(len(belief))
+        wrapped, backwards = np.zeros(cells), np.zeros(cells)
+        # All moves from all cells.
+        for cell in range(cells):
+            for steps, probability in enumerate(kernel):
+                right[min(cell + steps, cells - 1)] += belief[cell] * probability
+                wrapped[(cell + steps) % cells] += belief[cell] * probability
+                backwards[max(cell - steps, 0)] += belief[cell] * probability
+                if cell + steps < cells:
+                    lost[cell + steps] += belief[cell] * probability
+        mistakes = [
+            (wrapped, "What leaves the corridor at its end does not come back at its beginning."),
+            (lost, "What would leave the corridor stays in the last cell; here it is lost, and the sum is below 1."),
+            (
+                lost / lost.sum(),
+                "What would leave the corridor stays in the last cell: do not spread it by normalizing.",
+            ),
+            (backwards, "kernel[k] is the probability of k cells forwards."),
+        ]
+        expect(
+            answer,
+            (belief, kernel),
+            right,
+            1e-9,
+            mistakes=mistakes,
+            hint="Add belief[i] * kernel[k] to cell i + k for all i and k.",
+        )
+
+
+@task("04")
+def update_grid(answer: Answer, rng: Rng) -> None:
+    """Check a belief after a reading."""
+    for _ in range(TRIES):
+        belief, likelihood = _belief(rng), rng.uniform(0, 0.02, 12)
+        product = belief * likelihood
+        mistakes = [
+            (product, "Divide by the sum: probabilities sum to 1."),
+            (likelihood / likelihood.sum(), "Multiply by the belief before the reading."),
+            ((belief + likelihood) / (belief + likelihood).sum(), "Multiply; do not add."),
+        ]
+        expect(answer, (belief, likelihood), product / product.sum(), 1e-9, mistakes=mistakes)
+    belief = _belief(rng)
+    expect(answer, (belief, np.zeros(12)), belief, 1e-9, hint="If no cell explains a reading, return the belief.")
+
+
+@task("04")
+def reading_likelihood(answer: Answer, rng: Rng) -> None:
+    """Check the density of a reading: a Gaussian, and a uniform part."""
+    for _ in range(TRIES):
+        expected, std = rng.uniform(20, 100, 5), float(rng.uniform(0.5, 4))
+        reading, p_random = float(expected[0] + rng.uniform(-2, 2) * std), float(rng.uniform(0.05, 0.3))
+        density = np.array([NormalDist(mean, std).pdf(reading) for mean in expected])
+        bell = density * std * sqrt(2 * pi)
+        mistakes = [
+            (density, "A reading is random with the probability p_random: add p_random / 255."),
+            (density + p_random / MAX_RANGE_IN, "The Gaussian part has the weight 1 - p_random."),
+            ((1 - p_random) * density + p_random, "The uniform density over 255 in is 1 / 255."),
+            (
+                (1 - p_random) * bell + p_random / MAX_RANGE_IN,
+                "The Gaussian density has the factor 1 / (std sqrt(2 pi)).",
+            ),
+            ((1 - p_random) * density, "Add the uniform part, p_random / 255."),
+        ]
+        right = (1 - p_random) * density + p_random / MAX_RANGE_IN
+        expect(answer, (reading, expected, std, p_random), right, 1e-6, mistakes=mistakes)
+
+
+@task("05")
+def predict_line(answer: Answer, rng: Rng) -> None:
+    """Check the distance to a wall, and its variance, after driving towards it."""
+    for _ in range(TRIES):
+        x, P, u, Q = rng.uniform((50, 0.2, 1, 0.05), (100, 4, 5, 0.5)).tolist()
+        mistakes = [
+            ((x + u, P + Q), "Driving towards the wall makes the distance smaller."),
+            ((x - u, P), "Driving makes the estimate less certain: the variance grows by Q."),
+            ((x - u, P - Q), "Driving makes the estimate less certain, not more."),
+            ((x - u, (sqrt(P) + sqrt(Q)) ** 2), "Variances of independent errors add."),
+        ]
+        expect(answer, (x, P, u, Q), (x - u, P + Q), 1e-9, mistakes=mistakes, hint="Return x and P.")
+
+
+@task("05", points=2)
+def update_line(answer: Answer, rng: Rng) -> None:
+    """Check estimate and variance after a reading, against Bayes' rule on a fine grid."""
+    for _ in range(TRIES):
+        x, P, R = rng.uniform((50, 0.5, 0.5), (100, 9, 9)).tolist()
+        z = x + float(rng.normal(0, sqrt(P + R)))
+        places = x + np.linspace(-12, 12, 6001) * sqrt(P)
+        weights = np.exp(-0.5 * ((places - x) ** 2 / P + (places - z) ** 2 / R))
+        weights /= weights.sum()
+        mean = float(weights @ places)
+        variance = float(weights @ (places - mean) ** 2)
+        K, wrong = P / (P + R), R / (P + R)
+        mistakes = [
+            (
+                (x + wrong * (z - x), (1 - wrong) * P),
+                "The gain is P / (P + R): an uncertain estimate follows the reading.",
+            ),
+            ((mean, P), "A reading makes the variance smaller, too."),
+            ((x - K * (z - x), variance), "The innovation is the reading minus the expected one."),
+            ((mean, (1 + K) * P), "The variance becomes smaller: (1 - K) P."),
+            (((x + z) / 2, variance), "The mean of both is right only if P equals R."),
+        ]
+        expect(answer, (x, P, z, R), (mean, variance), 1e-3 * (1 + P), mistakes=mistakes, hint="Return x and P.")
+
+
+@task("05")
+def is_consistent(answer: Answer, rng: Rng) -> None:
+    """Check the test of a filter by its mean NIS."""
+    for factor, right, about in (
+        (1.0, True, "are as large as their variances say"),
+        (2.5, False, "are 2.5 times too large"),
+        (0.4, False, "are 2.5 times too small: the filter is too careful"),
+        (1.0, True, "are as large as their variances say"),
+    ):
+        n = int(rng.integers(80, 200))
+        variances = rng.uniform(0.5, 40, n)
+        innovations = rng.standard_normal(n)
+        # Exactly in the middle of the interval: no bound decides.
+        innovations *= factor * np.sqrt(variances) / sqrt(np.mean(innovations**2))
+        found = bool(call(answer, innovations, variances))
+        require(
+            found is right,
+            f"{n} innovations {about}; it returned {found}. The mean of innovation^2 / S is 1 on "
+            "average, and its variance is 2 / n.",
+        )
+
+
+@task("06", points=2)
+def motion_jacobians(answer: Answer, rng: Rng) -> None:
+    """Check F and G of the motion, against differences."""
+
+    def move(pose: Floats, step: Floats) -> Floats:
+        angle = pose[2] + step[1] / 2
+        return np.array([pose[0] + step[0] * cos(angle), pose[1] + step[0] * sin(angle), pose[2] + step[1]])
+
+    for _ in range(TRIES):
+        heading, distance, turn = rng.uniform((0, 1, -0.3), (2 * pi, 5, 0.3)).tolist()
+        pose, step, small = np.array([0.0, 0.0, heading]), np.array([distance, turn]), 1e-5
+        F = np.stack([(move(pose + d, step) - move(pose - d, step)) / (2 * small) for d in small * np.eye(3)], axis=1)
+        G = np.stack([(move(pose, step + d) - move(pose, step - d)) / (2 * small) for d in small * np.eye(2)], axis=1)
+        result = call(answer, heading, distance, turn)
+        require(isinstance(result, (tuple, list)) and len(result) == 2, "Return two arrays: F (3 x 3) and G (3 x 2).")
+        expect(
+            lambda *_, F=result[0]: F,
+            (heading, distance, turn),
+            F,
+            0.03 * distance,
+            mistakes=[
+                (F.T, "F is transposed: a row for each coordinate of the new pose."),
+                (F - np.eye(3), "x, y and heading also depend on themselves: 1 on the diagonal."),
+                (2 * np.eye(3) - F, "The signs: the derivative of the cosine is minus the sine."),
+            ],
+            hint="F: derivatives of x', y', heading' by x, y, heading.",
+        )
+        no_half = G.copy()
+        no_half[:2, 1] *= 2
+        expect(
+            lambda *_, G=result[1]: G,
+            (heading, distance, turn),
+            G,
+            0.02 * distance,
+            mistakes=[
+                (no_half, "The heading while driving is that at half of the turn: the chain rule gives a factor 1/2."),
+            ],
+            hint="G: derivatives of x', y', heading' by distance and turn.",
+        )
+
+
+@task("06", points=2)
+def range_and_jacobian(answer: Answer, rng: Rng) -> None:
+    """Check the range to a wall n . p = rho and its derivatives by the pose."""
+    for _ in range(TRIES):
+        x, y, heading, bearing = rng.uniform((-20, -20, 0, 0), (20, 20, 2 * pi, 2 * pi)).tolist()
+        # The wall lies ahead of the beam, turned by up to 40 degrees.
+        alpha = heading + bearing + rng.uniform(-0.7, 0.7)
+        n = np.array([cos(alpha), sin(alpha)])
+        rho = float(n @ (x, y) + rng.uniform(15, 60))
+        along = np.array([-n[1], n[0]])
+        wall = np.array([[*(rho * n - 1e4 * along), *(rho * n + 1e4 * along)]])
+
+        def measure(pose: Floats, bearing: float = bearing, wall: Floats = wall) -> float:
+            return cast_ray(pose[0], pose[1], cos(pose[2] + bearing), sin(pose[2] + bearing), wall)[0]
+
+        pose, small = np.array([x, y, heading]), 1e-4
+        h = measure(pose)
+        H = np.array([(measure(pose + d) - measure(pose - d)) / (2 * small) for d in small * np.eye(3)])
+        result = call(answer, pose, bearing, n, rho)
+        require(isinstance(result, (tuple, list)) and len(result) == 2, "Return the range and the three derivatives.")
+        expect(
+            lambda *_, h=result[0]: h,
+            (pose, bearing, n, rho),
+            h,
+            1e-3,
+            mistakes=[
+                (rho - n @ (x, y), "That is the distance to the wall; divide by n . u for the range along the beam."),
+            ],
+            hint="range = (rho - n . p) / (n . u), with u the direction of the beam.",
+        )
+        expect(
+            lambda *_, H=result[1]: H,
+            (pose, bearing, n, rho),
+            H,
+            0.002 * (1 + abs(H[2])),
+            mistakes=[
+                (-H, "The signs: the range becomes shorter towards the wall."),
+                ((*H[:2], 0.0), "The range also depends on the heading, which turns the beam."),
+                ((*H[:2], -H[2]), "The derivative by the heading has the other sign."),
+                ((-n[0], -n[1], H[2]), "Divide by n . u: along a slanted beam the range changes faster."),
+            ],
+            hint="H: derivatives of the range by x, y and heading.",
+        )
+
+
+@task("06", points=2)
+def update_pose(answer: Answer, rng: Rng) -> None:
+    """Check the Kalman update by one range, against the information form."""
+    for _ in range(TRIES):
+        root = rng.normal(0, 1, (3, 3)) * (1.0, 1.0, 0.1)
+        P, x = root.T @ root + 1e-3 * np.eye(3), rng.uniform(-50, 50, 3)
+        H, innovation, R = rng.normal(0, 1, 3) * (1, 1, 20), float(rng.normal(0, 2)), float(rng.uniform(0.1, 2))
+        P_new = np.linalg.inv(np.linalg.inv(P) + np.outer(H, H) / R)
+        x_new, S = x + P_new @ H * innovation / R, H @ P @ H + R
+        result = call(answer, x, P, innovation, H, R)
+        require(isinstance(result, (tuple, list)) and len(result) == 2, "Return x (3 numbers) and P (3 x 3).")
+        K, arguments = P @ H / S, (x, P, innovation, H, R)
+        expect(
+            lambda *_, x=result[0]: x,
+            arguments,
+            x_new,
+            1e-6,
+            mistakes=[
+                (x - K * innovation, "Add K times the innovation."),
+                (x + P @ H / (H @ P @ H) * innovation, "S = H P H' + R: the noise of the reading is missing."),
+                (x + P @ H * innovation, "The gain is P H' / S."),
+            ],
+            hint="x = x + K innovation, with K = P H' / S and S = H P H' + R.",
+        )
+        expect(
+            lambda *_, P=result[1]: P,
+            arguments,
+            P_new,
+            1e-6 * (1 + np.abs(P)),
+            mistakes=[
+                (P, "A reading makes P smaller."),
+                (P + np.outer(K, H @ P), "P becomes smaller: P - K H P."),
+            ],
+            hint="P = P - K H P. K H is a matrix: np.outer.",
+        )
+
+
+@task("07")
+def mahalanobis2(answer: Answer, rng: Rng) -> None:
+    """Check the squared Mahalanobis distance, against whitened coordinates."""
+    for size in (1, 2, 2, 3, 3):
+        root = np.tril(rng.normal(0, 1, (size, size))) + 2 * np.eye(size)
+        S, innovation = root @ root.T, rng.normal(0, 3, size)
+        white = np.zeros(size)
+        for row in range(size):
+            white[row] = (innovation[row] - root[row, :row] @ white[:row]) / root[row, row]
+        right = float(white @ white)
+        mistakes = [
+            (sqrt(right), "Without the root: the square is what chi-square is about."),
+            (innovation @ S @ innovation, "Divide by S: the inverse stands in the middle."),
+            (innovation @ innovation, "That is the ordinary distance; S is missing."),
+            (np.sum(innovation**2 / np.diag(S)), "S has elements beside its diagonal."),
+        ]
+        expect(answer, (innovation, S), right, 1e-6 * (1 + right), mistakes=mistakes)
+
+
+@task("07", points=2)
+def nearest_reflector(answer: Answer, rng: Rng) -> None:
+    """Check which reflector explains a reading, -1 if none does."""
+    for k in range(6 * TRIES):
+        # Reflectors close together, readings near them, some standard deviations off, and far away.
+        expected, variances, gate = rng.uniform(50, 70, 4), np.exp(rng.uniform(-2, 3, 4)), 9.0
+        reading = float(
+            (rng.uniform(45, 75), 70 + rng.uniform(4, 10) * sqrt(variances.max()), rng.uniform(130, 250))[k % 3]
+        )
+        distances = (reading - expected) ** 2 / variances
+        # Cases that rounding or a strict gate would decide are left out.
+        if np.min(np.abs(distances - gate)) < 0.1 or np.diff(np.sort(distances))[0] < 0.1:
+            continue
+        right = int(distances.argmin()) if distances.min() < gate else NEVER
+        found = int(numbers(answer, reading, expected, variances, gate, shape=()))
+        hint = "Compare squared innovations divided by their variances with the gate."
+        if found == int(np.abs(reading - expected).argmin()):
+            hint = (
+                "The nearest in inches is not the nearest in standard deviations."
+                if right >= 0
+                else "Nothing is within the gate: return -1."
+            )
+        elif found == NEVER:
+            hint = "It is within the gate: the gate belongs to the squared distance."
+        require(
+            found == right,
+            f"reading {reading:.1f}, expected {np.round(expected, 1).tolist()}, variances "
+            f"{np.round(variances, 2).tolist()}, gate {gate:g}: it returned {found}, expected {right}. {hint}",
+        )
+
+
+@task("07", points=2)
+def association_probabilities(answer: Answer, rng: Rng) -> None:
+    """Check the probabilities of all explanations of a reading, the random one last."""
+    for _ in range(TRIES):
+        innovations, variances = rng.normal(0, 3, 3), rng.uniform(0.5, 16, 3)
+        p_random = float(rng.uniform(0.05, 0.4))
+        density = np.array([NormalDist(0, sqrt(v)).pdf(e) for e, v in zip(innovations, variances, strict=True)])
+        weights = np.array([*((1 - p_random) / 3 * density), p_random / MAX_RANGE_IN])
+        bell = np.array([*((1 - p_random) / 3 * np.exp(-0.5 * innovations**2 / variances)), p_random / MAX_RANGE_IN])
+        several = np.array([*((1 - p_random) * density), p_random / MAX_RANGE_IN])
+        flat = np.array([*((1 - p_random) / 3 * density), p_random])
+        mistakes = [
+            (weights, "Divide by the sum: one of the explanations is true."),
+            (bell / bell.sum(), "The density has the factor 1 / sqrt(2 pi S): wide ones are lower."),
+            (several / several.sum(), "Each of the m reflectors has the prior (1 - p_random) / m."),
+            (flat / flat.sum(), "The density of a random reading is 1 / 255."),
+        ]
+        expect(answer, (innovations, variances, p_random), weights / weights.sum(), 1e-6, mistakes=mistakes)

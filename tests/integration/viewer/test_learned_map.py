@@ -1,0 +1,66 @@
+"""A learned map at the page: opened, a taped length entered, undone; what contradicts the map is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from playwright.sync_api import Browser
+
+from tests.integration.viewer.browsing import OpenPage, nserver, open_page
+from tests.localization.cli.test_map import LEARNED
+
+WIDTH = "nserver.scene.world.walls[0][2] - nserver.scene.world.walls[0][0]"
+
+
+def measure(page: OpenPage, start: tuple[float, float], end: tuple[float, float], length: str) -> None:
+    """Drag from one end of a wall to another one, and enter the length between them."""
+    if page.page.get_attribute("#tool-length", "aria-pressed") == "false":
+        page.page.click("#tool-length")
+    page.page.mouse.move(*page.at(*start))
+    page.page.mouse.down()
+    page.page.mouse.move(*page.at(*end), steps=3)
+    page.page.mouse.up()
+    page.page.fill("#tape-length", length)
+    page.page.press("#tape-length", "Enter")
+
+
+def test_map_adjusts_to_a_taped_length(browser: Browser, tmp_path: Path) -> None:
+    room = tmp_path / "room.toml"
+    room.write_text(LEARNED)
+    with nserver(str(room)) as program, open_page(browser, program.url) as page:
+        measure(page, (1, 1), (99, 1), "100.4")
+        page.wait(f"Math.abs({WIDTH} - 100.28) < 0.03", 60.0)
+        page.wait("document.querySelector('#tapes').innerText.includes('0,0 to 100,0: 100.40 in')")
+        # The second length is entered beside the first, which stays true.
+        measure(page, (0, 80), (0, 0), "80.1")
+        page.wait("document.querySelector('#tapes').children.length === 2", 60.0)
+        assert abs(page.value(WIDTH) - 100.3) < 0.06
+        page.value("nserver.history.undo()")
+        page.wait("document.querySelector('#tapes').children.length === 1")
+        page.value("nserver.history.undo()")
+        page.wait(f"{WIDTH} === 100 && document.querySelector('#tapes').children.length === 0")
+        measure(page, (1, 1), (99, 1), "150")
+        page.wait("document.querySelector('#notice').innerText.includes('contradicts the map')", 60.0)
+        assert page.value(WIDTH) == 100
+
+
+def test_walls_are_joined_at_their_corner_or_to_one(browser: Browser, tmp_path: Path) -> None:
+    room = tmp_path / "room.toml"
+    walls = ([[0, 0], [60, 0]], [[80, 20], [80, 90]], [[10, 60], [30, 60]], [[40, 60], [60, 61]])
+    room.write_text("".join(f"[[wall]]\npoints_in = {ends}\noffset_std_in = 0.1\n" for ends in walls))
+    shown = "JSON.stringify(nserver.scene.world.walls)"
+    with nserver(str(room), "--start", "30,30,0,0") as program, open_page(browser, program.url) as page:
+        page.page.click("#tool-join")
+        for x, y in ((50, 0), (80, 50)):
+            page.page.mouse.click(*page.at(x, y))
+        page.wait(f"{shown} === '[[0,0,80,0],[80,0,80,90],[10,60,30,60],[40,60,60,61]]'")
+        for x_in, y_in in ((20, 60), (50, 60.5)):
+            page.page.mouse.click(*page.at(x_in, y_in))
+        page.wait(f"{shown} === '[[0,0,80,0],[80,0,80,90],[10,60,60,61]]'")
+        # Longer walls keep their accuracy; each join is two steps.
+        request = "nserver.link.request({ do: 'control', command: 'world show' })"
+        text = page.value(f"{request}.then((one) => one.result.text)")
+        assert text.count("offset_std_in = 0.1") == 2
+        for _ in range(4):
+            page.value("nserver.history.undo()")
+        page.wait("nserver.scene.world.walls.length === 4 && nserver.scene.world.walls[0][2] === 60")

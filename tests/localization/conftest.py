@@ -1,0 +1,5 @@
+"""Without the extra `gym` its tests are not collected."""
+
+from importlib.util import find_spec
+
+collect_ignore_glob = ["test_gym.py"] if find_spec("pettingzoo") is None else []

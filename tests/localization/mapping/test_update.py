@@ -1,0 +1,114 @@
+"""Differences between a map and a drive: one drive of the tests' own simulation, and maps that differ from its room."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from localization.filters.belief import Floats
+from localization.filters.odometry import OdometryNoise
+from localization.filters.sonar_cone import ConeSonar
+from localization.mapping.association import MapEstimate
+from localization.mapping.learn import learn_map
+from localization.mapping.output import MapRefused
+from localization.mapping.update import MapDifference, compare
+from nclient.cli import main
+from tests.localization.mapping.drives import LAP, ROOM, drive
+from worlds.io import format_world, load_world
+from worlds.validate import validate_world
+from worlds.world import StartPose, World
+
+WALLS: Floats = np.array([[*one, *other] for one, other in zip(ROOM, ROOM[1:] + ROOM[:1], strict=True)])
+START: Floats = np.array((*LAP[0], 0.0))
+
+
+def world_of(walls: Floats) -> World:
+    return World("room", inner_walls=walls, starts=(StartPose(*LAP[0]),))
+
+
+@pytest.fixture(scope="module")
+def estimate() -> MapEstimate:
+    return learn_map(drive(1), OdometryNoise(0.05, 0.05, 0.002), ConeSonar())
+
+
+def differences(walls: Floats, estimate: MapEstimate, start: Floats = START) -> MapDifference:
+    return compare(world_of(walls), estimate, start, np.zeros(3))
+
+
+def test_drive_confirms_the_map(estimate: MapEstimate) -> None:
+    found = differences(WALLS, estimate, START + (1.0, -1.0, 0.03))  # noqa: RUF005
+    assert found.is_empty
+    assert found.unchanged == (0, 1, 2, 3)
+    np.testing.assert_allclose(found.world.walls, WALLS, atol=1e-3)
+    # The lap ends near where it began.
+    np.testing.assert_allclose(found.pose[:2], LAP[-1], atol=3.0)
+
+
+def test_wall_has_moved_with_its_corners(estimate: MapEstimate) -> None:
+    # In the map the wall on the right is 8 in nearer than in the room.
+    before = np.where(WALLS == 120.0, 112.0, WALLS)
+    found = differences(before, estimate)
+    (change,) = found.changes
+    assert (change.kind, change.row, found.scale) == ("moved", 1, 1.0)
+    assert abs(change.by_in) == pytest.approx(8.0, abs=0.8)
+    np.testing.assert_allclose(found.world.walls, WALLS, atol=1.0)
+    assert validate_world(found.world, 9.7) == []
+
+
+def test_wall_that_paths_cross_is_missing(estimate: MapEstimate) -> None:
+    found = differences(np.concatenate((WALLS, [(60.0, 0.0, 60.0, 60.0)])), estimate)
+    (change,) = found.changes
+    assert (change.kind, change.row, change.after) == ("missing", 4, None)
+    np.testing.assert_allclose(found.world.walls, WALLS, atol=1e-3)
+
+
+def test_wall_beyond_the_map_is_new(estimate: MapEstimate) -> None:
+    found = differences(WALLS[:3], estimate)
+    (change,) = found.changes
+    assert (change.kind, change.row, change.before) == ("new", -1, None)
+    np.testing.assert_allclose(np.sort(found.world.walls[3]), np.sort(WALLS[3]), atol=1.0)
+    assert found.world.accuracies[3].offset_std_in > 0.0
+
+
+def test_hidden_wall_is_not_seen(estimate: MapEstimate) -> None:
+    found = differences(np.concatenate((WALLS, [(130.0, 0.0, 130.0, 60.0)])), estimate)
+    assert (found.changes, found.unseen) == ((), (4,))
+
+
+@pytest.mark.parametrize("factor", [0.97, 1.03])
+def test_scale_error_is_found_and_mended(estimate: MapEstimate, factor: float) -> None:
+    found = differences(factor * WALLS, estimate, factor * START)
+    assert found.changes == ()
+    assert found.scale == pytest.approx(1.0 / factor, abs=0.008)
+    np.testing.assert_allclose(found.world.walls, WALLS, atol=1.0)
+    assert "scale" in "".join(found.lines())
+
+
+def test_wrong_start_is_refused(estimate: MapEstimate) -> None:
+    with pytest.raises(MapRefused, match="start"):
+        differences(WALLS, estimate, START + (300.0, 0.0, 0.8))  # noqa: RUF005
+
+
+@pytest.mark.long
+def test_command_proposes_and_applies_changes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    # 1. A map of the room with a wall too much; the drive begins at the start of both.
+    room = load_world("thesis_room")
+    more = World("old", inner_walls=np.concatenate((room.walls, [(30.0, -8.0, 30.0, 20.0)])), starts=room.starts)
+    old, new, picture = tmp_path / "old.toml", tmp_path / "new.toml", tmp_path / "changes.png"
+    old.write_text(format_world(more))
+    start = room.starts[0]
+    drive_there = ["--waypoints", "60,0", "60,60", "0,60", "--time-limit", "50"]
+    address = f"sim:thesis_room?setup=measured&seed=5&start={start.x_in:g},{start.y_in:g}"
+    assert main.main(["map", "update", str(old), address, *drive_there, "--out", str(new), "--json"]) == 3
+    found = json.loads(capsys.readouterr().out)
+    assert [change["kind"] for change in found["changes"]] == ["missing"]
+    # 2. The recording of this drive with the map that it has made.
+    arguments = ["map", "update", str(new), "--from", str(tmp_path / "new.log"), "--picture", str(picture)]
+    again = [*arguments, "--start", f"{start.x_in:g},{start.y_in:g},0"]
+    assert main.main(again) == 0
+    assert "0 changes" in capsys.readouterr().out
+    assert picture.stat().st_size > 10_000
+    assert main.main([*arguments, "--start", "500,500,45"]) == 4
