@@ -101,7 +101,7 @@ def _check_workers(codes: Mapping[str, object], address: str, own: object) -> No
         raise ClusterError(f"the scheduler at {address} has no workers: start some with `dask worker {address}`")
     others = sorted(worker for worker, theirs in codes.items() if theirs != own)
     if others:
-        raise ClusterError(f"different code or numpy on {', '.join(others)}: install the same versions there")
+        raise ClusterError(f"different code, numpy or numba on {', '.join(others)}: install the same versions there")
 
 
 Tally = Callable[[int], None]
@@ -284,11 +284,16 @@ def drive_on_cluster(
     items = [(figure, seeds[first : first + _CLUSTER_BATCH], is_compiled) for first in firsts]
     parts = []
     tick = _counting(report)
-    for part in on_cluster(_drive_item, items, address, code_hash):
+    for part in on_cluster(_drive_item, items, address, _compiled_code if is_compiled else code_hash):
         parts.append(part)
         tick(sum(result.steps for result in part.results))
     # Batches arrive in any order; the summary is defined in the order of the seeds.
     return join_results(sorted(parts, key=lambda part: part.results[0].seed))
+
+
+def _compiled_code() -> tuple[str, bool]:
+    """Return what workers must have in common to take steps in machine code: the code, and numba."""
+    return code_hash(), find_spec("numba") is not None
 
 
 def _drive_item(item: tuple[Figure, Sequence[int], bool]) -> FigureResult:

@@ -126,8 +126,9 @@ def _messages(drive: Drive) -> Iterator[Message]:
     for line in drive.traffic:
         yield Message(first_ns, TRAFFIC, TEXT, {"data": line})
     if ring_m:
-        yield Message(first_ns, TF_STATIC, TRANSFORMS,
-                      {"transforms": ros_messages.sonar_frames(first_ns, _ROBOT, ring_m)})  # fmt: skip
+        mounts = [(ring_m * math.cos(angle), ring_m * math.sin(angle), angle) for angle in drive.directions_rad]
+        frames = ros_messages.sonar_frames(first_ns, _ROBOT, mounts)
+        yield Message(first_ns, TF_STATIC, TRANSFORMS, {"transforms": frames})
     for sample in drive.samples:
         yield from sample_messages(sample, drive.directions_rad, start_ns, ring_m)
 

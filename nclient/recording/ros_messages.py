@@ -6,10 +6,10 @@ the name that its frames begin with.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, Final
 
-from nclient.protocol.types import M_PER_IN, MAX_SONAR_IN, MIN_SONAR_IN, SONAR_SLOTS
+from nclient.protocol.types import M_PER_IN, MAX_SONAR_IN, MIN_SONAR_IN
 
 Message = dict[str, Any]
 Pose2 = tuple[float, float, float]
@@ -20,8 +20,9 @@ NUMBER, BATTERY, TEXT = "std_msgs/msg/UInt32", "sensor_msgs/msg/BatteryState", "
 ESTIMATE, TWIST = "geometry_msgs/msg/PoseWithCovarianceStamped", "geometry_msgs/msg/Twist"
 TRANSFORMS, GRID = "tf2_msgs/msg/TFMessage", "nav_msgs/msg/OccupancyGrid"
 TF, TF_STATIC, MAP, MAP_FRAME = "/tf", "/tf_static", "/map", "map"
-MIN_RANGE_M, MAX_RANGE_M = MIN_SONAR_IN * M_PER_IN, MAX_SONAR_IN * M_PER_IN
-_CONE_RAD: Final = math.radians(25.0)
+LIMITS_M: Final = (MIN_SONAR_IN * M_PER_IN, MAX_SONAR_IN * M_PER_IN)
+"""Least and largest range of a Nomad's sonar."""
+CONE_RAD: Final = math.radians(25.0)
 _ULTRASOUND: Final = 0
 _UNMEASURED: Final = ("temperature", "current", "charge", "capacity", "design_capacity", "percentage")
 """Numbers of a BatteryState that are NaN where they are not measured."""
@@ -37,14 +38,15 @@ def odometry(time_ns: int, robot: str, at: Pose2, speed_m_s: float, turn_rad_s: 
     }  # fmt: skip
 
 
-def range_m(reading_m: float) -> float:
-    """Return a reading of a Nomad's sonar by REP-117: the least means that the wall may be nearer."""
-    return reading_m if reading_m > MIN_RANGE_M else -math.inf
+def range_m(reading_m: float, min_m: float = LIMITS_M[0]) -> float:
+    """Return a reading by REP-117: the least that a sonar measures means that the wall may be nearer."""
+    return reading_m if reading_m > min_m else -math.inf
 
 
 def scan(
-    time_ns: int, robot: str, ranges_m: Sequence[float], directions_rad: Sequence[float], ring_m: float
-) -> Message:
+    time_ns: int, robot: str, ranges_m: Sequence[float], directions_rad: Sequence[float], ring_m: float,
+    limits_m: tuple[float, float] = LIMITS_M,
+) -> Message:  # fmt: skip
     """Return sonars as LaserScan, which has room for readings at equal angles only.
 
     Parameters
@@ -53,23 +55,26 @@ def scan(
     ranges_m : readings, which begin at the sonars.
     directions_rad : directions of the sonars.
     ring_m : distance of the sonars from the axis, where the ranges of the message begin, as its frame does.
+    limits_m : least and largest range.
     """
     first = directions_rad[0]
     step = math.remainder(directions_rad[1] - first, math.tau) if len(directions_rad) > 1 else 0.0
     # Other sensors reach farther: beyond the maximum of a scan a reading is no echo.
     measured = [one for one in ranges_m if math.isfinite(one)]
-    min_m, max_m = min((MIN_RANGE_M, *measured)), max((MAX_RANGE_M, *measured))
+    min_m, max_m = min((limits_m[0], *measured)), max((limits_m[1], *measured))
     return {"header": header(time_ns, f"{robot}/turret"), "angle_min": first,
             "angle_max": first + step * (len(directions_rad) - 1), "angle_increment": step, "time_increment": 0.0,
             "scan_time": 0.0, "range_min": min_m + ring_m, "range_max": max_m + ring_m,
             "ranges": [one + ring_m for one in ranges_m], "intensities": []}  # fmt: skip
 
 
-def sonar_range(time_ns: int, robot: str, sonar: int, reading_m: float) -> Message:
+def sonar_range(
+    time_ns: int, robot: str, sonar: int, reading_m: float, limits_m: tuple[float, float], cone_rad: float
+) -> Message:
     """Return a sonar's reading as Range, in the sonar's own frame."""
     return {
-        "header": header(time_ns, f"{robot}/sonar_{sonar}"), "radiation_type": _ULTRASOUND, "field_of_view": _CONE_RAD,
-        "min_range": MIN_RANGE_M, "max_range": MAX_RANGE_M, "range": reading_m,
+        "header": header(time_ns, f"{robot}/sonar_{sonar}"), "radiation_type": _ULTRASOUND, "field_of_view": cone_rad,
+        "min_range": limits_m[0], "max_range": limits_m[1], "range": reading_m,
     }  # fmt: skip
 
 
@@ -85,14 +90,9 @@ def moving_frames(time_ns: int, robot: str, at: Pose2, turret_rad: float) -> lis
             transform(time_ns, f"{robot}/base_link", f"{robot}/turret", (0.0, 0.0, turret_rad))]  # fmt: skip
 
 
-def sonar_frames(time_ns: int, robot: str, radius_m: float) -> list[Message]:
-    """Return the transforms from the turret to each sonar, on a ring of this radius."""
-    found = []
-    for k in range(SONAR_SLOTS):
-        angle = math.tau * k / SONAR_SLOTS
-        at = radius_m * math.cos(angle), radius_m * math.sin(angle), angle
-        found.append(transform(time_ns, f"{robot}/turret", f"{robot}/sonar_{k}", at))
-    return found
+def sonar_frames(time_ns: int, robot: str, mounts: Iterable[Pose2]) -> list[Message]:
+    """Return the transforms from the turret to each sonar."""
+    return [transform(time_ns, f"{robot}/turret", f"{robot}/sonar_{k}", at) for k, at in enumerate(mounts)]
 
 
 def stamp(time_ns: int) -> Message:

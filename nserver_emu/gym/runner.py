@@ -14,7 +14,7 @@ from gymnasium import spaces
 from nclient.common.hints import suggest
 from nclient.protocol.types import M_PER_IN
 from nserver_emu.gym.robots import BatchRobots, BoolArray, ConnectedRobot, Robots, SimulatedRobots
-from nserver_emu.gym.tasks import CONTACT_REWARD, Observation, Scene, Task, poses_m
+from nserver_emu.gym.tasks import CONTACT_REWARD, Observation, Scene, Task, beam_points, poses_m
 from nserver_emu.simulation.models import MODELS, RobotModel
 from nserver_emu.simulation.noise import SETUPS, RobotSetup
 from worlds.drawing import ESTIMATE, GOAL, TRUTH, blank, draw_body, draw_walls, pixels, require_matplotlib
@@ -116,7 +116,11 @@ class TaskRunner:
         # Robots of one simulation must not touch at their starts.
         self._is_shared = count > 1 and not is_batch
         places_in = np.zeros((0, 2)) if options.address or world is None else reachable_places(world, self.robots)
-        task.prepare(Scene(self.robots.body, world, places_in), count)
+        try:
+            task.prepare(Scene(self.robots.body, world, places_in), count)
+        except BaseException:
+            self.robots.close()
+            raise
         limits = np.array([options.max_speed_m_s, options.max_turn_rad_s], dtype=np.float32)
         self.action_space = spaces.Box(-limits, limits, dtype=np.float32)
         self.observation_space: Any = spaces.Dict(task.spaces())
@@ -208,11 +212,10 @@ class TaskRunner:
         for row, pose in enumerate(sensed.actual):
             # 2. The robot with its readings, as points.
             draw_body(axes, pose, body, TRUTH)
-            axes_rad = pose[3] + np.array(body.ring.angles_rad)
-            rays = np.column_stack((np.cos(axes_rad), np.sin(axes_rad)))
-            has_echo = sensed.ranges_in[row] < body.ring.max_range_in
-            echoes = pose[:2] + rays * (sensed.ranges_in[row] + body.ring.radius_in)[:, np.newaxis]
-            axes.plot(*echoes[has_echo].T, ".", color=ESTIMATE, markersize=4)
+            ranges_in = sensed.ranges_in[row]
+            has_echo = (ranges_in < body.ring.max_range_in) & (ranges_in != body.ring.no_echo_in)
+            echoes = beam_points(body.ring, pose[np.newaxis], ranges_in[:, np.newaxis])[:, 0, has_echo, 0]
+            axes.plot(*echoes, ".", color=ESTIMATE, markersize=4)
             # 3. Its task.
             axes.plot(*self.task.marks_in(row).T, marker="X", color=GOAL, markersize=10, linestyle="")
         return pixels(picture)

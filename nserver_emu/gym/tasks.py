@@ -18,6 +18,7 @@ from gymnasium import spaces
 from nclient.protocol.types import M_PER_IN
 from nserver_emu.gym.robots import BoolArray, Sensed
 from worlds.geometry import FloatArray
+from worlds.rings import Ring
 from worlds.robots import Body
 from worlds.world import World
 
@@ -131,6 +132,25 @@ def poses_m(poses_in: FloatArray) -> FloatArray:
 def wrapped(angles_rad: FloatArray) -> FloatArray:
     """Return angles from -pi to pi."""
     return (angles_rad + pi) % (2.0 * pi) - pi
+
+
+def beam_points(ring: Ring, poses_in: FloatArray, along_in: FloatArray) -> FloatArray:
+    """Return points on the beams of sonars, x and y (2, n, s, k), in inches.
+
+    Parameters
+    ----------
+    ring
+        s sonars.
+    poses_in
+        Of n robots (n, 4).
+    along_in
+        Distances from the sonars, of a shape that fits (n, s, k).
+    """
+    directions, ring_in, left_in = np.array(ring.mounts).T[..., np.newaxis]
+    x, y, turret = poses_in[:, [0, 1, 3]].T[..., np.newaxis, np.newaxis]
+    c, s = np.cos(turret + directions), np.sin(turret + directions)
+    ahead_in = ring_in + along_in
+    return np.array([x + ahead_in * c - left_in * s, y + ahead_in * s + left_in * c])
 
 
 def _box(low: npt.ArrayLike, high: npt.ArrayLike) -> spaces.Box:
@@ -249,19 +269,16 @@ class Explore(Task):
     def observe(self, sensed: Sensed) -> Observation:
         """Add the cells that rays have passed."""
         found = super().observe(sensed)
-        ring = self.scene.body.ring
         # 1. Points along each ray, half a cell apart (n, s, k); the last cell before an echo is not counted.
         reached = np.minimum(sensed.ranges_in * M_PER_IN - self.CELL_M, self.MAX_RANGE_M)
         along = np.arange(0.0, self.MAX_RANGE_M, 0.5 * self.CELL_M)
         is_free = along <= reached[:, :, np.newaxis]
-        axes = sensed.encoder[:, 3, np.newaxis] + np.array(ring.angles_rad)
-        distance = (along + ring.radius_in * M_PER_IN)[np.newaxis, np.newaxis]
+        points = beam_points(self.scene.body.ring, sensed.encoder, along / M_PER_IN) * M_PER_IN
         # 2. Their cells.
-        x, y = ((sensed.encoder[:, :2] * M_PER_IN - self._origins) / self.CELL_M).T[:, :, np.newaxis, np.newaxis]
-        columns = np.floor(x + np.cos(axes)[..., np.newaxis] * distance / self.CELL_M)
-        rows = np.floor(y + np.sin(axes)[..., np.newaxis] * distance / self.CELL_M)
+        origins = self._origins.T[..., np.newaxis, np.newaxis]
+        columns, rows = np.floor((points - origins) / self.CELL_M)
         is_inside = is_free & (columns >= 0) & (rows >= 0) & (columns < self.CELLS) & (rows < self.CELLS)
-        robots = np.broadcast_to(np.arange(len(axes))[:, np.newaxis, np.newaxis], is_inside.shape)
+        robots = np.broadcast_to(np.arange(len(reached))[:, np.newaxis, np.newaxis], is_inside.shape)
         self._seen[robots[is_inside], rows[is_inside].astype(int), columns[is_inside].astype(int)] = 1
         return found | {"seen": self._seen.copy()}
 

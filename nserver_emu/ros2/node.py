@@ -28,7 +28,7 @@ from nclient.errors import ConnectionLost
 from nclient.recording.ros_messages import MAP, TF, TF_STATIC, Message
 from nserver_emu.ros2.types import RosTypes, topic_in_dds
 from nserver_emu.rosbridge import topics
-from nserver_emu.rosbridge.readings import PERIOD_S, Estimates, RobotReader, map_message
+from nserver_emu.rosbridge.readings import PERIOD_S, Estimates, RobotReader, map_message, rings_of
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.viewer.controller import ViewerClients
 from nserver_emu.viewer.error_boundary import ErrorBoundary
@@ -81,7 +81,7 @@ class Ros2Node:
         self._domain = None if config is None else Domain(domain, config)
         self._participant = DomainParticipant(domain, Qos(Policy.Userdata(b"enclave=/;")))
         # 1. What is published; /map of a robot elsewhere is not known.
-        published = topics.topic_types(robots)
+        published = topics.topic_types(rings_of(daemon))
         if not has_map:
             del published[MAP]
         self._kinds = published
@@ -90,6 +90,7 @@ class Ros2Node:
         commands = topics.command_types(robots)
         self._readers = {robot: self._reader(*one) for robot, one in zip(robots, commands.items(), strict=True)}
         self._drivers: dict[tuple[int, int], Driver] = {}
+        self._rejected: set[tuple[int, int]] = set()
         self._drivers_made = 0
         self._robots = RobotReader(daemon, "ros2", self._error_boundary, self._publish, estimates)
         self._world: World | None = None
@@ -106,8 +107,7 @@ class Ros2Node:
         """Stop; robots that are driven from here stop, and the topics vanish for others."""
         for task in self._tasks:
             task.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await task
+        await asyncio.gather(*self._tasks, return_exceptions=True)
         for driver in self._drivers.values():
             driver.clients.close()
         self._drivers.clear()
@@ -179,14 +179,20 @@ class Ros2Node:
                 self._drive(robot, handle, twist, now)
         for handle in set(mine) - matched:
             self._drivers.pop((robot, handle)).clients.close()
+        self._rejected -= {one for one in self._rejected if one[0] == robot and one[1] not in matched}
 
     def _drive(self, robot: int, handle: int, twist: Any, now: float) -> None:
         driver = self._drivers.get((robot, handle))
         if driver is None:
             limit = self._daemon.admission.limits.viewers
             if len(self._drivers) >= limit:
-                self._daemon.admission.reject("DDS", f"more than {limit} publishers of velocities (--limit-viewers)")
+                # Once for each publisher, which repeats its messages.
+                if (robot, handle) not in self._rejected:
+                    self._rejected.add((robot, handle))
+                    reason = f"more than {limit} publishers of velocities (--limit-viewers)"
+                    self._daemon.admission.reject("DDS", reason)
                 return
+            self._rejected.discard((robot, handle))
             self._drivers_made += 1
             clients = ViewerClients(self._daemon, f"ros2 {self._drivers_made}", self._error_boundary)
             driver = self._drivers[robot, handle] = Driver(clients)
@@ -237,6 +243,8 @@ class Ros2Node:
                 except ImportError as error:
                     log.warning("/map: %s; install it: %s", error, install_command("maps"))
                     return
+                except ValueError as error:
+                    log.warning("/map: %s", error)
             await asyncio.sleep(PERIOD_S)
 
 

@@ -48,7 +48,8 @@ def _origin(text: str) -> str:
     scheme, separator, host = text.lower().removesuffix("/").partition("://")
     if scheme not in ("http", "https") or not separator or not host or "/" in host:
         raise argparse.ArgumentTypeError(f"an origin is scheme and host, such as http://localhost:3000, not {text!r}")
-    return f"{scheme}://{host}"
+    # Browsers leave out the scheme's own port.
+    return f"{scheme}://{host.removesuffix(':80' if scheme == 'http' else ':443')}"
 
 
 def port_text(text: str) -> str:

@@ -9,14 +9,15 @@ from __future__ import annotations
 import asyncio
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
 
 from nclient.protocol.replies import Reply
-from nclient.protocol.types import M_PER_IN, MOTOR_RANGE_V, volts
+from nclient.protocol.types import MOTOR_RANGE_V, volts
 from nclient.recording.ros_messages import TF, Message, Pose2
 from nserver_emu.rosbridge import topics
 from nserver_emu.rosbridge.topics import Reading
@@ -26,6 +27,7 @@ from nserver_emu.simulation.robot import battery_v
 from nserver_emu.viewer.controller import STALE_S, Answer, ViewerClients
 from nserver_emu.viewer.error_boundary import ErrorBoundary
 from worlds.cells import cells_of_world
+from worlds.rings import Ring
 from worlds.world import World
 
 PERIOD_S: Final = 0.05
@@ -108,8 +110,9 @@ class RobotReader:
         estimates.listeners.append(self._publish_estimate)
 
     def close(self) -> None:
-        """Close the connections to the robots."""
-        self._estimates.listeners.remove(self._publish_estimate)
+        """Close the connections to the robots. May be called twice."""
+        with suppress(ValueError):
+            self._estimates.listeners.remove(self._publish_estimate)
         self._clients.close()
 
     def read(self, robot: int) -> None:
@@ -117,8 +120,10 @@ class RobotReader:
         daemon = self._daemon
         if daemon.handler is daemon.emulator:
             simulation = daemon.emulator.simulation
-            slots = state_slots(simulation.robots[robot], daemon.emulator.clock.speed_tenths)
-            self._publish_reading(robot, slots, battery_v(simulation.time_s), simulation.time_s)
+            simulated = simulation.robots[robot]
+            slots = state_slots(simulated, daemon.emulator.clock.speed_tenths)
+            readings_in = () if simulated.model.body.ring.fits_state else simulated.sonar.readings_in
+            self._publish_reading(robot, slots, battery_v(simulation.time_s), simulation.time_s, readings_in)
         elif robot not in self._asked:
             # One question at a time: a slow line is not asked faster than it answers.
             self._asked.add(robot)
@@ -126,9 +131,7 @@ class RobotReader:
 
     def static_frames(self) -> Message:
         """Return the frames of the sonars of all robots."""
-        robots = self._daemon.emulator.simulation.robots
-        radii_m = {robot: one.model.body.sonar_ring_radius_in * M_PER_IN for robot, one in robots.items()}
-        return topics.static_frames(radii_m, time.time_ns())
+        return topics.static_frames(rings_of(self._daemon), time.time_ns())
 
     def _answered(self, robot: int, answer: Answer) -> None:
         self._asked.discard(robot)
@@ -139,11 +142,13 @@ class RobotReader:
             motors_v = None if raw is None else volts(raw, MOTOR_RANGE_V)
             self._publish_reading(robot, slots, motors_v, (reply.clock or 0) / 1000)
 
-    def _publish_reading(self, robot: int, slots: list[int], motors_v: float | None, clock_s: float) -> None:
+    def _publish_reading(
+        self, robot: int, slots: list[int], motors_v: float | None, clock_s: float, readings_in: Sequence[float] = ()
+    ) -> None:
         model = self._daemon.emulator.simulation.robots[robot].model
         time_ns = self._clocks[robot].time_ns(clock_s, time.time())
-        ring_m = model.body.sonar_ring_radius_in * M_PER_IN
-        reading = Reading(robot, slots, model.track_in is not None, time_ns, motors_v, ring_m)
+        ring = model.body.ring
+        reading = Reading(robot, slots, model.track_in is not None, time_ns, motors_v, ring, readings_in)
         for topic, message in topics.messages_of(reading):
             self._publish(topic, message)
         self._publish(TF, topics.frames(reading, self._estimates.map_to_odom(robot)))
@@ -153,8 +158,15 @@ class RobotReader:
         self._publish(f"/robot{robot}/pose", topics.estimate_message(estimate, time_ns))
 
 
+def rings_of(daemon: Daemon) -> dict[int, Ring]:
+    """Return the sonars of all robots."""
+    return {number: robot.model.body.ring for number, robot in daemon.emulator.simulation.robots.items()}
+
+
 def map_message(world: World) -> Message:
-    """Return /map. Raises ImportError without the extra `maps`."""
+    """Return /map. Raises ImportError without the extra `maps`, ValueError if the world has no walls."""
+    if not len(world.walls):
+        raise ValueError(f"the world {world.name} has no walls")
     return topics.grid_message(cells_of_world(world, map_cell_in(world)), time.time_ns())
 
 

@@ -21,7 +21,7 @@ from nclient.common.hints import install_command
 from nclient.recording.ros_messages import MAP, TF, TF_STATIC
 from nserver_emu.rosbridge import topics
 from nserver_emu.rosbridge.client import InvalidRequest, RosbridgeClient, Services, encode_published, short_type
-from nserver_emu.rosbridge.readings import Estimates, RobotReader, map_message
+from nserver_emu.rosbridge.readings import Estimates, RobotReader, map_message, rings_of
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.viewer import auth
 from nserver_emu.viewer.controller import ViewerClients
@@ -176,7 +176,7 @@ class RosbridgeServer:
 
     def _services(self) -> Services:
         simulated = self._daemon.emulator.simulation.robots
-        published, commands = topics.topic_types(list(simulated)), topics.command_types(list(simulated))
+        published, commands = topics.topic_types(rings_of(self._daemon)), topics.command_types(simulated)
         return Services(
             {name: short_type(kind) for name, kind in published.items()},
             {name: short_type(kind) for name, kind in commands.items()},
@@ -197,6 +197,8 @@ class RosbridgeServer:
                 self._map = world, encode_published(topic, map_message(world))
             except ImportError as error:
                 raise InvalidRequest(f"/map: {error}; install it: {install_command('maps')}") from None
+            except ValueError as error:
+                raise InvalidRequest(f"/map: {error}") from None
         return self._map[1]
 
     # -- publishing

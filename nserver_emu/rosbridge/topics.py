@@ -1,7 +1,8 @@
 """Topics of robots, for rosbridge and for ROS 2 by DDS, and their messages from a robot's state.
 
     /robotN/odom          nav_msgs/Odometry          odom -> base_link
-    /robotN/sonar         sensor_msgs/LaserScan      from the axis, the frame turret, counter-clockwise from ahead
+    /robotN/sonar         sensor_msgs/LaserScan      from the axis, the frame turret, counter-clockwise from ahead;
+                                                     only if the sonars are on a circle at equal angles
     /robotN/sonar/K       sensor_msgs/Range          sonar K, in its own frame
     /robotN/bumpers       std_msgs/UInt32            bits of State[33]
     /robotN/battery       sensor_msgs/BatteryState   of the motors
@@ -15,14 +16,14 @@ Frames of robot N begin with `robotN/`. Messages have the form of nclient/record
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from nclient.protocol.types import M_PER_IN, MAX_SONAR_IN, SCOUT_WHEEL_IN_PER_DEG, SONAR_SLOTS
+from nclient.protocol.types import M_PER_IN, SCOUT_WHEEL_IN_PER_DEG, SONAR_SLOTS
 from nclient.recording import ros_messages
-from nclient.recording.drive import RING
 from nclient.recording.ros_messages import (
     BATTERY,
     ESTIMATE,
@@ -44,6 +45,8 @@ from nclient.recording.ros_messages import (
     stamp,
 )
 from worlds.cells import Cell, OccupancyGrid
+from worlds.rings import Ring
+from worlds.robots import N150
 
 _TENTH_M: Final = M_PER_IN / 10
 _TENTH_RAD: Final = math.radians(0.1)
@@ -51,12 +54,13 @@ _TENTH_RAD: Final = math.radians(0.1)
 _SONARS, _BUMPER, _X = 17, 33, 34
 _MAX_TENTHS: Final = 32767
 """Largest number that a robot's serial line carries."""
+_ROUNDING_RAD: Final = 1e-6
 
 
 class Reading(NamedTuple):
     """State[0..44] of a robot, and its motors' battery in volts if known; `time_ns` is Unix time.
 
-    The sonars are on a circle of radius `ring_m` around the axis of the turret.
+    `readings_in` are those of a ring that State has no room for.
     """
 
     robot: int
@@ -64,7 +68,8 @@ class Reading(NamedTuple):
     is_differential: bool
     time_ns: int
     volts: float | None = None
-    ring_m: float = 0.0
+    ring: Ring = N150.ring
+    readings_in: Sequence[float] = ()
 
     @property
     def pose(self) -> Pose2:
@@ -73,9 +78,9 @@ class Reading(NamedTuple):
         return x * _TENTH_M, y * _TENTH_M, math.remainder(steer * _TENTH_RAD, math.tau)
 
     @property
-    def sonars(self) -> Sequence[int]:
-        """Return the sixteen sonars in inches."""
-        return self.state[_SONARS : _SONARS + SONAR_SLOTS]
+    def sonars(self) -> Sequence[float]:
+        """Return the sonars in inches, at most sixteen where they are those of State."""
+        return self.readings_in or self.state[_SONARS : _SONARS + min(SONAR_SLOTS, self.ring.count)]
 
     @property
     def turret_rad(self) -> float:
@@ -93,18 +98,25 @@ class Reading(NamedTuple):
         return first * _TENTH_M, second * _TENTH_RAD
 
 
-def topic_types(robots: Sequence[int]) -> dict[str, str]:
-    """Return the types of all topics that are published, by name."""
+def topic_types(rings: Mapping[int, Ring]) -> dict[str, str]:
+    """Return the types of all topics that are published, by name; `rings` are those of the robots."""
     types = {TF: TRANSFORMS, TF_STATIC: TRANSFORMS, MAP: GRID}
-    for robot in robots:
+    for robot, ring in rings.items():
         base = f"/robot{robot}"
-        types |= {f"{base}/odom": ODOMETRY, f"{base}/sonar": SCAN, f"{base}/bumpers": NUMBER}
+        types |= {f"{base}/odom": ODOMETRY, f"{base}/bumpers": NUMBER}
         types |= {f"{base}/battery": BATTERY, f"{base}/pose": ESTIMATE}
-        types |= {f"{base}/sonar/{k}": RANGE for k in range(SONAR_SLOTS)}
+        types |= {f"{base}/sonar": SCAN} if is_scan(ring) else {}
+        types |= {f"{base}/sonar/{k}": RANGE for k in range(ring.count)}
     return types
 
 
-def command_types(robots: Sequence[int]) -> dict[str, str]:
+def is_scan(ring: Ring) -> bool:
+    """Return True if a LaserScan can hold the readings: beams at equal angles that begin on a circle."""
+    steps = [math.remainder(later - earlier, math.tau) for earlier, later in pairwise(ring.angles_rad)]
+    return not ring.shifts_in and all(abs(math.remainder(step - steps[0], math.tau)) < _ROUNDING_RAD for step in steps)
+
+
+def command_types(robots: Iterable[int]) -> dict[str, str]:
     """Return the types of all topics that programs may publish, by name."""
     return {f"/robot{robot}/cmd_vel": TWIST for robot in robots}
 
@@ -113,11 +125,20 @@ def messages_of(reading: Reading) -> Iterator[tuple[str, Message]]:
     """Yield the topics of a robot's state, except frames."""
     base, frame, time_ns = f"/robot{reading.robot}", frame_of(reading.robot), reading.time_ns
     yield f"{base}/odom", ros_messages.odometry(time_ns, frame, reading.pose, *reading.velocity)
-    readings_m = (math.inf if value >= MAX_SONAR_IN else value * M_PER_IN for value in reading.sonars)
-    ranges = [ros_messages.range_m(one) for one in readings_m]
-    yield f"{base}/sonar", ros_messages.scan(time_ns, frame, ranges, RING, reading.ring_m)
+    ring = reading.ring
+    limits_m = ring.min_range_in * M_PER_IN, ring.max_range_in * M_PER_IN
+    readings_m = (
+        math.inf if one == ring.no_echo_in or one >= ring.max_range_in else one * M_PER_IN for one in reading.sonars
+    )
+    ranges = [ros_messages.range_m(one, limits_m[0]) for one in readings_m]
+    if is_scan(ring):
+        angles_rad = ring.angles_rad[: len(ranges)]
+        yield f"{base}/sonar", ros_messages.scan(
+            time_ns, frame, ranges, angles_rad, ring.radius_in * M_PER_IN, limits_m
+        )
+    cone_rad = ros_messages.CONE_RAD if ring.half_cone_rad is None else 2.0 * ring.half_cone_rad
     for k, range_m in enumerate(ranges):
-        yield f"{base}/sonar/{k}", ros_messages.sonar_range(time_ns, frame, k, range_m)
+        yield f"{base}/sonar/{k}", ros_messages.sonar_range(time_ns, frame, k, range_m, limits_m, cone_rad)
     yield f"{base}/bumpers", {"data": reading.state[_BUMPER]}
     if reading.volts is not None:
         yield f"{base}/battery", ros_messages.battery(time_ns, f"{frame}/base_link", reading.volts, "motors")
@@ -137,12 +158,17 @@ def frames(reading: Reading, map_to_odom: Pose2 | None) -> Message:
     return {"transforms": found}
 
 
-def static_frames(ring_radii_m: Mapping[int, float], time_ns: int) -> Message:
-    """Return the frames of all sonars of all robots, whose rings have these radii."""
-    rings = ring_radii_m.items()
+def static_frames(rings: Mapping[int, Ring], time_ns: int) -> Message:
+    """Return the frames of all sonars of all robots."""
     return {"transforms": [
-        frame for robot, radius in rings for frame in ros_messages.sonar_frames(time_ns, frame_of(robot), radius)
+        frame for robot, ring in rings.items()
+        for frame in ros_messages.sonar_frames(time_ns, frame_of(robot), _mounts(ring))
     ]}  # fmt: skip
+
+
+def _mounts(ring: Ring) -> list[Pose2]:
+    places = map(ring.mount_in, range(ring.count))
+    return [(x * M_PER_IN, y * M_PER_IN, angle) for (x, y), angle in zip(places, ring.angles_rad, strict=True)]
 
 
 def estimate_message(estimate: Mapping[str, Any], time_ns: int) -> Message:

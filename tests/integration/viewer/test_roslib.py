@@ -1,61 +1,71 @@
-"""The npm package roslib in Chromium as the other side of `nserver --rosbridge`."""
+"""The npm package roslib in Chromium, in a page of another server, as the other side of `nserver --rosbridge`."""
 
 from __future__ import annotations
 
 import shutil
 import subprocess
+import tarfile
 from pathlib import Path
 
 import pytest
 from playwright.sync_api import Browser
 
+from nclient import connect
 from tests.programs.forked import Forked
+from tests.waiting import wait_until
 
-ROSLIB, FILE = "roslib@1.4.1", "roslib/build/roslib.min.js"
+ROSLIB, ORIGIN = "roslib@1.4.1", "http://localhost:3000"
 DRIVE = """async (url) => {
     const ros = new ROSLIB.Ros({ url });
     await new Promise((resolve, reject) => { ros.on('connection', resolve); ros.on('error', reject); });
     const odometry = new ROSLIB.Topic({ ros, name: '/robot1/odom', messageType: 'nav_msgs/Odometry' });
     const velocity = new ROSLIB.Topic({ ros, name: '/robot1/cmd_vel', messageType: 'geometry_msgs/Twist' });
-    const ahead = new ROSLIB.Message({ linear: { x: 0.2, y: 0, z: 0 }, angular: { x: 0, y: 0, z: 0 } });
+    const ahead = (x) => new ROSLIB.Message({ linear: { x, y: 0, z: 0 }, angular: { x: 0, y: 0, z: 0 } });
     const frame = await new Promise((resolve) => odometry.subscribe((message) => {
-        velocity.publish(ahead);
+        velocity.publish(ahead(0.2));
         if (message.pose.pose.position.x > 0.02) resolve(message.header.frame_id);
     }));
     odometry.unsubscribe();
+    const { topics } = await new Promise((resolve, reject) => ros.getTopics(resolve, reject));
     const stop = new ROSLIB.Service({ ros, name: '/robot1/stop', serviceType: 'std_srvs/Trigger' });
     const request = new ROSLIB.ServiceRequest({});
     const { success } = await new Promise((resolve, reject) => stop.callService(request, resolve, reject));
-    ros.close();
-    return [frame, success];
+    setInterval(() => velocity.publish(ahead(0.02)), 100);
+    return [frame, topics.includes('/robot1/sonar'), success];
 }"""
+
 
 @pytest.fixture(scope="module")
 def roslib(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the package's file for browsers; it is fetched once and then kept in npm's cache."""
+    """Return the package's file for browsers; npm fetches it once, into its cache."""
     if shutil.which("npm") is None:
         pytest.skip("npm is not installed")
     folder = tmp_path_factory.mktemp("roslib")
-    command = ["npm", "install", "--prefer-offline", "--ignore-scripts", "--no-audit", "--no-fund", ROSLIB]
+    command = ["npm", "pack", "--prefer-offline", "--ignore-scripts", ROSLIB]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120, check=False)
     if done.returncode:
-        pytest.skip(f"npm cannot install {ROSLIB}: {done.stderr.strip().splitlines()[-1:]}")
-    return folder / "node_modules" / FILE
+        pytest.skip(f"npm cannot fetch {ROSLIB}: {done.stderr.strip().splitlines()[-1:]}")
+    with tarfile.open(next(folder.glob("*.tgz"))) as package:
+        package.extractall(folder, filter="data")
+    return folder / "package" / "build" / "roslib.min.js"
 
 
 @pytest.mark.long
-def test_roslib_reads_odometry_drives_and_calls(browser: Browser, roslib: Path) -> None:
-    with Forked("nserver", "thesis_room", "--port", "0", "--rosbridge", "0") as program:
-        program.stdout.readline()
-        url = program.stdout.readline().split()[2]
-        origin = url.replace("ws://", "http://").partition("/?")[0]
-        with browser.new_context() as context:
-            page = context.new_page()
-            page.set_default_timeout(60_000)
-            # Any answer of the port, so that the page has its origin.
-            page.goto(f"{origin}/?token=none")
-            page.add_script_tag(path=roslib)
-            frame, success = page.evaluate(DRIVE, url)
-            assert (frame.endswith("odom"), success) == (True, True)
+def test_roslib_drives_until_its_page_is_closed(browser: Browser, roslib: Path) -> None:
+    words = ("thesis_room", "--port", "0", "--rosbridge", "0", "--rosbridge-origin", ORIGIN)
+    with Forked("nserver", *words) as program:
+        port, url = (program.stdout.readline().split()[2] for _ in range(2))
+        with connect(f"nserver://{port}/1") as robot:
+            with browser.new_context() as context:
+                page = context.new_page()
+                page.set_default_timeout(60_000)
+                # The page is made here, but its origin is that of another server.
+                page.route(f"{ORIGIN}/", lambda route: route.fulfill(content_type="text/html", body="<!doctype html>"))
+                page.goto(f"{ORIGIN}/")
+                page.add_script_tag(path=roslib)
+                frame, has_sonar, success = page.evaluate(DRIVE, url)
+                assert (frame, has_sonar, success) == ("robot1/odom", True, True)
+                wait_until(lambda: robot.refresh().moving)
+            wait_until(lambda: not robot.refresh().moving)
         program.terminate()
         assert program.wait(timeout=10) == 0

@@ -7,6 +7,7 @@ import sys
 
 import pytest
 
+from localization.experiments import execution
 from localization.experiments.execution import (
     ClusterError,
     ClusterExtraMissing,
@@ -43,3 +44,13 @@ def test_cluster_without_workers_or_with_other_code_fails() -> None:
     with pytest.raises(ClusterError, match=r"different code.* b, c"):
         _check_workers({"a": "mine", "c": "old", "b": "new"}, "there:1", "mine")
     _check_workers({"a": "mine"}, "there:1", "mine")
+
+
+def test_workers_of_compiled_steps_need_numba(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(execution, "code_hash", lambda: "same")
+    codes = []
+    for spec in (None, "numba"):
+        monkeypatch.setattr(execution, "find_spec", lambda _, spec=spec: spec)
+        codes.append(execution._compiled_code())
+    with pytest.raises(ClusterError, match="numba"):
+        _check_workers({"a": codes[0]}, "there:1", codes[1])

@@ -13,8 +13,9 @@ import pytest
 
 from nclient import connect
 from nclient.errors import StartError
-from nserver_emu.gym import run_episode
+from nserver_emu.gym import RobotEnv, run_episode
 from nserver_emu.gym.robots import ConnectedRobot
+from nserver_emu.gym.tasks import GoTo, Scene
 from tests.programs.forked import Forked
 from tests.waiting import wait_until
 
@@ -78,6 +79,19 @@ def test_turret_that_looks_elsewhere_is_refused() -> None:
         robots.reset(np.ones(1, dtype=bool), np.zeros((1, 4)), None)
     robots.close()
     robots.close()
+
+
+def test_robot_is_disconnected_if_its_task_cannot_begin(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Impossible(GoTo):
+        def prepare(self, scene: Scene, count: int) -> None:
+            super().prepare(scene, count)
+            raise ValueError("impossible")
+
+    closed: list[ConnectedRobot] = []
+    monkeypatch.setattr(ConnectedRobot, "close", closed.append)
+    with pytest.raises(ValueError, match="impossible"):
+        RobotEnv(Impossible(), address="sim:thesis_room")
+    assert len(closed) == 1
 
 
 def test_real_time_is_waited_for() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import atan2, cos, hypot, pi, sin
 from typing import Any
 
@@ -14,7 +15,8 @@ from pettingzoo.test import parallel_api_test
 import nserver_emu.gym as package
 from nserver_emu.gym import RandomPolicy, RobotEnv, WallFollower, parallel_env, run_episode
 from nserver_emu.gym.environments import explore, go_to
-from nserver_emu.gym.tasks import Explore, GoTo
+from nserver_emu.gym.tasks import Explore, GoTo, beam_points
+from worlds.rings import nomad_ring
 from worlds.world import Polygon, World
 
 ROOM = World("box", rooms=(Polygon(((-60.0, -60.0), (60.0, -60.0), (60.0, 60.0), (-60.0, 60.0))),))
@@ -133,6 +135,17 @@ def test_explore_sees_cells_before_walls_only() -> None:
     total = seen.sum()
     observation, reward, *_ = env.step(np.array([0.0, 0.3], dtype=np.float32))
     assert reward == pytest.approx((observation["seen"].sum() - total) * 0.25**2)
+
+
+def test_beams_begin_at_the_mounts_of_their_sonars() -> None:
+    ring = replace(nomad_ring(6.0), angles_rad=(pi / 2, 0.0), shifts_in=((2.0, -3.0), (0.0, 0.0)))
+    turret, along = 0.4, 10.0
+    points = beam_points(ring, np.array([[5.0, 7.0, 0.0, turret]]), np.array([along]))[:, 0, :, 0]
+    for sonar, angle in enumerate(ring.angles_rad):
+        x, y = ring.mount_in(sonar)
+        x, y = x + along * cos(angle), y + along * sin(angle)
+        turned = (5.0 + x * cos(turret) - y * sin(turret), 7.0 + x * sin(turret) + y * cos(turret))
+        assert points[:, sonar] == pytest.approx(turned)
 
 
 def test_goals_are_within_reach_and_not_too_near() -> None:

@@ -33,6 +33,7 @@ from tests.nserver_emu.ros2.other_side import (
 )
 from tests.nserver_emu.rosbridge.test_rosbridge import ESTIMATE
 from tests.nserver_emu.server.wire_client import simulation
+from worlds.world import World
 
 TIMEOUT_S = 20.0
 DOMAIN = free_domain()
@@ -123,6 +124,13 @@ async def test_map_is_kept_for_late_subscribers_and_follows_the_world() -> None:
         assert sum(decode(data, GRID).data == 100) > sum(grid.data == 100)
 
 
+async def test_world_without_walls_has_no_map(caplog: pytest.LogCaptureFixture) -> None:
+    async with serve(has_map=True) as here:
+        here.daemon.emulator.simulation.change_world(World("plain"))
+        await here.until(lambda: "no walls" in caplog.text)
+        await here.next("/robot1/odom", ODOMETRY)
+
+
 async def test_quality_of_service_is_that_of_ros_2() -> None:
     """As the other side sees it; readers that ask for more do not match."""
     async with serve() as here:
@@ -143,13 +151,19 @@ async def test_quality_of_service_is_that_of_ros_2() -> None:
 
 async def test_robot_stops_when_its_publisher_leaves() -> None:
     async with serve() as here:
-        writer = here.writer("/robot1/cmd_vel")
-        await here.drive(writer, 0.127, 0.2)
-        odometry = await here.next("/robot1/odom", ODOMETRY)
-        assert odometry.twist.twist.linear.x == pytest.approx(0.127)
-        assert odometry.twist.twist.angular.z == pytest.approx(0.2, abs=0.002)
-        writer.write(twist(0.127))
-        del writer
+        writers = [here.writer("/robot1/cmd_vel")]
+        odometry = here.reader("/robot1/odom", ODOMETRY)
+
+        def velocities() -> list[Any]:
+            writers[0].write(twist(0.127, 0.2))
+            new = [decode(data, ODOMETRY).twist.twist for data in take_bytes(odometry)]
+            return [one for one in new if one.linear.x]
+
+        (found, *_) = await here.until(velocities)
+        assert found.linear.x == pytest.approx(0.127)
+        assert found.angular.z == pytest.approx(0.2, abs=0.002)
+        writers[0].write(twist(0.127))
+        writers.clear()
         await here.until(lambda: not any(here.robot.moving))
 
 
@@ -200,6 +214,15 @@ async def test_publishers_are_limited(caplog: pytest.LogCaptureFixture) -> None:
         object.__setattr__(here.daemon.admission.limits, "viewers", 0)
         writer = here.writer("/robot1/cmd_vel")
         await here.until(lambda: writer.write(twist(0.1)) or "limit-viewers" in caplog.text)
+        # Its next messages are not logged: those of another publisher come after them.
+        writer.write(twist(0.1))
+        other = here.writer("/robot1/cmd_vel")
+        await here.until(lambda: other.write(twist(0.1)) or caplog.text.count("limit-viewers") > 1)
+        for _ in range(5):
+            writer.write(twist(0.1))
+            other.write(twist(0.1))
+            await asyncio.sleep(0.02)
+        assert caplog.text.count("limit-viewers") == 2
         assert not any(here.robot.moving)
 
 
@@ -264,7 +287,7 @@ async def test_program_that_is_killed_stops_its_robot() -> None:
         try:
             assert process.stdout is not None
             assert await asyncio.wait_for(process.stdout.readline(), 60) == b"moved\n"
-            assert any(here.robot.moving)
+            await here.until(lambda: any(here.robot.moving))
             process.send_signal(signal.SIGKILL)
             await here.until(lambda: not any(here.robot.moving))
         finally:

@@ -16,9 +16,10 @@ from nclient.recording.ros_types import FieldType, MessageBuilder
 from nserver_emu.ros2.options import DISTROS
 from nserver_emu.ros2.types import RosTypes, topic_in_dds
 from nserver_emu.rosbridge import topics
+from worlds.robots import N150
 
 JAZZY = RosTypes("jazzy")
-TYPES = sorted({*topics.topic_types([1]).values(), *topics.command_types([1]).values(), ros_messages.TEXT})
+TYPES = sorted({*topics.topic_types({1: N150.ring}).values(), *topics.command_types([1]).values(), ros_messages.TEXT})
 NUMBERS: dict[str, Any] = {
     "bool": st.booleans(), "int8": st.integers(-128, 127), "uint8": st.integers(0, 255),
     "int32": st.integers(-(2**31), 2**31 - 1), "uint32": st.integers(0, 2**32 - 1),

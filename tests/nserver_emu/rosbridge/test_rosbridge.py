@@ -5,19 +5,15 @@ from __future__ import annotations
 import asyncio
 import json
 import math
-import shutil
 import sys
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from itertools import pairwise
-from pathlib import Path
 from typing import Any, cast
 
 import aiohttp
 import numpy as np
 import pytest
-from aiohttp import web
-from playwright.async_api import async_playwright
 
 from nclient.errors import ConnectionLost
 from nserver_emu.options import nserver_parser, read_options
@@ -30,9 +26,10 @@ from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.viewer.controller import ViewerClients
 from nserver_emu.viewer.messages import DRIVE_TIMEOUT_S
-from tests.integration.viewer.browsing import CHROMIUM, FLAGS
 from tests.nserver_emu.server.wire_client import simulation
 from worlds.io import load_world
+from worlds.rings import nomad_ring
+from worlds.robots import N150
 from worlds.world import World
 
 HOST = "127.0.0.1"
@@ -260,7 +257,8 @@ class DrivenRobots:
 def client_alone() -> tuple[RosbridgeClient, DrivenRobots]:
     """Return a client without a socket."""
     robots = DrivenRobots()
-    services = Services(topics.topic_types([1]), topics.command_types([1]), lambda _: False, lambda _: None)
+    published, commands = topics.topic_types({1: N150.ring}), topics.command_types([1])
+    services = Services(published, commands, lambda _: False, lambda _: None)
     return RosbridgeClient(cast("ViewerClients", robots), services, may_act=True), robots
 
 
@@ -319,6 +317,18 @@ def test_large_worlds_have_larger_cells() -> None:
     assert (1e5 / map_cell_in(large)) ** 2 <= MAX_MAP_CELLS
 
 
+async def test_world_without_walls_has_no_map() -> None:
+    async with serve() as here, here.client() as client:
+        here.daemon.emulator.simulation.change_world(World("plain"))
+        await client.send("subscribe", topic="/map")
+        assert "no walls" in (await client.next("status"))["msg"]
+
+
+async def test_server_closes_twice() -> None:
+    async with serve() as here:
+        await here.server.close()
+
+
 async def test_open_network_is_warned_of(caplog: pytest.LogCaptureFixture) -> None:
     daemon = Daemon(Emulator(simulation()))
     async with serve_rosbridge(daemon, "0.0.0.0", 0):
@@ -368,9 +378,15 @@ def test_wrong_origins_are_usage_errors(words: list[str], text: str, capsys: pyt
     assert text in capsys.readouterr().err
 
 
-def test_origins_are_as_browsers_send_them() -> None:
-    options = read_options(nserver_parser(), ["--rosbridge", "0", "--rosbridge-origin", "HTTP://Localhost:3000/"])
-    assert options.rosbridge_origin == ["http://localhost:3000"]
+@pytest.mark.parametrize(("text", "sent"), [
+    ("HTTP://Localhost:3000/", "http://localhost:3000"),
+    ("http://robots.example:80", "http://robots.example"),
+    ("https://robots.example:443", "https://robots.example"),
+    ("https://robots.example:80", "https://robots.example:80"),
+])  # fmt: skip
+def test_origins_are_as_browsers_send_them(text: str, sent: str) -> None:
+    options = read_options(nserver_parser(), ["--rosbridge", "0", "--rosbridge-origin", text])
+    assert options.rosbridge_origin == [sent]
 
 
 async def test_limit_of_clients() -> None:
@@ -422,7 +438,7 @@ def test_readings_at_the_limits() -> None:
     """REP-117: -inf nearer than a sonar measures, +inf without an echo; JSON has the least range, and null."""
     state = [255] * 45
     state[17:20] = 6, 7, 255
-    found = dict(topics.messages_of(Reading(1, state, False, 0, ring_m=0.25)))
+    found = dict(topics.messages_of(Reading(1, state, False, 0, ring=nomad_ring(0.25 / 0.0254))))
     scan = found["/robot1/sonar"]
     assert scan["ranges"][:3] == [-math.inf, pytest.approx(7 * 0.0254 + 0.25), math.inf]
     assert scan["range_min"] == pytest.approx(6 * 0.0254 + 0.25)
@@ -476,43 +492,3 @@ async def test_roslibpy_drives_the_robot() -> None:
         shown, _ = await asyncio.wait_for(process.communicate(), 60)
         assert shown.decode().split() == ["moved", "True", "tf2_msgs/TFMessage", "True"]
         await here.until(lambda: not any(here.robot.moving))
-
-
-ROSLIB = Path(__file__).parents[3] / "node_modules" / "roslib" / "build" / "roslib.js"
-ROSLIBJS = """address => new Promise((resolve, reject) => {
-  const ros = new ROSLIB.Ros({url: address});
-  ros.on("error", () => reject("no connection"));
-  const odometry = new ROSLIB.Topic({ros, name: "/robot1/odom", messageType: "nav_msgs/Odometry"});
-  const velocity = new ROSLIB.Topic({ros, name: "/robot1/cmd_vel", messageType: "geometry_msgs/Twist"});
-  odometry.subscribe(message => {
-    velocity.publish(new ROSLIB.Message({linear: {x: 0.2, y: 0, z: 0}, angular: {x: 0, y: 0, z: 0}}));
-    if (message.pose.pose.position.x > 0.02) ros.getTopics(found => resolve(found.topics), reject);
-  });
-})"""
-
-
-@pytest.mark.long
-@pytest.mark.skipif(not ROSLIB.exists(), reason="roslib is not installed (npm install roslib@1.4.1)")
-async def test_roslibjs_in_chromium_drives_the_robot(tmp_path: Path) -> None:
-    """A page of another server, which is closed while it drives."""
-    app = web.Application()
-    (tmp_path / "index.html").write_text("<script src=roslib.js></script>")
-    shutil.copy(ROSLIB, tmp_path)
-    app.router.add_static("/", tmp_path)
-    runner = web.AppRunner(app)
-    await runner.setup()
-    site = web.TCPSite(runner, HOST, 0)
-    await site.start()
-    place = f"http://{HOST}:{runner.addresses[0][1]}"
-    try:
-        async with serve(origins=frozenset({place})) as here, async_playwright() as playwright:
-            browser = await playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
-            page = await browser.new_page()
-            await page.goto(f"{place}/index.html")
-            found = await page.evaluate(ROSLIBJS, here.url().replace("http", "ws"))
-            assert "/robot1/sonar" in found
-            assert any(here.robot.moving)
-            await browser.close()
-            await here.until(lambda: not any(here.robot.moving))
-    finally:
-        await runner.cleanup()
