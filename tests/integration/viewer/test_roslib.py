@@ -5,7 +5,11 @@ from __future__ import annotations
 import shutil
 import subprocess
 import tarfile
+from collections.abc import Iterator
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from threading import Thread
 
 import pytest
 from playwright.sync_api import Browser
@@ -14,7 +18,7 @@ from nclient import connect
 from tests.programs.forked import Forked
 from tests.waiting import wait_until
 
-ROSLIB, ORIGIN = "roslib@1.4.1", "http://localhost:3000"
+ROSLIB = "roslib@1.4.1"
 DRIVE = """async (url) => {
     const ros = new ROSLIB.Ros({ url });
     await new Promise((resolve, reject) => { ros.on('connection', resolve); ros.on('error', reject); });
@@ -37,7 +41,7 @@ DRIVE = """async (url) => {
 
 @pytest.fixture(scope="module")
 def roslib(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the package's file for browsers; npm fetches it once, into its cache."""
+    """Return a folder with the package and a page; npm fetches the package once, into its cache."""
     if shutil.which("npm") is None:
         pytest.skip("npm is not installed")
     folder = tmp_path_factory.mktemp("roslib")
@@ -47,22 +51,31 @@ def roslib(tmp_path_factory: pytest.TempPathFactory) -> Path:
         pytest.skip(f"npm cannot fetch {ROSLIB}: {done.stderr.strip().splitlines()[-1:]}")
     with tarfile.open(next(folder.glob("*.tgz"))) as package:
         package.extractall(folder, filter="data")
-    return folder / "package" / "build" / "roslib.min.js"
+    (folder / "index.html").write_text("<script src=package/build/roslib.min.js></script>")
+    return folder
+
+
+@pytest.fixture
+def origin(roslib: Path) -> Iterator[str]:
+    """Serve the package, and return the origin of its page."""
+    with ThreadingHTTPServer(("127.0.0.1", 0), partial(SimpleHTTPRequestHandler, directory=roslib)) as server:
+        thread = Thread(target=server.serve_forever)
+        thread.start()
+        yield f"http://127.0.0.1:{server.server_port}"
+        server.shutdown()
+        thread.join()
 
 
 @pytest.mark.long
-def test_roslib_drives_until_its_page_is_closed(browser: Browser, roslib: Path) -> None:
-    words = ("thesis_room", "--port", "0", "--rosbridge", "0", "--rosbridge-origin", ORIGIN)
+def test_roslib_drives_until_its_page_is_closed(browser: Browser, origin: str) -> None:
+    words = ("thesis_room", "--port", "0", "--rosbridge", "0", "--rosbridge-origin", origin)
     with Forked("nserver", *words) as program:
         port, url = (program.stdout.readline().split()[2] for _ in range(2))
         with connect(f"nserver://{port}/1") as robot:
             with browser.new_context() as context:
                 page = context.new_page()
                 page.set_default_timeout(60_000)
-                # The page is made here, but its origin is that of another server.
-                page.route(f"{ORIGIN}/", lambda route: route.fulfill(content_type="text/html", body="<!doctype html>"))
-                page.goto(f"{ORIGIN}/")
-                page.add_script_tag(path=roslib)
+                page.goto(f"{origin}/index.html")
                 frame, has_sonar, success = page.evaluate(DRIVE, url)
                 assert (frame, has_sonar, success) == ("robot1/odom", True, True)
                 wait_until(lambda: robot.refresh().moving)

@@ -88,7 +88,11 @@ def test_robot_is_disconnected_if_its_task_cannot_begin(monkeypatch: pytest.Monk
             raise ValueError("impossible")
 
     closed: list[ConnectedRobot] = []
-    monkeypatch.setattr(ConnectedRobot, "close", closed.append)
+
+    def close(robot: ConnectedRobot) -> None:
+        closed.append(robot)
+
+    monkeypatch.setattr(ConnectedRobot, "close", close)
     with pytest.raises(ValueError, match="impossible"):
         RobotEnv(Impossible(), address="sim:thesis_room")
     assert len(closed) == 1

@@ -28,7 +28,7 @@ angles_deg = [-90, 0, 100]
 mounts_in = [[2, -8], [10, 1], [0, 9]]
 half_cone_deg = 15
 min_range_cm = 15
-max_range_m = 1.5
+max_range_m = 1.3
 no_echo_m = 5.11
 resolution_cm = 1
 """)
@@ -64,7 +64,7 @@ async def test_unequal_angles_have_ranges_and_frames() -> None:
     assert 0 < len(measured) < 3
     assert all(one * 100 == pytest.approx(round(one * 100)) for one in measured)
     assert ranges[0]["field_of_view"] == pytest.approx(math.radians(30.0))
-    assert (ranges[0]["min_range"], ranges[0]["max_range"]) == pytest.approx((0.15, 1.5))
+    assert (ranges[0]["min_range"], ranges[0]["max_range"]) == pytest.approx((0.15, 1.3))
     # 3. Frames are at the mounts.
     frames = [one["transform"] for one in found["/tf_static"]["transforms"]]
     places = [(one["translation"]["x"], one["translation"]["y"]) for one in frames]
