@@ -87,6 +87,14 @@ class AsyncRobot:
             raise ConnectionLost("this robot was disconnected; connect again")
         return await asyncio.wrap_future(self._thread.submit(call))
 
+    async def sleep(self, seconds: float) -> None:
+        # The thread is free during a pause, so that other tasks can stop the robot.
+        pauses = self._robot._pauses(seconds)
+        while (pause_s := await self._run(lambda: next(pauses, None))) is not None:
+            await asyncio.sleep(pause_s)
+
+    sleep.__doc__ = Robot.sleep.__doc__
+
     @property
     def state(self) -> RobotState:
         """The state after the last exchange; sends nothing and never waits."""
@@ -117,7 +125,6 @@ class AsyncRobot:
     release = _awaitable(Robot.release)
     zero = _awaitable(Robot.zero)
     wait_until_still = _awaitable(Robot.wait_until_still)
-    sleep = _awaitable(Robot.sleep)
     set_speeds = _awaitable(Robot.set_speeds)
     set_accelerations = _awaitable(Robot.set_accelerations)
     set_position = _awaitable(Robot.set_position)

@@ -37,7 +37,7 @@ from worlds.io import load_world
 from worlds.world import StartPose
 
 STEP_S: Final = 0.1
-"""Simulated seconds per request, as on a `sim:` address."""
+"""Simulated seconds per request: a control period."""
 PRECISE_IN: Final = 24.0
 """An error of so much or more earns nothing for precision, inches."""
 POINTS_PROGRESS, POINTS_PRECISION, POINTS_PER_S, POINTS_PER_BUMP = 50.0, 50.0, 0.1, 5.0
