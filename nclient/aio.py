@@ -11,7 +11,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Coroutine
 from concurrent.futures import Future, ThreadPoolExecutor
-from functools import partial, wraps
+from functools import partial, update_wrapper, wraps
 from types import TracebackType
 from typing import Any, Concatenate, ParamSpec, Self, TypeVar
 
@@ -88,12 +88,13 @@ class AsyncRobot:
         return await asyncio.wrap_future(self._thread.submit(call))
 
     async def sleep(self, seconds: float) -> None:
+        """Let time of the robot pass."""
         # The thread is free during a pause, so that other tasks can stop the robot.
         pauses = self._robot._pauses(seconds)
         while (pause_s := await self._run(lambda: next(pauses, None))) is not None:
             await asyncio.sleep(pause_s)
 
-    sleep.__doc__ = Robot.sleep.__doc__
+    update_wrapper(sleep, Robot.sleep)
 
     @property
     def state(self) -> RobotState:

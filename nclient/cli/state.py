@@ -6,8 +6,8 @@
     nomad state --count 3 clock                          three times, at intervals of a second
     nomad state --watch --json | jq .x_in                one JSON object per line
 
-Rules: sends gs only, and on sim: what lets its time pass. No motion timeout is set and no keep-alive sent, so that a robot driven by another program
-continues.
+Rules: sends gs only, and on sim: what lets its time pass. No motion timeout is set and no keep-alive sent, so that a
+robot driven by another program continues.
 """
 
 import argparse
