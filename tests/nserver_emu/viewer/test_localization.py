@@ -13,7 +13,7 @@ from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.viewer.auth import Access
 from nserver_emu.viewer.broadcaster import Broadcaster
-from nserver_emu.viewer.controller import STALE_S, ViewerController
+from nserver_emu.viewer.controller import ViewerController
 from nserver_emu.viewer.messages import MAX_PLACES, MAX_REASON, REFUSALS, TRUSTS, InvalidMessage, parse_estimate
 from nserver_emu.viewer.scene import SceneHistory
 from tests.nserver_emu.server.wire_client import simulation
