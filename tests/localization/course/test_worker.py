@@ -33,7 +33,8 @@ def test_the_first_error_of_a_submission_explains_what_is_missing(tmp_path: Path
 
 
 @pytest.mark.parametrize(("body", "word"), [
-    ("while True:\n        pass", "longer"), ("raise SystemExit(0)", "SystemExit"), ("return 1 / 0", "ZeroDivisionError"),
+    ("while True:\n        pass", "longer"), ("raise SystemExit(0)", "SystemExit"),
+    ("return 1 / 0", "ZeroDivisionError"),
 ])  # fmt: skip
 def test_functions_that_do_not_return_fail(tmp_path: Path, body: str, word: str) -> None:
     parameters = inspect.signature(ANSWERS["relative_step__right_atan2"])
