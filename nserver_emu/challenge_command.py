@@ -37,7 +37,7 @@ from worlds.io import load_world
 from worlds.world import StartPose
 
 STEP_S: Final = 0.1
-"""Simulated seconds per request, as on a `sim:` address."""
+"""Simulated seconds per request: ten decisions a second on any machine."""
 PRECISE_IN: Final = 24.0
 """An error of so much or more earns nothing for precision, inches."""
 POINTS_PROGRESS, POINTS_PRECISION, POINTS_PER_S, POINTS_PER_BUMP = 50.0, 50.0, 0.1, 5.0
@@ -245,9 +245,13 @@ async def _run_program(
 ) -> str:  # fmt: skip
     """Run the program until it ends, simulated time is over or real time is; return how it ended."""
     # Its output goes to stderr: stdout has the results. A group of its own ends with its children.
-    process = await asyncio.create_subprocess_exec(
-        *command, env=environment, stdin=asyncio.subprocess.DEVNULL, stdout=STDERR, start_new_session=True
-    )
+    try:
+        process = await asyncio.create_subprocess_exec(
+            *command, env=environment, stdin=asyncio.subprocess.DEVNULL, stdout=STDERR, start_new_session=True
+        )
+    except OSError as error:
+        reason = f"{command[0]} cannot be started: {error.strerror}; does the script begin with #!?"
+        raise ChallengeError(reason) from error
     finished, limit = asyncio.create_task(process.wait()), asyncio.create_task(over.wait())
     try:
         await asyncio.wait({finished, limit}, timeout=timeout_s, return_when=asyncio.FIRST_COMPLETED)
@@ -255,6 +259,8 @@ async def _run_program(
             return f"exit code {finished.result()}" if finished.result() else "finished"
         return "time limit" if limit.done() else "timeout"
     finally:
+        # From now on time stands still: a program that ignores SIGTERM, or its children, drive no farther.
+        over.set()
         limit.cancel()
         for number_ in (signal.SIGTERM, signal.SIGKILL):
             with suppress(ProcessLookupError):

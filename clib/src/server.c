@@ -76,16 +76,6 @@ static int has_simple_reply(const struct command *command)
            && command != &nomad_commands[CMD_CREATE_ROBOT];
 }
 
-static int is_motion(const struct command *command)
-{
-    static const enum command_id MOTIONS[] = {CMD_VM, CMD_PR, CMD_MV, CMD_ZR, CMD_LP};
-
-    for (size_t k = 0; k < sizeof MOTIONS / sizeof *MOTIONS; k++)
-        if (command == &nomad_commands[MOTIONS[k]])
-            return 1;
-    return 0;
-}
-
 static enum outcome report_refusal(const struct request *request, struct reply *reply)
 {
     long code = reply->values[0];
@@ -106,7 +96,7 @@ static enum outcome report_refusal(const struct request *request, struct reply *
         is_hold_reported = 1;
     }
     report("%s: error %ld, %s", request->command->name, code,
-                       code >= 1 && code <= 7 ? WHY[code - 1] : "an unknown error code");
+           code >= 1 && code <= 7 ? WHY[code - 1] : "an unknown error code");
     nomad_reset_reply(reply, SHAPE_NOTHING);
     if (has_simple_reply(request->command))
         return REPLIED;
@@ -125,7 +115,8 @@ static enum outcome parse_reply(const struct request *request, unsigned type, co
     }
     if (!nomad_decode_tcp_reply(request->command->tcp_reply, bytes, size, &wire, reply))
         return close_with_error(request, "the reply has the wrong format");
-    if (is_motion(request->command))
+    /* The last of the 45 words of a state is HELD during a hold; C programs do not see it. */
+    if (request->command->tcp_reply == SHAPE_STATE && bytes[4 * STATE_ERROR + 3] != HELD)
         is_hold_reported = 0;
     nomad_apply_reply(reply);
     return REPLIED;

@@ -5,6 +5,7 @@
     docs/course/solutions/01-encoders.py    the functions that solve the tasks
 
     python -m docs.generate.course [--quick] [--replay] [NAME...]    run in Jupyter, with the solutions in
+    python -m docs.generate.course --grade                           grade a class of 33 submissions
 
 A number with a comment `# quick: N` has that value in short runs.
 """
@@ -13,8 +14,11 @@ from __future__ import annotations
 
 import ast
 import base64
+import json
 import re
+import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 from typing import Any, Final
@@ -23,7 +27,6 @@ import jupytext
 
 ROOT: Final = Path(__file__).parents[2]
 COURSE: Final = ROOT / "docs" / "course"
-FIGURES: Final = ROOT / "docs" / "figures" / "course"
 NAMES: Final = tuple(sorted(path.stem for path in (COURSE / "source").glob("*.py")))
 QUICK: Final = re.compile(r"= (.+?)(\s+# quick: )(.+)$", re.MULTILINE)
 KERNEL: Final = {
@@ -100,10 +103,28 @@ def pictures(made: Any) -> list[bytes]:
             if "image/png" in output.get("data", {})]  # fmt: skip
 
 
-def main(words: list[str]) -> None:
-    """Run notebooks with the solutions in; store their last pictures for the site in full runs."""
-    import tempfile
+def grade_class() -> None:
+    """Grade three submissions of each notebook: with the solutions, without, and the solutions as a file."""
+    with tempfile.TemporaryDirectory() as folder:
+        for name in NAMES:
+            jupytext.write(solved(name), f"{folder}/{name}-solved.ipynb")
+            Path(folder, f"{name}-unsolved.ipynb").write_text(text(name), encoding="utf-8")
+        words = ["grade", folder, *map(str, sorted((COURSE / "solutions").glob("*.py"))), "--json"]
+        begin = time.perf_counter()
+        done = subprocess.run([Path(sys.executable).with_name("nomad"), *words], stdout=subprocess.PIPE, check=True)
+    submissions = json.loads(done.stdout)["submissions"]
+    for each in submissions:
+        expected = 0 if each["file"].endswith("-unsolved.ipynb") else each["of"]
+        assert each["points"] == expected, each
+        assert each["of"] > 0, each
+    print(f"{len(submissions)} submissions graded in {time.perf_counter() - begin:.0f} s")
 
+
+def main(words: list[str]) -> None:
+    """Run notebooks with the solutions in and store their pictures in out/course, or grade a class."""
+    if "--grade" in words:
+        grade_class()
+        return
     quick, replay = "--quick" in words, "--replay" in words
     for name in [word for word in words if not word.startswith("--")] or NAMES:
         begin = time.perf_counter()

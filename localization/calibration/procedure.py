@@ -32,7 +32,7 @@ from localization.navigation.control_law import bearing_error, distance_to
 from localization.navigation.limits import VelocityCommand
 from localization.navigation.path import sample_waypoints
 from localization.navigation.roadmap import NoPathError, Roadmap, segment_clearances
-from localization.navigation.waypoints import COMMAND_TIMEOUT_S, stop_on_exit, wait_for_next_state
+from localization.navigation.waypoints import COMMAND_TIMEOUT_S, drive_unless_held, stop_on_exit, wait_for_next_state
 from nclient.errors import NomadError
 from nclient.robot import Robot
 from nclient.state import RobotState
@@ -332,9 +332,8 @@ def run(
 
 def _drive(robot: Robot, command: VelocityCommand) -> RobotState:
     translation_in_s, steering_rad_s = command
-    if not robot.model.has_turret:
-        return robot.drive(translation_in_s=translation_in_s, steering_rad_s=steering_rad_s)
-    return robot.drive(translation_in_s=translation_in_s, steering_rad_s=steering_rad_s, turret_rad_s=steering_rad_s)
+    turret = {"turret_rad_s": steering_rad_s} if robot.model.has_turret else {}
+    return drive_unless_held(robot, translation_in_s=translation_in_s, steering_rad_s=steering_rad_s, **turret)
 
 
 TYPICAL_SCALE, TYPICAL_DRIFT, TYPICAL_RING, TYPICAL_SONAR = 0.03, 0.00075, radians(3.0), 1.0

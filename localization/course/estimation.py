@@ -6,7 +6,7 @@ from statistics import NormalDist
 import numpy as np
 import numpy.typing as npt
 
-from localization.course.tasks import TRIES, Answer, Rng, call, expect, numbers, require, task
+from localization.course.tasks import TRIES, Answer, Rng, call, expect, numbers, require, task, truth_value
 from worlds.raycast import cast_ray
 
 Floats = npt.NDArray[np.float64]
@@ -145,7 +145,7 @@ def is_consistent(answer: Answer, rng: Rng) -> None:
         innovations = rng.standard_normal(n)
         # Exactly in the middle of the interval: no bound decides.
         innovations *= factor * np.sqrt(variances) / sqrt(np.mean(innovations**2))
-        found = bool(call(answer, innovations, variances))
+        found = truth_value(answer, innovations, variances)
         require(
             found is right,
             f"{n} innovations {about}; it returned {found}. The mean of innovation^2 / S is 1 on "
@@ -309,7 +309,7 @@ def nearest_reflector(answer: Answer, rng: Rng) -> None:
         if np.min(np.abs(distances - gate)) < 0.1 or np.diff(np.sort(distances))[0] < 0.1:
             continue
         right = int(distances.argmin()) if distances.min() < gate else NEVER
-        found = int(numbers(answer, reading, expected, variances, gate, shape=()))
+        found = float(numbers(answer, reading, expected, variances, gate, shape=()))
         hint = "Compare squared innovations divided by their variances with the gate."
         if found == int(np.abs(reading - expected).argmin()):
             hint = (
@@ -322,7 +322,7 @@ def nearest_reflector(answer: Answer, rng: Rng) -> None:
         require(
             found == right,
             f"reading {reading:.1f}, expected {np.round(expected, 1).tolist()}, variances "
-            f"{np.round(variances, 2).tolist()}, gate {gate:g}: it returned {found}, expected {right}. {hint}",
+            f"{np.round(variances, 2).tolist()}, gate {gate:g}: it returned {found:g}, expected {right}. {hint}",
         )
 
 

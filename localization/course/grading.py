@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
+import tempfile
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -101,14 +104,26 @@ def _run(file: Path, seed: int, limits: Limits, tasks: list[Task]) -> tuple[dict
     command = [sys.executable, "-m", "localization.course.worker", *words]
     # Threads of numerical libraries reserve memory, and would wait for one another.
     environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MPLBACKEND": "agg"}
-    ended = "It ended the process that graded it"
-    try:
-        done = subprocess.run(
-            command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, env=environment, check=False,
-            timeout=START_S + 2 * limits.seconds * (len(tasks) + 1), start_new_session=True,
-        )  # fmt: skip
-        output, ended = done.stdout, f"{ended} (exit code {done.returncode}): out of memory?"
-    except subprocess.TimeoutExpired as expired:
-        output, ended = expired.stdout or b"", f"It cannot be stopped after {limits.seconds:g} s."
-    lines = [json.loads(line) for line in output.decode(errors="replace").splitlines() if line.endswith("}")]
-    return {line["name"]: (line["passed"], line["text"]) for line in lines}, ended
+    limit_s = START_S + 2 * limits.seconds * (len(tasks) + 1)
+    # Verdicts go to a file: a pipe would remain open as long as any process that an answer started.
+    with tempfile.TemporaryFile() as output:
+        with subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=output, env=environment,
+                              start_new_session=True) as process:  # fmt: skip
+            try:
+                code = process.wait(limit_s)
+                reason = ": out of memory?" if code < 0 else "."
+                ended = f"It ended the process that graded it (exit code {code}){reason}"
+            except subprocess.TimeoutExpired:
+                ended = f"It cannot be stopped after {limits.seconds:g} s."
+            finally:
+                # The process and those that answers started.
+                with suppress(ProcessLookupError):
+                    os.killpg(process.pid, signal.SIGKILL)
+        output.seek(0)
+        found = {}
+        for line in output.read().decode(errors="replace").splitlines():
+            # The last line is incomplete if the process was killed while it wrote.
+            with suppress(ValueError):
+                judged = json.loads(line)
+                found[judged["name"]] = judged["passed"], judged["text"]
+    return found, ended

@@ -5,7 +5,7 @@ from math import cos, pi, sin, sqrt
 import numpy as np
 import numpy.typing as npt
 
-from localization.course.tasks import TRIES, Answer, Rng, Wrong, call, expect, numbers, require, task
+from localization.course.tasks import TRIES, Answer, Rng, Wrong, expect, numbers, require, task, truth_value
 
 VAR_PER_IN, VAR_PER_RAD, TURN_VAR_PER_IN = 0.01, 0.01, 0.000025
 """Noise of the setup `noisy`: distance per inch, turn per radian and per inch."""
@@ -36,7 +36,7 @@ def move_particles(answer: Answer, rng: Rng) -> None:
             f"The turns have the standard deviation {turned.std():.4f} rad; "
             f"expected {std[1]:.4f}. rng.normal takes a standard deviation, the root of the variance.",
         )
-        # Along the mean direction on the way lies the noise of the distance, across it that of the turn.
+        # Along the mean direction lies the noise of the distance, across it that of the turn.
         angle = heading + turn / 2
         off = moved[:, :2] - (x, y)
         ahead, aside = off @ (cos(angle), sin(angle)), off @ (-sin(angle), cos(angle))
@@ -193,7 +193,7 @@ def is_found(answer: Answer, rng: Rng) -> None:
     stray = np.vstack((near(centre, n - 8), rng.uniform((-200, -200, 0), (200, 200, 6), (8, 3))))
     spread = np.column_stack((rng.uniform(0, 100, (n, 2)), rng.uniform(0, 6, n)))
     for particles, weights, right, about in (
-        (near(centre, n), equal, True, "All particles are within 12 in of one another."),
+        (near(centre, n), equal, True, "All particles are within 12 in of their mean."),
         (np.vstack((near(centre, n // 2), near(other, n // 2))), equal, False, "There are two groups of equal weight."),
         (spread, equal, False, "The particles fill the room."),
         (
@@ -205,9 +205,9 @@ def is_found(answer: Answer, rng: Rng) -> None:
         (stray, equal, True, "2 % of the particles are anywhere, the others in one place."),
         (np.vstack((near(centre, n * 7 // 10), near(other, n * 3 // 10))), equal, False, "30 % are in another place."),
     ):
-        found = bool(call(answer, particles, weights, within))
+        found = truth_value(answer, particles, weights, within)
         require(
             found is right,
             f"{about} It returned {found}; expected {right}. Sum the weights of the particles that are "
-            "at most `within` inches from the weighted mean position.",
+            "at most `within_in` inches from the weighted mean position.",
         )

@@ -4,7 +4,7 @@ from math import atan2, cos, degrees, hypot, inf, isinf, pi, radians, sin, sqrt
 
 import numpy as np
 
-from localization.course.tasks import TRIES, Answer, Rng, Wrong, call, expect, numbers, require, task
+from localization.course.tasks import TRIES, Answer, Rng, expect, numbers, require, task, truth_value
 from worlds.raycast import cast_ray
 
 RING_IN = 9.06
@@ -282,12 +282,10 @@ def is_blocked(answer: Answer, rng: Rng) -> None:
         if number is not None:
             sonars[number] = int(limit) - int(rng.integers(2, 8))
         right = number in (15, 0, 1)
-        found = call(answer, sonars, limit)
-        if isinstance(found, (bool, np.bool_, int)):
-            require(
-                bool(found) is right,
-                f"With sonar {number} at {sonars[number or 0]} in and all others beyond 40, limit "
-                f"{limit:.0f} in, it returned {bool(found)}. Ahead are the sonars 15, 0 and 1.",
-            )
-        else:
-            raise Wrong(f"It returned {found!r}; expected True or False.")
+        found = truth_value(answer, sonars, limit)
+        where = "all sonars" if number is None else f"sonar {number} at {sonars[number]} in and all others"
+        require(
+            found is right,
+            f"With {where} at 40 in or more, limit {limit:.0f} in, it returned {found}. "
+            "Ahead are the sonars 15, 0 and 1.",
+        )

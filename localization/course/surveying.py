@@ -1,6 +1,6 @@
 """Checks of notebooks 10 and 11: calibration, maps."""
 
-from math import cos, exp, pi, radians, sin, sqrt
+from math import cos, pi, radians, sin, sqrt
 
 import numpy as np
 
@@ -114,8 +114,8 @@ def sonar_offset(answer: Answer, rng: Rng) -> None:
 def update_cell(answer: Answer, rng: Rng) -> None:
     """Check log odds after a reading, against Bayes' rule in probabilities."""
     for _ in range(TRIES):
-        before, p = float(rng.normal(0, 2)), float(rng.uniform(0.1, 0.9))
-        prior = 1 / (1 + exp(-before))
+        before, p = rng.normal(0, 2, 4), rng.uniform(0.1, 0.9, 4)
+        prior = 1 / (1 + np.exp(-before))
         posterior = prior * p / (prior * p + (1 - prior) * (1 - p))
         mistakes = [
             (posterior, "That is a probability; return its log odds."),
@@ -176,7 +176,7 @@ def fit_wall(answer: Answer, rng: Rng) -> None:
         # The best line of all directions, with its best offset.
         directions = np.linspace(0, pi, 2001)
         squares = np.var(points @ np.array([np.cos(directions), np.sin(directions)]), axis=0)
-        found = np.mean((points @ (cos(found_alpha), sin(found_alpha)) - found_rho) ** 2)
+        found = np.mean((points @ (np.cos(found_alpha), np.sin(found_alpha)) - found_rho) ** 2)
         hint = "Points on a line x cos(alpha) + y sin(alpha) = rho. "
         if abs((found_alpha - alpha) % pi - pi / 2) < 0.05:
             hint += "alpha is the direction of the normal, not that of the wall."

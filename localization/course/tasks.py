@@ -156,6 +156,16 @@ def numbers(answer: Answer, *arguments: Any, shape: tuple[int, ...]) -> npt.NDAr
     return found.reshape(shape)
 
 
+def truth_value(answer: Answer, *arguments: Any) -> bool:
+    """Return the result of an answer as True or False. Raises Wrong if it is neither."""
+    result = call(answer, *arguments)
+    if isinstance(result, np.ndarray) and result.size == 1:
+        result = result.item()
+    if not isinstance(result, (bool, int, np.bool_, np.integer)):
+        raise Wrong(f"{_shown_call(arguments)} returned {_shown(result)}; expected True or False.")
+    return bool(result)
+
+
 def expect(
     answer: Answer,
     arguments: tuple[Any, ...],

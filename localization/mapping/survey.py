@@ -27,7 +27,7 @@ from localization.navigation.limits import STAND, AxisLimits, StateGapLimiter, V
 from localization.navigation.path import PathSection, angle_difference, line_between, wall_distances
 from localization.navigation.path_follower import PathFollower
 from localization.navigation.recovery import StallDetector
-from localization.navigation.waypoints import stop_on_exit, wait_for_next_state
+from localization.navigation.waypoints import drive_unless_held, stop_on_exit, wait_for_next_state
 from nclient.errors import BumperHit, NomadError
 from nclient.robot import Robot
 from nclient.state import RobotState
@@ -407,7 +407,8 @@ def survey(
             with suppress(BumperHit):
                 if motion is not None:
                     fraction = gaps.speed_fraction(clock_s)
-                    after = robot.drive(
+                    after = drive_unless_held(
+                        robot,
                         translation_in_s=fraction * command.translation_in_s,
                         steering_rad_s=fraction * command.steering_rad_s,
                     )

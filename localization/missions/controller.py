@@ -23,7 +23,13 @@ from localization.missions.settings import Point
 from localization.navigation.limits import MODEL_LIMITS, STAND, StateGapLimiter, VelocityCommand
 from localization.navigation.obstacles import ObstacleTracker, filter_unmapped, update_obstacles
 from localization.navigation.planner import Planner
-from localization.navigation.waypoints import COMMAND_TIMEOUT_S, Speeds, start_localizer, wait_for_next_state
+from localization.navigation.waypoints import (
+    COMMAND_TIMEOUT_S,
+    Speeds,
+    drive_unless_held,
+    start_localizer,
+    wait_for_next_state,
+)
 from nclient.errors import BumperHit, NomadError
 from nclient.robot import Robot
 from nclient.state import RobotState
@@ -117,8 +123,10 @@ class RobotController:
         before = self.last.state
         after, fraction = before, self._gap_limiter.speed_fraction(self.clock_s)
         with contextlib.suppress(BumperHit):
-            after = self.robot.drive(
-                translation_in_s=fraction * command.translation_in_s, steering_rad_s=fraction * command.steering_rad_s
+            after = drive_unless_held(
+                self.robot,
+                translation_in_s=fraction * command.translation_in_s,
+                steering_rad_s=fraction * command.steering_rad_s,
             )
         # 2. Estimate.
         self.last = self._observe(wait_for_next_state(self.robot, before, after, self._wait))

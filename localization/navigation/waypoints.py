@@ -22,7 +22,7 @@ from localization.live.sensor_input import restart_ring
 from localization.navigation.control_law import ControlGains, distance_to, next_step, slow_for_turn
 from localization.navigation.limits import STAND, PoseSmoother, StateGapLimiter, VelocityCommand
 from localization.navigation.recovery import RecoveryBehavior
-from nclient.errors import NomadError
+from nclient.errors import NomadError, RobotHeld
 from nclient.robot import Robot
 from nclient.state import RobotState
 
@@ -187,7 +187,7 @@ def follow_waypoints(
             if command != STAND or not stands:
                 fraction = gap_limiter.speed_fraction(estimate.clock_s)
                 translation_in_s, steering_rad_s = (fraction * speed for speed in command)
-                after = robot.drive(translation_in_s=translation_in_s, steering_rad_s=steering_rad_s)
+                after = drive_unless_held(robot, translation_in_s=translation_in_s, steering_rad_s=steering_rad_s)
             stands = command == STAND
             state = wait_for_next_state(robot, state, after, wait)
 
@@ -202,6 +202,14 @@ def stop_on_exit(robot: Robot) -> Iterator[None]:
             robot.stop()
         raise
     robot.stop()
+
+
+def drive_unless_held(robot: Robot, **velocities: float) -> RobotState:
+    """Drive and return the state; while a person holds the robot, only query it: it goes on when it is released."""
+    try:
+        return robot.drive(**velocities)
+    except RobotHeld:
+        return robot.refresh()
 
 
 def wait_for_next_state(

@@ -4,7 +4,7 @@ The viewer and `nserver ctl release` release it.
 
     motion command (vm, pr, pa, mv, zr, lp)    executed as st; the reply is ERROR 7 (HELD)
     the same with all values 0                 executed as st: the reply is the state
-    arm motion, user packet                    not executed, ERROR 7
+    arm motion, user packet                    not executed, ERROR 7; the readings of a simulated ring are sent
     ws and zr that wait at the moment of Stop  ERROR 7
     any other command                          executed as usual; word 44 of a state over TCP is 7
 
@@ -16,7 +16,7 @@ because it changes replies. Programs that ignore errors do not show it, so the l
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 from nclient.errors import HELD
@@ -64,6 +64,8 @@ class RobotHold:
     ignored: int = 0
     # True where clients are not informed: in a recording made before there was ERROR 7.
     is_silent: bool = False
+    # All who stopped it since: a student may not release what the teacher has stopped, too.
+    operators: set[str] = field(default_factory=set)
 
     def as_dict(self) -> dict[str, Any]:
         """Return it as plain data."""
@@ -78,8 +80,8 @@ class EStop:
         self.holds: dict[int, RobotHold] = {}
 
     def engage(self, robot_id: int, by: str, *, is_silent: bool = False) -> None:
-        """Stop a robot; a robot that is stopped already keeps its first operator."""
-        self.holds.setdefault(robot_id, RobotHold(by, is_silent=is_silent))
+        """Stop a robot; a robot that is stopped already is reported with its first operator."""
+        self.holds.setdefault(robot_id, RobotHold(by, is_silent=is_silent)).operators.add(by)
 
     def release(self, robot_id: int) -> None:
         """Release a robot, stopped or not."""
@@ -111,7 +113,10 @@ class EStop:
         answer = error_reply(REFUSED) if effective is None else run(effective, context)
         # 2. A robot's own line has no such error.
         is_refused = effective is not call and (effective is None or _asks_for_motion(call))
-        return error_reply(HELD) if is_refused and context.is_held and not context.wire_state.line else answer
+        if not is_refused or not context.is_held or context.wire_state.line:
+            return answer
+        # 3. The st of a real robot takes time: a program that repeats its motion must not fill the queue with them.
+        return error_reply(HELD) if isinstance(answer, Reply) else lambda: answer() and error_reply(HELD)
 
     def until_held(self, poll: DeferredReply, call: Call, context: ConnectionContext) -> DeferredReply:
         """Return a deferred reply that becomes an error when the robot that it waits for is stopped."""

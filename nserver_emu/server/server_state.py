@@ -598,8 +598,10 @@ class ServerState:
             context.cached_state = None
             if name not in QUERIES:
                 self.invalidate_state_cache()
-        # 4. Under emergency stop, motions become st or are not executed, and the client is informed.
-        if self.estop.holds:
+        # 4. Under emergency stop, motions become st or are not executed, and the client is informed. A ring is read,
+        #    but in recordings made before there was ERROR 7.
+        hold = self.estop.get(context.robot_id)
+        if hold is not None and (hold.is_silent or not is_ring_packet(call)):
             answer = self.estop.execute(call, context, self._execute)
         else:
             context.is_held = False

@@ -9,12 +9,13 @@ made. The Nserver protocol has no token: a program chooses its robot by number (
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import io
 import os
 import re
 import secrets
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -33,6 +34,7 @@ _TOKEN: Final = re.compile(r"[A-Za-z0-9_-]{16,200}")
 _MAX_NAME: Final = 40
 MAX_BYTES: Final = 1_000_000
 _MAX_COLUMNS: Final = 3
+_MAX_DIGITS: Final = 9
 # Group and others.
 _OTHERS: Final = 0o077
 # Calls that change the world, or another robot than the student's.
@@ -63,10 +65,12 @@ def read_class(path: Path) -> list[Student]:
     """
     # 1. Rows with their line numbers, without empty lines, comments and a heading.
     rows = [(line, row) for line, row in _rows(path) if any(row) and not row[0].startswith("#")]
-    if rows and [word.lower() for word in rows[0][1][:2]] in (["name"], ["name", "token"]):
+    if rows and rows[0][1][0].lower() == "name":
         del rows[0]
     if not rows:
         raise ClassFileError(f"{path}: no students: write a line per student, name[,token][,robot]")
+    if len(rows) > MAX_ROBOTS:
+        raise ClassFileError(f"{path}: {len(rows)} students, and at most {MAX_ROBOTS} robots: is it the right file?")
     # 2. Robots named in the file, then the free numbers in order.
     entries = [_entry(path, line, row) for line, row in rows]
     taken: dict[object, int] = {}
@@ -105,26 +109,29 @@ def write_links(path: Path, students: list[Student], page: str, program: str) ->
     writer.writerow(HEADER)
     for name, token, robot in students:
         writer.writerow((name, robot, token, f"{page}/?token={token}", f"{program}/{robot}"))
+    made = target.with_name(f"{target.name}.{os.getpid()}")
     try:
         # A new file, whose permissions are set before the secrets are written, replaces the old one as a whole.
-        made = target.with_name(f"{target.name}.{os.getpid()}")
-        with os.fdopen(os.open(made, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
+        made.unlink(missing_ok=True)
+        with os.fdopen(os.open(made, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="utf-8") as file:
             file.write(text.getvalue())
         made.replace(target)
     except OSError as error:
+        with contextlib.suppress(OSError):
+            made.unlink()
         raise ClassFileError(f"{target}: links cannot be written: {error.strerror}; use a folder of yours") from error
     return target
 
 
-def refusal(message: messages.Message, robot: int, person: str, holders: Mapping[int, str]) -> str:
+def refusal(message: messages.Message, robot: int, person: str, operators: Collection[str]) -> str:
     """Return the reason why a student may not send a message; empty if it is allowed.
 
     Parameters
     ----------
     robot, person
         The student's robot and name.
-    holders
-        The viewers that hold robots, by robot.
+    operators
+        Viewers and tools that have stopped the robot and hold it.
     """
     match message:
         case messages.Seen() | messages.Watch() | messages.Gallery():
@@ -135,8 +142,8 @@ def refusal(message: messages.Message, robot: int, person: str, holders: Mapping
             return "only the teacher changes the world"
         case _ if message.robot != robot:
             return f"this page drives robot {robot} only"
-        case messages.Release() if person_of(holders.get(robot, "")) not in ("", person):
-            return f"robot {robot} is held by {holders[robot]}, who may release it"
+        case messages.Release() if others := sorted(one for one in operators if person_of(one) != person):
+            return f"robot {robot} is held by {others[0]}, who may release it"
         case _:
             return ""
 
@@ -171,13 +178,17 @@ def _entry(path: Path, line: int, row: list[str]) -> _Entry:
     # A name and a number are usual, too: Ada,7.
     if token.isdecimal() and not robot and not _TOKEN.fullmatch(token):
         token, robot = "", token
-    if not 0 < len(name) <= _MAX_NAME or not name.isprintable():
-        raise ClassFileError(f"{path}, line {line}: a name has 1 to {_MAX_NAME} characters, not {name!r}")
+    # A program for tables runs what begins as a formula; semicolons separate the columns of some of them.
+    if not 0 < len(name) <= _MAX_NAME or not name.isprintable() or name[0] in "=+-@" or ";" in name:
+        raise ClassFileError(f"{path}, line {line}: a name has 1 to {_MAX_NAME} characters, begins with none of "
+                             f"= + - @, and has no semicolon (columns are separated by commas), not {name!r}")
+    if name.lower() == TEACHER:
+        raise ClassFileError(f"{path}, line {line}: {name} is the name of the teacher's pages: write another one")
     if token and not _TOKEN.fullmatch(token):
         raise ClassFileError(f"{path}, line {line}: a token has 16 to 200 letters, digits, - and _; leave it out, and "
                              "one is made")
-    if robot and not (robot.isdecimal() and 1 <= int(robot) <= MAX_ROBOTS):
-        raise ClassFileError(f"{path}, line {line}: a robot is a number from 1 to {MAX_ROBOTS}, not {robot!r}; "
+    if robot and not (robot.isdecimal() and len(robot) <= _MAX_DIGITS and 1 <= int(robot) <= MAX_ROBOTS):
+        raise ClassFileError(f"{path}, line {line}: a robot is a number from 1 to {MAX_ROBOTS}, not {robot[:20]!r}; "
                              "leave it out for the next free one")
     return _Entry(name, token, int(robot or 0))
 

@@ -350,8 +350,8 @@ class ViewerController:
             self._refuse(viewer, number, "this link only looks")
             return
         if viewer.robot is not None:
-            holders = {robot: hold.by for robot, hold in self.daemon.emulator.estop.holds.items()}
-            if reason := refusal(message, viewer.robot, viewer.person, holders):
+            hold = self.daemon.emulator.estop.get(viewer.robot)
+            if reason := refusal(message, viewer.robot, viewer.person, hold.operators if hold else ()):
                 self._refuse(viewer, number, reason)
                 return
 

@@ -116,6 +116,8 @@ def require_robots(options: argparse.Namespace, daemon: Daemon) -> list[Student]
     from nserver_emu.viewer.classroom import ClassFileError
 
     students: list[Student] = options.students
+    if not students:
+        return []
     robots = daemon.emulator.simulation.robots
     for student in students:
         if student.robot not in robots:
@@ -126,7 +128,7 @@ def require_robots(options: argparse.Namespace, daemon: Daemon) -> list[Student]
         str(number) for number, robot in robots.items()
         if not has_room_ahead(simulation, StartPose(*robot.actual), robot.model.body.radius_in, number)
     ]  # fmt: skip
-    if students and cramped:
+    if cramped:
         log.warning("robots %s have less than %g in of room ahead: the world %s is small for a class, arena has thirty "
                     "starts", ", ".join(cramped), ROOM_AHEAD_IN, simulation.world.name)
     return students

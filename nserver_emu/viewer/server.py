@@ -291,7 +291,8 @@ class ViewerServer:
         origin = request.headers.get("Origin", "")
         if not auth.is_same_origin(origin, request.scheme, request.host):
             raise web.HTTPForbidden(text=f"Origin {ascii(origin) if origin else '(none)'} is not this page's\n")
-        if len(self._sockets) >= self._port.door.limits.viewers:
+        # However many pages a class opens, its teacher gets one.
+        if len(self._sockets) >= self._port.door.limits.viewers and access.name != TEACHER:
             self._port.door.reject(request.remote or "", "too many pages are open (--limit-viewers)")
             raise web.HTTPServiceUnavailable(text="too many pages are open: close one (--limit-viewers)\n")
         socket = web.WebSocketResponse(compress=False, heartbeat=HEARTBEAT_S, timeout=CLOSING_S, max_msg_size=MAX_TEXT)

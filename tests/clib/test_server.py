@@ -191,6 +191,16 @@ def test_held_robot_is_error_7_and_printed_once(client: str) -> None:
     assert bytes(name["obs"]).rstrip(b"\0") == b"viewer 1"
 
 
+def test_each_hold_is_printed_once(client: str) -> None:
+    held, free = [ScriptedServer().state()._replace(slots={0: 10, 44: word}) for word in (7, 0)]
+    server = ScriptedServer({"vm": error(7), "st": held, "gs": free})
+    # A stop succeeds during a hold; a state without the mark ends it.
+    script = "connect_robot 1\nvm 1 2 3\nst\nvm 1 2 3\ngs\nvm 1 2 3\n"
+    with on_socket(by_script(server, 7)) as port:
+        *_, last = run_calls([client, str(port)], script)
+    assert last["stderr"].count("error 7") == 2
+
+
 def test_server_from_environment(client: str, monkeypatch: pytest.MonkeyPatch) -> None:
     with on_socket(by_script(ScriptedServer(), 2)) as port:
         monkeypatch.setenv("NOMAD_ROBOT", f"nserver://127.0.0.1:{port}/1?model=n150")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +12,7 @@ import pytest
 
 from nclient.cli.main import main
 from nclient.protocol.commands import Call
-from nserver_emu.challenge_command import CHALLENGES, REFUSED_CALLS, Referee, score
+from nserver_emu.challenge_command import CHALLENGES, REFUSED_CALLS, Referee, _run_program, score
 from nserver_emu.server.config import SimulationConfig
 from nserver_emu.server.inprocess import InProcess
 from nserver_emu.server.server_state import SimulationClock
@@ -122,6 +124,12 @@ def test_program_without_end_is_ended(tmp_path: Path, capsys: pytest.CaptureFixt
     assert found["runs"][0]["ended"] == "timeout"
 
 
+async def test_time_stands_still_when_a_program_is_ended() -> None:
+    over = asyncio.Event()
+    assert await _run_program(["sleep", "100"], dict(os.environ), over, 0.01) == "timeout"
+    assert over.is_set()
+
+
 @pytest.mark.long
 def test_example_reaches_the_goal(capsys: pytest.CaptureFixture[str]) -> None:
     program = str(ROOT / "examples" / "corridor_challenge.py")
@@ -133,6 +141,8 @@ def test_example_reaches_the_goal(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_program_that_is_missing_or_not_executable(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "text").write_text("")
-    for name, word in (("none.py", "no such file"), ("text", "executed")):
+    (tmp_path / "script").write_text("no first line")
+    (tmp_path / "script").chmod(0o755)
+    for name, word in (("none.py", "no such file"), ("text", "executed"), ("script", "#!")):
         assert main(["challenge", "corridor", str(tmp_path / name)]) == 2
         assert word in capsys.readouterr().err

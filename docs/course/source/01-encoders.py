@@ -12,9 +12,9 @@ $$
 x' = x + d \cos(\theta + a/2), \qquad y' = y + d \sin(\theta + a/2), \qquad \theta' = \theta + a
 $$
 
-The robot turns while it drives, so the heading while driving is, on average, that at half of the turn (Thrun, Burgard
-and Fox, *Probabilistic Robotics*, 2005, section 5.4). Lengths are inches, angles radians, counter-clockwise positive;
-heading 0 looks along x.
+The robot turns while it drives, so the heading while driving is, on average, that at half of the turn. (Thrun, Burgard
+and Fox, *Probabilistic Robotics*, 2005, section 5.4, have one turn before and one after the distance; here each is half
+of $a$.) Lengths are inches, angles radians, counter-clockwise positive; heading 0 looks along x.
 
 `ADDRESS` decides which robot drives: one simulated in this process, a recording (`replay:out/drive.log`, made with
 `&record=out/drive.log` at the end of a simulated robot's address), or a real one (`serial:///dev/ttyUSB0?model=n150`,
@@ -41,7 +41,7 @@ from nclient import connect
 ## A square
 
 Four sides of 40 in, with a turn of 90° to the left at each corner. `record` returns a row per state: `drive.encoders`
-has x, y and heading, and `drive.truth` the true pose, which only a simulated robot can tell.
+has x, y and heading, and `drive.truth` the true pose, which only a simulation can report (NaN for a real robot).
 """
 
 # %%

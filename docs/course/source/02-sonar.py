@@ -89,8 +89,8 @@ plt.show()
 r"""
 ## Task 3: the range to a wall
 
-A filter compares readings with expected ranges. Return the range along a ray from (x, y) to a wall `(x1, y1, x2,
-y2)`, and `math.inf` if the ray misses the wall, passes its end, or the wall lies behind.
+A filter compares readings with expected ranges. Return the range along a ray from the point (x, y) to a wall `(x1, y1,
+x2, y2)`. Return `math.inf` if the ray misses the wall, passes its end, or the wall lies behind.
 
 With $c = \cos\varphi$, $s = \sin\varphi$ of the ray's direction, each end of the wall has a coordinate along the ray
 and one to the left of it:
@@ -127,8 +127,9 @@ for number in range(0, 16, 2):
 r"""
 ## Task 4: how exact is a reading?
 
-The simulated noise is one per cent of the range (standard deviation), and readings are rounded to whole inches. An
-error that is uniform over one inch has the variance $1/12$. Return the standard deviation of a reading.
+The simulated noise is Gaussian, with a standard deviation of one per cent of the range, and readings are rounded to
+whole inches. An error that is uniform over one inch has the variance $1/12$. Return the standard deviation of a
+reading.
 """
 
 # %% tags=["task"]
@@ -142,8 +143,8 @@ check(reading_std)
 # %% [markdown]
 """
 Many readings of sonar 0, which alone fires now, while the robot creeps to the wall. The errors lie in the band,
-mostly. Errors of neighbours look alike: rounding repeats itself where the range hardly changes. This needs the ground
-truth, so it is always simulated.
+mostly. Errors of consecutive readings look alike: rounding repeats itself where the range hardly changes. This needs
+the ground truth, so it is always simulated.
 """
 
 # %%

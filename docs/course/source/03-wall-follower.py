@@ -15,7 +15,7 @@ $$
 
 where $\omega$ is the turn rate, positive to the left. Turning in proportion to the error of $\delta$ alone makes the
 robot swing for ever, like a pendulum without friction: a term with $\varphi$ is its damper (Åström and Murray,
-*Feedback Systems*, 2008, section 10.3).
+*Feedback Systems*, 2008, section 10.1: derivative action).
 """
 
 # %% tags=["parameters"]
@@ -42,8 +42,8 @@ axis. Take them for rays: then each gives a point of the wall in the robot's fra
 two points give the wall. Return its distance from the axis, perpendicular to the wall, and its angle $\varphi$ in
 radians.
 
-Hint: the direction of the wall is `math.atan2` of the difference of both points, and the distance is that of the
-first point times $\cos\varphi$.
+Hint: the direction of the wall is `math.atan2(dy, dx)` of the difference of both points, that of sonar 13 minus that
+of sonar 12. The distance is that of the point of sonar 12 from the axis, times $\cos\varphi$.
 """
 
 # %% tags=["task"]
@@ -60,7 +60,7 @@ check(wall_on_the_right)
 
 Return the turn rate in degrees per second, positive to the left and limited to ±30. The check lets a robot drive
 along a simulated wall at 6 in/s, from several distances: after 30 s it must be within 1 in of the wanted distance and
-must not swing.
+parallel to the wall within 0.1 rad, without having touched the wall.
 """
 
 # %% tags=["task"]
@@ -75,7 +75,8 @@ check(turn_rate)
 """
 ## Task 3: stop before the corner
 
-Return True if one of the three sonars ahead (15, 0 and 1) reads less than the limit.
+`sonars_in` has all sixteen readings. Return True if at least one of the three sonars ahead (15, 0 and 1) reads less
+than the limit.
 """
 
 # %% tags=["task"]

@@ -33,7 +33,7 @@ CELL_IN = 4
 ## Task 1: predict
 
 `belief[i]` is the probability of cell i, `kernel[k]` that of moving by k cells forwards. Return the belief after the
-motion. What would leave the grid stays in its last cell.
+motion, as many cells as before. What would leave the grid stays in its last cell.
 """
 
 # %% tags=["task"]
@@ -49,7 +49,7 @@ check(predict_grid)
 ## Task 2: update
 
 `likelihood[i]` is the density of the reading if the robot is in cell i. Return the belief after the reading. If no
-cell explains it, all likelihoods are 0: then return the belief as it was.
+cell explains it, all likelihoods are 0: then return the belief unchanged.
 """
 
 # %% tags=["task"]
@@ -120,7 +120,7 @@ for row in range(1, len(travelled)):
     if travelled[row] - driven < 2 * CELL_IN:
         continue
     driven += 2 * CELL_IN
-    belief = predict_grid(belief, [0, 0.1, 0.8, 0.1])
+    belief = predict_grid(belief, np.array([0, 0.1, 0.8, 0.1]))
     for number in (12, 0):
         belief = update_grid(belief, reading_likelihood(drive.sonars_in[row, number], expected[number], 2, 0.1))
     beliefs.append(belief)

@@ -141,8 +141,8 @@ plt.show()
 # %% [markdown]
 """
 Some of the readings that nothing explains are old: a sonar fires once a second, and the robot has moved by up to 3 in
-since. Others are echoes over several walls, which are longer than the direct ones. A filter must refuse both, or know
-better. A reading that two candidates explain is shared by their probabilities:
+since. Others are echoes over several walls, which are longer than the direct ones. A filter must reject both, or
+model them. A reading that two candidates explain is divided among them by their probabilities:
 """
 
 # %%

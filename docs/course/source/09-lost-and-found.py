@@ -47,7 +47,7 @@ check(effective_number)
 r"""
 ## Task 2: the fraction of random particles
 
-`likelihood` says how well the readings fit, `slow` and `fast` are its averages so far. Update both by $\text{average}
+`likelihood` is how well the readings fit, `slow` and `fast` are its averages so far. Update both by $\text{average}
 \leftarrow \text{average} + \text{rate}\,(\text{likelihood} - \text{average})$ with the rates 0.05 (slow) and 0.5
 (fast). Return the new slow, the new fast, and the fraction $\max(0,\, 1 - \text{fast}/\text{slow})$ from the new
 ones.
@@ -82,7 +82,7 @@ check(is_found)
 ## A drive with a kidnapping
 
 `wander` drives ahead and turns away from walls. In the middle of the drive we cut some seconds out of what the filter
-gets: for the filter, the robot was carried away with its eyes closed. This works with a real robot as well.
+gets: for the filter, the robot was carried away with its sensors off. This works with a real robot as well.
 """
 
 # %%
@@ -137,7 +137,7 @@ def localize(with_random):
         fit = math.exp(weights @ np.log(density).mean(axis=1))
         weights = density.prod(axis=1)
         weights /= weights.sum()
-        # 3. Remember, then resample and add random poses.
+        # 3. Record, then resample and add random poses.
         mean = weights @ particles[:, :2]
         error = math.dist(mean, drive.truth[row][:2])
         slow, fast, fraction = random_fraction(slow or fit, fast or fit, fit)
@@ -154,7 +154,7 @@ def localize(with_random):
 runs = {"tracking only": localize(False), "with random particles": localize(True)}
 
 # %%
-figure, (error, number, share) = plt.subplots(3, 1, figsize=(9, 8), sharex=True)
+figure, (error, number, fraction) = plt.subplots(3, 1, figsize=(9, 8), sharex=True)
 for name, rows_of_run in runs.items():
     # A row without values makes a gap in the lines.
     gap = np.searchsorted(rows_of_run[:, 0], drive.clock_s[n // 2])
@@ -162,25 +162,25 @@ for name, rows_of_run in runs.items():
     clock_s = history[:, 0]
     error.plot(clock_s, history[:, 1], ".-", label=name)
     number.semilogy(clock_s, history[:, 2])
-    share.plot(clock_s, history[:, 3])
+    fraction.plot(clock_s, history[:, 3])
     found = history[:, 4] > 0
     level = -3 if name == "tracking only" else -6
     error.plot(clock_s[found], np.full(found.sum(), level), "|", color=error.lines[-1].get_color())
-for axes in (error, number, share):
+for axes in (error, number, fraction):
     axes.axvspan(drive.clock_s[int(0.4 * n)], drive.clock_s[int(0.6 * n)], color="0.9")
 error.set(ylabel="error (in)", title="grey: carried away; ticks below 0: is_found")
 error.legend()
 number.set(ylabel="effective number")
-share.set(ylabel="random fraction", xlabel="time (s)")
+fraction.set(ylabel="random fraction", xlabel="time (s)")
 plt.show()
 for name, history in runs.items():
     print(f"{name}: error {history[-5:, 1].mean():.1f} in during the last seconds")
 
 # %% [markdown]
 """
-Both find the robot at the start: a few readings leave one place of three thousand. After the kidnapping only the
+Both find the robot at the start: a few readings leave only one place. After the kidnapping only the
 second recovers. `is_found` is a statement about the particles, not about the truth: look at what the first one says
-while it is wrong. The random fraction stays high for a while, since the slow average remembers the better times
+while it is wrong. The random fraction stays high for a while, since the slow average still contains the better fits
 before, and random particles fit badly themselves.
 
 The built-in finder works without particles ([Methods](../methods.md)): `nomad localize

@@ -2,8 +2,9 @@
 r"""
 # 10 Calibration
 
-Random errors average out; *systematic* ones do not. A wheel that is 3 % larger than the software believes makes every
-distance 3 % too short, always in the same way. Such errors can be measured, and then removed:
+Random errors average out; *systematic* ones do not. A wheel that is 3 % larger than the software assumes makes every
+counted distance some 3 % shorter than the true one, always in the same way. Such errors can be measured, and then
+removed:
 
 $$
 \text{true distance} = s_d \cdot \text{counted}, \qquad
@@ -31,7 +32,7 @@ from worlds.io import load_world
 
 # %% [markdown]
 """
-This file describes the robot of this notebook. Its numbers are what we look for, so do not look.
+This file describes the robot of this notebook. Its numbers are what you will estimate, so do not read them yet.
 """
 
 # %%
@@ -107,9 +108,9 @@ check(fit_turn_and_drift)
 r"""
 ## Task 3: how certain is the result?
 
-If the true turns have independent errors with the standard deviation $\sigma$, the covariance of the parameters is $P
-= \sigma^2 (A^\top A)^{-1}$. Return the standard deviations of $s_a$ and $\beta$. They do not depend on what was
-measured: a calibration can be planned.
+If the measured true turns have independent errors with the standard deviation $\sigma$, the covariance of the
+parameters is $P = \sigma^2 (A^\top A)^{-1}$. Return the standard deviations of $s_a$ and $\beta$. They do not depend on
+what was measured: a calibration can be planned.
 """
 
 # %% tags=["task"]
@@ -174,6 +175,6 @@ print(f"sonar 0 reads {offset:.1f} in too much; the ring has a radius of {RING_I
 
 # %% [markdown]
 """
-Now look into the file: the scales are 1.04 and 0.97, the drift 1 mrad/in, the offset 1.5 in. `nomad calibrate` finds
+Now read the file: the scales are 1.04 and 0.97, the drift 1 mrad/in, the offset 1.5 in. `nomad calibrate` finds
 all of them, and the offsets of all sonars, in one drive without a tape ([Calibration](../calibration.md)).
 """

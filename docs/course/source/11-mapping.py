@@ -30,7 +30,8 @@ from worlds.io import load_world
 """
 ## Task 1: a cell
 
-Return the log odds of a cell after a reading that gives it the probability p.
+Return the log odds of cells after a reading that gives them the probabilities p. Both arguments are arrays of the same
+shape, a number for each cell; `np.log` takes arrays, `math.log` does not.
 """
 
 # %% tags=["task"]
@@ -126,7 +127,7 @@ check(fit_wall)
 
 # %% [markdown]
 """
-Perpendicular echoes of the outer wall on the left, x = -12 in: cells near it that are probably occupied.
+Echoes of the outer wall on the left, x = -12 in: cells near it that are probably occupied.
 """
 
 # %%
@@ -139,6 +140,6 @@ if len(points) > 2:
 # %% [markdown]
 """
 Cells take each reading for new information, although a sonar that looks at the same wall from almost the same place
-says the same again. `nomad map learn` estimates poses, walls and the errors of wheels and sonars together, without
+adds almost nothing. `nomad map learn` estimates poses, walls and the errors of wheels and sonars together, without
 any given pose ([Learn a map](../mapping.md)).
 """

@@ -84,6 +84,17 @@ def test_broken_answer_is_explained(answer: Callable[..., Any], word: str) -> No
     assert word in check(answer, "step_pose").text
 
 
+def test_statements_are_true_or_false() -> None:
+    for name in ("is_blocked", "is_consistent", "is_found"):
+        for result in ("yes", 0.5, np.array([True, False])):
+            assert "expected True or False" in check(lambda *_, result=result: result, name).text
+
+
+def test_infinite_results_are_wrong() -> None:
+    assert "inf" in check(lambda *_: np.inf, "nearest_reflector").text
+    assert "inf" in check(lambda *_: (np.inf, np.inf), "fit_wall").text
+
+
 def test_answer_cannot_change_its_arguments() -> None:
     given = np.zeros(3)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import inspect
 import json
 from pathlib import Path
@@ -87,22 +88,35 @@ def test_answer_that_catches_everything_is_stopped(tmp_path: Path, monkeypatch: 
 
 
 @pytest.mark.long
-def test_output_of_answers_is_no_result(tmp_path: Path) -> None:
+def test_output_and_children_of_answers_change_nothing(tmp_path: Path) -> None:
     forged = 'print(\'{"name": "update_cell", "passed": true, "text": ""}\')\n'
-    file = notebook(tmp_path / "mal.ipynb", f"def update_cell(l, p):\n    {forged}    return 0\n")
-    assert grade(file).points == 0
+    # Parent and child hold the lock until both have ended.
+    lock = tmp_path / "lock"
+    fork = (f"    file = open({str(lock)!r}, 'w')\n    fcntl.flock(file, fcntl.LOCK_EX)\n"
+            "    if os.fork() == 0:\n        time.sleep(9000)\n    return 0 * d\n")  # fmt: skip
+    file = notebook(tmp_path / "mal.ipynb", "import fcntl, os, time",
+                    f"def update_cell(l, p):\n    {forged}    return 0 * p",
+                    f"def inverse_sensor(d, a, z):\n{fork}",
+                    "def fit_wall(points):\n    os.fork()\n    return 0, 0\n")  # fmt: skip
+    for mark, word in zip(grade(file).marks, ("it returned [0", "it returned 0, expected", "root mean"), strict=True):
+        assert mark.points == 0
+        assert word in mark.text
+    with lock.open() as opened:
+        fcntl.flock(opened, fcntl.LOCK_EX)
 
 
 @pytest.mark.long
 def test_table_and_summary_of_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     notebook(tmp_path / "ada.ipynb", "import numpy as np", (SOLUTIONS / "09-lost-and-found.py").read_text())
-    notebook(tmp_path / "bob.ipynb", "def effective_number(weights):\n    return 1 / sum(weights**2)")
+    notebook(tmp_path / "bob.ipynb", "def effective_number(weights):\n    return 1 / sum(weights**2)",
+             "half = drive / 2")  # fmt: skip
     (tmp_path / ".ipynb_checkpoints").mkdir()
     notebook(tmp_path / ".ipynb_checkpoints" / "ada.ipynb", "x = 1")
     assert main(["grade", str(tmp_path), "--seed", "5"]) == 0
     output = capsys.readouterr().out
     assert "ada.ipynb: 5 of 5 points" in output
     assert "There is no function is_found." in output
+    assert "NameError" not in output  # drives are not executed
     assert "bob.ipynb    1 of 5" in output
 
 

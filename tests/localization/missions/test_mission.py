@@ -16,7 +16,7 @@ from localization.missions.report import MissionOver, StepFailed
 from localization.missions.settings import Settings
 from localization.navigation.path import angle_difference
 from nclient.common.process import TerminatedBySignal
-from nclient.errors import ConnectionLost, NomadError
+from nclient.errors import ConnectionLost, NomadError, RobotHeld
 
 pytestmark = pytest.mark.long
 
@@ -151,8 +151,10 @@ def test_held_robot_is_reported_and_goes_on_once_released(
     drive = controller.robot.drive
 
     def held(**velocities: float) -> Any:
-        """Replace motions by st, as a held robot does (nserver_emu.server.ownership)."""
-        return controller.robot.stop() if controller.clock_s < until_s else drive(**velocities)
+        """Refuse motions, as the server of a held robot does (nserver_emu.server.estop)."""
+        if controller.clock_s < until_s:
+            raise RobotHeld("vm", 1, "viewer 1")
+        return drive(**velocities)
 
     monkeypatch.setattr(controller.robot, "drive", held)
     # The step goes on after the release.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import islice
 
 import numpy as np
 import pytest
@@ -19,7 +20,10 @@ from localization.navigation.waypoints import (
     follow_waypoints,
     start_localizer,
 )
-from nclient import connect
+from nclient import Robot, connect
+from nclient.backends.nserver import NserverBackend
+from nclient.transports.stream import MemoryStream
+from nserver_emu.server.inprocess import open_address
 from worlds.io import load_world
 from worlds.robots import N150
 
@@ -56,6 +60,22 @@ def test_the_guided_paths_of_the_thesis(world: str, path: str) -> None:
     x, y = points[0]
     progress = drive(f"sim:{world}?noisy=1&seed=4&start={x},{y}&step_s=0.1", world, points)
     assert progress[-1].passed == len(points)
+
+
+def test_held_robot_is_localized_and_goes_on_once_released() -> None:
+    server = open_address("sim:thesis_room?step_s=0.1")
+    with Robot(NserverBackend(MemoryStream(server), robot_id=1)) as robot:
+        belief = independent([0.0, 0.0, 0.0], [0.1, 0.1, 0.01])
+        localizer = start_localizer(robot, LocalizationConfig(load_world("thesis_room").walls, N150), belief)
+        steps = follow_waypoints(robot, localizer, Navigator([(20, 0)]), never)
+        server.emulator.hold(1, "viewer 1")
+        held = list(islice(steps, 20))
+        assert {step.state.x_in for step in held} == {0.0}
+        assert held[-1].estimate.clock_s > 2.0
+        server.emulator.release(1)
+        *_, last = steps
+        assert last.passed == 1
+        assert last.state.x_in > 15
 
 
 def test_navigator_slows_and_turns_towards_goal() -> None:

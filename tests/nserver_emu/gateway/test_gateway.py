@@ -520,6 +520,21 @@ def test_a_hold_stops_the_real_robot_and_refuses_motions() -> None:
     assert client.ask("vm", 100, 0, 0).slots[38] == 100
 
 
+def test_refused_motion_is_answered_when_the_real_robot_got_st() -> None:
+    harness, robot = scripted()
+    client = harness.client()
+    harness.gateway.hold(1, "viewer 1")
+    harness.run_pending()
+    robot.names()
+    # A program that repeats its motion waits for each reply: stops do not pile up in the queue of a slow line.
+    client.session.receive(codec.encode_tcp_request(Call("vm", (100, 0, 0))) * 5)
+    assert client.session.process_requests(max_requests=100) == b""
+    harness.run_pending()
+    assert robot.names() == ["st"]
+    (reply,) = client.wire.read("vm", client.session.tick())
+    assert refusal(reply) == (7,)
+
+
 def test_a_hold_of_the_simulated_robot_sends_nothing_to_the_real() -> None:
     harness, line = on_line()
     client = harness.client()

@@ -10,6 +10,7 @@ from docs.generate.commands import examples
 from nclient.errors import HELD
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply, text_of
+from nclient.protocol.ring_packet import READ, RING_PACKET
 from nclient.protocol.types import N150
 from nclient.protocol.wire_state import serial_wire_state
 from nserver_emu.server.estop import EStop, moves
@@ -113,6 +114,8 @@ def test_all_else_is_done_as_ever() -> None:
         ("dp", (70, 80)), ("place_robot", (300, 200, 900, 0)),
     ):  # fmt: skip
         assert client.ask(name, *args).kind != "error"
+    # The readings of a ring come as a user packet.
+    assert client.ask("special_request", RING_PACKET, READ).kind != "error"
     assert math.degrees(emulator.simulation.robots[1].actual.steering_rad) == pytest.approx(90.0)
     assert emulator.estop.as_dict() == {"1": {"by": "viewer 1", "ignored": 0}}
 
@@ -129,6 +132,7 @@ def test_the_first_operator_is_reported_until_release() -> None:
     emulator = held()
     emulator.hold(1, "viewer 2")
     assert emulator.estop.as_dict()["1"]["by"] == "viewer 1"
+    assert emulator.estop.holds[1].operators == {"viewer 1", "viewer 2"}
     emulator.estop.release(1)
     emulator.estop.release(1)
     assert emulator.estop.as_dict() == {}

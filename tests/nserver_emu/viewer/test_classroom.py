@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from aiohttp import WSServerHandshakeError
 
 from nclient.protocol import codec
 from nclient.protocol.commands import Call
@@ -19,6 +20,7 @@ from nserver_emu.options import nserver_parser, read_options
 from nserver_emu.server.config import ROOM_AHEAD_IN, SimulationConfig, has_room_ahead, robot_placements
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.server.limits import Limits
 from nserver_emu.simulation.models import N150
 from nserver_emu.simulation.noise import IDEAL
 from nserver_emu.viewer.auth import Access
@@ -46,7 +48,7 @@ def write(path: Path, text: str) -> Path:
 
 
 def test_students_get_free_robots_and_tokens(path: Path) -> None:
-    text = f'name,token,robot\n# a comment\n"Lovelace, Ada",{ADA},2\n\nBob\nGrace,,5\nAlan,4\nKay,{BOB}\n'
+    text = f'Name,robot\n# a comment\n"Lovelace, Ada",{ADA},2\n\nBob\nGrace,,5\nAlan,4\nKay,{BOB}\n'
     students = read_class(write(path, text))
     assert [(name, robot) for name, _, robot in students] == [
         ("Lovelace, Ada", 2), ("Bob", 1), ("Grace", 5), ("Alan", 4), ("Kay", 3)]
@@ -81,6 +83,11 @@ def test_links_are_private_and_stay_over_restarts(path: Path) -> None:
     (f"Ada,{ADA}\nBob,{ADA}\n", "line 2:", "this token"),
     ("Ada,,1,2\n", "line 1:", "quotes"),
     (",x\n", "line 1:", "1 to 40"),
+    ("=1+2\n", "line 1:", "= + - @"),
+    ("Ada;7\n", "line 1:", "commas"),
+    ("name\nTeacher\n", "line 2:", "another"),
+    pytest.param(f"Ada,,{'9' * 5000}\n", "line 1:", "1 to 1000", id="digits"),
+    pytest.param("\n".join(f"S{number}" for number in range(1001)), "students.csv:", "at most 1000", id="many"),
     ('"Ada\n', "line 1", "name"),
 ])  # fmt: skip
 def test_error_names_line_and_remedy(path: Path, text: str, line: str, remedy: str) -> None:
@@ -102,6 +109,11 @@ def test_tokens_that_others_may_read_are_refused(path: Path) -> None:
 
 
 def test_links_in_unusable_folder_are_an_error(path: Path) -> None:
+    # Something else stands there: no secret is left in another file.
+    links_path(path).mkdir()
+    with pytest.raises(ClassFileError, match="folder"):
+        write_links(path, STUDENTS, "http://lab", "nserver://lab")
+    assert [file.name for file in path.parent.iterdir()] == ["students.links.csv"]
     with pytest.raises(ClassFileError, match="folder"):
         write_links(path.parent / "missing" / "students.csv", STUDENTS, "http://lab", "nserver://lab")
 
@@ -213,6 +225,13 @@ async def test_only_teacher_releases_what_teacher_stopped(classroom: Any) -> Non
     refused = await ask(ada, numbers, do="release", robot=1)
     assert refused["error"] == "robot 1 is held by teacher (viewer 1), who may release it"
     assert (await ask(teacher, numbers, do="release"))["held"] == {}
+    # A student who has stopped the robot before does not release it either, nor what `nserver ctl stop` has stopped.
+    for by in ("teacher (viewer 1)", "nserver ctl"):
+        await ask(ada, numbers, do="stop", robot=1)
+        here.daemon.hold([1], by)
+        refused = await ask(ada, numbers, do="release", robot=1)
+        assert refused["error"].endswith("who may release it")
+        assert (await ask(teacher, numbers, do="release"))["held"] == {}
     # What a student has stopped, the same student releases, on another page too.
     await ask(ada, numbers, do="stop", robot=1)
     async with here.page(ADA) as other:
@@ -241,6 +260,16 @@ async def test_programs_of_each_robot_are_shown(classroom: Any) -> None:
     await teacher.until(lambda message: message["type"] == "programs" and message["robots"] == {"2": [name]})
     writer.close()
     await teacher.until(lambda message: message["type"] == "programs" and message["robots"] == {})
+
+
+async def test_pages_of_students_do_not_keep_the_teacher_out(classroom: Any) -> None:
+    here, *_ = classroom
+    here.daemon.admission.limits = Limits(viewers=2)
+    with pytest.raises(WSServerHandshakeError, match="503"):
+        async with here.page(BOB):
+            pass
+    async with here.page() as page:
+        await page.until(lambda message: message["type"] == "hello")
 
 
 async def test_publishing_with_a_students_token(classroom: Any) -> None:

@@ -18,8 +18,12 @@ def update_cell__wrong_probability(log_odds, p):
 
 
 def update_cell__right_probabilities(log_odds, p):
-    odds = math.exp(log_odds) * p / (1 - p)
-    return math.log(odds)
+    odds = np.exp(log_odds) * p / (1 - p)
+    return np.log(odds)
+
+
+def update_cell__wrong_one_cell(log_odds, p):
+    return log_odds + math.log(p / (1 - p))
 
 
 def _sensor(d, a, z, behind=0.5, cone=0.218, nothing=0.5):
