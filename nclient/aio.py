@@ -11,7 +11,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Coroutine
 from concurrent.futures import Future, ThreadPoolExecutor
-from functools import partial, wraps
+from functools import partial, update_wrapper, wraps
 from types import TracebackType
 from typing import Any, Concatenate, ParamSpec, Self, TypeVar
 
@@ -87,6 +87,15 @@ class AsyncRobot:
             raise ConnectionLost("this robot was disconnected; connect again")
         return await asyncio.wrap_future(self._thread.submit(call))
 
+    async def sleep(self, seconds: float) -> None:
+        """Let time of the robot pass."""
+        # The thread is free during a pause, so that other tasks can stop the robot.
+        pauses = self._robot._pauses(seconds)
+        while (pause_s := await self._run(lambda: next(pauses, None))) is not None:
+            await asyncio.sleep(pause_s)
+
+    update_wrapper(sleep, Robot.sleep)
+
     @property
     def state(self) -> RobotState:
         """The state after the last exchange; sends nothing and never waits."""
@@ -117,7 +126,6 @@ class AsyncRobot:
     release = _awaitable(Robot.release)
     zero = _awaitable(Robot.zero)
     wait_until_still = _awaitable(Robot.wait_until_still)
-    sleep = _awaitable(Robot.sleep)
     set_speeds = _awaitable(Robot.set_speeds)
     set_accelerations = _awaitable(Robot.set_accelerations)
     set_position = _awaitable(Robot.set_position)

@@ -373,36 +373,32 @@ class Robot:
         seconds
             Seconds of the robot's time, 0 or more.
         """
+        for pause_s in self._pauses(seconds):
+            if pause_s:
+                time.sleep(pause_s)
+
+    def _pauses(self, seconds: float) -> Iterator[float]:
+        """Yield pauses in real seconds after which time of the robot has passed; simulated time passes meanwhile."""
         if not 0 <= seconds < math.inf:
             raise ValueError(f"seconds is 0 or more, not {seconds}")
-        # 1. A simulation in this process advances by the time, a recording by its own requests.
+        # 1. A simulation in this process advances by the time; a recording refuses that, and goes on by its requests.
         if self._lockstep:
             with contextlib.suppress(RobotRefused):
-                self._step(seconds)
+                for step_s in _split(seconds, _MAX_STEP_S):
+                    self.control_time("step", step_s)
+                    yield 0.0
         # 2. Real time, as fast as the server runs; a serial line has no factor.
         elif self.state.speed_factor or self._backend.wire_state.line:
-            time.sleep(seconds / (self.state.speed_factor or 1.0))
-        # 3. A server that is paused, or advances with each request.
+            yield seconds / (self.state.speed_factor or 1.0)
+        # 3. A server that is paused, or advances with each request; without a clock, real time.
+        elif (now_s := self.refresh().clock_s) is None:
+            yield seconds
         else:
-            self._sleep_by_clock(seconds)
-
-    def _step(self, seconds: float) -> None:
-        """Advance a simulation in this process."""
-        for step_s in _split(seconds, _MAX_STEP_S):
-            self.control_time("step", step_s)
-
-    def _sleep_by_clock(self, seconds: float) -> None:
-        """Query the clock until the time has passed; without a clock, sleep in real time."""
-        now_s = self.refresh().clock_s
-        if now_s is None:
-            time.sleep(seconds)
-            return
-        # 1e-9 s absorbs the rounding of clock differences.
-        until_s = now_s + seconds - 1e-9
-        while now_s < until_s:
-            last_s, now_s = now_s, self.refresh().clock_s or 0.0
-            if now_s == last_s:
-                time.sleep(_PAUSED_POLL_S)
+            # 1e-9 s absorbs the rounding of clock differences.
+            until_s = now_s + seconds - 1e-9
+            while now_s < until_s:
+                last_s, now_s = now_s, self.refresh().clock_s or 0.0
+                yield _PAUSED_POLL_S if now_s == last_s else 0.0
 
     # -- settings -----------------------------------------------------------------------------------------------------
 

@@ -310,7 +310,8 @@ class RoundComparison(NamedTuple):
     Attributes
     ----------
     compared
-        Number of sonars with echoes in both, or in all rounds of one and none of the other.
+        Number of sonars with echoes in both, or in all rounds of one and none of the other; also those with echoes in
+        a direction in which no sonar measured before.
     agreeing
         Number of those whose readings agree.
     saved
@@ -365,8 +366,9 @@ def compare_rounds(before: DriveLog, after: DriveLog, sonar: ConeSonar) -> Round
             u = np.stack((np.cos(axis), np.sin(axis)), axis=-1)
             variance = sonar.variance(z) + sonar.variance(z_before) + STANDING_VAR_IN2
             costs.append((np.square(z - z_before + displacements @ u.T) / variance).min(axis=1))
-        elif len(new) and (np.isfinite(z).all() or np.isfinite(z_before).all()):
-            # Echoes in all rounds of one drive, and in none of the other: another place.
+        elif np.isfinite(new_ranges[own]).all() or (len(new) and np.isfinite(z_before).all()):
+            # Echoes in all rounds of one drive, and in none of the other, or where no sonar was directed then, since
+            # the turret stands otherwise: another place.
             costs.append(np.full(len(displacements), np.inf))
     if not costs:
         return RoundComparison(0, 0, 0.0, (0.0, 0.0))

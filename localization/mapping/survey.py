@@ -445,7 +445,7 @@ def _require_same_place(before: DriveLog, after: DriveLog) -> None:
     hint = f"; they fit one that was moved by ({x:g}, {y:g}) in (ahead, left)" if found.saved > 0.0 else ""
     raise RobotMoved(
         f"--resume: {found.agreeing} of {found.compared} sonars measure what they did at the end of the drive{hint}: "
-        "put the robot back where the drive ended, or map anew without --resume"
+        "put the robot back where the drive ended, with its turret in the same direction, or map anew without --resume"
     )
 
 

@@ -6,6 +6,7 @@ No keyboard and no screen; `sleep` is passed in. A line is checked completely be
 that an error in a script moves nothing. Errors are NomadError, and the session continues while the robot is connected.
 """
 
+import contextlib
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
@@ -13,7 +14,7 @@ from typing import Any
 from nclient.backends.base import Backend
 from nclient.cli import shell_help, state_text
 from nclient.cli.state_text import format_reply
-from nclient.errors import ShellError, WireError
+from nclient.errors import RobotRefused, ShellError, WireError
 from nclient.protocol import codec
 from nclient.protocol.client_state import STATE_SIZE
 from nclient.protocol.codec import describe_serial_overflow
@@ -310,9 +311,11 @@ class Session:
         return state_text.format_state(state)
 
     def _sleep_by_robot_clock(self, seconds: float) -> None:
-        if self._lockstep and not self.robot.control_time("step").paused:
-            self.robot.sleep(seconds)
-            return
+        # A recording refuses to let time pass, and goes on by its requests.
+        with contextlib.suppress(RobotRefused):
+            if self._lockstep and not self.robot.control_time("step").paused:
+                self.robot.sleep(seconds)
+                return
         # A lockstep simulation advances with each query, a real robot by itself; both end by the robot's clock.
         begun_s = self.robot.refresh().clock_s
         if begun_s is None:

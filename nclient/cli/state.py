@@ -6,8 +6,8 @@
     nomad state --count 3 clock                          three times, at intervals of a second
     nomad state --watch --json | jq .x_in                one JSON object per line
 
-Rules: sends gs only. No motion timeout is set and no keep-alive sent, so that a robot driven by another program
-continues.
+Rules: sends gs only, and on sim: what lets its time pass. No motion timeout is set and no keep-alive sent, so that a
+robot driven by another program continues.
 """
 
 import argparse
@@ -46,11 +46,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Show the state, and return the exit code."""
     address, parts = _sorted_words(options.words)
-    robot = Robot(Connector(parse_address(address_or_default(address))).open_session())
+    connector = Connector(parse_address(address_or_default(address)))
+    is_in_process = connector.address.in_process
+    robot = Robot(connector.open_session(), lockstep=is_in_process)
     watching = options.watch or options.every is not None or options.count is not None
     every_s = EVERY_S if options.every is None else options.every
+
+    def sleep(seconds: float) -> None:
+        # A simulation in this process has no time of its own.
+        if is_in_process:
+            robot.sleep(seconds)
+        time.sleep(seconds)
+
     try:
-        watch(robot, parts, options.count if watching else 1, every_s, as_json=options.json, sleep=time.sleep)
+        watch(robot, parts, options.count if watching else 1, every_s, as_json=options.json, sleep=sleep)
     except KeyboardInterrupt:
         # The usual end of --watch.
         return ExitCode.DONE

@@ -5,7 +5,8 @@
 
     strict   requests must come in the recorded order; keep-alive requests (gs, conf_tm) may be left out
     loose    each request gets the reply to the next equal recorded one
-    both     disconnecting is always allowed; conf_tm, which clients send by themselves, gets the last recorded state
+    both     disconnecting is always allowed; conf_tm, which clients send by themselves, gets the last recorded state;
+             sim_control, by which `Robot.sleep` lets time of a simulation pass, is refused where it was not recorded
 
 Over TCP a reply belongs to the next outstanding request; on the serial line to the request before it, including stray
 bytes, incomplete frames and missing replies. Process ids differ in every run and are not compared.
@@ -20,9 +21,9 @@ from nclient.errors import AddressError, RecordingError, WireError
 from nclient.protocol import codec, serial_framing
 from nclient.protocol.codec import request_bounds
 from nclient.protocol.commands import BY_NAME, REPLY_TYPES, Call
-from nclient.protocol.replies import LINE_STATE, STATE
+from nclient.protocol.replies import LINE_STATE, STATE, Reply
 from nclient.protocol.types import N150, Model, get_model
-from nclient.protocol.wire_state import serial_wire_state
+from nclient.protocol.wire_state import serial_wire_state, tcp_wire_state
 from nclient.recording.format import IN, OPEN, OUT, Entry, Recording
 from nclient.recording.recorder import LINES, TCP, Frame, FrameTap, make_frame_tap
 
@@ -226,6 +227,8 @@ _KEEP_ALIVE: Final = frozenset({"gs", "conf_tm"})
 """Requests that clients send by themselves at times of their own choice: a program need not repeat them."""
 _DISCONNECT: Final = "disconnect_robot"
 _TIMEOUT: Final = "conf_tm"
+_TIME: Final = "sim_control"
+_NOT_AVAILABLE: Final = Reply("error", values=(4,))
 
 
 class Player:
@@ -269,12 +272,16 @@ class Player:
         # 1. The recorded exchange from here on.
         index = self._find(request)
         if index is None:
-            # 2. Not recorded, but harmless: a disconnect, or the motion timeout that connecting sets.
+            # 2. Not recorded, but harmless: a disconnect, a sleep, or the motion timeout that connecting sets.
             if request.name == _DISCONNECT:
                 return []
-            state = find_state_reply(self._connection, self._next) if request.name == _TIMEOUT else b""
-            if state:
-                return [ReplyChunk(0.0, state)]
+            if request.name == _TIME:
+                state = tcp_wire_state(self._connection.model)
+                state.wide = bool(self._reader.tap.wide)
+                return [ReplyChunk(0.0, codec.encode_tcp_reply(BY_NAME[_TIME], _NOT_AVAILABLE, state))]
+            data = find_state_reply(self._connection, self._next) if request.name == _TIMEOUT else b""
+            if data:
+                return [ReplyChunk(0.0, data)]
             raise self._mismatch_error(request)
         # 3. Continue behind it.
         self._next = index + 1

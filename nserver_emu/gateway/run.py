@@ -17,9 +17,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
-from nclient.backends.base import Backend
+from nclient.backends.base import Backend, Wrapper
 from nclient.backends.wrappers import POLL_S, SpeedLimiter
 from nclient.common.arguments import ABOVE_ZERO, add_flag, add_value, number
+from nclient.errors import RobotRefused
+from nclient.protocol.commands import Call
+from nclient.protocol.replies import Reply
 from nclient.url import parse_address
 from nserver_emu.gateway.gateway import TIMEOUT_S, Gateway, RealRobotProxy
 from nserver_emu.server.daemon import Daemon
@@ -31,6 +34,9 @@ TICK_S: Final = 0.1
 """Interval at which time-outs are checked; results of a robot are processed at once."""
 ROBOT_ID: Final = 1
 """Number of the robot that --real drives."""
+STEP: Final = 4
+"""Verb of sim_control that lets simulated time pass, in ms."""
+MAX_STEP_MS: Final = 60_000
 LINE: Final = f"real:{ROBOT_ID}"
 """Name of the line to it in a plan of faults."""
 SUMMARY_S: Final = 60.0
@@ -178,6 +184,24 @@ def line_addresses(options: argparse.Namespace) -> dict[str, str]:
     return {} if options.real is None else {LINE: options.real}
 
 
+class RealTimeSimulation(Wrapper):
+    """A simulation in this process (`sim:`) whose time passes as a real robot's: by a clock, not by requests."""
+
+    def __init__(self, inner: Backend, clock: Callable[[], float]) -> None:
+        super().__init__(inner)
+        self._clock, self._last_s = clock, clock()
+
+    def execute(self, call: Call) -> Reply:
+        """Let the time since the last command pass, then execute this one. Raises as the inner backend."""
+        now_s = self._clock()
+        step_ms = int(1000 * (now_s - self._last_s))
+        self._last_s += step_ms / 1000
+        # A recording has no such time.
+        with contextlib.suppress(RobotRefused):
+            self._inner.execute(Call("sim_control", (STEP, min(step_ms, MAX_STEP_MS))))
+        return super().execute(call)
+
+
 def _connect(options: argparse.Namespace, faults: FaultController | None) -> RealRobotProxy:
     """Connect to the robot of --real.
 
@@ -191,9 +215,12 @@ def _connect(options: argparse.Namespace, faults: FaultController | None) -> Rea
     address = replace(address, options=replace(address.options, tm_s=None, feed=None, reconnect=None))
     injector = None if faults is None else lambda: faults.injector(LINE)
     connector = Connector(address, injector=injector)
-    wrap = speed_limiter(options)
+    limit = speed_limiter(options)
+
+    def open_robot() -> Backend:
+        backend = limit(connector.open())
+        return RealTimeSimulation(backend, time.monotonic) if address.in_process else backend
+
     # Often enough to see the bumpers, else three times within the motion timeout.
     feed_s = POLL_S if address.options.bumper_stop else TIMEOUT_S / 3
-    return RealRobotProxy(
-        lambda: wrap(connector.open()), time.monotonic, read_only=options.real_read_only, feed_s=feed_s
-    )
+    return RealRobotProxy(open_robot, time.monotonic, read_only=options.real_read_only, feed_s=feed_s)

@@ -60,6 +60,7 @@ class StartPoseAllocator:
         return (
             not self._simulation.spatial_hash.touched(*position, radius_in)
             and self._simulation.world.clearance(*position) > radius_in
+            and not self._simulation.touched_walker(*position, radius_in)
         )
 
     def _has_room_ahead(self, pose: StartPose, radius_in: float) -> bool:

@@ -18,7 +18,7 @@ from nserver_emu.simulation.multi_robot import GroupState, MovingBody, RobotGrou
 from nserver_emu.simulation.noise import IDEAL, RngFactory, RobotSetup
 from nserver_emu.simulation.robot import RobotState, SimulatedRobot
 from nserver_emu.simulation.segments import TIME_MAX_PS, to_ps, to_s
-from nserver_emu.simulation.spatial_hash import SpatialHash
+from nserver_emu.simulation.spatial_hash import Disc, SpatialHash
 from nserver_emu.simulation.walkers import SimulatedWalker, WalkerState
 from worlds.raycast import load_compiled
 from worlds.schema import MAX_COORDINATE_IN
@@ -33,6 +33,7 @@ from worlds.world import (
     Polygon,
     StartPose,
     Walker,
+    WallAccuracy,
     World,
 )
 
@@ -53,6 +54,7 @@ class WorldState:
     paths: tuple[Path, ...]
     doors: tuple[Door, ...] | None = None
     walkers: tuple[Walker, ...] | None = None
+    accuracies: dict[int, WallAccuracy] | None = None
 
     @classmethod
     def of(cls, world: World) -> WorldState:
@@ -61,7 +63,7 @@ class WorldState:
         inner_walls = tuple((x1, y1, x2, y2) for x1, y1, x2, y2 in world.inner_walls.tolist())
         return cls(
             world.name, world.title, world.rooms, inner_walls, world.obstacles, world.starts,
-            tuple(world.paths.values()), world.doors or None, world.walkers or None,
+            tuple(world.paths.values()), world.doors or None, world.walkers or None, dict(world.accuracies) or None,
         )  # fmt: skip
 
     def world(self) -> World:
@@ -78,12 +80,15 @@ class WorldState:
             raise ValueError("a world with too many doors or walkers")
         if not all(len(walker.points_in) > 1 and walker.speed_in_s > 0.0 < walker.radius_in for walker in walkers):
             raise ValueError("a walker that cannot walk")
+        accuracies = self.accuracies or {}
+        if not all(0 <= row < len(self.inner_walls) and min(each) >= 0.0 for row, each in accuracies.items()):
+            raise ValueError("the accuracy of a wall that does not exist, or below 0")
         places = (*outlines, *self.inner_walls, *routes, *(end for door in doors for end in door.ends_in))
         if not all(abs(number) <= MAX_COORDINATE_IN for place in places for number in place):
             raise ValueError(f"a world with coordinates beyond {MAX_COORDINATE_IN:g} in")
         return World(
             self.name, self.title, self.rooms, np.array(self.inner_walls).reshape(-1, 4), self.obstacles, self.starts,
-            {path.name: path for path in self.paths}, doors=doors, walkers=walkers,
+            {path.name: path for path in self.paths}, accuracies=accuracies, doors=doors, walkers=walkers,
         )  # fmt: skip
 
 
@@ -261,10 +266,17 @@ class Simulation:
                     f"the start ({x_in:g}, {y_in:g}) in touches robot {number}, which stands at ({x:.1f}, {y:.1f}) in; "
                     f"{radius_in + radius:g} in from there there is room"
                 )
+        if walker := self.touched_walker(x_in, y_in, radius_in):
+            x, y, _ = walker
+            raise StartError(f"the start ({x_in:g}, {y_in:g}) in touches a walker, who is at ({x:.1f}, {y:.1f}) in")
+
+    def touched_walker(self, x_in: float, y_in: float, radius_in: float) -> Disc | None:
+        """Return the first walker that a disc touches, None if it touches none."""
         for walker in self.walkers:
             x, y, radius = walker.disc
             if hypot(x - x_in, y - y_in) <= radius + radius_in:
-                raise StartError(f"the start ({x_in:g}, {y_in:g}) in touches a walker, who is at ({x:.1f}, {y:.1f}) in")
+                return x, y, radius
+        return None
 
     def place(self, robot_id: int, x_in: float, y_in: float, steering_rad: float, turret_rad: float) -> None:
         """Set a robot down at a pose, as `SimulatedRobot.place` does; the others detect it there at once."""
@@ -295,6 +307,8 @@ class Simulation:
             if len(self.bodies) > 1:
                 self._update_group()
             else:
+                # A snapshot has positions of several bodies, or none.
+                self._group = RobotGroup()
                 for robot in self.robots.values():
                     robot.stand_alone()
         elif len(self.bodies) > 1:
@@ -309,9 +323,10 @@ class Simulation:
         begin_ps, self.time_ps = self.time_ps, self.time_ps + to_ps(dt_s)
         self._spatial_hash = None
         self._join_new_robots()
-        # Several bodies advance together, so that they can stop at one another.
+        # Several bodies advance together, so that they can stop at one another; a walker also when alone, so that its
+        # path is recorded for one span at a time.
         bodies = self.bodies
-        if len(bodies) > 1:
+        if len(bodies) > 1 or self.walkers:
             self._group.advance(bodies, begin_ps, self.time_ps)
         for body in bodies:
             body.advance_to(self.time_ps)

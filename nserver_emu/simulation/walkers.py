@@ -8,14 +8,12 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Sequence
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from math import dist
 from typing import Final, NamedTuple
 
-import numpy as np
-
 from nserver_emu.simulation.collision import Capsule, WallSet
-from nserver_emu.simulation.segments import PS_PER_S
+from nserver_emu.simulation.segments import PS_PER_S, TIME_MAX_PS
 from nserver_emu.simulation.spatial_hash import Disc, SweptBounds
 from nserver_emu.simulation.visibility import PositionProvider
 from worlds.geometry import FloatArray
@@ -50,8 +48,9 @@ class SimulatedWalker:
         points = walker.points_in
         self._corners = [*points, points[0]] if walker.is_closed else [*points, *points[-2::-1]]
         legs_s = [dist(*leg) / walker.speed_in_s for leg in pairwise(self._corners)]
-        legs_ps = np.maximum(np.rint(np.array(legs_s) * PS_PER_S), MIN_LEG_PS).astype(np.int64)
-        self._reached_ps: list[int] = [0, *np.cumsum(legs_ps).tolist()]
+        # A leg may take longer than simulated time lasts; Python's whole numbers do not overflow.
+        legs_ps = (round(min(max(leg_s * PS_PER_S, MIN_LEG_PS), TIME_MAX_PS)) for leg_s in legs_s)
+        self._reached_ps = list(accumulate(legs_ps, initial=0))
 
     def to_state(self) -> WalkerState:
         """Return all that changes."""

@@ -24,6 +24,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, get_args
 
+import numpy as np
+
 from nclient.common.hints import suggest
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.simulation.acoustics import Polaroid
@@ -64,7 +66,7 @@ class LocalizerState:
     world : the world when it was started, which is its map.
     state : "starting" until the first estimate, then "running"; "ended" or "failed" after the process.
     words : what it waits for, why it ended, or the error with its remedy.
-    has_old_map : True if the world has changed since.
+    has_old_map : True if the world has other walls since.
     """
 
     method: str
@@ -166,9 +168,12 @@ class Localizers:
             task.cancel()
 
     def check_maps(self) -> None:
-        """Report localizers whose map is not the world any more, or is again."""
+        """Report localizers whose map has other walls than the world, or the same again. Walkers are in no map."""
         world = self._daemon.emulator.simulation.world
-        changed = [state for state in self.states.values() if (state.world is not world) != state.has_old_map]
+        changed = [
+            state for state in self.states.values()
+            if (state.world is not world and not np.array_equal(state.world.walls, world.walls)) != state.has_old_map
+        ]  # fmt: skip
         for state in changed:
             state.has_old_map = not state.has_old_map
         if changed:

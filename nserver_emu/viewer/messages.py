@@ -11,7 +11,7 @@ to the page, by `type`
     localization the latest published estimate (localization.py), and its age: age_s
     localizers   robots: {robot: {"method", "state", "words", "has_old_map"} ...} of localizers that pages started;
                  state: starting, running, ended, failed; words: what it waits for, why it ended, or the error;
-                 has_old_map: true if the world has changed since the start
+                 has_old_map: true if walls of the world have changed since the start
     asked        robots: number of clients that wait for a click of a pose (get_robot_conf), by robot
     waypoints    robot, points: new waypoints
     missed       count: other messages that were dropped since the viewer was too slow

@@ -9,6 +9,7 @@ from __future__ import annotations
 import shlex
 import signal
 import subprocess
+import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +17,7 @@ from pathlib import Path
 import pytest
 
 from tests.docs.pages import command_lines, environment_with_venv, run
+from tests.programs.forked import Forked
 
 pytestmark = pytest.mark.long
 
@@ -48,11 +50,11 @@ def setting(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Setting]:
     assert daemon.returncode == 0
 
 
-def run_on(setting: Setting, command: str) -> str:
-    """Return the output of a command on the daemon of this test."""
+def addressed(setting: Setting, command: str) -> str:
+    """Return a command for the daemon of this test."""
     for address, replacement in setting.addresses.items():
         command = command.replace(address, replacement)
-    return run(command, setting.folder, setting.environment)
+    return command
 
 
 def test_page_begins_with_its_daemon() -> None:
@@ -62,11 +64,21 @@ def test_page_begins_with_its_daemon() -> None:
 
 @pytest.mark.parametrize("command", [line for line in COMMANDS if "--stay" not in line])
 def test_command_runs(command: str, setting: Setting) -> None:
-    run_on(setting, command)
+    run(addressed(setting, command), setting.folder, setting.environment)
 
 
 def test_localizer_that_stays_runs_until_stopped(setting: Setting) -> None:
     (command,) = [line for line in COMMANDS if "--stay" in line]
     assert command.startswith("nomad localize nserver://localhost:7019/1 --map thesis_room --start unknown --stay")
-    output = run_on(setting, f"timeout --signal INT 5 {command} || test $? = 124 -o $? = 130")
-    assert "LOST" in output or "OK" in output
+    program, *words = shlex.split(addressed(setting, command))
+    with Forked(program, *words, cwd=setting.folder, environment=setting.environment) as localizer:
+        deadline = threading.Timer(300.0, localizer.kill)
+        deadline.start()
+        # It prints its health once in a second.
+        healthy = (line for line in localizer.stdout if "LOST" in line or "OK" in line)
+        assert next(healthy, None)
+        assert next(healthy, None)
+        localizer.send_signal(signal.SIGINT)
+        localizer.communicate()
+        deadline.cancel()
+    assert localizer.returncode == 130

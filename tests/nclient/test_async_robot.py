@@ -117,6 +117,17 @@ async def test_a_program_that_is_cancelled_still_stops_its_robot() -> None:
     assert server.names() == ["gs", "st", "disconnect_robot"]
 
 
+async def test_robot_is_stopped_while_another_task_sleeps() -> None:
+    server = ScriptedServer()
+    async with await on(server) as robot:
+        sleeping = asyncio.ensure_future(robot.sleep(60))
+        await asyncio.sleep(0)
+        await asyncio.wait_for(robot.stop(), 10)
+        assert not sleeping.done()
+        sleeping.cancel()
+    assert server.names() == ["st", "st", "disconnect_robot"]
+
+
 async def test_nothing_is_sent_after_disconnecting() -> None:
     server = ScriptedServer()
 

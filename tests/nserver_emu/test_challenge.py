@@ -17,7 +17,6 @@ from nserver_emu.server.config import SimulationConfig
 from nserver_emu.server.inprocess import InProcess
 from nserver_emu.server.server_state import SimulationClock
 from nserver_emu.server.session import REFUSED, ConnectionContext
-from tests.docs.pages import ROOT
 from worlds.io import load_world
 from worlds.robots import N150
 
@@ -128,15 +127,6 @@ async def test_time_stands_still_when_a_program_is_ended() -> None:
     over = asyncio.Event()
     assert await _run_program(["sleep", "100"], dict(os.environ), over, 0.01) == "timeout"
     assert over.is_set()
-
-
-@pytest.mark.long
-def test_example_reaches_the_goal(capsys: pytest.CaptureFixture[str]) -> None:
-    program = str(ROOT / "examples" / "corridor_challenge.py")
-    assert main(["challenge", "thesis_room", program, "--seed", "4", "--runs", "1"]) == 0
-    line, summary = capsys.readouterr().out.splitlines()
-    assert "finished" in line
-    assert json.loads(summary)["score"] > 90
 
 
 def test_program_that_is_missing_or_not_executable(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

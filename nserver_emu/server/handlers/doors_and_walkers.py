@@ -56,7 +56,7 @@ def change_door(server: ServerState, wanted: Mapping[str, Any]) -> dict[str, Any
     try:
         # 1. The door as it is, and as it will be.
         if "put" in wanted:
-            now = Door(read_name(wanted["name"]), _ends(wanted["put"]), bool(wanted.get("open", False)))
+            now = Door(read_name(wanted["name"]), _ends(wanted["put"]), _is_true(wanted.get("open"), False))
         else:
             row = _door_of(doors, wanted["door"])
             was = now = doors[row]
@@ -65,7 +65,7 @@ def change_door(server: ServerState, wanted: Mapping[str, Any]) -> dict[str, Any
             elif wanted.get("by") is not None or wanted.get("to") is not None:
                 now = replace(was, ends_in=_ends(_moved(was.ends_in, wanted)))
             else:
-                now = replace(was, is_open=not was.is_open if wanted.get("open") is None else bool(wanted["open"]))
+                now = replace(was, is_open=_is_true(wanted.get("open"), not was.is_open))
     except ControlError:
         raise
     except (KeyError, TypeError, ValueError, OverflowError):
@@ -97,7 +97,7 @@ def change_walker(server: ServerState, wanted: Mapping[str, Any]) -> dict[str, A
         # 1. The walker as it is, and as it will be.
         if "put" in wanted:
             numbers = {key: float(wanted[name]) for name, key in _NUMBERS.items() if wanted.get(name) is not None}
-            is_closed, name = wanted.get("closed") is True, read_name(wanted.get("name", ""))
+            is_closed, name = _is_true(wanted.get("closed"), False), read_name(wanted.get("name", ""))
             now = Walker(read_points(wanted["put"]), is_closed=is_closed, name=name, **numbers)
         else:
             row = _walker_of(walkers, read_points(wanted["walker"]))
@@ -138,6 +138,13 @@ def _check_walker(server: ServerState, walker: Walker) -> None:
         x, y, radius_in = robot.disc
         if math.dist((x, y), points[0]) <= radius_in + walker.radius_in:
             raise ControlError(f"walker: robot {number} stands where the route begins")
+
+
+def _is_true(value: Any, default: bool) -> bool:
+    """Return a truth value, the default for None. Raises TypeError."""
+    if not isinstance(value, bool | None):
+        raise TypeError("neither true nor false")
+    return default if value is None else value
 
 
 def _ends(value: Any) -> tuple[Point, Point]:

@@ -7,6 +7,7 @@
                reply   {"obstacles": count, "was": corners, "name", "at": index, "is": corners}; null if absent
     wall       {"wall": [[x, y], [x, y]], "by"/"to": as above, or neither: remove it}, {"put": [[x, y], [x, y]]}
                reply   {"walls": count, "was": ends, "is": ends}; inner walls only, rooms keep their outlines
+               "accuracy": of a measured wall before the change (WallAccuracy), in the reply, and with "to" or "put"
     noise      {"sensors": NAME, "motion": NAME, "robot": number}   omitted parts stay; no robot: all of them
     world      {"text": TOML, "file": name in error messages}       replaces rooms, walls, obstacles, starts and paths
                "places": true                                       robots without room are placed at its starts
@@ -36,7 +37,7 @@ from nserver_emu.simulation.robot import SimulatedRobot
 from nserver_emu.simulation.spatial_hash import Disc
 from worlds.geometry import nearest_distances
 from worlds.io import format_world, parse_world
-from worlds.world import Point, Polygon, StartPose, World
+from worlds.world import Point, Polygon, StartPose, WallAccuracy, World
 
 # Corners are displayed rounded to a thousandth of an inch.
 CORNER_TOLERANCE_IN: Final = 0.002
@@ -95,6 +96,7 @@ def change_wall(server: ServerState, wanted: Mapping[str, Any]) -> dict[str, Any
             elif wanted.get("by") is not None:
                 ((dx_in, dy_in),) = read_points([wanted["by"]])
                 now = ((x1 + dx_in, y1 + dy_in), (x2 + dx_in, y2 + dy_in))
+        accuracy = _read_accuracy(wanted.get("accuracy"))
     except ControlError:
         raise
     except (KeyError, TypeError, ValueError, OverflowError):
@@ -105,9 +107,12 @@ def change_wall(server: ServerState, wanted: Mapping[str, Any]) -> dict[str, Any
     if was is None and len(world.inner_walls) >= server.allowed.obstacles:
         raise ControlError(f"wall: there are {len(world.inner_walls)} already, the maximum (--limit-obstacles)")
     changed = world.with_inner_wall(row, *([] if now is None else [(*now[0], *now[1])]))
-    if was is not None and now is not None and row in world.accuracies and _is_on_line(now, was):
+    before = world.accuracies.get(row)
+    if accuracy is None and was is not None and now is not None and _is_on_line(now, was):
         # Longer or shorter, it is where it was measured to be.
-        changed = replace(changed, accuracies={**changed.accuracies, row: world.accuracies[row]})
+        accuracy = before
+    if accuracy is not None and now is not None:
+        changed = replace(changed, accuracies={**changed.accuracies, row: accuracy})
     if not len(changed.walls):
         raise ControlError("wall: it is the last wall of this world, which needs at least one")
     for number, robot in server.simulation.robots.items():
@@ -118,7 +123,8 @@ def change_wall(server: ServerState, wanted: Mapping[str, Any]) -> dict[str, Any
     server.simulation.change_world(changed)
     server.invalidate_state_cache()
     ends = [None if one is None else [list(end) for end in one] for one in (was, now)]
-    return {"walls": len(changed.inner_walls), "was": ends[0], "is": ends[1]}
+    measured = {} if before is None else {"accuracy": list(before)}
+    return {"walls": len(changed.inner_walls), "was": ends[0], "is": ends[1], **measured}
 
 
 def _is_on_line(points: Sequence[Point], ends: Sequence[Point]) -> bool:
@@ -168,6 +174,16 @@ def read_points(value: Any) -> tuple[Point, ...]:
     if not all(math.isfinite(number) for point in points for number in point):
         raise ValueError("not a number")
     return points
+
+
+def _read_accuracy(value: Any) -> WallAccuracy | None:
+    """Return the accuracy of a wall, None if it was not measured. Raises TypeError or ValueError."""
+    if value is None:
+        return None
+    accuracy = WallAccuracy(*map(float, value))
+    if not all(0.0 <= number <= MAX_COORDINATE_IN for number in accuracy):
+        raise ValueError("not an accuracy")
+    return accuracy
 
 
 def read_name(value: Any) -> str:
@@ -285,8 +301,9 @@ def _obstruction(world: World, x_in: float, y_in: float, radius_in: float) -> st
     except StartError as error:
         return str(error)
     for walker in world.walkers:
-        if math.dist(walker.points_in[0], (x_in, y_in)) <= walker.radius_in + radius_in:
-            return f"a walker begins at ({x_in:g}, {y_in:g}) in"
+        x, y = walker.points_in[0]
+        if math.dist((x, y), (x_in, y_in)) <= walker.radius_in + radius_in:
+            return f"a walker begins at ({x:g}, {y:g}) in"
     return ""
 
 

@@ -106,11 +106,33 @@ export function stepOn(app, command, title, change, revertChange) {
   } });
 }
 
+// Change walls together: all of them, or none. Each change is an argument as above.
+export function changeWalls(app, title, changes) {
+  const backs = [];
+  const revert = async () => {
+    while (backs.length) {
+      const answer = await control(app, 'wall', backs[backs.length - 1]);
+      if (!answer.ok) return { ...answer, error: `${answer.error} (it may have been moved or deleted meanwhile)` };
+      backs.pop();
+    }
+    return { ok: true };
+  };
+  return app.history.run({ title, revert, apply: async () => {
+    for (const change of changes) {
+      const answer = await control(app, 'wall', change);
+      if (!answer.ok) { await revert(); app.notice(answer.error); return answer; }
+      const { was, is, accuracy } = answer.result;
+      backs.push(is ? { wall: is, to: was, accuracy } : { put: was, accuracy });
+    }
+    return { ok: true };
+  } });
+}
+
 export function addWall(app, ends) { return stepOn(app, 'wall', 'draw wall', { put: ends }, ({ is }) => ({ wall: is })); }
 
-export function deleteWall(app, wall) { return stepOn(app, 'wall', 'delete wall', { wall }, ({ was }) => ({ put: was })); }
+export function deleteWall(app, wall) { return stepOn(app, 'wall', 'delete wall', { wall }, ({ was, accuracy }) => ({ put: was, accuracy })); }
 
-export function moveWall(app, wall, to) { return stepOn(app, 'wall', 'move wall', { wall, to }, ({ was, is }) => ({ wall: is, to: was })); }
+export function moveWall(app, wall, to) { return stepOn(app, 'wall', 'move wall', { wall, to }, ({ was, is, accuracy }) => ({ wall: is, to: was, accuracy })); }
 
 // Return the inner walls of a world as pairs of ends; the outlines of rooms come before them.
 export function innerWalls(world) {

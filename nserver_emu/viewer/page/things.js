@@ -2,7 +2,7 @@
 // name, points, distance(point) in inches (0 on it), move(points, dx, dy) and remove(points), which resolve to answers with the
 // new points; walls and doors are `hasEnds`: their ends move one by one, by reshape(points, to). A door has toggle().
 
-import { deleteObstacle, deleteWall, innerWalls, moveObstacle, moveWall, stepOn } from './commands.js';
+import { changeWalls, deleteObstacle, deleteWall, innerWalls, moveObstacle, moveWall, stepOn } from './commands.js';
 import { inside, linesMeet, nearestOn } from './geometry.js';
 
 // Inches per second.
@@ -68,18 +68,15 @@ export function addWalker(app, points, closed) {
 }
 
 // Join two walls: each is extended or cut to where their lines meet; of parallel ones the first takes the whole length.
-export async function joinWalls(app, one, other) {
+export function joinWalls(app, one, other) {
   const meeting = linesMeet(one, other);
   const to = (ends, point) => {
     const [first, second] = ends.map(([x, y]) => Math.hypot(x - point[0], y - point[1]));
     return first < second ? [point, ends[1]] : [ends[0], point];
   };
-  if (meeting) {
-    const answer = await moveWall(app, one, to(one, meeting));
-    return answer.ok ? moveWall(app, other, to(other, meeting)) : answer;
-  }
+  if (meeting) return changeWalls(app, 'join walls', [one, other].map((wall) => ({ wall, to: to(wall, meeting) })));
   const ends = [...one, ...other], pairs = ends.flatMap((from, k) => ends.slice(k + 1).map((end) => [from, end]));
   const length = ([[x1, y1], [x2, y2]]) => Math.hypot(x2 - x1, y2 - y1);
-  const answer = await deleteWall(app, other);
-  return answer.ok ? moveWall(app, one, pairs.reduce((best, pair) => (length(pair) > length(best) ? pair : best))) : answer;
+  const longest = pairs.reduce((best, pair) => (length(pair) > length(best) ? pair : best));
+  return changeWalls(app, 'join walls', [{ wall: other }, { wall: one, to: longest }]);
 }

@@ -320,7 +320,13 @@ function removeTool(app) {
 // Click point after point of a route; a click on the first one closes it, Enter or a click on the last one ends it.
 function walkerTool(app) {
   let points = [], here = null;
-  const add = (closed) => { addWalker(app, points, closed); points = []; here = null; };
+  const add = async (closed) => {
+    const route = points;
+    points = []; here = null;
+    const answer = await addWalker(app, route, closed);
+    // A refused route stays, unless another one was begun: what is in its way may move.
+    if (!answer.ok && !points.length) { points = route; app.map.requestRedraw(); }
+  };
   return {
     down(world) { here = world; return true; },
     move(world) { here = world; },

@@ -6,6 +6,7 @@ import time
 from typing import Any
 
 import pytest
+from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser
 
 from tests.integration.viewer.browsing import OpenPage, nserver, open_page
@@ -31,7 +32,7 @@ def test_controls_have_names_on_a_phone(browser: Browser) -> None:
 def test_controls_have_names_and_tab_order(browser: Browser) -> None:
     with nserver("thesis_room") as program, open_page(browser, program.url, reduced_motion="reduce") as page:
         page.page.evaluate("for (const one of document.querySelectorAll('details')) one.open = true")
-        page.page.wait_for_timeout(200)
+        page.wait("document.querySelector('.gallery').children.length > 0")
         assert page.value(NAMED) == []
         places: list[str] = []
         # Once around the page.
@@ -48,8 +49,7 @@ def test_controls_have_names_and_tab_order(browser: Browser) -> None:
 
 @pytest.mark.parametrize("size", [(1000, 720), (390, 844)], ids=["desktop", "phone"])
 def test_axe_finds_no_violations(browser: Browser, size: tuple[int, int]) -> None:
-    axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
-    width, height = size
+    axe, (width, height) = Axe(), size
 
     def violations(page: OpenPage) -> list[Any]:
         """Return rule and elements of each violation."""

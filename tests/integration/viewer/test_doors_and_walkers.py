@@ -73,3 +73,7 @@ def test_walkers_are_added_watched_and_deleted(browser: Browser) -> None:
         click(page, (30, 40), (70, 40))
         page.page.keyboard.press("Enter")
         page.wait("document.querySelector('#notice').innerText.includes('expected a route clear of walls')")
+        # Its points stay, so that it can be added when the wall is gone.
+        page.value("nserver.link.request({do: 'control', command: 'wall', argument: {wall: [[50, 20], [50, 60]]}})")
+        page.page.keyboard.press("Enter")
+        page.wait(f"{ROUTES} === '[[[30,75],[80,75],[80,87]],[[30,40],[70,40]]]'")

@@ -57,10 +57,18 @@ def test_walls_are_joined_at_their_corner_or_to_one(browser: Browser, tmp_path: 
         for x_in, y_in in ((20, 60), (50, 60.5)):
             page.page.mouse.click(*page.at(x_in, y_in))
         page.wait(f"{shown} === '[[0,0,80,0],[80,0,80,90],[10,60,60,61]]'")
-        # Longer walls keep their accuracy; each join is two steps.
+        # Longer walls keep their accuracy, and undo restores that of the deleted one; a join is one step.
         request = "nserver.link.request({ do: 'control', command: 'world show' })"
-        text = page.value(f"{request}.then((one) => one.result.text)")
-        assert text.count("offset_std_in = 0.1") == 2
-        for _ in range(4):
+        text = f"{request}.then((one) => one.result.text)"
+        assert page.value(text).count("offset_std_in = 0.1") == 2
+        for _ in range(2):
             page.value("nserver.history.undo()")
         page.wait("nserver.scene.world.walls.length === 4 && nserver.scene.world.walls[0][2] === 60")
+        assert page.value(text).count("offset_std_in = 0.1") == 4
+        # Where the second wall would touch the robot, the first one does not move either.
+        page.value("nserver.link.request({do: 'control', command: 'wall', argument: {put: [[30, 70], [30, 80]]}})")
+        page.wait("nserver.scene.world.walls.length === 5")
+        for x, y in ((50, 0), (30, 75)):
+            page.page.mouse.click(*page.at(x, y))
+        page.wait("document.querySelector('#notice').innerText.includes('touch robot 1')")
+        page.wait(f"{request}.then((one) => one.result.text.includes('60.0, 0.0'))")

@@ -25,6 +25,15 @@ def test_parts_again_and_again(capsys: pytest.CaptureFixture[str]) -> None:
     assert clocks == sorted(set(clocks))
 
 
+def test_time_of_a_simulation_passes_between_two_states(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("time.sleep", lambda _: None)
+    assert main.main(["state", "sim:thesis_room", "--every", "0.5", "--count", "2", "clock"]) == 0
+    first, second = [float(line.split()[1]) for line in capsys.readouterr().out.splitlines()]
+    assert second - first == pytest.approx(0.501)
+
+
 @pytest.mark.parametrize(("words", "looks"), [
     (["--count", "3"], 3), (["--every", "0", "--count", "2"], 2), (["--watch", "--count", "1"], 1), ([], 1),
 ])

@@ -38,6 +38,28 @@ def test_a_recorded_run_is_replayed_without_a_robot(tmp_path: Path) -> None:
     assert run(connect(f"replay:{str(path).replace(' ', '%20')}?order=loose")) == seen
 
 
+def test_sleep_is_refused_where_it_was_not_recorded() -> None:
+    player = Player(load_exchanges(FED))
+    refusal = codec.encode_tcp_reply(BY_NAME["sim_control"], Reply("error", values=(4,)), tcp_wire_state(N150))
+    assert asked(player, "sim_control", 4, 100) == refusal
+    # It is no part of the order.
+    assert asked(player, "vm", 1, 2, 3) == answer("vm", 1).data
+
+
+@pytest.mark.parametrize("sleeps", [True, False])
+def test_program_that_sleeps_replays_its_run(sleeps: bool, tmp_path: Path) -> None:
+    def drive(address: str, *, sleeps: bool) -> list[tuple[int, ...]]:
+        with connect(address) as robot:
+            seen = [robot.drive(translation_in_s=6)]
+            if sleeps:
+                robot.sleep(0.5)
+            return [state.raw for state in (*seen, robot.refresh())]
+
+    # Without sleeping: as recorded on a server or a robot, where a pause is no request.
+    seen = drive(f"{SIM}&record={tmp_path}/run.log", sleeps=sleeps)
+    assert drive(f"replay:{tmp_path}/run.log", sleeps=True) == seen
+
+
 def test_a_played_run_can_be_recorded_and_is_the_same(tmp_path: Path) -> None:
     run(connect(f"{SIM}&record={tmp_path}/one.log"))
     run(connect(f"replay:{tmp_path}/one.log?record={tmp_path}/two.log"))

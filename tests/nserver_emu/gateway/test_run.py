@@ -13,13 +13,13 @@ from pathlib import Path
 import pytest
 
 from nclient import connect
-from nclient.connector import Connector
+from nclient.connector import Connector, open_backend
 from nclient.errors import AddressError, ConnectionLost, RobotRefused
 from nclient.protocol.commands import Call
 from nserver_emu import cli
 from nserver_emu.gateway import run as gateway_options
 from nserver_emu.gateway.gateway import Gateway, RealRobotProxy
-from nserver_emu.gateway.run import connected, model_of, run_gateway
+from nserver_emu.gateway.run import RealTimeSimulation, connected, model_of, run_gateway
 from nserver_emu.server.daemon import Daemon
 from tests.nserver_emu.gateway.harness import ScriptedRobot, emulated
 from tests.nserver_emu.server.running_server import serving
@@ -62,9 +62,18 @@ async def test_a_driving_client_does_not_block_others() -> None:
             with pytest.raises(RobotRefused, match="error 4"):
                 watcher.truth()
 
-    with connected(parsed("--real", "sim:thesis_room?step_s=0.1")) as proxies:
+    with connected(parsed("--real", "sim:thesis_room")) as proxies:
         assert model_of(proxies) == "n150"
         await serve(proxies[1], lambda address: asyncio.to_thread(drive, address), every_s=0.01)
+
+
+def test_simulation_in_this_process_runs_in_real_time() -> None:
+    now_s = 0.0
+    robot = RealTimeSimulation(open_backend("sim:thesis_room"), lambda: now_s)
+    robot.execute(Call("vm", (50, 0, 0)))
+    now_s = 2.0
+    # 5 in/s for 2 s, less the acceleration.
+    assert robot.execute(Call("gs")).slots[34] == pytest.approx(100, abs=15)
 
 
 async def test_a_shadow_is_summarized_and_reported(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

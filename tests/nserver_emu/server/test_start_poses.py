@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import islice
 from math import hypot
 
@@ -14,7 +15,7 @@ from nserver_emu.simulation.axis import Command
 from nserver_emu.simulation.models import N150, N200
 from nserver_emu.simulation.simulation import Simulation
 from worlds.io import world_names
-from worlds.world import Polygon, StartPose, World
+from worlds.world import Polygon, StartPose, Walker, World
 
 HALL = World(
     "hall", rooms=(Polygon(((-700.0, -20.0), (700.0, -20.0), (700.0, 600.0), (-700.0, 600.0))),),
@@ -34,6 +35,15 @@ def test_the_most_robots_find_room_and_touch_nothing() -> None:
     assert len(cKDTree(centres).query_pairs(2.0 * N150.body.radius_in)) == 0
     assert min(HALL.clearance(x, y) for x, y in centres.tolist()) > N150.body.radius_in
     assert (simulation.robots[1].actual.steering_rad, simulation.robots[1].actual.turret_rad) == (1.0, 2.0)
+
+
+def test_robots_start_beside_walkers() -> None:
+    simulation = Simulation(replace(HALL, walkers=(Walker(((0.0, 25.0), (600.0, 25.0))),)))
+    places = StartPoseAllocator(simulation)
+    for number in range(1, 30):
+        place = places.next(N150.body.radius_in)
+        assert place is not None
+        simulation.add_robot(number, place, powered=False)
 
 
 def test_robots_of_two_sizes_share_the_starts_and_the_room_ends() -> None:

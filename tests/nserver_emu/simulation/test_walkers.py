@@ -11,7 +11,7 @@ from nserver_emu.simulation.batch import BatchSimulation
 from nserver_emu.simulation.models import N150, N200
 from nserver_emu.simulation.simulation import Simulation
 from nserver_emu.simulation.walkers import GAP_IN, SimulatedWalker, WalkerState
-from worlds.world import Door, Polygon, StartPose, Walker, World
+from worlds.world import Door, Polygon, StartPose, Walker, WallAccuracy, World
 
 ROOM = Polygon(((0.0, 0.0), (300.0, 0.0), (300.0, 200.0), (0.0, 200.0)), "hall")
 SQUARE = ((50.0, 50.0), (150.0, 50.0), (150.0, 150.0), (50.0, 150.0))
@@ -140,6 +140,38 @@ def test_robot_stands_alone_after_the_last_walker_left() -> None:
         each.step(5.0)
     assert run.robots[1].sonar.readings_in == alone.robots[1].sonar.readings_in
     assert run.bodies == [run.robots[1]]
+
+
+def test_snapshot_after_the_last_walker_left_is_restored() -> None:
+    run = simulation(Walker(((50.0, 100.0), (250.0, 100.0))), start=StartPose(150.0, 60.0))
+    run.step(1.0)
+    run.change_world(replace(run.world, walkers=()))
+    run.step(1.0)
+    assert Simulation.from_state(run.to_state()).robots[1].actual == run.robots[1].actual
+
+
+def test_slowest_walker_stands() -> None:
+    for speed in (1e-9, 5e-324):
+        run = simulation(Walker(SQUARE, speed, is_closed=True), start=StartPose(250.0, 100.0))
+        run.step(60.0)
+        assert run.walkers[0].disc[:2] == pytest.approx(SQUARE[0], abs=1e-6)
+
+
+def test_path_of_a_walker_without_robots_is_not_stored() -> None:
+    run = simulation(Walker(SQUARE, 100.0))
+    for _ in range(100):
+        run.step(0.1)
+    assert len(run.walkers[0]._pieces) <= 1
+
+
+def test_snapshot_has_the_accuracies_of_walls() -> None:
+    rows = np.array([[100.0, 50.0, 200.0, 50.0], [100.0, 150.0, 200.0, 150.0]])
+    measured = {1: WallAccuracy(0.1, 0.01, 80.0)}
+    state = Simulation(World("hall", rooms=(ROOM,), inner_walls=rows, accuracies=measured)).to_state()
+    assert Simulation.from_state(state).world.accuracies == measured
+    for wrong in ({2: measured[1]}, {0: WallAccuracy(-0.1, 0.01, 80.0)}):
+        with pytest.raises(ValueError, match="accuracy"):
+            Simulation.from_state(replace(state, world=replace(state.world, accuracies=wrong)))
 
 
 def test_walkers_pass_one_another() -> None:

@@ -7,6 +7,7 @@ import json
 import os
 from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -23,6 +24,7 @@ from nserver_emu.viewer.messages import InvalidMessage, LocalizationMethod
 from tests.nserver_emu.server.wire_client import simulation
 from tests.nserver_emu.viewer.page_client import serve_viewer
 from worlds.io import load_world
+from worlds.world import Walker
 
 WAITS = "exec sleep 60"
 
@@ -219,7 +221,10 @@ async def test_changed_world_makes_the_map_old() -> None:
         await pid_of(here)
         simulated = here.daemon.emulator.simulation
         world = simulated.world
-        for now, is_old in ((world, False), (world.with_inner_wall(0, (20.0, 20.0, 30.0, 20.0)), True), (world, False)):
+        changed = world.with_inner_wall(0, (20.0, 20.0, 30.0, 20.0))
+        # People who walk are in no map.
+        walked = replace(world, walkers=(Walker(((30.0, 30.0), (30.0, 40.0))),))
+        for now, is_old in ((world, False), (changed, True), (world, False), (changed, True), (walked, False)):
             simulated.change_world(now)
             here.localizers.check_maps()
             assert here.localizers.as_dict()["1"]["has_old_map"] is is_old

@@ -6,6 +6,7 @@ import asyncio
 import ipaddress
 import socket
 import threading
+import zlib
 
 import aiohttp
 import pytest
@@ -50,6 +51,19 @@ async def test_the_page_needs_a_token_and_loads_nothing_external() -> None:
             assert answer.status == 200
         async with here.web.get(f"{here.origin}/page/../web.py") as answer:
             assert answer.status == 404
+
+
+async def test_files_are_compressed_for_those_that_accept_it() -> None:
+    bodies, sizes = [], []
+    async with serve_viewer(an_emulator()) as here, aiohttp.ClientSession(auto_decompress=False) as web:
+        for encoding in ("identity", "deflate"):
+            async with web.get(f"{here.origin}/page/main.js", headers={"Accept-Encoding": encoding}) as answer:
+                assert answer.headers.get("Content-Encoding", "identity") == encoding
+                body = await answer.read()
+                sizes.append(len(body))
+                bodies.append(zlib.decompress(body) if encoding == "deflate" else body)
+    assert bodies[0] == bodies[1]
+    assert sizes[1] < sizes[0] / 2
 
 
 @pytest.mark.parametrize("origin", ["", "http://evil.example", "http://127.0.0.1:1", "null", "http://["])

@@ -63,7 +63,7 @@ def test_walkers_are_added_moved_and_removed(emulator: Emulator) -> None:
      ({"put": [[1, 1]], "name": "a"}, "two ends"), ({"put": [[30, 50], [70, 50]], "name": "a"}, "touch robot"),
      ({"put": [[1, 1], [9, 9]], "name": " "}, "name"), ({"put": [[1, 1], [9, 9]], "name": "gate"}, "other door"),
      ({"door": "gat"}, "gate"), ({"door": "gate", "by": [1e9, 0]}, "on the map"), ({"door": ["x"]}, "no door"),
-     ({"door": "gate", "to": [[30, 50], [70, 50]]}, "touch")],
+     ({"door": "gate", "to": [[30, 50], [70, 50]]}, "touch"), ({"door": "gate", "open": "no"}, "such as")],
 )  # fmt: skip
 def test_wrong_door_changes_nothing(emulator: Emulator, change: dict[str, Any], words: str) -> None:
     change_door(emulator, {"put": [[100, 0], [100, 60]], "name": "gate"})
@@ -78,6 +78,7 @@ def test_wrong_door_changes_nothing(emulator: Emulator, change: dict[str, Any], 
     [({}, "such as"), ({"put": "x"}, "such as"), ({"put": [[100, 20]]}, "2 to"), ({"put": [[9, 20], [9e9, 20]]}, "map"),
      ({"put": [[100, 20], [100, 20.1]]}, "apart"), ({"put": [[100, 20], [180, 20]], "speed": 1e3}, "speed"),
      ({"put": [[100, 20], [180, 20]], "radius": 0}, "radius"), ({"put": [[100, 20], [300, 20]]}, "clear of walls"),
+     ({"put": [[100, 20], [180, 20]], "closed": 1}, "such as"),
      ({"put": [[50, 60], [180, 20]]}, "stands where"), ({"walker": [[1, 2], [3, 4]]}, "none with this route")],
 )  # fmt: skip
 def test_wrong_walker_changes_nothing(emulator: Emulator, change: dict[str, Any], words: str) -> None:

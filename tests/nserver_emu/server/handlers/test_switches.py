@@ -259,3 +259,18 @@ def test_wall_that_becomes_longer_keeps_its_accuracy(to: list[list[float]], is_m
     emulator.simulation.change_world(replace(emulator.simulation.world, accuracies={row: measured}))
     change_wall(emulator, {"wall": [[40, -9], [40, 9]], "to": to})
     assert (emulator.simulation.world.accuracies == {row: measured}) is is_measured
+
+
+@pytest.mark.parametrize("change", [{}, {"by": [5, 1]}])
+def test_undo_restores_the_accuracy_of_a_wall(change: dict[str, Any]) -> None:
+    emulator = Emulator(simulation())
+    wall, measured = [[40, -9], [40, 9]], [0.1, 0.01, 15.0]
+    rows = change_wall(emulator, {"put": wall, "accuracy": measured})["walls"]
+    done = change_wall(emulator, {"wall": wall, **change})
+    assert emulator.simulation.world.accuracies == {}
+    undo = {"wall": done["is"], "to": done["was"]} if change else {"put": done["was"]}
+    change_wall(emulator, undo | {"accuracy": done["accuracy"]})
+    assert emulator.simulation.world.accuracies == {rows - 1: WallAccuracy(*measured)}
+    for wrong in ([0.1], [0.1, -1, 5], "abc"):
+        with pytest.raises(ControlError, match="such as"):
+            change_wall(emulator, {"put": [[60, -9], [60, 9]], "accuracy": wrong})
