@@ -43,7 +43,7 @@ from nserver_emu.persistence.recording import RunHeader
 from nserver_emu.persistence.replay import replay
 from nserver_emu.ros2.options import running_ros2
 from nserver_emu.rosbridge.options import running_rosbridge
-from nserver_emu.rosbridge.readings import Estimates
+from nserver_emu.rosbridge.topics import Estimates
 from nserver_emu.server.admission import RESERVED_CONNECTIONS, AdmissionControl
 from nserver_emu.server.config import MODEL_NAMES, SimulationConfig, robot_placements
 from nserver_emu.server.connection import MAX_REQUESTS_PER_TURN

@@ -15,7 +15,13 @@ parallel        the interface of PettingZoo
 Observations and actions are in metres, radians and seconds; inside, in inches, as in the simulation.
 """
 
-import gymnasium
+from nclient.common.hints import install_command
+from nclient.errors import ExtraMissing
+
+try:
+    import gymnasium
+except ModuleNotFoundError as missing:
+    raise ExtraMissing(f"nserver_emu.gym needs gymnasium: {install_command('gym')}") from missing
 
 from nserver_emu.gym.environments import RobotEnv, RobotVectorEnv
 from nserver_emu.gym.policies import Episode, Policy, RandomPolicy, WallFollower, run_episode

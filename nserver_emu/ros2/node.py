@@ -28,7 +28,8 @@ from nclient.errors import ConnectionLost
 from nclient.recording.ros_messages import MAP, TF, TF_STATIC, Message
 from nserver_emu.ros2.types import RosTypes, topic_in_dds
 from nserver_emu.rosbridge import topics
-from nserver_emu.rosbridge.readings import PERIOD_S, Estimates, RobotReader, map_message
+from nserver_emu.rosbridge.readings import PERIOD_S, RobotReader, map_message
+from nserver_emu.rosbridge.topics import Estimates
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.viewer.controller import ViewerClients
 from nserver_emu.viewer.error_boundary import ErrorBoundary

@@ -16,7 +16,7 @@ from xml.sax.saxutils import quoteattr
 
 from nclient.common.hints import install_command
 from nclient.errors import ExtraMissing, NomadError
-from nserver_emu.rosbridge.readings import Estimates
+from nserver_emu.rosbridge.topics import Estimates
 from nserver_emu.server.daemon import Daemon
 
 log = logging.getLogger(__name__)

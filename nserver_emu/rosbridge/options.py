@@ -14,7 +14,7 @@ from typing import Final
 
 from nclient.common.hints import install_command
 from nclient.errors import ExtraMissing, NomadError
-from nserver_emu.rosbridge.readings import Estimates
+from nserver_emu.rosbridge.topics import Estimates
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.viewer.options import ListenAddress, listen_address_of, parse_listen_address
 

@@ -6,24 +6,23 @@ asked by gs, one question at a time.
 
 from __future__ import annotations
 
-import asyncio
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import M_PER_IN, MOTOR_RANGE_V, volts
-from nclient.recording.ros_messages import TF, Message, Pose2
+from nclient.recording.ros_messages import TF, Message
 from nserver_emu.rosbridge import topics
-from nserver_emu.rosbridge.topics import Reading
+from nserver_emu.rosbridge.topics import Estimates, Reading
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.server_state import state_slots
 from nserver_emu.simulation.robot import battery_v
-from nserver_emu.viewer.controller import STALE_S, Answer, ViewerClients
+from nserver_emu.viewer.controller import Answer, ViewerClients
 from nserver_emu.viewer.error_boundary import ErrorBoundary
 from worlds.cells import cells_of_world
 from worlds.world import World
@@ -69,27 +68,6 @@ class RobotClock:
         """Return the Unix time of an earlier reading; `now_s` if it cannot be by this clock."""
         time_s = clock_s + self._offset_s
         return round((time_s if now_s - MAX_ESTIMATE_AGE_S < time_s <= now_s else now_s) * 1e9)
-
-
-@dataclass(slots=True)
-class Estimates:
-    """The last published estimate of each robot, with the time when it came; `listeners` get each new one."""
-
-    listeners: list[Callable[[int, dict[str, Any]], None]] = field(default_factory=list)
-    _latest: dict[int, tuple[float, dict[str, Any]]] = field(default_factory=dict)
-
-    def add(self, robot: int, estimate: dict[str, Any]) -> None:
-        """Add an estimate; the pose of a robot that is lost is undefined: it has neither a pose nor a frame map."""
-        self._latest.pop(robot, None)
-        if estimate["trust"] != "LOST":
-            self._latest[robot] = _now(), estimate
-            for listener in self.listeners:
-                listener(robot, estimate)
-
-    def map_to_odom(self, robot: int) -> Pose2 | None:
-        """Return the transform from map to odom; None if the robot is not localized."""
-        come_s, estimate = self._latest.get(robot, (-math.inf, None))
-        return topics.map_to_odom(estimate) if estimate is not None and _now() - come_s < STALE_S else None
 
 
 class RobotReader:
@@ -171,7 +149,3 @@ def answer_with_reply(name: str, reply: Reply) -> Answer:
     """Return the answer to a call with its whole reply."""
     del name
     return {"ok": reply.kind != "error", "values": list(reply.values), "reply": reply}
-
-
-def _now() -> float:
-    return asyncio.get_running_loop().time()

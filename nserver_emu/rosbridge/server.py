@@ -21,7 +21,8 @@ from nclient.common.hints import install_command
 from nclient.recording.ros_messages import MAP, TF, TF_STATIC
 from nserver_emu.rosbridge import topics
 from nserver_emu.rosbridge.client import InvalidRequest, RosbridgeClient, Services, encode_published, short_type
-from nserver_emu.rosbridge.readings import Estimates, RobotReader, map_message
+from nserver_emu.rosbridge.readings import RobotReader, map_message
+from nserver_emu.rosbridge.topics import Estimates
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.viewer import auth
 from nserver_emu.viewer.controller import ViewerClients

@@ -14,8 +14,10 @@
 Frames of robot N begin with `robotN/`. Messages have the form of nclient/recording/ros_messages.py.
 """
 
+import asyncio
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -43,6 +45,7 @@ from nclient.recording.ros_messages import (
     pose,
     stamp,
 )
+from nserver_emu.viewer.messages import STALE_S
 from worlds.cells import Cell, OccupancyGrid
 
 _TENTH_M: Final = M_PER_IN / 10
@@ -215,3 +218,28 @@ def _component(twist: Any, part: str, axis: str) -> float:
     if not math.isfinite(number):
         raise ValueError(f"a Twist has numbers linear.x and angular.z; {part}.{axis} is {value!r:.40}")
     return number
+
+
+@dataclass(slots=True)
+class Estimates:
+    """The last published estimate of each robot, with the time when it came; `listeners` get each new one."""
+
+    listeners: list[Callable[[int, dict[str, Any]], None]] = field(default_factory=list)
+    _latest: dict[int, tuple[float, dict[str, Any]]] = field(default_factory=dict)
+
+    def add(self, robot: int, estimate: dict[str, Any]) -> None:
+        """Add an estimate; the pose of a robot that is lost is undefined: it has neither a pose nor a frame map."""
+        self._latest.pop(robot, None)
+        if estimate["trust"] != "LOST":
+            self._latest[robot] = _now(), estimate
+            for listener in self.listeners:
+                listener(robot, estimate)
+
+    def map_to_odom(self, robot: int) -> Pose2 | None:
+        """Return the transform from map to odom; None if the robot is not localized."""
+        come_s, estimate = self._latest.get(robot, (-math.inf, None))
+        return map_to_odom(estimate) if estimate is not None and _now() - come_s < STALE_S else None
+
+
+def _now() -> float:
+    return asyncio.get_running_loop().time()

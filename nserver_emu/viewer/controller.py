@@ -42,7 +42,7 @@ from nserver_emu.viewer.classroom import refusal
 from nserver_emu.viewer.error_boundary import ErrorBoundary
 from nserver_emu.viewer.localizers import Localizers
 from nserver_emu.viewer.map_editor import adjust_world
-from nserver_emu.viewer.messages import parse_estimate
+from nserver_emu.viewer.messages import STALE_S, parse_estimate
 from nserver_emu.viewer.traffic import TrafficMonitor
 from worlds.io import SHIPPED, load_world, world_names
 
@@ -257,8 +257,6 @@ def shipped_worlds() -> Answer:
     }  # fmt: skip
 
 
-STALE_S: Final = 60.0
-"""Age in real seconds from which an estimate is not shown to new pages."""
 
 
 class ViewerController:

@@ -71,6 +71,8 @@ from nclient.common.validation import InvalidValue, convert, decode_json, descri
 from worlds.rings import MAX_SONARS
 
 VERSION: Final = 5
+STALE_S: Final = 60.0
+"""Age in real seconds from which an estimate is not shown to new pages."""
 MAX_TEXT: Final = 2_000_000
 """Characters of a message from the page; a plan of faults is the longest."""
 MAX_ARGS: Final = 64

@@ -53,6 +53,14 @@ WRITE_MCAP = (
     "write_drive(Drive([Sample(0.0)]), Path('drive.csv')); "
     "code = main(['convert', 'drive.csv', 'drive.mcap']); print('written'); sys.exit(code)"
 )
+ROS_TYPE = (
+    "from nserver_emu.ros2.types import RosTypes; "
+    "print(RosTypes('jazzy').dds_type('nav_msgs/msg/Odometry').__idl_typename__.replace('.', '::'))"
+)
+MAKE_ENVIRONMENT = (
+    "import gymnasium, nserver_emu.gym; "
+    "print('made', type(gymnasium.make('Nomad/GoTo-v0').unwrapped).__name__)"
+)
 CHECKS = (
     Check(("nomad", "--version"), rf"nomad {VERSION}\n"),
     Check(("nserver", "--version"), rf"nserver {VERSION}\n"),
@@ -73,6 +81,8 @@ CHECKS = (
     Check((*EXPERIMENT, "--no-pictures", "--cluster", "127.0.0.1:1"), "no Dask scheduler answers", "cluster"),
     Check(("nomad", "map", "export", "flat", "--out", "flat.yaml"), "254 x 194 cells", "maps"),
     Check(("nserver", "thesis_room", "--port", "0", "--viewer", "0"), "listening viewer", "viewer"),
+    Check(("python", "-c", ROS_TYPE), "nav_msgs::msg::dds_::Odometry_", "ros2", is_hinted=False),
+    Check(("python", "-c", MAKE_ENVIRONMENT), "made RobotEnv", "gym", is_hinted=False),
     Check(("python", "-c", MACHINE_CODE), "loaded True", "fast", is_hinted=False),
     Check(("python", "-c", MACHINE_CODE), "loaded"),
     Check(("python", "-c", "import furo, myst_parser, sphinx; print('builds')"), "builds", "docs", is_hinted=False),

@@ -187,13 +187,13 @@ def test_drive_ends_when_the_clock_goes_back() -> None:
     def restarted(number: int, state: RobotState) -> RobotState:
         return RobotState(state.model, state.raw, clock_ms=(state.clock_ms or 0) - (2000 if number > 20 else 0))
 
-    step, robot = surveyed("sim:thesis_room?setup=measured&seed=4", restarted)
+    step, robot = surveyed("sim:thesis_room?setup=measured&seed=4&step_s=0.1", restarted)
     assert "clock" in step.ended
     assert robot.states == 21
 
 
 def test_drive_ends_when_the_robot_does_not_move() -> None:
-    step, robot = surveyed("sim:thesis_room?setup=measured&seed=4", unchanged, has_motors=False)
+    step, robot = surveyed("sim:thesis_room?setup=measured&seed=4&step_s=0.1", unchanged, has_motors=False)
     assert "does not move" in step.ended
     assert step.elapsed_s < 10.0
     assert robot.speeds
@@ -206,7 +206,7 @@ def test_bumper_hit_is_a_contact() -> None:
             raise BumperHit("gs", (3,))
         return state
 
-    step, robot = surveyed("sim:thesis_room?setup=measured&seed=4", hit, limit_s=6.0)
+    step, robot = surveyed("sim:thesis_room?setup=measured&seed=4&step_s=0.1", hit, limit_s=6.0)
     assert not step.ended
     assert min(robot.speeds) < 0.0
 
@@ -217,7 +217,7 @@ def test_robot_that_begins_in_contact_backs_off_to_where_space_is() -> None:
         return RobotState(state.model, raw, clock_ms=state.clock_ms) if number < 40 else state
 
     # The wall is ahead.
-    _, robot = surveyed("sim:thesis_room?setup=measured&seed=4&start=92,60,0", touching, limit_s=4.0)
+    _, robot = surveyed("sim:thesis_room?setup=measured&seed=4&step_s=0.1&start=92,60,0", touching, limit_s=4.0)
     first = next(speed for speed in robot.speeds if speed)
     assert first < 0.0
 

@@ -16,7 +16,8 @@ from cyclonedds.qos import Policy
 
 from nserver_emu.ros2.node import running_node
 from nserver_emu.ros2.options import LOOPBACK, config_of
-from nserver_emu.rosbridge.readings import MAX_DELAY_S, Estimates, RobotClock
+from nserver_emu.rosbridge.readings import MAX_DELAY_S, RobotClock
+from nserver_emu.rosbridge.topics import Estimates
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.viewer.messages import DRIVE_TIMEOUT_S, parse_estimate

@@ -13,8 +13,16 @@ from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.viewer.auth import Access
 from nserver_emu.viewer.broadcaster import Broadcaster
-from nserver_emu.viewer.controller import STALE_S, ViewerController
-from nserver_emu.viewer.messages import MAX_PLACES, MAX_REASON, REFUSALS, TRUSTS, InvalidMessage, parse_estimate
+from nserver_emu.viewer.controller import ViewerController
+from nserver_emu.viewer.messages import (
+    MAX_PLACES,
+    MAX_REASON,
+    REFUSALS,
+    STALE_S,
+    TRUSTS,
+    InvalidMessage,
+    parse_estimate,
+)
 from nserver_emu.viewer.scene import SceneHistory
 from tests.nserver_emu.server.wire_client import simulation
 from tests.nserver_emu.viewer.page_client import serve_viewer
