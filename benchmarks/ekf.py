@@ -293,7 +293,8 @@ def measure(rounds: int, seeds: int, jobs: int, *, plain: bool = False) -> Resul
     kinds = [(sonar, echoes) for sonar in (WIRE_SONAR, ConeSonar()) for echoes in (16, 1)]
     os.environ[VARIABLE] = "never"
     lives = [Live(sonar, echoes) for sonar, echoes in kinds]
-    if not plain and compiled.load():  # from here on filters are compiled
+    if not plain and compiled.load():
+        os.environ[VARIABLE] = "always"
         lives += [Live(sonar, echoes) for sonar, echoes in kinds]
     live_samples: list[list[float]] = [[] for _ in lives]
     peers: list[list[float]] = [[], []]

@@ -219,8 +219,8 @@ def _require_nomad(body: Body, model: str) -> None:
     """Raise AddressError for a body of a model file with other sonars: maps are learned with those of a Nomad."""
     if body.ring != BODIES[model].ring:
         raise AddressError(
-            f"model_file= in the address describes other sonars than those of a {model}, and nomad map learn reads "
-            "only those: omit it"
+            f"model_file= in the address describes other sonars than those of a {model}, and maps are learned with "
+            "those alone: omit it"
         )
 
 

@@ -73,7 +73,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _write(path: Path, world: World, comment: str) -> None:
-    """Write a world file. Reading it again checks that the robot stands in free space."""
+    """Write a world file. Reading it again checks it as any other."""
     text = format_world(world, comment)
     parse_world(text, str(path), world.name)
     with write_errors_as(OutputFileError, path):

@@ -197,6 +197,9 @@ def with_wall_errors(sonar: RaySonar | ConeSonar, world: World) -> RaySonar | Co
 
     To `place_var_in2` is added the mean of offset_std_in^2 over the length of all walls; those that state no accuracy
     are exact.
+
+    All echoes of a wall repeat its error, from wherever they are measured. The filter counts as correlated only those
+    of one sonar from one pose (`CorrelatedReadings`): along a wall the belief can become more certain than it.
     """
     if not world.accuracies:
         return sonar

@@ -178,15 +178,15 @@ def load() -> bool:
 
 @cache
 def _checksum(loop: Callable[..., list[Outcome]]) -> int:
-    """Return a checksum of all sources."""
-    checksum = crc32(Path(loop.__code__.co_filename).read_bytes())
+    """Return a checksum of all sources, with this file."""
+    checksum = crc32(Path(__file__).read_bytes(), crc32(Path(loop.__code__.co_filename).read_bytes()))
     for module in SOURCES:
         checksum = crc32(Path(str(module.__file__)).read_bytes(), checksum)
     return checksum
 
 
 def _mark(loop: Callable[..., list[Outcome]], correct: Callable[..., Outcome]) -> Path:
-    """Return the file that marks this loop and update as compiled, next to numba's cache or where that may be."""
+    """Return the file that marks this loop and update as compiled, in the folder of numba's cache."""
     folder = Path(os.environ.get("NUMBA_CACHE_DIR") or Path(__file__).parent / "__pycache__")
     key = crc32(f"{version('numba')} {sys.implementation.cache_tag}".encode(), _checksum(loop))
     return folder / f"compiled.{correct.__name__}.{key:08x}"
@@ -203,8 +203,6 @@ def is_wanted(loop: Callable[..., list[Outcome]], correct: Callable[..., Outcome
     VariableError
         The variable is set to an unknown word.
     """
-    if load.cache_info().currsize:
-        return True
     if not raycast.is_compiled_for(raycast.CROWD):
         return False
     try:

@@ -36,7 +36,8 @@ CROSSED_IN: Final = 2.0
 POST_IN: Final = 1.0
 """Side of the post that stands for a point."""
 POST_SPACE_IN: Final = 6.0
-"""A point nearer to a wall or a post is an end or a corner of it."""
+"""A point nearer to a wall or a post is an end or a corner of it; one nearer to the path is a mistake, as the robot's
+radius is larger."""
 MARGIN_IN: Final = 15.0
 """Around the walls in the picture."""
 
@@ -77,11 +78,12 @@ class LearnedMap:
 
     @property
     def posts(self) -> Floats:
-        """Points (n, 2) that stand alone: neither at a wall nor at one another."""
+        """Points (n, 2) that stand alone: neither at a wall nor at one another, nor where the robot was."""
         walls = np.array([wall.ends.reshape(4) for wall in self.walls]).reshape(-1, 4)
+        path = np.concatenate((self.path[:-1, :2], self.path[1:, :2]), axis=1)
         found: list[Floats] = []
         for point in self.points:
-            things = np.concatenate((walls, *(np.concatenate((post, post))[None] for post in found)))
+            things = np.concatenate((walls, path, *(np.concatenate((post, post))[None] for post in found)))
             if not len(things) or nearest_points(point[None], things)[1].min() > POST_SPACE_IN:
                 found.append(point)
         return np.array(found).reshape(-1, 2)
@@ -284,8 +286,8 @@ def draw_learned(path: Path, found: LearnedMap, estimate: MapEstimate) -> None:
         axes.plot(*np.array(found.open_ends).T, marker="x", color=ESTIMATE, linestyle="", label="open ends")
     ends = np.array([wall.ends for wall in found.walls]).reshape(-1, 2)
     low, high = (
-        np.concatenate((ends, found.path[:, :2])).min(0) - 15.0,
-        np.concatenate((ends, found.path[:, :2])).max(0) + 15.0,
+        np.concatenate((ends, found.path[:, :2])).min(0) - MARGIN_IN,
+        np.concatenate((ends, found.path[:, :2])).max(0) + MARGIN_IN,
     )
     axes.set(xlabel="x (in)", ylabel="y (in)", xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=5, frameon=False)

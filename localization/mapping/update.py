@@ -86,8 +86,6 @@ class MapDifference:
         Size of the rooms over that of the map, and its standard deviation; 1 if the difference is not significant.
     pose
         Where the robot stands now (3,), in the frame of the map, after the change of scale.
-    turret_rad
-        Angle of the turret from the heading.
     world
         The map with the changes.
     """
@@ -338,7 +336,8 @@ def _compared(
         missing_in = sum(high - low for low, high in parts)
         # 2. Moved: nothing is on it, and beside it is a wall that is on none.
         beside = is_free & (turns[:, row] < MATCH_RAD) & overlaps[:, row] & (np.abs(across[:, row]) < MATCH_IN)
-        if not confirmed and beside.any():
+        is_moved = not confirmed and bool(beside.any())
+        if is_moved:
             number = int(np.where(beside, np.abs(across[:, row]), np.inf).argmin())
             is_free[number] = False
             by_in = float(across[number, row])
@@ -351,11 +350,10 @@ def _compared(
                 Change("missing", row, np.concatenate([walls[row, :2] + at * along[row] for at in part]), None)
                 for part in parts
             )
-            if missing_in < sizes[row]:
-                found.unchanged.append(row)
-        else:
+        # 3. The rest of it, or all: as it was, or unseen.
+        if not is_moved and missing_in < sizes[row]:
             (found.unchanged if confirmed else found.unseen).append(row)
-    # 3. New: what is left.
+    # 4. New: what is left.
     found.changes.extend(
         Change("new", -1, None, ends_of[number], 0.0, _accuracy(pieces[number]))
         for number in np.flatnonzero(is_free).tolist()

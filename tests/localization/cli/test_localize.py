@@ -423,7 +423,6 @@ def test_encoders_of_a_driven_robot_are_wide_and_searched(
 ) -> None:
     """As of a server's robot: it stands 30 in from the start of the map, on encoders that nobody has set."""
     monkeypatch.setattr("localization.cli.arguments.is_lockstep", lambda _: False)
-    monkeypatch.setattr("localization.cli.arguments.time.sleep", lambda _: None)
     address = "sim:thesis_room?noisy=1&seed=1&start=30,0,0,0"
     run = [address, "--map", "thesis_room", "--waypoints", "35,0", "--time-limit", "0.2"]
     localize(*run)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import builtins
 import io
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -29,11 +28,9 @@ NOISE = OdometryNoise()
 
 
 @pytest.fixture
-def numba() -> Iterator[None]:
+def numba(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("numba")
-    assert compiled.load()
-    yield
-    compiled.load.cache_clear()
+    monkeypatch.setenv(VARIABLE, "always")
 
 
 def random_ring(rng: np.random.Generator) -> tuple[EncoderRow, list[EncoderRow], list[NewEcho]]:
@@ -73,15 +70,18 @@ def test_compiled_rings_equal_plain_python_to_the_bit(
 
 @pytest.mark.long
 @pytest.mark.usefixtures("numba")
-def test_a_filter_made_after_loading_is_compiled() -> None:
+def test_compiled_filter_equals_the_plain_one(monkeypatch: pytest.MonkeyPatch) -> None:
     config = LocalizationConfig(WALLS, N150)
     belief = Belief(np.array([20.0, 50.0, 0.3]), np.diag([0.25, 0.25, 4e-4]))
     drive = random_ring(np.random.default_rng(1))
     fast = make("ekf", config, belief)
-    compiled.load.cache_clear()
+    # Loaded in this process or not: the variable decides.
+    monkeypatch.setenv(VARIABLE, "never")
     plain = make("ekf", config, belief)
     assert isinstance(fast, KalmanFilter)
     assert isinstance(plain, KalmanFilter)
+    assert fast._compiled
+    assert not plain._compiled
     np.testing.assert_array_equal(fast.process(*drive), plain.process(*drive))
     np.testing.assert_array_equal(fast.belief.cov, plain.belief.cov)
     assert fast.health == plain.health
@@ -96,6 +96,7 @@ def test_without_numba_nothing_is_compiled(monkeypatch: pytest.MonkeyPatch) -> N
         return plain(name, *arguments)
 
     compiled.load.cache_clear()
+    monkeypatch.setenv(VARIABLE, "always")
     monkeypatch.setattr(builtins, "__import__", no_numba)
     model = measurement_model(WALLS, N150, WIRE_SONAR)
     assert isinstance(model, RayModel)
@@ -131,7 +132,6 @@ def test_compiled_code_is_used_where_nothing_waits_unseen(
         monkeypatch.setenv(VARIABLE, word)
     if on_disk:
         compiled._mark(filter_ring, update_by_ray).touch()
-    compiled.load.cache_clear()
     assert compiled.is_wanted(filter_ring, update_by_ray) is wanted
     assert not compiled.is_wanted(filter_ring, update_by_cone) or word == "always" or stderr.isatty()
 

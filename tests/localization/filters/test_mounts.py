@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from localization.filters import compiled
 from localization.filters.base import LocalizationConfig, sonar_of
 from localization.filters.belief import Floats, independent, unpack
 from localization.filters.ekf import KalmanFilter
@@ -17,7 +15,7 @@ from localization.filters.particles import ConeLikelihood, RayLikelihood
 from localization.filters.registry import make, update_for
 from localization.filters.sonar_cone import ConeModel, ConeSonar, EchoCandidate, arm_of, cone_sonar, first_echoes
 from localization.filters.sonar_ray import STRICT, WIRE_SONAR, predict_beam, ranges_along, ray_sonar, wall_map
-from worlds.raycast import cast_ray
+from worlds.raycast import VARIABLE, cast_ray
 from worlds.rings import Ring, SonarMount
 from worlds.robots import N150, Body
 
@@ -132,11 +130,9 @@ def test_every_method_corrects_by_mounted_sonars(method: str, rays: bool) -> Non
 
 
 @pytest.fixture
-def numba() -> Iterator[None]:
+def numba(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("numba")
-    assert compiled.load()
-    yield
-    compiled.load.cache_clear()  # otherwise all filters made later in this process would be compiled
+    monkeypatch.setenv(VARIABLE, "always")
 
 
 @pytest.mark.long

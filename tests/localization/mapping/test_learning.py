@@ -37,11 +37,6 @@ def distances(found: LearnedMap) -> tuple[float, float]:
 
 
 @pytest.fixture(scope="module")
-def estimate() -> MapEstimate:
-    return learn_map(drive(1), NOISE, ConeSonar())
-
-
-@pytest.fixture(scope="module")
 def room(estimate: MapEstimate) -> LearnedMap:
     return describe(estimate)
 
@@ -150,7 +145,8 @@ def test_faces_of_a_thick_wall_stay_apart() -> None:
 
 def test_post_is_a_closed_outline_of_the_file(room: LearnedMap) -> None:
     beside_wall = room.walls[0].ends.mean(axis=0) + 1.0
-    found = replace(room, points=np.concatenate((room.points, [(30.0, 20.0), (33.0, 20.0), beside_wall])))
+    driven_over = room.path[len(room.path) // 3, :2] + 3.0
+    found = replace(room, points=np.concatenate((room.points, [(30.0, 20.0), (33.0, 20.0), beside_wall, driven_over])))
     (post,) = found.world("room").obstacles
     assert post.corners_in == ((29.5, 19.5), (30.5, 19.5), (30.5, 20.5), (29.5, 20.5))
     assert validate_world(found.world("room"), 9.7) == []

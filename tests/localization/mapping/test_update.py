@@ -9,14 +9,11 @@ import numpy as np
 import pytest
 
 from localization.filters.belief import Floats
-from localization.filters.odometry import OdometryNoise
-from localization.filters.sonar_cone import ConeSonar
 from localization.mapping.association import MapEstimate
-from localization.mapping.learn import learn_map
 from localization.mapping.output import MapRefused
 from localization.mapping.update import MapDifference, compare
 from nclient.cli import main
-from tests.localization.mapping.drives import LAP, ROOM, drive
+from tests.localization.mapping.drives import LAP, ROOM
 from worlds.io import format_world, load_world
 from worlds.validate import validate_world
 from worlds.world import StartPose, World
@@ -27,11 +24,6 @@ START: Floats = np.array((*LAP[0], 0.0))
 
 def world_of(walls: Floats) -> World:
     return World("room", inner_walls=walls, starts=(StartPose(*LAP[0]),))
-
-
-@pytest.fixture(scope="module")
-def estimate() -> MapEstimate:
-    return learn_map(drive(1), OdometryNoise(0.05, 0.05, 0.002), ConeSonar())
 
 
 def differences(walls: Floats, estimate: MapEstimate, start: Floats = START) -> MapDifference:
@@ -71,6 +63,13 @@ def test_wall_beyond_the_map_is_new(estimate: MapEstimate) -> None:
     assert (change.kind, change.row, change.before) == ("new", -1, None)
     np.testing.assert_allclose(np.sort(found.world.walls[3]), np.sort(WALLS[3]), atol=1.0)
     assert found.world.accuracies[3].offset_std_in > 0.0
+
+
+def test_rest_of_a_missing_wall_is_not_seen(estimate: MapEstimate) -> None:
+    # It goes on behind the wall of the room, where nothing can be measured.
+    found = differences(np.concatenate((WALLS, [(60.0, 0.0, 60.0, 200.0)])), estimate)
+    assert {(change.kind, change.row) for change in found.changes} == {("missing", 4)}
+    assert (found.unchanged, found.unseen) == ((0, 1, 2, 3), (4,))
 
 
 def test_hidden_wall_is_not_seen(estimate: MapEstimate) -> None:
