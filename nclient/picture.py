@@ -1,4 +1,4 @@
-"""What a notebook shows of a `Robot` and of a `RobotState`: pose, motion, sensors, and the sonars from above."""
+"""Pictures of a `Robot` and of a `RobotState` in a notebook: pose, motion, sensors, and the sonars from above."""
 
 from __future__ import annotations
 

@@ -78,7 +78,7 @@ class ChallengeError(NomadError):
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """What one run achieved.
+    """Result of one run.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What the notebooks of the course need besides the client: recorded drives, expected ranges, pictures."""
+"""Helpers of the notebooks besides the client: recorded drives, expected ranges, pictures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an environment drives, each behind the same five calls: a batch, robots of one simulation, a connected robot.
+"""Robots that an environment drives, by the same five calls: a batch, robots of one simulation, a connected robot.
 
 Inches, radians and seconds; arrays have one row per robot.
 """
@@ -33,7 +33,7 @@ MAX_TURRET_RAD: Final = pi / 16
 
 
 class Sensed(NamedTuple):
-    """What n robots measure, and where they are.
+    """Measurements and poses of n robots.
 
     Attributes
     ----------

@@ -36,7 +36,7 @@ MAX_TURN_RAD_S: Final = 10.0
 
 
 class Scene(NamedTuple):
-    """What the robots of a task have in common.
+    """Constants that the robots of a task share.
 
     Attributes
     ----------

@@ -30,7 +30,7 @@ class RosTypes:
 
     @cached_property
     def builder(self) -> MessageBuilder:
-        """What makes messages from dictionaries."""
+        """Builder of messages from dictionaries."""
         return MessageBuilder(self.store, self.dds_type)
 
     def dds_type(self, name: str) -> type[IdlStruct]:

@@ -75,7 +75,7 @@ class Tokens(NamedTuple):
 
 
 class Access(NamedTuple):
-    """What a token allows; `robot` and `name` are those of a student, who acts on that robot alone."""
+    """Rights of a token; `robot` and `name` are those of a student, who acts on that robot alone."""
 
     may_act: bool
     robot: int | None = None
