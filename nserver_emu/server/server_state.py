@@ -600,7 +600,8 @@ class ServerState:
                 self.invalidate_state_cache()
         # 4. Under emergency stop, motions become st or are not executed, and the client is informed. A ring is read,
         #    but in recordings made before there was ERROR 7.
-        hold = self.estop.get(context.robot_id)
+        holds = self.estop.holds
+        hold = holds.get(context.robot_id) if holds and context.robot_id is not None else None
         if hold is not None and (hold.is_silent or not is_ring_packet(call)):
             answer = self.estop.execute(call, context, self._execute)
         else:
