@@ -52,7 +52,6 @@ def test_submission_of_another_kind_is_refused(tmp_path: Path) -> None:
         tasks_of(notebook(tmp_path / "two.ipynb", "x = 1"))
 
 
-@pytest.mark.long
 def test_wrong_and_right_answers_get_their_points(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     wrong = inspect.getsource(ANSWERS["step_pose__wrong_start_heading"]).replace("__wrong_start_heading", "")
     file = notebook(tmp_path / "ada.ipynb", "import math\nimport numpy as np", wrong, DEFINITIONS["relative_step"],
