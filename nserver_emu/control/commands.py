@@ -27,7 +27,7 @@ from nserver_emu.server.handlers import doors_and_walkers, runtime_settings
 from nserver_emu.server.handlers.server import MAX_STEP_MS
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.link import FaultController
-from nserver_emu.server.server_state import MAX_TIME_FACTOR, MIN_TIME_FACTOR
+from nserver_emu.server.server_state import MAX_TIME_FACTOR, MIN_TIME_FACTOR, ServerState
 from worlds.world import World
 
 log = logging.getLogger(__name__)
@@ -315,34 +315,24 @@ def _world_text(argument: object) -> tuple[str, str]:
     return _text(argument.get("text"), usage), _text(argument.get("file", "world.toml"), usage)
 
 
-def _obstacle(server: ControlledServer, argument: object) -> JsonObject:
-    change = _json_object(argument, runtime_settings.OBSTACLE_USAGE)
-    result = runtime_settings.change_obstacle(server.emulator, change)
-    server.record_change({"obstacle": change})
-    return result
+Change = Callable[[ServerState, Mapping[str, Any]], JsonObject]
+"""A change of the world by the operator, which returns what undoes it."""
 
 
-def _wall(server: ControlledServer, argument: object) -> JsonObject:
-    change = _json_object(argument, runtime_settings.WALL_USAGE)
-    result = runtime_settings.change_wall(server.emulator, change)
-    server.record_change({"wall": change})
-    return result
+def _change_of(
+    kind: str, change: Change, usage: str, words: Callable[[str], JsonObject] | None = None
+) -> Callable[[ControlledServer, object], JsonObject]:
+    """Return the command that makes and records a change, given as JSON or, where `words` parses them, in words."""
 
+    def run(server: ControlledServer, argument: object) -> JsonObject:
+        if words is not None and isinstance(argument, str) and not argument.lstrip().startswith("{"):
+            argument = words(argument)
+        wanted = _json_object(argument, usage)
+        result = change(server.emulator, wanted)
+        server.record_change({kind: wanted})
+        return result
 
-def _door(server: ControlledServer, argument: object) -> JsonObject:
-    is_words = isinstance(argument, str) and not argument.lstrip().startswith("{")
-    words = doors_and_walkers.door_words(str(argument)) if is_words else argument
-    change = _json_object(words, doors_and_walkers.DOOR_USAGE)
-    result = doors_and_walkers.change_door(server.emulator, change)
-    server.record_change({"door": change})
-    return result
-
-
-def _walker(server: ControlledServer, argument: object) -> JsonObject:
-    change = _json_object(argument, doors_and_walkers.WALKER_USAGE)
-    result = doors_and_walkers.change_walker(server.emulator, change)
-    server.record_change({"walker": change})
-    return result
+    return run
 
 
 # Arguments.
@@ -385,10 +375,15 @@ COMMANDS: Final = (
     ControlCommand("noise", "WORDS", "set noise models: 'sensors=measured motion=ideal robot=1'", _noise),
     ControlCommand("world show", "", "show the current world, as TOML", _show_world),
     ControlCommand(WORLD_SET, "WORLD", "replace the world; robots keep their poses", _put_world),
-    ControlCommand("obstacle", "JSON", "move (by, to), remove or add (put) an obstacle", _obstacle),
-    ControlCommand("wall", "JSON", "move (by, to), remove or add (put) an inner wall", _wall),
-    ControlCommand("door", "WORDS", "open or close a door: 'kitchen open'; or add, move, remove one, as JSON", _door),
-    ControlCommand("walker", "JSON", "add (put), move (by, to) or remove a person who walks along a route", _walker),
+    ControlCommand("obstacle", "JSON", "move (by, to), remove or add (put) an obstacle",
+                   _change_of("obstacle", runtime_settings.change_obstacle, runtime_settings.OBSTACLE_USAGE)),
+    ControlCommand("wall", "JSON", "move (by, to), remove or add (put) an inner wall",
+                   _change_of("wall", runtime_settings.change_wall, runtime_settings.WALL_USAGE)),
+    ControlCommand("door", "WORDS", "open or close a door: 'kitchen open'; or add, move, remove one, as JSON",
+                   _change_of("door", doors_and_walkers.change_door, doors_and_walkers.DOOR_USAGE,
+                              doors_and_walkers.door_words)),
+    ControlCommand("walker", "JSON", "add (put), move (by, to) or remove a person who walks along a route",
+                   _change_of("walker", doors_and_walkers.change_walker, doors_and_walkers.WALKER_USAGE)),
     ControlCommand("pause", "", "pause simulated time", _pause),
     ControlCommand("resume", "", "resume simulated time", _resume),
     ControlCommand("speed", "X", f"set simulated seconds per second, or {MAX_SPEED}", _speed),

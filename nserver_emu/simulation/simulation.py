@@ -68,21 +68,14 @@ class WorldState:
 
     def world(self) -> World:
         """Return the world; raise ValueError if there can be none."""
-        if not self.starts or not all(len(outline.corners_in) > 2 for outline in (*self.rooms, *self.obstacles)):
-            raise ValueError("a world without starts or outlines")
-        outlines = [corner for outline in (*self.rooms, *self.obstacles) for corner in outline.corners_in]
-        fixed = len(self.inner_walls) + sum(len(room.corners_in) for room in self.rooms)
-        if fixed > 2 * MAX_CORNERS or len(outlines) > MAX_OUTLINE_CORNERS or len(self.starts) > MAX_STARTS:
-            raise ValueError("a world that is too large")
-        doors, walkers = self.doors or (), self.walkers or ()
-        routes = [point for walker in walkers for point in walker.points_in]
-        if len(doors) > MAX_DOORS or len(walkers) > MAX_WALKERS or len(routes) > MAX_WALKERS * MAX_ROUTE_POINTS:
-            raise ValueError("a world with too many doors or walkers")
+        self._check_size()
+        doors, walkers, accuracies = self.doors or (), self.walkers or (), self.accuracies or {}
         if not all(len(walker.points_in) > 1 and walker.speed_in_s > 0.0 < walker.radius_in for walker in walkers):
             raise ValueError("a walker that cannot walk")
-        accuracies = self.accuracies or {}
         if not all(0 <= row < len(self.inner_walls) and min(each) >= 0.0 for row, each in accuracies.items()):
             raise ValueError("the accuracy of a wall that does not exist, or below 0")
+        outlines = [corner for outline in (*self.rooms, *self.obstacles) for corner in outline.corners_in]
+        routes = [point for walker in walkers for point in walker.points_in]
         places = (*outlines, *self.inner_walls, *routes, *(end for door in doors for end in door.ends_in))
         if not all(abs(number) <= MAX_COORDINATE_IN for place in places for number in place):
             raise ValueError(f"a world with coordinates beyond {MAX_COORDINATE_IN:g} in")
@@ -90,6 +83,24 @@ class WorldState:
             self.name, self.title, self.rooms, np.array(self.inner_walls).reshape(-1, 4), self.obstacles, self.starts,
             {path.name: path for path in self.paths}, accuracies=accuracies, doors=doors, walkers=walkers,
         )  # fmt: skip
+
+    def _check_size(self) -> None:
+        """Raise ValueError if there is too little or too much of something."""
+        outlines = (*self.rooms, *self.obstacles)
+        if not self.starts or not all(len(outline.corners_in) > 2 for outline in outlines):
+            raise ValueError("a world without starts or outlines")
+        corners = sum(len(outline.corners_in) for outline in outlines)
+        fixed = len(self.inner_walls) + sum(len(room.corners_in) for room in self.rooms)
+        if fixed > 2 * MAX_CORNERS or corners > MAX_OUTLINE_CORNERS or len(self.starts) > MAX_STARTS:
+            raise ValueError("a world that is too large")
+        walkers = self.walkers or ()
+        route_points = sum(len(walker.points_in) for walker in walkers)
+        if (
+            len(self.doors or ()) > MAX_DOORS
+            or len(walkers) > MAX_WALKERS
+            or route_points > MAX_WALKERS * MAX_ROUTE_POINTS
+        ):
+            raise ValueError("a world with too many doors or walkers")
 
 
 @dataclass(frozen=True, slots=True)

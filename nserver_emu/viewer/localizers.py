@@ -162,6 +162,15 @@ class Localizers:
         task.add_done_callback(finish)
         self._on_change()
 
+    def start_all(self) -> None:
+        """Start a localizer of each robot, as many as there may be."""
+        robots = list(self._daemon.emulator.simulation.robots)
+        for robot in robots[:MAX_LOCALIZERS]:
+            self.start(robot, METHODS[0], is_lost=False)
+        if len(robots) > MAX_LOCALIZERS:
+            log.warning("--localize: only the first %d of %d robots have a localizer, the maximum",
+                        MAX_LOCALIZERS, len(robots))  # fmt: skip
+
     def stop(self, robot: int) -> None:
         """End the localizer of a robot, if there is one."""
         for task in self._tasks.get(robot, ()):

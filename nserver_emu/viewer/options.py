@@ -2,15 +2,18 @@
 
 The options:
 
-    --viewer [[HOST:]PORT]    --viewer-token-file FILE    --class FILE    --method FILE.py:CLASS
+    --viewer [[HOST:]PORT]    --viewer-token-file FILE    --class FILE    --method FILE.py:CLASS    --localize
+    --open-browser
 """
 
 from __future__ import annotations
 
 import argparse
+import asyncio
 import importlib.util
 import logging
 import sys
+import webbrowser
 from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
@@ -52,6 +55,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--method", type=parse_own_method, action="append", default=[], metavar="FILE.py:CLASS",
                        help="offer a filter of your own on the page, beside the built-in ones; repeatable; it runs in "
                        "the process of the localizer (docs/own-filter.md)")
+    group.add_argument("--localize", action="store_true",
+                       help="start a localizer of each robot, as Localize on the page does; implies --viewer")
+    group.add_argument("--open-browser", action="store_true",
+                       help="open the page in your browser; implies --viewer")
     group.add_argument("--class", dest="class_file", type=Path, metavar="STUDENTS.csv",
                        help="a class: give each student of the file (name[,token][,robot] per line) a robot and a link "
                        "of the page that drives only that robot; links are written to STUDENTS.links.csv; implies "
@@ -61,7 +68,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def refuse(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
     """Report options that exclude each other as wrong usage."""
-    if options.class_file is not None and options.viewer is None:
+    if options.viewer is None and (options.class_file is not None or options.localize or options.open_browser):
         options.viewer = ListenAddress()
     if options.viewer_token_file is not None and options.viewer is None:
         parser.error("--viewer-token-file is for the page: give --viewer too")
@@ -97,8 +104,12 @@ async def running_viewer(daemon: Daemon, options: argparse.Namespace) -> AsyncIt
             host, port = options.viewer
             students = require_robots(options, daemon)
             lines = await open_page.enter_async_context(
-                serve_viewer(daemon, host, port, tokens, options.model_file, students, options.method)
+                serve_viewer(daemon, host, port, tokens, options.model_file, students, options.method,
+                             localizes=options.localize)
             )
+            if options.open_browser:
+                # In a thread: some browsers return only when they are closed. Without one, the address is printed.
+                asyncio.get_running_loop().run_in_executor(None, webbrowser.open, lines[0].split()[-1])
             if students:
                 page = lines[0].split()[-1].partition("/?")[0]
                 program = address(options.bind, daemon.emulator.port).replace("http:", "nserver:")

@@ -20,6 +20,7 @@ from pathlib import Path
 import pytest
 
 from nclient import connect
+from tests.waiting import wait_until
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()
@@ -79,7 +80,7 @@ def commands(beginning: str) -> list[str]:
 
 
 def test_every_command_has_a_test() -> None:
-    tested = ("scripts/run", "nserver ", "nomad ", "python -m localization.experiments")
+    tested = ("scripts/run", ".venv/bin/nserver ", "nserver ", "nomad ", "python -m localization.experiments")
     assert ACTIVATION in LINES
     assert [c for c in COMMANDS if c and not c.startswith(tested) and c not in NOT_RUN] == []
     assert len(README.splitlines()) < MAX_LINES
@@ -98,6 +99,27 @@ def test_run_script_draws_a_picture() -> None:
     out = run("scripts/run", ROOT)
     assert re.search(r"2 of 2 waypoints reached", out)
     assert (ROOT / "out" / "run.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_second_command_opens_the_page_and_localizes(tmp_path: Path) -> None:
+    (command,) = commands(".venv/bin/nserver ")
+    words = [*shlex.split(command)[1:], "--port", "0", "--viewer", "0"]
+    # A browser that stores the address which it gets.
+    (tmp_path / "browser").write_text(f"#!/bin/sh\nprintf %s \"$1\" >{tmp_path}/address.part\n"
+                                      f"mv {tmp_path}/address.part {tmp_path}/address\n")  # fmt: skip
+    (tmp_path / "browser").chmod(0o755)
+    environment = os.environ | {"BROWSER": str(tmp_path / "browser")}
+    program = [sys.executable, "-m", "nserver_emu", *words]
+    with subprocess.Popen(program, stdout=subprocess.PIPE, text=True, env=environment) as daemon:
+        try:
+            assert daemon.stdout is not None
+            lines = [daemon.stdout.readline() for _ in range(2)]
+            wait_until((tmp_path / "address").exists, 20)
+            address = (tmp_path / "address").read_text()
+            assert lines[1] == f"listening viewer {address}\n"
+        finally:
+            daemon.terminate()
+    assert daemon.returncode == 0
 
 
 def test_daemon_and_localization(tmp_path: Path) -> None:

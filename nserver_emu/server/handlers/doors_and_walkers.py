@@ -19,19 +19,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final
 
-import numpy as np
-
 from nclient.common.hints import suggest
 from nclient.errors import ControlError
 from nserver_emu.server.handlers.runtime_settings import (
     CORNER_TOLERANCE_IN,
     MIN_WALL_IN,
+    check_touches_no_robot,
     is_on_map,
     read_name,
     read_points,
 )
 from nserver_emu.server.server_state import ServerState
-from worlds.geometry import nearest_distances
 from worlds.io import route_error
 from worlds.world import MAX_DOORS, MAX_ROUTE_POINTS, MAX_WALKERS, Door, Point, Walker
 
@@ -77,10 +75,7 @@ def change_door(server: ServerState, wanted: Mapping[str, Any]) -> dict[str, Any
         if not now.name.strip() or now.name in [door.name for door in doors]:
             raise ControlError(f"door: expected a name that no other door has, found {now.name!r}")
     if now is not None and not now.is_open:
-        for number, robot in server.simulation.robots.items():
-            x, y, radius_in = robot.disc
-            if float(nearest_distances(np.array([x, y]), np.reshape(now.ends_in, (1, 4)))) <= radius_in:
-                raise ControlError(f"door: it would touch robot {number}")
+        check_touches_no_robot(server, now.ends_in, "door")
     # 3. Replace, insert or remove it.
     doors[row : row + 1] = [] if now is None else [now]
     server.simulation.change_world(replace(world, doors=tuple(doors)))

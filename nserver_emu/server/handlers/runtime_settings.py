@@ -82,49 +82,63 @@ def change_obstacle(server: ServerState, wanted: Mapping[str, Any]) -> dict[str,
 def change_wall(server: ServerState, wanted: Mapping[str, Any]) -> dict[str, Any]:
     """Add, move, change or remove an inner wall; return what undoes it."""
     world = server.simulation.world
-    row, was, now = len(world.inner_walls), None, None
+    # 1. The wall as it is, as it will be, and how accurately that was measured.
     try:
-        # 1. Find the wall and its new ends.
-        if "put" in wanted:
-            now = read_points(wanted["put"])
-        else:
-            row = _row_of(world, read_points(wanted["wall"]))
-            x1, y1, x2, y2 = world.inner_walls[row].tolist()
-            was = ((x1, y1), (x2, y2))
-            if wanted.get("to") is not None:
-                now = read_points(wanted["to"])
-            elif wanted.get("by") is not None:
-                ((dx_in, dy_in),) = read_points([wanted["by"]])
-                now = ((x1 + dx_in, y1 + dy_in), (x2 + dx_in, y2 + dy_in))
+        row, was, now = _wanted_wall(world, wanted)
         accuracy = _read_accuracy(wanted.get("accuracy"))
     except ControlError:
         raise
     except (KeyError, TypeError, ValueError, OverflowError):
         raise ControlError(f"{WALL_USAGE}, not {wanted!r:.200}") from None
-    # 2. Check that it fits.
-    if now is not None and (len(now) != 2 or math.dist(*now) < MIN_WALL_IN or not is_on_map(now)):
-        raise ControlError(f"wall: expected two ends on the map, at least {MIN_WALL_IN:g} in apart")
-    if was is None and len(world.inner_walls) >= server.allowed.obstacles:
-        raise ControlError(f"wall: there are {len(world.inner_walls)} already, the maximum (--limit-obstacles)")
-    changed = world.with_inner_wall(row, *([] if now is None else [(*now[0], *now[1])]))
     before = world.accuracies.get(row)
     if accuracy is None and was is not None and now is not None and _is_on_line(now, was):
         # Longer or shorter, it is where it was measured to be.
         accuracy = before
-    if accuracy is not None and now is not None:
-        changed = replace(changed, accuracies={**changed.accuracies, row: accuracy})
-    if not len(changed.walls):
-        raise ControlError("wall: it is the last wall of this world, which needs at least one")
-    for number, robot in server.simulation.robots.items():
-        x, y, radius_in = robot.disc
-        if now is not None and float(nearest_distances(np.array([x, y]), np.reshape(now, (1, 4)))) <= radius_in:
-            raise ControlError(f"wall: it would touch robot {number}")
+    # 2. Check that it fits.
+    if was is None and len(world.inner_walls) >= server.allowed.obstacles:
+        raise ControlError(f"wall: there are {len(world.inner_walls)} already, the maximum (--limit-obstacles)")
+    if now is None:
+        changed = world.with_inner_wall(row)
+        if not len(changed.walls):
+            raise ControlError("wall: it is the last wall of this world, which needs at least one")
+    else:
+        if len(now) != 2 or math.dist(*now) < MIN_WALL_IN or not is_on_map(now):
+            raise ControlError(f"wall: expected two ends on the map, at least {MIN_WALL_IN:g} in apart")
+        check_touches_no_robot(server, now, "wall")
+        changed = world.with_inner_wall(row, (*now[0], *now[1]))
+        if accuracy is not None:
+            changed = replace(changed, accuracies={**changed.accuracies, row: accuracy})
     # 3. Replace, insert or remove it.
     server.simulation.change_world(changed)
     server.invalidate_state_cache()
     ends = [None if one is None else [list(end) for end in one] for one in (was, now)]
     measured = {} if before is None else {"accuracy": list(before)}
     return {"walls": len(changed.inner_walls), "was": ends[0], "is": ends[1], **measured}
+
+
+def _wanted_wall(
+    world: World, wanted: Mapping[str, Any]
+) -> tuple[int, tuple[Point, ...] | None, tuple[Point, ...] | None]:
+    """Return the row of an inner wall, its ends, and its new ends; None where there is none."""
+    if "put" in wanted:
+        return len(world.inner_walls), None, read_points(wanted["put"])
+    row = _row_of(world, read_points(wanted["wall"]))
+    x1, y1, x2, y2 = world.inner_walls[row].tolist()
+    was = ((x1, y1), (x2, y2))
+    if wanted.get("to") is not None:
+        return row, was, read_points(wanted["to"])
+    if wanted.get("by") is not None:
+        ((dx_in, dy_in),) = read_points([wanted["by"]])
+        return row, was, ((x1 + dx_in, y1 + dy_in), (x2 + dx_in, y2 + dy_in))
+    return row, was, None
+
+
+def check_touches_no_robot(server: ServerState, ends: Sequence[Point], kind: str) -> None:
+    """Raise ControlError if a robot stands where a wall between two ends would be."""
+    for number, robot in server.simulation.robots.items():
+        x, y, radius_in = robot.disc
+        if float(nearest_distances(np.array([x, y]), np.reshape(ends, (1, 4)))) <= radius_in:
+            raise ControlError(f"{kind}: it would touch robot {number}")
 
 
 def _is_on_line(points: Sequence[Point], ends: Sequence[Point]) -> bool:

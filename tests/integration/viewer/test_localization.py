@@ -42,6 +42,12 @@ def test_estimate_is_shown_and_waypoints_are_reached(browser: Browser) -> None:
         assert axes == pytest.approx([3**0.5, 1, 3.14159265 / 4])
 
 
+def test_localizer_runs_from_the_start(browser: Browser) -> None:
+    words = ("several_walls", "--noisy", "--localize")
+    with nserver(*words) as program, open_page(browser, program.url) as page:
+        page.wait("document.querySelector('#trust').innerText === '✓ OK'", 60.0)
+
+
 def test_localizer_is_started_and_stopped_on_the_page(browser: Browser) -> None:
     with nserver("thesis_room", "--noisy", "--seed", "1") as program, open_page(browser, program.url) as page:
         page.wait("document.querySelector('#trust').innerText === '– OFF'")

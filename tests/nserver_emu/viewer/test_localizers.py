@@ -106,6 +106,20 @@ async def test_command_fits_the_noise(tmp_path: Path) -> None:
     assert " --sonars rays --scale-std 0.05,0.05,0.003 --save" in " ".join(arguments)
 
 
+async def test_all_robots_get_a_localizer_up_to_the_limit(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with running(WAITS) as here:
+        here.localizers.start_all()
+        assert [each["method"] for each in here.localizers.as_dict().values()] == ["ekf"]
+        assert not caplog.messages
+    async with running(WAITS) as here:
+        monkeypatch.setattr(localizers, "MAX_LOCALIZERS", 0)
+        here.localizers.start_all()
+        assert not here.localizers.states
+        assert "first 0 of 1" in caplog.text
+
+
 async def test_stopped_process_ends_and_is_reported() -> None:
     async with running(f"echo $$; {WAITS}") as here:
         here.localizers.start(1, "finder", is_lost=True)

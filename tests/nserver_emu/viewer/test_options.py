@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import asyncio
 import importlib.util
 import re
 from pathlib import Path
@@ -44,14 +45,30 @@ def test_what_is_no_port_is_wrong_usage(text: str, capsys: pytest.CaptureFixture
 
 
 @pytest.mark.parametrize(("host", "name"), [("127.0.0.1", r"127\.0\.0\.1"), ("::1", r"\[::1\]")])
-async def test_one_line_says_where_and_the_token(host: str, name: str) -> None:
+async def test_one_line_has_the_address_that_is_opened(
+    host: str, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     daemon = Daemon(Emulator(simulation()))
     options = argparse.Namespace(
-        viewer=ListenAddress(host, 0), viewer_token_file=None, model_file=None, students=[], method=[]
-    )
-    async with running_viewer(daemon, options) as (line,):
-        pass
+        viewer=ListenAddress(host, 0), viewer_token_file=None, model_file=None, students=[], method=[],
+        localize=False, open_browser=True,
+    )  # fmt: skip
+    opened: list[str] = []
+    monkeypatch.setattr("webbrowser.open", opened.append)
+    async with running_viewer(daemon, options) as (line,), asyncio.timeout(10):
+        while not opened:
+            await asyncio.sleep(0.01)
+    assert line.endswith(f" {opened[0]}")
     assert re.fullmatch(rf"listening viewer http://{name}:\d+/\?token=[\w-]{{32}}", line)
+
+
+@pytest.mark.parametrize("option", ["--localize", "--open-browser"])
+def test_options_that_need_a_page_imply_it(option: str) -> None:
+    parser = argparse.ArgumentParser()
+    add_options(parser)
+    read = parser.parse_args([option])
+    refuse(parser, read)
+    assert read.viewer == ListenAddress()
 
 
 def test_own_filter_is_named_by_its_whole_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
