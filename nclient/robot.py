@@ -125,6 +125,7 @@ class Robot:
         self._backend = backend
         # True if time passes by the requests of this robot only: sim: and replay: addresses.
         self._lockstep = lockstep
+        self._unslept_s = 0.0
         self._client_state = ClientState()
         self._applied: Reply | None = None
         self._lock = threading.RLock()
@@ -383,8 +384,11 @@ class Robot:
             raise ValueError(f"seconds is 0 or more, not {seconds}")
         # 1. A simulation in this process advances by the time; a recording refuses that, and goes on by its requests.
         if self._lockstep:
+            # A step is a whole number of ms: what is less waits for the next sleep.
+            whole_s = math.floor(1000.0 * (seconds + self._unslept_s) + 1e-6) / 1000.0
+            self._unslept_s += seconds - whole_s
             with contextlib.suppress(RobotRefused):
-                for step_s in _split(seconds, _MAX_STEP_S):
+                for step_s in _split(whole_s, _MAX_STEP_S) if whole_s else ():
                     self.control_time("step", step_s)
                     yield 0.0
         # 2. Real time, as fast as the server runs; a serial line has no factor.

@@ -152,6 +152,16 @@ def test_the_simulation_runs_in_this_process() -> None:
             robot.sleep(-1)
 
 
+def test_sleeps_of_less_than_a_millisecond_add_up() -> None:
+    with connect("sim:thesis_room?seed=1") as robot:
+        begin_s = robot.refresh().clock_s
+        for _ in range(1000):
+            robot.sleep(0.0003)
+        end_s = robot.refresh().clock_s
+    assert begin_s is not None
+    assert end_s == pytest.approx(begin_s + 0.3, abs=0.003)
+
+
 @pytest.mark.parametrize(
     ("address", "kind"), [("sim:no_such_world", WorldFileError), ("sim:thesis_room?sed=1", AddressError)]
 )
