@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nclient import connect
-from nclient.errors import BumperHit, StartError
+from nclient.errors import BumperHit, ConnectionLost, StartError
 from nserver_emu.simulation.batch import BatchSimulation
 from nserver_emu.simulation.models import RobotModel
 from nserver_emu.simulation.noise import RobotSetup
@@ -226,10 +226,13 @@ class ConnectedRobot:
             self._robot.drive(translation_in_s=float(speed_in_s[0]), steering_rad_s=turn, turret_rad_s=turret)
 
     def step(self, dt_s: float) -> None:
-        """Wait until the robot's clock has advanced."""
-        end_s = self._now_s + dt_s
+        """Wait until the robot's clock has advanced. Raises ConnectionLost if it was set back."""
+        begin_s = self._now_s
+        end_s = begin_s + dt_s
         while True:
             self._state = self._robot.refresh()
+            if self._now_s < begin_s:
+                raise ConnectionLost("the robot's clock went back, as after a restart: make the environment again")
             remaining_s = end_s - self._now_s
             if remaining_s < MIN_WAIT_S:
                 return

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,8 @@ import numpy as np
 import pytest
 
 from nclient import connect
-from nclient.errors import StartError
+from nclient.errors import ConnectionLost, StartError
+from nclient.robot import Robot
 from nserver_emu.gym import RobotEnv, run_episode
 from nserver_emu.gym.robots import ConnectedRobot
 from nserver_emu.gym.tasks import GoTo, Scene
@@ -106,4 +108,15 @@ def test_real_time_is_waited_for() -> None:
     # Each request takes 0.05 s of simulated time.
     assert waited == pytest.approx([0.15, 0.1, 0.05])
     assert robots.sense().time_s[0] == pytest.approx(0.2)
+    robots.close()
+
+
+def test_clock_that_goes_back_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    robots = ConnectedRobot("sim:thesis_room?step_s=0.05")
+    robots.step(1.0)
+    refresh = Robot.refresh
+    monkeypatch.setattr(Robot, "refresh", lambda robot: replace(refresh(robot), clock_ms=10))
+    with pytest.raises(ConnectionLost, match="clock"):
+        robots.step(1.0)
+    monkeypatch.undo()
     robots.close()
