@@ -66,6 +66,9 @@ def draw_map(
     bar = picture.colorbar(colours, ax=axes, extend="max", shrink=0.85)
     bar.set_label("bound on the position's std, worst direction (in)")
     draw_walls(axes, world.walls)
+    for row, name in world.wall_names.items():
+        x1, y1, x2, y2 = world.inner_walls[row]
+        axes.annotate(name, ((x1 + x2) / 2, (y1 + y2) / 2), xytext=(3, 3), textcoords="offset points", fontsize=8)
     starts = np.array([(start.x_in, start.y_in) for start in world.starts])
     axes.plot(*starts.T, marker="o", color=GOAL, linestyle="", label="starts")
     if findings:

@@ -61,7 +61,7 @@ class RosbridgeServer:
         self._port = HttpPort(daemon.admission, "rosbridge", "--rosbridge")
         self._has_map = has_map
         self._origins = origins
-        self._error_boundary = ErrorBoundary()
+        self._error_boundary = ErrorBoundary("rosbridge")
         self._clients: dict[RosbridgeClient, PageWriter] = {}
         self._sockets: set[web.WebSocketResponse] = set()
         self._clients_made = 0
