@@ -31,7 +31,7 @@ from nserver_emu.rosbridge import topics
 from nserver_emu.rosbridge.readings import PERIOD_S, RobotReader, map_message, rings_of
 from nserver_emu.rosbridge.topics import Estimates
 from nserver_emu.server.daemon import Daemon
-from nserver_emu.viewer.controller import ViewerClients
+from nserver_emu.viewer.clients import ViewerClients
 from nserver_emu.viewer.error_boundary import ErrorBoundary
 from worlds.world import World
 

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from nserver_emu.viewer.localizers import NOMAD
+from nclient.common.process import NOMAD
 from nserver_emu.viewer.messages import Tape
 
 TIMEOUT_S: Final = 60.0

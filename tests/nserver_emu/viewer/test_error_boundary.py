@@ -11,7 +11,7 @@ import pytest
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.viewer import controller, scene
 from nserver_emu.viewer.broadcaster import Broadcaster
-from nserver_emu.viewer.controller import ViewerClient
+from nserver_emu.viewer.clients import ViewerClient
 from nserver_emu.viewer.error_boundary import ErrorBoundary
 from nserver_emu.viewer.scene import SceneHistory
 from tests.nserver_emu.server.wire_client import simulation
