@@ -77,7 +77,7 @@ class Ros2Node:
     ) -> None:
         self._daemon = daemon
         self._types = types
-        self._error_boundary = ErrorBoundary()
+        self._error_boundary = ErrorBoundary("ros2")
         robots = list(daemon.emulator.simulation.robots)
         self._domain = None if config is None else Domain(domain, config)
         self._participant = DomainParticipant(domain, Qos(Policy.Userdata(b"enclave=/;")))

@@ -62,7 +62,7 @@ class RosbridgeServer:
         self._port = HttpPort(daemon.admission, "rosbridge", "--rosbridge")
         self._has_map = has_map
         self._origins = origins
-        self._error_boundary = ErrorBoundary()
+        self._error_boundary = ErrorBoundary("rosbridge")
         self._clients: dict[RosbridgeClient, PageWriter] = {}
         self._sockets: set[web.WebSocketResponse] = set()
         self._clients_made = 0
@@ -159,6 +159,8 @@ class RosbridgeServer:
             async for message in socket:
                 backlog.message_received()
                 if message.type == WSMsgType.TEXT:
+                    if MAP in message.data:
+                        await self._prepare_map()
                     await messages.handle(message.data)
                     await self._send(client)
                 await asyncio.sleep(0)
@@ -184,6 +186,13 @@ class RosbridgeServer:
             {name: short_type(kind) for name, kind in commands.items()},
             lambda robot: simulated[robot].model.track_in is not None, self._latched,
         )  # fmt: skip
+
+    async def _prepare_map(self) -> None:
+        """Make /map of the present world in a thread, since that takes up to a second; `_latched` reports errors."""
+        world = self._daemon.emulator.simulation.world
+        if self._has_map and (self._map is None or self._map[0] is not world):
+            with contextlib.suppress(ImportError, ValueError):
+                self._map = world, await asyncio.to_thread(lambda: encode_published(MAP, map_message(world)))
 
     def _latched(self, topic: str) -> str | None:
         """Return a topic that is sent once: frames of sonars, map. Raises InvalidRequest if there is no map."""

@@ -33,7 +33,7 @@ from nserver_emu.viewer.localizers import Localizers
 from nserver_emu.viewer.map_editor import adjust_world
 from nserver_emu.viewer.messages import STALE_S, parse_estimate
 from nserver_emu.viewer.traffic import TrafficMonitor
-from worlds.io import SHIPPED, load_world, world_names
+from worlds.io import SHIPPED, format_world, load_world, world_names
 
 log = logging.getLogger(__name__)
 
@@ -196,7 +196,9 @@ class ViewerController:
                 if self._reading:
                     raise messages.InvalidMessage("another page's files are being read; repeat it in a moment")
                 world = self.daemon.emulator.simulation.world
-                self._answer_in_thread(viewer, message.id, lambda: adjust_world(world, message.lengths))
+                self._answer_in_thread(
+                    viewer, message.id, lambda: adjust_world(message.text or format_world(world), message.lengths)
+                )
             case messages.Gallery():
                 self._answer_in_thread(viewer, message.id, shipped_worlds)
             case messages.Kidnap():

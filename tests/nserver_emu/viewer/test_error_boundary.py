@@ -27,13 +27,13 @@ def trouble(*_: object, **__: object) -> Any:
 
 
 def test_an_error_is_logged_once_and_then_counted(caplog: pytest.LogCaptureFixture) -> None:
-    error_boundary = ErrorBoundary()
+    error_boundary = ErrorBoundary("rosbridge")
     for _ in range(3):
         with error_boundary.guard("the picture", "viewer 1"):
             trouble()
     (record,) = caplog.records
     assert record.levelno == logging.ERROR
-    assert "the picture of viewer 1" in record.getMessage()
+    assert record.getMessage().startswith("rosbridge: the picture of viewer 1")
     assert record.exc_info is not None
     assert isinstance(record.exc_info[1], Trouble)
     assert error_boundary.counts == {("the picture", Trouble): 3}
