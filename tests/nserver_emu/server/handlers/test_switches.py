@@ -99,6 +99,7 @@ SWITCHES: dict[int, dict[str, Any]] = {
 }  # fmt: skip
 
 
+@pytest.mark.long
 def test_the_same_changes_give_the_same_bytes() -> None:
     assert a_run(SWITCHES) == a_run(SWITCHES)
     assert a_run(SWITCHES) != a_run(SWITCHES | {15: {"sensors": "ideal"}})
