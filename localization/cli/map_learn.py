@@ -22,6 +22,7 @@ from localization.filters.belief import Floats
 from localization.filters.sonar_cone import ConeSonar
 from localization.live.assumptions import resolve_body, resolve_robot_model, sonar_model_of_address
 from localization.live.plot import check_picture
+from localization.live.progress import show_seconds
 from localization.mapping.association import MapEstimate
 from localization.mapping.explore import Explorer
 from localization.mapping.learn import ROUGHNESS_IN, MapLearner
@@ -150,10 +151,11 @@ def _learn(options: argparse.Namespace, log: DriveLog, recordings: list[Path]) -
     learner = MapLearner(
         log, options.odometry_noise, ConeSonar(), rays=has_rays(options), roughness_in=options.roughness
     )
-    while not learner.is_complete:
-        learner.advance()
-    learner.finish()
-    found = describe(learner.estimate, learner.turret_rad, learner.rest, _unexplored(learner.estimate, log.model))
+    with show_seconds("learning the map"):
+        while not learner.is_complete:
+            learner.advance()
+        learner.finish()
+        found = describe(learner.estimate, learner.turret_rad, learner.rest, _unexplored(learner.estimate, log.model))
     # The picture also shows why a map is refused.
     if options.picture is not None:
         draw_learned(options.picture, found, learner.estimate)

@@ -79,6 +79,7 @@ SETTINGS = [
 ]  # fmt: skip
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("setting", SETTINGS, ids=lambda setting: setting[0])
 def test_settings_of_another_client_do_not_feed_it(emulator: Emulator, setting: tuple[str, *tuple[int, ...]]) -> None:
     emulator.simulation.add_robot(2, StartPose(60.0, 60.0), N200)
