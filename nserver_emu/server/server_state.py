@@ -673,13 +673,17 @@ class ServerState:
         call
             The request, if its command has a preparation of its own.
         """
+        if context.robot_id is None:
+            return True
         # 1. The usual cases: nothing, and no time is measured. A connection that polls has read all sensors of now.
-        cached = context.cached_state
-        if context.robot_id is None or (
+        cached, snapshot = context.cached_state, self._snapshots.get(context.robot_id)
+        if (
             call is None
             and cached is not None
-            and cached.snapshot.time_ps == self.simulation.time_ps
+            and snapshot is not None
+            and cached.snapshot is snapshot
             and cached.mask is context.wire_state.mask
+            and snapshot.time_ps == self.simulation.time_ps
         ):
             return True
         steps = self._preparation_steps(context, call)
