@@ -23,8 +23,8 @@ import asyncio
 import contextlib
 import json
 import os
-import shutil
 import re
+import shutil
 import statistics
 import subprocess
 import sys
