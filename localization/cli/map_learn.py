@@ -13,6 +13,7 @@ import contextlib
 import json
 import math
 import sys
+import time
 from collections.abc import Generator
 from pathlib import Path
 from urllib.parse import quote
@@ -22,6 +23,7 @@ from localization.filters.belief import Floats
 from localization.filters.sonar_cone import ConeSonar
 from localization.live.assumptions import resolve_body, resolve_robot_model, sonar_model_of_address
 from localization.live.plot import check_picture
+from localization.live.progress import show_seconds
 from localization.live.publish import Publisher
 from localization.live.run import GroundTruth
 from localization.mapping.association import MapEstimate
@@ -143,7 +145,7 @@ def page_of(options: argparse.Namespace) -> Generator[MapPublisher | None, None,
     if not options.publish or options.recording is not None:
         yield None
         return
-    with contextlib.closing(MapPublisher(Publisher(options.publish))) as page:
+    with contextlib.closing(MapPublisher(Publisher(options.publish), time.monotonic)) as page:
         yield page
 
 
@@ -169,10 +171,11 @@ def _learn(
     learner = MapLearner(
         log, options.odometry_noise, ConeSonar(), rays=has_rays(options), roughness_in=options.roughness
     )
-    while not learner.is_complete:
-        learner.advance()
-    learner.finish()
-    found = describe(learner.estimate, learner.turret_rad, learner.rest, _unexplored(learner.estimate, log.model))
+    with show_seconds("learning the map"):
+        while not learner.is_complete:
+            learner.advance()
+        learner.finish()
+        found = describe(learner.estimate, learner.turret_rad, learner.rest, _unexplored(learner.estimate, log.model))
     # The picture also shows why a map is refused.
     if options.picture is not None:
         draw_learned(options.picture, found, learner.estimate)

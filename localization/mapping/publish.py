@@ -8,7 +8,6 @@ real robot begins where the encoders began.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from math import radians
 from typing import Any, Final
@@ -50,7 +49,7 @@ class MapPublisher:
         Monotonic clock in seconds.
     """
 
-    def __init__(self, publisher: Publisher, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, publisher: Publisher, clock: Callable[[], float]) -> None:
         self._publisher, self._clock = publisher, clock
         self.ground_truth: GroundTruth | None = None
         """Of the robot, set before the drive: it only places the map on the page."""
@@ -65,10 +64,9 @@ class MapPublisher:
     def add(self, step: SurveyStep, mapper: LiveMapper) -> None:
         """Publish the map and the pose of this period, if the last message is old enough."""
         truths = self.ground_truth
-        if truths is None or step.pose is None or step.state is None or self._clock() < self._due_s:
+        if truths is None or step.pose is None or step.state is None:
             return
-        self._due_s = self._clock() + PERIOD_S
-        # 1. Where the map's frame is on the page.
+        # 1. Where the map's frame is on the page. Every period counts: the path has corners between two messages.
         clock_s = step.state.clock_s or 0.0
         truth = truths.at(clock_s)
         if truth is not None:
@@ -77,6 +75,9 @@ class MapPublisher:
             state = step.state
             there = truth or (state.x_in, state.y_in, state.steering_rad)
             self._frame = _frame_at(step.pose, np.array(there))
+        if self._clock() < self._due_s:
+            return
+        self._due_s = self._clock() + PERIOD_S
         # 2. Walls and points of a new solution.
         if mapper.rounds != self._rounds and mapper.estimate is not None:
             self._rounds = mapper.rounds

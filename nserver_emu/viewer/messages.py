@@ -29,8 +29,8 @@ from the page, by `do`
     release      id, robot (left out: all): allow motions again
     reset        id, robot (left out: all): place it where it started; a held one stays held
     control      id, command, argument: time, faults, noise, world (control/commands.py)
-    adjust       id, lengths: [{ends: [[x, y], [x, y]], length, std} ...], measured with a tape: the answer has the text
-                 of the world adjusted to them, and moved_in
+    adjust       id, lengths: [{ends: [[x, y], [x, y]], length, std} ...], measured with a tape; text: a world file
+                 instead of the present world: the answer has the text of the world adjusted to them, and moved_in
     gallery      id: the shipped worlds, worlds: [{name, title, text of the file, walls} ...]
     click        robot, pose: x, y, steer, turret in tenths
     localize     id, robot, method, is_lost, resumes: start its localizer, in place of one that runs (localizers.py);
@@ -218,6 +218,7 @@ class Adjust(_Request, tag="adjust"):
     """Adjust the walls of the world to measured lengths."""
 
     lengths: Annotated[list[Tape], Meta(min_length=1, max_length=MAX_TAPES, title="a list of 1 to 50 lengths")]
+    text: Annotated[str, Meta(max_length=MAX_TEXT)] = ""
 
 
 class Gallery(_Request, tag="gallery"):

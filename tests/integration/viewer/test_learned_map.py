@@ -6,10 +6,13 @@ import json
 from pathlib import Path
 from urllib.request import Request, urlopen
 
+import pytest
 from playwright.sync_api import Browser
 
+from localization.mapping.adjust import TapeLength, adjust_walls
 from tests.integration.viewer.browsing import OpenPage, nserver, open_page
 from tests.localization.cli.test_map import LEARNED
+from worlds.io import load_world, parse_world
 
 WIDTH = "nserver.scene.world.walls[0][2] - nserver.scene.world.walls[0][0]"
 
@@ -37,6 +40,13 @@ def test_map_adjusts_to_a_taped_length(browser: Browser, tmp_path: Path) -> None
         measure(page, (0, 80), (0, 0), "80.1")
         page.wait("document.querySelector('#tapes').children.length === 2", 60.0)
         assert abs(page.value(WIDTH) - 100.3) < 0.06
+        # Each length counts once, as if both were given to `nomad map edit` with the learned map.
+        request = "nserver.link.request({ do: 'control', command: 'world show' }).then((one) => one.result.text)"
+        tapes = [TapeLength(((1.0, 1.0), (99.0, 1.0)), 100.4), TapeLength(((0.0, 80.0), (0.0, 0.0)), 80.1)]
+        once = adjust_walls(load_world(room), tapes).world.accuracies
+        shown = parse_world(page.value(request), "page", "room").accuracies
+        assert shown.keys() == once.keys()
+        assert [list(shown[k]) for k in once] == [pytest.approx(list(once[k]), rel=1e-3) for k in once]
         page.value("nserver.history.undo()")
         page.wait("document.querySelector('#tapes').children.length === 1")
         page.value("nserver.history.undo()")
@@ -107,3 +117,23 @@ def test_map_grows_on_the_page_with_uncertain_walls_dashed(browser: Browser) -> 
         assert page.value(DRAWN) == "false"
         with open_page(browser, program.url) as late:
             late.wait(f"{text}.includes('Written to room.toml.')")
+
+
+def test_wall_gets_a_name_by_click_and_keeps_it(browser: Browser, tmp_path: Path) -> None:
+    room = tmp_path / "room.toml"
+    room.write_text(LEARNED)
+    names = "JSON.stringify(nserver.scene.world.wall_names ?? {})"
+    with nserver(str(room)) as program, open_page(browser, program.url) as page:
+        page.page.click("#tool-label")
+        page.page.mouse.click(*page.at(50, 0))
+        page.page.fill("#wall-name", "window side")
+        page.page.press("#wall-name", "Enter")
+        page.wait(f"{names} === '{{\"0\":\"window side\"}}'")
+        page.wait("document.querySelector('#world-list').innerText.includes('window side')")
+        # A measured wall that is named stays measured; the file has the name; undo removes it.
+        request = "nserver.link.request({ do: 'control', command: 'world show' }).then((one) => one.result.text)"
+        world = parse_world(page.value(request), "page", "room")
+        assert "window side" in world.wall_names.values()
+        assert len(world.accuracies) == len(load_world(room).accuracies)
+        page.value("nserver.history.undo()")
+        page.wait(f"{names} === '{{}}'")
