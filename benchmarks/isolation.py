@@ -5,6 +5,7 @@
     churn       connects, sends mutated requests and closes, 650 times a second
     page        the same at the page's port
     sonar       --setup measured, firing rate 1: eight `gs` a second, the ring unread in between
+    near        the same among 1,000 obstacles within ten feet
     obstacles   adds 1,000 obstacles, deletes them and begins again
     predict     a flood of predict_sensors of an N200 with its laser on, among 1,000 obstacles
     floods      fifty connections that flood
@@ -30,6 +31,7 @@ import argparse
 import asyncio
 import contextlib
 import json
+import math
 import os
 import random
 import re
@@ -64,6 +66,7 @@ MAX_TURNS: Final = 2_000_000
 # Arguments of the daemon, by kind.
 ARGUMENTS: Final[dict[str, list[str]]] = {
     "churn": [], "page": ["--viewer", "0"], "sonar": ["--setup", "measured"],
+    "near": ["--setup", "measured"],
     "obstacles": [], "predict": ["--robot", "n200"], "floods": [], "calls": ["--viewer", "0"],
     "requests": ["--viewer", "0"],
 }  # fmt: skip
@@ -78,6 +81,13 @@ def block(number: int) -> tuple[int, ...]:
     """Return the corners of a small obstacle, one of a grid far from the robot, as arguments of add_obstacle."""
     x, y = 3000 + 60 * (number % 40), 3000 + 60 * (number // 40)
     return 4, x, y, x + 30, y, x + 30, y + 30, x, y + 30
+
+
+def near_block(number: int) -> tuple[int, ...]:
+    """Return the corners of a small obstacle, one of rings around the origin from 30 to 120 in, as arguments."""
+    angle, radius = 2.0 * math.pi * (number % 50) / 50, 300 + 47 * (number // 50)
+    x, y = round(radius * math.cos(angle)), round(radius * math.sin(angle))
+    return 4, x, y, x + 20, y, x + 20, y + 20, x, y + 20
 
 
 # The daemon, whose event loop measures itself.
@@ -256,7 +266,7 @@ def be_hostile(kind: str, port: int, page: str) -> None:
             churn(port, count, CONNECT + GS * 3)
         case "page":
             churn(int(page.partition("/?")[0].rpartition(":")[2]), count, b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n")
-        case "sonar":
+        case "sonar" | "near":
             poll_sonars(port, count)
         case "obstacles":
             build(port, count)
@@ -326,10 +336,11 @@ def watch(port: int, seconds: float) -> tuple[float, float, float]:
 
 def prepare(kind: str, port: int) -> None:
     """Set up what exists with and without the hostile client."""
-    if kind == "predict":
+    if kind in ("predict", "near"):
+        place = near_block if kind == "near" else block
         with connected(port) as client:
             for number in range(OBSTACLES):
-                ask(client, request("add_obstacle", *block(number)))
+                ask(client, request("add_obstacle", *place(number)))
 
 
 def measure(kind: str, rounds: int, seconds: float, ahead: bool = False) -> dict[str, Any]:

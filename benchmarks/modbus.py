@@ -54,7 +54,7 @@ def measure(rounds: int, calls: int) -> dict[str, float]:
     peer.connect()
 
     def read() -> None:
-        assert not peer.held_bying_registers(1, count=WORDS).isError()
+        assert not peer.read_holding_registers(1, count=WORDS).isError()
 
     with connect(f"nserver://127.0.0.1:{port}/1") as robot:
         paces = compare({"refresh": lambda: robot.refresh() and None, "modbus": read}, rounds, calls)

@@ -6,7 +6,7 @@
 Yardstick: cast_rays of 16 rays against the 50 walls of the scene, timed alternately in the same run. A ratio to it
 depends less on the machine than steps per second do. All times are processor time, the best of some rounds.
 
-With numba (extra `fast`), large groups use compiled code; with NOMAD_COMPILED=always the single robot does too, with
+Large groups use compiled code; with NOMAD_COMPILED=always the single robot does too, with
 NOMAD_COMPILED=never none does. `compiled` shows it.
 """
 

@@ -4,8 +4,7 @@ import signal
 import sys
 from types import FrameType
 
-from nclient.common.exit_codes import ExitCode
-from nclient.common.start import exit_on_interrupt
+from nclient.common.start import INTERRUPTED, exit_on_interrupt
 
 
 def main() -> int:
@@ -18,7 +17,7 @@ def main() -> int:
             from nserver_emu import cli
         return cli.main()
     except KeyboardInterrupt:
-        return ExitCode.INTERRUPTED
+        return INTERRUPTED
 
 
 def _ignore(number: int, frame: FrameType | None) -> None:

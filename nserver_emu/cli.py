@@ -179,15 +179,15 @@ async def _run(
     daemon: Daemon, gateway: Gateway, options: argparse.Namespace, stop: asyncio.Event, file: SaveFile | None
 ) -> None:
     """Open lines, control socket and page, print their addresses, and serve until the end."""
-    # 1. Everything that listens; each closes what it has opened.
+    # 1. Everything that listens; each closes what it opened: pages and bridges before the gateway, which they drive.
     lines = await open_lines(daemon, options)
     manager = ServiceManager(os.environ)
     estimates = Estimates()
     async with (
         controlled(daemon, options) as control,
+        run_gateway(gateway, daemon, options.shadow_every),
         running_viewer(daemon, options) as page,
         running_rosbridge(daemon, options, estimates) as rosbridge,
-        run_gateway(gateway, daemon, options.shadow_every),
         running_ros2(daemon, options, estimates) as ros2,
         autosaved(file, options.autosave),
     ):

@@ -27,9 +27,12 @@ SHORT_HALF, LONG_HALF = "not long and not hypothesis", "long or hypothesis"
 SLOWEST = (
     "packaging/test_wheel.py", "integration/test_readme.py", "docs/test_pages.py", "docs/test_site.py",
     "nserver_emu/server/test_determinism.py", "localization/experiments/test_trial.py", "integration/test_cluster.py",
-    "localization/cli/test_calibrate.py", "benchmarks/test_line_localizer.py", "docs/test_missions_page.py",
+    "localization/filters/test_compiled.py localization/filters/test_mounts.py", "localization/cli/test_calibrate.py",
+    "localization/experiments/test_compiled_trial.py", "benchmarks/test_batch.py",
+    "docs/test_calibration_and_maps_pages.py", "benchmarks/test_line_localizer.py", "docs/test_missions_page.py",
 )  # fmt: skip
-"""Files that a worker begins with, the slowest first: begun last, they would run when all others are done."""
+"""Files that a worker begins with, the slowest first: begun last, they would run when all others are done. Files of one
+entry run on the same worker, as they compile the same functions: two workers would compile them twice."""
 
 _UNHURRIED = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 """No deadlines: the speed and the load of a machine decide no test."""
@@ -88,13 +91,13 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 def _spread_slowest(items: list[pytest.Item], workers: int) -> list[pytest.Item]:
     """Order tests so that the shares of all workers, which xdist cuts in this order, begin with files of SLOWEST."""
-    assert all((TESTS / name).is_file() for name in SLOWEST)
-    files: dict[str, list[pytest.Item]] = {name: [] for name in SLOWEST}
+    slowest: list[list[pytest.Item]] = [[] for _ in SLOWEST]
+    files = {name: group for names, group in zip(SLOWEST, slowest, strict=True) for name in names.split()}
+    assert all((TESTS / name).is_file() for name in files)
     rest: list[pytest.Item] = []
     for item in items:
         files.get(item.path.relative_to(TESTS).as_posix(), rest).append(item)
-    slowest, others = list(files.values()), iter(rest)
-    ordered: list[pytest.Item] = []
+    others, ordered = iter(rest), list[pytest.Item]()
     for number in range(workers):
         begin, share = len(ordered), (len(items) - len(ordered)) // (workers - number)
         ordered += chain.from_iterable(slowest[number::workers])

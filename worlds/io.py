@@ -2,7 +2,7 @@
 
     name, title                                         optional texts
     [[room]]      corners, name                         a closed outline, free inside
-    [[wall]]      points                                an open line of two points or more
+    [[wall]]      points, name                          an open line of two points or more
                   offset_std, angle_std_deg, measured   of a measured wall: how well it is known, the length measured
     [[obstacle]]  corners, name                         a closed solid; clients may move and delete it
     [[door]]      name, points, open                    a wall between two points while it is not open
@@ -120,6 +120,7 @@ _HAS_OFFSET: Final = {"anyOf": [{"required": [f"offset_std_{unit}"]} for unit in
 )})  # fmt: skip
 class _Wall(Table):
     points: Line
+    name: Annotated[Text, Meta(description="name of the wall, shown on maps")] = ""
     offset_std: Distance | UnsetType = UNSET
     angle_std_deg: (
         Annotated[float, Meta(ge=0.0, le=180.0, description="standard deviation of its direction")] | UnsetType
@@ -251,6 +252,7 @@ def _build_world(values: WorldFile, name: str) -> World:
     )
     walls = [polyline_segments(wall.points) for wall in values.wall]
     accuracies = [wall.accuracy() for wall, segments in zip(values.wall, walls, strict=True) for _ in segments]
+    names = [wall.name for wall, segments in zip(values.wall, walls, strict=True) for _ in segments]
     world = World(
         name=values.name or name,
         title=values.title or values.name or name,
@@ -260,6 +262,7 @@ def _build_world(values: WorldFile, name: str) -> World:
         starts=starts or AT_ORIGIN,
         paths=_paths(values.path, starts or AT_ORIGIN),
         accuracies={row: accuracy for row, accuracy in enumerate(accuracies) if accuracy},
+        wall_names={row: name for row, name in enumerate(names) if name},
         doors=tuple(door.door() for door in values.door),
         walkers=tuple(walker.walker() for walker in values.walker),
     )
@@ -434,14 +437,18 @@ def _format_lines(world: World) -> Iterator[str]:
 
 
 def _format_walls(world: World) -> Iterator[str]:
-    # Measured walls have an accuracy each, so they are separate tables.
-    measured = world.accuracies
-    others = np.array([row for row in range(len(world.inner_walls)) if row not in measured], dtype=np.intp)
+    # Measured walls have an accuracy each and labelled ones a name, so they are separate tables.
+    single = sorted(world.accuracies.keys() | world.wall_names.keys())
+    others = np.array([row for row in range(len(world.inner_walls)) if row not in single], dtype=np.intp)
     for points in polylines(world.inner_walls[others]):
         yield from ("", "[[wall]]", f"points_in = {_format_points(points)}")
-    for row, accuracy in sorted(measured.items()):
+    for row in single:
         x1, y1, x2, y2 = world.inner_walls[row].tolist()
         yield from ("", "[[wall]]", f"points_in = {_format_points([(x1, y1), (x2, y2)])}")
+        if row in world.wall_names:
+            yield f"name = {_quote(world.wall_names[row])}"
+        if (accuracy := world.accuracies.get(row)) is None:
+            continue
         yield f"offset_std_in = {accuracy.offset_std_in!r}"
         yield f"angle_std_deg = {degrees(accuracy.angle_std_rad)!r}"
         if accuracy.measured_in:

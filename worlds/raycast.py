@@ -526,7 +526,7 @@ _FROM_ROBOTS: Final = {"always": 1.0, "crowd": float(CROWD), "never": float("inf
 
 
 class CompiledKernel:
-    """A function compiled by numba (extra `fast`) from its own source, loaded on demand.
+    """A function compiled by numba from its own source, loaded on demand.
 
     Compiled code performs the same operations in the same order (no fast math, no fused products): results are equal to
     the bit, so loading changes nothing but the time. Importing numba and reading its cache takes about a second.

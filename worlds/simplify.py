@@ -45,6 +45,7 @@ def simplify_world(world: World, tolerance_in: float) -> World:
         inner_walls=np.concatenate([np.empty((0, 4)), *walls]),
         # Walls have been moved and joined.
         accuracies={},
+        wall_names={},
     )
 
 

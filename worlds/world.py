@@ -142,7 +142,7 @@ def _no_walls() -> FloatArray:
 class World:
     """A map, immutable. Arrays are read-only; rows are x1 y1 x2 y2 in inches.
 
-    `accuracies` are of measured inner walls, by their rows in `inner_walls`.
+    `accuracies` are of measured inner walls, `wall_names` of labelled ones, by their rows in `inner_walls`.
     """
 
     name: str
@@ -155,6 +155,7 @@ class World:
     accuracies: Mapping[int, WallAccuracy] = field(default_factory=dict)
     doors: tuple[Door, ...] = ()
     walkers: tuple[Walker, ...] = ()
+    wall_names: Mapping[int, str] = field(default_factory=dict)
     fixed_walls: FloatArray = field(init=False, repr=False)
     walls: FloatArray = field(init=False, repr=False)
     _edges: FloatArray = field(init=False, repr=False)
@@ -175,6 +176,7 @@ class World:
             "walls": _stacked([fixed, *solids, doors]),
             "paths": MappingProxyType(dict(self.paths)),
             "accuracies": MappingProxyType(dict(self.accuracies)),
+            "wall_names": MappingProxyType(dict(self.wall_names)),
             "_edges": _stacked([*rooms, *solids]),
             "_firsts": _first_rows([*rooms, *solids]),
         }
@@ -224,14 +226,16 @@ class World:
     def with_inner_wall(self, row: int, *walls: Sequence[float]) -> World:
         """Return this world with walls (x1 y1 x2 y2) in place of one row of `inner_walls`.
 
-        A row past the last adds them. What was measured of the replaced wall is forgotten.
+        A row past the last adds them. What was measured of the replaced wall is forgotten; one wall in its place
+        keeps its name.
         """
         new = np.reshape(np.asarray(walls, dtype=np.float64), (-1, 4))
         inner = np.concatenate((self.inner_walls[:row], new, self.inner_walls[row + 1 :]))
         # Rows behind it move by the number of walls that were added.
         added = len(new) - 1
         accuracies = {k + added if k > row else k: value for k, value in self.accuracies.items() if k != row}
-        return replace(self, inner_walls=inner, accuracies=accuracies)
+        names = {k + added if k > row else k: name for k, name in self.wall_names.items() if k != row or len(new) == 1}
+        return replace(self, inner_walls=inner, accuracies=accuracies, wall_names=names)
 
     def obstacles_with_corner(self, x_in: float, y_in: float, within_in: float) -> list[int]:
         """Return the numbers of obstacles with a corner within a distance in x and y of a point, increasing."""

@@ -20,10 +20,12 @@ import subprocess
 import sys
 import tempfile
 import time
+from io import BytesIO
 from pathlib import Path
 from typing import Any, Final
 
 import jupytext
+from PIL import Image
 
 ROOT: Final = Path(__file__).parents[2]
 COURSE: Final = ROOT / "docs" / "course"
@@ -33,6 +35,10 @@ KERNEL: Final = {
     "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
     "language_info": {"name": "python"},
 }
+SHOWN: Final = COURSE / "pictures"
+"""One picture of each notebook, for docs/course.md."""
+SHOWN_NUMBER: Final = {"06-ekf-room": 1}
+"""Number of the picture that is shown of a notebook; else its first."""
 TIMEOUT_S: Final = 300
 """For one cell, on a busy machine."""
 
@@ -103,6 +109,16 @@ def pictures(made: Any) -> list[bytes]:
             if "image/png" in output.get("data", {})]  # fmt: skip
 
 
+def write_pictures(name: str, found: list[bytes], folder: Path) -> None:
+    """Write pictures of a notebook with few colours, so that they are small."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for number, picture in enumerate(found):
+        if folder == SHOWN and number != SHOWN_NUMBER.get(name, 0):
+            continue
+        file = folder / (f"{name}.png" if folder == SHOWN else f"{name}-{number}.png")
+        Image.open(BytesIO(picture)).convert("RGB").quantize(64).save(file, optimize=True)
+
+
 def grade_class() -> None:
     """Grade three submissions of each notebook: with the solutions, without, and the solutions as a file."""
     with tempfile.TemporaryDirectory() as folder:
@@ -121,7 +137,10 @@ def grade_class() -> None:
 
 
 def main(words: list[str]) -> None:
-    """Run notebooks with the solutions in and store their pictures in out/course, or grade a class."""
+    """Run notebooks with the solutions in and store their pictures in out/course, or grade a class.
+
+    With --shown, one picture of each goes to docs/course/pictures instead, for the page.
+    """
     if "--grade" in words:
         grade_class()
         return
@@ -135,9 +154,7 @@ def main(words: list[str]) -> None:
             done = run(solved(name, quick=quick, address=address), Path(folder))
             if replay:
                 run(solved(name, quick=quick, address=f"replay:{log}"), Path(folder))
-            for number, picture in enumerate(pictures(done)):
-                (ROOT / "out" / "course").mkdir(parents=True, exist_ok=True)
-                (ROOT / "out" / "course" / f"{name}-{number}.png").write_bytes(picture)
+            write_pictures(name, pictures(done), SHOWN if "--shown" in words else ROOT / "out" / "course")
         print(f"{name}: {time.perf_counter() - begin:.0f} s", flush=True)
 
 

@@ -15,6 +15,7 @@ from localization.filters.belief import Floats
 from localization.filters.sonar_cone import ConeSonar
 from localization.filters.sonar_ray import WIRE_SONAR
 from localization.live.plot import check_picture, save
+from localization.live.progress import show_seconds
 from localization.mapping.aliases import Alias, AliasFinder, find_aliases
 from localization.mapping.observability import Observability, compute_observability
 from nclient.common.arguments import add_flag, add_value
@@ -66,6 +67,9 @@ def draw_map(
     bar = picture.colorbar(colours, ax=axes, extend="max", shrink=0.85)
     bar.set_label("bound on the position's std, worst direction (in)")
     draw_walls(axes, world.walls)
+    for row, name in world.wall_names.items():
+        x1, y1, x2, y2 = world.inner_walls[row]
+        axes.annotate(name, ((x1 + x2) / 2, (y1 + y2) / 2), xytext=(3, 3), textcoords="offset points", fontsize=8)
     starts = np.array([(start.x_in, start.y_in) for start in world.starts])
     axes.plot(*starts.T, marker="o", color=GOAL, linestyle="", label="starts")
     if findings:
@@ -197,7 +201,8 @@ def _import(options: argparse.Namespace) -> int:
     settings = ImportSettings(
         options.tolerance, options.cell, options.unit, options.min_cells, options.close, tuple(options.layer)
     )
-    found = read_map_file(options.file, settings)
+    with show_seconds(f"reading {options.file.name}"):
+        found = read_map_file(options.file, settings)
     # 2. The file states where it came from; reading it again checks it as any other world file.
     comment = f"nomad map import {options.file.name}: walls at most {found.apart_in:.3g} in from the original"
     text = format_world(found.world, comment)
@@ -240,8 +245,9 @@ def _draw_walls(path: Path, world: World) -> None:
 
 def _check(world: World, options: argparse.Namespace) -> int:
     body = BODIES[options.body]
-    found = validate_world(world, body.radius_in, ValidationLimits(gap_in=options.gap))
-    places, aliases = _find_aliases(world, body.radius_in, options.at)
+    with show_seconds("checking walls and places that look alike"):
+        found = validate_world(world, body.radius_in, ValidationLimits(gap_in=options.gap))
+        places, aliases = _find_aliases(world, body.radius_in, options.at)
     notes = [_note(alias) for alias in aliases]
     if options.json:
         listed = [note._asdict() | {"poses": _poses_deg(alias)} for note, alias in zip(notes, aliases, strict=True)]
@@ -303,8 +309,9 @@ def _line(finding: Finding) -> str:
 def _simplify(world: World, options: argparse.Namespace) -> int:
     # 1. Report an unwritable file before the work.
     arguments.check_writable(options.out)
-    simpler = simplify_world(world, options.tolerance)
-    far_in = hausdorff_distance_in(world.walls, simpler.walls)
+    with show_seconds("simplifying"):
+        simpler = simplify_world(world, options.tolerance)
+        far_in = hausdorff_distance_in(world.walls, simpler.walls)
     # 2. The new file states how it was made, and by how much walls have moved.
     comment = f"nomad map simplify {world.name} --tolerance {options.tolerance:g}: at most {far_in:.3g} in apart"
     text = format_world(simpler, comment)
@@ -339,13 +346,15 @@ def _show(world: World, options: argparse.Namespace) -> int:
         )
     # 2. The bound there.
     sonar = WIRE_SONAR if options.sonars == "rays" else ConeSonar()
-    bound = compute_observability(
-        LocalizationConfig(world.walls, body, options.odometry_noise, sonar), places, options.speed
-    )
+    with show_seconds(f"the bound at {len(places)} positions"):
+        bound = compute_observability(
+            LocalizationConfig(world.walls, body, options.odometry_noise, sonar), places, options.speed
+        )
     numbers = _numbers(bound, reached, options.weak)
     if options.out is not None:
-        draw_map(options.out, world, reached, bound.worst_in, validate_world(world, body.radius_in),
-                 _find_aliases(world, body.radius_in, samples=SHOWN_ALIAS_SAMPLES)[1])  # fmt: skip
+        with show_seconds("places that look alike"):
+            draw_map(options.out, world, reached, bound.worst_in, validate_world(world, body.radius_in),
+                     _find_aliases(world, body.radius_in, samples=SHOWN_ALIAS_SAMPLES)[1])  # fmt: skip
     print(json.dumps(numbers) if options.json else _words(world, numbers, options))
     return 0
 

@@ -13,6 +13,7 @@ from localization.cli import arguments, map_learn
 from localization.filters.belief import Floats
 from localization.filters.sonar_cone import ConeSonar
 from localization.live.plot import check_picture
+from localization.live.progress import show_seconds
 from localization.mapping.learn import MapLearner
 from localization.mapping.measurements import read_drive
 from localization.mapping.output import MapRefused
@@ -50,14 +51,16 @@ def run(options: argparse.Namespace) -> int:
     world = load_world(options.world)
     try:
         # 2. The walls of the drive.
-        recordings, _ = map_learn.recordings_of(options, options.out or Path("update.toml"))
+        with map_learn.page_of(options) as page:
+            recordings, _ = map_learn.recordings_of(options, options.out or Path("update.toml"), page)
         log = read_drive(*recordings)
         learner = MapLearner(
             log, options.odometry_noise, ConeSonar(), rays=map_learn.has_rays(options), roughness_in=options.roughness
         )
-        while not learner.is_complete:
-            learner.advance()
-        learner.finish()
+        with show_seconds("learning the walls of the drive"):
+            while not learner.is_complete:
+                learner.advance()
+            learner.finish()
         # 3. The differences.
         start = start_pose(world, options.start)
         found = compare(world, learner.estimate, start, learner.rest, learner.turret_rad)

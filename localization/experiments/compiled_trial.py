@@ -1,4 +1,4 @@
-"""A step of all robots of a figure, in machine code: numba (extra `fast`) compiles the formulas of the filter.
+"""A step of all robots of a figure, in machine code: numba compiles the formulas of the filter.
 
 What stands here is `figure_trial._advance` robot by robot; the formulas are the functions of odometry, sonar_ray and
 update that a live filter runs. Results agree with those in arrays to rounding.

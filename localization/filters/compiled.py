@@ -1,9 +1,9 @@
-"""The echoes of a whole ring in one call of machine code: numba (extra `fast`) compiles the formulas of the filter.
+"""The echoes of a whole ring in one call of machine code: numba compiles the formulas of the filter.
 
 numba compiles the functions of odometry, sonar_ray, sonar_cone, update and worlds.raycast from their own source, for
 floats. Only what numba cannot type has a second form here: access to the walls, which are lists in plain Python and
 arrays in compiled code. No fast math: results equal those of plain Python to the bit, so it is used by default
-where numba is installed and either the code is on disk or a terminal shows that it is being compiled.
+where either the code is on disk or a terminal shows that it is being compiled.
 """
 
 from __future__ import annotations

@@ -13,7 +13,6 @@ differs from the one before, or if the sonar must have fired again since (`new_e
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from math import inf, radians
@@ -29,21 +28,20 @@ from nclient.common.hints import suggest
 from nclient.errors import LogFileError, RecordingError
 from nclient.protocol.types import M_PER_IN
 from nclient.recording import convert
+from nclient.recording.time_series import SONAR, TimeSeries, Units
 from worlds.rings import Ring
 
 _IN_PER: Final = {"in": 1.0, "mm": 1.0 / 25.4, "cm": 1.0 / 2.54, "m": 1000.0 / 25.4}
 _RAD_PER: Final = {"deg": radians(1.0), "rad": 1.0}
-_S_PER: Final = {"s": 1.0, "ms": 0.001}
 _UNITS: Final = {
-    "time": _S_PER,
+    "time": {"s": 1.0, "ms": 0.001},
     **dict.fromkeys(("x", "y", "truth_x", "truth_y"), _IN_PER),
     **dict.fromkeys(("heading", "turret", "truth_heading"), _RAD_PER),
 }
 _REQUIRED: Final = ("time", "x", "y", "heading")
-_UNUSED: Final = frozenset({"speed_in_s", "turn_deg_s", "bumpers"})
+_UNUSED: Final[Units] = {"speed_in": {"s": 1.0}, "turn_deg": {"s": 1.0}, "bumpers": {"": 1.0}}
 """Columns that `nomad convert` writes besides."""
 _TRUTH: Final = ("truth_x", "truth_y", "truth_heading")
-SONAR: Final = "sonar_"
 MAX_BYTES: Final = 64 << 20
 """Larger logs are refused: an hour of a ring at 10 Hz takes 8 MB."""
 
@@ -72,11 +70,6 @@ class LogRow(NamedTuple):
     truth: Pose | None = None
 
 
-class _Column(NamedTuple):
-    place: int
-    factor: float
-
-
 def read_log(file: Path) -> list[LogRow]:
     """Return the rows of a log: CSV, or any file that `nomad convert` reads.
 
@@ -90,12 +83,15 @@ def read_log(file: Path) -> list[LogRow]:
     try:
         if file.stat().st_size > MAX_BYTES:
             raise LogFileError(f"{file}: larger than {MAX_BYTES >> 20} MB; split it")
-        with file.open(newline="", encoding="utf-8-sig") as lines:
-            reader = csv.reader(line for line in lines if line.strip() and not line.startswith("#"))
-            columns = _columns(next(reader, []), file)
-            rows = [_row(fields, columns, file, number) for number, fields in enumerate(reader, 2)]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        text = file.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
         raise LogFileError(f"{file}: cannot be read: {error}") from error
+    try:
+        series = TimeSeries(text, str(file), {**_UNITS, SONAR: _IN_PER, **_UNUSED})
+        _check_columns(series, file)
+        rows = [_row(values, series, file, number) for number, values in series.rows()]
+    except RecordingError as error:
+        raise LogFileError(str(error)) from None
     return _checked(rows, file)
 
 
@@ -126,52 +122,32 @@ def _checked(rows: list[LogRow], file: Path) -> list[LogRow]:
     return rows
 
 
-def _columns(names: Sequence[str], file: Path) -> dict[str, _Column]:
-    """Return the columns by name without the unit."""
-    columns: dict[str, _Column] = {}
-    for index, name in enumerate(name.strip() for name in names):
-        if name in _UNUSED:
-            continue
-        quantity, _, unit = name.rpartition("_")
-        is_sonar = quantity.removeprefix(SONAR).isdecimal() and quantity.startswith(SONAR)
-        units = _IN_PER if is_sonar else _UNITS.get(quantity)
-        if units is None:
-            choices = [f"{one}_{next(iter(factors))}" for one, factors in _UNITS.items()]
-            raise LogFileError(f"{file}: unknown column {name!r}; expected {', '.join(choices)}, "
-                               f"{SONAR}0_in ...{suggest(name, choices)}")  # fmt: skip
-        if unit not in units:
+def _check_columns(series: TimeSeries, file: Path) -> None:
+    """Raise LogFileError if a column is unknown, has no unit, or is missing."""
+    for name in series.unknown:
+        quantity = name.rpartition("_")[0]
+        units = _IN_PER if quantity.startswith(SONAR) else _UNITS.get(quantity)
+        if units is not None:
             raise LogFileError(f"{file}: column {name!r} has no unit; expected {quantity}_{' or _'.join(units)}")
-        if quantity in columns:
-            raise LogFileError(f"{file}: column {quantity} occurs twice")
-        columns[quantity] = _Column(index, units[unit])
-    missing = [name for name in (*_REQUIRED, f"{SONAR}0") if name not in columns]
-    sonars = sum(name.startswith(SONAR) for name in columns)
-    missing += [f"{SONAR}{number}" for number in range(sonars) if f"{SONAR}{number}" not in columns]
-    if any(name in columns for name in _TRUTH):
-        missing += [name for name in _TRUTH if name not in columns]
+        choices = [f"{one}_{next(iter(factors))}" for one, factors in _UNITS.items()]
+        raise LogFileError(f"{file}: unknown column {name!r}; expected {', '.join(choices)}, "
+                           f"{SONAR}0_in ...{suggest(name, choices)}")  # fmt: skip
+    missing = [name for name in (*_REQUIRED, f"{SONAR}0") if name not in series.quantities]
+    if any(name in series.quantities for name in _TRUTH):
+        missing += [name for name in _TRUTH if name not in series.quantities]
     if missing:
         raise LogFileError(f"{file}: has no column {missing[0]}; expected it in the first line, with its unit")
-    return columns
 
 
-def _row(fields: Sequence[str], columns: dict[str, _Column], file: Path, number: int) -> LogRow:
-    def value(name: str) -> float:
-        column = columns[name]
-        text = fields[column.place].strip() if column.place < len(fields) else ""
-        if not text and name.startswith(SONAR):
-            return inf
-        try:
-            return float(text) * column.factor
-        except ValueError:
-            raise LogFileError(f"{file}: row {number}: {name} is {text!r}; expected a number") from None
-
-    x, y, heading = value("x"), value("y"), value("heading")
-    truth = (value("truth_x"), value("truth_y"), value("truth_heading")) if _TRUTH[0] in columns else None
-    sonars = sum(name.startswith(SONAR) for name in columns)
-    return LogRow(
-        value("time"), (x, y, heading), value("turret") if "turret" in columns else heading,
-        tuple(value(f"{SONAR}{sonar}") for sonar in range(sonars)), truth,
-    )  # fmt: skip
+def _row(values: dict[str, float], series: TimeSeries, file: Path, number: int) -> LogRow:
+    sonars = tuple(values.pop(f"{SONAR}{sonar}", inf) for sonar in range(series.sonars))
+    # Of all other columns each row has a value.
+    for name in series.quantities:
+        if name not in values and not name.startswith(SONAR) and name not in _UNUSED:
+            raise LogFileError(f"{file}: row {number}: {name} is ''; expected a number")
+    heading = values["heading"]
+    truth = (values["truth_x"], values["truth_y"], values["truth_heading"]) if _TRUTH[0] in values else None
+    return LogRow(values["time"], (values["x"], values["y"], heading), values.get("turret", heading), sonars, truth)
 
 
 def new_echoes(readings: Sequence[Sequence[float]], clocks_s: Sequence[float], period_s: float) -> list[list[int]]:

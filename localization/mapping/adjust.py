@@ -137,6 +137,23 @@ def adjust_walls(world: World, lengths: Iterable[TapeLength]) -> Adjustment:
     )  # fmt: skip
 
 
+def label_walls(world: World, labels: Iterable[tuple[Point, str]]) -> World:
+    """Return a map in which the inner walls nearest to points have names; an empty name removes one.
+
+    Raises
+    ------
+    AdjustmentError
+        If no inner wall is near a point.
+    """
+    names = dict(world.wall_names)
+    for (x, y), name in labels:
+        _, distances = nearest_points(np.array([[x, y]]), world.inner_walls)
+        if not distances.size or not distances.min() <= NEAR_IN:
+            raise AdjustmentError(f"no inner wall is within {NEAR_IN:g} in of ({x:g}, {y:g}) in")
+        names[int(distances.argmin())] = name
+    return replace(world, wall_names={row: name for row, name in names.items() if name})
+
+
 def _shared_ends(walls: FloatArray) -> tuple[Floats, IndexArray]:
     """Return the different ends (n, 2), and the numbers of the ends of each wall (m, 2)."""
     ends = walls.reshape(-1, 2)

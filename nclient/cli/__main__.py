@@ -2,8 +2,7 @@
 
 import sys
 
-from nclient.common.exit_codes import ExitCode
-from nclient.common.start import exit_on_interrupt
+from nclient.common.start import INTERRUPTED, exit_on_interrupt
 
 
 def main() -> int:
@@ -13,7 +12,7 @@ def main() -> int:
             from nclient.cli import main as command
         return command.main()
     except KeyboardInterrupt:
-        return ExitCode.INTERRUPTED
+        return INTERRUPTED
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ import threading
 from collections.abc import Iterator
 from pathlib import Path
 from types import FrameType
-from typing import NoReturn
+from typing import Final, NoReturn
 
 from nclient.common.exit_codes import ExitCode
 from nclient.common.files import describe_write_error
@@ -21,6 +21,9 @@ from nclient.common.files import describe_write_error
 _CODES = {"SIGTERM": ExitCode.TERMINATED, "SIGHUP": ExitCode.HUNG_UP}
 _STANDARD_STREAMS = (0, 1, 2)
 _OUTPUTS = (1, 2)
+
+NOMAD: Final = (sys.executable, "-P", "-m", "nclient.cli")
+"""The program `nomad` of this installation; -P: modules in the working folder are not imported."""
 
 
 class TerminatedBySignal(SystemExit):

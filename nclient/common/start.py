@@ -1,6 +1,7 @@
 """Ctrl-C while a command is being imported: the process exits with 130, without a traceback.
 
-Imported before everything else by the `__main__` modules of the commands; imports nothing slow itself.
+Imported before everything else by the `__main__` modules of the commands; imports nothing slow itself: until the block
+begins, Python answers Ctrl-C by a traceback.
 """
 
 import contextlib
@@ -9,7 +10,8 @@ import signal
 from collections.abc import Iterator
 from types import FrameType
 
-from nclient.common.exit_codes import ExitCode
+INTERRUPTED = 130
+"""ExitCode.INTERRUPTED, whose class takes longer than all that is imported here."""
 
 
 @contextlib.contextmanager
@@ -31,4 +33,4 @@ def exit_on_interrupt() -> Iterator[None]:
 
 def _exit_at_once(number: int, frame: FrameType | None) -> None:
     del number, frame
-    os._exit(ExitCode.INTERRUPTED)
+    os._exit(INTERRUPTED)

@@ -14,7 +14,6 @@ MCAP and bags need the extra `ros` (nclient/recording/ros.py).
 
 import codecs
 import contextlib
-import csv
 import math
 import shutil
 from collections import Counter
@@ -31,6 +30,7 @@ from nclient.errors import ExtraMissing, RecordingError
 from nclient.protocol.types import M_PER_IN, MAX_SONAR_IN
 from nclient.recording.drive import RING, Drive, Sample, drive_of_recording, recording_of_drive, ring_of
 from nclient.recording.format import FORMAT, escape_controls, parse_recording
+from nclient.recording.time_series import SONAR, TimeSeries
 
 RECORDING, MCAP, BAG, BAG2, CSV, CARMEN = "recording", "MCAP", "ROS 1 bag", "ROS 2 bag", "CSV", "CARMEN log"
 SUFFIXES: Final = {
@@ -249,13 +249,11 @@ def _read_text(path: Path) -> str:
 
 # -- CSV --------------------------------------------------------------------------------------------------------------
 
-_SONAR: Final = "sonar_"
-_IN_PER: Final = {"in": M_PER_IN, "mm": 0.001, "cm": 0.01, "m": 1.0}
+_M_PER: Final = {"in": M_PER_IN, "mm": 0.001, "cm": 0.01, "m": 1.0}
 _RAD_PER: Final = {"deg": math.radians(1.0), "rad": 1.0}
-_LENGTHS: Final = ("x", "y")
-_ANGLES: Final = ("heading", "turret")
-_OTHERS: Final = {
-    "time_s": 1.0, "time_ms": 0.001, "speed_in_s": M_PER_IN, "turn_deg_s": math.radians(1.0), "bumpers": 1.0,
+_UNITS: Final = {
+    "time": {"s": 1.0, "ms": 0.001}, "x": _M_PER, "y": _M_PER, "heading": _RAD_PER, "turret": _RAD_PER, SONAR: _M_PER,
+    "speed_in": {"s": M_PER_IN}, "turn_deg": {"s": math.radians(1.0)}, "bumpers": {"": 1.0},
 }
 
 
@@ -264,7 +262,7 @@ def csv_lines(drive: Drive) -> Iterator[str]:
 
     Numbers have four decimals, the time nine.
     """
-    sonars = [f"{_SONAR}{k}_in" for k in range(len(drive.directions_rad))]
+    sonars = [f"{SONAR}{k}_in" for k in range(len(drive.directions_rad))]
     others = ("time_s", "x_in", "y_in", "heading_deg", "turret_deg", "speed_in_s", "turn_deg_s", "bumpers")
     yield ",".join((*others, *sonars))
     for sample in drive.samples:
@@ -285,53 +283,14 @@ def _decimal(value: float, digits: int) -> str:
 
 def read_csv(text: str, name: str) -> Drive:
     """Parse a time series with the columns of `csv_lines`, in any order and with any of the units."""
-    try:
-        names, *rows = csv.reader(line for line in text.splitlines() if line.strip() and not line.startswith("#"))
-    except (csv.Error, ValueError) as error:
-        raise RecordingError(f"{name}: no CSV ({error})") from None
-    names = [field.strip() for field in names]
-    factors = [_factor(column) for column in names]
-    sonars = _count_sonars([_quantity(one) for one, factor in zip(names, factors, strict=True) if factor], name)
+    series = TimeSeries(text, name, _UNITS)
+    sonars = series.sonars
     drive = Drive([], tuple(math.tau * k / sonars for k in range(sonars)) if sonars else RING)
     drive.ring_m = ring_of(drive)
-    unknown = [column for column, factor in zip(names, factors, strict=True) if factor is None]
-    if unknown:
-        drive.omitted.append(f"columns {_listed(unknown)}")
-    for number, row in enumerate(rows, 2):
-        values: dict[str, float] = {}
-        for column, factor, field in zip(names, factors, row, strict=False):
-            if factor is not None and field.strip():
-                values[_quantity(column)] = _number(field, column, name, number) * factor
-        drive.samples.append(_csv_sample(values, sonars, name, number))
+    if series.unknown:
+        drive.omitted.append(f"columns {_listed(series.unknown)}")
+    drive.samples += [_csv_sample(values, sonars, name, number) for number, values in series.rows()]
     return drive
-
-
-def _quantity(column: str) -> str:
-    """Return the name of a column without its unit."""
-    return column if column in _OTHERS else column.rpartition("_")[0]
-
-
-def _count_sonars(quantities: Sequence[str], name: str) -> int:
-    """Return the number of sonars. Raises RecordingError if a quantity occurs twice, or a sonar is missing."""
-    for quantity, times in Counter(quantities).items():
-        if times > 1:
-            raise RecordingError(f"{name}: column {quantity} occurs {times} times; expected once")
-    sonars = sum(quantity.startswith(_SONAR) for quantity in quantities)
-    for number in range(sonars):
-        if f"{_SONAR}{number}" not in quantities:
-            raise RecordingError(f"{name}: {sonars} sonars and no {_SONAR}{number}; they count from 0 without a gap")
-    return sonars
-
-
-def _number(field: str, column: str, name: str, row: int) -> float:
-    try:
-        value = float(field)
-    except ValueError:
-        value = math.nan
-    # inf is a way to write no echo.
-    if not math.isfinite(value) and not (column.startswith(_SONAR) and value == math.inf):
-        raise RecordingError(f"{name}: row {row}: {column} is {field!r:.100}; expected a number")
-    return value
 
 
 def _listed(names: Sequence[str]) -> str:
@@ -340,22 +299,14 @@ def _listed(names: Sequence[str]) -> str:
     return ", ".join(names[:MAX_NAMES]) + (f" and {more} more" if more > 0 else "")
 
 
-def _factor(column: str) -> float | None:
-    quantity, _, unit = column.rpartition("_")
-    if quantity in _LENGTHS or (quantity.startswith(_SONAR) and quantity.removeprefix(_SONAR).isdecimal()):
-        return _IN_PER.get(unit)
-    return _RAD_PER.get(unit) if quantity in _ANGLES else _OTHERS.get(column)
-
-
 def _csv_sample(values: dict[str, float], sonars: int, name: str, number: int) -> Sample:
-    time_s = values.get("time_s", values.get("time_ms"))
-    missing = [key for key in ("x", "y", "heading") if key not in values] + ([] if time_s is not None else ["time"])
-    if missing or time_s is None:
+    missing = [key for key in ("x", "y", "heading", "time") if key not in values]
+    if missing:
         raise RecordingError(f"{name}: row {number}: has no {missing[0]}; "
                              "expected columns time_s, x_in, y_in, heading_deg")
-    ranges = tuple(values.get(f"{_SONAR}{k}", math.inf) for k in range(sonars))
-    return Sample(time_s, values["x"], values["y"], values["heading"], values.get("turret"),
-                  values.get("speed_in_s", 0.0), values.get("turn_deg_s", 0.0), ranges, int(values.get("bumpers", 0)))
+    ranges = tuple(values.get(f"{SONAR}{k}", math.inf) for k in range(sonars))
+    return Sample(values["time"], values["x"], values["y"], values["heading"], values.get("turret"),
+                  values.get("speed_in", 0.0), values.get("turn_deg", 0.0), ranges, int(values.get("bumpers", 0)))
 
 
 # -- CARMEN -----------------------------------------------------------------------------------------------------------

@@ -377,7 +377,7 @@ COMMANDS: Final = (
     ControlCommand(WORLD_SET, "WORLD", "replace the world; robots keep their poses", _put_world),
     ControlCommand("obstacle", "JSON", "move (by, to), remove or add (put) an obstacle",
                    _change_of("obstacle", runtime_settings.change_obstacle, runtime_settings.OBSTACLE_USAGE)),
-    ControlCommand("wall", "JSON", "move (by, to), remove or add (put) an inner wall",
+    ControlCommand("wall", "JSON", "move (by, to), label (name), remove or add (put) an inner wall",
                    _change_of("wall", runtime_settings.change_wall, runtime_settings.WALL_USAGE)),
     ControlCommand("door", "WORDS", "open or close a door: 'kitchen open'; or add, move, remove one, as JSON",
                    _change_of("door", doors_and_walkers.change_door, doors_and_walkers.DOOR_USAGE,

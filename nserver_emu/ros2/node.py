@@ -31,7 +31,7 @@ from nserver_emu.rosbridge import topics
 from nserver_emu.rosbridge.readings import PERIOD_S, RobotReader, map_message, rings_of
 from nserver_emu.rosbridge.topics import Estimates
 from nserver_emu.server.daemon import Daemon
-from nserver_emu.viewer.controller import ViewerClients
+from nserver_emu.viewer.clients import ViewerClients
 from nserver_emu.viewer.error_boundary import ErrorBoundary
 from worlds.world import World
 
@@ -77,7 +77,7 @@ class Ros2Node:
     ) -> None:
         self._daemon = daemon
         self._types = types
-        self._error_boundary = ErrorBoundary()
+        self._error_boundary = ErrorBoundary("ros2")
         robots = list(daemon.emulator.simulation.robots)
         self._domain = None if config is None else Domain(domain, config)
         self._participant = DomainParticipant(domain, Qos(Policy.Userdata(b"enclave=/;")))

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from nserver_emu.rosbridge import topics
-from nserver_emu.viewer.controller import ViewerClients
+from nserver_emu.viewer.clients import ViewerClients
 
 log = logging.getLogger(__name__)
 

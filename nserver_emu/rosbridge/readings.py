@@ -23,7 +23,7 @@ from nserver_emu.rosbridge.topics import Estimates, Reading
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.server_state import state_slots
 from nserver_emu.simulation.robot import battery_v
-from nserver_emu.viewer.controller import Answer, ViewerClients
+from nserver_emu.viewer.clients import Answer, ViewerClients
 from nserver_emu.viewer.error_boundary import ErrorBoundary
 from worlds.cells import cells_of_world
 from worlds.rings import Ring

@@ -25,19 +25,20 @@ from nserver_emu.rosbridge.readings import RobotReader, map_message, rings_of
 from nserver_emu.rosbridge.topics import Estimates
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.viewer import auth
-from nserver_emu.viewer.controller import ViewerClients
+from nserver_emu.viewer.clients import ViewerClients
 from nserver_emu.viewer.error_boundary import ErrorBoundary
-from nserver_emu.viewer.messages import DRIVE_TIMEOUT_S, MAX_TEXT, InvalidMessage, parse_estimate
-from nserver_emu.viewer.server import (
+from nserver_emu.viewer.http_port import (
     CLOSING_S,
     HEARTBEAT_S,
     HttpPort,
     PageMessages,
     PageWriter,
     clear_tracebacks,
+    loop_time,
     next_due,
     transport_of,
 )
+from nserver_emu.viewer.messages import DRIVE_TIMEOUT_S, MAX_TEXT, InvalidMessage, parse_estimate
 from worlds.world import World
 
 log = logging.getLogger(__name__)
@@ -61,7 +62,7 @@ class RosbridgeServer:
         self._port = HttpPort(daemon.admission, "rosbridge", "--rosbridge")
         self._has_map = has_map
         self._origins = origins
-        self._error_boundary = ErrorBoundary()
+        self._error_boundary = ErrorBoundary("rosbridge")
         self._clients: dict[RosbridgeClient, PageWriter] = {}
         self._sockets: set[web.WebSocketResponse] = set()
         self._clients_made = 0
@@ -139,7 +140,7 @@ class RosbridgeServer:
         self._sockets.add(socket)
         try:
             await socket.prepare(request)
-            writer = PageWriter(socket, transport_of(request), _now())
+            writer = PageWriter(socket, transport_of(request), loop_time())
         except BaseException:
             self._sockets.discard(socket)
             raise
@@ -158,6 +159,8 @@ class RosbridgeServer:
             async for message in socket:
                 backlog.message_received()
                 if message.type == WSMsgType.TEXT:
+                    if MAP in message.data:
+                        await self._prepare_map()
                     await messages.handle(message.data)
                     await self._send(client)
                 await asyncio.sleep(0)
@@ -173,7 +176,7 @@ class RosbridgeServer:
 
     def _handle(self, client: RosbridgeClient, text: str, *, is_late: bool) -> None:
         with self._error_boundary.guard("a message", client.robots.name):
-            client.handle(text, _now(), is_late=is_late)
+            client.handle(text, loop_time(), is_late=is_late)
 
     def _services(self) -> Services:
         simulated = self._daemon.emulator.simulation.robots
@@ -183,6 +186,13 @@ class RosbridgeServer:
             {name: short_type(kind) for name, kind in commands.items()},
             lambda robot: simulated[robot].model.track_in is not None, self._latched,
         )  # fmt: skip
+
+    async def _prepare_map(self) -> None:
+        """Make /map of the present world in a thread, since that takes up to a second; `_latched` reports errors."""
+        world = self._daemon.emulator.simulation.world
+        if self._has_map and (self._map is None or self._map[0] is not world):
+            with contextlib.suppress(ImportError, ValueError):
+                self._map = world, await asyncio.to_thread(lambda: encode_published(MAP, map_message(world)))
 
     def _latched(self, topic: str) -> str | None:
         """Return a topic that is sent once: frames of sonars, map. Raises InvalidRequest if there is no map."""
@@ -205,10 +215,10 @@ class RosbridgeServer:
     # -- publishing
 
     async def _run_clock(self) -> None:
-        due = _now()
+        due = loop_time()
         while True:
-            due = next_due(due, _now())
-            await asyncio.sleep(due - _now())
+            due = next_due(due, loop_time())
+            await asyncio.sleep(due - loop_time())
             if self._clients:
                 with self._error_boundary.guard("the clock"):
                     await self._tick()
@@ -218,7 +228,7 @@ class RosbridgeServer:
 
         An error of one robot or client does not affect others.
         """
-        now = _now()
+        now = loop_time()
         for client in self._clients:
             client.robots.tick(now)
         wanted = {topic for client in self._clients for topic in client.subscriptions}
@@ -230,12 +240,12 @@ class RosbridgeServer:
             await self._send(client)
 
     def _offer(self, topic: str, message: dict[str, Any]) -> None:
-        now = _now()
+        now = loop_time()
         for client in self._clients:
             client.offer(topic, message, now)
 
     async def _send(self, client: RosbridgeClient) -> None:
-        writer, now = self._clients.get(client), _now()
+        writer, now = self._clients.get(client), loop_time()
         if writer is None:
             return
         if writer.is_ready(now):
@@ -255,7 +265,7 @@ class Backlog:
     """
 
     def __init__(self) -> None:
-        self._empty_at_s = _now()
+        self._empty_at_s = loop_time()
         self._has_turned = True
 
     def expect_message(self) -> None:
@@ -267,18 +277,15 @@ class Backlog:
     def message_received(self) -> None:
         """Call with the next message."""
         if self._has_turned:
-            self._empty_at_s = _now()
+            self._empty_at_s = loop_time()
 
     def max_age_s(self) -> float:
         """Return the largest possible age of the message that is handled."""
-        return _now() - self._empty_at_s
+        return loop_time() - self._empty_at_s
 
     def _turned(self) -> None:
         self._has_turned = True
 
-
-def _now() -> float:
-    return asyncio.get_running_loop().time()
 
 
 @contextlib.asynccontextmanager

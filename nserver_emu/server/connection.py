@@ -94,20 +94,27 @@ class FairScheduler:
         # Jobs submitted while a turn runs: they wait for the next one, since the loop must poll its sockets first.
         self._submitted: list[Job] = []
         self._is_turn_scheduled = False
-        # End of the period in which work may be done at once.
-        self._end_s = 0.0
+        # Processor time left in this turn for work that is done at once, and when such work last ended.
+        self._left_s = TURN_BUDGET_S
+        self._worked_s = 0.0
 
     def __len__(self) -> int:
         return len(self._queue)
 
     def may_run_now(self, now_s: float) -> bool:
-        """Return True if work that has just arrived may be done at once; otherwise `submit` it."""
+        """Return True if work that has just arrived may be done at once, and `charge` it; otherwise `submit` it."""
         if self._is_turn_scheduled:
             return False
-        if now_s >= self._end_s + TURN_BUDGET_S:
+        if now_s >= self._worked_s + TURN_BUDGET_S:
             # Nothing was done for so long that this is another turn.
-            self._end_s = now_s + TURN_BUDGET_S
-        return now_s < self._end_s
+            self._left_s = TURN_BUDGET_S
+        self._worked_s = now_s
+        return self._left_s > 0.0
+
+    def charge(self, taken_s: float) -> None:
+        """Charge this turn for the processor time of work that was done at once."""
+        self._left_s -= taken_s
+        self._worked_s += taken_s
 
     def submit(self, job: Job) -> None:
         """Queue a job for a later turn of the event loop."""
@@ -127,9 +134,9 @@ class FairScheduler:
         self.turns += 1
         loop = asyncio.get_running_loop()
         now_s = loop.time()
-        self._end_s, first_again_s = now_s + TURN_BUDGET_S, inf
+        end_s, first_again_s = now_s + TURN_BUDGET_S, inf
         try:
-            while self._queue and now_s < self._end_s and self._queue[0][0] <= first_again_s:
+            while self._queue and now_s < end_s and self._queue[0][0] <= first_again_s:
                 self._virtual_s, _, _, job = heappop(self._queue)
                 if job.is_queued:
                     self._run(job)
@@ -139,6 +146,7 @@ class FairScheduler:
         finally:
             # 3. The rest follows in the next turn, also after an error, which the event loop logs.
             self._is_turn_scheduled = False
+            self._left_s, self._worked_s = end_s - now_s, now_s
             if self._queue or self._submitted:
                 self._schedule_turn()
 
@@ -305,7 +313,9 @@ class ConnectionHandler(ABC):
         if not is_turn_pending and (not self.is_scheduled or self._server.scheduler.may_run_now(self._loop.time())):
             start_s = time.thread_time()
             self._take_turn(data)
-            self.cpu_s += time.thread_time() - start_s
+            taken_s = time.thread_time() - start_s
+            self.cpu_s += taken_s
+            self._server.scheduler.charge(taken_s)
         else:
             self._receive_backlog += data
             self._schedule()

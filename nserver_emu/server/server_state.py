@@ -67,7 +67,6 @@ from nserver_emu.server.limits import Limits
 from nserver_emu.server.session import NOT_AVAILABLE, CachedStateReply, ConnectionContext, DeferredReply, error_reply
 from nserver_emu.simulation import segments
 from nserver_emu.simulation.arm import Arm
-from nserver_emu.simulation.axis import Command
 from nserver_emu.simulation.laser import LineFit, lines, pixels, points
 from nserver_emu.simulation.robot import SimulatedRobot, battery_v
 from nserver_emu.simulation.segments import PS_PER_S, Pose, to_ps, to_s
@@ -225,7 +224,7 @@ class AxisOwnership:
             for axis in (axis for axis in ALL_AXES if owners[axis] is context):
                 owners[axis] = None
                 if robot.moving[axis]:
-                    robot.command_axis(axis, Command.VELOCITY, 0.0)
+                    robot.stop_axis(axis)
 
 
 # The State vector.
@@ -676,7 +675,17 @@ class ServerState:
         """
         if context.robot_id is None:
             return True
-        # 1. The usual case: nothing, and no time is measured.
+        # 1. The usual cases: nothing, and no time is measured. A connection that polls has read all sensors of now.
+        cached, snapshot = context.cached_state, self._snapshots.get(context.robot_id)
+        if (
+            call is None
+            and cached is not None
+            and snapshot is not None
+            and cached.snapshot is snapshot
+            and cached.mask is context.wire_state.mask
+            and snapshot.time_ps == self.simulation.time_ps
+        ):
+            return True
         steps = self._preparation_steps(context, call)
         if next(steps, _COMPLETE) is _COMPLETE:
             return True

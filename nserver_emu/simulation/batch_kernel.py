@@ -1,7 +1,7 @@
 """The compiled part of the batch simulation: how one robot of many advances, as `SimulatedRobot` does.
 
-The formulas are those of axis, segments, drive, collision, odometry, noise, sonar and worlds.raycast: numba (extra
-`fast`) compiles the same source. What stands here is only what connects them: there in objects, here in arrays.
+The formulas are those of axis, segments, drive, collision, odometry, noise, sonar and worlds.raycast: numba
+compiles the same source. What stands here is only what connects them: there in objects, here in arrays.
 A robot is a record, and a batch an array of them; robots do not see each other, so threads advance parts of the array
 in parallel.
 """

@@ -561,6 +561,11 @@ class SimulatedRobot:
         if command in (Command.VELOCITY, Command.RELATIVE, Command.LIMP):
             self._begin_command()
 
+    def stop_axis(self, axis: int) -> None:
+        """Brake one axis whose driver is gone. This is no command: the time-out of other drivers does not restart."""
+        self._drive.axes[axis].command(Command.VELOCITY, 0.0)
+        self.zeroing = False
+
     def stop(self) -> None:
         """Brake and hold. C: st."""
         self._begin_command()

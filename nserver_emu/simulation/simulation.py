@@ -55,6 +55,7 @@ class WorldState:
     doors: tuple[Door, ...] | None = None
     walkers: tuple[Walker, ...] | None = None
     accuracies: dict[int, WallAccuracy] | None = None
+    wall_names: dict[int, str] | None = None
 
     @classmethod
     def of(cls, world: World) -> WorldState:
@@ -64,6 +65,7 @@ class WorldState:
         return cls(
             world.name, world.title, world.rooms, inner_walls, world.obstacles, world.starts,
             tuple(world.paths.values()), world.doors or None, world.walkers or None, dict(world.accuracies) or None,
+            dict(world.wall_names) or None,
         )  # fmt: skip
 
     def world(self) -> World:
@@ -74,6 +76,9 @@ class WorldState:
             raise ValueError("a walker that cannot walk")
         if not all(0 <= row < len(self.inner_walls) and min(each) >= 0.0 for row, each in accuracies.items()):
             raise ValueError("the accuracy of a wall that does not exist, or below 0")
+        names = self.wall_names or {}
+        if not all(0 <= row < len(self.inner_walls) for row in names):
+            raise ValueError("the name of a wall that does not exist")
         outlines = [corner for outline in (*self.rooms, *self.obstacles) for corner in outline.corners_in]
         routes = [point for walker in walkers for point in walker.points_in]
         places = (*outlines, *self.inner_walls, *routes, *(end for door in doors for end in door.ends_in))
@@ -82,6 +87,7 @@ class WorldState:
         return World(
             self.name, self.title, self.rooms, np.array(self.inner_walls).reshape(-1, 4), self.obstacles, self.starts,
             {path.name: path for path in self.paths}, accuracies=accuracies, doors=doors, walkers=walkers,
+            wall_names=names,
         )  # fmt: skip
 
     def _check_size(self) -> None:

@@ -19,8 +19,9 @@ OnError = Callable[[Exception], None]
 
 @dataclass(slots=True)
 class ErrorBoundary:
-    """Catches, logs and counts exceptions; `counts` by place and exception type."""
+    """Catches, logs and counts exceptions of a server; `counts` by place and exception type."""
 
+    server: str = "page"
     counts: Counter[tuple[str, type[Exception]]] = field(default_factory=Counter)
 
     def guard(self, place: str, viewer: str = "", on_error: OnError = lambda _: None) -> GuardedBlock:
@@ -40,7 +41,9 @@ class ErrorBoundary:
         self.counts[kind] += 1
         if self.counts[kind] == 1:
             suffix = f" of {viewer}" if viewer else ""
-            log.error("page: %s%s: internal error, all else goes on (logged once)", place, suffix, exc_info=error)
+            log.error(
+                "%s: %s%s: internal error, all else goes on (logged once)", self.server, place, suffix, exc_info=error
+            )
 
 
 @dataclass(slots=True)

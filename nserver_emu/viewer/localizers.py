@@ -16,7 +16,6 @@ import contextlib
 import json
 import logging
 import os
-import sys
 import tempfile
 from collections import deque
 from collections.abc import Callable, Coroutine, Sequence
@@ -27,6 +26,7 @@ from typing import Any, Final, get_args
 import numpy as np
 
 from nclient.common.hints import suggest
+from nclient.common.process import NOMAD
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.simulation.acoustics import Polaroid
 from nserver_emu.viewer.auth import to_loopback
@@ -39,8 +39,6 @@ log = logging.getLogger(__name__)
 METHODS: Final[tuple[str, ...]] = get_args(LocalizationMethod)
 PUBLISH_VARIABLE: Final = "NOMAD_PUBLISH"
 """Environment variable that is the default of `nomad localize --publish` (localization/cli/arguments.py)."""
-NOMAD: Final = (sys.executable, "-P", "-m", "nclient.cli")
-"""The program `nomad` of this installation; -P: modules in the daemon's working folder are not imported."""
 TIME_LIMIT_S: Final = 1e9
 """A localizer of the page runs until it is stopped."""
 WORN_SCALE_STD: Final = "0.05,0.05,0.003"

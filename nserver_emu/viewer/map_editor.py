@@ -13,20 +13,18 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from nserver_emu.viewer.localizers import NOMAD
+from nclient.common.process import NOMAD
 from nserver_emu.viewer.messages import Tape
-from worlds.io import format_world
-from worlds.world import World
 
 TIMEOUT_S: Final = 60.0
 """The largest map takes some seconds."""
 
 
-def adjust_world(world: World, lengths: Sequence[Tape], program: Sequence[str] = NOMAD) -> dict[str, Any]:
-    """Return the answer to a page: the text of the adjusted world, or an error."""
+def adjust_world(text: str, lengths: Sequence[Tape], program: Sequence[str] = NOMAD) -> dict[str, Any]:
+    """Return the answer to a page: the text of a world file after the adjustment, or an error."""
     with tempfile.TemporaryDirectory(prefix="nserver-") as folder:
         before, after = Path(folder, "world.toml"), Path(folder, "adjusted.toml")
-        before.write_text(format_world(world), encoding="utf-8")
+        before.write_text(text, encoding="utf-8")
         command = [*program, "map", "edit", str(before), "--out", str(after), "--json"]
         for tape in lengths:
             (x1, y1), (x2, y2) = tape.ends

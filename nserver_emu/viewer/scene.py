@@ -254,11 +254,12 @@ def world_data(world: World) -> Plain:
             for start in world.starts
         ],
         "paths": {name: [list(point) for point in path.points_in] for name, path in world.paths.items()},
-    } | {name: rows for name, rows in _doors_and_walkers(world).items() if rows}  # fmt: skip
+    } | {name: rows for name, rows in _optional_parts(world).items() if rows}  # fmt: skip
 
 
-def _doors_and_walkers(world: World) -> Plain:
+def _optional_parts(world: World) -> Plain:
     return {
+        "wall_names": {str(row): name for row, name in world.wall_names.items()},
         "doors": [
             {"name": door.name, "ends": _rounded(door.ends_in), "open": door.is_open} for door in world.doors
         ],

@@ -15,128 +15,41 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import errno
 import hmac
 import logging
-from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
+from collections.abc import AsyncIterator, Sequence
 from http import HTTPStatus
 from pathlib import Path
 from typing import Final
 
 from aiohttp import WSCloseCode, WSMsgType, web
 
-from nclient.common.allowlist import LOOPBACK_NAME, NOT_ALLOWED, is_loopback, is_same_machine
-from nclient.errors import ConnectionLost
-from nserver_emu.server.admission import AdmissionControl, listen
-from nserver_emu.server.connection import FairScheduler, TokenBucket
+from nclient.common.allowlist import LOOPBACK_NAME, is_loopback, is_same_machine
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.viewer import auth
 from nserver_emu.viewer.broadcaster import Broadcaster, Viewer
 from nserver_emu.viewer.classroom import TEACHER, Student
 from nserver_emu.viewer.controller import ViewerController
+from nserver_emu.viewer.http_port import (
+    CLOSING_S,
+    HEARTBEAT_S,
+    Handler,
+    HttpPort,
+    PageMessages,
+    PageWriter,
+    clear_tracebacks,
+    local_address,
+    loop_time,
+    next_due,
+    transport_of,
+)
 from nserver_emu.viewer.messages import MAX_TEXT, InvalidMessage, encode_message
 from nserver_emu.viewer.metrics import CONTENT_TYPE, health, metrics
 from nserver_emu.viewer.scene import Modes, SceneHistory, laser_modes
 
-STALLED_S: Final = 8.0
-"""Time after which a page that receives nothing is disconnected."""
-NO_LIMIT: Final = 2**31
-"""Write buffer limit of a page's transport in bytes: sending never waits, and PageWriter does the flow control."""
-
-
-class PageWriter:
-    """Sends text messages to one page, without waiting.
-
-    A page gets nothing new before it has received everything sent so far, so that pictures are skipped before they are
-    sent. So the transport's write buffer never holds more than one round of messages, and its limit, at which aiohttp
-    would wait, is switched off. `now` is real time in seconds.
-    """
-
-    def __init__(self, socket: web.WebSocketResponse, transport: asyncio.Transport, now: float) -> None:
-        self._socket = socket
-        self._transport = transport
-        self._unsent = 0
-        self._last_progress_s = now
-        transport.set_write_buffer_limits(high=NO_LIMIT)
-
-    def is_ready(self, now: float) -> bool:
-        """Return True if the page has received everything and more can be sent."""
-        # Progress is a shrinking buffer; an empty one has nothing to wait for.
-        unsent = self._transport.get_write_buffer_size()
-        if unsent < self._unsent or not self._unsent:
-            self._last_progress_s = now
-        self._unsent = unsent
-        return not unsent and not self._socket.closed and not self._transport.is_closing()
-
-    def is_stalled(self, now: float) -> bool:
-        """Return True if the page has received nothing for STALLED_S, as far as `is_ready` observed."""
-        return self._unsent > 0 and now - self._last_progress_s > STALLED_S
-
-    async def send(self, text: str) -> None:
-        """Send a text message."""
-        await self._socket.send_str(text)
-
-    def abort(self) -> None:
-        """Disconnect at once; closing would wait until everything is received."""
-        self._transport.abort()
-
-
-class PageMessages:
-    """Handles the messages of one page in turns of the event loop that connections share (a `Job`).
-
-    `rate` is the limit of messages per second, 0 for none.
-    """
-
-    def __init__(self, scheduler: FairScheduler, handle: Callable[[str], None], rate: int) -> None:
-        self.is_queued = False
-        self.finish_tag_s = self.cpu_s = 0.0
-        self._scheduler = scheduler
-        self._handle = handle
-        self._limit = TokenBucket(rate, 1, _now()) if rate else None
-        self._text = ""
-        self._done: asyncio.Future[None] | None = None
-
-    async def handle(self, text: str) -> None:
-        """Handle a message when its turn has come."""
-        await wait_for_rate(self._limit)
-        self._text, self._done = text, asyncio.get_running_loop().create_future()
-        self._scheduler.submit(self)
-        try:
-            await self._done
-        finally:
-            self.is_queued = False
-
-    def run_turn(self) -> None:
-        """Handle the message, for the scheduler."""
-        assert self._done is not None
-        try:
-            self._handle(self._text)
-        finally:
-            self._done.set_result(None)
-
-
-async def wait_for_rate(limit: TokenBucket | None) -> None:
-    """Take a token of a rate limit, and wait until it is there: in the order of the calls."""
-    if limit is not None:
-        limit.consume(1, _now())
-        if wait_s := limit.wait_s(_now()):
-            await asyncio.sleep(wait_s)
-
-
-Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
-
 log = logging.getLogger(__name__)
 
 PAGE: Final = Path(__file__).with_name("page")
-PERIOD_S: Final = 0.05
-"""Twenty pictures a second."""
-HEARTBEAT_S: Final = 6.0
-"""Interval of pings; a page must answer within half of it."""
-CONNECTION_LOST_S: Final = 10.0
-"""Ping interval plus reply time-out, rounded up."""
-CLOSING_S: Final = 0.5
-"""Time-out of the closing handshake."""
-# Only files of this server; no inline script, so that a text from a client cannot become code.
 POLICY: Final = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -209,18 +122,18 @@ class ViewerServer:
         self.controller.close()
 
     async def _run_clock(self) -> None:
-        due = _now()
+        due = loop_time()
         while True:
             # No pictures are taken while no page is open.
-            due = next_due(due, _now())
-            await asyncio.sleep(due - _now())
+            due = next_due(due, loop_time())
+            await asyncio.sleep(due - loop_time())
             if self.broadcaster.viewers:
                 await self._update_pages()
 
     async def _update_pages(self) -> None:
         """Take a picture and send it to all pages; an error of one page does not affect others."""
         with self.controller.error_boundary.guard("the clock"):
-            self.controller.tick(_now())
+            self.controller.tick(loop_time())
         with self.controller.error_boundary.guard("the picture"):
             self.broadcaster.take(self._laser_modes())
         for viewer in tuple(self._writers):
@@ -261,13 +174,13 @@ class ViewerServer:
     def _require_local_or_token(self, request: web.Request) -> None:
         """Raise HTTPForbidden unless the request comes from this machine or has a token."""
         # Monitoring on this machine needs no token; the Host check still excludes pages of other sites.
-        is_local = is_same_machine(request.remote or "", _local_address(request))
+        is_local = is_same_machine(request.remote or "", local_address(request))
         if not is_local or not auth.is_known_host(request.host, self._host_name):
             self._access(request)
 
     async def _health(self, request: web.Request) -> web.StreamResponse:
         self._require_local_or_token(request)
-        is_healthy, report = health(self._daemon, _now())
+        is_healthy, report = health(self._daemon, loop_time())
         return web.json_response(report, status=HTTPStatus.OK if is_healthy else HTTPStatus.SERVICE_UNAVAILABLE)
 
     async def _metrics(self, request: web.Request) -> web.StreamResponse:
@@ -281,7 +194,7 @@ class ViewerServer:
             raise web.HTTPForbidden(text="this token only looks\n")
         try:
             text = (await request.read()).decode()
-            return web.json_response(self.controller.publish(text, _now(), only=access.robot))
+            return web.json_response(self.controller.publish(text, loop_time(), only=access.robot))
         except (InvalidMessage, UnicodeDecodeError) as error:
             raise web.HTTPBadRequest(text=f"{error}\n") from None
 
@@ -299,17 +212,17 @@ class ViewerServer:
         self._sockets.add(socket)  # it counts towards the limit from now on
         try:
             await socket.prepare(request)
-            writer = PageWriter(socket, transport_of(request), _now())
+            writer = PageWriter(socket, transport_of(request), loop_time())
         except BaseException:
             self._sockets.discard(socket)
             raise
         # 2. The page is open: its messages are handled in order until it closes.
-        viewer = self.controller.connect_page(_now(), access, watch_token=self.watch_token)
+        viewer = self.controller.connect_page(loop_time(), access, watch_token=self.watch_token)
         self._writers[viewer] = writer
         viewer.on_message = lambda: self._send_soon(viewer)
         viewer.on_message()
         messages = PageMessages(
-            self._daemon.scheduler, lambda text: self.controller.handle_message(viewer, text, _now()),
+            self._daemon.scheduler, lambda text: self.controller.handle_message(viewer, text, loop_time()),
             self._port.door.limits.page_rate,
         )  # fmt: skip
         try:
@@ -336,7 +249,7 @@ class ViewerServer:
 
     async def _send_to(self, viewer: Viewer) -> None:
         """Send a page its next messages if it can receive them; messages before an error are sent."""
-        writer, now = self._writers.get(viewer), _now()
+        writer, now = self._writers.get(viewer), loop_time()
         if writer is None:
             return
         # Nothing is queued behind unsent data: a slow page skips pictures.
@@ -347,102 +260,6 @@ class ViewerServer:
         elif writer.is_stalled(now):
             log.info("%s receives nothing: disconnected", viewer.name)
             writer.abort()
-
-
-def next_due(due_s: float, now_s: float) -> float:
-    """Return the time of the next picture, given the time at which the last one was due.
-
-    One period after that one was due, so that the average rate is right; a longer delay is not made up for.
-    """
-    return max(due_s + PERIOD_S, now_s)
-
-
-def _now() -> float:
-    """Return the event loop's time in seconds."""
-    return asyncio.get_running_loop().time()
-
-
-class HttpPort:
-    """A port that serves an application of aiohttp; connections are limited before HTTP is parsed.
-
-    Parameters
-    ----------
-    door
-        Permitted addresses and limits.
-    title, option
-        What is served, and the option that chooses the port, for errors.
-    """
-
-    def __init__(self, door: AdmissionControl, title: str, option: str) -> None:
-        self.door, self._title, self._option = door, title, option
-        self.runner: web.AppRunner | None = None
-        self.admission: auth.HttpAdmission | None = None
-        self._server: asyncio.Server | None = None
-
-    async def open(self, app: web.Application, host: str, port: int) -> int:
-        """Start serving; return the port. Raises ConnectionLost if it cannot be used; the message names the remedy."""
-        self.runner = web.AppRunner(app, access_log=None, logger=auth.HTTP_LOG, shutdown_timeout=1.0)
-        await self.runner.setup()
-        try:
-            assert self.runner.server is not None
-            self.admission = auth.HttpAdmission(self.door, self.runner.server)
-            self._server = await listen(self.admission.protocol_factory, host, port)
-        except OSError as error:
-            await self.runner.cleanup()
-            remedies = {errno.EADDRINUSE: f"{self._option} 0 takes a free port", errno.EACCES: "take a port above 1023"}
-            remedy = remedies.get(error.errno or 0, "take an address of this machine")
-            raise ConnectionLost(
-                f"cannot serve {self._title} on {host}:{port}: {error.strerror or error}; {remedy}"
-            ) from error
-        auth.HTTP_LOG.addFilter(self.admission.keep_record)  # only if something is served: close() removes it
-        return int(self._server.sockets[0].getsockname()[1])
-
-    async def close(self) -> None:
-        """Stop serving. May be called twice."""
-        if self._server is not None:
-            self._server.close()
-            self._server = None
-        if self.admission is not None:
-            auth.HTTP_LOG.removeFilter(self.admission.keep_record)
-            self.admission = None
-        if self.runner is not None:
-            await self.runner.cleanup()
-            self.runner = None
-
-    @web.middleware
-    async def admit(self, request: web.Request, handler: Handler) -> web.StreamResponse:
-        """Answer a request by its handler if its address is allowed, at the rate of its address."""
-        host = request.remote or ""
-        if self.admission is not None:
-            self.admission.request_received(request)
-            await wait_for_rate(self.admission.rate_limit(host, _now()))
-        if not self.door.access.allows(host, _local_address(request)):
-            self.door.reject(host, NOT_ALLOWED)
-            return web.Response(status=HTTPStatus.FORBIDDEN, text="this address is not allowed\n")
-        try:
-            return await handler(request)
-        except web.HTTPException as refusal:  # aiohttp stores what is raised, with its traceback
-            clear_tracebacks(refusal)
-            return web.Response(status=refusal.status, headers=refusal.headers, body=refusal.body)
-
-
-def transport_of(request: web.Request) -> asyncio.Transport:
-    """Return the request's transport. Raises ConnectionResetError, which aiohttp ignores, if it is closed."""
-    if request.transport is None:
-        raise ConnectionResetError("closed before the request was answered")
-    return request.transport
-
-
-def clear_tracebacks(error: BaseException | None) -> None:
-    """Drop the tracebacks of an error and its context: their frames would keep it alive until garbage collection."""
-    while error is not None:
-        error.__traceback__, error = None, error.__context__
-
-
-def _local_address(request: web.Request) -> str:
-    """Return the local address of a request's connection."""
-    own = request.transport and request.transport.get_extra_info("sockname")
-    return str(own[0]) if own else ""
 
 
 @web.middleware

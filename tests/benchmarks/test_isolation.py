@@ -40,5 +40,5 @@ def test_missed_target_sets_exit_code(
 
 
 def test_blocks_do_not_overlap() -> None:
-    corners = {isolation.block(number)[1:3] for number in range(isolation.OBSTACLES)}
-    assert len(corners) == isolation.OBSTACLES
+    for place in (isolation.block, isolation.near_block):
+        assert len({place(number)[1:3] for number in range(isolation.OBSTACLES)}) == isolation.OBSTACLES

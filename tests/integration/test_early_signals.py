@@ -11,6 +11,9 @@ from contextlib import contextmanager
 
 import pytest
 
+from nclient.common.exit_codes import ExitCode
+from nclient.common.start import INTERRUPTED
+
 TIMEOUT_S = 60.0
 NOMAD = ("-m", "nclient.cli", "state", "sim:", "--watch")
 NSERVER = ("-m", "nserver_emu", "--port", "0")
@@ -51,6 +54,18 @@ def test_sigint_exits_with_130_and_no_traceback(words: tuple[str, ...], module: 
     code = process.returncode if process.returncode >= 0 else 128 - process.returncode
     assert (code, out) == (130, "")
     assert [line for line in err.splitlines() if not line.startswith(MARK)] == []
+
+
+@pytest.mark.parametrize("main", ["nserver_emu.__main__", "nclient.cli.__main__"])
+def test_little_is_imported_before_sigint_is_handled(main: str) -> None:
+    # Until then Python answers SIGINT by a traceback.
+    program = f"import sys; import {main}; print(*(name for name in sys.modules if name.startswith('nclient.')))"
+    out = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout
+    assert set(out.split()) - {main} <= {"nclient.common", "nclient.common.start", "nclient.cli"}
+
+
+def test_the_exit_code_of_an_interrupt_is_the_documented_one() -> None:
+    assert INTERRUPTED == ExitCode.INTERRUPTED
 
 
 @pytest.mark.parametrize("module", ["argparse", "numpy", "nserver_emu.cli"])

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import os
 import re
 import signal
 import socket
 import subprocess
 import sys
+from collections.abc import AsyncIterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -220,3 +223,28 @@ def test_a_recorded_daemon_can_be_asked_again(tmp_path: Path, capsys: pytest.Cap
     assert re.search(r"run.log, line \d+: from byte \d+ on", output.err)
     assert cli.main(["--record", str(tmp_path / "no" / "run.log"), "--port", "0"]) == 1
     assert "cannot be written" in capsys.readouterr().err
+
+
+def test_pages_and_bridges_end_before_the_gateway(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A page that drives a real robot at Ctrl-C: its robot must still be there."""
+    ended: list[str] = []
+
+    def record_end(name: str) -> None:
+        original = getattr(cli, name)
+
+        @contextlib.asynccontextmanager
+        async def recorded(*args: Any) -> AsyncIterator[Any]:
+            async with original(*args) as opened:
+                yield opened
+            ended.append(name)
+
+        monkeypatch.setattr(cli, name, recorded)
+
+    async def serve(*_: object) -> None: ...
+
+    for name in ("run_gateway", "running_viewer", "running_rosbridge", "running_ros2"):
+        record_end(name)
+    monkeypatch.setattr(Daemon, "serve", serve)
+    assert cli.main(["--port", "0"]) == 0
+    assert len(ended) == 4
+    assert ended[-1] == "run_gateway"

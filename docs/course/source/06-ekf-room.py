@@ -38,9 +38,9 @@ from worlds.raycast import cast_ray
 r"""
 ## Task 1: the derivatives of the motion
 
-The motion is that of notebook 1: $x' = x + d \cos(\theta + a/2)$, $y' = y + d \sin(\theta + a/2)$, $\theta' = \theta
-+ a$. Return two arrays: $F$ (3 x 3), derivatives by $x$, $y$, $\theta$, and $G$ (3 x 2), derivatives by $d$ and $a$.
-The rows belong to $x'$, $y'$, $\theta'$.
+The motion is that of notebook 1: $x' = x + d \cos(\theta + a/2)$, $y' = y + d \sin(\theta + a/2)$,
+$\theta' = \theta + a$. Return two arrays: $F$ (3 x 3), derivatives by $x$, $y$, $\theta$, and $G$ (3 x 2), derivatives
+by $d$ and $a$. The rows belong to $x'$, $y'$, $\theta'$.
 """
 
 # %% tags=["task"]

@@ -41,7 +41,7 @@ from worlds.world import Point, Polygon, StartPose, WallAccuracy, World
 
 # Corners are displayed rounded to a thousandth of an inch.
 CORNER_TOLERANCE_IN: Final = 0.002
-WALL_USAGE: Final = 'wall: such as {"wall": [[0, 0], [9, 0]], "by": [1, 0]}, in inches'
+WALL_USAGE: Final = 'wall: such as {"wall": [[0, 0], [9, 0]], "by": [1, 0], "name": "north"}, in inches'
 MIN_WALL_IN: Final = 0.5
 """Shorter walls are clicks, not drags."""
 OBSTACLE_USAGE: Final = 'obstacle: such as {"corners": [[0, 0], [9, 0], [9, 9]], "by": [1, 0]}, in inches'
@@ -86,6 +86,7 @@ def change_wall(server: ServerState, wanted: Mapping[str, Any]) -> dict[str, Any
     try:
         row, was, now = _wanted_wall(world, wanted)
         accuracy = _read_accuracy(wanted.get("accuracy"))
+        name = read_name(wanted["name"]).strip() if "name" in wanted else None
     except ControlError:
         raise
     except (KeyError, TypeError, ValueError, OverflowError):
@@ -108,12 +109,16 @@ def change_wall(server: ServerState, wanted: Mapping[str, Any]) -> dict[str, Any
         changed = world.with_inner_wall(row, (*now[0], *now[1]))
         if accuracy is not None:
             changed = replace(changed, accuracies={**changed.accuracies, row: accuracy})
+        if name is not None:
+            names = {**changed.wall_names, row: name}
+            changed = replace(changed, wall_names={row: name for row, name in names.items() if name})
     # 3. Replace, insert or remove it.
     server.simulation.change_world(changed)
     server.invalidate_state_cache()
     ends = [None if one is None else [list(end) for end in one] for one in (was, now)]
     measured = {} if before is None else {"accuracy": list(before)}
-    return {"walls": len(changed.inner_walls), "was": ends[0], "is": ends[1], **measured}
+    named = {"name": world.wall_names[row]} if row in world.wall_names else {}
+    return {"walls": len(changed.inner_walls), "was": ends[0], "is": ends[1], **measured, **named}
 
 
 def _wanted_wall(

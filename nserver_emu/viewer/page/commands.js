@@ -121,8 +121,8 @@ export function changeWalls(app, title, changes) {
     for (const change of changes) {
       const answer = await control(app, 'wall', change);
       if (!answer.ok) { await revert(); app.notice(answer.error); return answer; }
-      const { was, is, accuracy } = answer.result;
-      backs.push(is ? { wall: is, to: was, accuracy } : { put: was, accuracy });
+      const { was, is, accuracy, name } = answer.result;
+      backs.push(is ? { wall: is, to: was, accuracy } : { put: was, accuracy, name });
     }
     return { ok: true };
   } });
@@ -130,15 +130,14 @@ export function changeWalls(app, title, changes) {
 
 export function addWall(app, ends) { return stepOn(app, 'wall', 'draw wall', { put: ends }, ({ is }) => ({ wall: is })); }
 
-export function deleteWall(app, wall) { return stepOn(app, 'wall', 'delete wall', { wall }, ({ was, accuracy }) => ({ put: was, accuracy })); }
+export function deleteWall(app, wall) { return stepOn(app, 'wall', 'delete wall', { wall }, ({ was, accuracy, name }) => ({ put: was, accuracy, name })); }
+
+// An empty name removes the label.
+export function labelWall(app, wall, label) {
+  return stepOn(app, 'wall', 'label wall', { wall, to: wall, name: label }, ({ was, name = '' }) => ({ wall: was, to: was, name }));
+}
 
 export function moveWall(app, wall, to) { return stepOn(app, 'wall', 'move wall', { wall, to }, ({ was, is, accuracy }) => ({ wall: is, to: was, accuracy })); }
-
-// Return the inner walls of a world as pairs of ends; the outlines of rooms come before them.
-export function innerWalls(world) {
-  const outlines = world.rooms.reduce((sum, room) => sum + room.corners.length, 0);
-  return world.walls.slice(outlines).map(([x1, y1, x2, y2]) => [[x1, y1], [x2, y2]]);
-}
 
 export async function addObstacle(app, corners) {
   if (corners.length === 2) return addWall(app, corners);

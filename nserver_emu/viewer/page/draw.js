@@ -1,7 +1,7 @@
 // Draws a scene with a pen: the 2D context of a canvas, or an SvgPen. The world is in inches, the screen in CSS pixels.
 // Nothing here changes scene, view or options.
 
-import { toScreen, toWorld, roundLength, wallDistances, wallsWithin } from './geometry.js';
+import { innerWalls, toScreen, toWorld, roundLength, wallDistances, wallsWithin } from './geometry.js';
 import { infraredAngle, isEcho, shownRange, sonarReadings } from './scene.js';
 import { clientColour } from './colours.js';
 import { unitIn, lengthText } from './units.js';
@@ -90,6 +90,12 @@ function drawWorld(pen, world, view, { theme }) {
     pen.moveTo(...toScreen(view, x1, y1)); pen.lineTo(...toScreen(view, x2, y2));
   }
   pen.stroke();
+  pen.fillStyle = theme.wall;
+  pen.font = '12px system-ui, sans-serif';
+  innerWalls(world).forEach(([[x1, y1], [x2, y2]], k) => {
+    const name = world.wall_names?.[k], [px, py] = toScreen(view, (x1 + x2) / 2, (y1 + y2) / 2);
+    if (name) pen.fillText(name, px + 6, py - 6);
+  });
 }
 
 // An open door is dashed.

@@ -69,6 +69,12 @@ export function nearestOn([[x1, y1], [x2, y2]], [x, y]) {
   return [x1 + t * dx, y1 + t * dy];
 }
 
+// Return the inner walls of a world as pairs of ends; the outlines of rooms come before them.
+export function innerWalls(world) {
+  const outlines = world.rooms.reduce((sum, room) => sum + room.corners.length, 0);
+  return world.walls.slice(outlines).map(([x1, y1, x2, y2]) => [[x1, y1], [x2, y2]]);
+}
+
 // Return walls and closed doors, [x1, y1, x2, y2].
 function solidWalls(world) {
   return [...world.walls, ...(world.doors ?? []).filter(({ open }) => !open).map(({ ends }) => ends.flat())];

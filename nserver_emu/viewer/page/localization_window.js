@@ -32,6 +32,7 @@ export const localizationWindow = {
   id: 'localization', title: 'Localization', of: {}, runs: {},
   build(box, app) {
     this.note = element('p', { className: 'quiet' });
+    this.onMap = document.getElementById('map-trust');
     this.trust = element('strong', { role: 'status', id: 'trust' });
     this.reason = element('span', { id: 'trust-reason' });
     this.state = element('p', { className: 'trust' }, element('i', { className: 'lamp' }), this.trust, ' ', this.reason);
@@ -107,7 +108,9 @@ export const localizationWindow = {
   },
   showHealth(trust, reason) {
     if (this.trust.textContent !== TRUST[trust]) this.trust.textContent = TRUST[trust];
-    this.state.dataset.trust = trust;
+    this.state.dataset.trust = this.onMap.dataset.trust = trust;
+    this.onMap.lastChild.textContent = TRUST[trust];
+    this.onMap.hidden = trust === 'OFF';
     if (this.reason.textContent !== reason) this.reason.textContent = reason;
   },
   showMapNote(run) {

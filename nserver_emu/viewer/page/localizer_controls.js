@@ -54,7 +54,7 @@ function noiseControls(app, onChange) {
   const change = async (part, value) => { if ((await control(app, 'noise', { [part]: value, ...target() })).ok) onChange(part); };
   const choices = Object.fromEntries(Object.entries(NOISE_PARTS).map(([part, title]) =>
     [part, choice(title, { id: `noise-${part}` }, (value) => change(part, value))]));
-  const box = element('div', { className: 'row', role: 'group', ariaLabel: 'Noise' }, ...Object.values(choices).map(({ label }) => label),
+  const box = element('div', { className: 'row', id: 'localizer-noise', role: 'group', ariaLabel: 'Noise' }, ...Object.values(choices).map(({ label }) => label),
     element('label', {}, all, 'all robots'));
   return { box, update() {
     const body = app.scene.bodies[app.robot];

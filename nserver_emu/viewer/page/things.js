@@ -2,8 +2,8 @@
 // name, points, distance(point) in inches (0 on it), move(points, dx, dy) and remove(points), which resolve to answers with the
 // new points; walls and doors are `hasEnds`: their ends move one by one, by reshape(points, to). A door has toggle().
 
-import { changeWalls, deleteObstacle, deleteWall, innerWalls, moveObstacle, moveWall, stepOn } from './commands.js';
-import { inside, linesMeet, nearestOn } from './geometry.js';
+import { changeWalls, deleteObstacle, deleteWall, labelWall, moveObstacle, moveWall, stepOn } from './commands.js';
+import { innerWalls, inside, linesMeet, nearestOn } from './geometry.js';
 
 // Inches per second.
 export const WALKING_SPEED = 20;
@@ -26,7 +26,8 @@ function obstacles(app, world) {
 
 function walls(app, world) {
   return innerWalls(world).map((ends, k) => ({
-    name: `wall ${k + 1}`, points: ends, hasEnds: true, distance: (at) => distanceTo(ends, at),
+    name: world.wall_names?.[k] || `wall ${k + 1}`, points: ends, hasEnds: true, distance: (at) => distanceTo(ends, at),
+    rename: (points, name) => labelWall(app, points, name),
     reshape: (points, to) => moveWall(app, points, to),
     move: (points, dx, dy) => moveWall(app, points, shifted(points, dx, dy)), remove: (points) => deleteWall(app, points) }));
 }

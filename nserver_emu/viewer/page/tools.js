@@ -32,6 +32,8 @@ const TOOLS = {
     hint: 'Drag from one end of a wall to another one, then enter the length that a tape measured in the panel.', wants: 'A length is between two ends of walls: drag from one to the other.' },
   join: { title: 'Join', make: joinTool, task: 'world', icon: 'M2 13h11M13 13V2M10 10l3 3',
     hint: 'Click one inner wall, then another: both end where their lines meet; parallel walls become one.', wants: 'There is no inner wall: click on one, then on the one that it joins.' },
+  label: { title: 'Label', make: labelTool, task: 'world', icon: 'M2 3h7l5 5-5 5H2zM5 8h.1',
+    hint: 'Click an inner wall, then enter its name in the panel.', wants: 'There is no inner wall: click on one to name it.' },
   shift: { title: 'Move', make: shiftTool, task: 'world', icon: 'M2 5h7v7H2zM10 8h5M13 6l2 2-2 2',
     hint: 'Drag an obstacle, an inner wall, a door or a walker; near its end a wall turns.', wants: 'There is nothing to move: press on a grey obstacle, an inner wall, a door or a walker and drag it. The outlines of rooms stay.' },
   remove: { title: 'Delete', make: removeTool, task: 'world', icon: 'M2 4h8v8H2zM11 2l4 4M15 2l-4 4',
@@ -298,6 +300,16 @@ function joinTool(app) {
     },
     cancel() { const isChosen = first !== null; first = null; return isChosen; },
     draw(pen, scene, view, { theme }) { if (first) drawLine(pen, view, first, theme); },
+  };
+}
+
+function labelTool(app) {
+  return {
+    tap(world) {
+      const thing = thingAt(app, world)?.[0];
+      if (thing?.rename) app.label(thing);
+      else app.rejectPlace();
+    },
   };
 }
 

@@ -41,7 +41,7 @@ export const worldWindow = {
         else addObstacle(app, typed.map((corner) => corner.map((number) => number * unitIn(app.metric))));
       }, element('div', { className: 'row' }, label, element('button', { id: 'add-corners' }, 'Add'), this.step.label, this.speed.label)),
       element('div', { className: 'row halves' }, this.undo, this.redo),
-      tapeForm(app),
+      tapeForm(app), labelForm(app),
       element('div', { className: 'row' }, button('Save world', () => saveWorld(app), { id: 'save-world' }), file,
         button('Load world', () => file.click()), button('Remove all obstacles', () => clearWorld(app), { id: 'clear-world' })),
       this.list);
@@ -115,7 +115,7 @@ function replaceWorld(app, title, apply, options = {}, onDone = () => {}) {
     poses = Object.entries(app.scene.robots).map(([id, { actual }]) => [id, [...actual]]);
     if (before === null) return { ok: false, error: 'the world cannot be read' };
     const answer = await apply();
-    if (answer.ok) { after = await worldText(app); onDone(true); }
+    if (answer.ok) { after = await worldText(app); onDone(true, after); }
     return answer;
   }, revert: async () => {
     if (await worldText(app) !== after) return { ok: false, error: 'the world was changed meanwhile' };
@@ -127,8 +127,8 @@ function replaceWorld(app, title, apply, options = {}, onDone = () => {}) {
   } });
 }
 
-// Lengths measured with a tape: the tool chooses the ends, the form takes the length, and the walls adjust to all lengths of
-// this map so far.
+// Lengths measured with a tape: the tool chooses the ends, the form takes the length. The map before the first length adjusts
+// to all of them, so that each counts once. A change by another tool ends this: then the changed map adjusts to later lengths.
 function tapeForm(app) {
   const tape = lengthField(app, 'length', 0, { min: 0, id: 'tape-length' }), list = element('ul', { id: 'tapes' });
   const text = (ends) => ends.map((end) => end.map((inches) => Math.round(inches / unitIn(app.metric) * 10) / 10).join(',')).join(' to ');
@@ -137,11 +137,17 @@ function tapeForm(app) {
     list.replaceChildren(...tapes.map(({ ends, length }) => element('li', {}, `${text(ends)}: ${lengthText(length, app.metric, 2)}`)));
   };
   const node = form(async () => {
-    const before = app.tapes, tapes = [...before, { ends: node.ends, length: tape.inches }], { name } = app.scene.world;
+    const before = { tapes: app.tapes, base: node.base }, now = await worldText(app), { name } = app.scene.world;
+    if (now === null) return;
+    const goesOn = node.base?.after === now, origin = goesOn ? node.base.origin : now;
+    const tapes = [...(goesOn ? app.tapes : []), { ends: node.ends, length: tape.inches }];
     const answer = await replaceWorld(app, 'adjust to a length', async () => {
-      const adjusted = await app.link.request({ do: 'adjust', lengths: tapes });
+      const adjusted = await app.link.request({ do: 'adjust', lengths: tapes, text: origin });
       return adjusted.ok ? control(app, 'world set', { text: adjusted.text, file: `${name}.toml` }) : adjusted;
-    }, {}, (isDone) => app.setTapes(isDone ? tapes : before));
+    }, {}, (isDone, after) => {
+      app.setTapes(isDone ? tapes : before.tapes);
+      node.base = isDone ? { origin, after } : before.base;
+    });
     app.notice(answer.ok ? '' : answer.error);
     if (answer.ok) node.hidden = true;
   }, element('p'), element('div', { className: 'row' }, tape.label, element('button', { id: 'adjust' }, 'Adjust walls'),
@@ -157,6 +163,26 @@ function tapeForm(app) {
     tape.input.select();
   };
   return element('div', {}, node, list);
+}
+
+// The name of an inner wall, which the tool Label chooses.
+function labelForm(app) {
+  const name = element('input', { id: 'wall-name', maxLength: 60, size: 22 });
+  let wall = null;
+  const node = form(async () => {
+    const answer = await wall.rename(wall.points, name.value.trim());
+    if (answer.ok) node.hidden = true;
+  }, element('div', { className: 'row' }, element('label', {}, 'name of the wall', name), element('button', { id: 'label-wall' }, 'Label'),
+    button('Cancel', () => { node.hidden = true; })));
+  node.hidden = true;
+  app.label = (chosen) => {
+    wall = chosen;
+    name.value = wall.name.match(/^wall \d+$/) ? '' : wall.name;
+    node.hidden = false;
+    name.focus();
+    name.select();
+  };
+  return node;
 }
 
 export function loadWorld(app, text, file) {

@@ -35,7 +35,7 @@ def test_teacher_and_student(browser: Browser, tmp_path: Path) -> None:
             # 2. The student's page has its robot selected, stops and releases it, and acts on no other.
             student.wait("nserver.robot === '2' && nserver.scene.bodies['2']")
             assert student.page.input_value("#robot-choice") == "2"
-            for hidden in ("#stop-all", "#task-world", "#robots-reset"):
+            for hidden in ("#stop-all", "#task-world", "#robots-reset", "#localizer-noise"):
                 assert not student.page.is_visible(hidden)
             assert teacher.page.is_visible("#robots-reset")
             student.page.select_option("#robot-choice", "1")

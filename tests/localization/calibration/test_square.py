@@ -30,6 +30,7 @@ from worlds.world import Polygon, World
 RADIUS_IN = 9.72
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", world_names())
 def test_every_shipped_world_has_one_that_retains_clear(name: str) -> None:
     world = load_world(name)

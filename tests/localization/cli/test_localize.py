@@ -35,6 +35,7 @@ def test_estimate_and_truth_are_printed_and_run_is_drawn(tmp_path: Path, capsys:
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.long
 def test_the_result_is_json_alone_when_asked(capsys: pytest.CaptureFixture[str]) -> None:
     assert localize(NOISY, *TO_GOAL, "--json") == 0
     result = json.loads(capsys.readouterr().out)
@@ -43,6 +44,7 @@ def test_the_result_is_json_alone_when_asked(capsys: pytest.CaptureFixture[str])
     assert result["end_error_in"] < 1.0 < result["odometry_end_error_in"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("setup", ["measured", "worn"])
 def test_noisy_sonars_and_wheels_still_reach_goal(setup: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert localize(f"sim:thesis_room?setup={setup}&seed=1", *TO_GOAL, "--json") == 0
@@ -85,6 +87,7 @@ def test_giving_up_at_the_time_limit_exits_3(capsys: pytest.CaptureFixture[str])
     assert "1 of 2 waypoints reached in 2" in capsys.readouterr().out
 
 
+@pytest.mark.long
 def test_cone_model_and_distance_scale_on_measured_ring(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -357,6 +360,7 @@ def test_a_bumper_that_closes_ends_the_run_at_once(capsys: pytest.CaptureFixture
     assert result["duration_s"] < 25.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("words", "source", "line"), [
     ([], "encoders", "start (0.0, 0.0) in 0.0 deg ± 0.1 in 0.57 deg, from the encoders"),
     (["--start", "0.1,0,1", "--start-std", "1,2,3"], "start", "start (0.1, 0.0) in 1.0 deg ± 2 in 3 deg, given by"),

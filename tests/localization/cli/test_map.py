@@ -164,6 +164,21 @@ def test_edit_adjusts_a_map_to_taped_lengths(tmp_path: Path, capsys: pytest.Capt
     assert json.loads(capsys.readouterr().out)["moved_in"] == pytest.approx(0.238, abs=0.002)
 
 
+def test_edit_names_walls(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before, after = tmp_path / "before.toml", tmp_path / "after.toml"
+    before.write_text(LEARNED)
+    assert main.main(["map", "edit", str(before), "--out", str(after), "--label", "50,2", 'the "north" side']) == 0
+    world = load_world(after)
+    assert world.wall_names == {0: 'the "north" side'}
+    assert world.accuracies == load_world(before).accuracies
+    assert main.main(["map", "edit", str(after), "--out", str(before), "--label", "50,2", ""]) == 0
+    assert load_world(before).wall_names == {}
+    assert main.main(["map", "edit", str(after), "--out", str(before), "--label", "50,40", "far"]) == 1
+    assert "no inner wall" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main.main(["map", "edit", str(after), "--out", str(before)])
+
+
 @pytest.mark.parametrize(
     ("length", "code", "words"),
     [(("0,0", "100,0", "200"), 1, "contradicts"), (("0,0", "100,0", "-1"), 2, "--length 0,0"),

@@ -14,6 +14,7 @@ from localization.filters.smoother import LAG
 PERIODS = 40
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("scenario", SCENARIOS)
 def test_trial_drives_and_estimate_stays_near_truth(scenario: str) -> None:
     record = drive(SCENARIOS[scenario], "5.8", 3, PERIODS)

@@ -37,6 +37,7 @@ def test_people_get_a_table_and_pictures(capsys: pytest.CaptureFixture[str], tmp
     assert all(path.name in output for path in tmp_path.iterdir())
 
 
+@pytest.mark.long
 def test_several_figures_give_an_object_a_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert __main__.main(["5.6", "5.6", *QUICK, "--json", "--no-pictures", "--out", str(tmp_path)]) == 0
     first, second = capsys.readouterr().out.splitlines()
@@ -131,6 +132,7 @@ def test_the_number_of_cores_is_known_without_affinity(monkeypatch: pytest.Monke
     assert __main__._parser().parse_args(["5.4"]).jobs == 1
 
 
+@pytest.mark.long
 def test_help_names_every_figure() -> None:
     answer = subprocess.run(
         [sys.executable, "-m", "localization.experiments", "--help"], capture_output=True, text=True, check=True

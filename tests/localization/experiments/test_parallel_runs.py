@@ -40,6 +40,7 @@ def test_the_numbers_do_not_depend_on_the_processes() -> None:
     assert reports[-1] == sum(result.steps for result in alone.results)
 
 
+@pytest.mark.long
 def test_one_job_runs_in_process_and_reports_every_step() -> None:
     reports: list[int] = []
     outcome = drive(FIGURES["5.6"], range(2), jobs=1, report=reports.append)

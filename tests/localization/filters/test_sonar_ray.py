@@ -63,6 +63,7 @@ def test_ranges_are_those_of_the_ray_caster(turret_rad: float) -> None:
     assert beams.range_in == pytest.approx(readings, abs=1e-6)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("turret_rad", [0.0, 0.3, 0.8])
 def test_the_derivative_is_that_of_central_differences(turret_rad: float) -> None:
     poses, angles, width = some_poses(200), ANGLES + turret_rad, 1e-5
@@ -301,6 +302,7 @@ def beliefs(count: int) -> list[Belief]:
     return found
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("walls", [WALLS, OPEN])
 def test_a_beam_in_numbers_is_that_in_arrays(walls: WallMap) -> None:
     reasons = []

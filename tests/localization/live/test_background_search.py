@@ -200,6 +200,7 @@ def test_large_maps_have_larger_cells_and_bounded_tables() -> None:
     assert table.ranges_in.shape[1] == DIRECTIONS
 
 
+@pytest.mark.long
 def test_readings_have_a_density_before_any_search() -> None:
     with BackgroundSearch(CONFIG, waits=False) as poses:
         sampled = np.array([poses.density(reading) for reading in range(256)])

@@ -49,7 +49,7 @@ def test_turret_and_truth_are_optional(tmp_path: Path) -> None:
         ("time_s,x_in,y_in,heading_deg,sonar_0_in,sonar_2_in\n", "no column sonar_1"),
         ("time,x_in\n", "unknown column 'time'"),
         ("time_s,x_furlong\n", "no unit"),
-        ("time_s,time_ms\n", "twice"),
+        ("time_s,time_ms\n", "2 times"),
         ("time_s,x_in,y_in,heading_deg,sonar_0_in,truth_x_in\n", "no column truth_y"),
         ("time_s,x_in,y_in,heading_deg,sonar_0_in\n0,0,0,0,0\n", "1 rows"),
         ("time_s,x_in,y_in,heading_deg,sonar_0_in\n0,0,0,0,9\n0,0,0,0,9\n", "row 3.*increase"),

@@ -37,6 +37,7 @@ def test_a_pose_in_the_corridor_looks_like_those_at_other_doors() -> None:
         assert abs(math.remainder(pose[2] - here[2] - math.pi, math.tau)) < 0.05
 
 
+@pytest.mark.long
 def test_ends_of_the_corridor_and_rooms_of_the_flat_are_unique() -> None:
     # The niche at the west end is in sight.
     assert not finder("corridor").aliases((40.0, 39.4, 0.0))

@@ -54,6 +54,7 @@ def test_the_noisy_robot_reaches_its_goal_on_the_estimate() -> None:
     assert {p.passed for p in progress} == {1, 2}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("world", "path"), [("several_walls", "5.8"), ("centre_vertex", "5.9")])
 def test_the_guided_paths_of_the_thesis(world: str, path: str) -> None:
     points = list(load_world(world).paths[path].points_in)
@@ -141,6 +142,7 @@ RARELY = f"sim:thesis_room?noisy=1&step_s={GAP_S / 2}&seed="
 ROUND = [(0.0, 0.0), (60.0, 40.0), (30.0, 60.0), (15.0, 10.0)]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_rare_states_reduce_speed_and_estimate_is_consistent(seed: int) -> None:
     """At full speed it circles a path-point for ever, half a foot between two states: it is farther than its radius."""
@@ -164,6 +166,7 @@ def test_rare_states_reduce_speed_and_estimate_is_consistent(seed: int) -> None:
     assert np.mean(nees) < 6.0
 
 
+@pytest.mark.long
 def test_frequent_states_leave_commands_unchanged(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

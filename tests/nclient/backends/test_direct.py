@@ -494,6 +494,7 @@ class UnreliableStream(MemoryStream):
         return data
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(8))
 def test_replies_on_an_unreliable_line_are_never_confused(seed: int) -> None:
     robot = ScriptedLine()

@@ -27,6 +27,7 @@ def in_shell(command: list[str], redirected: str) -> subprocess.CompletedProcess
     return subprocess.run(["bash", "-c", line], capture_output=True, text=True, timeout=60, check=False)
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")
 @pytest.mark.parametrize("flush", [True, False])
 @pytest.mark.parametrize("size", [10, 100_000])

@@ -64,6 +64,7 @@ def test_bytes_are_those_of_rosbags(name: str, data: st.DataObject) -> None:
     assert again.serialize(use_version_2=False) == written
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("distro", DISTROS)
 def test_every_distribution_has_the_types(distro: str) -> None:
     types = RosTypes(distro)

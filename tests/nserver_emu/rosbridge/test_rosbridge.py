@@ -24,7 +24,7 @@ from nserver_emu.rosbridge.server import MAX_MESSAGE, RosbridgeServer, serve_ros
 from nserver_emu.rosbridge.topics import Reading
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.viewer.controller import ViewerClients
+from nserver_emu.viewer.clients import ViewerClients
 from nserver_emu.viewer.messages import DRIVE_TIMEOUT_S
 from tests.nserver_emu.server.wire_client import simulation
 from worlds.io import load_world

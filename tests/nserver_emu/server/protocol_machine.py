@@ -15,15 +15,19 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import functools
+import itertools
 import json
 import logging
+import selectors
 import time
 from collections import deque
 from collections.abc import Callable
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from math import hypot, isclose
 from typing import Any, ClassVar
 
-import numpy as np
-from hypothesis import HealthCheck, Phase, settings
+from hypothesis import HealthCheck, Phase, seed, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import (
     RuleBasedStateMachine,
@@ -39,7 +43,7 @@ from nclient.protocol import codec
 from nclient.protocol.codec import TcpFrame, TcpFramer, reply_bounds
 from nclient.protocol.commands import BY_NAME, ERROR_TYPE, REPLY_TYPES, Call
 from nclient.protocol.replies import Reply
-from nclient.protocol.types import N150, get_model
+from nclient.protocol.types import N150, Mask, get_model
 from nclient.protocol.wire_state import tcp_wire_state
 from nserver_emu.control.commands import answer_line
 from nserver_emu.gateway.gateway import Gateway, RealRobotProxy
@@ -48,13 +52,12 @@ from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.estop import MOTIONS, moves
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.link import FaultController
-from nserver_emu.server.server_state import TIMELESS, Allowed, state_slots
+from nserver_emu.server.server_state import TIMELESS, Allowed, StateSnapshot, state_slots
 from nserver_emu.server.session import NOT_CONNECTED, REFUSED, CommandHandler, ConnectionContext, DeferredReply
 from nserver_emu.simulation.models import MODELS
 from nserver_emu.simulation.robot import SimulatedRobot
 from nserver_emu.simulation.simulation import Simulation
 from tests.nserver_emu.gateway.harness import EmulatedLine
-from worlds.geometry import nearest_points
 from worlds.io import parse_world
 from worlds.world import StartPose
 
@@ -75,6 +78,8 @@ PORT = 7019
 TOUCH_IN, UNSURE_IN = 1e-3, 1e-4
 
 AXES = (0, 1, 2)
+# The mask of a state that has velocities, and the motor bits, which none excludes.
+MOTION = Mask((*[0] * 38, 1, 1, 1, *[0] * 3))
 RESETTING = frozenset({"zr", "dp", "da", "place_robot"})
 """Commands after which counts or coordinates of the encoders begin anew."""
 
@@ -126,10 +131,20 @@ PLANS = {
 }
 
 
+class NoFiles(selectors.SelectSelector):
+    """Watch nothing: all bytes come from this process, and a turn needs no system call."""
+
+    def select(self, _timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
+        return []
+
+
 class ManualLoop(asyncio.SelectorEventLoop):
     """An event loop whose clock stands still until it is moved."""
 
     now_s = 1000.0
+
+    def __init__(self) -> None:
+        super().__init__(NoFiles())
 
     def time(self) -> float:
         return self.now_s
@@ -139,6 +154,14 @@ class ManualLoop(asyncio.SelectorEventLoop):
         for _ in range(count):
             self.call_soon(self.stop)
             self.run_forever()
+
+
+def distance_to_segment(x: float, y: float, x1: float, y1: float, x2: float, y2: float) -> float:
+    """Return the distance of a point to a segment, by the foot of the perpendicular."""
+    along_x, along_y = x2 - x1, y2 - y1
+    squared = along_x * along_x + along_y * along_y
+    fraction = min(max(((x - x1) * along_x + (y - y1) * along_y) / squared, 0.0), 1.0) if squared else 0.0
+    return hypot(x - x1 - fraction * along_x, y - y1 - fraction * along_y)
 
 
 class Socket:
@@ -509,11 +532,16 @@ class ProtocolMachine(RuleBasedStateMachine):
 
     def run_gateway(self) -> None:
         assert self.proxy is not None
+        # Until two rounds found nothing to do: the second sees what the ticks of the first have caused.
+        idle = 0
         for _ in range(20):
+            idle += 1
             while self.proxy.robot.run_next() == 0.0:
-                pass
+                idle = 0
             self.gateway.tick()
             self.daemon.tick()
+            if idle == 2:
+                break
 
     # What is executed
 
@@ -596,7 +624,7 @@ class ProtocolMachine(RuleBasedStateMachine):
         ProtocolMachine.steps += 1
         for watched in self.watched.values():
             robot, span_s = watched.robot, watched.simulation.time_s - watched.time_s
-            slots = state_slots(robot, 0)
+            slots = StateSnapshot(robot, 0).slots(MOTION)
             assert slots[41] & 0b111 == sum(bit << axis for axis, bit in enumerate(robot.moving))
             for axis in AXES:
                 travelled = robot.counts[axis] - watched.counts[axis]
@@ -613,10 +641,11 @@ class ProtocolMachine(RuleBasedStateMachine):
                     expected = watched.velocities[axis] * span_s
                     assert robot.zeroing or abs(travelled - expected) < 1e-6
             if not watched.reset:
-                moved_in = np.hypot(robot.actual.x_in - watched.actual.x_in, robot.actual.y_in - watched.actual.y_in)
+                moved_in = hypot(robot.actual.x_in - watched.actual.x_in, robot.actual.y_in - watched.actual.y_in)
                 assert moved_in <= max(axis.top_speed for axis in robot.model.axes) * span_s + 1e-6
             if watched.has_true_encoders:
-                assert np.allclose(robot.encoder[:3], robot.actual[:3], atol=1e-6)
+                for counted, actual in zip(robot.encoder[:3], robot.actual[:3], strict=True):
+                    assert isclose(counted, actual, rel_tol=1e-5, abs_tol=1e-6)
             watched.observe()
 
     @invariant()
@@ -624,11 +653,11 @@ class ProtocolMachine(RuleBasedStateMachine):
         for watched in self.watched.values():
             robot, world = watched.robot, watched.simulation.world
             x, y, radius_in = robot.disc
-            gap = float(nearest_points((x, y), world.walls)[1].min()) - radius_in
+            gap = min(distance_to_segment(x, y, *wall) for wall in world.walls.tolist()) - radius_in
             for number, other in watched.simulation.robots.items():
                 if number != watched.number:
                     other_x, other_y, other_radius_in = other.disc
-                    gap = min(gap, float(np.hypot(x - other_x, y - other_y)) - radius_in - other_radius_in)
+                    gap = min(gap, hypot(x - other_x, y - other_y) - radius_in - other_radius_in)
             assert gap > -TOUCH_IN - UNSURE_IN
             if abs(gap - TOUCH_IN) > UNSURE_IN:
                 assert (robot.bumpers != 0) == (gap < TOUCH_IN), gap
@@ -662,22 +691,40 @@ class ProtocolMachine(RuleBasedStateMachine):
             self.loop.close()
 
 
+def run_batch(seed_number: int, batch: int) -> int:
+    """Run one batch of examples, whose choices follow from the two numbers, and return its steps."""
+    ProtocolMachine.steps = 0
+    run_state_machine_as_test(
+        seed(f"{seed_number} {batch}")(ProtocolMachine),
+        # Long examples: the daemon is created less often. Longer ones would fill the room with obstacles.
+        settings=settings(
+            max_examples=15, stateful_step_count=150, deadline=None, database=None, print_blob=True,
+            phases=[Phase.generate, Phase.shrink], suppress_health_check=list(HealthCheck),
+        ),
+    )  # fmt: skip
+    return ProtocolMachine.steps
+
+
 def main() -> None:
     """Run the machine for a number of steps, in batches, and report progress."""
     parser = argparse.ArgumentParser(description=str(main.__doc__))
-    parser.add_argument("--steps", type=int, default=1_000_000, help="number of steps (default 1,000,000)")
-    wanted = parser.parse_args().steps
-    logging.disable(logging.CRITICAL)
-    begin_s = time.monotonic()
-    while ProtocolMachine.steps < wanted:
-        run_state_machine_as_test(
-            ProtocolMachine,
-            settings=settings(
-                max_examples=40, stateful_step_count=50, deadline=None, database=None, print_blob=True,
-                phases=[Phase.generate, Phase.shrink], suppress_health_check=list(HealthCheck),
-            ),
-        )  # fmt: skip
-        print(f"{ProtocolMachine.steps} steps in {time.monotonic() - begin_s:.0f} s, no violation", flush=True)
+    parser.add_argument("--steps", type=int, default=1_000_000, help="number of steps of all jobs (default 1,000,000)")
+    parser.add_argument("--jobs", type=int, default=1, help="processes that share the steps (default 1)")
+    parser.add_argument("--seed", type=int, help="repeat the choices of a run; default: new ones")
+    wanted = parser.parse_args()
+    seed_number = time.time_ns() if wanted.seed is None else wanted.seed
+    print(f"--seed {seed_number}", flush=True)
+    begin_s, steps, batches = time.monotonic(), 0, itertools.count()
+    initializer = functools.partial(logging.disable, logging.CRITICAL)
+    with ProcessPoolExecutor(wanted.jobs, initializer=initializer) as pool:
+        running = {pool.submit(run_batch, seed_number, next(batches)) for _ in range(wanted.jobs)}
+        while running:
+            done, running = wait(running, return_when=FIRST_COMPLETED)
+            # A violation ends the run here, with the shortest sequence of steps that shows it.
+            steps += sum(batch.result() for batch in done)
+            if steps < wanted.steps:
+                running |= {pool.submit(run_batch, seed_number, next(batches)) for _ in done}
+            print(f"{steps} steps in {time.monotonic() - begin_s:.0f} s, no violation", flush=True)
 
 
 if __name__ == "__main__":

@@ -79,6 +79,7 @@ SETTINGS = [
 ]  # fmt: skip
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("setting", SETTINGS, ids=lambda setting: setting[0])
 def test_settings_of_another_client_do_not_feed_it(emulator: Emulator, setting: tuple[str, *tuple[int, ...]]) -> None:
     emulator.simulation.add_robot(2, StartPose(60.0, 60.0), N200)
@@ -141,6 +142,18 @@ def test_queries_of_the_owner_feed_the_watchdog(emulator: Emulator) -> None:
     emulator.on_disconnect(session.context)
     assert emulator.axis_ownership.may_feed_watchdog(ConnectionContext(), 1, emulator.simulation.robots[1])
     assert second.ask("get_rv").slots == {38: 0, 39: 0, 40: 0}
+
+
+def test_a_client_that_leaves_does_not_feed_the_watchdog(emulator: Emulator) -> None:
+    first, session, second = pair(emulator)
+    second.ask("conf_tm", 2)
+    second.ask("mv", 0, 0, 0, 0, 1, 50)
+    first.ask("mv", 0, 0, 1, 50, 0, 0)
+    emulator.pass_time(1.5)
+    emulator.on_disconnect(session.context)
+    assert emulator.simulation.robots[1].moving == (False, False, True)
+    emulator.pass_time(0.6)
+    assert emulator.simulation.robots[1].moving == (False, False, False)
 
 
 def test_zr_ends_when_its_client_disconnects(emulator: Emulator) -> None:

@@ -13,6 +13,7 @@ from nserver_emu.server.connection import ConnectionHandler, TcpConnection
 from tests.nserver_emu.server.running_server import running_server
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("faults", [False, True])
 @pytest.mark.parametrize("talks", [False, True])
 async def test_nothing_of_it_is_left(talks: bool, faults: bool) -> None:

@@ -71,6 +71,17 @@ async def test_all_lines_of_one_robot_are_printed(tmp_path: Path) -> None:
     assert [f"listening robotd {place}" for place in places["robotd:1"].split(", ")] == printed[:2]
 
 
+async def test_a_link_that_old_programs_take_for_a_host_is_warned_of(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    await opened("--serial-link", str(tmp_path / "nomad"))
+    assert any("old C programs" in message and "/dev/shm/nomad" in message for message in caplog.messages)
+    caplog.clear()
+    with tempfile.TemporaryDirectory(dir="/dev/shm") as folder:
+        await opened("--serial-link", f"{folder}/nomad")
+    assert not [message for message in caplog.messages if "old C programs" in message]
+
+
 def test_robotd_has_a_default_port_and_folders_may_contain_at() -> None:
     options = parsed("--robotd", "--serial-link", "/tmp/me@home/q")
     assert options.robotd == [("65001", None)]

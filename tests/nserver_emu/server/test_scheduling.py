@@ -108,9 +108,32 @@ async def test_a_rested_connection_is_next(clock: Clock) -> None:
 async def test_an_idle_loop_answers_at_once() -> None:
     scheduler = FairScheduler()
     assert scheduler.may_run_now(100.0)
+    scheduler.charge(0.9 * TURN_BUDGET_S)
     assert scheduler.may_run_now(100.0 + 0.9 * TURN_BUDGET_S)
-    assert not scheduler.may_run_now(100.0 + 1.1 * TURN_BUDGET_S), "the turn is used up"
-    assert scheduler.may_run_now(100.0 + 2.1 * TURN_BUDGET_S)
+    scheduler.charge(2.0 * TURN_BUDGET_S)
+    assert not scheduler.may_run_now(100.0 + 3.0 * TURN_BUDGET_S), "the turn is used up"
+    assert not scheduler.may_run_now(100.0 + 3.9 * TURN_BUDGET_S)
+    assert scheduler.may_run_now(100.0 + 5.0 * TURN_BUDGET_S)
+
+
+async def test_one_client_rarely_waits_for_another_turn(clock: Clock) -> None:
+    # Its requests take a tenth of a turn and come each half turn: the time in between is not charged.
+    scheduler = FairScheduler()
+    at_once = 0
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(asyncio.get_running_loop(), "time", lambda: clock.now_s)
+        for _ in range(110):
+            clock.now_s += 0.4 * TURN_BUDGET_S
+            if scheduler.may_run_now(clock.now_s):
+                scheduler.charge(0.1 * TURN_BUDGET_S)
+                at_once += 1
+            else:
+                one = Load("one", 0.1 * TURN_BUDGET_S, 1, clock, scheduler, [])
+                scheduler.submit(one)
+                while one.backlog:
+                    await asyncio.sleep(0)
+            clock.now_s += 0.1 * TURN_BUDGET_S
+    assert at_once >= 99
 
 
 async def test_nothing_overtakes_queued_work(clock: Clock) -> None:

@@ -100,6 +100,7 @@ def test_a_scouts_square_is_the_closed_form(room: World, sense: int) -> None:
     assert phase(exp(1j * (turn - turned))) == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("diameters", "share"), [(1.004, 1.0), (1.0, 0.99), (0.998, 1.006)])
 def test_umbmark_recovers_diameters_and_wheelbase(room: World, diameters: float, share: float) -> None:
     """Its formulas hold for small errors: alpha by the sum, beta by the difference of the two centres of gravity."""
@@ -119,6 +120,7 @@ def test_umbmark_recovers_diameters_and_wheelbase(room: World, diameters: float,
     assert (pi / 2) / (pi / 2 - alpha) == pytest.approx(share, abs=5e-4)
 
 
+@pytest.mark.long
 def test_worn_errors_after_a_square_of_4_m_are_as_documented(room: World) -> None:
     """Return UMBmark's systematic error, the larger of both ends, without noise: by the closed form and simulated."""
     # 4 m in inches.

@@ -40,6 +40,7 @@ def flat(seen: Any) -> list[float]:
     return [float(seen)]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("setup", [IDEAL, RobotSetup("ramps", True, IDEAL.motion, IDEAL.sonar)], ids=["ideal", "ramps"])
 def test_ten_times_a_tenth_is_a_hundred_times_a_hundredth(lone: Lone, setup: RobotSetup) -> None:
     start = StartPose(83.0, 40.0, 0.3, 0.0)
@@ -53,6 +54,7 @@ def test_the_roaming_robot_of_these_tests_meets_a_wall(lone: Lone) -> None:
     assert len({row[4] for row in roam(simulation, robot, 80)[::2]}) > 1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", sorted(SETUPS))
 def test_a_restored_simulation_continues_bit_for_bit(lone: Lone, name: str) -> None:
     simulation, robot = lone(StartPose(83.0, 40.0, 0.3, 0.0), SETUPS[name])

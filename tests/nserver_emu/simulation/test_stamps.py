@@ -44,6 +44,7 @@ def apart(pose: Pose, other: Pose) -> float:
     return max(abs(pose.x_in - other.x_in), abs(pose.y_in - other.y_in), *(abs(remainder(by, tau)) for by in angles))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("model", [N150, N200, SCOUT], ids=lambda model: model.name)
 @pytest.mark.parametrize("ramps", [False, True])
 def test_firing_inside_a_segment_equals_firing_between_segments(room: World, model: RobotModel, ramps: bool) -> None:

@@ -11,7 +11,7 @@ import pytest
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.viewer import controller, scene
 from nserver_emu.viewer.broadcaster import Broadcaster
-from nserver_emu.viewer.controller import ViewerClient
+from nserver_emu.viewer.clients import ViewerClient
 from nserver_emu.viewer.error_boundary import ErrorBoundary
 from nserver_emu.viewer.scene import SceneHistory
 from tests.nserver_emu.server.wire_client import simulation
@@ -27,13 +27,13 @@ def trouble(*_: object, **__: object) -> Any:
 
 
 def test_an_error_is_logged_once_and_then_counted(caplog: pytest.LogCaptureFixture) -> None:
-    error_boundary = ErrorBoundary()
+    error_boundary = ErrorBoundary("rosbridge")
     for _ in range(3):
         with error_boundary.guard("the picture", "viewer 1"):
             trouble()
     (record,) = caplog.records
     assert record.levelno == logging.ERROR
-    assert "the picture of viewer 1" in record.getMessage()
+    assert record.getMessage().startswith("rosbridge: the picture of viewer 1")
     assert record.exc_info is not None
     assert isinstance(record.exc_info[1], Trouble)
     assert error_boundary.counts == {("the picture", Trouble): 3}

@@ -12,7 +12,7 @@ from collections.abc import Awaitable, Callable
 import pytest
 
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.viewer import server
+from nserver_emu.viewer import http_port
 from nserver_emu.viewer.broadcaster import Viewer
 from tests.nserver_emu.server.wire_client import simulation
 from tests.nserver_emu.viewer.page_client import HOST, Served, serve_viewer
@@ -54,11 +54,11 @@ async def forgotten(here: Served) -> float:
 
 
 def test_the_time_that_is_promised_is_the_longest_there_is() -> None:
-    assert max(1.5 * server.HEARTBEAT_S + 1.0, server.STALLED_S + 1.0) <= server.CONNECTION_LOST_S
+    assert max(1.5 * http_port.HEARTBEAT_S + 1.0, http_port.STALLED_S + 1.0) <= http_port.CONNECTION_LOST_S
 
 
 async def test_a_page_that_vanished_is_forgotten_and_its_line_let_go(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server, "HEARTBEAT_S", SHORT_S)
+    monkeypatch.setattr("nserver_emu.viewer.server.HEARTBEAT_S", SHORT_S)
 
     async with serve_viewer(Emulator(simulation())) as here:
         with await dumb_page(here) as end:
@@ -68,7 +68,7 @@ async def test_a_page_that_vanished_is_forgotten_and_its_line_let_go(monkeypatch
 
 
 async def test_a_page_that_sends_but_never_receives_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server, "STALLED_S", SHORT_S)
+    monkeypatch.setattr(http_port, "STALLED_S", SHORT_S)
 
     async with serve_viewer(Emulator(simulation())) as here:
         with await dumb_page(here) as end:
@@ -131,7 +131,7 @@ async def test_the_daemon_ends_at_once_with_unresponsive_pages() -> None:
         loop = asyncio.get_running_loop()
         began = loop.time()
         await here.viewer_server.close()
-        assert loop.time() - began < server.CLOSING_S + 0.5
+        assert loop.time() - began < http_port.CLOSING_S + 0.5
         for end in ends:
             end.close()
 

@@ -8,8 +8,9 @@ import pytest
 
 from nserver_emu.viewer.map_editor import adjust_world
 from nserver_emu.viewer.messages import Adjust, InvalidMessage, Tape, parse_message
-from worlds.io import load_world
+from worlds.io import format_world, load_world
 
+ROOM = format_world(load_world("thesis_room"))
 TAPE = Tape([[-12.0, -12.0], [102.2, -12.0]], 100.0)
 
 
@@ -18,12 +19,12 @@ TAPE = Tape([[-12.0, -12.0], [102.2, -12.0]], 100.0)
     [("echo hello; exit 3", "ended with 3"), ("echo 'nomad: no such wall' >&2; exit 1", "no such wall")],
 )
 def test_errors_of_the_program_are_answers(script: str, words: str) -> None:
-    answer = adjust_world(load_world("thesis_room"), [TAPE], ("sh", "-c", script, "nomad"))
+    answer = adjust_world(ROOM, [TAPE], ("sh", "-c", script, "nomad"))
     assert answer == {"ok": False, "error": words}
 
 
 def test_missing_program_is_an_answer() -> None:
-    assert "nowhere" in adjust_world(load_world("thesis_room"), [TAPE], ("/nowhere/nomad",))["error"]
+    assert "nowhere" in adjust_world(ROOM, [TAPE], ("/nowhere/nomad",))["error"]
 
 
 def test_program_gets_the_world_and_the_lengths() -> None:
@@ -31,7 +32,7 @@ def test_program_gets_the_world_and_the_lengths() -> None:
         "import json, sys, shutil; shutil.copy(sys.argv[3], sys.argv[5]);"
         "assert open(sys.argv[3]).read().startswith('name = '); print(json.dumps({'moved_in': len(sys.argv)}))"
     )
-    answer = adjust_world(load_world("thesis_room"), [TAPE, TAPE], (sys.executable, "-c", script))
+    answer = adjust_world(ROOM, [TAPE, TAPE], (sys.executable, "-c", script))
     assert (answer["ok"], answer["moved_in"], answer["text"][:7]) == (True, 17, "name = ")
 
 

@@ -10,8 +10,8 @@ import pytest
 
 from nserver_emu.server.connection import FairScheduler, TokenBucket
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.viewer import server
-from nserver_emu.viewer.server import PageMessages, wait_for_rate
+from nserver_emu.viewer import http_port
+from nserver_emu.viewer.http_port import PageMessages, wait_for_rate
 from tests.nserver_emu.server.wire_client import simulation
 from tests.nserver_emu.viewer.page_client import serve_viewer
 
@@ -23,7 +23,7 @@ async def test_messages_beyond_the_rate_wait_in_order(monkeypatch: pytest.Monkey
         waits.append(seconds)
 
     limit = TokenBucket(10, 5, 0.0)
-    monkeypatch.setattr(server, "_now", lambda: 0.0)
+    monkeypatch.setattr(http_port, "loop_time", lambda: 0.0)
     monkeypatch.setattr(asyncio, "sleep", sleep)
     for _ in range(8):
         await wait_for_rate(limit)
@@ -62,7 +62,7 @@ async def test_all_messages_and_requests_take_tokens(monkeypatch: pytest.MonkeyP
     async def counted(limit: TokenBucket | None) -> None:
         taken.append(limit)
 
-    monkeypatch.setattr(server, "wait_for_rate", counted)
+    monkeypatch.setattr(http_port, "wait_for_rate", counted)
     async with serve_viewer(Emulator(simulation())) as here:
         here.daemon.admission.limits = replace(here.daemon.admission.limits, page_rate=300)
         for _ in range(5):

@@ -12,7 +12,7 @@ from aiohttp import web
 from aiohttp.test_utils import make_mocked_request
 
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.viewer.server import STALLED_S, PageWriter, transport_of
+from nserver_emu.viewer.http_port import STALLED_S, PageWriter, transport_of
 from tests.nserver_emu.server.wire_client import simulation
 from tests.nserver_emu.viewer.page_client import serve_viewer
 

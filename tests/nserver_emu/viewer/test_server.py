@@ -17,10 +17,11 @@ from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.runtime_settings import read_world_file
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.limits import Limits
-from nserver_emu.viewer import server
+from nserver_emu.viewer import http_port
 from nserver_emu.viewer.auth import HTTP_LOG, is_known_host, is_same_origin
+from nserver_emu.viewer.http_port import PERIOD_S, next_due
 from nserver_emu.viewer.messages import DRIVE_TIMEOUT_S
-from nserver_emu.viewer.server import PERIOD_S, ViewerServer, next_due
+from nserver_emu.viewer.server import ViewerServer
 from tests.nserver_emu.server.wire_client import simulation
 from tests.nserver_emu.viewer.page_client import HOST, elsewhere, serve_viewer
 from worlds.world import World
@@ -231,7 +232,7 @@ async def test_a_driver_learns_of_other_drivers() -> None:
 async def test_answers_do_not_wait_for_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     loop = asyncio.get_running_loop()
     # Pictures so rare that a busy machine answers 40 calls in the time of 20.
-    monkeypatch.setattr(server, "PERIOD_S", 0.5)
+    monkeypatch.setattr(http_port, "PERIOD_S", 0.5)
     async with serve_viewer(an_emulator()) as here, here.page() as page:
         await page.send_message(do="call", id=0, robot=1, call="st", args=[])
         await page.answer(0)

@@ -255,6 +255,7 @@ def test_sonars_fire_in_the_order_and_at_the_rate_of_conf_sn(emulator: Emulator,
     assert {slot for slot in before if twice[slot] != before[slot]} == {17 + 3, 17 + 5}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("args", "like"),
     [

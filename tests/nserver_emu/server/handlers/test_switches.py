@@ -99,6 +99,7 @@ SWITCHES: dict[int, dict[str, Any]] = {
 }  # fmt: skip
 
 
+@pytest.mark.long
 def test_the_same_changes_give_the_same_bytes() -> None:
     assert a_run(SWITCHES) == a_run(SWITCHES)
     assert a_run(SWITCHES) != a_run(SWITCHES | {15: {"sensors": "ideal"}})
@@ -219,7 +220,10 @@ def test_inner_walls_are_added_moved_and_removed() -> None:
     }  # fmt: skip
     emulator.pass_time(1.0)
     assert sonars(client)[0] < before[0]
+    named = change_wall(emulator, {"wall": [[40, -9], [40, 9]], "to": [[40, -9], [40, 9]], "name": " gate "})
+    assert "name" not in named
     moved = change_wall(emulator, {"wall": [[40, -9], [40, 9]], "by": [5, 1]})
+    assert moved["name"] == "gate"
     assert (moved["was"], moved["is"]) == ([[40, -9], [40, 9]], [[45, -8], [45, 10]])
     change_wall(emulator, {"wall": moved["is"], "to": [[50, 0], [60, 0]]})
     assert change_wall(emulator, {"wall": [[50, 0], [60, 0]]})["walls"] == rows
