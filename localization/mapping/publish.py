@@ -33,7 +33,7 @@ MIN_MEASURED: Final = 0.5
 
 
 def is_uncertain(wall: Piece) -> bool:
-    """Return True for a wall that is not known well, or mostly inferred."""
+    """Return True for a wall whose place is uncertain, or that was measured on less than half of its length."""
     is_short = wall.measured_in < MIN_MEASURED * wall.length_in
     return is_short or wall.std_in > MAX_STD_IN or wall.std_rad > MAX_STD_RAD
 
@@ -73,8 +73,8 @@ class MapPublisher:
             self._truth.append((clock_s, *truth[:2]))
         if self._frame is None:
             state = step.state
-            there = truth or (state.x_in, state.y_in, state.steering_rad)
-            self._frame = _frame_at(step.pose, np.array(there))
+            outside = truth or (state.x_in, state.y_in, state.steering_rad)
+            self._frame = _frame_at(step.pose, np.array(outside))
         if self._clock() < self._due_s:
             return
         self._due_s = self._clock() + PERIOD_S
@@ -98,13 +98,14 @@ class MapPublisher:
 
     def _draw(self, estimate: MapEstimate) -> None:
         """Bring the walls and points of an estimate into the frame of the page."""
-        path, instants_s = estimate.state.poses[:, :2], estimate.problem.trajectory.instants_s
+        path = estimate.state.poses[:, :2]
+        instants_s = estimate.problem.trajectory.instants_s[: len(path)]
         if len(self._truth) > 1:
             times, *columns = np.array(self._truth).T
-            known = (instants_s[: len(path)] >= times[0]) & (instants_s[: len(path)] <= times[-1])
-            if known.sum() > 1:
-                targets = np.stack([np.interp(instants_s[: len(path)][known], times, column) for column in columns], -1)
-                turn, shift = rigid_fit(path[known], targets)
+            is_timed = (instants_s >= times[0]) & (instants_s <= times[-1])
+            if is_timed.sum() > 1:
+                targets = np.stack([np.interp(instants_s[is_timed], times, column) for column in columns], -1)
+                turn, shift = rigid_fit(path[is_timed], targets)
                 self._frame = np.array((*shift, turn))
         frame = np.zeros(POSE) if self._frame is None else self._frame
         walls = extract_walls(estimate)
@@ -126,6 +127,6 @@ def _placed(frame: Floats, places: Floats) -> Floats:
     return rotate(places, np.full(len(places), frame[HEADING])) + frame[:2]
 
 
-def _frame_at(pose: Floats, there: Floats) -> Floats:
-    """Return the pose of a frame in which a pose is another one there."""
-    return compose(there, relative_pose(pose, np.zeros(POSE)))
+def _frame_at(inside: Floats, outside: Floats) -> Floats:
+    """Return the pose of a frame from the pose of one thing, given inside and outside the frame."""
+    return compose(outside, relative_pose(inside, np.zeros(POSE)))
