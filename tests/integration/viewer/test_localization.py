@@ -144,6 +144,16 @@ def test_waypoints_by_keyboard_and_by_pointer(browser: Browser) -> None:
         page.wait("nserver.waypoints['1'].length === 0")
 
 
+def test_health_on_the_map_does_not_move_the_map(browser: Browser) -> None:
+    with nserver("thesis_room") as program, open_page(browser, program.url) as page:
+        boxes = [page.page.locator("#map").bounding_box()]
+        for trust in ("OK", "DEGRADED", "LOST"):
+            publish(program.url, 1, trust=trust)
+            page.wait(f"document.querySelector('#map-trust').innerText.includes('{trust}')")
+            boxes.append(page.page.locator("#map").bounding_box())
+        assert boxes == boxes[:1] * 4
+
+
 LOST = {"trust": "LOST", "pose": [0, 0, 0], "cov": [[1e6, 0, 0], [0, 1e6, 0], [0, 0, 9]]}
 PLACES = [{"pose": [30, 60, 0], "share": 0.62}, {"pose": [80, 40, 1.57], "share": 0.38}]
 DRAWN = """import('/page/export.js').then((m) => { const text = m.svgOf(nserver), colour = nserver.theme.estimate;
