@@ -17,8 +17,7 @@ from nserver_emu import logs
 from nserver_emu.control import socket as control_options
 from nserver_emu.gateway import run as real_options
 from nserver_emu.persistence import options as restore_options
-from nserver_emu.ros2 import options as ros2_options
-from nserver_emu.rosbridge import options as rosbridge_options
+from nserver_emu.ros import options as ros_options
 from nserver_emu.server import limits, serial_lines
 from nserver_emu.server.config import MAX_ROBOTS, MODEL_NAMES
 from nserver_emu.server.daemon import LOOPBACK
@@ -60,8 +59,7 @@ def nserver_parser(*, with_files: bool = True) -> Parser:
     _add_persistence(parser)
     _add_setup(parser)
     # Packages add their own options, in the order of --help.
-    for package in (serial_lines, real_options, control_options, allowlist, limits, viewer_options, rosbridge_options,
-                    ros2_options):
+    for package in (serial_lines, real_options, control_options, allowlist, limits, viewer_options, ros_options):
         package.add_options(parser)
     add_flag(parser, "--list-worlds", "list the shipped worlds and exit")
     logs.add_options(parser)
@@ -131,8 +129,7 @@ def read_options(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
     serial_lines.refuse(parser, options)
     real_options.refuse(parser, options)
     viewer_options.refuse(parser, options)
-    rosbridge_options.refuse(parser, options)
-    ros2_options.refuse(parser, options)
+    ros_options.refuse(parser, options)
     restore_options.check_options(parser, options, words)
     # 4. With --restore the saved pace applies unless an option of time was given.
     options.keeps_pace = restore_options.keeps_pace(parser, words)

@@ -25,8 +25,7 @@ from localization.navigation.limits import STAND, AxisLimits, VelocityCommand, a
 from localization.navigation.obstacles import ObstacleTracker, position_std_in
 from localization.navigation.path import angle_difference, wall_distances
 from localization.navigation.path_follower import TURNED_RAD, PathFollower, turn_command
-from localization.navigation.planner import MARGINS_IN, PlannedPath, Planner
-from localization.navigation.roadmap import NoPathError, Point
+from localization.navigation.roadmap import MARGINS_IN, NoPathError, PlannedPath, Planner, Point
 
 
 class Ending(Enum):

@@ -5,7 +5,7 @@
     nomad help [COMMAND] the same as --help, or as COMMAND --help
 
 Only the module of the named subcommand is imported, so that a missing extra affects no other. A NomadError is printed
-on stderr; exit codes are those of nclient.common.exit_codes. SIGTERM and SIGHUP end every command through its `with`
+on stderr; exit codes are those of nclient.common.process. SIGTERM and SIGHUP end every command through its `with`
 blocks, which stop the robot (nclient/common/process.py).
 """
 
@@ -21,9 +21,8 @@ from typing import Any, Protocol
 
 from nclient.common import process
 from nclient.common.arguments import Parser
-from nclient.common.exit_codes import ExitCode, in_short
 from nclient.common.hints import closest_match, install_hint, version
-from nclient.common.process import TerminatedBySignal, handle_termination_signals
+from nclient.common.process import ExitCode, TerminatedBySignal, handle_termination_signals, in_short
 from nclient.common.start import exit_on_interrupt
 from nclient.errors import NomadError
 

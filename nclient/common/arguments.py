@@ -14,8 +14,8 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import Any, Final, NoReturn
 
-from nclient.common.exit_codes import ExitCode
 from nclient.common.hints import closest_match, suggest
+from nclient.common.process import ExitCode
 
 MAX_DIGITS = 18
 """Maximum length of a whole number; int() refuses very long ones."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from localization.calibration.procedure import Driver, DriveTo, LapPolicy, Spin, Task
 from localization.navigation.limits import VelocityCommand
+from localization.navigation.umbmark import Driver, DriveTo, LapPolicy, Spin, Task
 
 LAP: list[Task] = [Spin(0.01), DriveTo(0.0, 0.0)]
 

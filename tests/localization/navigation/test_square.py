@@ -8,7 +8,10 @@ from math import hypot, pi, tau
 import numpy as np
 import pytest
 
-from localization.calibration.procedure import (
+from localization.filters.belief import HEADING
+from localization.filters.odometry import move
+from localization.navigation.roadmap import NoPathError, segment_clearances
+from localization.navigation.umbmark import (
     MARGIN_IN,
     Driver,
     DriveTo,
@@ -20,9 +23,6 @@ from localization.calibration.procedure import (
     path_to,
     tasks,
 )
-from localization.filters.belief import HEADING
-from localization.filters.odometry import move
-from localization.navigation.roadmap import NoPathError, segment_clearances
 from localization.navigation.waypoints import PERIOD_S
 from worlds.io import load_world, world_names
 from worlds.world import Polygon, World

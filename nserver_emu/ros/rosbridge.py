@@ -19,10 +19,10 @@ from aiohttp import WSCloseCode, WSMsgType, web
 from nclient.common.allowlist import LOOPBACK_NAME, is_loopback
 from nclient.common.hints import install_command
 from nclient.recording.ros_messages import MAP, TF, TF_STATIC
-from nserver_emu.rosbridge import topics
-from nserver_emu.rosbridge.client import InvalidRequest, RosbridgeClient, Services, encode_published, short_type
-from nserver_emu.rosbridge.readings import RobotReader, map_message, rings_of
-from nserver_emu.rosbridge.topics import Estimates
+from nserver_emu.ros import topics
+from nserver_emu.ros.client import InvalidRequest, RosbridgeClient, Services, encode_published, short_type
+from nserver_emu.ros.readings import RobotReader, map_message, rings_of
+from nserver_emu.ros.topics import Estimates
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.viewer import auth
 from nserver_emu.viewer.clients import ViewerClients
@@ -285,7 +285,6 @@ class Backlog:
 
     def _turned(self) -> None:
         self._has_turned = True
-
 
 
 @contextlib.asynccontextmanager
