@@ -6,12 +6,11 @@ Files are only checked for existence here. Options of a package are defined in t
 """
 
 import argparse
-import re
 from collections.abc import Sequence
 from pathlib import Path
 
 from nclient.common import allowlist
-from nclient.common.arguments import ABOVE_ZERO, Parser, add_flag, number, whole_number
+from nclient.common.arguments import ABOVE_ZERO, Parser, add_flag, number, protect_coordinates, whole_number
 from nclient.common.hints import suggest, version
 from nserver_emu import logs
 from nserver_emu.control import socket as control_options
@@ -118,7 +117,7 @@ def _add_setup(parser: Parser) -> None:
 def read_options(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
     """Parse the words; add `world`, the old setup files (`setups`) and `keeps_pace` to the options."""
     # 1. Old spellings and coordinates, then argparse.
-    words = [_as_value(as_long_option(word)) for word in words]
+    words = [protect_coordinates(as_long_option(word)) for word in words]
     options: argparse.Namespace = parser.parse_args(words)
     # 2. Positional words: a world and the original's setup files.
     default_world = CLASS_WORLD if options.class_file else DEFAULT_WORLD
@@ -174,11 +173,6 @@ def _is_setup(name: str) -> bool:
     path = Path(name)
     # A file of any name is a setup if it exists, and is neither TOML nor the name of a shipped world.
     return path.suffix == SETUP_SUFFIX or (name not in world_names() and path.suffix != ".toml" and path.is_file())
-
-
-def _as_value(word: str) -> str:
-    """Protect coordinates such as -5,3, which argparse takes for an option, with a blank."""
-    return f" {word}" if re.match(r"-[\d.][^,]*,", word) else word
 
 
 def _speed(text: str) -> float | None:

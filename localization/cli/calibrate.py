@@ -17,6 +17,7 @@ from localization.live.assumptions import resolve_body, resolve_robot_model
 from localization.live.localizer import Consistency
 from localization.navigation import umbmark
 from localization.navigation.recovery import StallDetector
+from localization.navigation.waypoints import follow_waypoints, start_localizer
 from nclient import Robot
 from nclient.common.arguments import add_address, add_flag, add_value, whole_number
 from nclient.common.files import write_errors_as
@@ -124,7 +125,9 @@ def _drive(robot: Robot, world: World, options: argparse.Namespace, fit: Consist
     driver = umbmark.Driver(first.tasks, options.speed, math.radians(options.turn_speed), laps.more)
     stall_detector, printed_s = StallDetector(options.speed), state.clock_s or 0.0
     began_s = printed_s
-    for progress in umbmark.run(robot, config, method, driver, robot.sleep):
+    localizer = start_localizer(robot, config, method.belief, method)
+    has_turret = robot.model.has_turret
+    for progress in follow_waypoints(robot, localizer, driver, robot.sleep, turns_turret=has_turret):
         clock_s = progress.estimate.clock_s
         fit.add(progress.estimate.echoes)
         if clock_s - began_s > options.time_limit:
@@ -182,7 +185,7 @@ def _line(passed_s: float, driver: umbmark.Driver, found: Calibration) -> str:
     # Estimates with standard deviations; scales have no unit.
     spread = found.spread
     return (
-        f"{passed_s:6.0f} s  {driver.done:3d} of {driver.count} done  "
+        f"{passed_s:6.0f} s  {driver.passed:3d} of {driver.count} done  "
         f"distance {found.distance_scale:.4f} ± {spread.distance_scale:.4f}  "
         f"turn {found.turn_scale:.4f} ± {spread.turn_scale:.4f}  "
         f"drift {found.drift_rad_in:+.5f} ± {spread.drift_rad_in:.5f} rad/in"

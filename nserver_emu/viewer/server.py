@@ -22,7 +22,7 @@ from http import HTTPStatus
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from aiohttp import WSCloseCode, WSMsgType, web
+from aiohttp import WSMsgType, web
 
 from nclient.common.allowlist import LOOPBACK_NAME, is_loopback, is_same_machine
 from nserver_emu.server.daemon import Daemon
@@ -30,19 +30,7 @@ from nserver_emu.viewer import auth
 from nserver_emu.viewer.broadcaster import Broadcaster, Viewer
 from nserver_emu.viewer.classroom import TEACHER, Student
 from nserver_emu.viewer.controller import ViewerController
-from nserver_emu.viewer.http_port import (
-    CLOSING_S,
-    HEARTBEAT_S,
-    Handler,
-    HttpPort,
-    PageMessages,
-    PageWriter,
-    clear_tracebacks,
-    local_address,
-    loop_time,
-    next_due,
-    transport_of,
-)
+from nserver_emu.viewer.http_port import Handler, HttpPort, PageMessages, PageWriter, local_address, loop_time
 from nserver_emu.viewer.messages import MAX_TEXT, InvalidMessage, encode_message
 from nserver_emu.viewer.scene import Modes, SceneHistory, laser_modes
 
@@ -72,12 +60,10 @@ class ViewerServer:
         names = {student.robot: student.name for student in students}
         self.controller = ViewerController(daemon, self.broadcaster, names)
         self._writers: dict[Viewer, PageWriter] = {}
-        self._sockets: set[web.WebSocketResponse] = set()
         self._sending: set[asyncio.Task[None]] = set()
         self._host_name = LOOPBACK_NAME
         self._port = HttpPort(daemon.admission, "the page", "--viewer")
         self._daemon = daemon
-        self._clock: asyncio.Task[None] | None = None
 
     async def open(self, host: str, port: int) -> int:
         """Start serving; return the port (port 0 takes a free one).
@@ -101,7 +87,7 @@ class ViewerServer:
         # 2. The port.
         port = await self._port.open(app, host, port)
         # 3. The clock that takes pictures; localizers that pages start publish to this port.
-        self._clock = asyncio.create_task(self._run_clock())
+        self._port.start_clock(self._tick)
         place = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
         self.controller.localizers.page_url = f"http://{auth.to_loopback(place)}/?token={self.token}"
         return port
@@ -109,28 +95,13 @@ class ViewerServer:
     async def close(self) -> None:
         """Stop serving. May be called twice."""
         await self.controller.localizers.close()
-        # In the reverse order of `open`: clock, pages, socket, filter, runner.
-        if self._clock is not None:
-            self._clock.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await self._clock
-            self._clock = None
-        closing = [socket.close(code=WSCloseCode.GOING_AWAY, drain=False) for socket in self._sockets]
-        await asyncio.gather(*closing, return_exceptions=True)
         await self._port.close()
         self.controller.close()
 
-    async def _run_clock(self) -> None:
-        due = loop_time()
-        while True:
-            # No pictures are taken while no page is open.
-            due = next_due(due, loop_time())
-            await asyncio.sleep(due - loop_time())
-            if self.broadcaster.viewers:
-                await self._update_pages()
-
-    async def _update_pages(self) -> None:
+    async def _tick(self) -> None:
         """Take a picture and send it to all pages; an error of one page does not affect others."""
+        if not self.broadcaster.viewers:
+            return
         with self.controller.error_boundary.guard("the clock"):
             self.controller.tick(loop_time())
         with self.controller.error_boundary.guard("the picture"):
@@ -204,40 +175,27 @@ class ViewerServer:
         if not auth.is_same_origin(origin, request.scheme, request.host):
             raise web.HTTPForbidden(text=f"Origin {ascii(origin) if origin else '(none)'} is not this page's\n")
         # However many pages a class opens, its teacher gets one.
-        if len(self._sockets) >= self._port.door.limits.viewers and access.name != TEACHER:
-            self._port.door.reject(request.remote or "", "too many pages are open (--limit-viewers)")
-            raise web.HTTPServiceUnavailable(text="too many pages are open: close one (--limit-viewers)\n")
-        socket = web.WebSocketResponse(compress=False, heartbeat=HEARTBEAT_S, timeout=CLOSING_S, max_msg_size=MAX_TEXT)
-        self._sockets.add(socket)  # it counts towards the limit from now on
-        try:
-            await socket.prepare(request)
-            writer = PageWriter(socket, transport_of(request), loop_time())
-        except BaseException:
-            self._sockets.discard(socket)
-            raise
-        # 2. The page is open: its messages are handled in order until it closes.
-        viewer = self.controller.connect_page(loop_time(), access, watch_token=self.watch_token)
-        self._writers[viewer] = writer
-        viewer.on_message = lambda: self._send_soon(viewer)
-        viewer.on_message()
-        messages = PageMessages(
-            self._daemon.scheduler, lambda text: self.controller.handle_message(viewer, text, loop_time()),
-            self._port.door.limits.page_rate,
-        )  # fmt: skip
-        try:
-            async for message in socket:
-                if message.type == WSMsgType.TEXT:
-                    await messages.handle(message.data)
-                elif message.type == WSMsgType.BINARY:
-                    viewer.notify(encode_message("answer", id=None, ok=False, error="a message is text, not bytes"))
-                await asyncio.sleep(0)  # let others run, however much this page sends
-        finally:
-            self._sockets.discard(socket)
-            del self._writers[viewer]
-            self.controller.leave(viewer)
-            if socket.close_code == WSCloseCode.ABNORMAL_CLOSURE:
-                writer.abort()
-            clear_tracebacks(socket.exception())
+        accepted = self._port.websocket(request, "pages are open", MAX_TEXT, is_limited=access.name != TEACHER)
+        async with accepted as (socket, writer):
+            # 2. The page is open: its messages are handled in order until it closes.
+            viewer = self.controller.connect_page(loop_time(), access, watch_token=self.watch_token)
+            self._writers[viewer] = writer
+            viewer.on_message = lambda: self._send_soon(viewer)
+            viewer.on_message()
+            messages = PageMessages(
+                self._daemon.scheduler, lambda text: self.controller.handle_message(viewer, text, loop_time()),
+                self._port.door.limits.page_rate,
+            )  # fmt: skip
+            try:
+                async for message in socket:
+                    if message.type == WSMsgType.TEXT:
+                        await messages.handle(message.data)
+                    elif message.type == WSMsgType.BINARY:
+                        viewer.notify(encode_message("answer", id=None, ok=False, error="a message is text, not bytes"))
+                    await asyncio.sleep(0)  # let others run, however much this page sends
+            finally:
+                del self._writers[viewer]
+                self.controller.leave(viewer)
         return socket
 
     def _send_soon(self, viewer: Viewer) -> None:

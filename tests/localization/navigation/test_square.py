@@ -115,9 +115,9 @@ def test_the_driver_goes_round_and_turns_as_reported() -> None:
     pose, turned, places = np.array([0.0, 0.0, 2.0]), [0.0, 0.0], []
     # At most 400 s, in periods of 0.1 s.
     for _ in range(4000):
-        done = driver.done
+        done = driver.passed
         command = driver.command(pose)
-        if driver.done > done:
+        if driver.passed > done:
             places.append(pose[:2].copy())
         if command is None:
             break
@@ -131,7 +131,7 @@ def test_the_driver_goes_round_and_turns_as_reported() -> None:
         off_side = min(abs(pose[0] - 10.0), abs(pose[0] - 70.0), abs(pose[1] - 10.0), abs(pose[1] - 70.0))
         assert len(places) == 0 or off_side < 1.5
     # 17 tasks: sides, corners and turns on the spot.
-    assert driver.done == driver.count == 17
+    assert driver.passed == driver.count == 17
     assert hypot(pose[0] - 10.0, pose[1] - 10.0) < 1.0
     # Four full turns and four quarter turns in each direction; it stops within its tolerance.
     assert turned[0] == pytest.approx(4 * tau + 4 * pi / 2, abs=2.0)
@@ -142,7 +142,7 @@ def test_a_goal_that_was_passed_by_is_behind() -> None:
     driver = Driver([DriveTo(10.0, 0.0)], 10.0, 0.5)
     assert driver.command(np.array([0.0, 0.0, 0.0])) is not None
     assert driver.command(np.array([12.0, 0.5, 0.0])) is None
-    assert driver.done == 1
+    assert driver.passed == 1
 
 
 def test_goal_to_the_side_is_turned_to_before_driving() -> None:
