@@ -49,6 +49,12 @@ SCATTERERS: Final = 33
 """Scattering points of a robot, evenly over its visible part: at most 0.8 degrees apart, a third of an inch of range at
 60 in, where a hundredth of the range is noise."""
 
+FEW_WALLS: Final = 8
+"""With more walls in a cone, those behind others are left out first."""
+
+HIDDEN_IN: Final = 1e-5
+"""A wall is hidden if it lies farther than this behind another: beyond the tolerance of an obstruction."""
+
 BISECTIONS: Final = 48
 """Of the arc between the points that face two transducers: the rest is far below SMALL_IN."""
 
@@ -158,22 +164,24 @@ def first_echo(
     """
     nearest_in, slope = max_range_in, tan(losses.half_rad)
     back = Beam(sources[0][0], sources[0][1], cos(sources[0][2]), sin(sources[0][2]))
+    # 1. The walls that sound reaches on half of its path, and those in the receiver's cone.
+    loudest_in = margin_db / losses.absorption_db_in if losses.absorption_db_in > 0.0 else inf
+    farthest_in = 0.0
+    for source in sources:
+        half_in = min(loudest_in, nearest_in + recess_in + source[3] / 2.0)
+        farthest_in = max(farthest_in, half_in + distance(source[0], source[1], back.x, back.y) / 2.0)
+    rows, near = walls_near(back, farthest_in, reflectors.walls)
+    back_rows, back_walls = walls_in_cone(back, slope, rows, near)
+    lasts = mirrors_of(back, back_rows, back_walls)
     for number in range(len(sources)):
-        # 1. The pair. Its paths are at most so long that sound is loud enough, and the echo nearer than one found.
+        # 2. The pair. Its paths are at most so long that sound is loud enough, and the echo nearer than one found.
         source, is_own = sources[number], number == 0
         out, offset_in = Beam(source[0], source[1], cos(source[2]), sin(source[2])), -recess_in - source[3] / 2.0
         pair = Pair(out, back, is_own, offset_in, -inf if is_own else min_range_in, margin_db)
-        loudest_in = margin_db / losses.absorption_db_in if losses.absorption_db_in > 0.0 else inf
-        # 2. The walls that sound reaches on half of the way, and those in the two cones.
-        half_in = min(loudest_in, nearest_in - pair.offset_in)
-        if half_in < 0.0:
+        if min(loudest_in, nearest_in - offset_in) < 0.0:
             continue
-        apart_in = distance(out.x, out.y, back.x, back.y)
-        rows, near = walls_near(back, half_in + apart_in / 2.0, reflectors.walls)
-        out_rows, out_walls = walls_in_cone(out, slope, rows, near)
-        back_rows, back_walls = (out_rows, out_walls) if is_own else walls_in_cone(back, slope, rows, near)
-        firsts = mirrors_of(out, out_rows, out_walls)
-        lasts = firsts if is_own else mirrors_of(back, back_rows, back_walls)
+        out_rows, out_walls = (back_rows, back_walls) if is_own else walls_in_cone(out, slope, rows, near)
+        firsts = lasts if is_own else mirrors_of(out, out_rows, out_walls)
         # 3. The shortest free path off one reflector ...
         echoes = off_walls(pair, losses, nearest_in, firsts, reflectors)
         off_edges(echoes, pair, losses, nearest_in, out_walls)
@@ -184,9 +192,9 @@ def first_echo(
                 over_walls_to_disc(echoes, pair, losses, nearest_in, firsts, disc)
         nearest_in = first_free(echoes, pair, nearest_in, out_walls, near, back_walls, discs)
         # 4. ... and of those off two walls that are shorter.
-        reach_in = nearest_in - pair.offset_in + apart_in / 2.0
-        firsts, lasts = mirrors_within(firsts, reach_in), mirrors_within(lasts, reach_in)
-        echoes = off_two_walls(pair, losses, nearest_in, firsts, lasts)
+        reach_in = min(loudest_in, nearest_in - offset_in) + distance(out.x, out.y, back.x, back.y) / 2.0
+        firsts = mirrors_within(firsts, reach_in)
+        echoes = off_two_walls(pair, losses, nearest_in, firsts, mirrors_within(lasts, reach_in))
         if is_own:
             numbers = rows if len(reflectors.begins) else rows[:0]
             over_walls_to_walls(echoes, pair, losses, nearest_in, firsts, numbers, near)
@@ -247,7 +255,7 @@ def walls_near(beam: Beam, reach_in: float, walls: Any) -> tuple[list[int], list
 
 
 def walls_in_cone(beam: Beam, slope: float, rows: list[int], near: list[Wall]) -> tuple[list[int], list[Wall]]:
-    """Return the walls that can reach into a cone: not beyond one of its two sides, and not behind."""
+    """Return the walls that can reach into a cone: not beyond one of its two sides, not behind; few of those hidden."""
     found, walls = [0 for _ in range(0)], [(0.0, 0.0, 0.0, 0.0) for _ in range(0)]
     for row, wall in zip(rows, near):  # noqa: B905  for numba
         ahead_1, left_1 = in_frame(beam, wall[0], wall[1])
@@ -260,20 +268,57 @@ def walls_in_cone(beam: Beam, slope: float, rows: list[int], near: list[Wall]) -
         ):
             found.append(row)
             walls.append(wall)
-    return found, walls
+    return visible_walls(beam, found, walls) if len(walls) > FEW_WALLS else (found, walls)
+
+
+def visible_walls(beam: Beam, rows: list[int], walls: list[Wall]) -> tuple[list[int], list[Wall]]:
+    """Return the walls of which no other hides all from the apex, the nearest first."""
+    order = [(wall_distance(beam, wall), number) for number, wall in enumerate(walls)]
+    order.sort()
+    found, visible = [0 for _ in range(0)], [(0.0, 0.0, 0.0, 0.0) for _ in range(0)]
+    for _, number in order:
+        is_hidden = False
+        for other in visible:
+            if hides(beam, other, walls[number]):
+                is_hidden = True
+                break
+        if not is_hidden:
+            found.append(rows[number])
+            visible.append(walls[number])
+    return found, visible
+
+
+def hides(beam: Beam, one: Wall, other: Wall) -> bool:
+    """Return True if one wall hides all of another from the apex: both ends lie between its ends, and behind it."""
+    x1, y1, x2, y2 = one[0] - beam.x, one[1] - beam.y, one[2] - beam.x, one[3] - beam.y
+    turned = x1 * y2 - y1 * x2
+    side = 1.0 if turned > 0.0 else -1.0
+    behind = turned * side + HIDDEN_IN * (abs(x2 - x1) + abs(y2 - y1))
+    for x, y in ((other[0] - beam.x, other[1] - beam.y), (other[2] - beam.x, other[3] - beam.y)):
+        left_1, left_2 = side * (x1 * y - y1 * x), side * (x * y2 - y * x2)
+        if left_1 <= 0.0 or left_2 <= 0.0 or left_1 + left_2 <= behind:
+            return False
+    return True
+
+
+def wall_distance(beam: Beam, wall: Wall) -> float:
+    """Return the distance of the nearest point of a wall from the apex."""
+    along_x, along_y, to_x, to_y = wall[2] - wall[0], wall[3] - wall[1], beam.x - wall[0], beam.y - wall[1]
+    square = along_x * along_x + along_y * along_y
+    fraction = min(max((to_x * along_x + to_y * along_y) / square, 0.0), 1.0) if square > 0.0 else 0.0
+    return distance(to_x, to_y, fraction * along_x, fraction * along_y)
 
 
 def mirrors_of(beam: Beam, rows: list[int], walls: list[Wall]) -> list[Mirror]:
     """Return the walls that have a length as mirrors."""
     mirrors = [Mirror(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0) for _ in range(0)]
-    for row, (x1, y1, x2, y2) in zip(rows, walls):  # noqa: B905  for numba
-        along_x, along_y, to_x, to_y = x2 - x1, y2 - y1, beam.x - x1, beam.y - y1
+    for row, wall in zip(rows, walls):  # noqa: B905  for numba
+        along_x, along_y = wall[2] - wall[0], wall[3] - wall[1]
         square = along_x * along_x + along_y * along_y
         if square > 0.0:
-            fraction = min(max((to_x * along_x + to_y * along_y) / square, 0.0), 1.0)
-            away = distance(to_x, to_y, fraction * along_x, fraction * along_y)
             twist_x, twist_y = (along_x * along_x - along_y * along_y) / square, 2.0 * along_x * along_y / square
-            mirrors.append(Mirror(x1, y1, along_x, along_y, twist_x, twist_y, away, row))
+            away = wall_distance(beam, wall)
+            mirrors.append(Mirror(wall[0], wall[1], along_x, along_y, twist_x, twist_y, away, row))
     return mirrors
 
 
@@ -576,15 +621,15 @@ def first_free(
 ) -> float:  # fmt: skip
     """Return the shortest range of a path on which nothing stands between one point and the next, or `nearest_in`.
 
-    The first and the last leg of a path lie in the cones, so only the walls there can stand between their ends.
+    The first and the last leg of a path lie in the cones, so only the visible walls there can stand between their ends.
     """
     out = pair.out
     echoes.sort()
     for range_in, x1, y1, x2, y2, end_x, end_y in echoes:
         if (
             is_free(out.x, out.y, x1, y1, out_walls, discs)
-            and is_free(x1, y1, x2, y2, near, discs)
             and is_free(x2, y2, end_x, end_y, back_walls, discs)
+            and is_free(x1, y1, x2, y2, near, discs)
         ):
             return range_in
     return nearest_in
