@@ -167,7 +167,7 @@ async def test_a_costly_reply_is_prepared_over_several_turns(monkeypatch: pytest
         monkeypatch.setattr(SonarRing, "_compute", costly)
         assert (await client.ask("gs")).kind == "state"
     assert sum(pings.values()) == 16
-    assert max(pings.values()) <= 2, "the first of a turn, and one more before its time is over"
+    assert max(pings.values()) == 1, "each uses up a turn"
 
 
 async def test_preparing_ends_though_new_work_comes(monkeypatch: pytest.MonkeyPatch) -> None:

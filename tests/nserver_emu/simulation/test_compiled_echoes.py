@@ -41,7 +41,7 @@ def pings_in(walls: FloatArray, rng: np.random.Generator) -> tuple[Ping, list[Pi
         for number, turn in enumerate(rng.choice([-0.39, 0.39, 3.1], rng.integers(0, 5)).tolist(), 1)
     ]
     count = rng.integers(0, 3)
-    discs = np.column_stack(((x, y) + rng.uniform(-80.0, 80.0, (count, 2)), rng.uniform(7.0, 12.0, count)))
+    discs = np.column_stack((np.array((x, y)) + rng.uniform(-80.0, 80.0, (count, 2)), rng.uniform(7.0, 12.0, count)))
     return Ping(x, y, direction, now_ps, noise), earlier, discs if count else NO_DISCS
 
 
